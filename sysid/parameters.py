@@ -1,0 +1,180 @@
+"""Declared parameters of a model, and the unit cube in which an optimiser sees the free ones.
+
+A model is a table of `Parameter` rows; a `SearchSpace` is the choice of which of them are free, between
+which bounds, and the fixed values of all others.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.errors import CampaignError
+
+FloatArray = NDArray[np.float64]
+Scale = Literal["linear", "log"]
+
+# A value within this share of the unit-cube edge is said to lie at its bound.
+AT_BOUND = 0.01
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a model.
+
+    Parameters
+    ----------
+    name : str
+        Words of the field, e.g. ``leg_axial_stiffness``.
+    symbol : str
+        As in equations and tables, e.g. ``k_h``.
+    unit : str
+        SI unit of every number in this row.
+    nominal, lower, upper : float
+        Default value and search bounds [unit].
+    scale : {"linear", "log"}
+        How the unit cube is laid between the bounds.
+    meaning : str
+        One sentence.
+    source : str
+        Where nominal and bounds come from ("guess" is an answer, silence is not).
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    nominal: float
+    lower: float
+    upper: float
+    scale: Scale
+    meaning: str
+    source: str
+
+    def __post_init__(self) -> None:
+        if not self.lower < self.upper:
+            raise CampaignError(
+                f"{self.name}: lower bound {self.lower:g} {self.unit} is not below "
+                f"upper bound {self.upper:g} {self.unit}; swap or widen them"
+            )
+        if self.scale == "log" and self.lower <= 0:
+            raise CampaignError(
+                f"{self.name}: lower bound {self.lower:g} {self.unit} on a logarithmic scale must be above 0"
+            )
+
+
+class ParameterTable(Mapping[str, Parameter]):
+    """Ordered rows of a model, by name."""
+
+    def __init__(self, rows: Iterable[Parameter]) -> None:
+        rows = tuple(rows)
+        self._rows = {row.name: row for row in rows}
+        if len(self._rows) != len(rows):
+            raise ValueError("two parameters share one name")
+
+    def __getitem__(self, name: str) -> Parameter:
+        try:
+            return self._rows[name]
+        except KeyError:
+            near = difflib.get_close_matches(name, [*self._rows, *(row.symbol for row in self._rows.values())], 1)
+            hint = f"; nearest is {near[0]!r}" if near else f"; known are {', '.join(self._rows)}"
+            raise CampaignError(f"no parameter {name!r}{hint}") from None
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._rows
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._rows)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    @property
+    def nominal(self) -> dict[str, float]:
+        """Default value of every row [its unit]."""
+        return {name: row.nominal for name, row in self._rows.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class SearchSpace:
+    """Which parameters are free, between which bounds, and what the others are fixed to.
+
+    Parameters
+    ----------
+    table : ParameterTable
+        The model's rows.
+    free : tuple of Parameter
+        Free rows in search order, bounds already overridden by the campaign.
+    fixed : mapping of str to float
+        Value of every other row [its unit].
+    """
+
+    table: ParameterTable
+    free: tuple[Parameter, ...]
+    fixed: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fixed", MappingProxyType(dict(self.fixed)))
+        lower = np.array([p.lower for p in self.free], dtype=np.float64)
+        upper = np.array([p.upper for p in self.free], dtype=np.float64)
+        log = np.array([p.scale == "log" for p in self.free], dtype=np.bool_)
+        object.__setattr__(self, "_log", log)
+        object.__setattr__(self, "_low", np.where(log, np.log(np.where(log, lower, 1.0)), lower))
+        object.__setattr__(self, "_high", np.where(log, np.log(np.where(log, upper, 1.0)), upper))
+
+    @classmethod
+    def build(
+        cls,
+        table: ParameterTable,
+        free: Iterable[str],
+        values: Mapping[str, float],
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+    ) -> SearchSpace:
+        """Choose the free rows, override bounds, and fix the others to `values` or their nominal."""
+        names = tuple(free)
+        rows = []
+        for name in names:
+            row = table[name]
+            if bounds and name in bounds:
+                row = replace(row, lower=bounds[name][0], upper=bounds[name][1])
+            rows.append(row)
+        fixed = {name: float(values.get(name, row.nominal)) for name, row in table.items() if name not in names}
+        return cls(table, tuple(rows), fixed)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters in search order."""
+        return tuple(p.name for p in self.free)
+
+    def decode(self, cube: FloatArray) -> FloatArray:
+        """Map unit-cube points (..., n_free) to parameter values (..., n_free) [SI]."""
+        low, high, log = self._low, self._high, self._log  # type: ignore[attr-defined]
+        linear = low + np.asarray(cube, dtype=np.float64) * (high - low)
+        return np.where(log, np.exp(np.where(log, linear, 0.0)), linear)
+
+    def encode(self, values: FloatArray) -> FloatArray:
+        """Map parameter values (..., n_free) [SI] to the unit cube; outside the bounds gives < 0 or > 1."""
+        low, high, log = self._low, self._high, self._log  # type: ignore[attr-defined]
+        values = np.asarray(values, dtype=np.float64)
+        linear = np.where(log, np.log(np.where(log, values, 1.0)), values)
+        return (linear - low) / (high - low)
+
+    def full(self, cube: FloatArray) -> FloatArray:
+        """Map unit-cube points (n, n_free) to rows of the whole table (n, len(table)) in table order [SI]."""
+        cube = np.atleast_2d(cube)
+        out = np.empty((len(cube), len(self.table)))
+        index = {name: i for i, name in enumerate(self.table)}
+        for name, value in self.fixed.items():
+            out[:, index[name]] = value
+        out[:, [index[name] for name in self.names]] = self.decode(cube)
+        return out
+
+    def at_bound(self, cube: FloatArray) -> NDArray[np.int8]:
+        """Return -1 within 1 % of the lower bound, +1 of the upper, else 0, per point and free parameter."""
+        cube = np.asarray(cube)
+        return np.where(cube < AT_BOUND, -1, np.where(cube > 1 - AT_BOUND, 1, 0)).astype(np.int8)

@@ -1,0 +1,147 @@
+"""What an instrument recorded: named channels in SI, each on its own clock, write-locked.
+
+A loader makes a `Recording` from one file and nothing after it changes the numbers. A sample that the
+instrument did not deliver (a blank cell, an occluded frame) is NaN at its time and `False` in
+`Channel.valid`; it is never filled in.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.errors import LogError
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+def _locked(values: object) -> FloatArray:
+    array = np.array(values, dtype=np.float64, order="C")
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """One quantity over time.
+
+    Parameters
+    ----------
+    name : str
+        What it is, in the words of the field: ``speed``, ``thrust``, ``F450/position``.
+    unit : str
+        SI unit of `values`; a command keeps the unit of its protocol (``us`` or ``dshot``).
+    time : (n,) array
+        Sample times on the file's own clock [s], strictly increasing.
+    values : (n,) or (n, k) array
+        Samples; NaN where the instrument delivered none.
+    """
+
+    name: str
+    unit: str
+    time: FloatArray
+    values: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", _locked(self.time))
+        object.__setattr__(self, "values", _locked(self.values))
+        if self.time.ndim != 1 or self.values.ndim not in (1, 2) or len(self.values) != len(self.time):
+            raise ValueError(f"channel {self.name}: {self.values.shape} samples on {self.time.shape} times")
+        if self.time.size > 1 and not np.all(np.diff(self.time) > 0):
+            raise ValueError(f"channel {self.name}: time does not increase")
+
+    @property
+    def valid(self) -> BoolArray:
+        """(n,) True where every component was delivered."""
+        finite = np.isfinite(self.values)
+        return finite if finite.ndim == 1 else finite.all(axis=1)
+
+    @property
+    def rate(self) -> float:
+        """Median sample rate [Hz]; NaN below two samples."""
+        return float(1.0 / np.median(np.diff(self.time))) if self.time.size > 1 else float("nan")
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a recording comes from.
+
+    Parameters
+    ----------
+    path : str
+        The file as it was named.
+    sha256 : str
+        Hash of its bytes.
+    format : str
+        Name of the loader that read it, e.g. ``motive-csv``.
+    device : str
+        Instrument and version as the file states them, or empty.
+    options : mapping
+        Loader options that changed the numbers (rate, quaternion order, units), as text.
+    notes : tuple of str
+        What the loader noticed and did (rows dropped, signs flipped), one sentence each.
+    """
+
+    path: str
+    sha256: str
+    format: str
+    device: str = ""
+    options: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Channels of one file with their provenance.
+
+    Rigid bodies are two channels, ``NAME/position`` (n, 3) [m] and ``NAME/orientation`` (n, 4) unit
+    quaternion, **w first**, rotating body axes into capture axes, continuous in sign; a marker is one
+    channel ``NAME/position``.
+    """
+
+    kind: str
+    channels: Mapping[str, Channel]
+    provenance: Provenance
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
+
+    @property
+    def rigid_bodies(self) -> tuple[str, ...]:
+        """Names that have an orientation, in file order."""
+        ends = "/orientation"
+        return tuple(name[: -len(ends)] for name in self.channels if name.endswith(ends))
+
+    @property
+    def markers(self) -> tuple[str, ...]:
+        """Names that have a position and no orientation, in file order."""
+        ends = "/position"
+        names = (name[: -len(ends)] for name in self.channels if name.endswith(ends))
+        return tuple(name for name in names if f"{name}/orientation" not in self.channels)
+
+    def __getitem__(self, name: str) -> Channel:
+        """Return a channel by name.
+
+        Raises
+        ------
+        LogError
+            When the file has no such channel; the message names those it has.
+        """
+        try:
+            return self.channels[name]
+        except KeyError:
+            has = ", ".join(self.channels) or "none"
+            raise LogError(f"{self.provenance.path}: no channel {name!r}; found {has}") from None
+
+
+def file_sha256(path: str | Path) -> str:
+    """Return the SHA-256 of a file's bytes as hex."""
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
