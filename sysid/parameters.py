@@ -81,7 +81,9 @@ class ParameterTable(Mapping[str, Parameter]):
         try:
             return self._rows[name]
         except KeyError:
-            near = difflib.get_close_matches(name, [*self._rows, *(row.symbol for row in self._rows.values())], 1)
+            near = difflib.get_close_matches(
+                name, [*self._rows, *(row.symbol for row in self._rows.values())], 1
+            )
             hint = f"; nearest is {near[0]!r}" if near else f"; known are {', '.join(self._rows)}"
             raise CampaignError(f"no parameter {name!r}{hint}") from None
 
@@ -143,7 +145,9 @@ class SearchSpace:
             if bounds and name in bounds:
                 row = replace(row, lower=bounds[name][0], upper=bounds[name][1])
             rows.append(row)
-        fixed = {name: float(values.get(name, row.nominal)) for name, row in table.items() if name not in names}
+        fixed = {
+            name: float(values.get(name, row.nominal)) for name, row in table.items() if name not in names
+        }
         return cls(table, tuple(rows), fixed)
 
     @property

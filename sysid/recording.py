@@ -61,7 +61,7 @@ class Channel:
     def valid(self) -> BoolArray:
         """(n,) True where every component was delivered."""
         finite = np.isfinite(self.values)
-        return finite if finite.ndim == 1 else finite.all(axis=1)
+        return np.asarray(finite if finite.ndim == 1 else finite.all(axis=1), dtype=np.bool_)
 
     @property
     def rate(self) -> float:

@@ -1,0 +1,249 @@
+"""The two low-pass filters of the paper, zero phase, and differentiation.
+
+*Load cell and tachometer*: Chebyshev type II, order 10, 100 Hz, run forward and backward as second-order
+sections. Forward-backward doubles order and attenuation. **The corner of a type II design is its stop-band
+edge**, not its -3 dB point; `ChebyshevLowpass.cutoff_3db` states where the cascade really loses 3 dB.
+
+*Motion capture*: linear-phase FIR, Kaiser window, one symmetric pass (zero phase by symmetry).
+
+A sample that was not recorded stays masked: filters use a straight line across a gap so that its neighbours
+have something to lean on, and never return the bridged samples as valid. The same bridge is applied to a
+simulated signal before it is compared, so both sides pass through one linear operator.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from sysid.errors import CampaignError, LogError
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class ChebyshevLowpass:
+    """Zero-phase Chebyshev type II low-pass of a uniformly sampled signal.
+
+    Valid when the signal is sampled at more than twice `stop_edge`; ignores clock jitter.
+
+    Parameters
+    ----------
+    rate : float
+        Sample rate [Hz].
+    stop_edge : float
+        Stop-band edge [Hz]; the paper's "100 Hz".
+    order : int
+        Order of one pass; the forward-backward cascade has twice as many poles.
+    attenuation_db : float
+        Stop-band attenuation of one pass [dB], unprinted in the paper; the cascade has twice that.
+
+    References
+    ----------
+    Bass & Lussier Desbiens, Section II-A.2 ("tenth-order 100-Hz low-pass Chebyshev Type II").
+    """
+
+    rate: float
+    stop_edge: float = 100.0
+    order: int = 10
+    attenuation_db: float = 40.0
+    sections: FloatArray = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if not 0 < self.stop_edge < self.rate / 2:
+            raise CampaignError(
+                f"Chebyshev filter: stop-band edge {self.stop_edge:g} Hz does not lie below half of the "
+                f"sample rate {self.rate:g} Hz; lower the edge or leave the log unfiltered"
+            )
+        sections = signal.cheby2(
+            self.order, self.attenuation_db, self.stop_edge, "low", output="sos", fs=self.rate
+        )
+        object.__setattr__(self, "sections", np.asarray(sections, dtype=np.float64))
+
+    @property
+    def edge_samples(self) -> int:
+        """Samples at each end that the start of the recursion still colours (to 1e-3)."""
+        poles = np.concatenate([np.roots(section[3:]) for section in self.sections])
+        slowest = float(np.max(np.abs(poles)))
+        return int(np.ceil(np.log(1e-3) / np.log(slowest)))
+
+    @property
+    def minimum_samples(self) -> int:
+        """Shortest signal that can be filtered (the reflected padding of both ends must fit)."""
+        return 3 * (2 * len(self.sections) + 1) + 1
+
+    def gain(self, frequency: FloatArray) -> FloatArray:
+        """Return the gain of the forward-backward cascade at `frequency` [Hz]."""
+        _, response = signal.sosfreqz(self.sections, worN=np.asarray(frequency), fs=self.rate)
+        return np.abs(response) ** 2
+
+    @cached_property
+    def cutoff_3db(self) -> float:
+        """Frequency at which the forward-backward cascade has lost 3 dB [Hz]."""
+        frequency = np.linspace(0.0, self.stop_edge, 20001)
+        below = self.gain(frequency) < 10 ** (-3 / 20)
+        return float(frequency[int(np.argmax(below))])
+
+    def apply(self, values: FloatArray, valid: BoolArray | None = None) -> FloatArray:
+        """Filter (n,) or (n, k) along time; samples that are not valid come back NaN.
+
+        Raises
+        ------
+        LogError
+            When there are fewer samples than the filter needs.
+        """
+        values = np.asarray(values, dtype=np.float64)
+        if len(values) < self.minimum_samples:
+            raise LogError(
+                f"{len(values)} samples are fewer than the {self.minimum_samples} that the Chebyshev filter "
+                f"needs; record longer or switch the filter off"
+            )
+        bridged, known = _bridged(values, valid)
+        out = np.asarray(signal.sosfiltfilt(self.sections, bridged, axis=0), dtype=np.float64)
+        out[~known] = np.nan
+        return out
+
+    def describe(self) -> dict[str, float | str]:
+        """Return the design as it goes into a result file."""
+        return {
+            "kind": "chebyshev-2, forward-backward",
+            "rate [Hz]": self.rate,
+            "stop-band edge [Hz]": self.stop_edge,
+            "order of one pass": self.order,
+            "attenuation of one pass [dB]": self.attenuation_db,
+            "effective -3 dB [Hz]": round(self.cutoff_3db, 2),
+        }
+
+
+@dataclass(frozen=True)
+class KaiserLowpass:
+    """Zero-phase linear-phase FIR low-pass of a uniformly sampled signal.
+
+    Parameters
+    ----------
+    rate : float
+        Sample rate [Hz].
+    cutoff : float
+        Middle of the transition band, half amplitude [Hz].
+    attenuation_db : float
+        Ripple and stop-band attenuation [dB]; unprinted in the paper.
+    transition : float
+        Width of the transition band [Hz]; unprinted in the paper.
+
+    Notes
+    -----
+    60 dB and 10 Hz at 200 Hz give 75 taps, i.e. 37 samples of edge at each end.
+
+    References
+    ----------
+    Bass & Lussier Desbiens, Section II-D ("zero-phase 65-Hz low-pass Kaiser filter").
+    """
+
+    rate: float
+    cutoff: float = 65.0
+    attenuation_db: float = 60.0
+    transition: float = 10.0
+    taps: FloatArray = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if not 0 < self.cutoff < self.rate / 2:
+            raise CampaignError(
+                f"Kaiser filter: cut-off {self.cutoff:g} Hz does not lie below half of the sample rate "
+                f"{self.rate:g} Hz; lower the cut-off or record faster"
+            )
+        count, beta = signal.kaiserord(self.attenuation_db, self.transition / (0.5 * self.rate))
+        count += 1 - count % 2  # odd: symmetric about a sample, no half-sample shift
+        taps = signal.firwin(count, self.cutoff, window=("kaiser", beta), fs=self.rate)
+        object.__setattr__(self, "taps", np.asarray(taps, dtype=np.float64))
+
+    @property
+    def edge_samples(self) -> int:
+        """Samples lost at each end: half of the taps."""
+        return len(self.taps) // 2
+
+    @property
+    def minimum_samples(self) -> int:
+        """Shortest signal that leaves one valid sample."""
+        return len(self.taps)
+
+    def gain(self, frequency: FloatArray) -> FloatArray:
+        """Return the (real, signed) gain at `frequency` [Hz]."""
+        offset = np.arange(len(self.taps)) - self.edge_samples
+        phase = 2 * np.pi * np.asarray(frequency, dtype=np.float64)[..., None] * offset / self.rate
+        return np.cos(phase) @ self.taps
+
+    def apply(self, values: FloatArray, valid: BoolArray | None = None) -> FloatArray:
+        """Filter (n,) or (n, k) along time; the two edges and samples that are not valid come back NaN.
+
+        Raises
+        ------
+        LogError
+            When there are fewer samples than taps.
+        """
+        values = np.asarray(values, dtype=np.float64)
+        if len(values) < self.minimum_samples:
+            raise LogError(
+                f"{len(values)} samples are fewer than the {self.minimum_samples} that the Kaiser filter "
+                f"needs; record longer or widen its transition band"
+            )
+        bridged, known = _bridged(values, valid)
+        out = np.full(values.shape, np.nan)
+        edge = self.edge_samples
+        taps = self.taps if values.ndim == 1 else self.taps[:, None]
+        out[edge : len(values) - edge] = signal.convolve(bridged, taps, mode="valid", method="direct")
+        out[~known] = np.nan
+        return out
+
+    def describe(self) -> dict[str, float | str]:
+        """Return the design as it goes into a result file."""
+        return {
+            "kind": "kaiser, zero phase",
+            "rate [Hz]": self.rate,
+            "cut-off [Hz]": self.cutoff,
+            "attenuation [dB]": self.attenuation_db,
+            "transition [Hz]": self.transition,
+            "taps": len(self.taps),
+        }
+
+
+def _bridged(values: FloatArray, valid: BoolArray | None) -> tuple[FloatArray, BoolArray]:
+    finite = np.isfinite(values)
+    known = np.asarray(finite if values.ndim == 1 else finite.all(axis=1), dtype=np.bool_)
+    if valid is not None:
+        known = known & valid
+    if known.all():
+        return values, known
+    if not known.any():
+        raise LogError("no valid sample to filter; every sample is masked")
+    return bridge_gaps(values, known), known
+
+
+def bridge_gaps(values: FloatArray, valid: BoolArray) -> FloatArray:
+    """Return (n,) or (n, k) `values` with the masked samples on straight lines between their neighbours.
+
+    Linear in the valid samples. Before the first and after the last valid sample the value is held.
+    """
+    index = np.arange(len(values), dtype=np.float64)
+    columns = values.reshape(len(values), -1)
+    out = columns.copy()
+    for column in range(columns.shape[1]):
+        out[~valid, column] = np.interp(index[~valid], index[valid], columns[valid, column])
+    return out.reshape(values.shape)
+
+
+def differentiate(values: FloatArray, rate: float) -> FloatArray:
+    """Return the central difference of (n,) or (n, k) samples on a uniform clock [unit/s].
+
+    Second-order accurate; the first and last sample, which have one neighbour only, come back NaN, and so
+    does every sample next to a NaN.
+    """
+    values = np.asarray(values, dtype=np.float64)
+    out = np.full(values.shape, np.nan)
+    if len(values) > 2:
+        out[1:-1] = (values[2:] - values[:-2]) * (0.5 * rate)
+    return out
