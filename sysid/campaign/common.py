@@ -1,0 +1,183 @@
+"""Tables that every kind of campaign has: quantities with units, parameter choices, search settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from sysid.errors import CampaignError, UnitError
+from sysid.parameters import ParameterTable, SearchSpace
+from sysid.units import parse_quantity
+
+TrialUse = Literal["fit", "validate"]
+
+
+def _quantity(expected: str) -> Callable[[Any], float]:
+    def convert(value: Any) -> float:
+        if isinstance(value, bool) or not isinstance(value, str | int | float):
+            raise ValueError(f"expected a quantity such as '1 {expected}'")
+        text = value if isinstance(value, str) else repr(value)
+        try:
+            return parse_quantity(text, expected)
+        except UnitError as error:
+            raise ValueError(str(error)) from error
+
+    return convert
+
+
+Mass = Annotated[float, BeforeValidator(_quantity("kg")), Field(gt=0)]
+Inertia = Annotated[float, BeforeValidator(_quantity("kg·m²")), Field(gt=0)]
+Length = Annotated[float, BeforeValidator(_quantity("m"))]
+PositiveLength = Annotated[float, BeforeValidator(_quantity("m")), Field(gt=0)]
+Angle = Annotated[float, BeforeValidator(_quantity("rad"))]
+Time = Annotated[float, BeforeValidator(_quantity("s"))]
+PositiveTime = Annotated[float, BeforeValidator(_quantity("s")), Field(gt=0)]
+Speed = Annotated[float, BeforeValidator(_quantity("m/s")), Field(gt=0)]
+Acceleration = Annotated[float, BeforeValidator(_quantity("m/s²")), Field(gt=0)]
+Frequency = Annotated[float, BeforeValidator(_quantity("Hz")), Field(gt=0)]
+Voltage = Annotated[float, BeforeValidator(_quantity("V")), Field(gt=0)]
+
+
+class Table(BaseModel):
+    """A TOML table: frozen, and closed to keys it does not know."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ParameterChoices(Table):
+    """`[parameters]`: which rows of the model are free, between which bounds, and what others are fixed to.
+
+    Quantities stay text here: their unit is checked against the model's own row by `search_space`.
+    """
+
+    free: tuple[str, ...] | None = None
+    bounds: dict[str, tuple[str, str]] = {}
+    fixed: dict[str, str] = {}
+    measured: dict[str, tuple[str, str]] = {}
+
+    def search_space(
+        self,
+        table: ParameterTable,
+        default_free: Iterable[str],
+        campaign_values: Mapping[str, float],
+    ) -> SearchSpace:
+        """Resolve names and units against the model's table.
+
+        Parameters
+        ----------
+        table : ParameterTable
+            The model's rows.
+        default_free : iterable of str
+            The paper's free parameters, taken where the campaign names none.
+        campaign_values : mapping of str to float
+            Values measured elsewhere in the campaign (vehicle, surface), SI; a fixed parameter takes
+            its value from there, or from `fixed`, or from the row's nominal.
+
+        Raises
+        ------
+        CampaignError
+            For an unknown parameter, a wrong unit, bounds that cross, a fixed parameter that is also
+            free, and bounds that exclude the value measured for a free parameter.
+        """
+        free = tuple(default_free) if self.free is None else self.free
+        if not free:
+            raise CampaignError("parameters.free is empty; name at least one parameter to identify")
+        for name in free:
+            table[name]
+        duplicates = {name for name in free if free.count(name) > 1}
+        if duplicates:
+            raise CampaignError(f"parameters.free names {', '.join(sorted(duplicates))} twice; name it once")
+        both = set(free) & set(self.fixed)
+        if both:
+            raise CampaignError(
+                f"parameters.fixed and parameters.free both name {', '.join(sorted(both))}; keep it in one"
+            )
+
+        def quantity(where: str, name: str, text: str) -> float:
+            try:
+                return parse_quantity(text, table[name].unit)
+            except UnitError as error:
+                raise CampaignError(f"parameters.{where}.{name}: {error}") from error
+
+        values = dict(campaign_values)
+        values.update({name: quantity("fixed", name, text) for name, text in self.fixed.items()})
+        bounds = {
+            name: (quantity("bounds", name, pair[0]), quantity("bounds", name, pair[1]))
+            for name, pair in self.bounds.items()
+        }
+        for name, (low, high) in self.measured_ranges(table).items():
+            lower, upper = bounds.get(name, (low, high))
+            if high < lower or low > upper:
+                raise CampaignError(
+                    f"parameters.bounds.{name}: {lower:g} to {upper:g} {table[name].unit} "
+                    f"exclude the measured {low:g} to {high:g}; widen the bounds or correct the measurement"
+                )
+        space = SearchSpace.build(table, free, values, bounds)
+        for row in space.free:
+            value = campaign_values.get(row.name)
+            if value is not None and not row.lower <= value <= row.upper:
+                raise CampaignError(
+                    f"parameters.bounds.{row.name}: {row.lower:g} to {row.upper:g} {row.unit} exclude the "
+                    f"measured value {value:g}; widen the bounds or correct the measurement"
+                )
+        return space
+
+    def measured_ranges(self, table: ParameterTable) -> dict[str, tuple[float, float]]:
+        """Return the independent ranges that the campaign states, SI (Table II's "measured" column)."""
+        out = {}
+        for name, pair in self.measured.items():
+            try:
+                low, high = (parse_quantity(text, table[name].unit) for text in pair)
+            except UnitError as error:
+                raise CampaignError(f"parameters.measured.{name}: {error}") from error
+            if low > high:
+                raise CampaignError(f"parameters.measured.{name}: {low:g} is above {high:g}; swap them")
+            out[name] = (low, high)
+        return out
+
+
+class FitTable(Table):
+    """`[fit]`: the search."""
+
+    population: int = Field(default=400, ge=8, le=100_000)
+    runs: int = Field(default=5, ge=1, le=1000)
+    seed: int = Field(default=1, ge=0)
+    stop_reading: Literal["relative", "matlab"] = "relative"
+    stop_window: int = Field(default=4, ge=1)
+    stop_tolerance: float = Field(default=1e-4, gt=0)
+    max_generations: int = Field(default=1000, ge=1)
+
+
+class TrialTable(Table):
+    """What every `[[trials]]` entry has."""
+
+    name: str = Field(min_length=1)
+    log: str = Field(min_length=1)
+    use: TrialUse = "fit"
+
+
+def check_trials(trials: tuple[TrialTable, ...]) -> None:
+    """Refuse an empty list, two trials of one name, and a list without anything to fit."""
+    names = [trial.name for trial in trials]
+    if not names:
+        raise ValueError("no [[trials]]; add at least one with name and log")
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"two trials are called {twice[0]!r}; give each its own name")
+    if not any(trial.use == "fit" for trial in trials):
+        raise ValueError("every trial has use = 'validate'; at least one must have use = 'fit'")
+
+
+class CampaignTable(Table):
+    """Top level of every campaign."""
+
+    name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9._-]+$")
+    parameters: ParameterChoices = ParameterChoices()
+    trials: tuple[Any, ...]
+
+    @model_validator(mode="after")
+    def _trials_are_usable(self) -> CampaignTable:
+        check_trials(self.trials)
+        return self

@@ -1,0 +1,128 @@
+"""Read and validate a campaign file; say every mistake in one sentence."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from pathlib import Path
+from types import UnionType
+from typing import Any, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+
+from sysid.campaign.gear import GearCampaign
+from sysid.campaign.motor import MotorCampaign
+from sysid.errors import CampaignError
+
+Campaign = GearCampaign | MotorCampaign
+_KINDS: dict[str, type[BaseModel]] = {"gear": GearCampaign, "motor": MotorCampaign}
+
+
+def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
+    """Read a campaign file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The TOML file; logs in it are named relative to its folder.
+    kind : {"gear", "motor"}, optional
+        What the caller needs; another kind is refused.
+
+    Raises
+    ------
+    CampaignError
+        When the file is missing, is no TOML, is of another kind, or breaks the schema.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise CampaignError(f"{path}: no such campaign file; 'sysid new-campaign' writes one") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise CampaignError(f"{path}: cannot be read as UTF-8 text ({error}); save it as UTF-8") from error
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise CampaignError(f"{path}: not valid TOML: {error}; correct that line") from None
+    found = data.get("kind")
+    if found not in _KINDS:
+        raise CampaignError(f"{path}: kind is {found!r}; expected 'motor' or 'gear'")
+    if kind is not None and found != kind:
+        raise CampaignError(f"{path}: is a {found} campaign, expected {kind}; use 'sysid fit-{found}'")
+    try:
+        return _KINDS[found].model_validate(data)  # type: ignore[return-value]
+    except ValidationError as error:
+        raise CampaignError(f"{path}: {_first_sentence(error, _KINDS[found], data)}") from None
+
+
+def resolve_log(campaign_path: str | Path, log: str) -> Path:
+    """Return the path of a log named in a campaign.
+
+    Raises
+    ------
+    CampaignError
+        When there is no such file.
+    """
+    path = Path(campaign_path).parent / log
+    if not path.is_file():
+        raise CampaignError(f"{campaign_path}: log {log!r} does not exist at {path}; correct its path")
+    return path
+
+
+def _first_sentence(error: ValidationError, model: type[BaseModel], data: dict[str, Any]) -> str:
+    """Turn pydantic's list into one sentence: unknown keys first, since they cause the missing ones."""
+    details = sorted(error.errors(include_url=False), key=lambda d: d["type"] != "extra_forbidden")
+    detail = details[0]
+    where = _place(detail["loc"], data)
+    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+    if detail["type"] == "extra_forbidden":
+        known = _known_keys(model, detail["loc"][:-1])
+        near = difflib.get_close_matches(str(detail["loc"][-1]), known, 1)
+        hint = f"nearest known key is {near[0]!r}" if near else f"known keys are {', '.join(known)}"
+        return f"unknown key {where}; {hint}{more}"
+    if detail["type"] == "missing":
+        return f"{where} is missing; 'sysid new-campaign' shows how it is written{more}"
+    message = detail["msg"].removeprefix("Value error, ")
+    value = detail.get("input")
+    shown = (
+        f", found {value!r}" if isinstance(value, str | int | float) and repr(value) not in message else ""
+    )
+    prefix = f"{where}: " if where else ""
+    return f"{prefix}{message}{shown}{more}"
+
+
+def _place(loc: tuple[int | str, ...], data: Any) -> str:
+    """Write a location as the user sees it: trials are named, not numbered."""
+    out = ""
+    for key in loc:
+        if isinstance(key, int):
+            item = data[key] if isinstance(data, list) and key < len(data) else None
+            name = item.get("name") if isinstance(item, dict) else None
+            out += f"[{name!r}]" if name else f"[{key + 1}]"
+            data = item
+        else:
+            out += f".{key}" if out else key
+            data = data.get(key) if isinstance(data, dict) else None
+    return out
+
+
+def _known_keys(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
+    for key in loc:
+        if isinstance(key, str):
+            inner = _model_in(model.model_fields[key].annotation)
+            if inner is None:
+                return []
+            model = inner
+    return sorted(model.model_fields)
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    """Return the table class inside an annotation such as ``tuple[GearTrial, ...]``."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    if get_origin(annotation) in (tuple, Union, UnionType):
+        for inner in get_args(annotation):
+            found = _model_in(inner)
+            if found is not None:
+                return found
+    return None

@@ -1,0 +1,186 @@
+"""Campaign of landing-gear drops: vehicle, motion capture, surface, window, filter, cost, trials."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, model_validator
+
+from sysid.campaign.common import (
+    Acceleration,
+    Angle,
+    CampaignTable,
+    FitTable,
+    Frequency,
+    Inertia,
+    Length,
+    Mass,
+    PositiveLength,
+    PositiveTime,
+    Speed,
+    Table,
+    Time,
+    TrialTable,
+)
+
+CaptureAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+Point = tuple[Length, Length, Length]
+
+
+def _slope_on_earth(value: float) -> float:
+    if not 0.0 <= value < math.pi / 2:
+        raise ValueError(
+            f"a slope of {math.degrees(value):g} deg is outside 0 to 90 deg; down_slope sets its direction"
+        )
+    return value
+
+
+Slope = Annotated[Angle, AfterValidator(_slope_on_earth)]
+
+
+class Vehicle(Table):
+    """`[vehicle]`: measured values of the drone, propellers on, as dropped. Feet from the centre of mass."""
+
+    body_mass: Mass
+    body_inertia: Inertia
+    foot_dx: PositiveLength
+    foot_dz: PositiveLength
+    thrust_point_dx: PositiveLength | None = None
+    leg_mass: Mass | None = None
+    leg_inertia: Inertia | None = None
+    leg_mass_fraction: float | None = Field(default=None, ge=0, le=1)
+    gravity: Acceleration = 9.81
+
+
+class Capture(Table):
+    """`[capture]`: how the motion capture names and orients things."""
+
+    format: str = "auto"
+    rigid_body: str | None = None
+    up: CaptureAxis = "+y"
+    down_slope: CaptureAxis = "+x"
+    quaternion_order: Literal["wxyz", "xyzw"] | None = None
+    length_unit: str | None = None
+    rate: Frequency | None = None
+    centre_of_mass_offset: Point = (0.0, 0.0, 0.0)
+    level: Literal["release", "capture"] = "release"
+
+    @model_validator(mode="after")
+    def _axes_differ(self) -> Capture:
+        if self.up[1] == self.down_slope[1]:
+            raise ValueError(
+                f"up = {self.up!r} and down_slope = {self.down_slope!r} lie on one axis; name two axes"
+            )
+        return self
+
+
+class Surface(Table):
+    """`[surface]`: the friction law and where the plane lies in the capture frame (one way of three)."""
+
+    law: Literal["lf", "hf"] = "lf"
+    kinetic_friction: float | None = Field(default=None, gt=0, lt=5)
+    static_friction_excess: float | None = Field(default=None, ge=0, lt=5)
+    slip_regularization: Speed | None = None
+    stick_speed: Speed | None = None
+    point: Point | None = None
+    markers: tuple[str, ...] | None = None
+    marker_height: Length = 0.0
+    rest_log: str | None = None
+    board_length: PositiveLength | None = None
+
+    @model_validator(mode="after")
+    def _one_plane(self) -> Surface:
+        ways = [k for k in ("point", "markers", "rest_log") if getattr(self, k) is not None]
+        if len(ways) > 1:
+            raise ValueError(f"the plane is given twice, by {' and '.join(ways)}; keep one")
+        if self.markers is not None and not self.markers:
+            raise ValueError("markers is empty; name at least one marker on the board")
+        return self
+
+
+class Window(Table):
+    """`[window]`: which part of a drop is compared."""
+
+    before_contact: PositiveTime = 0.05
+    after_contact: PositiveTime = 0.7
+    max_gap: PositiveTime = 0.05
+
+
+class KaiserFilter(Table):
+    """`[filter]`: the low-pass that both the recording and the simulation pass through."""
+
+    kind: Literal["kaiser", "none"] = "kaiser"
+    cutoff: Frequency = 65.0
+    attenuation_db: float = Field(default=60.0, gt=8, lt=200)
+    transition: Frequency = 10.0
+    filter_simulation: bool = True
+
+
+class GearWeights(Table):
+    """`[cost.weights]`: weight of each channel in a drop's mean."""
+
+    x_B: float = Field(default=1.0, ge=0)
+    z_B: float = Field(default=1.0, ge=0)
+    x_B_rate: float = Field(default=1.0, ge=0)
+    z_B_rate: float = Field(default=1.0, ge=0)
+    q_B: float = Field(default=1.0, ge=0)
+
+    @model_validator(mode="after")
+    def _something_counts(self) -> GearWeights:
+        if not any(self.model_dump().values()):
+            raise ValueError("all weights are 0; give at least one channel a weight")
+        return self
+
+
+class GearCost(Table):
+    """`[cost]`: the NRMSE."""
+
+    denominator: Literal["std", "range"] = "std"
+    weights: GearWeights = GearWeights()
+
+
+class GearTrial(TrialTable):
+    """One drop: its log, the slope, and overrides where a drop differs from the campaign."""
+
+    slope: Slope | None = None
+    release: Time | None = None
+    touchdown: Time | None = None
+    rigid_body: str | None = None
+    point: Point | None = None
+    down_slope: CaptureAxis | None = None
+
+
+class GearCampaign(CampaignTable):
+    """Drops of one vehicle on one surface."""
+
+    kind: Literal["gear"]
+    vehicle: Vehicle
+    capture: Capture = Capture()
+    surface: Surface = Surface()
+    window: Window = Window()
+    filter: KaiserFilter = KaiserFilter()
+    cost: GearCost = GearCost()
+    fit: FitTable = FitTable(population=400)
+    trials: tuple[GearTrial, ...]
+
+    @model_validator(mode="after")
+    def _every_drop_has_a_plane(self) -> GearCampaign:
+        for trial in self.trials:
+            if trial.down_slope is not None and trial.down_slope[1] == self.capture.up[1]:
+                raise ValueError(
+                    f"trial {trial.name!r}: down_slope = {trial.down_slope!r} lies on the axis of "
+                    f"up = {self.capture.up!r}; name another axis"
+                )
+            if trial.slope is None and (self.surface.markers is None or len(self.surface.markers) < 3):
+                raise ValueError(
+                    f"trial {trial.name!r} has no slope; give it, or name three surface.markers on the board"
+                )
+            if trial.point is None and not (
+                self.surface.point is not None or self.surface.markers or self.surface.rest_log
+            ):
+                raise ValueError(
+                    f"trial {trial.name!r}: nothing says where the surface lies (1 mm of height is 1.4 ms of "
+                    f"touchdown); give surface.point, surface.markers or surface.rest_log"
+                )
+        return self

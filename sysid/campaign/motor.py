@@ -1,0 +1,133 @@
+"""Campaign of motor tests: ratings, command protocol, static logs, filter, cost, trials."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from sysid.campaign.common import (
+    CampaignTable,
+    FitTable,
+    Frequency,
+    Inertia,
+    Table,
+    Time,
+    TrialTable,
+    Voltage,
+    _quantity,
+)
+
+SpeedPerVolt = Annotated[float, BeforeValidator(_quantity("rad/s/V")), Field(gt=0)]
+Direction = Literal["forward", "reverse", "reversal"]
+
+
+class MotorRatings(Table):
+    """`[motor]`: what the datasheet and a pendulum say."""
+
+    kv: SpeedPerVolt | None = None
+    rotor_inertia: Inertia | None = None
+    reference_voltage: Voltage | None = None
+    saturation_current: str | None = None
+    saturation_speed: str | None = None
+
+
+class CommandProtocol(Table):
+    """`[command]`: how a logged command becomes u in [-1, 1]."""
+
+    unit: Literal["us", "dshot"]
+    minimum: float
+    maximum: float
+    neutral: float | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> CommandProtocol:
+        neutral = self.minimum if self.neutral is None else self.neutral
+        if not self.minimum <= neutral < self.maximum:
+            raise ValueError(
+                f"minimum {self.minimum:g}, neutral {neutral:g}, maximum {self.maximum:g} are not in order"
+            )
+        return self
+
+
+class StaticLog(Table):
+    """One entry of `curves.static` or `curves.no_load`."""
+
+    log: str
+    direction: Literal["forward", "reverse"] = "forward"
+
+
+class Curves(Table):
+    """`[curves]`: logs that hold steady points; without any, the steady segments of the trials serve."""
+
+    static: tuple[StaticLog, ...] = ()
+    no_load: tuple[StaticLog, ...] = ()
+
+
+class LogOptions(Table):
+    """`[log]`: how the load-cell and thrust-stand files are read."""
+
+    format: str = "auto"
+    rate: Frequency | None = None
+    force_unit: str | None = None
+    torque_unit: str | None = None
+    speed_unit: str | None = None
+    torque_sign: Literal["auto", "+", "-"] = "auto"
+
+
+class ChebyshevFilter(Table):
+    """`[filter]`: for logs fast enough; `auto` leaves slow logs unfiltered and says so."""
+
+    kind: Literal["auto", "chebyshev2", "none"] = "auto"
+    stop_edge: Frequency = 100.0
+    order: int = Field(default=10, ge=1, le=20)
+    attenuation_db: float = Field(default=40.0, gt=0, lt=200)
+
+
+class MotorWeights(Table):
+    """`[cost.weights]`."""
+
+    torque: float = Field(default=1.0, ge=0)
+    speed: float = Field(default=1.0, ge=0)
+
+    @model_validator(mode="after")
+    def _something_counts(self) -> MotorWeights:
+        if not any(self.model_dump().values()):
+            raise ValueError("all weights are 0; give torque or speed a weight")
+        return self
+
+
+class MotorCost(Table):
+    """`[cost]`: the NRMSE."""
+
+    denominator: Literal["std", "range"] = "std"
+    weights: MotorWeights = MotorWeights()
+
+
+class MotorTrial(TrialTable):
+    """One log of commands: which way it spins, and its window on the log's own clock."""
+
+    direction: Direction
+    start: Time | None = None
+    end: Time | None = None
+
+
+class MotorCampaign(CampaignTable):
+    """Logs of one motor, propeller and speed controller."""
+
+    kind: Literal["motor"]
+    motor: MotorRatings = MotorRatings()
+    command: CommandProtocol
+    curves: Curves = Curves()
+    log: LogOptions = LogOptions()
+    filter: ChebyshevFilter = ChebyshevFilter()
+    cost: MotorCost = MotorCost()
+    fit: FitTable = FitTable(population=200)
+    trials: tuple[MotorTrial, ...]
+
+    @model_validator(mode="after")
+    def _bidirectional_needs_neutral(self) -> MotorCampaign:
+        turns: set[Any] = {trial.direction for trial in self.trials}
+        if turns & {"reverse", "reversal"} and self.command.neutral is None:
+            raise ValueError("a reverse or reversal trial needs command.neutral, the command at rest")
+        return self

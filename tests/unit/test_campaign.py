@@ -1,0 +1,152 @@
+"""Campaign files: templates are complete and valid; every mistake is one sentence that names the place."""
+
+from importlib import resources
+
+import pytest
+from pydantic import BaseModel
+
+from sysid.campaign import GearCampaign, MotorCampaign, read_campaign
+from sysid.campaign.file import _model_in, resolve_log
+from sysid.errors import CampaignError
+from sysid.parameters import Parameter, ParameterTable
+
+TEMPLATES = {
+    kind: resources.files("sysid").joinpath("templates", f"{kind}.toml").read_text(encoding="utf-8")
+    for kind in ("gear", "motor")
+}
+
+
+def _write(tmp_path, text):
+    path = tmp_path / "campaign.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(("kind", "model"), [("gear", GearCampaign), ("motor", MotorCampaign)])
+def test_template_is_valid(kind, model, tmp_path):
+    assert isinstance(read_campaign(_write(tmp_path, TEMPLATES[kind]), kind), model)
+
+
+def _keys(model: type[BaseModel]):
+    for name, field in model.model_fields.items():
+        yield name
+        inner = _model_in(field.annotation)
+        if inner is not None:
+            yield from _keys(inner)
+
+
+@pytest.mark.parametrize(("kind", "model"), [("gear", GearCampaign), ("motor", MotorCampaign)])
+def test_template_shows_every_key_of_the_schema(kind, model):
+    missing = [key for key in _keys(model) if key not in TEMPLATES[kind]]
+    assert not missing
+
+
+def test_quantities_become_si(tmp_path):
+    campaign = read_campaign(_write(tmp_path, TEMPLATES["gear"]))
+    assert campaign.vehicle.foot_dx == pytest.approx(0.105)
+    assert campaign.trials[0].slope == pytest.approx(0.2617993878)
+    assert campaign.window.before_contact == pytest.approx(0.05)
+    motor = read_campaign(_write(tmp_path, TEMPLATES["motor"]))
+    assert motor.motor.kv == pytest.approx(100.53, rel=1e-4)  # 960 rpm/V
+
+
+@pytest.mark.parametrize(
+    ("kind", "old", "new", "sentence"),
+    [
+        (
+            "gear",
+            "body_mass =",
+            "body_mas =",
+            "unknown key vehicle.body_mas; nearest known key is 'body_mass'",
+        ),
+        ("gear", '"1.242 kg"', '"1.242"', "vehicle.body_mass: '1.242' has no unit"),
+        ("gear", '"1.242 kg"', '"1.242 furlong"', "not a 'kg'"),
+        ("gear", '"1.242 kg"', '"1.242 kgg"', "unknown unit 'kgg'"),
+        ("gear", '"1.242 kg"', '"-1 kg"', "greater than 0"),
+        (
+            "gear",
+            'slope = "15 deg"',
+            'slope = "95 deg"',
+            "trials['drop-1'].slope: a slope of 95 deg is outside",
+        ),
+        ("gear", 'slope = "15 deg"', 'slop = "15 deg"', "unknown key trials['drop-1'].slop; nearest known"),
+        ("gear", 'down_slope = "+x"', 'down_slope = "-y"', "lie on one axis"),
+        ("gear", 'use = "fit"', 'use = "validate"', "every trial has use = 'validate'"),
+        ("gear", "[[trials]]", "[[trails]]", "unknown key trails; nearest known key is 'trials'"),
+        ("gear", 'point = ["0 m", "0 m", "0 m"] ', "#", "nothing says where the surface lies"),
+        ("gear", 'name = "my-drops"', "name = 'a b'", "name: String should match pattern"),
+        ("gear", 'kind = "gear"', 'kind = "glider"', "kind is 'glider'; expected 'motor' or 'gear'"),
+        ("gear", "[fit]", "[fit", "not valid TOML"),
+        ("motor", "maximum = 2000", "maximum = 900", "are not in order"),
+        ("motor", 'kv = "960 rpm/V"', 'kv = "960 V"', "unit 'V' is not a 'rad/s/V'"),
+        ("motor", 'direction = "forward"                    #', 'direction = "sideways" #', "forward"),
+    ],
+)
+def test_mistakes_are_one_sentence(kind, old, new, sentence, tmp_path):
+    text = TEMPLATES[kind]
+    assert old in text
+    path = _write(tmp_path, text.replace(old, new))
+    with pytest.raises(CampaignError) as caught:
+        read_campaign(path)
+    assert sentence in str(caught.value)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_wrong_kind_and_missing_files(tmp_path):
+    path = _write(tmp_path, TEMPLATES["gear"])
+    with pytest.raises(CampaignError, match="expected motor; use 'sysid fit-gear'"):
+        read_campaign(path, "motor")
+    with pytest.raises(CampaignError, match="no such campaign file"):
+        read_campaign(tmp_path / "nowhere.toml")
+    with pytest.raises(CampaignError, match=r"log 'drop-1.csv' does not exist"):
+        resolve_log(path, "drop-1.csv")
+
+
+TABLE = ParameterTable(
+    [
+        Parameter("mass", "m", "kg", 1.0, 0.5, 2.0, "linear", "a mass", "guess"),
+        Parameter("stiffness", "k", "N/m", 100.0, 10.0, 1000.0, "log", "a spring", "guess"),
+    ]
+)
+
+
+def _choices(tmp_path, text):
+    base = TEMPLATES["motor"].split("[parameters]")[0]
+    tail = '[[trials]]\nname="a"\nlog="a.csv"\ndirection="forward"\n'
+    return read_campaign(_write(tmp_path, base + text + tail)).parameters
+
+
+def test_search_space_takes_bounds_and_fixed_values(tmp_path):
+    choices = _choices(
+        tmp_path,
+        '[parameters]\nfree=["stiffness"]\n[parameters.bounds]\nstiffness=["20 N/m","0.5 N/mm"]\n'
+        '[parameters.fixed]\nmass="700 g"\n',
+    )
+    space = choices.search_space(TABLE, ["mass"], {})
+    assert space.names == ("stiffness",)
+    assert space.fixed["mass"] == pytest.approx(0.7)
+    assert space.decode([[0.0], [0.5], [1.0]]).ravel() == pytest.approx([20.0, 100.0, 500.0])
+    assert space.encode(space.decode([[0.3]]))[0, 0] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ('[parameters]\nfree=["stifness"]\n', "no parameter 'stifness'; nearest is 'stiffness'"),
+        ("[parameters]\nfree=[]\n", "free is empty"),
+        ('[parameters.bounds]\nmass=["2 kg","1 kg"]\n', "lower bound 2 kg is not below upper bound 1 kg"),
+        ('[parameters.bounds]\nmass=["2 N","3 N"]\n', "parameters.bounds.mass: unit 'N' is not a 'kg'"),
+        ('[parameters.fixed]\nmass="1 kg"\n', "both name mass"),
+        ('[parameters.bounds]\nmass=["1.5 kg","2 kg"]\n', "exclude the measured value 1"),
+        (
+            '[parameters.bounds]\nmass=["0.5 kg","0.9 kg"]\n'
+            '[parameters.measured]\nmass=["1.5 kg","1.6 kg"]\n',
+            "exclude the measured 1.5 to 1.6",
+        ),
+        ('[parameters.measured]\nmass=["2 kg","1 kg"]\n', "2 is above 1; swap them"),
+    ],
+)
+def test_search_space_refusals(text, sentence, tmp_path):
+    with pytest.raises(CampaignError, match=sentence):
+        _choices(tmp_path, text).search_space(TABLE, ["mass"], {"mass": 1.0})
