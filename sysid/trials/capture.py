@@ -1,0 +1,322 @@
+"""From a motion-capture recording to planar motion: the capture's axes, the body, the sloped plane.
+
+The plane of motion is spanned by a horizontal down-slope direction ``x`` and up ``z``; ``y`` points into
+the page and a positive pitch turns ``z`` toward ``x`` (nose down the slope).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sysid.errors import LogError
+from sysid.filters import bridge_gaps
+from sysid.recording import Channel, Recording
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+# A frame this close to its slot on the uniform clock (in sample periods) is taken as it is.
+_SNAP = 0.05
+# Off-plane rotation beyond which the planar model is questionable (the paper's assumption).
+PLANAR_LIMIT = np.radians(10.0)
+
+
+@dataclass(frozen=True)
+class CaptureFrame:
+    """Rotation from capture axes to (x down-slope, y into the page, z up).
+
+    Parameters
+    ----------
+    up, down_slope : str
+        Signed capture axes such as ``"+y"``; they must not lie on one axis.
+    """
+
+    up: str
+    down_slope: str
+    matrix: FloatArray = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        z, x = _axis(self.up), _axis(self.down_slope)
+        object.__setattr__(self, "matrix", np.array([x, np.cross(z, x), z]))
+
+
+def _axis(name: str) -> FloatArray:
+    vector = np.zeros(3)
+    vector["xyz".index(name[1])] = 1.0 if name[0] == "+" else -1.0
+    return vector
+
+
+@dataclass(frozen=True, eq=False)
+class SpatialMotion:
+    """A rigid body on the recording's uniform clock, in the (x, y, z) of a `CaptureFrame`.
+
+    Parameters
+    ----------
+    time : (n,) array
+        Uniform, on the file's own clock [s].
+    rate : float
+        Sample rate [Hz].
+    position : (n, 3) array
+        Of the centre of mass [m]; NaN where the body was lost.
+    rotation : (n, 3, 3) array
+        From the body's own axes to (x, y, z); NaN where lost.
+    valid : (n,) array
+        True where the body was seen.
+    notes : tuple of str
+        What was done to the clock.
+    """
+
+    time: FloatArray
+    rate: float
+    position: FloatArray
+    rotation: FloatArray
+    valid: BoolArray
+    notes: tuple[str, ...] = ()
+
+
+def spatial_motion(
+    recording: Recording,
+    rigid_body: str | None,
+    frame: CaptureFrame,
+    *,
+    centre_of_mass_offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    rate: float | None = None,
+) -> SpatialMotion:
+    """Put a rigid body onto a uniform clock and its centre of mass into the frame of motion.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of kind motion capture.
+    rigid_body : str or None
+        Name in the file; None where it holds just one.
+    frame : CaptureFrame
+        Axes.
+    centre_of_mass_offset : 3 floats
+        From the rigid body's origin to the centre of mass, in the body's own axes [m].
+    rate : float, optional
+        Rate of the capture [Hz] where the file's clock is the arrival time.
+
+    Raises
+    ------
+    LogError
+        When the body is not there, was never seen, or the file holds several and none is named.
+    """
+    where = recording.provenance.path
+    bodies = recording.rigid_bodies
+    if rigid_body is None:
+        if len(bodies) != 1:
+            raise LogError(
+                f"{where}: holds {len(bodies)} rigid bodies ({', '.join(bodies) or 'none'}); "
+                f"name one in capture.rigid_body"
+            )
+        rigid_body = bodies[0]
+    elif rigid_body not in bodies:
+        raise LogError(
+            f"{where}: no rigid body {rigid_body!r}; found {', '.join(bodies) or 'none'}; "
+            f"set capture.rigid_body"
+        )
+    position = recording[f"{rigid_body}/position"]
+    orientation = recording[f"{rigid_body}/orientation"]
+    valid = position.valid & orientation.valid
+    if valid.sum() < 3:
+        raise LogError(
+            f"{where}: rigid body {rigid_body!r} was seen in {valid.sum()} frames; record it again"
+        )
+
+    time, found_rate, notes = _uniform_clock(position, rate)
+    quaternion = orientation.values.copy()
+    quaternion[~valid] = np.nan
+    columns = np.column_stack([position.values, quaternion])
+    columns[~valid] = np.nan
+    placed = _place(position.time, columns, time, found_rate)
+    seen = np.asarray(np.isfinite(placed).all(axis=1), dtype=np.bool_)
+
+    turn = np.full((len(time), 3, 3), np.nan)
+    own = Rotation.from_quat(placed[seen][:, [4, 5, 6, 3]])
+    turn[seen] = frame.matrix @ own.as_matrix()
+    centre = placed[:, :3] @ frame.matrix.T + turn @ np.asarray(centre_of_mass_offset)
+    return SpatialMotion(time, found_rate, centre, turn, seen, notes)
+
+
+def _uniform_clock(channel: Channel, rate: float | None) -> tuple[FloatArray, float, tuple[str, ...]]:
+    """Return slots of a uniform clock that starts at the first sample."""
+    steps = np.diff(channel.time)
+    median = float(np.median(steps))
+    span = float(channel.time[-1] - channel.time[0])
+    count = round(span / median)
+    # Without holes the whole span gives the rate to many digits; with holes its nearest whole count does.
+    period = 1.0 / rate if rate else (span / count if abs(span / count - median) < 0.02 * median else median)
+    slots = int(np.floor(span / period + 0.5)) + 1
+    notes = []
+    jitter = float(np.percentile(np.abs(steps - np.round(steps / period) * period), 95)) / period
+    if jitter > _SNAP:
+        notes.append(
+            f"the clock jitters by {100 * jitter:.0f} % of a frame (arrival time?); "
+            f"frames were interpolated onto {1 / period:.6g} Hz"
+        )
+    return channel.time[0] + period * np.arange(slots), 1.0 / period, tuple(notes)
+
+
+def _place(source: FloatArray, values: FloatArray, time: FloatArray, rate: float) -> FloatArray:
+    """Return `values` at `time`: the sample itself where one is there, else linear between two close ones."""
+    right = np.clip(np.searchsorted(source, time), 1, len(source) - 1)
+    left = right - 1
+    nearest = np.where(time - source[left] < source[right] - time, left, right)
+    snapped = np.abs(source[nearest] - time) * rate <= _SNAP
+    share = (time - source[left]) / (source[right] - source[left])
+    close = ((source[right] - source[left]) * rate < 1.5) & (share >= 0) & (share <= 1)
+    between = values[left] + share[:, None] * (values[right] - values[left])
+    return np.where(snapped[:, None], values[nearest], np.where(close[:, None], between, np.nan))
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarMotion:
+    """Centre of mass and pitch in the plane of motion, relative to a point of the sloped surface.
+
+    Parameters
+    ----------
+    time, rate
+        As in `SpatialMotion` [s], [Hz].
+    x, z : (n,) array
+        Down-slope (horizontal) and up [m]; NaN where lost.
+    pitch : (n,) array
+        Continuous [rad].
+    roll, yaw : (n,) array
+        Rotation out of the plane [rad].
+    valid : (n,) array
+        True where seen.
+    """
+
+    time: FloatArray
+    rate: float
+    x: FloatArray
+    z: FloatArray
+    pitch: FloatArray
+    roll: FloatArray
+    yaw: FloatArray
+    valid: BoolArray
+
+    def coordinates(self) -> FloatArray:
+        """Return (n, 3): x, z, pitch."""
+        return np.column_stack([self.x, self.z, self.pitch])
+
+
+def planar_motion(motion: SpatialMotion, point: FloatArray, level: FloatArray) -> PlanarMotion:
+    """Project onto the plane of motion.
+
+    Parameters
+    ----------
+    motion : SpatialMotion
+        The body.
+    point : (3,) array
+        A point of the surface in (x, y, z) [m].
+    level : (3, 3) array
+        Rotation that counts as level: `held_level` of the samples before release, or the identity.
+    """
+    turn = motion.rotation @ level.T
+    relative = motion.position - point
+    pitch = np.full(len(motion.time), np.nan)
+    angle = np.arctan2(turn[motion.valid, 0, 2], turn[motion.valid, 2, 2])
+    pitch[motion.valid] = np.unwrap(angle)
+    return PlanarMotion(
+        motion.time,
+        motion.rate,
+        relative[:, 0],
+        relative[:, 2],
+        pitch,
+        -np.arcsin(np.clip(turn[:, 1, 2], -1, 1)),
+        np.arcsin(np.clip(turn[:, 1, 0], -1, 1)),
+        motion.valid,
+    )
+
+
+def held_level(motion: SpatialMotion, held: slice) -> FloatArray:
+    """Return the mean rotation (3, 3) over samples during which the body hung still and level."""
+    turn = motion.rotation[held][motion.valid[held]]
+    return np.asarray(Rotation.from_matrix(turn).mean().as_matrix())
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerPlane:
+    """A plane through markers on the board, in (x, y, z).
+
+    Parameters
+    ----------
+    point : (3,) array
+        On the surface, below the markers' centroid [m].
+    slope : float or None
+        Fall toward +x [rad]; None with fewer than three markers.
+    tilt : float
+        Fall across the plane of motion [rad].
+    residual : float
+        RMS distance of the markers from the plane [m].
+    """
+
+    point: FloatArray
+    slope: float | None
+    tilt: float = 0.0
+    residual: float = 0.0
+
+
+def marker_plane(
+    recording: Recording, markers: tuple[str, ...], frame: CaptureFrame, height: float, slope: float | None
+) -> MarkerPlane:
+    """Fit the surface through board markers.
+
+    Parameters
+    ----------
+    recording : Recording
+        Holds the markers.
+    markers : tuple of str
+        Their names; three or more, not on one line, also give the slope.
+    frame : CaptureFrame
+        Axes.
+    height : float
+        Of a marker's centre above the surface [m].
+    slope : float or None
+        Known slope [rad], needed with fewer than three markers.
+
+    Raises
+    ------
+    LogError
+        When a marker is not there or was never seen.
+    """
+    where = recording.provenance.path
+    centres = []
+    for name in markers:
+        if name not in recording.markers:
+            found = ", ".join(recording.markers) or "none"
+            raise LogError(f"{where}: no marker {name!r}; found {found}; set surface.markers")
+        channel = recording[f"{name}/position"]
+        if not channel.valid.any():
+            raise LogError(f"{where}: marker {name!r} was never seen; name another one")
+        # The board stands still: the median ignores the few frames in which a marker was mistaken.
+        centres.append(np.median(channel.values[channel.valid], axis=0) @ frame.matrix.T)
+    points = np.array(centres)
+    centre = points.mean(axis=0)
+    if len(points) < 3:
+        if slope is None:
+            raise LogError(f"{where}: {len(points)} markers cannot give a slope; give it or name three")
+        normal = np.array([np.sin(slope), 0.0, np.cos(slope)])
+        return MarkerPlane(centre - height * normal, None)
+    _, singular, axes = np.linalg.svd(points - centre)
+    if singular[1] < 0.02 * singular[0]:
+        raise LogError(f"{where}: markers {', '.join(markers)} lie on one line; name one beside it")
+    normal = axes[2] * np.sign(axes[2][2] or 1.0)
+    residual = float(np.sqrt(np.mean(((points - centre) @ normal) ** 2)))
+    return MarkerPlane(
+        centre - height * normal,
+        float(np.arctan2(normal[0], normal[2])),
+        float(np.arctan2(normal[1], normal[2])),
+        residual,
+    )
+
+
+def smooth_height(motion: SpatialMotion) -> FloatArray:
+    """Return the height of the centre of mass with gaps bridged, for finding events only [m]."""
+    return bridge_gaps(motion.position[:, 2], motion.valid)
