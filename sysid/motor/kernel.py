@@ -1,0 +1,484 @@
+"""Integration of the motor equations (1-3), event by event, for one trial or a whole population.
+
+Symbols of this file, in the order of a parameter row (`R` ... `DELAY` are column numbers):
+
+======  =====================  ==============  ==================================================
+symbol  name                   unit            meaning
+======  =====================  ==============  ==================================================
+R       winding_resistance     Ω               of the equivalent direct-current circuit
+L       winding_inductance     H
+k_d     viscous_damping        N·m·s/rad
+k_v     back_emf_constant      V·s/rad
+k_m     torque_constant        N·m/A           the paper's K_t; k_t is the leg's stiffness here
+I^r     rotor_inertia          kg·m²           rotor and propeller
+I_sat   saturation_current     A
+Ω_min   saturation_speed       rad/s           edge of the dead band
+a, b    no_load_*              rad/s           Ω_0(u) = a u + b sign(u), per direction
+c2, c1  thrust_*, torque_*                     c2 Ω|Ω| + c1 Ω, per direction
+======  =====================  ==============  ==================================================
+
+The right-hand side is smooth between events, and each event ends a step: a command change, a knot of the
+supply voltage, Ω = 0, |Ω| = Ω_min, and inside the dead band |I| = I_sat and d|Ω|/dt = 0. Steps are those
+of RODAS, an L-stable Rosenbrock method of order 4(3) with six stages and a continuous extension of order
+3 (Hairer & Wanner, Solving Ordinary Differential Equations II, 2nd ed., section IV.7), because the search
+bounds allow L/R of microseconds beside rotor time constants of 0.1 s. On two states each stage is a 2 × 2
+product.
+"""
+
+from math import inf, sqrt
+
+import numpy as np
+from numba import njit, prange
+
+R, L, K_D, K_V, K_M, INERTIA, I_SAT, OMEGA_MIN, V_REF = 0, 1, 2, 3, 4, 5, 6, 7, 8
+NO_LOAD = 9  # slope, intercept forward; slope, intercept reverse
+THRUST = 13  # c2, c1 forward; c2, c1 reverse
+TORQUE = 17  # c2, c1 forward; c2, c1 reverse
+DELAY = 21
+N_PARAMETERS = 22
+
+# Status of a simulated trial.
+DONE, NO_STEADY_STATE, TOO_MANY_STEPS, NOT_FINITE, STUCK = 0, 1, 2, 3, 4
+# How a trial starts.
+AS_GIVEN, STEADY = 0, 1
+
+MAX_STEPS = 400_000
+# Time scale that turns a speed scale into a torque scale for the absolute tolerance of the current [s].
+_SPIN_UP_TIME = 0.1
+
+_GAMMA = 0.25
+_C2, _C3, _C4 = 0.386, 0.21, 0.63
+_D1, _D2, _D3, _D4 = 0.25, -0.1043, 0.1035, -0.03620000000000023
+_A21 = 1.544
+_A31, _A32 = 0.9466785280815826, 0.2557011698983284
+_A41, _A42, _A43 = 3.314825187068521, 2.896124015972201, 0.9986419139977817
+_A51, _A52, _A53, _A54 = 1.221224509226641, 6.019134481288629, 12.53708332932087, -0.6878860361058950
+_G21 = -5.6688
+_G31, _G32 = -2.430093356833875, -0.2063599157091915
+_G41, _G42, _G43 = -0.1073529058151375, -9.594562251023355, -20.47028614809616
+_G51, _G52, _G53, _G54 = 7.496443313967647, -10.24680431464352, -33.99990352819905, 11.70890893206160
+_G61, _G62, _G63 = 8.083246795921522, -7.981132988064893, -31.52159432874371
+_G64, _G65 = 16.31930543123136, -6.058818238834054
+_H21, _H22, _H23 = 10.12623508344586, -7.487995877610167, -34.80091861555747
+_H24, _H25 = -7.992771707568823, 1.025137723295662
+_H31, _H32, _H33 = -0.6762803392801253, 6.087714651680015, 16.43084320892478
+_H34, _H35 = 24.76722511418386, -6.594389125716872
+
+
+@njit(cache=True, error_model="numpy")
+def curve(speed, row, first):
+    """Return c2 Ω|Ω| + c1 Ω with the coefficients of the direction of `speed`."""
+    k = first if speed >= 0.0 else first + 2
+    return (row[k] * abs(speed) + row[k + 1]) * speed
+
+
+@njit(cache=True, error_model="numpy")
+def no_load_speed(command, row):
+    """Return Ω_0(u) [rad/s] for u in [-1, 1]; the intercept never turns the direction round."""
+    if command > 0.0:
+        return max(0.0, row[NO_LOAD] * command + row[NO_LOAD + 1])
+    if command < 0.0:
+        return min(0.0, row[NO_LOAD + 2] * command - row[NO_LOAD + 3])
+    return 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def steady_state(voltage, row):
+    """Return current [A] and speed [rad/s] at rest under a constant voltage; NaN where there is none."""
+    sign = 1.0 if voltage >= 0.0 else -1.0
+    k = TORQUE if sign > 0.0 else TORQUE + 2
+    gain = row[K_M] / row[R]
+    linear = row[k + 1] + row[K_D] + gain * row[K_V]
+    speed = 2.0 * gain * abs(voltage) / (linear + sqrt(linear * linear + 4.0 * row[k] * gain * abs(voltage)))
+    return sign * (abs(voltage) - row[K_V] * speed) / row[R], sign * speed
+
+
+@njit(cache=True, error_model="numpy")
+def _step(h, current, speed, volt, volt_rate, res, ind, k_v, k_eff, clipped, quad, lin, inertia):
+    """One RODAS step of a smooth regime.
+
+    The motor torque is k_eff I + clipped (one of the two is 0) and the drag quad Ω² + lin Ω. Returns the
+    new state, its error estimate, and the two coefficients of the continuous extension per state.
+    """
+    j11 = -res / ind
+    j12 = -k_v / ind
+    j21 = k_eff / inertia
+    j22 = -(2.0 * quad * speed + lin) / inertia
+    w = 1.0 / (h * _GAMMA)
+    w11 = w - j11
+    w22 = w - j22
+    det = 1.0 / (w11 * w22 - j12 * j21)
+    n11 = w22 * det
+    n12 = j12 * det
+    n21 = j21 * det
+    n22 = w11 * det
+    r = 1.0 / h
+    ft = h * volt_rate / ind
+
+    f = (volt - k_v * speed - res * current) / ind + _D1 * ft
+    g = (k_eff * current + clipped - (quad * speed + lin) * speed) / inertia
+    a1 = n11 * f + n12 * g
+    b1 = n21 * f + n22 * g
+
+    x = current + _A21 * a1
+    y = speed + _A21 * b1
+    f = (volt + _C2 * h * volt_rate - k_v * y - res * x) / ind + _D2 * ft + r * _G21 * a1
+    g = (k_eff * x + clipped - (quad * y + lin) * y) / inertia + r * _G21 * b1
+    a2 = n11 * f + n12 * g
+    b2 = n21 * f + n22 * g
+
+    x = current + _A31 * a1 + _A32 * a2
+    y = speed + _A31 * b1 + _A32 * b2
+    f = (volt + _C3 * h * volt_rate - k_v * y - res * x) / ind + _D3 * ft + r * (_G31 * a1 + _G32 * a2)
+    g = (k_eff * x + clipped - (quad * y + lin) * y) / inertia + r * (_G31 * b1 + _G32 * b2)
+    a3 = n11 * f + n12 * g
+    b3 = n21 * f + n22 * g
+
+    x = current + _A41 * a1 + _A42 * a2 + _A43 * a3
+    y = speed + _A41 * b1 + _A42 * b2 + _A43 * b3
+    f = (volt + _C4 * h * volt_rate - k_v * y - res * x) / ind + _D4 * ft
+    f += r * (_G41 * a1 + _G42 * a2 + _G43 * a3)
+    g = (k_eff * x + clipped - (quad * y + lin) * y) / inertia + r * (_G41 * b1 + _G42 * b2 + _G43 * b3)
+    a4 = n11 * f + n12 * g
+    b4 = n21 * f + n22 * g
+
+    volt_end = volt + h * volt_rate
+    x = current + _A51 * a1 + _A52 * a2 + _A53 * a3 + _A54 * a4
+    y = speed + _A51 * b1 + _A52 * b2 + _A53 * b3 + _A54 * b4
+    f = (volt_end - k_v * y - res * x) / ind + r * (_G51 * a1 + _G52 * a2 + _G53 * a3 + _G54 * a4)
+    g = (k_eff * x + clipped - (quad * y + lin) * y) / inertia
+    g += r * (_G51 * b1 + _G52 * b2 + _G53 * b3 + _G54 * b4)
+    a5 = n11 * f + n12 * g
+    b5 = n21 * f + n22 * g
+
+    x += a5
+    y += b5
+    f = (volt_end - k_v * y - res * x) / ind
+    f += r * (_G61 * a1 + _G62 * a2 + _G63 * a3 + _G64 * a4 + _G65 * a5)
+    g = (k_eff * x + clipped - (quad * y + lin) * y) / inertia
+    g += r * (_G61 * b1 + _G62 * b2 + _G63 * b3 + _G64 * b4 + _G65 * b5)
+    a6 = n11 * f + n12 * g
+    b6 = n21 * f + n22 * g
+
+    return (
+        x + a6,
+        y + b6,
+        a6,
+        b6,
+        _H21 * a1 + _H22 * a2 + _H23 * a3 + _H24 * a4 + _H25 * a5,
+        _H21 * b1 + _H22 * b2 + _H23 * b3 + _H24 * b4 + _H25 * b5,
+        _H31 * a1 + _H32 * a2 + _H33 * a3 + _H34 * a4 + _H35 * a5,
+        _H31 * b1 + _H32 * b2 + _H33 * b3 + _H34 * b4 + _H35 * b5,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _between(s, start, end, c3, c4):
+    """Continuous extension at the share s of a step."""
+    return (1.0 - s) * start + s * (end + (1.0 - s) * (c3 + s * c4))
+
+
+@njit(cache=True, error_model="numpy")
+def _integral(s, start, end, c3, c4):
+    """Integral of `_between` from 0 to s."""
+    q = s * s
+    mean = start * (s - 0.5 * q) + 0.5 * end * q
+    return mean + c3 * q * (0.5 - s / 3.0) + c4 * q * s * (1.0 / 3.0 - 0.25 * s)
+
+
+@njit(cache=True, error_model="numpy")
+def _violation(current, speed, side, in_band, over, rising, i_sat, omega_min, k_m, quad, lin):
+    """Return which event function left its declared side (0: none), the first of them by number.
+
+    1: side Ω < 0; 2: |Ω| crossed Ω_min; and inside the dead band 3: |I| crossed I_sat, 4: d|Ω|/dt, judged
+    with the unclipped current, changed sign.
+    """
+    if side * speed < 0.0:
+        return 1
+    if i_sat < inf:
+        gap = side * speed - omega_min
+        if (gap > 0.0 and in_band) or (gap < 0.0 and not in_band):
+            return 2
+        if in_band:
+            gap = abs(current) - i_sat
+            if (gap < 0.0 and over) or (gap > 0.0 and not over):
+                return 3
+            gap = side * (k_m * current - (quad * speed + lin) * speed)
+            if (gap < 0.0 and rising) or (gap > 0.0 and not rising):
+                return 4
+    return 0
+
+
+@njit(cache=True, error_model="numpy")
+def integrate(
+    row, command_time, command, supply_time, supply_ratio, times, start, current, speed, tolerance, ideal, out
+):
+    """Simulate one trial into `out`.
+
+    Parameters
+    ----------
+    row : (22,) parameter row
+    command_time, command : (m,) instants [s], not yet delayed, and u in [-1, 1] from each instant on
+    supply_time, supply_ratio : (k,) knots [s] of V/V_ref, linear between them, held outside
+    times : (n,) output times [s], not decreasing; the trial starts at the first
+    start : AS_GIVEN or STEADY; the former takes `current` [A] and `speed` [rad/s]
+    tolerance : relative local error
+    ideal : no saturation (I_sat = inf)
+    out : (n, 4) receives current, effective current [A], speed [rad/s], and the charge since the first
+        time, that is the integral of the effective current [A·s]; NaN after a failure
+
+    Returns
+    -------
+    status, share of the time span that was reached, number of steps tried
+    """
+    n = times.size
+    n_command = command_time.size
+    n_supply = supply_time.size
+    res, ind, k_v, k_m, inertia = row[R], row[L], row[K_V], row[K_M], row[INERTIA]
+    i_sat = inf if ideal else row[I_SAT]
+    omega_min = row[OMEGA_MIN]
+    t = times[0]
+    t_end = times[n - 1]
+    span = max(t_end - t, 1e-300)
+
+    at_command = 0
+    while at_command + 1 < n_command and command_time[at_command + 1] + row[DELAY] <= t:
+        at_command += 1
+    at_supply = 0
+    while at_supply + 1 < n_supply and supply_time[at_supply + 1] <= t:
+        at_supply += 1
+
+    speed_scale = 1e-3
+    for i in range(n_command):
+        speed_scale = max(speed_scale, abs(no_load_speed(command[i], row)))
+    torque_scale = inertia * speed_scale / _SPIN_UP_TIME
+    speed_floor = 0.1 * speed_scale
+    current_floor = 0.1 * min(torque_scale / k_m, k_v * speed_scale / res)
+
+    charge = 0.0
+    done = 0
+    tried = 0
+    idle = 0
+    status = DONE
+    fresh = True
+    h = 0.1 * min(ind / res, 0.01)
+    side, in_band, over, rising = 1.0, False, False, False
+
+    while True:
+        # The voltage is linear in time until the next command or the next knot of the supply.
+        base = k_v * no_load_speed(command[at_command], row)
+        t_break = t_end
+        if at_command + 1 < n_command:
+            t_break = min(t_break, command_time[at_command + 1] + row[DELAY])
+        ratio, ratio_rate = supply_ratio[at_supply], 0.0
+        if t < supply_time[0]:
+            t_break = min(t_break, supply_time[0])
+        elif at_supply + 1 < n_supply:
+            t_break = min(t_break, supply_time[at_supply + 1])
+            ratio_rate = (supply_ratio[at_supply + 1] - ratio) / (
+                supply_time[at_supply + 1] - supply_time[at_supply]
+            )
+            ratio += ratio_rate * (t - supply_time[at_supply])
+        t_segment = t
+        volt_segment = base * ratio
+        volt_rate = base * ratio_rate
+
+        if fresh:
+            if start == STEADY:
+                current, speed = steady_state(volt_segment, row)
+                if not (np.isfinite(current) and np.isfinite(speed)):
+                    status = NO_STEADY_STATE
+                    break
+            fresh = False
+            in_band = abs(speed) < omega_min
+            while done < n and times[done] <= t:
+                out[done, 0] = current
+                out[done, 1] = current
+                out[done, 2] = speed
+                out[done, 3] = 0.0
+                done += 1
+        if speed == 0.0:
+            push = current if current != 0.0 else volt_segment
+            side = -1.0 if push < 0.0 else 1.0
+        elif side * speed < 0.0:
+            side = -side
+        k = TORQUE if side > 0.0 else TORQUE + 2
+        quad, lin = side * row[k], row[k + 1] + row[K_D]
+        over = abs(current) > i_sat
+        drive = side * (k_m * current - (quad * speed + lin) * speed)
+        rising = drive > 0.0 or (speed == 0.0 and drive >= 0.0)
+
+        while t < t_break:
+            tried += 1
+            if tried > MAX_STEPS:
+                status = TOO_MANY_STEPS
+                break
+            last = h >= t_break - t
+            step = t_break - t if last else h
+            volt = volt_segment + volt_rate * (t - t_segment)
+            clip = in_band and over and rising
+            limit = i_sat if current > 0.0 else -i_sat
+            k_eff = 0.0 if clip else k_m
+            clipped = k_m * limit if clip else 0.0
+            x, y, ex, ey, x3, y3, x4, y4 = _step(
+                step, current, speed, volt, volt_rate, res, ind, k_v, k_eff, clipped, quad, lin, inertia
+            )
+            ex /= current_floor + max(abs(current), abs(x))
+            ey /= speed_floor + max(abs(speed), abs(y))
+            error = sqrt(0.5 * (ex * ex + ey * ey)) / tolerance
+            if not np.isfinite(error):
+                h = 0.1 * step
+                if h < 1e-13 * span:
+                    status = NOT_FINITE
+                    break
+                continue
+            grow = 6.0 if error < 1e-4 else 0.9 / sqrt(sqrt(error))
+            grow = min(6.0, max(0.2, grow))
+            if error > 1.0:
+                h = step * grow
+                if t + h == t:
+                    status = STUCK
+                    break
+                continue
+
+            # An event ends the step: bracket it on the continuous extension, then step onto it for good.
+            event = 0
+            edge = 0.5
+            while edge <= 1.0 and event == 0:
+                xs, ys = _between(edge, current, x, x3, x4), _between(edge, speed, y, y3, y4)
+                event = _violation(
+                    xs, ys, side, in_band, over, rising, i_sat, omega_min, k_m, quad, lin
+                )
+                edge += 0.5
+            if event > 0:
+                low, high = 0.0, edge - 0.5
+                for _ in range(60):
+                    middle = 0.5 * (low + high)
+                    xs = _between(middle, current, x, x3, x4)
+                    ys = _between(middle, speed, y, y3, y4)
+                    found = _violation(
+                        xs, ys, side, in_band, over, rising, i_sat, omega_min, k_m, quad, lin
+                    )
+                    if found > 0:
+                        high = middle
+                        event = found
+                    else:
+                        low = middle
+                shorter = high * step
+                for _ in range(4):
+                    x, y, ex, ey, x3, y3, x4, y4 = _step(
+                        shorter, current, speed, volt, volt_rate, res, ind, k_v, k_eff, clipped, quad, lin,
+                        inertia,
+                    )
+                    # One Newton correction at a time, with the exact slope of the event function.
+                    dx = (volt + volt_rate * shorter - k_v * y - res * x) / ind
+                    dy = (k_eff * x + clipped - (quad * y + lin) * y) / inertia
+                    if event == 1:
+                        gap, slope, size = y, dy, speed_scale
+                    elif event == 2:
+                        gap, slope, size = side * y - omega_min, side * dy, speed_scale
+                    elif event == 3:
+                        gap, slope, size = abs(x) - i_sat, dx if x > 0.0 else -dx, i_sat
+                    else:
+                        gap = k_m * x - (quad * y + lin) * y
+                        slope, size = k_m * dx - (2.0 * quad * y + lin) * dy, torque_scale
+                    if abs(gap) <= 1e-13 * size or slope == 0.0:
+                        break
+                    shift = -gap / slope
+                    if not abs(shift) < 0.2 * shorter:
+                        break
+                    shorter += shift
+                last = False
+                # The regime changes here, the smoothness of the solution does not always: keep the step
+                # size unless the event cut it to nothing.
+                h = max(shorter, 0.1 * step)
+                step = shorter
+                idle = idle + 1 if t + step <= t else 0
+                if idle > 20:
+                    status = STUCK
+                    break
+            else:
+                idle = 0
+                h = step * grow if not last else max(h, step * grow)
+
+            t_next = t_break if last else t + step
+            while done < n and times[done] <= t_next:
+                s = (times[done] - t) / step if t_next > t else 1.0
+                out[done, 0] = _between(s, current, x, x3, x4)
+                out[done, 1] = limit if clip else out[done, 0]
+                out[done, 2] = _between(s, speed, y, y3, y4)
+                out[done, 3] = charge + step * (
+                    limit * s if clip else _integral(s, current, x, x3, x4)
+                )
+                done += 1
+            charge += step * (limit if clip else _integral(1.0, current, x, x3, x4))
+            t, current, speed = t_next, x, y
+
+            if event == 1:
+                speed = 0.0
+                side = -side
+                k = TORQUE if side > 0.0 else TORQUE + 2
+                quad, lin = side * row[k], row[k + 1] + row[K_D]
+                rising = side * current > 0.0
+            elif event == 2:
+                speed = side * omega_min
+                in_band = not in_band
+                over = abs(current) > i_sat
+                rising = side * (k_m * current - (quad * speed + lin) * speed) > 0.0
+            elif event == 3:
+                over = not over
+            elif event == 4:
+                rising = not rising
+
+        if status != DONE or t >= t_end:
+            break
+        while at_command + 1 < n_command and command_time[at_command + 1] + row[DELAY] <= t:
+            at_command += 1
+            # A new command starts a transient of the current: do not begin it with a long step.
+            h = min(h, 0.1 * max(ind / res, 1e-4))
+        while at_supply + 1 < n_supply and supply_time[at_supply + 1] <= t:
+            at_supply += 1
+
+    for i in range(done, n):
+        out[i, :] = np.nan
+    return status, (t - times[0]) / span, tried
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def integrate_population(
+    rows, delays, command_time, command, command_first, supply_time, supply_ratio, supply_first,
+    times, time_first, starts, initial, tolerance, ideal, out, status, reached,
+):
+    """Simulate every candidate on every trial: stator torque averaged over each cell, speed at its sample.
+
+    Ragged trials lie end to end; trial j owns ``x[first[j]:first[j + 1]]``. `times` holds the cell edges
+    and samples of a trial in turn (edge, sample, edge, ..., edge), so that a trial of n samples owns 2n + 1
+    of them and `out`, (P, n_total, 2), owns n. One job per candidate and trial, each on its own: the
+    number of threads changes no bit of the result.
+    """
+    n_trials = starts.size
+    for job in prange(rows.shape[0] * n_trials):
+        i = job // n_trials
+        j = job % n_trials
+        row = rows[i].copy()
+        row[DELAY] += delays[i, j]
+        t = times[time_first[j] : time_first[j + 1]]
+        n = (t.size - 1) // 2
+        first = (time_first[j] - j) // 2
+        trace = np.empty((t.size, 4))
+        code, share, _ = integrate(
+            row,
+            command_time[command_first[j] : command_first[j + 1]],
+            command[command_first[j] : command_first[j + 1]],
+            supply_time[supply_first[j] : supply_first[j + 1]],
+            supply_ratio[supply_first[j] : supply_first[j + 1]],
+            t, starts[j], initial[j, 0], initial[j, 1], tolerance, ideal, trace,
+        )
+        status[i, j] = code
+        reached[i, j] = share
+        for m in range(n):
+            width = t[2 * m + 2] - t[2 * m]
+            mean_current = (trace[2 * m + 2, 3] - trace[2 * m, 3]) / width
+            speed = trace[2 * m + 1, 2]
+            out[i, first + m, 0] = row[K_M] * mean_current - row[K_D] * speed
+            out[i, first + m, 1] = speed

@@ -1,0 +1,533 @@
+"""The motor of equations (1-3): table of parameters, and simulation of one motor or a population.
+
+A brushless motor with its speed controller and propeller, seen as one winding, one rotor and three static
+curves::
+
+    L dI/dt = V_c − k_v Ω − R I                    V_c = k_v Ω_0(u) V/V_ref
+    I_eff   = clip(I, ±I_sat)  while |Ω| < Ω_min and d|Ω|/dt > 0, judged with I;  else I
+    I^r dΩ/dt = k_m I_eff − τ_aero(Ω) − k_d Ω
+
+    T(Ω), τ_aero(Ω) = c2 Ω|Ω| + c1 Ω               Ω_0(u) = a u + b sign(u)
+
+with one pair of coefficients per direction (a cambered propeller is weaker in reverse); the forward ones
+serve Ω ≥ 0 and u > 0. A load cell under the motor feels the stator's reaction k_m I_eff − k_d Ω, positive
+when the motor drives the rotor forward, and the thrust T, positive along the forward thrust.
+
+Valid when the electrical commutation is much faster than L/R and the air is still; ignores axial and
+radial airspeed, temperature, and any current limit or regeneration policy of the speed controller.
+
+Notes
+-----
+Three printed points cannot be meant literally. Table I's k_v = k_t = 0.099 contradicts the 960 rpm/V of
+the motor: `kv_to_si` gives 0.00995 V·s/rad, the nominal here. Equation (4) has the dimension of Ω²/V
+instead of volt: V_c = k_v Ω_0(u) is what (1) needs at no load. L is printed in kg; it is in henry. The
+torque constant is called k_m here because the paper uses k_t for the leg's torsional stiffness as well.
+
+From torque and speed alone, (k, R, L, I_sat) → (c k, c² R, c² L, I_sat/c) with k = k_v = k_m changes
+nothing; see `invariants`.
+
+References
+----------
+Bass and Lussier Desbiens, Improving Multirotor Landing Performance on Inclined Surfaces Using Reverse
+Thrust, section II-A.2, equations (1-4), Table I.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sysid.errors import FitError, UnitError
+from sysid.motor import kernel
+from sysid.parameters import Parameter, ParameterTable
+
+FloatArray = NDArray[np.float64]
+
+# A Kv rating outside this range is no multirotor motor; 1 to 100 is the rating given in rad/s/V or V·s/rad.
+_KV_PLAUSIBLE_RPM = (10.0, 60_000.0)
+
+STATUS_TEXT = {
+    kernel.DONE: "done",
+    kernel.NO_STEADY_STATE: "no steady state under the first command",
+    kernel.TOO_MANY_STEPS: f"more than {kernel.MAX_STEPS} steps",
+    kernel.NOT_FINITE: "the state became infinite",
+    kernel.STUCK: "the step size fell to nothing",
+}
+
+
+def kv_to_si(kv_rpm_per_volt: float) -> float:
+    """Turn a Kv rating into the back-EMF constant 60/(2π Kv), which equals the torque constant in SI.
+
+    Parameters
+    ----------
+    kv_rpm_per_volt : float
+        Kv as motors are sold [rpm/V], e.g. 960.
+
+    Returns
+    -------
+    float
+        k_v [V·s/rad] = k_m [N·m/A].
+
+    Raises
+    ------
+    UnitError
+        When the number cannot be a rating in rpm/V.
+    """
+    low, high = _KV_PLAUSIBLE_RPM
+    if not low <= kv_rpm_per_volt <= high:
+        raise UnitError(
+            f"Kv of {kv_rpm_per_volt:g} rpm/V is not a motor's rating; expected {low:g} to {high:g} rpm/V: "
+            f"give it in rpm/V ({kv_rpm_per_volt:g} rad/s/V is {kv_rpm_per_volt * 30 / math.pi:.4g} rpm/V)"
+        )
+    return 60.0 / (2.0 * math.pi * kv_rpm_per_volt)
+
+
+_K = kv_to_si(960.0)
+
+
+def _curve_rows(
+    quantity: str, symbol: str, forward: float, reverse: float, bounds: tuple[float, float]
+) -> list[Parameter]:
+    unit = "N" if quantity == "thrust" else "N·m"
+    source = "guess for a 9 × 4.5 inch propeller; replaced by the static curves of the campaign"
+    rows = []
+    for direction, sign, value in (("forward", "+", forward), ("reverse", "−", reverse)):
+        rows += [
+            Parameter(
+                f"{quantity}_quadratic_{direction}", f"c2_{symbol}{sign}", f"{unit}·s²/rad²", value, *bounds,
+                "log", f"Quadratic coefficient of the {quantity} curve, {direction} rotation.", source,
+            ),
+            Parameter(
+                f"{quantity}_linear_{direction}", f"c1_{symbol}{sign}", f"{unit}·s/rad", 0.0,
+                -bounds[1] * 100.0, bounds[1] * 100.0,
+                "linear", f"Linear coefficient of the {quantity} curve, {direction} rotation.", source,
+            ),
+        ]
+    return rows
+
+
+def _no_load_rows() -> list[Parameter]:
+    rows = []
+    for direction, sign in (("forward", "+"), ("reverse", "−")):
+        rows += [
+            Parameter(
+                f"no_load_slope_{direction}", f"a{sign}", "rad/s", 1030.0, 100.0, 5000.0, "log",
+                f"Slope of the no-load speed over the command u, {direction}.",
+                "guess: hover at 512 rad/s loaded needs 642 rad/s without load",
+            ),
+            Parameter(
+                f"no_load_intercept_{direction}", f"b{sign}", "rad/s", 0.0, -500.0, 500.0, "linear",
+                f"No-load speed that remains as u → 0, {direction}; positive raises |Ω_0|.", "guess",
+            ),
+        ]
+    return rows
+
+
+PARAMETERS = ParameterTable(
+    [
+        Parameter(
+            "winding_resistance", "R", "Ω", 0.299, 0.05, 2.0, "log",
+            "Resistance of winding, wires and controller, as one direct-current circuit.",
+            "Table I (genetic algorithm); bounds: guess",
+        ),
+        Parameter(
+            "winding_inductance", "L", "H", 0.0038, 1e-5, 2e-2, "log",
+            "Inductance of the same circuit; holds whatever delays the current.",
+            "Table I (genetic algorithm), printed in kg; bounds: guess",
+        ),
+        Parameter(
+            "viscous_damping", "k_d", "N·m·s/rad", 9.2e-9, 1e-10, 1e-4, "log",
+            "Bearing drag per speed.", "Table I (genetic algorithm); bounds: guess",
+        ),
+        Parameter(
+            "back_emf_constant", "k_v", "V·s/rad", _K, 1e-3, 1e-1, "log",
+            "Voltage per speed at no load.", "960 rpm/V rating; Table I's 0.099 is a slip of a factor 10",
+        ),
+        Parameter(
+            "torque_constant", "k_m", "N·m/A", _K, 1e-3, 1e-1, "log",
+            "Torque per current; equal to k_v in SI (the paper's K_t).", "960 rpm/V rating",
+        ),
+        Parameter(
+            "rotor_inertia", "I^r", "kg·m²", 2.7e-5, 1e-7, 1e-3, "log",
+            "Moment of inertia of rotor and propeller about the axle.", "Table I (measured)",
+        ),
+        Parameter(
+            "saturation_current", "I_sat", "A", 0.35, 0.05, 10.0, "log",
+            "Bound of the current while the rotor leaves the dead band.", "Table I (by hand)",
+        ),
+        Parameter(
+            "saturation_speed", "Ω_min", "rad/s", 6.3, 0.5, 100.0, "log",
+            "Edge of the dead band of a sensorless controller.", "Table I (by hand)",
+        ),
+        Parameter(
+            "reference_voltage", "V_ref", "V", 11.1, 1.0, 100.0, "linear",
+            "Supply at which Ω_0(u) holds.", "guess: three lithium-polymer cells",
+        ),
+        *_no_load_rows(),
+        *_curve_rows("thrust", "T", 1.2e-5, 0.62e-5, (1e-9, 1e-3)),
+        *_curve_rows("torque", "τ", 1.65e-7, 1.7e-7, (1e-11, 1e-5)),
+        Parameter(
+            "command_delay", "t_d", "s", 0.0, 0.0, 0.2, "linear",
+            "Time from a command in the log to the voltage, instruments included; no motor physics.",
+            "0 on one clock; 50 to 80 ms seen on thrust stands",
+        ),
+    ]
+)
+
+FREE_DEFAULT = ("winding_resistance", "winding_inductance", "viscous_damping")
+
+# Relative local error of a step: 1e-6 keeps trajectories within 1e-6 of their own scale.
+TOLERANCE = 1e-6
+
+
+def pack(parameters: Mapping[str, float]) -> FloatArray:
+    """Return the row (22,) that the kernel reads; a name left out takes its nominal [SI].
+
+    Raises
+    ------
+    CampaignError
+        When a name is not in the table.
+    """
+    for name in parameters:
+        PARAMETERS[name]
+    return np.array([float(parameters.get(name, p.nominal)) for name, p in PARAMETERS.items()])
+
+
+def unpack(row: FloatArray) -> dict[str, float]:
+    """Return the parameters of a row (22,) by name [SI]."""
+    return dict(zip(PARAMETERS, (float(value) for value in row), strict=True))
+
+
+def invariants(parameters: Mapping[str, float]) -> dict[str, float]:
+    """Return what torque and speed alone can fix when Kv is unknown and no current is logged.
+
+    Returns
+    -------
+    dict
+        ``k²/R`` [N·m·s/rad], ``R/L`` [1/s], ``k·I_sat`` [N·m] and the electromechanical time constant
+        ``I^r R/k²`` [s], with k² = k_v k_m.
+    """
+    p = unpack(pack(parameters))
+    k2 = p["back_emf_constant"] * p["torque_constant"]
+    return {
+        "k²/R": k2 / p["winding_resistance"],
+        "R/L": p["winding_resistance"] / p["winding_inductance"],
+        "k·I_sat": p["torque_constant"] * p["saturation_current"],
+        "I^r R/k²": p["rotor_inertia"] * p["winding_resistance"] / k2,
+    }
+
+
+def thrust(speed: ArrayLike, parameters: Mapping[str, float]) -> FloatArray:
+    """Return the static thrust T(Ω) [N] at speeds (...) [rad/s], positive forward."""
+    return _odd_curve(speed, pack(parameters), kernel.THRUST)
+
+
+def aerodynamic_torque(speed: ArrayLike, parameters: Mapping[str, float]) -> FloatArray:
+    """Return the static drag torque τ_aero(Ω) [N·m] at speeds (...) [rad/s], with the sign of the speed."""
+    return _odd_curve(speed, pack(parameters), kernel.TORQUE)
+
+
+def _odd_curve(speed: ArrayLike, row: FloatArray, first: int) -> FloatArray:
+    omega = np.asarray(speed, dtype=np.float64)
+    forward = omega >= 0
+    quadratic = np.where(forward, row[first], row[first + 2])
+    return (quadratic * np.abs(omega) + np.where(forward, row[first + 1], row[first + 3])) * omega
+
+
+def no_load_speed(command: ArrayLike, parameters: Mapping[str, float]) -> FloatArray:
+    """Return Ω_0(u) [rad/s] at V_ref for commands u (...) in [-1, 1]; the intercept never turns it round."""
+    u, row = np.asarray(command, dtype=np.float64), pack(parameters)
+    forward, reverse = row[kernel.NO_LOAD : kernel.NO_LOAD + 2], row[kernel.NO_LOAD + 2 : kernel.NO_LOAD + 4]
+    up = np.maximum(0.0, forward[0] * u + forward[1])
+    down = np.minimum(0.0, reverse[0] * u - reverse[1])
+    return np.where(u > 0, up, np.where(u < 0, down, 0.0))
+
+
+def steady_state(
+    command: ArrayLike, parameters: Mapping[str, float], voltage: ArrayLike | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return current [A] and speed [rad/s] that a constant command holds, saturation aside.
+
+    Parameters
+    ----------
+    command : (...) array
+        u in [-1, 1].
+    parameters : mapping
+        Parameters by name [SI].
+    voltage : (...) array, optional
+        Supply [V]; V_ref where left out.
+    """
+    row = pack(parameters)
+    omega_0 = np.atleast_1d(no_load_speed(command, parameters))
+    supply = np.ones_like(omega_0) if voltage is None else np.asarray(voltage) / row[kernel.V_REF]
+    volts = np.broadcast_to(row[kernel.K_V] * omega_0 * supply, omega_0.shape)
+    pairs = np.array([kernel.steady_state(v, row) for v in volts.ravel()]).reshape(*omega_0.shape, 2)
+    shape = np.shape(command)
+    return pairs[..., 0].reshape(shape), pairs[..., 1].reshape(shape)
+
+
+@dataclass(frozen=True, eq=False)
+class MotorTrajectory:
+    """What a simulated motor did; every array is (n,).
+
+    Parameters
+    ----------
+    time : [s]
+    current : I of equation (1) [A]
+    effective_current : I_eff of equation (2) [A]
+    speed : Ω [rad/s], positive forward
+    thrust : T(Ω) [N]
+    stator_torque : k_m I_eff − k_d Ω [N·m], what a load cell under the motor feels
+    """
+
+    time: FloatArray
+    current: FloatArray
+    effective_current: FloatArray
+    speed: FloatArray
+    thrust: FloatArray
+    stator_torque: FloatArray
+
+
+def simulate(
+    parameters: Mapping[str, float],
+    command_time: ArrayLike,
+    command: ArrayLike,
+    time: ArrayLike,
+    *,
+    initial: tuple[float, float] | Literal["steady"] = (0.0, 0.0),
+    voltage: tuple[ArrayLike, ArrayLike] | None = None,
+    ideal_reversal: bool = False,
+    tolerance: float = TOLERANCE,
+) -> MotorTrajectory:
+    """Simulate one motor under a command schedule, sampled at given times.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Parameters by name [SI]; those left out take their nominal.
+    command_time, command : (m,) arrays
+        Instants [s] and the command u in [-1, 1] that holds from each of them on. The first also holds
+        before its instant. ``command_delay`` is added to the instants.
+    time : (n,) array
+        Sample times [s], not decreasing; the motor starts at the first.
+    initial : (current [A], speed [rad/s]) or "steady"
+        State at ``time[0]``; "steady" takes the equilibrium under the command that then holds.
+    voltage : (times [s], volts [V]), optional
+        Measured supply, linear between its samples; without it the supply is V_ref. It is not delayed.
+    ideal_reversal : bool
+        No saturation (I_sat = ∞), as in Fig. 11.
+    tolerance : float
+        Relative local error of a step.
+
+    Returns
+    -------
+    MotorTrajectory
+
+    Raises
+    ------
+    FitError
+        When the simulation cannot reach the last time; the sentence says why and where.
+    """
+    t = np.ascontiguousarray(time, dtype=np.float64)
+    instants, levels = _schedule(command_time, command)
+    row = pack(parameters)
+    knots, ratio = _supply(voltage, row[kernel.V_REF])
+    steady = isinstance(initial, str)
+    current, speed = (0.0, 0.0) if isinstance(initial, str) else (float(initial[0]), float(initial[1]))
+    out = np.empty((t.size, 4))
+    status, reached, _ = kernel.integrate(
+        row, instants, levels, knots, ratio, t, kernel.STEADY if steady else kernel.AS_GIVEN,
+        current, speed, tolerance, ideal_reversal, out,
+    )
+    if status != kernel.DONE:
+        raise FitError(
+            f"motor simulation stopped at {t[0] + reached * (t[-1] - t[0]):.6g} s of {t[-1]:.6g} s: "
+            f"{STATUS_TEXT[status]}; expected finite positive parameters, check {parameters!r}"
+        )
+    effective, omega = out[:, 1].copy(), out[:, 2].copy()
+    return MotorTrajectory(
+        time=t,
+        current=out[:, 0].copy(),
+        effective_current=effective,
+        speed=omega,
+        thrust=_odd_curve(omega, row, kernel.THRUST),
+        stator_torque=row[kernel.K_M] * effective - row[kernel.K_D] * omega,
+    )
+
+
+def _schedule(command_time: ArrayLike, command: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    instants = np.ascontiguousarray(np.atleast_1d(command_time), dtype=np.float64)
+    levels = np.ascontiguousarray(np.atleast_1d(command), dtype=np.float64)
+    if instants.shape != levels.shape or instants.size == 0 or np.any(np.diff(instants) < 0):
+        raise FitError(
+            f"command schedule has {instants.size} instants and {levels.size} commands; expected as many of "
+            "each, in the order of time"
+        )
+    worst = float(np.max(np.abs(levels)))
+    if not worst <= 1.0 + 1e-9:
+        raise FitError(
+            f"command schedule holds u = {worst:g}; expected u in [-1, 1]: convert µs or DShot with the "
+            "campaign's minimum, neutral and maximum"
+        )
+    return instants, levels
+
+
+def _supply(voltage: tuple[ArrayLike, ArrayLike] | None, reference: float) -> tuple[FloatArray, FloatArray]:
+    if voltage is None:
+        return np.zeros(1), np.ones(1)
+    knots = np.ascontiguousarray(voltage[0], dtype=np.float64)
+    volts = np.ascontiguousarray(voltage[1], dtype=np.float64)
+    if knots.shape != volts.shape or knots.size == 0 or np.any(np.diff(knots) <= 0) or not np.all(volts > 0):
+        raise FitError(
+            f"supply voltage has {knots.size} times and {volts.size} values; expected as many of each, times "
+            "increasing and volts above 0"
+        )
+    return knots, volts / reference
+
+
+@dataclass(frozen=True, eq=False)
+class MotorTrial:
+    """One log as the simulator needs it.
+
+    Parameters
+    ----------
+    command_time, command : (m,) arrays
+        Instants [s] and u in [-1, 1] from each on.
+    time : (n,) array
+        Samples at which torque and speed are wanted [s], strictly increasing.
+    initial : (current [A], speed [rad/s]) or "steady"
+        State at ``time[0]``.
+    supply_time, supply_ratio : (k,) arrays, optional
+        Knots [s] of V/V_ref; left out: 1.
+    """
+
+    command_time: FloatArray
+    command: FloatArray
+    time: FloatArray
+    initial: tuple[float, float] | Literal["steady"] = "steady"
+    supply_time: FloatArray | None = None
+    supply_ratio: FloatArray | None = None
+
+
+class MotorTrials:
+    """Trials laid end to end for `simulate_population`; trial j owns ``slice(first[j], first[j + 1])``."""
+
+    def __init__(self, trials: Sequence[MotorTrial]) -> None:
+        if not trials:
+            raise FitError("no motor trial to simulate; expected at least one log in the campaign")
+        schedules = [_schedule(trial.command_time, trial.command) for trial in trials]
+        supplies = [
+            (np.zeros(1), np.ones(1))
+            if trial.supply_time is None or trial.supply_ratio is None
+            else _supply((trial.supply_time, trial.supply_ratio), 1.0)
+            for trial in trials
+        ]
+        self.trials = tuple(trials)
+        self.command_time, self.command_first = _end_to_end([s[0] for s in schedules])
+        self.command, _ = _end_to_end([s[1] for s in schedules])
+        self.supply_time, self.supply_first = _end_to_end([s[0] for s in supplies])
+        self.supply_ratio, _ = _end_to_end([s[1] for s in supplies])
+        self.time, self.first = _end_to_end([trial.time for trial in trials])
+        self.cell_times, self.cell_first = _end_to_end([_cells(trial.time) for trial in trials])
+        self.starts = np.array(
+            [kernel.STEADY if isinstance(t.initial, str) else kernel.AS_GIVEN for t in trials], dtype=np.int64
+        )
+        self.initial = np.array([(0.0, 0.0) if isinstance(t.initial, str) else t.initial for t in trials])
+
+    def __len__(self) -> int:
+        return len(self.trials)
+
+
+def _end_to_end(parts: Sequence[ArrayLike]) -> tuple[FloatArray, NDArray[np.int64]]:
+    arrays = [np.asarray(part, dtype=np.float64) for part in parts]
+    first = np.concatenate([[0], np.cumsum([a.size for a in arrays])]).astype(np.int64)
+    return np.ascontiguousarray(np.concatenate(arrays)), first
+
+
+def _cells(time: ArrayLike) -> FloatArray:
+    """Return edge, sample, edge, ..., edge: a sample's cell reaches half-way to its neighbours."""
+    t = np.asarray(time, dtype=np.float64)
+    if t.size < 2 or np.any(np.diff(t) <= 0):
+        raise FitError(f"a motor trial has {t.size} samples; expected at least 2 in the order of time")
+    cells = np.empty(2 * t.size + 1)
+    cells[1::2] = t
+    cells[2:-1:2] = 0.5 * (t[1:] + t[:-1])
+    cells[0], cells[-1] = t[0], t[-1]
+    return cells
+
+
+@dataclass(frozen=True, eq=False)
+class PopulationResult:
+    """Outputs of `simulate_population`.
+
+    Parameters
+    ----------
+    outputs : (P, n_total, 2) array
+        Stator torque [N·m], averaged over each sample's cell, and speed [rad/s]; NaN past a failure.
+    status : (P, n_trials) array
+        0 where the simulation reached the end; texts in `STATUS_TEXT`.
+    reached : (P, n_trials) array
+        Share of the trial's duration that was simulated.
+    """
+
+    outputs: FloatArray
+    status: NDArray[np.int64]
+    reached: FloatArray
+
+
+def simulate_population(
+    parameters: FloatArray,
+    trials: MotorTrials,
+    *,
+    delays: FloatArray | None = None,
+    ideal_reversal: bool = False,
+    tolerance: float = TOLERANCE,
+    threads: int | None = None,
+) -> PopulationResult:
+    """Simulate every candidate on every trial.
+
+    The torque is averaged over each sample's cell, from half-way after the sample before to half-way
+    before the next: it jumps when the dead band ends and, as L → 0, at each command.
+
+    Parameters
+    ----------
+    parameters : (P, 22) array
+        Rows in the order of `PARAMETERS` [SI].
+    trials : MotorTrials
+    delays : (P, n_trials) array, optional
+        Added to ``command_delay`` per candidate and trial [s].
+    ideal_reversal, tolerance
+        As in `simulate`.
+    threads : int, optional
+        Threads to use; the result does not depend on it. Default: all that numba offers.
+
+    Returns
+    -------
+    PopulationResult
+        A candidate that cannot be simulated has a status, never an exception.
+    """
+    rows = np.ascontiguousarray(np.atleast_2d(parameters), dtype=np.float64)
+    if rows.shape[1] != len(PARAMETERS):
+        raise ValueError(f"parameter rows have {rows.shape[1]} columns, the table {len(PARAMETERS)}")
+    shape = (len(rows), len(trials))
+    shifts = np.zeros(shape) if delays is None else np.ascontiguousarray(np.broadcast_to(delays, shape))
+    outputs = np.empty((len(rows), trials.time.size, 2))
+    status = np.empty(shape, dtype=np.int64)
+    reached = np.empty(shape)
+    before = numba.get_num_threads()
+    numba.set_num_threads(before if threads is None else max(1, min(threads, before)))
+    try:
+        kernel.integrate_population(
+            rows, shifts, trials.command_time, trials.command, trials.command_first, trials.supply_time,
+            trials.supply_ratio, trials.supply_first, trials.cell_times, trials.cell_first, trials.starts,
+            trials.initial, tolerance, ideal_reversal, outputs, status, reached,
+        )
+    finally:
+        numba.set_num_threads(before)
+    return PopulationResult(outputs, status, reached)

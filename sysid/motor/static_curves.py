@@ -1,0 +1,210 @@
+"""Static curves by robust least squares: T(Ω), τ_aero(Ω) and Ω_0(u), one set of coefficients per direction.
+
+Points come from averaged logs (a row is a point) or from the steady segments of a step log; see
+`sysid.trials.thrust.steady_points`. A point far from the curve (a speed probe that missed a blade, a stand
+that settled late) loses weight instead of bending it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
+
+from sysid.errors import FitError
+
+FloatArray = NDArray[np.float64]
+Direction = Literal["forward", "reverse"]
+
+# MAD of a normal distribution in units of its standard deviation.
+_MAD = 0.6745
+# A point further than this many robust standard deviations is counted as an outlier.
+OUTLIER = 5.0
+
+
+@dataclass(frozen=True)
+class CurveFit:
+    """A curve of two coefficients and how well the points fix it.
+
+    Parameters
+    ----------
+    quantity : str
+        ``thrust``, ``torque`` or ``no_load``.
+    direction : {"forward", "reverse"}
+        Sense of rotation.
+    coefficients : (c2, c1) or (a, b)
+        Of c2 Ω|Ω| + c1 Ω, or of a u + b sign(u).
+    standard_errors : same pair
+        One standard deviation.
+    units : same pair
+    r_squared : float
+        1 − Σr²/Σ(y − ȳ)² over the points that are no outliers.
+    points, outliers : int
+        How many points there were, and how many of them lie beyond 5 robust standard deviations.
+    """
+
+    quantity: str
+    direction: Direction
+    coefficients: tuple[float, float]
+    standard_errors: tuple[float, float]
+    units: tuple[str, str]
+    r_squared: float
+    points: int
+    outliers: int
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The two coefficients under their names in the motor's parameter table [SI]."""
+        names = ("slope", "intercept") if self.quantity == "no_load" else ("quadratic", "linear")
+        return {
+            f"{self.quantity}_{name}_{self.direction}": value
+            for name, value in zip(names, self.coefficients, strict=True)
+        }
+
+
+def fit_speed_curve(
+    quantity: Literal["thrust", "torque"], direction: Direction, speed: ArrayLike, value: ArrayLike
+) -> CurveFit:
+    """Fit c2 Ω|Ω| + c1 Ω to the points of one direction.
+
+    Parameters
+    ----------
+    quantity : {"thrust", "torque"}
+        What `value` is; it has the sign of the speed (tare and sign already put right).
+    direction : {"forward", "reverse"}
+        Points that turn the other way are left out.
+    speed, value : (n,) arrays
+        Steady speed [rad/s] and thrust [N] or aerodynamic torque [N·m]; NaN pairs are left out.
+
+    Raises
+    ------
+    FitError
+        When fewer than three points at different speeds remain, or the curve has the wrong sign.
+    """
+    unit = "N" if quantity == "thrust" else "N·m"
+    omega, y = _of_direction(direction, speed, value)
+    fit = _robust_line(quantity, direction, np.column_stack([omega * np.abs(omega), omega]), y, omega)
+    top = float(np.max(np.abs(omega)))
+    at_top = (fit.coefficients[0] * top + fit.coefficients[1]) * top
+    if not at_top > 0:
+        raise FitError(
+            f"{quantity} curve, {direction}: {abs(at_top):.3g} {unit} against the rotation at {top:.0f} rad/s; "
+            f"expected the sign of the speed, set {quantity}_sign = -1 in the campaign"
+        )
+    return _with_units(fit, (f"{unit}·s²/rad²", f"{unit}·s/rad"))
+
+
+def fit_no_load_line(
+    direction: Direction,
+    command: ArrayLike,
+    speed: ArrayLike,
+    *,
+    supply_ratio: ArrayLike = 1.0,
+) -> CurveFit:
+    """Fit Ω_0 = a u + b sign(u) to no-load speeds of one direction.
+
+    Parameters
+    ----------
+    direction : {"forward", "reverse"}
+        Commands of the other sign, and u = 0, are left out.
+    command, speed : (n,) arrays
+        u in [-1, 1] and the no-load speed [rad/s]; of a loaded log use `no_load_speed_of_loaded` first.
+    supply_ratio : (n,) array
+        V/V_ref of each point; the speed is divided by it.
+    """
+    ratio = np.broadcast_to(np.asarray(supply_ratio, dtype=np.float64), np.shape(speed))
+    u, omega = _of_direction(direction, command, np.asarray(speed, dtype=np.float64) / ratio)
+    fit = _robust_line("no_load", direction, np.column_stack([u, np.sign(u)]), omega, u)
+    return _with_units(fit, ("rad/s", "rad/s"))
+
+
+def no_load_speed_of_loaded(
+    speed: ArrayLike,
+    torque: ArrayLike,
+    *,
+    winding_resistance: float,
+    back_emf_constant: float,
+    torque_constant: float,
+    viscous_damping: float = 0.0,
+) -> FloatArray:
+    """Return Ω_0 = Ω + R (τ_aero + k_d Ω)/(k_m k_v) [rad/s] of steady points with a propeller on.
+
+    Parameters
+    ----------
+    speed, torque : (n,) arrays
+        Loaded steady speed [rad/s] and aerodynamic torque [N·m], both with the sign of the rotation.
+    winding_resistance, back_emf_constant, torque_constant, viscous_damping : float
+        R [Ω], k_v [V·s/rad], k_m [N·m/A], k_d [N·m·s/rad].
+    """
+    omega, tau = np.asarray(speed, dtype=np.float64), np.asarray(torque, dtype=np.float64)
+    drop = winding_resistance / (torque_constant * back_emf_constant)
+    return omega + drop * (tau + viscous_damping * omega)
+
+
+def _of_direction(direction: Direction, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    xs, ys = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    keep = np.isfinite(xs) & np.isfinite(ys) & ((xs > 0) if direction == "forward" else (xs < 0))
+    return xs[keep], ys[keep]
+
+
+def _robust_line(
+    quantity: str, direction: Direction, columns: FloatArray, y: FloatArray, abscissa: FloatArray
+) -> CurveFit:
+    different = np.unique(abscissa).size
+    if different < 3:
+        what = "command" if quantity == "no_load" else "speed"
+        raise FitError(
+            f"{quantity} curve, {direction}: steady points at {different} different {what}s; expected at "
+            "least 3: add a log with more steady steps in this direction"
+        )
+    # Columns scaled to 1: c2 and c1 differ by the speed itself, which least_squares would feel.
+    size = np.max(np.abs(columns), axis=0)
+    scaled = columns / size
+    height = float(np.max(np.abs(y))) or 1.0
+    # A start that outliers cannot move far: the absolute residual, then the scale it shows.
+    start = np.linalg.lstsq(scaled, y, rcond=None)[0]
+    floor = 1e-9 * height
+    for _ in range(10):
+        residual = y - scaled @ start
+        sigma = max(float(np.median(np.abs(residual))) / _MAD, floor)
+        found = _soft_line(scaled / sigma, y / sigma, start)
+        done = np.max(np.abs(found - start)) <= 1e-10 * np.max(np.abs(found))
+        start = found
+        if done:
+            break
+    residual = y - scaled @ start
+    sigma = max(float(np.median(np.abs(residual))) / _MAD, floor)
+    weight = 1.0 / np.sqrt(1.0 + (residual / sigma) ** 2)
+    inlier = np.abs(residual) <= OUTLIER * sigma
+    freedom = max(1.0, float(np.sum(weight)) - 2.0)
+    spread = float(np.sum(weight * residual**2)) / freedom
+    covariance = spread * np.linalg.inv(scaled.T @ (weight[:, None] * scaled))
+    total = float(np.sum((y[inlier] - y[inlier].mean()) ** 2))
+    coefficients = start / size
+    errors = np.sqrt(np.diag(covariance)) / size
+    return CurveFit(
+        quantity, direction,
+        (float(coefficients[0]), float(coefficients[1])), (float(errors[0]), float(errors[1])), ("", ""),
+        1.0 - float(np.sum(residual[inlier] ** 2)) / total if total > 0 else float("nan"),
+        int(y.size), int(np.sum(~inlier)),
+    )
+
+
+def _soft_line(columns: FloatArray, y: FloatArray, start: FloatArray) -> FloatArray:
+    def residual(coefficients: FloatArray) -> FloatArray:
+        return columns @ coefficients - y
+
+    def jacobian(coefficients: FloatArray) -> FloatArray:
+        return columns
+
+    return np.asarray(least_squares(residual, start, jac=jacobian, loss="soft_l1").x, dtype=np.float64)
+
+
+def _with_units(fit: CurveFit, units: tuple[str, str]) -> CurveFit:
+    return CurveFit(
+        fit.quantity, fit.direction, fit.coefficients, fit.standard_errors, units, fit.r_squared, fit.points,
+        fit.outliers,
+    )
