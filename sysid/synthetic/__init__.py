@@ -1,0 +1,11 @@
+"""Campaigns with known truth: simulated tests written in the log formats of real instruments.
+
+A synthesized folder holds what a lab would have (a campaign file and logs with noise, quantization, gaps, tare,
+clocks and axes of their own) and, apart from it, ``truth.json`` with everything a lab would not know.
+"""
+
+from sysid.synthetic.folder import TRUTH_FILE, read_truth
+from sysid.synthetic.gear import LF_DROPS, DropPlan, synthesize_gear
+
+
+__all__ = ["LF_DROPS", "TRUTH_FILE", "DropPlan", "read_truth", "synthesize_gear"]

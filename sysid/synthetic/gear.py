@@ -1,0 +1,368 @@
+"""Drops of a drone on slopes, simulated and written as a motion-capture system would have recorded them.
+
+Each drop: held level and at rest by a magnet, released, free fall, contact. The room has axes and an origin of its
+own; the board is hinged about a line through one surveyed point, which therefore lies on the surface at every slope.
+The rigid body's origin is not the centre of mass and its axes are not quite level while the drone is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sysid.errors import CampaignError
+from sysid.gear import model
+from sysid.synthetic import gear_campaign
+from sysid.synthetic.folder import CAMPAIGN_FILE, TRUTH_FILE, refuse_existing, truth_text, write_folder
+from sysid.synthetic.motion_capture import CaptureNoise, SeenBody, Take, motive_csv, observe, pose_table_csv
+from sysid.trials.capture import CaptureFrame
+
+FloatArray = NDArray[np.float64]
+Export = Literal["motive", "motive-mm", "motive-euler", "pose-table"]
+Plane = Literal["point", "markers"]
+
+BODY = "F450"
+BOARD_MARKERS = ("board-1", "board-2", "board-3")
+MARKER_HEIGHT = 7e-3
+# Of the board's hinge line in the room, along (down-slope, into the page, up) [m].
+_HINGE = (0.8125, -0.3640, 0.4305)
+# From the rigid body's origin to the centre of mass, in the body's own axes (capture axes when level) [m].
+_CENTRE_OF_MASS = (0.004, -0.022, 0.003)
+# How far the body's own axes are from level while it hangs level: pitch, roll, yaw [deg].
+_OWN_AXES_DEG = (0.6, -0.4, 0.3)
+_AFTER_CONTACT = 1.05
+# Unix time of frame 0 of the streamed table [s].
+_EPOCH = 1_700_000_000.0
+
+
+@dataclass(frozen=True)
+class DropPlan:
+    """One drop to synthesize.
+
+    Parameters
+    ----------
+    slope : float
+        Angle of the board [rad].
+    impact_speed : float
+        Vertical speed when the rear foot touches [m/s].
+    use : {"fit", "validate"}
+        What the campaign does with it.
+    export : {"motive", "motive-mm", "motive-euler", "pose-table"}
+        File format of its log.
+    """
+
+    slope: float
+    impact_speed: float
+    use: Literal["fit", "validate"] = "fit"
+    export: Export = "motive"
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.slope < math.radians(80):
+            raise CampaignError(
+                f"drop: slope of {math.degrees(self.slope):g} deg; expected 0 to 80 deg, give it in radians"
+            )
+        if not 0.0 < self.impact_speed <= 5.0:
+            raise CampaignError(f"drop: impact speed of {self.impact_speed:g} m/s; expected 0 to 5 m/s")
+
+    @property
+    def name(self) -> str:
+        """Slope and speed, as in ``15deg-0.60mps``."""
+        return f"{math.degrees(self.slope):.4g}deg-{self.impact_speed:.2f}mps"
+
+
+def _plan(slope_deg: float, speed: float, use: Literal["fit", "validate"] = "fit", export: Export = "motive") -> DropPlan:
+    return DropPlan(math.radians(slope_deg), speed, use, export)
+
+
+LF_DROPS = (
+    _plan(5, 0.5),
+    _plan(10, 0.8, export="motive-mm"),
+    _plan(15, 0.6),
+    _plan(20, 1.0, export="motive-euler"),
+    _plan(27, 0.7),
+    _plan(35, 0.45, export="pose-table"),
+    _plan(12, 0.7, "validate"),
+    _plan(24, 0.9, "validate", "motive-mm"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class _Truth:
+    """One simulated drop on the capture's frames, model axes with the origin at the hinge."""
+
+    plan: DropPlan
+    first_frame: int
+    time: FloatArray
+    release: float
+    touchdown: float
+    fall_height: float
+    start: FloatArray
+    coordinates: FloatArray
+    travel: float
+
+
+def synthesize_gear(
+    folder: str | Path,
+    *,
+    seed: int,
+    surface: str = "lf",
+    drops: Sequence[DropPlan] = LF_DROPS,
+    parameters: Mapping[str, float] | None = None,
+    noise_position: float = 0.3e-3,
+    noise_angle: float = math.radians(0.2),
+    rate: float = 200.0,
+    up: str = "+y",
+    down_slope: str = "-z",
+    plane: Plane = "point",
+    occlusions: bool = True,
+    wobble: float = math.radians(0.4),
+    name: str | None = None,
+    force: bool = False,
+) -> Path:
+    """Write a campaign of drops with known truth.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Receives ``campaign.toml``, one log per drop and ``truth.json``; refused when it exists, unless `force`.
+    seed : int
+        Same seed, same arguments: the same files, to the last byte on one platform.
+    surface : {"lf"}
+        Friction law.
+    drops : sequence of DropPlan
+        What to drop; at least one with ``use = "fit"``.
+    parameters : mapping, optional
+        True values that differ from the model's nominal ones (Table II) [SI].
+    noise_position, noise_angle : float
+        One standard deviation per axis and frame [m], [rad]; 0 leaves the quantization of the file only.
+    rate : float
+        Of the capture [Hz].
+    up, down_slope : str
+        Capture axes that point up and down the slope.
+    plane : {"point", "markers"}
+        What the campaign states about the surface; the logs hold three board markers either way.
+    occlusions : bool
+        Lose the body for 1 to 4 frames, three times per drop.
+    wobble : float
+        Amplitude of roll and yaw after the contact [rad].
+    name : str, optional
+        Of the campaign; ``synthetic-lf`` when left out.
+    force : bool
+        Replace files in an existing folder.
+
+    Returns
+    -------
+    Path
+        The campaign file.
+
+    Raises
+    ------
+    CampaignError
+        When the drops cannot be used or a simulation fails; nothing is written.
+    ExportError
+        When the folder exists or cannot be written.
+    """
+    refuse_existing(folder, force=force)
+    drops = tuple(drops)
+    if len({drop.name for drop in drops}) < len(drops) or not any(drop.use == "fit" for drop in drops):
+        raise CampaignError(
+            f"drops: {', '.join(drop.name for drop in drops) or 'none'}; give different drops, at least one to fit"
+        )
+    noise = CaptureNoise(noise_position, noise_angle)
+    frame = CaptureFrame(up, down_slope)
+    hinge = frame.matrix.T @ np.array(_HINGE)
+    true = {**model.PARAMETERS.nominal, **(parameters or {})}
+    files: dict[str, Any] = {}
+    facts, trials = [], []
+    for number, plan in enumerate(drops, start=1):
+        # Children of one seed: a drop stays the same when another one is added.
+        source = np.random.default_rng([seed, number])
+        truth = _simulate(plan, true, surface, rate, source)
+        log = f"drop-{number}-{plan.name}.csv"
+        take, marks = _record(number, plan, truth, frame, hinge, noise, rate, occlusions, wobble, source)
+        if plan.export == "pose-table":
+            files[log] = pose_table_csv(take, BODY, epoch=_EPOCH)
+        else:
+            files[log] = motive_csv(
+                take,
+                unit="Millimeters" if plan.export == "motive-mm" else "Meters",
+                rotation="XYZ" if plan.export == "motive-euler" else "Quaternion",
+            )
+        trials.append(gear_campaign.trial_text(number, plan.slope, plan.impact_speed, plan.use, log))
+        facts.append(_facts(number, plan, truth, log, marks))
+    files[CAMPAIGN_FILE] = gear_campaign.campaign_text(
+        name or f"synthetic-{surface}",
+        true,
+        trials,
+        surface=surface,
+        rigid_body=BODY,
+        up=up,
+        down_slope=down_slope,
+        centre_of_mass=_CENTRE_OF_MASS,
+        point=tuple(hinge) if plane == "point" else None,
+        markers=BOARD_MARKERS,
+        marker_height=MARKER_HEIGHT,
+        seed=seed,
+    )
+    files[TRUTH_FILE] = truth_text(
+        "gear",
+        model.PARAMETERS,
+        true,
+        {
+            "surface": surface,
+            "seed": seed,
+            "rate [Hz]": rate,
+            "noise": {"position [m]": noise.position, "angle [rad]": noise.angle},
+            "capture": {
+                "up": up,
+                "down_slope": down_slope,
+                "surface point [m]": [float(value) for value in hinge],
+                "centre of mass offset [m]": list(_CENTRE_OF_MASS),
+                "own axes, pitch roll yaw [deg]": list(_OWN_AXES_DEG),
+                "marker height [m]": MARKER_HEIGHT,
+            },
+            "free": list(model.LF_FREE if surface == "lf" else model.HF_FREE),
+            "drops": facts,
+        },
+    )
+    write_folder(folder, files, force=force)
+    return Path(folder) / CAMPAIGN_FILE
+
+
+def _simulate(
+    plan: DropPlan, true: Mapping[str, float], surface: str, rate: float, source: np.random.Generator
+) -> _Truth:
+    """Simulate one drop on capture frames that do not coincide with its release."""
+    gravity = true["gravity"]
+    first_frame = int(source.integers(300, 4000))
+    hold = float(source.uniform(0.55, 0.75))
+    release = first_frame / rate + hold
+    fall = plan.impact_speed / gravity
+    frames = math.ceil((hold + fall + _AFTER_CONTACT) * rate) + 1
+    time = (first_frame + np.arange(frames)) / rate
+    height = plan.impact_speed**2 / (2 * gravity)
+    # The rear foot lands somewhere near 0.3 m up-slope of the hinge.
+    foot_x = -float(source.uniform(0.26, 0.34)) * math.cos(plan.slope)
+    foot_z = -foot_x * math.tan(plan.slope) + height
+    start = np.array([foot_x + true["foot_dx"], foot_z + true["foot_dz"], 0.0, 0.0, 0.0, 0.0])
+    falling = time > release
+    run = model.simulate(
+        true,
+        plan.slope,
+        start,
+        np.concatenate([[release], time[falling]]),
+        surface=surface,
+        tolerance=model.TIGHT_TOLERANCE,
+    )
+    if run.status is not model.Status.OK:
+        raise CampaignError(
+            f"drop {plan.name}: the true parameters cannot be simulated ({run.status.text}); change them"
+        )
+    coordinates = np.tile(start[:3], (frames, 1))
+    coordinates[falling] = run.state[1:, :3]
+    window = time[falling] <= release + fall + 0.7
+    along = np.array([math.cos(plan.slope), -math.sin(plan.slope)])
+    travel = float(np.max((coordinates[falling][window][:, :2] - start[:2]) @ along))
+    return _Truth(plan, first_frame, time, release, release + fall, height, start, coordinates, travel)
+
+
+def _record(
+    number: int,
+    plan: DropPlan,
+    truth: _Truth,
+    frame: CaptureFrame,
+    hinge: FloatArray,
+    noise: CaptureNoise,
+    rate: float,
+    occlusions: bool,
+    wobble: float,
+    source: np.random.Generator,
+) -> tuple[Take, dict[str, list[list[int]] | list[int]]]:
+    """Turn the planar truth into what the cameras of the room saw."""
+    count = len(truth.time)
+    x, z, pitch = truth.coordinates.T
+    elapsed = np.maximum(0.0, truth.time - truth.touchdown)
+    # Off the plane: nothing before the contact, then a small wobble and a slow drift.
+    swing = np.sin(2 * math.pi * 1.7 * elapsed)
+    roll, yaw = wobble * swing, -0.7 * wobble * np.sin(2 * math.pi * 1.1 * elapsed)
+    aside = 0.031 + 0.004 * elapsed
+    planar = Rotation.from_euler("YXZ", np.column_stack([pitch, roll, yaw]))
+    into_page = Rotation.from_matrix(frame.matrix.T)
+    own = Rotation.from_euler("YXZ", _OWN_AXES_DEG, degrees=True)
+    # While the drone hangs level its own axes are those of the room, but for how the body was once defined.
+    rotation = into_page * planar * own * into_page.inv()
+    centre = hinge + np.column_stack([x, aside, z]) @ frame.matrix
+    origin = centre - rotation.apply(np.array(_CENTRE_OF_MASS))
+    hold = int(np.searchsorted(truth.time, truth.release))
+    touch = int(np.searchsorted(truth.time, truth.touchdown))
+    gaps = []
+    if occlusions:
+        starts = [
+            source.integers(10, hold - 45),
+            source.integers(touch + round(0.06 * rate), touch + round(0.30 * rate)),
+            source.integers(touch + round(0.40 * rate), touch + round(0.65 * rate)),
+        ]
+        gaps = [(int(start), int(source.integers(1, 5))) for start in starts]
+    flips = sorted(int(sample) for sample in source.integers(5, count - 5, size=2))
+    body = observe(origin, rotation, noise, source, gaps=gaps, flips=flips)
+    board = _board_markers(plan.slope, frame, hinge)
+    markers = {
+        name: place + noise.position * source.standard_normal((count, 3))
+        for name, place in zip(BOARD_MARKERS, board, strict=True)
+    }
+    wand = _still_body(hinge + frame.matrix.T @ np.array([0.9, 0.7, 0.1]), count, noise, source)
+    take = Take(
+        f"drop-{number}",
+        f"2024-03-0{1 + number % 7} 10.{10 + number % 50:02d}.07.412 AM",
+        truth.first_frame,
+        rate,
+        {"wand": wand, BODY: body},
+        markers,
+    )
+    return take, {"occlusions": [list(gap) for gap in gaps], "sign flips": flips}
+
+
+def _still_body(
+    place: FloatArray, count: int, noise: CaptureNoise, source: np.random.Generator
+) -> SeenBody:
+    """Return another rigid body that lies about in the room."""
+    turn = Rotation.from_rotvec(np.tile([0.0, math.radians(37.0), 0.0], (count, 1)))
+    return observe(np.tile(place, (count, 1)), turn, noise, source)
+
+
+def _board_markers(slope: float, frame: CaptureFrame, hinge: FloatArray) -> FloatArray:
+    """Return (3, 3): centres of the markers on the board, capture axes [m]."""
+    along = np.array([math.cos(slope), 0.0, -math.sin(slope)])
+    normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
+    spots = ((-0.62, -0.28), (-0.58, 0.30), (0.11, 0.27))
+    local = [s * along + np.array([0.0, y, 0.0]) + MARKER_HEIGHT * normal for s, y in spots]
+    return hinge + np.array(local) @ frame.matrix
+
+
+def _facts(
+    number: int, plan: DropPlan, truth: _Truth, log: str, marks: Mapping[str, Any]
+) -> dict[str, Any]:
+    shift = _EPOCH if plan.export == "pose-table" else 0.0
+    x, z, pitch = (float(value) for value in truth.start[:3])
+    return {
+        "name": f"drop-{number}",
+        "log": log,
+        "export": plan.export,
+        "use": plan.use,
+        "slope [rad]": plan.slope,
+        "impact speed [m/s]": plan.impact_speed,
+        "fall height [m]": truth.fall_height,
+        "release [s]": shift + truth.release,
+        "touchdown [s]": shift + truth.touchdown,
+        "state at release, from the surface point": {"x_B [m]": x, "z_B [m]": z, "q_B [rad]": pitch},
+        "way along the slope in 0.7 s [m]": round(truth.travel, 4),
+        "first frame": truth.first_frame,
+        **marks,
+    }
