@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -44,7 +44,7 @@ class GeneticSettings:
     population: int = 400
     runs: int = 5
     seed: int = 1
-    stop: StopRule = StopRule()
+    stop: StopRule = field(default_factory=StopRule)
 
     def __post_init__(self) -> None:
         if self.population < 4 or self.runs < 1 or self.seed < 0:

@@ -70,7 +70,8 @@ class StopRule:
             raise FitError(f"unknown stop rule {self.reading!r}; expected 'relative' or 'matlab'")
         if self.window < 1 or self.max_generations < 1:
             raise FitError(
-                f"stop rule: window {self.window} and generation limit {self.max_generations} must be at least 1"
+                f"stop rule: window {self.window} and generation limit {self.max_generations} "
+                "must be at least 1"
             )
         if not self.tolerance >= 0:
             raise FitError(f"stop rule: tolerance {self.tolerance:g} must be 0 or above")

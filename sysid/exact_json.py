@@ -1,0 +1,82 @@
+"""JSON that gives back what it was given: every float bit for bit, NaN and infinity included.
+
+JSON has no NaN and no infinity. They are written as the strings ``"NaN"``, ``"Infinity"`` and
+``"-Infinity"`` (the convention of Protocol Buffers' JSON); a text that happens to read so gets a leading
+apostrophe, which reading takes off again.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+_SPECIAL = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
+_LOOKS_SPECIAL = re.compile(r"'*(NaN|-?Infinity)\Z")
+
+
+def _encoded(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if value is None or isinstance(value, bool | int):
+        return value
+    if isinstance(value, float):
+        if math.isfinite(value):
+            return value
+        return "NaN" if math.isnan(value) else ("Infinity" if value > 0 else "-Infinity")
+    if isinstance(value, str):
+        return "'" + value if _LOOKS_SPECIAL.match(value) else value
+    if isinstance(value, Mapping):
+        if not all(isinstance(key, str) for key in value):
+            raise TypeError(f"keys {list(value)!r} are not all text")
+        return {key: _encoded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_encoded(item) for item in value]
+    raise TypeError(f"{type(value).__name__} has no place in a result file; convert it to numbers or text")
+
+
+def _decoded(value: Any) -> Any:
+    if isinstance(value, str):
+        if value in _SPECIAL:
+            return _SPECIAL[value]
+        return value[1:] if value.startswith("'") and _LOOKS_SPECIAL.match(value) else value
+    if isinstance(value, dict):
+        return {key: _decoded(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_decoded(item) for item in value]
+    return value
+
+
+def _refuse(constant: str) -> Any:
+    raise ValueError(f"{constant} is not JSON")
+
+
+def dumps(value: Any, *, indent: int | None = 2, ascii_only: bool = False) -> str:
+    """Return the JSON text of mappings, sequences, arrays, numbers, text, booleans and None.
+
+    Raises
+    ------
+    TypeError
+        For anything else, and for keys that are not text.
+    """
+    return json.dumps(_encoded(value), indent=indent, ensure_ascii=ascii_only, allow_nan=False)
+
+
+def loads(text: str) -> Any:
+    """Return what `dumps` was given, arrays and tuples as lists.
+
+    Raises
+    ------
+    ValueError
+        When the text is not JSON, or is cut off.
+    """
+    return _decoded(json.loads(text, parse_constant=_refuse))
+
+
+def plain(value: Any) -> Any:
+    """Return `value` as reading it back would: arrays and tuples as lists, numpy scalars as numbers."""
+    return _decoded(_encoded(value))

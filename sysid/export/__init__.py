@@ -1,0 +1,135 @@
+"""Parameter sets as files for simulators: JSON, CSV, HDF5 and MAT, each read back to equal values.
+
+Every format carries the same: ranked sets, each parameter with name, symbol, unit, bounds, scale, status,
+at-bound flag, meaning and source, every value that was held, settings, NRMSE per trial and channel,
+provenance, and a schema version. Reading decides by content, not by suffix, and refuses what is foreign,
+cut off or of another version with one sentence.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+from sysid import exact_json
+from sysid.errors import ExportError
+from sysid.export import binary, spreadsheet
+from sysid.export.mean_table import MeanRow, format_mean_table, mean_table
+from sysid.parameter_sets import ParameterSets
+from sysid.writing import write_file
+
+__all__ = ["MeanRow", "export", "format_mean_table", "load_parameter_sets", "mean_table"]
+
+
+class HasParameterSets(Protocol):
+    """A fit result, or anything else that has sets to give."""
+
+    def parameter_sets(self) -> ParameterSets:
+        """Return the ranked sets."""
+        ...
+
+
+def _to_json(sets: ParameterSets) -> bytes:
+    return (exact_json.dumps(sets.document()) + "\n").encode("utf-8")
+
+
+def _from_json(data: bytes) -> ParameterSets:
+    return ParameterSets.from_document(exact_json.loads(data.decode("utf-8-sig")))
+
+
+_WRITERS = {
+    ".json": _to_json,
+    ".csv": spreadsheet.to_csv,
+    ".h5": binary.to_hdf5,
+    ".mat": binary.to_mat,
+}
+
+
+def export(source: ParameterSets | HasParameterSets, path: str | Path) -> Path:
+    """Write ranked parameter sets in the format that the suffix of `path` names.
+
+    An existing file is replaced, and only once the new one is complete.
+
+    Parameters
+    ----------
+    source : ParameterSets or FitResult
+        What to write.
+    path : str or Path
+        Ends in ``.json``, ``.csv``, ``.h5`` or ``.mat``.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ExportError
+        For another suffix, and when the file cannot be written; an existing one is then unchanged.
+    """
+    path = Path(path)
+    writer = _WRITERS.get(path.suffix.lower())
+    if writer is None:
+        raise ExportError(
+            f"{path}: unknown export format {path.suffix!r}; expected one of {', '.join(_WRITERS)}"
+        )
+    if not path.parent.is_dir():
+        raise ExportError(f"{path}: the folder {path.parent} does not exist; make it first")
+    sets = source if isinstance(source, ParameterSets) else source.parameter_sets()
+    write_file(path, writer(sets), ExportError)
+    return path
+
+
+def load_parameter_sets(path: str | Path) -> ParameterSets:
+    """Read parameter sets from any file that `export` writes, or from a fit folder.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file, or a folder that holds ``fit.json``.
+
+    Returns
+    -------
+    ParameterSets
+        Equal to what was written, bit for bit.
+
+    Raises
+    ------
+    ExportError
+        When there is no file, it is foreign, damaged, cut off or of an unknown schema version.
+    """
+    path = Path(path)
+    file = path / "fit.json" if path.is_dir() else path
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise ExportError(
+            f"{file}: cannot be read ({error.strerror}); expected a parameter-set file"
+        ) from error
+    text = data[3:] if data.startswith(b"\xef\xbb\xbf") else data
+    if data.startswith(binary.HDF5_SIGNATURE):
+        reader = binary.from_hdf5
+    elif data.startswith(binary.MAT_SIGNATURE):
+        reader = binary.from_mat
+    elif text.lstrip()[:1] == b"{":
+        reader = _from_json
+    elif text.startswith(spreadsheet.SIGNATURE):
+        reader = spreadsheet.from_csv
+    else:
+        raise ExportError(
+            f"{file}: neither JSON, CSV, HDF5 nor MAT of sysid; expected a file that sysid export wrote"
+        )
+    try:
+        return reader(data)
+    except ExportError as error:
+        raise ExportError(f"{file}: {error}") from error
+    # Everything that a damaged file can make the three libraries and our own checks raise.
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, OSError, EOFError) as error:
+        raise ExportError(
+            f"{file}: damaged or cut off ({_first_line(error)}); export the fit again"
+        ) from error
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).splitlines()
+    return lines[0] if lines else type(error).__name__

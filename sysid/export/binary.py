@@ -1,0 +1,182 @@
+"""Parameter sets as HDF5 and MATLAB files.
+
+Arrays are native datasets and matrices; texts, records and settings travel as one exact JSON text beside
+them (``metadata_json``), which is what sysid reads. Copies of it in native form (names, units, bounds; in
+MATLAB also one structure per set) are for other readers.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import zlib
+from typing import Any
+
+import h5py
+import numpy as np
+import scipy.io
+from scipy.io.matlab import MatReadError
+
+from sysid import exact_json
+from sysid.parameter_sets import ParameterSets
+
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+MAT_SIGNATURE = b"MATLAB 5.0 MAT-file"
+_COLUMNS = ("name", "symbol", "unit", "status", "scale", "meaning", "source")
+_NUMBERS = ("nominal", "lower", "upper")
+
+
+def _records(sets: ParameterSets) -> dict[str, list[Any]]:
+    columns: dict[str, list[Any]] = {
+        key: [getattr(r, key) or "" for r in sets.parameters] for key in _COLUMNS
+    }
+    for key in _NUMBERS:
+        numbers = [getattr(r, key) for r in sets.parameters]
+        columns[key] = [np.nan if number is None else number for number in numbers]
+    return columns
+
+
+def to_hdf5(sets: ParameterSets) -> bytes:
+    """Return the file."""
+    stream = io.BytesIO()
+    text = h5py.string_dtype()
+    metadata = sets.metadata()
+    with h5py.File(stream, "w") as file:
+        file.attrs["schema"] = metadata["schema"]
+        file.attrs["version"] = metadata["version"]
+        file.attrs["kind"] = sets.kind
+        file["values"] = sets.values
+        file["values"].attrs["axes"] = "set (best first), parameter; units in parameters/unit"
+        file["nrmse"] = sets.nrmse
+        file["nrmse"].attrs["axes"] = "set"
+        file["nrmse_by_trial"] = sets.nrmse_by_trial
+        file["nrmse_by_trial"].attrs["axes"] = "set, trial, channel"
+        file["at_bound"] = sets.at_bound
+        file["at_bound"].attrs["axes"] = "set, parameter: -1 lower bound, +1 upper bound"
+        for key, column in _records(sets).items():
+            if key in _NUMBERS:
+                file[f"parameters/{key}"] = np.array(column, dtype=np.float64)
+            else:
+                file.create_dataset(f"parameters/{key}", data=[_no_nul(c) for c in column], dtype=text)
+        for key, names in (("trials", sets.trials), ("channels", sets.channels)):
+            file.create_dataset(key, data=[_no_nul(n) for n in names], dtype=text, shape=(len(names),))
+        file.create_dataset("metadata_json", data=exact_json.dumps(metadata, indent=None), dtype=text)
+    return stream.getvalue()
+
+
+def _no_nul(text: str) -> str:
+    # HDF5 ends its texts at the first NUL; the exact text is in metadata_json.
+    return text.replace("\0", "")
+
+
+def from_hdf5(data: bytes) -> ParameterSets:
+    """Return the sets of a file that `to_hdf5` wrote; any other exception than ExportError means damage."""
+    with h5py.File(io.BytesIO(data), "r") as file:
+        if "metadata_json" not in file:
+            metadata: Any = {}
+        else:
+            metadata = exact_json.loads(file["metadata_json"].asstr()[()])
+        arrays = {
+            key: file[key][()] for key in ("values", "nrmse", "at_bound", "nrmse_by_trial") if key in file
+        }
+    return _assembled(metadata, arrays)
+
+
+def _assembled(metadata: Any, arrays: dict[str, Any]) -> ParameterSets:
+    missing = {"values", "nrmse", "at_bound", "nrmse_by_trial"} - set(arrays)
+    if missing and isinstance(metadata, dict) and "schema" in metadata:
+        raise ValueError(f"{', '.join(sorted(missing))} missing")
+    empty = np.empty(0)
+    return ParameterSets.from_metadata(
+        metadata,
+        values=arrays.get("values", empty),
+        nrmse=arrays.get("nrmse", empty),
+        at_bound=arrays.get("at_bound", empty),
+        nrmse_by_trial=arrays.get("nrmse_by_trial", empty),
+    )
+
+
+def _field_names(names: tuple[str, ...]) -> dict[str, str]:
+    """Return a valid and distinct MATLAB field name (letters, digits, _; 63 at most) for every name."""
+    out: dict[str, str] = {}
+    taken: set[str] = set()
+    for name in names:
+        base = re.sub(r"[^A-Za-z0-9_]", "_", name)
+        base = (base if re.match(r"[A-Za-z]", base) else f"x_{base}")[:63]
+        field, count = base, 1
+        while field in taken:
+            count += 1
+            field = f"{base[:59]}_{count}"
+        taken.add(field)
+        out[name] = field
+    return out
+
+
+def to_mat(sets: ParameterSets) -> bytes:
+    """Return the file: one structure ``sysid`` whose ``sets(1)`` is the best set, by parameter name."""
+    fields = _field_names(sets.names)
+    n_sets = len(sets)
+    by_set = np.empty((1, n_sets), dtype=[(field, object) for field in fields.values()] or [("none", object)])
+    for s in range(n_sets):
+        for i, name in enumerate(sets.names):
+            by_set[0, s][fields[name]] = sets.values[s, i]
+    records = {
+        key: np.array(column, dtype=np.float64) if key in _NUMBERS else np.array(column, dtype=object)
+        for key, column in _records(sets).items()
+    }
+    metadata = sets.metadata()
+    content: dict[str, Any] = {
+        "schema": metadata["schema"],
+        "version": float(metadata["version"]),
+        "kind": sets.kind,
+        "name": sets.name,
+        "sets": by_set,
+        "parameters": {**records, "field": np.array(list(fields.values()), dtype=object)},
+        "trials": np.array(sets.trials, dtype=object),
+        "channels": np.array(sets.channels, dtype=object),
+        "values": sets.values,
+        "nrmse": sets.nrmse,
+        "at_bound": sets.at_bound.astype(np.float64),
+        "nrmse_by_trial": sets.nrmse_by_trial,
+        # Plain ASCII: MATLAB stores text in a code of its own.
+        "metadata_json": exact_json.dumps(metadata, indent=None, ascii_only=True),
+    }
+    stream: Any = io.BytesIO()
+    scipy.io.savemat(
+        stream,
+        {"sysid": content},
+        long_field_names=True,
+        do_compression=True,
+        oned_as="row",
+    )
+    return stream.getvalue()
+
+
+def from_mat(data: bytes) -> ParameterSets:
+    """Return the sets of a file that `to_mat` wrote; any other exception than ExportError means damage."""
+    try:
+        stream: Any = io.BytesIO(data)
+        variables = scipy.io.loadmat(stream, squeeze_me=False)
+    except (MatReadError, zlib.error) as error:
+        raise ValueError(str(error)) from error
+    if "sysid" not in variables:
+        return _assembled({}, {})
+    content = variables["sysid"][0, 0]
+    names = content.dtype.names or ()
+    if "metadata_json" not in names:
+        return _assembled({}, {})
+    metadata = exact_json.loads(str(content["metadata_json"].item()))
+    n_sets, n = len(metadata["runs"]), len(metadata["parameters"])
+    shapes = {
+        "values": (n_sets, n),
+        "nrmse": (n_sets,),
+        "at_bound": (n_sets, n),
+        # MATLAB drops a last axis of one.
+        "nrmse_by_trial": (n_sets, len(metadata["trials"]), len(metadata["channels"])),
+    }
+    arrays = {
+        key: np.asarray(content[key], np.float64).reshape(shape)
+        for key, shape in shapes.items()
+        if key in names
+    }
+    return _assembled(metadata, arrays)

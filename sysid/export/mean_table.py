@@ -1,0 +1,101 @@
+"""Mean ± σ over the sets, in the layout of the paper's Table II."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sysid.parameter_sets import ParameterRecord, ParameterSets
+
+
+@dataclass(frozen=True)
+class MeanRow:
+    """One row of Table II.
+
+    Parameters
+    ----------
+    name, symbol, unit : str
+        Of the parameter; SI.
+    measured : tuple of float
+        Empty, one measured value, or the two ends of an independently measured range [unit].
+    fitted : tuple
+        Per fit: (mean, σ) [unit], or None where that fit held the parameter.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    measured: tuple[float, ...]
+    fitted: tuple[tuple[float, float] | None, ...]
+
+
+def mean_table(*fits: ParameterSets) -> tuple[MeanRow, ...]:
+    """Return the rows of Table II for one or more fits side by side.
+
+    Rows are the parameters that at least one fit found or measured; σ is divided by S - 1.
+
+    Parameters
+    ----------
+    *fits : ParameterSets
+        One column each, of one kind.
+    """
+    order: dict[str, ParameterRecord] = {}
+    for sets in fits:
+        for record in sets.parameters:
+            if record.status in ("free", "measured"):
+                order.setdefault(record.name, record)
+    return tuple(_row(name, record, fits) for name, record in order.items())
+
+
+def _row(name: str, record: ParameterRecord, fits: Sequence[ParameterSets]) -> MeanRow:
+    measured: tuple[float, ...] = ()
+    fitted: list[tuple[float, float] | None] = []
+    for sets in fits:
+        cell = None
+        if name in sets.names and len(sets):
+            i = sets.names.index(name)
+            own = sets.parameters[i]
+            if own.status == "free":
+                cell = (float(sets.mean[i]), float(sets.sigma[i]))
+                measured = measured or (own.measured_range or ())
+            elif own.status == "measured":
+                measured = (float(sets.mean[i]),)
+        fitted.append(cell)
+    return MeanRow(name, record.symbol, record.unit, measured, tuple(fitted))
+
+
+def format_mean_table(rows: Sequence[MeanRow], titles: Sequence[str]) -> str:
+    """Return the table as aligned text; σ with two digits, the mean to the same place.
+
+    Parameters
+    ----------
+    rows : sequence of MeanRow
+        As `mean_table` returns them.
+    titles : sequence of str
+        Heading of each fitted column.
+    """
+    lines = [["parameter", "", "measured", *titles]]
+    for row in rows:
+        head = row.symbol if row.unit in ("", "1") else f"{row.symbol} [{row.unit}]"
+        measured = "–".join(f"{value:.4g}" for value in row.measured) or "—"
+        lines.append([head, row.name, measured, *(_mean_sigma(cell) for cell in row.fitted)])
+    widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+        for line in lines
+    )
+
+
+def _mean_sigma(cell: tuple[float, float] | None) -> str:
+    if cell is None:
+        return "—"
+    mean, sigma = cell
+    if not math.isfinite(sigma) or sigma == 0 or not math.isfinite(mean):
+        return f"{mean:.4g}"
+    exponent = math.floor(math.log10(max(abs(mean), sigma)))
+    scale = 10.0**exponent if exponent < -3 or exponent > 4 else 1.0
+    digits = max(0, 1 - math.floor(math.log10(sigma / scale)))
+    digits = min(digits, 6)
+    text = f"{mean / scale:.{digits}f} ± {sigma / scale:.{digits}f}"
+    return text if scale == 1.0 else f"({text})e{exponent}"

@@ -1,0 +1,131 @@
+"""Parameter sets as one CSV table that a spreadsheet opens and sysid reads back.
+
+One header, one row per thing: ``about`` rows carry what is not a table as JSON in the column `meaning`,
+``parameter`` rows the sets in columns ``set_1 …`` (best first), ``nrmse`` rows the mean and the NRMSE of
+each trial (`name`) and channel (`symbol`). The last row counts the rows before it, so a cut file shows.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from typing import Any
+
+import numpy as np
+
+from sysid import exact_json
+from sysid.parameter_sets import ParameterSets
+
+SIGNATURE = b"row,name,symbol,unit,status,"
+_FIXED = ("row", "name", "symbol", "unit", "status", "lower", "upper", "scale", "nominal", "mean", "sigma")
+_RECORD = ("name", "symbol", "unit", "status", "lower", "upper", "scale", "nominal")
+
+
+def to_csv(sets: ParameterSets) -> bytes:
+    """Return the file; UTF-8 with the mark that lets spreadsheets show Ω and µ."""
+    n_sets = len(sets)
+    columns = [
+        *_FIXED,
+        *(f"set_{s + 1}" for s in range(n_sets)),
+        *(f"at_bound_{s + 1}" for s in range(n_sets)),
+        "measured_low",
+        "measured_high",
+        "stated_sigma",
+        "meaning",
+        "source",
+    ]
+    metadata = sets.metadata()
+    records = metadata.pop("parameters")
+    rows: list[dict[str, Any]] = []
+    for key, value in metadata.items():
+        rows.append({"row": "about", "name": key, "meaning": exact_json.dumps(value, indent=None)})
+    mean, sigma = (sets.mean, sets.sigma) if n_sets else (None, None)
+    for i, record in enumerate(records):
+        row = {"row": "parameter", **{key: record[key] for key in _RECORD}}
+        row |= {
+            "meaning": record["meaning"],
+            "source": record["source"],
+            "stated_sigma": record["stated_sigma"],
+        }
+        if record["measured_range"] is not None:
+            row["measured_low"], row["measured_high"] = record["measured_range"]
+        if mean is not None and sigma is not None:
+            row |= {"mean": float(mean[i]), "sigma": float(sigma[i])}
+        for s in range(n_sets):
+            row[f"set_{s + 1}"] = float(sets.values[s, i])
+            row[f"at_bound_{s + 1}"] = int(sets.at_bound[s, i])
+        rows.append(row)
+    rows.append({"row": "nrmse_mean", "unit": "1"} | _by_set(sets.nrmse))
+    for t, trial in enumerate(sets.trials):
+        for c, channel in enumerate(sets.channels):
+            row = {"row": "nrmse", "name": trial, "symbol": channel, "unit": "1", "status": sets.uses[t]}
+            rows.append(row | _by_set(sets.nrmse_by_trial[:, t, c]))
+    rows.append({"row": "end", "name": str(len(rows))})
+    stream = io.StringIO(newline="")
+    writer = csv.DictWriter(stream, columns, restval="", lineterminator="\r\n")
+    writer.writeheader()
+    for row in rows:
+        writer.writerow({key: _cell(value) for key, value in row.items()})
+    return stream.getvalue().encode("utf-8-sig")
+
+
+def _by_set(values: Any) -> dict[str, Any]:
+    return {f"set_{s + 1}": float(value) for s, value in enumerate(values)}
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    # repr gives the shortest text that reads back to the same float.
+    return value if isinstance(value, str) else repr(value)
+
+
+def _number(cell: str) -> float | None:
+    return None if cell == "" else float(cell)
+
+
+def from_csv(data: bytes) -> ParameterSets:
+    """Return the sets of a file that `to_csv` wrote; any other exception than ExportError means damage."""
+    rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True))
+    if not rows or rows[-1]["row"] != "end" or rows[-1]["name"] != str(len(rows) - 1):
+        raise ValueError("the last row, which counts the others, is missing or disagrees")
+    metadata: dict[str, Any] = {
+        row["name"]: exact_json.loads(row["meaning"]) for row in rows if row["row"] == "about"
+    }
+    parameters = [row for row in rows if row["row"] == "parameter"]
+    metadata["parameters"] = [_record(row) for row in parameters]
+    n_sets = len(metadata["runs"])
+    names = [f"set_{s + 1}" for s in range(n_sets)]
+    flags = [f"at_bound_{s + 1}" for s in range(n_sets)]
+    scores = {
+        (row["name"], row["symbol"]): [float(row[n]) for n in names] for row in rows if row["row"] == "nrmse"
+    }
+    trials = [trial["name"] for trial in metadata["trials"]]
+    channels = [channel["name"] for channel in metadata["channels"]]
+    by_trial = np.empty((n_sets, len(trials), len(channels)))
+    for t, trial in enumerate(trials):
+        for c, channel in enumerate(channels):
+            by_trial[:, t, c] = scores[trial, channel]
+    (mean,) = (row for row in rows if row["row"] == "nrmse_mean")
+    return ParameterSets.from_metadata(
+        metadata,
+        values=np.array([[float(row[n]) for row in parameters] for n in names]).reshape(
+            n_sets, len(parameters)
+        ),
+        nrmse=np.array([float(mean[n]) for n in names]),
+        at_bound=np.array([[int(row[n]) for row in parameters] for n in flags], dtype=np.int8).reshape(
+            n_sets, len(parameters)
+        ),
+        nrmse_by_trial=by_trial,
+    )
+
+
+def _record(row: dict[str, str]) -> dict[str, Any]:
+    record: dict[str, Any] = {
+        key: row[key] for key in ("name", "symbol", "unit", "status", "meaning", "source")
+    }
+    record |= {key: _number(row[key]) for key in ("lower", "upper", "nominal", "stated_sigma")}
+    record["scale"] = row["scale"] or None
+    low, high = _number(row["measured_low"]), _number(row["measured_high"])
+    record["measured_range"] = None if low is None or high is None else (low, high)
+    return record

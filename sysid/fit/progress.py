@@ -1,0 +1,131 @@
+"""What a fit says while it runs: run, generation, best and median NRMSE, simulations per second, time left.
+
+In a terminal one live line; elsewhere (a file, a batch queue) one plain line per run and one every few
+seconds; quiet says nothing.
+"""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from sysid.fit.genetic import Generation, GeneticSettings, RunHistory
+from sysid.fit.stopping import REASONS
+
+# Between two plain lines [s].
+PLAIN_INTERVAL = 10.0
+
+
+class FitProgress:
+    """Reports a fit; give its methods to `run_many` as `on_generation` and `on_run`.
+
+    Parameters
+    ----------
+    settings : GeneticSettings
+        Of the fit that is reported.
+    simulated : str
+        What a simulation is called: ``drops``, ``trials``.
+    quiet : bool
+        Say nothing.
+    console : rich.console.Console, optional
+        Where to write. Default: standard error, so that results can be piped.
+    """
+
+    def __init__(
+        self,
+        settings: GeneticSettings,
+        simulated: str = "simulations",
+        quiet: bool = False,
+        console: Console | None = None,
+    ) -> None:
+        self._settings = settings
+        self._simulated = simulated
+        self._quiet = quiet
+        self._console = console if console is not None else Console(stderr=True)
+        self._live: Live | None = None
+        self._started = self._last_line = time.perf_counter()
+        self._finished: list[float] = []
+
+    def __enter__(self) -> Self:
+        self._started = self._last_line = time.perf_counter()
+        if not self._quiet and self._console.is_terminal:
+            self._live = Live(console=self._console, refresh_per_second=4, transient=True)
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
+
+    def on_generation(self, run: int, generation: Generation) -> None:
+        """Report a generation of a run (from 0)."""
+        if self._quiet:
+            return
+        line = self.line(run, generation)
+        if self._live is not None:
+            self._live.update(Text(line, no_wrap=True, overflow="ellipsis"))
+        elif time.perf_counter() - self._last_line >= PLAIN_INTERVAL:
+            self._last_line = time.perf_counter()
+            self._say(line)
+
+    def on_run(self, run: int, history: RunHistory) -> None:
+        """Report the end of a run (from 0)."""
+        self._finished.append(history.wall_time)
+        if self._quiet:
+            return
+        failed = int(history.failed.sum())
+        self._say(
+            f"run {run + 1}/{self._settings.runs} ended by {REASONS[history.stop_reason]}: "
+            f"NRMSE {100 * history.best[-1]:.3f} % after {len(history.cost)} generations, "
+            f"{history.wall_time:.1f} s, {history.evaluations} candidates, {failed} failed"
+        )
+
+    def on_stop(self) -> None:
+        """Say that Ctrl-C was heard."""
+        if not self._quiet:
+            self._say(
+                "stopping at the end of this generation and keeping what was found; Ctrl-C again aborts"
+            )
+
+    def _say(self, line: str) -> None:
+        self._console.print(Text(line), soft_wrap=True)
+
+    def line(self, run: int, generation: Generation) -> str:
+        """Return the progress line after a generation of a run (from 0)."""
+        speed = generation.simulations / generation.elapsed if generation.elapsed > 0 else 0.0
+        return (
+            f"run {run + 1}/{self._settings.runs}  generation {generation.number}  "
+            f"best NRMSE {100 * generation.best:.3f} %  median {100 * generation.median:.2f} %  "
+            f"{speed:.0f} {self._simulated}/s  time left {self.time_left(run, generation)}"
+        )
+
+    def time_left(self, run: int, generation: Generation) -> str:
+        """Return an estimate of the time that is left, or ``-``.
+
+        A search that ends by convergence cannot tell when; once a run has finished the others are taken to
+        last as long as the finished ones on average. A limit gives an upper bound (``at most``).
+        """
+        limit = self._settings.stop.time_limit
+        bound = None if limit is None else max(0.0, limit - (time.perf_counter() - self._started))
+        if not self._finished:
+            return "-" if bound is None else f"at most {_clock(bound)}"
+        mean = sum(self._finished) / len(self._finished)
+        left = max(0.0, mean - generation.elapsed) + mean * (self._settings.runs - run - 1)
+        if bound is not None and bound < left:
+            return f"at most {_clock(bound)}"
+        return f"about {_clock(left)}"
+
+
+def _clock(seconds: float) -> str:
+    whole = round(seconds)
+    minutes, rest = divmod(whole, 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"

@@ -1,0 +1,237 @@
+"""What a fit leaves behind: ranked sets, the history of every run, and trajectories to look at."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid import exact_json
+from sysid.errors import FitError
+from sysid.fit.genetic import RunHistory
+from sysid.parameter_sets import ParameterRecord, ParameterSets
+from sysid.parameters import SearchSpace
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class TrialResult:
+    """One trial, measured and simulated with every set, inside its fit window.
+
+    Parameters
+    ----------
+    name : str
+        Trial name.
+    use : {"fit", "validate"}
+        Whether the search saw it.
+    time : (n,) array
+        On the recording's clock [s].
+    measured : (n, C) array
+        As compared (filtered, differentiated) [channel units].
+    valid : (n, C) bool array
+        Samples that count.
+    simulated : (S, n, C) array
+        The same with every set, best first [channel units].
+    nrmse : (S, C) array
+        [1].
+    """
+
+    name: str
+    use: Literal["fit", "validate"]
+    time: FloatArray
+    measured: FloatArray
+    valid: NDArray[np.bool_]
+    simulated: FloatArray
+    nrmse: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class RankedSets:
+    """The best individual of the last generation of each run, best first.
+
+    Parameters
+    ----------
+    run : tuple of int
+        Run (from 1) of each set.
+    seed : tuple of int
+        Its seed.
+    cube : (S, n_free) array
+        Unit-cube point [1].
+    cost : (S,) array
+        NRMSE that the search saw [1].
+    values : (S, n_table) array
+        Rows of the model's table [SI].
+    at_bound : (S, n_table) int8 array
+        -1 within 1 % of the lower bound, +1 of the upper, else 0.
+    """
+
+    run: tuple[int, ...]
+    seed: tuple[int, ...]
+    cube: FloatArray
+    cost: FloatArray
+    values: FloatArray
+    at_bound: NDArray[np.int8]
+
+
+def ranked_sets(runs: Sequence[RunHistory], space: SearchSpace) -> RankedSets:
+    """Return one set per run, ranked by cost; equal costs keep the order of the runs.
+
+    Five of one population would be clones: the paper's five sets are the best of each run's last
+    generation.
+    """
+    if not runs:
+        raise FitError("no run has finished a generation, so there is no set; run the fit again")
+    cost = np.array([float(run.cost[-1].min()) for run in runs])
+    order = np.argsort(cost, kind="stable")
+    cube = np.stack([runs[i].best_point for i in order])
+    at_bound = np.zeros((len(runs), len(space.table)), dtype=np.int8)
+    index = {name: i for i, name in enumerate(space.table)}
+    at_bound[:, [index[name] for name in space.names]] = space.at_bound(cube)
+    return RankedSets(
+        run=tuple(int(i) + 1 for i in order),
+        seed=tuple(runs[i].seed for i in order),
+        cube=cube,
+        cost=cost[order],
+        values=space.full(cube),
+        at_bound=at_bound,
+    )
+
+
+def bound_warnings(parameters: Sequence[ParameterRecord], at_bound: NDArray[np.int8]) -> tuple[str, ...]:
+    """Return one sentence per parameter of which sets end at a bound.
+
+    Parameters
+    ----------
+    parameters : sequence of ParameterRecord
+        The columns of `at_bound`.
+    at_bound : (S, n) int8 array
+        -1 lower, +1 upper, else 0.
+    """
+    out = []
+    for record, flags in zip(parameters, np.asarray(at_bound).T, strict=True):
+        for side, bound, word in ((-1, record.lower, "lower"), (1, record.upper, "upper")):
+            count = int(np.count_nonzero(flags == side))
+            if count and bound is not None:
+                verb = "ends" if count == 1 else "end"
+                out.append(
+                    f"{count} of {len(flags)} sets {verb} at the {word} bound of {record.name} "
+                    f"({bound:g} {record.unit}): the data do not constrain it there, or the bound cuts it off"
+                )
+    return tuple(out)
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult:
+    """A finished or stopped fit.
+
+    Parameters
+    ----------
+    kind : {"motor", "gear"}
+        The model.
+    name : str
+        Of the campaign.
+    state : {"done", "stopped"}
+        ``stopped``: interrupted by the user; what was found is here.
+    parameters : tuple of ParameterRecord
+        Columns of `values`: every row of the model's table, then the derived numbers.
+    runs : tuple of RunHistory
+        In the order they ran.
+    set_runs, set_seeds : tuple of int
+        Run (from 1) and seed of each set.
+    cube : (S, n_free) array
+        Sets in the unit cube, best first [1].
+    values : (S, n) array
+        Sets [SI].
+    at_bound : (S, n) int8 array
+        -1 within 1 % of the lower bound, +1 of the upper, else 0.
+    nrmse : (S,) array
+        Mean over channels and fit trials [1].
+    trials : tuple of TrialResult
+        Fitted and validated ones.
+    channels, channel_units : tuple of str
+        Compared channels and their SI units.
+    channel_weights : tuple of float
+        Weight of each in a trial's mean [1].
+    settings : mapping
+        What a simulator must also know; see `ParameterSets`. JSON-able.
+    provenance : mapping
+        Log hashes, seeds, versions, filter design, NRMSE denominator, search settings. JSON-able.
+    warnings : tuple of str
+        One sentence each.
+    """
+
+    kind: Literal["motor", "gear"]
+    name: str
+    state: Literal["done", "stopped"]
+    parameters: tuple[ParameterRecord, ...]
+    runs: tuple[RunHistory, ...]
+    set_runs: tuple[int, ...]
+    set_seeds: tuple[int, ...]
+    cube: FloatArray
+    values: FloatArray
+    at_bound: NDArray[np.int8]
+    nrmse: FloatArray
+    trials: tuple[TrialResult, ...]
+    channels: tuple[str, ...]
+    channel_units: tuple[str, ...]
+    channel_weights: tuple[float, ...]
+    settings: Mapping[str, Any]
+    provenance: Mapping[str, Any]
+    warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("settings", "provenance"):
+            object.__setattr__(self, name, exact_json.plain(getattr(self, name)))
+        # Building the sets checks every shape but those of the trajectories.
+        self.parameter_sets()
+        for trial in self.trials:
+            shape = (len(self.nrmse), len(trial.time), len(self.channels))
+            if trial.simulated.shape != shape or trial.measured.shape != shape[1:]:
+                raise ValueError(
+                    f"trial {trial.name}: simulated {trial.simulated.shape}, measured "
+                    f"{trial.measured.shape}, expected {shape} and {shape[1:]}"
+                )
+
+    @property
+    def nrmse_by_trial(self) -> FloatArray:
+        """(S, T, C) NRMSE per set, trial and channel [1]."""
+        shape = (len(self.nrmse), len(self.trials), len(self.channels))
+        if not self.trials:
+            return np.empty(shape)
+        return np.stack([trial.nrmse for trial in self.trials], axis=1)
+
+    def mean_nrmse(self, use: Literal["fit", "validate"]) -> FloatArray:
+        """(S,) weighted mean over channels, then over the trials of one use [1]; NaN without such trials."""
+        chosen = [t for t, trial in enumerate(self.trials) if trial.use == use]
+        if not chosen:
+            return np.full(len(self.nrmse), np.nan)
+        weights = np.asarray(self.channel_weights)
+        used = weights > 0
+        by_trial = self.nrmse_by_trial[:, chosen][:, :, used] @ (weights[used] / weights[used].sum())
+        return by_trial.mean(axis=1)
+
+    def parameter_sets(self) -> ParameterSets:
+        """Return the ranked sets in the form in which they are exported."""
+        return ParameterSets(
+            kind=self.kind,
+            name=self.name,
+            parameters=self.parameters,
+            values=self.values,
+            nrmse=self.nrmse,
+            runs=self.set_runs,
+            seeds=self.set_seeds,
+            at_bound=self.at_bound,
+            trials=tuple(trial.name for trial in self.trials),
+            uses=tuple(trial.use for trial in self.trials),
+            channels=self.channels,
+            channel_units=self.channel_units,
+            channel_weights=self.channel_weights,
+            nrmse_by_trial=self.nrmse_by_trial,
+            settings=self.settings,
+            provenance=self.provenance,
+            warnings=self.warnings,
+        )

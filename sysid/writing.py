@@ -1,0 +1,137 @@
+"""Files and folders that are there whole or not at all.
+
+New content goes to a temporary name beside its destination and takes the destination's name only when it
+is complete on disk. A full disk, an error or Ctrl-C leaves what was there before and no leftovers; a killed
+process may leave a file or folder whose name starts with a dot and ends in ``.part``.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from sysid.errors import SysidError
+
+
+def _sentence(path: Path, error: BaseException) -> str:
+    why = getattr(error, "strerror", None) or str(error).splitlines()[0]
+    return (
+        f"{path}: cannot be written ({why}); what was there before is unchanged: "
+        "free some space or choose another place"
+    )
+
+
+def write_file(path: str | Path, data: bytes, error_type: type[SysidError] = SysidError) -> None:
+    """Write `data` to `path`, replacing an existing file only once the new one is complete.
+
+    Raises
+    ------
+    SysidError
+        (`error_type`) when the file cannot be written; an existing one is then unchanged.
+    """
+    path = Path(path)
+    temporary: Path | None = None
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+        temporary = Path(name)
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        _open_to_others(temporary)
+        os.replace(temporary, path)
+        temporary = None
+    except OSError as error:
+        raise error_type(_sentence(path, error)) from error
+    finally:
+        if temporary is not None:
+            with suppress(OSError):
+                temporary.unlink()
+
+
+def _open_to_others(path: Path) -> None:
+    # mkstemp and mkdtemp make private files; a result has the rights of any file the user makes.
+    mask = os.umask(0)
+    os.umask(mask)
+    path.chmod((0o777 if path.is_dir() else 0o666) & ~mask)
+
+
+@contextmanager
+def replaced_folder(
+    path: str | Path, *, force: bool, marker: str, error_type: type[SysidError] = SysidError
+) -> Iterator[Path]:
+    """Give a temporary folder that becomes `path` when the block ends well.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder to be. Its parents are made.
+    force : bool
+        Whether an existing folder may be replaced (as a whole, with all that is in it).
+    marker : str
+        A file that a folder of this kind holds; without it a folder is never replaced.
+    error_type : type
+        Of the refusals.
+
+    Raises
+    ------
+    SysidError
+        (`error_type`) when the folder exists and may not be replaced, or cannot be written; what was
+        there before is then unchanged.
+    """
+    path = Path(path)
+    check_folder(path, force=force, marker=marker, error_type=error_type)
+    temporary: Path | None = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent))
+        yield temporary
+        _open_to_others(temporary)
+        _swap(temporary, path)
+    # h5py reports a failing disk as RuntimeError when it closes a file.
+    except (OSError, RuntimeError) as error:
+        raise error_type(_sentence(path, error)) from error
+    finally:
+        if temporary is not None and temporary.exists():
+            shutil.rmtree(temporary, ignore_errors=True)
+
+
+def check_folder(
+    path: str | Path, *, force: bool, marker: str, error_type: type[SysidError] = SysidError
+) -> None:
+    """Refuse a result folder that exists, unless `force` and it is one that holds `marker`.
+
+    Raises
+    ------
+    SysidError
+        (`error_type`) with the reason.
+    """
+    path = Path(path)
+    if not path.exists() or (path.is_dir() and not any(path.iterdir())):
+        return
+    if not force:
+        raise error_type(f"{path} exists already; choose a new name or replace it with --force")
+    if not (path / marker).is_file():
+        raise error_type(
+            f"{path} holds no {marker}, so it is not a result folder and is not replaced; choose a new name"
+        )
+
+
+def _swap(new: Path, path: Path) -> None:
+    if not path.exists():
+        os.replace(new, path)
+        return
+    aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.old.", suffix=".part", dir=path.parent))
+    try:
+        os.replace(path, aside / path.name)
+        try:
+            os.replace(new, path)
+        except OSError:
+            os.replace(aside / path.name, path)
+            raise
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
