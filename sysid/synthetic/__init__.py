@@ -6,6 +6,6 @@ clocks and axes of their own) and, apart from it, ``truth.json`` with everything
 
 from sysid.synthetic.folder import TRUTH_FILE, read_truth
 from sysid.synthetic.gear import LF_DROPS, DropPlan, synthesize_gear
+from sysid.synthetic.motor import synthesize_motor
 
-
-__all__ = ["LF_DROPS", "TRUTH_FILE", "DropPlan", "read_truth", "synthesize_gear"]
+__all__ = ["LF_DROPS", "TRUTH_FILE", "DropPlan", "read_truth", "synthesize_gear", "synthesize_motor"]

@@ -1,0 +1,163 @@
+"""Files of a motor bench: load-cell logs at 10 kHz and the averaged points of a thrust stand."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+_GRAM_FORCE = 9.80665e-3
+_RPM = 2 * np.pi / 60
+# Series 1580/1585 header as the program writes it; the last name is empty because of the trailing comma.
+_STAND_COLUMNS = (
+    "Time (s),ESC signal (µs),Servo 1 (µs),Servo 2 (µs),Servo 3 (µs),AccX (g),AccY (g),AccZ (g),Torque (N·m),"
+    "Thrust ({thrust}),Voltage (V),Current (A),Motor Electrical Speed (RPM),Motor Optical Speed (RPM),"
+    "Electrical Power (W),Mechanical Power (W),Motor Efficiency (%),Propeller Mech. Efficiency ({thrust}/W),"
+    "Overall Efficiency ({thrust}/W),Vibration (g),App message,"
+)
+
+
+@dataclass(frozen=True)
+class BenchNoise:
+    """White noise of the load cell and tachometer, one standard deviation per 10 kHz sample."""
+
+    force: float = 0.05
+    torque: float = 1.5e-3
+    speed: float = 1.0
+
+
+@dataclass(frozen=True)
+class BenchResolution:
+    """Smallest step that each instrument reports: force [N], torque [N·m], speed [rad/s]."""
+
+    force: float = 0.01
+    torque: float = 1.25e-4
+    speed: float = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class LoadCellLog:
+    """What a load cell, a tachometer and the command line delivered on one clock.
+
+    Parameters
+    ----------
+    time : (n,) array
+        Uniform [s]; need not start at 0.
+    command : (n,) array
+        Pulse width [µs].
+    speed : (n,) array
+        Signed [rad/s].
+    force, torque : (n,) array
+        Fz along the forward thrust [N] and Mz, the stator's reaction [N·m]; tare included.
+    """
+
+    time: FloatArray
+    command: FloatArray
+    speed: FloatArray
+    force: FloatArray
+    torque: FloatArray
+
+
+def quantized(values: FloatArray, step: float) -> FloatArray:
+    """Round to whole steps of an instrument."""
+    return np.asarray(np.round(values / step) * step, dtype=np.float64)
+
+
+def load_cell_csv(log: LoadCellLog) -> str:
+    """Return a load-cell log as CSV: time, command, speed, Fz, Mz."""
+    out = io.StringIO()
+    out.write("Time (s),Command (µs),Speed (rad/s),Fz (N),Mz (N·m)\n")
+    table = np.column_stack([log.time, log.command, log.speed, log.force, log.torque])
+    # + 0.0 turns a negative zero into zero.
+    np.savetxt(out, table + 0.0, fmt=["%.4f", "%.0f", "%.2f", "%.2f", "%.6f"], delimiter=",")
+    return out.getvalue()
+
+
+def load_cell_hdf5(log: LoadCellLog) -> Callable[[Path], None]:
+    """Return a function that writes a load-cell log as HDF5, one compressed dataset per channel with its unit."""
+
+    def write(path: Path) -> None:
+        import h5py
+
+        channels = {
+            "Time": (log.time, "s", "f8"),
+            "Command": (log.command, "µs", "f4"),
+            "Speed": (log.speed, "rad/s", "f4"),
+            "Fz": (log.force, "N", "f4"),
+            "Mz": (log.torque, "N·m", "f4"),
+        }
+        with h5py.File(path, "w") as file:
+            for name, (values, unit, kind) in channels.items():
+                data = file.create_dataset(
+                    name, data=values.astype(kind), compression="gzip", compression_opts=6, shuffle=True
+                )
+                data.attrs["unit"] = unit
+
+    return write
+
+
+@dataclass(frozen=True, eq=False)
+class StandPoints:
+    """Averaged points of a thrust stand, in the order in which they were taken; blanks are NaN.
+
+    Parameters
+    ----------
+    time : (n,) array
+        Of each point [s].
+    command : (n,) array
+        Pulse width [µs].
+    speed : (n,) array
+        Of the optical probe, which does not know the direction [rad/s].
+    thrust, torque : (n,) array
+        Tare included [N], [N·m].
+    voltage, current : (n,) array
+        Of the supply [V], [A].
+    """
+
+    time: FloatArray
+    command: FloatArray
+    speed: FloatArray
+    thrust: FloatArray
+    torque: FloatArray
+    voltage: FloatArray
+    current: FloatArray
+
+
+def stand_csv(
+    points: StandPoints, source: np.random.Generator, *, thrust_unit: Literal["N", "gf"] = "gf"
+) -> str:
+    """Return averaged points as RCbenchmark's program writes them for a Series 1580.
+
+    A byte-order mark, a comma at the end of every line, no servos, the electrical speed probe off. `source` shakes
+    the accelerometer columns, which nobody uses.
+    """
+    thrust = points.thrust / (_GRAM_FORCE if thrust_unit == "gf" else 1.0)
+    power = points.voltage * points.current
+    shaft = np.abs(points.torque) * points.speed
+    columns: list[Sequence[float] | FloatArray | None] = [points.time, points.command, None, None, None]
+    columns += [level + 0.005 * source.standard_normal(len(points.time)) for level in (-0.055, 0.025, -0.995)]
+    columns += [points.torque, thrust, points.voltage, points.current]
+    columns += [np.zeros(len(points.time)), np.round(points.speed / _RPM, 1), power, shaft]
+    columns += [_ratio(100 * shaft, power), _ratio(np.abs(thrust), shaft), _ratio(np.abs(thrust), power)]
+    columns += [0.058 + 0.004 * source.standard_normal(len(points.time)), None]
+    lines = [_STAND_COLUMNS.format(thrust=thrust_unit)]
+    for row in range(len(points.time)):
+        cells = ["" if column is None else _cell(float(column[row])) for column in columns]
+        lines.append(",".join(cells) + ",")
+    return "\ufeff" + "\n".join(lines) + "\n"
+
+
+def _ratio(above: FloatArray, below: FloatArray) -> FloatArray:
+    """Divide, 0 where nothing turns, as the program does."""
+    return np.where(np.abs(below) > 1e-3, above / np.where(np.abs(below) > 1e-3, below, 1.0), 0.0)
+
+
+def _cell(value: float) -> str:
+    return "" if np.isnan(value) else f"{value:.10g}"
