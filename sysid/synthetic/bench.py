@@ -81,7 +81,7 @@ def load_cell_csv(log: LoadCellLog) -> str:
 
 
 def load_cell_hdf5(log: LoadCellLog) -> Callable[[Path], None]:
-    """Return a function that writes a load-cell log as HDF5, one compressed dataset per channel with its unit."""
+    """Return a function that writes a load-cell log as HDF5: one dataset per channel, with its unit."""
 
     def write(path: Path) -> None:
         import h5py
@@ -135,8 +135,8 @@ def stand_csv(
 ) -> str:
     """Return averaged points as RCbenchmark's program writes them for a Series 1580.
 
-    A byte-order mark, a comma at the end of every line, no servos, the electrical speed probe off. `source` shakes
-    the accelerometer columns, which nobody uses.
+    A byte-order mark, a comma at the end of every line, no servos, the electrical speed probe off. `source`
+    shakes the accelerometer columns, which nobody uses.
     """
     thrust = points.thrust / (_GRAM_FORCE if thrust_unit == "gf" else 1.0)
     power = points.voltage * points.current

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from sysid.errors import ExportError
 from sysid.parameters import ParameterTable
+from sysid.writing import check_folder, replaced_folder
 
 TRUTH_FILE = "truth.json"
 CAMPAIGN_FILE = "campaign.toml"
@@ -27,50 +25,34 @@ def write_folder(folder: str | Path, files: Mapping[str, Content], *, force: boo
     Parameters
     ----------
     folder : str or Path
-        Made with its parents; refused when it exists, unless `force`.
+        Made with its parents.
     files : mapping of str to text or function
         Content of each file by name; text is written as UTF-8 with its line ends as they are.
     force : bool
-        Replace files of these names in an existing folder; others in it stay.
+        Replace an existing synthesized folder as a whole.
 
     Raises
     ------
     ExportError
-        When the folder exists, or the disk refuses.
+        When the folder exists and may not be replaced, or the disk refuses.
     """
-    folder = Path(folder)
-    refuse_existing(folder, force=force)
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-        try:
-            for name, content in files.items():
-                if callable(content):
-                    content(beside / name)
-                else:
-                    (beside / name).write_bytes(content.encode("utf-8"))
-            folder.mkdir(exist_ok=True)
-            for name in files:
-                os.replace(beside / name, folder / name)
-        finally:
-            shutil.rmtree(beside, ignore_errors=True)
-    except OSError as error:
-        raise ExportError(
-            f"{folder}: cannot be written ({error.strerror or error}); free space or choose another folder"
-        ) from error
-    return folder
+    with replaced_folder(folder, force=force, marker=TRUTH_FILE, error_type=ExportError) as new:
+        for name, content in files.items():
+            if callable(content):
+                content(new / name)
+            else:
+                (new / name).write_bytes(content.encode("utf-8"))
+    return Path(folder)
 
 
 def refuse_existing(folder: str | Path, *, force: bool) -> None:
-    """Refuse a folder that holds something already, before any work is done for it."""
-    folder = Path(folder)
-    if folder.exists() and not folder.is_dir():
-        raise ExportError(f"{folder} is a file; choose the name of a folder that does not exist")
-    if folder.is_dir() and any(folder.iterdir()) and not force:
-        raise ExportError(f"{folder} exists and is not empty; choose a new name or pass --force")
+    """Refuse a folder that is there already, before any work is done for it."""
+    check_folder(folder, force=force, marker=TRUTH_FILE, error_type=ExportError)
 
 
-def truth_text(kind: str, table: ParameterTable, values: Mapping[str, float], facts: Mapping[str, Any]) -> str:
+def truth_text(
+    kind: str, table: ParameterTable, values: Mapping[str, float], facts: Mapping[str, Any]
+) -> str:
     """Return the truth file: every parameter with its symbol and unit, then the facts of each trial."""
     parameters = {
         name: {"symbol": row.symbol, "unit": row.unit, "value": float(values[name])}

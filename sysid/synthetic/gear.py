@@ -1,8 +1,9 @@
 """Drops of a drone on slopes, simulated and written as a motion-capture system would have recorded them.
 
-Each drop: held level and at rest by a magnet, released, free fall, contact. The room has axes and an origin of its
-own; the board is hinged about a line through one surveyed point, which therefore lies on the surface at every slope.
-The rigid body's origin is not the centre of mass and its axes are not quite level while the drone is.
+Each drop: held level and at rest by a magnet, released, free fall, contact. The room has axes and an origin
+of its own; the board is hinged about a line through one surveyed point, which therefore lies on the surface
+at every slope. The rigid body's origin is not the centre of mass, and its axes are not quite level while the
+drone is.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from sysid.trials.capture import CaptureFrame
 FloatArray = NDArray[np.float64]
 Export = Literal["motive", "motive-mm", "motive-euler", "pose-table"]
 Plane = Literal["point", "markers"]
+Use = Literal["fit", "validate"]
 
 BODY = "F450"
 BOARD_MARKERS = ("board-1", "board-2", "board-3")
@@ -60,7 +62,7 @@ class DropPlan:
 
     slope: float
     impact_speed: float
-    use: Literal["fit", "validate"] = "fit"
+    use: Use = "fit"
     export: Export = "motive"
 
     def __post_init__(self) -> None:
@@ -77,7 +79,7 @@ class DropPlan:
         return f"{math.degrees(self.slope):.4g}deg-{self.impact_speed:.2f}mps"
 
 
-def _plan(slope_deg: float, speed: float, use: Literal["fit", "validate"] = "fit", export: Export = "motive") -> DropPlan:
+def _plan(slope_deg: float, speed: float, use: Use = "fit", export: Export = "motive") -> DropPlan:
     return DropPlan(math.radians(slope_deg), speed, use, export)
 
 
@@ -131,7 +133,8 @@ def synthesize_gear(
     Parameters
     ----------
     folder : str or Path
-        Receives ``campaign.toml``, one log per drop and ``truth.json``; refused when it exists, unless `force`.
+        Receives ``campaign.toml``, one log per drop and ``truth.json``; refused when it exists, unless
+        `force`.
     seed : int
         Same seed, same arguments: the same files, to the last byte on one platform.
     surface : {"lf"}
@@ -155,7 +158,7 @@ def synthesize_gear(
     name : str, optional
         Of the campaign; ``synthetic-lf`` when left out.
     force : bool
-        Replace files in an existing folder.
+        Replace an existing synthesized folder, with all that is in it.
 
     Returns
     -------
@@ -171,9 +174,10 @@ def synthesize_gear(
     """
     refuse_existing(folder, force=force)
     drops = tuple(drops)
-    if len({drop.name for drop in drops}) < len(drops) or not any(drop.use == "fit" for drop in drops):
+    names = [drop.name for drop in drops]
+    if len(set(names)) < len(names) or not any(drop.use == "fit" for drop in drops):
         raise CampaignError(
-            f"drops: {', '.join(drop.name for drop in drops) or 'none'}; give different drops, at least one to fit"
+            f"drops: {', '.join(names) or 'none'}; give different drops, at least one of them to fit"
         )
     noise = CaptureNoise(noise_position, noise_angle)
     frame = CaptureFrame(up, down_slope)
@@ -329,9 +333,7 @@ def _record(
     return take, {"occlusions": [list(gap) for gap in gaps], "sign flips": flips}
 
 
-def _still_body(
-    place: FloatArray, count: int, noise: CaptureNoise, source: np.random.Generator
-) -> SeenBody:
+def _still_body(place: FloatArray, count: int, noise: CaptureNoise, source: np.random.Generator) -> SeenBody:
     """Return another rigid body that lies about in the room."""
     turn = Rotation.from_rotvec(np.tile([0.0, math.radians(37.0), 0.0], (count, 1)))
     return observe(np.tile(place, (count, 1)), turn, noise, source)
@@ -346,9 +348,7 @@ def _board_markers(slope: float, frame: CaptureFrame, hinge: FloatArray) -> Floa
     return hinge + np.array(local) @ frame.matrix
 
 
-def _facts(
-    number: int, plan: DropPlan, truth: _Truth, log: str, marks: Mapping[str, Any]
-) -> dict[str, Any]:
+def _facts(number: int, plan: DropPlan, truth: _Truth, log: str, marks: Mapping[str, Any]) -> dict[str, Any]:
     shift = _EPOCH if plan.export == "pose-table" else 0.0
     x, z, pitch = (float(value) for value in truth.start[:3])
     return {

@@ -21,7 +21,7 @@ def trial_text(number: int, slope: float, impact_speed: float, use: str, log: st
         "[[trials]]\n"
         f'name = "drop-{number}"\n'
         f'log = "{log}"\n'
-        f"slope = {quantity(math.degrees(slope), 'deg')}  # inclinometer; it met the board at about {impact_speed:g} m/s\n"
+        f"slope = {quantity(math.degrees(slope), 'deg')}  # inclinometer; impact near {impact_speed:g} m/s\n"
         f'use = "{use}"\n'
     )
 
@@ -43,7 +43,7 @@ def campaign_text(
 ) -> str:
     """Return the campaign file; measured values are exact, what is to be identified is not in it."""
     if point is not None:
-        where = f"point = {_point(point)}  # on the hinge line of the board, wand; on the surface at every slope"
+        where = f"point = {_point(point)}  # on the board's hinge line: on the surface at every slope"
     else:
         named = ", ".join(f'"{marker}"' for marker in markers)
         where = (
@@ -52,10 +52,10 @@ def campaign_text(
         )
     legs = (
         f"leg_mass = {quantity(values['leg_mass'], 'kg')}  # of the pair of legs at one end\n"
-        f"leg_inertia = {quantity(values['leg_inertia'], 'kg·m²')}  # of that pair about its own centre of mass\n"
-        f"leg_mass_fraction = {values['leg_mass_fraction']:.10g}  # centre of mass of a leg from the foot, share of its length\n"
+        f"leg_inertia = {quantity(values['leg_inertia'], 'kg·m²')}  # about its own centre of mass\n"
+        f"leg_mass_fraction = {values['leg_mass_fraction']:.10g}  # centre of mass, from the foot\n"
     )
-    friction = f"kinetic_friction = {values['kinetic_friction']:.10g}  # tilted board, tan(angle) at constant speed\n"
+    friction = f"kinetic_friction = {values['kinetic_friction']:.10g}  # tilted board: tan(angle)\n"
     if surface != "lf":  # identified there, not measured
         legs = f"leg_mass_fraction = {values['leg_mass_fraction']:.10g}\n"
         friction = f"stick_speed = {quantity(values['stick_speed'], 'm/s')}\n"

@@ -130,7 +130,7 @@ def motive_csv(take: Take, *, unit: LengthUnit = "Meters", rotation: RotationTyp
 
     Notes
     -----
-    Six decimals in metres, three in millimetres, six of a quaternion or an angle: the file's own quantization.
+    Six decimals in metres, three in millimetres, six of a quaternion or an angle: its quantization.
     """
     decimals, scale = _DECIMALS[unit], _SCALE[unit]
     turns = ("X", "Y", "Z", "W") if rotation == "Quaternion" else ("X", "Y", "Z")

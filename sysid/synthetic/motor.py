@@ -1,8 +1,8 @@
 """Bench tests of one motor, simulated and written as a load cell and a thrust stand would have recorded them.
 
-Forward and reverse trials at 10 kHz are separate, as in the paper, and others change direction. Each begins with the
-motor at rest (for the tare), spins up to an idle command and then walks through its steps. The static curves come
-from averaged points of a thrust stand on a battery, with the propeller and without.
+Forward and reverse trials at 10 kHz are separate, as in the paper, and others change direction. Each begins
+with the motor at rest (for the tare), spins up to an idle command and then walks through its steps. The
+static curves come from averaged points of a thrust stand on a battery, with the propeller and without.
 """
 
 from __future__ import annotations
@@ -77,9 +77,13 @@ class TrialPlan:
 
 TRIALS = (
     TrialPlan("forward-1", "forward", "fit", 0.25, (0.62, 0.35, 0.80, 0.50, 0.95, 0.40, 0.70), 0.5, "csv"),
-    TrialPlan("reverse-1", "reverse", "fit", -0.25, (-0.60, -0.35, -0.80, -0.45, -0.95, -0.50, -0.70), 0.5, "hdf5"),
+    TrialPlan(
+        "reverse-1", "reverse", "fit", -0.25, (-0.60, -0.35, -0.80, -0.45, -0.95, -0.50, -0.70), 0.5, "hdf5"
+    ),
     TrialPlan("forward-2", "forward", "validate", 0.30, (0.90, 0.45, 0.55, 0.75, 0.35, 0.65), 0.5, "hdf5"),
-    TrialPlan("reversal-1", "reversal", "validate", 0.30, (0.62, -1.0, 0.62, -0.5, 0.4, -0.8, 0.8), 0.6, "hdf5"),
+    TrialPlan(
+        "reversal-1", "reversal", "validate", 0.30, (0.62, -1.0, 0.62, -0.5, 0.4, -0.8, 0.8), 0.6, "hdf5"
+    ),
     TrialPlan("reversal-2", "reversal", "validate", -0.30, (0.62, -1.0, 0.30, -0.62, 0.80), 0.8, "hdf5"),
 )
 
@@ -99,8 +103,8 @@ def synthesize_motor(
     Parameters
     ----------
     folder : str or Path
-        Receives ``campaign.toml``, load-cell and thrust-stand logs and ``truth.json``; refused when it exists,
-        unless `force`.
+        Receives ``campaign.toml``, load-cell and thrust-stand logs and ``truth.json``; refused when it
+        exists, unless `force`.
     seed : int
         Same seed, same arguments: the same numbers.
     parameters : mapping, optional
@@ -112,7 +116,7 @@ def synthesize_motor(
     name : str
         Of the campaign.
     force : bool
-        Replace files in an existing folder.
+        Replace an existing synthesized folder, with all that is in it.
 
     Returns
     -------
@@ -128,7 +132,7 @@ def synthesize_motor(
 
     Notes
     -----
-    The load cell feels the thrust and the *stator's* reaction ``k_m I_eff − k_d Ω``, not the aerodynamic torque.
+    The load cell feels thrust and the *stator's* reaction ``k_m I_eff − k_d Ω``, not the aerodynamic torque.
     """
     refuse_existing(folder, force=force)
     if not rate >= 1000.0:
@@ -187,9 +191,7 @@ def _trial(
     first = round(float(source.uniform(3.0, 40.0)), 4)
     count = round((_REST + _IDLE + plan.hold * len(plan.levels)) * rate)
     time = first + np.arange(count) / rate
-    instants = first + np.concatenate(
-        [[0.0, _REST], _REST + _IDLE + plan.hold * np.arange(len(plan.levels))]
-    )
+    instants = first + np.concatenate([[0.0, _REST], _REST + _IDLE + plan.hold * np.arange(len(plan.levels))])
     levels = np.array([0.0, plan.idle, *plan.levels])
     run = model.simulate(true, instants, levels, time)
     # Half a sample early, so that rounding of the clock cannot move a step by one row.
@@ -197,12 +199,14 @@ def _trial(
     command = NEUTRAL + (MAXIMUM - NEUTRAL) * levels[held]
     tare_force, tare_torque = float(source.uniform(-0.6, 0.6)), float(source.uniform(-0.02, 0.02))
     step = BenchResolution()
+    shake = source.standard_normal((3, count))
     log = LoadCellLog(
         time,
         command,
-        quantized(run.speed + noise.speed * source.standard_normal(count) * (run.speed != 0), step.speed),
-        quantized(run.thrust + tare_force + noise.force * source.standard_normal(count), step.force),
-        quantized(run.stator_torque + tare_torque + noise.torque * source.standard_normal(count), step.torque),
+        # A tachometer that sees nothing pass reads zero, without noise.
+        quantized(run.speed + noise.speed * shake[0] * (run.speed != 0), step.speed),
+        quantized(run.thrust + tare_force + noise.force * shake[1], step.force),
+        quantized(run.stator_torque + tare_torque + noise.torque * shake[2], step.torque),
     )
     fact = {
         "log starts [s]": first,
@@ -233,7 +237,8 @@ def _stand_points(
     shake = source.standard_normal((5, len(u))) * (1.0 if noise else 0.0)
     tare_thrust, tare_torque = float(source.uniform(-0.03, 0.03)), float(source.uniform(-8e-4, 8e-4))
     thrust = model.thrust(speed, row) + tare_thrust + 0.004 * shake[0]
-    torque = model.aerodynamic_torque(speed, row) + row["viscous_damping"] * speed + tare_torque + 1e-4 * shake[1]
+    # At a steady speed the stator feels what the air takes: its own friction stays inside the motor.
+    torque = model.aerodynamic_torque(speed, row) + tare_torque + 1e-4 * shake[1]
     blank = source.integers(2, len(u), size=2)
     thrust[blank[0]] = math.nan
     torque[blank[1]] = math.nan
@@ -262,7 +267,7 @@ def _trial_text(plan: TrialPlan, file: str, start: float) -> str:
 
 def _campaign_text(name: str, true: Mapping[str, float], trials: list[str], seed: int) -> str:
     return f"""\
-# Synthesized motor tests with known truth (truth.json, which no fit reads). Logs as the instruments write them.
+# Synthesized motor tests with known truth (truth.json, which no fit reads); logs as instruments write them.
 kind = "motor"
 name = "{name}"
 
