@@ -133,7 +133,7 @@ def spatial_motion(
     quaternion[~valid] = np.nan
     columns = np.column_stack([position.values, quaternion])
     columns[~valid] = np.nan
-    placed = _place(position.time, columns, time, found_rate)
+    placed = _place(position.time, columns, time, found_rate, snap=0.0 if notes else _SNAP)
     seen = np.asarray(np.isfinite(placed).all(axis=1), dtype=np.bool_)
 
     turn = np.full((len(time), 3, 3), np.nan)
@@ -162,12 +162,12 @@ def _uniform_clock(channel: Channel, rate: float | None) -> tuple[FloatArray, fl
     return channel.time[0] + period * np.arange(slots), 1.0 / period, tuple(notes)
 
 
-def _place(source: FloatArray, values: FloatArray, time: FloatArray, rate: float) -> FloatArray:
+def _place(source: FloatArray, values: FloatArray, time: FloatArray, rate: float, snap: float) -> FloatArray:
     """Return `values` at `time`: the sample itself where one is there, else linear between two close ones."""
     right = np.clip(np.searchsorted(source, time), 1, len(source) - 1)
     left = right - 1
     nearest = np.where(time - source[left] < source[right] - time, left, right)
-    snapped = np.abs(source[nearest] - time) * rate <= _SNAP
+    snapped = np.abs(source[nearest] - time) * rate <= snap
     share = (time - source[left]) / (source[right] - source[left])
     close = ((source[right] - source[left]) * rate < 1.5) & (share >= 0) & (share <= 1)
     between = values[left] + share[:, None] * (values[right] - values[left])
