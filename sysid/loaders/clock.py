@@ -1,0 +1,171 @@
+"""Clocks of logs: rows in order, declared rates, jitter said in words."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.errors import LogError
+from sysid.loaders.table import Numbers
+from sysid.recording import BoolArray, FloatArray
+
+# A logger leaves at most this many samples of an earlier run at the start of a file.
+_STALE_ROWS = 2
+
+
+def positive_rate(path: str, rate: object) -> float:
+    """Return a declared sample rate [Hz].
+
+    Raises
+    ------
+    LogError
+        When it is not a positive, finite number.
+    """
+    if isinstance(rate, bool) or not isinstance(rate, int | float) or not np.isfinite(rate) or rate <= 0:
+        raise LogError(
+            f"{path}: rate = {rate!r} is no sample rate; expected samples per second, e.g. rate = 10000"
+        )
+    return float(rate)
+
+
+def _stale_start(time: FloatArray) -> int:
+    """Return how many rows at the start are left over from an earlier run: the clock falls right "
+    "after them."""
+    for first in range(1, min(_STALE_ROWS, time.size - 1) + 1):
+        if time[first] < time[first - 1] and np.all(np.diff(time[first : first + 5]) >= 0):
+            return first
+    return 0
+
+
+def order_rows(
+    path: str,
+    numbers: Numbers,
+    time_column: int,
+    factor: float,
+    *,
+    stale_start: bool = False,
+    time_back: str = "",
+) -> tuple[FloatArray, list[str]]:
+    """Return strictly increasing times [s] and notes; `numbers` keeps only the rows they belong to.
+
+    A row without a time is left out; of rows that repeat one time the last is kept.
+
+    Parameters
+    ----------
+    path : str
+        Named in messages.
+    numbers : Numbers
+        Rows as read; changed in place.
+    time_column : int
+        Column of the times.
+    factor : float
+        From the column's unit to seconds.
+    stale_start : bool
+        Drop one or two rows at the start whose time is beyond that of the next.
+    time_back : str
+        ``"drop"`` leaves out rows whose time is not beyond the latest; else a falling time is refused.
+
+    Raises
+    ------
+    LogError
+        When time goes back, or no row has a time.
+    """
+    if time_back not in ("", "refuse", "drop"):
+        raise LogError(f'{path}: time_back = {time_back!r} is unknown; expected "refuse" or "drop"')
+    notes: list[str] = []
+    timed = np.isfinite(numbers.columns[time_column])
+    if not timed.all():
+        first = numbers.lines[np.argmin(timed)]
+        count = int((~timed).sum())
+        notes.append(f"{count} rows without a time were left out (first: {numbers.row_word} {first})")
+        numbers.keep(timed)
+    if not numbers.lines.size:
+        raise LogError(f"{path}: no row has a time; the log is empty")
+    time = numbers.columns[time_column] * factor
+
+    stale = _stale_start(time) if stale_start else 0
+    if stale:
+        notes.append(f"{stale} stale row(s) at the start, at {time[stale - 1]:.6g} s, were left out")
+        numbers.keep(np.arange(time.size) >= stale)
+        time = time[stale:]
+    steps = np.diff(time)
+    back = np.flatnonzero(steps < 0)
+    if back.size and time_back != "drop":
+        row = int(back[0])
+        raise LogError(
+            f"{path}, {numbers.row_word} {numbers.lines[row + 1]}: time goes back from "
+            f"{time[row]:.9g} s to {time[row + 1]:.9g} s; "
+            'split the log there or set time_back = "drop"'
+        )
+    if back.size:
+        later = np.append(True, time[1:] > np.maximum.accumulate(time)[:-1])
+        notes.append(f"{int((~later).sum())} rows whose time does not pass the latest were left out")
+        numbers.keep(later)
+        return time[later], notes
+    repeats = steps == 0
+    if repeats.any():
+        if repeats.sum() > 0.2 * time.size and time.size > 10:
+            row = int(np.argmax(repeats))
+            raise LogError(
+                f"{path}, {numbers.row_word} {numbers.lines[row + 1]}: {int(repeats.sum())} of "
+                f"{time.size} rows repeat the time of "
+                "the row before, so the clock is too coarse; declare the sample rate with rate = ..."
+            )
+        last: BoolArray = np.append(~repeats, True)
+        notes.append(
+            f"{int(repeats.sum())} rows repeat the time of the row before "
+            f"(first: {numbers.row_word} {numbers.lines[np.argmax(repeats) + 1]}); the last of each was kept"
+        )
+        numbers.keep(last)
+        time = time[last]
+    return time, notes
+
+
+def rate_clock(path: str, rate: float, count: int, stated: FloatArray | None = None) -> FloatArray:
+    """Return the times of `count` samples at a declared rate.
+
+    Parameters
+    ----------
+    path : str
+        Named in messages.
+    rate : float
+        Samples per second.
+    count : int
+        Number of samples.
+    stated : (count,) array, optional
+        The log's own times [s], too coarse or too unsteady to use: they fix the start and check the rate.
+
+    Raises
+    ------
+    LogError
+        When the stated times span another duration than the rate does.
+    """
+    time: NDArray[np.float64] = np.arange(count, dtype=np.float64) / rate
+    if stated is None:
+        return time
+    known = np.flatnonzero(np.isfinite(stated))
+    if known.size > 1:
+        span = float(stated[known[-1]] - stated[known[0]])
+        declared = float(time[known[-1]] - time[known[0]])
+        # 1 % tells a wrong rate from the rounding of coarse stamps (which is at most one stamp at each end).
+        coarse = 2.0 * float(np.max(np.abs(np.diff(stated[known]))))
+        if abs(span - declared) > 0.01 * declared + coarse:
+            raise LogError(
+                f"{path}: rate = {rate:g} makes the log {declared:.6g} s long but its time column spans "
+                f"{span:.6g} s; correct the rate or leave it out"
+            )
+    return time + float(stated[known[0]]) if known.size else time
+
+
+def jitter_note(time: FloatArray) -> list[str]:
+    """Return a note when the steps of a clock vary by more than a tenth of their median."""
+    if time.size < 3:
+        return []
+    steps = np.diff(time) * 1e3
+    median = float(np.median(steps))
+    if float(np.percentile(np.abs(steps - median), 90)) <= 0.1 * median:
+        return []
+    return [
+        f"time steps vary from {steps.min():.3g} to {steps.max():.3g} ms (median {median:.3g} ms): "
+        "they look like times of arrival and are kept as recorded"
+    ]

@@ -1,0 +1,176 @@
+"""Columns by name stem and unit, never by position: ``Thrust (gf)``, ``x [mm]``, ``px_m``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from sysid.errors import LogError, UnitError
+from sysid.units import factor_to_si
+
+_BRACKETED = re.compile(r"^(?P<stem>.*?)\s*[(\[]\s*(?P<unit>[^()\[\]]*?)\s*[)\]]$")
+# Units that headers append to a name with an underscore; the longest come first.
+_SUFFIXED = re.compile(
+    r"^(?P<stem>.+?)_(?P<unit>rad_s|deg_s|m_s2|m_s|N_m|mm|cm|ms|us|ns|Nm|rpm|deg|rad|m|s|N|V|A)$"
+)
+_SUFFIX_UNITS = {"rad_s": "rad/s", "deg_s": "deg/s", "m_s": "m/s", "m_s2": "m/s^2", "N_m": "N*m"}
+# Standard gravity where an accelerometer writes "g", which is a gram elsewhere.
+_ACCELERATION = {"g": "g_0", "G": "g_0"}
+
+COMMAND_UNITS = {"us": "us", "µs": "us", "μs": "us", "dshot": "dshot", "1": "1", "-": "1", "": "1"}
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a header.
+
+    Parameters
+    ----------
+    index : int
+        Position from 0.
+    label : str
+        As the header writes it.
+    stem : str
+        Lower-case name without unit, words separated by one space.
+    unit : str or None
+        Unit as the header states it; None where it states none.
+    """
+
+    index: int
+    label: str
+    stem: str
+    unit: str | None
+
+
+def split_label(label: str) -> tuple[str, str | None]:
+    """Return (stem, unit) of a header label; the unit is None where the label has none."""
+    text = label.strip().strip('"').strip()
+    match = _BRACKETED.match(text)
+    unit: str | None = None
+    if match:
+        text, unit = match["stem"], match["unit"]
+    elif match := _SUFFIXED.match(text):
+        text, unit = match["stem"], _SUFFIX_UNITS.get(match["unit"], match["unit"])
+    return re.sub(r"[\s_.:/]+", " ", text).strip().casefold(), unit
+
+
+def parse_header(names: Sequence[str]) -> tuple[Column, ...]:
+    """Return the columns of a header line."""
+    return tuple(Column(index, name, *split_label(name)) for index, name in enumerate(names))
+
+
+def listing(names: Iterable[str]) -> str:
+    """Return names for a message, quoted, the first dozen."""
+    names = [name for name in names if name]
+    shown = ", ".join(f'"{name}"' for name in names[:12])
+    return (f"{shown} and {len(names) - 12} more" if len(names) > 12 else shown) or "none"
+
+
+def find_column(path: str, columns: Sequence[Column], stems: Collection[str]) -> Column | None:
+    """Return the column whose stem is one of `stems`, or None.
+
+    Raises
+    ------
+    LogError
+        When two columns answer to it.
+    """
+    found = [column for column in columns if column.stem in stems]
+    if len(found) > 1:
+        raise LogError(
+            f"{path}: columns {found[0].index + 1} and {found[1].index + 1} are both named "
+            f'"{found[1].label}"; rename or remove one'
+        )
+    return found[0] if found else None
+
+
+def missing_column(path: str, wanted: str, columns: Sequence[Column]) -> LogError:
+    """Return the refusal of a log that lacks a column."""
+    return LogError(
+        f"{path}: no column {wanted}; found {listing(column.label for column in columns)}; "
+        "rename the column in the log, or name the format if this is another kind of log"
+    )
+
+
+class DeclaredUnits:
+    """Units that a user declares for columns, by label, stem or channel name.
+
+    Parameters
+    ----------
+    path : str
+        Named in messages.
+    units : mapping of str to str, optional
+        For example ``{"thrust": "N", "Speed": "rpm"}``; it wins over the header.
+    """
+
+    def __init__(self, path: str, units: Mapping[str, str] | None) -> None:
+        self.path = path
+        if units is not None and not isinstance(units, Mapping):
+            raise LogError(f'{path}: units = {units!r} is no table; expected for example {{thrust = "N"}}')
+        self._declared = {str(name): str(unit) for name, unit in (units or {}).items()}
+        self._used: set[str] = set()
+        self.notes: list[str] = []
+
+    def unit_of(self, column: Column, channel: str, default: str | None = None) -> str | None:
+        """Return the unit of a column: declared, else of the header, else `default`."""
+        for name in (channel, column.label, split_label(column.label)[0], column.stem):
+            match = next(
+                (key for key in self._declared if key == name or key.casefold() == name.casefold()), None
+            )
+            if match is not None:
+                self._used.add(match)
+                declared = self._declared[match]
+                if column.unit is not None and column.unit != declared:
+                    self.notes.append(
+                        f"column {column.label!r} read in the declared unit {declared!r}, not in "
+                        "that of the header"
+                    )
+                return declared
+        return default if column.unit is None else column.unit
+
+    def factor(self, column: Column, channel: str, expected: str, default: str | None = None) -> float:
+        """Return the factor from a column's unit to SI.
+
+        Raises
+        ------
+        UnitError
+            When the column has no unit, an unknown one or one of another dimension.
+        """
+        unit = self.unit_of(column, channel, default)
+        if unit is None:
+            raise UnitError(
+                f'{self.path}: column "{column.label}" states no unit; '
+                f'declare it, for example units = {{{channel} = "{expected}"}}'
+            )
+        if expected == "m/s^2":
+            unit = _ACCELERATION.get(unit, unit)
+        try:
+            return factor_to_si(unit, expected)
+        except UnitError as error:
+            raise UnitError(f'{self.path}: column "{column.label}": {error}') from error
+
+    def command(self, column: Column, default: str | None = None) -> str:
+        """Return the protocol unit of a command column: ``us``, ``dshot`` or ``1`` (a fraction).
+
+        Raises
+        ------
+        UnitError
+            When the command has no unit or one of no protocol.
+        """
+        unit = self.unit_of(column, "command", default)
+        if unit is None or unit.casefold() not in COMMAND_UNITS:
+            found = "states no unit" if unit is None else f"has unit {unit!r}"
+            raise UnitError(
+                f'{self.path}: command column "{column.label}" {found}; expected us, dshot or 1, '
+                'declared for example as units = {command = "us"}'
+            )
+        return COMMAND_UNITS[unit.casefold()]
+
+    def check_used(self, columns: Sequence[Column]) -> None:
+        """Refuse declared units that belong to no column."""
+        unused = sorted(set(self._declared) - self._used)
+        if unused:
+            raise UnitError(
+                f'{self.path}: units names "{unused[0]}", which is no column that is read here; '
+                f"found {listing(column.label for column in columns)}"
+            )

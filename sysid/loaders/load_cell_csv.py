@@ -1,0 +1,128 @@
+"""Six-axis load-cell CSV, for example at 10 kHz: columns by name stem and unit.
+
+    Time (s),Command (us),Speed (rad/s),Fx (N),Fy (N),Fz (N),Mx (N·m),My (N·m),Mz (N·m)
+
+Any of the columns may be missing but Fz or Mz; the order is free, and the delimiter comma, semicolon or TAB.
+Thrust is Fz and torque Mz with the sign of the file: the mounting of the cell is not the log's to know.
+Ignores cross-talk and temperature: the writer's calibration is taken as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from sysid.errors import LogError
+from sysid.loaders.clock import jitter_note, order_rows, positive_rate, rate_clock
+from sysid.loaders.columns import DeclaredUnits, find_column, missing_column, parse_header
+from sysid.loaders.load_cell import CELL_AXES, COMMAND, MEASURED, QUANTITIES, TIME, quantity_channel
+from sysid.loaders.registry import CERTAIN, NO, POSSIBLE, LogFormat
+from sysid.loaders.source import Source
+from sysid.loaders.table import find_header, read_numbers, table_head
+from sysid.loaders.text import read_text
+from sysid.recording import Channel, Recording
+
+_NAME = "load-cell-csv"
+
+
+def _recognize(source: Source) -> int:
+    found = find_header(source.head_lines)
+    if found is None:
+        return NO
+    stems = {column.stem for column in parse_header(found[2])}
+    if stems & CELL_AXES:
+        return CERTAIN
+    return POSSIBLE if stems & COMMAND and any(stems & QUANTITIES[name].stems for name in MEASURED) else NO
+
+
+def read(
+    source: Source,
+    *,
+    rate: float | None = None,
+    units: Mapping[str, str] | None = None,
+    columns: Sequence[str] | None = None,
+    time_back: str = "refuse",
+) -> Recording:
+    """Read a load-cell CSV.
+
+    Parameters
+    ----------
+    source : Source
+        The log.
+    rate : float, optional
+        Sample rate [Hz], for a log without a time column or with one too coarse for its rate; the time
+        column, where there is one, must then span the same duration.
+    units : mapping of str to str, optional
+        Units by channel or column name where the header states none or a wrong one.
+    columns : sequence of str, optional
+        Names of all columns in order, for a log without header.
+    time_back : str
+        ``"refuse"`` a log whose time goes back, or ``"drop"`` the rows that do not pass the latest time.
+
+    Returns
+    -------
+    Recording
+        Kind ``load-cell``: ``command`` [us, dshot or 1], ``speed`` [rad/s], ``thrust`` [N] (Fz), ``torque``
+        [N·m] (Mz), and ``force_x force_y torque_x torque_y voltage current`` where the log has them; signs as
+        recorded.
+
+    Raises
+    ------
+    LogError, UnitError
+        One sentence with file, line and cause.
+    """
+    path = source.path
+    if rate is not None:
+        rate = positive_rate(path, rate)
+    text = read_text(source)
+    head = table_head(text, columns)
+    header = parse_header(head.names)
+    declared = DeclaredUnits(path, units)
+    found = {name: find_column(path, header, quantity.stems) for name, quantity in QUANTITIES.items()}
+    quantities = {name: column for name, column in found.items() if column is not None}
+    if not any(name in quantities for name in MEASURED):
+        raise missing_column(path, '"Fz" or "Mz"', header)
+    command = find_column(path, header, COMMAND)
+    clock = find_column(path, header, TIME)
+    if clock is None and rate is None:
+        raise LogError(f"{path}: no time column; declare the sample rate [Hz] with rate = ...")
+    seconds = declared.factor(clock, "time", "s") if clock else 1.0
+    factors = {
+        name: declared.factor(column, name, QUANTITIES[name].unit, "rpm" if column.stem == "rpm" else None)
+        for name, column in quantities.items()
+    }
+    unit = declared.command(command) if command else ""
+    declared.check_used(header)
+
+    wanted = [*quantities.values(), *([clock] if clock else []), *([command] if command else [])]
+    numbers = read_numbers(text, head, [column.index for column in wanted])
+    del text  # the file's bytes are not needed any more
+    notes = numbers.notes
+    if rate is not None:
+        stated = numbers.columns[clock.index] * seconds if clock else None
+        time = rate_clock(path, rate, numbers.lines.size, stated)
+        notes.append(f"time rebuilt from the declared rate of {rate:g} Hz")
+    else:
+        assert clock is not None
+        time, said = order_rows(path, numbers, clock.index, seconds, time_back=time_back)
+        notes += [*said, *jitter_note(time)]
+    channels = {}
+    if command:
+        channels["command"] = Channel("command", unit, time, numbers.columns.pop(command.index))
+    for name, column in quantities.items():
+        values = numbers.columns.pop(column.index)
+        if np.isnan(values).all():
+            notes.append(f"column {column.label!r} holds no value")
+            continue
+        channels[name] = quantity_channel(
+            name, time, values * factors[name] if factors[name] != 1.0 else values
+        )
+    options: dict[str, Any] = {"rate": rate, "units": units, "columns": columns}
+    return Recording(
+        "load-cell", channels, source.provenance(_NAME, options=options, notes=[*notes, *declared.notes])
+    )
+
+
+FORMAT = LogFormat(_NAME, "six-axis load cell CSV (time or rate, command, speed, Fz, Mz)", _recognize, read)

@@ -1,0 +1,115 @@
+"""What every motion-capture log shares: unit quaternions of continuous sign, and the channels of a body."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from sysid.errors import LogError
+from sysid.loaders.columns import listing
+from sysid.loaders.table import Numbers
+from sysid.recording import Channel, FloatArray
+
+EULER_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
+# Logs print quaternions to two decimals or more; a length further from 1 means wrong columns or a damaged
+# number.
+_LENGTH_TOLERANCE = 0.02
+
+
+def unit_quaternions(path: str, body: str, numbers: Numbers, raw: FloatArray) -> tuple[FloatArray, list[str]]:
+    """Return unit quaternions of continuous sign, and notes.
+
+    A quaternion and its negative are one orientation, and capture systems switch between them; continuous is
+    the one nearest to that of the last recorded frame. A row that lacks a component, or is all zero, is NaN.
+
+    Parameters
+    ----------
+    path, body : str
+        Named in messages.
+    numbers : Numbers
+        For the line numbers of the rows.
+    raw : (n, 4) array
+        Quaternions as recorded, any component order.
+
+    Raises
+    ------
+    LogError
+        When a quaternion's length is not 1 within 2 %.
+    """
+    notes: list[str] = []
+    length = np.linalg.norm(raw, axis=1)
+    lost = ~np.isfinite(length)
+    zero = length == 0.0
+    if zero.any():
+        notes.append(f"{int(zero.sum())} rows of {body} have an all-zero quaternion; taken as lost")
+    wrong = ~lost & ~zero & (np.abs(length - 1.0) > _LENGTH_TOLERANCE)
+    if numbers.open_end and wrong.any() and wrong.argmax() == wrong.size - 1:
+        notes.append(f"the last quaternion of {body} is cut; taken as lost")
+        zero, wrong = zero | wrong, np.zeros_like(wrong)
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise LogError(
+            f"{path}, {numbers.row_word} {numbers.lines[row]}: the quaternion of {body} has length "
+            f"{length[row]:.4g}, "
+            "expected 1; check which columns it is in"
+        )
+    unit = np.where((lost | zero)[:, None], np.nan, raw / np.where(lost | zero, 1.0, length)[:, None])
+    seen = np.flatnonzero(np.isfinite(unit[:, 0]))
+    if seen.size > 1:
+        turned = np.einsum("ij,ij->i", unit[seen[1:]], unit[seen[:-1]]) < 0.0
+        if turned.any():
+            unit[seen[1:][np.cumsum(turned) % 2 == 1]] *= -1.0
+            notes.append(f"the quaternion of {body} changed sign {int(turned.sum())} times; made continuous")
+    return unit, notes
+
+
+def euler_quaternions(order: str, angles_deg: FloatArray) -> FloatArray:
+    """Return quaternions, w first, of Euler angles about the axes of the turning body (intrinsic).
+
+    Parameters
+    ----------
+    order : str
+        For example ``"XYZ"``: about X, then the new Y, then the new Z.
+    angles_deg : (n, 3) array
+        Angles [deg] in that order; rows with NaN give NaN.
+    """
+    from scipy.spatial.transform import Rotation
+
+    result = np.full((len(angles_deg), 4), np.nan)
+    seen = np.isfinite(angles_deg).all(axis=1)
+    if seen.any():
+        # Upper-case letters are scipy's sign for intrinsic rotations.
+        result[seen] = np.roll(
+            Rotation.from_euler(order, angles_deg[seen], degrees=True).as_quat(), 1, axis=1
+        )
+    return result
+
+
+def body_channels(
+    name: str, time: FloatArray, position: FloatArray, orientation: FloatArray
+) -> dict[str, Channel]:
+    """Return the two channels of a rigid body: position [m] (n, 3), orientation w first (n, 4)."""
+    return {
+        f"{name}/position": Channel(f"{name}/position", "m", time, position),
+        f"{name}/orientation": Channel(f"{name}/orientation", "1", time, orientation),
+    }
+
+
+def wanted_bodies(path: str, names: Sequence[str], wanted: str | Iterable[str] | None) -> tuple[str, ...]:
+    """Return the bodies to keep.
+
+    Raises
+    ------
+    LogError
+        When one of the wanted bodies is not there; the message names those that are.
+    """
+    if wanted is None:
+        return tuple(names)
+    kept = (wanted,) if isinstance(wanted, str) else tuple(str(name) for name in wanted)
+    for name in kept:
+        if name not in names:
+            raise LogError(
+                f'{path}: no rigid body "{name}"; found {listing(names)}; set rigid_body to one of them'
+            )
+    return kept

@@ -1,0 +1,355 @@
+"""OptiTrack Motive CSV, versions 1.21 to 1.25: rigid bodies and markers.
+
+Layout: row 1 is ``key,value`` pairs (version, rates, rotation type, length unit), row 2 is empty, then rows
+of type, name, ID, (1.24 on) parent and component, then ``Frame,Time,X,Y,Z,W,...``. Rows are found by what
+they hold, not by number. A column without axis label is an error or a quality and is not read.
+
+Valid for quaternions and for the six Euler orders, which Motive defines as relative: about X, then the new Y,
+then the new Z for ``XYZ`` (vendor's note on Motive 1.6 and later), right-handed, degrees. Axes are those of
+the export: a remapping at export leaves no trace in the file, so which axis is up is the campaign's to say.
+
+Lost bodies and markers are blank cells, here NaN. Columns of type ``Rigid Body Marker`` are positions solved
+from the body; those of type ``Marker`` are measured, and keep the plain name where both have the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sysid.errors import LogError, UnitError
+from sysid.loaders.clock import jitter_note, order_rows
+from sysid.loaders.columns import listing
+from sysid.loaders.motion_capture import (
+    EULER_ORDERS,
+    body_channels,
+    euler_quaternions,
+    unit_quaternions,
+    wanted_bodies,
+)
+from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.source import Source
+from sysid.loaders.table import Numbers, TableHead, read_numbers
+from sysid.loaders.text import Text, read_text, sniff_delimiter, split_line
+from sysid.recording import Channel, FloatArray, Recording
+from sysid.units import factor_to_si
+
+_NAME = "motive-csv"
+_BODIES = frozenset({"rigid body", "bone"})
+_SOLVED = frozenset({"rigid body marker", "bone marker"})
+_MEASURED = frozenset({"marker"})
+_KEYS = (
+    "Format Version", "Take Name", "Take Notes", "Capture Frame Rate", "Export Frame Rate", "
+    ""Capture Start Time",
+    "Capture Start Frame", "Total Frames in Take", "Total Exported Frames", "Rotation Type", "Length Units",
+    "Coordinate Space",
+)  # fmt: skip
+_LENGTHS = {"meters": "m", "millimeters": "mm", "centimeters": "cm", "inches": "inch", "feet": "foot"}
+# The column rows come within the first dozen lines of every version seen.
+_HEADER_LINES = 40
+# Newer versions print times to 1 ms: half of it, and a little for their own rounding.
+_TIME_ROUNDING = 0.6e-3
+
+
+@dataclass
+class _Asset:
+    """One rigid body or marker: its columns by component and axis."""
+
+    type: str
+    name: str
+    parts: dict[str, dict[str, int]] = field(default_factory=dict)
+
+    def columns(self, component: str, axes: str) -> list[int]:
+        """Return the columns of a component's axes; empty when one is missing."""
+        part = self.parts.get(component, {})
+        return [part[axis] for axis in axes] if all(axis in part for axis in axes) else []
+
+
+@dataclass(frozen=True)
+class _Header:
+    settings: dict[str, str]
+    assets: list[_Asset]
+    table: TableHead
+    clocks: dict[str, int]
+
+
+def _recognize(source: Source) -> int:
+    first = next((line for line in source.head_lines if line.strip()), "")
+    return CERTAIN if first.lstrip('" ').startswith("Format Version") else NO
+
+
+def _settings(cells: list[str]) -> dict[str, str]:
+    """Return the key,value pairs of row 1; keys are looked for, because a take's name may hold commas."""
+    stripped = [cell.strip().strip('"') for cell in cells]
+    return {
+        key: stripped[i + 1]
+        for key in _KEYS
+        if key in stripped
+        for i in [stripped.index(key)]
+        if i + 1 < len(cells)
+    }
+
+
+def _read_header(text: Text) -> _Header:
+    rows: list[list[str]] = []
+    delimiter = ","
+    for number, offset, line in text.lines(_HEADER_LINES):
+        if not rows:
+            if not line.strip():
+                continue
+            delimiter = sniff_delimiter(line)
+        cells = [cell.strip().strip('"').strip() for cell in split_line(line, delimiter)]
+        rows.append(cells)
+        if cells[0].casefold() == "frame" or cells[0].casefold().startswith("time"):
+            break
+    else:
+        raise LogError(
+            f'{text.path}: no column row "Frame,Time,..." in the first {_HEADER_LINES} lines; '
+            "export again with the header information switched on"
+        )
+    axes = rows[-1]
+    upper = [row for row in rows[1:-1] if any(row)]
+    known = _BODIES | _SOLVED | _MEASURED
+    components = next((row for row in upper if "Position" in row or "Rotation" in row), None)
+    types = next((row for row in upper if any(cell.casefold() in known for cell in row[2:])), None)
+    if components is None or types is None:
+        raise LogError(
+            f"{text.path}: no rows of types and components (Rigid Body, Position) above line {number}; "
+            "export again with the header information switched on"
+        )
+    labelled = {row[1].casefold(): row for row in upper if len(row) > 1 and row[1]}
+    below = upper[upper.index(types) + 1 :]
+    names = labelled.get("name", below[0])
+    ids = labelled.get("id", below[1] if len(below) > 1 else names)
+
+    def cell(row: list[str], index: int) -> str:
+        return row[index] if index < len(row) else ""
+
+    clocks = {
+        word: i
+        for i, name in enumerate(axes[:2])
+        for word in ("frame", "time")
+        if name.casefold().startswith(word)
+    }
+    assets: dict[tuple[str, str, str], _Asset] = {}
+    labels = list(axes)
+    for index in range(len(clocks), len(axes)):
+        kind, name, axis = cell(types, index).casefold(), cell(names, index), axes[index].upper()
+        component = cell(components, index)
+        labels[index] = f"{name} {component} {axis}".strip()
+        if kind not in known or component not in ("Position", "Rotation") or axis not in ("X", "Y", "Z", "W"):
+            continue
+        asset = assets.setdefault((kind, name, cell(ids, index)), _Asset(kind, name))
+        if axis in asset.parts.setdefault(component, {}):
+            raise LogError(
+                f'{text.path}, line {number}: column {index + 1} repeats {component} {axis} of "{name}"; '
+                "rename one of the two assets and export again"
+            )
+        asset.parts[component][axis] = index
+    if not assets:
+        raise LogError(
+            f"{text.path}: no rigid body and no marker among {len(axes)} columns; select them at export"
+        )
+    return _Header(
+        _settings(rows[0]), list(assets.values()), TableHead(tuple(labels), delimiter, number, offset), clocks
+    )
+
+
+def _length_factor(path: str, stated: str, declared: str | None) -> float:
+    """Return the factor from the file's length unit to metres."""
+    unit = _LENGTHS.get(stated.casefold(), stated)
+    if declared is not None and unit and factor_to_si(declared, "m") != factor_to_si(unit, "m"):
+        raise UnitError(f'{path}: length_unit = "{declared}" contradicts the header, which says {stated}')
+    unit = unit or declared or ""
+    if not unit:
+        raise UnitError(
+            f'{path}: the header states no length unit; declare it with length_unit = "m" or "mm"'
+        )
+    try:
+        return factor_to_si(unit, "m")
+    except UnitError as error:
+        raise UnitError(f"{path}: length unit {unit!r}: {error}") from error
+
+
+def _euler_order(path: str, stated: str, declared: str | None) -> str:
+    order = stated.upper() if stated.upper() in EULER_ORDERS else ""
+    if declared is not None:
+        asked = str(declared).upper()
+        if asked not in EULER_ORDERS:
+            raise LogError(
+                f"{path}: euler_order = {declared!r} is unknown; expected one of {', '.join(EULER_ORDERS)}"
+            )
+        if order and asked != order:
+            raise LogError(f'{path}: euler_order = "{declared}" contradicts the header, which says {stated}')
+        return asked
+    if not order:
+        raise LogError(
+            f"{path}: rotations have no W column and the header's rotation type is {stated!r}; "
+            f"declare euler_order, one of {', '.join(EULER_ORDERS)}"
+        )
+    return order
+
+
+def _rate(path: str, settings: dict[str, str], key: str) -> float | None:
+    try:
+        rate = float(settings.get(key, "nan").replace(",", "."))
+    except ValueError:
+        raise LogError(f"{path}: {key} is {settings[key]!r}; expected frames per second") from None
+    return rate if np.isfinite(rate) and rate > 0 else None
+
+
+def _clock(path: str, header: _Header, numbers: Numbers, clock: str) -> tuple[FloatArray, list[str]]:
+    """Return the times [s]: rebuilt from frame numbers and checked against the Time column, or "
+    "that column."""
+    if clock not in ("auto", "frame", "time"):
+        raise LogError(f'{path}: clock = {clock!r} is unknown; expected "auto", "frame" or "time"')
+    rates = [_rate(path, header.settings, key) for key in ("Export Frame Rate", "Capture Frame Rate")]
+    known = [rate for rate in rates if rate is not None]
+    if "frame" not in header.clocks and "time" not in header.clocks:
+        raise LogError(f"{path}, line {header.table.line}: neither a Frame nor a Time column; export them")
+    if clock == "time" or "frame" not in header.clocks or not known:
+        if "time" not in header.clocks:
+            raise LogError(f"{path}: no Time column and no frame rate in the header; export one of them")
+        time, notes = order_rows(path, numbers, header.clocks["time"], 1.0)
+        return time, [*notes, "time as written in the Time column", *jitter_note(time)]
+
+    counted, notes = order_rows(path, numbers, header.clocks["frame"], 1.0)
+    if "time" not in header.clocks:
+        return counted / known[0], [*notes, f"time is the frame number over {known[0]:g} Hz"]
+    written = numbers.columns[header.clocks["time"]]
+    seen = np.isfinite(written)
+    worst = []
+    for rate in known:
+        rebuilt = counted / rate
+        offset = float(np.median((written - rebuilt)[seen])) if seen.any() else 0.0
+        offset = 0.0 if abs(offset) <= _TIME_ROUNDING else offset
+        error = np.where(seen, np.abs(written - rebuilt - offset), 0.0)
+        if clock == "frame" or error.max() <= _TIME_ROUNDING:
+            said = f"time rebuilt from frame numbers at {rate:g} Hz"
+            return rebuilt + offset, [*notes, said + (f", beginning {offset:.6g} s later" if offset else "")]
+        worst.append((error, rebuilt + offset, rate))
+    error, rebuilt, rate = worst[0]
+    row = int(error.argmax())
+    raise LogError(
+        f"{path}, line {numbers.lines[row]}: frame {counted[row]:.0f} at {rate:g} Hz is at "
+        f"{rebuilt[row]:.6g} s but "
+        f'the Time column says {written[row]:.6g} s; choose with clock = "frame" or clock = "time"'
+    )
+
+
+def read(
+    source: Source,
+    *,
+    rigid_body: str | Iterable[str] | None = None,
+    euler_order: str | None = None,
+    length_unit: str | None = None,
+    clock: str = "auto",
+) -> Recording:
+    """Read a Motive CSV.
+
+    Parameters
+    ----------
+    source : Source
+        The log.
+    rigid_body : str or sequence of str, optional
+        Bodies to keep, which must be there; markers stay. All by default.
+    euler_order : str, optional
+        One of XYZ XZY YXZ YZX ZXY ZYX, where the header does not say.
+    length_unit : str, optional
+        Where the header does not say.
+    clock : str
+        ``"auto"``: frame numbers over the frame rate, checked against the Time column; ``"frame"``:
+        unchecked; ``"time"``: the Time column as written.
+
+    Returns
+    -------
+    Recording
+        Kind ``motion-capture``: ``NAME/position`` (n, 3) [m] and, for bodies, ``NAME/orientation`` (n, 4),
+        unit quaternion, w first, body axes to capture axes; time [s] as in the file.
+
+    Raises
+    ------
+    LogError, UnitError
+        One sentence with file, line and cause.
+    """
+    path = source.path
+    text = read_text(source)
+    header = _read_header(text)
+    scale = _length_factor(path, header.settings.get("Length Units", ""), length_unit)
+    bodies = [asset for asset in header.assets if asset.type in _BODIES]
+    kept = wanted_bodies(path, [body.name for body in bodies], rigid_body)
+    bodies = [body for body in bodies if body.name in kept]
+    markers = [asset for kind in (_MEASURED, _SOLVED) for asset in header.assets if asset.type in kind]
+    for asset in (*bodies, *markers):
+        if not asset.columns("Position", "XYZ"):
+            raise LogError(f'{path}: "{asset.name}" lacks one of Position X, Y, Z; export it whole')
+
+    wanted = {*header.clocks.values()}
+    for asset in (*bodies, *markers):
+        wanted |= {index for part in asset.parts.values() for index in part.values()}
+    numbers = read_numbers(text, header.table, sorted(wanted), least=max(wanted) + 1)
+    del text  # the file's bytes are not needed any more
+    notes = numbers.notes
+    time, said = _clock(path, header, numbers, clock)
+    notes += said
+
+    channels: dict[str, Channel] = {}
+
+    def stacked(columns: list[int]) -> FloatArray:
+        return np.column_stack([numbers.columns[index] for index in columns])
+
+    for body in bodies:
+        if not body.columns("Rotation", "XYZ"):
+            raise LogError(f'{path}: rigid body "{body.name}" has no rotation columns; export it whole')
+        if f"{body.name}/position" in channels:
+            raise LogError(f'{path}: two rigid bodies are named "{body.name}"; rename one and export again')
+        if body.columns("Rotation", "WXYZ"):
+            raw = stacked(body.columns("Rotation", "WXYZ"))
+        else:
+            order = _euler_order(path, header.settings.get("Rotation Type", ""), euler_order)
+            raw = euler_quaternions(order, stacked(body.columns("Rotation", order)))
+        orientation, said = unit_quaternions(path, body.name, numbers, raw)
+        channels |= body_channels(
+            body.name, time, stacked(body.columns("Position", "XYZ")) * scale, orientation
+        )
+        lost = int(np.isnan(orientation[:, 0]).sum())
+        notes += [*said, *([f"{body.name} is lost in {lost} of {time.size} frames"] if lost else [])]
+    blank = 0
+    for marker in markers:
+        position = stacked(marker.columns("Position", "XYZ")) * scale
+        if not np.isfinite(position).all(axis=1).any():
+            blank += 1
+            continue
+        solved = marker.type in _SOLVED
+        name = marker.name + (" (solved)" if solved and f"{marker.name}/position" in channels else "")
+        repeat = 2
+        while f"{name}/position" in channels:
+            name, repeat = f"{marker.name} #{repeat}", repeat + 1
+        channels[f"{name}/position"] = Channel(f"{name}/position", "m", time, position)
+    if blank:
+        notes.append(f"{blank} markers are never seen and were left out")
+    solved_names = [marker.name for marker in markers if marker.type in _SOLVED]
+    if solved_names:
+        notes.append(f"positions solved from the body, not measured: {listing(solved_names)}")
+    began = header.settings.get("Capture Start Time", "")
+    if began:
+        notes.append(f"capture began at {began} by the capture computer's clock")
+    version = header.settings.get("Format Version", "")
+    options = {
+        "rigid_body": rigid_body,
+        "euler_order": euler_order,
+        "length_unit": length_unit,
+        "clock": clock,
+    }
+    return Recording(
+        "motion-capture",
+        channels,
+        source.provenance(
+            _NAME, device=f"OptiTrack Motive CSV {version}".strip(), options=options, notes=notes
+        ),
+    )
+
+
+FORMAT = LogFormat(_NAME, "OptiTrack Motive CSV 1.21 to 1.25 (rigid bodies, markers)", _recognize, read)

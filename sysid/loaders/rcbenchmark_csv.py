@@ -1,0 +1,191 @@
+"""RCbenchmark / Tyto Robotics CSV: Series 1580 and 1585, and the headers of 1520 and 1780.
+
+Columns are matched by name and unit, both of which depend on the stand and on the user's settings: command in
+µs or (no unit) DShot 0 to 2047, thrust in N, gf or kgf, speed in RPM or rad/s.
+
+Valid for running logs (kind ``thrust-stand``) and for averaged points (kind ``static-map``, whose channels
+are on the clock of the point number because their times need not increase). Values that the stand repeats
+between two readings of a sensor are kept as recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from sysid.errors import LogError, UnitError
+from sysid.loaders.clock import order_rows
+from sysid.loaders.columns import Column, DeclaredUnits, find_column, missing_column, parse_header
+from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.source import Source
+from sysid.loaders.table import find_header, read_numbers, table_head
+from sysid.loaders.text import read_text
+from sysid.loaders.thrust_stand import choose_speed, is_static, point_channels
+from sysid.recording import Channel, FloatArray, Recording
+
+_NAME = "rcbenchmark-csv"
+_COMMAND = frozenset({"esc signal", "esc"})
+# channel: (stem in the header, unit that its own is converted to)
+_QUANTITIES = {
+    "torque": ("torque", "N*m"),
+    "thrust": ("thrust", "N"),
+    "voltage": ("voltage", "V"),
+    "current": ("current", "A"),
+    "speed_electrical": ("motor electrical speed", "rad/s"),
+    "speed_optical": ("motor optical speed", "rad/s"),
+    "electrical_power": ("electrical power", "W"),
+    "mechanical_power": ("mechanical power", "W"),
+    "acceleration_x": ("accx", "m/s^2"),
+    "acceleration_y": ("accy", "m/s^2"),
+    "acceleration_z": ("accz", "m/s^2"),
+    "vibration": ("vibration", "m/s^2"),
+}
+_MEASURED = ("torque", "thrust", "speed_electrical", "speed_optical")
+_UNIT_NAMES = {"N*m": "N·m", "m/s^2": "m/s²"}
+_LARGEST_DSHOT = 2047.0
+
+
+def _recognize(source: Source) -> int:
+    found = find_header(source.head_lines)
+    if found is None:
+        return NO
+    stems = {column.stem for column in parse_header(found[2])}
+    measured = {_QUANTITIES[name][0] for name in _MEASURED}
+    return CERTAIN if stems & _COMMAND and stems & measured else NO
+
+
+def _device(columns: tuple[Column, ...]) -> str:
+    stems = {column.stem for column in columns}
+    if "accx" in stems:
+        return "RCbenchmark Series 1580/1585"
+    if "esc" in stems:
+        return "RCbenchmark Series 1780"
+    return "RCbenchmark Series 1520" if "torque" not in stems else "RCbenchmark"
+
+
+def _command_unit(
+    path: str, column: Column, declared: DeclaredUnits, values: FloatArray, notes: list[str]
+) -> str:
+    stated = declared.unit_of(column, "command")
+    if stated is not None:
+        return declared.command(column)
+    largest, smallest = float(np.nanmax(values, initial=0.0)), float(np.nanmin(values, initial=0.0))
+    if largest > _LARGEST_DSHOT or smallest < 0.0:
+        raise UnitError(
+            f'{path}: command column "{column.label}" states no unit and runs from {smallest:g} to {largest:g}, '
+            'beyond DShot 0 to 2047; declare it, for example units = {command = "us"}'
+        )
+    notes.append("the command column states no unit: read as DShot 0 to 2047")
+    return "dshot"
+
+
+def read(
+    source: Source,
+    *,
+    units: Mapping[str, str] | None = None,
+    static: bool | None = None,
+    time_back: str = "refuse",
+) -> Recording:
+    """Read an RCbenchmark CSV.
+
+    Parameters
+    ----------
+    source : Source
+        The log.
+    units : mapping of str to str, optional
+        Units by channel or column name where the header states none or a wrong one.
+    static : bool, optional
+        True: rows are averaged points; False: rows are a running log. Judged from the row spacing by default.
+    time_back : str
+        ``"refuse"`` a log whose time goes back, or ``"drop"`` the rows that do not pass the latest time.
+
+    Returns
+    -------
+    Recording
+        ``command`` [us or dshot], ``speed`` (optical unless that probe is off), ``speed_optical``,
+        ``speed_electrical`` [rad/s], ``thrust`` [N], ``torque`` [N·m], ``voltage`` [V], ``current`` [A] and
+        what else the stand wrote, signs as recorded; ``log_time`` [s] on static maps.
+
+    Raises
+    ------
+    LogError, UnitError
+        One sentence with file, line and cause.
+    """
+    path = source.path
+    text = read_text(source)
+    head = table_head(text)
+    columns = parse_header(head.names)
+    declared = DeclaredUnits(path, units)
+    command = find_column(path, columns, _COMMAND)
+    if command is None:
+        raise missing_column(path, '"ESC signal" or "ESC"', columns)
+    found = {name: find_column(path, columns, {stem}) for name, (stem, _) in _QUANTITIES.items()}
+    quantities = {name: column for name, column in found.items() if column is not None}
+    if not any(name in quantities for name in _MEASURED):
+        raise missing_column(path, '"Thrust", "Torque" or "Motor Optical Speed"', columns)
+    clock = find_column(path, columns, {"time"})
+    if clock is None and not static:
+        raise LogError(
+            f'{path}: no column "Time", so rows have no clock; '
+            "if each row is one averaged point, say so with static = true"
+        )
+    temperatures = [column for column in columns if (column.unit or "") in ("ºC", "°C", "degC")]
+
+    wanted = [command, *quantities.values(), *temperatures, *([clock] if clock else [])]
+    indices = [column.index for column in wanted]
+    # Rows are ragged: a vendor script appends cells to some of them, beyond the ones that are read here.
+    numbers = read_numbers(text, head, indices, least=max(indices) + 1, surplus=True)
+    del text  # the file's bytes are not needed any more
+    notes = numbers.notes
+
+    time = np.arange(numbers.lines.size, dtype=np.float64)
+    seconds = declared.factor(clock, "time", "s", "s") if clock else 1.0
+    if static is None:
+        static = clock is not None and is_static(numbers.columns[clock.index] * seconds)
+    log_time = numbers.columns[clock.index] * seconds if clock else None
+    if not static and clock is not None:
+        time, said = order_rows(path, numbers, clock.index, seconds, stale_start=True, time_back=time_back)
+        notes += said
+
+    values = {name: numbers.columns[column.index] for name, column in quantities.items()}
+    unit = _command_unit(path, command, declared, numbers.columns[command.index], notes)
+    channels = {"command": Channel("command", unit, time, numbers.columns[command.index])}
+    blank = []
+    for name, column in quantities.items():
+        wanted_unit = _QUANTITIES[name][1]
+        values[name] = values[name] * declared.factor(column, name, wanted_unit)
+        if np.isnan(values[name]).all():
+            blank.append(column.label)
+            continue
+        channels[name] = Channel(name, _UNIT_NAMES.get(wanted_unit, wanted_unit), time, values[name])
+    speed, said = choose_speed(values.get("speed_optical"), values.get("speed_electrical"))
+    notes += said
+    if speed is not None and not np.isnan(speed).all():
+        channels["speed"] = Channel("speed", "rad/s", time, speed)
+    for column in temperatures:
+        name = f"temperature/{column.stem}"
+        channels[name] = Channel(name, "K", time, numbers.columns[column.index] + 273.15)
+    declared.check_used(columns)
+    notes += declared.notes
+    if blank:
+        notes.append(f"columns without a single value: {', '.join(blank)}")
+    if static:
+        if log_time is not None:
+            channels["log_time"] = Channel("log_time", "s", time, log_time)
+        channels = point_channels(channels)
+        notes.append(
+            "static map: each row is one averaged point, and every clock is the point number, not seconds"
+        )
+    options: dict[str, Any] = {"units": units, "static": static, "time_back": time_back}
+    return Recording(
+        "static-map" if static else "thrust-stand",
+        channels,
+        source.provenance(_NAME, device=_device(columns), options=options, notes=notes),
+    )
+
+
+FORMAT = LogFormat(
+    _NAME, "RCbenchmark / Tyto thrust stand CSV (Series 1520, 1580, 1585, 1780)", _recognize, read
+)

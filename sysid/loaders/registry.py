@@ -1,0 +1,166 @@
+"""The formats that sysid reads: one module each, one line here, or an entry point from outside.
+
+A package adds a format by declaring, in its own pyproject.toml::
+
+    [project.entry-points."sysid.loaders"]
+    my-format = "my_package.my_format:FORMAT"
+
+where ``FORMAT`` is a `LogFormat`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from sysid.errors import LogError, SysidWarning
+from sysid.loaders.source import Source
+from sysid.recording import Recording
+
+ENTRY_POINT_GROUP = "sysid.loaders"
+
+NO, POSSIBLE, CERTAIN = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class LogFormat:
+    """One log format.
+
+    Parameters
+    ----------
+    name : str
+        What a user writes as ``format``.
+    describes : str
+        One line for lists.
+    recognize : callable
+        ``recognize(source) -> NO, POSSIBLE or CERTAIN`` from `Source.head`; it raises nothing.
+    read : callable
+        ``read(source, *, option=default, ...) -> Recording``; its keyword arguments are the options.
+    """
+
+    name: str
+    describes: str
+    recognize: Callable[[Source], int]
+    read: Callable[..., Recording]
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """Names of the options that `read` takes."""
+        parameters = inspect.signature(self.read).parameters.values()
+        return tuple(p.name for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY)
+
+
+# One line per format; the order is that of lists and messages.
+_BUILT_IN = (
+    "sysid.loaders.rcbenchmark_csv",
+    "sysid.loaders.load_cell_csv",
+    "sysid.loaders.load_cell_hdf5",
+    "sysid.loaders.motive_csv",
+    "sysid.loaders.pose_table",
+)
+
+
+def formats() -> dict[str, LogFormat]:
+    """Return every format by name: the built-in ones, then those of installed packages."""
+    found: dict[str, LogFormat] = {}
+    for module in _BUILT_IN:
+        entry = import_module(module).FORMAT
+        found[entry.name] = entry
+    for point in entry_points(group=ENTRY_POINT_GROUP):
+        try:
+            entry = point.load()
+        except Exception as error:  # another package's code: whatever it raises must not stop our own formats
+            warnings.warn(f"log format {point.name!r} cannot be loaded: {error}", SysidWarning, stacklevel=2)
+            continue
+        if not isinstance(entry, LogFormat) or entry.name in found:
+            reason = "is no LogFormat" if not isinstance(entry, LogFormat) else f"repeats {entry.name!r}"
+            warnings.warn(f"log format {point.name!r} {reason}; left out", SysidWarning, stacklevel=2)
+            continue
+        found[entry.name] = entry
+    return found
+
+
+def _names(candidates: dict[str, LogFormat]) -> str:
+    return ", ".join(candidates)
+
+
+def _detect(source: Source) -> LogFormat:
+    known = formats()
+    votes = {name: entry.recognize(source) for name, entry in known.items()}
+    for level in (CERTAIN, POSSIBLE):
+        winners = [name for name, vote in votes.items() if vote == level]
+        if len(winners) == 1:
+            return known[winners[0]]
+        if winners:
+            raise LogError(
+                f"{source.path}: the content fits {' and '.join(winners)}; "
+                f'choose one with format = "{winners[0]}"'
+            )
+    raise LogError(
+        f"{source.path}: not recognized as any log format by its content; "
+        f'if it is one of {_names(known)}, say so with format = "..."'
+    )
+
+
+def detect(path: str | Path) -> str:
+    """Return the name of a log's format, judged by its content and never by its suffix.
+
+    Raises
+    ------
+    LogError
+        When the file cannot be read, or no format or several fit; the message names the candidates.
+    """
+    return _detect(Source(path)).name
+
+
+def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording:
+    """Read one log.
+
+    Parameters
+    ----------
+    path : str or Path
+        The log.
+    format : str
+        Name of the format, or ``"auto"`` to judge by content.
+    **options
+        What the log itself does not say; each format's ``read`` documents its own, for example ``rate`` [Hz],
+        ``units``, ``quaternion_order``, ``euler_order``, ``length_unit``, ``rigid_body``, ``datasets``.
+        An option that is None counts as not given.
+
+    Returns
+    -------
+    Recording
+        Channels in SI, each on its own clock [s], with provenance.
+
+    Raises
+    ------
+    LogError, UnitError
+        One sentence with file, line and cause.
+    """
+    source = Source(path)
+    if format == "auto":
+        chosen = _detect(source)
+    else:
+        known = formats()
+        if format not in known:
+            near = difflib.get_close_matches(str(format), known, 1)
+            hint = f'; did you mean "{near[0]}"?' if near else ""
+            raise LogError(f"{source.path}: unknown format {format!r}; known are {_names(known)}{hint}")
+        chosen = known[format]
+    given = {name: value for name, value in options.items() if value is not None}
+    unknown = sorted(set(given) - set(chosen.options))
+    if unknown:
+        near = difflib.get_close_matches(unknown[0], chosen.options, 1)
+        hint = f'; did you mean "{near[0]}"?' if near else ""
+        raise LogError(
+            f'{source.path}: format {chosen.name} has no option "{unknown[0]}"; '
+            f"it has {', '.join(chosen.options) or 'none'}{hint}"
+        )
+    return chosen.read(source, **given)

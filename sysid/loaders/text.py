@@ -1,0 +1,120 @@
+"""Text logs: encoding, line ends, delimiter.
+
+Every text format reads through here, so that a byte-order mark, a UTF-16 export, a carriage return or a
+semicolon means the same everywhere. The tables of numbers inside are the matter of `sysid.loaders.table`.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from sysid.errors import LogError
+from sysid.loaders.source import Source
+
+_DELIMITERS = ",;\t"
+
+
+def decode(data: bytes, path: str, *, partial: bool = False) -> str:
+    """Return the text of `data`: UTF-8 or UTF-16 by its mark, else UTF-8, else Windows-1252.
+
+    Parameters
+    ----------
+    data : bytes
+        Content from the start of the file.
+    path : str
+        Named in messages.
+    partial : bool
+        `data` may end inside a character.
+
+    Raises
+    ------
+    LogError
+        When a file marked UTF-16 is broken.
+    """
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        body = data[: len(data) // 2 * 2] if partial else data
+        try:
+            return body.decode("utf-16")
+        except UnicodeDecodeError as error:
+            raise LogError(
+                f"{path}: marked as UTF-16 but broken at byte {error.start}; save it as UTF-8"
+            ) from error
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        if partial and error.start >= len(data) - 3:
+            return data[: error.start].decode("utf-8-sig")
+        return data.decode("cp1252", errors="replace")
+
+
+@dataclass(frozen=True)
+class Text:
+    """A whole text log: `data` is UTF-8 without mark, with ``\\n`` as the only line end."""
+
+    path: str
+    data: bytes
+    notes: tuple[str, ...] = ()
+
+    def lines(self, count: int = -1) -> Iterator[tuple[int, int, str]]:
+        """Yield (line number from 1, byte offset of the next line, text) of the first `count` lines."""
+        offset, number = 0, 0
+        while offset < len(self.data) and number != count:
+            end = self.data.find(b"\n", offset)
+            end = len(self.data) if end < 0 else end
+            number += 1
+            line = self.data[offset:end].decode("utf-8", errors="replace")
+            offset = end + 1
+            yield number, offset, line
+
+
+def read_text(source: Source) -> Text:
+    """Read a text log whole.
+
+    Raises
+    ------
+    LogError
+        When the file holds NUL bytes (binary, or UTF-16 without a mark).
+    """
+    data = source.read_bytes()
+    notes = []
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        data = decode(data, source.path).removeprefix("\ufeff").encode("utf-8")
+        notes.append("read as UTF-16, as its byte-order mark says")
+    nul = data.find(b"\0")
+    if nul >= 0:
+        line = data.count(b"\n", 0, nul) + 1
+        raise LogError(
+            f"{source.path}, line {line}: NUL byte at byte {nul}: the file is binary, damaged or "
+            "UTF-16 without "
+            "a mark; export it again as UTF-8 text"
+        )
+    data = data.removeprefix(b"\xef\xbb\xbf")
+    if not data.isascii():
+        try:
+            data.decode("utf-8")
+        except UnicodeDecodeError:
+            data = data.decode("cp1252", errors="replace").encode("utf-8")
+            notes.append("not UTF-8: read as Windows-1252")
+    if b"\r" in data:
+        data = data.replace(b"\r\n", b"\n")
+        if b"\r" in data:
+            # "\r\r\n", which a text-mode copy makes, is one line end; a lone "\r" is an old one.
+            data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    return Text(source.path, data, tuple(notes))
+
+
+def split_line(line: str, delimiter: str) -> list[str]:
+    """Return the cells of one line; a quote never runs past the end of its line."""
+    if '"' not in line:
+        return line.split(delimiter)
+    try:
+        return next(csv.reader([line], delimiter=delimiter))
+    except (csv.Error, StopIteration):
+        return line.split(delimiter)
+
+
+def sniff_delimiter(line: str) -> str:
+    """Return the delimiter that cuts a header line into most cells (comma on a tie)."""
+    return max(_DELIMITERS, key=lambda delimiter: len(split_line(line, delimiter)))
