@@ -41,11 +41,19 @@ _BODIES = frozenset({"rigid body", "bone"})
 _SOLVED = frozenset({"rigid body marker", "bone marker"})
 _MEASURED = frozenset({"marker"})
 _KEYS = (
-    "Format Version", "Take Name", "Take Notes", "Capture Frame Rate", "Export Frame Rate", "
-    ""Capture Start Time",
-    "Capture Start Frame", "Total Frames in Take", "Total Exported Frames", "Rotation Type", "Length Units",
+    "Format Version",
+    "Take Name",
+    "Take Notes",
+    "Capture Frame Rate",
+    "Export Frame Rate",
+    "Capture Start Time",
+    "Capture Start Frame",
+    "Total Frames in Take",
+    "Total Exported Frames",
+    "Rotation Type",
+    "Length Units",
     "Coordinate Space",
-)  # fmt: skip
+)
 _LENGTHS = {"meters": "m", "millimeters": "mm", "centimeters": "cm", "inches": "inch", "feet": "foot"}
 # The column rows come within the first dozen lines of every version seen.
 _HEADER_LINES = 40
@@ -92,19 +100,23 @@ def _settings(cells: list[str]) -> dict[str, str]:
     }
 
 
+def _is_column_row(cells: list[str]) -> bool:
+    first = cells[0].casefold()
+    return first == "frame" or first.startswith("time")
+
+
 def _read_header(text: Text) -> _Header:
     rows: list[list[str]] = []
-    delimiter = ","
+    delimiter, number, offset = ",", 0, 0
     for number, offset, line in text.lines(_HEADER_LINES):
         if not rows:
             if not line.strip():
                 continue
             delimiter = sniff_delimiter(line)
-        cells = [cell.strip().strip('"').strip() for cell in split_line(line, delimiter)]
-        rows.append(cells)
-        if cells[0].casefold() == "frame" or cells[0].casefold().startswith("time"):
+        rows.append([cell.strip().strip('"').strip() for cell in split_line(line, delimiter)])
+        if _is_column_row(rows[-1]):
             break
-    else:
+    if not rows or not _is_column_row(rows[-1]):
         raise LogError(
             f'{text.path}: no column row "Frame,Time,..." in the first {_HEADER_LINES} lines; '
             "export again with the header information switched on"

@@ -52,7 +52,7 @@ def _matched(path: str, columns: Sequence[Column], pattern: re.Pattern[str]) -> 
             axis = next(group for group in match.groups() if group)
             if axis in found:
                 raise LogError(
-                    f'{path}: columns "{found[axis].label}" and "{column.label}" both name the {axis} component; '
+                    f'{path}: columns "{found[axis].label}" and "{column.label}" both name component {axis}; '
                     "this format holds one body, so remove or rename one"
                 )
             found[axis] = column
@@ -185,7 +185,7 @@ def read(
         factor = declared.factor(position[axis], axis, "m", length_unit)
         if length_unit is not None and factor != factor_to_si(length_unit, "m"):
             raise UnitError(
-                f'{path}: length_unit = "{length_unit}" contradicts column "{position[axis].label}"; leave it out'
+                f'{path}: length_unit = "{length_unit}" contradicts column "{position[axis].label}"'
             )
         scale.append(factor)
     seconds = declared.factor(clock, "t", "s", "s")
@@ -228,9 +228,12 @@ def read(
     if "angular_velocity" in extra:
         notes.append("angular velocity as written: the file does not say in which frame")
     options = {
-        "quaternion_order": quaternion_order, "length_unit": length_unit, "units": units, "columns": columns,
+        "quaternion_order": quaternion_order,
+        "length_unit": length_unit,
+        "units": units,
+        "columns": columns,
         "rigid_body": None if rigid_body == "body" else rigid_body,
-    }  # fmt: skip
+    }
     return Recording(
         "motion-capture", channels, source.provenance(_NAME, options=options, notes=[*notes, *declared.notes])
     )

@@ -74,8 +74,8 @@ def _command_unit(
     largest, smallest = float(np.nanmax(values, initial=0.0)), float(np.nanmin(values, initial=0.0))
     if largest > _LARGEST_DSHOT or smallest < 0.0:
         raise UnitError(
-            f'{path}: command column "{column.label}" states no unit and runs from {smallest:g} to {largest:g}, '
-            'beyond DShot 0 to 2047; declare it, for example units = {command = "us"}'
+            f'{path}: command column "{column.label}" states no unit and runs from {smallest:g} '
+            f'to {largest:g}, beyond DShot 0 to 2047; declare it, for example units = {{command = "us"}}'
         )
     notes.append("the command column states no unit: read as DShot 0 to 2047")
     return "dshot"

@@ -11,6 +11,7 @@ import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,7 +109,7 @@ def table_head(text: Text, columns: Sequence[str] | None = None) -> TableHead:
             f"{text.path}: only blank or comment lines; expected a header line and rows of numbers"
         )
     index, delimiter, names = found
-    number, offset, line = lines[index]
+    number, offset, _ = lines[index]
     headless = _all_numeric(names)
     if headless:
         number, offset = number - 1, lines[index - 1][1] if index else 0
@@ -210,7 +211,7 @@ def _read_fast(
 
     # Exact to the last bit: the default from pandas 3.1 on, an option before.
     version = tuple(int(part) for part in pd.__version__.split(".")[:2])
-    exact = {} if version >= (3, 1) else {"float_precision": "round_trip"}
+    exact: dict[str, Any] = {} if version >= (3, 1) else {"float_precision": "round_trip"}
     stream = io.BytesIO(data)
     stream.seek(start)
     try:
