@@ -81,22 +81,28 @@ def load_cell_csv(log: LoadCellLog) -> str:
 
 
 def load_cell_hdf5(log: LoadCellLog) -> Callable[[Path], None]:
-    """Return a function that writes a load-cell log as HDF5: one dataset per channel, with its unit."""
+    """Return a function that writes a load-cell log as HDF5.
+
+    One compressed dataset per channel with its unit, and the clock as attributes `rate` [Hz] and `start` [s]:
+    the layout of `sysid.loaders.load_cell_hdf5`.
+    """
 
     def write(path: Path) -> None:
         import h5py
 
         channels = {
-            "Time": (log.time, "s", "f8"),
-            "Command": (log.command, "µs", "f4"),
-            "Speed": (log.speed, "rad/s", "f4"),
-            "Fz": (log.force, "N", "f4"),
-            "Mz": (log.torque, "N·m", "f4"),
+            "Command": (log.command, "us"),
+            "Speed": (log.speed, "rad/s"),
+            "Fz": (log.force, "N"),
+            "Mz": (log.torque, "N·m"),
         }
         with h5py.File(path, "w") as file:
-            for name, (values, unit, kind) in channels.items():
+            file.attrs["rate"] = round((len(log.time) - 1) / float(log.time[-1] - log.time[0]), 6)
+            file.attrs["start"] = float(log.time[0])
+            file.attrs["device"] = "six-axis load cell, synthesized"
+            for name, (values, unit) in channels.items():
                 data = file.create_dataset(
-                    name, data=values.astype(kind), compression="gzip", compression_opts=6, shuffle=True
+                    name, data=values.astype(np.float32), compression="gzip", compression_opts=9, shuffle=True
                 )
                 data.attrs["unit"] = unit
 
