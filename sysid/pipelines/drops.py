@@ -130,8 +130,7 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
     if campaign.surface.rest_log is not None:
         rest = read(resolve_log(path, campaign.surface.rest_log))
     return tuple(
-        _prepare(campaign, trial, read(resolve_log(path, trial.log)), rest)
-        for trial in campaign.trials
+        _prepare(campaign, trial, read(resolve_log(path, trial.log)), rest) for trial in campaign.trials
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,13 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.campaign import GearCampaign
+from sysid.campaign import GearCampaign, read_campaign
 from sysid.errors import CampaignError
+from sysid.filters import KaiserLowpass
 from sysid.fit.cost import FilteredNrmse, PopulationCost
 from sysid.fit.objective import Evaluation
+from sysid.fit.result import FitResult, TrialResult, bound_warnings, ranked_sets
+from sysid.fit.store import check_new_fit, write_fit
 from sysid.gear.model import FIT_TOLERANCE, HF_FREE, LF_FREE, PARAMETERS, SURFACES, Drops, simulate_population
+from sysid.parameter_sets import parameter_records
 from sysid.parameters import SearchSpace
-from sysid.pipelines.drops import PreparedDrop, cost_channels
+from sysid.pipelines.drops import PreparedDrop, cost_channels, prepare_drops
+from sysid.pipelines.search import FitOptions, collected_warnings, naming, provenance, search
 
 FloatArray = NDArray[np.float64]
 
@@ -94,7 +99,7 @@ class GearObjective:
     def evaluate(self, cube: FloatArray) -> Evaluation:
         """Simulate and score unit-cube points (P, n_free)."""
         scored = self.score(self.space.full(cube))
-        return Evaluation(scored.cost, scored.failed.any(axis=1), len(cube) * len(self.drops))
+        return Evaluation(scored.cost, np.asarray(scored.failed.any(axis=1)), len(cube) * len(self.drops))
 
     def score(self, rows: FloatArray) -> PopulationCost:
         """Simulate and score rows of the whole parameter table (P, n_par) [SI]."""
@@ -114,6 +119,139 @@ class GearObjective:
             samples[:, offsets[d] : offsets[d] + lead, 3:] = np.nan
             samples[:, offsets[d] + lead : offsets[d + 1]] = result.samples[:, ends[d] : ends[d + 1]]
         return samples, result.reached
+
+
+def fit_gear(
+    path: str | Path,
+    options: FitOptions | None = None,
+    *,
+    surface: str | None = None,
+    say: Callable[[str], None] | None = None,
+) -> tuple[FitResult, Path]:
+    """Fit the landing gear to the drops of a campaign and write the fit folder.
+
+    Parameters
+    ----------
+    path : str or Path
+        Campaign file of kind ``gear``.
+    options : FitOptions
+        Overrides of the command line.
+    surface : {"lf", "hf"}, optional
+        Overrides the campaign's friction law.
+    say : callable, optional
+        Told, one sentence at a time, what is going on and what is doubtful.
+
+    Returns
+    -------
+    result : FitResult
+        Ranked sets and all that led to them.
+    folder : Path
+        Where it was written.
+
+    Raises
+    ------
+    SysidError
+        When an input cannot be used; nothing has been written then.
+    """
+    campaign = read_campaign(path, "gear")
+    assert isinstance(campaign, GearCampaign)
+    if surface is not None:
+        changed = campaign.surface.model_copy(update={"law": surface})
+        campaign = campaign.model_copy(update={"surface": changed})
+    options = options or FitOptions()
+    tell = say or (lambda sentence: None)
+    folder = options.folder(campaign.name)
+    check_new_fit(folder, options.force)
+    with naming(path), collected_warnings(lambda text: tell(f"warning: {text}")) as doubts:
+        space = search_space(campaign)
+        ranges = campaign.parameters.measured_ranges(PARAMETERS)
+        settings = options.settings(campaign.fit)
+        drops = prepare_drops(campaign, path)
+        fitted = tuple(drop for drop in drops if drop.use == "fit")
+        objective = GearObjective.build(campaign, space, fitted, options.threads)
+        tell(
+            f"{len(fitted)} drops to fit, {len(drops) - len(fitted)} to validate; {len(space.free)} free "
+            f"parameters; the kernel is compiled at the first start of a version (under a minute)"
+        )
+        runs, interrupted = search(objective, settings, simulated="drops", quiet=options.quiet)
+    sets = ranked_sets(runs, space)
+    records = parameter_records(space, measured_values(campaign), ranges)
+    result = FitResult(
+        kind="gear",
+        name=campaign.name,
+        state="stopped" if interrupted else "done",
+        parameters=records,
+        runs=runs,
+        set_runs=sets.run,
+        set_seeds=sets.seed,
+        cube=sets.cube,
+        values=sets.values,
+        at_bound=sets.at_bound,
+        nrmse=sets.cost,
+        trials=_trial_results(GearObjective.build(campaign, space, drops, options.threads), sets.values),
+        channels=tuple(channel.name for channel in objective.cost.channels),
+        channel_units=tuple(channel.unit for channel in objective.cost.channels),
+        channel_weights=tuple(channel.weight for channel in objective.cost.channels),
+        settings=_settings(campaign, fitted),
+        provenance=provenance(
+            path,
+            settings,
+            campaign.cost.denominator,
+            _filter_design(campaign, fitted[0]),
+            {drop.name: drop.provenance for drop in drops},
+        ),
+        warnings=(*doubts, *bound_warnings(records, sets.at_bound)),
+    )
+    return result, write_fit(result, folder, options.force)
+
+
+def _trial_results(objective: GearObjective, rows: FloatArray) -> tuple[TrialResult, ...]:
+    samples, reached = objective.simulate(rows)
+    scored = objective.cost(samples, reached)
+    simulated = objective.cost.prepared(samples)
+    out = []
+    for d, drop in enumerate(objective.drops):
+        measured = drop.target.measured
+        valid = np.isfinite(measured)
+        if drop.target.valid is not None:
+            valid &= drop.target.valid[:, None]
+        out.append(
+            TrialResult(
+                name=drop.name,
+                use="fit" if drop.use == "fit" else "validate",
+                time=drop.time,
+                measured=measured,
+                valid=valid,
+                simulated=simulated[d],
+                nrmse=scored.by_channel[:, d],
+            )
+        )
+    return tuple(out)
+
+
+def _settings(campaign: GearCampaign, drops: tuple[PreparedDrop, ...]) -> dict[str, Any]:
+    """Return what a simulator must know beside the numbers."""
+    return {
+        "surface": campaign.surface.law,
+        "frame": (
+            "x down-slope, z up, y into the page; positive pitch turns z toward x; a slope falls toward +x; "
+            "rear leg up-slope at -x, front leg at +x; every leg value is of the pair at that end"
+        ),
+        "window": {
+            "before_contact [s]": campaign.window.before_contact,
+            "after_contact [s]": campaign.window.after_contact,
+        },
+        "slopes [deg]": {drop.name: float(np.degrees(drop.slope)) for drop in drops},
+        "tolerance": FIT_TOLERANCE,
+    }
+
+
+def _filter_design(campaign: GearCampaign, drop: PreparedDrop) -> dict[str, Any]:
+    settings = campaign.filter
+    if settings.kind == "none":
+        return {"kind": "none"}
+    lowpass = KaiserLowpass(drop.motion.rate, settings.cutoff, settings.attenuation_db, settings.transition)
+    return {**lowpass.describe(), "simulation filtered too": settings.filter_simulation}
 
 
 def score_values(
