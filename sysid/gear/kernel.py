@@ -19,34 +19,30 @@ from numba import njit
 
 from sysid.gear.contact import low_friction, normal_force
 from sysid.gear.dynamics import accelerations, feet, pose
+from sysid.integrate.tableau import A, A_TWICE, C, E, STAGES
 
 OK = 0
 STEP_COLLAPSED = 1
 TOO_EXPENSIVE = 2
 BLEW_UP = 3
 
+# Error weights of the rates (s, w, phi, h_C, theta_C, h_D, theta_D): 1 / scale, scales 1 m/s, 5 and 10 rad/s.
+WEIGHTS = np.array([1.0, 1.0, 0.2, 1.0, 0.1, 1.0, 0.1])
+
 # Rows of the work buffer; element `row * lanes + lane`.
 _Y = 0  # coordinates 7, rates 7
-_K1 = 14  # accelerations at the step's start
-_K2 = 21
-_K3 = 28
-_K4 = 35  # accelerations at the step's end
-_S = 42  # stage state 14, at last the step's end
-_P = 56  # derived coefficients
-_T = 76  # time since the drop's start
-_H = 77  # step
-_NEW_H = 78
-_TAKEN = 79  # 1 if the step is accepted
-_NEXT = 80  # time of the lane's next sample
-_FRESH = 81  # 1 while a new job waits for its first accelerations (a step of length 0)
-_COUNT = 82  # right-hand sides spent
-_ROWS = 83
-
-N_COEFFICIENTS = 20
-_N_DYNAMIC = 16
-
-# Error weights of the rates (s, w, phi, h_C, theta_C, h_D, theta_D): 1 / scale, scales 1 m/s, 5 rad/s, 1 m/s, 10 rad/s.
-_WEIGHTS = (1.0, 1.0, 0.2, 1.0, 0.1, 1.0, 0.1)
+_S = 14  # the same at the step's end
+_K = 28  # accelerations at the stages, 7 rows each; the last stage is the step's end
+_P = _K + 7 * (STAGES + 1)  # derived coefficients
+_T = _P + 20  # time since the drop's start
+_H = _T + 1  # step
+_NEW_H = _T + 2
+_TAKEN = _T + 3  # 1 if the step is accepted
+_NEXT = _T + 4  # time of the lane's next sample
+_FRESH = _T + 5  # 1 while a new job waits for its first accelerations (a step of length 0), 2 in an idle lane
+_COUNT = _T + 6  # right-hand sides spent
+_LIMIT = _T + 7  # right-hand sides that the job may spend
+_ROWS = _T + 8
 
 
 def _fingerprint() -> int:
@@ -56,59 +52,76 @@ def _fingerprint() -> int:
     return int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
 
 
-@njit(error_model="numpy", forceinline=True)
-def _evaluate(work, state, out, lane, lanes):
-    """Accelerations of one lane's state at row `state` into the rows from `out`."""
-    w = work[(state + 1) * lanes + lane]
-    phi = work[(state + 2) * lanes + lane]
-    h_c = work[(state + 3) * lanes + lane]
-    theta_c = work[(state + 4) * lanes + lane]
-    h_d = work[(state + 5) * lanes + lane]
-    theta_d = work[(state + 6) * lanes + lane]
-    rates = (
-        work[(state + 7) * lanes + lane],
-        work[(state + 8) * lanes + lane],
-        work[(state + 9) * lanes + lane],
-        work[(state + 10) * lanes + lane],
-        work[(state + 11) * lanes + lane],
-        work[(state + 12) * lanes + lane],
-        work[(state + 13) * lanes + lane],
-    )
+@njit(error_model="numpy", inline="always")
+def _advanced(work, stage, i, lane, lanes):
+    """Coordinate `i` of one lane and its rate at the start of a stage.
+
+    A coordinate's derivative is its rate, so stages of coordinates are sums over accelerations alone (Nystrom form).
+    """
+    h = work[_H * lanes + lane]
+    rate = work[(_Y + 7 + i) * lanes + lane]
+    along = 0.0
+    twice = 0.0
+    for j in range(stage):
+        k = work[(_K + 7 * j + i) * lanes + lane]
+        along += A[stage, j] * k
+        twice += A_TWICE[stage, j] * k
+    return work[(_Y + i) * lanes + lane] + h * (C[stage] * rate + h * twice), rate + h * along
+
+
+@njit(error_model="numpy", inline="always")
+def _stage(work, stage, lane, lanes):
+    """Accelerations of one lane at a stage; stage 0 is never evaluated (first same as last)."""
+    s, s_rate = _advanced(work, stage, 0, lane, lanes)
+    w, w_rate = _advanced(work, stage, 1, lane, lanes)
+    phi, omega = _advanced(work, stage, 2, lane, lanes)
+    h_c, h_c_rate = _advanced(work, stage, 3, lane, lanes)
+    theta_c, theta_c_rate = _advanced(work, stage, 4, lane, lanes)
+    h_d, h_d_rate = _advanced(work, stage, 5, lane, lanes)
+    theta_d, theta_d_rate = _advanced(work, stage, 6, lane, lanes)
+    rates = (s_rate, w_rate, omega, h_c_rate, theta_c_rate, h_d_rate, theta_d_rate)
+    if stage == STAGES:
+        state = (s, w, phi, h_c, theta_c, h_d, theta_d)
+        for i in range(7):
+            work[(_S + i) * lanes + lane] = state[i]
+            work[(_S + 7 + i) * lanes + lane] = rates[i]
+    p = _P * lanes + lane
     coefficients = (
-        work[(_P + 0) * lanes + lane],
-        work[(_P + 1) * lanes + lane],
-        work[(_P + 2) * lanes + lane],
-        work[(_P + 3) * lanes + lane],
-        work[(_P + 4) * lanes + lane],
-        work[(_P + 5) * lanes + lane],
-        work[(_P + 6) * lanes + lane],
-        work[(_P + 7) * lanes + lane],
-        work[(_P + 8) * lanes + lane],
-        work[(_P + 9) * lanes + lane],
-        work[(_P + 10) * lanes + lane],
-        work[(_P + 11) * lanes + lane],
-        work[(_P + 12) * lanes + lane],
-        work[(_P + 13) * lanes + lane],
-        work[(_P + 14) * lanes + lane],
-        work[(_P + 15) * lanes + lane],
+        work[p],
+        work[p + 1 * lanes],
+        work[p + 2 * lanes],
+        work[p + 3 * lanes],
+        work[p + 4 * lanes],
+        work[p + 5 * lanes],
+        work[p + 6 * lanes],
+        work[p + 7 * lanes],
+        work[p + 8 * lanes],
+        work[p + 9 * lanes],
+        work[p + 10 * lanes],
+        work[p + 11 * lanes],
+        work[p + 12 * lanes],
+        work[p + 13 * lanes],
+        work[p + 14 * lanes],
+        work[p + 15 * lanes],
     )
-    k_s = work[(_P + 16) * lanes + lane]
-    b_s = work[(_P + 17) * lanes + lane]
-    mu_k = work[(_P + 18) * lanes + lane]
-    eps_v = work[(_P + 19) * lanes + lane]
+    k_s = work[p + 16 * lanes]
+    b_s = work[p + 17 * lanes]
+    mu_k = work[p + 18 * lanes]
+    eps_v = work[p + 19 * lanes]
     joints = pose(phi, theta_c, theta_d, coefficients[4], coefficients[5])
     p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, w, h_c, h_d, rates, coefficients[6])
     n_c = normal_force(p_c, dp_c, k_s, b_s)
     n_d = normal_force(p_d, dp_d, k_s, b_s)
     f_c, f_d = low_friction(n_c, n_d, v_c, v_d, mu_k, eps_v)
     acc = accelerations(joints, phi, h_c, theta_c, h_d, theta_d, rates, n_c, n_d, f_c, f_d, coefficients)
-    work[(out + 0) * lanes + lane] = acc[0]
-    work[(out + 1) * lanes + lane] = acc[1]
-    work[(out + 2) * lanes + lane] = acc[2]
-    work[(out + 3) * lanes + lane] = acc[3]
-    work[(out + 4) * lanes + lane] = acc[4]
-    work[(out + 5) * lanes + lane] = acc[5]
-    work[(out + 6) * lanes + lane] = acc[6]
+    k = (_K + 7 * stage) * lanes + lane
+    work[k] = acc[0]
+    work[k + 1 * lanes] = acc[1]
+    work[k + 2 * lanes] = acc[2]
+    work[k + 3 * lanes] = acc[3]
+    work[k + 4 * lanes] = acc[4]
+    work[k + 5 * lanes] = acc[5]
+    work[k + 6 * lanes] = acc[6]
 
 
 @njit(error_model="numpy")
@@ -175,7 +188,7 @@ def _begin(parameters, slope, body, legs, work, lane, lanes):
         work[y + 12 * lanes] = 0.0
         work[y + 13 * lanes] = body[5]
     for i in range(7):
-        work[(_K1 + i) * lanes + lane] = 0.0
+        work[(_K + i) * lanes + lane] = 0.0
     work[_T * lanes + lane] = 0.0
     work[_H * lanes + lane] = 0.0
     work[_FRESH * lanes + lane] = 1.0
@@ -199,8 +212,8 @@ def _sample(work, lane, lanes, share, slope, columns, row):
         v0 = work[(_Y + 7 + i) * lanes + lane]
         x1 = work[(_S + i) * lanes + lane]
         v1 = work[(_S + 7 + i) * lanes + lane]
-        a0 = work[(_K1 + i) * lanes + lane]
-        a1 = work[(_K4 + i) * lanes + lane]
+        a0 = work[(_K + i) * lanes + lane]
+        a1 = work[(_K + 7 * STAGES + i) * lanes + lane]
         row[i] = b00 * x0 + b01 * x1 + b10 * v0 + b11 * v1
         row[half + i] = b00 * v0 + b01 * v1 + b10 * a0 + b11 * a1
     for i in range(2):
@@ -214,6 +227,27 @@ def _sample(work, lane, lanes, share, slope, columns, row):
             row[7 * i + 4] = row[7 * i + 4] - turn
             row[7 * i + 6] = turn - row[7 * i + 6]
     row[2] = row[2] + slope
+
+
+@njit(error_model="numpy")
+def _assign(here, lane, job, cursor, clock, offset, cost, work):
+    """Let a lane own a job whose start it holds."""
+    lanes = len(job)
+    drop = here % (len(offset) - 1)
+    job[lane] = here
+    cursor[lane] = offset[drop]
+    work[_NEXT * lanes + lane] = 0.0
+    work[_LIMIT * lanes + lane] = max(1000.0, cost * clock[offset[drop + 1] - 1])
+
+
+@njit(error_model="numpy")
+def _idle(lane, job, work):
+    """Let a lane crawl from the start it holds: its numbers stay ordinary and nobody reads them."""
+    lanes = len(job)
+    job[lane] = -1
+    work[_NEXT * lanes + lane] = np.inf
+    work[_LIMIT * lanes + lane] = np.inf
+    work[_FRESH * lanes + lane] = 2.0
 
 
 def drop_driver(lanes: int):
@@ -257,55 +291,29 @@ def drop_driver(lanes: int):
         waiting = 0
         active = 0
         for lane in range(lanes):
-            first = jobs[min(waiting, len(jobs) - 1)]
-            _begin(parameters[first // drops], slope[first % drops], body[first % drops], legs, work, lane, lanes)
-            work[_NEXT * lanes + lane] = np.inf
+            here = jobs[min(waiting, len(jobs) - 1)]
+            _begin(parameters[here // drops], slope[here % drops], body[here % drops], legs, work, lane, lanes)
             if waiting < len(jobs):
-                job[lane] = first
-                cursor[lane] = offset[first % drops]
-                work[_NEXT * lanes + lane] = 0.0
+                _assign(here, lane, job, cursor, clock, offset, cost, work)
                 waiting += 1
                 active += 1
+            else:
+                _idle(lane, job, work)
         while active > 0:
-            for i in range(7):
-                for lane in range(lanes):
-                    h = work[_H * lanes + lane]
-                    k1 = work[(_K1 + i) * lanes + lane]
-                    v = work[(_Y + 7 + i) * lanes + lane]
-                    work[(_S + i) * lanes + lane] = work[(_Y + i) * lanes + lane] + 0.5 * h * v
-                    work[(_S + 7 + i) * lanes + lane] = v + 0.5 * h * k1
             for lane in range(lanes):
-                _evaluate(work, _S, _K2, lane, lanes)
-            for i in range(7):
-                for lane in range(lanes):
-                    h = work[_H * lanes + lane]
-                    v2 = work[(_S + 7 + i) * lanes + lane]
-                    work[(_S + i) * lanes + lane] = work[(_Y + i) * lanes + lane] + 0.75 * h * v2
-                    work[(_S + 7 + i) * lanes + lane] = (
-                        work[(_Y + 7 + i) * lanes + lane] + 0.75 * h * work[(_K2 + i) * lanes + lane]
-                    )
+                _stage(work, 1, lane, lanes)
             for lane in range(lanes):
-                _evaluate(work, _S, _K3, lane, lanes)
-            for i in range(7):
-                for lane in range(lanes):
-                    h = work[_H * lanes + lane]
-                    v = work[(_Y + 7 + i) * lanes + lane]
-                    k1 = work[(_K1 + i) * lanes + lane]
-                    k2 = work[(_K2 + i) * lanes + lane]
-                    k3 = work[(_K3 + i) * lanes + lane]
-                    work[(_S + i) * lanes + lane] = work[(_Y + i) * lanes + lane] + h * (
-                        v + h * (1.0 / 6.0 * k1 + 1.0 / 3.0 * k2)
-                    )
-                    work[(_S + 7 + i) * lanes + lane] = v + h * (2.0 / 9.0 * k1 + 1.0 / 3.0 * k2 + 4.0 / 9.0 * k3)
+                _stage(work, 2, lane, lanes)
             for lane in range(lanes):
-                _evaluate(work, _S, _K4, lane, lanes)
-            attention = 0.0
+                _stage(work, 3, lane, lanes)
+            attention = 0
             for lane in range(lanes):
                 total = 0.0
                 for i in range(7):
-                    gap = -5.0 / 72.0 * work[(_K1 + i) * lanes + lane] + 1.0 / 12.0 * work[(_K2 + i) * lanes + lane]
-                    gap = gap + 1.0 / 9.0 * work[(_K3 + i) * lanes + lane] - 0.125 * work[(_K4 + i) * lanes + lane]
-                    gap = gap * _WEIGHTS[i]
+                    gap = 0.0
+                    for j in range(STAGES + 1):
+                        gap += E[j] * work[(_K + 7 * j + i) * lanes + lane]
+                    gap = gap * WEIGHTS[i]
                     total = total + gap * gap
                 h = work[_H * lanes + lane]
                 total = total * h * h * per_tolerance
@@ -319,19 +327,22 @@ def drop_driver(lanes: int):
                 new_h = h * factor
                 new_h = new_h if new_h < h_max else h_max
                 fresh = work[_FRESH * lanes + lane]
-                new_h = 1e-5 if fresh > 0.0 else new_h
+                new_h = 1e-5 * taken if fresh > 0.0 else new_h
+                new_h = 1e-8 if fresh > 1.0 else new_h
                 work[_NEW_H * lanes + lane] = new_h
                 work[_TAKEN * lanes + lane] = taken
-                count = work[_COUNT * lanes + lane] + 3.0
+                count = work[_COUNT * lanes + lane] + STAGES
                 work[_COUNT * lanes + lane] = count
-                due = taken if work[_T * lanes + lane] + h >= work[_NEXT * lanes + lane] else 0.0
-                stretch = work[(_S + 3) * lanes + lane] + work[(_P + 6) * lanes + lane]
+                left = work[_T * lanes + lane] + h - work[_NEXT * lanes + lane]
+                stretch_c = work[(_S + 3) * lanes + lane] + work[(_P + 6) * lanes + lane]
                 stretch_d = work[(_S + 5) * lanes + lane] + work[(_P + 6) * lanes + lane]
-                stretch = stretch if stretch < stretch_d else stretch_d
-                sound = 1.0 if stretch > 0.0 else 0.0
-                sound = sound if new_h > 1e-9 else 0.0
-                attention = attention + due + (1.0 - sound) + (1.0 if count > 1000.0 else 0.0)
-            if attention > 0.0:
+                sound = stretch_c if stretch_c < stretch_d else stretch_d
+                sound = sound if new_h > 1e-9 else -1.0
+                sound = sound if count < work[_LIMIT * lanes + lane] else -1.0
+                due = left if taken > 0.0 else -1.0
+                due = due if sound > 0.0 else 1.0
+                attention += 1 if due >= 0.0 else 0
+            if attention > 0:
                 for lane in range(lanes):
                     if job[lane] < 0:
                         continue
@@ -354,7 +365,7 @@ def drop_driver(lanes: int):
                             code = BLEW_UP
                     elif not work[_NEW_H * lanes + lane] > 1e-9:
                         code = STEP_COLLAPSED
-                    if work[_COUNT * lanes + lane] > max(1000.0, cost * length):
+                    if work[_COUNT * lanes + lane] >= work[_LIMIT * lanes + lane]:
                         code = TOO_EXPENSIVE
                     if cursor[lane] < end:
                         work[_NEXT * lanes + lane] = clock[cursor[lane]]
@@ -369,26 +380,22 @@ def drop_driver(lanes: int):
                     spent[candidate, drop] = np.int64(work[_COUNT * lanes + lane])
                     if waiting < len(jobs):
                         here = jobs[waiting]
-                        waiting += 1
-                    else:
-                        job[lane] = -1
-                        active -= 1
-                    # An idle lane repeats its last start: it costs nothing and cannot make special numbers.
                     drop = here % drops
                     _begin(parameters[here // drops], slope[drop], body[drop], legs, work, lane, lanes)
                     work[_TAKEN * lanes + lane] = -1.0
-                    if job[lane] >= 0:
-                        job[lane] = here
-                        cursor[lane] = offset[drop]
-                        work[_NEXT * lanes + lane] = 0.0
+                    if waiting < len(jobs):
+                        _assign(here, lane, job, cursor, clock, offset, cost, work)
+                        waiting += 1
                     else:
-                        work[_NEXT * lanes + lane] = np.inf
+                        _idle(lane, job, work)
+                        active -= 1
             for lane in range(lanes):
                 taken = work[_TAKEN * lanes + lane]
                 h = work[_H * lanes + lane]
                 work[_T * lanes + lane] = work[_T * lanes + lane] + (h if taken > 0.0 else 0.0)
                 work[_H * lanes + lane] = work[_NEW_H * lanes + lane] if taken >= 0.0 else 0.0
-                work[_FRESH * lanes + lane] = 0.0 if taken >= 0.0 else 1.0
+                fresh = work[_FRESH * lanes + lane]
+                work[_FRESH * lanes + lane] = 0.0 if taken >= 0.0 and fresh == 1.0 else fresh
             for i in range(14):
                 for lane in range(lanes):
                     old = work[(_Y + i) * lanes + lane]
@@ -396,9 +403,9 @@ def drop_driver(lanes: int):
                     work[(_Y + i) * lanes + lane] = new if work[_TAKEN * lanes + lane] > 0.0 else old
             for i in range(7):
                 for lane in range(lanes):
-                    old = work[(_K1 + i) * lanes + lane]
-                    new = work[(_K4 + i) * lanes + lane]
-                    work[(_K1 + i) * lanes + lane] = new if work[_TAKEN * lanes + lane] > 0.0 else old
+                    old = work[(_K + i) * lanes + lane]
+                    new = work[(_K + 7 * STAGES + i) * lanes + lane]
+                    work[(_K + i) * lanes + lane] = new if work[_TAKEN * lanes + lane] > 0.0 else old
 
     return drive
 
