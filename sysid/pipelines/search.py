@@ -15,7 +15,7 @@ from typing import Any
 
 from sysid import __version__
 from sysid.campaign import FitTable
-from sysid.errors import CampaignError, SysidError, SysidWarning
+from sysid.errors import CampaignError, SysidWarning
 from sysid.fit.genetic import GeneticSettings, RunHistory, run_many
 from sysid.fit.objective import Objective
 from sysid.fit.progress import FitProgress
@@ -133,7 +133,7 @@ def collected_warnings(say: Callable[[str], None] | None) -> Iterator[list[str]]
 
     with warnings.catch_warnings():
         warnings.simplefilter("always", SysidWarning)
-        warnings.showwarning = collect  # type: ignore[assignment]
+        warnings.showwarning = collect
         yield sentences
 
 
