@@ -233,7 +233,8 @@ class ParameterSets:
     @property
     def mean(self) -> FloatArray:
         """(n,) mean over the sets [unit of each]."""
-        return self.values.mean(axis=0)
+        with np.errstate(invalid="ignore", over="ignore"):
+            return self.values.mean(axis=0)
 
     @property
     def sigma(self) -> FloatArray:
@@ -243,7 +244,7 @@ class ParameterSets:
         """
         if len(self) > 1:
             # An infinite value that all sets share (no saturation) has no spread.
-            with np.errstate(invalid="ignore"):
+            with np.errstate(invalid="ignore", over="ignore"):
                 spread = self.values.std(axis=0, ddof=1)
             return np.where(np.all(self.values == self.values[:1], axis=0), 0.0, spread)
         stated = [r.stated_sigma for r in self.parameters]

@@ -89,6 +89,8 @@ def from_csv(data: bytes) -> ParameterSets:
     rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True))
     if not rows or rows[-1]["row"] != "end" or rows[-1]["name"] != str(len(rows) - 1):
         raise ValueError("the last row, which counts the others, is missing or disagrees")
+    if any(None in row or None in row.values() for row in rows):
+        raise ValueError("a row has more or fewer cells than the header")
     metadata: dict[str, Any] = {
         row["name"]: exact_json.loads(row["meaning"]) for row in rows if row["row"] == "about"
     }

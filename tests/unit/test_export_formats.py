@@ -1,0 +1,257 @@
+"""Parameter-set files: what they say, how they refuse, and that a full disk harms nothing."""
+
+import csv
+import errno
+import io
+import json
+import os
+import subprocess
+import sys
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+
+import sysid
+from sysid import exact_json
+from sysid.errors import ExportError
+from sysid.export import export, format_mean_table, load_parameter_sets, mean_table
+from sysid.parameter_sets import ParameterRecord, ParameterSets
+
+SUFFIXES = ["json", "csv", "h5", "mat"]
+
+
+def made_sets(**changes):
+    parameters = (
+        ParameterRecord(
+            "leg_axial_stiffness", "k_h", "N/m", "free", "Stiffness.", "guess", 6440.0, 2e3, 12e3, "log",
+            (5600.0, 6600.0),
+        ),
+        ParameterRecord("body_mass", "m_B", "kg", "measured", "Mass.", "scale", 1.242, 0.1, 10.0, "log"),
+        ParameterRecord("saturation_current", "I_sat", "A", "fixed", "Limit.", "", 0.35, 0.05, 9.0, "log"),
+        ParameterRecord("leg_length", "l", "m", "derived", "At rest.", "computed"),
+    )  # fmt: skip
+    fields = {
+        "kind": "gear",
+        "name": "six-drops",
+        "parameters": parameters,
+        "values": [
+            [6400.1, 1.242, np.inf, 0.13],
+            [6500.3, 1.242, np.inf, 0.129],
+            [2000.1, 1.242, np.inf, 0.1],
+        ],
+        "nrmse": [0.083, 0.1, 0.121],
+        "runs": (3, 1, 2),
+        "seeds": (33, 11, 22),
+        "at_bound": [[0, 0, 0, 0], [0, 0, 0, 0], [-1, 0, 0, 0]],
+        "trials": ("drop-1", "drop-2"),
+        "uses": ("fit", "validate"),
+        "channels": ("x_B", "z_B"),
+        "channel_units": ("m", "m"),
+        "channel_weights": (1.0, 1.0),
+        "nrmse_by_trial": np.arange(12.0).reshape(3, 2, 2) / 7,
+        "settings": {"surface_law": "lf", "gravity": 9.81, "filter": {"kind": "kaiser", "taps": 75}},
+        "provenance": {"logs": {"drop-1.csv": "00ff"}, "nrmse_denominator": "std"},
+        "warnings": ("1 of 3 sets ends at the lower bound of leg_axial_stiffness.",),
+    }
+    return ParameterSets(**(fields | changes))
+
+
+def test_json_is_what_a_simulator_wants(tmp_path):
+    document = json.loads(export(made_sets(), tmp_path / "x.json").read_text(encoding="utf-8"))
+    assert (document["schema"], document["version"]) == ("sysid-parameter-sets", 1)
+    best = document["sets"][0]
+    assert best["values"]["leg_axial_stiffness"] == 6400.1
+    assert best["values"]["saturation_current"] == "Infinity"
+    assert best["nrmse_by_trial"]["drop-2"]["z_B"] == 3 / 7
+    assert document["sets"][2]["at_bound"] == {"leg_axial_stiffness": -1}
+    row = document["parameters"][0]
+    assert {"symbol", "unit", "lower", "upper", "scale", "status", "meaning", "source"} <= set(row)
+    assert document["settings"]["surface_law"] == "lf"
+    assert document["provenance"]["logs"] == {"drop-1.csv": "00ff"}
+
+
+def test_csv_opens_as_one_table(tmp_path):
+    text = export(made_sets(), tmp_path / "x.csv").read_text(encoding="utf-8-sig")
+    rows = list(csv.DictReader(io.StringIO(text)))
+    (row,) = (r for r in rows if r["name"] == "leg_axial_stiffness")
+    assert (row["set_1"], row["unit"], row["status"], row["at_bound_3"]) == ("6400.1", "N/m", "free", "-1")
+    assert float(row["mean"]) == pytest.approx(np.mean([6400.1, 6500.3, 2000.1]))
+    assert len({len(r) for r in csv.reader(io.StringIO(text))}) == 1
+
+
+def test_hdf5_has_native_arrays(tmp_path):
+    with h5py.File(export(made_sets(), tmp_path / "x.h5")) as file:
+        assert file["parameters/symbol"].asstr()[0] == "k_h"
+        assert file["values"][0, 0] == 6400.1
+        assert np.isnan(file["parameters/lower"][3])
+        assert file["trials"].asstr()[:].tolist() == ["drop-1", "drop-2"]
+
+
+def test_mat_is_a_structure_with_valid_names(tmp_path):
+    odd = ParameterRecord("2 k-h", "k", "N/m", "fixed", "", "")
+    twin = ParameterRecord("2_k_h", "k", "N/m", "fixed", "", "")
+    long = ParameterRecord("a" * 70, "k", "N/m", "fixed", "", "")
+    sets = made_sets(
+        parameters=(*made_sets().parameters, odd, twin, long),
+        values=np.arange(21.0).reshape(3, 7),
+        at_bound=np.zeros((3, 7)),
+    )
+    path = export(sets, tmp_path / "x.mat")
+    content = scipy.io.loadmat(path, simplify_cells=True)["sysid"]
+    assert content["sets"][0]["leg_axial_stiffness"] == 0.0
+    assert content["sets"][1]["x_2_k_h"] == 11.0
+    assert content["sets"][1]["x_2_k_h_2"] == 12.0
+    fields = list(content["sets"][0])
+    assert all(len(field) <= 63 and field.isidentifier() for field in fields)
+    assert content["nrmse_by_trial"].shape == (3, 2, 2)
+    assert load_parameter_sets(path) == sets
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_public_name_reads_every_format(tmp_path, suffix):
+    sets = made_sets()
+    back = sysid.load_parameter_sets(export(sets, tmp_path / f"x.{suffix}"))
+    assert back == sets
+    assert back.set_values()["leg_axial_stiffness"] == 6400.1
+    assert back.set_values(2)["leg_axial_stiffness"] == 6500.3
+    with pytest.raises(ExportError, match="no set of rank 4; there are 3"):
+        back.set_values(4)
+
+
+def test_equality_sees_one_bit():
+    values = np.array(made_sets().values)
+    values[0, 0] = np.nextafter(values[0, 0], 1e9)
+    assert made_sets(values=values) != made_sets()
+    assert made_sets(nrmse=[np.nan, 0.1, 0.2]) == made_sets(nrmse=[np.nan, 0.1, 0.2])
+
+
+def test_import_of_sysid_is_light():
+    code = (
+        "import sys, sysid; heavy = {'numpy', 'numba', 'pymoo', 'pandas', 'scipy'} & set(sys.modules);"
+        "assert not heavy, heavy; sysid.load_parameter_sets;"
+        "heavy = {'numba', 'pymoo', 'pandas'} & set(sys.modules); assert not heavy, heavy"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_cut_files_are_refused_at_any_length(tmp_path, suffix):
+    path = export(made_sets(), tmp_path / f"x.{suffix}")
+    whole = path.read_bytes()
+    # JSON and CSV may lose their last line end (one and two bytes) and stay whole.
+    for cut in {0, 1, 2, 10, 200, *range(500, len(whole) - 1, max(1, len(whole) // 40)), len(whole) - 3}:
+        path.write_bytes(whole[:cut])
+        with pytest.raises(ExportError, match=r"damaged or cut off|neither JSON|not a parameter-set file"):
+            load_parameter_sets(path)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_unknown_schema_version_is_refused(tmp_path, suffix, monkeypatch):
+    monkeypatch.setattr("sysid.parameter_sets.SCHEMA_VERSION", 2)
+    path = export(made_sets(), tmp_path / f"x.{suffix}")
+    monkeypatch.undo()
+    with pytest.raises(ExportError, match=r"x\.\w+: schema version 2, expected 1; read it with the version"):
+        load_parameter_sets(path)
+
+
+def test_foreign_files_are_refused(tmp_path):
+    foreign = {
+        "a.json": b'{"k_h": 6000}',
+        "b.json": b"[1, 2]",
+        "c.csv": b"Time (s),Thrust (N)\n0,1\n",
+        "d.bin": bytes(range(256)),
+        "e.csv": b"row,name,symbol,unit,status,\n",
+    }
+    for name, data in foreign.items():
+        (tmp_path / name).write_bytes(data)
+    with h5py.File(tmp_path / "f.h5", "w") as file:
+        file["x"] = 1.0
+    scipy.io.savemat(tmp_path / "g.mat", {"x": 1.0})
+    for path in sorted(tmp_path.iterdir()):
+        with pytest.raises(ExportError) as refusal:
+            load_parameter_sets(path)
+        assert path.name in str(refusal.value)
+        assert "\n" not in str(refusal.value)
+    with pytest.raises(ExportError, match="cannot be read"):
+        load_parameter_sets(tmp_path / "none.json")
+
+
+def test_inconsistent_json_is_refused(tmp_path):
+    for change in (
+        lambda d: d["sets"][0]["values"].pop("body_mass"),
+        lambda d: d["sets"].reverse(),
+        lambda d: d["parameters"][0].update(colour="red"),
+        lambda d: d["parameters"][0].update(status="liked"),
+        lambda d: d["sets"][0]["values"].update(body_mass=[1, 2]),
+        lambda d: d.pop("channels"),
+        lambda d: d.update(kind="boat"),
+    ):
+        document = json.loads(exact_json.dumps(made_sets().document()))
+        change(document)
+        path = tmp_path / "x.json"
+        path.write_text(json.dumps(document), encoding="utf-8")
+        with pytest.raises(ExportError, match=r"x\.json: damaged"):
+            load_parameter_sets(path)
+
+
+def test_export_refuses_formats_and_folders_it_does_not_know(tmp_path):
+    with pytest.raises(ExportError, match=r"unknown export format '\.xlsx'; expected one of \.json"):
+        export(made_sets(), tmp_path / "x.xlsx")
+    with pytest.raises(ExportError, match="does not exist"):
+        export(made_sets(), tmp_path / "no" / "x.json")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("call", ["fsync", "replace"])
+def test_full_disk_leaves_the_old_file(tmp_path, monkeypatch, suffix, call):
+    path = export(made_sets(), tmp_path / f"x.{suffix}")
+    before = path.read_bytes()
+
+    def full(*args):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, call, full)
+    with pytest.raises(ExportError, match=r"cannot be written \(No space left on device\); .* unchanged"):
+        export(made_sets(name="other"), path)
+    monkeypatch.undo()
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_mean_table_is_table_two():
+    lf, hf = made_sets(), made_sets(values=[[6670.0, 1.242, np.inf, 0.1]] * 3)
+    rows = {row.name: row for row in mean_table(lf, hf)}
+    assert list(rows) == ["leg_axial_stiffness", "body_mass"]
+    stiffness = rows["leg_axial_stiffness"]
+    column = np.array([6400.1, 6500.3, 2000.1])
+    # σ over five runs is the sample's: divided by S - 1.
+    assert stiffness.fitted[0] == pytest.approx((column.mean(), column.std(ddof=1)))
+    assert stiffness.fitted[1] == (6670.0, 0.0)
+    assert stiffness.measured == (5600.0, 6600.0)
+    assert rows["body_mass"].measured == (1.242,)
+    assert rows["body_mass"].fitted == (None, None)
+    text = format_mean_table(mean_table(lf, hf), ["low friction", "high friction"])
+    assert text.splitlines()[1].startswith("k_h [N/m]  leg_axial_stiffness  5600–6600  4967 ± 2570")
+
+
+def test_mean_table_rounds_to_two_digits_of_sigma():
+    values = [[0.0561, 1.0, 1.0, 1.0], [0.0101, 1.0, 1.0, 1.0], [0.09, 1.0, 1.0, 1.0]]
+    line = format_mean_table(mean_table(made_sets(values=values)), ["lf"]).splitlines()[1]
+    assert "0.052 ± 0.040" in line
+    tiny = [[value * 1e-7 for value in row] for row in values]
+    line = format_mean_table(mean_table(made_sets(values=tiny)), ["lf"]).splitlines()[1]
+    assert "(5.2 ± 4.0)e-9" in line
+
+
+def test_infinite_values_have_no_spread():
+    assert made_sets().sigma[2] == 0.0
+    assert made_sets().mean[2] == np.inf
+
+
+def test_written_files_have_ordinary_rights(tmp_path):
+    path = export(made_sets(), tmp_path / "x.json")
+    plain = tmp_path / "plain"
+    plain.touch()
+    assert path.stat().st_mode == plain.stat().st_mode

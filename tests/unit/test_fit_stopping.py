@@ -1,0 +1,121 @@
+"""The stop rule in both readings on made histories, budgets, and Ctrl-C."""
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from sysid.errors import FitError
+from sysid.fit.stopping import REASONS, StopFlag, StopRule, stop_on_interrupt
+
+RELATIVE = StopRule(reading="relative")
+MATLAB = StopRule(reading="matlab")
+
+
+def stops(rule, best):
+    return rule.reason(best, evaluations=0, next_evaluations=1, elapsed=0.0)
+
+
+def test_change_by_hand():
+    history = [0.5, 0.2, 0.1999, 0.1999, 0.1999, 0.1998]
+    # Over the last 4 generations: 0.2 -> 0.1998.
+    assert RELATIVE.change(history) == pytest.approx(0.0002 / 0.1998, rel=1e-12)
+    assert MATLAB.change(history) == pytest.approx(0.0002 / 4, rel=1e-12)
+    # Above 1 MATLAB's reading is relative too, per generation.
+    assert MATLAB.change([2.02, 2.0, 2.0, 2.0, 2.0]) == pytest.approx(0.02 / 4 / 2.0, rel=1e-12)
+
+
+def test_the_two_readings_differ_where_they_should():
+    # 0.1 % relative change of an NRMSE of 0.1 is 2.5e-5 per generation in MATLAB's reading.
+    history = [0.1001, 0.10007, 0.10005, 0.10002, 0.1]
+    assert stops(RELATIVE, history) is None
+    assert stops(MATLAB, history) == "converged"
+
+
+def test_not_before_window_is_full():
+    assert stops(RELATIVE, [0.1] * 4) is None
+    assert stops(RELATIVE, [0.1] * 5) == "converged"
+    assert StopRule(window=2).reason([0.1] * 3, 0, 1, 0.0) == "converged"
+
+
+def test_still_improving_goes_on():
+    history = [1.0 / g for g in range(1, 30)]
+    assert stops(RELATIVE, history) is None
+    assert stops(RELATIVE, [*history, *[history[-1]] * 4]) == "converged"
+
+
+def test_tolerance_is_not_included_and_zero_never_converges():
+    assert StopRule(tolerance=0.0).reason([0.1] * 9, 0, 1, 0.0) is None
+
+
+def test_budgets():
+    assert StopRule(max_generations=3).reason([3.0, 2.0, 1.0], 0, 1, 0.0) == "generations"
+    rule = StopRule(max_evaluations=1000)
+    assert rule.reason([1.0], 600, 400, 0.0) is None
+    assert rule.reason([1.0], 601, 400, 0.0) == "evaluations"
+    assert rule.share(5).max_evaluations == 200
+    assert StopRule(time_limit=2.0).reason([1.0], 0, 1, 2.0) == "time"
+    assert {"converged", "generations", "evaluations", "time", "interrupted"} <= set(REASONS)
+
+
+@pytest.mark.parametrize(
+    "kwargs", [{"reading": "both"}, {"window": 0}, {"tolerance": float("nan")}, {"max_generations": 0}]
+)
+def test_refusals(kwargs):
+    with pytest.raises(FitError, match="stop rule"):
+        StopRule(**kwargs)
+
+
+def test_first_interrupt_sets_the_flag_second_aborts_and_handler_returns():
+    before = signal.getsignal(signal.SIGINT)
+    heard = []
+    with stop_on_interrupt(on_stop=lambda: heard.append(True)) as flag:
+        assert not flag()
+        signal.raise_signal(signal.SIGINT)
+        assert flag()
+        assert heard == [True]
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a console event cannot be sent to this process alone on Windows")
+def test_interrupt_from_outside():
+    with stop_on_interrupt() as flag:
+        os.kill(os.getpid(), signal.SIGINT)
+        deadline = time.monotonic() + 5.0
+        while not flag() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert flag()
+
+
+def test_handler_returns_after_an_error():
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(ValueError, match="inside"), stop_on_interrupt():
+        raise ValueError("inside")
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_other_threads_get_a_flag_and_no_handler():
+    before = signal.getsignal(signal.SIGINT)
+    seen = []
+
+    def work():
+        with stop_on_interrupt() as flag:
+            seen.append(signal.getsignal(signal.SIGINT) is before)
+            flag.set()
+            seen.append(flag())
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [True, True]
+
+
+def test_flag():
+    flag = StopFlag()
+    assert not flag()
+    flag.set()
+    assert flag()

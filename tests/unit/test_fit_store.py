@@ -1,0 +1,258 @@
+"""A fit folder: read back as written, whole or not at all, refusals in one sentence."""
+
+import errno
+import json
+import os
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+import sysid
+from sysid.errors import FitError
+from sysid.fit import store
+from sysid.fit.genetic import RunHistory
+from sysid.fit.result import FitResult, TrialResult, ranked_sets
+from sysid.fit.store import check_new_fit, read_fit, summary, write_fit
+from sysid.parameter_sets import ParameterRecord, parameter_records
+from sysid.parameters import Parameter, ParameterTable, SearchSpace
+
+
+def made_fit(name="bench", seed=0, state="done"):
+    """A fit whose every array is filled with different numbers."""
+    rng = np.random.default_rng(seed)
+    table = ParameterTable(
+        [
+            Parameter("winding_resistance", "R", "Ω", 0.3, 0.05, 2.0, "log", "Resistance.", "Table I"),
+            Parameter("winding_inductance", "L", "H", 4e-3, 1e-5, 2e-2, "log", "Inductance.", "Table I"),
+            Parameter("saturation_current", "I_sat", "A", 0.35, 0.05, 10.0, "log", "Limit.", "guess"),
+            Parameter("rotor_inertia", "I^r", "kg·m²", 2.7e-5, 1e-7, 1e-3, "log", "Inertia.", "Table I"),
+        ]
+    )
+    free = ["winding_resistance", "winding_inductance"]
+    space = SearchSpace.build(table, free, {"saturation_current": np.inf})
+    runs = tuple(
+        RunHistory(
+            seed=100 + i,
+            cube=rng.random((6, 20, 2)),
+            cost=np.sort(rng.random((6, 20)), axis=1),
+            failed=rng.integers(0, 5, 6),
+            evaluations=120,
+            simulations=360,
+            wall_time=1.5 + i,
+            stop_reason="converged",
+        )
+        for i in range(3)
+    )
+    ranked = ranked_sets(runs, space)
+    derived = ParameterRecord("no_load_current", "I_0", "A", "derived", "From drag.", "computed")
+    values = np.column_stack([ranked.values, rng.random(3)])
+    trials = tuple(
+        TrialResult(
+            trial,
+            use,
+            np.arange(50) / 200,
+            rng.random((50, 2)),
+            rng.random((50, 2)) > 0.1,
+            rng.random((3, 50, 2)),
+            rng.random((3, 2)),
+        )
+        for trial, use in (("up", "fit"), ("down", "fit"), ("reversal", "validate"))
+    )
+    return FitResult(
+        kind="motor",
+        name=name,
+        state=state,
+        parameters=parameter_records(space, ["rotor_inertia"], {"winding_resistance": (0.2, 0.4)}, [derived]),
+        runs=runs,
+        set_runs=ranked.run,
+        set_seeds=ranked.seed,
+        cube=ranked.cube,
+        values=values,
+        at_bound=np.column_stack([ranked.at_bound, np.zeros(3, np.int8)]),
+        nrmse=ranked.cost,
+        trials=trials,
+        channels=("torque", "speed"),
+        channel_units=("N·m", "rad/s"),
+        channel_weights=(1.0, 3.0),
+        settings={"command": {"unit": "us", "minimum": 1000, "neutral": None, "maximum": 2000.0}},
+        provenance={"logs": {"up.csv": "ab" * 32}, "nrmse_denominator": "std", "filter": (1, 2.5)},
+        warnings=("1 of 3 sets ends at the lower bound of winding_inductance.",),
+    )
+
+
+def assert_same(a, b):
+    assert a.parameter_sets() == b.parameter_sets()
+    assert (a.kind, a.name, a.state, a.warnings) == (b.kind, b.name, b.state, b.warnings)
+    np.testing.assert_array_equal(a.cube, b.cube)
+    assert len(a.runs) == len(b.runs)
+    assert len(a.trials) == len(b.trials)
+    for x, y in zip(a.runs, b.runs, strict=True):
+        assert (x.seed, x.evaluations, x.simulations) == (y.seed, y.evaluations, y.simulations)
+        assert (x.wall_time, x.stop_reason) == (y.wall_time, y.stop_reason)
+        for field in ("cube", "cost", "failed"):
+            np.testing.assert_array_equal(getattr(x, field), getattr(y, field))
+    for x, y in zip(a.trials, b.trials, strict=True):
+        assert (x.name, x.use) == (y.name, y.use)
+        for field in ("time", "measured", "valid", "simulated", "nrmse"):
+            np.testing.assert_array_equal(getattr(x, field), getattr(y, field))
+
+
+def leftovers(folder):
+    return sorted(p.name for p in Path(folder).iterdir() if p.name.startswith("."))
+
+
+def test_round_trip(tmp_path):
+    fit = made_fit(state="stopped")
+    path = write_fit(fit, tmp_path / "fits" / "bench")
+    assert sorted(p.name for p in path.iterdir()) == ["fit.h5", "fit.json", "summary.txt"]
+    assert_same(read_fit(path), fit)
+    assert_same(read_fit(path / "fit.h5"), fit)
+    assert leftovers(path.parent) == []
+
+
+def test_folder_is_a_parameter_set_source(tmp_path):
+    fit = made_fit()
+    path = write_fit(fit, tmp_path / "bench")
+    assert sysid.load_parameter_sets(path) == fit.parameter_sets()
+    assert sysid.load_parameter_sets(path / "fit.json") == fit.parameter_sets()
+    document = json.loads((path / "fit.json").read_text(encoding="utf-8"))
+    assert document["sets"][0]["values"]["saturation_current"] == "Infinity"
+
+
+def test_mean_nrmse_weights_channels_and_splits_uses():
+    fit = made_fit()
+    by_trial = fit.nrmse_by_trial @ np.array([0.25, 0.75])
+    np.testing.assert_allclose(fit.mean_nrmse("fit"), by_trial[:, :2].mean(axis=1), rtol=1e-14)
+    np.testing.assert_allclose(fit.mean_nrmse("validate"), by_trial[:, 2], rtol=1e-14)
+
+
+def test_summary_names_what_matters(tmp_path):
+    text = summary(made_fit())
+    for words in (
+        "motor fit bench: done",
+        "winding_resistance",
+        "saturation_current (fixed)",
+        "rotor_inertia (measured)",
+        "no_load_current (derived)",
+        "reversal  validate",
+        "NRMSE change below the tolerance",
+        "ends at the lower bound",
+        "std of the measurement",
+    ):
+        assert words in text
+
+
+def test_existing_folder_is_refused_then_replaced(tmp_path):
+    old, new = made_fit(seed=1), made_fit(seed=2)
+    path = write_fit(old, tmp_path / "bench")
+    with pytest.raises(FitError, match=r"bench exists already; .* --force"):
+        write_fit(new, path)
+    with pytest.raises(FitError, match="exists already"):
+        check_new_fit(path)
+    check_new_fit(path, force=True)
+    assert_same(read_fit(path), old)
+    write_fit(new, path, force=True)
+    assert_same(read_fit(path), new)
+    assert leftovers(tmp_path) == []
+
+
+def test_a_folder_that_is_no_fit_is_never_replaced(tmp_path):
+    folder = tmp_path / "thesis"
+    folder.mkdir()
+    (folder / "chapter-1.txt").write_text("years of work", encoding="utf-8")
+    with pytest.raises(FitError, match=r"holds no fit.h5, so it is not a result folder"):
+        write_fit(made_fit(), folder, force=True)
+    assert (folder / "chapter-1.txt").read_text(encoding="utf-8") == "years of work"
+
+
+def test_an_empty_folder_is_used(tmp_path):
+    (tmp_path / "bench").mkdir()
+    write_fit(made_fit(), tmp_path / "bench")
+    assert_same(read_fit(tmp_path / "bench"), made_fit())
+
+
+def full_disk(*args, **kwargs):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize("where", ["numbers", "text", "swap"])
+def test_full_disk_leaves_the_old_fit(tmp_path, monkeypatch, where):
+    old = made_fit(seed=1)
+    path = write_fit(old, tmp_path / "bench")
+    if where == "numbers":
+        monkeypatch.setattr(store, "_array", full_disk)
+    elif where == "text":
+        monkeypatch.setattr(Path, "write_text", full_disk)
+    else:
+        replace, calls = os.replace, []
+
+        def second_fails(source, target):
+            calls.append(target)
+            if len(calls) == 2:
+                full_disk()
+            replace(source, target)
+
+        monkeypatch.setattr(os, "replace", second_fails)
+    with pytest.raises(FitError, match=r"cannot be written \(No space left on device\); .* unchanged"):
+        write_fit(made_fit(seed=2), path, force=True)
+    monkeypatch.undo()
+    assert_same(read_fit(path), old)
+    assert leftovers(tmp_path) == []
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+def test_hdf5_on_a_disk_that_is_really_full(tmp_path, monkeypatch):
+    real = h5py.File
+    monkeypatch.setattr(store.h5py, "File", lambda path, mode: real("/dev/full", mode))
+    with pytest.raises(FitError, match="cannot be written"):
+        write_fit(made_fit(), tmp_path / "bench")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_interrupt_while_writing_leaves_nothing(tmp_path, monkeypatch):
+    def interrupted(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(store, "summary", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_fit(made_fit(), tmp_path / "bench")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_damaged_fits_are_refused(tmp_path):
+    path = write_fit(made_fit(), tmp_path / "bench")
+    whole = (path / "fit.h5").read_bytes()
+    with pytest.raises(FitError, match=r"no fit.h5"):
+        read_fit(tmp_path / "nowhere")
+    for cut in (0, 7, 100, len(whole) // 2, len(whole) - 1):
+        (path / "fit.h5").write_bytes(whole[:cut])
+        with pytest.raises(FitError, match="damaged or cut off"):
+            read_fit(path)
+    with h5py.File(path / "fit.h5", "w") as file:
+        file["x"] = 1.0
+    with pytest.raises(FitError, match="not a fit of sysid"):
+        read_fit(path)
+    (path / "fit.h5").write_bytes(whole)
+    with h5py.File(path / "fit.h5", "r+") as file:
+        file.attrs["version"] = 99
+    with pytest.raises(FitError, match="fit version 99, expected 1"):
+        read_fit(path)
+    (path / "fit.h5").write_bytes(whole)
+    with h5py.File(path / "fit.h5", "r+") as file:
+        del file["runs/2/cost"]
+    with pytest.raises(FitError, match="damaged"):
+        read_fit(path)
+
+
+def test_settings_must_be_text_and_numbers():
+    with pytest.raises(TypeError, match="has no place in a result file"):
+        FitResult(**{**vars(made_fit()), "settings": {"law": object()}})
+
+
+def test_trajectory_shapes_are_checked():
+    fit = made_fit()
+    bad = TrialResult(**{**vars(fit.trials[0]), "simulated": np.zeros((3, 49, 2))})
+    with pytest.raises(ValueError, match="trial up: simulated"):
+        FitResult(**{**vars(fit), "trials": (bad, *fit.trials[1:])})
