@@ -85,7 +85,7 @@ def order_rows(
 
     stale = _stale_start(time) if stale_start else 0
     if stale:
-        notes.append(f"{stale} stale row(s) at the start, at {time[stale - 1]:.6g} s, were left out")
+        notes.append(f"{stale} stale rows at the start, at {time[stale - 1]:.6g} s, were left out")
         numbers.keep(np.arange(time.size) >= stale)
         time = time[stale:]
     steps = np.diff(time)

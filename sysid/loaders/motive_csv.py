@@ -106,23 +106,19 @@ def _is_column_row(cells: list[str]) -> bool:
 
 
 def _read_header(text: Text) -> _Header:
-    rows: list[list[str]] = []
-    delimiter, number, offset = ",", 0, 0
-    for number, offset, line in text.lines(_HEADER_LINES):
-        if not rows:
-            if not line.strip():
-                continue
-            delimiter = sniff_delimiter(line)
-        rows.append([cell.strip().strip('"').strip() for cell in split_line(line, delimiter)])
-        if _is_column_row(rows[-1]):
-            break
-    if not rows or not _is_column_row(rows[-1]):
+    lines = list(text.lines(_HEADER_LINES))
+    filled = [line for _, _, line in lines if line.strip()]
+    delimiter = sniff_delimiter(filled[0]) if filled else ","
+    rows = [[cell.strip().strip('"').strip() for cell in split_line(line, delimiter)] for _, _, line in lines]
+    last = next((index for index, row in enumerate(rows) if _is_column_row(row)), None)
+    if last is None:
         raise LogError(
             f'{text.path}: no column row "Frame,Time,..." in the first {_HEADER_LINES} lines; '
             "export again with the header information switched on"
         )
-    axes = rows[-1]
-    upper = [row for row in rows[1:-1] if any(row)]
+    number, offset, _ = lines[last]
+    axes, upper = rows[last], [row for row in rows[:last] if any(row)]
+    settings = _settings(upper.pop(0)) if upper else {}
     known = _BODIES | _SOLVED | _MEASURED
     components = next((row for row in upper if "Position" in row or "Rotation" in row), None)
     types = next((row for row in upper if any(cell.casefold() in known for cell in row[2:])), None)
@@ -165,7 +161,7 @@ def _read_header(text: Text) -> _Header:
             f"{text.path}: no rigid body and no marker among {len(axes)} columns; select them at export"
         )
     return _Header(
-        _settings(rows[0]), list(assets.values()), TableHead(tuple(labels), delimiter, number, offset), clocks
+        settings, list(assets.values()), TableHead(tuple(labels), delimiter, number, offset), clocks
     )
 
 

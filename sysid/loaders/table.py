@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -162,14 +162,47 @@ class Numbers:
             self.open_end = self.open_end and bool(mask[-1])
 
 
+@dataclass
+class _Body:
+    """The lines of a table that are rows: where they lie in `data`, and how many cells each seems to have."""
+
+    data: bytes
+    delimiter: str
+    lines: NDArray[np.int64]
+    begins: NDArray[np.int64]
+    lengths: NDArray[np.int64]
+    fields: NDArray[np.int64]
+
+    def cells(self, row: int) -> list[str]:
+        """Return the cells of a row as text."""
+        begin = int(self.begins[row])
+        line = self.data[begin : begin + int(self.lengths[row])].decode("utf-8", errors="replace")
+        return split_line(line, self.delimiter)
+
+    def select(self, rows: NDArray[np.bool_]) -> None:
+        """Keep only some rows, and the bytes of only those."""
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], rows.astype(np.int8), [0]))))
+        view = memoryview(self.data)
+        stops = self.begins + self.lengths
+        runs = [view[self.begins[a] : stops[b - 1]] for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        self.data = b"\n".join(runs)
+        self.lines, self.lengths, self.fields = self.lines[rows], self.lengths[rows], self.fields[rows]
+        self.begins = np.cumsum(self.lengths + 1) - (self.lengths + 1)
+
+    def drop_last(self) -> None:
+        """Leave out the last row."""
+        self.lines, self.begins = self.lines[:-1], self.begins[:-1]
+        self.lengths, self.fields = self.lengths[:-1], self.fields[:-1]
+
+
 def _body_end(data: bytes, start: int) -> tuple[int, bool]:
-    """Return where the last row ends, comments and blank lines after it left out, and whether a "
-    "line end follows."""
+    """Return where the last row ends, comments and blank lines after it left out, and if it has a "
+    "line end."""
     end = len(data)
     while end > start:
         while end > start and data[end - 1] == 10:
             end -= 1
-        begin = data.rfind(b"\n", start, end) + 1 or start
+        begin = max(data.rfind(b"\n", start, end) + 1, start)
         line = data[begin:end]
         if line.strip() and not line.lstrip().startswith(b"#"):
             break
@@ -177,10 +210,8 @@ def _body_end(data: bytes, start: int) -> tuple[int, bool]:
     return end, end < len(data)
 
 
-def _line_shape(
-    data: bytes, start: int, end: int, delimiter: str
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return for every line of the body its length [bytes] and its number of delimiters."""
+def _measure(data: bytes, start: int, end: int, delimiter: str, first_line: int) -> _Body:
+    """Return the lines of `data` from `start` to `end`; blank ones and comments are not among them."""
     body = np.frombuffer(data, dtype=np.uint8, count=end - start, offset=start)
     ends, counts, carried = [], [], 0
     for begin in range(0, body.size, chunk := 1 << 22):
@@ -190,33 +221,40 @@ def _line_shape(
         ends.append(breaks + begin)
         counts.append(seen[breaks] + carried)
         carried += int(seen[-1])
-    all_ends = np.append(np.concatenate(ends), body.size)
+    stops = np.append(np.concatenate(ends), body.size)
+    lengths = np.diff(stops, prepend=-1) - 1
     totals = np.append(np.concatenate(counts), carried)
-    return np.diff(all_ends, prepend=-1) - 1, np.diff(totals, prepend=0)
+    begins = start + stops - lengths
+    fields = np.diff(totals, prepend=0) + 1
+    rows = _Body(data, delimiter, first_line + np.arange(stops.size), begins, lengths, fields)
+    filled = lengths > 0
+    filled[filled] = np.frombuffer(data, dtype=np.uint8)[begins[filled]] != ord("#")
+    if not filled.all():
+        rows.select(filled)
+    return rows
 
 
-def _decimal_mark(rows: Sequence[Sequence[str]], delimiter: str) -> str:
-    """Return the decimal mark of a table: a comma where cells hold commas and none holds a point."""
+def _decimal_mark(rows: Sequence[Sequence[str]], wanted: Sequence[int], delimiter: str) -> str:
+    """Return the decimal mark of a table: a comma where wanted cells hold commas and none holds a point."""
     if delimiter == ",":
         return "."
-    cells = [cell for row in rows for cell in row]
+    cells = [row[index] for row in rows for index in wanted if index < len(row)]
     return "," if any("," in cell for cell in cells) and not any("." in cell for cell in cells) else "."
 
 
-def _read_fast(
-    data: bytes, start: int, rows: int, wanted: Sequence[int], width: int, delimiter: str, decimal: str
-) -> dict[int, FloatArray] | None:
+def _read_fast(body: _Body, wanted: Sequence[int], decimal: str) -> dict[int, FloatArray] | None:
     """Parse a body with the C engine; None where the engine refuses or does not see every row."""
     import pandas as pd
 
     # Exact to the last bit: the default from pandas 3.1 on, an option before.
     version = tuple(int(part) for part in pd.__version__.split(".")[:2])
     exact: dict[str, Any] = {} if version >= (3, 1) else {"float_precision": "round_trip"}
-    stream = io.BytesIO(data)
-    stream.seek(start)
+    rows = int(body.lines.size)
+    stream = io.BytesIO(body.data)
+    stream.seek(int(body.begins[0]))
     try:
         frame = pd.read_csv(
-            stream, sep=delimiter, header=None, names=list(range(width)), usecols=list(wanted), nrows=rows,
+            stream, sep=body.delimiter, header=None, names=list(range(int(body.fields.max()))), usecols=list(wanted), nrows=rows,
             dtype=np.float64, engine="c", decimal=decimal, na_values=["", "nan", "NaN", "NAN"],
             keep_default_na=False, skip_blank_lines=False, encoding="utf-8", **exact,
         )  # fmt: skip
@@ -258,69 +296,47 @@ def read_numbers(
     LogError
         When there are no rows, a cell is not a number, or most rows do not fit the header.
     """
-    path, data = text.path, text.data
+    path = text.path
+    empty = LogError(f"{path}: no rows of numbers after line {max(head.line, 1)}; the log is empty")
     wanted = sorted(set(wanted))
-    end, closed = _body_end(data, head.offset)
-    if end <= head.offset:
-        raise LogError(f"{path}: no rows of numbers after line {max(head.line, 1)}; the log is empty")
-    notes: list[str] = []
-    open_end = False
-    lengths, delimiters = _line_shape(data, head.offset, end, head.delimiter)
     least = len(head.names) if least is None else least
-    begins = head.offset + np.cumsum(lengths + 1) - (lengths + 1)
-    names = {index: head.names[index] for index in wanted}
+    end, closed = _body_end(text.data, head.offset)
+    if end <= head.offset:
+        raise empty
+    body = _measure(text.data, head.offset, end, head.delimiter, head.line + 1)
+    notes = list(text.notes)
+    decimal = _decimal_mark(
+        [body.cells(row) for row in range(min(body.lines.size, 200))], wanted, head.delimiter
+    )
+    open_end = not closed
+    if open_end and not _is_whole(body.cells(-1), wanted, least, decimal):
+        notes.append(f"line {body.lines[-1]}, the last, is cut and was left out")
+        if body.lines.size == 1:
+            raise empty
+        body.drop_last()
+        open_end = False
+    elif open_end:
+        notes.append(f"line {body.lines[-1]}, the last, has no line end: its last number may be cut")
 
-    def cells_of(row: int) -> list[str]:
-        line = data[begins[row] : begins[row] + lengths[row]].decode("utf-8", errors="replace")
-        return split_line(line, head.delimiter)
-
-    sample = [
-        [row[i] for i in wanted if i < len(row)] for row in map(cells_of, range(min(len(lengths), 200)))
-    ]
-    decimal = _decimal_mark(sample, head.delimiter)
-    if not closed:
-        last = cells_of(len(lengths) - 1)
-        number = head.line + len(lengths)
-        try:
-            for i in wanted:
-                parse_number(last[i], decimal)
-            fits = len(last) >= least
-        except (ValueError, IndexError):
-            fits = False
-        if fits:
-            open_end = True
-            notes.append(f"line {number}, the last, has no line end: its last number may be cut")
-        else:
-            notes.append(f"line {number}, the last, is cut and was left out")
-            lengths, delimiters, begins = lengths[:-1], delimiters[:-1], begins[:-1]
-            if not lengths.size:
-                raise LogError(
-                    f"{path}: no complete row of numbers after line {max(head.line, 1)}; the log is empty"
-                )
-
-    lines = head.line + 1 + np.arange(lengths.size, dtype=np.int64)
-    fields = delimiters + 1
-    plain = bool(np.all(lengths > 0)) and data.find(b'"', head.offset, end) < 0
-    # Cells beyond the names must be blank in a strict table: only the slow reader looks at them.
-    plain = plain and (surplus or bool(np.all(fields <= len(head.names))))
-    columns = None
-    if plain:
-        columns = _read_fast(
-            data, head.offset, lengths.size, wanted, int(fields.max()), head.delimiter, decimal
-        )
+    # Quotes may hide delimiters, and cells beyond the header must be blank: only the slow reader looks at
+    # them.
+    plain = body.data.find(b'"', int(body.begins[0])) < 0
+    plain = plain and (surplus or bool(np.all(body.fields <= len(head.names))))
+    columns = _read_fast(body, wanted, decimal) if plain else None
     if columns is None:
-        rows, columns, fields = _read_slow(path, cells_of, lines, names, len(head.names), decimal, surplus)
-        lines = lines[rows]
-        if not lines.size:
-            raise LogError(f"{path}: no rows of numbers after line {max(head.line, 1)}; the log is empty")
+        columns = _read_slow(
+            path, body, {index: head.names[index] for index in wanted}, len(head.names), decimal, surplus
+        )
+        if not body.lines.size:
+            raise empty
+    lines, fields = body.lines, body.fields
     short = fields < least
     if short.any():
         if short.sum() * 2 > short.size:
             row = int(np.argmax(short))
             raise LogError(
                 f"{path}, line {lines[row]}: {fields[row]} cells where {least} are expected, as in "
-                "most rows; "
-                "check the delimiter and the header"
+                "most rows; check the delimiter and the header"
             )
         columns = {index: np.where(short, np.nan, values) for index, values in columns.items()}
         notes.append(
@@ -335,31 +351,36 @@ def read_numbers(
             columns[index] = np.where(wild, np.nan, values)
     if infinite:
         notes.append(f"{infinite} cells hold an infinite number; taken as missing")
-    return Numbers(columns, lines, [*text.notes, *notes], open_end=open_end)
+    return Numbers(columns, lines, notes, open_end=open_end)
+
+
+def _is_whole(cells: Sequence[str], wanted: Sequence[int], least: int, decimal: str) -> bool:
+    """Return whether a last line without line end holds every wanted number."""
+    if len(cells) < least or len(cells) <= wanted[-1]:
+        return False
+    try:
+        for index in wanted:
+            parse_number(cells[index], decimal)
+    except ValueError:
+        return False
+    return True
 
 
 def _read_slow(
-    path: str,
-    cells_of: Callable[[int], list[str]],
-    lines: NDArray[np.int64],
-    names: Mapping[int, str],
-    width: int,
-    decimal: str,
-    surplus: bool,
-) -> tuple[NDArray[np.int64], dict[int, FloatArray], NDArray[np.int64]]:
-    """Read row by row; return the rows that are rows, their numbers and how many cells each has."""
-    rows: list[int] = []
-    fields: list[int] = []
+    path: str, body: _Body, names: Mapping[int, str], width: int, decimal: str, surplus: bool
+) -> dict[int, FloatArray]:
+    """Read row by row; `body` keeps the lines that turn out to be rows, with the cells that each "
+    "really has."""
+    rows = np.zeros(body.lines.size, dtype=np.bool_)
     values: dict[int, list[float]] = {index: [] for index in names}
-    for row in range(lines.size):
-        cells = cells_of(row)
-        if len(cells) == 1 and (not cells[0].strip() or cells[0].lstrip().startswith("#")):
+    for row in range(body.lines.size):
+        cells = body.cells(row)
+        if cells[0].lstrip().startswith("#") or (len(cells) == 1 and not cells[0].strip()):
             continue
-        if cells[0].lstrip().startswith("#"):
-            continue
+        rows[row], body.fields[row] = True, len(cells)
         if not surplus and any(cell.strip() for cell in cells[width:]):
             raise LogError(
-                f"{path}, line {lines[row]}: {len(cells)} cells where the header names {width} columns; "
+                f"{path}, line {body.lines[row]}: {len(cells)} cells where the header names {width} columns; "
                 "check the delimiter, or repair the line"
             )
         for index, into in values.items():
@@ -369,10 +390,8 @@ def _read_slow(
             except ValueError:
                 found = cell.strip() if len(cell) <= 40 else cell.strip()[:37] + "..."
                 raise LogError(
-                    f"{path}, line {lines[row]}: {found!r} in column {names[index]!r} is not a number; "
+                    f"{path}, line {body.lines[row]}: {found!r} in column {names[index]!r} is not a number; "
                     "repair the cell or leave it blank"
                 ) from None
-        rows.append(row)
-        fields.append(len(cells))
-    columns = {index: np.array(numbers, dtype=np.float64) for index, numbers in values.items()}
-    return np.array(rows, dtype=np.int64), columns, np.array(fields, dtype=np.int64)
+    body.lines, body.fields = body.lines[rows], body.fields[rows]
+    return {index: np.array(numbers, dtype=np.float64) for index, numbers in values.items()}
