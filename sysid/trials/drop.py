@@ -212,20 +212,23 @@ def _fit(motion: PlanarMotion, held: slice, touchdown: float, gravity: float, wh
     if not holds:
         return _fit_ballistic(time, coordinates, gravity)
 
+    # Relative to the touchdown: a solver steps in shares of the number itself, which may be Unix seconds.
+    since = time - touchdown
+
     def residual(start: float) -> FloatArray:
-        shape = -0.5 * gravity * np.maximum(0.0, time - start) ** 2
+        shape = -0.5 * gravity * np.maximum(0.0, since - start) ** 2
         return np.asarray(coordinates[:, 1] - shape - np.mean(coordinates[:, 1] - shape))
 
-    lower = motion.time[held.stop - 1] - 0.02
+    lower = motion.time[held.stop - 1] - 0.02 - touchdown
     found = optimize.minimize_scalar(
         lambda start: float(np.sum(residual(start) ** 2)),
-        bounds=(lower, touchdown - period),
+        bounds=(lower, -period),
         method="bounded",
         options={"xatol": 1e-7},
     )
-    start = float(found.x)
-    z_residual = residual(start)
-    elapsed = np.maximum(0.0, time - start)
+    release = float(found.x)
+    z_residual = residual(release)
+    elapsed = np.maximum(0.0, since - release)
     origin, rates, noise = np.empty(3), np.zeros(3), np.empty(3)
     origin[1] = np.mean(coordinates[:, 1] + 0.5 * gravity * elapsed**2)
     noise[1] = np.sqrt(np.mean(z_residual**2))
@@ -245,11 +248,13 @@ def _fit(motion: PlanarMotion, held: slice, touchdown: float, gravity: float, wh
         height = coordinates[:, 1]
 
         def with_free_gravity(p: FloatArray) -> FloatArray:
-            return np.asarray(p[0] - 0.5 * p[2] * np.maximum(0.0, time - p[1]) ** 2 - height)
+            return np.asarray(p[0] - 0.5 * p[2] * np.maximum(0.0, since - p[1]) ** 2 - height)
 
-        guess = np.array([origin[1], start, gravity])
+        guess = np.array([origin[1], release, gravity])
         measured = float(optimize.least_squares(with_free_gravity, guess, x_scale=[1e-3, 1e-3, 1.0]).x[2])
-    return Flight(start, True, np.concatenate([origin, rates]), gravity, measured, noise)
+    return Flight(
+        touchdown + release, True, np.concatenate([origin, rates]), gravity, measured, noise
+    )
 
 
 def _fit_ballistic(time: FloatArray, coordinates: FloatArray, gravity: float) -> Flight:
