@@ -254,10 +254,21 @@ def _read_fast(body: _Body, wanted: Sequence[int], decimal: str) -> dict[int, Fl
     stream.seek(int(body.begins[0]))
     try:
         frame = pd.read_csv(
-            stream, sep=body.delimiter, header=None, names=list(range(int(body.fields.max()))), usecols=list(wanted), nrows=rows,
-            dtype=np.float64, engine="c", decimal=decimal, na_values=["", "nan", "NaN", "NAN"],
-            keep_default_na=False, skip_blank_lines=False, encoding="utf-8", **exact,
-        )  # fmt: skip
+            stream,
+            sep=body.delimiter,
+            header=None,
+            names=list(range(int(body.fields.max()))),
+            usecols=list(wanted),
+            nrows=rows,
+            dtype=np.float64,
+            engine="c",
+            decimal=decimal,
+            na_values=["", "nan", "NaN", "NAN"],
+            keep_default_na=False,
+            skip_blank_lines=False,
+            encoding="utf-8",
+            **exact,
+        )
     except (ValueError, OverflowError, IndexError):
         return None
     if len(frame) != rows or not isinstance(frame.index, pd.RangeIndex):
