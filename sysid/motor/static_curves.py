@@ -91,8 +91,8 @@ def fit_speed_curve(
     at_top = (fit.coefficients[0] * top + fit.coefficients[1]) * top
     if not at_top > 0:
         raise FitError(
-            f"{quantity} curve, {direction}: {abs(at_top):.3g} {unit} against the rotation at {top:.0f} rad/s;"
-            f" expected the sign of the speed, set {quantity}_sign = -1 in the campaign"
+            f"{quantity} curve, {direction}: {abs(at_top):.3g} {unit} against the rotation at {top:.0f} rad/s"
+            f"; expected the sign of the speed, correct the sign of the channel"
         )
     return _with_units(fit, (f"{unit}·s²/rad²", f"{unit}·s/rad"))
 

@@ -87,7 +87,7 @@ def test_no_load_line_from_loaded_points(sign: float) -> None:
 def test_refusals() -> None:
     with pytest.raises(FitError, match="2 different speeds"):
         fit_speed_curve("thrust", "forward", [100.0, 200.0], [1.0, 4.0])
-    with pytest.raises(FitError, match="thrust_sign = -1"):
+    with pytest.raises(FitError, match="against the rotation at 300 rad"):
         fit_speed_curve("thrust", "forward", [100.0, 200.0, 300.0], [-1.0, -4.0, -9.0])
 
 

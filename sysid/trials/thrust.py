@@ -1,0 +1,338 @@
+"""What a bench log of one motor holds: commands, logger stalls, real samples, tare, steady points.
+
+Knows no motor model: it sees channels of a `Recording` and turns them into what a fit can trust. Speeds and
+torques leave here signed: positive in the forward direction, a steady torque with the sign of its speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.errors import LogError
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+Direction = Literal["forward", "reverse", "reversal"]
+
+# A pause in the timestamps is a stall when it is this many median intervals and this long [s]: logs of 8 to
+# 27 ms jitter by up to 20 ms, stalls last 40 to 100 ms.
+_STALL_INTERVALS = 3.0
+_STALL_LEAST = 0.03
+# A stall this soon after a command may have delayed the command itself, whatever the log says [s].
+_REACH = 0.15
+# After a stall the response needs this long to be over [s]: several times the slowest rotor seen.
+_RECOVERY = 0.15
+# A point is steady this long after a command [s], and when its two halves agree to this share.
+SETTLE = 0.4
+_DRIFT = 0.02
+# A sensor still rings this long after a stop [s].
+_RINGING = 0.5
+# u below this is no command [1].
+_AT_REST = 1e-9
+
+
+@dataclass(frozen=True)
+class CommandRange:
+    """Which logged numbers mean full reverse, rest and full forward.
+
+    Parameters
+    ----------
+    unit : {"us", "dshot"}
+        Of the log.
+    minimum, neutral, maximum : float
+        In that unit. A controller of one direction has neutral = minimum.
+    """
+
+    unit: str
+    minimum: float
+    neutral: float
+    maximum: float
+
+    def to_u(self, command: FloatArray, unit: str, where: str) -> FloatArray:
+        """Return u (n,) in [-1, 1] of logged commands (n,); below the neutral of one direction is rest.
+
+        Raises
+        ------
+        LogError
+            When the log's unit is another one, or a command lies outside the range.
+        """
+        if unit != self.unit:
+            raise LogError(
+                f"{where}: commands are in {unit}, the campaign says {self.unit}; correct command.unit"
+            )
+        values = np.asarray(command, dtype=np.float64)
+        above = values - self.neutral
+        span = np.where(above >= 0, self.maximum - self.neutral, max(self.neutral - self.minimum, 1e-300))
+        u = above / span
+        if self.neutral <= self.minimum:
+            u = np.maximum(u, 0.0)
+        with np.errstate(invalid="ignore"):
+            outside = values[np.abs(u) > 1.0 + 1e-6]
+        if outside.size:
+            raise LogError(
+                f"{where}: {outside.size} commands lie outside {self.minimum:g} to {self.maximum:g} "
+                f"{self.unit}, for example {outside[0]:g}; correct command.minimum and command.maximum"
+            )
+        return u
+
+
+@dataclass(frozen=True, eq=False)
+class CommandSteps:
+    """Command schedule of a log: `level[i]` (u) holds from `time[i]` [s] on, the first from the first row."""
+
+    time: FloatArray
+    level: FloatArray
+
+
+def command_steps(time: FloatArray, u: FloatArray) -> CommandSteps:
+    """Return the changes of a logged command; a blank command holds the one before."""
+    known = np.isfinite(u)
+    if not known.any():
+        raise LogError("the log holds no command; a motor fit needs the command beside the speed")
+    t, level = time[known], u[known]
+    changes = np.concatenate([[0], np.flatnonzero(np.diff(level)) + 1])
+    return CommandSteps(t[changes], level[changes])
+
+
+@dataclass(frozen=True)
+class Stall:
+    """A pause of the logger, and the interval that it makes doubtful (None: no command was in flight).
+
+    Parameters
+    ----------
+    start, end : float
+        Last row before and first row after the pause [s].
+    doubtful : (float, float) or None
+        From the command whose time was lost until its response is over [s].
+    """
+
+    start: float
+    end: float
+    doubtful: tuple[float, float] | None
+
+
+def find_stalls(time: FloatArray, steps: CommandSteps) -> tuple[Stall, ...]:
+    """Find pauses in the timestamps and the commands whose time they lost.
+
+    A logger that stalls around a command writes the command's row before the pause although the motor gets
+    it, or is read, some unknown time later: the rotor seems to wait for up to 0.1 s. The interval from the
+    command to 0.15 s after the pause then says nothing about the motor.
+
+    Parameters
+    ----------
+    time : (n,) array
+        Row times of the log [s].
+    steps : CommandSteps
+        Its commands.
+    """
+    interval = np.diff(time)
+    if interval.size == 0:
+        return ()
+    limit = max(_STALL_LEAST, _STALL_INTERVALS * float(np.median(interval)))
+    out = []
+    for i in np.flatnonzero(interval > limit):
+        start, end = float(time[i]), float(time[i + 1])
+        # The command's own row may be the first after the pause.
+        in_flight = steps.time[1:][(steps.time[1:] >= start - _REACH) & (steps.time[1:] <= end + 1e-9)]
+        doubtful = None
+        if in_flight.size:
+            doubtful = (min(float(in_flight[0]), start), end + _RECOVERY)
+        out.append(Stall(start, end, doubtful))
+    return tuple(out)
+
+
+def outside(time: FloatArray, intervals: Sequence[tuple[float, float]]) -> BoolArray:
+    """Return True (n,) where a time [s] lies in none of the closed intervals."""
+    keep = np.ones(time.size, dtype=np.bool_)
+    for start, end in intervals:
+        keep &= (time < start) | (time > end)
+    return keep
+
+
+def real_samples(values: FloatArray) -> BoolArray:
+    """Return True (n,) where a slow sensor delivered a new value: neither blank nor the last one repeated.
+
+    For thrust stands, whose load cells update more slowly than rows are written. A new value that happens to
+    equal the last one is lost with the repeats.
+    """
+    known = np.flatnonzero(np.isfinite(values))
+    keep = np.zeros(values.size, dtype=np.bool_)
+    if known.size:
+        new = np.concatenate([[True], np.diff(values[known]) != 0])
+        keep[known[new]] = True
+    return keep
+
+
+@dataclass(frozen=True)
+class Tare:
+    """Reading of a sensor while nothing turned.
+
+    Parameters
+    ----------
+    value : float
+        To subtract [unit of the channel]; 0 where there was no row at rest.
+    error : float
+        Standard error of `value` [same]; NaN without rows.
+    rows : int
+        Samples that it rests on.
+    """
+
+    value: float
+    error: float
+    rows: int
+
+
+def tare(values: FloatArray, at_rest: BoolArray) -> Tare:
+    """Return the mean of a sensor over the rows at rest."""
+    used = values[at_rest & np.isfinite(values)]
+    if used.size == 0:
+        return Tare(0.0, float("nan"), 0)
+    return Tare(float(used.mean()), float(used.std() / np.sqrt(used.size)), int(used.size))
+
+
+def rows_at_rest(time: FloatArray, u: FloatArray, speed: FloatArray | None) -> BoolArray:
+    """Return True (n,) where no command is given and nothing turns, nor has turned for the last 0.5 s.
+
+    Parameters
+    ----------
+    time, u : (n,) arrays
+        Rows [s] and their command in [-1, 1].
+    speed : (n,) array, optional
+        [rad/s]; a probe that sees nothing pass reads zero.
+    """
+    rest = np.abs(u) < _AT_REST
+    if speed is not None:
+        rest &= np.nan_to_num(speed) == 0
+    moving = time[~rest]
+    if moving.size == 0:
+        return rest
+    index = np.searchsorted(moving, time)
+    since = time - moving[np.maximum(index - 1, 0)]
+    return rest & ((index == 0) | (since > _RINGING))
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyPoints:
+    """Averages over stretches at one command, or rows of an averaged log; all arrays (n,), NaN where unknown.
+
+    Parameters
+    ----------
+    u : command [1]
+    speed : signed [rad/s]
+    thrust, torque : tare subtracted, sign of the speed [N], [N·m]
+    voltage : supply [V]
+    samples : rows behind each point
+    """
+
+    u: FloatArray
+    speed: FloatArray
+    thrust: FloatArray
+    torque: FloatArray
+    voltage: FloatArray
+    samples: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return self.u.size
+
+    @staticmethod
+    def join(parts: Sequence[SteadyPoints]) -> SteadyPoints:
+        """Return the points of several logs as one."""
+        names = ("u", "speed", "thrust", "torque", "voltage", "samples")
+        return SteadyPoints(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+def steady_points(
+    time: FloatArray,
+    steps: CommandSteps,
+    channels: dict[str, tuple[FloatArray, FloatArray]],
+    skip: Sequence[tuple[float, float]] = (),
+    settle: float = SETTLE,
+) -> SteadyPoints:
+    """Average every stretch at one command, `settle` after the command and until the next.
+
+    Parameters
+    ----------
+    time : (n,) array
+        Rows of the log [s]; their first and last bound the stretches.
+    steps : CommandSteps
+    channels : dict of name to (times, values)
+        ``speed`` and, where the log has them, ``thrust``, ``torque``, ``voltage``: real samples only.
+    skip : sequence of (start, end)
+        Intervals that do not count [s].
+    settle : float
+        Time that a response needs [s].
+
+    Returns
+    -------
+    SteadyPoints
+        Only stretches that turn and whose speed is the same in both halves to 2 %.
+    """
+    ends = np.append(steps.time[1:], time[-1] + 1e-9)
+    names = ("speed", "thrust", "torque", "voltage")
+    rows: list[list[float]] = []
+    for start, end, level in zip(steps.time, ends, steps.level, strict=True):
+        first = max(start, float(time[0])) + settle
+        cut = {}
+        for name in names:
+            if name in channels:
+                t, values = channels[name]
+                inside = (t >= first) & (t < end) & np.isfinite(values) & outside(t, skip)
+                cut[name] = values[inside]
+        speed = cut["speed"]
+        if speed.size < 6 or abs(level) < _AT_REST:
+            continue
+        half = speed.size // 2
+        early, late = float(speed[:half].mean()), float(speed[half:].mean())
+        if abs(late) < 1.0 or abs(late - early) > _DRIFT * abs(late):
+            continue
+        means = [float(cut[n].mean()) if n in cut and cut[n].size else float("nan") for n in names]
+        rows.append([level, *means, float(speed.size)])
+    table = np.array(rows, dtype=np.float64).reshape(len(rows), 6)
+    level, speed, thrust, torque, voltage, samples = table.T
+    return SteadyPoints(level, speed, thrust, torque, voltage, samples.astype(np.int64))
+
+
+def signed_speed(speed: FloatArray, direction: Direction, where: str) -> FloatArray:
+    """Return speeds (n,) with the sign of the direction; optical probes see none.
+
+    Raises
+    ------
+    LogError
+        When the channel is all zero, a log of one direction turns both ways, or one of reversals never does.
+    """
+    known = speed[np.isfinite(speed)]
+    if known.size == 0 or not np.any(known):
+        raise LogError(
+            f"{where}: the speed is zero throughout; switch the probe on, or choose the other speed channel"
+        )
+    top = float(np.max(np.abs(known)))
+    forward, reverse = bool(np.any(known > 0.05 * top)), bool(np.any(known < -0.05 * top))
+    if direction == "reversal":
+        if not (forward and reverse):
+            raise LogError(
+                f"{where}: a reversal trial whose speed never changes its sign ({known.min():.0f} to "
+                f"{known.max():.0f} rad/s); record a signed speed, or correct the trial's direction"
+            )
+        return speed
+    if forward and reverse:
+        raise LogError(
+            f"{where}: a {direction} trial that turns both ways ({known.min():.0f} to {known.max():.0f} "
+            'rad/s); set direction = "reversal", or cut the trial with start and end'
+        )
+    return np.abs(speed) if direction == "forward" else -np.abs(speed)
+
+
+def sign_against_speed(values: FloatArray, speed: FloatArray) -> int:
+    """Return -1 where steady values (n,) oppose their speeds (n,) throughout, else +1.
+
+    A propeller's drag has the sign of its speed, so the torque of a stand that reads it otherwise is flipped.
+    """
+    known = np.isfinite(values) & np.isfinite(speed) & (speed != 0)
+    if not known.any():
+        return 1
+    return -1 if float(np.sum(values[known] * speed[known])) < 0 else 1
