@@ -53,17 +53,19 @@ def refuse_existing(folder: str | Path, *, force: bool) -> None:
 def truth_text(
     kind: str, table: ParameterTable, values: Mapping[str, float], facts: Mapping[str, Any]
 ) -> str:
-    """Return the truth file: every parameter with its symbol and unit, then the facts of each trial."""
-    parameters = {
-        name: {"symbol": row.symbol, "unit": row.unit, "value": float(values[name])}
-        for name, row in table.items()
+    """Return the truth file: the facts of the trials, then every parameter [SI] and its unit."""
+    document = {
+        "schema": SCHEMA,
+        "kind": kind,
+        **facts,
+        "parameters": {name: float(values[name]) for name in table},
+        "units": {name: row.unit for name, row in table.items()},
     }
-    document = {"schema": SCHEMA, "kind": kind, **facts, "parameters": parameters}
     return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def read_truth(folder: str | Path) -> dict[str, Any]:
-    """Return the truth beside a synthesized campaign; ``parameters`` as a plain mapping of name to SI value.
+    """Return the truth beside a synthesized campaign; ``parameters`` maps names to SI values.
 
     Parameters
     ----------
@@ -86,5 +88,4 @@ def read_truth(folder: str | Path) -> dict[str, Any]:
         ) from error
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         raise ExportError(f"{path}: schema is not {SCHEMA!r}; synthesize the campaign again")
-    document["parameters"] = {name: row["value"] for name, row in document["parameters"].items()}
     return document

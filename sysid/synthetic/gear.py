@@ -199,7 +199,8 @@ def synthesize_gear(
                 unit="Millimeters" if plan.export == "motive-mm" else "Meters",
                 rotation="XYZ" if plan.export == "motive-euler" else "Quaternion",
             )
-        trials.append(gear_campaign.trial_text(number, plan.slope, plan.impact_speed, plan.use, log))
+        point = hinge if plan.export == "pose-table" and plane == "markers" else None
+        trials.append(gear_campaign.trial_text(number, plan.slope, plan.impact_speed, plan.use, log, point))
         facts.append(_facts(number, plan, truth, log, marks))
     files[CAMPAIGN_FILE] = gear_campaign.campaign_text(
         name or f"synthetic-{surface}",

@@ -15,15 +15,25 @@ def _point(values: Sequence[float]) -> str:
     return "[" + ", ".join(quantity(value, "mm", 1e3) for value in values) + "]"
 
 
-def trial_text(number: int, slope: float, impact_speed: float, use: str, log: str) -> str:
-    """Return one ``[[trials]]`` table."""
-    return (
+def trial_text(
+    number: int,
+    slope: float,
+    impact_speed: float,
+    use: str,
+    log: str,
+    point: Sequence[float] | None = None,
+) -> str:
+    """Return one ``[[trials]]`` table, with a `point` of the surface where its log has no markers."""
+    text = (
         "[[trials]]\n"
         f'name = "drop-{number}"\n'
         f'log = "{log}"\n'
         f"slope = {quantity(math.degrees(slope), 'deg')}  # inclinometer; impact near {impact_speed:g} m/s\n"
         f'use = "{use}"\n'
     )
+    if point is not None:
+        text += f"point = {_point(point)}  # no board markers in this log\n"
+    return text
 
 
 def campaign_text(

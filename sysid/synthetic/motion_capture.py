@@ -177,7 +177,7 @@ def motive_csv(take: Take, *, unit: LengthUnit = "Meters", rotation: RotationTyp
 
 
 def pose_table_csv(take: Take, body: str, *, epoch: float) -> str:
-    """Return one body as a plain table ``t,x,y,z,qw,qx,qy,qz`` that a script wrote from a stream.
+    """Return one body as a plain table ``t,x (m),y (m),z (m),qw,qx,qy,qz``, as a script writes a stream.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def pose_table_csv(take: Take, body: str, *, epoch: float) -> str:
     order = seen.quaternion[:, [3, 0, 1, 2]]
     cells = [[f"{epoch + t:.6f}" for t in take.time]]
     cells += [_cells(column, 6, seen.seen) for column in (*seen.position.T, *order.T)]
-    rows = ["t,x,y,z,qw,qx,qy,qz", *(",".join(parts) for parts in zip(*cells, strict=True))]
+    rows = ["t,x (m),y (m),z (m),qw,qx,qy,qz", *(",".join(parts) for parts in zip(*cells, strict=True))]
     return "\n".join(rows) + "\n"
 
 
