@@ -26,3 +26,10 @@ def low_friction(force_c, force_d, slip_c, slip_d, mu_k, eps_v):
     below_d = (slip_d if slip_d > 0.0 else -slip_d) + eps_v
     common = -mu_k / (below_c * below_d)
     return common * below_d * force_c * slip_c, common * below_c * force_d * slip_d
+
+
+@njit(error_model="numpy", forceinline=True)
+def low_friction_damping(force, slip, mu_k, eps_v):
+    """Slope ``-dF_t/dv`` of the law (8) at a slip speed [N·s/m]."""
+    below = (slip if slip > 0.0 else -slip) + eps_v
+    return mu_k * force * eps_v / (below * below)

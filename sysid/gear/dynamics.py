@@ -44,6 +44,27 @@ def feet(joints, w, h_c, h_d, rates, l):  # noqa: E741
 
 
 @njit(error_model="numpy", forceinline=True)
+def foot_looseness(joints, h_c, h_d, coefficients):
+    """Tangential acceleration of each foot per newton of friction on it [1/kg], estimated from above.
+
+    The leg turns about a joint held still, slides along its axis, and the body moves as if it had no legs.
+    """
+    cos_c, sin_c, cos_d, sin_d, _, c_w, _, d_w = joints
+    l, rho_0 = coefficients[6], coefficients[9]  # noqa: E741
+    per_m, per_i, per_ml, per_il = coefficients[10], coefficients[11], coefficients[12], coefficients[13]
+    rho_c = rho_0 + h_c
+    rho_d = rho_0 + h_d
+    lever_c = cos_c * (l + h_c)
+    lever_d = cos_d * (l + h_d)
+    ratio = per_il * per_ml
+    loose_c = per_m + c_w * c_w * per_i + sin_c * sin_c * per_ml
+    loose_c = loose_c + lever_c * lever_c * ratio / (per_ml + rho_c * rho_c * per_il)
+    loose_d = per_m + d_w * d_w * per_i + sin_d * sin_d * per_ml
+    loose_d = loose_d + lever_d * lever_d * ratio / (per_ml + rho_d * rho_d * per_il)
+    return loose_c, loose_d
+
+
+@njit(error_model="numpy", forceinline=True)
 def accelerations(joints, phi, h_c, theta_c, h_d, theta_d, rates, normal_c, normal_d, friction_c, friction_d, coefficients):
     """Second time derivatives of (s, w, phi, h_C, theta_C, h_D, theta_D) under given forces on the feet.
 

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
-from sysid.gear.contact import low_friction, normal_force
-from sysid.gear.dynamics import accelerations, feet, pose
-from sysid.integrate.tableau import A, A_TWICE, C, E, STAGES
+from sysid.gear.contact import low_friction, low_friction_damping, normal_force
+from sysid.gear.dynamics import accelerations, feet, foot_looseness, pose
+from sysid.integrate.tableau import A, A_TWICE, REAL_LIMIT, STAGES, C, E
 
 OK = 0
 STEP_COLLAPSED = 1
@@ -28,6 +28,9 @@ BLEW_UP = 3
 
 # Error weights of the rates (s, w, phi, h_C, theta_C, h_D, theta_D): 1 / scale, scales 1 m/s, 5 and 10 rad/s.
 WEIGHTS = np.array([1.0, 1.0, 0.2, 1.0, 0.1, 1.0, 0.1])
+
+# Part of the method's real stability limit that a step may use: the slip's decay rate can grow within the step.
+_STABLE = 0.9 * REAL_LIMIT
 
 # Rows of the work buffer; element `row * lanes + lane`.
 _Y = 0  # coordinates 7, rates 7
@@ -42,7 +45,8 @@ _NEXT = _T + 4  # time of the lane's next sample
 _FRESH = _T + 5  # 1 while a new job waits for its first accelerations (a step of length 0), 2 in an idle lane
 _COUNT = _T + 6  # right-hand sides spent
 _LIMIT = _T + 7  # right-hand sides that the job may spend
-_ROWS = _T + 8
+_STIFF = _T + 8  # fastest decay rate of a foot's slip at the step's end [1/s]
+_ROWS = _T + 9
 
 
 def _fingerprint() -> int:
@@ -113,6 +117,11 @@ def _stage(work, stage, lane, lanes):
     n_c = normal_force(p_c, dp_c, k_s, b_s)
     n_d = normal_force(p_d, dp_d, k_s, b_s)
     f_c, f_d = low_friction(n_c, n_d, v_c, v_d, mu_k, eps_v)
+    if stage == STAGES:
+        loose_c, loose_d = foot_looseness(joints, h_c, h_d, coefficients)
+        stiff_c = loose_c * low_friction_damping(n_c, v_c, mu_k, eps_v)
+        stiff_d = loose_d * low_friction_damping(n_d, v_d, mu_k, eps_v)
+        work[_STIFF * lanes + lane] = stiff_c if stiff_c > stiff_d else stiff_d
     acc = accelerations(joints, phi, h_c, theta_c, h_d, theta_d, rates, n_c, n_d, f_c, f_d, coefficients)
     k = (_K + 7 * stage) * lanes + lane
     work[k] = acc[0]
@@ -306,6 +315,10 @@ def drop_driver(lanes: int):
                 _stage(work, 2, lane, lanes)
             for lane in range(lanes):
                 _stage(work, 3, lane, lanes)
+            for lane in range(lanes):
+                _stage(work, 4, lane, lanes)
+            for lane in range(lanes):
+                _stage(work, 5, lane, lanes)
             attention = 0
             for lane in range(lanes):
                 total = 0.0
@@ -326,6 +339,9 @@ def drop_driver(lanes: int):
                 taken = 1.0 if total <= 1.0 else 0.0
                 new_h = h * factor
                 new_h = new_h if new_h < h_max else h_max
+                stable_h = _STABLE / (work[_STIFF * lanes + lane] + 1e-3)
+                stable_h = stable_h if taken > 0.0 else new_h
+                new_h = new_h if new_h < stable_h else stable_h
                 fresh = work[_FRESH * lanes + lane]
                 new_h = 1e-5 * taken if fresh > 0.0 else new_h
                 new_h = 1e-8 if fresh > 1.0 else new_h
