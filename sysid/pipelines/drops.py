@@ -16,7 +16,7 @@ from sysid.campaign.file import resolve_log
 from sysid.errors import LogError, SysidWarning
 from sysid.filters import KaiserLowpass, bridge_gaps, differentiate
 from sysid.fit.cost import CostChannel, TrialTarget
-from sysid.loaders import load
+from sysid.loaders import detect, formats, load
 from sysid.recording import Recording
 from sysid.trials.capture import (
     PLANAR_LIMIT,
@@ -136,12 +136,15 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
 
 def _read(campaign: GearCampaign, path: Path) -> Recording:
     capture = campaign.capture
-    options: dict[str, Any] = {
+    format_name = detect(path) if capture.format == "auto" else capture.format
+    # A campaign may mix formats: each log is told what its own format can be told.
+    known = formats()[format_name].options if format_name in formats() else ()
+    options = {
         name: getattr(capture, name)
-        for name in ("quaternion_order", "length_unit")
-        if getattr(capture, name) is not None
+        for name in ("rigid_body", "quaternion_order", "length_unit")
+        if name in known
     }
-    recording = load(path, format=capture.format, **options)
+    recording = load(path, format=format_name, **options)
     if recording.kind != "motion-capture":
         raise LogError(f"{path}: is a {recording.kind} log, expected motion capture; correct the trial's log")
     return recording
