@@ -86,7 +86,7 @@ def _number(cell: str) -> float | None:
 
 def from_csv(data: bytes) -> ParameterSets:
     """Return the sets of a file that `to_csv` wrote; any other exception than ExportError means damage."""
-    rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True))
+    rows = _rows(data.decode("utf-8-sig"))
     if not rows or rows[-1]["row"] != "end" or rows[-1]["name"] != str(len(rows) - 1):
         raise ValueError("the last row, which counts the others, is missing or disagrees")
     if any(None in row or None in row.values() for row in rows):
@@ -120,6 +120,17 @@ def from_csv(data: bytes) -> ParameterSets:
         ),
         nrmse_by_trial=by_trial,
     )
+
+
+def _rows(text: str) -> list[dict[str, str]]:
+    # A cell of settings may be longer than the csv module's default limit, which is global to the process.
+    limit = csv.field_size_limit(max(len(text), csv.field_size_limit()))
+    try:
+        return list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
+    except csv.Error as error:
+        raise ValueError(str(error)) from error
+    finally:
+        csv.field_size_limit(limit)
 
 
 def _record(row: dict[str, str]) -> dict[str, Any]:

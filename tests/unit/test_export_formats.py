@@ -120,6 +120,15 @@ def test_public_name_reads_every_format(tmp_path, suffix):
         back.set_values(4)
 
 
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_long_settings_survive(tmp_path, suffix):
+    # Longer than the 128 KiB that the csv module accepts in one cell by default.
+    limit = csv.field_size_limit()
+    sets = made_sets(settings={"curve": (np.arange(20_000.0) / 7).tolist()})
+    assert load_parameter_sets(export(sets, tmp_path / f"x.{suffix}")) == sets
+    assert csv.field_size_limit() == limit
+
+
 def test_equality_sees_one_bit():
     values = np.array(made_sets().values)
     values[0, 0] = np.nextafter(values[0, 0], 1e9)
