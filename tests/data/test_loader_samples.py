@@ -1,0 +1,200 @@
+"""Small logs beside this file, good and broken: each loads to the numbers written in it, or is refused."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sysid.errors import LogError, SysidError, UnitError
+from sysid.loaders import detect, load
+
+HERE = Path(__file__).parent
+RPM = 2 * np.pi / 60
+
+
+def notes_of(recording):
+    return " | ".join(recording.provenance.notes)
+
+
+def test_stand_1580_with_mark_ragged_rows_quotes_and_comments():
+    log = load(HERE / "stand_1580_us.csv")
+    assert log.kind == "thrust-stand"
+    assert log.provenance.format == "rcbenchmark-csv"
+    assert log["command"].unit == "us"
+    # The two rows at t = 0 become one; ragged rows and the quoted message keep their places.
+    np.testing.assert_array_equal(log["speed"].time, [0, 0.02, 0.04, 0.06])
+    np.testing.assert_array_equal(log["command"].values, [1000, 1200, 1200, 1200])
+    np.testing.assert_allclose(log["speed"].values, np.array([600, 1200, 1800, 1800]) * RPM, rtol=1e-15)
+    np.testing.assert_allclose(log["thrust"].values, np.array([0.1, np.nan, 0.2, 0.2]) * 9.80665, rtol=1e-15)
+    np.testing.assert_array_equal(log["thrust"].valid, [True, False, True, True])
+    np.testing.assert_allclose(log["acceleration_z"].values, -9.80665)
+    assert "optical" in notes_of(log)
+    assert "repeat the time" in notes_of(log)
+    assert "Servo" not in " ".join(log.channels)
+
+
+def test_stand_semicolon_decimal_comma_cp1252_old_line_ends_stale_row():
+    log = load(HERE / "stand_semicolon_cp1252_cr.csv")
+    assert log["command"].unit == "dshot"
+    np.testing.assert_array_equal(log["thrust"].time, [0, 0.01, 0.02])
+    np.testing.assert_allclose(log["thrust"].values, np.array([0, 10.5, 20.5]) * 9.80665e-3, rtol=1e-15)
+    np.testing.assert_array_equal(log["torque"].values, [0, 0.001, 0.002])
+    assert "stale" in notes_of(log)
+    assert "Windows-1252" in notes_of(log)
+
+
+def test_stand_time_back_is_refused_or_dropped_on_demand():
+    with pytest.raises(LogError, match=r"stand_time_back.csv, line 5: time goes back from 3.214 s to 3.209 s"):
+        load(HERE / "stand_time_back.csv")
+    log = load(HERE / "stand_time_back.csv", time_back="drop")
+    np.testing.assert_array_equal(log["thrust"].time, [3.19, 3.20, 3.214, 3.22])
+
+
+def test_load_cell_csv():
+    log = load(HERE / "load_cell.csv")
+    assert log.kind == "load-cell"
+    assert set(log.channels) == {
+        "command", "speed", "thrust", "torque", "force_x", "force_y", "torque_x", "torque_y",
+    }  # fmt: skip
+    np.testing.assert_array_equal(log["thrust"].values, [0.1, 0.2, np.nan, 0.4])
+    np.testing.assert_array_equal(log["torque"].values, [0.003, 0.004, 0.005, 0.006])
+    assert log["thrust"].rate == pytest.approx(1e4)
+    assert log.provenance.notes == ()
+
+
+def test_load_cell_without_clock_needs_a_rate_and_command_unit():
+    path = HERE / "load_cell_lbf.csv"
+    with pytest.raises(LogError, match="no time column; declare the sample rate"):
+        load(path)
+    with pytest.raises(UnitError, match=r'command column "Command" states no unit; expected us, dshot'):
+        load(path, rate=10000)
+    log = load(path, rate=10000, units={"command": "us"})
+    np.testing.assert_array_equal(log["thrust"].time, [0, 1e-4])
+    # 1 lbf and 1 lbf-in as the cell's maker states them, to the digits given there.
+    np.testing.assert_allclose(log["thrust"].values, [4.4482216152605, 8.896443230521], rtol=1e-13)
+    np.testing.assert_allclose(log["torque"].values, [0.1129848290276167, 0.2259696580552334], rtol=1e-13)
+    np.testing.assert_allclose(log["speed"].values, [0, 2 * np.pi], rtol=1e-15)
+
+
+def test_text_in_a_number_names_line_and_column():
+    with pytest.raises(LogError, match=r"load_cell_text.csv, line 3: 'over' in column 'Fz \(N\)' is not a number"):
+        load(HERE / "load_cell_text.csv")
+
+
+def test_motive_121_millimetres_gap_flip_and_cut_last_line():
+    log = load(HERE / "motive_121_mm_cut.csv")
+    assert log.kind == "motion-capture"
+    assert log.rigid_bodies == ("quad",)
+    assert log.markers == ("board:1",)
+    np.testing.assert_allclose(log["quad/position"].time, [0.5, 0.505, 0.51, 0.515, 0.525], rtol=1e-15)
+    np.testing.assert_allclose(log["quad/position"].values[:2], [[0.01, 0.02, 0.03], [0.011, 0.021, 0.031]])
+    np.testing.assert_array_equal(log["quad/orientation"].valid, [True, True, False, True, True])
+    np.testing.assert_array_equal(log["board:1/position"].valid, [True, True, True, False, True])
+    # Written +, -, lost, -, +: continuous after two changes of sign, w first.
+    np.testing.assert_allclose(
+        log["quad/orientation"].values,
+        [[1, 0, 0, 0], [1, 0, 0, 0], [np.nan] * 4, [0.8, 0, 0, -0.6], [0.8, 0, 0, 0.6]],
+        atol=1e-15,
+    )
+    said = notes_of(log)
+    assert "line 13, the last, is cut" in said
+    assert "changed sign" in said
+    assert "03.49.50.755 PM" in said
+    assert log.provenance.device == "OptiTrack Motive CSV 1.21"
+
+
+def test_motive_124_euler_parent_row_and_times_rounded_to_milliseconds():
+    log = load(HERE / "motive_124_zyx_m.csv")
+    np.testing.assert_array_equal(log["quad/position"].time, np.arange(3) / 120.0)
+    half = np.sqrt(0.5)
+    orientation = log["quad/orientation"].values
+    np.testing.assert_allclose(orientation[0], [half, 0, 0, half], atol=1e-15)
+    np.testing.assert_allclose(orientation[1], [half, 0, half, 0], atol=1e-15)
+    # ZYX intrinsic is Rz Ry Rx of the angles about z, y, x: multiplied out by hand, not by the code under test.
+    a, b, c = np.deg2rad([10.0, 20.0, 30.0])
+    rz = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    ry = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
+    rx = np.array([[1, 0, 0], [0, np.cos(c), -np.sin(c)], [0, np.sin(c), np.cos(c)]])
+    w, x, y, z = orientation[2]
+    turned = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    np.testing.assert_allclose(turned, rz @ ry @ rx, atol=1e-14)
+    with pytest.raises(LogError, match="contradicts the header, which says ZYX"):
+        load(HERE / "motive_124_zyx_m.csv", euler_order="XYZ")
+    with pytest.raises(UnitError, match="contradicts the header, which says Meters"):
+        load(HERE / "motive_124_zyx_m.csv", length_unit="mm")
+
+
+def test_motive_body_that_is_not_there():
+    with pytest.raises(LogError, match=re.escape('no rigid body "F450"; found "quad"')):
+        load(HERE / "motive_121_mm_cut.csv", rigid_body="F450")
+
+
+def test_pose_table_w_last_cut_and_duplicate_stamp():
+    path = HERE / "pose_xyzw_cut.csv"
+    with pytest.raises(UnitError, match="state no unit"):
+        load(path)
+    log = load(path, length_unit="m", rigid_body="cf")
+    assert log.rigid_bodies == ("cf",)
+    np.testing.assert_array_equal(log["cf/position"].values[:, 2], [0.3, 0.32, 0.33])
+    np.testing.assert_array_equal(log["cf/orientation"].values, [[1, 0, 0, 0]] * 3)
+    said = notes_of(log)
+    assert "line 6, the last, is cut" in said
+    assert "repeat the time" in said
+
+
+def test_pose_table_numbered_quaternion_needs_its_order():
+    path = HERE / "pose_numbered.tsv"
+    with pytest.raises(LogError, match="do not say which of them is w"):
+        load(path)
+    first = load(path, quaternion_order="wxyz")
+    np.testing.assert_allclose(first["body/orientation"].values, [[1, 0, 0, 0], [0.8, 0.6, 0, 0]])
+    np.testing.assert_allclose(first["body/position"].values[1], [0.1, 0.2, 0.301])
+    np.testing.assert_allclose(first["body/position"].time, [0, 0.005])
+    last = load(path, quaternion_order="xyzw")
+    np.testing.assert_allclose(last["body/orientation"].values, [[0, 1, 0, 0], [0, 0.8, 0.6, 0]])
+
+
+def test_pose_table_commented_header_in_nanoseconds():
+    log = load(HERE / "pose_euroc.csv")
+    # 1.4e9 s in double precision resolves 0.24 µs.
+    np.testing.assert_allclose(np.diff(log["body/position"].time), [0.00499968], atol=3e-7)
+    np.testing.assert_allclose(log["body/orientation"].values[0], [0.5, -0.5, -0.5, -0.5])
+
+
+def test_named_quaternion_contradicts_declared_order():
+    with pytest.raises(LogError, match="contradicts the columns, which are named in the order xyzw"):
+        load(HERE / "pose_xyzw_cut.csv", length_unit="m", quaternion_order="wxyz")
+
+
+def test_suffix_does_not_decide(tmp_path):
+    for sample in sorted(HERE.glob("*.?sv")):
+        other = tmp_path / (sample.stem + ".h5")
+        other.write_bytes(sample.read_bytes())
+        assert detect(other) == detect(sample)
+
+
+def test_provenance_names_file_hash_and_options():
+    import hashlib
+
+    path = HERE / "pose_numbered.tsv"
+    said = load(path, quaternion_order="wxyz").provenance
+    assert said.path == str(path)
+    assert said.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert said.format == "pose-table"
+    assert dict(said.options) == {"quaternion_order": "wxyz"}
+
+
+@pytest.mark.parametrize("sample", sorted(p.name for p in HERE.glob("*.?sv")))
+def test_every_message_begins_with_the_file_and_is_one_line(sample):
+    try:
+        load(HERE / sample)
+    except SysidError as error:
+        assert str(error).startswith(str(HERE / sample))
+        assert "\n" not in str(error)
