@@ -160,8 +160,8 @@ SURFACES = ("lf",)
 
 # Bound of the weighted rms error of the seven rates per step. FIT keeps the mean NRMSE of each of six drops (5-35 deg,
 # 0.4-1 m/s, 0.7 s) below 0.1 %; TIGHT keeps every channel of the converged references within 1e-4 of its deviation.
-FIT_TOLERANCE = 1e-4
-TIGHT_TOLERANCE = 1e-8
+FIT_TOLERANCE = 1e-3
+TIGHT_TOLERANCE = 1e-6
 
 # Right-hand sides that a drop may spend per second of its length at FIT_TOLERANCE: about five times an ordinary one.
 _COST = 8e4
