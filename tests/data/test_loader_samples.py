@@ -45,7 +45,9 @@ def test_stand_semicolon_decimal_comma_cp1252_old_line_ends_stale_row():
 
 
 def test_stand_time_back_is_refused_or_dropped_on_demand():
-    with pytest.raises(LogError, match=r"stand_time_back.csv, line 5: time goes back from 3.214 s to 3.209 s"):
+    with pytest.raises(
+        LogError, match=r"stand_time_back.csv, line 5: time goes back from 3.214 s to 3.209 s"
+    ):
         load(HERE / "stand_time_back.csv")
     log = load(HERE / "stand_time_back.csv", time_back="drop")
     np.testing.assert_array_equal(log["thrust"].time, [3.19, 3.20, 3.214, 3.22])
@@ -78,7 +80,9 @@ def test_load_cell_without_clock_needs_a_rate_and_command_unit():
 
 
 def test_text_in_a_number_names_line_and_column():
-    with pytest.raises(LogError, match=r"load_cell_text.csv, line 3: 'over' in column 'Fz \(N\)' is not a number"):
+    with pytest.raises(
+        LogError, match=r"load_cell_text.csv, line 3: 'over' in column 'Fz \(N\)' is not a number"
+    ):
         load(HERE / "load_cell_text.csv")
 
 
@@ -111,7 +115,8 @@ def test_motive_124_euler_parent_row_and_times_rounded_to_milliseconds():
     orientation = log["quad/orientation"].values
     np.testing.assert_allclose(orientation[0], [half, 0, 0, half], atol=1e-15)
     np.testing.assert_allclose(orientation[1], [half, 0, half, 0], atol=1e-15)
-    # ZYX intrinsic is Rz Ry Rx of the angles about z, y, x: multiplied out by hand, not by the code under test.
+    # ZYX intrinsic is Rz Ry Rx of the angles about z, y, x: multiplied out by hand, not by the code under
+    # test.
     a, b, c = np.deg2rad([10.0, 20.0, 30.0])
     rz = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
     ry = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
@@ -193,8 +198,10 @@ def test_provenance_names_file_hash_and_options():
 
 @pytest.mark.parametrize("sample", sorted(p.name for p in HERE.glob("*.?sv")))
 def test_every_message_begins_with_the_file_and_is_one_line(sample):
+    said = ""
     try:
         load(HERE / sample)
     except SysidError as error:
-        assert str(error).startswith(str(HERE / sample))
-        assert "\n" not in str(error)
+        said = str(error)
+    assert said == "" or said.startswith(str(HERE / sample))
+    assert "\n" not in said

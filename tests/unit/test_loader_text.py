@@ -1,0 +1,155 @@
+"""Encodings, line ends, delimiters and the two ways of reading numbers, which must agree."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sysid.errors import LogError
+from sysid.loaders import table
+from sysid.loaders.clock import jitter_note
+from sysid.loaders.columns import split_label
+from sysid.loaders.source import Source
+from sysid.loaders.table import parse_number, read_numbers, table_head
+from sysid.loaders.text import read_text, sniff_delimiter, split_line
+
+
+def numbers_of(path, wanted=None, **options):
+    text = read_text(Source(path))
+    head = table_head(text)
+    return read_numbers(text, head, range(len(head.names)) if wanted is None else wanted, **options)
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(content):
+        path = tmp_path / "log.csv"
+        path.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
+@pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r", "\r\r\n"])
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+def test_encodings_line_ends_delimiters(write, encoding, line_end, delimiter):
+    rows = [["Torque (N·m)", "ESC (µs)"], ["1.5", "-2"], ["", "4e-3"]]
+    path = write(line_end.join(delimiter.join(row) for row in [*rows, []]).encode(encoding))
+    text = read_text(Source(path))
+    head = table_head(text)
+    assert head.names == ("Torque (N·m)", "ESC (µs)")
+    numbers = read_numbers(text, head, [0, 1])
+    np.testing.assert_array_equal(numbers.columns[0], [1.5, np.nan])
+    np.testing.assert_array_equal(numbers.columns[1], [-2, 4e-3])
+    np.testing.assert_array_equal(numbers.lines, [2, 3])
+
+
+def test_broken_utf16_and_nul(write):
+    with pytest.raises(LogError, match=r"marked as UTF-16 but broken"):
+        read_text(Source(write("a,b\n".encode("utf-16") + b"\x00")))
+    with pytest.raises(LogError, match=r"line 2: NUL byte"):
+        read_text(Source(write(b"a,b\n1,\x002\n")))
+    with pytest.raises(LogError, match=r"line 1: NUL byte"):
+        read_text(Source(write("a,b\n1,2\n".encode("utf-16-le"))))
+
+
+def test_a_quote_never_runs_past_its_line(write):
+    path = write('a,b\n1,"2\n3,4\n')
+    numbers = numbers_of(path)
+    np.testing.assert_array_equal(numbers.columns[1], [2, 4])
+
+
+def test_comment_and_blank_lines_keep_line_numbers(write):
+    numbers = numbers_of(write("\n# made by hand\na,b\n1,2\n\n# note, with, commas\n 3 ,4\n\n# end\n"))
+    np.testing.assert_array_equal(numbers.lines, [4, 7])
+    np.testing.assert_array_equal(numbers.columns[0], [1, 3])
+
+
+def test_short_rows_are_missing_and_a_cut_last_line_is_left_out(write):
+    numbers = numbers_of(write("a,b,c\n1,2,3\n4,5\n6,7,8\n9,1"))
+    np.testing.assert_array_equal(numbers.columns[0], [1, np.nan, 6])
+    assert any("line 5, the last, is cut" in note for note in numbers.notes)
+    assert any("line 3" in note for note in numbers.notes)
+
+
+def test_last_line_without_end_is_kept_and_noted(write):
+    numbers = numbers_of(write("a,b\n1,2\n3,4"))
+    np.testing.assert_array_equal(numbers.columns[1], [2, 4])
+    assert numbers.open_end
+    assert any("may be cut" in note for note in numbers.notes)
+
+
+def test_infinite_is_missing(write):
+    numbers = numbers_of(write("a,b\n1,inf\n1e999,4\n"))
+    np.testing.assert_array_equal(numbers.columns[0], [1, np.nan])
+    np.testing.assert_array_equal(numbers.columns[1], [np.nan, 4])
+    assert any("2 cells hold an infinite number" in note for note in numbers.notes)
+
+
+def test_decimal_comma_only_where_no_point_is(write):
+    np.testing.assert_array_equal(numbers_of(write("a;b\n1,5;2\n3;4,25\n")).columns[1], [2, 4.25])
+    with pytest.raises(LogError, match="'1,5' in column 'a' is not a number"):
+        numbers_of(write("a;b\n1,5;2.5\n"))
+
+
+@pytest.mark.parametrize(
+    "cell", ["1_0", "0x1", "1d5", "1e", ".", "-", "1.2.3", "TRUE", "1 2", "٣", "--1", "NA", "1f"]
+)
+def test_what_is_no_number_is_refused_by_both_readers(write, cell, monkeypatch):
+    path = write(f"a,b\n1,2\n{cell},3\n")
+    for slow in (False, True):
+        if slow:
+            monkeypatch.setattr(table, "_read_fast", lambda *_: None)
+        with pytest.raises(LogError, match=r"line 3: .* in column 'a' is not a number"):
+            numbers_of(path)
+
+
+@pytest.mark.parametrize("cell", ["+1", "5.", ".5", "1E-5", " 1 ", "nan", "NaN", "", " ", "1e-400", '"1"'])
+def test_what_is_a_number_is_the_same_for_both_readers(write, cell, monkeypatch):
+    path = write(f"a,b\n1,2\n{cell},3\n")
+    fast = numbers_of(path).columns
+    monkeypatch.setattr(table, "_read_fast", lambda *_: None)
+    slow = numbers_of(path).columns
+    for index in fast:
+        np.testing.assert_array_equal(fast[index], slow[index])
+
+
+def test_parse_number():
+    assert parse_number("1,5", ",") == 1.5
+    assert math.isnan(parse_number(" "))
+    with pytest.raises(ValueError, match=r"1\.5"):
+        parse_number("1.5", ",")
+
+
+def test_split_and_sniff():
+    assert sniff_delimiter("a;b,c;d") == ";"
+    assert split_line('1,"x, y",2', ",") == ["1", "x, y", "2"]
+
+
+@pytest.mark.parametrize(
+    ("label", "stem", "unit"),
+    [
+        ("Thrust (gf)", "thrust", "gf"),
+        ("x [mm]", "x", "mm"),
+        ("px_m", "px", "m"),
+        ("wx_rad_s", "wx", "rad/s"),
+        ("t_s", "t", "s"),
+        ("p_RS_R_x [m]", "p rs r x", "m"),
+        ("q_RS_w []", "q rs w", ""),
+        ("ESC signal", "esc signal", None),
+        ("qx", "qx", None),
+        ("Thrust_N", "thrust", "N"),
+        ("Motor  Optical Speed (RPM) ", "motor optical speed", "RPM"),
+    ],
+)
+def test_labels(label, stem, unit):
+    assert split_label(label) == (stem, unit)
+
+
+def test_jitter_is_said_only_where_it_is():
+    steady = np.arange(100) / 200.0
+    assert jitter_note(steady) == []
+    # A missing frame is a gap, not jitter.
+    assert jitter_note(np.delete(steady, 50)) == []
+    assert "times of arrival" in jitter_note(steady + np.random.default_rng(0).uniform(0, 2e-3, 100))[0]
