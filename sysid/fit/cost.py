@@ -289,10 +289,9 @@ class FilteredNrmse:
                 raise FitError(f"trial {trial.name}: no sample was delivered in its window; drop the trial")
             lost = np.flatnonzero(~delivered)
             after = np.searchsorted(known, lost)
+            # Before the first and after the last delivered sample both neighbours are the same one: held.
             left = known[np.maximum(after - 1, 0)]
             right = known[np.minimum(after, known.size - 1)]
-            # Before the first and after the last delivered sample both neighbours are the same one: held.
-            left = np.where(after == 0, right, left)
             width = np.maximum(right - left, 1)
             self._left[start + lost] = start + left
             self._right[start + lost] = start + right
@@ -382,11 +381,17 @@ def _prepare(samples, start, end, half, reach, taps, rate, left, right, share, c
                 else:
                     low = samples[left[row], done]
                     filled[i] = low + share[row] * (samples[right[row], done] - low)
-            for j in range(n_window + 2 * reach):
-                total = taps[0] * filled[half + j]
-                for k in range(1, half + 1):
-                    total += taps[k] * (filled[half + j - k] + filled[half + j + k])
-                filtered[j] = total
+            # Tap by tap over the whole window: the inner loop has no chain of sums and vectorizes.
+            n_out = n_window + 2 * reach
+            middle = filled[half : half + n_out]
+            for j in range(n_out):
+                filtered[j] = taps[0] * middle[j]
+            for k in range(1, half + 1):
+                tap = taps[k]
+                before = filled[half - k : half - k + n_out]
+                after = filled[half + k : half + k + n_out]
+                for j in range(n_out):
+                    filtered[j] += tap * (before[j] + after[j])
         if is_rate[c]:
             for i in range(n_window):
                 out[i, c] = (filtered[i + reach + 1] - filtered[i + reach - 1]) * rate / 2.0

@@ -3,6 +3,8 @@
 import errno
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import h5py
@@ -219,6 +221,23 @@ def test_interrupt_while_writing_leaves_nothing(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         write_fit(made_fit(), tmp_path / "bench")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_kill_while_writing_leaves_the_old_fit(tmp_path):
+    path = write_fit(made_fit(seed=1), tmp_path / "bench")
+    code = (
+        "import os, sys; sys.path.insert(0, sys.argv[1]);"
+        "from test_fit_store import *;"
+        "store.summary = lambda result: os._exit(9);"
+        "write_fit(made_fit(seed=2), sys.argv[2], force=True)"
+    )
+    here = str(Path(__file__).parent)
+    killed = subprocess.run([sys.executable, "-c", code, here, str(path)], capture_output=True, text=True)
+    assert killed.returncode == 9, killed.stderr
+    assert_same(read_fit(path), made_fit(seed=1))
+    # What the killed process left does not stand in the way of the next one.
+    write_fit(made_fit(seed=3), path, force=True)
+    assert_same(read_fit(path), made_fit(seed=3))
 
 
 def test_damaged_fits_are_refused(tmp_path):
