@@ -1,0 +1,248 @@
+"""The command line: options in, one call, one table out.
+
+A refusal is one sentence on standard error and exit code 2; ``--debug`` shows the traceback instead.
+"""
+
+from __future__ import annotations
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sysid.errors import SysidError
+
+app = typer.Typer(
+    name="sysid",
+    help="Physical parameters of multirotor motors and landing gears from the logs of a lab.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+synthesize = typer.Typer(help="Write a campaign with known truth in real log formats.", no_args_is_help=True)
+app.add_typer(synthesize, name="synthesize")
+
+
+class Kind(StrEnum):
+    """Kinds of campaign."""
+
+    motor = "motor"
+    gear = "gear"
+
+
+class Law(StrEnum):
+    """Friction laws."""
+
+    lf = "lf"
+    hf = "hf"
+
+
+CampaignFile = Annotated[Path, typer.Argument(help="Campaign file (TOML).", show_default=False)]
+Out = Annotated[Path | None, typer.Option(help="Result folder.", show_default="fits/NAME")]
+Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, no table.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+Population = Annotated[int | None, typer.Option(help="Individuals per generation.", min=8)]
+Runs = Annotated[int | None, typer.Option(help="Independent runs.", min=1)]
+Seed = Annotated[int | None, typer.Option(help="Seed of the search.", min=0)]
+Generations = Annotated[int | None, typer.Option(help="End a run after so many generations.", min=1)]
+TimeLimit = Annotated[str | None, typer.Option(help="End the whole fit after this time, for example 20min.")]
+Threads = Annotated[int | None, typer.Option(help="Cores to use; the result is the same.", min=1)]
+
+
+def say(sentence: str) -> None:
+    """Print a sentence on standard error, where it does not mix with results."""
+    typer.echo(sentence, err=True)
+
+
+@app.command("fit-motor")
+def fit_motor(
+    campaign: CampaignFile,
+    out: Out = None,
+    force: Force = False,
+    population: Population = None,
+    runs: Runs = None,
+    seed: Seed = None,
+    max_generations: Generations = None,
+    time_limit: TimeLimit = None,
+    threads: Threads = None,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> None:
+    """Fit a motor to thrust-stand and load-cell logs: five ranked parameter sets."""
+    from sysid.pipelines.motor import fit_motor as fit
+    from sysid.pipelines.search import FitOptions
+
+    limit = _seconds(time_limit)
+    options = FitOptions(
+        out, force, population, runs, seed, max_generations, limit, threads, quiet or json
+    )
+    _print_fit(*fit(campaign, options, say=None if quiet else say), quiet, json)
+
+
+@app.command("fit-gear")
+def fit_gear(
+    campaign: CampaignFile,
+    surface: Annotated[Law | None, typer.Option(help="Friction law; overrides the campaign.")] = None,
+    out: Out = None,
+    force: Force = False,
+    population: Population = None,
+    runs: Runs = None,
+    seed: Seed = None,
+    max_generations: Generations = None,
+    time_limit: TimeLimit = None,
+    threads: Threads = None,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> None:
+    """Fit the landing gear to motion-capture logs of drops: five ranked parameter sets."""
+    from sysid.pipelines.gear import fit_gear as fit
+    from sysid.pipelines.search import FitOptions
+
+    limit = _seconds(time_limit)
+    options = FitOptions(
+        out, force, population, runs, seed, max_generations, limit, threads, quiet or json
+    )
+    law = surface.value if surface is not None else None
+    _print_fit(*fit(campaign, options, surface=law, say=None if quiet else say), quiet, json)
+
+
+@app.command("export")
+def export_fit(
+    fit: Annotated[Path, typer.Argument(help="Fit folder, or a parameter-set file.", show_default=False)],
+    to: Annotated[Path, typer.Option(help="File to write: .json, .csv, .h5 or .mat.", show_default=False)],
+    force: Force = False,
+) -> None:
+    """Write the ranked sets, with every fixed value, for a simulator."""
+    from sysid.pipelines.results import export_sets
+
+    typer.echo(f"wrote {export_sets(fit, to, force)}")
+
+
+@app.command("show")
+def show(
+    fit: Annotated[Path, typer.Argument(help="Fit folder, or a parameter-set file.", show_default=False)],
+    json: Json = False,
+) -> None:
+    """Print the ranked sets of a fit: values, spread, bounds, NRMSE."""
+    from sysid.pipelines.results import print_sets
+
+    print_sets(fit, json)
+
+
+@app.command("new-campaign")
+def new_campaign(
+    kind: Annotated[Kind, typer.Argument(help="What was recorded.")],
+    path: Annotated[Path, typer.Argument(help="File to write.")] = Path("campaign.toml"),
+    force: Force = False,
+) -> None:
+    """Write a commented campaign file that says how each value is measured."""
+    from sysid.pipelines.results import write_template
+
+    typer.echo(f"wrote {write_template(kind.value, path, force)}; edit it, then: sysid fit-{kind.value} {path}")
+
+
+@synthesize.command("gear")
+def synthesize_gear(
+    out: Annotated[Path, typer.Argument(help="Folder to write.", show_default=False)],
+    surface: Annotated[Law, typer.Option(help="Friction law.")] = Law.lf,
+    seed: Annotated[int, typer.Option(help="Seed of the noise.", min=0)] = 1,
+    noise_mm: Annotated[float, typer.Option(help="Position noise [mm].", min=0)] = 0.3,
+    noise_deg: Annotated[float, typer.Option(help="Angle noise [deg].", min=0)] = 0.2,
+    rate: Annotated[float, typer.Option(help="Capture rate [Hz].", min=50)] = 200.0,
+    force: Force = False,
+) -> None:
+    """Write drops with known truth as motion-capture logs."""
+    from math import radians
+
+    from sysid.synthetic import synthesize_gear as write
+
+    folder = write(
+        out, seed=seed, surface=surface.value, noise_position=noise_mm / 1000,
+        noise_angle=radians(noise_deg), rate=rate, force=force,
+    )  # fmt: skip
+    typer.echo(f"wrote {folder}; next: sysid fit-gear {folder / 'campaign.toml'}")
+
+
+@synthesize.command("motor")
+def synthesize_motor(
+    out: Annotated[Path, typer.Argument(help="Folder to write.", show_default=False)],
+    seed: Annotated[int, typer.Option(help="Seed of the noise.", min=0)] = 1,
+    force: Force = False,
+) -> None:
+    """Write motor tests with known truth as load-cell and thrust-stand logs."""
+    from sysid.synthetic import synthesize_motor as write
+
+    folder = write(out, seed=seed, force=force)
+    typer.echo(f"wrote {folder}; next: sysid fit-motor {folder / 'campaign.toml'}")
+
+
+@app.command("demo")
+def demo(
+    data: Annotated[Path | None, typer.Option(help="The data_samples folder.", show_default="found")] = None,
+    out: Annotated[Path, typer.Option(help="Where the results go.")] = Path("fits") / "demo",
+    quiet: Quiet = False,
+) -> None:
+    """Run the whole job on data_samples: load, filter, reduced fits, exports, figures."""
+    from sysid.pipelines.demo import run_demo
+
+    run_demo(data, out, quiet, None if quiet else say)
+
+
+def _version(value: bool) -> None:
+    if value:
+        from sysid import __version__
+
+        typer.echo(f"sysid {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of a refusal.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+def _seconds(text: str | None) -> float | None:
+    from sysid.units import parse_quantity
+
+    return None if text is None else parse_quantity(text.replace("m", "min") if text[-1:] == "m" else text, "s")
+
+
+def _print_fit(result: object, folder: Path, quiet: bool, json: bool) -> None:
+    from sysid.pipelines.results import print_fit
+
+    if json or not quiet:
+        print_fit(result, folder, json)
+
+
+def main() -> None:
+    """Run the command line; the entry point of ``sysid``."""
+    for stream in (sys.stdout, sys.stderr):
+        # A Windows console may not be able to write Ω or ²: better a question mark than a traceback.
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+    try:
+        app()
+    except SysidError as error:
+        if "--debug" in sys.argv:
+            raise
+        sys.exit(_refuse(str(error)))
+    except KeyboardInterrupt:
+        typer.echo("stopped by the user", err=True)
+        sys.exit(130)
+
+
+def _refuse(sentence: str) -> int:
+    typer.echo(f"error: {' '.join(sentence.split())}", err=True)
+    return 2
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,118 @@
+"""`sysid demo`: the whole job on the sample data, reduced to a few minutes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+import sysid
+from sysid.errors import SysidError
+from sysid.fit.result import FitResult
+from sysid.pipelines.results import export_sets
+from sysid.pipelines.search import FitOptions
+from sysid.report.figures import figure_convergence, figure_measured_against_simulated, save_figure
+
+# Of each fit of the demo; the samples' campaigns ask for the paper's 200 (motor) and 400 (gear).
+_MOTOR_POPULATION = 60
+_GEAR_POPULATION = 160
+_GEAR_GENERATIONS = 30
+
+
+def find_samples(given: Path | None) -> Path:
+    """Return the data_samples folder: given, in the working directory, or beside the installed sources.
+
+    Raises
+    ------
+    SysidError
+        When it is not there.
+    """
+    candidates = [given] if given is not None else [
+        Path("data_samples"), Path(sysid.__file__).resolve().parents[1] / "data_samples",
+    ]  # fmt: skip
+    for folder in candidates:
+        if (folder / "motor" / "campaign.toml").is_file() and (folder / "gear-lf" / "campaign.toml").is_file():
+            return folder
+    raise SysidError(
+        f"no sample data at {' or '.join(str(folder) for folder in candidates)}; run the demo from the project's "
+        f"folder, or name the samples with --data"
+    )
+
+
+def run_demo(
+    data: Path | None, out: Path, quiet: bool = False, say: Callable[[str], None] | None = None
+) -> dict[str, Path]:
+    """Fit motor and LF gear of the samples, export the sets, draw the figures; return what was written.
+
+    Parameters
+    ----------
+    data : Path, optional
+        The data_samples folder.
+    out : Path
+        Where the two fit folders go; an earlier demo there is replaced.
+    quiet : bool
+        No progress and no table.
+    say : callable, optional
+        Told what is going on.
+    """
+    from sysid.pipelines.gear import fit_gear
+    from sysid.pipelines.motor import fit_motor
+
+    samples = find_samples(data)
+    tell = say or (lambda sentence: None)
+    written: dict[str, Path] = {}
+    started = time.perf_counter()
+    table = Table(title="sysid demo: reduced fits of the sample data")
+    for column in ("what", "NRMSE of the five sets [%]", "where"):
+        table.add_column(column, overflow="fold")
+
+    def keep(name: str, result: FitResult, folder: Path) -> None:
+        table.add_row(f"{name} fit", "  ".join(f"{100 * value:.2f}" for value in result.nrmse), str(folder))
+        written[f"{name} fit"] = folder
+        for suffix in ("json", "csv"):
+            target = export_sets(folder, folder / f"sets.{suffix}", force=True)
+            written[f"{name} sets, {suffix}"] = target
+            table.add_row(f"{name} parameter sets", "", str(target))
+        figures = {
+            "measured-against-simulated": figure_measured_against_simulated(result),
+            "convergence": figure_convergence(result),
+        }
+        for title, figure in figures.items():
+            target = save_figure(figure, folder / f"{title}.png")
+            written[f"{name} {title}"] = target
+            table.add_row(f"{name} {title.replace('-', ' ')}", "", str(target))
+
+    tell("1/2 motor: load-cell logs of forward and reverse commands")
+    keep(
+        "motor",
+        *fit_motor(
+            samples / "motor" / "campaign.toml",
+            FitOptions(out / "motor", force=True, population=_MOTOR_POPULATION, quiet=quiet),
+            say=say,
+        ),
+    )
+    tell("2/2 landing gear on the low-friction surface: six drops to fit, two to validate")
+    keep(
+        "gear",
+        *fit_gear(
+            samples / "gear-lf" / "campaign.toml",
+            FitOptions(
+                out / "gear-lf",
+                force=True,
+                population=_GEAR_POPULATION,
+                max_generations=_GEAR_GENERATIONS,
+                quiet=quiet,
+            ),
+            say=say,
+        ),
+    )
+    if not quiet:
+        Console().print(table)
+        print(
+            f"done in {time.perf_counter() - started:.0f} s; the sets are reduced fits: "
+            f"sysid fit-gear {samples / 'gear-lf' / 'campaign.toml'} gives the full one"
+        )
+    return written

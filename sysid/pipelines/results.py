@@ -1,0 +1,91 @@
+"""What happens to a fit after it: print it, export it; and the campaign templates."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from sysid import exact_json
+from sysid.errors import CampaignError, ExportError, FitError
+from sysid.export import export, load_parameter_sets
+from sysid.fit.result import FitResult
+from sysid.fit.store import read_fit
+from sysid.parameter_sets import ParameterSets
+from sysid.report.tables import ranked_table, trial_table
+from sysid.writing import write_file
+
+
+def load_sets(path: str | Path) -> ParameterSets:
+    """Return the ranked sets of a fit folder or of a parameter-set file of any format.
+
+    Raises
+    ------
+    SysidError
+        When there is neither.
+    """
+    path = Path(path)
+    if path.is_dir() or path.name == "fit.h5":
+        return read_fit(path).parameter_sets()
+    return load_parameter_sets(path)
+
+
+def export_sets(source: str | Path, target: Path, force: bool = False) -> Path:
+    """Write the ranked sets of a fit folder or file; the suffix of `target` chooses the format.
+
+    Raises
+    ------
+    ExportError
+        When `target` exists and `force` is off, or cannot be written; the old file survives then.
+    """
+    sets = load_sets(source)
+    if target.exists() and not force:
+        raise ExportError(f"{target}: exists already; choose a new name or add --force")
+    return export(sets, target)
+
+
+def print_sets(source: str | Path, json: bool) -> None:
+    """Print the ranked sets of a fit folder or file."""
+    sets = load_sets(source)
+    if json:
+        print(exact_json.dumps(sets.document()))
+        return
+    _print_tables(sets)
+
+
+def print_fit(result: Any, folder: Path, json: bool) -> None:
+    """Print what a fit found and where it lies."""
+    assert isinstance(result, FitResult)
+    sets = result.parameter_sets()
+    if json:
+        print(exact_json.dumps({"folder": str(folder), "state": result.state, **sets.document()}))
+        return
+    _print_tables(sets)
+    for warning in result.warnings:
+        Console(stderr=True).print(f"warning: {warning}", soft_wrap=True, markup=False, highlight=False)
+    state = "" if result.state == "done" else " (stopped early: the sets are what was found until then)"
+    print(f"fit written to {folder}{state}; next: sysid export {folder} --to sets.json")
+
+
+def _print_tables(sets: ParameterSets) -> None:
+    console = Console()
+    console.print(ranked_table(sets))
+    if sets.trials:
+        console.print(trial_table(sets))
+
+
+def write_template(kind: str, path: Path, force: bool = False) -> Path:
+    """Write a commented campaign file.
+
+    Raises
+    ------
+    CampaignError
+        When the file exists and `force` is off.
+    """
+    if path.exists() and not force:
+        raise CampaignError(f"{path}: exists already; choose a new name or add --force")
+    template = resources.files("sysid").joinpath("templates", f"{kind}.toml")
+    write_file(path, template.read_bytes(), FitError)
+    return path
