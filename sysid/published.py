@@ -63,6 +63,7 @@ class Printed:
     measured_range: tuple[float, float] | None = None
 
 
+_UNPRINTED = "not printed in the paper"
 _GA_1 = "Table I, genetic algorithm"
 _BY_HAND = "Table I, adjusted by hand"
 
@@ -88,11 +89,9 @@ TABLE_1: dict[str, Printed] = {
     "torque_linear_forward": Printed(0.0, "fixed", _CURVE),
     "torque_quadratic_reverse": Printed(1.7e-7, "fixed", _CURVE),
     "torque_linear_reverse": Printed(0.0, "fixed", _CURVE),
-    "command_delay": Printed(0.0, "fixed", "no physics of the motor: 0 in a simulation"),
 }
 
 _MEASURED = "Table II, measured"
-_UNPRINTED = "not printed in the paper"
 
 
 def _fitted(
@@ -174,9 +173,14 @@ def _sets(
     provenance: dict[str, Any],
     warnings: tuple[str, ...] = (),
 ) -> ParameterSets:
-    if set(printed) != set(table):
-        odd = sorted(set(printed) ^ set(table))
-        raise ValueError(f"{name}: the model's table and the published one differ in {', '.join(odd)}")
+    unknown = set(printed) - set(table)
+    if unknown:
+        raise ValueError(f"{name}: the model's table has no {', '.join(sorted(unknown))}")
+    # What the model has beyond the paper's tables (instruments of a log) takes its default.
+    printed = {
+        row.name: printed.get(row.name, Printed(row.nominal, "fixed", f"{_UNPRINTED}: {row.source}"))
+        for row in table.values()
+    }
     records = tuple(
         ParameterRecord(
             row.name,
