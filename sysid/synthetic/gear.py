@@ -163,7 +163,7 @@ def synthesize_gear(
     Returns
     -------
     Path
-        The campaign file.
+        The folder.
 
     Raises
     ------
@@ -237,8 +237,7 @@ def synthesize_gear(
             "drops": facts,
         },
     )
-    write_folder(folder, files, force=force)
-    return Path(folder) / CAMPAIGN_FILE
+    return write_folder(folder, files, force=force)
 
 
 def _simulate(

@@ -121,7 +121,7 @@ def synthesize_motor(
     Returns
     -------
     Path
-        The campaign file.
+        The folder.
 
     Raises
     ------
@@ -180,8 +180,7 @@ def synthesize_motor(
             "thrust stand": stands,
         },
     )
-    write_folder(folder, files, force=force)
-    return Path(folder) / CAMPAIGN_FILE
+    return write_folder(folder, files, force=force)
 
 
 def _trial(

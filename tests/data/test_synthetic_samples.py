@@ -1,0 +1,77 @@
+"""The sample logs in the repository are those that today's code would write."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sysid.campaign.file import read_campaign, resolve_log
+from sysid.loaders import detect, load
+from sysid.synthetic import read_truth, synthesize_gear, synthesize_motor
+
+SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
+# Ten times the quantization or a third of the noise, whichever is smaller: rounding on another processor may
+# move a last digit, and a bouncing body multiplies it; a change of physics, seed or format moves far more.
+TOLERANCE = {
+    "m": 1e-4,
+    "1": 1e-3,
+    "rad/s": 0.3,
+    "N": 0.02,
+    "N·m": 5e-4,
+    "us": 0.0,
+    "V": 1e-3,
+    "A": 1e-2,
+    "s": 1e-6,
+}
+MAKERS = {"motor": (synthesize_motor, "motor"), "gear-lf": (synthesize_gear, "gear")}
+
+
+def numbers_of(path, **options):
+    return load(path, **options).channels
+
+
+@pytest.mark.parametrize("folder", list(MAKERS))
+def test_synthetic_samples_are_current(folder, tmp_path):
+    make, kind = MAKERS[folder]
+    committed = SAMPLES / folder
+    truth = read_truth(committed)
+    fresh = make(tmp_path / folder, seed=truth["seed"])
+    assert sorted(f.name for f in fresh.iterdir()) == sorted(f.name for f in committed.iterdir())
+    assert (fresh / "campaign.toml").read_text(encoding="utf-8") == (committed / "campaign.toml").read_text(
+        encoding="utf-8"
+    )
+    again = read_truth(fresh)
+    # A model may learn new parameters whose nominal value changes nothing.
+    assert truth["parameters"].items() <= again["parameters"].items()
+    campaign = read_campaign(committed / "campaign.toml", kind)
+    for trial in campaign.trials:
+        resolve_log(committed / "campaign.toml", trial.log)
+    for file in sorted(committed.iterdir()):
+        if file.suffix in (".toml", ".json"):
+            continue
+        one, two = numbers_of(file), numbers_of(fresh / file.name)
+        assert list(one) == list(two), file.name
+        for name, channel in one.items():
+            np.testing.assert_array_equal(channel.valid, two[name].valid, err_msg=f"{file.name} {name}")
+            tolerance = TOLERANCE.get(channel.unit)
+            if tolerance is not None and channel.valid.any():
+                error = np.nanmax(np.abs(channel.values - two[name].values))
+                assert error <= tolerance, f"{file.name} {name} differs by {error} {channel.unit}"
+
+
+def test_synthetic_samples_are_small_and_named_in_the_readme():
+    files = [file for file in SAMPLES.rglob("*") if file.is_file()]
+    sizes = {file.relative_to(SAMPLES).as_posix(): file.stat().st_size for file in files}
+    assert max(sizes.values()) < 3_000_000, max(sizes, key=sizes.get)
+    assert sum(sizes.values()) < 10_000_000
+    text = (SAMPLES / "README.md").read_text(encoding="utf-8")
+    for folder in MAKERS:
+        for file in (SAMPLES / folder).iterdir():
+            assert f"`{file.name}`" in text, file.name
+    formats = {
+        detect(file)
+        for folder in MAKERS
+        for file in (SAMPLES / folder).iterdir()
+        if file.suffix in (".csv", ".h5")
+    }
+    assert formats == {"rcbenchmark-csv", "load-cell-csv", "load-cell-hdf5", "motive-csv", "pose-table"}
