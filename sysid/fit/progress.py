@@ -83,7 +83,7 @@ class FitProgress:
             return
         failed = int(history.failed.sum())
         self._say(
-            f"run {run + 1}/{self._settings.runs} ended by {REASONS[history.stop_reason]}: "
+            f"run {run + 1}/{self._settings.runs} ended: {REASONS[history.stop_reason]}: "
             f"NRMSE {100 * history.best[-1]:.3f} % after {len(history.cost)} generations, "
             f"{history.wall_time:.1f} s, {history.evaluations} candidates, {failed} failed"
         )

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -25,6 +26,9 @@ from sysid.errors import FitError
 
 Reading = Literal["relative", "matlab"]
 StopReason = Literal["converged", "generations", "evaluations", "time", "interrupted", "exhausted"]
+
+# Launchers pass Ctrl-C on to a child that the terminal has told as well: signals this close [s] are one press.
+ONE_PRESS = 0.5
 
 # What each reason means to a person; "exhausted" is pymoo's: no new candidate could be bred.
 REASONS: dict[str, str] = {
@@ -143,7 +147,7 @@ class StopFlag:
 def stop_on_interrupt(on_stop: Callable[[], None] | None = None) -> Iterator[StopFlag]:
     """Turn Ctrl-C into a stop flag while the block runs.
 
-    The first Ctrl-C sets the flag (and calls `on_stop`); the second raises KeyboardInterrupt as usual.
+    The first Ctrl-C sets the flag (and calls `on_stop`); the next one raises KeyboardInterrupt as usual.
     Outside the main thread no handler can be installed, and the flag is only set by its owner.
     """
     flag = StopFlag()
@@ -151,9 +155,15 @@ def stop_on_interrupt(on_stop: Callable[[], None] | None = None) -> Iterator[Sto
         yield flag
         return
 
+    heard = 0.0
+
     def handler(signum: int, frame: FrameType | None) -> None:
+        nonlocal heard
         if flag():
+            if time.monotonic() - heard < ONE_PRESS:
+                return
             raise KeyboardInterrupt
+        heard = time.monotonic()
         flag.set()
         if on_stop is not None:
             on_stop()

@@ -234,7 +234,7 @@ def summary(result: FitResult) -> str:
     for number, run in enumerate(result.runs, start=1):
         lines.append(
             f"{number:>4}  {len(run.cost)} generations, {run.evaluations} candidates "
-            f"({int(run.failed.sum())} failed), {run.wall_time:.1f} s, ended by {REASONS[run.stop_reason]}, "
+            f"({int(run.failed.sum())} failed), {run.wall_time:.1f} s, ended: {REASONS[run.stop_reason]}, "
             f"NRMSE {100 * run.best[-1]:.3f} %"
         )
     if result.warnings:

@@ -51,7 +51,7 @@ def test_plain_lines_where_there_is_no_terminal(monkeypatch):
         progress.on_stop()
     lines = stream.getvalue().splitlines()
     assert lines[0].startswith("run 1/5  generation 7")
-    assert lines[1].startswith("run 1/5 ended by NRMSE change below the tolerance: NRMSE 5.000 %")
+    assert lines[1].startswith("run 1/5 ended: NRMSE change below the tolerance: NRMSE 5.000 %")
     assert "Ctrl-C again aborts" in lines[2]
     assert "\x1b" not in stream.getvalue()
 
@@ -62,7 +62,7 @@ def test_live_line_in_a_terminal():
         progress.on_generation(0, GENERATION)
         progress.on_run(0, HISTORY)
     assert "generation 7" in stream.getvalue()
-    assert "ended by" in stream.getvalue()
+    assert "ended: " in stream.getvalue()
 
 
 def test_quiet_says_nothing():

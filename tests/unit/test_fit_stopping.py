@@ -8,6 +8,7 @@ import time
 import pytest
 
 from sysid.errors import FitError
+from sysid.fit import stopping
 from sysid.fit.stopping import REASONS, StopFlag, StopRule, stop_on_interrupt
 
 RELATIVE = StopRule(reading="relative")
@@ -68,14 +69,17 @@ def test_refusals(kwargs):
         StopRule(**kwargs)
 
 
-def test_first_interrupt_sets_the_flag_second_aborts_and_handler_returns():
+def test_first_interrupt_sets_the_flag_second_aborts_and_handler_returns(monkeypatch):
     before = signal.getsignal(signal.SIGINT)
     heard = []
     with stop_on_interrupt(on_stop=lambda: heard.append(True)) as flag:
         assert not flag()
         signal.raise_signal(signal.SIGINT)
         assert flag()
+        # A launcher that passes the same press on does not abort.
+        signal.raise_signal(signal.SIGINT)
         assert heard == [True]
+        monkeypatch.setattr(stopping, "ONE_PRESS", 0.0)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is before
