@@ -79,7 +79,7 @@ def format_mean_table(rows: Sequence[MeanRow], titles: Sequence[str]) -> str:
     for row in rows:
         head = row.symbol if row.unit in ("", "1") else f"{row.symbol} [{row.unit}]"
         measured = "–".join(f"{value:.4g}" for value in row.measured) or "—"
-        lines.append([head, row.name, measured, *(_mean_sigma(cell) for cell in row.fitted)])
+        lines.append([head, row.name, measured, *(mean_sigma(cell) for cell in row.fitted)])
     widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
     return "\n".join(
         "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
@@ -87,7 +87,8 @@ def format_mean_table(rows: Sequence[MeanRow], titles: Sequence[str]) -> str:
     )
 
 
-def _mean_sigma(cell: tuple[float, float] | None) -> str:
+def mean_sigma(cell: tuple[float, float] | None) -> str:
+    """Return `mean ± σ` as text, σ with two digits and the mean to the same place; a dash for None."""
     if cell is None:
         return "—"
     mean, sigma = cell

@@ -1,0 +1,173 @@
+"""Tables of ranked parameter sets for a terminal: the sets, the layout of Table II, NRMSE per trial.
+
+Every cell is plain text to rich: a unit in brackets is no markup.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from rich.table import Table
+from rich.text import Text
+
+from sysid.export.mean_table import mean_sigma, mean_table
+from sysid.parameter_sets import ParameterRecord, ParameterSets
+
+_AT_BOUND = "*"
+_FLAG = "* ends within 1 % of a bound of the search"
+_NONE = "—"
+
+
+def ranked_table(sets: ParameterSets) -> Table:
+    """Return the ranked sets side by side: NRMSE, run, and every free parameter [SI].
+
+    Parameters
+    ----------
+    sets : ParameterSets
+        Best first.
+    """
+    shown = _shown(sets)
+    flagged = bool(np.any(sets.at_bound[:, shown]))
+    table = _table(f"{sets.name}: {len(sets)} sets, best first", _FLAG if flagged else None)
+    table.add_column("parameter")
+    for rank in range(1, len(sets) + 1):
+        table.add_column(f"set {rank}", justify="right")
+    table.add_row(_cell("NRMSE fitted", bold=True), *(_cell(_percent(v), bold=True) for v in sets.nrmse))
+    validated = _mean_over(sets, "validate")
+    if np.any(np.isfinite(validated)):
+        table.add_row(_cell("NRMSE validated"), *(_cell(_percent(value)) for value in validated))
+    if any(sets.runs):
+        table.add_row(_cell("run"), *(_cell(str(run) if run else _NONE) for run in sets.runs))
+    table.add_section()
+    for column in shown:
+        cells = []
+        for s in range(len(sets)):
+            bound = bool(sets.at_bound[s, column])
+            text = f"{sets.values[s, column]:.4g}{_AT_BOUND if bound else ''}"
+            cells.append(_cell(text, style="yellow" if bound else ""))
+        table.add_row(_cell(_heading(sets.parameters[column])), *cells)
+    return table
+
+
+def mean_sigma_table(*fits: ParameterSets) -> Table:
+    """Return mean ± σ over the sets of one or more fits, in the layout of the paper's Table II.
+
+    Parameters
+    ----------
+    *fits : ParameterSets
+        One column each, of one kind; measured values, independent ranges and bounds stand beside them.
+
+    Notes
+    -----
+    σ is divided by S − 1. A parameter of which any set ends at a bound is flagged.
+    """
+    flags = [_flagged(sets) for sets in fits]
+    caption = _FLAG + " in at least one set" if any(flags) else None
+    table = _table("measured and identified parameters (mean ± σ of the sets)", caption)
+    for title in ("parameter", "name", "measured", "bounds"):
+        table.add_column(title)
+    for sets in fits:
+        table.add_column(_cell(sets.name), justify="right")
+    for row in mean_table(*fits):
+        record = next(r for sets in fits for r in sets.parameters if r.name == row.name)
+        bounds = _NONE
+        free = [r for sets in fits for r in sets.parameters if r.name == row.name and r.status == "free"]
+        if free and free[0].lower is not None and free[0].upper is not None:
+            bounds = f"{free[0].lower:.4g} to {free[0].upper:.4g}"
+        measured = " to ".join(f"{value:.4g}" for value in row.measured) or _NONE
+        cells = [
+            _cell(
+                mean_sigma(cell) + (_AT_BOUND if row.name in flag else ""),
+                style="yellow" if row.name in flag else "",
+            )
+            for cell, flag in zip(row.fitted, flags, strict=True)
+        ]
+        table.add_row(_cell(_heading(record)), _cell(row.name), _cell(measured), _cell(bounds), *cells)
+    return table
+
+
+def trial_table(sets: ParameterSets) -> Table:
+    """Return the NRMSE of the best set per trial and channel, and how the sets scatter on each trial.
+
+    Parameters
+    ----------
+    sets : ParameterSets
+        With trials; a row per trial.
+    """
+    table = _table(f"{sets.name}: NRMSE of the best set [%]", None)
+    table.add_column("trial")
+    table.add_column("use")
+    for channel in sets.channels:
+        table.add_column(_cell(channel), justify="right")
+    table.add_column("mean", justify="right")
+    table.add_column("all sets", justify="right")
+    means = _trial_means(sets)
+    for t, (trial, use) in enumerate(zip(sets.trials, sets.uses, strict=True)):
+        if t and use != sets.uses[t - 1]:
+            table.add_section()
+        scatter = _NONE
+        if len(sets) > 1 and np.all(np.isfinite(means[:, t])):
+            scatter = f"{100 * means[:, t].min():.2f} to {100 * means[:, t].max():.2f}"
+        best = sets.nrmse_by_trial[0, t] if len(sets) else np.full(len(sets.channels), np.nan)
+        mean = means[0, t] if len(sets) else math.nan
+        table.add_row(
+            _cell(trial),
+            _cell(use),
+            *(_cell(_number(value)) for value in best),
+            _cell(_number(mean), bold=True),
+            _cell(scatter),
+        )
+    return table
+
+
+def _table(title: str, caption: str | None) -> Table:
+    return Table(
+        title=Text(title),
+        caption=Text(caption) if caption else None,
+        title_justify="left",
+        caption_justify="left",
+        header_style="bold",
+    )
+
+
+def _shown(sets: ParameterSets) -> list[int]:
+    """Return the columns of the free parameters; of all that were measured where a file has no free one."""
+    free = [i for i, record in enumerate(sets.parameters) if record.status == "free"]
+    return free or [i for i, record in enumerate(sets.parameters) if record.status == "measured"]
+
+
+def _flagged(sets: ParameterSets) -> set[str]:
+    return {sets.names[i] for i in np.flatnonzero(np.any(sets.at_bound != 0, axis=0))}
+
+
+def _trial_means(sets: ParameterSets) -> np.ndarray:
+    """Return (S, T): weighted mean over the channels [1]."""
+    weights = np.asarray(sets.channel_weights, dtype=np.float64)
+    used = weights > 0
+    if not used.any():
+        return np.full((len(sets), len(sets.trials)), np.nan)
+    return np.asarray(sets.nrmse_by_trial[:, :, used] @ (weights[used] / weights[used].sum()))
+
+
+def _mean_over(sets: ParameterSets, use: str) -> np.ndarray:
+    chosen = [t for t, one in enumerate(sets.uses) if one == use]
+    if not chosen:
+        return np.full(len(sets), np.nan)
+    return np.asarray(_trial_means(sets)[:, chosen].mean(axis=1))
+
+
+def _heading(record: ParameterRecord) -> str:
+    return record.symbol if record.unit in ("", "1") else f"{record.symbol} [{record.unit}]"
+
+
+def _cell(text: str, *, bold: bool = False, style: str = "") -> Text:
+    return Text(text, style="bold" if bold else style)
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.2f} %" if math.isfinite(value) else _NONE
+
+
+def _number(value: float) -> str:
+    return f"{100 * value:.2f}" if math.isfinite(value) else _NONE
