@@ -99,29 +99,29 @@ class FitProgress:
         self._console.print(Text(line), soft_wrap=True)
 
     def line(self, run: int, generation: Generation) -> str:
-        """Return the progress line after a generation of a run (from 0)."""
+        """Return the progress line after a generation of a run (from 0); fits 80 columns."""
         speed = generation.simulations / generation.elapsed if generation.elapsed > 0 else 0.0
         return (
-            f"run {run + 1}/{self._settings.runs}  generation {generation.number}  "
-            f"best NRMSE {100 * generation.best:.3f} %  median {100 * generation.median:.2f} %  "
-            f"{speed:.0f} {self._simulated}/s  time left {self.time_left(run, generation)}"
+            f"run {run + 1}/{self._settings.runs}  gen {generation.number}  "
+            f"NRMSE best {100 * generation.best:.3f} % median {100 * generation.median:.2f} %  "
+            f"{speed:.0f} {self._simulated}/s  left {self.time_left(run, generation)}"
         )
 
     def time_left(self, run: int, generation: Generation) -> str:
         """Return an estimate of the time that is left, or ``-``.
 
         A search that ends by convergence cannot tell when; once a run has finished the others are taken to
-        last as long as the finished ones on average. A limit gives an upper bound (``at most``).
+        last as long as the finished ones on average. A limit gives an upper bound (``<``).
         """
         limit = self._settings.stop.time_limit
         bound = None if limit is None else max(0.0, limit - (time.perf_counter() - self._started))
         if not self._finished:
-            return "-" if bound is None else f"at most {_clock(bound)}"
+            return "-" if bound is None else f"< {_clock(bound)}"
         mean = sum(self._finished) / len(self._finished)
         left = max(0.0, mean - generation.elapsed) + mean * (self._settings.runs - run - 1)
         if bound is not None and bound < left:
-            return f"at most {_clock(bound)}"
-        return f"about {_clock(left)}"
+            return f"< {_clock(bound)}"
+        return f"~ {_clock(left)}"
 
 
 def _clock(seconds: float) -> str:

@@ -27,7 +27,7 @@ from sysid.errors import FitError
 Reading = Literal["relative", "matlab"]
 StopReason = Literal["converged", "generations", "evaluations", "time", "interrupted", "exhausted"]
 
-# Launchers pass Ctrl-C on to a child that the terminal has told as well: signals this close [s] are one press.
+# Launchers pass Ctrl-C on to a child that the terminal has told as well: signals so close [s] are one press.
 ONE_PRESS = 0.5
 
 # What each reason means to a person; "exhausted" is pymoo's: no new candidate could be bred.

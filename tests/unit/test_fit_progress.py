@@ -26,7 +26,7 @@ def report(**kwargs):
 def test_line_says_what_is_asked():
     _, progress = report()
     line = progress.line(1, GENERATION)
-    expected = "run 2/5  generation 7  best NRMSE 5.000 %  median 6.00 %  63 drops/s  time left -"
+    expected = "run 2/5  gen 7  NRMSE best 5.000 % median 6.00 %  63 drops/s  left -"
     assert line == expected
 
 
@@ -35,9 +35,9 @@ def test_time_left_is_honest():
     assert progress.time_left(0, GENERATION) == "-"
     progress.on_run(0, HISTORY)
     # One run took 10 s, this one has run for 2 s and three follow.
-    assert progress.time_left(1, GENERATION) == "about 0:38"
+    assert progress.time_left(1, GENERATION) == "~ 0:38"
     _, limited = report(stop=StopRule(time_limit=3600.0))
-    assert re.fullmatch(r"at most (1:00:00|59:59)", limited.time_left(0, GENERATION))
+    assert re.fullmatch(r"< (1:00:00|59:59)", limited.time_left(0, GENERATION))
 
 
 def test_plain_lines_where_there_is_no_terminal(monkeypatch):
@@ -50,7 +50,7 @@ def test_plain_lines_where_there_is_no_terminal(monkeypatch):
         progress.on_run(0, HISTORY)
         progress.on_stop()
     lines = stream.getvalue().splitlines()
-    assert lines[0].startswith("run 1/5  generation 7")
+    assert lines[0].startswith("run 1/5  gen 7")
     assert lines[1].startswith("run 1/5 ended: NRMSE change below the tolerance: NRMSE 5.000 %")
     assert "Ctrl-C again aborts" in lines[2]
     assert "\x1b" not in stream.getvalue()
@@ -61,7 +61,7 @@ def test_live_line_in_a_terminal():
     with progress:
         progress.on_generation(0, GENERATION)
         progress.on_run(0, HISTORY)
-    assert "generation 7" in stream.getvalue()
+    assert "gen 7" in stream.getvalue()
     assert "ended: " in stream.getvalue()
 
 
