@@ -24,6 +24,7 @@ HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 MAT_SIGNATURE = b"MATLAB 5.0 MAT-file"
 _COLUMNS = ("name", "symbol", "unit", "status", "scale", "meaning", "source")
 _NUMBERS = ("nominal", "lower", "upper")
+_ARRAYS = ("values", "nrmse", "at_bound", "nrmse_by_trial")
 
 
 def _records(sets: ParameterSets) -> dict[str, list[Any]]:
@@ -76,14 +77,14 @@ def from_hdf5(data: bytes) -> ParameterSets:
             metadata: Any = {}
         else:
             metadata = exact_json.loads(file["metadata_json"].asstr()[()])
-        arrays = {
-            key: file[key][()] for key in ("values", "nrmse", "at_bound", "nrmse_by_trial") if key in file
-        }
+        # The fit.h5 of a fit folder keeps the same arrays in a group of their own.
+        group = file["sets"] if "sets" in file else file
+        arrays = {key: group[key][()] for key in _ARRAYS if key in group}
     return _assembled(metadata, arrays)
 
 
 def _assembled(metadata: Any, arrays: dict[str, Any]) -> ParameterSets:
-    missing = {"values", "nrmse", "at_bound", "nrmse_by_trial"} - set(arrays)
+    missing = set(_ARRAYS) - set(arrays)
     if missing and isinstance(metadata, dict) and "schema" in metadata:
         raise ValueError(f"{', '.join(sorted(missing))} missing")
     empty = np.empty(0)

@@ -211,16 +211,17 @@ def summary(result: FitResult) -> str:
         lines.append(f"{s + 1:>4}  {result.set_runs[s]:>3}  {result.set_seeds[s]:>10}  {own:>8}  {other:>9}")
     lines += ["", "sets, best first (SI; * ends at a bound)", ""]
     for i, record in enumerate(result.parameters):
-        if record.status == "free":
+        if record.status in ("free", "derived"):
             cells = "".join(
                 f"{result.values[s, i]:>13.5g}{'*' if result.at_bound[s, i] else ' '}"
                 for s in range(len(fitted))
             )
             head = f"{record.symbol} [{record.unit}]"
-            lines.append(f"{head:<22}{cells}  {record.name}")
-    lines += ["", "held or derived (SI)", ""]
+            derived = " (derived)" if record.status == "derived" else ""
+            lines.append(f"{head:<22}{cells}  {record.name}{derived}")
+    lines += ["", "held (SI)", ""]
     for i, record in enumerate(result.parameters):
-        if record.status != "free":
+        if record.status in ("measured", "fixed"):
             value = result.values[0, i] if len(fitted) else np.nan
             head = f"{record.symbol} [{record.unit}]"
             lines.append(f"{head:<22}{value:>13.5g}   {record.name} ({record.status})")

@@ -118,7 +118,8 @@ def test_folder_is_a_parameter_set_source(tmp_path):
     fit = made_fit()
     path = write_fit(fit, tmp_path / "bench")
     assert sysid.load_parameter_sets(path) == fit.parameter_sets()
-    assert sysid.load_parameter_sets(path / "fit.json") == fit.parameter_sets()
+    for name in ("fit.json", "fit.h5"):
+        assert sysid.load_parameter_sets(path / name) == fit.parameter_sets()
     document = json.loads((path / "fit.json").read_text(encoding="utf-8"))
     assert document["sets"][0]["values"]["saturation_current"] == "Infinity"
 
