@@ -40,6 +40,7 @@ _DISPLAY: dict[str, tuple[str, str, float]] = {
     "z_B_rate": (r"$\dot{z}_B$", "m/s", 1.0),
     "q_B": (r"$q_B$", "deg", 180.0 / np.pi),
     "torque": ("torque", "mN·m", 1e3),
+    "stator_torque": ("torque at the stator", "mN·m", 1e3),
     "speed": (r"speed $\Omega$", "rad/s", 1.0),
     "thrust": ("thrust", "N", 1.0),
 }

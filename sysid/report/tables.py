@@ -29,7 +29,8 @@ def ranked_table(sets: ParameterSets) -> Table:
     """
     shown = _shown(sets)
     flagged = bool(np.any(sets.at_bound[:, shown]))
-    table = _table(f"{sets.name}: {len(sets)} sets, best first", _FLAG if flagged else None)
+    count = "one set" if len(sets) == 1 else f"{len(sets)} sets, best first"
+    table = _table(f"{sets.name}: {count}", _FLAG if flagged else None)
     table.add_column("parameter")
     for rank in range(1, len(sets) + 1):
         table.add_column(f"set {rank}", justify="right")
@@ -65,7 +66,7 @@ def mean_sigma_table(*fits: ParameterSets) -> Table:
     flags = [_flagged(sets) for sets in fits]
     caption = _FLAG + " in at least one set" if any(flags) else None
     table = _table("measured and identified parameters (mean ± σ of the sets)", caption)
-    for title in ("parameter", "name", "measured", "bounds"):
+    for title in ("parameter", "measured", "bounds"):
         table.add_column(title)
     for sets in fits:
         table.add_column(_cell(sets.name), justify="right")
@@ -75,7 +76,9 @@ def mean_sigma_table(*fits: ParameterSets) -> Table:
         free = [r for sets in fits for r in sets.parameters if r.name == row.name and r.status == "free"]
         if free and free[0].lower is not None and free[0].upper is not None:
             bounds = f"{free[0].lower:.4g} to {free[0].upper:.4g}"
-        measured = " to ".join(f"{value:.4g}" for value in row.measured) or _NONE
+        # A range of no width is one value.
+        ends = dict.fromkeys(f"{value:.4g}" for value in row.measured)
+        measured = " to ".join(ends) or _NONE
         cells = [
             _cell(
                 mean_sigma(cell) + (_AT_BOUND if row.name in flag else ""),
@@ -83,7 +86,7 @@ def mean_sigma_table(*fits: ParameterSets) -> Table:
             )
             for cell, flag in zip(row.fitted, flags, strict=True)
         ]
-        table.add_row(_cell(_heading(record)), _cell(row.name), _cell(measured), _cell(bounds), *cells)
+        table.add_row(_cell(_heading(record)), _cell(measured), _cell(bounds), *cells)
     return table
 
 
