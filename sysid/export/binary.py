@@ -78,7 +78,7 @@ def from_hdf5(data: bytes) -> ParameterSets:
         else:
             metadata = exact_json.loads(file["metadata_json"].asstr()[()])
         # The fit.h5 of a fit folder keeps the same arrays in a group of their own.
-        group = file["sets"] if "sets" in file else file
+        group = file.get("sets", file)
         arrays = {key: group[key][()] for key in _ARRAYS if key in group}
     return _assembled(metadata, arrays)
 
