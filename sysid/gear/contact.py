@@ -19,8 +19,8 @@ def low_friction(force_c, force_d, slip_c, slip_d, mu_k, eps_v):
 
     Notes
     -----
-    ``F_t = -mu_k F_n v / (|v| + eps_v)``; linear in v for |v| << eps_v, so it never sticks but creeps. The two
-    quotients share one division.
+    ``F_t = -mu_k F_n v / (|v| + eps_v)``; linear in v for |v| << eps_v, so it never sticks but creeps. The
+    two quotients share one division.
     """
     below_c = (slip_c if slip_c > 0.0 else -slip_c) + eps_v
     below_d = (slip_d if slip_d > 0.0 else -slip_d) + eps_v

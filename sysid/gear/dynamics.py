@@ -2,10 +2,10 @@
 
 Notes
 -----
-Everything is relative to free fall: without weights the legs obey the same equations, and gravity is added to the
-body at the end. With ``rho`` the distance of a leg's centre of mass from its joint, ``F`` the ground's force on the
-foot at distance ``arm`` below that centre, ``S = k_h h + b_h h'`` the axial joint force (5), ``M`` the joint moment on
-the leg (6) and ``lam`` the constraint force of the joint on the leg along ``ex``:
+Everything is relative to free fall: without weights the legs obey the same equations, and gravity is added to
+the body at the end. With ``rho`` the distance of a leg's centre of mass from its joint, ``F`` the ground's
+force on the foot at distance ``arm`` below that centre, ``S = k_h h + b_h h'`` the axial joint force (5),
+``M`` the joint moment on the leg (6) and ``lam`` the constraint force of the joint on the leg along ``ex``:
 
     m_leg (a_j.ex - 2 h' theta' - rho theta'') = F.ex + lam
     I_leg theta'' = M - arm F.ex + rho lam
@@ -13,8 +13,8 @@ the leg (6) and ``lam`` the constraint force of the joint on the leg along ``ex`
     a_B  = -sum(lam ex + S ez)/m_B,   alpha = sum(-M - lam p - S n)/I_B
     a_j.ex = a_B.ex + alpha p + omega^2 n,   a_j.ez = a_B.ez + alpha n - omega^2 p
 
-where ``p = ex.r'``, ``n = ez.r'`` and ``r' = (r_w, -r_s)`` is the joint's offset turned a quarter. Eliminating all but
-the two ``lam`` leaves one symmetric, positive definite 2 x 2 system: a single division.
+where ``p = ex.r'``, ``n = ez.r'`` and ``r' = (r_w, -r_s)`` is the joint's offset turned a quarter.
+Eliminating all but the two ``lam`` leaves one symmetric, positive definite 2 x 2 system: a single division.
 """
 
 from numba import njit
@@ -24,7 +24,7 @@ from sysid.gear.geometry import foot_motion, joint_position, sine_cosine
 
 @njit(error_model="numpy", forceinline=True)
 def pose(phi, theta_c, theta_d, dx_j, dz_j):
-    """Cosines and sines of the two legs' angles from the slope, and both joints' offsets from the body [m]."""
+    """Cosines and sines of both legs' angles from the slope, and the joints' offsets from the body [m]."""
     sin_phi, cos_phi = sine_cosine(phi)
     sin_c, cos_c = sine_cosine(theta_c)
     sin_d, cos_d = sine_cosine(theta_d)
@@ -65,7 +65,9 @@ def foot_looseness(joints, h_c, h_d, coefficients):
 
 
 @njit(error_model="numpy", forceinline=True)
-def accelerations(joints, phi, h_c, theta_c, h_d, theta_d, rates, normal_c, normal_d, friction_c, friction_d, coefficients):
+def accelerations(
+    joints, phi, h_c, theta_c, h_d, theta_d, rates, normal_c, normal_d, friction_c, friction_d, coefficients
+):
     """Second time derivatives of (s, w, phi, h_C, theta_C, h_D, theta_D) under given forces on the feet.
 
     Parameters

@@ -1,11 +1,12 @@
 """Where the joints, legs and feet are, and how fast: planar kinematics in the frame of the slope.
 
-The kernel works in the slope's own frame: ``s`` along the surface (down-slope), ``w`` along its normal, and every
-angle measured from the surface. With ``ex(a) = (cos a, -sin a)`` and ``ez(a) = (sin a, cos a)`` the body has the axes
-``ex(phi), ez(phi)``, a leg the axes ``ex(theta), ez(theta)``. Both legs obey the same formulas; only the sign
-``side`` of the joint's offset differs (+1 rear leg C, -1 front leg D).
+The kernel works in the slope's own frame: ``s`` along the surface (down-slope), ``w`` along its normal, and
+every angle measured from the surface. With ``ex(a) = (cos a, -sin a)`` and ``ez(a) = (sin a, cos a)`` the
+body has the axes ``ex(phi), ez(phi)``, a leg the axes ``ex(theta), ez(theta)``. Both legs obey the same
+formulas; only the sign ``side`` of the joint's offset differs (+1 rear leg C, -1 front leg D).
 
-All functions are scalar, branch-free and inlined, so that a loop over lanes around them becomes packed instructions.
+All functions are scalar, branch-free and inlined, so that a loop over lanes around them becomes packed
+instructions.
 """
 
 from numba import njit

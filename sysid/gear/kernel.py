@@ -1,12 +1,13 @@
 """The landing gear in time: many drops side by side in lanes, one drop alone with a single lane.
 
-`drop_driver(lanes)` makes the compiled driver; the scalar form is the same code with one lane. Each lane integrates
-its own job (a parameter row on a drop) with its own adaptive step and takes the next job when its drop ends; loops
-over lanes become packed instructions. Lanes never exchange numbers, so a result depends neither on the number of
-lanes and threads nor on the order of jobs, and a lane that is lost leaves the others alone.
+`drop_driver(lanes)` makes the compiled driver; the scalar form is the same code with one lane. Each lane
+integrates its own job (a parameter row on a drop) with its own adaptive step and takes the next job when its
+drop ends; loops over lanes become packed instructions. Lanes never exchange numbers, so a result depends
+neither on the number of lanes and threads nor on the order of jobs, and a lane that is lost leaves the others
+alone.
 
-The method is the explicit pair of Bogacki and Shampine, order 3(2), with local extrapolation and the last stage
-reused; samples between steps come from the cubic Hermite polynomial of the step (order 3).
+The method is the explicit pair of Bogacki and Shampine, order 3(2), with local extrapolation and the last
+stage reused; samples between steps come from the cubic Hermite polynomial of the step (order 3).
 
 Status codes of a job: see `OK`, `STEP_COLLAPSED`, `TOO_EXPENSIVE`, `BLEW_UP`.
 """
@@ -19,18 +20,19 @@ from numba import njit
 
 from sysid.gear.contact import low_friction, low_friction_damping, normal_force
 from sysid.gear.dynamics import accelerations, feet, foot_looseness, pose
-from sysid.integrate.tableau import A, A_TWICE, REAL_LIMIT, STAGES, C, E
+from sysid.integrate.tableau import A_TWICE, REAL_LIMIT, STAGES, A, C, E
 
 OK = 0
 STEP_COLLAPSED = 1
 TOO_EXPENSIVE = 2
 BLEW_UP = 3
 
-# Error weights of the rates (s, w, phi, h_C, theta_C, h_D, theta_D): 1 / scale, scales 1 m/s and 10 rad/s for the legs;
-# a light leg may err 30 times more than the body, whose motion is what is measured.
+# Error weights of the rates (s, w, phi, h_C, theta_C, h_D, theta_D): 1 / scale, scales 1 m/s and 10 rad/s for
+# the legs; a light leg may err 30 times more than the body, whose motion is what is measured.
 WEIGHTS = np.array([30.0, 30.0, 6.0, 1.0, 0.1, 1.0, 0.1])
 
-# Part of the method's real stability limit that a step may use: the slip's decay rate can grow within the step.
+# Part of the method's real stability limit that a step may use: the slip's decay rate can grow within the
+# step.
 _STABLE = 0.9 * REAL_LIMIT
 
 # Rows of the work buffer; element `row * lanes + lane`.
@@ -53,7 +55,9 @@ _ROWS = _T + 9
 def _fingerprint() -> int:
     """Hash of the sources that are inlined here, so that a cached driver never outlives them."""
     here = Path(__file__).parent
-    text = b"".join((here / name).read_bytes() for name in ("geometry.py", "contact.py", "dynamics.py", "kernel.py"))
+    sources = [here / f"{name}.py" for name in ("geometry", "contact", "dynamics", "kernel")]
+    sources.append(here.parent / "integrate" / "tableau.py")
+    text = b"".join(source.read_bytes() for source in sources)
     return int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
 
 
@@ -61,7 +65,8 @@ def _fingerprint() -> int:
 def _advanced(work, stage, i, lane, lanes):
     """Coordinate `i` of one lane and its rate at the start of a stage.
 
-    A coordinate's derivative is its rate, so stages of coordinates are sums over accelerations alone (Nystrom form).
+    A coordinate's derivative is its rate, so stages of coordinates are sums over accelerations alone (Nystrom
+    form).
     """
     h = work[_H * lanes + lane]
     rate = work[(_Y + 7 + i) * lanes + lane]
@@ -136,7 +141,7 @@ def _stage(work, stage, lane, lanes):
 
 @njit(error_model="numpy")
 def _derive(parameters, slope, work, lane, lanes):
-    """Coefficients of one lane from a parameter row (table order of `sysid.gear.model.PARAMETERS`) and a slope."""
+    """Coefficients of one lane from a parameter row (order of `sysid.gear.model.PARAMETERS`) and a slope."""
     span = parameters[3] - parameters[6]
     drop = parameters[4] - parameters[7]
     length = np.sqrt(span * span + drop * drop)
@@ -265,7 +270,22 @@ def drop_driver(lanes: int):
     fingerprint = _fingerprint()
 
     @njit(cache=True, nogil=True, error_model="numpy")
-    def drive(parameters, slope, body, legs, clock, offset, jobs, tolerance, h_max, cost, samples, reached, status, spent):
+    def drive(
+        parameters,
+        slope,
+        body,
+        legs,
+        clock,
+        offset,
+        jobs,
+        tolerance,
+        h_max,
+        cost,
+        samples,
+        reached,
+        status,
+        spent,
+    ):
         """Integrate jobs (candidate * drops + drop) and sample them on their drop's clock.
 
         Parameters
@@ -302,7 +322,8 @@ def drop_driver(lanes: int):
         active = 0
         for lane in range(lanes):
             here = jobs[min(waiting, len(jobs) - 1)]
-            _begin(parameters[here // drops], slope[here % drops], body[here % drops], legs, work, lane, lanes)
+            drop = here % drops
+            _begin(parameters[here // drops], slope[drop], body[drop], legs, work, lane, lanes)
             if waiting < len(jobs):
                 _assign(here, lane, job, cursor, clock, offset, cost, work)
                 waiting += 1
@@ -375,7 +396,8 @@ def drop_driver(lanes: int):
                     if taken:
                         while cursor[lane] < end and clock[cursor[lane]] <= t + h:
                             share = (clock[cursor[lane]] - t) / h if h > 0.0 else 0.0
-                            _sample(work, lane, lanes, share, slope[drop], columns, samples[candidate, cursor[lane]])
+                            row = samples[candidate, cursor[lane]]
+                            _sample(work, lane, lanes, share, slope[drop], columns, row)
                             cursor[lane] += 1
                         stretch = min(work[(_S + 3) * lanes + lane], work[(_S + 5) * lanes + lane])
                         if not stretch + work[(_P + 6) * lanes + lane] > 0.0:
@@ -429,7 +451,7 @@ def drop_driver(lanes: int):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def foot_forces(parameters, slope, states, forces):
-    """Fill `forces` (n, 4): normal force rear, front, friction rear, front [N] in the given states (n, 14), frame N."""
+    """Fill `forces` (n, 4) of states (n, 14), frame N: normal force rear, front, friction rear, front [N]."""
     work = np.ones(_ROWS)
     for n in range(len(states)):
         state = states[n]

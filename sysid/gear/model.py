@@ -1,10 +1,10 @@
-"""Planar drone on two sprung legs landing on a slope (Bass & Lussier Desbiens, section II, equations 5-8, 11, 12).
+"""Planar drone on two sprung legs landing on a slope (Bass & Lussier Desbiens, equations 5-8, 11, 12).
 
-Valid when roll and yaw stay small (the paper: below 10 deg); ignores aerodynamics of the body, the board's own
-motion and everything out of the plane. Motors off.
+Valid when roll and yaw stay small (the paper: below 10 deg); ignores aerodynamics of the body, the board's
+own motion and everything out of the plane. Motors off.
 
-Frame N: x down-slope to the right, z up, y into the page; positive pitch is nose-down. A slope of angle ``q_A > 0``
-falls toward +x; its surface passes through the origin. For an angle a: ``ex(a) = (cos a, -sin a)``,
+Frame N: x down-slope to the right, z up, y into the page; positive pitch is nose-down. A slope of angle ``q_A
+> 0`` falls toward +x; its surface passes through the origin. For an angle a: ``ex(a) = (cos a, -sin a)``,
 ``ez(a) = (sin a, cos a)``; the surface has the tangent ``ex(q_A)`` and the normal ``ez(q_A)``.
 
 Each leg stands for the *pair* of real legs at its end: rear C up-slope at -x, front D at +x.
@@ -15,24 +15,26 @@ symbol     meaning [unit]
 x_B z_B    body's centre of mass in frame N [m]
 q_B        pitch [rad]
 h_C h_D    extension of the rear and front leg along its axis [m], 0 at rest
-q_C q_D    angle of the rear and front leg from the body [rad], q_n at rest; absolute angles q_B + q_C, q_B - q_D
-l, q_n     leg length and angle at rest, from the feet (dx_f, dz_f) and joints (dx_j, dz_j)
-p, v_t     penetration of a foot [m] and its speed along the slope [m/s]
-=========  ==============================================================================================
+q_C q_D    angle of the rear and front leg from the body [rad], q_n at rest; absolute angles q_B + q_C, q_B -
+q_D l, q_n     leg length and angle at rest, from the feet (dx_f, dz_f) and joints (dx_j, dz_j) p, v_t
+penetration of a foot [m] and its speed along the slope [m/s] =========
+==============================================================================================
 
 Laws
 ----
-Joint, axial (5): force ``-(k_h h + b_h h')`` on the body along the leg. Joint, bending (6): moment on the body
-``k_t (q_C - q_n) + b_t q_C'`` (rear; opposite sign for the front leg). The reaction across the leg is a constraint
-force. Contact (7): ``F_n = k_s p + b_s p'`` while ``p > 0``, the damper only while ``p' > 0``. Low friction (8):
-``F_t = -mu_k F_n v_t / (|v_t| + eps_v)``. Motion (11, 12): `sysid.gear.dynamics`.
+Joint, axial (5): force ``-(k_h h + b_h h')`` on the body along the leg. Joint, bending (6): moment on the
+body ``k_t (q_C - q_n) + b_t q_C'`` (rear; opposite sign for the front leg). The reaction across the leg is a
+constraint force. Contact (7): ``F_n = k_s p + b_s p'`` while ``p > 0``, the damper only while ``p' > 0``. Low
+friction (8): ``F_t = -mu_k F_n v_t / (|v_t| + eps_v)``. Motion (11, 12): `sysid.gear.dynamics`.
 
-Where the printed paper cannot be meant literally: (8) lacks the minus sign (friction opposes slip); ``eps_v`` is not
-printed (0.01 m/s here); the leg's centre of mass is not given (`leg_mass_fraction` of the length from the foot, the
-middle by default); the symbol ``k_t`` of the bending stiffness is the motor's torque constant elsewhere in the paper.
+Where the printed paper cannot be meant literally: (8) lacks the minus sign (friction opposes slip); ``eps_v``
+is not printed (0.01 m/s here); the leg's centre of mass is not given (`leg_mass_fraction` of the length from
+the foot, the middle by default); the symbol ``k_t`` of the bending stiffness is the motor's torque constant
+elsewhere in the paper.
 
-Limits a reader can check: on a slope below ``atan mu_k`` the law creeps at ``eps_v r/(1 - r)``, ``r = tan q_A/mu_k``;
-at rest the feet sink by ``m g/(2 k_s)`` each on level ground; in flight the whole keeps its momentum.
+Limits a reader can check: on a slope below ``atan mu_k`` the law creeps at ``eps_v r/(1 - r)``, ``r = tan
+q_A/mu_k``; at rest the feet sink by ``m g/(2 k_s)`` each on level ground; in flight the whole keeps its
+momentum.
 """
 
 from __future__ import annotations
@@ -58,14 +60,15 @@ FloatArray = NDArray[np.float64]
 _MEASURED = "Table II, measured"
 _LF = "Table II, low friction, mean of five fits"
 
+# fmt: off
 PARAMETERS = ParameterTable(
     [
-        Parameter("body_mass", "m_B", "kg", 1.242, 0.1, 10.0, "log", "Mass of the drone without legs.", _MEASURED),
+        Parameter("body_mass", "m_B", "kg", 1.242, 0.1, 10.0, "log", "Mass without legs.", _MEASURED),
         Parameter(
             "body_inertia", "I_B", "kg·m²", 0.0137, 1e-4, 1.0, "log",
             "Moment of inertia of the body about its pitch axis.", _MEASURED,
         ),
-        Parameter("gravity", "g", "m/s²", 9.81, 9.7, 9.9, "linear", "Gravitational acceleration.", "standard value"),
+        Parameter("gravity", "g", "m/s²", 9.81, 9.7, 9.9, "linear", "Gravity.", "standard value"),
         Parameter(
             "foot_dx", "dx_f", "m", 0.105, 0.02, 0.5, "linear",
             "Horizontal distance of the feet at rest from the centre of mass.", _MEASURED,
@@ -117,7 +120,7 @@ PARAMETERS = ParameterTable(
         ),
         Parameter(
             "leg_inertia", "I_leg", "kg·m²", 2.0e-4, 2e-5, 1e-3, "log",
-            "Moment of inertia of a pair of legs about their centre of mass.", "Table II, calculated; bounds guessed",
+            "Moment of inertia of a pair of legs about their centre.", "Table II, calculated; bounds guessed",
         ),
         Parameter(
             "leg_mass_fraction", "f_leg", "1", 0.5, 0.1, 0.9, "linear",
@@ -126,7 +129,7 @@ PARAMETERS = ParameterTable(
         ),
         Parameter(
             "kinetic_friction", "μ_k", "1", 0.44, 0.1, 1.2, "linear",
-            "Kinetic friction coefficient of feet on the surface.", "Table II, measured on UHMW PE; bounds guessed",
+            "Kinetic friction coefficient of the feet.", "Table II, measured on UHMW PE; bounds guessed",
         ),
         Parameter(
             "slip_regularization", "ε_v", "m/s", 0.01, 1e-3, 0.1, "log",
@@ -143,6 +146,7 @@ PARAMETERS = ParameterTable(
         ),
     ]
 )
+# fmt: on
 
 LF_FREE = (
     "joint_dx",
@@ -158,15 +162,18 @@ HF_FREE = (*LF_FREE, "leg_mass", "leg_inertia", "kinetic_friction", "static_fric
 COORDINATES = ("x_B", "z_B", "q_B", "h_C", "q_C", "h_D", "q_D")
 SURFACES = ("lf",)
 
-# Bound of the weighted rms error of the seven rates per step. FIT keeps the mean NRMSE of each of six drops (5-35 deg,
-# 0.4-1 m/s, 0.7 s) below 0.1 %; TIGHT keeps every channel of the converged references within 1e-4 of its deviation.
+# Bound of the weighted rms error of the seven rates per step. FIT keeps the mean NRMSE of each of six drops
+# (5-35 deg, 0.4-1 m/s, 0.7 s) below 0.1 %; TIGHT keeps every channel of the converged references within 1e-4
+# of its deviation.
 FIT_TOLERANCE = 1e-3
 TIGHT_TOLERANCE = 1e-6
 
-# Right-hand sides that a drop may spend per second of its length at FIT_TOLERANCE: about five times an ordinary one.
+# Right-hand sides that a drop may spend per second of its length at FIT_TOLERANCE: about five times an
+# ordinary one.
 _COST = 8e4
 _LONGEST_STEP = 5e-3
-# Lanes of the population driver: one register of eight doubles where the CPU has it, two or four registers elsewhere.
+# Lanes of the population driver: one register of eight doubles where the CPU has it, two or four registers
+# elsewhere.
 _LANES = 8
 
 
@@ -183,9 +190,9 @@ class Status(IntEnum):
         """Say what happened and what would help."""
         return {
             Status.OK: "integrated to the end",
-            Status.STEP_COLLAPSED: "the step shrank below 1 ns; the state is not finite or the parameters are not physical",
-            Status.TOO_EXPENSIVE: "needed over five times the work of an ordinary drop; the parameters are far too stiff",
-            Status.BLEW_UP: "a leg was pushed through its own joint; the legs are too soft for this impact",
+            Status.STEP_COLLAPSED: "the step shrank below 1 ns: the parameters or the state are not physical",
+            Status.TOO_EXPENSIVE: "needed many times an ordinary drop's work: the parameters are too stiff",
+            Status.BLEW_UP: "a leg was pushed through its own joint: the legs are too soft for this impact",
         }[self]
 
 
@@ -242,7 +249,7 @@ class Drops:
         times = tuple(_frozen(t) for t in self.time)
         if slope.ndim != 1 or body.shape != (len(slope), 6) or len(times) != len(slope) or not len(slope):
             raise CampaignError(
-                f"drops: found slopes of shape {slope.shape}, initial states {body.shape} and {len(times)} clocks; "
+                f"drops: found slopes {slope.shape}, initial states {body.shape} and {len(times)} clocks; "
                 "give D slopes, (D, 6) states and D clocks"
             )
         for number, (angle, state, clock) in enumerate(zip(slope, body, times, strict=True)):
@@ -251,8 +258,15 @@ class Drops:
                     f"drop {number}: slope {angle:g} rad or initial state {state.tolist()} is not usable; "
                     "give finite numbers and a slope between -pi/2 and pi/2"
                 )
-            if clock.ndim != 1 or not len(clock) or not np.isfinite(clock).all() or (np.diff(clock) <= 0).any():
-                raise CampaignError(f"drop {number}: sample times do not increase; give one or more increasing times")
+            if (
+                clock.ndim != 1
+                or not len(clock)
+                or not np.isfinite(clock).all()
+                or (np.diff(clock) <= 0).any()
+            ):
+                raise CampaignError(
+                    f"drop {number}: sample times do not increase; give one or more increasing times"
+                )
         object.__setattr__(self, "slope", slope)
         object.__setattr__(self, "body_state", body)
         object.__setattr__(self, "time", times)
@@ -272,7 +286,8 @@ class PopulationSamples:
     Parameters
     ----------
     samples : (P, n_total, 6) array
-        x_B, z_B, q_B and their rates at every sample of every drop, concatenated in drop order; NaN after a failure.
+        x_B, z_B, q_B and their rates at every sample of every drop, concatenated in drop order; NaN after a
+        failure.
     reached : (P, D) array
         Share of the drop's time integrated before a failure, 1 without one.
     status : (P, D) int8 array
@@ -288,7 +303,7 @@ class PopulationSamples:
 
 
 def pack(values: Mapping[str, float]) -> FloatArray:
-    """Lay parameter values [SI] into the kernel's row (n_par,), `PARAMETERS` order; absent names take the nominal.
+    """Lay values [SI] into the kernel's row (n_par,), `PARAMETERS` order; absent names take the nominal.
 
     Raises
     ------
@@ -339,7 +354,9 @@ def simulate(
     if state is not None:
         start = np.asarray(state, dtype=np.float64)
         if start.shape != (14,) or not np.isfinite(start).all():
-            raise CampaignError(f"state: found shape {start.shape}; give 14 finite numbers, coordinates then rates")
+            raise CampaignError(
+                f"state: found shape {start.shape}; give 14 finite numbers, coordinates first"
+            )
         body_state = start[[0, 1, 2, 7, 8, 9]]
         legs = np.ascontiguousarray(start[[3, 4, 5, 6, 10, 11, 12, 13]])
     if body_state is None:
@@ -371,8 +388,8 @@ def simulate_population(
 ) -> PopulationSamples:
     """Simulate every candidate on every drop, on all cores.
 
-    The numbers do not depend on the number of threads nor on the candidates' order. A candidate that is lost ends
-    with a status; nothing is raised.
+    The numbers do not depend on the number of threads nor on the candidates' order. A candidate that is lost
+    ends with a status; nothing is raised.
 
     Parameters
     ----------
@@ -410,7 +427,7 @@ def _run(
     if surface not in SURFACES:
         raise CampaignError(f"surface: no friction law {surface!r}; known are {', '.join(SURFACES)}")
     if not 0 < tolerance < 1:
-        raise CampaignError(f"tolerance: found {tolerance:g}, expected a number between 0 and 1; use FIT_TOLERANCE")
+        raise CampaignError(f"tolerance: found {tolerance:g}, expected between 0 and 1; use FIT_TOLERANCE")
     count, width = len(rows), len(drops.slope)
     samples = np.full((count, len(drops.clock), columns), np.nan)
     reached = np.zeros((count, width))
@@ -442,7 +459,7 @@ def _run(
 def _checked(rows: FloatArray) -> FloatArray:
     if rows.ndim != 2 or rows.shape[1] != len(PARAMETERS):
         raise CampaignError(
-            f"parameters: found rows of {rows.shape[-1]} numbers, expected {len(PARAMETERS)}; build them with pack()"
+            f"parameters: found rows of {rows.shape[-1]}, expected {len(PARAMETERS)}; build them with pack()"
         )
     return np.ascontiguousarray(rows)
 
