@@ -76,9 +76,7 @@ def fit_motor(
     from sysid.pipelines.search import FitOptions
 
     limit = _seconds(time_limit)
-    options = FitOptions(
-        out, force, population, runs, seed, max_generations, limit, threads, quiet or json
-    )
+    options = FitOptions(out, force, population, runs, seed, max_generations, limit, threads, quiet or json)
     _print_fit(*fit(campaign, options, say=None if quiet else say), quiet, json)
 
 
@@ -102,9 +100,7 @@ def fit_gear(
     from sysid.pipelines.search import FitOptions
 
     limit = _seconds(time_limit)
-    options = FitOptions(
-        out, force, population, runs, seed, max_generations, limit, threads, quiet or json
-    )
+    options = FitOptions(out, force, population, runs, seed, max_generations, limit, threads, quiet or json)
     law = surface.value if surface is not None else None
     _print_fit(*fit(campaign, options, surface=law, say=None if quiet else say), quiet, json)
 
@@ -141,7 +137,9 @@ def new_campaign(
     """Write a commented campaign file that says how each value is measured."""
     from sysid.pipelines.results import write_template
 
-    typer.echo(f"wrote {write_template(kind.value, path, force)}; edit it, then: sysid fit-{kind.value} {path}")
+    typer.echo(
+        f"wrote {write_template(kind.value, path, force)}; edit it, then: sysid fit-{kind.value} {path}"
+    )
 
 
 @synthesize.command("gear")
@@ -212,7 +210,9 @@ def _options(
 def _seconds(text: str | None) -> float | None:
     from sysid.units import parse_quantity
 
-    return None if text is None else parse_quantity(text.replace("m", "min") if text[-1:] == "m" else text, "s")
+    return (
+        None if text is None else parse_quantity(text.replace("m", "min") if text[-1:] == "m" else text, "s")
+    )
 
 
 def _print_fit(result: object, folder: Path, quiet: bool, json: bool) -> None:
@@ -228,10 +228,13 @@ def main() -> None:
         # A Windows console may not be able to write Ω or ²: better a question mark than a traceback.
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
+    debug = "--debug" in sys.argv
+    if debug:  # wherever it stands on the line
+        sys.argv = [argument for argument in sys.argv if argument != "--debug"]
     try:
         app()
     except SysidError as error:
-        if "--debug" in sys.argv:
+        if debug:
             raise
         sys.exit(_refuse(str(error)))
     except KeyboardInterrupt:

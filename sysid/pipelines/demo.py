@@ -34,11 +34,13 @@ def find_samples(given: Path | None) -> Path:
         Path("data_samples"), Path(sysid.__file__).resolve().parents[1] / "data_samples",
     ]  # fmt: skip
     for folder in candidates:
-        if (folder / "motor" / "campaign.toml").is_file() and (folder / "gear-lf" / "campaign.toml").is_file():
+        if (folder / "motor" / "campaign.toml").is_file() and (
+            folder / "gear-lf" / "campaign.toml"
+        ).is_file():
             return folder
     raise SysidError(
-        f"no sample data at {' or '.join(str(folder) for folder in candidates)}; run the demo from the project's "
-        f"folder, or name the samples with --data"
+        f"no sample data at {' or '.join(str(folder) for folder in candidates)}; run the demo from the "
+        f"project's folder, or name the samples with --data"
     )
 
 

@@ -176,6 +176,9 @@ def fit_gear(
         runs, interrupted = search(objective, settings, simulated="drops", quiet=options.quiet)
     sets = ranked_sets(runs, space)
     records = parameter_records(space, measured_values(campaign), ranges)
+    at_bounds = bound_warnings(records, sets.at_bound)
+    for sentence in at_bounds:
+        tell(f"warning: {sentence}")
     result = FitResult(
         kind="gear",
         name=campaign.name,
@@ -200,7 +203,7 @@ def fit_gear(
             _filter_design(campaign, fitted[0]),
             {drop.name: drop.provenance for drop in drops},
         ),
-        warnings=(*doubts, *bound_warnings(records, sets.at_bound)),
+        warnings=(*doubts, *at_bounds),
     )
     return result, write_fit(result, folder, options.force)
 
@@ -265,10 +268,3 @@ def score_values(
     full = {**PARAMETERS.nominal, **measured_values(campaign), **space.fixed, **values}
     row = np.array([[full[name] for name in PARAMETERS]])
     return GearObjective.build(campaign, space, drops, **options).score(row)
-
-
-def read_truth(path: str | Path) -> dict[str, float]:
-    """Return the parameter values of a synthetic campaign's truth file [SI]."""
-    import json
-
-    return dict(json.loads(Path(path).read_text(encoding="utf-8"))["parameters"])

@@ -14,7 +14,7 @@ from sysid.export import export, load_parameter_sets
 from sysid.fit.result import FitResult
 from sysid.fit.store import read_fit
 from sysid.parameter_sets import ParameterSets
-from sysid.report.tables import ranked_table, trial_table
+from sysid.report.tables import mean_sigma_table, ranked_table, trial_table
 from sysid.writing import write_file
 
 
@@ -63,8 +63,6 @@ def print_fit(result: Any, folder: Path, json: bool) -> None:
         print(exact_json.dumps({"folder": str(folder), "state": result.state, **sets.document()}))
         return
     _print_tables(sets)
-    for warning in result.warnings:
-        Console(stderr=True).print(f"warning: {warning}", soft_wrap=True, markup=False, highlight=False)
     state = "" if result.state == "done" else " (stopped early: the sets are what was found until then)"
     print(f"fit written to {folder}{state}; next: sysid export {folder} --to sets.json")
 
@@ -72,6 +70,7 @@ def print_fit(result: Any, folder: Path, json: bool) -> None:
 def _print_tables(sets: ParameterSets) -> None:
     console = Console()
     console.print(ranked_table(sets))
+    console.print(mean_sigma_table(sets))
     if sets.trials:
         console.print(trial_table(sets))
 
