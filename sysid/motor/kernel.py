@@ -35,7 +35,8 @@ NO_LOAD = 9  # slope, intercept forward; slope, intercept reverse
 THRUST = 13  # c2, c1 forward; c2, c1 reverse
 TORQUE = 17  # c2, c1 forward; c2, c1 reverse
 DELAY = 21
-N_PARAMETERS = 22
+# Further columns of a row belong to instruments; no equation of the motor reads them.
+N_PARAMETERS = 25
 
 # Status of a simulated trial.
 DONE, NO_STEADY_STATE, TOO_MANY_STEPS, NOT_FINITE, STUCK = 0, 1, 2, 3, 4
@@ -217,7 +218,7 @@ def integrate(
 
     Parameters
     ----------
-    row : (22,) parameter row
+    row : (25,) parameter row
     command_time, command : (m,) instants [s], not yet delayed, and u in [-1, 1] from each instant on
     supply_time, supply_ratio : (k,) knots [s] of V/V_ref, linear between them, held outside
     times : (n,) output times [s], not decreasing; the trial starts at the first

@@ -175,19 +175,36 @@ PARAMETERS = ParameterTable(
         Parameter(
             "command_delay", "t_d", "s", 0.0, 0.0, 0.2, "linear",
             "Time from a command in the log to the voltage, instruments included; no motor physics.",
-            "0 on one clock; 50 to 80 ms seen on thrust stands",
+            "0 on one clock; 30 to 80 ms seen on thrust stands",
+        ),
+        Parameter(
+            "torque_sensor_delay", "t_τ", "s", 0.0, 0.0, 0.1, "linear",
+            "Time by which the torque sensor trails the speed sensor; applied to logs, never to the motor.",
+            "0 on one clock; 30 ms seen on thrust stands",
+        ),
+        Parameter(
+            "torque_sensor_lag", "T_τ", "s", 0.0, 0.0, 0.05, "linear",
+            "Time constant of a first-order lag of the torque sensor; applied to logs, never to the motor.",
+            "0 for a load cell; 10 to 20 ms seen on thrust stands",
+        ),
+        Parameter(
+            "speed_sensor_lag", "T_Ω", "s", 0.0, 0.0, 0.05, "linear",
+            "Time constant of a first-order lag of the speed sensor; applied to logs, never to the motor.",
+            "0: hardly told from L/R by a log of 10 ms rows; free it to see what it buys",
         ),
     ]
 )
 
 FREE_DEFAULT = ("winding_resistance", "winding_inductance", "viscous_damping")
+# What a log adds to the motor: estimated with it and reported, never hidden.
+INSTRUMENT = ("command_delay", "torque_sensor_delay", "torque_sensor_lag", "speed_sensor_lag")
 
 # Relative local error of a step: 1e-6 keeps trajectories within 1e-6 of their own scale.
 TOLERANCE = 1e-6
 
 
 def pack(parameters: Mapping[str, float]) -> FloatArray:
-    """Return the row (22,) that the kernel reads; a name left out takes its nominal [SI].
+    """Return the row (25,) that the kernel reads; a name left out takes its nominal [SI].
 
     Raises
     ------
@@ -200,7 +217,7 @@ def pack(parameters: Mapping[str, float]) -> FloatArray:
 
 
 def unpack(row: FloatArray) -> dict[str, float]:
-    """Return the parameters of a row (22,) by name [SI]."""
+    """Return the parameters of a row (25,) by name [SI]."""
     return dict(zip(PARAMETERS, (float(value) for value in row), strict=True))
 
 
@@ -497,7 +514,7 @@ def simulate_population(
 
     Parameters
     ----------
-    parameters : (P, 22) array
+    parameters : (P, 25) array
         Rows in the order of `PARAMETERS` [SI].
     trials : MotorTrials
     delays : (P, n_trials) array, optional

@@ -1,0 +1,508 @@
+"""From the bench logs that a motor campaign names to static curves and to what a fit compares."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.campaign import MotorCampaign
+from sysid.campaign.file import resolve_log
+from sysid.campaign.motor import MotorTrial as TrialEntry
+from sysid.errors import FitError, LogError, SysidWarning
+from sysid.filters import ChebyshevLowpass
+from sysid.loaders import load
+from sysid.motor.model import MotorTrial
+from sysid.motor.static_curves import CurveFit, fit_no_load_line, fit_speed_curve
+from sysid.pipelines.motor_cost import MotorTarget
+from sysid.recording import Recording
+from sysid.trials.thrust import (
+    SETTLE,
+    CommandRange,
+    CommandSteps,
+    SteadyPoints,
+    Tare,
+    command_steps,
+    find_stalls,
+    outside,
+    real_samples,
+    rows_at_rest,
+    sign_against_speed,
+    signed_speed,
+    steady_points,
+    tare,
+)
+
+FloatArray = NDArray[np.float64]
+Direction = Literal["forward", "reverse"]
+DIRECTIONS: tuple[Direction, Direction] = ("forward", "reverse")
+
+# A log is fast, and filtered, when it has this many samples per period of the stop-band edge.
+_FAST = 10.0
+# Grids of the simulation and of the comparison, per period of the stop-band edge of a fast log.
+_SIMULATED, _COMPARED = 10.0, 2.5
+# Grid of the simulation of a slow log: shares of its row interval, within these limits [s].
+_SLOW_SHARE, _SLOW_GRID = 0.25, (1e-3, 3e-3)
+# Supply voltage of a slow log is averaged over this time [s]: its noise is no physics.
+_SUPPLY_MEAN = 0.04
+# Filter taps below this share of the centre are cut.
+_TAP_LEAST = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class BenchLog:
+    """One log with signs, tare and doubtful intervals settled.
+
+    Parameters
+    ----------
+    name : str
+    recording : Recording
+    steps : CommandSteps
+        In u.
+    time : (n,) array
+        Row times [s].
+    channels : dict of name to (times, values)
+        Signed ``speed`` [rad/s], ``torque`` [N·m], ``thrust`` [N], ``voltage`` [V]; real samples only.
+    window : (start, end)
+        Part of the log that the trial may use [s].
+    doubtful : tuple of (start, end)
+        Intervals inside it whose command the logger lost [s].
+    fast : bool
+        Fast enough for the filter.
+    tares : dict of name to Tare
+    torque_sign : int
+        What the recorded torque was multiplied by.
+    notes : list of str
+    """
+
+    name: str
+    recording: Recording
+    steps: CommandSteps
+    time: FloatArray
+    channels: dict[str, tuple[FloatArray, FloatArray]]
+    window: tuple[float, float]
+    doubtful: tuple[tuple[float, float], ...]
+    fast: bool
+    tares: dict[str, Tare]
+    torque_sign: int
+    notes: list[str]
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedTrial:
+    """One trial of the campaign: what is simulated, what is compared, where it comes from."""
+
+    entry: TrialEntry
+    log: BenchLog
+    simulated: MotorTrial
+    target: MotorTarget
+    provenance: dict[str, Any]
+
+
+def read_log(campaign: MotorCampaign, path: str | Path, log: str) -> Recording:
+    """Load a log of the campaign with the options that its `[log]` table states."""
+    options = campaign.log
+    units = {
+        name: unit
+        for name, unit in (
+            ("thrust", options.force_unit), ("torque", options.torque_unit), ("speed", options.speed_unit)
+        )
+        if unit is not None
+    }  # fmt: skip
+    chosen: dict[str, Any] = {"units": units or None, "rate": options.rate}
+    return load(resolve_log(path, log), format=options.format, **chosen)
+
+
+def command_range(campaign: MotorCampaign) -> CommandRange:
+    """Return the campaign's command protocol; one direction where no neutral is given."""
+    c = campaign.command
+    return CommandRange(c.unit, c.minimum, c.minimum if c.neutral is None else c.neutral, c.maximum)
+
+
+def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> BenchLog:
+    """Read a trial's log and settle its signs, tare and doubtful intervals.
+
+    Raises
+    ------
+    LogError
+        When command, speed or torque is missing, or the log turns another way than its direction says.
+    """
+    recording = read_log(campaign, path, entry.log)
+    where = f"{recording.provenance.path}, trial {entry.name!r}"
+    if recording.kind == "static-map":
+        raise LogError(f"{where}: holds averaged points, no transients; name it under curves.static")
+    command = recording["command"]
+    time = command.time
+    u = command_range(campaign).to_u(command.values, command.unit, where)
+    steps = command_steps(time, u)
+    raw = recording["speed"]
+    begin = float(time[0]) if entry.start is None else entry.start
+    end = float(time[-1]) if entry.end is None else entry.end
+    if not begin < end or begin > time[-1] or end < time[0]:
+        raise LogError(
+            f"{where}: window {begin:g} to {end:g} s lies outside the log's {time[0]:.3f} to {time[-1]:.3f} s"
+        )
+    inside = (raw.time >= begin) & (raw.time <= end)
+    known = raw.values[inside]
+    signed_speed(known, entry.direction, where)
+    speed = raw.values if entry.direction == "reversal" else signed_speed(raw.values, entry.direction, where)
+    rate = 1.0 / float(np.median(np.diff(time)))
+    fast = campaign.filter.kind != "none" and rate >= _FAST * campaign.filter.stop_edge
+    if campaign.filter.kind == "chebyshev2" and not fast:
+        raise LogError(
+            f"{where}: {rate:.0f} Hz is too slow for a filter whose stop band begins at "
+            f'{campaign.filter.stop_edge:g} Hz; set filter.kind = "auto" to leave slow logs unfiltered'
+        )
+    notes = list(recording.provenance.notes)
+    stalls = [s for s in find_stalls(time, steps) if s.end >= begin and s.start <= end]
+    doubtful = tuple(s.doubtful for s in stalls if s.doubtful is not None)
+    rest = rows_at_rest(time, u, np.interp(time, raw.time, np.nan_to_num(raw.values)))
+    channels = {"speed": (raw.time[np.isfinite(speed)], speed[np.isfinite(speed)])}
+    tares: dict[str, Tare] = {}
+    for name in ("torque", "thrust", "voltage"):
+        if name not in recording.channels:
+            continue
+        channel = recording[name]
+        keep = channel.valid if fast or name == "voltage" else real_samples(channel.values)
+        values = channel.values
+        if name != "voltage":
+            row = np.minimum(np.searchsorted(time, channel.time), time.size - 1)
+            tares[name] = tare(values, rest[row])
+            values = values - tares[name].value
+            if tares[name].rows == 0:
+                notes.append(f"no row at rest: the tare of {name} is taken as 0")
+        channels[name] = (channel.time[keep], values[keep])
+    if "torque" not in channels and campaign.cost.weights.torque > 0:
+        raise LogError(f"{where}: no torque; set cost.weights.torque = 0 or record it")
+    points = _points_in(time, steps, channels, (begin, end), doubtful)
+    sign = 1
+    if "torque" in channels:
+        sign = {"+": 1, "-": -1}.get(campaign.log.torque_sign, 0) or sign_against_speed(
+            points.torque, points.speed
+        )
+        t, values = channels["torque"]
+        channels["torque"] = (t, sign * values)
+        if sign < 0:
+            notes.append("the recorded torque opposes the rotation at steady speed: its sign was turned")
+    if not fast:
+        notes.append(f"rows every {1e3 / rate:.1f} ms: compared unfiltered at its own real samples")
+    for stall in stalls:
+        if stall.doubtful is not None:
+            notes.append(
+                f"the logger stalls from {stall.start:.4f} to {stall.end:.4f} s around a command: "
+                f"{stall.doubtful[0]:.4f} to {stall.doubtful[1]:.4f} s is left out of the cost"
+            )
+    return BenchLog(
+        entry.name, recording, steps, time, channels, (begin, end), doubtful, fast, tares, sign, notes
+    )
+
+
+def log_points(log: BenchLog) -> SteadyPoints:
+    """Return the steady points of a step log inside its window."""
+    return _points_in(log.time, log.steps, log.channels, log.window, log.doubtful)
+
+
+def _points_in(
+    time: FloatArray,
+    steps: CommandSteps,
+    channels: dict[str, tuple[FloatArray, FloatArray]],
+    window: tuple[float, float],
+    doubtful: tuple[tuple[float, float], ...],
+) -> SteadyPoints:
+    return steady_points(time, steps, channels, (*doubtful, (-np.inf, window[0]), (window[1], np.inf)))
+
+
+def static_log_points(
+    campaign: MotorCampaign, path: str | Path, log: str, direction: Direction
+) -> SteadyPoints:
+    """Return the points of a log under `[curves]`: rows of averaged points, or steady stretches of steps.
+
+    Raises
+    ------
+    LogError
+        When the log holds no steady point.
+    """
+    recording = read_log(campaign, path, log)
+    if recording.kind != "static-map":
+        entry = TrialEntry(name=Path(log).name, log=log, direction=direction)
+        points = log_points(bench_log(campaign, path, entry))
+    else:
+        where = recording.provenance.path
+        command = recording["command"]
+        u = command_range(campaign).to_u(command.values, command.unit, where)
+        speed = signed_speed(recording["speed"].values, direction, where)
+        rest = (np.abs(u) < 1e-9) & (np.nan_to_num(speed) == 0)
+        turning = np.nan_to_num(speed) != 0
+        columns = {}
+        for name in ("thrust", "torque", "voltage"):
+            values = recording[name].values if name in recording.channels else np.full(u.size, np.nan)
+            columns[name] = values if name == "voltage" else values - tare(values, rest).value
+        for name in ("thrust", "torque"):
+            if not (name == "torque" and campaign.log.torque_sign != "auto"):
+                columns[name] = columns[name] * sign_against_speed(columns[name][turning], speed[turning])
+            elif campaign.log.torque_sign == "-":
+                columns[name] = -columns[name]
+        points = SteadyPoints(
+            u[turning], speed[turning], columns["thrust"][turning], columns["torque"][turning],
+            columns["voltage"][turning], np.ones(int(turning.sum()), dtype=np.int64),
+        )  # fmt: skip
+    if len(points) == 0:
+        raise LogError(
+            f"{recording.provenance.path}: no steady segment; hold each command for over {SETTLE:g} s"
+        )
+    return points
+
+
+@dataclass(frozen=True, eq=False)
+class NoLoadTie:
+    """No-load line of loaded steady points, which moves with R: Ω_0 = Ω + R (τ + k_d Ω)/(k_m k_v).
+
+    Parameters
+    ----------
+    speed, torque : (2,) arrays
+        Slope and intercept of the least-squares lines of Ω [rad/s] and of τ [N·m] over u, at V_ref.
+    """
+
+    speed: FloatArray
+    torque: FloatArray
+
+    def line(self, drop: FloatArray, damping: FloatArray) -> FloatArray:
+        """Return slope and intercept (P, 2) of Ω_0 for R/(k_m k_v) (P,) [rad/s per N·m] and k_d (P,)."""
+        loaded = (1.0 + drop * damping)[:, None] * self.speed
+        return np.asarray(loaded + drop[:, None] * self.torque, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class StaticCurves:
+    """Curves of the campaign by direction.
+
+    Parameters
+    ----------
+    fits : tuple of CurveFit
+    ties : dict of direction to NoLoadTie
+        Where Ω_0 comes from loaded points.
+    reference_voltage : float
+        V_ref [V].
+    """
+
+    fits: tuple[CurveFit, ...]
+    ties: dict[str, NoLoadTie]
+    reference_voltage: float
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Coefficients by parameter name [SI]."""
+        return {name: value for fit in self.fits for name, value in fit.parameters.items()}
+
+
+def static_curves(
+    campaign: MotorCampaign, path: str | Path, logs: Sequence[BenchLog], reference_voltage: float
+) -> StaticCurves:
+    """Fit the curves of every direction that the campaign's trials turn.
+
+    Points come from `curves.static`; without any in a direction, from the steady stretches of the trials
+    that are fitted. Ω_0 comes from `curves.no_load`, or from the loaded points, tied to R.
+    """
+    turning = {t.direction for t in campaign.trials}
+    wanted = [d for d in DIRECTIONS if d in turning or "reversal" in turning]
+    own = SteadyPoints.join([log_points(log) for log in logs]) if logs else None
+    fits: list[CurveFit] = []
+    ties: dict[str, NoLoadTie] = {}
+    for direction in wanted:
+        parts = [
+            static_log_points(campaign, path, s.log, direction)
+            for s in campaign.curves.static
+            if s.direction == direction
+        ]
+        points = SteadyPoints.join(parts) if parts else own
+        if points is None:
+            raise FitError(
+                f"no log with steady points in the {direction} direction; name one in curves.static"
+            )
+        torque = fit_speed_curve("torque", direction, points.speed, points.torque)
+        fits.append(torque)
+        if np.isfinite(points.thrust).any():
+            fits.append(fit_speed_curve("thrust", direction, points.speed, points.thrust))
+        else:
+            warnings.warn(
+                f"no thrust in the {direction} direction: its curve keeps the default, which is a guess",
+                SysidWarning,
+                stacklevel=2,
+            )
+        bare = [
+            static_log_points(campaign, path, s.log, direction)
+            for s in campaign.curves.no_load
+            if s.direction == direction
+        ]
+        if bare:
+            free = SteadyPoints.join(bare)
+            ratio = np.where(np.isfinite(free.voltage), free.voltage / reference_voltage, 1.0)
+            fits.append(fit_no_load_line(direction, free.u, free.speed, supply_ratio=ratio))
+        else:
+            ties[direction] = _tie(direction, points, torque, reference_voltage)
+    return StaticCurves(tuple(fits), ties, reference_voltage)
+
+
+def _tie(direction: Direction, points: SteadyPoints, torque: CurveFit, reference_voltage: float) -> NoLoadTie:
+    keep = (points.u > 0) if direction == "forward" else (points.u < 0)
+    u, speed = points.u[keep], points.speed[keep]
+    ratio = np.where(np.isfinite(points.voltage[keep]), points.voltage[keep] / reference_voltage, 1.0)
+    drag = torque.coefficients[0] * speed * np.abs(speed) + torque.coefficients[1] * speed
+    columns = np.column_stack([u, np.sign(u)]) * ratio[:, None]
+    if np.unique(u).size < 3:
+        raise FitError(
+            f"no-load speed, {direction}: steady points at {np.unique(u).size} different commands; expected "
+            "at least 3, or a log without propeller under curves.no_load"
+        )
+    return NoLoadTie(
+        np.linalg.lstsq(columns, speed, rcond=None)[0], np.linalg.lstsq(columns, drag, rcond=None)[0]
+    )
+
+
+def prepare_trial(
+    campaign: MotorCampaign, entry: TrialEntry, log: BenchLog, reference_voltage: float
+) -> PreparedTrial:
+    """Filter a log where it is fast, choose the grids, and join command schedule and supply."""
+    window = log.window
+    taps, target_of = (_fast if log.fast else _slow)(campaign, log)
+    # The simulation begins at a steady state, at the latest where the filter begins to look.
+    reach = (len(taps) - 1) * _fast_step(campaign) if log.fast else 0.0
+    start = _steady_start(log, max(float(log.time[0]), window[0] - reach))
+    target, grid = target_of(entry.name, window, start, taps)
+    supply_time, supply_ratio = _supply(log, reference_voltage)
+    simulated = MotorTrial(log.steps.time, log.steps.level, grid, "steady", supply_time, supply_ratio)
+    p = log.recording.provenance
+    return PreparedTrial(
+        entry, log, simulated, target,
+        {
+            "log": Path(p.path).name,
+            "sha256": p.sha256,
+            "format": p.format,
+            "device": p.device,
+            "direction": entry.direction,
+            "rate [Hz]": 1.0 / float(np.median(np.diff(log.time))),
+            "window [s]": [float(w) for w in window],
+            "commands": int(log.steps.time.size),
+            "torque sign": log.torque_sign,
+            "tare": {
+                name: {"value": t.value, "error": None if t.rows == 0 else t.error, "rows": t.rows}
+                for name, t in log.tares.items()
+            },
+            "doubtful [s]": [list(interval) for interval in log.doubtful],
+            "notes": log.notes,
+        },
+    )  # fmt: skip
+
+
+def filter_design(campaign: MotorCampaign, logs: Sequence[BenchLog]) -> dict[str, Any]:
+    """Return the filter of the fast logs as it goes into a result, and which logs went without."""
+    fast = [log for log in logs if log.fast]
+    slow = [log.name for log in logs if not log.fast]
+    design: dict[str, Any] = _lowpass(campaign, fast[0]).describe() if fast else {"kind": "none"}
+    if slow:
+        why = "switched off" if campaign.filter.kind == "none" else "too slow for it"
+        design["unfiltered"] = {"trials": slow, "why": why}
+    return design
+
+
+def _fast_step(campaign: MotorCampaign) -> float:
+    return 1.0 / (_SIMULATED * campaign.filter.stop_edge)
+
+
+def _lowpass(campaign: MotorCampaign, log: BenchLog) -> ChebyshevLowpass:
+    settings = campaign.filter
+    rate = 1.0 / float(np.median(np.diff(log.time)))
+    return ChebyshevLowpass(rate, settings.stop_edge, settings.order, settings.attenuation_db)
+
+
+def _fast(campaign: MotorCampaign, log: BenchLog) -> Any:
+    """Return the filter's taps on the simulation's grid, and a function that makes the target."""
+    lowpass = _lowpass(campaign, log)
+    step = _fast_step(campaign)
+    size = 4 * lowpass.edge_samples + lowpass.minimum_samples
+    pulse = np.zeros(2 * size + 1)
+    pulse[size] = 1.0
+    response = lowpass.apply(pulse)[size:]
+    lags = np.arange(0.0, (size - 1) / lowpass.rate, step)
+    # The response holds nothing above the stop band, so a grid of ten samples per period carries it whole.
+    taps = np.interp(lags, np.arange(response.size) / lowpass.rate, response) * step * lowpass.rate
+    large = np.flatnonzero(np.abs(taps) > _TAP_LEAST * abs(taps[0]))
+    taps = taps[: large[-1] + 1 + large[-1] % 2]
+    taps /= taps[0] + 2.0 * taps[1:].sum()
+
+    def target(
+        name: str, window: tuple[float, float], start: float, taps: FloatArray
+    ) -> tuple[MotorTarget, FloatArray]:
+        half = len(taps) - 1
+        end = min(window[1] + half * step, float(log.time[-1]))
+        grid = np.asarray(start + step * np.arange(int((end - start) / step)), dtype=np.float64)
+        stride = int(_SIMULATED / _COMPARED)
+        rows = np.arange(half, grid.size - half, stride)
+        rows = rows[(grid[rows] >= window[0]) & (grid[rows] <= window[1])]
+        if rows.size < 10:
+            raise LogError(
+                f"trial {name!r}: {rows.size} compared instants between {window[0]:g} and {window[1]:g} s; "
+                f"the filter takes {half * step:.2f} s at each end of the log: widen the window"
+            )
+        measured = np.empty((rows.size, 2))
+        for c, channel in enumerate(("torque", "speed")):
+            measured[:, c] = np.nan
+            if channel in log.channels:
+                t, values = log.channels[channel]
+                measured[:, c] = np.interp(grid[rows], t, lowpass.apply(values))
+        valid = np.isfinite(measured) & outside(grid[rows], log.doubtful)[:, None]
+        return MotorTarget(name, grid[rows], measured, valid, start, step, grid.size, taps), grid
+
+    return taps, target
+
+
+def _slow(campaign: MotorCampaign, log: BenchLog) -> Any:
+    interval = float(np.median(np.diff(log.time)))
+    step = float(np.clip(_SLOW_SHARE * interval, *_SLOW_GRID))
+
+    def target(
+        name: str, window: tuple[float, float], start: float, taps: FloatArray
+    ) -> tuple[MotorTarget, FloatArray]:
+        rows = log.time[(log.time >= window[0]) & (log.time <= window[1])]
+        count = int(np.ceil((rows[-1] - start) / step)) + 2
+        grid = np.asarray(start + step * np.arange(count), dtype=np.float64)
+        measured = np.full((rows.size, 2), np.nan)
+        for c, channel in enumerate(("torque", "speed")):
+            if channel in log.channels:
+                t, values = log.channels[channel]
+                at = np.searchsorted(rows, t)
+                hit = (at < rows.size) & (rows[np.minimum(at, rows.size - 1)] == t)
+                measured[at[hit], c] = values[hit]
+        valid = np.isfinite(measured) & outside(rows, log.doubtful)[:, None]
+        return MotorTarget(name, rows, measured, valid, start, step, grid.size, taps), grid
+
+    return np.zeros(0), target
+
+
+def _steady_start(log: BenchLog, start: float) -> float:
+    """Return the latest time not after `start` at which the command has been the same for long enough."""
+    for instant in log.steps.time[::-1]:
+        if instant <= start:
+            if start - instant >= SETTLE or instant <= log.time[0]:
+                return start
+            start = float(np.nextafter(instant, -np.inf))
+    return max(start, float(log.time[0]))
+
+
+def _supply(log: BenchLog, reference_voltage: float) -> tuple[FloatArray | None, FloatArray | None]:
+    if "voltage" not in log.channels:
+        return None, None
+    t, volts = log.channels["voltage"]
+    keep = volts > 0
+    t, volts = t[keep], volts[keep]
+    if t.size == 0:
+        return None, None
+    block = np.floor((t - t[0]) / _SUPPLY_MEAN).astype(np.int64)
+    _, index, count = np.unique(block, return_inverse=True, return_counts=True)
+    mean_time = np.bincount(index, t) / count
+    return mean_time, np.bincount(index, volts) / count / reference_voltage

@@ -1,0 +1,105 @@
+"""Real thrust-stand logs of two motors of unknown Kv and inertia: fit, held-out half, other log."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sysid.campaign import read_campaign
+from sysid.loaders import load
+from sysid.motor import model
+from sysid.pipelines.motor import fit_motor, prepare_bench
+from sysid.pipelines.search import FitOptions
+
+DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "rcbenchmark"
+LOGS = {
+    "IM": (
+        "sar_IM_TimeConstant_Test_2023-12-17_162234.csv",
+        "sar_IM_StepsTestV2_2024-02-06_131025.csv",
+        23.4,
+    ),
+    "SOV5": (
+        "sar_SOV5_TimeConstant_Test_2023-12-16_130840.csv",
+        "sar_SOV5_StepsTestV2_2024-02-06_103903.csv",
+        50.5,
+    ),
+}
+pytestmark = pytest.mark.filterwarnings("ignore:no Kv in the campaign")
+
+
+def _campaign(folder: Path, motor: str, split: bool) -> Path:
+    log, _, middle = LOGS[motor]
+    if not (DATA / log).exists():
+        pytest.skip(f"real log {log} is not beside the project (shared/data/rcbenchmark)")
+    (folder / "log.csv").write_bytes((DATA / log).read_bytes())
+    trials = [("first", "fit", f'end = "{middle} s"'), ("second", "validate", f'start = "{middle} s"')]
+    text = f"""
+kind = "motor"
+name = "real-{motor.lower()}"
+[motor]
+[command]
+unit = "dshot"
+minimum = 0
+maximum = 2047
+"""
+    for name, use, window in trials if split else [("whole", "fit", "")]:
+        text += f'[[trials]]\nname = "{name}"\nlog = "log.csv"\ndirection = "forward"\n'
+        text += f'use = "{use}"\n{window}\n'
+    path = folder / "campaign.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(("motor", "stalls"), [("IM", 2), ("SOV5", 16)])
+def test_bench_is_prepared(tmp_path: Path, motor: str, stalls: int) -> None:
+    path = _campaign(tmp_path, motor, split=False)
+    bench = prepare_bench(read_campaign(path, "motor"), path)
+    (trial,) = bench.trials
+    assert len(trial.log.doubtful) == stalls
+    assert not trial.log.fast
+    assert "unfiltered" in " ".join(trial.log.notes)
+    valid = trial.target.valid
+    # Blank and repeated torque rows do not count, speed rows outside the stalls do.
+    assert valid[:, 0].sum() < 0.8 * len(valid)
+    assert valid[:, 1].sum() > 0.93 * len(valid)
+    assert all(fit.r_squared > 0.99 for fit in bench.curves.fits)  # required: 0.99
+
+
+@pytest.mark.parametrize(
+    ("motor", "speed", "torque"),
+    # Required: speed 6 %. A full fit reaches 2.8 and 4.7 % of speed, 11 and 8.7 % of torque; this search of
+    # one run of 80 stops at 3.8 and 4.8 %.
+    [("IM", 0.05, 0.13), ("SOV5", 0.055, 0.10)],
+)
+def test_real_motor_is_fitted_and_carries_over(
+    tmp_path: Path, motor: str, speed: float, torque: float
+) -> None:
+    path = _campaign(tmp_path, motor, split=False)
+    options = FitOptions(
+        out=tmp_path / "fit", runs=1, population=80, max_generations=30, seed=1, quiet=True
+    )
+    result, _ = fit_motor(path, options)
+    by_channel = result.trials[0].nrmse[0]
+    assert by_channel[0] < torque
+    assert by_channel[1] < speed
+    values = result.parameter_sets().set_values(1)
+    # Rows of the first movement: 20 to 40 ms after a command; the torque follows as much later again.
+    assert 0.015 < values["command_delay"] < 0.05
+    # Averaged points of the same motor two months later, on another charge: speed from command and voltage.
+    static = load(DATA / LOGS[motor][1])
+    u, measured = static["command"].values / 2047.0, static["speed"].values
+    turning = measured > 0
+    parameters = {name: values[name] for name in model.PARAMETERS}
+    _, predicted = model.steady_state(u[turning], parameters, static["voltage"].values[turning])
+    error = np.sqrt(np.mean((predicted - measured[turning]) ** 2)) / np.std(measured[turning])
+    assert error < 0.10  # reached: 7.1 and 4.6 %; the voltage probe and the day are in it
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("motor", ["IM", "SOV5"])
+def test_second_half_of_a_real_log_is_predicted(tmp_path: Path, motor: str) -> None:
+    path = _campaign(tmp_path, motor, split=True)
+    result, _ = fit_motor(path, FitOptions(out=tmp_path / "fit", runs=2, seed=1, quiet=True))
+    held_out = {trial.name: trial.nrmse[0, 1] for trial in result.trials}["second"]
+    # Reached: 3.8 and 6.2 %. The halves hold other commands: SOV5's second half stops and starts the rotor.
+    assert held_out < 0.08
