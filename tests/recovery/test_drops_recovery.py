@@ -1,0 +1,201 @@
+"""Known truth through the whole gear pipeline: written logs, window, filter, cost, and the fit itself."""
+
+from math import radians
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sysid.campaign import read_campaign
+from sysid.errors import LogError, SysidWarning
+from sysid.gear.model import LF_FREE
+from sysid.pipelines.drops import prepare_drops
+from sysid.pipelines.gear import GearObjective, fit_gear, score_values, search_space
+from sysid.pipelines.search import FitOptions
+from sysid.synthetic import LF_DROPS, read_truth, synthesize_gear
+
+
+def _prepared(folder):
+    path = folder / "campaign.toml"
+    campaign = read_campaign(path, "gear")
+    return campaign, prepare_drops(campaign, path)
+
+
+def _change(folder, old, new):
+    path = folder / "campaign.toml"
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory):
+    """Drops without noise, occlusions and wobble: what is left is quantization."""
+    folder = tmp_path_factory.mktemp("clean") / "drops"
+    options = {"noise_position": 0.0, "noise_angle": 0.0, "occlusions": False, "wobble": 0.0}
+    return synthesize_gear(folder, seed=3, **options)
+
+
+def test_truth_scores_nothing_but_quantization(clean):
+    campaign, drops = _prepared(clean)
+    truth = read_truth(clean)
+    for drop, facts in zip(drops, truth["drops"], strict=True):
+        # A millimetre export writes three decimals, a metre export six: 1e-6 m is 0.01 ms at 0.1 m/s.
+        assert drop.flight.start == pytest.approx(facts["release [s]"], abs=2e-5)
+        assert drop.touchdown == pytest.approx(facts["touchdown [s]"], abs=2e-5)
+        assert drop.impact_speed == pytest.approx(facts["impact speed [m/s]"], abs=1e-3)
+    scored = score_values(campaign, drops, truth["parameters"])
+    # The window is integrated to 0.1 % per drop; the validation drops bounce as long.
+    assert not scored.failed.any()
+    assert scored.by_channel.mean(axis=2).max() < 2e-3
+
+
+def test_the_cost_sees_every_parameter_but_ground_damping(clean):
+    campaign, drops = _prepared(clean)
+    fitted = tuple(drop for drop in drops if drop.use == "fit")
+    space = search_space(campaign)
+    assert space.names == LF_FREE
+    truth = read_truth(clean)["parameters"]
+    objective = GearObjective.build(campaign, space, fitted)
+    centre = space.encode(np.array([truth[name] for name in space.names]))
+    moved = np.tile(centre, (len(LF_FREE) + 1, 1))
+    for i in range(len(LF_FREE)):
+        moved[i + 1, i] += 0.05
+    cost = objective.evaluate(moved).cost
+    gain = dict(zip(LF_FREE, cost[1:] - cost[0], strict=True))
+    assert all(gain[name] > 2e-3 for name in LF_FREE if name not in ("ground_stiffness", "ground_damping"))
+    # The contact damper is 0.04 N·s/m against a spring of 1e5 N/m: the data do not hold it.
+    assert abs(gain["ground_damping"]) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("[fit]\n", '[filter]\nkind = "none"\n[fit]\n'),
+        ("[fit]\n", "[filter]\nfilter_simulation = false\n[fit]\n"),
+        ("[fit]\n", '[cost]\ndenominator = "range"\n[fit]\n'),
+        ("[fit]\n", "[cost.weights]\nx_B_rate = 0\nz_B_rate = 0\n[fit]\n"),
+    ],
+)
+def test_every_choice_of_filter_and_cost_finds_the_truth_best(old, new, clean, tmp_path):
+    import shutil
+
+    folder = tmp_path / "drops"
+    shutil.copytree(clean, folder)
+    _change(folder, old, new)
+    campaign, drops = _prepared(folder)
+    truth = read_truth(folder)["parameters"]
+    at_truth = score_values(campaign, drops, truth).cost[0]
+    beside = score_values(campaign, drops, {**truth, "leg_bending_stiffness": 12.0}).cost[0]
+    assert beside > 3 * at_truth
+
+
+def test_one_sided_filtering_biases(clean, tmp_path):
+    """An impact is broadband: filtering the measurement only leaves an error that no parameter explains."""
+    import shutil
+
+    folder = tmp_path / "drops"
+    shutil.copytree(clean, folder)
+    _change(folder, "[fit]\n", "[filter]\nfilter_simulation = false\n[fit]\n")
+    truth = read_truth(folder)["parameters"]
+    one_sided = score_values(*_prepared(folder), truth).cost[0]
+    both = score_values(*_prepared(clean), truth).cost[0]
+    assert one_sided > 10 * both
+
+
+def test_plane_from_board_markers(tmp_path):
+    folder = synthesize_gear(
+        tmp_path / "drops", seed=4, drops=LF_DROPS[:3], noise_position=0.0, noise_angle=0.0, plane="markers"
+    )
+    campaign, drops = _prepared(folder)
+    assert campaign.surface.markers is not None
+    for drop, facts in zip(drops, read_truth(folder)["drops"], strict=True):
+        # Markers are written to 1e-6 m or 1e-3 mm.
+        assert drop.touchdown == pytest.approx(facts["touchdown [s]"], abs=5e-5)
+
+
+def test_a_wrong_plane_is_doubted(clean, tmp_path):
+    import shutil
+
+    folder = tmp_path / "drops"
+    shutil.copytree(clean, folder)
+    point = read_truth(folder)["capture"]["surface point [m]"]
+    text = (folder / "campaign.toml").read_text(encoding="utf-8")
+    line = next(line for line in text.splitlines() if line.startswith("point = "))
+    # The board 10 mm higher than it is: the slow drops seem to touch 28 ms before the drone feels it.
+    _change(folder, line, f'point = ["{point[0]} m", "{point[1] + 0.01} m", "{point[2]} m"]')
+    with pytest.warns(
+        SysidWarning, match="'drop-1': the body leaves free fall .* after the feet .* too high"
+    ):
+        _prepared(folder)
+
+
+def test_the_board_ends_the_window(clean, tmp_path):
+    import shutil
+
+    folder = tmp_path / "drops"
+    shutil.copytree(clean, folder)
+    _change(folder, 'board_length = "1.2 m"', 'board_length = "0.2 m"')
+    _, drops = _prepared(folder)
+    steep = next(drop for drop in drops if drop.slope > radians(30))
+    along = (
+        np.cos(steep.slope) * steep.target.measured[:, 0] - np.sin(steep.slope) * steep.target.measured[:, 1]
+    )
+    assert len(steep.time) < 149
+    touch = np.searchsorted(steep.time, steep.touchdown)
+    assert along[-1] - along[touch] == pytest.approx(0.2, abs=0.01)
+    assert any("leaves the board" in note for note in steep.provenance["notes"])
+
+
+def test_a_log_that_starts_too_late_is_refused(clean, tmp_path):
+    import shutil
+
+    folder = tmp_path / "drops"
+    shutil.copytree(clean, folder)
+    facts = read_truth(folder)["drops"][0]
+    path = folder / facts["log"]
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    keep = int(facts["release [s]"] * 200) - facts["first frame"] - 15
+    path.write_text("".join(lines[:7] + lines[7 + keep :]), encoding="utf-8", newline="")
+    with pytest.raises(LogError, match="start recording earlier"):
+        _prepared(folder)
+
+
+def _excess(nrmse, truth):
+    return np.sqrt(np.maximum(0.0, np.asarray(nrmse) ** 2 - truth**2))
+
+
+@pytest.mark.slow
+def test_low_noise_fit_finds_stiffnesses_and_joint(tmp_path):
+    """0.05 mm and 0.05 deg: excess of the best run below 4 %, k_h, k_t and dx_j within 10 % of the truth.
+
+    Population 800, the upper end of the paper's 400 to 800.
+    """
+    folder = synthesize_gear(tmp_path / "drops", seed=1, noise_position=0.05e-3, noise_angle=radians(0.05))
+    campaign, drops = _prepared(folder)
+    truth = read_truth(folder)["parameters"]
+    fitted = tuple(drop for drop in drops if drop.use == "fit")
+    own = float(score_values(campaign, fitted, truth).cost[0])
+    options = FitOptions(out=Path(tmp_path / "fit"), population=800, quiet=True)
+    result, _ = fit_gear(folder / "campaign.toml", options)
+    print(f"truth {own:.4%}, sets {result.nrmse}, excess {_excess(result.nrmse, own)}")
+    assert len(result.nrmse) == 5
+    assert _excess(result.nrmse, own)[0] < 0.04
+    best = result.parameter_sets().set_values(1)
+    for name in ("leg_axial_stiffness", "leg_bending_stiffness", "joint_dx"):
+        assert best[name] == pytest.approx(truth[name], rel=0.10)
+
+
+@pytest.mark.slow
+def test_full_noise_fit_reports_its_excess(tmp_path):
+    """0.3 mm and 0.2 deg: a plain GA of 400 ends above the truth on many seeds, none far below it."""
+    folder = synthesize_gear(tmp_path / "drops", seed=1)
+    campaign, drops = _prepared(folder)
+    truth = read_truth(folder)["parameters"]
+    fitted = tuple(drop for drop in drops if drop.use == "fit")
+    own = float(score_values(campaign, fitted, truth).cost[0])
+    result, _ = fit_gear(folder / "campaign.toml", FitOptions(out=tmp_path / "fit", quiet=True))
+    print(f"truth {own:.4%}, sets {result.nrmse}, excess {_excess(result.nrmse, own)}")
+    # Eight free parameters soak up some noise, which is far less than 2 % of the truth's NRMSE here.
+    assert result.nrmse[0] > 0.98 * own
+    assert _excess(result.nrmse, own)[0] < 0.08
