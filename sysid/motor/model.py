@@ -1,4 +1,4 @@
-"""The motor of equations (1-3): table of parameters, and simulation of one motor or a population.
+"""The motor of equations (1-3): table of parameters, curves, and simulation of one motor.
 
 A brushless motor with its speed controller and propeller, seen as one winding, one rotor and three static
 curves::
@@ -35,11 +35,10 @@ Thrust, section II-A.2, equations (1-4), Table I.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -282,8 +281,8 @@ def steady_state(
     """
     row = pack(parameters)
     omega_0 = np.atleast_1d(no_load_speed(command, parameters))
-    supply = np.ones_like(omega_0) if voltage is None else np.asarray(voltage) / row[kernel.V_REF]
-    volts = np.broadcast_to(row[kernel.K_V] * omega_0 * supply, omega_0.shape)
+    ratio = np.ones_like(omega_0) if voltage is None else np.asarray(voltage) / row[kernel.V_REF]
+    volts = np.broadcast_to(row[kernel.K_V] * omega_0 * ratio, omega_0.shape)
     pairs = np.array([kernel.steady_state(v, row) for v in volts.ravel()]).reshape(*omega_0.shape, 2)
     shape = np.shape(command)
     return pairs[..., 0].reshape(shape), pairs[..., 1].reshape(shape)
@@ -352,9 +351,9 @@ def simulate(
         When the simulation cannot reach the last time; the sentence says why and where.
     """
     t = np.ascontiguousarray(time, dtype=np.float64)
-    instants, levels = _schedule(command_time, command)
+    instants, levels = schedule(command_time, command)
     row = pack(parameters)
-    knots, ratio = _supply(voltage, row[kernel.V_REF])
+    knots, ratio = supply(voltage, row[kernel.V_REF])
     steady = isinstance(initial, str)
     current, speed = (0.0, 0.0) if isinstance(initial, str) else (float(initial[0]), float(initial[1]))
     out = np.empty((t.size, 4))
@@ -378,7 +377,8 @@ def simulate(
     )
 
 
-def _schedule(command_time: ArrayLike, command: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def schedule(command_time: ArrayLike, command: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Return a checked command schedule: instants [s] in order and u in [-1, 1], (m,) each."""
     instants = np.ascontiguousarray(np.atleast_1d(command_time), dtype=np.float64)
     levels = np.ascontiguousarray(np.atleast_1d(command), dtype=np.float64)
     if instants.shape != levels.shape or instants.size == 0 or np.any(np.diff(instants) < 0):
@@ -395,7 +395,8 @@ def _schedule(command_time: ArrayLike, command: ArrayLike) -> tuple[FloatArray, 
     return instants, levels
 
 
-def _supply(voltage: tuple[ArrayLike, ArrayLike] | None, reference: float) -> tuple[FloatArray, FloatArray]:
+def supply(voltage: tuple[ArrayLike, ArrayLike] | None, reference: float) -> tuple[FloatArray, FloatArray]:
+    """Return checked knots (k,) [s] of V/V_ref (k,) of a supply [V], or of the constant V_ref."""
     if voltage is None:
         return np.zeros(1), np.ones(1)
     knots = np.ascontiguousarray(voltage[0], dtype=np.float64)
@@ -406,145 +407,3 @@ def _supply(voltage: tuple[ArrayLike, ArrayLike] | None, reference: float) -> tu
             "increasing and volts above 0"
         )
     return knots, volts / reference
-
-
-@dataclass(frozen=True, eq=False)
-class MotorTrial:
-    """One log as the simulator needs it.
-
-    Parameters
-    ----------
-    command_time, command : (m,) arrays
-        Instants [s] and u in [-1, 1] from each on.
-    time : (n,) array
-        Samples at which torque and speed are wanted [s], strictly increasing.
-    initial : (current [A], speed [rad/s]) or "steady"
-        State at ``time[0]``.
-    supply_time, supply_ratio : (k,) arrays, optional
-        Knots [s] of V/V_ref; left out: 1.
-    """
-
-    command_time: FloatArray
-    command: FloatArray
-    time: FloatArray
-    initial: tuple[float, float] | Literal["steady"] = "steady"
-    supply_time: FloatArray | None = None
-    supply_ratio: FloatArray | None = None
-
-
-class MotorTrials:
-    """Trials laid end to end for `simulate_population`; trial j owns ``slice(first[j], first[j + 1])``."""
-
-    def __init__(self, trials: Sequence[MotorTrial]) -> None:
-        if not trials:
-            raise FitError("no motor trial to simulate; expected at least one log in the campaign")
-        schedules = [_schedule(trial.command_time, trial.command) for trial in trials]
-        supplies = [
-            (np.zeros(1), np.ones(1))
-            if trial.supply_time is None or trial.supply_ratio is None
-            else _supply((trial.supply_time, trial.supply_ratio), 1.0)
-            for trial in trials
-        ]
-        self.trials = tuple(trials)
-        self.command_time, self.command_first = _end_to_end([s[0] for s in schedules])
-        self.command, _ = _end_to_end([s[1] for s in schedules])
-        self.supply_time, self.supply_first = _end_to_end([s[0] for s in supplies])
-        self.supply_ratio, _ = _end_to_end([s[1] for s in supplies])
-        self.time, self.first = _end_to_end([trial.time for trial in trials])
-        self.cell_times, self.cell_first = _end_to_end([_cells(trial.time) for trial in trials])
-        self.starts = np.array(
-            [kernel.STEADY if isinstance(t.initial, str) else kernel.AS_GIVEN for t in trials], dtype=np.int64
-        )
-        self.initial = np.array([(0.0, 0.0) if isinstance(t.initial, str) else t.initial for t in trials])
-
-    def __len__(self) -> int:
-        return len(self.trials)
-
-
-def _end_to_end(parts: Sequence[ArrayLike]) -> tuple[FloatArray, NDArray[np.int64]]:
-    arrays = [np.asarray(part, dtype=np.float64) for part in parts]
-    first = np.concatenate([[0], np.cumsum([a.size for a in arrays])]).astype(np.int64)
-    return np.ascontiguousarray(np.concatenate(arrays)), first
-
-
-def _cells(time: ArrayLike) -> FloatArray:
-    """Return edge, sample, edge, ..., edge: a sample's cell reaches half-way to its neighbours."""
-    t = np.asarray(time, dtype=np.float64)
-    if t.size < 2 or np.any(np.diff(t) <= 0):
-        raise FitError(f"a motor trial has {t.size} samples; expected at least 2 in the order of time")
-    cells = np.empty(2 * t.size + 1)
-    cells[1::2] = t
-    cells[2:-1:2] = 0.5 * (t[1:] + t[:-1])
-    cells[0], cells[-1] = t[0], t[-1]
-    return cells
-
-
-@dataclass(frozen=True, eq=False)
-class PopulationResult:
-    """Outputs of `simulate_population`.
-
-    Parameters
-    ----------
-    outputs : (P, n_total, 2) array
-        Stator torque [N·m], averaged over each sample's cell, and speed [rad/s]; NaN past a failure.
-    status : (P, n_trials) array
-        0 where the simulation reached the end; texts in `STATUS_TEXT`.
-    reached : (P, n_trials) array
-        Share of the trial's duration that was simulated.
-    """
-
-    outputs: FloatArray
-    status: NDArray[np.int64]
-    reached: FloatArray
-
-
-def simulate_population(
-    parameters: FloatArray,
-    trials: MotorTrials,
-    *,
-    delays: FloatArray | None = None,
-    ideal_reversal: bool = False,
-    tolerance: float = TOLERANCE,
-    threads: int | None = None,
-) -> PopulationResult:
-    """Simulate every candidate on every trial.
-
-    The torque is averaged over each sample's cell, from half-way after the sample before to half-way
-    before the next: it jumps when the dead band ends and, as L → 0, at each command.
-
-    Parameters
-    ----------
-    parameters : (P, 25) array
-        Rows in the order of `PARAMETERS` [SI].
-    trials : MotorTrials
-    delays : (P, n_trials) array, optional
-        Added to ``command_delay`` per candidate and trial [s].
-    ideal_reversal, tolerance
-        As in `simulate`.
-    threads : int, optional
-        Threads to use; the result does not depend on it. Default: all that numba offers.
-
-    Returns
-    -------
-    PopulationResult
-        A candidate that cannot be simulated has a status, never an exception.
-    """
-    rows = np.ascontiguousarray(np.atleast_2d(parameters), dtype=np.float64)
-    if rows.shape[1] != len(PARAMETERS):
-        raise ValueError(f"parameter rows have {rows.shape[1]} columns, the table {len(PARAMETERS)}")
-    shape = (len(rows), len(trials))
-    shifts = np.zeros(shape) if delays is None else np.ascontiguousarray(np.broadcast_to(delays, shape))
-    outputs = np.empty((len(rows), trials.time.size, 2))
-    status = np.empty(shape, dtype=np.int64)
-    reached = np.empty(shape)
-    before = numba.get_num_threads()
-    numba.set_num_threads(before if threads is None else max(1, min(threads, before)))
-    try:
-        kernel.integrate_population(
-            rows, shifts, trials.command_time, trials.command, trials.command_first, trials.supply_time,
-            trials.supply_ratio, trials.supply_first, trials.cell_times, trials.cell_first, trials.starts,
-            trials.initial, tolerance, ideal_reversal, outputs, status, reached,
-        )
-    finally:
-        numba.set_num_threads(before)
-    return PopulationResult(outputs, status, reached)

@@ -16,27 +16,12 @@ from sysid.errors import CampaignError, SysidWarning
 from sysid.fit.objective import Evaluation
 from sysid.fit.result import FitResult, TrialResult, bound_warnings, ranked_sets
 from sysid.fit.store import check_new_fit, write_fit
-from sysid.motor.model import (
-    FREE_DEFAULT,
-    PARAMETERS,
-    MotorTrials,
-    invariants,
-    pack,
-    simulate_population,
-    unpack,
-)
+from sysid.motor.model import FREE_DEFAULT, PARAMETERS, invariants, pack, unpack
+from sysid.motor.population import MotorTrials, simulate_population
 from sysid.parameter_sets import ParameterRecord, parameter_records
 from sysid.parameters import SearchSpace
-from sysid.pipelines.bench_logs import (
-    BenchLog,
-    NoLoadTie,
-    PreparedTrial,
-    StaticCurves,
-    bench_log,
-    filter_design,
-    prepare_trial,
-    static_curves,
-)
+from sysid.pipelines.bench_curves import NoLoadTie, StaticCurves, static_curves
+from sysid.pipelines.bench_logs import BenchLog, PreparedTrial, bench_log, filter_design, prepare_trial
 from sysid.pipelines.motor_cost import CHANNEL_UNITS, CHANNELS, MotorCost
 from sysid.pipelines.search import FitOptions, collected_warnings, naming, provenance, search
 from sysid.units import parse_quantity
@@ -347,7 +332,7 @@ def fit_motor(
             filter_design(campaign, [trial.log for trial in bench.trials]),
             {trial.entry.name: trial.provenance for trial in bench.trials},
         ),
-        warnings=(*doubts, *bound_warnings(records, at_bound)),
+        warnings=(*doubts, *bound_warnings(records, at_bound), *_unresolved_inductance(bench, rows[0])),
     )
     return result, write_fit(result, folder, options.force)
 
@@ -385,6 +370,19 @@ def _say_what_is_fitted(
     held = {"saturation_current", "saturation_speed"} <= {*space.names} | {*campaign.parameters.fixed}
     if not given and not held:
         tell("saturation_current and saturation_speed are not fitted; they keep Table I's values")
+
+
+def _unresolved_inductance(bench: Bench, row: FloatArray) -> tuple[str, ...]:
+    """Return a sentence where L/R of the best set is shorter than the logs can show."""
+    rise = float(row[_INDEX["winding_inductance"]] / row[_INDEX["winding_resistance"]])
+    # A rise within one step of the finest grid that any fitted log is compared on leaves no sample inside it.
+    finest = min(float(np.median(np.diff(trial.target.time))) for trial in bench.fitted)
+    if rise > finest:
+        return ()
+    return (
+        f"L/R of the best set is {1e3 * rise:.3g} ms and the finest fitted log is compared every "
+        f"{1e3 * finest:.3g} ms: the logs only say that L is small, not how small",
+    )
 
 
 def _measured(bench: Bench, tied: list[str]) -> list[str]:

@@ -43,7 +43,8 @@ class MotorTarget:
     grid_size : int
         Number of simulated samples.
     taps : (h + 1,) array
-        Centre and one side of the symmetric filter of a fast log, h even; empty for a slow one.
+        Centre and one side of the symmetric filter of a fast log; empty for a slow one. With a filter,
+        `time` is every so-many-th sample of the grid, at least h samples from both ends.
     """
 
     name: str
@@ -166,20 +167,23 @@ def _compared(part, sensors, taps, time, start, step, out):
     """Fill out (n, 2) with the simulated signals at the compared times."""
     n_grid = part.shape[0]
     if taps.size > 0:
-        half = taps.size - 1
-        for i in range(time.size):
-            centre = int((time[i] - start) / step + 0.5)
-            # Four sums side by side: one alone would wait for each addition to end.
-            torque, torque_odd = taps[0] * part[centre, 0], 0.0
-            speed, speed_odd = taps[0] * part[centre, 1], 0.0
-            for k in range(1, half, 2):
-                torque += taps[k] * (part[centre - k, 0] + part[centre + k, 0])
-                speed += taps[k] * (part[centre - k, 1] + part[centre + k, 1])
-                j = k + 1
-                torque_odd += taps[j] * (part[centre - j, 0] + part[centre + j, 0])
-                speed_odd += taps[j] * (part[centre - j, 1] + part[centre + j, 1])
-            out[i, 0] = torque + torque_odd
-            out[i, 1] = speed + speed_odd
+        # Compared instants are every stride-th sample. Sorted by their remainder, the samples that one tap
+        # touches lie side by side, and the sum over instants runs in vector registers.
+        first = int((time[0] - start) / step + 0.5)
+        stride = int((time[1] - time[0]) / step + 0.5)
+        sorted_samples = np.empty((stride, n_grid // stride + 1))
+        total = np.empty(time.size)
+        for c in range(2):
+            for m in range(n_grid):
+                sorted_samples[m % stride, m // stride] = part[m, c]
+            total[:] = 0.0
+            for k in range(taps.size):
+                tap = taps[k] if k > 0 else 0.5 * taps[0]
+                before = sorted_samples[(first - k) % stride, (first - k) // stride :]
+                after = sorted_samples[(first + k) % stride, (first + k) // stride :]
+                for i in range(time.size):
+                    total[i] += tap * (before[i] + after[i])
+            out[:, c] = total
         return
     for c in range(2):
         delay = sensors[0] if c == 0 else 0.0

@@ -5,7 +5,8 @@ import pytest
 
 from sysid.errors import CampaignError, FitError, UnitError
 from sysid.motor import model
-from sysid.motor.model import MotorTrial, MotorTrials, kv_to_si, pack, simulate, simulate_population, unpack
+from sysid.motor.model import kv_to_si, pack, simulate, unpack
+from sysid.motor.population import MotorTrial, MotorTrials, simulate_population
 
 FREE_OF_DRAG = {
     "torque_quadratic_forward": 0.0,

@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 
 from sysid.motor import kernel
-from sysid.motor.model import PARAMETERS, MotorTrial, MotorTrials, pack, simulate, simulate_population
+from sysid.motor.model import PARAMETERS, pack, simulate
+from sysid.motor.population import MotorTrial, MotorTrials, simulate_population
 
 HERE = Path(__file__).parent
 

@@ -1,0 +1,170 @@
+"""Static curves of a motor campaign: from averaged logs, or from the steady stretches of its step logs."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.campaign import MotorCampaign
+from sysid.campaign.motor import MotorTrial as TrialEntry
+from sysid.errors import FitError, LogError, SysidWarning
+from sysid.motor.static_curves import CurveFit, fit_no_load_line, fit_speed_curve
+from sysid.pipelines.bench_logs import BenchLog, bench_log, command_range, log_points, read_log
+from sysid.trials.thrust import SETTLE, SteadyPoints, sign_against_speed, signed_speed, tare
+
+FloatArray = NDArray[np.float64]
+Direction = Literal["forward", "reverse"]
+DIRECTIONS: tuple[Direction, Direction] = ("forward", "reverse")
+
+
+def static_log_points(
+    campaign: MotorCampaign, path: str | Path, log: str, direction: Direction
+) -> SteadyPoints:
+    """Return the points of a log under `[curves]`: rows of averaged points, or steady stretches of steps.
+
+    Raises
+    ------
+    LogError
+        When the log holds no steady point.
+    """
+    recording = read_log(campaign, path, log)
+    if recording.kind != "static-map":
+        entry = TrialEntry(name=Path(log).name, log=log, direction=direction)
+        points = log_points(bench_log(campaign, path, entry))
+    else:
+        where = recording.provenance.path
+        command = recording["command"]
+        u = command_range(campaign).to_u(command.values, command.unit, where)
+        speed = signed_speed(recording["speed"].values, direction, where)
+        rest = (np.abs(u) < 1e-9) & (np.nan_to_num(speed) == 0)
+        turning = np.nan_to_num(speed) != 0
+        columns = {}
+        for name in ("thrust", "torque", "voltage"):
+            values = recording[name].values if name in recording.channels else np.full(u.size, np.nan)
+            columns[name] = values if name == "voltage" else values - tare(values, rest).value
+        for name in ("thrust", "torque"):
+            if not (name == "torque" and campaign.log.torque_sign != "auto"):
+                columns[name] = columns[name] * sign_against_speed(columns[name][turning], speed[turning])
+            elif campaign.log.torque_sign == "-":
+                columns[name] = -columns[name]
+        points = SteadyPoints(
+            u[turning], speed[turning], columns["thrust"][turning], columns["torque"][turning],
+            columns["voltage"][turning], np.ones(int(turning.sum()), dtype=np.int64),
+        )  # fmt: skip
+    if len(points) == 0:
+        raise LogError(
+            f"{recording.provenance.path}: no steady segment; hold each command for over {SETTLE:g} s"
+        )
+    return points
+
+
+@dataclass(frozen=True, eq=False)
+class NoLoadTie:
+    """No-load line of loaded steady points, which moves with R: Ω_0 = Ω + R (τ + k_d Ω)/(k_m k_v).
+
+    Parameters
+    ----------
+    speed, torque : (2,) arrays
+        Slope and intercept of the least-squares lines of Ω [rad/s] and of τ [N·m] over u, at V_ref.
+    """
+
+    speed: FloatArray
+    torque: FloatArray
+
+    def line(self, drop: FloatArray, damping: FloatArray) -> FloatArray:
+        """Return slope and intercept (P, 2) of Ω_0 for R/(k_m k_v) (P,) [rad/s per N·m] and k_d (P,)."""
+        loaded = (1.0 + drop * damping)[:, None] * self.speed
+        return np.asarray(loaded + drop[:, None] * self.torque, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class StaticCurves:
+    """Curves of the campaign by direction.
+
+    Parameters
+    ----------
+    fits : tuple of CurveFit
+    ties : dict of direction to NoLoadTie
+        Where Ω_0 comes from loaded points.
+    reference_voltage : float
+        V_ref [V].
+    """
+
+    fits: tuple[CurveFit, ...]
+    ties: dict[str, NoLoadTie]
+    reference_voltage: float
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Coefficients by parameter name [SI]."""
+        return {name: value for fit in self.fits for name, value in fit.parameters.items()}
+
+
+def static_curves(
+    campaign: MotorCampaign, path: str | Path, logs: Sequence[BenchLog], reference_voltage: float
+) -> StaticCurves:
+    """Fit the curves of every direction that the campaign's trials turn.
+
+    Points come from `curves.static`; without any in a direction, from the steady stretches of the trials
+    that are fitted. Ω_0 comes from `curves.no_load`, or from the loaded points, tied to R.
+    """
+    turning = {t.direction for t in campaign.trials}
+    wanted = [d for d in DIRECTIONS if d in turning or "reversal" in turning]
+    own = SteadyPoints.join([log_points(log) for log in logs]) if logs else None
+    fits: list[CurveFit] = []
+    ties: dict[str, NoLoadTie] = {}
+    for direction in wanted:
+        parts = [
+            static_log_points(campaign, path, s.log, direction)
+            for s in campaign.curves.static
+            if s.direction == direction
+        ]
+        points = SteadyPoints.join(parts) if parts else own
+        if points is None:
+            raise FitError(
+                f"no log with steady points in the {direction} direction; name one in curves.static"
+            )
+        torque = fit_speed_curve("torque", direction, points.speed, points.torque)
+        fits.append(torque)
+        if np.isfinite(points.thrust).any():
+            fits.append(fit_speed_curve("thrust", direction, points.speed, points.thrust))
+        else:
+            warnings.warn(
+                f"no thrust in the {direction} direction: its curve keeps the default, which is a guess",
+                SysidWarning,
+                stacklevel=2,
+            )
+        bare = [
+            static_log_points(campaign, path, s.log, direction)
+            for s in campaign.curves.no_load
+            if s.direction == direction
+        ]
+        if bare:
+            free = SteadyPoints.join(bare)
+            ratio = np.where(np.isfinite(free.voltage), free.voltage / reference_voltage, 1.0)
+            fits.append(fit_no_load_line(direction, free.u, free.speed, supply_ratio=ratio))
+        else:
+            ties[direction] = _tie(direction, points, torque, reference_voltage)
+    return StaticCurves(tuple(fits), ties, reference_voltage)
+
+
+def _tie(direction: Direction, points: SteadyPoints, torque: CurveFit, reference_voltage: float) -> NoLoadTie:
+    keep = (points.u > 0) if direction == "forward" else (points.u < 0)
+    u, speed = points.u[keep], points.speed[keep]
+    ratio = np.where(np.isfinite(points.voltage[keep]), points.voltage[keep] / reference_voltage, 1.0)
+    drag = torque.coefficients[0] * speed * np.abs(speed) + torque.coefficients[1] * speed
+    columns = np.column_stack([u, np.sign(u)]) * ratio[:, None]
+    if np.unique(u).size < 3:
+        raise FitError(
+            f"no-load speed, {direction}: steady points at {np.unique(u).size} different commands; expected "
+            "at least 3, or a log without propeller under curves.no_load"
+        )
+    return NoLoadTie(
+        np.linalg.lstsq(columns, speed, rcond=None)[0], np.linalg.lstsq(columns, drag, rcond=None)[0]
+    )
