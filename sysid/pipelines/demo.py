@@ -6,9 +6,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
 import sysid
 from sysid.errors import SysidError
 from sysid.fit.result import FitResult
@@ -67,25 +64,20 @@ def run_demo(
     tell = say or (lambda sentence: None)
     written: dict[str, Path] = {}
     started = time.perf_counter()
-    table = Table(title="sysid demo: reduced fits of the sample data")
-    for column in ("what", "NRMSE of the five sets [%]", "where"):
-        table.add_column(column, overflow="fold")
 
     def keep(name: str, result: FitResult, folder: Path) -> None:
-        table.add_row(f"{name} fit", "  ".join(f"{100 * value:.2f}" for value in result.nrmse), str(folder))
-        written[f"{name} fit"] = folder
+        shares = "  ".join(f"{100 * value:.2f}" for value in result.nrmse)
+        written[f"{name}, all of the fit (NRMSE of its sets: {shares} %)"] = folder
         for suffix in ("json", "csv"):
             target = export_sets(folder, folder / f"sets.{suffix}", force=True)
-            written[f"{name} sets, {suffix}"] = target
-            table.add_row(f"{name} parameter sets", "", str(target))
+            written[f"{name}, parameter sets as {suffix.upper()}"] = target
         figures = {
-            "measured-against-simulated": figure_measured_against_simulated(result),
+            "measured against simulated": figure_measured_against_simulated(result),
             "convergence": figure_convergence(result),
         }
         for title, figure in figures.items():
-            target = save_figure(figure, folder / f"{title}.png")
-            written[f"{name} {title}"] = target
-            table.add_row(f"{name} {title.replace('-', ' ')}", "", str(target))
+            target = save_figure(figure, folder / f"{title.replace(' ', '-')}.png")
+            written[f"{name}, {title}"] = target
 
     tell("1/2 motor: load-cell logs of forward and reverse commands")
     keep(
@@ -112,7 +104,9 @@ def run_demo(
         ),
     )
     if not quiet:
-        Console().print(table)
+        # Plain lines: a path that a table folds cannot be copied.
+        for what, path in written.items():
+            print(f"{path}  {what}")
         print(
             f"done in {time.perf_counter() - started:.0f} s; the sets are reduced fits: "
             f"sysid fit-gear {samples / 'gear-lf' / 'campaign.toml'} gives the full one"

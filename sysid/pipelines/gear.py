@@ -18,7 +18,7 @@ from sysid.fit.objective import Evaluation
 from sysid.fit.result import FitResult, TrialResult, bound_warnings, ranked_sets
 from sysid.fit.store import check_new_fit, write_fit
 from sysid.gear.model import FIT_TOLERANCE, HF_FREE, LF_FREE, PARAMETERS, SURFACES, Drops, simulate_population
-from sysid.parameter_sets import parameter_records
+from sysid.parameter_sets import ParameterRecord, parameter_records
 from sysid.parameters import SearchSpace
 from sysid.pipelines.drops import PreparedDrop, cost_channels, prepare_drops
 from sysid.pipelines.search import FitOptions, collected_warnings, naming, provenance, search
@@ -42,9 +42,35 @@ def search_space(campaign: GearCampaign) -> SearchSpace:
 
 
 def measured_values(campaign: GearCampaign) -> dict[str, float]:
-    """Return what the campaign measured of the model's parameters, by name [SI]."""
-    tables = {**campaign.vehicle.model_dump(), **campaign.surface.model_dump()}
-    return {name: tables[name] for name in PARAMETERS if tables.get(name) is not None}
+    """Return what the campaign states of the model's parameters, by name [SI]; defaults are not measured."""
+    stated = {
+        **campaign.vehicle.model_dump(exclude_unset=True, exclude_none=True),
+        **campaign.surface.model_dump(exclude_unset=True, exclude_none=True),
+    }
+    return {name: stated[name] for name in PARAMETERS if name in stated}
+
+
+_DERIVED = (
+    ParameterRecord(
+        "leg_length", "l", "m", "derived", "Length of a leg at rest, joint to foot.", "Table II, note a"
+    ),
+    ParameterRecord(
+        "leg_rest_angle",
+        "q_n",
+        "rad",
+        "derived",
+        "Angle of a leg from the body at rest, outward from straight down.",
+        "Table II, note a",
+    ),
+)
+
+
+def _derived(rows: FloatArray) -> FloatArray:
+    """Return leg length and rest angle (S, 2) of rows of the parameter table (S, n_par)."""
+    column = {name: rows[:, i] for i, name in enumerate(PARAMETERS)}
+    across = column["foot_dx"] - column["joint_dx"]
+    down = column["foot_dz"] - column["joint_dz"]
+    return np.column_stack([np.hypot(across, down), np.arctan2(across, down)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,8 +201,9 @@ def fit_gear(
         )
         runs, interrupted = search(objective, settings, simulated="drops", quiet=options.quiet)
     sets = ranked_sets(runs, space)
-    records = parameter_records(space, measured_values(campaign), ranges)
-    at_bounds = bound_warnings(records, sets.at_bound)
+    records = parameter_records(space, measured_values(campaign), ranges, _DERIVED)
+    at_bound = np.pad(sets.at_bound, ((0, 0), (0, len(_DERIVED))))
+    at_bounds = bound_warnings(records, at_bound)
     for sentence in at_bounds:
         tell(f"warning: {sentence}")
     result = FitResult(
@@ -188,8 +215,8 @@ def fit_gear(
         set_runs=sets.run,
         set_seeds=sets.seed,
         cube=sets.cube,
-        values=sets.values,
-        at_bound=sets.at_bound,
+        values=np.hstack([sets.values, _derived(sets.values)]),
+        at_bound=at_bound,
         nrmse=sets.cost,
         trials=_trial_results(GearObjective.build(campaign, space, drops, options.threads), sets.values),
         channels=tuple(channel.name for channel in objective.cost.channels),
