@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -30,8 +31,8 @@ OTHERS = "#56B4E9"
 MASKED = "#E6E6E6"
 RUNS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000")
 
-# More samples than this are drawn as a line, and as pixels inside a vector file.
-_DENSE = 2000
+# More samples than this are drawn as a line instead of dots, and than that as pixels inside a vector file.
+_DENSE, _RASTER = 400, 4000
 # Display of a channel: label, unit, and the factor from SI.
 _DISPLAY: dict[str, tuple[str, str, float]] = {
     "x_B": (r"$x_B$", "m", 1.0),
@@ -40,10 +41,15 @@ _DISPLAY: dict[str, tuple[str, str, float]] = {
     "z_B_rate": (r"$\dot{z}_B$", "m/s", 1.0),
     "q_B": (r"$q_B$", "deg", 180.0 / np.pi),
     "torque": ("torque", "mN·m", 1e3),
-    "stator_torque": ("torque at the stator", "mN·m", 1e3),
+    "stator_torque": ("stator torque", "mN·m", 1e3),
     "speed": (r"speed $\Omega$", "rad/s", 1.0),
     "thrust": ("thrust", "N", 1.0),
 }
+# Residuals of some units are easier to read in a smaller one.
+_FINER = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}
+_LINE = "\n"
+# A trial's name above a column of its own; longer ones would reach into the next.
+_LONGEST_NAME = 30
 _FORMATS = (".png", ".pdf", ".svg")
 
 
@@ -85,7 +91,7 @@ def figure_measured_against_simulated(
 
 def figure_convergence(fit: FitResult) -> Figure:
     """Draw the best NRMSE of every generation, one line per run; a dot where the run stopped."""
-    figure = Figure(figsize=(7.5, 4.6), layout="constrained")
+    figure = Figure(figsize=(9.5, 4.6), layout="constrained")
     axes = figure.add_subplot()
     for number, run in enumerate(fit.runs, start=1):
         colour = RUNS[(number - 1) % len(RUNS)]
@@ -100,7 +106,9 @@ def figure_convergence(fit: FitResult) -> Figure:
     axes.set_title(f"{fit.name}: convergence of {len(fit.runs)} runs ({fit.kind})")
     axes.grid(True, color="0.9")
     if fit.runs:
-        axes.legend(frameon=False, title="best NRMSE, generations", alignment="left")
+        figure.legend(
+            loc="outside right upper", frameon=False, title="best NRMSE, generations", alignment="left"
+        )
     return figure
 
 
@@ -126,9 +134,10 @@ def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0) -> Path
     if suffix not in _FORMATS:
         raise ExportError(f"{path}: unknown figure format {suffix!r}; expected one of {', '.join(_FORMATS)}")
     buffer = io.BytesIO()
-    # No date inside: the same figure gives the same bytes.
+    # No date and no random names inside: the same figure gives the same bytes.
     metadata = {".png": {}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}[suffix]
-    figure.savefig(buffer, format=suffix[1:], dpi=dpi, metadata=metadata)
+    with rc_context({"svg.hashsalt": "sysid"}):
+        figure.savefig(buffer, format=suffix[1:], dpi=dpi, metadata=metadata)
     write_file(path, buffer.getvalue(), ExportError)
     return path
 
@@ -144,7 +153,7 @@ def _one_trial(fit: FitResult, trial: TrialResult, contacts: Sequence[float]) ->
         for axes in (signal, residual):
             for time in contacts:
                 axes.axvline(time - trial.time[0], color="#009E73", linewidth=0.8, linestyle=":", zorder=1)
-        residual.set_title(f"NRMSE {_percent(float(trial.nrmse[0, c]))}", fontsize="medium")
+        residual.set_title(f"NRMSE {_percent(_best_nrmse(trial, c))}", fontsize="medium")
     grid[0, 0].set_title("signals", fontsize="medium")
     for axes in grid[-1]:
         axes.set_xlabel("time in the window [s]")
@@ -159,29 +168,52 @@ def _one_trial(fit: FitResult, trial: TrialResult, contacts: Sequence[float]) ->
 
 def _all_trials(fit: FitResult) -> Figure:
     rows, columns = len(fit.channels), len(fit.trials)
-    figure = Figure(figsize=(max(6.5, 1.2 + 3.1 * columns), 1.4 + 2.5 * rows), layout="constrained")
-    heights = [part for _ in range(rows) for part in (2.3, 1.0)]
-    grid = figure.subplots(2 * rows, columns, sharex="col", squeeze=False, height_ratios=heights)
+    width, height = max(9.0, 1.2 + 3.1 * columns), 1.7 + 2.5 * rows
+    # Fixed margins: laying out eighty axes automatically takes longer than drawing them.
+    figure = Figure(figsize=(width, height))
+    cells = figure.add_gridspec(
+        rows,
+        columns,
+        left=1.0 / width,
+        right=1.0 - 0.15 / width,
+        bottom=0.95 / height,
+        top=1.0 - 0.95 / height,
+        hspace=0.2,
+        wspace=0.3,
+    )
+    labelled = []
     for t, trial in enumerate(fit.trials):
+        shared: Axes | None = None
         for c in range(rows):
-            signal, residual = grid[2 * c, t], grid[2 * c + 1, t]
+            pair = cells[c, t].subgridspec(2, 1, height_ratios=(2.3, 1.0), hspace=0.09)
+            signal = figure.add_subplot(pair[0], sharex=shared)
+            shared = shared or signal
+            residual = figure.add_subplot(pair[1], sharex=shared)
             _draw_signals(signal, fit, trial, c, label=t == 0)
             _draw_residual(residual, fit, trial, c, label=t == 0)
-            signal.set_title(f"NRMSE {_percent(float(trial.nrmse[0, c]))}", fontsize="small", loc="right")
+            signal.tick_params(labelbottom=False)
+            residual.tick_params(labelbottom=c == rows - 1)
+            signal.set_title(f"NRMSE {_percent(_best_nrmse(trial, c))}", fontsize="small", loc="right")
             if c == 0:
                 use = "fitted" if trial.use == "fit" else "validation"
-                signal.set_title(f"{trial.name}\n{use}", fontsize="medium", loc="left")
-        grid[-1, t].set_xlabel("time in the window [s]")
-    figure.suptitle(f"{fit.name}: measured against simulated ({fit.kind}); NRMSE of the best set")
-    figure.legend(handles=_legend(fit, fit.trials, False), loc="outside lower center", ncols=5, frameon=False)
-    figure.align_ylabels(grid[:, 0])
+                name = (
+                    trial.name if len(trial.name) <= _LONGEST_NAME else f"{trial.name[: _LONGEST_NAME - 1]}…"
+                )
+                signal.set_title(f"{name}\n{use}", fontsize="medium", loc="left")
+            if t == 0:
+                labelled += [signal, residual]
+        residual.set_xlabel("time in the window [s]")
+    title = f"{fit.name}: measured against simulated ({fit.kind}); NRMSE of the best set"
+    figure.suptitle(title, y=1.0 - 0.25 / height)
+    figure.legend(handles=_legend(fit, fit.trials, False), loc="lower center", ncols=5, frameon=False)
+    figure.align_ylabels(labelled)
     return figure
 
 
 def _draw_signals(axes: Axes, fit: FitResult, trial: TrialResult, c: int, *, label: bool = True) -> None:
     name, unit, factor = _display(fit, c)
     time = trial.time - trial.time[0]
-    dense = len(time) > _DENSE
+    raster = len(time) > _RASTER
     valid = trial.valid[:, c]
     shown = np.where(valid, factor * trial.measured[:, c], np.nan)
     _shade(axes, trial)
@@ -192,35 +224,37 @@ def _draw_signals(axes: Axes, fit: FitResult, trial: TrialResult, c: int, *, lab
             color=BEST if s == 0 else OTHERS,
             linewidth=1.3 if s == 0 else 0.8,
             zorder=4 if s == 0 else 3,
-            rasterized=dense,
+            rasterized=raster,
         )
-    if dense:
-        axes.plot(time, shown, color=MEASURED, linewidth=0.9, zorder=2, rasterized=True)
+    if len(time) > _DENSE:
+        axes.plot(time, shown, color=MEASURED, linewidth=2.2, zorder=2, rasterized=raster)
     else:
         axes.plot(time, shown, color=MEASURED, linestyle="none", marker=".", markersize=3.2, zorder=2)
     # A set that went astray must not flatten the measurement it is compared with.
-    low, high = float(np.nanmin(shown)), float(np.nanmax(shown))
-    margin = 0.25 * (high - low) or 1.0
-    bottom, top = axes.get_ylim()
-    axes.set_ylim(max(bottom, low - margin), min(top, high + margin))
+    if np.any(np.isfinite(shown)):
+        low, high = float(np.nanmin(shown)), float(np.nanmax(shown))
+        margin = 0.25 * (high - low) or 1.0
+        bottom, top = axes.get_ylim()
+        axes.set_ylim(max(bottom, low - margin), min(top, high + margin))
     if label:
-        axes.set_ylabel(f"{name} [{unit}]")
+        axes.set_ylabel(f"{name}{_LINE if len(name) > 11 and '$' not in name else ' '}[{unit}]")
     _tidy(axes, time)
 
 
 def _draw_residual(axes: Axes, fit: FitResult, trial: TrialResult, c: int, *, label: bool = True) -> None:
     _, unit, factor = _display(fit, c)
+    unit, finer = _FINER.get(unit, (unit, 1.0))
     time = trial.time - trial.time[0]
     _shade(axes, trial)
     axes.axhline(0.0, color="0.6", linewidth=0.8)
     if len(trial.simulated):
-        error = factor * (trial.simulated[0, :, c] - trial.measured[:, c])
+        error = finer * factor * (trial.simulated[0, :, c] - trial.measured[:, c])
         axes.plot(
             time,
             np.where(trial.valid[:, c], error, np.nan),
             color=BEST,
             linewidth=0.8,
-            rasterized=len(time) > _DENSE,
+            rasterized=len(time) > _RASTER,
         )
     if label:
         axes.set_ylabel(f"residual\n[{unit}]")
@@ -252,7 +286,7 @@ def _masked_runs(trial: TrialResult) -> list[tuple[int, int]]:
 
 def _legend(fit: FitResult, trials: Sequence[TrialResult], contacts: bool) -> list[Line2D | Patch]:
     dense = all(len(trial.time) > _DENSE for trial in trials)
-    measured = Line2D([], [], color=MEASURED, linewidth=0.9, label="measured")
+    measured = Line2D([], [], color=MEASURED, linewidth=2.2, label="measured")
     if not dense:
         measured = Line2D([], [], color=MEASURED, linestyle="none", marker=".", label="measured")
     handles: list[Line2D | Patch] = [measured]
@@ -295,6 +329,10 @@ def _percent_axis(axes: Axes, values: FloatArray) -> None:
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0), numticks=12))
         axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:.4g}"))
+
+
+def _best_nrmse(trial: TrialResult, c: int) -> float:
+    return float(trial.nrmse[0, c]) if len(trial.nrmse) else float("nan")
 
 
 def _percent(share: float) -> str:

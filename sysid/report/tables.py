@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from rich import box
 from rich.table import Table
 from rich.text import Text
 
@@ -91,7 +92,7 @@ def mean_sigma_table(*fits: ParameterSets) -> Table:
 
 
 def trial_table(sets: ParameterSets) -> Table:
-    """Return the NRMSE of the best set per trial and channel, and how the sets scatter on each trial.
+    """Return the NRMSE of the best set per trial and channel, and the mean of the worst set on each.
 
     Parameters
     ----------
@@ -104,22 +105,19 @@ def trial_table(sets: ParameterSets) -> Table:
     for channel in sets.channels:
         table.add_column(_cell(channel), justify="right")
     table.add_column("mean", justify="right")
-    table.add_column("all sets", justify="right")
+    table.add_column("worst", justify="right")
     means = _trial_means(sets)
     for t, (trial, use) in enumerate(zip(sets.trials, sets.uses, strict=True)):
         if t and use != sets.uses[t - 1]:
             table.add_section()
-        scatter = _NONE
-        if len(sets) > 1 and np.all(np.isfinite(means[:, t])):
-            scatter = f"{100 * means[:, t].min():.2f} to {100 * means[:, t].max():.2f}"
         best = sets.nrmse_by_trial[0, t] if len(sets) else np.full(len(sets.channels), np.nan)
-        mean = means[0, t] if len(sets) else math.nan
+        mean, worst = (means[0, t], means[:, t].max()) if len(sets) else (math.nan, math.nan)
         table.add_row(
             _cell(trial),
             _cell(use),
             *(_cell(_number(value)) for value in best),
             _cell(_number(mean), bold=True),
-            _cell(scatter),
+            _cell(_number(worst)),
         )
     return table
 
@@ -131,6 +129,10 @@ def _table(title: str, caption: str | None) -> Table:
         title_justify="left",
         caption_justify="left",
         header_style="bold",
+        # No vertical rules: the five sets of eight parameters fit into 80 columns.
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
     )
 
 
