@@ -336,4 +336,6 @@ def _best_nrmse(trial: TrialResult, c: int) -> float:
 
 
 def _percent(share: float) -> str:
-    return "—" if not np.isfinite(share) else f"{100 * share:.3g} %"
+    if not np.isfinite(share):
+        return "—"
+    return f"{100 * share:.{1 if share >= 0.1 else 2}f} %"
