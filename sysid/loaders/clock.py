@@ -77,7 +77,7 @@ def order_rows(
     if not timed.all():
         first = numbers.lines[np.argmin(timed)]
         count = int((~timed).sum())
-        notes.append(f"{count} rows without a time were left out (first: {numbers.row_word} {first})")
+        notes.append(f"rows without a time, left out: {count} (first: {numbers.row_word} {first})")
         numbers.keep(timed)
     if not numbers.lines.size:
         raise LogError(f"{path}: no row has a time; the log is empty")
@@ -85,7 +85,7 @@ def order_rows(
 
     stale = _stale_start(time) if stale_start else 0
     if stale:
-        notes.append(f"{stale} stale rows at the start, at {time[stale - 1]:.6g} s, were left out")
+        notes.append(f"stale rows at the start, left out: {stale} (at {time[stale - 1]:.6g} s)")
         numbers.keep(np.arange(time.size) >= stale)
         time = time[stale:]
     steps = np.diff(time)
@@ -94,12 +94,12 @@ def order_rows(
         row = int(back[0])
         raise LogError(
             f"{path}, {numbers.row_word} {numbers.lines[row + 1]}: time goes back from "
-            f"{time[row]:.9g} s to {time[row + 1]:.9g} s; "
+            f"{time[row]:.12g} s to {time[row + 1]:.12g} s; "
             'split the log there or set time_back = "drop"'
         )
     if back.size:
         later = np.append(True, time[1:] > np.maximum.accumulate(time)[:-1])
-        notes.append(f"{int((~later).sum())} rows whose time does not pass the latest were left out")
+        notes.append(f"rows whose time does not pass the latest, left out: {int((~later).sum())}")
         numbers.keep(later)
         return time[later], notes
     repeats = steps == 0
@@ -108,12 +108,12 @@ def order_rows(
             row = int(np.argmax(repeats))
             raise LogError(
                 f"{path}, {numbers.row_word} {numbers.lines[row + 1]}: {int(repeats.sum())} of "
-                f"{time.size} rows repeat the time of "
-                "the row before, so the clock is too coarse; declare the sample rate with rate = ..."
+                f"{time.size} rows repeat the time of the row before, "
+                "so the clock is too coarse; declare the sample rate with rate = ..."
             )
         last: BoolArray = np.append(~repeats, True)
         notes.append(
-            f"{int(repeats.sum())} rows repeat the time of the row before "
+            f"rows that repeat the time of the row before: {int(repeats.sum())} "
             f"(first: {numbers.row_word} {numbers.lines[np.argmax(repeats) + 1]}); the last of each was kept"
         )
         numbers.keep(last)

@@ -121,10 +121,10 @@ class DeclaredUnits:
                 self._used.add(match)
                 declared = self._declared[match]
                 if column.unit is not None and column.unit != declared:
-                    self.notes.append(
-                        f"column {column.label!r} read in the declared unit {declared!r}, not in "
-                        "that of the header"
+                    note = (
+                        f"column {column.label!r} read in the declared unit {declared!r}, not in the header's"
                     )
+                    self.notes += [] if note in self.notes else [note]
                 return declared
         return default if column.unit is None else column.unit
 

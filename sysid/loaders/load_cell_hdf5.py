@@ -251,8 +251,7 @@ def _read_open(
             if time.size != values.size:
                 raise LogError(
                     f"{path}: dataset {where} has {values.size} samples but its clock {beside} has "
-                    f"{time.size}; "
-                    "they must be of one length"
+                    f"{time.size}; they must be of one length"
                 )
         if not values.size:
             raise LogError(f"{path}: dataset {where} is empty; the log has no samples")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -42,7 +42,7 @@ def unit_quaternions(path: str, body: str, numbers: Numbers, raw: FloatArray) ->
     lost = ~np.isfinite(length)
     zero = length == 0.0
     if zero.any():
-        notes.append(f"{int(zero.sum())} rows of {body} have an all-zero quaternion; taken as lost")
+        notes.append(f"frames with an all-zero quaternion of {body}, taken as lost: {int(zero.sum())}")
     wrong = ~lost & ~zero & (np.abs(length - 1.0) > _LENGTH_TOLERANCE)
     if numbers.open_end and wrong.any() and wrong.argmax() == wrong.size - 1:
         notes.append(f"the last quaternion of {body} is cut; taken as lost")
@@ -51,8 +51,7 @@ def unit_quaternions(path: str, body: str, numbers: Numbers, raw: FloatArray) ->
         row = int(wrong.argmax())
         raise LogError(
             f"{path}, {numbers.row_word} {numbers.lines[row]}: the quaternion of {body} has length "
-            f"{length[row]:.4g}, "
-            "expected 1; check which columns it is in"
+            f"{length[row]:.4g}, expected 1; check which columns it is in"
         )
     unit = np.where((lost | zero)[:, None], np.nan, raw / np.where(lost | zero, 1.0, length)[:, None])
     seen = np.flatnonzero(np.isfinite(unit[:, 0]))
@@ -60,7 +59,7 @@ def unit_quaternions(path: str, body: str, numbers: Numbers, raw: FloatArray) ->
         turned = np.einsum("ij,ij->i", unit[seen[1:]], unit[seen[:-1]]) < 0.0
         if turned.any():
             unit[seen[1:][np.cumsum(turned) % 2 == 1]] *= -1.0
-            notes.append(f"the quaternion of {body} changed sign {int(turned.sum())} times; made continuous")
+            notes.append(f"the quaternion of {body} changes sign {int(turned.sum())} times; made continuous")
     return unit, notes
 
 
@@ -96,7 +95,7 @@ def body_channels(
     }
 
 
-def wanted_bodies(path: str, names: Sequence[str], wanted: str | Iterable[str] | None) -> tuple[str, ...]:
+def wanted_bodies(path: str, names: Sequence[str], wanted: str | Sequence[str] | None) -> tuple[str, ...]:
     """Return the bodies to keep.
 
     Raises
@@ -106,7 +105,7 @@ def wanted_bodies(path: str, names: Sequence[str], wanted: str | Iterable[str] |
     """
     if wanted is None:
         return tuple(names)
-    kept = (wanted,) if isinstance(wanted, str) else tuple(str(name) for name in wanted)
+    kept = tuple(str(name) for name in wanted) if isinstance(wanted, list | tuple) else (str(wanted),)
     for name in kept:
         if name not in names:
             raise LogError(

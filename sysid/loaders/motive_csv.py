@@ -14,7 +14,7 @@ from the body; those of type ``Marker`` are measured, and keep the plain name wh
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -167,18 +167,18 @@ def _read_header(text: Text) -> _Header:
 
 def _length_factor(path: str, stated: str, declared: str | None) -> float:
     """Return the factor from the file's length unit to metres."""
-    unit = _LENGTHS.get(stated.casefold(), stated)
-    if declared is not None and unit and factor_to_si(declared, "m") != factor_to_si(unit, "m"):
-        raise UnitError(f'{path}: length_unit = "{declared}" contradicts the header, which says {stated}')
-    unit = unit or declared or ""
-    if not unit:
+    units = [_LENGTHS.get(unit.casefold(), unit) for unit in (stated, str(declared or "")) if unit]
+    if not units:
         raise UnitError(
             f'{path}: the header states no length unit; declare it with length_unit = "m" or "mm"'
         )
     try:
-        return factor_to_si(unit, "m")
+        factors = [factor_to_si(unit, "m") for unit in units]
     except UnitError as error:
-        raise UnitError(f"{path}: length unit {unit!r}: {error}") from error
+        raise UnitError(f"{path}: length unit: {error}") from error
+    if len(set(factors)) > 1:
+        raise UnitError(f'{path}: length_unit = "{declared}" contradicts the header, which says {stated}')
+    return factors[0]
 
 
 def _euler_order(path: str, stated: str, declared: str | None) -> str:
@@ -223,7 +223,8 @@ def _clock(path: str, header: _Header, numbers: Numbers, clock: str) -> tuple[Fl
         time, notes = order_rows(path, numbers, header.clocks["time"], 1.0)
         return time, [*notes, "time as written in the Time column", *jitter_note(time)]
 
-    counted, notes = order_rows(path, numbers, header.clocks["frame"], 1.0)
+    _, notes = order_rows(path, numbers, header.clocks["frame"], 1.0 / known[0])
+    counted = numbers.columns[header.clocks["frame"]]
     if "time" not in header.clocks:
         return counted / known[0], [*notes, f"time is the frame number over {known[0]:g} Hz"]
     written = numbers.columns[header.clocks["time"]]
@@ -242,15 +243,15 @@ def _clock(path: str, header: _Header, numbers: Numbers, clock: str) -> tuple[Fl
     row = int(error.argmax())
     raise LogError(
         f"{path}, line {numbers.lines[row]}: frame {counted[row]:.0f} at {rate:g} Hz is at "
-        f"{rebuilt[row]:.6g} s but "
-        f'the Time column says {written[row]:.6g} s; choose with clock = "frame" or clock = "time"'
+        f"{rebuilt[row]:.6g} s but the "
+        f'Time column says {written[row]:.6g} s; choose with clock = "frame" or clock = "time"'
     )
 
 
 def read(
     source: Source,
     *,
-    rigid_body: str | Iterable[str] | None = None,
+    rigid_body: str | Sequence[str] | None = None,
     euler_order: str | None = None,
     length_unit: str | None = None,
     clock: str = "auto",
@@ -337,7 +338,7 @@ def read(
             name, repeat = f"{marker.name} #{repeat}", repeat + 1
         channels[f"{name}/position"] = Channel(f"{name}/position", "m", time, position)
     if blank:
-        notes.append(f"{blank} markers are never seen and were left out")
+        notes.append(f"markers never seen, left out: {blank}")
     solved_names = [marker.name for marker in markers if marker.type in _SOLVED]
     if solved_names:
         notes.append(f"positions solved from the body, not measured: {listing(solved_names)}")

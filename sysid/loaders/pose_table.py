@@ -170,6 +170,7 @@ def read(
     }
 
     if length_unit is not None:
+        length_unit = str(length_unit)
         try:
             factor_to_si(length_unit, "m")
         except UnitError as error:

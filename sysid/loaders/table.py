@@ -114,18 +114,18 @@ def table_head(text: Text, columns: Sequence[str] | None = None) -> TableHead:
     if headless:
         number, offset = number - 1, lines[index - 1][1] if index else 0
     if columns is not None:
+        if isinstance(columns, str) or not isinstance(columns, Sequence):
+            raise LogError(f"{text.path}: columns = {columns!r} is no list of names")
         if len(columns) != len(names):
             raise LogError(
                 f"{text.path}: columns declares {len(columns)} names but line {lines[index][0]} has "
-                f"{len(names)} "
-                "cells; name every column, in order"
+                f"{len(names)} cells; name every column, in order"
             )
         names = [str(name) for name in columns]
     elif headless:
         raise LogError(
             f"{text.path}, line {lines[index][0]}: found numbers where the header line should name "
-            "the columns; "
-            "declare them with columns = [...]"
+            "the columns; declare them with columns = [...]"
         )
     return TableHead(tuple(names), delimiter, number, offset)
 
@@ -351,8 +351,8 @@ def read_numbers(
             )
         columns = {index: np.where(short, np.nan, values) for index, values in columns.items()}
         notes.append(
-            f"{int(short.sum())} rows have fewer than {least} cells (first: line {lines[np.argmax(short)]}); "
-            "taken as missing"
+            f"rows with fewer than {least} cells: {int(short.sum())} (first: line "
+            f"{lines[np.argmax(short)]}); taken as missing"
         )
     infinite = 0
     for index, values in columns.items():
@@ -361,7 +361,7 @@ def read_numbers(
             infinite += int(wild.sum())
             columns[index] = np.where(wild, np.nan, values)
     if infinite:
-        notes.append(f"{infinite} cells hold an infinite number; taken as missing")
+        notes.append(f"cells that hold an infinite number: {infinite}; taken as missing")
     return Numbers(columns, lines, notes, open_end=open_end)
 
 

@@ -87,8 +87,7 @@ def read_text(source: Source) -> Text:
         line = data.count(b"\n", 0, nul) + 1
         raise LogError(
             f"{source.path}, line {line}: NUL byte at byte {nul}: the file is binary, damaged or "
-            "UTF-16 without "
-            "a mark; export it again as UTF-8 text"
+            "UTF-16 without a mark; export it again as UTF-8 text"
         )
     data = data.removeprefix(b"\xef\xbb\xbf")
     if not data.isascii():

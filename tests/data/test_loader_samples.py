@@ -103,7 +103,7 @@ def test_motive_121_millimetres_gap_flip_and_cut_last_line():
     )
     said = notes_of(log)
     assert "line 13, the last, is cut" in said
-    assert "changed sign" in said
+    assert "changes sign" in said
     assert "03.49.50.755 PM" in said
     assert log.provenance.device == "OptiTrack Motive CSV 1.21"
 

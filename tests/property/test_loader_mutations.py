@@ -280,19 +280,46 @@ def test_every_single_cut_of_a_pose_table(tmp_path):
         )
 
 
+def stored_bytes(original):
+    """Where the compressed samples lie in the file."""
+    places = []
+    with h5py.File(io.BytesIO(original), "r") as file:
+        for data in file.values():
+            for chunk in range(data.id.get_num_chunks()):
+                info = data.id.get_chunk_info(chunk)
+                places += range(info.byte_offset, info.byte_offset + info.size)
+    return np.array(places)
+
+
 def hdf5_cases(tmp_path, count, seed):
+    """Cut files, and files damaged where the samples lie.
+
+    Damage to the HDF5 library's own structures is left out: some of it makes the library itself loop for ever
+    (seen with a string attribute whose heap is damaged), which no caller in the same process can stop.
+    """
     random = np.random.default_rng(seed)
     original = cell_hdf5()
+    places = stored_bytes(original)
     path = tmp_path / "log.h5"
+    path.write_bytes(original)
+    whole = load(path)
     for case in range(count):
-        path.write_bytes([cut, flip, splash][case % 3](original, random))
+        data = bytearray(original)
+        if case % 2:
+            for at in random.choice(places, random.integers(1, 5)):
+                data[at] ^= 1 << random.integers(0, 8)
+        else:
+            data = data[: random.integers(0, len(data))]
+        path.write_bytes(data)
         recording = outcome(path, "auto" if case % 4 == 0 else "load-cell-hdf5")
         if recording is not None:
-            assert all(len(channel.values) for channel in recording.channels.values())
+            # The check sum of the compression finds every damaged sample; what loads is what was written.
+            for name, channel in recording.channels.items():
+                np.testing.assert_array_equal(channel.values, whole[name].values)
 
 
 def test_damaged_hdf5(tmp_path):
-    hdf5_cases(tmp_path, 3 * QUICK, 11)
+    hdf5_cases(tmp_path, 2 * QUICK, 11)
 
 
 @pytest.mark.slow
