@@ -6,8 +6,9 @@ drop ends; loops over lanes become packed instructions. Lanes never exchange num
 neither on the number of lanes and threads nor on the order of jobs, and a lane that is lost leaves the others
 alone.
 
-The method is the explicit pair of Bogacki and Shampine, order 3(2), with local extrapolation and the last
-stage reused; samples between steps come from the cubic Hermite polynomial of the step (order 3).
+The method is the explicit pair of `sysid.integrate.tableau`; samples between steps come from the cubic Hermite
+polynomial of the step (order 3). On low friction a step never exceeds what the method's real stability allows for
+the slip of a creeping foot; on high friction a step ends where a foot loses its mode (`sysid.gear.hybrid`).
 
 Status codes of a job: see `OK`, `STEP_COLLAPSED`, `TOO_EXPENSIVE`, `BLEW_UP`.
 """
@@ -18,9 +19,36 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
-from sysid.gear.contact import low_friction, low_friction_damping, normal_force
-from sysid.gear.dynamics import accelerations, feet, foot_looseness, pose
-from sysid.integrate.tableau import A_TWICE, REAL_LIMIT, STAGES, A, C, E
+from sysid.gear.contact import low_friction, normal_force
+from sysid.gear.dynamics import feet, pose
+from sysid.gear.stages import (
+    COEFFICIENTS,
+    COUNT,
+    END,
+    FRESH,
+    FRICTION,
+    FRICTION_0,
+    LIMIT,
+    MARGIN,
+    MU_S,
+    NEW_STEP,
+    NEXT,
+    NORMAL,
+    RATES,
+    REQUIRED,
+    ROWS,
+    START,
+    STEP,
+    STIFF,
+    STUCK,
+    SWITCH,
+    TAKEN,
+    TIME,
+    WAY,
+    evaluate,
+    switch,
+)
+from sysid.integrate.tableau import REAL_LIMIT, STAGES, E
 
 OK = 0
 STEP_COLLAPSED = 1
@@ -33,110 +61,18 @@ WEIGHTS = np.array([30.0, 30.0, 6.0, 1.0, 0.1, 1.0, 0.1])
 
 # Part of the method's real stability limit that a step may use: the slip's decay rate can grow within the
 # step.
-_STABLE = 0.9 * REAL_LIMIT
-
-# Rows of the work buffer; element `row * lanes + lane`.
-_Y = 0  # coordinates 7, rates 7
-_S = 14  # the same at the step's end
-_K = 28  # accelerations at the stages, 7 rows each; the last stage is the step's end
-_P = _K + 7 * (STAGES + 1)  # derived coefficients
-_T = _P + 20  # time since the drop's start
-_H = _T + 1  # step
-_NEW_H = _T + 2
-_TAKEN = _T + 3  # 1 if the step is accepted
-_NEXT = _T + 4  # time of the lane's next sample
-_FRESH = _T + 5  # 1 while a new job waits for its first accelerations (a step of length 0), 2 in an idle lane
-_COUNT = _T + 6  # right-hand sides spent
-_LIMIT = _T + 7  # right-hand sides that the job may spend
-_STIFF = _T + 8  # fastest decay rate of a foot's slip at the step's end [1/s]
-_ROWS = _T + 9
+STABLE = 0.9 * REAL_LIMIT
 
 
 def _fingerprint() -> int:
     """Hash of the sources that are inlined here, so that a cached driver never outlives them."""
     here = Path(__file__).parent
-    sources = [here / f"{name}.py" for name in ("geometry", "contact", "dynamics", "kernel")]
+    sources = [
+        here / f"{name}.py" for name in ("geometry", "contact", "dynamics", "hybrid", "stages", "kernel")
+    ]
     sources.append(here.parent / "integrate" / "tableau.py")
     text = b"".join(source.read_bytes() for source in sources)
     return int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
-
-
-@njit(error_model="numpy", inline="always")
-def _advanced(work, stage, i, lane, lanes):
-    """Coordinate `i` of one lane and its rate at the start of a stage.
-
-    A coordinate's derivative is its rate, so stages of coordinates are sums over accelerations alone (Nystrom
-    form).
-    """
-    h = work[_H * lanes + lane]
-    rate = work[(_Y + 7 + i) * lanes + lane]
-    along = 0.0
-    twice = 0.0
-    for j in range(stage):
-        k = work[(_K + 7 * j + i) * lanes + lane]
-        along += A[stage, j] * k
-        twice += A_TWICE[stage, j] * k
-    return work[(_Y + i) * lanes + lane] + h * (C[stage] * rate + h * twice), rate + h * along
-
-
-@njit(error_model="numpy", inline="always")
-def _stage(work, stage, lane, lanes):
-    """Accelerations of one lane at a stage; stage 0 is never evaluated (first same as last)."""
-    s, s_rate = _advanced(work, stage, 0, lane, lanes)
-    w, w_rate = _advanced(work, stage, 1, lane, lanes)
-    phi, omega = _advanced(work, stage, 2, lane, lanes)
-    h_c, h_c_rate = _advanced(work, stage, 3, lane, lanes)
-    theta_c, theta_c_rate = _advanced(work, stage, 4, lane, lanes)
-    h_d, h_d_rate = _advanced(work, stage, 5, lane, lanes)
-    theta_d, theta_d_rate = _advanced(work, stage, 6, lane, lanes)
-    rates = (s_rate, w_rate, omega, h_c_rate, theta_c_rate, h_d_rate, theta_d_rate)
-    if stage == STAGES:
-        state = (s, w, phi, h_c, theta_c, h_d, theta_d)
-        for i in range(7):
-            work[(_S + i) * lanes + lane] = state[i]
-            work[(_S + 7 + i) * lanes + lane] = rates[i]
-    p = _P * lanes + lane
-    coefficients = (
-        work[p],
-        work[p + 1 * lanes],
-        work[p + 2 * lanes],
-        work[p + 3 * lanes],
-        work[p + 4 * lanes],
-        work[p + 5 * lanes],
-        work[p + 6 * lanes],
-        work[p + 7 * lanes],
-        work[p + 8 * lanes],
-        work[p + 9 * lanes],
-        work[p + 10 * lanes],
-        work[p + 11 * lanes],
-        work[p + 12 * lanes],
-        work[p + 13 * lanes],
-        work[p + 14 * lanes],
-        work[p + 15 * lanes],
-    )
-    k_s = work[p + 16 * lanes]
-    b_s = work[p + 17 * lanes]
-    mu_k = work[p + 18 * lanes]
-    eps_v = work[p + 19 * lanes]
-    joints = pose(phi, theta_c, theta_d, coefficients[4], coefficients[5])
-    p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, w, h_c, h_d, rates, coefficients[6])
-    n_c = normal_force(p_c, dp_c, k_s, b_s)
-    n_d = normal_force(p_d, dp_d, k_s, b_s)
-    f_c, f_d = low_friction(n_c, n_d, v_c, v_d, mu_k, eps_v)
-    if stage == STAGES:
-        loose_c, loose_d = foot_looseness(joints, h_c, h_d, coefficients)
-        stiff_c = loose_c * low_friction_damping(n_c, v_c, mu_k, eps_v)
-        stiff_d = loose_d * low_friction_damping(n_d, v_d, mu_k, eps_v)
-        work[_STIFF * lanes + lane] = stiff_c if stiff_c > stiff_d else stiff_d
-    acc = accelerations(joints, phi, h_c, theta_c, h_d, theta_d, rates, n_c, n_d, f_c, f_d, coefficients)
-    k = (_K + 7 * stage) * lanes + lane
-    work[k] = acc[0]
-    work[k + 1 * lanes] = acc[1]
-    work[k + 2 * lanes] = acc[2]
-    work[k + 3 * lanes] = acc[3]
-    work[k + 4 * lanes] = acc[4]
-    work[k + 5 * lanes] = acc[5]
-    work[k + 6 * lanes] = acc[6]
 
 
 @njit(error_model="numpy")
@@ -145,7 +81,7 @@ def _derive(parameters, slope, work, lane, lanes):
     span = parameters[3] - parameters[6]
     drop = parameters[4] - parameters[7]
     length = np.sqrt(span * span + drop * drop)
-    base = _P * lanes + lane
+    base = COEFFICIENTS * lanes + lane
     work[base + 0 * lanes] = parameters[8]
     work[base + 1 * lanes] = parameters[9]
     work[base + 2 * lanes] = parameters[10]
@@ -166,6 +102,7 @@ def _derive(parameters, slope, work, lane, lanes):
     work[base + 17 * lanes] = parameters[13]
     work[base + 18 * lanes] = parameters[17]
     work[base + 19 * lanes] = parameters[18]
+    work[MU_S * lanes + lane] = parameters[17] + parameters[19]
 
 
 @njit(error_model="numpy")
@@ -174,14 +111,14 @@ def _begin(parameters, slope, body, legs, work, lane, lanes):
     _derive(parameters, slope, work, lane, lanes)
     c = np.cos(slope)
     s = np.sin(slope)
-    y = _Y * lanes + lane
+    y = START * lanes + lane
     for i in range(2):
         x = body[3 * i]
         z = body[3 * i + 1]
         work[y + (7 * i) * lanes] = c * x - s * z
         work[y + (7 * i + 1) * lanes] = s * x + c * z
     phi = body[2] - slope
-    rest = work[(_P + 7) * lanes + lane]
+    rest = work[(COEFFICIENTS + 7) * lanes + lane]
     work[y + 2 * lanes] = phi
     work[y + 9 * lanes] = body[5]
     if len(legs) == 8:
@@ -203,17 +140,23 @@ def _begin(parameters, slope, body, legs, work, lane, lanes):
         work[y + 12 * lanes] = 0.0
         work[y + 13 * lanes] = body[5]
     for i in range(7):
-        work[(_K + i) * lanes + lane] = 0.0
-    work[_T * lanes + lane] = 0.0
-    work[_H * lanes + lane] = 0.0
-    work[_FRESH * lanes + lane] = 1.0
-    work[_COUNT * lanes + lane] = 0.0
+        work[(RATES + i) * lanes + lane] = 0.0
+    for foot in range(2):
+        work[(STUCK + foot) * lanes + lane] = 0.0
+        work[(WAY + foot) * lanes + lane] = 1.0
+        work[(MARGIN + foot) * lanes + lane] = -1e30
+        work[(SWITCH + foot) * lanes + lane] = 0.0
+        work[(FRICTION_0 + foot) * lanes + lane] = 0.0
+    work[TIME * lanes + lane] = 0.0
+    work[STEP * lanes + lane] = 0.0
+    work[FRESH * lanes + lane] = 1.0
+    work[COUNT * lanes + lane] = 0.0
 
 
 @njit(error_model="numpy")
 def _sample(work, lane, lanes, share, slope, columns, row):
     """Write the state at `share` (0..1) of the step of one lane into `row`, in frame N."""
-    h = work[_H * lanes + lane]
+    h = work[STEP * lanes + lane]
     one = 1.0 - share
     b00 = (1.0 + 2.0 * share) * one * one
     b01 = share * share * (3.0 - 2.0 * share)
@@ -221,14 +164,14 @@ def _sample(work, lane, lanes, share, slope, columns, row):
     b11 = -h * share * share * one
     c = np.cos(slope)
     s = np.sin(slope)
-    half = columns // 2
+    half = 3 if columns == 6 else 7
     for i in range(half):
-        x0 = work[(_Y + i) * lanes + lane]
-        v0 = work[(_Y + 7 + i) * lanes + lane]
-        x1 = work[(_S + i) * lanes + lane]
-        v1 = work[(_S + 7 + i) * lanes + lane]
-        a0 = work[(_K + i) * lanes + lane]
-        a1 = work[(_K + 7 * STAGES + i) * lanes + lane]
+        x0 = work[(START + i) * lanes + lane]
+        v0 = work[(START + 7 + i) * lanes + lane]
+        x1 = work[(END + i) * lanes + lane]
+        v1 = work[(END + 7 + i) * lanes + lane]
+        a0 = work[(RATES + i) * lanes + lane]
+        a1 = work[(RATES + 7 * STAGES + i) * lanes + lane]
         row[i] = b00 * x0 + b01 * x1 + b10 * v0 + b11 * v1
         row[half + i] = b00 * v0 + b01 * v1 + b10 * a0 + b11 * a1
     for i in range(2):
@@ -242,6 +185,10 @@ def _sample(work, lane, lanes, share, slope, columns, row):
             row[7 * i + 4] = row[7 * i + 4] - turn
             row[7 * i + 6] = turn - row[7 * i + 6]
     row[2] = row[2] + slope
+    if columns == 16:
+        for foot in range(2):
+            before = work[(FRICTION_0 + foot) * lanes + lane]
+            row[14 + foot] = one * before + share * work[(FRICTION + foot) * lanes + lane]
 
 
 @njit(error_model="numpy")
@@ -251,8 +198,8 @@ def _assign(here, lane, job, cursor, clock, offset, cost, work):
     drop = here % (len(offset) - 1)
     job[lane] = here
     cursor[lane] = offset[drop]
-    work[_NEXT * lanes + lane] = 0.0
-    work[_LIMIT * lanes + lane] = max(1000.0, cost * clock[offset[drop + 1] - 1])
+    work[NEXT * lanes + lane] = 0.0
+    work[LIMIT * lanes + lane] = max(1000.0, cost * clock[offset[drop + 1] - 1])
 
 
 @njit(error_model="numpy")
@@ -260,13 +207,13 @@ def _idle(lane, job, work):
     """Let a lane crawl from the start it holds: its numbers stay ordinary and nobody reads them."""
     lanes = len(job)
     job[lane] = -1
-    work[_NEXT * lanes + lane] = np.inf
-    work[_LIMIT * lanes + lane] = np.inf
-    work[_FRESH * lanes + lane] = 2.0
+    work[NEXT * lanes + lane] = np.inf
+    work[LIMIT * lanes + lane] = np.inf
+    work[FRESH * lanes + lane] = 2.0
 
 
-def drop_driver(lanes: int):
-    """Make the driver for a fixed number of lanes; 1 gives the scalar form."""
+def drop_driver(lanes: int, high: bool):
+    """Make the driver for a number of lanes (1: the scalar form) and a surface of high or low friction."""
     fingerprint = _fingerprint()
 
     @njit(cache=True, nogil=True, error_model="numpy")
@@ -285,6 +232,8 @@ def drop_driver(lanes: int):
         reached,
         status,
         spent,
+        switches,
+        marks,
     ):
         """Integrate jobs (candidate * drops + drop) and sample them on their drop's clock.
 
@@ -305,21 +254,25 @@ def drop_driver(lanes: int):
             Longest step [s].
         cost : float
             Right-hand sides that a drop may spend per second of its length, at least 1000 in all.
-        samples : (P, n_total, 6 or 14)
-            Written: state at each sample, frame N; NaN from the failure on.
-        reached, status, spent : (P, D)
-            Written: share of the drop's time integrated, status code, right-hand sides.
+        samples : (P, n_total, 6, 14 or 16)
+            Written: state at each sample, frame N (16: friction on the feet too); NaN from the failure on.
+        reached, status, spent, switches : (P, D)
+            Written: share of the drop's time integrated, status code, right-hand sides, mode switches.
+        marks : (n, 7)
+            Written: time, foot, 1 if it sticks from then on, available and required friction of both feet, for
+            the first n switches.
         """
         if fingerprint < 0:  # keeps the sources' hash in the key of the cached code
             return
         drops = len(slope)
         columns = samples.shape[2]
-        work = np.ones(_ROWS * lanes)
+        work = np.ones(ROWS * lanes)
         job = np.full(lanes, -1, np.int64)
         cursor = np.zeros(lanes, np.int64)
         per_tolerance = 1.0 / (7.0 * tolerance * tolerance)
         waiting = 0
         active = 0
+        marked = 0
         for lane in range(lanes):
             here = jobs[min(waiting, len(jobs) - 1)]
             drop = here % drops
@@ -332,25 +285,25 @@ def drop_driver(lanes: int):
                 _idle(lane, job, work)
         while active > 0:
             for lane in range(lanes):
-                _stage(work, 1, lane, lanes)
+                evaluate(work, 1, lane, lanes, high)
             for lane in range(lanes):
-                _stage(work, 2, lane, lanes)
+                evaluate(work, 2, lane, lanes, high)
             for lane in range(lanes):
-                _stage(work, 3, lane, lanes)
+                evaluate(work, 3, lane, lanes, high)
             for lane in range(lanes):
-                _stage(work, 4, lane, lanes)
+                evaluate(work, 4, lane, lanes, high)
             for lane in range(lanes):
-                _stage(work, 5, lane, lanes)
+                evaluate(work, 5, lane, lanes, high)
             attention = 0
             for lane in range(lanes):
                 total = 0.0
                 for i in range(7):
                     gap = 0.0
                     for j in range(STAGES + 1):
-                        gap += E[j] * work[(_K + 7 * j + i) * lanes + lane]
+                        gap += E[j] * work[(RATES + 7 * j + i) * lanes + lane]
                     gap = gap * WEIGHTS[i]
                     total = total + gap * gap
-                h = work[_H * lanes + lane]
+                h = work[STEP * lanes + lane]
                 total = total * h * h * per_tolerance
                 # Fourth root of the error (of its square, the eighth): close to the cube root, and packed.
                 root = np.sqrt(np.sqrt(np.sqrt(total + 1e-9)))
@@ -361,22 +314,24 @@ def drop_driver(lanes: int):
                 taken = 1.0 if total <= 1.0 else 0.0
                 new_h = h * factor
                 new_h = new_h if new_h < h_max else h_max
-                stable_h = _STABLE / (work[_STIFF * lanes + lane] + 1e-3)
+                stable_h = STABLE / (work[STIFF * lanes + lane] + 1e-3)
                 stable_h = stable_h if taken > 0.0 else new_h
                 new_h = new_h if new_h < stable_h else stable_h
-                fresh = work[_FRESH * lanes + lane]
+                fresh = work[FRESH * lanes + lane]
                 new_h = 1e-5 * taken if fresh > 0.0 else new_h
                 new_h = 1e-8 if fresh > 1.0 else new_h
-                work[_NEW_H * lanes + lane] = new_h
-                work[_TAKEN * lanes + lane] = taken
-                count = work[_COUNT * lanes + lane] + STAGES
-                work[_COUNT * lanes + lane] = count
-                left = work[_T * lanes + lane] + h - work[_NEXT * lanes + lane]
-                stretch_c = work[(_S + 3) * lanes + lane] + work[(_P + 6) * lanes + lane]
-                stretch_d = work[(_S + 5) * lanes + lane] + work[(_P + 6) * lanes + lane]
+                if high:
+                    taken, new_h = switch(work, lane, lanes, h, taken, new_h)
+                work[NEW_STEP * lanes + lane] = new_h
+                work[TAKEN * lanes + lane] = taken
+                count = work[COUNT * lanes + lane] + STAGES
+                work[COUNT * lanes + lane] = count
+                left = work[TIME * lanes + lane] + h - work[NEXT * lanes + lane]
+                stretch_c = work[(END + 3) * lanes + lane] + work[(COEFFICIENTS + 6) * lanes + lane]
+                stretch_d = work[(END + 5) * lanes + lane] + work[(COEFFICIENTS + 6) * lanes + lane]
                 sound = stretch_c if stretch_c < stretch_d else stretch_d
                 sound = sound if new_h > 1e-9 else -1.0
-                sound = sound if count < work[_LIMIT * lanes + lane] else -1.0
+                sound = sound if count < work[LIMIT * lanes + lane] else -1.0
                 due = left if taken > 0.0 else -1.0
                 due = due if sound > 0.0 else 1.0
                 attention += 1 if due >= 0.0 else 0
@@ -388,26 +343,40 @@ def drop_driver(lanes: int):
                     candidate = here // drops
                     drop = here % drops
                     end = offset[drop + 1]
-                    h = work[_H * lanes + lane]
-                    t = work[_T * lanes + lane]
+                    h = work[STEP * lanes + lane]
+                    t = work[TIME * lanes + lane]
                     length = clock[end - 1]
                     code = OK
-                    taken = work[_TAKEN * lanes + lane] > 0.0
+                    taken = work[TAKEN * lanes + lane] > 0.0
                     if taken:
+                        for foot in range(2):
+                            if high and work[(SWITCH + foot) * lanes + lane] > 0.0:
+                                switches[candidate, drop] += 1
+                                if marked < len(marks):
+                                    stuck = work[(STUCK + foot) * lanes + lane]
+                                    mu = work[(COEFFICIENTS + 18 if stuck > 0.0 else MU_S) * lanes + lane]
+                                    marks[marked, 0] = t + h
+                                    marks[marked, 1] = foot
+                                    marks[marked, 2] = stuck
+                                    for other in range(2):
+                                        normal = work[(NORMAL + other) * lanes + lane]
+                                        marks[marked, 3 + other] = mu * normal
+                                        marks[marked, 5 + other] = work[(REQUIRED + other) * lanes + lane]
+                                    marked += 1
                         while cursor[lane] < end and clock[cursor[lane]] <= t + h:
                             share = (clock[cursor[lane]] - t) / h if h > 0.0 else 0.0
                             row = samples[candidate, cursor[lane]]
                             _sample(work, lane, lanes, share, slope[drop], columns, row)
                             cursor[lane] += 1
-                        stretch = min(work[(_S + 3) * lanes + lane], work[(_S + 5) * lanes + lane])
-                        if not stretch + work[(_P + 6) * lanes + lane] > 0.0:
+                        stretch = min(work[(END + 3) * lanes + lane], work[(END + 5) * lanes + lane])
+                        if not stretch + work[(COEFFICIENTS + 6) * lanes + lane] > 0.0:
                             code = BLEW_UP
-                    elif not work[_NEW_H * lanes + lane] > 1e-9:
+                    elif not work[NEW_STEP * lanes + lane] > 1e-9:
                         code = STEP_COLLAPSED
-                    if work[_COUNT * lanes + lane] >= work[_LIMIT * lanes + lane]:
+                    if work[COUNT * lanes + lane] >= work[LIMIT * lanes + lane]:
                         code = TOO_EXPENSIVE
                     if cursor[lane] < end:
-                        work[_NEXT * lanes + lane] = clock[cursor[lane]]
+                        work[NEXT * lanes + lane] = clock[cursor[lane]]
                         if code == OK:
                             continue
                         reached[candidate, drop] = min(t / length, 1.0) if length > 0.0 else 0.0
@@ -416,12 +385,12 @@ def drop_driver(lanes: int):
                         code = OK
                         reached[candidate, drop] = 1.0
                     status[candidate, drop] = code
-                    spent[candidate, drop] = np.int64(work[_COUNT * lanes + lane])
+                    spent[candidate, drop] = np.int64(work[COUNT * lanes + lane])
                     if waiting < len(jobs):
                         here = jobs[waiting]
                     drop = here % drops
                     _begin(parameters[here // drops], slope[drop], body[drop], legs, work, lane, lanes)
-                    work[_TAKEN * lanes + lane] = -1.0
+                    work[TAKEN * lanes + lane] = -1.0
                     if waiting < len(jobs):
                         _assign(here, lane, job, cursor, clock, offset, cost, work)
                         waiting += 1
@@ -429,22 +398,30 @@ def drop_driver(lanes: int):
                         _idle(lane, job, work)
                         active -= 1
             for lane in range(lanes):
-                taken = work[_TAKEN * lanes + lane]
-                h = work[_H * lanes + lane]
-                work[_T * lanes + lane] = work[_T * lanes + lane] + (h if taken > 0.0 else 0.0)
-                work[_H * lanes + lane] = work[_NEW_H * lanes + lane] if taken >= 0.0 else 0.0
-                fresh = work[_FRESH * lanes + lane]
-                work[_FRESH * lanes + lane] = 0.0 if taken >= 0.0 and fresh == 1.0 else fresh
+                taken = work[TAKEN * lanes + lane]
+                h = work[STEP * lanes + lane]
+                work[TIME * lanes + lane] = work[TIME * lanes + lane] + (h if taken > 0.0 else 0.0)
+                work[STEP * lanes + lane] = work[NEW_STEP * lanes + lane] if taken >= 0.0 else 0.0
+                fresh = work[FRESH * lanes + lane]
+                fresh = 0.0 if taken >= 0.0 and fresh == 1.0 else fresh
+                if high:
+                    switched = work[SWITCH * lanes + lane] + work[(SWITCH + 1) * lanes + lane]
+                    fresh = 1.0 if switched > 0.0 and fresh == 0.0 else fresh
+                    for foot in range(2):
+                        before = work[(FRICTION_0 + foot) * lanes + lane]
+                        now = work[(FRICTION + foot) * lanes + lane]
+                        work[(FRICTION_0 + foot) * lanes + lane] = now if taken > 0.0 else before
+                work[FRESH * lanes + lane] = fresh
             for i in range(14):
                 for lane in range(lanes):
-                    old = work[(_Y + i) * lanes + lane]
-                    new = work[(_S + i) * lanes + lane]
-                    work[(_Y + i) * lanes + lane] = new if work[_TAKEN * lanes + lane] > 0.0 else old
+                    old = work[(START + i) * lanes + lane]
+                    new = work[(END + i) * lanes + lane]
+                    work[(START + i) * lanes + lane] = new if work[TAKEN * lanes + lane] > 0.0 else old
             for i in range(7):
                 for lane in range(lanes):
-                    old = work[(_K + i) * lanes + lane]
-                    new = work[(_K + 7 * STAGES + i) * lanes + lane]
-                    work[(_K + i) * lanes + lane] = new if work[_TAKEN * lanes + lane] > 0.0 else old
+                    old = work[(RATES + i) * lanes + lane]
+                    new = work[(RATES + 7 * STAGES + i) * lanes + lane]
+                    work[(RATES + i) * lanes + lane] = new if work[TAKEN * lanes + lane] > 0.0 else old
 
     return drive
 
@@ -452,14 +429,14 @@ def drop_driver(lanes: int):
 @njit(cache=True, nogil=True, error_model="numpy")
 def foot_forces(parameters, slope, states, forces):
     """Fill `forces` (n, 4) of states (n, 14), frame N: normal force rear, front, friction rear, front [N]."""
-    work = np.ones(_ROWS)
+    work = np.ones(ROWS)
     for n in range(len(states)):
         state = states[n]
         legs = np.array([state[3], state[4], state[5], state[6], state[10], state[11], state[12], state[13]])
         body = np.array([state[0], state[1], state[2], state[7], state[8], state[9]])
         _begin(parameters, slope, body, legs, work, 0, 1)
         y = work[:14]
-        p = work[_P:]
+        p = work[COEFFICIENTS:]
         joints = pose(y[2], y[4], y[6], p[4], p[5])
         rates = (y[7], y[8], y[9], y[10], y[11], y[12], y[13])
         p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, y[1], y[3], y[5], rates, p[6])

@@ -1,4 +1,4 @@
-"""Planar drone on two sprung legs landing on a slope (Bass & Lussier Desbiens, equations 5-8, 11, 12).
+"""Planar drone on two sprung legs landing on a slope (Bass & Lussier Desbiens, equations 5-12).
 
 Valid when roll and yaw stay small (the paper: below 10 deg); ignores aerodynamics of the body, the board's
 own motion and everything out of the plane. Motors off.
@@ -25,7 +25,8 @@ Laws
 Joint, axial (5): force ``-(k_h h + b_h h')`` on the body along the leg. Joint, bending (6): moment on the
 body ``k_t (q_C - q_n) + b_t q_C'`` (rear; opposite sign for the front leg). The reaction across the leg is a
 constraint force. Contact (7): ``F_n = k_s p + b_s p'`` while ``p > 0``, the damper only while ``p' > 0``. Low
-friction (8): ``F_t = -mu_k F_n v_t / (|v_t| + eps_v)``. Motion (11, 12): `sysid.gear.dynamics`.
+friction (8): ``F_t = -mu_k F_n v_t / (|v_t| + eps_v)``. High friction (9, 10, Fig. 5): each foot slips
+or sticks, `sysid.gear.hybrid`. Motion (11, 12): `sysid.gear.dynamics`.
 
 Where the printed paper cannot be meant literally: (8) lacks the minus sign (friction opposes slip); ``eps_v``
 is not printed (0.01 m/s here); the leg's centre of mass is not given (`leg_mass_fraction` of the length from
@@ -160,7 +161,7 @@ LF_FREE = (
 )
 HF_FREE = (*LF_FREE, "leg_mass", "leg_inertia", "kinetic_friction", "static_friction_excess")
 COORDINATES = ("x_B", "z_B", "q_B", "h_C", "q_C", "h_D", "q_D")
-SURFACES = ("lf",)
+SURFACES = ("lf", "hf")
 
 # Bound of the weighted rms error of the seven rates per step. FIT keeps the mean NRMSE of each of six drops
 # (5-35 deg, 0.4-1 m/s, 0.7 s) below 0.1 %; TIGHT keeps every channel of the converged references within 1e-4
@@ -172,6 +173,8 @@ TIGHT_TOLERANCE = 1e-6
 # ordinary one.
 _COST = 8e4
 _LONGEST_STEP = 5e-3
+# Mode switches that a single simulation keeps.
+_MARKS = 1000
 # Lanes of the population driver: one register of eight doubles where the CPU has it, two or four registers
 # elsewhere.
 _LANES = 8
@@ -214,6 +217,10 @@ class GearTrajectory:
         Time integrated before the end or a failure [s].
     rhs_evaluations : int
         Right-hand sides spent.
+    switches : (n_switches, 7) array
+        Mode switches on a high-friction surface: time since the start [s], foot (0 rear, 1 front), 1 if it
+        sticks from then on and 0 if it slips, friction available to the rear and front foot and required by
+        them [N]. The first 1000; no rows on a low-friction surface.
     """
 
     time: FloatArray
@@ -223,6 +230,7 @@ class GearTrajectory:
     status: Status
     reached: float
     rhs_evaluations: int
+    switches: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,12 +302,18 @@ class PopulationSamples:
         `Status` codes.
     rhs_evaluations : (P, D) int64 array
         Right-hand sides spent.
+    switches : (P, D) int64 array
+        Mode switches on a high-friction surface.
+    marks : (n, 7) array
+        The switches of a single drop, see `GearTrajectory`.
     """
 
     samples: FloatArray
     reached: FloatArray
     status: NDArray[np.int8]
     rhs_evaluations: NDArray[np.int64]
+    switches: NDArray[np.int64]
+    marks: FloatArray
 
 
 def pack(values: Mapping[str, float]) -> FloatArray:
@@ -339,8 +353,8 @@ def simulate(
         Sample times [s].
     state : (14,) array, optional
         All coordinates and rates at time[0] instead of `body_state`.
-    surface : {"lf"}
-        Friction law.
+    surface : {"lf", "hf"}
+        Friction law: continuous (8), or the hybrid of slipping and sticking feet (9, 10).
     tolerance : float
         Bound of the weighted rms error of the rates per step.
 
@@ -363,10 +377,12 @@ def simulate(
         raise CampaignError("simulate: no initial state; give body_state (6 numbers) or state (14 numbers)")
     clock = np.asarray(time, dtype=np.float64)
     drops = Drops(np.array([slope]), np.atleast_2d(np.asarray(body_state, dtype=np.float64)), (clock,))
-    result = _run(_checked(row[None]), drops, legs, surface, tolerance, lanes=1, columns=14, threads=1)
-    states = result.samples[0]
+    result = _run(_checked(row[None]), drops, legs, surface, tolerance, lanes=1, columns=16, threads=1)
+    states = result.samples[0, :, :14]
     forces = np.empty((len(states), 4))
     kernel.foot_forces(row, float(slope), states, forces)
+    if surface == "hf":
+        forces[:, 2:] = result.samples[0, :, 14:]
     return GearTrajectory(
         time=clock,
         state=states,
@@ -375,6 +391,7 @@ def simulate(
         status=Status(int(result.status[0, 0])),
         reached=float(result.reached[0, 0] * (clock[-1] - clock[0])),
         rhs_evaluations=int(result.rhs_evaluations[0, 0]),
+        switches=result.marks[: result.switches[0, 0]],
     )
 
 
@@ -397,8 +414,8 @@ def simulate_population(
         Rows as from `pack`.
     drops : Drops
         What each candidate is dropped on.
-    surface : {"lf"}
-        Friction law.
+    surface : {"lf", "hf"}
+        Friction law: continuous (8), or the hybrid of slipping and sticking feet (9, 10).
     tolerance : float
         Bound of the weighted rms error of the rates per step.
     threads : int, optional
@@ -409,8 +426,8 @@ def simulate_population(
 
 
 @lru_cache(maxsize=4)
-def _driver(lanes: int) -> Any:
-    return kernel.drop_driver(lanes)
+def _driver(lanes: int, high: bool) -> Any:
+    return kernel.drop_driver(lanes, high)
 
 
 def _run(
@@ -433,7 +450,9 @@ def _run(
     reached = np.zeros((count, width))
     status = np.zeros((count, width), dtype=np.int8)
     spent = np.zeros((count, width), dtype=np.int64)
-    drive = _driver(lanes)
+    switches = np.zeros((count, width), dtype=np.int64)
+    marks = np.empty((_MARKS if lanes == 1 else 0, 7))
+    drive = _driver(lanes, surface == "hf")
     # A method of order 3 takes tolerance**(-1/3) more steps.
     cost = _COST * max(1.0, FIT_TOLERANCE / tolerance) ** (1 / 3)
     workers = max(1, min(threads or os.cpu_count() or 1, count * width))
@@ -446,6 +465,7 @@ def _run(
             drive(
                 rows, drops.slope, drops.body_state, legs, drops.clock, drops.offset, jobs,
                 tolerance, _LONGEST_STEP, cost, samples, reached, status, spent,
+                switches, marks,
             )  # fmt: skip
 
     if workers == 1:
@@ -453,7 +473,7 @@ def _run(
     else:
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(work, range(shares)))
-    return PopulationSamples(samples, reached, status, spent)
+    return PopulationSamples(samples, reached, status, spent, switches, marks)
 
 
 def _checked(rows: FloatArray) -> FloatArray:

@@ -1,0 +1,126 @@
+"""High friction (9, 10, Fig. 5): each foot slips or sticks; four modes, switched by events between steps.
+
+Within a step the modes and the directions of slip are fixed: the motion is smooth but for the contact's kinks.
+Slipping: ``F_t = -mu_k F_n d`` with the foot's direction of slip ``d``. Sticking: ``F_t`` is the multiplier that
+keeps the foot's tangential acceleration at ``-_SETTLE v_t`` (zero, but for the residue of the switch).
+
+Slip ends where the speed along ``d`` falls through zero: the foot sticks if ``mu_k F_n > |f_req|``, the
+multiplier that sticking would need with the other foot in its mode, and slips back otherwise. This is the limit
+``e_v -> 0`` of the paper's test ``|v_t| < e_v``; no crossing inside a step is missed. Sticking ends where
+``mu_s F_n`` falls below ``|f_req|``; the foot then slips against that force. A foot in the air slips with
+``F_n = 0``.
+"""
+
+from numba import njit
+
+# Decay rate of a stuck foot's residual slip [1/s].
+_SETTLE = 200.0
+# An event is hit when the step ends at most this late [s].
+_LATE = 1e-7
+_NEVER = -1e30
+
+
+@njit(error_model="numpy", forceinline=True)
+def foot_accelerations(joints, h_c, h_d, l, rates, acceleration):  # noqa: E741
+    """Acceleration of the rear and front foot along the slope [m/s²]."""
+    cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w = joints
+    _, _, omega, h_c_rate, theta_c_rate, h_d_rate, theta_d_rate = rates
+    a_s, _, alpha, h_c_acc, theta_c_acc, h_d_acc, theta_d_acc = acceleration
+    spin = omega * omega
+    rear = a_s + alpha * c_w - spin * c_s - h_c_acc * sin_c - 2.0 * h_c_rate * theta_c_rate * cos_c
+    rear = rear + (l + h_c) * (theta_c_rate * theta_c_rate * sin_c - theta_c_acc * cos_c)
+    front = a_s + alpha * d_w - spin * d_s - h_d_acc * sin_d - 2.0 * h_d_rate * theta_d_rate * cos_d
+    front = front + (l + h_d) * (theta_d_rate * theta_d_rate * sin_d - theta_d_acc * cos_d)
+    return rear, front
+
+
+@njit(error_model="numpy", forceinline=True)
+def high_friction(free, response, forces, slips, stuck_c, stuck_d, way_c, way_d, mu_k):
+    """Friction on both feet in their modes, and the force that each would need to stick [N].
+
+    Parameters
+    ----------
+    free : tuple of 2 float
+        Tangential accelerations of the feet without friction.
+    response : tuple of 3 float
+        Their response to friction: rear to rear, rear to front (and back), front to front [1/kg].
+    forces, slips : tuple of 2 float
+        Normal forces and slip speeds.
+    stuck_c, stuck_d : float
+        1 for a sticking foot, 0 for a slipping one.
+    way_c, way_d : float
+        Directions of slip, +1 or -1.
+    """
+    g_cc, g_cd, g_dd = response
+    need_c = -free[0] - _SETTLE * slips[0]
+    need_d = -free[1] - _SETTLE * slips[1]
+    a_cc = g_cc if stuck_c > 0.0 else 1.0
+    a_cd = g_cd if stuck_c > 0.0 else 0.0
+    a_dd = g_dd if stuck_d > 0.0 else 1.0
+    a_dc = g_cd if stuck_d > 0.0 else 0.0
+    right_c = need_c if stuck_c > 0.0 else -mu_k * forces[0] * way_c
+    right_d = need_d if stuck_d > 0.0 else -mu_k * forces[1] * way_d
+    scale = 1.0 / (a_cc * a_dd - a_cd * a_dc)
+    f_c = (a_dd * right_c - a_cd * right_d) * scale
+    f_d = (a_cc * right_d - a_dc * right_c) * scale
+    both = 1.0 / (g_cc * g_dd - g_cd * g_cd)
+    alone_c = (-free[0] - g_cd * f_d) / g_cc
+    alone_d = (-free[1] - g_cd * f_c) / g_dd
+    req_c = (g_cd * free[1] - g_dd * free[0]) * both if stuck_d > 0.0 else alone_c
+    req_d = (g_cd * free[0] - g_cc * free[1]) * both if stuck_c > 0.0 else alone_d
+    req_c = f_c if stuck_c > 0.0 else req_c
+    req_d = f_d if stuck_d > 0.0 else req_d
+    return f_c, f_d, req_c, req_d
+
+
+@njit(error_model="numpy", forceinline=True)
+def event(stuck, way, normal, slip, required, margin, mu_s):
+    """Margin of a foot's mode at a step's end, whether it was lost within the step, and at which share of it.
+
+    `margin` is that of the step's start: the static friction left over (sticking) [N] or the speed along the
+    direction of slip (slipping) [m/s].
+    """
+    force = required if required > 0.0 else -required
+    now = slip * way if normal > 0.0 else 1.0
+    now = mu_s * normal - force if stuck > 0.0 else now
+    falling = 1.0 if now < margin else stuck
+    lost = falling if now < 0.0 else 0.0
+    start = margin if margin > 0.0 else 0.0
+    share = start / (start - now) if lost > 0.0 else 1.0
+    return now, lost, share
+
+
+@njit(error_model="numpy", forceinline=True)
+def settle(first, second, h, taken, new_h):
+    """Decide on a step with events: taken or not, next step, and whether the modes switch at its end.
+
+    A step that ends more than `_LATE` after an event is repeated to end just behind it.
+    """
+    share = first if first < second else second
+    share = share if taken > 0.0 else 1.0
+    hit = 1.0 if (1.0 - share) * h <= _LATE else 0.0
+    hit = hit if share < 1.0 else 0.0
+    repeat = 1.0 - hit if share < 1.0 else 0.0
+    new_h = share * h + 0.5 * _LATE if repeat > 0.0 else new_h
+    new_h = 0.0 if hit > 0.0 else new_h
+    taken = 0.0 if repeat > 0.0 else taken
+    return taken, new_h, hit
+
+
+@njit(error_model="numpy", forceinline=True)
+def next_mode(switch, stuck, way, normal, slip, required, margin, now, taken, mu_k):
+    """Mode, direction of slip and margin of a foot after a step; unchanged where the step is not taken."""
+    force = required if required > 0.0 else -required
+    against = -1.0 if required > 0.0 else 1.0
+    hold = 1.0 if mu_k * normal > force else 0.0
+    hold = 0.0 if stuck > 0.0 else hold
+    new_stuck = hold if switch > 0.0 else stuck
+    new_way = against if switch > 0.0 else way
+    along = 1.0 if slip > 0.0 else -1.0
+    along = along if new_stuck < 1.0 else new_way
+    new_way = along if normal <= 0.0 else new_way
+    new_margin = now if new_stuck > 0.0 else slip * new_way
+    new_margin = _NEVER if switch > 0.0 else new_margin
+    new_way = new_way if taken > 0.0 else way
+    new_margin = new_margin if taken > 0.0 else margin
+    return new_stuck, new_way, new_margin
