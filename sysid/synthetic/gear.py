@@ -91,7 +91,8 @@ LF_DROPS = (
     _plan(27, 0.7),
     _plan(35, 0.45, export="pose-table"),
     _plan(12, 0.7, "validate"),
-    _plan(24, 0.9, "validate", "motive-mm"),
+    # Not faster: at 0.9 m/s it stands on the edge of tipping over, where 3 % of a parameter decide.
+    _plan(24, 0.8, "validate", "motive-mm"),
 )
 
 
