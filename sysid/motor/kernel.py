@@ -366,7 +366,7 @@ def integrate(
                     else:
                         low = middle
                 shorter = high * step
-                for _ in range(4):
+                for attempt in range(5):
                     x, y, ex, ey, x3, y3, x4, y4 = _step(
                         shorter, current, speed, volt, volt_rate, res, ind, k_v, k_eff, clipped, quad, lin,
                         inertia,
@@ -383,7 +383,7 @@ def integrate(
                     else:
                         gap = k_m * x - (quad * y + lin) * y
                         slope, size = k_m * dx - (2.0 * quad * y + lin) * dy, torque_scale
-                    if abs(gap) <= 1e-13 * size or slope == 0.0:
+                    if attempt == 4 or abs(gap) <= 1e-13 * size or slope == 0.0:
                         break
                     shift = -gap / slope
                     if not abs(shift) < 0.2 * shorter:
