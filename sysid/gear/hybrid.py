@@ -1,14 +1,15 @@
 """High friction (9, 10, Fig. 5): each foot slips or sticks; four modes, switched by events between steps.
 
-Within a step the modes and the directions of slip are fixed: the motion is smooth but for the contact's kinks.
-Slipping: ``F_t = -mu_k F_n d`` with the foot's direction of slip ``d``. Sticking: ``F_t`` is the multiplier that
-keeps the foot's tangential acceleration at ``-_SETTLE v_t`` (zero, but for the residue of the switch).
+Within a step the modes and the directions of slip are fixed: the motion is smooth but for the contact's
+kinks. Slipping: ``F_t = -mu_k F_n d`` with the foot's direction of slip ``d``. Sticking: ``F_t`` is the
+multiplier that keeps the foot's tangential acceleration at ``-_SETTLE v_t`` (zero, but for the residue of
+the switch).
 
 Slip ends where the speed along ``d`` falls through zero: the foot sticks if ``mu_k F_n > |f_req|``, the
-multiplier that sticking would need with the other foot in its mode, and slips back otherwise. This is the limit
-``e_v -> 0`` of the paper's test ``|v_t| < e_v``; no crossing inside a step is missed. Sticking ends where
-``mu_s F_n`` falls below ``|f_req|``; the foot then slips against that force. A foot in the air slips with
-``F_n = 0``.
+multiplier that sticking would need with the other foot in its mode, and slips back otherwise. This is the
+limit ``e_v -> 0`` of the paper's test ``|v_t| < e_v``; no crossing inside a step is missed. Sticking ends
+where ``mu_s F_n`` falls below ``|f_req|``; the foot then slips against that force. A foot in the air slips
+with ``F_n = 0``.
 """
 
 from numba import njit

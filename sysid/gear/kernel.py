@@ -6,9 +6,10 @@ drop ends; loops over lanes become packed instructions. Lanes never exchange num
 neither on the number of lanes and threads nor on the order of jobs, and a lane that is lost leaves the others
 alone.
 
-The method is the explicit pair of `sysid.integrate.tableau`; samples between steps come from the cubic Hermite
-polynomial of the step (order 3). On low friction a step never exceeds what the method's real stability allows for
-the slip of a creeping foot; on high friction a step ends where a foot loses its mode (`sysid.gear.hybrid`).
+The method is the explicit pair of `sysid.integrate.tableau`; samples between steps come from the cubic
+Hermite polynomial of the step (order 3). On low friction a step never exceeds what the method's real
+stability allows for the slip of a creeping foot; on high friction a step ends where a foot loses its mode
+(`sysid.gear.hybrid`).
 
 Status codes of a job: see `OK`, `STEP_COLLAPSED`, `TOO_EXPENSIVE`, `BLEW_UP`.
 """
@@ -259,8 +260,8 @@ def drop_driver(lanes: int, high: bool):
         reached, status, spent, switches : (P, D)
             Written: share of the drop's time integrated, status code, right-hand sides, mode switches.
         marks : (n, 7)
-            Written: time, foot, 1 if it sticks from then on, available and required friction of both feet, for
-            the first n switches.
+            Written: time, foot, 1 if it sticks from then on, available and required friction of both feet,
+            for the first n switches.
         """
         if fingerprint < 0:  # keeps the sources' hash in the key of the cached code
             return

@@ -1,6 +1,7 @@
 """The work buffer of the drivers, and one stage of a step: from the rows of a lane to its accelerations.
 
-Element `row * lanes + lane` of the flat buffer belongs to a lane; the functions are inlined into loops over lanes.
+Element `row * lanes + lane` of the flat buffer belongs to a lane; the functions are inlined into loops over
+lanes.
 """
 
 from numba import njit

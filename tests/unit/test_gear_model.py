@@ -1,11 +1,15 @@
 """The gear's public calls: one driver in two widths, threads, lost candidates and refusals."""
 
 import math
+import platform
+import re
 
 import numpy as np
 import pytest
+from numba.core.caching import NullCache
 
 from sysid.errors import CampaignError
+from sysid.gear import kernel
 from sysid.gear.model import (
     FIT_TOLERANCE,
     HF_FREE,
@@ -109,6 +113,30 @@ def test_lost_candidates_do_not_poison_their_neighbours():
     # None costs more than some times an ordinary drop (the limit is a budget per second, ordinary drops
     # scatter).
     assert mixed.rhs_evaluations.max() < 10 * ordinary
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    platform.machine() not in ("x86_64", "AMD64"), reason="knows the names of x86 instructions"
+)
+@pytest.mark.parametrize("high", [False, True])
+def test_lanes_become_packed_instructions(high):
+    drops = make_drops(SIX[:1], length=0.02)
+    drive = kernel.drop_driver(8, high)
+    drive._cache = NullCache()  # code loaded from the disk cache cannot be read back
+    out = (
+        np.empty((1, len(drops.clock), 6)),
+        *(np.zeros((1, 1), t) for t in (float, np.int8, np.int64, np.int64)),
+    )
+    jobs = np.zeros(1, np.int64)
+    start = (drops.slope, drops.body_state, np.empty(0), drops.clock, drops.offset)
+    drive(pack({})[None], *start, jobs, 1e-3, 5e-3, 1e6, *out, np.empty((0, 7)))
+    (text,) = drive.inspect_asm().values()
+    packed = len(re.findall(r"\bv?mulpd\b", text))
+    single = len(re.findall(r"\bv?mulsd\b", text))
+    # Every stage is one loop over lanes; what stays scalar is sampling and the start of a job.
+    assert packed > 500
+    assert packed > 3 * single
 
 
 def test_a_lost_single_drop_says_why():
