@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from sysid.campaign import MotorCampaign
 from sysid.campaign.file import resolve_log
 from sysid.campaign.motor import MotorTrial as TrialEntry
-from sysid.errors import LogError
+from sysid.errors import LogError, SysidWarning
 from sysid.filters import ChebyshevLowpass
 from sysid.loaders import load
 from sysid.motor.population import MotorTrial
@@ -113,7 +114,11 @@ def read_log(campaign: MotorCampaign, path: str | Path, log: str) -> Recording:
         if unit is not None
     }  # fmt: skip
     chosen: dict[str, Any] = {"units": units or None, "rate": options.rate}
-    return load(resolve_log(path, log), format=options.format, **chosen)
+    recording = load(resolve_log(path, log), format=options.format, **chosen)
+    for note in recording.provenance.notes:
+        if "pole count" in note:
+            warnings.warn(f"{recording.provenance.path}: {note}", SysidWarning, stacklevel=2)
+    return recording
 
 
 def command_range(campaign: MotorCampaign) -> CommandRange:
@@ -304,12 +309,30 @@ def _fast(campaign: MotorCampaign, log: BenchLog) -> Any:
         for c, channel in enumerate(("torque", "speed")):
             measured[:, c] = np.nan
             if channel in log.channels:
-                t, values = log.channels[channel]
-                measured[:, c] = np.interp(grid[rows], t, lowpass.apply(values))
+                t, values = _uniform(*log.channels[channel], lowpass, f"trial {name!r}, {channel}")
+                measured[:, c] = np.interp(grid[rows], t, values)
         valid = np.isfinite(measured) & outside(grid[rows], log.doubtful)[:, None]
         return MotorTarget(name, grid[rows], measured, valid, start, step, grid.size, taps), grid
 
     return taps, target
+
+
+def _uniform(
+    time: FloatArray, values: FloatArray, lowpass: ChebyshevLowpass, where: str
+) -> tuple[FloatArray, FloatArray]:
+    """Return a filtered channel on a clock without holes: rows that the log lacks are NaN there."""
+    if time.size < lowpass.minimum_samples:
+        raise LogError(
+            f"{where}: {time.size} samples are fewer than the {lowpass.minimum_samples} that the filter "
+            'needs; record longer or set filter.kind = "none"'
+        )
+    intervals = np.diff(time)
+    if float(intervals.max()) < 1.5 * float(np.median(intervals)):
+        return time, lowpass.apply(values)
+    index = np.rint((time - time[0]) * lowpass.rate).astype(np.int64)
+    full = np.full(int(index[-1]) + 1, np.nan)
+    full[index] = values
+    return time[0] + np.arange(full.size) / lowpass.rate, lowpass.apply(full)
 
 
 def _slow(campaign: MotorCampaign, log: BenchLog) -> Any:

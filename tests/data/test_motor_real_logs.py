@@ -82,6 +82,9 @@ def test_real_motor_is_fitted_and_carries_over(
     by_channel = result.trials[0].nrmse[0]
     assert by_channel[0] < torque
     assert by_channel[1] < speed
+    # Rows of 9 to 12 ms cannot show a current that rises in microseconds; the result must say so.
+    assert any("not how small" in sentence for sentence in result.warnings)
+    assert any("fix only k²/R" in sentence for sentence in result.warnings)
     values = result.parameter_sets().set_values(1)
     # Rows of the first movement: 20 to 40 ms after a command; the torque follows as much later again.
     assert 0.015 < values["command_delay"] < 0.05
@@ -93,6 +96,21 @@ def test_real_motor_is_fitted_and_carries_over(
     _, predicted = model.steady_state(u[turning], parameters, static["voltage"].values[turning])
     error = np.sqrt(np.mean((predicted - measured[turning]) ** 2)) / np.std(measured[turning])
     assert error < 0.10  # reached: 7.1 and 4.6 %; the voltage probe and the day are in it
+
+
+def test_wrong_pole_count_is_said(tmp_path: Path) -> None:
+    path = _campaign(tmp_path, "IM", split=False)
+    (tmp_path / "static.csv").write_bytes((DATA / LOGS["IM"][1]).read_bytes())
+    path.write_text(
+        path.read_text(encoding="utf-8").replace(
+            "[[trials]]", '[curves]\nstatic = [{ log = "static.csv" }]\n[[trials]]', 1
+        ),
+        encoding="utf-8",
+    )
+    # Twelve poles entered for fourteen: 12/14 = 0.857.
+    with pytest.warns(UserWarning, match=r"electrical speed is 0\.857"):
+        bench = prepare_bench(read_campaign(path, "motor"), path)
+    assert all(fit.r_squared > 0.99 for fit in bench.curves.fits)  # required: 0.99
 
 
 @pytest.mark.slow

@@ -79,6 +79,30 @@ def test_simulation_walks_the_way_of_the_log(prepared) -> None:
     assert np.sqrt(np.mean(residual[fast] ** 2)) < 2.0 * np.sqrt(np.mean(residual[~fast] ** 2))
 
 
+def test_holes_of_a_fast_log_are_masked_not_closed_up(campaign_file: Path, prepared) -> None:
+    # 30 ms of blank speed and 50 ms of missing rows; closing the hole up would shift what follows by 50 ms.
+    _, whole = prepared
+    source = campaign_file.parent / "forward-1.csv"
+    lines = source.read_text(encoding="utf-8").splitlines()
+    first = 1 + int(3.0 * 10_000)
+    for i in range(first, first + 300):
+        cells = lines[i].split(",")
+        cells[2] = ""
+        lines[i] = ",".join(cells)
+    del lines[first + 4000 : first + 4500]
+    holed = campaign_file.parent / "holed.csv"
+    holed.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    path = _changed(campaign_file, 'log = "forward-1.csv"', 'log = "holed.csv"', "holed.toml")
+    campaign = read_campaign(path, "motor")
+    bench = prepare_bench(campaign, path)
+    lost = whole.trials[0].target.valid.sum(axis=0) - bench.trials[0].target.valid.sum(axis=0)
+    # One compared instant every 4 ms: 50 ms of torque; 80 ms of speed; a hole's edges cost one more each.
+    assert 11 <= lost[0] <= 15
+    assert 18 <= lost[1] <= 25
+    # A straight line across a hole during a steady stretch adds nothing beyond the noise.
+    assert np.all(score_values(campaign, bench, TRUTH)[0] < 0.01)
+
+
 def test_short_fit_finds_resistance_and_inductance(campaign_file: Path, tmp_path: Path) -> None:
     options = FitOptions(
         out=tmp_path / "fit", runs=1, population=60, max_generations=25, seed=4, quiet=True
