@@ -228,3 +228,56 @@ def test_format_from_another_package(tmp_path, write, monkeypatch):
             assert "toy" not in formats()
     finally:
         sys.modules.pop("toy_format", None)
+
+
+def test_points_without_time_are_read_as_a_static_map_on_demand(write):
+    path = write(
+        "ESC signal (µs);Torque (N·m);Thrust (kgf);Motor Optical Speed (RPM)\n"
+        "1000;0,1;1,5;60\n1100;0,2;2;120\n"
+    )
+    with pytest.raises(LogError, match=r'no column "Time", so rows have no clock; .* static = true'):
+        load(path)
+    log = load(path, static=True)
+    assert log.kind == "static-map"
+    np.testing.assert_array_equal(log["torque"].time, [0, 1])
+    np.testing.assert_allclose(log["thrust"].values, [14.709975, 19.6133])
+    assert "log_time" not in log.channels
+
+
+def test_hdf5_layouts_and_refusals(tmp_path):
+    path = tmp_path / "log.bin"
+    with h5py.File(path, "w") as file:
+        file.attrs["device"] = "cell 7"
+        for group in ("a", "b"):
+            file[f"{group}/Fz"] = np.arange(4.0)
+            file[f"{group}/Fz"].attrs["unit"] = "gf"
+        file["a/time"] = [0.0, 0.1, 0.2, 0.3]
+        file["raw/volts"] = np.arange(4)
+        file["words"] = ["no", "numbers"]
+        file["Mz"] = np.zeros((2, 2))
+    with pytest.raises(
+        LogError, match=r"datasets /a/Fz and /b/Fz both look like thrust; choose with datasets"
+    ):
+        load(path)
+    log = load(path, datasets={"thrust": "a/Fz"})
+    np.testing.assert_allclose(log["thrust"].values, np.arange(4) * 9.80665e-3)
+    np.testing.assert_array_equal(log["thrust"].time, [0, 0.1, 0.2, 0.3])
+    assert log.provenance.device == "cell 7"
+    for options, message in [
+        ({"datasets": {"thrust": "/b/Fz"}}, "has no clock"),
+        ({"datasets": {"thrust": "/c/Fz"}}, 'no dataset /c/Fz; found "/Mz", "/a/Fz"'),
+        ({"datasets": {"push": "/a/Fz"}}, 'datasets names "push"; it can name time, command'),
+        ({"datasets": {"torque": "/words"}, "rate": 1.0}, "expected one row of numbers"),
+        ({"datasets": {"torque": "/Mz"}, "rate": 1.0}, r"shape \(2, 2\)"),
+        ({"datasets": {"torque": "/raw/volts"}, "rate": 1.0}, 'column "volts" states no unit'),
+        ({"datasets": {"speed": "/raw/volts"}, "rate": 1.0}, 'no dataset "Fz" or "Mz"'),
+    ]:
+        with pytest.raises(SysidError, match=message):
+            load(path, **options)
+    # Two rates in one file: each channel has its own clock.
+    with h5py.File(path, "a") as file:
+        file["raw/volts"].attrs["rate"] = 2.0
+        file["raw/volts"].attrs["unit"] = "rpm"
+    log = load(path, datasets={"thrust": "/a/Fz", "speed": "/raw/volts"})
+    np.testing.assert_array_equal(log["speed"].time, [0, 0.5, 1, 1.5])
+    np.testing.assert_array_equal(log["thrust"].time, [0, 0.1, 0.2, 0.3])
