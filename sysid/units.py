@@ -16,6 +16,9 @@ from sysid.errors import UnitError
 _SPELLINGS = {
     "RPM": "rpm",
     "Rpm": "rpm",
+    "RPS": "revolution/s",
+    "rev/s": "revolution/s",
+    "mNm": "mN*m",
     "lbf-in": "lbf*inch",
     "lbf-ft": "lbf*foot",
     "in-lbf": "lbf*inch",

@@ -1,0 +1,83 @@
+"""Unit strings of instruments and campaigns to SI; recordings that cannot be changed."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sysid.errors import LogError, UnitError
+from sysid.recording import Channel, Provenance, Recording
+from sysid.units import factor_to_si, parse_quantity
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"),
+    [
+        ("RPM", math.pi / 30),
+        ("rev/s", 2 * math.pi),
+        ("gf", 9.80665e-3),
+        ("kgf", 9.80665),
+        ("lbf", 4.4482216152605),
+        ("lbf-in", 0.1129848290276167),
+        ("N·m", 1.0),
+        ("mNm", 1e-3),
+        ("µs", 1e-6),  # both code points of micro
+        ("μs", 1e-6),
+        ("kg·m²", 1.0),
+        ("kg.m2", 1.0),
+        ("g·cm²", 1e-7),
+        ("rpm/V", math.pi / 30),
+        ("N·s/m", 1.0),
+        ("deg", math.pi / 180),
+        ("mH", 1e-3),
+        ("kHz", 1e3),
+    ],
+)
+def test_units_of_the_field(unit, factor):
+    assert factor_to_si(unit) == pytest.approx(factor, rel=1e-12)
+
+
+def test_quantities():
+    assert parse_quantity("1.242 kg", "kg") == 1.242
+    assert parse_quantity(" -2.5e-3 m ", "mm") == -2.5e-3
+    assert parse_quantity("0.44", "1") == 0.44
+    assert parse_quantity("30min", "s") == 1800
+
+
+@pytest.mark.parametrize(
+    ("text", "expected", "sentence"),
+    [
+        ("1.242", "kg", "has no unit"),
+        ("heavy", "kg", "is not a number with a unit"),
+        ("1 kgg", "kg", "unknown unit 'kgg'"),
+        ("1 N", "kg", "unit 'N' is not a 'kg'"),
+        # A frequency is no angular speed: 50 Hz would silently be 50 rad/s.
+        ("50 Hz", "rad/s", "unit 'Hz' is not a 'rad/s'"),
+    ],
+)
+def test_refused_quantities(text, expected, sentence):
+    with pytest.raises(UnitError, match=sentence):
+        parse_quantity(text, expected)
+
+
+def test_channels_are_locked_and_share_a_locked_clock():
+    time = np.arange(5.0)
+    first = Channel("speed", "rad/s", time, np.ones(5))
+    second = Channel("thrust", "N", first.time, [1.0, np.nan, 2.0, 3.0, 4.0])
+    time[0] = 99.0
+    assert first.time[0] == 0.0  # a caller's array is copied, not frozen under its hands
+    assert second.time is first.time
+    assert second.valid.tolist() == [True, False, True, True, True]
+    for array in (first.time, first.values):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+    with pytest.raises(ValueError, match="time does not increase"):
+        Channel("speed", "rad/s", [0.0, 0.0], [1.0, 2.0])
+
+
+def test_a_missing_channel_names_those_there_are():
+    recording = Recording(
+        "thrust-stand", {"speed": Channel("speed", "rad/s", [0.0], [1.0])}, Provenance("a.csv", "", "x")
+    )
+    with pytest.raises(LogError, match=r"a\.csv: no channel 'torque'; found speed"):
+        recording["torque"]
