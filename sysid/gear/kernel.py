@@ -60,6 +60,9 @@ BLEW_UP = 3
 # the legs; a light leg may err 30 times more than the body, whose motion is what is measured.
 WEIGHTS = np.array([30.0, 30.0, 6.0, 1.0, 0.1, 1.0, 0.1])
 
+# First step of a drop, and after a foot has switched its mode [s].
+FIRST_STEP = 6e-5
+
 # Part of the method's real stability limit that a step may use: the slip's decay rate can grow within the
 # step.
 STABLE = 0.9 * REAL_LIMIT
@@ -319,7 +322,7 @@ def drop_driver(lanes: int, high: bool):
                 stable_h = stable_h if taken > 0.0 else new_h
                 new_h = new_h if new_h < stable_h else stable_h
                 fresh = work[FRESH * lanes + lane]
-                new_h = 1e-5 * taken if fresh > 0.0 else new_h
+                new_h = FIRST_STEP * taken if fresh > 0.0 else new_h
                 new_h = 1e-8 if fresh > 1.0 else new_h
                 if high:
                     taken, new_h = switch(work, lane, lanes, h, taken, new_h)
