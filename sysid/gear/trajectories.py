@@ -1,0 +1,159 @@
+"""What goes into the gear's simulations and what comes out: drops, trajectories, how they ended."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sysid.errors import CampaignError
+from sysid.gear import kernel
+
+FloatArray = NDArray[np.float64]
+
+
+class Status(IntEnum):
+    """How a simulated drop ended."""
+
+    OK = kernel.OK
+    STEP_COLLAPSED = kernel.STEP_COLLAPSED
+    TOO_EXPENSIVE = kernel.TOO_EXPENSIVE
+    BLEW_UP = kernel.BLEW_UP
+
+    @property
+    def text(self) -> str:
+        """Say what happened and what would help."""
+        return {
+            Status.OK: "integrated to the end",
+            Status.STEP_COLLAPSED: "the step shrank below 1 ns: the parameters or the state are not physical",
+            Status.TOO_EXPENSIVE: "needed many times an ordinary drop's work: the parameters are too stiff",
+            Status.BLEW_UP: "a leg was pushed through its own joint: the legs are too soft for this impact",
+        }[self]
+
+
+@dataclass(frozen=True, eq=False)
+class GearTrajectory:
+    """One simulated drop on its sample times.
+
+    Parameters
+    ----------
+    time : (n,) array
+        Sample times [s].
+    state : (n, 14) array
+        The seven `COORDINATES` [m, rad], then their rates, frame N; NaN after a failure.
+    normal_force, friction_force : (n, 2) array
+        Force of the surface on the rear and the front feet along its normal and down-slope [N].
+    status : Status
+        How it ended.
+    reached : float
+        Time integrated before the end or a failure [s].
+    rhs_evaluations : int
+        Right-hand sides spent.
+    switches : (n_switches, 7) array
+        Mode switches on a high-friction surface: time since the start [s], foot (0 rear, 1 front), 1 if it
+        sticks from then on and 0 if it slips, friction available to the rear and front foot and required by
+        them [N]. The first 1000; no rows on a low-friction surface.
+    """
+
+    time: FloatArray
+    state: FloatArray
+    normal_force: FloatArray
+    friction_force: FloatArray
+    status: Status
+    reached: float
+    rhs_evaluations: int
+    switches: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Drops:
+    """Drops that every candidate is simulated on.
+
+    Parameters
+    ----------
+    slope : (D,) array
+        Angle of each surface [rad], positive falls toward +x.
+    body_state : (D, 6) array
+        x_B, z_B, q_B and their rates at each drop's first sample, frame N [m, rad, s].
+    time : sequence of D arrays
+        Sample times of each drop [s], increasing; spacing may vary.
+    clock : (n_total,) array
+        Derived: sample times since each drop's start, concatenated [s].
+    offset : (D + 1,) array
+        Derived: drop d owns samples offset[d]:offset[d + 1].
+    """
+
+    slope: FloatArray
+    body_state: FloatArray
+    time: Sequence[FloatArray]
+    clock: FloatArray = field(init=False)
+    offset: NDArray[np.int64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        slope = _frozen(self.slope)
+        body = _frozen(self.body_state)
+        times = tuple(_frozen(t) for t in self.time)
+        if slope.ndim != 1 or body.shape != (len(slope), 6) or len(times) != len(slope) or not len(slope):
+            raise CampaignError(
+                f"drops: found slopes {slope.shape}, initial states {body.shape} and {len(times)} clocks; "
+                "give D slopes, (D, 6) states and D clocks"
+            )
+        for number, (angle, state, clock) in enumerate(zip(slope, body, times, strict=True)):
+            if not (math.isfinite(angle) and abs(angle) < math.pi / 2 and np.isfinite(state).all()):
+                raise CampaignError(
+                    f"drop {number}: slope {angle:g} rad or initial state {state.tolist()} is not usable; "
+                    "give finite numbers and a slope between -pi/2 and pi/2"
+                )
+            if (
+                clock.ndim != 1
+                or not len(clock)
+                or not np.isfinite(clock).all()
+                or (np.diff(clock) <= 0).any()
+            ):
+                raise CampaignError(
+                    f"drop {number}: sample times do not increase; give one or more increasing times"
+                )
+        object.__setattr__(self, "slope", slope)
+        object.__setattr__(self, "body_state", body)
+        object.__setattr__(self, "time", times)
+        object.__setattr__(self, "clock", _frozen(np.concatenate([t - t[0] for t in times])))
+        object.__setattr__(self, "offset", np.cumsum([0, *(len(t) for t in times)], dtype=np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class PopulationSamples:
+    """Every candidate on every drop.
+
+    Parameters
+    ----------
+    samples : (P, n_total, 6) array
+        x_B, z_B, q_B and their rates at every sample of every drop, concatenated in drop order; NaN after a
+        failure.
+    reached : (P, D) array
+        Share of the drop's time integrated before a failure, 1 without one.
+    status : (P, D) int8 array
+        `Status` codes.
+    rhs_evaluations : (P, D) int64 array
+        Right-hand sides spent.
+    switches : (P, D) int64 array
+        Mode switches on a high-friction surface.
+    marks : (n, 7) array
+        The switches of a single drop, see `GearTrajectory`.
+    """
+
+    samples: FloatArray
+    reached: FloatArray
+    status: NDArray[np.int8]
+    rhs_evaluations: NDArray[np.int64]
+    switches: NDArray[np.int64]
+    marks: FloatArray
+
+
+def _frozen(values: ArrayLike) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    array.flags.writeable = False
+    return array
