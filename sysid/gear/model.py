@@ -140,7 +140,8 @@ PARAMETERS = ParameterTable(
         ),
         Parameter(
             "stick_speed", "e_v", "m/s", 1e-3, 1e-4, 1e-2, "log",
-            "Slip speed below which a foot may stick (high friction only).", "guess: the paper prints none",
+            "Slip speed below which the paper lets a foot stick; no effect here: zero slip is located.",
+            "guess: the paper prints none",
         ),
     ]
 )

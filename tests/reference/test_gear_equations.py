@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from sysid.gear import contact, dynamics
+from sysid.gear import contact, dynamics, hybrid
 from sysid.gear.model import PARAMETERS, pack
 
 NAMES = list(PARAMETERS)
@@ -149,6 +149,68 @@ def test_against_newton_and_euler():
         theirs = twin_accelerations(p, slope, state, expected)
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9 * np.abs(theirs).max())
     assert touched > 50  # the random states must exercise contact, not only flight
+
+
+def foot_places(p, slope, q):
+    """Places of both feet along the slope for coordinates (7,)."""
+    x, z, b, h_c, q_c, h_d, q_d = q
+    length = np.hypot(p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"])
+    places = []
+    for side, h, theta in ((1, h_c, b + q_c), (-1, h_d, b - q_d)):
+        joint = np.array([x, z]) - side * p["joint_dx"] * ex(b) - p["joint_dz"] * ez(b)
+        places.append((joint - (length + h) * ez(theta)) @ ex(slope))
+    return np.array(places)
+
+
+@pytest.mark.parametrize("modes", [(0, 0), (0, 1), (1, 0), (1, 1)])
+def test_high_friction_in_every_mode(modes):
+    """Multipliers hold stuck feet, judged by the twin and by finite differences of the feet's places."""
+    for p, slope, state in random_cases(30, seed=3):
+        normal = np.array([40.0, 25.0])
+        ways = np.array([1.0, -1.0])
+
+        def accelerations(friction, p=p, slope=slope, state=state, normal=normal):
+            a = twin_accelerations(p, slope, state, np.column_stack([normal, friction]))
+            return np.array(
+                [*a[:3], a[3], a[4] - a[2], a[5], a[2] - a[6]]
+            )  # of q_C and q_D, from absolute angles
+
+        def feet(friction, t=2e-6, p=p, slope=slope, state=state, accelerations=accelerations):
+            a = accelerations(friction)
+            path = [foot_places(p, slope, state[:7] + s * state[7:] + s * s / 2 * a) for s in (-t, 0.0, t)]
+            return (path[2] - path[0]) / (2 * t), (path[2] - 2 * path[1] + path[0]) / t**2
+
+        speed, free = feet(np.zeros(2))
+        rear, front = feet(np.array([1.0, 0.0]))[1] - free, feet(np.array([0.0, 1.0]))[1] - free
+        f_c, f_d, _, _ = hybrid.high_friction(
+            tuple(free),
+            (rear[0], front[0], front[1]),
+            tuple(normal),
+            tuple(speed),
+            *map(float, modes),
+            *ways,
+            0.8,
+        )
+        ours = compiled_feet(p, slope, state, normal, (f_c, f_d))
+        for foot, (mode, force) in enumerate(zip(modes, (f_c, f_d), strict=True)):
+            # Second differences over 2e-6 s leave 1e-3 m/s^2 of truncation and rounding.
+            assert ours[foot] == pytest.approx(feet(np.array([f_c, f_d]))[1][foot], abs=1e-2, rel=1e-4)
+            if mode:
+                assert ours[foot] == pytest.approx(-200.0 * speed[foot], abs=1e-2, rel=1e-4)
+            else:
+                assert force == pytest.approx(-0.8 * normal[foot] * ways[foot])
+
+
+def compiled_feet(p, slope, state, normal, friction):
+    """Tangential accelerations of the feet from the compiled functions under given forces."""
+    _, a = kernel(p, slope, state, np.column_stack([normal, friction]))
+    _, _, q, h_c, q_c, h_d, q_d, dx, dz, dq, dh_c, dq_c, dh_d, dq_d = map(float, state)
+    c, s = float(np.cos(slope)), float(np.sin(slope))
+    joints = dynamics.pose(q - slope, q + q_c - slope, q - q_d - slope, p["joint_dx"], p["joint_dz"])
+    length = float(np.hypot(p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"]))
+    rates = (c * dx - s * dz, s * dx + c * dz, dq, dh_c, dq + dq_c, dh_d, dq - dq_d)
+    own = (c * a[0] - s * a[1], s * a[0] + c * a[1], *a[2:])
+    return hybrid.foot_accelerations(joints, h_c, h_d, length, rates, tuple(map(float, own)))
 
 
 @pytest.fixture(scope="module")
