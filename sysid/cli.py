@@ -32,6 +32,23 @@ class Kind(StrEnum):
     gear = "gear"
 
 
+class Algorithm(StrEnum):
+    """Search algorithms."""
+
+    ga = "ga"
+    matlab_ga = "matlab-ga"
+    cmaes = "cmaes"
+    de = "de"
+    pso = "pso"
+
+
+class Finish(StrEnum):
+    """What follows the search in every run."""
+
+    cmaes = "cmaes"
+    none = "none"
+
+
 class Law(StrEnum):
     """Friction laws."""
 
@@ -49,6 +66,12 @@ Runs = Annotated[int | None, typer.Option(help="Independent runs.", min=1)]
 Seed = Annotated[int | None, typer.Option(help="Seed of the search.", min=0)]
 Generations = Annotated[int | None, typer.Option(help="End a run after so many generations.", min=1)]
 TimeLimit = Annotated[str | None, typer.Option(help="End the whole fit after this time, for example 20min.")]
+Algo = Annotated[
+    Algorithm | None, typer.Option("--algorithm", help="Search algorithm; overrides the campaign.")
+]
+Finisher = Annotated[
+    Finish | None, typer.Option("--finish", help="CMA-ES after every run, or none: the paper's method.")
+]
 Threads = Annotated[int | None, typer.Option(help="Cores to use; the result is the same.", min=1)]
 
 
@@ -68,6 +91,8 @@ def fit_motor(
     max_generations: Generations = None,
     time_limit: TimeLimit = None,
     threads: Threads = None,
+    algorithm: Algo = None,
+    finish: Finisher = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -75,8 +100,10 @@ def fit_motor(
     from sysid.pipelines.motor import fit_motor as fit
     from sysid.pipelines.search import FitOptions
 
-    limit = _seconds(time_limit)
-    options = FitOptions(out, force, population, runs, seed, max_generations, limit, threads, quiet or json)
+    options = FitOptions(
+        out, force, population, runs, seed, max_generations, _seconds(time_limit), threads, quiet or json,
+        algorithm and algorithm.value, finish and finish.value,
+    )  # fmt: skip
     _print_fit(*fit(campaign, options, say=None if quiet else say), quiet, json)
 
 
@@ -92,6 +119,8 @@ def fit_gear(
     max_generations: Generations = None,
     time_limit: TimeLimit = None,
     threads: Threads = None,
+    algorithm: Algo = None,
+    finish: Finisher = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -99,8 +128,10 @@ def fit_gear(
     from sysid.pipelines.gear import fit_gear as fit
     from sysid.pipelines.search import FitOptions
 
-    limit = _seconds(time_limit)
-    options = FitOptions(out, force, population, runs, seed, max_generations, limit, threads, quiet or json)
+    options = FitOptions(
+        out, force, population, runs, seed, max_generations, _seconds(time_limit), threads, quiet or json,
+        algorithm and algorithm.value, finish and finish.value,
+    )  # fmt: skip
     law = surface.value if surface is not None else None
     _print_fit(*fit(campaign, options, surface=law, say=None if quiet else say), quiet, json)
 

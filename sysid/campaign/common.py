@@ -144,6 +144,8 @@ class FitTable(Table):
     population: int = Field(default=400, ge=8, le=100_000)
     runs: int = Field(default=5, ge=1, le=1000)
     seed: int = Field(default=1, ge=0)
+    algorithm: Literal["ga", "matlab-ga", "cmaes", "de", "pso"] = "ga"
+    finish: Literal["cmaes", "none"] = "cmaes"
     stop_reading: Literal["relative", "matlab"] = "relative"
     stop_window: int = Field(default=4, ge=1)
     stop_tolerance: float = Field(default=1e-4, gt=0)

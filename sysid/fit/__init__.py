@@ -1,5 +1,6 @@
 """The search that knows no model.
 
-`cost` scores simulated samples, `objective` is what a problem shows of itself, `genetic` breeds, `stopping`
-says when to end, `progress` reports, `result` ranks and holds what was found, `store` writes it.
+`cost` scores simulated samples, `objective` is what a problem shows of itself, `algorithms` breeds, `engine`
+runs, `stopping` says when to end, `memory` is what a run needs to be continued, `progress` reports, `history`
+and `result` hold what was found, `store` writes it.
 """

@@ -14,7 +14,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from sysid.fit.genetic import Generation, GeneticSettings, RunHistory
+from sysid.fit.engine import SearchSettings
+from sysid.fit.history import Generation, RunHistory
 from sysid.fit.stopping import REASONS
 
 # Between two plain lines [s].
@@ -26,7 +27,7 @@ class FitProgress:
 
     Parameters
     ----------
-    settings : GeneticSettings
+    settings : SearchSettings
         Of the fit that is reported.
     simulated : str
         What a simulation is called: ``drops``, ``trials``.
@@ -38,7 +39,7 @@ class FitProgress:
 
     def __init__(
         self,
-        settings: GeneticSettings,
+        settings: SearchSettings,
         simulated: str = "simulations",
         quiet: bool = False,
         console: Console | None = None,
@@ -82,10 +83,13 @@ class FitProgress:
         if self._quiet:
             return
         failed = int(history.failed.sum())
+        stages = ", ".join(
+            f"{stage.algorithm} {len(stage.cost)} generations ({REASONS[stage.stop_reason]})"
+            for stage in history.stages
+        )
         self._say(
-            f"run {run + 1}/{self._settings.runs} ended: {REASONS[history.stop_reason]}: "
-            f"NRMSE {100 * history.best[-1]:.3f} % after {len(history.cost)} generations, "
-            f"{history.wall_time:.1f} s, {history.evaluations} candidates, {failed} failed"
+            f"run {run + 1}/{self._settings.runs} ended: NRMSE {100 * history.best[-1]:.3f} %, "
+            f"{history.wall_time:.1f} s, {history.evaluations} candidates, {failed} failed: {stages}"
         )
 
     def on_stop(self) -> None:
@@ -102,7 +106,7 @@ class FitProgress:
         """Return the progress line after a generation of a run (from 0); fits 80 columns."""
         speed = generation.simulations / generation.elapsed if generation.elapsed > 0 else 0.0
         return (
-            f"run {run + 1}/{self._settings.runs}  gen {generation.number}  "
+            f"run {run + 1}/{self._settings.runs}  {generation.algorithm} {generation.number}  "
             f"NRMSE best {100 * generation.best:.3f} % median {100 * generation.median:.2f} %  "
             f"{speed:.0f} {self._simulated}/s  left {self.time_left(run, generation)}"
         )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sysid import exact_json
 from sysid.errors import FitError
-from sysid.fit.genetic import RunHistory
+from sysid.fit.history import RunHistory
 from sysid.parameter_sets import ParameterRecord, ParameterSets
 from sysid.parameters import SearchSpace
 
@@ -51,7 +51,7 @@ class TrialResult:
 
 @dataclass(frozen=True, eq=False)
 class RankedSets:
-    """The best individual of the last generation of each run, best first.
+    """The best individual of each run, best first.
 
     Parameters
     ----------
@@ -81,11 +81,11 @@ def ranked_sets(runs: Sequence[RunHistory], space: SearchSpace) -> RankedSets:
     """Return one set per run, ranked by cost; equal costs keep the order of the runs.
 
     Five of one population would be clones: the paper's five sets are the best of each run's last
-    generation.
+    generation. A run with a finisher gives the best that it has found.
     """
     if not runs:
         raise FitError("no run has finished a generation, so there is no set; run the fit again")
-    cost = np.array([float(run.cost[-1].min()) for run in runs])
+    cost = np.array([float(run.best[-1]) for run in runs])
     order = np.argsort(cost, kind="stable")
     cube = np.stack([runs[i].best_point for i in order])
     at_bound = np.zeros((len(runs), len(space.table)), dtype=np.int8)

@@ -15,15 +15,15 @@ import numpy as np
 
 from sysid import exact_json
 from sysid.errors import ExportError, FitError
-from sysid.fit.genetic import RunHistory
+from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.stopping import REASONS
 from sysid.parameter_sets import ParameterSets
 from sysid.writing import check_folder, replaced_folder
 
 FIT_SCHEMA = "sysid-fit"
-FIT_VERSION = 1
-_HISTORY_FIELDS = ("seed", "evaluations", "simulations", "wall_time", "stop_reason")
+FIT_VERSION = 2
+_STAGE_FIELDS = ("algorithm", "evaluations", "simulations", "wall_time", "stop_reason")
 
 
 def check_new_fit(path: str | Path, force: bool = False) -> None:
@@ -92,11 +92,14 @@ def _write_numbers(file: Any, result: FitResult, sets: ParameterSets) -> None:
     _array(group, "nrmse_by_trial", sets.nrmse_by_trial, "set, trial, channel")
     for number, run in enumerate(result.runs, start=1):
         group = file.create_group(f"runs/{number}")
-        for name in _HISTORY_FIELDS:
-            group.attrs[name] = getattr(run, name)
-        _array(group, "cube", run.cube, "generation, individual (best first), free parameter")
-        _array(group, "cost", run.cost, "generation, individual")
-        _array(group, "failed", run.failed, "generation")
+        group.attrs["seed"] = run.seed
+        for index, stage in enumerate(run.stages, start=1):
+            part = group.create_group(f"stages/{index}")
+            for name in _STAGE_FIELDS:
+                part.attrs[name] = getattr(stage, name)
+            _array(part, "cube", stage.cube, "generation, individual (best first), free parameter")
+            _array(part, "cost", stage.cost, "generation, individual")
+            _array(part, "failed", stage.failed, "generation")
     units = ", ".join(result.channel_units)
     for number, trial in enumerate(result.trials, start=1):
         group = file.create_group(f"trials/{number}")
@@ -170,8 +173,13 @@ def _read_numbers(file: Any) -> FitResult:
 
 
 def _read_run(group: Any) -> RunHistory:
-    return RunHistory(
-        seed=int(group.attrs["seed"]),
+    stages = [_read_stage(group[f"stages/{i + 1}"]) for i in range(len(group["stages"]))]
+    return RunHistory(int(group.attrs["seed"]), tuple(stages))
+
+
+def _read_stage(group: Any) -> StageHistory:
+    return StageHistory(
+        algorithm=group.attrs["algorithm"],
         cube=group["cube"][()],
         cost=group["cost"][()],
         failed=group["failed"][()],
@@ -234,10 +242,14 @@ def summary(result: FitResult) -> str:
     lines += ["", "runs", ""]
     for number, run in enumerate(result.runs, start=1):
         lines.append(
-            f"{number:>4}  {len(run.cost)} generations, {run.evaluations} candidates "
-            f"({int(run.failed.sum())} failed), {run.wall_time:.1f} s, ended: {REASONS[run.stop_reason]}, "
-            f"NRMSE {100 * run.best[-1]:.3f} %"
+            f"{number:>4}  NRMSE {100 * run.best[-1]:.3f} %, {run.evaluations} candidates "
+            f"({int(run.failed.sum())} failed), {run.wall_time:.1f} s"
         )
+        lines += [
+            f"      {stage.algorithm}: {len(stage.cost)} generations, {stage.evaluations} candidates, "
+            f"NRMSE {100 * stage.cost.min():.3f} %, ended: {REASONS[stage.stop_reason]}"
+            for stage in run.stages
+        ]
     if result.warnings:
         lines += ["", "warnings", "", *(f"- {warning}" for warning in result.warnings)]
     return "\n".join(lines) + "\n"

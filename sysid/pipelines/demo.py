@@ -16,7 +16,7 @@ from sysid.report.figures import figure_convergence, figure_measured_against_sim
 # Of each fit of the demo; the samples' campaigns ask for the paper's 200 (motor) and 400 (gear).
 _MOTOR_POPULATION = 60
 _GEAR_POPULATION = 160
-_GEAR_GENERATIONS = 30
+_GEAR_GENERATIONS = 300
 
 
 def find_samples(given: Path | None) -> Path:

@@ -16,13 +16,15 @@ from typing import Any
 from sysid import __version__
 from sysid.campaign import FitTable
 from sysid.errors import CampaignError, SysidWarning
-from sysid.fit.genetic import GeneticSettings, RunHistory, run_many
+from sysid.fit.algorithms import ALGORITHMS
+from sysid.fit.engine import FINISH_POPULATION, Hooks, SearchSettings, run_many
+from sysid.fit.history import RunHistory
 from sysid.fit.objective import Objective
 from sysid.fit.progress import FitProgress
 from sysid.fit.stopping import StopRule, stop_on_interrupt
 from sysid.recording import file_sha256
 
-_LIBRARIES = ("numpy", "scipy", "numba", "pymoo", "pandas", "h5py")
+_LIBRARIES = ("numpy", "scipy", "numba", "pymoo", "cma", "pandas", "h5py")
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,10 @@ class FitOptions:
         Cores; all by default. The result does not depend on it.
     quiet : bool
         No progress.
+    algorithm : str, optional
+        A key of `sysid.fit.algorithms.ALGORITHMS`; overrides the campaign's `[fit]`.
+    finish : {"cmaes", "none"}, optional
+        Overrides the campaign's `[fit]`.
     """
 
     out: Path | None = None
@@ -54,22 +60,26 @@ class FitOptions:
     time_limit: float | None = None
     threads: int | None = None
     quiet: bool = False
+    algorithm: str | None = None
+    finish: str | None = None
 
     def folder(self, name: str) -> Path:
         """Return where a fit called `name` goes."""
         return self.out if self.out is not None else Path("fits") / name
 
-    def settings(self, table: FitTable) -> GeneticSettings:
+    def settings(self, table: FitTable) -> SearchSettings:
         """Return the campaign's search settings with this command's overrides."""
 
         def chosen(name: str) -> int:
             own = getattr(self, name)
             return int(getattr(table, name) if own is None else own)
 
-        return GeneticSettings(
+        return SearchSettings(
             population=chosen("population"),
             runs=chosen("runs"),
             seed=chosen("seed"),
+            algorithm=self.algorithm or table.algorithm,
+            finish=self.finish or table.finish,
             stop=StopRule(
                 reading=table.stop_reading,
                 window=table.stop_window,
@@ -81,7 +91,7 @@ class FitOptions:
 
 
 def search(
-    objective: Objective, settings: GeneticSettings, *, simulated: str, quiet: bool
+    objective: Objective, settings: SearchSettings, *, simulated: str, quiet: bool
 ) -> tuple[tuple[RunHistory, ...], bool]:
     """Run the search with live progress; Ctrl-C ends it after the generation and keeps what was found.
 
@@ -89,7 +99,7 @@ def search(
     ----------
     objective : Objective
         Scores points of the unit cube.
-    settings : GeneticSettings
+    settings : SearchSettings
         Population, runs, seed, stop rule.
     simulated : str
         What a simulation is called: ``drops``, ``trials``.
@@ -105,13 +115,8 @@ def search(
     """
     progress = FitProgress(settings, simulated, quiet)
     with stop_on_interrupt(progress.on_stop) as flag, progress:
-        runs = run_many(
-            objective,
-            settings,
-            on_generation=progress.on_generation,
-            on_run=progress.on_run,
-            should_stop=flag,
-        )
+        hooks = Hooks(progress.on_generation, progress.on_run, should_stop=flag)
+        runs = run_many(objective, settings, hooks=hooks)
     return runs, any(run.stop_reason == "interrupted" for run in runs)
 
 
@@ -150,7 +155,7 @@ def naming(campaign_path: str | Path) -> Iterator[None]:
 
 def provenance(
     campaign_path: str | Path,
-    settings: GeneticSettings,
+    settings: SearchSettings,
     denominator: str,
     filters: Mapping[str, Any],
     logs: Mapping[str, Any],
@@ -161,7 +166,7 @@ def provenance(
     ----------
     campaign_path : str or Path
         Hashed and stored by name.
-    settings : GeneticSettings
+    settings : SearchSettings
         Of the search.
     denominator : str
         Of the NRMSE.
@@ -184,7 +189,10 @@ def provenance(
         "filter": dict(filters),
         "nrmse_denominator": denominator,
         "search": {
-            "algorithm": "pymoo GA: tournament, simulated binary crossover, polynomial mutation",
+            "algorithm": settings.algorithm,
+            "what it is": ALGORITHMS[settings.algorithm],
+            "finish": settings.finish,
+            "finish_population": FINISH_POPULATION,
             "population": settings.population,
             "runs": settings.runs,
             "seed": settings.seed,

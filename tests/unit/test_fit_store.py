@@ -14,7 +14,7 @@ import pytest
 import sysid
 from sysid.errors import FitError
 from sysid.fit import store
-from sysid.fit.genetic import RunHistory
+from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.result import FitResult, TrialResult, ranked_sets
 from sysid.fit.store import check_new_fit, read_fit, summary, write_fit
 from sysid.parameter_sets import ParameterRecord, parameter_records
@@ -36,14 +36,20 @@ def made_fit(name="bench", seed=0, state="done"):
     space = SearchSpace.build(table, free, {"saturation_current": np.inf})
     runs = tuple(
         RunHistory(
-            seed=100 + i,
-            cube=rng.random((6, 20, 2)),
-            cost=np.sort(rng.random((6, 20)), axis=1),
-            failed=rng.integers(0, 5, 6),
-            evaluations=120,
-            simulations=360,
-            wall_time=1.5 + i,
-            stop_reason="converged",
+            100 + i,
+            tuple(
+                StageHistory(
+                    algorithm=algorithm,
+                    cube=rng.random((6, size, 2)),
+                    cost=np.sort(rng.random((6, size)), axis=1),
+                    failed=rng.integers(0, 5, 6),
+                    evaluations=6 * size,
+                    simulations=18 * size,
+                    wall_time=1.5 + i,
+                    stop_reason="converged",
+                )
+                for algorithm, size in (("ga", 20), ("cmaes", 8))
+            ),
         )
         for i in range(3)
     )
@@ -92,9 +98,11 @@ def assert_same(a, b):
     assert len(a.trials) == len(b.trials)
     for x, y in zip(a.runs, b.runs, strict=True):
         assert (x.seed, x.evaluations, x.simulations) == (y.seed, y.evaluations, y.simulations)
-        assert (x.wall_time, x.stop_reason) == (y.wall_time, y.stop_reason)
-        for field in ("cube", "cost", "failed"):
-            np.testing.assert_array_equal(getattr(x, field), getattr(y, field))
+        for first, second in zip(x.stages, y.stages, strict=True):
+            assert first.algorithm == second.algorithm
+            assert (first.wall_time, first.stop_reason) == (second.wall_time, second.stop_reason)
+            for field in ("cube", "cost", "failed"):
+                np.testing.assert_array_equal(getattr(first, field), getattr(second, field))
     for x, y in zip(a.trials, b.trials, strict=True):
         assert (x.name, x.use) == (y.name, y.use)
         for field in ("time", "measured", "valid", "simulated", "nrmse"):
@@ -257,11 +265,11 @@ def test_damaged_fits_are_refused(tmp_path):
     (path / "fit.h5").write_bytes(whole)
     with h5py.File(path / "fit.h5", "r+") as file:
         file.attrs["version"] = 99
-    with pytest.raises(FitError, match="fit version 99, expected 1"):
+    with pytest.raises(FitError, match="fit version 99, expected 2"):
         read_fit(path)
     (path / "fit.h5").write_bytes(whole)
     with h5py.File(path / "fit.h5", "r+") as file:
-        del file["runs/2/cost"]
+        del file["runs/2/stages/1/cost"]
     with pytest.raises(FitError, match="damaged"):
         read_fit(path)
 

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from sysid.errors import ExportError
-from sysid.fit.genetic import RunHistory
+from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.result import FitResult, TrialResult, ranked_sets
 from sysid.parameter_sets import parameter_records
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
@@ -35,14 +35,19 @@ def made_fit(channels=GEAR, samples=150, lost=slice(40, 44), runs=5, uses=("fit"
     space = SearchSpace.build(table, ["leg_axial_stiffness"], {})
     histories = tuple(
         RunHistory(
-            seed=i,
-            cube=rng.random((6 + i, 8, 1)),
-            cost=0.1 + np.sort(rng.random((6 + i, 8)), axis=1) * np.linspace(1, 0.01, 6 + i)[:, None],
-            failed=np.zeros(6 + i, dtype=np.int64),
-            evaluations=48,
-            simulations=144,
-            wall_time=1.0,
-            stop_reason="converged",
+            i,
+            (
+                StageHistory(
+                    algorithm="ga",
+                    cube=rng.random((6 + i, 8, 1)),
+                    cost=0.1 + np.sort(rng.random((6 + i, 8)), axis=1) * np.linspace(1, 0.01, 6 + i)[:, None],
+                    failed=np.zeros(6 + i, dtype=np.int64),
+                    evaluations=48,
+                    simulations=144,
+                    wall_time=1.0,
+                    stop_reason="converged",
+                ),
+            ),
         )
         for i in range(runs)
     )
@@ -205,9 +210,9 @@ def test_report_convergence_draws_the_best_of_every_generation():
     (axes,) = figure_convergence(fit).axes
     for number, run in enumerate(fit.runs):
         curve, end = lines_in(axes, RUNS[number])
-        np.testing.assert_array_equal(curve.get_xdata(), np.arange(1, len(run.cost) + 1))
+        np.testing.assert_array_equal(curve.get_xdata(), np.arange(1, len(run.best) + 1))
         np.testing.assert_allclose(curve.get_ydata(), run.best)
-        assert end.get_xdata() == [len(run.cost)]
+        assert end.get_xdata() == [len(run.best)]
     # Okabe and Ito's colours differ from each other.
     assert len(set(RUNS)) == len(RUNS)
 

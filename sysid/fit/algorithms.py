@@ -1,0 +1,205 @@
+"""Every search algorithm behind one adapter; with `matlab_genetic` the only importer of pymoo.
+
+A `Breeder` says which candidates to score next and is told their costs; nothing of pymoo's own stop rules,
+histories or evaluation budgets takes part. Its candidates are a pure function of seed and costs, so a run
+that was cut off continues exactly where it was once it has been told the costs that were stored.
+
+What pymoo 0.6 does with random numbers and how it is kept from mattering:
+
+* default operators are objects shared by every instance: they are built anew here;
+* its CMA-ES wraps the package `cma`, which draws from numpy's global generator unless it is given a
+  function to draw from: each breeder gives its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.errors import FitError
+
+FloatArray = NDArray[np.float64]
+
+# Name in campaigns and on the command line: what it is.
+ALGORITHMS: dict[str, str] = {
+    "ga": "pymoo GA: tournament selection, simulated binary crossover, polynomial mutation",
+    "matlab-ga": (
+        "MATLAB's ga: stochastic uniform selection on ranks, 5 % elites, scattered crossover 0.8, "
+        "shrinking Gaussian mutation clipped to the bounds"
+    ),
+    "cmaes": "CMA-ES (pymoo, cma)",
+    "de": "pymoo differential evolution best/1/bin",
+    "pso": "pymoo particle swarm, adaptive",
+}
+
+# Of a CMA-ES that starts anywhere: 0.3 of the cube's edge is cma's own advice for a bounded search.
+_RANDOM_SPREAD = 0.3
+# A converged population spans almost nothing in some directions; CMA-ES needs room to measure them.
+_LEAST_SPREAD = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where CMA-ES begins.
+
+    Parameters
+    ----------
+    mean : (n_free,) array
+        Centre in the unit cube [1].
+    spread : (n_free,) array
+        Standard deviation along every axis [1].
+    """
+
+    mean: FloatArray
+    spread: FloatArray
+
+    @classmethod
+    def of_population(cls, cube: FloatArray) -> Start:
+        """Return mean and spread of a population (P, n_free); the spread is kept between 0.01 and 0.3."""
+        return cls(cube.mean(axis=0), np.clip(cube.std(axis=0), _LEAST_SPREAD, _RANDOM_SPREAD))
+
+
+class Breeder:
+    """One algorithm as ask and tell over the unit cube.
+
+    Parameters
+    ----------
+    algorithm : pymoo.core.algorithm.Algorithm
+        Seeded, not yet set up.
+    n_free : int
+        Dimensions of the cube.
+    """
+
+    def __init__(self, algorithm: Any, n_free: int) -> None:
+        from pymoo.core.evaluator import Evaluator
+        from pymoo.core.problem import Problem
+        from pymoo.core.termination import NoTermination
+
+        self._problem = Problem(n_var=n_free, n_obj=1, xl=np.zeros(n_free), xu=np.ones(n_free))
+        self._evaluator = Evaluator()
+        self._algorithm = algorithm
+        algorithm.setup(self._problem, termination=NoTermination(), verbose=False)
+        self._asked: Any = None
+
+    def ask(self) -> FloatArray | None:
+        """Return the candidates (P, n_free) to score next, or None when no new one can be bred."""
+        if not self._algorithm.has_next():
+            return None
+        self._asked = self._algorithm.ask()
+        if self._asked is None or len(self._asked) == 0:
+            return None
+        return np.asarray(self._asked.get("X"), dtype=np.float64)
+
+    def tell(self, cost: FloatArray) -> None:
+        """Take the costs (P,) of the candidates last asked for."""
+        from pymoo.problems.static import StaticProblem
+
+        self._evaluator.eval(StaticProblem(self._problem, F=cost[:, None]), self._asked)
+        self._algorithm.tell(infills=self._asked)
+
+    def population(self) -> tuple[FloatArray, FloatArray]:
+        """Return points (P, n_free) and costs (P,) of the population, best first."""
+        population = self._algorithm.pop
+        cost = population.get("F")[:, 0].astype(np.float64)
+        order = np.argsort(cost, kind="stable")
+        return population.get("X").astype(np.float64)[order], cost[order]
+
+
+def breeder(name: str, n_free: int, population: int, seed: int, start: Start | None = None) -> Breeder:
+    """Return a seeded breeder.
+
+    Parameters
+    ----------
+    name : str
+        A key of `ALGORITHMS`.
+    n_free : int
+        Free parameters.
+    population : int
+        Individuals per generation [1].
+    seed : int
+        Of this stage.
+    start : Start, optional
+        Where CMA-ES begins; anywhere by default. Other algorithms begin anywhere.
+
+    Raises
+    ------
+    FitError
+        For an unknown name.
+    """
+    if name not in ALGORITHMS:
+        raise FitError(f"unknown algorithm {name!r}; expected one of {', '.join(ALGORITHMS)}")
+    # pymoo takes long to import: commands that do not fit must not pay for it.
+    from pymoo.config import Config
+
+    # It would print a hint about its own compiled modules, which breeding does not use.
+    Config.warnings["not_compiled"] = False
+    if name == "cmaes":
+        return _cmaes(n_free, population, seed, start)
+    return Breeder(_ALGORITHM[name](population, seed), n_free)
+
+
+def _ga(population: int, seed: int) -> Any:
+    from pymoo.algorithms.soo.nonconvex.ga import GA
+    from pymoo.operators.crossover.sbx import SBX
+    from pymoo.operators.mutation.pm import PM
+    from pymoo.operators.sampling.rnd import FloatRandomSampling
+
+    return GA(
+        pop_size=population,
+        sampling=FloatRandomSampling(),
+        crossover=SBX(),
+        mutation=PM(),
+        eliminate_duplicates=True,
+        save_history=False,
+        seed=seed,
+    )
+
+
+def _matlab_ga(population: int, seed: int) -> Any:
+    from sysid.fit.matlab_genetic import MatlabGA
+
+    return MatlabGA(population, seed=seed)
+
+
+def _de(population: int, seed: int) -> Any:
+    from pymoo.algorithms.soo.nonconvex.de import DE
+    from pymoo.operators.sampling.lhs import LHS
+
+    return DE(pop_size=population, sampling=LHS(), variant="DE/best/1/bin", seed=seed)
+
+
+def _pso(population: int, seed: int) -> Any:
+    from pymoo.algorithms.soo.nonconvex.pso import PSO
+    from pymoo.operators.sampling.lhs import LHS
+
+    return PSO(pop_size=population, sampling=LHS(), seed=seed)
+
+
+_ALGORITHM = {"ga": _ga, "matlab-ga": _matlab_ga, "de": _de, "pso": _pso}
+
+
+def _cmaes(n_free: int, population: int, seed: int, start: Start | None) -> Breeder:
+    from pymoo.algorithms.soo.nonconvex.cmaes import CMAES
+
+    random = np.random.default_rng(seed)
+    if start is None:
+        start = Start(random.random(n_free), np.full(n_free, _RANDOM_SPREAD))
+    largest = float(start.spread.max())
+    algorithm = CMAES(
+        x0=start.mean,
+        sigma=largest,
+        pop_size=population,
+        # The search's own rule ends it: cma's tolerances are far below what a cost resolves.
+        tolfun=0.0,
+        tolx=0.0,
+        CMA_stds=start.spread / largest,
+        randn=lambda *shape: random.standard_normal(shape),
+    )
+    out = Breeder(algorithm, n_free)
+    # pymoo scores the starting point, whose cost cma never sees: no simulation is spent on it.
+    out.ask()
+    out.tell(np.full(1, np.inf))
+    return out

@@ -1,0 +1,151 @@
+"""What a search leaves behind: every generation of every stage of every run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.fit.stopping import StopReason
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Generation:
+    """What one generation left behind.
+
+    Parameters
+    ----------
+    number : int
+        From 1, within its stage.
+    cube : (P, n_free) array
+        Population after the generation in the unit cube, best first [1].
+    cost : (P,) array
+        Its NRMSE [1].
+    failed : int
+        Candidates of this generation of which a simulation failed [1].
+    evaluations, simulations : int
+        Since the run began [1].
+    elapsed : float
+        Wall time since the run began [s].
+    algorithm : str
+        Of the stage.
+    lowest : float, optional
+        Lowest NRMSE since the run began [1]. Default: the lowest of this generation.
+    """
+
+    number: int
+    cube: FloatArray
+    cost: FloatArray
+    failed: int
+    evaluations: int
+    simulations: int
+    elapsed: float
+    algorithm: str = "ga"
+    lowest: float = float("inf")
+
+    @property
+    def best(self) -> float:
+        """Lowest NRMSE since the run began [1]."""
+        return min(self.lowest, float(np.min(self.cost)))
+
+    @property
+    def median(self) -> float:
+        """Median NRMSE of the population [1]."""
+        return float(np.median(self.cost))
+
+
+@dataclass(frozen=True, eq=False)
+class StageHistory:
+    """One algorithm's part of a run.
+
+    Parameters
+    ----------
+    algorithm : str
+        A key of `sysid.fit.algorithms.ALGORITHMS`.
+    cube : (G, P, n_free) array
+        Population after every generation in the unit cube, best first [1].
+    cost : (G, P) array
+        NRMSE [1].
+    failed : (G,) int array
+        Candidates scored in the generation of which a simulation failed [1].
+    evaluations, simulations : int
+        Candidates scored and simulations run in this stage [1].
+    wall_time : float
+        Of this stage [s].
+    stop_reason : str
+        A key of `sysid.fit.stopping.REASONS`.
+    """
+
+    algorithm: str
+    cube: FloatArray
+    cost: FloatArray
+    failed: NDArray[np.int64]
+    evaluations: int
+    simulations: int
+    wall_time: float
+    stop_reason: StopReason
+
+
+@dataclass(frozen=True, eq=False)
+class RunHistory:
+    """Everything one run did.
+
+    Parameters
+    ----------
+    seed : int
+        Of this run.
+    stages : tuple of StageHistory
+        The search, then the finisher where there was one.
+    """
+
+    seed: int
+    stages: tuple[StageHistory, ...]
+
+    @property
+    def best(self) -> FloatArray:
+        """(G,) lowest NRMSE found until every generation, over all stages [1]."""
+        lowest = np.concatenate([stage.cost.min(axis=1) for stage in self.stages])
+        return np.minimum.accumulate(lowest)
+
+    @property
+    def median(self) -> FloatArray:
+        """(G,) median NRMSE of the population after every generation, over all stages [1]."""
+        return np.concatenate([np.median(stage.cost, axis=1) for stage in self.stages])
+
+    @property
+    def failed(self) -> NDArray[np.int64]:
+        """(G,) failed candidates of every generation, over all stages [1]."""
+        return np.concatenate([stage.failed for stage in self.stages])
+
+    @property
+    def best_point(self) -> FloatArray:
+        """(n_free,) best individual of the run in the unit cube [1].
+
+        Of an elitist algorithm (all but CMA-ES) it is the best of the last generation.
+        """
+        stage = min(self.stages, key=lambda s: float(s.cost.min()))
+        generation, individual = np.unravel_index(int(np.argmin(stage.cost[::-1])), stage.cost.shape)
+        return stage.cube[::-1][generation, individual]
+
+    @property
+    def evaluations(self) -> int:
+        """Candidates scored [1]."""
+        return sum(stage.evaluations for stage in self.stages)
+
+    @property
+    def simulations(self) -> int:
+        """Simulations run [1]."""
+        return sum(stage.simulations for stage in self.stages)
+
+    @property
+    def wall_time(self) -> float:
+        """[s]."""
+        return sum(stage.wall_time for stage in self.stages)
+
+    @property
+    def stop_reason(self) -> StopReason:
+        """Why the last stage ended."""
+        return self.stages[-1].stop_reason

@@ -1,0 +1,108 @@
+"""The costs that a run has paid for: all that is needed to continue it exactly.
+
+A breeder is a pure function of its seed and of the costs it was told. A run is therefore continued by
+breeding again from the start and telling the remembered costs, until they are used up: no state of any
+library is stored, and the candidates asked for are compared with a fingerprint of those that were scored.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.errors import FitError
+from sysid.fit.objective import Evaluation
+from sysid.fit.stopping import StopReason
+
+FloatArray = NDArray[np.float64]
+
+
+def fingerprint(cube: FloatArray) -> int:
+    """Return 64 bits that tell one population of candidates from another."""
+    data = np.ascontiguousarray(cube, dtype="<f8").tobytes()
+    return int.from_bytes(hashlib.blake2b(data, digest_size=8).digest(), "little")
+
+
+@dataclass
+class StageMemory:
+    """What one stage has scored, generation by generation.
+
+    Parameters
+    ----------
+    algorithm : str
+        A key of `sysid.fit.algorithms.ALGORITHMS`.
+    cost : list of (P,) array
+        In the order in which the candidates were asked for [1].
+    failed, simulations : list of int
+        Of every generation [1].
+    asked : list of int
+        `fingerprint` of the candidates of every generation.
+    elapsed : list of float
+        Wall time of the stage at the end of every generation [s].
+    ended : str, optional
+        Why the stage ended, a key of `sysid.fit.stopping.REASONS`; None while it is running.
+    """
+
+    algorithm: str
+    cost: list[FloatArray] = field(default_factory=list)
+    failed: list[int] = field(default_factory=list)
+    simulations: list[int] = field(default_factory=list)
+    asked: list[int] = field(default_factory=list)
+    elapsed: list[float] = field(default_factory=list)
+    ended: StopReason | None = None
+
+    def append(self, points: FloatArray, scored: Evaluation, elapsed: float) -> None:
+        """Remember a generation."""
+        self.cost.append(np.array(scored.cost, dtype=np.float64))
+        self.failed.append(int(np.count_nonzero(scored.failed)))
+        self.simulations.append(int(scored.simulations))
+        self.asked.append(fingerprint(points))
+        self.elapsed.append(elapsed)
+
+    def check(self, generation: int, points: FloatArray) -> None:
+        """Refuse to go on when other candidates are asked for than those that were scored.
+
+        Raises
+        ------
+        FitError
+            The search cannot be continued to the result that it would have had.
+        """
+        if self.asked[generation] != fingerprint(points):
+            raise FitError(
+                f"the checkpoint cannot be continued: generation {generation + 1} of {self.algorithm} asks "
+                "for other candidates than were scored, so a library or the processor has changed; "
+                "continue where the fit was begun, or start anew with --force"
+            )
+
+
+@dataclass
+class RunMemory:
+    """What one run has scored.
+
+    Parameters
+    ----------
+    seed : int
+        Of the run.
+    stages : list of StageMemory
+        Those that were begun.
+    """
+
+    seed: int
+    stages: list[StageMemory] = field(default_factory=list)
+
+    def reopen(self) -> None:
+        """Forget that the run was cut short, and what came after the cut: it goes on as if never cut."""
+        for number, stage in enumerate(self.stages):
+            if stage.ended in ("time", "interrupted"):
+                stage.ended = None
+                del self.stages[number + 1 :]
+                return
+
+    def stage(self, number: int, algorithm: str) -> StageMemory:
+        """Return the memory of a stage (from 0), which is begun if it is new."""
+        if number == len(self.stages):
+            self.stages.append(StageMemory(algorithm))
+        return self.stages[number]
