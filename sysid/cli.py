@@ -72,6 +72,8 @@ Algo = Annotated[
 Finisher = Annotated[
     Finish | None, typer.Option("--finish", help="CMA-ES after every run, or none: the paper's method.")
 ]
+Evaluations = Annotated[int | None, typer.Option(help="Candidates that the whole fit may score.", min=1)]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue an unfinished fit.")]
 Threads = Annotated[int | None, typer.Option(help="Cores to use; the result is the same.", min=1)]
 
 
@@ -93,6 +95,8 @@ def fit_motor(
     threads: Threads = None,
     algorithm: Algo = None,
     finish: Finisher = None,
+    max_evaluations: Evaluations = None,
+    resume: Resume = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -102,7 +106,7 @@ def fit_motor(
 
     options = FitOptions(
         out, force, population, runs, seed, max_generations, _seconds(time_limit), threads, quiet or json,
-        algorithm and algorithm.value, finish and finish.value,
+        algorithm and algorithm.value, finish and finish.value, max_evaluations, resume,
     )  # fmt: skip
     _print_fit(*fit(campaign, options, say=None if quiet else say), quiet, json)
 
@@ -121,6 +125,8 @@ def fit_gear(
     threads: Threads = None,
     algorithm: Algo = None,
     finish: Finisher = None,
+    max_evaluations: Evaluations = None,
+    resume: Resume = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -130,7 +136,7 @@ def fit_gear(
 
     options = FitOptions(
         out, force, population, runs, seed, max_generations, _seconds(time_limit), threads, quiet or json,
-        algorithm and algorithm.value, finish and finish.value,
+        algorithm and algorithm.value, finish and finish.value, max_evaluations, resume,
     )  # fmt: skip
     law = surface.value if surface is not None else None
     _print_fit(*fit(campaign, options, surface=law, say=None if quiet else say), quiet, json)

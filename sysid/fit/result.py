@@ -77,8 +77,12 @@ class RankedSets:
     at_bound: NDArray[np.int8]
 
 
-def ranked_sets(runs: Sequence[RunHistory], space: SearchSpace) -> RankedSets:
-    """Return one set per run, ranked by cost; equal costs keep the order of the runs.
+# The paper's number of sets.
+SETS_KEPT = 5
+
+
+def ranked_sets(runs: Sequence[RunHistory], space: SearchSpace, keep: int = SETS_KEPT) -> RankedSets:
+    """Return one set per run, the best `keep` of them, ranked by cost; equal costs keep the order of runs.
 
     Five of one population would be clones: the paper's five sets are the best of each run's last
     generation. A run with a finisher gives the best that it has found.
@@ -86,9 +90,9 @@ def ranked_sets(runs: Sequence[RunHistory], space: SearchSpace) -> RankedSets:
     if not runs:
         raise FitError("no run has finished a generation, so there is no set; run the fit again")
     cost = np.array([float(run.best[-1]) for run in runs])
-    order = np.argsort(cost, kind="stable")
+    order = np.argsort(cost, kind="stable")[:keep]
     cube = np.stack([runs[i].best_point for i in order])
-    at_bound = np.zeros((len(runs), len(space.table)), dtype=np.int8)
+    at_bound = np.zeros((len(order), len(space.table)), dtype=np.int8)
     index = {name: i for i, name in enumerate(space.table)}
     at_bound[:, [index[name] for name in space.names]] = space.at_bound(cube)
     return RankedSets(
@@ -135,7 +139,7 @@ class FitResult:
     name : str
         Of the campaign.
     state : {"done", "stopped"}
-        ``stopped``: interrupted by the user; what was found is here.
+        ``stopped``: cut short by the user or the time limit; what was found is here.
     parameters : tuple of ParameterRecord
         Columns of `values`: every row of the model's table, then the derived numbers.
     runs : tuple of RunHistory

@@ -15,6 +15,7 @@ import numpy as np
 
 from sysid import exact_json
 from sysid.errors import ExportError, FitError
+from sysid.fit.agreement import agreement, waterfall
 from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.stopping import REASONS
@@ -239,7 +240,10 @@ def summary(result: FitResult) -> str:
     for trial in result.trials:
         cells = "".join(f"{100 * value:>14.2f}" for value in trial.nrmse[0])
         lines.append(f"{trial.name:<{width}}  {trial.use:<10}{cells}")
-    lines += ["", "runs", ""]
+    if result.runs:
+        lines += ["", "runs, best first (runs of one letter ended in the same optimum)", ""]
+        lines += [*waterfall(result.runs), "", agreement(result.runs).sentence()]
+    lines += ["", "stages", ""]
     for number, run in enumerate(result.runs, start=1):
         lines.append(
             f"{number:>4}  NRMSE {100 * run.best[-1]:.3f} %, {run.evaluations} candidates "

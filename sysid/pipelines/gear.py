@@ -16,12 +16,19 @@ from sysid.filters import KaiserLowpass
 from sysid.fit.cost import FilteredNrmse, PopulationCost
 from sysid.fit.objective import Evaluation
 from sysid.fit.result import FitResult, TrialResult, bound_warnings, ranked_sets
-from sysid.fit.store import check_new_fit, write_fit
 from sysid.gear.model import FIT_TOLERANCE, HF_FREE, LF_FREE, PARAMETERS, SURFACES, Drops, simulate_population
 from sysid.parameter_sets import ParameterRecord, parameter_records
 from sysid.parameters import SearchSpace
 from sysid.pipelines.drops import PreparedDrop, cost_channels, prepare_drops
-from sysid.pipelines.search import FitOptions, collected_warnings, naming, provenance, search
+from sysid.pipelines.search import (
+    FitOptions,
+    check_start,
+    collected_warnings,
+    fit_identity,
+    naming,
+    provenance,
+    search,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -187,7 +194,7 @@ def fit_gear(
     options = options or FitOptions()
     tell = say or (lambda sentence: None)
     folder = options.folder(campaign.name)
-    check_new_fit(folder, options.force)
+    check_start(folder, options)
     with naming(path), collected_warnings(lambda text: tell(f"warning: {text}")) as doubts:
         space = search_space(campaign)
         ranges = campaign.parameters.measured_ranges(PARAMETERS)
@@ -199,8 +206,13 @@ def fit_gear(
             f"{len(fitted)} drops to fit, {len(drops) - len(fitted)} to validate; {len(space.free)} free "
             f"parameters; the kernel is compiled at the first start of a version (under a minute)"
         )
-        runs, interrupted = search(objective, settings, simulated="drops", quiet=options.quiet)
-    sets = ranked_sets(runs, space)
+        hashes = {drop.name: str(drop.provenance["sha256"]) for drop in drops}
+        identity = fit_identity(path, settings, space, hashes, **{"the friction law": campaign.surface.law})
+        found = search(
+            objective, settings, folder=folder, options=options, identity=identity,
+            simulated="drops", tell=tell,
+        )  # fmt: skip
+    sets = ranked_sets(found.runs, space)
     records = parameter_records(space, measured_values(campaign), ranges, _DERIVED)
     at_bound = np.pad(sets.at_bound, ((0, 0), (0, len(_DERIVED))))
     at_bounds = bound_warnings(records, at_bound)
@@ -209,9 +221,9 @@ def fit_gear(
     result = FitResult(
         kind="gear",
         name=campaign.name,
-        state="stopped" if interrupted else "done",
+        state=found.state,
         parameters=records,
-        runs=runs,
+        runs=found.runs,
         set_runs=sets.run,
         set_seeds=sets.seed,
         cube=sets.cube,
@@ -230,9 +242,9 @@ def fit_gear(
             _filter_design(campaign, fitted[0]),
             {drop.name: drop.provenance for drop in drops},
         ),
-        warnings=(*doubts, *at_bounds),
+        warnings=(*doubts, *found.warnings, *at_bounds),
     )
-    return result, write_fit(result, folder, options.force)
+    return result, found.write(result, folder, options)
 
 
 def _trial_results(objective: GearObjective, rows: FloatArray) -> tuple[TrialResult, ...]:

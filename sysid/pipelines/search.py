@@ -2,28 +2,38 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from sysid import __version__
+import numpy as np
+
+from sysid import __version__, exact_json
 from sysid.campaign import FitTable
-from sysid.errors import CampaignError, SysidWarning
+from sysid.errors import CampaignError, FitError, SysidWarning
+from sysid.fit.agreement import agreement, waterfall
 from sysid.fit.algorithms import ALGORITHMS
+from sysid.fit.checkpoint import Checkpoint, checkpoint_folder, run_numbers, unfinished
 from sysid.fit.engine import FINISH_POPULATION, Hooks, SearchSettings, run_many
 from sysid.fit.history import RunHistory
 from sysid.fit.objective import Objective
 from sysid.fit.progress import FitProgress
+from sysid.fit.result import FitResult
 from sysid.fit.stopping import StopRule, stop_on_interrupt
+from sysid.fit.store import check_new_fit, write_fit
+from sysid.parameters import SearchSpace
 from sysid.recording import file_sha256
 
+# Candidates that are scored to recognise an objective.
+_PROBES = 4
 _LIBRARIES = ("numpy", "scipy", "numba", "pymoo", "cma", "pandas", "h5py")
 
 
@@ -49,6 +59,10 @@ class FitOptions:
         A key of `sysid.fit.algorithms.ALGORITHMS`; overrides the campaign's `[fit]`.
     finish : {"cmaes", "none"}, optional
         Overrides the campaign's `[fit]`.
+    max_evaluations : int, optional
+        Candidates that the whole fit may score [1].
+    resume : bool
+        Continue an unfinished fit.
     """
 
     out: Path | None = None
@@ -62,6 +76,8 @@ class FitOptions:
     quiet: bool = False
     algorithm: str | None = None
     finish: str | None = None
+    max_evaluations: int | None = None
+    resume: bool = False
 
     def folder(self, name: str) -> Path:
         """Return where a fit called `name` goes."""
@@ -85,39 +101,164 @@ class FitOptions:
                 window=table.stop_window,
                 tolerance=table.stop_tolerance,
                 max_generations=chosen("max_generations"),
+                max_evaluations=self.max_evaluations,
                 time_limit=self.time_limit,
             ),
         )
 
 
+@dataclass
+class Search:
+    """What a search found, and the hold on its folder until the result is written.
+
+    Parameters
+    ----------
+    runs : tuple of RunHistory
+        Those that were begun.
+    state : {"done", "stopped"}
+        ``stopped``: cut short by the user or by the time limit; `--resume` goes on.
+    warnings : tuple of str
+        What the runs say against each other, and what was noticed of a checkpoint.
+    """
+
+    runs: tuple[RunHistory, ...]
+    state: Literal["done", "stopped"]
+    warnings: tuple[str, ...]
+    _checkpoint: Checkpoint = field(repr=False)
+
+    def write(self, result: FitResult, folder: Path, options: FitOptions) -> Path:
+        """Write the fit folder; what is done needs no checkpoint any more."""
+        path = write_fit(result, folder, options.force or options.resume)
+        if self.state == "done":
+            self._checkpoint.discard()
+        else:
+            self._checkpoint.close()
+        return path
+
+
+def check_start(folder: Path, options: FitOptions) -> None:
+    """Refuse a fit that is there, or one that cannot be continued, before the hours of a fit are spent.
+
+    Raises
+    ------
+    FitError
+        When the folder holds a fit and neither `force` nor `resume` is on; when an unfinished fit is there;
+        when there is nothing to resume.
+    """
+    unfinished_runs = run_numbers(checkpoint_folder(folder))
+    if options.resume:
+        if options.force:
+            raise FitError("--resume continues a fit and --force discards it; choose one")
+        if not unfinished_runs:
+            raise FitError(f"{folder}: no unfinished fit to continue is there; start it without --resume")
+        check_new_fit(folder, force=True)
+        return
+    if unfinished_runs and not options.force:
+        raise FitError(unfinished(folder))
+    check_new_fit(folder, options.force)
+
+
 def search(
-    objective: Objective, settings: SearchSettings, *, simulated: str, quiet: bool
-) -> tuple[tuple[RunHistory, ...], bool]:
-    """Run the search with live progress; Ctrl-C ends it after the generation and keeps what was found.
+    objective: Objective,
+    settings: SearchSettings,
+    *,
+    folder: Path,
+    options: FitOptions,
+    identity: Mapping[str, Any],
+    simulated: str,
+    tell: Callable[[str], None],
+) -> Search:
+    """Run the search with live progress and checkpoints; Ctrl-C ends it and keeps what was found.
 
     Parameters
     ----------
     objective : Objective
         Scores points of the unit cube.
     settings : SearchSettings
-        Population, runs, seed, stop rule.
+        Algorithm, population, runs, seed, stop rule.
+    folder : Path
+        Result folder of the fit; its checkpoint lies beside it.
+    options : FitOptions
+        Resume, force, quiet.
+    identity : mapping
+        What must be equal for a fit to be continued; see `fit_identity`.
     simulated : str
         What a simulation is called: ``drops``, ``trials``.
-    quiet : bool
-        No progress.
+    tell : callable
+        Told one sentence at a time.
 
-    Returns
-    -------
-    runs : tuple of RunHistory
-        Those that were begun.
-    interrupted : bool
-        True when Ctrl-C ended it.
+    Raises
+    ------
+    FitError
+        When another process works on the fit, or it cannot be continued.
     """
-    progress = FitProgress(settings, simulated, quiet)
-    with stop_on_interrupt(progress.on_stop) as flag, progress:
-        hooks = Hooks(progress.on_generation, progress.on_run, should_stop=flag)
-        runs = run_many(objective, settings, hooks=hooks)
-    return runs, any(run.stop_reason == "interrupted" for run in runs)
+    # What no hash of a log or a table covers (a static log, a kernel, a processor) shows in the costs of some
+    # candidates.
+    points = np.random.default_rng(0).random((_PROBES, len(objective.space.free)))
+    costs = [float(cost).hex() for cost in objective.evaluate(points).cost]
+    identity = {**identity, "the cost of the same candidates (its inputs, code or processor)": costs}
+    checkpoint = Checkpoint(folder, identity, resume=options.resume, force=options.force)
+    try:
+        for note in checkpoint.notes:
+            tell(f"warning: {note}")
+        if checkpoint.memories:
+            done = sum(len(stage.cost) for memory in checkpoint.memories for stage in memory.stages)
+            tell(f"continuing {len(checkpoint.memories)} runs after {done} generations")
+        progress = FitProgress(settings, simulated, options.quiet)
+        with stop_on_interrupt(progress.on_stop) as flag, progress:
+            hooks = Hooks(progress.on_generation, progress.on_run, checkpoint.keep, flag)
+            runs = run_many(objective, settings, memories=checkpoint.memories, hooks=hooks)
+    except BaseException:
+        checkpoint.close()
+        raise
+    cut = any(stage.stop_reason in ("interrupted", "time") for run in runs for stage in run.stages)
+    found = agreement(runs)
+    if len(runs) > 1:
+        for line in waterfall(runs):
+            tell(line)
+    tell(found.sentence())
+    doubts = () if found.agrees and len(runs) > 1 else (found.sentence(),)
+    return Search(runs, "stopped" if cut else "done", (*checkpoint.notes, *doubts), checkpoint)
+
+
+def fit_identity(
+    campaign_path: str | Path,
+    settings: SearchSettings,
+    space: SearchSpace,
+    logs: Mapping[str, str],
+    **more: Any,
+) -> dict[str, Any]:
+    """Return what must be equal for a fit to be continued, in the words of the sentence that refuses.
+
+    Parameters
+    ----------
+    campaign_path : str or Path
+        Hashed.
+    settings : SearchSettings
+        Of the search. More runs, or another time limit, do not hinder.
+    space : SearchSpace
+        Free parameters with their bounds, values of all others.
+    logs : mapping of str to str
+        SHA-256 of every log, by name.
+    **more
+        Anything else that the command line can change.
+    """
+    rows = [[str(value) for value in vars(row).values()] for row in (*space.table.values(), *space.free)]
+    table = exact_json.dumps([rows, dict(space.fixed)], indent=None)
+    stop = settings.stop.share(settings.runs)
+    return {
+        "the campaign file": file_sha256(Path(campaign_path)),
+        **{f"log {name}": digest for name, digest in logs.items()},
+        "the parameter table": hashlib.sha256(table.encode()).hexdigest(),
+        "the version of sysid": __version__,
+        "the algorithm": settings.algorithm,
+        "the finisher": settings.finish,
+        "the population": settings.population,
+        "the seed": settings.seed,
+        "the stop rule": [stop.reading, stop.window, stop.tolerance, stop.max_generations],
+        "the evaluation budget of a run": stop.max_evaluations,
+        **more,
+    }  # fmt: skip
 
 
 @contextmanager
@@ -200,6 +341,7 @@ def provenance(
             "stop_window": settings.stop.window,
             "stop_tolerance": settings.stop.tolerance,
             "max_generations": settings.stop.max_generations,
+            "max_evaluations": settings.stop.max_evaluations,
             "time_limit [s]": settings.stop.time_limit,
         },
     }

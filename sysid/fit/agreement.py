@@ -1,0 +1,132 @@
+"""What several runs say about each other: which of them ended in the same optimum.
+
+Two runs ended in the same optimum when neither their NRMSE nor their place in the unit cube differs by more
+than the search itself could tell: NRMSE by less than 0.2 %, every free parameter by less than 2 % of its
+range plus the widths over which each run's own candidates scored within 0.2 % of its best. A parameter that
+the data do not hold is wide, so it does not tear runs apart that agree in all that can be known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.fit.history import RunHistory
+from sysid.fit.stopping import REASONS
+
+FloatArray = NDArray[np.float64]
+
+# Relative difference of NRMSE that tells optima apart: twice what adaptive integration leaves uncertain.
+SAME_NRMSE = 2e-3
+# Of the unit cube's edge.
+SAME_PLACE = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """Runs grouped by the optimum in which they ended.
+
+    Parameters
+    ----------
+    order : tuple of int
+        Runs (from 0), best first.
+    optimum : (R,) int array
+        Optimum (from 0, best first) of every run, in the order of the runs.
+    cost : (R,) array
+        NRMSE of every run, in the order of the runs [1].
+    """
+
+    order: tuple[int, ...]
+    optimum: NDArray[np.int64]
+    cost: FloatArray
+
+    @property
+    def reached(self) -> int:
+        """Runs that ended in the best optimum [1]."""
+        return int(np.count_nonzero(self.optimum == 0))
+
+    @property
+    def agrees(self) -> bool:
+        """True when every run ended in the best optimum."""
+        return self.reached == len(self.cost)
+
+    def sentence(self) -> str:
+        """Return what the runs say about the result, in one sentence."""
+        runs, best = len(self.cost), float(self.cost.min())
+        if runs == 1:
+            return "a single run cannot say whether its optimum is the best one; ask for more with --runs 5"
+        if self.agrees:
+            return f"{runs} of {runs} runs reached the same optimum (NRMSE {100 * best:.3f} %)"
+        others = self.cost[self.optimum != 0]
+        places = int(self.optimum.max())
+        word = "place" if places == 1 else "places"
+        if others.max() <= best * (1 + SAME_NRMSE):
+            return (
+                f"{self.reached} of {runs} runs reached the best optimum and the others end as low in "
+                f"{places} other {word}: the data do not tell these sets apart; compare them before one "
+                "is used"
+            )
+        alone = " alone" if self.reached == 1 else ""
+        return (
+            f"the runs disagree: {self.reached} of {runs}{alone} reached the best optimum (NRMSE "
+            f"{100 * best:.3f} %), the others end at {others.min() / best:.3f} to "
+            f"{others.max() / best:.3f} × it in {places} other {word}: sets beyond the best optimum are "
+            "local ones; ask for more runs with --runs 20"
+        )
+
+
+def agreement(runs: Sequence[RunHistory]) -> Agreement:
+    """Group runs by the optimum in which they ended."""
+    cost = np.array([run.best[-1] for run in runs])
+    place = np.stack([run.best_point for run in runs])
+    width = np.stack([_width(run) for run in runs])
+    order = np.argsort(cost, kind="stable")
+    optimum = np.full(len(runs), -1, dtype=np.int64)
+    first: list[int] = []
+    for run in order:
+        for number, other in enumerate(first):
+            near = abs(cost[run] - cost[other]) <= SAME_NRMSE * cost[other]
+            apart = np.abs(place[run] - place[other])
+            if near and np.all(apart <= SAME_PLACE + width[run] + width[other]):
+                optimum[run] = number
+                break
+        else:
+            optimum[run] = len(first)
+            first.append(int(run))
+    return Agreement(tuple(int(i) for i in order), optimum, cost)
+
+
+def _width(run: RunHistory) -> FloatArray:
+    """Return the half widths (n_free,) over which a run's candidates scored as well as its best [1]."""
+    limit = float(run.best[-1]) * (1 + SAME_NRMSE)
+    good = np.concatenate([stage.cube[stage.cost <= limit] for stage in run.stages])
+    return np.asarray(np.ptp(good, axis=0)) / 2
+
+
+def waterfall(runs: Sequence[RunHistory]) -> list[str]:
+    """Return a table of all runs, best first: NRMSE, its ratio to the best, optimum, cost, why it ended."""
+    found = agreement(runs)
+    best = float(found.cost.min())
+    lines = [
+        f"{'rank':>4}  {'run':>3}  {'NRMSE':>9}  {'× best':>7}  {'optimum':>7}  {'candidates':>10}  ended"
+    ]
+    for rank, i in enumerate(found.order, start=1):
+        run = runs[i]
+        ended = ", ".join(f"{stage.algorithm}: {REASONS[stage.stop_reason]}" for stage in run.stages)
+        lines.append(
+            f"{rank:>4}  {i + 1:>3}  {100 * found.cost[i]:>7.3f} %  {found.cost[i] / best:>7.4f}  "
+            f"{_letter(int(found.optimum[i])):>7}  {run.evaluations:>10}  {ended}"
+        )
+    return lines
+
+
+def _letter(number: int) -> str:
+    name = ""
+    number += 1
+    while number:
+        number, rest = divmod(number - 1, 26)
+        name = chr(ord("A") + rest) + name
+    return name

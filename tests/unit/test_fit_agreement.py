@@ -1,0 +1,76 @@
+"""What several runs say about each other, on made histories."""
+
+import numpy as np
+import pytest
+
+from sysid.fit.agreement import agreement, waterfall
+from sysid.fit.history import RunHistory, StageHistory
+from sysid.fit.result import SETS_KEPT, ranked_sets
+from sysid.parameters import Parameter, ParameterTable, SearchSpace
+
+
+def run(cost, place, width=0.0, seed=1, loose=(0.0, 0.0)):
+    """A run that closed in on `place`; along `loose` its candidates scored alike."""
+    place = np.asarray(place, dtype=float)
+    steps = np.array([0.3, 0.1, 0.01, 0.0])
+    cube = np.stack([np.clip([place + step, place - step], 0, 1) for step in steps])
+    cube[2] = place + np.array([loose, np.negative(loose)])
+    costs = cost * (1 + np.stack([[step, step] for step in (0.5, 0.1, 0.001, 0.0)]))
+    stage = StageHistory("ga", cube, costs, np.zeros(4, dtype=np.int64), 8, 48, 1.0, "converged")
+    return RunHistory(seed, (stage,))
+
+
+def test_same_place_and_nrmse_is_one_optimum():
+    runs = [run(0.0800, (0.2, 0.5)), run(0.08005, (0.21, 0.5)), run(0.0800, (0.2, 0.51))]
+    found = agreement(runs)
+    assert (found.reached, found.agrees) == (3, True)
+    assert found.sentence() == "3 of 3 runs reached the same optimum (NRMSE 8.000 %)"
+
+
+def test_worse_runs_are_said_to_be_local():
+    runs = [run(0.10, (0.9, 0.5)), run(0.08, (0.2, 0.5)), run(0.11, (0.9, 0.9)), run(0.08, (0.2, 0.5))]
+    found = agreement(runs)
+    assert found.optimum.tolist() == [1, 0, 2, 0]
+    assert found.order == (1, 3, 0, 2)
+    text = found.sentence()
+    assert text.startswith("the runs disagree: 2 of 4 reached the best optimum (NRMSE 8.000 %)")
+    assert "1.250 to 1.375 × it in 2 other places" in text
+    assert "--runs 20" in text
+    alone = agreement(runs[:3]).sentence()
+    assert "1 of 3 alone reached" in alone
+
+
+def test_equal_nrmse_at_another_place_is_said_too():
+    text = agreement([run(0.08, (0.2, 0.5)), run(0.08, (0.8, 0.5))]).sentence()
+    assert "the data do not tell these sets apart" in text
+
+
+def test_a_parameter_that_the_data_do_not_hold_does_not_tear_runs_apart():
+    # Both searches saw candidates as good along 0.3 of the second axis.
+    runs = [run(0.08, (0.2, 0.4), loose=(0.0, 0.3)), run(0.08, (0.2, 0.6), loose=(0.0, 0.3))]
+    assert agreement(runs).agrees
+    assert not agreement([run(0.08, (0.2, 0.4)), run(0.08, (0.2, 0.6))]).agrees
+
+
+def test_a_single_run_says_so():
+    assert "a single run cannot say" in agreement([run(0.08, (0.2, 0.5))]).sentence()
+
+
+def test_waterfall_lists_every_run_best_first():
+    lines = waterfall([run(0.10, (0.9, 0.5)), run(0.08, (0.2, 0.5))])
+    assert len(lines) == 3
+    assert lines[1].split()[:6] == ["1", "2", "8.000", "%", "1.0000", "A"]
+    assert lines[2].split()[:6] == ["2", "1", "10.000", "%", "1.2500", "B"]
+    assert "NRMSE change below the tolerance" in lines[1]
+
+
+def test_twenty_runs_keep_the_best_five_sets():
+    table = ParameterTable(
+        [Parameter(n, n, "N/m", 3.0, 1.0, 100.0, "log", "Test.", "guess") for n in ("a", "b")]
+    )
+    space = SearchSpace.build(table, ["a", "b"], {})
+    runs = [run(0.08 + 0.001 * (i * 7 % 20), (0.2, 0.5), seed=i) for i in range(20)]
+    ranked = ranked_sets(runs, space)
+    assert len(ranked.cost) == SETS_KEPT == 5
+    assert ranked.cost == pytest.approx([0.080, 0.081, 0.082, 0.083, 0.084], rel=1e-12)
+    assert len(set(ranked.run)) == 5

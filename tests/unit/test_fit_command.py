@@ -1,0 +1,93 @@
+"""Unfinished fits on the command line: cut short, refused by accident, continued to the same numbers."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sysid import cli
+from sysid.fit.store import read_fit
+
+SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
+SMALL = ("--population", "16", "--runs", "2", "--max-generations", "4", "--quiet")
+
+
+def run(monkeypatch, capsys, *arguments):
+    """Run the command line in this process; return exit code, standard output and standard error."""
+    monkeypatch.setattr("sys.argv", ["sysid", *map(str, arguments)])
+    code = 0
+    try:
+        cli.main()
+    except SystemExit as stop:
+        code = int(stop.code or 0)
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+@pytest.fixture
+def campaign(tmp_path, monkeypatch):
+    """A copy of the sample drops; results go to a fits/ beside it."""
+    shutil.copytree(SAMPLES / "gear-lf", tmp_path / "drops")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "drops" / "campaign.toml"
+
+
+def assert_same_fit(a, b):
+    for x, y in zip(read_fit(a).runs, read_fit(b).runs, strict=True):
+        for first, second in zip(x.stages, y.stages, strict=True):
+            assert (first.algorithm, first.stop_reason) == (second.algorithm, second.stop_reason)
+            np.testing.assert_array_equal(first.cube, second.cube)
+            np.testing.assert_array_equal(first.cost, second.cost)
+
+
+def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, monkeypatch, capsys):
+    assert run(monkeypatch, capsys, "fit-gear", campaign, *SMALL, "--out", "whole")[0] == 0
+    assert not Path("whole.checkpoint").exists()
+    whole = read_fit("whole")
+    assert whole.state == "done"
+    assert [s.algorithm for r in whole.runs for s in r.stages] == ["ga", "cmaes"] * 2
+
+    fit = ("fit-gear", campaign, *SMALL, "--out", "cut")
+    assert run(monkeypatch, capsys, *fit, "--time-limit", "0.001 s")[0] == 0
+    cut = read_fit("cut")
+    assert cut.state == "stopped"
+    assert {s.stop_reason for r in cut.runs for s in r.stages} == {"time"}
+    assert len(cut.nrmse) == 2
+
+    code, _, err = run(monkeypatch, capsys, *fit)
+    assert code == 2
+    assert "unfinished fit is there; continue it with --resume, or discard it with --force" in err
+    code, _, err = run(monkeypatch, capsys, *fit, "--resume", "--seed", "9")
+    assert code == 2
+    assert "the seed differs (now 9, then 1)" in err
+    code, _, err = run(monkeypatch, capsys, *fit, "--resume")
+    assert code == 0, err
+    assert read_fit("cut").state == "done"
+    assert not Path("cut.checkpoint").exists()
+    assert_same_fit("cut", "whole")
+    code, _, err = run(monkeypatch, capsys, *fit, "--resume")
+    assert code == 2
+    assert "no unfinished fit to continue is there" in err
+
+
+def test_a_changed_log_is_not_continued(campaign, monkeypatch, capsys):
+    fit = ("fit-gear", campaign, *SMALL)
+    assert run(monkeypatch, capsys, *fit, "--time-limit", "0.001 s")[0] == 0
+    log = campaign.parent / "drop-2-10deg-0.80mps.csv"
+    log.write_bytes(log.read_bytes() + b"\r\n")
+    code, _, err = run(monkeypatch, capsys, *fit, "--resume")
+    assert code == 2
+    assert "log drop-2 differs" in err
+
+
+def test_algorithm_finish_and_budget(campaign, monkeypatch, capsys):
+    fit = ("fit-gear", campaign, *SMALL, "--algorithm", "de", "--finish", "none", "--max-evaluations", "80")
+    assert run(monkeypatch, capsys, *fit)[0] == 0
+    runs = read_fit(Path("fits") / "synthetic-lf").runs
+    assert [[s.algorithm for s in r.stages] for r in runs] == [["de"], ["de"]]
+    # 80 candidates are 40 for each run: two generations of 16.
+    assert [r.evaluations for r in runs] == [32, 32]
+    assert {r.stop_reason for r in runs} == {"evaluations"}
+    text = (Path("fits") / "synthetic-lf" / "summary.txt").read_text(encoding="utf-8")
+    assert "runs, best first" in text
