@@ -8,7 +8,8 @@ import pytest
 from sysid.campaign import read_campaign
 from sysid.loaders import load
 from sysid.motor import model
-from sysid.pipelines.motor import fit_motor, prepare_bench
+from sysid.pipelines.motor import fit_motor
+from sysid.pipelines.motor_bench import prepare_bench
 from sysid.pipelines.search import FitOptions
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "rcbenchmark"

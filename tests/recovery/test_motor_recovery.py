@@ -9,14 +9,9 @@ import pytest
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError, LogError
 from sysid.motor.model import PARAMETERS
-from sysid.pipelines.motor import (
-    MotorObjective,
-    fit_motor,
-    in_search,
-    prepare_bench,
-    score_values,
-    search_space,
-)
+from sysid.pipelines.motor import fit_motor
+from sysid.pipelines.motor_bench import in_search, prepare_bench, search_space
+from sysid.pipelines.motor_objective import MotorObjective, score_values
 from sysid.pipelines.search import FitOptions
 from sysid.synthetic.motor import TRUE_MOTOR, synthesize_motor
 

@@ -1,0 +1,126 @@
+"""What a population of motors costs on the trials of a bench."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.campaign import MotorCampaign
+from sysid.fit.objective import Evaluation
+from sysid.motor.model import PARAMETERS, pack
+from sysid.motor.population import MotorTrials, simulate_population
+from sysid.parameters import SearchSpace
+from sysid.pipelines.bench_curves import NoLoadTie
+from sysid.pipelines.bench_logs import PreparedTrial
+from sysid.pipelines.motor_bench import Bench, search_space
+from sysid.pipelines.motor_cost import MotorCost
+
+FloatArray = NDArray[np.float64]
+
+# Local error of the simulations of a search: 1e-5 keeps the worst candidate within 0.01 % NRMSE.
+FIT_TOLERANCE = 1e-5
+# Simulated samples that are held at once [bytes].
+_MEMORY = 64e6
+_INDEX = {name: i for i, name in enumerate(PARAMETERS)}
+
+
+@dataclass(frozen=True, eq=False)
+class MotorObjective:
+    """Mean NRMSE of a population over bench trials.
+
+    Parameters
+    ----------
+    space : SearchSpace
+    trials : tuple of PreparedTrial
+    ties : dict of direction to NoLoadTie
+        No-load lines that follow R and k_d.
+    cost : MotorCost
+    threads : int, optional
+        Cores to use; the numbers do not depend on it.
+    """
+
+    space: SearchSpace
+    trials: tuple[PreparedTrial, ...]
+    ties: dict[str, NoLoadTie]
+    cost: MotorCost
+    jobs: MotorTrials
+    threads: int | None = None
+
+    @classmethod
+    def build(
+        cls,
+        campaign: MotorCampaign,
+        space: SearchSpace,
+        bench: Bench,
+        trials: tuple[PreparedTrial, ...],
+        threads: int | None = None,
+    ) -> MotorObjective:
+        """Join prepared trials with the campaign's cost."""
+        weights = campaign.cost.weights
+        cost = MotorCost(
+            tuple(t.target for t in trials), (weights.torque, weights.speed), campaign.cost.denominator
+        )
+        ties = {
+            direction: tie
+            for direction, tie in bench.curves.ties.items()
+            if not {f"no_load_slope_{direction}", f"no_load_intercept_{direction}"}
+            & ({*space.names} | {*campaign.parameters.fixed})
+        }
+        return cls(space, trials, ties, cost, MotorTrials([t.simulated for t in trials]), threads)
+
+    def complete(self, rows: FloatArray) -> FloatArray:
+        """Return rows (P, n_table) with the no-load lines that belong to their R and k_d."""
+        rows = np.array(rows, dtype=np.float64)
+        drop = rows[:, _INDEX["winding_resistance"]] / (
+            rows[:, _INDEX["torque_constant"]] * rows[:, _INDEX["back_emf_constant"]]
+        )
+        for direction, tie in self.ties.items():
+            line = tie.line(drop, rows[:, _INDEX["viscous_damping"]])
+            rows[:, _INDEX[f"no_load_slope_{direction}"]] = line[:, 0]
+            rows[:, _INDEX[f"no_load_intercept_{direction}"]] = line[:, 1]
+        return rows
+
+    def evaluate(self, cube: FloatArray) -> Evaluation:
+        """Simulate and score unit-cube points (P, n_free)."""
+        by_channel, failed = self.score(self.space.full(cube))
+        return Evaluation(self.cost.mean(by_channel), np.any(failed, axis=1), failed.size)
+
+    def score(self, rows: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return NRMSE (P, T, 2) and failures (P, T) of rows of the parameter table (P, n_table) [SI]."""
+        rows = self.complete(rows)
+        share = max(1, int(_MEMORY / (16 * self.jobs.time.size)))
+        scored = [self._score(rows[first : first + share]) for first in range(0, len(rows), share)]
+        return np.concatenate([s[0] for s in scored]), np.concatenate([s[1] for s in scored])
+
+    def _score(self, rows: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        samples, reached = self.simulate(rows)
+        return self.cost(samples, reached, self.sensors(rows), self.threads)
+
+    def simulate(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return samples (P, n_total, 2) on the trials' grids, and the share reached (P, T), of full rows."""
+        found = simulate_population(rows, self.jobs, tolerance=FIT_TOLERANCE, threads=self.threads)
+        # Success is a status, not a share that rounding could leave at 1 - 1e-16.
+        return found.outputs, np.where(found.status == 0, 1.0, np.minimum(found.reached, 1.0 - 1e-9))
+
+    @staticmethod
+    def sensors(rows: FloatArray) -> FloatArray:
+        """Return torque delay, torque lag and speed lag (P, 3) [s] of rows."""
+        names = ("torque_sensor_delay", "torque_sensor_lag", "speed_sensor_lag")
+        return np.ascontiguousarray(rows[:, [_INDEX[name] for name in names]])
+
+
+def score_values(
+    campaign: MotorCampaign, bench: Bench, values: Mapping[str, float], threads: int | None = None
+) -> FloatArray:
+    """Return the NRMSE (T, 2) of one set of parameter values [SI] on every trial of a prepared bench.
+
+    Names left out take what the campaign fixes. The way to ask what the truth of a synthetic campaign scores.
+    """
+    space = search_space(campaign, bench)
+    every = MotorObjective.build(campaign, space, bench, bench.trials, threads)
+    own = {d: tie for d, tie in every.ties.items() if f"no_load_slope_{d}" not in values}
+    objective = MotorObjective(space, bench.trials, own, every.cost, every.jobs, threads)
+    return objective.score(pack({**bench.values, **space.fixed, **values})[None])[0][0]
