@@ -176,7 +176,7 @@ def test_low_noise_fit_finds_stiffnesses_and_joint(tmp_path):
     truth = read_truth(folder)["parameters"]
     fitted = tuple(drop for drop in drops if drop.use == "fit")
     own = float(score_values(campaign, fitted, truth).cost[0])
-    options = FitOptions(out=Path(tmp_path / "fit"), population=800, quiet=True)
+    options = FitOptions(out=Path(tmp_path / "fit"), population=800, finish="none", quiet=True)
     result, _ = fit_gear(folder / "campaign.toml", options)
     print(f"truth {own:.4%}, sets {result.nrmse}, excess {_excess(result.nrmse, own)}")
     assert len(result.nrmse) == 5
@@ -187,15 +187,34 @@ def test_low_noise_fit_finds_stiffnesses_and_joint(tmp_path):
 
 
 @pytest.mark.slow
-def test_full_noise_fit_reports_its_excess(tmp_path):
-    """0.3 mm and 0.2 deg: a plain GA of 400 ends above the truth on many seeds, none far below it."""
+def test_full_noise_plain_and_finished(tmp_path):
+    """0.3 mm and 0.2 deg: the paper's GA of 400 ends above the truth on many seeds, finished runs agree."""
     folder = synthesize_gear(tmp_path / "drops", seed=1)
     campaign, drops = _prepared(folder)
     truth = read_truth(folder)["parameters"]
     fitted = tuple(drop for drop in drops if drop.use == "fit")
     own = float(score_values(campaign, fitted, truth).cost[0])
-    result, _ = fit_gear(folder / "campaign.toml", FitOptions(out=tmp_path / "fit", quiet=True))
-    print(f"truth {own:.4%}, sets {result.nrmse}, excess {_excess(result.nrmse, own)}")
-    # Eight free parameters soak up some noise, which is far less than 2 % of the truth's NRMSE here.
-    assert result.nrmse[0] > 0.98 * own
-    assert _excess(result.nrmse, own)[0] < 0.08
+    path = folder / "campaign.toml"
+    plain, _ = fit_gear(path, FitOptions(out=tmp_path / "plain", finish="none", quiet=True))
+    print(f"truth {own:.4%}, plain GA {plain.nrmse}, excess {_excess(plain.nrmse, own)}")
+    # Eight free parameters soak up some of 900 noisy samples per channel: about 2 % of the truth's NRMSE.
+    assert plain.nrmse[0] > 0.97 * own
+    assert _excess(plain.nrmse, own)[0] < 0.08
+    finished, _ = fit_gear(path, FitOptions(out=tmp_path / "finished", quiet=True))
+    print(f"finished {finished.nrmse}")
+    assert len(finished.nrmse) == 5
+    assert np.all(finished.nrmse > 0.97 * own)
+    assert np.all(finished.nrmse <= 1.002 * own)
+    sets = finished.parameter_sets().values
+    names = finished.parameter_sets().names
+    for name, error in {
+        # Three times the rms over noise draws of a feasibility study; k_s and dz_j are the weak ones.
+        "joint_dx": 0.01,
+        "leg_axial_stiffness": 0.02,
+        "leg_axial_damping": 0.04,
+        "leg_bending_stiffness": 0.02,
+        "leg_bending_damping": 0.04,
+        "joint_dz": 0.10,
+        "ground_stiffness": 0.30,
+    }.items():
+        assert sets[:, names.index(name)] == pytest.approx(np.full(5, truth[name]), rel=error)
