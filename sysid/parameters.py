@@ -150,6 +150,10 @@ class SearchSpace:
         }
         return cls(table, tuple(rows), fixed)
 
+    def __reduce__(self) -> tuple[type[SearchSpace], tuple[object, ...]]:
+        # A read-only view of a mapping cannot travel to another process; its content can.
+        return SearchSpace, (self.table, self.free, dict(self.fixed))
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the free parameters in search order."""

@@ -33,7 +33,7 @@ FloatArray = NDArray[np.float64]
 # than a GA's: its window is cma's own 10 + 30 n/P generations, its tolerance a tenth of the paper's.
 CMAES_TOLERANCE = 1e-5
 # Of a finisher; chosen by tests/benchmarks/engine.py.
-FINISH_POPULATION = 32
+FINISH_POPULATION = 64
 # What the first stage may use of a budget when a finisher follows.
 _SEARCH_SHARE = 0.6
 

@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.executor import Executor
 from sysid.parameters import SearchSpace
 
 
@@ -45,3 +46,46 @@ class Objective(Protocol):
     def evaluate(self, cube: NDArray[np.float64]) -> Evaluation:
         """Simulate and score unit-cube points (P, n_free)."""
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """An objective as work for an executor: cost, failure and simulations of every row."""
+
+    objective: Objective
+
+    def __call__(
+        self, rows: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.int64]]:
+        """Simulate and score unit-cube points (P, n_free)."""
+        scored = self.objective.evaluate(rows)
+        each, rest = divmod(scored.simulations, len(rows))
+        simulations = np.full(len(rows), each, dtype=np.int64)
+        simulations[:rest] += 1
+        return scored.cost, scored.failed, simulations
+
+
+class SpreadObjective:
+    """An objective whose candidates an executor computes.
+
+    Parameters
+    ----------
+    objective : Objective
+        What is computed; it travels once.
+    executor : Executor
+        Where.
+    """
+
+    def __init__(self, objective: Objective, executor: Executor) -> None:
+        self._objective = objective
+        self._work = executor.share(Scored(objective))
+
+    @property
+    def space(self) -> SearchSpace:
+        """The free parameters."""
+        return self._objective.space
+
+    def evaluate(self, cube: NDArray[np.float64]) -> Evaluation:
+        """Simulate and score unit-cube points (P, n_free)."""
+        cost, failed, simulations = self._work(cube)
+        return Evaluation(cost, failed, int(simulations.sum()))

@@ -19,12 +19,13 @@ import numpy as np
 from sysid import __version__, exact_json
 from sysid.campaign import FitTable
 from sysid.errors import CampaignError, FitError, SysidWarning
+from sysid.executor import executor
 from sysid.fit.agreement import agreement, waterfall
 from sysid.fit.algorithms import ALGORITHMS
 from sysid.fit.checkpoint import Checkpoint, checkpoint_folder, run_numbers, unfinished
 from sysid.fit.engine import FINISH_POPULATION, Hooks, SearchSettings, run_many
 from sysid.fit.history import RunHistory
-from sysid.fit.objective import Objective
+from sysid.fit.objective import Objective, SpreadObjective
 from sysid.fit.progress import FitProgress
 from sysid.fit.result import FitResult
 from sysid.fit.stopping import StopRule, stop_on_interrupt
@@ -32,6 +33,8 @@ from sysid.fit.store import check_new_fit, write_fit
 from sysid.parameters import SearchSpace
 from sysid.recording import file_sha256
 
+# Runs that share a cluster at the same time: while one breeds, the others keep its workers busy.
+_RUNS_AT_ONCE = 8
 # Candidates that are scored to recognise an objective.
 _PROBES = 4
 _LIBRARIES = ("numpy", "scipy", "numba", "pymoo", "cma", "pandas", "h5py")
@@ -63,6 +66,8 @@ class FitOptions:
         Candidates that the whole fit may score [1].
     resume : bool
         Continue an unfinished fit.
+    dask : str, optional
+        Address of a Dask scheduler, or ``local``; every worker process then uses one core.
     """
 
     out: Path | None = None
@@ -78,6 +83,11 @@ class FitOptions:
     finish: str | None = None
     max_evaluations: int | None = None
     resume: bool = False
+    dask: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.dask is not None:
+            object.__setattr__(self, "threads", 1)
 
     def folder(self, name: str) -> Path:
         """Return where a fit called `name` goes."""
@@ -205,9 +215,19 @@ def search(
             done = sum(len(stage.cost) for memory in checkpoint.memories for stage in memory.stages)
             tell(f"continuing {len(checkpoint.memories)} runs after {done} generations")
         progress = FitProgress(settings, simulated, options.quiet)
-        with stop_on_interrupt(progress.on_stop) as flag, progress:
+        with (
+            executor(options.dask, min(settings.runs, _RUNS_AT_ONCE)) as where,
+            stop_on_interrupt(progress.on_stop) as flag,
+            progress,
+        ):
             hooks = Hooks(progress.on_generation, progress.on_run, checkpoint.keep, flag)
-            runs = run_many(objective, settings, memories=checkpoint.memories, hooks=hooks)
+            runs = run_many(
+                objective if options.dask is None else SpreadObjective(objective, where),
+                settings,
+                memories=checkpoint.memories,
+                hooks=hooks,
+                at_once=where.at_once,
+            )
     except BaseException:
         checkpoint.close()
         raise

@@ -1,0 +1,149 @@
+"""The executor: the same bits from this process and from a real Dask cluster that loses a worker."""
+
+import os
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_fit_engine import Bowl, assert_same_run
+
+from sysid.campaign import read_campaign
+from sysid.errors import SysidError
+from sysid.executor import ClusterError, DaskCluster, LocalThreads, executor
+from sysid.fit.engine import Hooks, SearchSettings, run_many
+from sysid.fit.memory import RunMemory
+from sysid.fit.objective import SpreadObjective
+from sysid.fit.stopping import StopRule
+from sysid.pipelines.drops import prepare_drops
+from sysid.pipelines.gear import GearObjective, search_space
+
+SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
+HERE = str(Path(__file__).parent)
+SETTINGS = SearchSettings(40, 3, 5, StopRule(max_generations=10))
+
+
+@pytest.fixture(scope="module")
+def gear():
+    """The objective of the sample drops, on one core."""
+    path = SAMPLES / "gear-lf" / "campaign.toml"
+    campaign = read_campaign(path, "gear")
+    drops = tuple(drop for drop in prepare_drops(campaign, path) if drop.use == "fit")
+    return GearObjective.build(campaign, search_space(campaign), drops, threads=1)
+
+
+@contextmanager
+def cluster(folder, workers):
+    """A scheduler and worker processes, as a lab starts them by hand."""
+    pytest.importorskip("distributed", reason="Dask comes with the extra 'cluster'")
+    file = folder / "scheduler.json"
+    environment = {**os.environ, "PYTHONPATH": HERE}
+    quiet = ["--no-nanny", "--no-dashboard", "--local-directory", str(folder)]
+    common = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
+    dask = [sys.executable, "-m", "dask"]
+    scheduler = subprocess.Popen(
+        [*dask, "scheduler", "--port", "0", "--scheduler-file", str(file), "--no-dashboard"], **common
+    )
+    processes = [scheduler]
+    try:
+        deadline = time.monotonic() + 30
+        while not file.is_file() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        for _ in range(workers):
+            processes.append(
+                subprocess.Popen(
+                    [*dask, "worker", "--scheduler-file", str(file), "--nthreads", "1", *quiet],
+                    **common,
+                )
+            )
+        import json
+
+        address = json.loads(file.read_text(encoding="utf-8"))["address"]
+        with DaskCluster(address, at_once=3) as found:
+            found._client.wait_for_workers(workers, timeout=60)
+            yield found, processes
+    finally:
+        for process in processes:
+            process.kill()
+        for process in processes:
+            process.wait()
+
+
+class Slow(Bowl):
+    """Slow enough to be killed in the middle of a generation."""
+
+    def evaluate(self, cube):
+        time.sleep(0.002 * len(cube))
+        return super().evaluate(cube)
+
+
+def test_chunks_do_not_change_a_bit(gear):
+    points = np.random.default_rng(3).random((37, len(gear.space.free)))
+    whole = gear.evaluate(points)
+    for size in (1, 5, 16):
+        parts = [gear.evaluate(points[i : i + size]) for i in range(0, 37, size)]
+        np.testing.assert_array_equal(np.concatenate([p.cost for p in parts]), whole.cost)
+        np.testing.assert_array_equal(np.concatenate([p.failed for p in parts]), whole.failed)
+        assert sum(p.simulations for p in parts) == whole.simulations
+
+
+def test_local_is_the_work_itself(gear):
+    points = np.random.default_rng(3).random((9, len(gear.space.free)))
+    with executor(None) as where:
+        assert isinstance(where, LocalThreads)
+        spread = SpreadObjective(gear, where)
+        assert spread.space is gear.space
+        a, b = spread.evaluate(points), gear.evaluate(points)
+    np.testing.assert_array_equal(a.cost, b.cost)
+    np.testing.assert_array_equal(a.failed, b.failed)
+    assert a.simulations == b.simulations
+
+
+def test_nothing_answers():
+    pytest.importorskip("distributed", reason="Dask comes with the extra 'cluster'")
+    with pytest.raises(ClusterError, match=r"no Dask scheduler answers at 'nonsense://x'"):
+        DaskCluster("nonsense://x")
+
+
+@pytest.mark.slow
+def test_three_workers_give_the_local_numbers_and_one_may_be_killed(tmp_path, gear):
+    local = run_many(gear, SETTINGS)
+    with cluster(tmp_path, 3) as (where, processes):
+        spread = SpreadObjective(gear, where)
+        for a, b in zip(run_many(spread, SETTINGS, at_once=3), local, strict=True):
+            assert_same_run(a, b)
+        slow = SpreadObjective(Slow(), where)
+        victims = [processes[1]]
+
+        def kill(run, generation):
+            if victims and generation.number == 4:
+                victims.pop().kill()
+
+        killed = run_many(slow, SETTINGS, at_once=3, hooks=Hooks(on_generation=kill))
+        assert victims == []
+        assert processes[1].wait(10) != 0
+        for a, b in zip(killed, run_many(Bowl(), SETTINGS), strict=True):
+            assert_same_run(a, b)
+
+
+@pytest.mark.slow
+def test_a_lost_scheduler_leaves_what_was_scored(tmp_path):
+    memories = {}
+
+    with cluster(tmp_path, 2) as (where, processes):
+        spread = SpreadObjective(Slow(), where)
+
+        def keep(run, memory, ended):
+            memories[run] = memory
+            if run == 0 and len(memory.stages[0].cost) == 4:
+                processes[0].kill()
+
+        with pytest.raises(SysidError, match=r"lost the work .*--resume"):
+            run_many(spread, SETTINGS, at_once=3, hooks=Hooks(keep=keep))
+    assert all(isinstance(memory, RunMemory) for memory in memories.values())
+    again = run_many(Bowl(), SETTINGS, memories=list(memories.values()))
+    for a, b in zip(again, run_many(Bowl(), SETTINGS), strict=True):
+        assert_same_run(a, b)
