@@ -56,6 +56,14 @@ class Law(StrEnum):
     hf = "hf"
 
 
+class Sense(StrEnum):
+    """Which reversals of a log."""
+
+    to_reverse = "to-reverse"
+    to_forward = "to-forward"
+    both = "both"
+
+
 CampaignFile = Annotated[Path, typer.Argument(help="Campaign file (TOML).", show_default=False)]
 Out = Annotated[Path | None, typer.Option(help="Result folder.", show_default="fits/NAME")]
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
@@ -74,6 +82,7 @@ Finisher = Annotated[
 ]
 Evaluations = Annotated[int | None, typer.Option(help="Candidates that the whole fit may score.", min=1)]
 Resume = Annotated[bool, typer.Option("--resume", help="Continue an unfinished fit.")]
+Dask = Annotated[str | None, typer.Option(help="Compute on a Dask cluster: tcp://host:8786, or local.")]
 Threads = Annotated[int | None, typer.Option(help="Cores to use; the result is the same.", min=1)]
 
 
@@ -97,6 +106,7 @@ def fit_motor(
     finish: Finisher = None,
     max_evaluations: Evaluations = None,
     resume: Resume = False,
+    dask: Dask = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -106,7 +116,7 @@ def fit_motor(
 
     options = FitOptions(
         out, force, population, runs, seed, max_generations, _seconds(time_limit), threads, quiet or json,
-        algorithm and algorithm.value, finish and finish.value, max_evaluations, resume,
+        algorithm and algorithm.value, finish and finish.value, max_evaluations, resume, dask,
     )  # fmt: skip
     _print_fit(*fit(campaign, options, say=None if quiet else say), quiet, json)
 
@@ -127,6 +137,7 @@ def fit_gear(
     finish: Finisher = None,
     max_evaluations: Evaluations = None,
     resume: Resume = False,
+    dask: Dask = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -136,7 +147,7 @@ def fit_gear(
 
     options = FitOptions(
         out, force, population, runs, seed, max_generations, _seconds(time_limit), threads, quiet or json,
-        algorithm and algorithm.value, finish and finish.value, max_evaluations, resume,
+        algorithm and algorithm.value, finish and finish.value, max_evaluations, resume, dask,
     )  # fmt: skip
     law = surface.value if surface is not None else None
     _print_fit(*fit(campaign, options, surface=law, say=None if quiet else say), quiet, json)
@@ -163,6 +174,28 @@ def show(
     from sysid.pipelines.results import print_sets
 
     print_sets(fit, json)
+
+
+@app.command("reversal-time")
+def reversal_time(
+    logs: Annotated[list[Path], typer.Argument(help="Bench logs with reversals.", show_default=False)],
+    command_unit: Annotated[str | None, typer.Option(help="us, dshot or 1; the log says.")] = None,
+    minimum: Annotated[float | None, typer.Option(help="Full reverse, in that unit.")] = None,
+    neutral: Annotated[float | None, typer.Option(help="Rest, in that unit; 1500 us by default.")] = None,
+    maximum: Annotated[float | None, typer.Option(help="Full forward, in that unit.")] = None,
+    sense: Annotated[Sense, typer.Option(help="Which reversals.")] = Sense.to_reverse,
+    slow: Annotated[float, typer.Option(help="Outlier: over so many times the lower quartile.")] = 1.5,
+    thrust_sign: Annotated[float, typer.Option(help="-1 where the log's thrust points the other way.")] = 1.0,
+    figure: Annotated[Path | None, typer.Option(help="Figure to write: .png, .pdf or .svg.")] = None,
+    json: Json = False,
+) -> None:
+    """Compare speed controllers: time from a reversal command to 90 % of the final thrust."""
+    from sysid.pipelines.reversal import ReversalOptions, reversal_times
+
+    options = ReversalOptions(
+        command_unit, minimum, neutral, maximum, sense.value, slow=slow, thrust_sign=thrust_sign
+    )
+    reversal_times(logs, options, figure=figure, json=json)
 
 
 @app.command("new-campaign")

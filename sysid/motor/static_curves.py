@@ -66,7 +66,12 @@ class CurveFit:
 
 
 def fit_speed_curve(
-    quantity: Literal["thrust", "torque"], direction: Direction, speed: ArrayLike, value: ArrayLike
+    quantity: Literal["thrust", "torque"],
+    direction: Direction,
+    speed: ArrayLike,
+    value: ArrayLike,
+    *,
+    zero_rows: int = 0,
 ) -> CurveFit:
     """Fit c2 Ω|Ω| + c1 Ω to the points of one direction.
 
@@ -79,6 +84,10 @@ def fit_speed_curve(
     speed, value : (n,) arrays
         Steady speed [rad/s] and thrust [N] or aerodynamic torque [N·m]; NaN pairs are left out.
 
+    zero_rows : int
+        Points at rest whose mean was subtracted as the tare; its error, common to all points, then counts in
+        the standard errors. 0: the zero is exact.
+
     Raises
     ------
     FitError
@@ -86,7 +95,8 @@ def fit_speed_curve(
     """
     unit = "N" if quantity == "thrust" else "N·m"
     omega, y = _of_direction(direction, speed, value)
-    fit = _robust_line(quantity, direction, np.column_stack([omega * np.abs(omega), omega]), y, omega)
+    columns = np.column_stack([omega * np.abs(omega), omega])
+    fit = _robust_line(quantity, direction, columns, y, omega, zero_rows)
     top = float(np.max(np.abs(omega)))
     at_top = (fit.coefficients[0] * top + fit.coefficients[1]) * top
     if not at_top > 0:
@@ -151,7 +161,12 @@ def _of_direction(direction: Direction, x: ArrayLike, y: ArrayLike) -> tuple[Flo
 
 
 def _robust_line(
-    quantity: str, direction: Direction, columns: FloatArray, y: FloatArray, abscissa: FloatArray
+    quantity: str,
+    direction: Direction,
+    columns: FloatArray,
+    y: FloatArray,
+    abscissa: FloatArray,
+    zero_rows: int = 0,
 ) -> CurveFit:
     different = np.unique(abscissa).size
     if different < 3:
@@ -181,7 +196,12 @@ def _robust_line(
     inlier = np.abs(residual) <= OUTLIER * sigma
     freedom = max(1.0, float(np.sum(weight)) - 2.0)
     spread = float(np.sum(weight * residual**2)) / freedom
-    covariance = spread * np.linalg.inv(scaled.T @ (weight[:, None] * scaled))
+    information = np.linalg.inv(scaled.T @ (weight[:, None] * scaled))
+    covariance = spread * information
+    if zero_rows:
+        # A tare from a few points of the same noise shifts all others together.
+        shift = information @ (scaled.T @ weight)
+        covariance = covariance + spread / zero_rows * np.outer(shift, shift)
     total = float(np.sum((y[inlier] - y[inlier].mean()) ** 2))
     coefficients = start / size
     errors = np.sqrt(np.diag(covariance)) / size

@@ -44,10 +44,12 @@ def static_log_points(
         speed = signed_speed(recording["speed"].values, direction, where)
         rest = (np.abs(u) < 1e-9) & (np.nan_to_num(speed) == 0)
         turning = np.nan_to_num(speed) != 0
-        columns = {}
+        columns, zeros = {}, {}
         for name in ("thrust", "torque", "voltage"):
             values = recording[name].values if name in recording.channels else np.full(u.size, np.nan)
-            columns[name] = values if name == "voltage" else values - tare(values, rest).value
+            zero = tare(values, rest)
+            columns[name] = values if name == "voltage" else values - zero.value
+            zeros[name] = np.full(int(turning.sum()), zero.rows, dtype=np.int64)
         for name in ("thrust", "torque"):
             if not (name == "torque" and campaign.log.torque_sign != "auto"):
                 columns[name] = columns[name] * sign_against_speed(columns[name][turning], speed[turning])
@@ -56,6 +58,7 @@ def static_log_points(
         points = SteadyPoints(
             u[turning], speed[turning], columns["thrust"][turning], columns["torque"][turning],
             columns["voltage"][turning], np.ones(int(turning.sum()), dtype=np.int64),
+            zeros["thrust"], zeros["torque"],
         )  # fmt: skip
     if len(points) == 0:
         raise LogError(
@@ -94,11 +97,14 @@ class StaticCurves:
         Where Ω_0 comes from loaded points.
     reference_voltage : float
         V_ref [V].
+    loaded : dict of direction to SteadyPoints
+        What thrust, torque and loaded speed were read from.
     """
 
     fits: tuple[CurveFit, ...]
     ties: dict[str, NoLoadTie]
     reference_voltage: float
+    loaded: dict[str, SteadyPoints]
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -119,6 +125,7 @@ def static_curves(
     own = SteadyPoints.join([log_points(log) for log in logs]) if logs else None
     fits: list[CurveFit] = []
     ties: dict[str, NoLoadTie] = {}
+    loaded: dict[str, SteadyPoints] = {}
     for direction in wanted:
         parts = [
             static_log_points(campaign, path, s.log, direction)
@@ -130,10 +137,13 @@ def static_curves(
             raise FitError(
                 f"no log with steady points in the {direction} direction; name one in curves.static"
             )
-        torque = fit_speed_curve("torque", direction, points.speed, points.torque)
+        loaded[direction] = points
+        zero = int(min(points.torque_zero, default=0))
+        torque = fit_speed_curve("torque", direction, points.speed, points.torque, zero_rows=zero)
         fits.append(torque)
         if np.isfinite(points.thrust).any():
-            fits.append(fit_speed_curve("thrust", direction, points.speed, points.thrust))
+            zero = int(min(points.thrust_zero, default=0))
+            fits.append(fit_speed_curve("thrust", direction, points.speed, points.thrust, zero_rows=zero))
         else:
             warnings.warn(
                 f"no thrust in the {direction} direction: its curve keeps the default, which is a guess",
@@ -151,7 +161,7 @@ def static_curves(
             fits.append(fit_no_load_line(direction, free.u, free.speed, supply_ratio=ratio))
         else:
             ties[direction] = _tie(direction, points, torque, reference_voltage)
-    return StaticCurves(tuple(fits), ties, reference_voltage)
+    return StaticCurves(tuple(fits), ties, reference_voltage, loaded)
 
 
 def _tie(direction: Direction, points: SteadyPoints, torque: CurveFit, reference_voltage: float) -> NoLoadTie:

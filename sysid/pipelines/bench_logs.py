@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -182,7 +182,7 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> B
         channels[name] = (channel.time[keep], values[keep])
     if "torque" not in channels and campaign.cost.weights.torque > 0:
         raise LogError(f"{where}: no torque; set cost.weights.torque = 0 or record it")
-    points = _points_in(time, steps, channels, (begin, end), doubtful)
+    points = _points_in(time, steps, channels, (begin, end), doubtful, tares)
     sign = 1
     if "torque" in channels:
         sign = {"+": 1, "-": -1}.get(campaign.log.torque_sign, 0) or sign_against_speed(
@@ -207,7 +207,7 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> B
 
 def log_points(log: BenchLog) -> SteadyPoints:
     """Return the steady points of a step log inside its window."""
-    return _points_in(log.time, log.steps, log.channels, log.window, log.doubtful)
+    return _points_in(log.time, log.steps, log.channels, log.window, log.doubtful, log.tares)
 
 
 def _points_in(
@@ -216,8 +216,12 @@ def _points_in(
     channels: dict[str, tuple[FloatArray, FloatArray]],
     window: tuple[float, float],
     doubtful: tuple[tuple[float, float], ...],
+    tares: Mapping[str, Tare],
 ) -> SteadyPoints:
-    return steady_points(time, steps, channels, (*doubtful, (-np.inf, window[0]), (window[1], np.inf)))
+    skip = (*doubtful, (-np.inf, window[0]), (window[1], np.inf))
+    return steady_points(
+        time, steps, channels, skip, zero_rows={name: found.rows for name, found in tares.items()}
+    )
 
 
 def prepare_trial(
@@ -309,7 +313,7 @@ def _fast(campaign: MotorCampaign, log: BenchLog) -> Any:
         for c, channel in enumerate(("torque", "speed")):
             measured[:, c] = np.nan
             if channel in log.channels:
-                t, values = _uniform(*log.channels[channel], lowpass, f"trial {name!r}, {channel}")
+                t, values = uniform_filtered(*log.channels[channel], lowpass, f"trial {name!r}, {channel}")
                 measured[:, c] = np.interp(grid[rows], t, values)
         valid = np.isfinite(measured) & outside(grid[rows], log.doubtful)[:, None]
         return MotorTarget(name, grid[rows], measured, valid, start, step, grid.size, taps), grid
@@ -317,7 +321,7 @@ def _fast(campaign: MotorCampaign, log: BenchLog) -> Any:
     return taps, target
 
 
-def _uniform(
+def uniform_filtered(
     time: FloatArray, values: FloatArray, lowpass: ChebyshevLowpass, where: str
 ) -> tuple[FloatArray, FloatArray]:
     """Return a filtered channel on a clock without holes: rows that the log lacks are NaN there."""

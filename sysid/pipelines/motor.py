@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +13,27 @@ from numpy.typing import NDArray
 
 from sysid.campaign import MotorCampaign, read_campaign
 from sysid.errors import SysidWarning
-from sysid.fit.result import FitResult, TrialResult, bound_warnings, ranked_sets
+from sysid.fit.engine import SearchSettings
+from sysid.fit.result import FitResult, RankedSets, TrialResult, bound_warnings, ranked_sets
 from sysid.motor.model import PARAMETERS, invariants, unpack
 from sysid.parameter_sets import ParameterRecord, parameter_records
 from sysid.parameters import SearchSpace
 from sysid.pipelines.bench_logs import filter_design
-from sysid.pipelines.motor_bench import Bench, in_search, prepare_bench, search_space
+from sysid.pipelines.motor_bench import SATURATION, Bench, prepare_bench, search_space
 from sysid.pipelines.motor_cost import CHANNEL_UNITS, CHANNELS
+from sysid.pipelines.motor_ladder import climb, ladder_sentences
 from sysid.pipelines.motor_objective import FIT_TOLERANCE, MotorObjective
+from sysid.pipelines.motor_profile import profile
+from sysid.pipelines.motor_saturation import (
+    SaturationFit,
+    fit_saturation,
+    reversal_delays,
+    saturation_space,
+    with_saturation,
+)
 from sysid.pipelines.search import (
     FitOptions,
+    Search,
     check_start,
     collected_warnings,
     fit_identity,
@@ -81,6 +93,7 @@ def fit_motor(
         settings = options.settings(campaign.fit)
         bench = prepare_bench(campaign, path)
         space = search_space(campaign, bench)
+        saturation_space(campaign, bench, PARAMETERS.nominal)  # refused before the search, not after it
         objective = MotorObjective.build(campaign, space, bench, bench.fitted, options.threads)
         _say_what_is_fitted(campaign, bench, space, tell)
         hashes = {trial.entry.name: str(trial.provenance["sha256"]) for trial in bench.trials}
@@ -89,13 +102,17 @@ def fit_motor(
             objective, settings, folder=folder, options=options, identity=identity,
             simulated="trials", tell=tell,
         )  # fmt: skip
-    sets = ranked_sets(found.runs, space)
+        sets = ranked_sets(found.runs, space)
+        after = _after_the_search(campaign, bench, objective, sets, found, settings, tell)
     every = MotorObjective.build(campaign, space, bench, bench.trials, options.threads)
-    rows = every.complete(sets.values)
+    rows = after.rows
     tied = [f"no_load_{what}_{d}" for d in every.ties for what in ("slope", "intercept")]
-    records = _records(parameter_records(space, _measured(bench, tied), ranges), tied)
+    records = _records(parameter_records(space, _measured(bench, tied), ranges), tied, after.saturation)
     derived = np.array([list(invariants(unpack(row)).values()) for row in rows])
     at_bound = np.hstack([sets.at_bound, np.zeros(derived.shape, dtype=np.int8)])
+    if after.saturation is not None:
+        columns = [_INDEX[row.name] for row in after.saturation.free]
+        at_bound[:, columns] = after.saturation.at_bound
     result = FitResult(
         kind="motor",
         name=campaign.name,
@@ -112,7 +129,7 @@ def fit_motor(
         channels=CHANNELS,
         channel_units=CHANNEL_UNITS,
         channel_weights=(campaign.cost.weights.torque, campaign.cost.weights.speed),
-        settings=_settings(campaign, bench),
+        settings={**_settings(campaign, bench), **after.settings},
         provenance=provenance(
             path,
             settings,
@@ -125,9 +142,83 @@ def fit_motor(
             *found.warnings,
             *bound_warnings(records, at_bound),
             *_unresolved_inductance(bench, rows[0]),
+            *after.warnings,
         ),
     )
     return result, found.write(result, folder, options)
+
+
+@dataclass(frozen=True, eq=False)
+class _After:
+    """What follows the search: the dead band, the ladder, the profile.
+
+    Parameters
+    ----------
+    rows : (S, n_table) array
+        Sets with the dead band [SI].
+    saturation : SaturationFit, optional
+    settings : dict
+        For the result.
+    warnings : tuple of str
+    """
+
+    rows: FloatArray
+    saturation: SaturationFit | None
+    settings: dict[str, Any]
+    warnings: tuple[str, ...]
+
+
+def _after_the_search(
+    campaign: MotorCampaign,
+    bench: Bench,
+    objective: MotorObjective,
+    sets: RankedSets,
+    found: Search,
+    settings: SearchSettings,
+    tell: Callable[[str], None],
+) -> _After:
+    rows = objective.complete(sets.values)
+    if any(run.stop_reason == "interrupted" for run in found.runs):
+        why = "the fit was interrupted"
+        return _After(rows, None, {"saturation": {"stage": "not fitted", "why": why}}, ())
+    threads, space = objective.threads, objective.space
+    warned: list[str] = []
+    saturation = fit_saturation(campaign, bench, rows, settings, sets.seed, threads)
+    rows = with_saturation(rows, saturation)
+    best = unpack(rows[0])
+    given = set(SATURATION) <= {*bench.measured, *campaign.parameters.fixed}
+    out: dict[str, Any] = {"reversal delays": reversal_delays(bench, best)}
+    if saturation is not None:
+        out["saturation"] = saturation.document()
+        tell(
+            f"dead band from {', '.join(saturation.trials)}: I_sat {best['saturation_current']:.3g} A below "
+            f"{best['saturation_speed']:.3g} rad/s; NRMSE there {100 * saturation.without[0]:.2f} % without, "
+            f"{100 * saturation.nrmse[0]:.2f} % with it"
+        )
+    elif given:
+        out["saturation"] = {"stage": "not fitted", "why": "given by the campaign"}
+    else:
+        why = "no trial of direction = 'reversal' has use = 'fit'"
+        out["saturation"] = {"stage": "not fitted", "why": why}
+        warned.append(
+            f"saturation_current and saturation_speed are not fitted ({why}); they keep Table I's "
+            f"{best['saturation_current']:g} A and {best['saturation_speed']:g} rad/s"
+        )
+    climbed = climb(
+        campaign, bench, space, best, saturation is not None or given, settings, sets.seed[0], threads
+    )
+    out["ladder"] = [rung.document(bench.trials) for rung in climbed]
+    warned += ladder_sentences(out["ladder"])
+    if "viscous_damping" in space.names:
+        # Of the torque curve's linear coefficient, which stands beside k_d in the equation of the rotor.
+        errors = [fit.standard_errors[1] for fit in bench.curves.fits if fit.quantity == "torque"]
+        damping = profile(objective, "viscous_damping", sets.cube[0], sets.seed[0], max(errors))
+        out["profiles"] = {damping.name: damping.document()}
+        if damping.sentence is not None:
+            warned.append(damping.sentence)
+    for sentence in warned:
+        tell(f"warning: {sentence}")
+    return _After(rows, saturation, out, tuple(warned))
 
 
 def _say_what_is_fitted(
@@ -152,17 +243,14 @@ def _say_what_is_fitted(
             "no log without propeller: the no-load speed follows R from loaded points, and k_d, which cannot "
             f"be told from k²/R then, stays at {space.fixed['viscous_damping']:.2g} N·m·s/rad"
         )
-    turned = [t.entry.name for t in bench.trials if t.entry.use == "fit" and not in_search(t)]
-    if turned:
+    wanted = {trial.entry.direction for trial in bench.trials}
+    if campaign.command.neutral is not None and "reverse" not in wanted and "reversal" not in wanted:
         warnings.warn(
-            f"reversal trials {', '.join(turned)} are scored only: none may be in the dynamic fit",
+            "no trial turns in reverse: the reverse curves and no-load speed keep the table's guesses, and "
+            "say nothing about this motor",
             SysidWarning,
             stacklevel=2,
         )
-    given = campaign.motor.saturation_current is not None and campaign.motor.saturation_speed is not None
-    held = {"saturation_current", "saturation_speed"} <= {*space.names} | {*campaign.parameters.fixed}
-    if not given and not held:
-        tell("saturation_current and saturation_speed are not fitted; they keep Table I's values")
 
 
 def _unresolved_inductance(bench: Bench, row: FloatArray) -> tuple[str, ...]:
@@ -182,8 +270,19 @@ def _measured(bench: Bench, tied: list[str]) -> list[str]:
     return [name for name in bench.measured if name not in tied]
 
 
-def _records(records: tuple[ParameterRecord, ...], tied: list[str]) -> tuple[ParameterRecord, ...]:
-    """Return the table's records with the tied ones marked, and the derived numbers after them."""
+def _records(
+    records: tuple[ParameterRecord, ...], tied: list[str], saturation: SaturationFit | None
+) -> tuple[ParameterRecord, ...]:
+    """Return the table's records, those of the tie and the second stage marked, then the derived numbers."""
+    if saturation is not None:
+        late = {row.name: row for row in saturation.free}
+        stage = f"second stage: reversals of {', '.join(saturation.trials)}, all else held"
+        records = tuple(
+            replace(ParameterRecord.of(late[r.name], "free", r.measured_range), source=stage)
+            if r.name in late
+            else r
+            for r in records
+        )
     source = "loaded steady points and the fitted R: Ω_0 = Ω + R (τ_aero + k_d Ω)/(k_m k_v)"
     table = tuple(
         ParameterRecord(r.name, r.symbol, r.unit, "derived", r.meaning, source) if r.name in tied else r
@@ -204,7 +303,7 @@ def _trial_results(objective: MotorObjective, rows: FloatArray) -> tuple[TrialRe
     return tuple(
         TrialResult(
             name=trial.entry.name,
-            use="fit" if in_search(trial) else "validate",
+            use=trial.entry.use,
             time=trial.target.time,
             measured=trial.target.measured,
             valid=trial.target.valid,

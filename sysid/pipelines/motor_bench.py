@@ -21,6 +21,10 @@ from sysid.units import parse_quantity
 _LOADED_SHARE = 0.8
 
 
+# Fitted to reversals after everything else, never with it.
+SATURATION = ("saturation_current", "saturation_speed")
+
+
 @dataclass(frozen=True, eq=False)
 class Bench:
     """A motor campaign after its logs were read.
@@ -42,12 +46,12 @@ class Bench:
 
     @property
     def fitted(self) -> tuple[PreparedTrial, ...]:
-        """Trials of the search: use "fit", and no reversal."""
+        """Trials of the dynamic fit: use "fit", and no reversal."""
         return tuple(t for t in self.trials if in_search(t))
 
 
 def in_search(trial: PreparedTrial) -> bool:
-    """Return whether the search sees a trial; reversals are scored only, as in the paper."""
+    """Return whether the dynamic fit sees a trial; reversals come after it, as in the paper."""
     return trial.entry.use == "fit" and trial.entry.direction != "reversal"
 
 
@@ -67,8 +71,8 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
     ]
     if not fitted:
         raise CampaignError(
-            "no forward or reverse trial has use = 'fit'; reversals are scored only, because the dead band "
-            "would hide in R and L"
+            "no forward or reverse trial has use = 'fit'; reversals alone cannot serve, because the dead "
+            "band would hide in R and L"
         )
     reference = campaign.motor.reference_voltage or _median_supply(fitted)
     curves = static_curves(campaign, path, fitted, reference)
@@ -120,7 +124,7 @@ def _known_values(
 
 
 def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
-    """Return the free parameters: the campaign's, or R, L and k_d, and what its logs need beside them.
+    """Return what the dynamic fit frees: the campaign's, or R, L and k_d, and what its logs need beside them.
 
     The rotor's inertia is free where it was not measured; the command delay always, and the torque sensor's
     delay and lag where a trial is a slow log, unless the campaign fixes them. k_d is free by default only
@@ -141,6 +145,7 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
     if campaign.motor.rotor_inertia is None and choices.free is None:
         needed.append("rotor_inertia")
     free += [name for name in needed if name not in free]
+    free = [name for name in free if name not in SATURATION]
     # A name that the campaign both frees and fixes stays in the list, to be refused.
     asked = set(choices.free or ())
     chosen = tuple(name for name in free if name not in choices.fixed or name in asked)

@@ -40,6 +40,8 @@ class MotorObjective:
     cost : MotorCost
     threads : int, optional
         Cores to use; the numbers do not depend on it.
+    ideal_reversal : bool
+        No saturation (I_sat = ∞), as in Fig. 11.
     """
 
     space: SearchSpace
@@ -48,6 +50,7 @@ class MotorObjective:
     cost: MotorCost
     jobs: MotorTrials
     threads: int | None = None
+    ideal_reversal: bool = False
 
     @classmethod
     def build(
@@ -101,7 +104,9 @@ class MotorObjective:
 
     def simulate(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return samples (P, n_total, 2) on the trials' grids, and the share reached (P, T), of full rows."""
-        found = simulate_population(rows, self.jobs, tolerance=FIT_TOLERANCE, threads=self.threads)
+        found = simulate_population(
+            rows, self.jobs, tolerance=FIT_TOLERANCE, threads=self.threads, ideal_reversal=self.ideal_reversal
+        )
         # Success is a status, not a share that rounding could leave at 1 - 1e-16.
         return found.outputs, np.where(found.status == 0, 1.0, np.minimum(found.reached, 1.0 - 1e-9))
 

@@ -14,7 +14,7 @@ from sysid.export import export, load_parameter_sets
 from sysid.fit.result import FitResult
 from sysid.fit.store import read_fit
 from sysid.parameter_sets import ParameterSets
-from sysid.report.tables import mean_sigma_table, ranked_table, trial_table
+from sysid.report.tables import ladder_table, mean_sigma_table, ranked_table, trial_table
 from sysid.writing import write_file
 
 
@@ -73,6 +73,8 @@ def _print_tables(sets: ParameterSets) -> None:
     console.print(mean_sigma_table(sets))
     if sets.trials:
         console.print(trial_table(sets))
+    if "ladder" in sets.settings:
+        console.print(ladder_table(sets))
 
 
 def write_template(kind: str, path: Path, force: bool = False) -> Path:

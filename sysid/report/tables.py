@@ -46,7 +46,9 @@ def ranked_table(sets: ParameterSets) -> Table:
         cells = []
         for s in range(len(sets)):
             bound = bool(sets.at_bound[s, column])
-            text = f"{sets.values[s, column]:.4g}{_AT_BOUND if bound else ''}"
+            text = _unidentified(sets, sets.names[column])
+            if text is None:
+                text = f"{sets.values[s, column]:.4g}{_AT_BOUND if bound else ''}"
             cells.append(_cell(text, style="yellow" if bound else ""))
         table.add_row(_cell(_heading(sets.parameters[column])), *cells)
     return table
@@ -82,10 +84,10 @@ def mean_sigma_table(*fits: ParameterSets) -> Table:
         measured = " to ".join(ends) or _NONE
         cells = [
             _cell(
-                mean_sigma(cell) + (_AT_BOUND if row.name in flag else ""),
+                _unidentified(own, row.name) or mean_sigma(cell) + (_AT_BOUND if row.name in flag else ""),
                 style="yellow" if row.name in flag else "",
             )
-            for cell, flag in zip(row.fitted, flags, strict=True)
+            for own, cell, flag in zip(fits, row.fitted, flags, strict=True)
         ]
         table.add_row(_cell(_heading(record)), _cell(measured), _cell(bounds), *cells)
     return table
@@ -120,6 +122,40 @@ def trial_table(sets: ParameterSets) -> Table:
             _cell(_number(worst)),
         )
     return table
+
+
+def ladder_table(sets: ParameterSets) -> Table:
+    """Return what each step of the model buys: NRMSE by rung and group of trials; a row per rung.
+
+    Parameters
+    ----------
+    sets : ParameterSets
+        Whose settings hold a ``ladder``.
+    """
+    rungs = sets.settings["ladder"]
+    groups = list(dict.fromkeys(group for rung in rungs for group in rung["nrmse"]))
+    table = _table(
+        f"{sets.name}: what each step of the model buys, NRMSE [%] of {' / '.join(sets.channels)}",
+        "judge by the held-out columns: a parameter is not real because a search returned it",
+    )
+    table.add_column("model")
+    for group in groups:
+        table.add_column(_cell(group), justify="right")
+    for rung in rungs:
+        cells = []
+        for group in groups:
+            found = rung["nrmse"].get(group)
+            cells.append(_cell(" / ".join(_number(found[c]) for c in sets.channels) if found else _NONE))
+        table.add_row(_cell(rung["rung"]), *cells)
+    return table
+
+
+def _unidentified(sets: ParameterSets, name: str) -> str | None:
+    """Return what stands for the digits of a parameter whose profile says that the data do not hold it."""
+    found = sets.settings.get("profiles", {}).get(name)
+    if not found or found["identified"]:
+        return None
+    return f"< {found['below']:.0e}"
 
 
 def _table(title: str, caption: str | None) -> Table:

@@ -6,8 +6,8 @@ torques leave here signed: positive in the forward direction, a steady torque wi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
@@ -227,6 +227,7 @@ class SteadyPoints:
     thrust, torque : tare subtracted, sign of the speed [N], [N·m]
     voltage : supply [V]
     samples : rows behind each point
+    thrust_zero, torque_zero : rows at rest behind the tare that was subtracted
     """
 
     u: FloatArray
@@ -235,6 +236,8 @@ class SteadyPoints:
     torque: FloatArray
     voltage: FloatArray
     samples: NDArray[np.int64]
+    thrust_zero: NDArray[np.int64]
+    torque_zero: NDArray[np.int64]
 
     def __len__(self) -> int:
         return self.u.size
@@ -242,7 +245,7 @@ class SteadyPoints:
     @staticmethod
     def join(parts: Sequence[SteadyPoints]) -> SteadyPoints:
         """Return the points of several logs as one."""
-        names = ("u", "speed", "thrust", "torque", "voltage", "samples")
+        names = [field.name for field in fields(SteadyPoints)]
         return SteadyPoints(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
@@ -252,6 +255,7 @@ def steady_points(
     channels: dict[str, tuple[FloatArray, FloatArray]],
     skip: Sequence[tuple[float, float]] = (),
     settle: float = SETTLE,
+    zero_rows: Mapping[str, int] | None = None,
 ) -> SteadyPoints:
     """Average every stretch at one command, `settle` after the command and until the next.
 
@@ -266,6 +270,8 @@ def steady_points(
         Intervals that do not count [s].
     settle : float
         Time that a response needs [s].
+    zero_rows : mapping of str to int, optional
+        Rows at rest behind the tare of ``thrust`` and ``torque``.
 
     Returns
     -------
@@ -294,7 +300,9 @@ def steady_points(
         rows.append([level, *means, float(speed.size)])
     table = np.array(rows, dtype=np.float64).reshape(len(rows), 6)
     level, speed, thrust, torque, voltage, samples = table.T
-    return SteadyPoints(level, speed, thrust, torque, voltage, samples.astype(np.int64))
+    known = zero_rows or {}
+    zeros = [np.full(len(rows), known.get(name, 0), dtype=np.int64) for name in ("thrust", "torque")]
+    return SteadyPoints(level, speed, thrust, torque, voltage, samples.astype(np.int64), *zeros)
 
 
 def signed_speed(speed: FloatArray, direction: Direction, where: str) -> FloatArray:

@@ -37,6 +37,7 @@ def test_synthetic_motor_campaign_is_the_asked_for_one(noisy):
         ("forward", "fit"),
         ("reverse", "fit"),
         ("forward", "validate"),
+        ("reversal", "fit"),
         ("reversal", "validate"),
     }
     assert {detect(noisy / t.log) for t in campaign.trials} == {"load-cell-csv", "load-cell-hdf5"}

@@ -1,0 +1,219 @@
+"""The second stage of a motor fit: current and speed of the dead band, from trials that change direction.
+
+The paper set both by hand. Everything that the dynamic fit found is held, so that the dead band cannot hide
+in R and L; what a reversal fixes best is the ratio Ω_min/I_sat, the time the rotor needs to leave the band.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.campaign import MotorCampaign
+from sysid.errors import CampaignError
+from sysid.filters import ChebyshevLowpass
+from sysid.fit.engine import SearchSettings, run_one
+from sysid.motor.model import PARAMETERS, simulate, unpack
+from sysid.parameters import Parameter, SearchSpace
+from sysid.pipelines.bench_logs import PreparedTrial, uniform_filtered
+from sysid.pipelines.motor_bench import SATURATION, Bench
+from sysid.pipelines.motor_objective import MotorObjective
+from sysid.trials.reversal import find_reversals
+from sysid.trials.thrust import CommandSteps
+
+FloatArray = NDArray[np.float64]
+
+# Two parameters of a smooth valley need no more.
+_POPULATION = 40
+# Of the thrust whose reversal is timed [s].
+_DELAY_GRID = 5e-4
+_INDEX = {name: i for i, name in enumerate(PARAMETERS)}
+
+
+@dataclass(frozen=True, eq=False)
+class SaturationFit:
+    """What the second stage found, set by set.
+
+    Parameters
+    ----------
+    free : tuple of Parameter
+        Rows with the bounds that were searched.
+    trials : tuple of str
+        Reversal trials that were fitted.
+    values : (S, n) array
+        Of `free` [SI].
+    at_bound : (S, n) int8 array
+        -1 within 1 % of the lower bound, +1 of the upper, else 0.
+    nrmse, without : (S,) arrays
+        NRMSE over those trials with the fitted dead band, and with none (I_sat = ∞) [1].
+    evaluations : int
+        Candidates scored.
+    """
+
+    free: tuple[Parameter, ...]
+    trials: tuple[str, ...]
+    values: FloatArray
+    at_bound: NDArray[np.int8]
+    nrmse: FloatArray
+    without: FloatArray
+    evaluations: int
+
+    def document(self) -> dict[str, Any]:
+        """Return what a result states of the stage."""
+        return {
+            "stage": "after the dynamic fit, all else held",
+            "free": [row.name for row in self.free],
+            "trials": list(self.trials),
+            "nrmse": self.nrmse.tolist(),
+            "nrmse without saturation": self.without.tolist(),
+            "evaluations": self.evaluations,
+        }
+
+
+def saturation_trials(bench: Bench) -> tuple[PreparedTrial, ...]:
+    """Return the reversal trials of use "fit"."""
+    return tuple(t for t in bench.trials if t.entry.use == "fit" and t.entry.direction == "reversal")
+
+
+def fit_saturation(
+    campaign: MotorCampaign,
+    bench: Bench,
+    rows: FloatArray,
+    settings: SearchSettings,
+    seeds: tuple[int, ...],
+    threads: int | None = None,
+) -> SaturationFit | None:
+    """Fit I_sat and Ω_min of every set to the reversal trials.
+
+    Parameters
+    ----------
+    campaign : MotorCampaign
+        Its bounds count; what it fixes stays.
+    bench : Bench
+    rows : (S, n_table) array
+        Sets of the dynamic fit [SI].
+    settings : SearchSettings
+        Algorithm, finisher and stop rule of the first stage serve the second.
+    seeds : tuple of int
+        One per set.
+    threads : int, optional
+
+    Returns
+    -------
+    SaturationFit or None
+        None where there is nothing to fit: no reversal trial of use "fit", or both numbers given.
+
+    Raises
+    ------
+    CampaignError
+        As `saturation_space`.
+    """
+    trials = saturation_trials(bench)
+    first = saturation_space(campaign, bench, unpack(rows[0]))
+    if first is None:
+        return None
+    stop = replace(settings.stop, time_limit=None, max_evaluations=None)
+    found, costs, without, flags, count = [], [], [], [], 0
+    for row, seed in zip(rows, seeds, strict=True):
+        space = saturation_space(campaign, bench, unpack(row))
+        assert space is not None
+        objective = MotorObjective.build(campaign, space, bench, trials, threads)
+        run = run_one(
+            objective, replace(settings, population=_POPULATION, runs=1, seed=seed, stop=stop)
+        )
+        found.append(space.decode(run.best_point))
+        flags.append(space.at_bound(run.best_point))
+        costs.append(float(run.best[-1]))
+        ideal = replace(objective, ideal_reversal=True)
+        without.append(float(ideal.evaluate(run.best_point[None]).cost[0]))
+        count += run.evaluations
+    return SaturationFit(
+        first.free, tuple(t.entry.name for t in trials), np.array(found), np.array(flags, dtype=np.int8),
+        np.array(costs), np.array(without), count,
+    )  # fmt: skip
+
+
+def reversal_delays(bench: Bench, parameters: Mapping[str, float]) -> list[dict[str, Any]]:
+    """Return, per reversal of every log with thrust, the measured and the simulated time to 90 % [s].
+
+    Parameters
+    ----------
+    bench : Bench
+    parameters : mapping
+        The best set, by name [SI].
+    """
+    out: list[dict[str, Any]] = []
+    for trial in bench.trials:
+        log = trial.log
+        if trial.entry.direction != "reversal" or "thrust" not in log.channels:
+            continue
+        thrust = log.channels["thrust"]
+        if log.fast:
+            lowpass = ChebyshevLowpass(1.0 / float(np.median(np.diff(log.time))))
+            time, values = uniform_filtered(*thrust, lowpass, f"trial {trial.entry.name!r}, thrust")
+            thrust = (time[np.isfinite(values)], values[np.isfinite(values)])
+        start = float(trial.simulated.time[0])
+        grid = np.arange(start, float(log.time[-1]), _DELAY_GRID)
+        supply = trial.simulated.supply_time, trial.simulated.supply_ratio
+        volts = None
+        if supply[0] is not None and supply[1] is not None:
+            volts = (supply[0], supply[1] * parameters["reference_voltage"])
+        found = simulate(
+            parameters, log.steps.time, log.steps.level, grid, initial="steady", voltage=volts
+        )
+        kept = (log.steps.time >= start) | (log.steps.time <= log.steps.time[0])
+        steps = CommandSteps(log.steps.time[kept], log.steps.level[kept])
+        measured = find_reversals(log.time, steps, thrust, skip=log.doubtful, sense="both")
+        model = find_reversals(log.time, steps, (grid, found.thrust), skip=log.doubtful, sense="both")
+        out += [
+            {
+                "trial": trial.entry.name,
+                "use": trial.entry.use,
+                "command before": a.before,
+                "command after": a.after,
+                "measured [s]": a.to_level,
+                "simulated [s]": b.to_level,
+            }
+            for a, b in zip(measured, model, strict=True)
+        ]
+    return out
+
+
+def with_saturation(rows: FloatArray, fit: SaturationFit | None) -> FloatArray:
+    """Return the sets (S, n_table) with what the second stage found."""
+    rows = np.array(rows, dtype=np.float64)
+    if fit is not None:
+        for column, row in enumerate(fit.free):
+            rows[:, _INDEX[row.name]] = fit.values[:, column]
+    return rows
+
+
+def saturation_space(
+    campaign: MotorCampaign, bench: Bench, values: Mapping[str, float]
+) -> SearchSpace | None:
+    """Return what the second stage frees, all else held at `values` [SI]; None where it has nothing to do.
+
+    Raises
+    ------
+    CampaignError
+        When the campaign frees I_sat or Ω_min and fixes it, or no reversal trial has use "fit".
+    """
+    choices = campaign.parameters
+    asked = [name for name in SATURATION if name in (choices.free or ())]
+    given = {*choices.fixed, *bench.measured}
+    names = tuple(name for name in SATURATION if name in asked or name not in given)
+    if not saturation_trials(bench):
+        if asked:
+            raise CampaignError(
+                f"parameters.free names {', '.join(asked)}, but no reversal trial has use = 'fit'; set it "
+                "for one trial of direction = 'reversal'"
+            )
+        return None
+    if not names:
+        return None
+    known = {name: value for name, value in values.items() if name not in names}
+    return choices.model_copy(update={"free": names}).search_space(PARAMETERS, names, known)

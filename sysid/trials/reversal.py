@@ -1,0 +1,214 @@
+"""Thrust reversals in a bench log: from the command to 90 % of the final reverse thrust.
+
+Knows no motor model. Thrust arrives tared, positive forward, and filtered where the log is fast enough.
+A reversal is a command of the opposite sign to the one before it, held for over 0.2 s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.trials.thrust import CommandSteps, outside
+
+FloatArray = NDArray[np.float64]
+Sense = Literal["to-reverse", "to-forward", "both"]
+
+# Share of the final thrust at which a reversal is done (Fig. 3 is read so).
+LEVEL = 0.9
+# Inside the dead band: |speed| (of a signed probe), else |thrust|, below this share of its final value. A
+# thrust of 5 % is a speed of 22 %.
+DEAD_BAND = 0.05
+# A reversal this many times slower than the quick quarter of its repetitions is an outlier.
+SLOW = 1.5
+# The final value is taken over this last part of the hold; a hold shorter than this has none [s].
+_LAST, _LEAST_HOLD = 0.25, 0.2
+
+
+@dataclass(frozen=True)
+class Reversal:
+    """One reversal; times are counted from its command [s], NaN where the log does not show it.
+
+    Parameters
+    ----------
+    time : float
+        Of the command on the log's own clock [s].
+    before, after : float
+        Commands u [1].
+    hold : float
+        How long the second one was held [s].
+    zero_crossing : float
+        Until the rotor stood still (or the thrust was zero).
+    dead_band : float
+        Spent inside the dead band.
+    to_level : float
+        Until the thrust was 90 % of its final value; NaN: never before the next command.
+    final_thrust : float
+        [N], with the sign of `after`.
+    """
+
+    time: float
+    before: float
+    after: float
+    hold: float
+    zero_crossing: float
+    dead_band: float
+    to_level: float
+    final_thrust: float
+
+
+def find_reversals(
+    time: FloatArray,
+    steps: CommandSteps,
+    thrust: tuple[FloatArray, FloatArray],
+    speed: tuple[FloatArray, FloatArray] | None = None,
+    *,
+    skip: Sequence[tuple[float, float]] = (),
+    sense: Sense = "to-reverse",
+    level: float = LEVEL,
+    dead_band: float = DEAD_BAND,
+) -> tuple[Reversal, ...]:
+    """Find the reversals of a log and time them.
+
+    Parameters
+    ----------
+    time : (n,) array
+        Rows of the log [s]; the last ends the last hold.
+    steps : CommandSteps
+        In u.
+    thrust : (times [s], values [N])
+        Real samples; crossings between two are interpolated.
+    speed : (times [s], values [rad/s]), optional
+        Signed. With it, zero crossing and dead band are those of the speed, else those of the thrust.
+    skip : sequence of (start, end)
+        Intervals whose commands the logger lost [s]; their reversals are left out.
+    sense : {"to-reverse", "to-forward", "both"}
+        Which reversals.
+    level, dead_band : float
+        Shares of the final value [1].
+
+    Notes
+    -----
+    The final thrust of a command is the largest that any repetition reached in the last quarter of its
+    hold: a repetition that never gets there must not be measured against itself.
+    """
+    ends = np.append(steps.time[1:], float(time[-1]))
+    found: list[tuple[float, float, float, float]] = []
+    for i in range(1, steps.time.size):
+        before, after = float(steps.level[i - 1]), float(steps.level[i])
+        hold = float(ends[i] - steps.time[i])
+        if before * after >= 0 or hold < _LEAST_HOLD or not outside(steps.time[i : i + 1], skip)[0]:
+            continue
+        if sense == "both" or (after < 0) == (sense == "to-reverse"):
+            found.append((float(steps.time[i]), before, after, hold))
+    finals = {after: _final(found, after, thrust) for after in {f[2] for f in found}}
+    signed = speed is not None and speed[1].size > 0 and float(np.min(speed[1])) < 0 < float(np.max(speed[1]))
+    signal = speed if signed and speed is not None else thrust
+    scales = {after: _final(found, after, signal) for after in finals}
+    out = []
+    for start, before, after, hold in found:
+        sign = 1.0 if after > 0 else -1.0
+        final = finals[after]
+        t, values = _part(thrust, start, start + hold)
+        reached = _first(t, sign * values, level * final) if final > 0 else float("nan")
+        t, values = _part(signal, start, start + hold)
+        band = dead_band * scales[after]
+        zero = _first(t, sign * values, 0.0)
+        entered, left = _first(t, sign * values, -band), _first(t, sign * values, band)
+        out.append(
+            Reversal(
+                start, before, after, hold, zero - start, left - entered, reached - start, sign * final
+            )
+        )
+    return tuple(out)
+
+
+def _part(
+    signal: tuple[FloatArray, FloatArray], start: float, end: float
+) -> tuple[FloatArray, FloatArray]:
+    inside = (signal[0] >= start) & (signal[0] < end)
+    return signal[0][inside], signal[1][inside]
+
+
+def _final(
+    found: Sequence[tuple[float, float, float, float]], after: float, signal: tuple[FloatArray, FloatArray]
+) -> float:
+    """Return the largest mean over the last quarter of the holds at `after`, positive along it; NaN: none."""
+    sign = 1.0 if after > 0 else -1.0
+    means = []
+    for start, _, level, hold in found:
+        if level == after:
+            _, values = _part(signal, start + (1.0 - _LAST) * hold, start + hold)
+            if values.size:
+                means.append(sign * float(np.mean(values)))
+    return max(means, default=float("nan"))
+
+
+def _first(time: FloatArray, values: FloatArray, threshold: float) -> float:
+    """Return when `values` first reach `threshold` from below, between samples; NaN when they never do."""
+    above = np.flatnonzero(values >= threshold)
+    if not np.isfinite(threshold) or above.size == 0:
+        return float("nan")
+    i = int(above[0])
+    if i == 0:
+        return float(time[0])
+    share = (threshold - values[i - 1]) / (values[i] - values[i - 1])
+    return float(time[i - 1] + share * (time[i] - time[i - 1]))
+
+
+@dataclass(frozen=True)
+class Repetitions:
+    """Reversals of one pair of commands.
+
+    Parameters
+    ----------
+    before, after : float
+        Commands u [1].
+    reversals : tuple of Reversal
+    """
+
+    before: float
+    after: float
+    reversals: tuple[Reversal, ...]
+
+    def median(self, name: str) -> float:
+        """Return the median of a time over the repetitions that show it [s]."""
+        values = self._values(name)
+        return float(np.median(values)) if values.size else float("nan")
+
+    def quartiles(self, name: str) -> tuple[float, float]:
+        """Return the quartiles of a time over the repetitions that show it [s]."""
+        values = self._values(name)
+        if not values.size:
+            return float("nan"), float("nan")
+        low, high = np.percentile(values, [25.0, 75.0])
+        return float(low), float(high)
+
+    def outliers(self, slow: float = SLOW) -> int:
+        """Return how many took over `slow` times the quick quarter's time to 90 %, or never got there.
+
+        Measured against the lower quartile, not the median: of a controller that fails half of the time the
+        median is a failure.
+        """
+        values = np.array([r.to_level for r in self.reversals])
+        reached = values[np.isfinite(values)]
+        if not reached.size:
+            return len(values)
+        quick = float(np.percentile(reached, 25.0))
+        return int(np.count_nonzero(~(values <= slow * quick)))
+
+    def _values(self, name: str) -> FloatArray:
+        values = np.array([getattr(r, name) for r in self.reversals], dtype=np.float64)
+        return values[np.isfinite(values)]
+
+
+def repetitions(reversals: Sequence[Reversal]) -> tuple[Repetitions, ...]:
+    """Group reversals by their pair of commands, in the order in which they first occur."""
+    groups: dict[tuple[float, float], list[Reversal]] = {}
+    for reversal in reversals:
+        groups.setdefault((round(reversal.before, 3), round(reversal.after, 3)), []).append(reversal)
+    return tuple(Repetitions(before, after, tuple(group)) for (before, after), group in groups.items())

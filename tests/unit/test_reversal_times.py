@@ -1,0 +1,155 @@
+"""Timing of thrust reversals: by hand-made thrust, by simulation, through the command line."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sysid import cli
+from sysid.errors import LogError
+from sysid.motor.model import simulate
+from sysid.pipelines.reversal import ReversalOptions, log_reversals
+from sysid.trials.reversal import find_reversals, repetitions
+from sysid.trials.thrust import CommandSteps
+
+SAMPLES = Path(__file__).resolve().parents[2] / "data_samples" / "motor"
+
+
+def _schedule(delays, hold=1.0):
+    """Thrust of 2 N forward; `delays` after each reverse command it walks in 0.1 s to -1 N."""
+    time = np.arange(0.0, 2 * hold * len(delays) + hold, 1e-3)
+    thrust, instants, levels = np.full(time.size, 2.0), [0.0], [0.5]
+    for i, delay in enumerate(delays):
+        start = (2 * i + 1) * hold
+        instants += [start, start + hold]
+        levels += [-0.5, 0.5]
+        down = (time >= start) & (time < start + hold)
+        thrust[down] = np.clip(2.0 - 30.0 * (time[down] - start - delay), -1.0, 2.0)
+    return time, CommandSteps(np.array(instants), np.array(levels)), (time, thrust)
+
+
+def test_times_of_a_made_thrust():
+    time, steps, thrust = _schedule([0.2])
+    (one,) = find_reversals(time, steps, thrust)
+    # 30 N/s from 2 N, after 0.2 s; crossings lie between samples of 1 ms.
+    assert one.zero_crossing == pytest.approx(0.2 + 2.0 / 30.0, abs=1e-6)
+    assert one.to_level == pytest.approx(0.2 + 2.9 / 30.0, abs=1e-6)
+    assert one.dead_band == pytest.approx(0.1 / 30.0, abs=1e-6)  # from +5 % to -5 % of 1 N
+    assert one.final_thrust == pytest.approx(-1.0)
+    (back,) = find_reversals(time, steps, thrust, sense="to-forward")
+    assert (back.before, back.after) == (-0.5, 0.5)
+    assert len(find_reversals(time, steps, thrust, sense="both")) == 2
+    # A stall of the logger at the command takes the reversal out.
+    assert find_reversals(time, steps, thrust, skip=[(0.99, 1.1)]) == ()
+
+
+def test_a_controller_that_fails_half_of_the_time_has_outliers():
+    # The paper's: 220 ms, but 750 ms over half of the time. The median is then a failure itself.
+    (group,) = repetitions(find_reversals(*_schedule([0.12, 0.65, 0.65, 0.12, 0.65])))
+    assert group.median("to_level") == pytest.approx(0.65 + 2.9 / 30, abs=1e-6)
+    assert group.outliers() == 3
+    # One that never gets there is no better, and is measured against the others' final thrust.
+    (group,) = repetitions(find_reversals(*_schedule([0.1, 0.1, 2.0])))
+    assert group.outliers() == 1
+    assert np.isnan(group.reversals[2].to_level)
+    assert group.reversals[2].final_thrust == pytest.approx(-1.0)
+
+
+def test_dead_band_of_a_simulated_motor():
+    time = np.arange(0.0, 1.5, 1e-4)
+    found = simulate({"command_delay": 0.01}, [0.0, 0.5], [0.62, -1.0], time, initial="steady")
+    steps = CommandSteps(np.array([0.0, 0.5]), np.array([0.62, -1.0]))
+    (one,) = find_reversals(time, steps, (time, found.thrust), (time, found.speed))
+    (ideal,) = find_reversals(
+        time, steps,
+        *[(time, getattr(simulate({"command_delay": 0.01}, [0.0, 0.5], [0.62, -1.0], time, initial="steady",
+                                  ideal_reversal=True), name)) for name in ("thrust", "speed")],
+    )  # fmt: skip
+    # I^r Ω_min/(k_m I_sat) = 49 ms from standstill to the band's edge; the rest is passed in 5 to 10 ms.
+    assert 0.049 < one.dead_band < 0.060
+    assert ideal.dead_band < 0.012
+    # design note: 0.21 s to 90 % for u 0.62 → -1
+    assert one.to_level - 0.01 == pytest.approx(0.21, abs=0.005)
+    # Both brake alike, so the ideal motor is ahead by what the dead band costs.
+    assert one.zero_crossing == pytest.approx(ideal.zero_crossing, abs=1e-3)
+    assert 0.035 < one.to_level - ideal.to_level < 0.06
+
+
+def test_thrust_alone_serves():
+    time = np.arange(0.0, 1.5, 1e-3)
+    found = simulate({}, [0.0, 0.5], [0.62, -1.0], time, initial="steady")
+    steps = CommandSteps(np.array([0.0, 0.5]), np.array([0.62, -1.0]))
+    (by_thrust,) = find_reversals(time, steps, (time, found.thrust))
+    (unsigned,) = find_reversals(time, steps, (time, found.thrust), (time, np.abs(found.speed)))
+    assert unsigned == by_thrust
+    # 5 % of the thrust is 22 % of the speed: a wider band.
+    assert 0.06 < by_thrust.dead_band < 0.12
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    def call(*arguments):
+        monkeypatch.setattr("sys.argv", ["sysid", "reversal-time", *map(str, arguments)])
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+def test_command_line_compares_logs(run, tmp_path):
+    logs = [SAMPLES / "reversal-1.h5", SAMPLES / "reversal-2.h5"]
+    figure = tmp_path / "reversal.png"
+    code, out, err = run(*logs, "--figure", figure)
+    assert code == 0, err
+    assert "reversal-1.h5" in out
+    assert "+0.62 → -1.00" in out
+    assert figure.stat().st_size > 10_000
+    code, out, _ = run(*logs, "--json", "--sense", "both")
+    assert code == 0
+    document = json.loads(out)
+    first = document["logs"][0]["repetitions"][0]
+    # 0.21 s of the motor, 8 ms of command delay; a thrust noise of 8 mN behind the filter is 1 ms at 90 %.
+    assert first["to 90 %"]["median [s]"] == pytest.approx(0.219, abs=0.003)
+    assert first["outlier share"] == 0
+    assert len(document["logs"][1]["repetitions"]) == 5
+    assert document["logs"][0]["zero crossing and dead band from"] == "speed"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["forward-1.csv"], "no reversal that can be timed: commands run from u = 0 to 0.95"),
+        (["reversal-1.h5", "--thrust-sign", "-1"], "turn it with --thrust-sign -1"),
+        (["reversal-1.h5", "--neutral", "900"], "minimum 1000, neutral 900, maximum 2000 us are not in"),
+        (["reversal-1.h5", "--maximum", "1600"], "outside 1000 to 1600 us"),
+        (["static-forward.csv"], "holds averaged points"),
+        (["no-such.csv"], "no such log"),
+    ],
+)
+def test_refusals_are_sentences(run, tmp_path, arguments, words):
+    code, out, err = run(SAMPLES / arguments[0], *arguments[1:], "--figure", tmp_path / "none.png")
+    assert code == 2
+    assert words in " ".join(err.split())
+    assert err.count("\n") == 1
+    assert not out
+    assert not (tmp_path / "none.png").exists()
+
+
+def test_unitless_dshot_needs_a_neutral(tmp_path):
+    rows = ["Time (s),ESC signal,Thrust (N),Motor Optical Speed (rad/s)"]
+    for i in range(400):
+        # A sensor that shakes: a value repeated exactly counts as held, not as measured.
+        force = (1.0 if i < 200 else -1.0) + 1e-3 * (i % 3)
+        rows.append(f"{0.01 * i:.2f},{1500 if i < 200 else 500},{force:.3f},100")
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    with pytest.raises(LogError, match="commands are in dshot, whose neutral is not known"):
+        log_reversals(path)
+    found = log_reversals(path, ReversalOptions(minimum=0, neutral=1024, maximum=2047))
+    assert found.groups[0].reversals[0].to_level == pytest.approx(0.0, abs=0.02)
