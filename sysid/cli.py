@@ -198,6 +198,16 @@ def reversal_time(
     reversal_times(logs, options, figure=figure, json=json)
 
 
+@app.command("fits")
+def fits(
+    folder: Annotated[Path, typer.Argument(help="Folder of fits.")] = Path("fits"),
+) -> None:
+    """List the fits of a folder: running, stopped or done, NRMSE, age."""
+    from sysid.pipelines.fits import print_fits
+
+    print_fits(folder)
+
+
 @app.command("new-campaign")
 def new_campaign(
     kind: Annotated[Kind, typer.Argument(help="What was recorded.")],

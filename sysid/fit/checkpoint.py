@@ -34,6 +34,8 @@ CHECKPOINT_VERSION = 1
 INTERVAL = 1.0
 _LONGEST_INTERVAL = 1.5
 _SHARE = 0.03  # of the time may go into writing
+# For another process that only looks whether the fit is running [s].
+_PATIENCE = 0.3
 _BLOCK = 512  # the smallest user block
 
 
@@ -93,7 +95,7 @@ class Checkpoint:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             self._lock = lock(self.folder)
-            self._lock.acquire(timeout=0)
+            self._lock.acquire(timeout=_PATIENCE)
         except Timeout:
             raise FitError(
                 f"{self.fit_folder}: another process is working on this fit; wait for it, or choose another "

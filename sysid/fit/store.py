@@ -17,6 +17,7 @@ from sysid import exact_json
 from sysid.errors import ExportError, FitError
 from sysid.fit.agreement import agreement, waterfall
 from sysid.fit.history import RunHistory, StageHistory
+from sysid.fit.record import record_lines, run_record
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.stopping import REASONS
 from sysid.parameter_sets import ParameterSets
@@ -85,6 +86,8 @@ def _write_numbers(file: Any, result: FitResult, sets: ParameterSets) -> None:
     file.attrs["version"] = FIT_VERSION
     file.attrs["state"] = result.state
     file.create_dataset("metadata_json", data=exact_json.dumps(sets.metadata(), indent=None), dtype=text)
+    record = exact_json.dumps(run_record(result), indent=None)
+    file.create_dataset("record_json", data=record, dtype=text)
     group = file.create_group("sets")
     _array(group, "values", sets.values, "set, parameter", "SI, see parameters in metadata_json")
     _array(group, "cube", result.cube, "set, free parameter")
@@ -256,4 +259,5 @@ def summary(result: FitResult) -> str:
         ]
     if result.warnings:
         lines += ["", "warnings", "", *(f"- {warning}" for warning in result.warnings)]
+    lines += ["", "record", "", *record_lines(run_record(result))]
     return "\n".join(lines) + "\n"

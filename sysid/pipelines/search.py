@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import subprocess
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -339,10 +340,11 @@ def provenance(
     path = Path(campaign_path)
     return {
         "sysid": __version__,
+        "git revision": _git_revision(),
         "python": platform.python_version(),
         "libraries": {name: _version(name) for name in _LIBRARIES},
         "system": f"{platform.system()} {platform.machine()}",
-        "processor": platform.processor() or platform.machine(),
+        "processor": _processor(),
         "cores": os.cpu_count(),
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
         "campaign": {"file": path.name, "sha256": file_sha256(path)},
@@ -357,6 +359,7 @@ def provenance(
             "population": settings.population,
             "runs": settings.runs,
             "seed": settings.seed,
+            "run_seeds": list(settings.run_seeds()),
             "stop_reading": settings.stop.reading,
             "stop_window": settings.stop.window,
             "stop_tolerance": settings.stop.tolerance,
@@ -365,6 +368,29 @@ def provenance(
             "time_limit [s]": settings.stop.time_limit,
         },
     }
+
+
+def _processor() -> str:
+    """Return the processor's model: equal bits are promised on equal processors only."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def _git_revision() -> str | None:
+    """Return the revision of the sources that run, where they lie in a git repository."""
+    folder = Path(__file__).resolve().parents[2]
+    if not (folder / ".git").exists():
+        return None
+    command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=40"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return None
 
 
 def _version(name: str) -> str:

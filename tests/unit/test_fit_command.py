@@ -71,6 +71,54 @@ def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, monkey
     assert "no unfinished fit to continue is there" in err
 
 
+def test_fits_lists_states(campaign, monkeypatch, capsys):
+    from sysid.fit.checkpoint import checkpoint_folder, lock
+    from sysid.pipelines.fits import list_fits
+
+    code, _, err = run(monkeypatch, capsys, "fits")
+    assert code == 2
+    assert "no such folder" in err
+    assert run(monkeypatch, capsys, "fit-gear", campaign, *SMALL, "--out", "fits/whole")[0] == 0
+    cut = ("fit-gear", campaign, *SMALL, "--out", "fits/cut", "--time-limit", "0.001 s")
+    assert run(monkeypatch, capsys, *cut)[0] == 0
+    Path("fits/broken").mkdir()
+    Path("fits/broken/fit.h5").write_bytes(b"dust")
+    found = {entry.name: entry for entry in list_fits("fits")}
+    assert {name: entry.state for name, entry in found.items()} == {
+        "broken": "damaged", "cut": "stopped", "whole": "done",
+    }  # fmt: skip
+    assert found["whole"].nrmse == read_fit("fits/whole").nrmse[0]
+    assert found["cut"].nrmse == read_fit("fits/cut").nrmse[0]
+    with lock(checkpoint_folder("fits/cut")):
+        assert {entry.name: entry.state for entry in list_fits("fits")}["cut"] == "running"
+    code, out, _ = run(monkeypatch, capsys, "fits")
+    assert code == 0
+    assert "whole" in out
+    assert "--resume" in out
+
+
+def test_the_record_says_what_was_run(campaign, monkeypatch, capsys):
+    import h5py
+
+    from sysid import exact_json
+
+    assert run(monkeypatch, capsys, "fit-gear", campaign, *SMALL)[0] == 0
+    folder = Path("fits") / "synthetic-lf"
+    with h5py.File(folder / "fit.h5", "r") as file:
+        record = exact_json.loads(file["record_json"].asstr()[()])
+    runs = read_fit(folder).runs
+    assert record["totals"]["candidates"] == sum(r.evaluations for r in runs)
+    assert record["totals"]["simulations"] == 6 * record["totals"]["candidates"]
+    assert [r["seed"] for r in record["runs"]] == [r.seed for r in runs] == record["search"]["run_seeds"]
+    assert record["search"]["algorithm"] == "ga"
+    assert set(record["libraries"]) >= {"numpy", "pymoo", "cma", "numba"}
+    assert len(record["logs"]["drop-1"]["sha256"]) == 64
+    assert record["processor"]
+    text = (folder / "summary.txt").read_text(encoding="utf-8")
+    for words in ("record", "git revision", "simulations per second", "sha256", "processor"):
+        assert words in text
+
+
 def test_a_changed_log_is_not_continued(campaign, monkeypatch, capsys):
     fit = ("fit-gear", campaign, *SMALL)
     assert run(monkeypatch, capsys, *fit, "--time-limit", "0.001 s")[0] == 0
