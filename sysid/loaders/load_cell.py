@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from sysid.recording import Channel, FloatArray
 
 TIME = frozenset({"time", "t", "timestamp", "time stamp"})
+TACHOMETER = frozenset({"tachometer", "tacho", "tach", "pulse", "pulses", "hall"})
 COMMAND = frozenset({"command", "cmd", "throttle", "esc", "esc signal", "pwm"})
 
 

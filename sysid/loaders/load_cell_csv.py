@@ -17,10 +17,19 @@ import numpy as np
 from sysid.errors import LogError
 from sysid.loaders.clock import jitter_note, order_rows, positive_rate, rate_clock
 from sysid.loaders.columns import DeclaredUnits, find_column, missing_column, parse_header
-from sysid.loaders.load_cell import CELL_AXES, COMMAND, MEASURED, QUANTITIES, TIME, quantity_channel
+from sysid.loaders.load_cell import (
+    CELL_AXES,
+    COMMAND,
+    MEASURED,
+    QUANTITIES,
+    TACHOMETER,
+    TIME,
+    quantity_channel,
+)
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE, LogFormat
 from sysid.loaders.source import Source
 from sysid.loaders.table import find_header, read_numbers, table_head
+from sysid.loaders.tachometer import check_tachometer, pulse_speed
 from sysid.loaders.text import read_text
 from sysid.recording import Channel, Recording
 
@@ -43,6 +52,7 @@ def read(
     rate: float | None = None,
     units: Mapping[str, str] | None = None,
     columns: Sequence[str] | None = None,
+    pulses_per_revolution: float | None = None,
     time_back: str = "refuse",
 ) -> Recording:
     """Read a load-cell CSV.
@@ -58,6 +68,8 @@ def read(
         Units by channel or column name where the header states none or a wrong one.
     columns : sequence of str, optional
         Names of all columns in order, for a log without header.
+    pulses_per_revolution : float, optional
+        Of a column ``Tachometer`` that holds pulses, from which ``speed`` is then found.
     time_back : str
         ``"refuse"`` a log whose time goes back, or ``"drop"`` the rows that do not pass the latest time.
 
@@ -85,6 +97,10 @@ def read(
     if not any(name in quantities for name in MEASURED):
         raise missing_column(path, '"Fz" or "Mz"', header)
     command = find_column(path, header, COMMAND)
+    pulses = find_column(path, header, TACHOMETER)
+    check_tachometer(
+        path, {*quantities, *(["tachometer"] if pulses is not None else [])}, pulses_per_revolution
+    )
     clock = find_column(path, header, TIME)
     if clock is None and rate is None:
         raise LogError(f"{path}: no time column; declare the sample rate [Hz] with rate = ...")
@@ -97,6 +113,7 @@ def read(
     declared.check_used(header)
 
     wanted = [*quantities.values(), *([clock] if clock else []), *([command] if command else [])]
+    wanted += [pulses] if pulses is not None and pulses_per_revolution is not None else []
     numbers = read_numbers(text, head, [column.index for column in wanted])
     del text  # the file's bytes are not needed any more
     notes = numbers.notes
@@ -119,7 +136,18 @@ def read(
         channels[name] = quantity_channel(
             name, time, values * factors[name] if factors[name] != 1.0 else values
         )
-    options: dict[str, Any] = {"rate": rate, "units": units, "columns": columns}
+    if pulses is not None and pulses_per_revolution is not None:
+        train = numbers.columns.pop(pulses.index)
+        channels["speed"], said = pulse_speed(path, time, train, pulses_per_revolution)
+        notes += said
+    elif pulses is not None:
+        notes.append(
+            f"column {pulses.label!r} looks like the pulses of a tachometer and was left out; "
+            "declare pulses_per_revolution to get the speed"
+        )
+    options: dict[str, Any] = {
+        "rate": rate, "units": units, "columns": columns, "pulses_per_revolution": pulses_per_revolution,
+    }  # fmt: skip
     return Recording(
         "load-cell", channels, source.provenance(_NAME, options=options, notes=[*notes, *declared.notes])
     )

@@ -24,15 +24,16 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import LogError
-from sysid.loaders.clock import order_rows, positive_rate, rate_clock
-from sysid.loaders.columns import Column, DeclaredUnits, listing, split_label
-from sysid.loaders.load_cell import CELL_AXES, COMMAND, MEASURED, QUANTITIES, TIME, quantity_channel
+from sysid.loaders.columns import split_label
+from sysid.loaders.load_cell import CELL_AXES
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE, LogFormat
+from sysid.loaders.signals import Signal, signal_channels
 from sysid.loaders.source import Source
-from sysid.loaders.table import Numbers
-from sysid.recording import Channel, FloatArray, Recording
+from sysid.recording import FloatArray, Recording
 
 _NAME = "load-cell-hdf5"
+# A file of the layout of `sysid_hdf5` says so in this attribute.
+LAYOUT_ATTRIBUTE = "sysid_recording"
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # What h5py raises on a damaged file; it has no exception of its own.
 _DAMAGE = (OSError, RuntimeError, ValueError, KeyError, TypeError, OverflowError, MemoryError, AttributeError)
@@ -40,7 +41,8 @@ _DAMAGE = (OSError, RuntimeError, ValueError, KeyError, TypeError, OverflowError
 _LARGEST_GAIN = 1000
 
 
-def _is_hdf5(source: Source) -> bool:
+def is_hdf5(source: Source) -> bool:
+    """Return whether a file begins as HDF5 does."""
     # A user block (MATLAB writes one) moves the signature to 512 bytes or a power of two beyond.
     return any(source.head.startswith(_SIGNATURE, start) for start in (0, *(512 << k for k in range(7))))
 
@@ -59,18 +61,21 @@ def _datasets(file: Any) -> dict[str, Any]:
     return found
 
 
-def _stem(path: str) -> str:
-    return split_label(path.rsplit("/", 1)[-1])[0]
-
-
 def _recognize(source: Source) -> int:
-    if not _is_hdf5(source):
+    if not is_hdf5(source) or source.head.startswith(b"MATLAB"):
         return NO
     import h5py
 
     try:
         with h5py.File(source.path, "r") as file:
-            return CERTAIN if any(_stem(path) in CELL_AXES for path in _datasets(file)) else POSSIBLE
+            if LAYOUT_ATTRIBUTE in file.attrs:
+                return NO
+            names = _datasets(file)
+            return (
+                CERTAIN
+                if any(split_label(name.rsplit("/", 1)[-1])[0] in CELL_AXES for name in names)
+                else POSSIBLE
+            )
     except _DAMAGE:
         return POSSIBLE  # the reader says what is wrong with it
 
@@ -105,57 +110,13 @@ def _values(path: str, name: str, dataset: Any, file_bytes: int) -> FloatArray:
     return np.asarray(dataset[()], dtype=np.float64).reshape(-1)
 
 
-def _choose(path: str, found: dict[str, Any], named: Mapping[str, str] | None) -> dict[str, str]:
-    """Return channel -> dataset path, ``time`` and ``command`` included."""
-    stems = {"time": TIME, "command": COMMAND, **{name: q.stems for name, q in QUANTITIES.items()}}
-    if named is not None:
-        if not isinstance(named, Mapping):
-            raise LogError(
-                f'{path}: datasets = {named!r} is no table; expected for example {{thrust = "/ft/Fz"}}'
-            )
-        chosen = {}
-        for channel, where in named.items():
-            if channel not in stems:
-                raise LogError(f'{path}: datasets names "{channel}"; it can name {", ".join(stems)}')
-            full = "/" + str(where).strip("/")
-            if full not in found:
-                raise LogError(f"{path}: no dataset {full}; found {listing(found)}")
-            chosen[channel] = full
-    else:
-        chosen = {}
-        for channel, known in stems.items():
-            matches = [where for where in found if _stem(where) in known]
-            if len(matches) > 1 and channel != "time":
-                raise LogError(
-                    f"{path}: datasets {matches[0]} and {matches[1]} both look like {channel}; "
-                    f'choose with datasets = {{{channel} = "{matches[0]}", ...}}'
-                )
-            if len(matches) == 1:
-                chosen[channel] = matches[0]
-    if not any(channel in chosen for channel in MEASURED):
-        raise LogError(
-            f'{path}: no dataset "Fz" or "Mz"; found {listing(found)}; '
-            'name them with datasets = {thrust = "...", torque = "..."}'
-        )
-    return chosen
-
-
-def _time_of(found: dict[str, Any], chosen: dict[str, str], where: str) -> str | None:
-    """Return the path of the time dataset beside a dataset, else of the only one there is, else None."""
-    beside = [
-        other
-        for other in found
-        if other.rsplit("/", 1)[0] == where.rsplit("/", 1)[0] and _stem(other) in TIME
-    ]
-    return beside[0] if len(beside) == 1 else chosen.get("time")
-
-
 def read(
     source: Source,
     *,
     rate: float | None = None,
     units: Mapping[str, str] | None = None,
     datasets: Mapping[str, str] | None = None,
+    pulses_per_revolution: float | None = None,
     time_back: str = "refuse",
 ) -> Recording:
     """Read a load-cell HDF5.
@@ -170,6 +131,8 @@ def read(
         Units by channel or dataset name where the attribute ``unit`` is missing or wrong.
     datasets : mapping of str to str, optional
         Dataset paths by channel (``time command speed thrust torque force_x ...``); exactly these are read.
+    pulses_per_revolution : float, optional
+        Of a dataset ``Tachometer`` that holds pulses, from which ``speed`` is then found.
     time_back : str
         ``"refuse"`` a log whose time goes back, or ``"drop"`` the samples that do not pass the latest time.
 
@@ -186,15 +149,29 @@ def read(
     import h5py
 
     path = source.path
-    if not _is_hdf5(source):
+    if not is_hdf5(source):
         raise LogError(f"{path}: not an HDF5 file (its signature is missing); check the format")
-    if rate is not None:
-        rate = positive_rate(path, rate)
     try:
         with h5py.File(path, "r") as file:
-            return _read_open(source, file, rate, units, datasets, time_back)
+            return _read_open(source, file, rate, units, datasets, pulses_per_revolution, time_back)
     except _DAMAGE as error:
         raise LogError(f"{path}: HDF5 file is damaged or cut ({error}); copy or export it again") from error
+
+
+def _signal(path: str, name: str, dataset: Any, file_bytes: int) -> Signal:
+    """Return a dataset as a signal; what it holds is read and checked only when it is asked for."""
+    unit = dataset.attrs.get("unit", dataset.attrs.get("units"))
+    unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
+    start = _attribute(dataset, ("start",))
+    if start is not None and not (isinstance(start, int | float) and np.isfinite(start)):
+        raise LogError(f"{path}: attribute start of {name} is {start!r}; expected seconds")
+    return Signal(
+        name,
+        None if unit is None else str(unit),
+        lambda: _values(path, name, dataset, file_bytes),
+        _attribute(dataset, ("rate", "sample_rate", "sampling_rate")),
+        float(start or 0.0),
+    )
 
 
 def _read_open(
@@ -203,81 +180,30 @@ def _read_open(
     rate: float | None,
     units: Mapping[str, str] | None,
     datasets: Mapping[str, str] | None,
+    pulses_per_revolution: float | None,
     time_back: str,
 ) -> Recording:
     path, file_bytes = source.path, Path(source.path).stat().st_size
-    found = _datasets(file)
-    chosen = _choose(path, found, datasets)
-    declared = DeclaredUnits(path, units)
-    header = tuple(
-        Column(index, where.rsplit("/", 1)[-1], *split_label(where.rsplit("/", 1)[-1]))
-        for index, where in enumerate(found)
+    channels, notes = signal_channels(
+        path,
+        [_signal(path, name, dataset, file_bytes) for name, dataset in _datasets(file).items()],
+        rate=rate,
+        units=units,
+        datasets=datasets,
+        pulses_per_revolution=pulses_per_revolution,
+        time_back=time_back,
+        measured=True,
     )
-    columns = {}
-    for column, (where, dataset) in zip(header, found.items(), strict=True):
-        stated = dataset.attrs.get("unit", dataset.attrs.get("units"))
-        stated = stated.decode("utf-8", "replace") if isinstance(stated, bytes) else stated
-        unit = column.unit if stated is None else str(stated)
-        columns[where] = Column(column.index, column.label, column.stem, unit)
-
-    notes: list[str] = []
-    channels: dict[str, Channel] = {}
-    clocks: dict[str, Numbers] = {}
-    members: dict[str, list[str]] = {}
-    for channel, where in chosen.items():
-        if channel == "time":
-            continue
-        values = _values(path, where, found[where], file_bytes)
-        values = np.where(np.isinf(values), np.nan, values)
-        beside = _time_of(found, chosen, where)
-        stated_rate = (
-            _attribute(found[where], ("rate", "sample_rate", "sampling_rate")) if rate is None else rate
-        )
-        if beside is None or rate is not None:
-            if stated_rate is None:
-                raise LogError(
-                    f"{path}: dataset {where} has no clock: no dataset time beside it and no attribute rate; "
-                    "declare the sample rate [Hz] with rate = ..."
-                )
-            own_rate = positive_rate(path, stated_rate)
-            start = _attribute(found[where], ("start",))
-            if start is not None and not (isinstance(start, int | float) and np.isfinite(start)):
-                raise LogError(f"{path}: attribute start of {where} is {start!r}; expected seconds")
-            time = rate_clock(path, own_rate, values.size) + float(start or 0.0)
-            key = f"{own_rate!r} {start!r} {values.size}"
-        else:
-            factor = declared.factor(columns[beside], "time", "s", "s")
-            time, key = _values(path, beside, found[beside], file_bytes) * factor, beside
-            if time.size != values.size:
-                raise LogError(
-                    f"{path}: dataset {where} has {values.size} samples but its clock {beside} has "
-                    f"{time.size}; they must be of one length"
-                )
-        if not values.size:
-            raise LogError(f"{path}: dataset {where} is empty; the log has no samples")
-        group = clocks.setdefault(key, Numbers({0: time}, np.arange(1, time.size + 1), row_word="sample"))
-        members.setdefault(key, []).append(channel)
-        group.columns[len(members[key])] = values
-
-    for key, names in members.items():
-        time, said = order_rows(path, clocks[key], 0, 1.0, time_back=time_back)
-        notes += said
-        for index, channel in enumerate(names, start=1):
-            column, values = columns[chosen[channel]], clocks[key].columns[index]
-            if channel == "command":
-                channels[channel] = Channel(channel, declared.command(column), time, values)
-            else:
-                default = "rpm" if column.stem == "rpm" else None
-                factor = declared.factor(column, channel, QUANTITIES[channel].unit, default)
-                channels[channel] = quantity_channel(channel, time, values * factor)
-    declared.check_used(tuple(columns.values()))
     device = file.attrs.get("device", "")
     device = device.decode("utf-8", "replace") if isinstance(device, bytes) else str(device)
-    options = {"rate": rate, "units": units, "datasets": datasets}
+    options = {
+        "rate": rate,
+        "units": units,
+        "datasets": datasets,
+        "pulses_per_revolution": pulses_per_revolution,
+    }
     return Recording(
-        "load-cell",
-        channels,
-        source.provenance(_NAME, device=device, options=options, notes=[*notes, *declared.notes]),
+        "load-cell", channels, source.provenance(_NAME, device=device, options=options, notes=notes)
     )
 
 

@@ -54,13 +54,20 @@ def unit_quaternions(path: str, body: str, numbers: Numbers, raw: FloatArray) ->
             f"{length[row]:.4g}, expected 1; check which columns it is in"
         )
     unit = np.where((lost | zero)[:, None], np.nan, raw / np.where(lost | zero, 1.0, length)[:, None])
-    seen = np.flatnonzero(np.isfinite(unit[:, 0]))
-    if seen.size > 1:
-        turned = np.einsum("ij,ij->i", unit[seen[1:]], unit[seen[:-1]]) < 0.0
-        if turned.any():
-            unit[seen[1:][np.cumsum(turned) % 2 == 1]] *= -1.0
-            notes.append(f"the quaternion of {body} changes sign {int(turned.sum())} times; made continuous")
+    unit, turned = continuous_quaternions(unit)
+    if turned:
+        notes.append(f"the quaternion of {body} changes sign {turned} times; made continuous")
     return unit, notes
+
+
+def continuous_quaternions(unit: FloatArray) -> tuple[FloatArray, int]:
+    """Return quaternions of the sign nearest to the last recorded one, and how often it changed."""
+    seen = np.flatnonzero(np.isfinite(unit[:, 0]))
+    turned = np.einsum("ij,ij->i", unit[seen[1:]], unit[seen[:-1]]) < 0.0
+    if turned.any():
+        unit = unit.copy()
+        unit[seen[1:][np.cumsum(turned) % 2 == 1]] *= -1.0
+    return unit, int(turned.sum())
 
 
 def euler_quaternions(order: str, angles_deg: FloatArray) -> FloatArray:

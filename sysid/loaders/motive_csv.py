@@ -108,7 +108,7 @@ def _is_column_row(cells: list[str]) -> bool:
 def _read_header(text: Text) -> _Header:
     lines = list(text.lines(_HEADER_LINES))
     filled = [line for _, _, line in lines if line.strip()]
-    delimiter = sniff_delimiter(filled[0]) if filled else ","
+    delimiter = sniff_delimiter(filled[0], spaces=False) if filled else ","
     rows = [[cell.strip().strip('"').strip() for cell in split_line(line, delimiter)] for _, _, line in lines]
     last = next((index for index, row in enumerate(rows) if _is_column_row(row)), None)
     if last is None:

@@ -20,8 +20,8 @@ from sysid.loaders.clock import order_rows
 from sysid.loaders.columns import Column, DeclaredUnits, find_column, missing_column, parse_header
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
-from sysid.loaders.table import find_header, read_numbers, table_head
-from sysid.loaders.text import read_text
+from sysid.loaders.table import TableHead, find_header, read_numbers, table_head
+from sysid.loaders.text import Text, read_text, split_line
 from sysid.loaders.thrust_stand import choose_speed, is_static, point_channels
 from sysid.recording import Channel, FloatArray, Recording
 
@@ -44,6 +44,7 @@ _QUANTITIES = {
 }
 _MEASURED = ("torque", "thrust", "speed_electrical", "speed_optical")
 _UNIT_NAMES = {"N*m": "N·m", "m/s^2": "m/s²"}
+_MOST_MESSAGES = 5
 _LARGEST_DSHOT = 2047.0
 
 
@@ -79,6 +80,21 @@ def _command_unit(
         )
     notes.append("the command column states no unit: read as DShot 0 to 2047")
     return "dshot"
+
+
+def _messages(text: Text, head: TableHead, column: Column) -> list[str]:
+    """Return a note with what the stand's program said during the log, each message once with its line."""
+    said: dict[str, int] = {}
+    for number, _, line in text.lines(-1, head.offset, head.line):
+        # Of most rows the message is blank: a row without a letter or a quote cannot hold one.
+        if line.startswith("#") or not any(letter.isalpha() and letter not in "eE" for letter in line):
+            continue
+        cells = split_line(line, head.delimiter)
+        message = cells[column.index].strip() if column.index < len(cells) else ""
+        if message and len(said) < _MOST_MESSAGES:
+            said.setdefault(message[:80], number)
+    shown = "; ".join(f"{message!r} (line {number})" for message, number in said.items())
+    return [f"messages of the stand's program: {shown}"] if shown else []
 
 
 def read(
@@ -137,8 +153,11 @@ def read(
     indices = [column.index for column in wanted]
     # Rows are ragged: a vendor script appends cells to some of them, beyond the ones that are read here.
     numbers = read_numbers(text, head, indices, least=max(indices) + 1, surplus=True)
-    del text  # the file's bytes are not needed any more
     notes = numbers.notes
+    message = find_column(path, columns, {"app message"})
+    if message is not None:
+        notes += _messages(text, head, message)
+    del text  # the file's bytes are not needed any more
 
     time = np.arange(numbers.lines.size, dtype=np.float64)
     seconds = declared.factor(clock, "time", "s", "s") if clock else 1.0

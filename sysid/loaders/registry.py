@@ -62,8 +62,21 @@ _BUILT_IN = (
     "sysid.loaders.rcbenchmark_csv",
     "sysid.loaders.load_cell_csv",
     "sysid.loaders.load_cell_hdf5",
+    "sysid.loaders.ati_text",
+    "sysid.loaders.net_ft_csv",
+    "sysid.loaders.tdms",
+    "sysid.loaders.lvm",
+    "sysid.loaders.mat",
     "sysid.loaders.motive_csv",
     "sysid.loaders.pose_table",
+    "sysid.loaders.motive_legacy",
+    "sysid.loaders.vicon_csv",
+    "sysid.loaders.qualisys_tsv",
+    "sysid.loaders.c3d",
+    "sysid.loaders.ros_csv",
+    "sysid.loaders.ros_bag",
+    "sysid.loaders.ulog",
+    "sysid.loaders.sysid_hdf5",
 )
 
 

@@ -14,6 +14,9 @@ from sysid.errors import LogError
 from sysid.loaders.source import Source
 
 _DELIMITERS = ",;\t"
+SPACES = " "
+# A table of fewer columns than this is not told from prose by its spaces.
+_FEWEST_WORDS = 4
 
 
 def decode(data: bytes, path: str, *, partial: bool = False) -> str:
@@ -57,10 +60,17 @@ class Text:
     data: bytes
     notes: tuple[str, ...] = ()
 
-    def lines(self, count: int = -1) -> Iterator[tuple[int, int, str]]:
-        """Yield (line number from 1, byte offset of the next line, text) of the first `count` lines."""
-        offset, number = 0, 0
-        while offset < len(self.data) and number != count:
+    def up_to(self, end: int) -> Text:
+        """Return the part of the text before byte `end`, for a table that others follow."""
+        return self if end >= len(self.data) else Text(self.path, self.data[:end], self.notes)
+
+    def lines(self, count: int = -1, offset: int = 0, number: int = 0) -> Iterator[tuple[int, int, str]]:
+        """Yield (line number from 1, byte offset of the next line, text) of at most `count` lines.
+
+        They begin at byte `offset`, which is behind line `number`.
+        """
+        last = number + count
+        while offset < len(self.data) and (count < 0 or number < last):
             end = self.data.find(b"\n", offset)
             end = len(self.data) if end < 0 else end
             number += 1
@@ -105,7 +115,12 @@ def read_text(source: Source) -> Text:
 
 
 def split_line(line: str, delimiter: str) -> list[str]:
-    """Return the cells of one line; a quote never runs past the end of its line."""
+    """Return the cells of one line; a quote never runs past the end of its line.
+
+    The delimiter `SPACES` stands for any run of spaces or tabs.
+    """
+    if delimiter == SPACES:
+        return line.split()
     if '"' not in line:
         return line.split(delimiter)
     try:
@@ -114,6 +129,12 @@ def split_line(line: str, delimiter: str) -> list[str]:
         return line.split(delimiter)
 
 
-def sniff_delimiter(line: str) -> str:
-    """Return the delimiter that cuts a header line into most cells (comma on a tie)."""
-    return max(_DELIMITERS, key=lambda delimiter: len(split_line(line, delimiter)))
+def sniff_delimiter(line: str, *, spaces: bool = True) -> str:
+    """Return the delimiter that cuts a header line into most cells (comma on a tie).
+
+    With `spaces`, a line of four words or more and no other delimiter is delimited by spaces.
+    """
+    best = max(_DELIMITERS, key=lambda delimiter: len(split_line(line, delimiter)))
+    if spaces and best not in line and len(line.split()) >= _FEWEST_WORDS:
+        return SPACES
+    return best

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid.errors import LogError
+from sysid.errors import LogError, SysidError
 from sysid.loaders import load
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
@@ -94,13 +94,140 @@ def test_motive_take():
         load(DATA / "optitrack" / "cmu_v1.21_sample_optitrack_take.csv", rigid_body="F450")
 
 
-@pytest.mark.parametrize("folder", ["lvm", "tdms", "c3d", "vicon"])
-def test_other_instruments_are_refused_in_a_sentence(folder):
-    found = [path for path in sorted((DATA / folder).iterdir()) if "LICENSE" not in path.name]
-    assert found
-    for path in found:
+# Every file that is no log, by name or ending: texts beside the recordings.
+NO_LOGS = ("LICENSE", "README", ".urdf", ".json")
+# Logs that need to be told something, and what they say without it.
+NEEDS = {
+    "xinlong_20240811_01_18_04.csv": ({"length_unit": "m"}, 'declare it, for example length_unit = "m"'),
+    "xinlong_pose_0h5_1.csv": ({"length_unit": "m"}, 'declare it, for example length_unit = "m"'),
+}
+
+
+@pytest.mark.parametrize(
+    "path", sorted(p for p in DATA.rglob("*") if p.is_file()) if DATA.is_dir() else [], ids=lambda p: p.name
+)
+def test_every_file_loads_or_is_refused(path):
+    if any(word in path.name for word in NO_LOGS):
         with pytest.raises(LogError, match=r"not recognized as any log format by its content"):
             load(path)
-        for name in ("rcbenchmark-csv", "load-cell-csv", "load-cell-hdf5", "motive-csv", "pose-table"):
-            with pytest.raises(LogError, match=path.name):
-                load(path, format=name)
+        return
+    options, message = NEEDS.get(path.name, ({}, ""))
+    if message:
+        with pytest.raises(SysidError, match=message):
+            load(path)
+    log = load(path, **options)
+    assert log.channels
+    assert all(channel.valid.any() for channel in log.channels.values())
+
+
+def test_tdms_lengths_rates_and_starts():
+    # Counted with the library: wf_samples says 2000, 500 and 1 where there are 20000, 3500 and 2000.
+    digital = load(DATA / "tdms" / "Digital_Input.tdms")["Dev1_port3_line7 - line 0"]
+    assert (len(digital.values), digital.rate) == (20000, pytest.approx(2000))
+    sweep = load(DATA / "tdms" / "big_endian.tdms")
+    assert sweep.kind == "signals"
+    assert len(sweep["Phase sweep"].values) == 3500
+    assert not any("1904" in note for note in sweep.provenance.notes)
+    raw = load(DATA / "tdms" / "raw1.tdms")
+    assert raw["First Channel"].unit == "V"
+    assert raw["First Channel"].rate == pytest.approx(50000)
+    named = load(DATA / "tdms" / "raw1.tdms", datasets={"thrust": "Third Chan"}, units={"thrust": "kN"})
+    assert named.kind == "load-cell"
+    np.testing.assert_allclose(named["thrust"].values, 1000 * raw["Third Chan"].values)
+
+
+@pytest.mark.parametrize("path", sorted((DATA / "lvm").glob("*.lvm")), ids=lambda p: p.name)
+def test_lvm_is_what_the_library_of_the_field_reads(path):
+    lvm_read = pytest.importorskip("lvm_read", reason="lvm_read comes with the test extra")
+    # Not lvm_read.read, which unpickles what lies beside the file.
+    found = lvm_read.read_str(path.read_bytes().decode("utf-8", "replace"))[0]
+    names, data = found["Channel names"], found["data"]
+    ours = load(path)
+    free = list(ours.channels.values())
+    for name, values in zip(names, data.T, strict=False):
+        if name in ("X_Value", "Comment") or np.isnan(values).all():
+            continue
+        channel = free.pop(0)
+        factor = 1e6 if "MPa" in name else 1.0
+        np.testing.assert_allclose(channel.values, values * factor, rtol=1e-15)
+        times = found["Channel names"].index("X_Value") if "X_Value" in names else None
+        if times is not None:
+            np.testing.assert_array_equal(channel.time, data[:, times])
+    assert not free
+
+
+def test_lvm_rounded_clock_is_said():
+    log = load(DATA / "lvm" / "long_single_header_multi_ch.lvm")
+    assert len(log["m_1"].values) == 16384
+    assert any("0.000977" in note for note in log.provenance.notes)
+    exact = load(DATA / "lvm" / "long_single_header_multi_ch.lvm", rate=1024)
+    assert exact["m_1"].time[-1] == pytest.approx(16383 / 1024)
+
+
+@pytest.mark.parametrize(
+    ("name", "points", "frames", "missing"),
+    [
+        # Counted in these files with another reader.
+        ("ktk_pc_int", 36, 89, 0.0712),
+        ("ktk_pc_real", 36, 89, 0.0712),
+        ("ktk_kinematics_tennis_serve_nan", 39, 1092, 0.0034),
+    ],
+)
+def test_c3d_points_and_gaps(name, points, frames, missing):
+    log = load(DATA / "c3d" / f"{name}.c3d")
+    found = [log[f"{marker}/position"] for marker in log.markers]
+    assert (len(found), len(found[0].time)) == (points, frames)
+    assert np.mean([~channel.valid for channel in found]) == pytest.approx(missing, abs=5e-5)
+    # A person: no marker further than some metres from the origin, in metres.
+    assert 0.1 < np.nanmax([np.nanmax(np.abs(channel.values)) for channel in found]) < 10
+
+
+def test_c3d_integer_and_real_numbers_agree():
+    whole, real = (load(DATA / "c3d" / f"ktk_pc_{kind}.c3d") for kind in ("int", "real"))
+    for name in whole.channels:
+        if name.endswith("/position"):
+            # Integers step by 0.28 mm.
+            np.testing.assert_allclose(whole[name].values, real[name].values, atol=0.15e-3)
+    assert whole["analog/FX1"].unit == "N"
+    assert whole["analog/MX1"].unit == "N·m"
+    assert whole["analog/FX1"].rate == pytest.approx(200)
+
+
+def test_c3d_pose_of_three_markers():
+    log = load(DATA / "c3d" / "ktk_pc_int.c3d", bodies={"pelvis": ["RPV1", "RPV2", "RPV3"]})
+    assert log.rigid_bodies == ("pelvis",)
+    residual = log["pelvis/residual"].values
+    # Markers on skin move by millimetres against each other.
+    assert np.sqrt(np.nanmean(residual**2)) < 3e-3
+    with pytest.raises(LogError, match='the markers of "Derrick" move by .* are not one rigid body'):
+        load(DATA / "c3d" / "ktk_kinematics_tennis_serve_nan.c3d", rigid_body="Derrick")
+
+
+def test_c3d_of_another_byte_order_is_refused(tmp_path):
+    data = bytearray((DATA / "c3d" / "ktk_pc_int.c3d").read_bytes())
+    data[(data[0] - 1) * 512 + 3] = 86  # the mark of SGI/MIPS
+    path = tmp_path / "sgi.c3d"
+    path.write_bytes(data)
+    with pytest.raises(LogError, match=r"sgi\.c3d: numbers are in the byte order of SGI/MIPS.*convert the file"):
+        load(path)
+
+
+def test_vicon_markers_and_devices():
+    log = load(DATA / "vicon" / "pyomeca_nexus_markers.csv")
+    box = log["boite:gauche_ext/position"]
+    np.testing.assert_allclose(box.values[0], [0.0441628, -0.276862, 0.675697], rtol=1e-12)
+    np.testing.assert_allclose(box.time, np.arange(1, 581) / 100)
+    devices = load(DATA / "vicon" / "pyomeca_nexus_devices_first3000lines.csv")
+    assert devices.kind == "signals"
+    emg = devices["Imported Analog EMG - Voltage/1"]
+    assert (emg.unit, len(emg.values)) == ("V", 2995)
+    # Frame 1, sub frame 1 of twenty, at 2000 Hz.
+    np.testing.assert_allclose(emg.time[:2], [0.01, 0.0105], rtol=1e-12)
+    box = load(DATA / "vicon" / "pyomeca_nexus_markers.csv", rigid_body="boite")
+    # A box carried by hand: its eight markers keep their distances.
+    assert np.nanmax(box["boite/residual"].values) < 5e-3
+
+
+def test_static_points_given_as_a_running_log_are_refused():
+    with pytest.raises(LogError, match="time goes back|too coarse"):
+        load(RCBENCHMARK / "sar_IM_StepsTestV2_2024-02-06_131025.csv", static=False)

@@ -59,8 +59,8 @@ def test_detect_hdf5(tmp_path):
         "# only a comment\n",
         "1,2,3\n4,5,6\n",
         b"\x00\x01\x02",
-        b"TDSm\x0e\x00",
-        "Devices\n2000\n",
+        b"TDS\x0e\x00",
+        "Devices\nnone\n",
     ],
 )
 def test_unknown_content_names_the_formats(write, content):

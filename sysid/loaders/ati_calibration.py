@@ -1,0 +1,167 @@
+"""Calibration of an ATI force/torque transducer (``.cal``), and its transform to the motor's axis.
+
+FT = UserAxis · (V − V_bias): six rows Fx Fy Fz Tx Ty Tz of six numbers, in the force and torque units that
+the file states. ``UserAxis`` is used and not ``Axis``, as the file itself asks: it holds the scale and the
+maker's basic transform already.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sysid.errors import LogError, UnitError
+from sysid.recording import FloatArray
+from sysid.units import factor_to_si, parse_quantity
+
+AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+_LENGTHS = ("dx", "dy", "dz")
+_ANGLES = ("rx", "ry", "rz")
+_LARGEST = 1 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A transducer's calibration.
+
+    Parameters
+    ----------
+    device : str
+        Serial number, body and part number.
+    matrix : (6, 6) array
+        From gauge voltages to Fx Fy Fz [N] and Tx Ty Tz [N·m] per volt.
+    limits : (6,) array
+        Largest calibrated load of each axis [N, N·m]; NaN where not stated.
+    """
+
+    device: str
+    matrix: FloatArray
+    limits: FloatArray
+
+
+def _numbers(path: str, axis: str, text: str) -> list[float]:
+    try:
+        values = [float(cell) for cell in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != 6 or not np.all(np.isfinite(values)):
+        raise LogError(f"{path}: UserAxis {axis} does not hold six numbers; use the file as ATI sent it")
+    return values
+
+
+def read_calibration(path: str | Path) -> Calibration:
+    """Read a ``.cal`` file.
+
+    Raises
+    ------
+    LogError, UnitError
+        When it is missing, not of this kind or of an unknown unit.
+    """
+    where = str(path)
+    try:
+        data = Path(path).read_bytes()
+    except (OSError, ValueError) as error:
+        raise LogError(f"{where}: the calibration cannot be read ({error}); check calibration") from error
+    # A calibration declares no entities; one that does could unfold into gigabytes.
+    if len(data) > _LARGEST or b"<!" in data.replace(b"<!--", b""):
+        raise LogError(
+            f"{where}: not a calibration as ATI writes it; use the file that came with the transducer"
+        )
+    try:
+        root = ElementTree.fromstring(data)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise LogError(
+            f"{where}: the calibration is no XML ({error}); use the file as ATI sent it"
+        ) from error
+    node = root if root.tag == "Calibration" else root.find(".//Calibration")
+    rows = {axis.get("Name", ""): axis for axis in (node.findall("UserAxis") if node is not None else [])}
+    missing = [axis for axis in AXES if axis not in rows]
+    if node is None or missing:
+        raise LogError(
+            f"{where}: no UserAxis {', '.join(missing) or 'rows'} in it; use the file as ATI sent it"
+        )
+    factors = []
+    for key, expected in (("ForceUnits", "N"), ("TorqueUnits", "N*m")):
+        unit = node.get(key, "")
+        if not unit:
+            raise UnitError(f"{where}: states no {key}; use the file as ATI sent it")
+        try:
+            factors.append(factor_to_si(unit, expected))
+        except UnitError as error:
+            raise UnitError(f"{where}: {key}: {error}") from error
+    scale = np.repeat(factors, 3)
+    matrix = np.array([_numbers(where, axis, rows[axis].get("values", "")) for axis in AXES]) * scale[:, None]
+    limits = []
+    for axis in AXES:
+        try:
+            limits.append(float(rows[axis].get("max", "nan")))
+        except ValueError:
+            limits.append(float("nan"))
+    parts = [root.get("BodyStyle", ""), root.get("Serial", ""), node.get("PartNumber", "")]
+    device = " ".join(["ATI", *(part for part in parts if part)])
+    return Calibration(device, matrix, np.array(limits) * scale)
+
+
+def motor_transform(path: str, transform: Mapping[str, Any] | None) -> NDArray[np.float64]:
+    """Return the (6, 6) matrix that turns a load at the transducer into one at the motor's axes.
+
+    Parameters
+    ----------
+    path : str
+        Named in messages.
+    transform : mapping, optional
+        ``dx dy dz``: from the transducer's origin to the motor's, in the transducer's axes (``"10 mm"``);
+        ``rx ry rz``: then turns of the axes about x, the new y, the new z (``"90 deg"``). What is not named
+        is 0.
+
+    Raises
+    ------
+    LogError, UnitError
+        When a key or a quantity is not understood.
+
+    Notes
+    -----
+    F' = Rᵀ F and T' = Rᵀ (T − d × F), with the columns of R the new axes.
+    """
+    if transform is not None and not isinstance(transform, Mapping):
+        raise LogError(
+            f'{path}: transform = {transform!r} is no table; expected for example {{dz = "20 mm"}}'
+        )
+    given = dict(transform or {})
+    unknown = sorted(set(given) - {*_LENGTHS, *_ANGLES})
+    if unknown:
+        raise LogError(f'{path}: transform names "{unknown[0]}"; it can name dx, dy, dz, rx, ry, rz')
+    try:
+        d = np.array([parse_quantity(str(given.get(key, "0 m")), "m") for key in _LENGTHS])
+        angles = [parse_quantity(str(given.get(key, "0 rad")), "rad") for key in _ANGLES]
+    except UnitError as error:
+        raise UnitError(f"{path}: transform: {error}") from error
+    back = Rotation.from_euler("XYZ", angles).as_matrix().T
+    cross = np.array([[0.0, -d[2], d[1]], [d[2], 0.0, -d[0]], [-d[1], d[0], 0.0]])
+    out = np.zeros((6, 6))
+    out[:3, :3], out[3:, 3:], out[3:, :3] = back, back, -back @ cross
+    return out
+
+
+def tare_offset(path: str, values: FloatArray, time: FloatArray, tare: object) -> FloatArray:
+    """Return the mean of the first `tare` seconds of each column, to be subtracted.
+
+    Raises
+    ------
+    LogError
+        When `tare` is no positive time or holds no sample.
+    """
+    if isinstance(tare, bool) or not isinstance(tare, int | float) or not np.isfinite(tare) or tare <= 0:
+        raise LogError(f"{path}: tare = {tare!r}; expected seconds at the start of the log without load")
+    first = time < time[0] + float(tare)
+    seen = np.isfinite(values[first])
+    if not seen.any(axis=0).all():
+        raise LogError(f"{path}: the first {float(tare):g} s hold no sample to take the tare from")
+    return np.asarray(np.nanmean(values[first], axis=0))

@@ -1,0 +1,199 @@
+"""ATI force/torque logs as text: six channels per row, as forces and torques or as gauge voltages.
+
+Read are the forms that labs write: a first line that states ``sampling freq``, rows of six numbers or of a
+time and six numbers without header, ``Column1 ... Column7``, rows printed as ``[ 0.1 -0.2 ... ]``. The six
+channels are Fx Fy Fz Tx Ty Tz by their place, because the labels of such logs repeat or mistype names; where
+every label is a known name and none repeats, `load_cell_csv` reads the log by name. With `calibration` (the
+transducer's ``.cal`` file) the six are gauge voltages. Units are not in the file: declare them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from sysid.errors import LogError, UnitError
+from sysid.loaders.ati_calibration import AXES, motor_transform, read_calibration, tare_offset
+from sysid.loaders.clock import jitter_note, order_rows, positive_rate, rate_clock
+from sysid.loaders.load_cell import quantity_channel
+from sysid.loaders.registry import CERTAIN, NO, POSSIBLE, LogFormat
+from sysid.loaders.source import Source
+from sysid.loaders.table import TableHead, read_numbers
+from sysid.loaders.table_rows import parse_number
+from sysid.loaders.text import Text, read_text, sniff_delimiter, split_line
+from sysid.recording import FloatArray, Recording
+from sysid.units import factor_to_si
+
+_NAME = "ati-text"
+_CHANNELS = ("force_x", "force_y", "thrust", "torque_x", "torque_y", "torque")
+_STATES_RATE = "sampling freq"
+_HEADER_LINES = 20
+_UNIT_KEYS = ("force", "torque")
+
+
+def _cells(line: str) -> list[str]:
+    line = line.strip("[] ")
+    cells = split_line(line, sniff_delimiter(line))
+    while cells and not cells[-1].strip():
+        cells.pop()
+    return [cell.strip() for cell in cells]
+
+
+def _is_row(cells: list[str]) -> bool:
+    if len(cells) not in (6, 7):
+        return False
+    try:
+        return all(np.isfinite(parse_number(cell)) for cell in cells)
+    except ValueError:
+        return False
+
+
+def _recognize(source: Source) -> int:
+    lines = [line for line in source.head_lines if line.strip()][:_HEADER_LINES]
+    if not lines:
+        return NO
+    if _STATES_RATE in lines[0].casefold():
+        return CERTAIN
+    if lines[0].startswith("[") and _is_row(_cells(lines[0])):
+        return CERTAIN
+    numbered = [f"column{i + 1}" for i in range(7)]
+    if [cell.casefold() for cell in _cells(lines[0])] in (numbered, numbered[:6]):
+        return CERTAIN
+    return POSSIBLE if all(_is_row(_cells(line)) for line in lines[:3]) else NO
+
+
+def _table(text: Text, path: str) -> tuple[Text, TableHead, float | None]:
+    """Return the text with one delimiter, where its rows are and how many columns they have, and the rate."""
+    if b"[" in text.data[:4096] or not any(mark in text.data[:4096] for mark in (b",", b";", b"\t")):
+        # Rows printed by numpy, or parted by spaces.
+        data = re.sub(rb"[ \t]*[\[\]][ \t]*", b"", text.data)
+        data = re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", data)
+        text = Text(path, re.sub(rb"[ \t]+", b"\t", data), text.notes)
+    rate = None
+    states = False
+    for number, offset, line in text.lines(_HEADER_LINES):
+        cells = _cells(line)
+        if number == 1 and _STATES_RATE in line.casefold():
+            states = True
+        elif states and rate is None and len(cells) >= 2:
+            try:
+                rate = positive_rate(path, parse_number(cells[0]))
+            except (ValueError, LogError):
+                continue
+        elif _is_row(cells) or (number > 1 and len(cells) in (6, 7) and "".join(cells) == ""):
+            names = ("t", *AXES) if len(cells) == 7 else AXES
+            start = offset - len(line.encode("utf-8")) - 1
+            return text, TableHead(names, sniff_delimiter(line), number - 1, max(start, 0)), rate
+    raise LogError(
+        f"{path}: no row of six numbers, or of a time and six, in the first {_HEADER_LINES} "
+        "lines; check the format"
+    )
+
+
+def _factors(path: str, units: Mapping[str, str] | None) -> FloatArray:
+    if units is None:
+        raise UnitError(
+            f"{path}: such a log does not say its units; declare them, for example "
+            'units = {force = "N", torque = "N*m"} or {force = "lbf", torque = "lbf-in"}'
+        )
+    if not isinstance(units, Mapping) or set(units) != set(_UNIT_KEYS):
+        raise UnitError(f'{path}: units = {units!r}; expected {{force = "N", torque = "N*m"}}')
+    try:
+        return np.repeat(
+            [factor_to_si(str(units["force"]), "N"), factor_to_si(str(units["torque"]), "N*m")], 3
+        )
+    except UnitError as error:
+        raise UnitError(f"{path}: {error}") from error
+
+
+def read(
+    source: Source,
+    *,
+    rate: float | None = None,
+    units: Mapping[str, str] | None = None,
+    calibration: str | None = None,
+    transform: Mapping[str, str] | None = None,
+    tare: float | None = None,
+    time_back: str = "refuse",
+) -> Recording:
+    """Read an ATI text log.
+
+    Parameters
+    ----------
+    source : Source
+        The log.
+    rate : float, optional
+        Sample rate [Hz], for a log without times that does not state it.
+    units : mapping, optional
+        ``{"force": ..., "torque": ...}``; not with `calibration`, which states its own.
+    calibration : str, optional
+        Path of the transducer's ``.cal`` file: the six channels are gauge voltages.
+    transform : mapping, optional
+        From the transducer to the motor's axis: ``dx dy dz`` and ``rx ry rz`` (`motor_transform`).
+    tare : float, optional
+        Seconds at the start without load, whose mean is subtracted (of the voltages with `calibration`).
+    time_back : str
+        ``"refuse"`` a log whose time goes back, or ``"drop"`` the rows that do not pass the latest time.
+
+    Returns
+    -------
+    Recording
+        Kind ``load-cell``: ``force_x force_y thrust`` [N] and ``torque_x torque_y torque`` [N·m], signs of
+        the transducer (or of the motor's axes after `transform`).
+
+    Raises
+    ------
+    LogError, UnitError
+        One sentence with file, line and cause.
+    """
+    path = source.path
+    if rate is not None:
+        rate = positive_rate(path, rate)
+    if calibration is not None and units is not None:
+        raise UnitError(f"{path}: units and calibration exclude each other: the calibration states its own")
+    turn = motor_transform(path, transform)
+    known = read_calibration(Path(path).parent / calibration) if calibration is not None else None
+    factors = np.ones(6) if known is not None else _factors(path, units)
+    text, table, stated = _table(read_text(source), path)
+    lead = len(table.names) - 6
+    numbers = read_numbers(text, table, range(len(table.names)), surplus=False)
+    del text  # the file's bytes are not needed any more
+    notes = numbers.notes
+    rate = stated if rate is None else rate
+    if lead and rate is None:
+        time, said = order_rows(path, numbers, 0, 1.0, time_back=time_back)
+        notes += [*said, *jitter_note(time)]
+    elif rate is not None:
+        time = rate_clock(path, rate, numbers.lines.size, numbers.columns[0] if lead else None)
+        notes.append(f"time rebuilt from the rate of {rate:g} Hz")
+    else:
+        raise LogError(f"{path}: no time column and no rate in the header; declare it [Hz] with rate = ...")
+    raw = np.column_stack([numbers.columns[lead + i] for i in range(6)])
+    blank = int(np.isnan(raw).all(axis=1).sum())
+    notes += [f"blank rows, taken as missing: {blank}"] if blank else []
+    if tare is not None:
+        raw = raw - tare_offset(path, raw, time, tare)
+        notes.append(f"tare: the mean of the first {tare:g} s was subtracted")
+    load = raw @ known.matrix.T if known is not None else raw * factors
+    if known is not None:
+        over = np.asarray(np.abs(load) > known.limits)
+        names = [axis for i, axis in enumerate(AXES) if over[:, i].any()]
+        notes += [f"beyond the calibrated range: {', '.join(names)}"] if names else []
+    load = load @ turn.T
+    if transform:
+        notes.append("loads are at the motor's axes, as declared by transform")
+    notes.append("channels by place: Fx Fy Fz Tx Ty Tz")
+    channels = {name: quantity_channel(name, time, load[:, i].copy()) for i, name in enumerate(_CHANNELS)}
+    options = {
+        "rate": rate, "units": units, "calibration": calibration, "transform": transform, "tare": tare,
+    }  # fmt: skip
+    device = known.device if known is not None else "ATI"
+    return Recording(
+        "load-cell", channels, source.provenance(_NAME, device=device, options=options, notes=notes)
+    )
+
+
+FORMAT = LogFormat(_NAME, "ATI force/torque text (six channels by place, .cal)", _recognize, read)

@@ -1,0 +1,240 @@
+"""C3D (ezc3d): markers, analog channels and, where the file has them, rotations of rigid bodies.
+
+C3D carries points, not poses: a body's pose is fitted to its markers (`rigid_pose`) when the file has no
+``ROTATION`` group. A point is missing where it is NaN or its residual is negative. Time is the frame number
+over the rate, from the first frame that the header names. Axes are those of the file; ``X_SCREEN`` and
+``Y_SCREEN`` are for display and turn nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from sysid.errors import LogError, UnitError
+from sysid.loaders.clock import positive_rate
+from sysid.loaders.columns import listing
+from sysid.loaders.motion_capture import body_channels, continuous_quaternions, wanted_bodies
+from sysid.loaders.optional import library
+from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.rigid_pose import marker_bodies, pose_from_markers
+from sysid.loaders.signals import plain_unit, unique_names
+from sysid.loaders.source import Source
+from sysid.recording import Channel, FloatArray, Recording
+from sysid.units import factor_to_si
+
+_NAME = "c3d"
+_BLOCK = 512
+# Processor types: who wrote the numbers decides their byte order.
+_INTEL, _DEC, _MIPS = 84, 85, 86
+_ANALOG_UNITS = {"nt": "N", "ntmm": "N*mm", "nmm": "N*mm", "nm": "N*m"}
+# What ezc3d raises on a damaged file; it has no exception of its own.
+_DAMAGE = (OSError, RuntimeError, ValueError, KeyError, IndexError, TypeError, OverflowError, MemoryError)
+
+
+def _processor(source: Source) -> int:
+    """Return the processor type that the parameter section states, 0 where this is no C3D."""
+    head = source.head
+    if len(head) < 2 * _BLOCK or head[1] != 0x50 or not head[0] or b"\0" not in head[:_BLOCK]:
+        return 0
+    place = (head[0] - 1) * _BLOCK + 3
+    return head[place] if place < len(head) and head[place] in (_INTEL, _DEC, _MIPS) else 0
+
+
+def _recognize(source: Source) -> int:
+    return CERTAIN if _processor(source) else NO
+
+
+def _values(parameters: Any, group: str, key: str) -> list[Any]:
+    """Return a parameter as a list, its numbered continuations (LABELS2, ...) appended."""
+    try:
+        found = parameters[group]
+    except KeyError:
+        return []
+    out: list[Any] = []
+    for suffix in ("", *map(str, range(2, 20))):
+        if key + suffix not in found:
+            break
+        out += list(np.ravel(found[key + suffix]["value"]))
+    return out
+
+
+def _length_factor(path: str, units: Sequence[str], declared: str | None) -> float:
+    stated = sorted({str(unit).strip() for unit in units} - {""})
+    given = [str(declared)] if declared is not None else []
+    if not stated and not given:
+        raise UnitError(f'{path}: POINT:UNITS is empty; declare the unit with length_unit = "mm" or "m"')
+    try:
+        factors = {factor_to_si(unit, "m") for unit in [*stated, *given]}
+    except UnitError as error:
+        raise UnitError(f"{path}: length unit: {error}") from error
+    if len(factors) > 1:
+        raise UnitError(
+            f"{path}: lengths are in {' and '.join([*stated, *given])}; they must be of one unit, so correct "
+            "length_unit or export again"
+        )
+    return factors.pop()
+
+
+def _open(source: Source) -> Any:
+    path = source.path
+    processor = _processor(source)
+    if not processor:
+        raise LogError(f"{path}: not a C3D file (no parameter section where its first byte points)")
+    if processor == _MIPS:
+        raise LogError(
+            f"{path}: numbers are in the byte order of SGI/MIPS, which ezc3d does not read; convert the "
+            "file to Intel byte order with the capture program or Mokka"
+        )
+    ezc3d = library(path, "ezc3d", "ezc3d")
+    try:
+        return ezc3d.c3d(path)
+    except _DAMAGE as error:
+        said = " ".join(str(error).split())
+        raise LogError(f"{path}: C3D file is damaged or cut ({said}); export it again") from error
+
+
+def _marker_channels(path: str, file: Any, length_unit: str | None, notes: list[str]) -> dict[str, Channel]:
+    parameters, points = file["parameters"], file["data"]["points"]
+    count, frames = points.shape[1], points.shape[2]
+    if not count or not frames:
+        return {}
+    rate = positive_rate(path, float(file["header"]["points"]["frame_rate"]))
+    scale = _length_factor(path, _values(parameters, "POINT", "UNITS"), length_unit)
+    residual = file["data"]["meta_points"]["residuals"][0]
+    time = (float(file["header"]["points"]["first_frame"]) + np.arange(frames)) / rate
+    labels = [str(label).strip() for label in _values(parameters, "POINT", "LABELS")][:count]
+    labels = [label or f"point {i + 1}" for i, label in enumerate([*labels, *[""] * (count - len(labels))])]
+    channels, blank = {}, []
+    for i, name in enumerate(unique_names(labels)):
+        position = np.asarray(points[:3, i].T, dtype=np.float64) * scale
+        position[~np.isfinite(position).all(axis=1) | (residual[i] < 0.0)] = np.nan
+        if np.isnan(position).all():
+            blank.append(name)
+            continue
+        channels[f"{name}/position"] = Channel(f"{name}/position", "m", time, position)
+    if blank:
+        notes.append(f"markers never seen, left out: {listing(blank)}")
+    return channels
+
+
+def _rotation_channels(path: str, file: Any, length_unit: str | None, notes: list[str]) -> dict[str, Channel]:
+    from scipy.spatial.transform import Rotation
+
+    poses = file["data"]["rotations"]
+    if poses.ndim != 4 or not poses.shape[2] or not poses.shape[3]:
+        return {}
+    parameters = file["parameters"]
+    rates = _values(parameters, "ROTATION", "RATE") or [file["header"]["points"]["frame_rate"]]
+    rate = positive_rate(path, float(rates[0]))
+    units = _values(parameters, "POINT", "UNITS")
+    scale = _length_factor(path, units, length_unit)
+    first = float(file["header"]["points"]["first_frame"]) / float(
+        file["header"]["points"]["frame_rate"] or rate
+    )
+    time = first + np.arange(poses.shape[3]) / rate
+    labels = [str(one).strip() for one in _values(parameters, "ROTATION", "LABELS")]
+    labels = [*labels, *[f"body {i + 1}" for i in range(len(labels), poses.shape[2])]]
+    channels: dict[str, Channel] = {}
+    for i, name in enumerate(unique_names(labels[: poses.shape[2]])):
+        matrix = np.moveaxis(poses[:3, :3, i], 2, 0)
+        whole = np.isfinite(matrix).all(axis=(1, 2))
+        square = np.einsum("nij,nik->njk", matrix, matrix)
+        good = whole & (np.abs(np.nan_to_num(square) - np.eye(3)).max(axis=(1, 2)) < 0.02)
+        quaternion = np.full((len(matrix), 4), np.nan)
+        if good.any():
+            quaternion[good] = np.roll(Rotation.from_matrix(matrix[good]).as_quat(), 1, axis=1)
+        quaternion, _ = continuous_quaternions(quaternion)
+        position: FloatArray = np.where(good[:, None], poses[:3, 3, i].T * scale, np.nan)
+        channels |= body_channels(name, time, position, quaternion)
+    notes.append("poses from the file's ROTATION group")
+    return channels
+
+
+def _analog_channels(path: str, file: Any) -> dict[str, Channel]:
+    values = file["data"]["analogs"]
+    count, samples = values.shape[1], values.shape[2]
+    rate = float(file["header"]["analogs"]["frame_rate"])
+    if not count or not samples or not rate > 0:
+        return {}
+    parameters = file["parameters"]
+    labels = [str(one).strip() or f"{i + 1}" for i, one in enumerate(_values(parameters, "ANALOG", "LABELS"))]
+    labels = unique_names([*labels, *[f"{i + 1}" for i in range(len(labels), count)]][:count])
+    units = [str(one).strip() for one in _values(parameters, "ANALOG", "UNITS")]
+    frame_rate = float(file["header"]["points"]["frame_rate"]) or rate
+    time = float(file["header"]["points"]["first_frame"]) / frame_rate + np.arange(samples) / rate
+    channels = {}
+    for i, label in enumerate(labels):
+        stated = units[i] if i < len(units) else ""
+        unit, factor = plain_unit(_ANALOG_UNITS.get(stated.casefold(), stated))
+        name = f"analog/{label}"
+        channels[name] = Channel(name, unit, time, np.asarray(values[0, i], dtype=np.float64) * factor)
+    return channels
+
+
+def read(
+    source: Source,
+    *,
+    rigid_body: str | Sequence[str] | None = None,
+    bodies: Mapping[str, Sequence[str]] | None = None,
+    length_unit: str | None = None,
+) -> Recording:
+    """Read a C3D file.
+
+    Parameters
+    ----------
+    source : Source
+        The log.
+    rigid_body : str or sequence of str, optional
+        Bodies whose pose is wanted: of the ``ROTATION`` group, of `bodies`, or all markers whose name begins
+        with it (``F450:front``).
+    bodies : mapping of str to sequence of str, optional
+        Markers by body.
+    length_unit : str, optional
+        Where the file does not say.
+
+    Returns
+    -------
+    Recording
+        Kind ``motion-capture``: ``MARKER/position`` [m]; ``NAME/position``, ``NAME/orientation`` and
+        ``NAME/residual`` [m] of bodies; ``analog/LABEL`` on the analog clock, in SI where the unit is known.
+
+    Raises
+    ------
+    LogError, UnitError
+        One sentence with file and cause.
+    """
+    path = source.path
+    file = _open(source)
+    notes: list[str] = []
+    try:
+        channels = _rotation_channels(path, file, length_unit, notes)
+        stated = [name.removesuffix("/orientation") for name in channels if name.endswith("/orientation")]
+        markers = _marker_channels(path, file, length_unit, notes)
+        analogs = _analog_channels(path, file)
+    except _DAMAGE as error:
+        raise LogError(f"{path}: C3D file is damaged ({error}); export it again") from error
+    if stated and rigid_body is not None and bodies is None:
+        kept = wanted_bodies(path, stated, rigid_body)
+        channels = {name: one for name, one in channels.items() if name.rpartition("/")[0] in kept}
+    elif rigid_body is not None or bodies is not None:
+        names = [name.removesuffix("/position") for name in markers]
+        for name, listed in marker_bodies(path, names, bodies, rigid_body).items():
+            found, said = pose_from_markers(path, markers, name, listed)
+            channels |= found
+            notes += said
+    channels = {**channels, **{name: one for name, one in markers.items() if name not in channels}, **analogs}
+    if not channels:
+        raise LogError(f"{path}: holds neither points nor rotations nor analog samples; the capture is empty")
+    maker = [str(one) for one in _values(file["parameters"], "MANUFACTURER", "COMPANY")]
+    options = {"rigid_body": rigid_body, "bodies": bodies, "length_unit": length_unit}
+    return Recording(
+        "motion-capture",
+        channels,
+        source.provenance(_NAME, device=" ".join(["C3D", *maker]), options=options, notes=notes),
+    )
+
+
+FORMAT = LogFormat(_NAME, "C3D (markers, rotations, analog channels)", _recognize, read)

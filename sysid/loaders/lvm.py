@@ -1,0 +1,286 @@
+"""LabVIEW text measurements (LVM): segments of channels with one, several or no columns of times.
+
+Layout: ``LabVIEW Measurement``, a file header, then for every segment its own header (``Channels``,
+``Samples``, units, ``X0``, ``Delta_X``), the row ``X_Value name ... Comment`` and the samples. Times are the
+written ones where there are any (``X_Columns One`` or ``Multi``), else X0 + i · Delta_X; a ``Delta_X`` of a
+few digits is noted, because the clock is then no better than them. The decimal mark is the declared one,
+else the one that the samples show. Comments are text and are left out.
+
+The body is read as every other text log is, so that a cell that is no number is named with its line; the
+reader that the field uses (lvm_read) turns such cells into gaps and loads pickles that lie beside the file.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid.errors import LogError
+from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.signals import Signal, kind_of, signal_channels, unique_names, written_unit
+from sysid.loaders.source import Source
+from sysid.loaders.table import TableHead, read_numbers
+from sysid.loaders.text import Text, read_text
+from sysid.recording import FloatArray, Recording
+
+_NAME = "lvm"
+_FIRST = "LabVIEW Measurement"
+_END = "***End_of_Header***"
+_SEPARATORS = {"tab": "\t", "comma": ",", "": "\t"}
+_KEYS = frozenset(
+    {"", "channels", "samples", "date", "time", "x_dimension", "x0", "delta_x", "y_unit_label", "y_dimension",
+     "notes", "test_name", "test_numbers", "test_series", "uut_s/n", "uut_name", "uut_m/n", "model_number",
+     "serial_number", "operator", "description", "project"}
+)  # fmt: skip
+_BLANK = re.compile(rb"\n[ \t,]*(?=\n)")
+# Headers of a file or a segment are shorter than this.
+_HEADER_LINES = 100
+# Fewer digits than this make a step that is rounded: 1/1024 s written as 0.000977 is 0.05 % off.
+_DIGITS = 5
+
+
+def _recognize(source: Source) -> int:
+    return CERTAIN if source.head_lines and source.head_lines[0].startswith(_FIRST) else NO
+
+
+@dataclass(frozen=True)
+class _Segment:
+    """Header of one segment; `rows` is where its samples begin and end in the file."""
+
+    line: int
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    starts: tuple[str, ...]
+    steps: tuple[str, ...]
+    rows: tuple[int, int]
+
+    def stated(self, cells: tuple[str, ...], column: int, first: int) -> str:
+        """Return what a header row states for a column: rows begin with the first column's."""
+        place = column - first
+        return cells[place].strip() if 0 <= place < len(cells) else ""
+
+
+def _separator(path: str, settings: Mapping[str, str]) -> str:
+    said = settings.get("separator", "Tab").strip().casefold()
+    if said not in _SEPARATORS:
+        raise LogError(f'{path}: the header\'s Separator is {said!r}; expected "Tab" or "Comma"')
+    return _SEPARATORS[said]
+
+
+def _cells(line: str, delimiter: str) -> tuple[str, ...]:
+    return tuple(cell.strip() for cell in line.split(delimiter))
+
+
+def _segments(text: Text) -> tuple[dict[str, str], str, list[_Segment]]:
+    """Return the file header, the delimiter and the segments."""
+    settings: dict[str, str] = {}
+    ends = (0, 0)
+    for number, offset, line in text.lines(_HEADER_LINES):
+        if line.startswith(_END):
+            ends = (offset, number)
+            break
+        key, _, value = line.partition("\t") if "\t" in line else line.partition(",")
+        settings[key.strip().casefold()] = value.strip()
+    else:
+        raise LogError(f"{text.path}: no line {_END} in the first {_HEADER_LINES} lines; the header is cut")
+    delimiter = _separator(text.path, settings)
+    segments: list[_Segment] = []
+    while True:
+        header: dict[str, tuple[str, ...]] = {}
+        names: tuple[str, ...] = ()
+        for number, offset, line in text.lines(_HEADER_LINES, *ends):
+            cells = _cells(line, delimiter)
+            if cells[0] == "X_Value":
+                names, ends = cells, (offset, number)
+                break
+            if line.strip() and cells[0].casefold() not in _KEYS and not cells[0].startswith(_END):
+                raise LogError(
+                    f"{text.path}, line {number}: {line.strip()[:40]!r} is neither a sample nor part of the "
+                    "header of a segment; remove the blank line before it, or the line"
+                )
+            header[cells[0].casefold()] = cells[1:]
+        if not names:
+            return settings, delimiter, segments
+        begin, line_of_names = ends
+        blank = _BLANK.search(text.data, begin - 1)
+        end = len(text.data) if blank is None else blank.start() + 1
+        segments.append(_segment(names, header, line_of_names, begin, end))
+        ends = (end, line_of_names + text.data.count(b"\n", begin, end))
+
+
+def _segment(
+    names: tuple[str, ...], header: Mapping[str, tuple[str, ...]], line: int, begin: int, end: int
+) -> _Segment:
+    def row(key: str) -> tuple[str, ...]:
+        return header.get(key, ())
+
+    return _Segment(line, names, row("y_unit_label"), row("x0"), row("delta_x"), (begin, end))
+
+
+def _number(path: str, segment: _Segment, what: str, cell: str, default: float) -> float:
+    if not cell:
+        return default
+    try:
+        return float(cell.replace(",", "."))
+    except ValueError:
+        raise LogError(
+            f"{path}: the header above line {segment.line} states {what} as {cell[:40]!r}; expected a number"
+        ) from None
+
+
+def _segment_signals(
+    text: Text, segment: _Segment, delimiter: str, decimal: str | None, notes: list[str]
+) -> list[Signal]:
+    """Return the signals of one segment; `text` holds nothing behind its rows."""
+    path = text.path
+    names = list(segment.names)
+    while names and not names[-1]:
+        names.pop()
+    text_columns = {i for i, name in enumerate(names) if name == "Comment" and i == len(names) - 1}
+    times = [i for i, name in enumerate(names) if name == "X_Value"]
+    wanted = [i for i, name in enumerate(names) if name and i not in times and i not in text_columns]
+    if not wanted:
+        raise LogError(f"{path}, line {segment.line}: names no channel after X_Value; export the file again")
+    head = TableHead(tuple(names), delimiter, segment.line, segment.rows[0])
+    numbers = read_numbers(
+        text, head, [*times, *wanted], least=max(wanted) + 1, surplus=True, decimal=decimal
+    )
+    labels = dict(zip(wanted, unique_names([names[i] for i in wanted]), strict=True))
+    # X_Columns Multi: header rows have one cell per column; else one per channel, after the X column.
+    first = 0 if len(times) > 1 else 1
+    signals = []
+    clocks: dict[int, FloatArray | None] = {}
+    for time in times:
+        seen = np.isfinite(numbers.columns[time])
+        clocks[time] = numbers.columns[time] if seen.any() else None
+    for column in wanted:
+        values = numbers.columns[column]
+        if np.isnan(values).all():
+            continue
+        own = max((time for time in times if time < column), default=None)
+        clock = clocks[own] if own is not None else None
+        place = own if len(times) > 1 and own is not None else column
+        step = _number(path, segment, "Delta_X", segment.stated(segment.steps, place, first), 0.0)
+        start = _number(path, segment, "X0", segment.stated(segment.starts, place, first), 0.0)
+        rate = 1.0 / step if step > 0 else None
+        unit = segment.stated(segment.units, place if len(times) > 1 else column, first)
+
+        def read(values: FloatArray = values) -> FloatArray:
+            return values
+
+        signals.append(
+            Signal(f"/{labels[column]}", written_unit(unit), read, rate, start, clock, labels[column])
+        )
+    notes += numbers.notes
+    timed = any(clock is not None for clock in clocks.values())
+    rounded = sorted({cell for cell in segment.steps if cell and not timed and _few_digits(cell)})
+    if rounded:
+        notes.append(
+            f"Delta_X is written as {', '.join(rounded)}: the clock is no better than these digits; "
+            "declare the true rate if it is known"
+        )
+    return signals
+
+
+def _few_digits(cell: str) -> bool:
+    mantissa = cell.upper().partition("E")[0].replace(",", ".").lstrip("+-0.")
+    digits = mantissa.replace(".", "").rstrip("0")
+    # 0.001 is exact in what it says; 0.000977 is a rounded 1/1024.
+    return 2 < len(digits) < _DIGITS
+
+
+def read(
+    source: Source,
+    *,
+    rate: float | None = None,
+    units: Mapping[str, str] | None = None,
+    datasets: Mapping[str, str] | None = None,
+    pulses_per_revolution: float | None = None,
+    segment: int | None = None,
+    time_back: str = "refuse",
+) -> Recording:
+    """Read an LVM file.
+
+    Parameters
+    ----------
+    source : Source
+        The log.
+    rate : float, optional
+        Sample rate [Hz]; it wins over ``Delta_X`` and the column of times.
+    units : mapping of str to str, optional
+        Units by channel where the header states none or a wrong one.
+    datasets : mapping of str to str, optional
+        Channels by quantity (``speed thrust torque force_x ...``); exactly these are read. By default those
+        with known names become quantities and all others keep their names.
+    pulses_per_revolution : float, optional
+        Of a channel ``Tachometer`` that holds pulses, from which ``speed`` is then found.
+    segment : int, optional
+        Which segment to read, counted from 1, where the file holds several.
+    time_back : str
+        ``"refuse"`` a log whose time goes back, or ``"drop"`` the samples that do not pass the latest time.
+
+    Returns
+    -------
+    Recording
+        Kind ``load-cell`` with thrust or torque, else ``signals``.
+
+    Raises
+    ------
+    LogError, UnitError
+        One sentence with file, line and cause.
+    """
+    path = source.path
+    if not _recognize(source):
+        raise LogError(f"{path}: not an LVM file (its first line is not {_FIRST!r}); check the format")
+    text = read_text(source)
+    settings, delimiter, segments = _segments(text)
+    if not segments:
+        raise LogError(f"{path}: no row X_Value with the names of channels; the log is empty")
+    if segment is None and len(segments) > 1:
+        raise LogError(
+            f"{path}: holds {len(segments)} segments, each with its own clock; choose one with segment = 1 "
+            f"to {len(segments)}"
+        )
+    number = 1 if segment is None else segment
+    if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= len(segments):
+        raise LogError(f"{path}: segment = {segment!r}; the file holds segments 1 to {len(segments)}")
+    chosen = segments[number - 1]
+    decimal = settings.get("decimal_separator") or None
+    if decimal not in (None, ".", ","):
+        raise LogError(f"{path}: the header's Decimal_Separator is {decimal!r}; expected . or ,")
+    notes: list[str] = []
+    signals = _segment_signals(text.up_to(chosen.rows[1]), chosen, delimiter, decimal, notes)
+    del text  # the file's bytes are not needed any more
+    channels, said = signal_channels(
+        path,
+        signals,
+        rate=rate,
+        units=units,
+        datasets=datasets,
+        pulses_per_revolution=pulses_per_revolution,
+        time_back=time_back,
+        measured=False,
+    )
+    if not channels:
+        raise LogError(f"{path}: no channel holds a value; the log is empty")
+    began = " ".join(settings.get(key, "") for key in ("date", "time")).strip()
+    if began:
+        notes.append(f"recording began at {began} by the recording computer's clock")
+    options = {
+        "rate": rate,
+        "units": units,
+        "datasets": datasets,
+        "pulses_per_revolution": pulses_per_revolution,
+        "segment": segment,
+    }
+    return Recording(
+        kind_of(channels),
+        channels,
+        source.provenance(_NAME, device="LabVIEW", options=options, notes=[*notes, *said]),
+    )
+
+
+FORMAT = LogFormat(_NAME, "LabVIEW text measurement LVM (channels by name)", _recognize, read)

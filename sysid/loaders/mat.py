@@ -1,0 +1,181 @@
+"""MATLAB files, version 5 (scipy) and 7.3 (HDF5): variables and struct fields by name.
+
+    Fz, Mz, Speed, Command          vectors, or structs with the fields data (or values), unit, rate
+    time  or  rate (fs)             beside them: in the same struct, or at the top
+    FT                              an (n, k) matrix is k signals FT[1] ... FT[k]
+
+Units that no struct states are declared. Ignores objects (timeseries, tables), which hold no plain arrays.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from sysid.errors import LogError
+from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.signals import Signal, signal_channels, written_unit
+from sysid.loaders.source import Source
+from sysid.recording import FloatArray, Recording
+
+_NAME = "mat"
+_V5, _V73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
+_RATES = frozenset({"rate", "fs", "sample_rate", "sampling_rate", "samplerate"})
+_VALUES = ("data", "values")
+# A matrix with more columns than this is no set of signals.
+_MOST_COLUMNS = 64
+# What scipy and h5py raise on a damaged file besides their own errors.
+_DAMAGE = (
+    OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, RuntimeError, OverflowError,
+    MemoryError, NotImplementedError, EOFError, zlib.error, struct.error, UnicodeDecodeError,
+)  # fmt: skip
+
+Tree = dict[str, Any]
+
+
+def _recognize(source: Source) -> int:
+    return CERTAIN if source.head.startswith((_V5, _V73)) else NO
+
+
+def _tree_v5(path: str) -> Tree:
+    from scipy.io import loadmat
+
+    loaded: Tree = loadmat(path, simplify_cells=True)
+    return {name: value for name, value in loaded.items() if not name.startswith("__")}
+
+
+def _tree_v73(path: str) -> Tree:
+    import h5py
+
+    def branch(group: Any) -> Tree:
+        out: Tree = {}
+        for name, item in group.items():
+            if name.startswith("#"):
+                continue
+            if isinstance(item, h5py.Group):
+                out[name] = branch(item)
+            elif item.attrs.get("MATLAB_class", b"") == b"char":
+                out[name] = "".join(chr(code) for code in np.asarray(item[()]).T.ravel())
+            elif item.dtype.kind in "iuf" and not item.attrs.get("MATLAB_empty", 0):
+                out[name] = np.asarray(item[()]).T  # MATLAB writes columns first
+        return out
+
+    with h5py.File(path, "r") as file:
+        return branch(file)
+
+
+def _scalar(value: object) -> float | None:
+    array = np.asarray(value)
+    return float(array.reshape(-1)[0]) if array.size == 1 and array.dtype.kind in "iuf" else None
+
+
+def _rate_in(branch: Tree) -> float | None:
+    return next((_scalar(value) for name, value in branch.items() if name.casefold() in _RATES), None)
+
+
+def _walk(branch: Tree, where: str, rate: float | None) -> Iterator[Signal]:
+    own = _rate_in(branch)
+    rate = rate if own is None else own
+    for name, value in branch.items():
+        full = f"{where}/{name}"
+        if isinstance(value, dict):
+            inner = next((value[key] for key in _VALUES if key in value), None)
+            if isinstance(inner, np.ndarray):
+                unit = next(
+                    (value[key] for key in ("unit", "units") if isinstance(value.get(key), str)), None
+                )
+                inner_rate = _rate_in(value)
+                yield from _arrays(full, inner, unit, rate if inner_rate is None else inner_rate)
+            else:
+                yield from _walk(value, full, rate)
+        elif isinstance(value, np.ndarray):
+            yield from _arrays(full, value, None, rate)
+
+
+def _arrays(name: str, array: np.ndarray[Any, Any], unit: str | None, rate: float | None) -> Iterator[Signal]:
+    if array.dtype.kind not in "iuf" or array.size < 2:
+        return
+    if sum(size != 1 for size in array.shape) == 1:
+        columns = {name: array.reshape(-1)}
+    elif array.ndim == 2 and array.shape[1] <= _MOST_COLUMNS:
+        columns = {f"{name}[{k + 1}]": array[:, k] for k in range(array.shape[1])}
+    else:
+        return
+    for label, values in columns.items():
+
+        def read(values: np.ndarray[Any, Any] = values) -> FloatArray:
+            return np.asarray(values, dtype=np.float64)
+
+        yield Signal(label, written_unit(unit), read, rate)
+
+
+def read(
+    source: Source,
+    *,
+    rate: float | None = None,
+    units: Mapping[str, str] | None = None,
+    datasets: Mapping[str, str] | None = None,
+    pulses_per_revolution: float | None = None,
+    time_back: str = "refuse",
+) -> Recording:
+    """Read a MATLAB file.
+
+    Parameters
+    ----------
+    source : Source
+        The log.
+    rate : float, optional
+        Sample rate [Hz] of every signal; it wins over what the file states.
+    units : mapping of str to str, optional
+        Units by channel or variable, which plain vectors do not state.
+    datasets : mapping of str to str, optional
+        Variables by quantity, for example ``{"thrust": "ft/Fz", "torque": "FT[6]"}``; exactly these are read.
+    pulses_per_revolution : float, optional
+        Of a variable ``Tachometer`` that holds pulses, from which ``speed`` is then found.
+    time_back : str
+        ``"refuse"`` a log whose time goes back, or ``"drop"`` the samples that do not pass the latest time.
+
+    Returns
+    -------
+    Recording
+        As `load_cell_csv.read`.
+
+    Raises
+    ------
+    LogError, UnitError
+        One sentence with file, variable and cause.
+    """
+    path = source.path
+    if not source.head.startswith((_V5, _V73)):
+        raise LogError(
+            f"{path}: not a MATLAB file of version 5 or 7.3 (its first line does not say so); "
+            "save it again, for example with save(name, '-v7')"
+        )
+    try:
+        tree = _tree_v5(path) if source.head.startswith(_V5) else _tree_v73(path)
+        channels, notes = signal_channels(
+            path,
+            _walk(tree, "", None),
+            rate=rate,
+            units=units,
+            datasets=datasets,
+            pulses_per_revolution=pulses_per_revolution,
+            time_back=time_back,
+            measured=True,
+        )
+    except _DAMAGE as error:
+        raise LogError(f"{path}: MATLAB file is damaged or cut ({error}); save it again") from error
+    options = {
+        "rate": rate,
+        "units": units,
+        "datasets": datasets,
+        "pulses_per_revolution": pulses_per_revolution,
+    }
+    return Recording("load-cell", channels, source.provenance(_NAME, options=options, notes=notes))
+
+
+FORMAT = LogFormat(_NAME, "MATLAB file 5 or 7.3 (variables by name, rate)", _recognize, read)

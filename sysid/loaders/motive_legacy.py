@@ -1,0 +1,199 @@
+"""Motive and Tracking Tools CSV of version 1.1: one row per frame, of as many cells as it has markers.
+
+    info,version,1.1
+    frame,INDEX,TIME,BODIES,(ID,x,y,z,qx,qy,qz,qw,yaw,pitch,roll)...,MARKERS,(x,y,z,ID,NAME)...
+
+Lengths are metres, axes right-handed as the file must say; a missing point is written ``NAN`` or left out.
+Ignores yaw, pitch and roll, which repeat the quaternion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sysid.errors import LogError
+from sysid.loaders.clock import order_rows
+from sysid.loaders.columns import listing
+from sysid.loaders.motion_capture import body_channels, unit_quaternions, wanted_bodies
+from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.source import Source
+from sysid.loaders.table import Numbers
+from sysid.loaders.table_rows import parse_number
+from sysid.loaders.text import Text, read_text, split_line
+from sysid.recording import Channel, FloatArray, Recording
+
+_NAME = "motive-legacy"
+_BODY_CELLS, _MARKER_CELLS = 11, 5
+# More bodies or markers than this in one row is a damaged count.
+_MOST = 10_000
+
+
+def _recognize(source: Source) -> int:
+    lines = [line.strip().casefold() for line in source.head_lines[:60]]
+    return CERTAIN if any(line.startswith("info,version,1.") for line in lines) else NO
+
+
+@dataclass
+class _Frames:
+    """Rows gathered while reading: index, time, bodies and markers by name."""
+
+    lines: list[int] = field(default_factory=list)
+    index: list[float] = field(default_factory=list)
+    time: list[float] = field(default_factory=list)
+    bodies: dict[str, dict[int, list[float]]] = field(default_factory=dict)
+    markers: dict[str, dict[int, list[float]]] = field(default_factory=dict)
+
+    def stacked(self, rows: dict[int, list[float]], width: int) -> FloatArray:
+        """Return an (n, width) array, NaN where a frame has no row."""
+        out = np.full((len(self.lines), width), np.nan)
+        for row, values in rows.items():
+            out[row] = values
+        return out
+
+
+def _count(cell: str) -> int:
+    number = int(cell)
+    if not 0 <= number <= _MOST:
+        raise ValueError(cell)
+    return number
+
+
+def _add_frame(frames: _Frames, names: dict[str, str], number: int, cells: Sequence[str]) -> None:
+    """Add one row; ValueError or IndexError where its counts and its cells do not agree."""
+    bodies: dict[str, list[float]] = {}
+    markers: dict[str, list[float]] = {}
+    index, time = parse_number(cells[1]), parse_number(cells[2])
+    place = 4
+    for _ in range(_count(cells[3])):
+        own = cells[place : place + _BODY_CELLS]
+        if len(own) < _BODY_CELLS:
+            raise IndexError
+        name = names.get(own[0].strip(), f"body {own[0].strip()}")
+        if name in bodies:
+            raise ValueError(f"{name} twice")
+        bodies[name] = [parse_number(cell) for cell in own[1:8]]
+        place += _BODY_CELLS
+    count = _count(cells[place])
+    place += 1
+    for _ in range(count):
+        own = cells[place : place + _MARKER_CELLS]
+        if len(own) < _MARKER_CELLS:
+            raise IndexError
+        name = own[4].strip() or f"marker {own[3].strip()}"
+        if name in markers:
+            name = f"{name} {own[3].strip()}"
+        markers[name] = [parse_number(cell) for cell in own[:3]]
+        place += _MARKER_CELLS
+    if any(cell.strip() for cell in cells[place:]):
+        raise ValueError("cells left over")
+    row = len(frames.lines)
+    frames.lines.append(number)
+    frames.index.append(index)
+    frames.time.append(time)
+    for name, values in bodies.items():
+        frames.bodies.setdefault(name, {})[row] = values
+    for name, values in markers.items():
+        frames.markers.setdefault(name, {})[row] = values
+
+
+def _frames(text: Text, notes: list[str]) -> _Frames:
+    frames = _Frames()
+    names: dict[str, str] = {}
+    handed = ""
+    closed = text.data.endswith(b"\n")
+    for number, behind, line in text.lines():
+        cells = split_line(line, ",")
+        word = cells[0].strip().casefold()
+        if word in ("righthanded", "lefthanded"):
+            handed = word
+        elif word == "rigidbody" and len(cells) > 2 and cells[2].strip().isdigit():
+            names[cells[2].strip()] = cells[1].strip().strip('"')
+        elif word == "frame":
+            try:
+                _add_frame(frames, names, number, cells)
+            except (ValueError, IndexError) as error:
+                if behind >= len(text.data) and not closed:
+                    notes.append(f"line {number}, the last, is cut and was left out")
+                    break
+                raise LogError(
+                    f"{text.path}, line {number}: the counts of bodies and markers and the {len(cells)} "
+                    f"cells of this frame do not agree ({str(error)[:60] or 'the row is cut'}); "
+                    "repair or remove the row"
+                ) from None
+    if handed == "lefthanded":
+        raise LogError(f"{text.path}: axes are left-handed; export again with right-handed axes")
+    if not frames.lines:
+        raise LogError(f"{text.path}: holds no row that begins with frame; the capture is empty")
+    return frames
+
+
+def read(source: Source, *, rigid_body: str | Sequence[str] | None = None) -> Recording:
+    """Read a CSV of version 1.1.
+
+    Parameters
+    ----------
+    source : Source
+        The log.
+    rigid_body : str or sequence of str, optional
+        Bodies to keep, which must be there; markers stay. All by default.
+
+    Returns
+    -------
+    Recording
+        Kind ``motion-capture``, as `motive_csv.read`; time as written [s].
+
+    Raises
+    ------
+    LogError
+        One sentence with file, line and cause.
+    """
+    path = source.path
+    text = read_text(source)
+    notes = list(text.notes)
+    if not _recognize(source):
+        raise LogError(f'{path}: not of version 1.1 (no line "info,version,1.1"); check the format')
+    frames = _frames(text, notes)
+    del text  # the file's bytes are not needed any more
+    columns: dict[int, FloatArray] = {0: np.array(frames.time)}
+    parts: list[tuple[str, str, int]] = []
+    for kind, rows, width in (("body", frames.bodies, 7), ("marker", frames.markers, 3)):
+        for name, found in rows.items():
+            parts.append((kind, name, len(columns)))
+            for values in frames.stacked(found, width).T:
+                columns[len(columns)] = np.where(np.isinf(values), np.nan, values)
+    numbers = Numbers(columns, np.array(frames.lines, dtype=np.int64))
+    kept = wanted_bodies(path, list(frames.bodies), rigid_body)
+    time, said = order_rows(path, numbers, 0, 1.0)
+    notes += said
+    channels: dict[str, Channel] = {}
+    blank = []
+    for kind, name, first in parts:
+        width = 7 if kind == "body" else 3
+        values = np.column_stack([numbers.columns[first + i] for i in range(width)])
+        if kind == "marker":
+            if not np.isfinite(values).all(axis=1).any():
+                blank.append(name)
+            elif f"{name}/position" not in channels:
+                channels[f"{name}/position"] = Channel(f"{name}/position", "m", time, values)
+        elif name in kept:
+            orientation, said = unit_quaternions(path, name, numbers, values[:, [6, 3, 4, 5]])
+            lost = int(np.isnan(orientation[:, 0]).sum())
+            notes += [*said, *([f"{name} is lost in {lost} of {time.size} frames"] if lost else [])]
+            channels |= body_channels(name, time, values[:, :3], orientation)
+    if blank:
+        notes.append(f"markers never seen, left out: {listing(blank)}")
+    if not channels:
+        raise LogError(f"{path}: no frame shows a body or a marker; the capture is empty")
+    return Recording(
+        "motion-capture",
+        channels,
+        source.provenance(
+            _NAME, device="OptiTrack Motive CSV 1.1", options={"rigid_body": rigid_body}, notes=notes
+        ),
+    )
+
+
+FORMAT = LogFormat(_NAME, "OptiTrack CSV 1.1 (one row per frame)", _recognize, read)

@@ -1,0 +1,152 @@
+"""ATI Net F/T and Ethernet Axia CSV, as the maker's demo program writes it: counts, and the counts per unit.
+
+    Start Time: ...
+    RDT Sample Rate: 7000
+    Force Units: N
+    Counts per Unit Force: 1000000.0
+    Torque Units: Nm
+    Counts per Unit Torque: 1000000.0
+    Status (hex), RDT Sequence, F/T Sequence, Fx, Fy, Fz, Tx, Ty, Tz, Time
+
+Time is the RDT sequence number over the rate: a jump is a lost packet and stays a hole. The column Time is
+the PC's clock at arrival and is not read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sysid.errors import LogError, UnitError
+from sysid.loaders.ati_calibration import AXES, motor_transform, tare_offset
+from sysid.loaders.clock import order_rows, positive_rate
+from sysid.loaders.columns import listing
+from sysid.loaders.load_cell import quantity_channel
+from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.source import Source
+from sysid.loaders.table import TableHead, read_numbers
+from sysid.loaders.table_rows import parse_number
+from sysid.loaders.text import Text, read_text, split_line
+from sysid.recording import Recording
+from sysid.units import factor_to_si
+
+_NAME = "net-ft-csv"
+_CHANNELS = ("force_x", "force_y", "thrust", "torque_x", "torque_y", "torque")
+_SEQUENCE = "rdt sequence"
+_HEADER_LINES = 15
+
+
+def _recognize(source: Source) -> int:
+    lines = [line.strip(' "').casefold() for line in source.head_lines[:_HEADER_LINES]]
+    counts = any(line.startswith("counts per unit force") for line in lines)
+    return CERTAIN if counts and any(_SEQUENCE in line for line in lines) else NO
+
+
+def _header(text: Text) -> tuple[dict[str, str], TableHead]:
+    stated: dict[str, str] = {}
+    for number, offset, line in text.lines(_HEADER_LINES):
+        names = [cell.strip() for cell in split_line(line, ",")]
+        if _SEQUENCE in [name.casefold() for name in names]:
+            return stated, TableHead(tuple(names), ",", number, offset)
+        key, _, value = line.strip(' ",').partition(":")
+        if not value:  # the value may be in a cell of its own
+            key, _, value = line.strip(' ",').partition(",")
+        stated[key.strip(' "').casefold()] = value.strip(' ",')
+    raise LogError(f'{text.path}: no header row with "RDT Sequence" in the first {_HEADER_LINES} lines')
+
+
+def _positive(path: str, stated: Mapping[str, str], key: str) -> float:
+    try:
+        return positive_rate(path, parse_number(stated[key]))
+    except (KeyError, ValueError, LogError):
+        found = f"is {stated[key][:40]!r}" if key in stated else "is missing"
+        raise LogError(f'{path}: "{key}" in the header {found}; expected a positive number') from None
+
+
+def _unit(path: str, stated: Mapping[str, str], key: str, expected: str) -> float:
+    if not stated.get(key):
+        raise UnitError(f'{path}: "{key}" is missing in the header; record again with the header')
+    try:
+        return factor_to_si(stated[key], expected)
+    except UnitError as error:
+        raise UnitError(f"{path}: {key}: {error}") from error
+
+
+def read(
+    source: Source,
+    *,
+    transform: Mapping[str, str] | None = None,
+    tare: float | None = None,
+    time_back: str = "refuse",
+) -> Recording:
+    """Read a Net F/T CSV.
+
+    Parameters
+    ----------
+    source : Source
+        The log.
+    transform : mapping, optional
+        From the transducer to the motor's axis: ``dx dy dz`` and ``rx ry rz`` (`motor_transform`).
+    tare : float, optional
+        Seconds at the start without load, whose mean is subtracted.
+    time_back : str
+        ``"refuse"`` a log whose packets come out of order, or ``"drop"`` those that do not pass the latest.
+
+    Returns
+    -------
+    Recording
+        Kind ``load-cell``, channels as `ati_text.read`; time from the first packet [s].
+
+    Raises
+    ------
+    LogError, UnitError
+        One sentence with file, line and cause.
+    """
+    path = source.path
+    turn = motor_transform(path, transform)
+    text = read_text(source)
+    stated, table = _header(text)
+    rate = _positive(path, stated, "rdt sample rate")
+    per_force = _positive(path, stated, "counts per unit force")
+    per_torque = _positive(path, stated, "counts per unit torque")
+    force, torque = _unit(path, stated, "force units", "N"), _unit(path, stated, "torque units", "N*m")
+    known = [name.casefold() for name in table.names]
+    missing = [axis for axis in AXES if known.count(axis.casefold()) != 1]
+    if missing:
+        raise LogError(
+            f"{path}, line {table.line}: columns {', '.join(missing)} are missing or repeated; found "
+            f"{listing(table.names)}"
+        )
+    places = [known.index(axis.casefold()) for axis in AXES]
+    sequence = known.index(_SEQUENCE)
+    numbers = read_numbers(text, table, [sequence, *places], least=max(sequence, *places) + 1, surplus=True)
+    del text  # the file's bytes are not needed any more
+    notes = numbers.notes
+    counted = numbers.columns[sequence]
+    first = counted[np.isfinite(counted)][:1]
+    if not first.size:
+        raise LogError(f"{path}: no row has an RDT sequence number; the log is empty")
+    numbers.columns[sequence] = counted - first[0]
+    time, said = order_rows(path, numbers, sequence, 1.0 / rate, time_back=time_back)
+    lost = round(float(time[-1] * rate)) + 1 - time.size
+    notes += [*said, *([f"packets lost, left as holes: {lost}"] if lost > 0 else [])]
+    notes.append(f"time rebuilt from RDT sequence numbers at {rate:g} Hz")
+    scale = np.repeat([force / per_force, torque / per_torque], 3)
+    load = np.column_stack([numbers.columns[place] for place in places]) * scale
+    if tare is not None:
+        load = load - tare_offset(path, load, time, tare)
+        notes.append(f"tare: the mean of the first {tare:g} s was subtracted")
+    load = load @ turn.T
+    if transform:
+        notes.append("loads are at the motor's axes, as declared by transform")
+    channels = {name: quantity_channel(name, time, load[:, i].copy()) for i, name in enumerate(_CHANNELS)}
+    if stated.get("start time"):
+        notes.append(f"recording began at {stated['start time']} by the recording computer's clock")
+    options = {"transform": transform, "tare": tare}
+    return Recording(
+        "load-cell", channels, source.provenance(_NAME, device="ATI Net F/T", options=options, notes=notes)
+    )
+
+
+FORMAT = LogFormat(_NAME, "ATI Net F/T CSV (counts)", _recognize, read)

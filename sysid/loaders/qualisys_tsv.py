@@ -1,0 +1,229 @@
+"""Qualisys QTM TSV: markers (3D) and rigid bodies (6D).
+
+A header of ``KEY<TAB>value`` lines, then rows of numbers; the row of column names and the columns Frame and
+Time are options of the export, so columns are counted from MARKER_NAMES or BODY_NAMES. Orientation is that
+of the matrix Rot[0] ... Rot[8], which QTM writes by columns; its angles follow a definition that the user
+can change and are not read. A body or marker whose cells are blank or all zero is missing. Lengths are mm
+unless declared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sysid.errors import LogError, UnitError
+from sysid.loaders.clock import order_rows, positive_rate, rate_clock
+from sysid.loaders.columns import listing
+from sysid.loaders.motion_capture import body_channels, continuous_quaternions, wanted_bodies
+from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.rigid_pose import marker_bodies, pose_from_markers
+from sysid.loaders.source import Source
+from sysid.loaders.table import Numbers, TableHead, read_numbers
+from sysid.loaders.table_rows import parse_number
+from sysid.loaders.text import Text, read_text
+from sysid.recording import Channel, FloatArray, Recording
+from sysid.units import factor_to_si
+
+_NAME = "qualisys-tsv"
+_FIRST = "NO_OF_FRAMES"
+_HEADER_LINES = 40
+# X Y Z, three angles, residual, nine of the matrix.
+_BODY_WIDTH, _MATRIX = 16, 7
+# Rows print the matrix to six decimals or fewer; more than this off is a wrong column or a damaged number.
+_ORTHOGONAL = 0.02
+
+
+def _recognize(source: Source) -> int:
+    first = next((line for line in source.head_lines if line.strip()), "")
+    return CERTAIN if first.startswith((_FIRST + "\t", _FIRST + " ")) else NO
+
+
+def _header(text: Text) -> tuple[dict[str, list[str]], int, int, bool]:
+    """Return the keys, the line before the rows with the offset behind it, and if the clock is exported."""
+    keys: dict[str, list[str]] = {}
+    number, offset = 0, 0
+    for line_number, behind, line in text.lines(_HEADER_LINES):
+        cells = [cell.strip() for cell in line.split("\t")]
+        word = cells[0]
+        if word == "Frame":
+            return keys, line_number, behind, True
+        if word[:1].isalpha() and word.upper() == word:
+            keys[word] = cells[1:]
+        elif line.strip():
+            try:
+                parse_number(word)
+            except ValueError:  # a row of column names without Frame and Time
+                return keys, line_number, behind, False
+            return keys, number, offset, False
+        number, offset = line_number, behind
+    return keys, number, offset, False
+
+
+def _stated(path: str, keys: Mapping[str, list[str]], key: str) -> float:
+    try:
+        return positive_rate(path, float(keys[key][0]))
+    except (KeyError, IndexError, ValueError, LogError):
+        raise LogError(f"{path}: the header states no {key}; export it with the header") from None
+
+
+def _names(path: str, keys: Mapping[str, list[str]], key: str) -> list[str]:
+    names = [name for name in keys.get(key, []) if name]
+    if not names:
+        raise LogError(f"{path}: the header states no {key}; export it with the header")
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise LogError(f'{path}: {key} repeats "{twice}"; rename one and export again')
+    return names
+
+
+def _orientation(path: str, name: str, numbers: Numbers, columns: Sequence[int]) -> FloatArray:
+    """Return quaternions, w first, of continuous sign; NaN where the matrix is missing."""
+    cells = np.column_stack([numbers.columns[column] for column in columns])
+    matrix = cells.reshape(-1, 3, 3).transpose(0, 2, 1)
+    seen = np.asarray(np.isfinite(cells).all(axis=1) & cells.any(axis=1))
+    error = np.abs(np.einsum("nij,nik->njk", matrix, matrix) - np.eye(3)).max(axis=(1, 2))
+    wrong = np.asarray(
+        seen & ((error > _ORTHOGONAL) | (np.linalg.det(np.where(seen[:, None, None], matrix, 0.0)) <= 0))
+    )
+    if numbers.open_end and wrong.any() and wrong.argmax() == wrong.size - 1:
+        wrong[-1] = seen[-1] = False
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise LogError(
+            f"{path}, line {numbers.lines[row]}: Rot[0] to Rot[8] of {name} are no rotation; check which "
+            "columns were exported"
+        )
+    quaternion = np.full((len(cells), 4), np.nan)
+    if seen.any():
+        quaternion[seen] = np.roll(Rotation.from_matrix(matrix[seen]).as_quat(), 1, axis=1)
+    return continuous_quaternions(quaternion)[0]
+
+
+def _position(numbers: Numbers, first: int, scale: float) -> FloatArray:
+    position = np.column_stack([numbers.columns[first + axis] for axis in range(3)]) * scale
+    position[~position.any(axis=1)] = np.nan
+    return position
+
+
+def read(
+    source: Source,
+    *,
+    rigid_body: str | Sequence[str] | None = None,
+    bodies: Mapping[str, Sequence[str]] | None = None,
+    length_unit: str | None = None,
+) -> Recording:
+    """Read a Qualisys TSV.
+
+    Parameters
+    ----------
+    source : Source
+        The log.
+    rigid_body : str or sequence of str, optional
+        Bodies to keep (6D), or to fit to markers whose name begins with it (3D).
+    bodies : mapping of str to sequence of str, optional
+        Markers by body, whose pose is then fitted (3D).
+    length_unit : str, optional
+        Where lengths are not in mm.
+
+    Returns
+    -------
+    Recording
+        Kind ``motion-capture``: markers, or bodies with ``NAME/residual`` [m]; time from the first frame [s].
+
+    Raises
+    ------
+    LogError, UnitError
+        One sentence with file, line and cause.
+    """
+    path = source.path
+    text = read_text(source)
+    keys, line, offset, clocked = _header(text)
+    if _FIRST not in keys:
+        raise LogError(
+            f"{path}: not a Qualisys TSV (no line {_FIRST}); check the format or export the header"
+        )
+    rate = _stated(path, keys, "FREQUENCY")
+    included = (keys.get("DATA_INCLUDED") or [""])[0].upper()
+    if included not in ("3D", "6D"):
+        raise LogError(f"{path}: DATA_INCLUDED is {included[:40]!r}; export 3D or 6D data")
+    try:
+        scale = factor_to_si(str(length_unit or "mm"), "m")
+    except UnitError as error:
+        raise UnitError(f"{path}: length_unit: {error}") from error
+    names = _names(path, keys, "MARKER_NAMES" if included == "3D" else "BODY_NAMES")
+    width = 3 if included == "3D" else _BODY_WIDTH
+    lead = 2 if clocked else _lead(text, offset, width * len(names))
+    labels = [f"{name} {part + 1}" for name in names for part in range(width)]
+    table = TableHead((*["Frame", "Time"][:lead], *labels), "\t", line, offset)
+    numbers = read_numbers(text, table, range(len(table.names)))
+    del text  # the file's bytes are not needed any more
+    notes = numbers.notes
+    if lead:
+        _, said = order_rows(path, numbers, 0, 1.0 / rate)
+        time = (numbers.columns[0] - 1.0) / rate
+        notes += [*said, f"time rebuilt from frame numbers at {rate:g} Hz"]
+    else:
+        time = rate_clock(path, rate, numbers.lines.size)
+        notes.append(f"no Frame column: rows are taken as frames without a hole at {rate:g} Hz")
+
+    channels: dict[str, Channel] = {}
+    if included == "6D":
+        kept = wanted_bodies(path, names, rigid_body)
+        for place, name in enumerate(names):
+            if name not in kept:
+                continue
+            first = lead + place * width
+            quaternion = _orientation(path, name, numbers, range(first + _MATRIX, first + _BODY_WIDTH))
+            position = np.where(np.isfinite(quaternion[:, :1]), _position(numbers, first, scale), np.nan)
+            channels |= body_channels(name, time, position, quaternion)
+            residual = np.where(np.isfinite(quaternion[:, 0]), numbers.columns[first + 6] * scale, np.nan)
+            channels[f"{name}/residual"] = Channel(f"{name}/residual", "m", time, residual)
+            lost = int(np.isnan(quaternion[:, 0]).sum())
+            notes += [f"{name} is lost in {lost} of {time.size} frames"] if lost else []
+    else:
+        markers = {
+            f"{name}/position": Channel(
+                f"{name}/position", "m", time, _position(numbers, lead + place * width, scale)
+            )
+            for place, name in enumerate(names)
+        }
+        if bodies is not None or rigid_body is not None:
+            for name, listed in marker_bodies(path, names, bodies, rigid_body).items():
+                found, said = pose_from_markers(path, markers, name, listed)
+                channels |= found
+                notes += said
+        blank = [name for name, channel in markers.items() if not channel.valid.any()]
+        channels |= {name: one for name, one in markers.items() if name not in blank and name not in channels}
+        if blank:
+            notes.append(
+                f"markers never seen, left out: {listing(n.removesuffix('/position') for n in blank)}"
+            )
+    if not channels:
+        raise LogError(f"{path}: no marker is ever seen; the capture is empty")
+    began = " ".join((keys.get("TIME_STAMP") or [""])[:1])
+    if began:
+        notes.append(f"capture began at {began} by the capture computer's clock")
+    options = {"rigid_body": rigid_body, "bodies": bodies, "length_unit": length_unit}
+    return Recording(
+        "motion-capture",
+        channels,
+        source.provenance(_NAME, device=f"Qualisys QTM {included}", options=options, notes=notes),
+    )
+
+
+def _lead(text: Text, offset: int, cells: int) -> int:
+    """Return how many columns stand before the data where columns have no names: 2 or none."""
+    row = next((line for _, _, line in text.lines(1, offset)), "")
+    found = len(row.rstrip("\t").split("\t"))
+    if found not in (cells, cells + 2):
+        raise LogError(
+            f"{text.path}: rows have {found} cells where the header names {cells} (or {cells + 2} with Frame "
+            "and Time); export again with the header"
+        )
+    return found - cells
+
+
+FORMAT = LogFormat(_NAME, "Qualisys QTM TSV (3D markers, 6D bodies)", _recognize, read)

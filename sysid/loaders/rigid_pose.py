@@ -1,0 +1,164 @@
+"""Pose of a rigid body from its markers, frame by frame (Kabsch), with residuals.
+
+The body's own frame has its origin at the centre of the markers and axes parallel to those of the capture in
+the frame that shows most of them first. Its shape is the mean over all frames, so that no single frame's
+noise stays in it. Valid for three markers or more that do not lie on one line; a frame with fewer is lost.
+
+References
+----------
+W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Cryst. A32 (1976) 922.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sysid.errors import LogError
+from sysid.loaders.columns import listing
+from sysid.loaders.motion_capture import body_channels, continuous_quaternions
+from sysid.recording import BoolArray, Channel, FloatArray
+
+# Second singular value of a marker set as a share of its first: below, the markers lie on one line.
+_FLAT = 0.02
+# Residual as a share of the body's size beyond which its markers are no rigid body.
+_LOOSE = 0.1
+
+
+def fit_rotations(shape: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return rotations, origins and residuals that bring a shape onto points.
+
+    Parameters
+    ----------
+    shape : (k, 3) array
+        Markers in the body's frame [m].
+    points : (n, k, 3) array
+        Markers in the capture's frame [m]; NaN where not seen.
+
+    Returns
+    -------
+    rotation : (n, 3, 3) array
+        Body axes to capture axes; NaN in frames with fewer than three markers or markers on one line.
+    origin : (n, 3) array
+        Of the body's frame [m].
+    residual : (n,) array
+        RMS distance of the seen markers from the shape [m].
+    """
+    seen: BoolArray = np.asarray(np.isfinite(points).all(axis=2))
+    weight = seen / np.maximum(seen.sum(axis=1), 1)[:, None]
+    known = np.where(seen[..., None], points, 0.0)
+    middle = np.einsum("nk,nki->ni", weight, known)
+    own_middle = weight @ shape
+    centred = np.where(seen[..., None], known - middle[:, None], 0.0)
+    own = np.where(seen[..., None], shape[None] - own_middle[:, None], 0.0)
+    u, spread, vt = np.linalg.svd(np.einsum("nki,nkj->nij", centred, own))
+    # The nearest rotation: a reflection is turned back about the direction that the points tell least.
+    turn = np.sign(np.linalg.det(u @ vt))
+    vt = vt.copy()
+    vt[:, 2] *= turn[:, None]
+    rotation = u @ vt
+    origin = middle - np.einsum("nij,nj->ni", rotation, own_middle)
+    error = np.where(seen[..., None], centred - np.einsum("nij,nkj->nki", rotation, own), 0.0)
+    residual = np.sqrt(np.einsum("nki,nki->n", error, error) / np.maximum(seen.sum(axis=1), 1))
+    lost = (seen.sum(axis=1) < 3) | (spread[:, 1] <= _FLAT**2 * spread[:, 0])
+    rotation[lost], origin[lost], residual[lost] = np.nan, np.nan, np.nan
+    return rotation, origin, residual
+
+
+def _mean_shape(points: FloatArray) -> FloatArray:
+    """Return the (k, 3) mean shape of markers, NaN for one never seen together with three others."""
+    seen = np.isfinite(points).all(axis=2)
+    best = int(np.argmax(seen.sum(axis=1)))
+    shape = points[best] - np.nanmean(points[best], axis=0)
+    for _ in range(3):  # markers hidden in the first frame join; three rounds settle to far below the noise
+        use = np.isfinite(shape).all(axis=1)
+        rotation, origin, _ = fit_rotations(shape[use], points[:, use])
+        own = np.einsum("nji,nkj->nki", rotation, points - origin[:, None])
+        counted = np.isfinite(own).all(axis=2).sum(axis=0)
+        total = np.nansum(own, axis=0)
+        shape = np.where(counted[:, None] > 0, total / np.maximum(counted, 1)[:, None], np.nan)
+        shape -= np.nanmean(shape, axis=0)
+    return np.asarray(shape)
+
+
+def marker_bodies(
+    path: str, markers: Sequence[str], bodies: Mapping[str, Sequence[str]] | None, rigid_body: object
+) -> dict[str, list[str]]:
+    """Return body name -> its markers, as declared, or all whose name begins with that of the body.
+
+    Raises
+    ------
+    LogError
+        When a body has fewer than three markers in the file; the message names those it has.
+    """
+    if bodies is not None and not isinstance(bodies, Mapping):
+        raise LogError(
+            f'{path}: bodies = {bodies!r} is no table; expected for example {{quad = ["q1", "q2", "q3"]}}'
+        )
+    wanted: dict[str, list[str]] = {}
+    for name, chosen in (bodies or {}).items():
+        listed = [chosen] if isinstance(chosen, str) else [str(one) for one in chosen]
+        missing = [one for one in listed if one not in markers]
+        if missing:
+            raise LogError(
+                f'{path}: body "{name}" names marker "{missing[0]}"; found {listing(markers)}; correct bodies'
+            )
+        wanted[str(name)] = listed
+    if rigid_body is not None:
+        names = (
+            [str(one) for one in rigid_body] if isinstance(rigid_body, list | tuple) else [str(rigid_body)]
+        )
+        for name in names:
+            if name not in wanted:
+                wanted[name] = [one for one in markers if one.startswith(name) and one != name]
+        wanted = {name: wanted[name] for name in names}
+    for name, listed in wanted.items():
+        if len(set(listed)) < 3:
+            raise LogError(
+                f'{path}: body "{name}" has {len(set(listed))} markers, a pose needs three; found '
+                f"{listing(markers)}; name them with bodies = {{{name} = [...]}}"
+            )
+    return wanted
+
+
+def pose_from_markers(
+    path: str, channels: Mapping[str, Channel], name: str, markers: Sequence[str]
+) -> tuple[dict[str, Channel], list[str]]:
+    """Return a body's position, orientation and ``NAME/residual`` [m] from the channels of its markers.
+
+    Raises
+    ------
+    LogError
+        When the markers are never seen together or move against each other.
+    """
+    first = channels[f"{markers[0]}/position"]
+    points = np.stack([channels[f"{marker}/position"].values for marker in markers], axis=1)
+    together = np.isfinite(points).all(axis=2).sum(axis=1)
+    if together.max(initial=0) < 3:
+        raise LogError(f'{path}: never are three markers of "{name}" seen together; check the labelling')
+    shape = _mean_shape(points)
+    use = np.isfinite(shape).all(axis=1)
+    rotation, origin, residual = fit_rotations(shape[use], points[:, use])
+    seen = np.isfinite(residual)
+    if not seen.any():
+        raise LogError(f'{path}: the markers of "{name}" lie on one line, so it has no orientation; add one')
+    rms = float(np.sqrt(np.mean(residual[seen] ** 2)))
+    size = float(np.sqrt(np.mean(np.sum(shape[use] ** 2, axis=1))))
+    if rms > _LOOSE * size:
+        raise LogError(
+            f'{path}: the markers of "{name}" move by {1e3 * rms:.3g} mm against each other, so they are not '
+            f"one rigid body ({listing(markers)}); name its markers with bodies = {{{name} = [...]}}"
+        )
+    quaternion = np.full((len(origin), 4), np.nan)
+    quaternion[seen] = np.roll(Rotation.from_matrix(rotation[seen]).as_quat(), 1, axis=1)
+    quaternion, _ = continuous_quaternions(quaternion)
+    found = body_channels(name, first.time, origin, quaternion)
+    found[f"{name}/residual"] = Channel(f"{name}/residual", "m", first.time, residual)
+    notes = [
+        f"pose of {name} from {int(use.sum())} markers: residual {1e3 * rms:.3g} mm rms, at most "
+        f"{1e3 * float(residual[seen].max()):.3g} mm; lost in {int((~seen).sum())} of {seen.size} frames; "
+        "origin at the centre of the markers"
+    ]
+    return found, notes

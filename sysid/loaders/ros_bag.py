@@ -1,0 +1,195 @@
+"""ROS recordings (rosbags): ROS 1 bag, and the MCAP and SQLite files of ROS 2.
+
+Every topic of poses (PoseStamped, PoseWithCovarianceStamped, TransformStamped, Odometry) is a rigid body of
+the topic's name; a TFMessage gives one per child frame. Time is the stamp of the message's header, or that
+of arrival; lengths are metres and quaternions x, y, z, w by the definition of the messages.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid.errors import LogError
+from sysid.loaders.clock import jitter_note, order_rows
+from sysid.loaders.columns import listing
+from sysid.loaders.motion_capture import body_channels, unit_quaternions, wanted_bodies
+from sysid.loaders.optional import library
+from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.source import Source
+from sysid.loaders.table import Numbers
+from sysid.recording import Channel, Recording
+
+_NAME = "ros-bag"
+_BAG, _MCAP, _SQLITE = b"#ROSBAG V2.0", b"\x89MCAP0\r\n", b"SQLite format 3\0"
+_POSES = ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "Odometry", "TFMessage")
+_CLOCKS = ("header", "arrival")
+
+
+def _recognize(source: Source) -> int:
+    head = source.head
+    rows = b"topics" in head and b"messages" in head
+    return CERTAIN if head.startswith((_BAG, _MCAP)) or (head.startswith(_SQLITE) and rows) else NO
+
+
+@dataclass
+class _Track:
+    """Poses of one body as they come."""
+
+    stamps: list[float] = field(default_factory=list)
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+
+
+def _open(source: Source) -> tuple[Any, bool]:
+    """Return the library's reader for this kind of file, and whether messages are in the ROS 1 form."""
+    path, file = source.path, Path(source.path)
+    if source.head.startswith(_BAG):
+        return library(path, "rosbags.rosbag1", "rosbags").Reader(file), True
+    if source.head.startswith(_MCAP):
+        return library(path, "rosbags.rosbag2.storage_mcap", "rosbags").McapReader(file), False
+    if source.head.startswith(_SQLITE):
+        return library(path, "rosbags.rosbag2.storage_sqlite3", "rosbags").Sqlite3Reader(file), False
+    raise LogError(f"{path}: neither a ROS bag nor MCAP (its first bytes do not say so); check the format")
+
+
+def _typestore(path: str, connections: Sequence[Any]) -> Any:
+    """Return the message types that the file defines, else those of ROS 2 Humble."""
+    types = library(path, "rosbags.typesys", "rosbags")
+    formats = library(path, "rosbags.interfaces", "rosbags").MessageDefinitionFormat
+    found: dict[str, Any] = {}
+    for connection in connections:
+        if connection.msgdef.format == formats.MSG:
+            found.update(types.get_types_from_msg(connection.msgdef.data, connection.msgtype))
+    store = types.get_typestore(types.Stores.EMPTY if found else types.Stores.ROS2_HUMBLE)
+    if found:
+        store.register(found)
+    return store
+
+
+def _poses(kind: str, message: Any) -> Iterator[tuple[str, Any, Any, Any]]:
+    """Yield (child frame or "", header, position, orientation) of a message."""
+    if kind == "TFMessage":
+        for one in message.transforms:
+            yield one.child_frame_id, one.header, one.transform.translation, one.transform.rotation
+    elif kind == "TransformStamped":
+        yield "", message.header, message.transform.translation, message.transform.rotation
+    else:
+        pose = message.pose if kind == "PoseStamped" else message.pose.pose
+        yield "", message.header, pose.position, pose.orientation
+
+
+def _read_tracks(source: Source, topic: str | None, clock: str) -> tuple[dict[str, _Track], list[str]]:
+    path = source.path
+    reader, first_form = _open(source)
+    tracks: dict[str, _Track] = {}
+    reader.open()
+    try:
+        connections = list(reader.connections)
+        known = {one.topic: one.msgtype for one in connections}
+        if topic is not None and topic not in known:
+            raise LogError(f'{path}: no topic "{topic}"; found {listing(sorted(known))}')
+        chosen = [
+            one
+            for one in connections
+            if one.msgtype.rsplit("/", 1)[-1] in _POSES and topic in (None, one.topic)
+        ]
+        if not chosen:
+            found = [f"{name} ({kind})" for name, kind in sorted(known.items())]
+            raise LogError(f"{path}: no topic of poses; found {listing(found)}; record a PoseStamped")
+        store = _typestore(path, chosen)
+        decode = store.deserialize_ros1 if first_form else store.deserialize_cdr
+        for connection, arrival, data in reader.messages(chosen):
+            kind = connection.msgtype.rsplit("/", 1)[-1]
+            for child, header, place, turn in _poses(kind, decode(data, connection.msgtype)):
+                track = tracks.setdefault(child or connection.topic.strip("/"), _Track())
+                stamp = arrival if clock == "arrival" else header.stamp.sec * 10**9 + header.stamp.nanosec
+                track.stamps.append(stamp * 1e-9)
+                track.rows.append((place.x, place.y, place.z, turn.w, turn.x, turn.y, turn.z))
+        left_out = sorted(set(known) - {one.topic for one in chosen})
+    finally:
+        reader.close()
+    return tracks, left_out
+
+
+def read(
+    source: Source,
+    *,
+    topic: str | None = None,
+    rigid_body: str | Sequence[str] | None = None,
+    clock: str = "header",
+    time_back: str = "refuse",
+) -> Recording:
+    """Read the poses of a ROS recording.
+
+    Parameters
+    ----------
+    source : Source
+        The bag's own file: of a ROS 2 folder, the ``.mcap`` or ``.db3`` in it.
+    topic : str, optional
+        Read this topic only.
+    rigid_body : str or sequence of str, optional
+        Bodies to keep, named by topic without its first slash or by child frame.
+    clock : str
+        ``"header"``: the stamp of the message; ``"arrival"``: when the recorder received it.
+    time_back : str
+        ``"refuse"`` a topic whose time goes back, or ``"drop"`` the messages that do not pass the latest.
+
+    Returns
+    -------
+    Recording
+        Kind ``motion-capture``; each body on its own clock, Unix seconds.
+
+    Raises
+    ------
+    LogError
+        One sentence with file and cause.
+    """
+    path = source.path
+    if clock not in _CLOCKS:
+        raise LogError(f'{path}: clock = {clock!r} is unknown; expected "header" or "arrival"')
+    errors = library(path, "rosbags.rosbag2", "rosbags").ReaderError
+    errors_1 = library(path, "rosbags.rosbag1", "rosbags").ReaderError
+    types = library(path, "rosbags.typesys", "rosbags").TypesysError
+    serde = library(path, "rosbags.serde", "rosbags").SerdeError
+    # Its own errors, and what its parsers let through on a damaged file.
+    damage = (
+        errors, errors_1, types, serde, OSError, ValueError, KeyError, IndexError, TypeError, AttributeError,
+        AssertionError, RuntimeError, OverflowError, MemoryError, EOFError, struct.error,
+    )  # fmt: skip
+    try:
+        tracks, left_out = _read_tracks(source, topic, clock)
+    except damage as error:
+        said = " ".join(str(error).split())[:200] or type(error).__name__
+        raise LogError(f"{path}: bag is damaged or cut ({said}); recover or record it again") from error
+    if not tracks:
+        raise LogError(f"{path}: its topics of poses hold no message; record it again")
+    kept = wanted_bodies(path, list(tracks), rigid_body)
+    notes = [f"topics that hold no pose, left out: {listing(left_out)}"] if left_out else []
+    channels: dict[str, Channel] = {}
+    for name in kept:
+        track = tracks[name]
+        table = np.array(track.rows, dtype=np.float64)
+        columns = {i + 1: table[:, i] for i in range(7)}
+        if clock == "header" and not any(track.stamps):
+            raise LogError(f'{path}: every header stamp of {name} is 0; choose clock = "arrival"')
+        numbers = Numbers(
+            {0: np.array(track.stamps), **columns}, np.arange(1, len(table) + 1), row_word=f"{name} message"
+        )
+        time, ordered = order_rows(path, numbers, 0, 1.0, time_back=time_back)
+        raw = np.column_stack([numbers.columns[i] for i in (4, 5, 6, 7)])
+        orientation, turned = unit_quaternions(path, name, numbers, raw)
+        notes += [f"{name}: {note}" for note in (*ordered, *jitter_note(time))] + turned
+        position = np.column_stack([numbers.columns[i] for i in (1, 2, 3)])
+        channels |= body_channels(name, time, position, orientation)
+    options = {"topic": topic, "rigid_body": rigid_body, "clock": clock}
+    return Recording(
+        "motion-capture", channels, source.provenance(_NAME, device="ROS", options=options, notes=notes)
+    )
+
+
+FORMAT = LogFormat(_NAME, "ROS 1 bag, ROS 2 MCAP or SQLite (pose topics)", _recognize, read)

@@ -1,0 +1,322 @@
+"""Named signals of a data-acquisition file (HDF5, MAT, TDMS, LVM): which one is thrust, and on which clock.
+
+A signal is found by the name that its file gives it, in any case, or by the option ``datasets``; its unit is
+that of the file or declared; its clock is, in this order, the declared rate, its own times, a signal named
+time beside it, the rate that the file states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid.errors import LogError, UnitError
+from sysid.loaders.clock import order_rows, positive_rate, rate_clock
+from sysid.loaders.columns import Column, DeclaredUnits, listing, split_label
+from sysid.loaders.load_cell import COMMAND, MEASURED, QUANTITIES, TACHOMETER, TIME, quantity_channel
+from sysid.loaders.table import Numbers
+from sysid.loaders.tachometer import check_tachometer, pulse_speed
+from sysid.recording import Channel, FloatArray
+from sysid.units import factor_to_si
+
+# What signals of other names may be, in the unit that the channel carries. Temperatures (offset scales) and a
+# bare "g" (gram or standard gravity) are kept as recorded.
+_OTHER_UNITS = {
+    "V": "V", "A": "A", "W": "W", "N": "N", "N*m": "N·m", "Pa": "Pa", "m/s^2": "m/s²", "m/s": "m/s",
+    "rad/s": "rad/s", "rad": "rad", "m": "m", "s": "s", "Hz": "Hz", "1": "1",
+}  # fmt: skip
+_SPECIAL = {"time": TIME, "command": COMMAND, "tachometer": TACHOMETER}
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One signal of a file.
+
+    Parameters
+    ----------
+    name : str
+        As the file names it, with its group: ``/cell/Fz``.
+    unit : str or None
+        As the file states it; None where it states none.
+    read : callable
+        Returns the samples (n,).
+    rate : float, optional
+        Samples per second as the file states them.
+    start : float
+        Time of the first sample [s]; counts with `rate` only.
+    time : (n,) array, optional
+        The signal's own times [s].
+    label : str
+        Name without its group; by default what follows the last ``/``.
+    """
+
+    name: str
+    unit: str | None
+    read: Callable[[], FloatArray]
+    rate: object = None
+    start: float = 0.0
+    time: FloatArray | None = None
+    label: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "label", self.label or self.name.rsplit("/", 1)[-1])
+
+    @property
+    def group(self) -> str:
+        """Name of its group."""
+        return self.name.removesuffix(self.label).rstrip("/")
+
+    @property
+    def stem(self) -> str:
+        """Lower-case label without its unit."""
+        return split_label(self.label)[0]
+
+
+def _named(path: str, signals: Mapping[str, Signal], datasets: object) -> dict[str, str]:
+    known = {**_SPECIAL, **QUANTITIES}
+    if not isinstance(datasets, Mapping):
+        raise LogError(
+            f'{path}: datasets = {datasets!r} is no table; expected for example {{thrust = "/ft/Fz"}}'
+        )
+    chosen = {}
+    for channel, where in datasets.items():
+        if channel not in known:
+            raise LogError(f'{path}: datasets names "{channel}"; it can name {", ".join(known)}')
+        given = str(where)
+        full = next((name for name in (given, "/" + given.strip("/")) if name in signals), None)
+        if full is None:
+            same = [name for name, signal in signals.items() if signal.label == given]
+            if len(same) != 1:
+                raise LogError(f"{path}: no dataset /{given.strip('/')}; found {listing(signals)}")
+            full = same[0]
+        chosen[str(channel)] = full
+    return chosen
+
+
+def choose_signals(
+    path: str, signals: Mapping[str, Signal], datasets: Mapping[str, str] | None, *, measured: bool
+) -> dict[str, str]:
+    """Return channel -> signal name, ``time``, ``command`` and ``tachometer`` included.
+
+    Parameters
+    ----------
+    path : str
+        Named in messages.
+    signals : mapping
+        By name.
+    datasets : mapping of str to str, optional
+        What the user names; exactly these are chosen.
+    measured : bool
+        Thrust or torque must be among them.
+
+    Raises
+    ------
+    LogError
+        When a named signal is not there, two fit one channel, or what must be measured is not.
+    """
+    if datasets is not None:
+        chosen = _named(path, signals, datasets)
+    else:
+        chosen = {}
+        stems = {**_SPECIAL, **{name: quantity.stems for name, quantity in QUANTITIES.items()}}
+        for channel, known in stems.items():
+            matches = [name for name, signal in signals.items() if signal.stem in known]
+            if len(matches) > 1 and channel != "time":
+                raise LogError(
+                    f"{path}: datasets {matches[0]} and {matches[1]} both look like {channel}; "
+                    f'choose with datasets = {{{channel} = "{matches[0]}", ...}}'
+                )
+            if len(matches) == 1:
+                chosen[channel] = matches[0]
+    if measured and not any(channel in chosen for channel in MEASURED):
+        raise LogError(
+            f'{path}: no dataset "Fz" or "Mz"; found {listing(signals)}; '
+            'name them with datasets = {thrust = "...", torque = "..."}'
+        )
+    return chosen
+
+
+@dataclass
+class _Clocks:
+    """Signals gathered by the clock that they share, so that each clock is checked and kept once."""
+
+    path: str
+    signals: Mapping[str, Signal]
+    rate: float | None
+    time: str | None
+    seconds: Callable[[str], float]
+
+    def __post_init__(self) -> None:
+        self.numbers: dict[object, Numbers] = {}
+        self.members: dict[object, list[str]] = {}
+
+    def add(self, channel: str, name: str) -> None:
+        signal = self.signals[name]
+        values = signal.read()
+        if not values.size:
+            raise LogError(f"{self.path}: dataset {name} is empty; the log has no samples")
+        values = np.where(np.isinf(values), np.nan, values)
+        key, time = self._clock(name, signal, values.size)
+        group = self.numbers.setdefault(
+            key, Numbers({0: time}, np.arange(1, time.size + 1), row_word="sample")
+        )
+        self.members.setdefault(key, []).append(channel)
+        group.columns[len(self.members[key])] = values
+
+    def _clock(self, name: str, signal: Signal, size: int) -> tuple[object, FloatArray]:
+        if self.rate is None and signal.time is not None:
+            return id(signal.time), signal.time
+        beside = [
+            other
+            for other, one in self.signals.items()
+            if one.group == signal.group and one.stem in TIME and other != name
+        ]
+        clock = beside[0] if len(beside) == 1 else self.time
+        if self.rate is None and clock is not None:
+            time = self.signals[clock].read() * self.seconds(clock)
+            if time.size != size:
+                raise LogError(
+                    f"{self.path}: dataset {name} has {size} samples but its clock {clock} has "
+                    f"{time.size}; they must be of one length"
+                )
+            return clock, time
+        stated = signal.rate if self.rate is None else self.rate
+        if stated is None:
+            raise LogError(
+                f"{self.path}: dataset {name} has no clock: no dataset time beside it and no attribute rate; "
+                "declare the sample rate [Hz] with rate = ..."
+            )
+        own = positive_rate(self.path, stated)
+        return (own, signal.start, size), rate_clock(self.path, own, size) + signal.start
+
+
+def signal_channels(
+    path: str,
+    signals: Iterable[Signal],
+    *,
+    rate: float | None,
+    units: Mapping[str, str] | None,
+    datasets: Mapping[str, str] | None,
+    pulses_per_revolution: float | None,
+    time_back: str,
+    measured: bool,
+) -> tuple[dict[str, Channel], list[str]]:
+    """Return the channels of a file's signals and notes.
+
+    Parameters
+    ----------
+    path : str
+        Named in messages.
+    signals : iterable of Signal
+        All that the file holds.
+    rate, units, datasets, time_back
+        As the user declared them.
+    pulses_per_revolution : float, optional
+        Of the tachometer, where there is one.
+    measured : bool
+        True: only known quantities are read and thrust or torque must be among them; False: signals of other
+        names are kept too, in SI where their unit is known and as recorded (unit ``""``) where not.
+
+    Raises
+    ------
+    LogError, UnitError
+        One sentence with file, signal and cause.
+    """
+    if rate is not None:
+        rate = positive_rate(path, rate)
+    by_name = {signal.name: signal for signal in signals}
+    chosen = choose_signals(path, by_name, datasets, measured=measured)
+    check_tachometer(path, chosen, pulses_per_revolution)
+    declared = DeclaredUnits(path, units)
+    columns = {}
+    for index, (name, signal) in enumerate(by_name.items()):
+        stem, unit = split_label(signal.label)
+        columns[name] = Column(index, signal.label, stem, unit if signal.unit is None else signal.unit)
+    clocks = _Clocks(
+        path, by_name, rate, chosen.get("time"), lambda name: declared.factor(columns[name], "time", "s", "s")
+    )
+    others = []
+    for channel, name in chosen.items():
+        if channel != "time":
+            clocks.add(channel, name)
+    if not measured and datasets is None:
+        times = {name for name, signal in by_name.items() if signal.stem in TIME}
+        others = [name for name in by_name if name not in chosen.values() and name not in times]
+        for name in others:
+            clocks.add(name, name)
+
+    notes: list[str] = []
+    channels: dict[str, Channel] = {}
+    unknown: list[str] = []
+    for key, names in clocks.members.items():
+        time, said = order_rows(path, clocks.numbers[key], 0, 1.0, time_back=time_back)
+        notes += [note for note in said if note not in notes]
+        for index, channel in enumerate(names, start=1):
+            values = clocks.numbers[key].columns[index]
+            column = columns[channel if channel in others else chosen[channel]]
+            if channel in others:
+                unit, factor = plain_unit(declared.unit_of(column, column.label))
+                unknown += [] if unit else [by_name[channel].label]
+                shown = _free_name(by_name[channel], channels)
+                channels[shown] = Channel(shown, unit, time, values * factor)
+            elif channel == "command":
+                channels[channel] = Channel(channel, declared.command(column), time, values)
+            elif channel == "tachometer":
+                if pulses_per_revolution is None:
+                    notes.append(
+                        f"{column.label!r} looks like the pulses of a tachometer and was left out; "
+                        "declare pulses_per_revolution to get the speed"
+                    )
+                    continue
+                channels["speed"], said = pulse_speed(path, time, values, pulses_per_revolution)
+                notes += said
+            else:
+                default = "rpm" if column.stem == "rpm" else None
+                scale = declared.factor(column, channel, QUANTITIES[channel].unit, default)
+                channels[channel] = quantity_channel(channel, time, values * scale)
+    if unknown:
+        notes.append(f"signals without a known unit, kept as recorded: {listing(unknown)}")
+    declared.check_used(tuple(columns.values()))
+    return channels, [*notes, *declared.notes]
+
+
+def plain_unit(stated: str | None) -> tuple[str, float]:
+    """Return (SI unit, factor) of a signal that is no known quantity; ``("", 1)`` if unknown."""
+    stated = (stated or "").strip()
+    if stated in ("", "g", "G") or "deg" in stated or "°" in stated or "º" in stated:
+        return "", 1.0
+    for expected, shown in _OTHER_UNITS.items():
+        try:
+            return shown, factor_to_si(stated, expected)
+        except UnitError:
+            continue
+    return "", 1.0
+
+
+def _free_name(signal: Signal, taken: Mapping[str, Channel]) -> str:
+    """Return the label of a signal, or its whole name where the label is taken."""
+    label = " ".join(signal.label.split()) or signal.name
+    return label if label not in taken else signal.name
+
+
+def kind_of(channels: Mapping[str, Channel]) -> str:
+    """Return ``load-cell`` where thrust or torque is among the channels, else ``signals``."""
+    return "load-cell" if any(name in channels for name in MEASURED) else "signals"
+
+
+def written_unit(unit: str | None) -> str | None:
+    """Return a unit as sysid reads it: LabVIEW and its users write whole words, ``Newtons``, ``Volts``."""
+    text = (unit or "").strip()
+    return (text.lower() if text.isalpha() and len(text) > 3 else text) or None
+
+
+def unique_names(names: Sequence[str]) -> list[str]:
+    """Return names in which a repeated one carries its number."""
+    seen: dict[str, int] = {}
+    out = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        out.append(name if seen[name] == 1 else f"{name} #{seen[name]}")
+    return out

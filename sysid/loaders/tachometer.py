@@ -1,0 +1,118 @@
+"""Speed of a rotor from the pulses of a tachometer.
+
+Valid for one edge per pulse and a sample rate well above twice the pulse rate; ignores the direction of
+turning, which one pulse train does not tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from sysid.errors import LogError
+from sysid.recording import Channel, FloatArray
+
+# Width of the band around the middle level that noise must not cross twice, as a share of the pulse's height.
+_HYSTERESIS = 0.25
+
+
+def check_tachometer(path: str, channels: Collection[str], pulses_per_revolution: object) -> None:
+    """Refuse pulses per revolution that are no number, belong to nothing, or rival a speed channel.
+
+    Raises
+    ------
+    LogError
+        One sentence with the file and the option that decides.
+    """
+    if pulses_per_revolution is None:
+        return
+    if (
+        isinstance(pulses_per_revolution, bool)
+        or not isinstance(pulses_per_revolution, int | float)
+        or not np.isfinite(pulses_per_revolution)
+        or pulses_per_revolution <= 0
+    ):
+        raise LogError(
+            f"{path}: pulses_per_revolution = {pulses_per_revolution!r} is no positive number; "
+            "count the marks on the rotor"
+        )
+    if "tachometer" not in channels:
+        raise LogError(
+            f"{path}: pulses_per_revolution is declared but no tachometer is found; "
+            "name its column Tachometer, or leave the option out"
+        )
+    if "speed" in channels:
+        raise LogError(
+            f"{path}: holds both a speed and a tachometer; leave out pulses_per_revolution, or name only "
+            "one of them"
+        )
+
+
+def _edges(time: FloatArray, values: FloatArray, low: float, high: float) -> FloatArray:
+    """Return the times [s] at which the signal crosses the middle upward, each once per swing low to high."""
+    state = np.where(values >= high, 1, np.where(values <= low, -1, 0))
+    decided = np.flatnonzero(state)
+    turns = np.flatnonzero(np.diff(state[decided]) == 2) + 1
+    middle = 0.5 * (low + high)
+    out = np.empty(turns.size)
+    for place, turn in enumerate(turns):
+        first, last = int(decided[turn - 1]), int(decided[turn])
+        within = first + int(np.argmax(values[first : last + 1] >= middle))
+        before, after = values[within - 1], values[within]
+        share = (middle - before) / (after - before)
+        out[place] = time[within - 1] + share * (time[within] - time[within - 1])
+    return out
+
+
+def pulse_speed(
+    path: str, time: FloatArray, values: FloatArray, pulses_per_revolution: float
+) -> tuple[Channel, list[str]]:
+    """Return the channel ``speed`` [rad/s, never negative] of a pulse train, and notes.
+
+    One sample per period, at its middle: 2π / (pulses per revolution · period). Between pulses nothing is
+    known and nothing is filled in; a period that holds a lost sample is NaN.
+
+    Parameters
+    ----------
+    path : str
+        Named in messages.
+    time : (n,) array
+        [s]
+    values : (n,) array
+        Level of the tachometer, any unit, either polarity.
+    pulses_per_revolution : float
+        Rising edges per turn of the rotor.
+
+    Raises
+    ------
+    LogError
+        When fewer than two pulses are seen, or they come faster than the samples can tell.
+    """
+    seen = np.isfinite(values)
+    low, high = (float(np.min(values[seen])), float(np.max(values[seen]))) if seen.any() else (0.0, 0.0)
+    band = 0.5 * _HYSTERESIS * (high - low)
+    middle = 0.5 * (low + high)
+    edges = _edges(time[seen], values[seen], middle - band, middle + band) if high > low else np.empty(0)
+    if edges.size < 2:
+        raise LogError(
+            f"{path}: the tachometer shows {edges.size} pulses between {low:g} and {high:g}; "
+            "check which channel it is"
+        )
+    periods = np.diff(edges)
+    step = float(np.median(np.diff(time)))
+    shortest = float(np.percentile(periods, 5))
+    if shortest < 3.0 * step:
+        raise LogError(
+            f"{path}: pulses come every {shortest / step:.1f} samples, too fast to be told apart; record the "
+            "tachometer at a higher rate or with fewer marks"
+        )
+    speed = 2.0 * np.pi / (pulses_per_revolution * periods)
+    lost = time[~seen]
+    holes = np.searchsorted(lost, edges[1:]) > np.searchsorted(lost, edges[:-1])
+    speed = np.where(holes, np.nan, speed)
+    notes = [
+        f"speed from {edges.size} pulses at {pulses_per_revolution:g} per revolution, one value per period "
+        f"(edges resolve {100 * step / float(np.median(periods)):.2g} % of a period at worst)"
+    ]
+    return Channel("speed", "rad/s", 0.5 * (edges[1:] + edges[:-1]), speed), notes

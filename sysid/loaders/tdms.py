@@ -1,0 +1,165 @@
+"""National Instruments TDMS (npTDMS): every channel that holds numbers, on the clock that the file states.
+
+Valid for waveform channels: time = ``wf_start_offset`` + i · ``wf_increment``, counted from the earliest
+``wf_start_time`` of the file, of which 1904-01-01 means not set. The number of samples is that of the data:
+``wf_samples`` is the size of one block. Channels without ``wf_increment`` take a time channel beside them or
+the declared rate. The thinned copies that SignalExpress adds (``Decimated Data_Level1``) are left out.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from sysid.errors import LogError
+from sysid.loaders.columns import listing
+from sysid.loaders.optional import library
+from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.signals import Signal, kind_of, signal_channels, written_unit
+from sysid.loaders.source import Source
+from sysid.recording import FloatArray, Recording
+
+_NAME = "tdms"
+_THINNED = re.compile(r"Decimated Data_Level\d+$")
+# What npTDMS raises on a damaged file; it has no exception of its own.
+_DAMAGE = (
+    OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, RuntimeError, OverflowError,
+    MemoryError, EOFError, NotImplementedError, struct.error,
+)  # fmt: skip
+
+
+def _recognize(source: Source) -> int:
+    return CERTAIN if source.head.startswith(b"TDSm") else NO
+
+
+def _start(properties: Mapping[str, Any]) -> np.datetime64 | None:
+    """Return when a waveform began, or None where the file does not say (LabVIEW's zero is the year 1904)."""
+    start = properties.get("wf_start_time")
+    return start if isinstance(start, np.datetime64) and start > np.datetime64("1905-01-01") else None
+
+
+def _samples(channel: Any) -> FloatArray:
+    values = channel[:]
+    if values.dtype.kind == "M":  # a channel of time stamps, usable as a clock
+        return np.asarray((values - values[0]) / np.timedelta64(1, "ns"), dtype=np.float64) * 1e-9
+    return np.asarray(values, dtype=np.float64)
+
+
+def _signals(file: Any, notes: list[str]) -> list[Signal]:
+    found, thinned, other = [], [], []
+    waves = [(group, channel) for group in file.groups() for channel in group.channels()]
+    starts = [start for _, channel in waves if (start := _start(channel.properties)) is not None]
+    first = min(starts) if starts else None
+    for group, channel in waves:
+        name = f"/{group.name}/{channel.name}"
+        properties = channel.properties
+        if _THINNED.search(group.name):
+            thinned.append(name)
+            continue
+        if not len(channel):
+            continue
+        if channel.dtype is None or np.dtype(channel.dtype).kind not in "iufbM":
+            other.append(name)
+            continue
+        unit = next(
+            (str(properties[key]) for key in ("unit_string", "NI_UnitDescription") if properties.get(key)),
+            None,
+        )
+        step = properties.get("wf_increment")
+        start = _start(properties)
+        begin = float(properties.get("wf_start_offset", 0.0) or 0.0)
+        if start is not None and first is not None:
+            begin += float((start - first) / np.timedelta64(1, "ns")) * 1e-9
+        rate = 1.0 / float(step) if isinstance(step, float) and step > 0 else None
+
+        def read(channel: Any = channel) -> FloatArray:
+            return _samples(channel)
+
+        found.append(Signal(name, written_unit(unit), read, rate, begin, label=channel.name))
+    if first is not None:
+        notes.append(f"recording began at {first} UTC")
+    if thinned:
+        notes.append(f"thinned copies, left out: {len(thinned)}")
+    if other:
+        notes.append(f"channels that hold no numbers, left out: {listing(other)}")
+    return found
+
+
+def read(
+    source: Source,
+    *,
+    rate: float | None = None,
+    units: Mapping[str, str] | None = None,
+    datasets: Mapping[str, str] | None = None,
+    pulses_per_revolution: float | None = None,
+    time_back: str = "refuse",
+) -> Recording:
+    """Read a TDMS file.
+
+    Parameters
+    ----------
+    source : Source
+        The log.
+    rate : float, optional
+        Sample rate [Hz] of every channel; it wins over what the file states.
+    units : mapping of str to str, optional
+        Units by channel where the file states none or a wrong one.
+    datasets : mapping of str to str, optional
+        Channels by quantity (``time command speed thrust torque force_x ...``), as ``/group/channel`` or by a
+        name that only one channel has; exactly these are read. By default those with known names become
+        quantities and all others keep their names.
+    pulses_per_revolution : float, optional
+        Of a channel ``Tachometer`` that holds pulses, from which ``speed`` is then found.
+    time_back : str
+        ``"refuse"`` a log whose time goes back, or ``"drop"`` the samples that do not pass the latest time.
+
+    Returns
+    -------
+    Recording
+        Kind ``load-cell`` with thrust or torque, else ``signals``; each channel on its own clock.
+
+    Raises
+    ------
+    LogError, UnitError
+        One sentence with file, channel and cause.
+    """
+    path = source.path
+    nptdms = library(path, "nptdms", "npTDMS")
+    if not source.head.startswith(b"TDSm"):
+        raise LogError(f"{path}: not a TDMS file (it does not begin with TDSm); check the format")
+    notes: list[str] = []
+    try:
+        with nptdms.TdmsFile.open(path) as file:
+            device = str(file.properties.get("name", ""))
+            channels, said = signal_channels(
+                path,
+                _signals(file, notes),
+                rate=rate,
+                units=units,
+                datasets=datasets,
+                pulses_per_revolution=pulses_per_revolution,
+                time_back=time_back,
+                measured=False,
+            )
+    except _DAMAGE as error:
+        raise LogError(f"{path}: TDMS file is damaged or cut ({error}); copy or export it again") from error
+    if not channels:
+        raise LogError(f"{path}: holds no channel of numbers; check the export")
+    options = {
+        "rate": rate,
+        "units": units,
+        "datasets": datasets,
+        "pulses_per_revolution": pulses_per_revolution,
+    }
+    return Recording(
+        kind_of(channels),
+        channels,
+        source.provenance(_NAME, device=f"NI TDMS {device}".strip(), options=options, notes=[*notes, *said]),
+    )
+
+
+FORMAT = LogFormat(_NAME, "National Instruments TDMS (channels by name)", _recognize, read)

@@ -1,0 +1,172 @@
+"""PX4 ULog (pyulog): pose, battery, ESC speeds and motor commands as the drone logged them itself.
+
+Frames are those of PX4: positions north, east, down from the point of take-off; body axes front, right, down;
+quaternions w first, body to world. A body ``vehicle`` needs position and attitude on one clock, which
+``vehicle_odometry`` or ``vehicle_visual_odometry`` has; the estimates of ``vehicle_attitude`` and
+``vehicle_local_position`` are channels of their own.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from sysid.errors import LogError
+from sysid.loaders.clock import order_rows
+from sysid.loaders.columns import listing
+from sysid.loaders.motion_capture import body_channels, unit_quaternions
+from sysid.loaders.optional import library
+from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.source import Source
+from sysid.loaders.table import Numbers
+from sysid.recording import Channel, FloatArray, Recording
+
+_NAME = "ulog"
+_MAGIC = b"ULog\x01\x12\x35"
+_ODOMETRY = {"vehicle_odometry": "vehicle", "vehicle_visual_odometry": "visual"}
+_RPM = 2.0 * np.pi / 60.0
+# topic: (channel, fields, unit, factor); {} in a channel is the number of the topic's instance
+_PLAIN: tuple[tuple[str, str, tuple[str, ...], str, float], ...] = (
+    ("vehicle_local_position", "local_position", ("x", "y", "z"), "m", 1.0),
+    ("vehicle_local_position", "local_velocity", ("vx", "vy", "vz"), "m/s", 1.0),
+    ("sensor_combined", "acceleration", tuple(f"accelerometer_m_s2[{i}]" for i in range(3)), "m/s²", 1.0),
+    ("sensor_combined", "angular_velocity", tuple(f"gyro_rad[{i}]" for i in range(3)), "rad/s", 1.0),
+    ("battery_status", "voltage", ("voltage_v",), "V", 1.0),
+    ("battery_status", "current", ("current_a",), "A", 1.0),
+    *(("esc_status", f"esc_{i}/speed", (f"esc[{i}].esc_rpm",), "rad/s", _RPM) for i in range(8)),
+    *(("actuator_outputs", f"output_{i}", (f"output[{i}]",), "us", 1.0) for i in range(8)),
+    *(("actuator_motors", f"motor_{i}", (f"control[{i}]",), "1", 1.0) for i in range(8)),
+)
+# What pyulog raises on a damaged file besides its own errors.
+_DAMAGE = (
+    OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, RuntimeError, OverflowError,
+    MemoryError, EOFError, struct.error,
+)  # fmt: skip
+
+
+def _recognize(source: Source) -> int:
+    return CERTAIN if source.head.startswith(_MAGIC) else NO
+
+
+def _rows(topic: Any, fields: Sequence[str], word: str) -> Numbers:
+    """Return the fields of a topic on its clock [s]; pyulog gives microseconds since boot."""
+    columns: dict[int, FloatArray] = {0: np.asarray(topic.data["timestamp"], dtype=np.float64) * 1e-6}
+    for i, name in enumerate(fields, start=1):
+        values = np.asarray(topic.data[name], dtype=np.float64)
+        columns[i] = np.where(np.isinf(values), np.nan, values)
+    return Numbers(columns, np.arange(1, columns[0].size + 1), row_word=f"{word} message")
+
+
+def _stack(numbers: Numbers, first: int, width: int) -> FloatArray:
+    return np.column_stack([numbers.columns[first + i] for i in range(width)])
+
+
+def _load(source: Source) -> tuple[Any, type[Exception]]:
+    path = source.path
+    core = library(path, "pyulog.core", "pyulog")
+    own = library(path, "pyulog.exceptions", "pyulog").ULogException
+    if not source.head.startswith(_MAGIC):
+        raise LogError(f"{path}: not a ULog (its first bytes do not say so); check the format")
+    try:
+        return core.ULog(path), own
+    except (own, *_DAMAGE) as error:
+        said = " ".join(str(error).split())[:200] or type(error).__name__
+        raise LogError(f"{path}: ULog is damaged or cut ({said}); copy it from the drone again") from error
+
+
+def read(source: Source, *, time_back: str = "drop") -> Recording:
+    """Read a ULog.
+
+    Parameters
+    ----------
+    source : Source
+        The log.
+    time_back : str
+        ``"drop"`` messages that do not pass the latest time of their topic, or ``"refuse"`` the log.
+
+    Returns
+    -------
+    Recording
+        Kind ``onboard``: ``vehicle/position``, ``vehicle/orientation`` where odometry was logged,
+        ``attitude``, ``local_position`` [m], ``local_velocity``, ``acceleration``, ``angular_velocity``,
+        ``voltage``, ``current``, ``esc_N/speed`` [rad/s], ``output_N`` [us], ``motor_N`` [1]; each topic on
+        its own clock, seconds since boot.
+
+    Raises
+    ------
+    LogError
+        One sentence with file and cause.
+    """
+    path = source.path
+    log, _ = _load(source)
+    topics = {topic.name: topic for topic in reversed(log.data_list) if topic.multi_id == 0}
+    notes: list[str] = []
+    channels: dict[str, Channel] = {}
+
+    def clocked(numbers: Numbers) -> FloatArray:
+        time, said = order_rows(path, numbers, 0, 1.0, time_back=time_back)
+        notes.extend(note for note in said if note not in notes)
+        return time
+
+    for topic_name, body in _ODOMETRY.items():
+        topic = topics.get(topic_name)
+        place = ("position[0]", "position[1]", "position[2]")
+        if topic is not None and place[0] not in topic.data:
+            place = ("x", "y", "z")  # before PX4 1.14
+        fields = (*place, "q[0]", "q[1]", "q[2]", "q[3]")
+        if (
+            topic is None
+            or any(name not in topic.data for name in fields)
+            or not len(topic.data["timestamp"])
+        ):
+            continue
+        numbers = _rows(topic, fields, topic_name)
+        time = clocked(numbers)
+        orientation, said = unit_quaternions(path, body, numbers, _stack(numbers, 4, 4))
+        notes += said
+        channels |= body_channels(body, time, _stack(numbers, 1, 3), orientation)
+    attitude = topics.get("vehicle_attitude")
+    quaternion = [f"q[{i}]" for i in range(4)]
+    if attitude is not None and all(name in attitude.data for name in quaternion):
+        numbers = _rows(attitude, quaternion, "vehicle_attitude")
+        if numbers.lines.size:
+            time = clocked(numbers)
+            values, said = unit_quaternions(path, "vehicle_attitude", numbers, _stack(numbers, 1, 4))
+            notes += said
+            channels["attitude"] = Channel("attitude", "1", time, values)
+    for topic_name, channel, wanted, unit, factor in _PLAIN:
+        topic = topics.get(topic_name)
+        if (
+            topic is None
+            or any(name not in topic.data for name in wanted)
+            or not len(topic.data["timestamp"])
+        ):
+            continue
+        numbers = _rows(topic, wanted, topic_name)
+        time = clocked(numbers)
+        values = numbers.columns[1] if len(wanted) == 1 else _stack(numbers, 1, len(wanted))
+        if np.isfinite(values).any() and (np.nan_to_num(values).any() or not channel[-1].isdigit()):
+            channels[channel] = Channel(channel, unit, time, values * factor)
+    if not channels:
+        raise LogError(
+            f"{path}: none of the topics that sysid reads is in this log; found {listing(sorted(topics))}"
+        )
+    if log.dropouts:
+        lost = 1e-3 * sum(one.duration for one in log.dropouts)
+        notes.append(f"the logger dropped out {len(log.dropouts)} times, {lost:.3g} s in all")
+    if log.file_corruption:
+        notes.append("parts of the file are damaged and were passed over")
+    device = str(log.msg_info_dict.get("sys_name", "PX4"))
+    version = str(log.msg_info_dict.get("ver_hw", "")).strip()
+    notes.append("axes: north, east, down; body front, right, down, as PX4 defines them")
+    return Recording(
+        "onboard",
+        channels,
+        source.provenance(_NAME, device=f"{device} {version}".strip(), notes=notes),
+    )
+
+
+FORMAT = LogFormat(_NAME, "PX4 ULog (onboard log)", _recognize, read)

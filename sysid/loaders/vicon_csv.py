@@ -1,0 +1,331 @@
+"""Vicon CSV: Nexus sections (Trajectories, Segments, Devices, Model Outputs, Joints) and Tracker objects.
+
+A section is a title, its rate [Hz], a row of names, ``Frame,Sub Frame,X,Y,Z,...``, a row of units and the
+rows; a blank line ends it and another may follow, at its own rate. Time is (frame + sub frame share) over
+the capture's rate. Lost markers are blank cells; a lost object leaves a short row.
+
+Rotations: ``Global Angle (Quaternion)`` is x, y, z, w. ``Global Angle`` of Tracker is a rotation vector
+(helical angle) in the unit of its unit row, radians where it has none. What the angles of Nexus segments are
+depends on the pipeline and is not in the file: declare ``angles``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sysid.errors import LogError, UnitError
+from sysid.loaders.clock import order_rows, positive_rate
+from sysid.loaders.columns import listing
+from sysid.loaders.motion_capture import (
+    EULER_ORDERS,
+    body_channels,
+    euler_quaternions,
+    unit_quaternions,
+    wanted_bodies,
+)
+from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.rigid_pose import marker_bodies, pose_from_markers
+from sysid.loaders.signals import plain_unit, unique_names
+from sysid.loaders.source import Source
+from sysid.loaders.table import Numbers, TableHead, read_numbers
+from sysid.loaders.table_rows import parse_number
+from sysid.loaders.text import Text, read_text, sniff_delimiter, split_line
+from sysid.recording import Channel, FloatArray, Recording
+from sysid.units import factor_to_si
+
+_NAME = "vicon-csv"
+_TITLES = ("trajectories", "segments", "objects", "devices", "model outputs", "joints")
+_ANGLES = ("helical", *EULER_ORDERS)
+_HEADER_LINES = 5
+
+
+@dataclass(frozen=True)
+class _Section:
+    """One section: where its rows are, and each column's name, field and unit."""
+
+    title: str
+    rate: float
+    table: TableHead
+    end: int
+    names: tuple[str, ...]
+    fields: tuple[str, ...]
+    units: tuple[str, ...]
+
+    def groups(self) -> dict[str, list[int]]:
+        """Return name -> columns, in order; the first two columns are the clock."""
+        found: dict[str, list[int]] = {}
+        for column in range(2, len(self.fields)):
+            if self.names[column] and self.fields[column]:
+                found.setdefault(self.names[column], []).append(column)
+        return found
+
+
+def _title(line: str) -> str:
+    return line.strip(',;\t "').casefold()
+
+
+def _recognize(source: Source) -> int:
+    lines = [line for line in source.head_lines if line.strip(",;\t ")][:_HEADER_LINES]
+    if len(lines) < 2 or _title(lines[0]) not in _TITLES:
+        return NO
+    rate = lines[1].strip(",;\t ").replace(",", ".").replace(".", "", 1)
+    return CERTAIN if rate.isdigit() else NO
+
+
+def _section(text: Text, number: int, offset: int) -> _Section | None:
+    """Return the section whose title is the first line behind `offset` that is not blank; None at the end."""
+    path = text.path
+    rows: list[tuple[int, int, str]] = []
+    for line_number, behind, line in text.lines(-1, offset, number):
+        if rows or line.strip(",;\t "):
+            rows.append((line_number, behind, line))
+        if len(rows) == _HEADER_LINES:
+            break
+    if not rows:
+        return None
+    first, _, title = rows[0]
+    if _title(title) not in _TITLES:
+        raise LogError(
+            f"{path}, line {first}: {title.strip()[:40]!r} is no title of a section; expected one of "
+            f"{', '.join(one.title() for one in _TITLES)}"
+        )
+    if len(rows) < _HEADER_LINES:
+        raise LogError(f"{path}, line {rows[-1][0]}: the file ends in a section's header; export it again")
+    delimiter = sniff_delimiter(rows[3][2], spaces=False)
+    stated, names, fields, units = (
+        [cell.strip() for cell in split_line(line, delimiter)] for _, _, line in rows[1:]
+    )
+    try:
+        rate = positive_rate(path, parse_number(stated[0].replace(",", ".")))
+    except (ValueError, LogError):
+        raise LogError(
+            f"{path}, line {rows[1][0]}: {stated[0][:40]!r} is no sample rate; it stands below the title"
+        ) from None
+    if [cell.casefold() for cell in fields[:2]] != ["frame", "sub frame"]:
+        raise LogError(
+            f"{path}, line {rows[3][0]}: found {listing(fields[:3])} where Frame, Sub Frame and the fields "
+            "should be; export the file again"
+        )
+    while fields and not fields[-1]:
+        fields.pop()
+    width = len(fields)
+    filled, last = [], ""
+    for column in range(width):
+        last = names[column] if column < len(names) and names[column] else last
+        filled.append("" if column < 2 else last)
+    units = [*units, *[""] * width][:width]
+    labels = [f"{name} {cell}".strip() for name, cell in zip(filled, fields, strict=True)]
+    line_number, behind, _ = rows[-1]
+    end = text.data.find(b"\n\n", behind - 1)
+    end = len(text.data) if end < 0 else end + 1
+    table = TableHead(tuple(labels), delimiter, line_number, behind)
+    return _Section(_title(title), rate, table, end, tuple(filled), tuple(fields), tuple(units))
+
+
+def _sections(text: Text) -> list[_Section]:
+    found: list[_Section] = []
+    number, offset = 0, 0
+    while (section := _section(text, number, offset)) is not None:
+        found.append(section)
+        number = text.data.count(b"\n", 0, section.end)
+        offset = section.end
+    return found
+
+
+def _length(path: str, section: _Section, columns: Sequence[int], declared: str | None) -> float:
+    stated = sorted({section.units[column] for column in columns} - {""})
+    units = [*stated, *([str(declared)] if declared is not None else [])]
+    if not units:
+        raise UnitError(
+            f'{path}, line {section.table.line}: no length unit; declare it with length_unit = "mm" or "m"'
+        )
+    try:
+        factors = {factor_to_si(unit, "m") for unit in units}
+    except UnitError as error:
+        raise UnitError(f"{path}, line {section.table.line}: length unit: {error}") from error
+    if len(factors) > 1:
+        raise UnitError(f"{path}, line {section.table.line}: lengths in {' and '.join(units)} contradict")
+    return factors.pop()
+
+
+def _clock(path: str, section: _Section, numbers: Numbers) -> tuple[FloatArray, list[str]]:
+    """Return times [s]: frame numbers over the capture's rate, sub frames between them."""
+    sub = numbers.columns[1]
+    known = sub[np.isfinite(sub)]
+    shares = float(known.max(initial=0.0)) + 1.0
+    if known.size and (known.min() < 0 or np.any(known != np.floor(known))):
+        raise LogError(f"{path}, line {numbers.lines[0]}: sub frames must be 0, 1, 2, ...; check the columns")
+    numbers.columns[0] = (numbers.columns[0] * shares + np.where(np.isfinite(sub), sub, 0.0)) / section.rate
+    return order_rows(path, numbers, 0, 1.0)
+
+
+def _rotation(
+    path: str, section: _Section, name: str, fields: Mapping[str, int], numbers: Numbers, angles: str | None
+) -> FloatArray:
+    """Return quaternions, w first, of unchecked length."""
+
+    def stacked(wanted: Sequence[str]) -> FloatArray:
+        return np.column_stack([numbers.columns[fields[field]] for field in wanted])
+
+    if "RW" in fields:
+        return stacked(("RW", "RX", "RY", "RZ"))
+    chosen = angles
+    if chosen is None:
+        if section.title != "objects":
+            raise LogError(
+                f'{path}: the angles of "{name}" depend on the pipeline that made them; '
+                f'declare angles = "helical" or an Euler order such as "XYZ"'
+            )
+        chosen = "helical"
+    unit = section.units[fields["RX"]] or "rad"
+    try:
+        factor = factor_to_si(unit, "rad")
+    except UnitError as error:
+        raise UnitError(f'{path}: angles of "{name}": {error}') from error
+    if chosen == "helical":
+        vectors = stacked(("RX", "RY", "RZ")) * factor
+        out = np.full((len(vectors), 4), np.nan)
+        seen = np.isfinite(vectors).all(axis=1)
+        if seen.any():
+            out[seen] = np.roll(Rotation.from_rotvec(vectors[seen]).as_quat(), 1, axis=1)
+        return out
+    return euler_quaternions(chosen, np.degrees(stacked([f"R{axis}" for axis in chosen]) * factor))
+
+
+def _body_name(name: str) -> str:
+    """Return the name of an object: ``Global Angle (Quaternion) drone:drone`` is drone."""
+    name = name.removeprefix("Global Angle").strip().removeprefix("(Quaternion)").strip()
+    first, _, second = name.partition(":")
+    return first if first == second else name
+
+
+def _read_section(
+    text: Text,
+    section: _Section,
+    kept: Sequence[str] | None,
+    length_unit: str | None,
+    angles: str | None,
+    notes: list[str],
+) -> dict[str, Channel]:
+    path = text.path
+    groups = section.groups()
+    columns = sorted({0, 1, *(column for group in groups.values() for column in group)})
+    numbers = read_numbers(text.up_to(section.end), section.table, columns, least=columns[-1] + 1)
+    time, said = _clock(path, section, numbers)
+    notes += [*numbers.notes, *said]
+    channels: dict[str, Channel] = {}
+    blank = []
+    for name, group in groups.items():
+        fields = {section.fields[column].upper(): column for column in group}
+        if section.title == "trajectories" and set("XYZ") <= set(fields):
+            place = [fields[axis] for axis in "XYZ"]
+            position = np.column_stack([numbers.columns[column] for column in place])
+            if not np.isfinite(position).all(axis=1).any():
+                blank.append(name)
+                continue
+            scale = _length(path, section, place, length_unit)
+            channels[f"{name}/position"] = Channel(f"{name}/position", "m", time, position * scale)
+        elif section.title in ("segments", "objects") and {"RX", "RY", "RZ", "TX", "TY", "TZ"} <= set(fields):
+            body = _body_name(name)
+            if kept is not None and body not in kept:
+                continue
+            place = [fields[f"T{axis}"] for axis in "XYZ"]
+            position = np.column_stack([numbers.columns[column] for column in place])
+            raw = _rotation(path, section, body, fields, numbers, angles)
+            orientation, said = unit_quaternions(path, body, numbers, raw)
+            scale = _length(path, section, place, length_unit)
+            channels |= body_channels(body, time, position * scale, orientation)
+            lost = int(np.isnan(orientation[:, 0]).sum())
+            notes += [*said, *([f"{body} is lost in {lost} of {time.size} frames"] if lost else [])]
+        else:
+            labels = unique_names([f"{name}/{section.fields[column]}" for column in group])
+            for label, column in zip(labels, group, strict=True):
+                unit, factor = plain_unit(section.units[column])
+                channels[label] = Channel(label, unit, time, numbers.columns[column] * factor)
+    if blank:
+        notes.append(f"markers never seen, left out: {listing(blank)}")
+    return channels
+
+
+def read(
+    source: Source,
+    *,
+    rigid_body: str | Sequence[str] | None = None,
+    bodies: Mapping[str, Sequence[str]] | None = None,
+    length_unit: str | None = None,
+    angles: str | None = None,
+) -> Recording:
+    """Read a Vicon CSV.
+
+    Parameters
+    ----------
+    source : Source
+        The log.
+    rigid_body : str or sequence of str, optional
+        Bodies to keep: objects or segments of the file, else fitted to markers whose name begins with it.
+    bodies : mapping of str to sequence of str, optional
+        Markers by body, whose pose is then fitted.
+    length_unit : str, optional
+        Where the file does not say.
+    angles : str, optional
+        What RX, RY, RZ without RW are: ``"helical"`` (rotation vector) or an Euler order such as ``"XYZ"``.
+
+    Returns
+    -------
+    Recording
+        Kind ``motion-capture`` with markers or bodies, else ``signals``. Signals of devices and models are
+        channels ``GROUP/FIELD`` on their own clock, in SI where their unit is known.
+
+    Raises
+    ------
+    LogError, UnitError
+        One sentence with file, line and cause.
+    """
+    path = source.path
+    if angles is not None and angles not in _ANGLES:
+        raise LogError(f"{path}: angles = {angles!r} is unknown; expected one of {', '.join(_ANGLES)}")
+    text = read_text(source)
+    sections = _sections(text)
+    if not sections:
+        raise LogError(f"{path}: only blank lines; export the file again")
+    stated = [
+        _body_name(name)
+        for section in sections
+        if section.title in ("segments", "objects")
+        for name in section.groups()
+    ]
+    kept = wanted_bodies(path, stated, rigid_body) if stated and rigid_body is not None else None
+    notes: list[str] = []
+    channels: dict[str, Channel] = {}
+    for section in sections:
+        for name, channel in _read_section(text, section, kept, length_unit, angles, notes).items():
+            if name in channels:
+                raise LogError(
+                    f'{path}, line {section.table.line}: "{name}" stands in two sections; export one of them'
+                )
+            channels[name] = channel
+    if bodies is not None or (rigid_body is not None and kept is None):
+        markers = [name.removesuffix("/position") for name in channels if name.endswith("/position")]
+        own: dict[str, Channel] = {}
+        for name, listed in marker_bodies(path, markers, bodies, None if kept else rigid_body).items():
+            found, said = pose_from_markers(path, channels, name, listed)
+            own |= found
+            notes += said
+        channels = {**own, **channels}
+    if not channels:
+        raise LogError(f"{path}: no marker, object or signal holds a value; the capture is empty")
+    tracked = any(name.endswith("/position") for name in channels)
+    options = {"rigid_body": rigid_body, "bodies": bodies, "length_unit": length_unit, "angles": angles}
+    device = "Vicon " + ", ".join(section.title.title() for section in sections)
+    return Recording(
+        "motion-capture" if tracked else "signals",
+        channels,
+        source.provenance(_NAME, device=device, options=options, notes=notes),
+    )
+
+
+FORMAT = LogFormat(_NAME, "Vicon Nexus / Tracker CSV (markers, segments, objects, devices)", _recognize, read)
