@@ -13,7 +13,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 from math import ceil
 
@@ -36,6 +36,8 @@ CMAES_TOLERANCE = 1e-5
 FINISH_POPULATION = 64
 # What the first stage may use of a budget when a finisher follows.
 _SEARCH_SHARE = 0.6
+# Between two looks at what the user wants [s].
+_HEARING = 0.2
 
 
 @dataclass(frozen=True)
@@ -352,14 +354,20 @@ def run_many(
         with ThreadPoolExecutor(at_once, thread_name_prefix="run") as pool:
             futures = [pool.submit(one, run) for run in range(settings.runs)]
             try:
-                wait(futures, return_when=FIRST_EXCEPTION)
-                if any(future.done() and future.exception() is not None for future in futures):
+                # With a timeout, so that Ctrl-C is heard on every system while this thread waits.
+                while wait(futures, _HEARING, FIRST_EXCEPTION).not_done and not _one_failed(futures):
+                    pass
+                if _one_failed(futures):
                     failed.set()
                 found = [future.result() for future in futures]
             except BaseException:
                 failed.set()
                 raise
     return tuple(history for history in found if history is not None)
+
+
+def _one_failed(futures: Sequence[Future[RunHistory | None]]) -> bool:
+    return any(future.done() and future.exception() is not None for future in futures)
 
 
 def _one_at_a_time(hooks: Hooks) -> Hooks:

@@ -223,7 +223,7 @@ def search(
         ):
             hooks = Hooks(progress.on_generation, progress.on_run, checkpoint.keep, flag)
             runs = run_many(
-                objective if options.dask is None else SpreadObjective(objective, where),
+                SpreadObjective(objective, where),
                 settings,
                 memories=checkpoint.memories,
                 hooks=hooks,

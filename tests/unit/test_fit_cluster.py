@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -90,7 +91,7 @@ def test_chunks_do_not_change_a_bit(gear):
         assert sum(p.simulations for p in parts) == whole.simulations
 
 
-def test_local_is_the_work_itself(gear):
+def test_local_gives_the_objectives_numbers(gear):
     points = np.random.default_rng(3).random((9, len(gear.space.free)))
     with executor(None) as where:
         assert isinstance(where, LocalThreads)
@@ -100,6 +101,23 @@ def test_local_is_the_work_itself(gear):
     np.testing.assert_array_equal(a.cost, b.cost)
     np.testing.assert_array_equal(a.failed, b.failed)
     assert a.simulations == b.simulations
+
+
+def test_local_work_is_entered_by_one_caller_at_a_time():
+    inside, most = [], []
+
+    def work(rows):
+        inside.append(1)
+        most.append(len(inside))
+        time.sleep(0.005)
+        inside.pop()
+        return (rows[:, 0],)
+
+    with LocalThreads() as where, ThreadPoolExecutor(4) as pool:
+        shared = where.share(work)
+        out = list(pool.map(lambda i: shared(np.full((2, 1), float(i))), range(8)))
+    assert max(most) == 1
+    assert [float(column[0]) for (column,) in out] == list(range(8))
 
 
 def test_nothing_answers():

@@ -1,0 +1,268 @@
+"""The search engine in numbers: algorithms, cost of checkpoints, two workers against one, 64 simulated.
+
+Run ``python tests/benchmarks/engine.py PART [--problem lf|hf|motor] [--seeds 5] [--algorithms ga,cmaes]
+[--json PATH]`` with PART one of
+
+``algorithms``
+    Candidates and processor time (of all threads) until the best NRMSE is within 1.01 × the best that any of
+    the runs found, for every algorithm alone and with its finisher; how many seeds get there; where they end.
+``overhead``
+    Wall time of one LF run with checkpoints, and share of it that is spent outside the simulations.
+``workers``
+    The same LF candidates on one and on two Dask worker processes.
+``schedule``
+    A simulated cluster of 64 workers for five runs of population 800: measured time of a candidate, measured
+    time of breeding, 1 ms of scheduler per chunk; no real machines. ``--shared-breeding`` lets all runs breed
+    in one process, as `run_many` does.
+
+The problems are synthetic campaigns of seed 1 (six drops with 0.3 mm and 0.2° of noise) and the sample
+motor logs.
+"""
+
+import argparse
+import heapq
+import json
+import os
+import tempfile
+import time
+from math import ceil
+from pathlib import Path
+
+import numpy as np
+
+from sysid.campaign import read_campaign
+from sysid.executor import _LEAST_CHUNK, CHUNK_TIME, DaskCluster
+from sysid.fit.algorithms import breeder
+from sysid.fit.checkpoint import Checkpoint
+from sysid.fit.engine import Hooks, SearchSettings, run_many, run_one
+from sysid.fit.objective import SpreadObjective
+from sysid.fit.stopping import StopRule
+from sysid.synthetic import read_truth, synthesize_gear
+
+SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
+# Name: algorithm and population; CMA-ES of 64 as in the feasibility study.
+ALGORITHMS = {
+    "ga": ("ga", {"lf": 400, "hf": 400, "motor": 200}),
+    "matlab-ga": ("matlab-ga", {"lf": 400, "hf": 400, "motor": 200}),
+    "cmaes": ("cmaes", {"lf": 64, "hf": 64, "motor": 64}),
+    "de": ("de", {"lf": 100, "hf": 100, "motor": 100}),
+    "pso": ("pso", {"lf": 100, "hf": 100, "motor": 100}),
+}
+
+
+def gear(folder, surface, threads=None):
+    from sysid.pipelines.drops import prepare_drops
+    from sysid.pipelines.gear import GearObjective, score_values, search_space
+
+    source = synthesize_gear(Path(folder) / surface, seed=1, surface=surface)
+    path = source / "campaign.toml"
+    campaign = read_campaign(path, "gear")
+    drops = tuple(drop for drop in prepare_drops(campaign, path) if drop.use == "fit")
+    objective = GearObjective.build(campaign, search_space(campaign), drops, threads)
+    truth = float(score_values(campaign, drops, read_truth(source)["parameters"]).cost[0])
+    return objective, truth
+
+
+def motor(threads=None):
+    from sysid.pipelines.motor_bench import prepare_bench, search_space
+    from sysid.pipelines.motor_objective import MotorObjective
+
+    path = SAMPLES / "motor" / "campaign.toml"
+    campaign = read_campaign(path, "motor")
+    bench = prepare_bench(campaign, path)
+    space = search_space(campaign, bench)
+    return MotorObjective.build(campaign, space, bench, bench.fitted, threads), None
+
+
+def problem(name, folder):
+    objective, truth = motor() if name == "motor" else gear(folder, name)
+    objective.evaluate(np.full((8, len(objective.space.free)), 0.5))  # compiles
+    return objective, truth
+
+
+def algorithms(arguments, folder):
+    """Return a row per algorithm: how soon and how often it comes within 1.01 × the best known."""
+    objective, truth = problem(arguments.problem, folder)
+    found = {}
+    for name in arguments.algorithms:
+        algorithm, population = ALGORITHMS[name]
+        for seed in range(1, arguments.seeds + 1):
+            settings = SearchSettings(population[arguments.problem], 1, seed, StopRule(), algorithm)
+            clock, spent = time.process_time(), []
+
+            def mark(run, generation, clock=clock, spent=spent):
+                spent.append((generation.evaluations, time.process_time() - clock))
+
+            run = run_one(objective, settings, hooks=Hooks(on_generation=mark))
+            found[name, seed] = run, np.array(spent)
+            print(
+                f"{name} seed {seed}: "
+                + ", ".join(f"{s.algorithm} {s.evaluations} -> {s.cost.min():.6f}" for s in run.stages),
+                flush=True,
+            )
+    best = min(float(run.best[-1]) for run, _ in found.values())
+    rows = []
+    for name in arguments.algorithms:
+        runs = [found[name, seed] for seed in range(1, arguments.seeds + 1)]
+        ways = ["alone"] if len(runs[0][0].stages) == 1 else ["alone", "with finisher"]
+        for way in ways:
+            reached, ends, total = [], [], []
+            for run, spent in runs:
+                count = len(run.stages[0].cost) if way == "alone" else len(run.best)
+                curve = run.best[:count]
+                ends.append(float(curve[-1]) / best)
+                total.append(int(spent[count - 1, 0]))
+                hits = np.flatnonzero(curve <= 1.01 * best)
+                if len(hits):
+                    reached.append(spent[hits[0]])
+            rows.append(
+                {
+                    "algorithm": f"{name} {way}",
+                    "population": ALGORITHMS[name][1][arguments.problem],
+                    "reached": f"{len(reached)}/{len(runs)}",
+                    "candidates to 1.01": float(np.median([r[0] for r in reached])) if reached else None,
+                    "processor time to 1.01 [s]": float(np.median([r[1] for r in reached]))
+                    if reached
+                    else None,
+                    "candidates in all": float(np.median(total)),
+                    "ends at x best": [round(end, 4) for end in sorted(ends)],
+                }
+            )
+    print(
+        f"\n{arguments.problem}: best known {best:.6f}" + (f", {best / truth:.4f} x truth's" if truth else "")
+    )
+    for row in rows:
+        print("  ".join(f"{value}" for value in row.values()))
+    return {"problem": arguments.problem, "best": best, "truth": truth, "rows": rows}
+
+
+def overhead(arguments, folder):
+    """Return what a run spends outside its simulations, and what the checkpoints cost of that."""
+    objective, _ = problem("lf", folder)
+    simulating = [0.0]
+
+    class Timed:
+        space = objective.space
+
+        def evaluate(self, cube):
+            began = time.perf_counter()
+            scored = objective.evaluate(cube)
+            simulating[0] += time.perf_counter() - began
+            return scored
+
+    settings = SearchSettings(400, 1, 1)
+    hold = Checkpoint(Path(folder) / "fit", {"benchmark": 1})
+    writing = [0.0]
+
+    def keep(run, memory, ended):
+        began = time.perf_counter()
+        hold.keep(run, memory, ended)
+        writing[0] += time.perf_counter() - began
+
+    began = time.perf_counter()
+    run_one(Timed(), settings, hooks=Hooks(keep=keep))
+    wall = time.perf_counter() - began
+    hold.discard()
+    out = {
+        "wall [s]": wall,
+        "checkpoints [%]": 100 * writing[0] / wall,
+        "breeding and the rest [%]": 100 * (wall - simulating[0] - writing[0]) / wall,
+    }
+    print(out)
+    return out
+
+
+def workers(arguments, folder):
+    """Return the speed of two worker processes against one."""
+    import distributed
+
+    objective, _ = gear(folder, "lf", threads=1)
+    settings = SearchSettings(400, 3, 1, StopRule(max_generations=6), finish="none")
+    spent = {}
+    for count in (1, 2):
+        with distributed.LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None) as pool:
+            where = DaskCluster(pool.scheduler_address, at_once=3)
+            spread = SpreadObjective(objective, where)
+            spread.evaluate(np.random.default_rng(0).random((64, len(objective.space.free))))  # compiles
+            began = time.perf_counter()
+            run_many(spread, settings, at_once=3)
+            spent[count] = time.perf_counter() - began
+            where.close()
+    out = {"1 worker [s]": spent[1], "2 workers [s]": spent[2], "efficiency": spent[1] / (2 * spent[2])}
+    print(out, f"on {os.cpu_count()} cores, load {os.getloadavg() if hasattr(os, 'getloadavg') else '?'}")
+    return out
+
+
+def schedule(arguments, folder):
+    """Return how busy simulated workers are; a chunk goes to the first free worker, in order of arrival."""
+    objective, _ = gear(folder, arguments.problem, threads=1)
+    rng = np.random.default_rng(0)
+    points = 0.5 + 0.1 * rng.standard_normal((64, len(objective.space.free)))  # near an optimum, none fails
+    objective.evaluate(points[:8])
+    chunks = []
+    for first in range(0, 64, 16):
+        began = time.process_time()
+        objective.evaluate(points[first : first + 16])
+        chunks.append((time.process_time() - began) / 16)
+    bred = breeder("ga", len(objective.space.free), 800, 1)
+    breeding = []
+    for _ in range(12):
+        began = time.process_time()
+        candidates = bred.ask()
+        half = time.process_time() - began
+        cost = np.sqrt(np.mean((candidates - 0.4) ** 2, axis=1))
+        began = time.process_time()
+        bred.tell(cost)
+        breeding.append(half + time.process_time() - began)
+    measured, breed = float(np.median(chunks)), float(np.median(breeding))
+    busy = _simulated(64, 5, 800, measured, np.array(chunks), breed, arguments.shared_breeding, rng)
+    out = {"candidate [ms]": 1e3 * measured, "breeding of 800 [ms]": 1e3 * breed, "busy": busy}
+    print(out)
+    return out
+
+
+def _simulated(n_workers, runs, population, candidate, spread, breed, shared, rng, generations=30):
+    wished = max(_LEAST_CHUNK, round(CHUNK_TIME / candidate))
+    size = max(1, min(ceil(population * runs / n_workers), wished))
+    free = [0.0] * n_workers
+    heapq.heapify(free)
+    scheduler = client = worked = end = 0.0
+    ready = [(0.0, run, 0) for run in range(runs)]
+    heapq.heapify(ready)
+    while ready:
+        now, run, generation = heapq.heappop(ready)
+        if shared:
+            now = client = max(now, client) + breed
+        else:
+            now += breed
+        last = now
+        for first in range(0, population, size):
+            scheduler = max(now, scheduler) + 1e-3
+            spent = min(size, population - first) * rng.choice(spread)
+            begin = max(scheduler, heapq.heappop(free))
+            heapq.heappush(free, begin + spent)
+            worked += spent
+            last = max(last, begin + spent)
+        end = max(end, last)
+        if generation + 1 < generations:
+            heapq.heappush(ready, (last, run, generation + 1))
+    return worked / (n_workers * end)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("part", choices=["algorithms", "overhead", "workers", "schedule"])
+    parser.add_argument("--problem", choices=["lf", "hf", "motor"], default="lf")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--algorithms", type=lambda text: text.split(","), default=list(ALGORITHMS))
+    parser.add_argument("--shared-breeding", action="store_true")
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        out = globals()[arguments.part](arguments, folder)
+    if arguments.json:
+        arguments.json.write_text(json.dumps(out, indent=2), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
