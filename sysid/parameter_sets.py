@@ -8,7 +8,7 @@ exactly this; see `sysid.export`.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -19,7 +19,7 @@ from sysid.errors import ExportError
 from sysid.parameters import Parameter, SearchSpace
 
 FloatArray = NDArray[np.float64]
-Status = Literal["free", "measured", "fixed", "derived"]
+Status = Literal["free", "measured", "fixed", "derived", "unknown"]
 
 SCHEMA = "sysid-parameter-sets"
 SCHEMA_VERSION = 1
@@ -29,6 +29,7 @@ STATUS_MEANING: dict[str, str] = {
     "measured": "measured outside the fit and held",
     "fixed": "held at a value that was not measured (default, datasheet or guess; see source)",
     "derived": "computed from the other values of the set",
+    "unknown": "nothing that was recorded says anything about it; the value is NaN",
 }
 
 
@@ -40,7 +41,7 @@ class ParameterRecord:
     ----------
     name, symbol, unit : str
         As in the model's table; the unit is SI.
-    status : {"free", "measured", "fixed", "derived"}
+    status : {"free", "measured", "fixed", "derived", "unknown"}
         How it got its value; see `STATUS_MEANING`.
     meaning, source : str
         One sentence each.
@@ -89,9 +90,12 @@ class ParameterRecord:
 
 def parameter_records(
     space: SearchSpace,
-    measured: Iterable[str] = (),
+    measured: Mapping[str, str] | None = None,
     measured_ranges: Mapping[str, tuple[float, float]] | None = None,
     derived: Sequence[ParameterRecord] = (),
+    *,
+    stated: Mapping[str, str] | None = None,
+    unknown: Iterable[str] = (),
 ) -> tuple[ParameterRecord, ...]:
     """Return the record of every row of a model's table, in table order, then the derived ones.
 
@@ -99,20 +103,39 @@ def parameter_records(
     ----------
     space : SearchSpace
         Which rows are free, with the bounds that the search used.
-    measured : iterable of str
-        Names among the others whose value was measured; the rest is called fixed.
+    measured : mapping of str to str, optional
+        Where the value of each measured row comes from, by name.
     measured_ranges : mapping, optional
         Independent measurements of free rows, by name [SI].
     derived : sequence of ParameterRecord
         Numbers that the model computes from the rows.
+    stated : mapping of str to str, optional
+        Where the value of a row comes from that was not measured (a rating, the campaign, a guess), by name.
+    unknown : iterable of str
+        Rows of which nothing recorded says anything.
+
+    Notes
+    -----
+    A row's own source speaks of its default; a record speaks of the value that the sets hold.
     """
     free = {row.name: row for row in space.free}
-    held = set(measured)
+    known, others = measured or {}, stated or {}
+    missing = set(unknown)
     ranges = measured_ranges or {}
     out = []
     for name, row in space.table.items():
-        status: Status = "free" if name in free else ("measured" if name in held else "fixed")
-        out.append(ParameterRecord.of(free.get(name, row), status, ranges.get(name)))
+        status: Status
+        if name in free:
+            changed = (row.lower, row.upper) != (free[name].lower, free[name].upper)
+            bounds = "the campaign" if changed else "the model's table"
+            status, source = "free", f"found by the search; bounds of {bounds}"
+        elif name in missing:
+            status, source = "unknown", "not tested"
+        elif name in known:
+            status, source = "measured", known[name]
+        else:
+            status, source = "fixed", others.get(name, f"default of the model, not measured: {row.source}")
+        out.append(replace(ParameterRecord.of(free.get(name, row), status, ranges.get(name)), source=source))
     return (*out, *derived)
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
@@ -81,11 +82,13 @@ class ParameterChoices(Table):
             For an unknown parameter, a wrong unit, bounds that cross, a fixed parameter that is also
             free, and bounds that exclude the value measured for a free parameter.
         """
-        free = tuple(default_free) if self.free is None else self.free
+        # A parameter that the campaign fixes leaves the default list; one that it frees as well is a mistake.
+        free = tuple(n for n in default_free if n not in self.fixed) if self.free is None else self.free
         if not free:
             raise CampaignError("parameters.free is empty; name at least one parameter to identify")
         for name in free:
-            table[name]
+            if name not in table:
+                raise _unknown("free", name, table)
         duplicates = {name for name in free if free.count(name) > 1}
         if duplicates:
             raise CampaignError(f"parameters.free names {', '.join(sorted(duplicates))} twice; name it once")
@@ -94,28 +97,38 @@ class ParameterChoices(Table):
             raise CampaignError(
                 f"parameters.fixed and parameters.free both name {', '.join(sorted(both))}; keep it in one"
             )
-
-        def quantity(where: str, name: str, text: str) -> float:
-            try:
-                return parse_quantity(text, table[name].unit)
-            except UnitError as error:
-                raise CampaignError(f"parameters.{where}.{name}: {error}") from error
-
         values = dict(campaign_values)
-        values.update({name: quantity("fixed", name, text) for name, text in self.fixed.items()})
-        bounds = {
-            name: (quantity("bounds", name, pair[0]), quantity("bounds", name, pair[1]))
-            for name, pair in self.bounds.items()
-        }
-        for name, (low, high) in self.measured_ranges(table).items():
-            lower, upper = bounds.get(name, (low, high))
-            if high < lower or low > upper:
+        for name, text in self.fixed.items():
+            values[name] = _quantity_of("fixed", name, text, table)
+            # A row whose bounds exclude zero declares a sign: stiffness, damping, mass, current.
+            if table[name].lower >= 0 and values[name] < 0:
                 raise CampaignError(
-                    f"parameters.bounds.{name}: {lower:g} to {upper:g} {table[name].unit} "
-                    f"exclude the measured {low:g} to {high:g}; widen the bounds or correct the measurement"
+                    f"parameters.fixed.{name}: {text} is negative; a {name.replace('_', ' ')} cannot be"
                 )
-        space = SearchSpace.build(table, free, values, bounds)
+        bounds = {}
+        for name, pair in self.bounds.items():
+            low, high = (_quantity_of("bounds", name, text, table) for text in pair)
+            if name not in free:
+                raise CampaignError(
+                    f"parameters.bounds.{name}: the parameter is not free, so bounds do nothing; "
+                    f"name it in parameters.free or drop its bounds"
+                )
+            if not low < high:
+                raise CampaignError(
+                    f"parameters.bounds.{name}: lower bound {pair[0]} is not below upper bound {pair[1]}; "
+                    f"swap or widen them"
+                )
+            bounds[name] = (low, high)
+        with _in_table("parameters.bounds"):
+            space = SearchSpace.build(table, free, values, bounds)
+        ranges = self.measured_ranges(table)
         for row in space.free:
+            low, high = ranges.get(row.name, (row.lower, row.upper))
+            if high < row.lower or low > row.upper:
+                raise CampaignError(
+                    f"parameters.bounds.{row.name}: {row.lower:g} to {row.upper:g} {row.unit} exclude the "
+                    f"measured {low:g} to {high:g}; widen the bounds or correct the measurement"
+                )
             value = campaign_values.get(row.name)
             if value is not None and not row.lower <= value <= row.upper:
                 raise CampaignError(
@@ -128,14 +141,37 @@ class ParameterChoices(Table):
         """Return the independent ranges that the campaign states, SI (Table II's "measured" column)."""
         out = {}
         for name, pair in self.measured.items():
-            try:
-                low, high = (parse_quantity(text, table[name].unit) for text in pair)
-            except UnitError as error:
-                raise CampaignError(f"parameters.measured.{name}: {error}") from error
+            low, high = (_quantity_of("measured", name, text, table) for text in pair)
             if low > high:
-                raise CampaignError(f"parameters.measured.{name}: {low:g} is above {high:g}; swap them")
+                raise CampaignError(f"parameters.measured.{name}: {pair[0]} is above {pair[1]}; swap them")
             out[name] = (low, high)
         return out
+
+
+def _unknown(where: str, name: str, table: ParameterTable) -> CampaignError:
+    try:
+        table[name]
+    except CampaignError as error:
+        return CampaignError(f"parameters.{where}: {error}")
+    raise KeyError(name)
+
+
+def _quantity_of(where: str, name: str, text: str, table: ParameterTable) -> float:
+    """Return a quantity of `parameters.WHERE.NAME` in the unit of the model's row."""
+    if name not in table:
+        raise _unknown(where, name, table)
+    try:
+        return parse_quantity(text, table[name].unit)
+    except UnitError as error:
+        raise CampaignError(f"parameters.{where}.{name}: {error}") from error
+
+
+@contextmanager
+def _in_table(where: str) -> Iterator[None]:
+    try:
+        yield
+    except CampaignError as error:
+        raise CampaignError(f"{where}.{error}") from error
 
 
 class FitTable(Table):
@@ -175,7 +211,7 @@ def check_trials(trials: tuple[TrialTable, ...]) -> None:
 class CampaignTable(Table):
     """Top level of every campaign."""
 
-    name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9._-]+$")
+    name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]*$")
     parameters: ParameterChoices = ParameterChoices()
     trials: tuple[Any, ...]
 

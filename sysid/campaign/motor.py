@@ -18,6 +18,8 @@ from sysid.campaign.common import (
     _quantity,
 )
 
+Current = Annotated[float, BeforeValidator(_quantity("A")), Field(gt=0)]
+AngularSpeed = Annotated[float, BeforeValidator(_quantity("rad/s")), Field(gt=0)]
 SpeedPerVolt = Annotated[float, BeforeValidator(_quantity("rad/s/V")), Field(gt=0)]
 Direction = Literal["forward", "reverse", "reversal"]
 
@@ -28,8 +30,8 @@ class MotorRatings(Table):
     kv: SpeedPerVolt | None = None
     rotor_inertia: Inertia | None = None
     reference_voltage: Voltage | None = None
-    saturation_current: str | None = None
-    saturation_speed: str | None = None
+    saturation_current: Current | None = None
+    saturation_speed: AngularSpeed | None = None
 
 
 class CommandProtocol(Table):
@@ -69,6 +71,7 @@ class LogOptions(Table):
 
     format: str = "auto"
     rate: Frequency | None = None
+    command_unit: Literal["us", "dshot"] | None = None
     force_unit: str | None = None
     torque_unit: str | None = None
     speed_unit: str | None = None

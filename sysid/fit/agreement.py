@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from sysid.fit.history import RunHistory
 from sysid.fit.stopping import REASONS
+from sysid.parameters import SearchSpace
 
 FloatArray = NDArray[np.float64]
 
@@ -104,6 +105,29 @@ def _width(run: RunHistory) -> FloatArray:
     limit = float(run.best[-1]) * (1 + SAME_NRMSE)
     good = np.concatenate([stage.cube[stage.cost <= limit] for stage in run.stages])
     return np.asarray(np.ptp(good, axis=0)) / 2
+
+
+def loose_warnings(runs: Sequence[RunHistory], space: SearchSpace) -> tuple[str, ...]:
+    """Return a sentence per free parameter that the data do not hold, judged from the candidates themselves.
+
+    A parameter is called loose when candidates of the runs in the best optimum that score within 0.2 % of the
+    best NRMSE spread over more than a factor of three (logarithmic scale) or a third of its range (linear).
+    It is a lower bound on what the data leave open: a search does not explore what does not pay.
+    """
+    found = agreement(runs)
+    limit = float(found.cost.min()) * (1 + SAME_NRMSE)
+    stages = [stage for run in runs for stage in run.stages]
+    good = np.concatenate([stage.cube[stage.cost <= limit] for stage in stages])
+    low, high = space.decode(good.min(axis=0)), space.decode(good.max(axis=0))
+    out = []
+    for i, row in enumerate(space.free):
+        wide = high[i] > 3 * low[i] if row.scale == "log" else high[i] - low[i] > (row.upper - row.lower) / 3
+        if wide:
+            out.append(
+                f"{row.name} is not fixed by the data: sets from {low[i]:.2g} to {high[i]:.2g} {row.unit} "
+                f"score within {100 * SAME_NRMSE:g} % of the best NRMSE; do not read digits into it"
+            )
+    return tuple(out)
 
 
 def waterfall(runs: Sequence[RunHistory]) -> list[str]:

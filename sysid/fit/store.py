@@ -7,6 +7,7 @@ the ranked sets with settings and provenance as text (the same document that ``s
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -64,9 +65,12 @@ def write_fit(result: FitResult, path: str | Path, force: bool = False) -> Path:
     path = Path(path)
     sets = result.parameter_sets()
     text = exact_json.dumps(sets.document()) + "\n"
+    # Built in memory: on a full disk the HDF5 library itself would go down with the process.
+    numbers = io.BytesIO()
+    with h5py.File(numbers, "w") as file:
+        _write_numbers(file, result, sets)
     with replaced_folder(path, force=force, marker="fit.h5", error_type=FitError) as folder:
-        with h5py.File(folder / "fit.h5", "w") as file:
-            _write_numbers(file, result, sets)
+        (folder / "fit.h5").write_bytes(numbers.getvalue())
         (folder / "fit.json").write_text(text, encoding="utf-8", newline="\n")
         (folder / "summary.txt").write_text(summary(result), encoding="utf-8", newline="\n")
     return path

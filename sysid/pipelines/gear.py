@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.campaign import GearCampaign, read_campaign
-from sysid.errors import CampaignError
+from sysid.errors import CampaignError, SysidWarning
 from sysid.filters import KaiserLowpass
+from sysid.fit.agreement import loose_warnings
 from sysid.fit.cost import FilteredNrmse, PopulationCost
 from sysid.fit.objective import Evaluation
 from sysid.fit.result import FitResult, TrialResult, bound_warnings, ranked_sets
@@ -199,6 +201,7 @@ def fit_gear(
         space = search_space(campaign)
         ranges = campaign.parameters.measured_ranges(PARAMETERS)
         settings = options.settings(campaign.fit)
+        _say_defaults(campaign, space)
         drops = prepare_drops(campaign, path)
         fitted = tuple(drop for drop in drops if drop.use == "fit")
         objective = GearObjective.build(campaign, space, fitted, options.threads)
@@ -213,10 +216,16 @@ def fit_gear(
             simulated="drops", tell=tell,
         )  # fmt: skip
     sets = ranked_sets(found.runs, space)
-    records = parameter_records(space, measured_values(campaign), ranges, _DERIVED)
+    records = parameter_records(
+        space,
+        {name: "campaign" for name in measured_values(campaign) if name not in _CONSTANTS},
+        ranges,
+        _DERIVED,
+        stated={name: "campaign" for name in {*measured_values(campaign), *campaign.parameters.fixed}},
+    )
     at_bound = np.pad(sets.at_bound, ((0, 0), (0, len(_DERIVED))))
-    at_bounds = bound_warnings(records, at_bound)
-    for sentence in at_bounds:
+    after = (*bound_warnings(records, at_bound), *loose_warnings(found.runs, space))
+    for sentence in after:
         tell(f"warning: {sentence}")
     result = FitResult(
         kind="gear",
@@ -242,9 +251,33 @@ def fit_gear(
             _filter_design(campaign, fitted[0]),
             {drop.name: drop.provenance for drop in drops},
         ),
-        warnings=(*doubts, *found.warnings, *at_bounds),
+        warnings=(*doubts, *found.warnings, *after),
     )
     return result, found.write(result, folder, options)
+
+
+# Rows that are choices of the model rather than measurements.
+_CONSTANTS = ("gravity", "leg_mass_fraction", "slip_regularization", "stick_speed")
+# Rows that belong to one friction law only.
+_OF_LAW = {"slip_regularization": "lf", "static_friction_excess": "hf", "stick_speed": "hf"}
+
+
+def _say_defaults(campaign: GearCampaign, space: SearchSpace) -> None:
+    """Warn of values that the campaign leaves to the paper's drone, which another drone does not share."""
+    law = campaign.surface.law
+    given = {*measured_values(campaign), *campaign.parameters.fixed, *_CONSTANTS, *LF_FREE}
+    left = [
+        f"{name} {value:.4g} {PARAMETERS[name].unit}".removesuffix(" 1")
+        for name, value in space.fixed.items()
+        if name not in given and _OF_LAW.get(name, law) == law
+    ]
+    if left:
+        warnings.warn(
+            f"not in the campaign, so the values of the paper's F450 are used: {', '.join(left)}; "
+            f"state your own",
+            SysidWarning,
+            stacklevel=2,
+        )
 
 
 def _trial_results(objective: GearObjective, rows: FloatArray) -> tuple[TrialResult, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,15 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.campaign import MotorCampaign, read_campaign
-from sysid.errors import SysidWarning
+from sysid.fit.agreement import loose_warnings
 from sysid.fit.engine import SearchSettings
 from sysid.fit.result import FitResult, RankedSets, TrialResult, bound_warnings, ranked_sets
 from sysid.motor.model import PARAMETERS, invariants, unpack
 from sysid.parameter_sets import ParameterRecord, parameter_records
 from sysid.parameters import SearchSpace
 from sysid.pipelines.bench_logs import filter_design
-from sysid.pipelines.motor_bench import SATURATION, Bench, prepare_bench, search_space
+from sysid.pipelines.motor_bench import SATURATION, Bench, prepare_bench, search_space, untested_rows
 from sysid.pipelines.motor_cost import CHANNEL_UNITS, CHANNELS
+from sysid.pipelines.motor_inertia import spike_inertia
 from sysid.pipelines.motor_ladder import climb, ladder_sentences
 from sysid.pipelines.motor_objective import FIT_TOLERANCE, MotorObjective
 from sysid.pipelines.motor_profile import profile
@@ -107,12 +107,29 @@ def fit_motor(
     every = MotorObjective.build(campaign, space, bench, bench.trials, options.threads)
     rows = after.rows
     tied = [f"no_load_{what}_{d}" for d in every.ties for what in ("slope", "intercept")]
-    records = _records(parameter_records(space, _measured(bench, tied), ranges), tied, after.saturation)
+    unknown = untested_rows(campaign, bench)
+    table = parameter_records(
+        space,
+        {name: source for name, source in bench.measured.items() if name not in tied},
+        ranges,
+        stated={**bench.stated, **dict.fromkeys(campaign.parameters.fixed, "campaign: parameters.fixed")},
+        unknown=unknown,
+    )
+    records = _records(table, tied, after.saturation)
+    exported = rows.copy()
+    exported[:, [_INDEX[name] for name in unknown]] = np.nan
     derived = np.array([list(invariants(unpack(row)).values()) for row in rows])
     at_bound = np.hstack([sets.at_bound, np.zeros(derived.shape, dtype=np.int8)])
     if after.saturation is not None:
         columns = [_INDEX[row.name] for row in after.saturation.free]
         at_bound[:, columns] = after.saturation.at_bound
+    closing = (
+        *bound_warnings(records, at_bound),
+        *loose_warnings(found.runs, space),
+        *_unresolved_inductance(bench, rows[0]),
+    )
+    for sentence in closing:
+        tell(f"warning: {sentence}")
     result = FitResult(
         kind="motor",
         name=campaign.name,
@@ -122,7 +139,7 @@ def fit_motor(
         set_runs=sets.run,
         set_seeds=sets.seed,
         cube=sets.cube,
-        values=np.hstack([rows, derived]),
+        values=np.hstack([exported, derived]),
         at_bound=at_bound,
         nrmse=sets.cost,
         trials=_trial_results(every, rows),
@@ -140,8 +157,7 @@ def fit_motor(
         warnings=(
             *doubts,
             *found.warnings,
-            *bound_warnings(records, at_bound),
-            *_unresolved_inductance(bench, rows[0]),
+            *closing,
             *after.warnings,
         ),
     )
@@ -216,6 +232,9 @@ def _after_the_search(
         out["profiles"] = {damping.name: damping.document()}
         if damping.sentence is not None:
             warned.append(damping.sentence)
+    spikes = spike_inertia([trial.log for trial in bench.fitted], best)
+    out["rotor inertia from torque spikes"] = spikes.document()
+    warned += [] if spikes.sentence is None else [spikes.sentence]
     for sentence in warned:
         tell(f"warning: {sentence}")
     return _After(rows, saturation, out, tuple(warned))
@@ -243,14 +262,8 @@ def _say_what_is_fitted(
             "no log without propeller: the no-load speed follows R from loaded points, and k_d, which cannot "
             f"be told from k²/R then, stays at {space.fixed['viscous_damping']:.2g} N·m·s/rad"
         )
-    wanted = {trial.entry.direction for trial in bench.trials}
-    if campaign.command.neutral is not None and "reverse" not in wanted and "reversal" not in wanted:
-        warnings.warn(
-            "no trial turns in reverse: the reverse curves and no-load speed keep the table's guesses, and "
-            "say nothing about this motor",
-            SysidWarning,
-            stacklevel=2,
-        )
+    if untested_rows(campaign, bench):
+        tell("nothing was recorded in reverse: its curves and no-load speed are left out of the sets (NaN)")
 
 
 def _unresolved_inductance(bench: Bench, row: FloatArray) -> tuple[str, ...]:
@@ -264,10 +277,6 @@ def _unresolved_inductance(bench: Bench, row: FloatArray) -> tuple[str, ...]:
         f"L/R of the best set is {1e3 * rise:.3g} ms and the finest fitted log is compared every "
         f"{1e3 * finest:.3g} ms: the logs only say that L is small, not how small",
     )
-
-
-def _measured(bench: Bench, tied: list[str]) -> list[str]:
-    return [name for name in bench.measured if name not in tied]
 
 
 def _records(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,11 +15,12 @@ from sysid.motor.model import FREE_DEFAULT, PARAMETERS
 from sysid.parameters import SearchSpace
 from sysid.pipelines.bench_curves import StaticCurves, static_curves
 from sysid.pipelines.bench_logs import BenchLog, PreparedTrial, bench_log, prepare_trial
-from sysid.units import parse_quantity
 
 # Full duty of an unloaded motor turns at V_ref/k_v; steady loaded speed extrapolated to u = 1 falls short of
 # that by about this factor. Only a start for motors of unknown Kv: no result depends on it but the scale.
 _LOADED_SHARE = 0.8
+# Kv V_ref over the speed at full command: without propeller 1 to a few percent, with one 1.1 to 2.
+_KV_NO_LOAD, _KV_LOADED = (0.7, 1.5), (0.8, 2.8)
 
 
 # Fitted to reversals after everything else, never with it.
@@ -35,14 +37,17 @@ class Bench:
     curves : StaticCurves
     values : dict
         Parameters that the campaign or its static logs fix, by name [SI].
-    measured : tuple of str
-        Those of them that were measured.
+    measured : mapping of str to str
+        Where those of them come from that were measured, by name.
+    stated : mapping of str to str
+        Where the others come from: a rating, a guess.
     """
 
     trials: tuple[PreparedTrial, ...]
     curves: StaticCurves
     values: dict[str, float]
-    measured: tuple[str, ...]
+    measured: Mapping[str, str]
+    stated: Mapping[str, str]
 
     @property
     def fitted(self) -> tuple[PreparedTrial, ...]:
@@ -76,12 +81,42 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
         )
     reference = campaign.motor.reference_voltage or _median_supply(fitted)
     curves = static_curves(campaign, path, fitted, reference)
-    values, measured = _known_values(campaign, curves, reference)
+    if campaign.motor.kv is not None:
+        _check_kv(campaign.motor.kv, reference, curves)
+    values, measured, stated = _known_values(campaign, curves, reference)
     trials = tuple(
         prepare_trial(campaign, entry, log, reference)
         for entry, log in zip(campaign.trials, logs, strict=True)
     )
-    return Bench(trials, curves, values, measured)
+    return Bench(trials, curves, values, measured, stated)
+
+
+def _check_kv(kv: float, reference: float, curves: StaticCurves) -> None:
+    """Refuse a Kv whose unit the logs contradict; warn of one that they merely find odd.
+
+    Raises
+    ------
+    CampaignError
+        When Kv V_ref and the speed at full command differ by about 60/(2π) either way.
+    """
+    bare = {fit.direction: sum(fit.coefficients) for fit in curves.fits if fit.quantity == "no_load"}
+    seen = [*bare.values(), *(float(np.sum(tie.speed)) for tie in curves.ties.values())]
+    top = max(abs(speed) for speed in seen)
+    what = "without" if bare else "with"
+    ratio = kv * reference / top
+    low, high = _KV_NO_LOAD if bare else _KV_LOADED
+    slip = 30.0 / np.pi
+    rpm = kv * slip
+    found = (
+        f"motor.kv: {kv:.4g} rad/s/V ({rpm:.4g} rpm/V) at {reference:.3g} V would turn the unloaded motor at "
+        f"{kv * reference:.4g} rad/s, the logs {what} propeller show {top:.4g} rad/s at full command"
+    )
+    if low * slip <= ratio <= high * slip:
+        raise CampaignError(f'{found}; {kv:.4g} looks like rpm/V: write kv = "{kv:.4g} rpm/V"')
+    if low <= ratio * slip <= high:
+        raise CampaignError(f'{found}; {rpm:.4g} looks like rad/s/V: write kv = "{rpm:.4g} rad/s/V"')
+    if not low <= ratio <= high:
+        warnings.warn(f"{found}; check kv and reference_voltage", SysidWarning, stacklevel=3)
 
 
 def _median_supply(logs: list[BenchLog]) -> float:
@@ -91,18 +126,25 @@ def _median_supply(logs: list[BenchLog]) -> float:
 
 def _known_values(
     campaign: MotorCampaign, curves: StaticCurves, reference: float
-) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Return the values that the campaign states or its static logs give, and which were measured."""
+) -> tuple[dict[str, float], dict[str, str], dict[str, str]]:
+    """Return the values that campaign and logs give, and where the measured and the other ones come from."""
     motor = campaign.motor
     values = {**curves.parameters, "reference_voltage": reference}
-    measured = [*curves.parameters]
+    measured = dict.fromkeys(curves.parameters, "steady points of the logs")
+    stated: dict[str, str] = {}
+    constants = ("back_emf_constant", "torque_constant")
+    if motor.reference_voltage is not None:
+        measured["reference_voltage"] = "campaign: motor.reference_voltage"
+    else:
+        stated["reference_voltage"] = "median supply voltage of the fitted logs, or the model's default"
     if motor.kv is not None:
-        values |= {"back_emf_constant": 1.0 / motor.kv, "torque_constant": 1.0 / motor.kv}
+        values |= dict.fromkeys(constants, 1.0 / motor.kv)
+        stated |= dict.fromkeys(constants, "campaign: 1/motor.kv, a rating")
     elif curves.ties:
         top = max(float(np.sum(tie.speed)) for tie in curves.ties.values())
-        constant = _LOADED_SHARE * reference / top
-        values |= {"back_emf_constant": constant, "torque_constant": constant}
-    if motor.kv is None and not {"back_emf_constant", "torque_constant"} <= set(campaign.parameters.fixed):
+        values |= dict.fromkeys(constants, _LOADED_SHARE * reference / top)
+        stated |= dict.fromkeys(constants, "guess from supply and loaded speed: the campaign gives no Kv")
+    if motor.kv is None and not set(constants) <= set(campaign.parameters.fixed):
         warnings.warn(
             "no Kv in the campaign: R, L and I_sat rest on a guessed motor constant of "
             f"{values.get('torque_constant', PARAMETERS.nominal['torque_constant']):.4g} N·m/A; torque and "
@@ -110,17 +152,23 @@ def _known_values(
             SysidWarning,
             stacklevel=2,
         )
-    if motor.rotor_inertia is not None:
-        values["rotor_inertia"] = motor.rotor_inertia
-        measured.append("rotor_inertia")
-    for name, text, unit in (
-        ("saturation_current", motor.saturation_current, "A"),
-        ("saturation_speed", motor.saturation_speed, "rad/s"),
-    ):
-        if text is not None:
-            values[name] = parse_quantity(text, unit)
-            measured.append(name)
-    return values, tuple(measured)
+    for name in ("rotor_inertia", "saturation_current", "saturation_speed"):
+        value = getattr(motor, name)
+        if value is not None:
+            values[name] = value
+            measured[name] = f"campaign: motor.{name}"
+    return values, measured, stated
+
+
+def untested_rows(campaign: MotorCampaign, bench: Bench) -> tuple[str, ...]:
+    """Return the rows of a direction of which no log says anything: its curves and no-load speed."""
+    known = {*bench.values, *campaign.parameters.fixed, *(campaign.parameters.free or ())}
+    tied = {f"no_load_{what}_{d}" for d in bench.curves.ties for what in ("slope", "intercept")}
+    return tuple(
+        name
+        for name in PARAMETERS
+        if name.endswith(("_forward", "_reverse")) and name not in known and name not in tied
+    )
 
 
 def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
@@ -150,5 +198,6 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
     asked = set(choices.free or ())
     chosen = tuple(name for name in free if name not in choices.fixed or name in asked)
     choices = choices.model_copy(update={"free": chosen})
-    values = {name: value for name, value in bench.values.items() if name not in chosen}
+    # A guess need not lie between the bounds of what is freed; a measurement must.
+    values = {n: value for n, value in bench.values.items() if n not in chosen or n in bench.measured}
     return choices.search_space(PARAMETERS, FREE_DEFAULT, values)

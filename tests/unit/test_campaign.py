@@ -135,16 +135,31 @@ def test_search_space_takes_bounds_and_fixed_values(tmp_path):
     [
         ('[parameters]\nfree=["stifness"]\n', "no parameter 'stifness'; nearest is 'stiffness'"),
         ("[parameters]\nfree=[]\n", "free is empty"),
-        ('[parameters.bounds]\nmass=["2 kg","1 kg"]\n', "lower bound 2 kg is not below upper bound 1 kg"),
+        (
+            '[parameters.bounds]\nmass=["2 kg","1 kg"]\n',
+            "parameters.bounds.mass: lower bound 2 kg is not below",
+        ),
         ('[parameters.bounds]\nmass=["2 N","3 N"]\n', "parameters.bounds.mass: unit 'N' is not a 'kg'"),
-        ('[parameters.fixed]\nmass="1 kg"\n', "both name mass"),
+        ('[parameters]\nfree=["mass"]\n[parameters.fixed]\nmass="1 kg"\n', "both name mass"),
+        ('[parameters.fixed]\nmass="1 kg"\n', "free is empty"),
+        ('[parameters.fixed]\nstiffness="-1 N/m"\n', "parameters.fixed.stiffness: -1 N/m is negative"),
+        (
+            '[parameters.bounds]\nstiffness=["20 N/m","30 N/m"]\n',
+            "bounds.stiffness: the parameter is not free",
+        ),
+        (
+            '[parameters.bounds]\nmas=["1 kg","2 kg"]\n',
+            "parameters.bounds: no parameter 'mas'; nearest is 'mass'",
+        ),
+        # Against the model's own bounds too, 0.5 to 2 kg.
+        ('[parameters.measured]\nmass=["2.5 kg","3 kg"]\n', "exclude the measured 2.5 to 3"),
         ('[parameters.bounds]\nmass=["1.5 kg","2 kg"]\n', "exclude the measured value 1"),
         (
             '[parameters.bounds]\nmass=["0.5 kg","0.9 kg"]\n'
             '[parameters.measured]\nmass=["1.5 kg","1.6 kg"]\n',
             "exclude the measured 1.5 to 1.6",
         ),
-        ('[parameters.measured]\nmass=["2 kg","1 kg"]\n', "2 is above 1; swap them"),
+        ('[parameters.measured]\nmass=["2 kg","1 kg"]\n', "2 kg is above 1 kg; swap them"),
     ],
 )
 def test_search_space_refusals(text, sentence, tmp_path):

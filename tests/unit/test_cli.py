@@ -3,6 +3,8 @@
 import json
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -272,3 +274,28 @@ def test_foreign_and_missing_fits(tmp_path, monkeypatch, capsys):
     foreign.write_text("{}", encoding="utf-8")
     refused(run(monkeypatch, capsys, "show", foreign), "foreign.json")
     refused(run(monkeypatch, capsys, "export", tmp_path, "--to", tmp_path / "x.json"), "fit.h5")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs a file system of its own size: Linux with root")
+def test_a_full_disk_during_a_fit_is_one_sentence(drops, tmp_path):
+    """In a process of its own: the HDF5 library writing to a full disk would take the process down."""
+    small = tmp_path / "small"
+    small.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(small)], capture_output=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip(f"cannot mount a small file system here: {mounted.stderr.decode().strip()}")
+    try:
+        command = [sys.executable, "-m", "sysid.cli", "fit-gear", str(drops / "campaign.toml"), *SMALL]
+        done = subprocess.run(
+            [*command, "--out", str(small / "f")],
+            capture_output=True, text=True, encoding="utf-8", check=False,
+        )  # fmt: skip
+        assert done.returncode == 2, done.stderr
+        assert [line for line in done.stderr.splitlines() if line.startswith("error: ")]
+        assert "space" in done.stderr
+        assert "Traceback" not in done.stderr
+        assert not (small / "f").exists()
+    finally:
+        subprocess.run(["umount", str(small)], check=True)

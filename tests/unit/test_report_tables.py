@@ -25,7 +25,7 @@ def made_sets(**changes):
     space = SearchSpace.build(table, ["leg_axial_stiffness", "joint_dx"], {})
     records = parameter_records(
         space,
-        measured=["body_mass", "kinetic_friction"],
+        measured={"body_mass": "scale", "kinetic_friction": "tilted board"},
         measured_ranges={"leg_axial_stiffness": (5600.0, 6600.0)},
     )
     values = np.array(
