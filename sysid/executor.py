@@ -24,7 +24,7 @@ Columns = tuple[NDArray[Any], ...]
 
 # Computing time of a chunk [s]: long beside the millisecond that a scheduler spends on it, short beside a
 # generation.
-CHUNK_TIME = 0.07
+CHUNK_TIME = 0.06
 # Kernels compute several rows in the lanes of one core; fewer leave lanes empty.
 _LEAST_CHUNK = 8
 # A chunk is submitted anew this often before the cluster is given up.

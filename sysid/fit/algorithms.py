@@ -107,6 +107,9 @@ class Breeder:
         order = np.argsort(cost, kind="stable")
         return population.get("X").astype(np.float64)[order], cost[order]
 
+    def close(self) -> None:
+        """Let go of what was taken: nothing."""
+
 
 def breeder(name: str, n_free: int, population: int, seed: int, start: Start | None = None) -> Breeder:
     """Return a seeded breeder.

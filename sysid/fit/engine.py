@@ -14,14 +14,17 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from math import ceil
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import FitError
-from sysid.fit.algorithms import ALGORITHMS, Start, breeder
+from sysid.fit.algorithms import ALGORITHMS, Breeder, Start, breeder
+from sysid.fit.apart import BreederApart
 from sysid.fit.history import Generation, RunHistory, StageHistory
 from sysid.fit.memory import RunMemory, StageMemory
 from sysid.fit.objective import Evaluation, Objective
@@ -114,6 +117,12 @@ class Hooks:
     should_stop: Callable[[], bool] | None = None
 
 
+class _Breeds(Protocol):
+    def __call__(
+        self, name: str, n_free: int, population: int, seed: int, start: Start | None
+    ) -> Breeder | BreederApart: ...
+
+
 def run_one(
     objective: Objective,
     settings: SearchSettings,
@@ -122,6 +131,7 @@ def run_one(
     time_limit: float | None = None,
     memory: RunMemory | None = None,
     hooks: Hooks | None = None,
+    breeds: _Breeds = breeder,
 ) -> RunHistory:
     """Run one of the independent runs of a fit.
 
@@ -139,6 +149,8 @@ def run_one(
         What was scored before the run was cut off; it is continued, and the memory grows.
     hooks : Hooks, optional
         Who is told what goes on.
+    breeds : callable, optional
+        `breeder`, or `BreederApart` to breed in a process of its own.
 
     Raises
     ------
@@ -150,7 +162,7 @@ def run_one(
     seed = settings.run_seeds()[run]
     memory = RunMemory(seed) if memory is None else memory
     memory.reopen()
-    return _Run(objective, settings, run, seed, time_limit, memory, hooks or Hooks()).history()
+    return _Run(objective, settings, run, seed, time_limit, memory, hooks or Hooks(), breeds).history()
 
 
 class _Run:
@@ -163,7 +175,9 @@ class _Run:
         time_limit: float | None,
         memory: RunMemory,
         hooks: Hooks,
+        breeds: _Breeds,
     ) -> None:
+        self.breeds = breeds
         self.objective, self.settings, self.run, self.seed = objective, settings, run, seed
         self.memory, self.hooks = memory, hooks
         self.started = time.perf_counter()
@@ -201,8 +215,13 @@ class _Run:
         population = self.settings.population if number == 0 else FINISH_POPULATION
         rule = self._rule(name, population, last)
         own_seed = self.seed if number == 0 else _child_seed(self.seed, number)
-        bred = breeder(name, len(self.objective.space.free), population, own_seed, start)
         memory = self.memory.stage(number, name)
+        with closing(self.breeds(name, len(self.objective.space.free), population, own_seed, start)) as bred:
+            return self._bred(name, bred, rule, memory)
+
+    def _bred(
+        self, name: str, bred: Breeder | BreederApart, rule: StopRule, memory: StageMemory
+    ) -> StageHistory:
         remembered, already = len(memory.cost), memory.elapsed[-1] if memory.elapsed else 0.0
         began = time.perf_counter()
         generations: list[Generation] = []
@@ -294,6 +313,7 @@ def run_many(
     memories: Sequence[RunMemory] = (),
     hooks: Hooks | None = None,
     at_once: int = 1,
+    breeds: _Breeds = breeder,
 ) -> tuple[RunHistory, ...]:
     """Run the independent runs of a fit.
 
@@ -310,6 +330,8 @@ def run_many(
     at_once : int
         Runs that are searched at the same time, so that machines do not idle at a generation's end. The
         numbers do not depend on it.
+    breeds : callable, optional
+        `breeder`, or `BreederApart` to breed every run in a process of its own.
 
     Returns
     -------
@@ -343,6 +365,7 @@ def run_many(
             time_limit=limit,
             memory=known.get(settings.run_seeds()[run]),
             hooks=replace(hooks, should_stop=stop),
+            breeds=breeds,
         )
         if hooks.on_run is not None:
             hooks.on_run(run, history)

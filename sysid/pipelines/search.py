@@ -22,7 +22,8 @@ from sysid.campaign import FitTable
 from sysid.errors import CampaignError, FitError, SysidWarning
 from sysid.executor import executor
 from sysid.fit.agreement import agreement, waterfall
-from sysid.fit.algorithms import ALGORITHMS
+from sysid.fit.algorithms import ALGORITHMS, breeder
+from sysid.fit.apart import BreederApart
 from sysid.fit.checkpoint import Checkpoint, checkpoint_folder, run_numbers, unfinished
 from sysid.fit.engine import FINISH_POPULATION, Hooks, SearchSettings, run_many
 from sysid.fit.history import RunHistory
@@ -228,6 +229,7 @@ def search(
                 memories=checkpoint.memories,
                 hooks=hooks,
                 at_once=where.at_once,
+                breeds=breeder if options.dask is None else BreederApart,
             )
     except BaseException:
         checkpoint.close()

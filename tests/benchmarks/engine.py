@@ -13,7 +13,7 @@ Run ``python tests/benchmarks/engine.py PART [--problem lf|hf|motor] [--seeds 5]
 ``schedule``
     A simulated cluster of 64 workers for five runs of population 800: measured time of a candidate, measured
     time of breeding, 1 ms of scheduler per chunk; no real machines. ``--shared-breeding`` lets all runs breed
-    in one process, as `run_many` does.
+    in one process, which `sysid.fit.apart` avoids.
 
 The problems are synthetic campaigns of seed 1 (six drops with 0.3 mm and 0.2° of noise) and the sample
 motor logs.

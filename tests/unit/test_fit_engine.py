@@ -11,6 +11,7 @@ import pytest
 
 from sysid.errors import FitError
 from sysid.fit.algorithms import ALGORITHMS, Start, breeder
+from sysid.fit.apart import BreederApart
 from sysid.fit.engine import Hooks, SearchSettings, run_many, run_one
 from sysid.fit.memory import RunMemory
 from sysid.fit.objective import Evaluation
@@ -221,6 +222,9 @@ def test_runs_at_once_give_the_same_numbers():
     settings = SearchSettings(40, 5, 5, StopRule(max_generations=14))
     for a, b in zip(run_many(Bowl(), settings), run_many(Bowl(), settings, at_once=3), strict=True):
         assert_same_run(a, b)
+
+    apart = run_many(Bowl(), replace(settings, runs=1), breeds=BreederApart)
+    assert_same_run(apart[0], run_one(Bowl(), settings))
 
     class Broken(Bowl):
         def evaluate(self, cube):
