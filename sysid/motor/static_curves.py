@@ -201,7 +201,7 @@ def _robust_line(
     if zero_rows:
         # A tare from a few points of the same noise shifts all others together.
         shift = information @ (scaled.T @ weight)
-        covariance = covariance + spread / zero_rows * np.outer(shift, shift)
+        covariance = covariance + sigma**2 / zero_rows * np.outer(shift, shift)
     total = float(np.sum((y[inlier] - y[inlier].mean()) ** 2))
     coefficients = start / size
     errors = np.sqrt(np.diag(covariance)) / size

@@ -16,7 +16,12 @@ from sysid.campaign.motor import MotorTrial as TrialEntry
 from sysid.errors import FitError, LogError, SysidWarning
 from sysid.motor.static_curves import CurveFit, fit_no_load_line, fit_speed_curve
 from sysid.pipelines.bench_logs import BenchLog, bench_log, command_range, log_points, read_log
-from sysid.trials.thrust import SETTLE, SteadyPoints, sign_against_speed, signed_speed, tare
+from sysid.trials.steady import SETTLE, SteadyPoints
+from sysid.trials.thrust import (
+    sign_against_speed,
+    signed_speed,
+    tare,
+)
 
 FloatArray = NDArray[np.float64]
 Direction = Literal["forward", "reverse"]
@@ -62,7 +67,8 @@ def static_log_points(
         )  # fmt: skip
     if len(points) == 0:
         raise LogError(
-            f"{recording.provenance.path}: no steady segment; hold each command for over {SETTLE:g} s"
+            f"{recording.provenance.path}: no steady segment; hold each command for over {SETTLE:g} s, "
+            "or ramp from rest to full in 20 s or more"
         )
     return points
 

@@ -20,12 +20,12 @@ from sysid.loaders import load
 from sysid.motor.population import MotorTrial
 from sysid.pipelines.motor_cost import MotorTarget
 from sysid.recording import Recording
+from sysid.trials.steady import SETTLE, SteadyPoints, ramp_points, steady_points
 from sysid.trials.thrust import (
-    SETTLE,
     CommandRange,
     CommandSteps,
-    SteadyPoints,
     Tare,
+    check_command_direction,
     command_steps,
     find_stalls,
     outside,
@@ -33,8 +33,8 @@ from sysid.trials.thrust import (
     rows_at_rest,
     sign_against_speed,
     signed_speed,
-    steady_points,
     tare,
+    wrong_poles,
 )
 
 FloatArray = NDArray[np.float64]
@@ -46,11 +46,16 @@ _FAST = 10.0
 # Grids of the simulation and of the comparison, per period of the stop-band edge of a fast log.
 _SIMULATED, _COMPARED = 10.0, 2.5
 # Grid of the simulation of a slow log: shares of its row interval, within these limits [s].
-_SLOW_SHARE, _SLOW_GRID = 0.25, (1e-3, 3e-3)
+_SLOW_SHARE, _SLOW_GRID = 0.35, (1e-3, 4e-3)
 # Supply voltage of a slow log is averaged over this time [s]: its noise is no physics.
 _SUPPLY_MEAN = 0.04
+# Every knot of the supply ends a step of the simulation: those within this share of V_ref of a line are left
+# out.
+_SUPPLY_LINE = 2e-3
 # Filter taps below this share of the centre are cut.
 _TAP_LEAST = 1e-4
+# Pulse widths of every controller lie within these [µs].
+_PULSE = (700.0, 2300.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,16 +114,48 @@ def read_log(campaign: MotorCampaign, path: str | Path, log: str) -> Recording:
     units = {
         name: unit
         for name, unit in (
-            ("thrust", options.force_unit), ("torque", options.torque_unit), ("speed", options.speed_unit)
+            ("command", options.command_unit), ("thrust", options.force_unit),
+            ("torque", options.torque_unit), ("speed", options.speed_unit),
         )
         if unit is not None
     }  # fmt: skip
     chosen: dict[str, Any] = {"units": units or None, "rate": options.rate}
     recording = load(resolve_log(path, log), format=options.format, **chosen)
-    for note in recording.provenance.notes:
-        if "pole count" in note:
-            warnings.warn(f"{recording.provenance.path}: {note}", SysidWarning, stacklevel=2)
+    where = recording.provenance.path
+    ratio = _electrical_share(recording)
+    if ratio is not None:
+        warnings.warn(f"{where}: {wrong_poles(ratio)}", SysidWarning, stacklevel=2)
+    if "command" in recording.channels and options.command_unit is None:
+        _check_unstated_unit(recording, where)
     return recording
+
+
+def _electrical_share(recording: Recording) -> float | None:
+    """Return the constant ratio of electrical to optical speed where it is not 1; None otherwise."""
+    if not {"speed_electrical", "speed_optical"} <= set(recording.channels):
+        return None
+    electrical, optical = recording["speed_electrical"].values, recording["speed_optical"].values
+    both = (np.nan_to_num(optical) != 0) & (np.nan_to_num(electrical) != 0)
+    if np.count_nonzero(both) < 3:
+        return None
+    ratio = electrical[both] / optical[both]
+    low, middle, high = np.percentile(ratio, [25, 50, 75])
+    # One pole pair of fourteen is 7 %; probes that agree differ by well under 2 %.
+    return float(middle) if abs(middle - 1.0) > 0.02 and high - low < 0.02 * middle else None
+
+
+def _check_unstated_unit(recording: Recording, where: str) -> None:
+    """Refuse a log without command unit whose numbers look like pulse widths."""
+    if not any("states no unit" in note for note in recording.provenance.notes):
+        return
+    known = recording["command"].values
+    known = known[np.isfinite(known)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    if low >= _PULSE[0] and high <= _PULSE[1]:
+        raise LogError(
+            f"{where}: the command column states no unit and runs from {low:g} to {high:g}, as pulse widths "
+            'in us do and DShot from rest does not; declare log.command_unit = "us" or "dshot"'
+        )
 
 
 def command_range(campaign: MotorCampaign) -> CommandRange:
@@ -153,6 +190,7 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> B
     inside = (raw.time >= begin) & (raw.time <= end)
     known = raw.values[inside]
     signed_speed(known, entry.direction, where)
+    check_command_direction(u[(time >= begin) & (time <= end)], entry.direction, where)
     speed = raw.values if entry.direction == "reversal" else signed_speed(raw.values, entry.direction, where)
     rate = 1.0 / float(np.median(np.diff(time)))
     fast = campaign.filter.kind != "none" and rate >= _FAST * campaign.filter.stop_edge
@@ -185,9 +223,15 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> B
     points = _points_in(time, steps, channels, (begin, end), doubtful, tares)
     sign = 1
     if "torque" in channels:
-        sign = {"+": 1, "-": -1}.get(campaign.log.torque_sign, 0) or sign_against_speed(
-            points.torque, points.speed
-        )
+        seen = sign_against_speed(points.torque, points.speed)
+        sign = {"+": 1, "-": -1}.get(campaign.log.torque_sign, seen)
+        if sign != seen and np.isfinite(points.torque).any():
+            worst = int(np.nanargmax(np.abs(points.torque)))
+            raise LogError(
+                f"{where}: log.torque_sign = {campaign.log.torque_sign!r} gives "
+                f"{1e3 * sign * points.torque[worst]:.3g} mN·m at a steady {points.speed[worst]:.0f} rad/s, "
+                f"a drag that drives the rotor; set it to {'+' if seen > 0 else '-'!r} or 'auto'"
+            )
         t, values = channels["torque"]
         channels["torque"] = (t, sign * values)
         if sign < 0:
@@ -219,9 +263,12 @@ def _points_in(
     tares: Mapping[str, Tare],
 ) -> SteadyPoints:
     skip = (*doubtful, (-np.inf, window[0]), (window[1], np.inf))
-    return steady_points(
-        time, steps, channels, skip, zero_rows={name: found.rows for name, found in tares.items()}
-    )
+    zeros = {name: found.rows for name, found in tares.items()}
+    points = steady_points(time, steps, channels, skip, zero_rows=zeros)
+    if len(points) >= 3:
+        return points
+    # Too few plateaus for any curve: a command that creeps serves as well.
+    return SteadyPoints.join([points, ramp_points(time, steps, channels, skip, zeros)])
 
 
 def prepare_trial(
@@ -383,4 +430,25 @@ def _supply(log: BenchLog, reference_voltage: float) -> tuple[FloatArray | None,
     block = np.floor((t - t[0]) / _SUPPLY_MEAN).astype(np.int64)
     _, index, count = np.unique(block, return_inverse=True, return_counts=True)
     mean_time = np.bincount(index, t) / count
-    return mean_time, np.bincount(index, volts) / count / reference_voltage
+    ratio = np.bincount(index, volts) / count / reference_voltage
+    kept = _knots(mean_time, ratio, _SUPPLY_LINE)
+    return mean_time[kept], ratio[kept]
+
+
+def _knots(time: FloatArray, values: FloatArray, tolerance: float) -> NDArray[np.int64]:
+    """Return the points (k,) of a polyline that is nowhere further than `tolerance` from the rest."""
+    kept = {0, time.size - 1}
+    open_parts = [(0, time.size - 1)]
+    while open_parts:
+        first, last = open_parts.pop()
+        if last - first < 2:
+            continue
+        inside = slice(first + 1, last)
+        line = np.interp(time[inside], time[[first, last]], values[[first, last]])
+        distance = np.abs(values[inside] - line)
+        worst = int(np.argmax(distance))
+        if distance[worst] > tolerance:
+            middle = first + 1 + worst
+            kept.add(middle)
+            open_parts += [(first, middle), (middle, last)]
+    return np.array(sorted(kept), dtype=np.int64)

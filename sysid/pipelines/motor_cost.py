@@ -189,12 +189,12 @@ def _compared(part, sensors, taps, time, start, step, out):
         delay = sensors[0] if c == 0 else 0.0
         lag = sensors[1] if c == 0 else sensors[2]
         signal = np.empty(n_grid)
-        # Exact for a signal that is constant over each grid step.
+        # Exact for a signal that is linear over each grid step.
         keep = np.exp(-step / lag) if lag > 0.0 else 0.0
-        state = part[0, c]
-        for m in range(n_grid):
-            state = part[m, c] + keep * (state - part[m, c])
-            signal[m] = state
+        signal[0] = part[0, c]
+        for m in range(1, n_grid):
+            trail = lag * (part[m, c] - part[m - 1, c]) / step
+            signal[m] = part[m, c] - trail + keep * (signal[m - 1] - part[m - 1, c] + trail)
         for i in range(time.size):
             x = (time[i] - delay - start) / step
             m = min(max(int(x), 0), n_grid - 2)

@@ -1,4 +1,4 @@
-"""What a bench log of one motor holds: commands, logger stalls, real samples, tare, steady points.
+"""What a bench log of one motor holds: commands, logger stalls, real samples, tare, signs.
 
 Knows no motor model: it sees channels of a `Recording` and turns them into what a fit can trust. Speeds and
 torques leave here signed: positive in the forward direction, a steady torque with the sign of its speed.
@@ -6,8 +6,8 @@ torques leave here signed: positive in the forward direction, a steady torque wi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -27,13 +27,11 @@ _STALL_LEAST = 0.03
 _REACH = 0.15
 # After a stall the response needs this long to be over [s]: several times the slowest rotor seen.
 _RECOVERY = 0.15
-# A point is steady this long after a command [s], and when its two halves agree to this share.
-SETTLE = 0.4
-_DRIFT = 0.02
 # A sensor still rings this long after a stop [s].
 _RINGING = 0.5
-# u below this is no command [1].
-_AT_REST = 1e-9
+# u below this is no command [1]; beyond this it commands a direction.
+AT_REST = 1e-9
+_COMMANDED = 0.02
 
 
 @dataclass(frozen=True)
@@ -61,11 +59,13 @@ class CommandRange:
         LogError
             When the log's unit is another one, or a command lies outside the range.
         """
-        if unit != self.unit:
-            raise LogError(
-                f"{where}: commands are in {unit}, the campaign says {self.unit}; correct command.unit"
-            )
         values = np.asarray(command, dtype=np.float64)
+        if unit != self.unit:
+            low, high = (float(f(values, initial=np.nan)) for f in (np.fmin.reduce, np.fmax.reduce))
+            raise LogError(
+                f"{where}: commands run from {low:g} to {high:g} and are read as {unit}, the campaign says "
+                f"{self.unit}; correct command.unit, or log.command_unit where the log states none"
+            )
         above = values - self.neutral
         span = np.where(above >= 0, self.maximum - self.neutral, max(self.neutral - self.minimum, 1e-300))
         u = above / span
@@ -205,7 +205,7 @@ def rows_at_rest(time: FloatArray, u: FloatArray, speed: FloatArray | None) -> B
     speed : (n,) array, optional
         [rad/s]; a probe that sees nothing pass reads zero.
     """
-    rest = np.abs(u) < _AT_REST
+    rest = np.abs(u) < AT_REST
     if speed is not None:
         rest &= np.nan_to_num(speed) == 0
     moving = time[~rest]
@@ -214,95 +214,6 @@ def rows_at_rest(time: FloatArray, u: FloatArray, speed: FloatArray | None) -> B
     index = np.searchsorted(moving, time)
     since = time - moving[np.maximum(index - 1, 0)]
     return rest & ((index == 0) | (since > _RINGING))
-
-
-@dataclass(frozen=True, eq=False)
-class SteadyPoints:
-    """Averages over stretches at one command, or rows of an averaged log; all arrays (n,), NaN where unknown.
-
-    Parameters
-    ----------
-    u : command [1]
-    speed : signed [rad/s]
-    thrust, torque : tare subtracted, sign of the speed [N], [N·m]
-    voltage : supply [V]
-    samples : rows behind each point
-    thrust_zero, torque_zero : rows at rest behind the tare that was subtracted
-    """
-
-    u: FloatArray
-    speed: FloatArray
-    thrust: FloatArray
-    torque: FloatArray
-    voltage: FloatArray
-    samples: NDArray[np.int64]
-    thrust_zero: NDArray[np.int64]
-    torque_zero: NDArray[np.int64]
-
-    def __len__(self) -> int:
-        return self.u.size
-
-    @staticmethod
-    def join(parts: Sequence[SteadyPoints]) -> SteadyPoints:
-        """Return the points of several logs as one."""
-        names = [field.name for field in fields(SteadyPoints)]
-        return SteadyPoints(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-
-
-def steady_points(
-    time: FloatArray,
-    steps: CommandSteps,
-    channels: dict[str, tuple[FloatArray, FloatArray]],
-    skip: Sequence[tuple[float, float]] = (),
-    settle: float = SETTLE,
-    zero_rows: Mapping[str, int] | None = None,
-) -> SteadyPoints:
-    """Average every stretch at one command, `settle` after the command and until the next.
-
-    Parameters
-    ----------
-    time : (n,) array
-        Rows of the log [s]; their first and last bound the stretches.
-    steps : CommandSteps
-    channels : dict of name to (times, values)
-        ``speed`` and, where the log has them, ``thrust``, ``torque``, ``voltage``: real samples only.
-    skip : sequence of (start, end)
-        Intervals that do not count [s].
-    settle : float
-        Time that a response needs [s].
-    zero_rows : mapping of str to int, optional
-        Rows at rest behind the tare of ``thrust`` and ``torque``.
-
-    Returns
-    -------
-    SteadyPoints
-        Only stretches that turn and whose speed is the same in both halves to 2 %.
-    """
-    ends = np.append(steps.time[1:], time[-1] + 1e-9)
-    names = ("speed", "thrust", "torque", "voltage")
-    rows: list[list[float]] = []
-    for start, end, level in zip(steps.time, ends, steps.level, strict=True):
-        first = max(start, float(time[0])) + settle
-        cut = {}
-        for name in names:
-            if name in channels:
-                t, values = channels[name]
-                inside = (t >= first) & (t < end) & np.isfinite(values) & outside(t, skip)
-                cut[name] = values[inside]
-        speed = cut["speed"]
-        if speed.size < 6 or abs(level) < _AT_REST:
-            continue
-        half = speed.size // 2
-        early, late = float(speed[:half].mean()), float(speed[half:].mean())
-        if abs(late) < 1.0 or abs(late - early) > _DRIFT * abs(late):
-            continue
-        means = [float(cut[n].mean()) if n in cut and cut[n].size else float("nan") for n in names]
-        rows.append([level, *means, float(speed.size)])
-    table = np.array(rows, dtype=np.float64).reshape(len(rows), 6)
-    level, speed, thrust, torque, voltage, samples = table.T
-    known = zero_rows or {}
-    zeros = [np.full(len(rows), known.get(name, 0), dtype=np.int64) for name in ("thrust", "torque")]
-    return SteadyPoints(level, speed, thrust, torque, voltage, samples.astype(np.int64), *zeros)
 
 
 def signed_speed(speed: FloatArray, direction: Direction, where: str) -> FloatArray:
@@ -316,7 +227,8 @@ def signed_speed(speed: FloatArray, direction: Direction, where: str) -> FloatAr
     known = speed[np.isfinite(speed)]
     if known.size == 0 or not np.any(known):
         raise LogError(
-            f"{where}: the speed is zero throughout; switch the probe on, or choose the other speed channel"
+            f"{where}: the speed is zero in all of its {known.size} samples; switch the probe on, or choose "
+            "the other speed channel"
         )
     top = float(np.max(np.abs(known)))
     forward, reverse = bool(np.any(known > 0.05 * top)), bool(np.any(known < -0.05 * top))
@@ -333,6 +245,48 @@ def signed_speed(speed: FloatArray, direction: Direction, where: str) -> FloatAr
             'rad/s); set direction = "reversal", or cut the trial with start and end'
         )
     return np.abs(speed) if direction == "forward" else -np.abs(speed)
+
+
+def check_command_direction(u: FloatArray, direction: Direction, where: str) -> None:
+    """Refuse a log whose commands (n,) contradict its direction; a probe without sign would not show it.
+
+    Raises
+    ------
+    LogError
+        When a forward log is commanded backward, a reverse log forward, or a reversal log only one way.
+    """
+    known = u[np.isfinite(u)]
+    if not known.size:
+        return
+    low, high = float(known.min()), float(known.max())
+    backward, ahead = low < -_COMMANDED, high > _COMMANDED
+    if direction == "reversal":
+        if not (backward and ahead):
+            raise LogError(
+                f"{where}: a reversal trial whose commands only run from u = {low:.3g} to {high:.3g}; "
+                "correct the trial's direction, or command.neutral"
+            )
+    elif (backward if direction == "forward" else ahead):
+        raise LogError(
+            f"{where}: a {direction} trial whose commands run from u = {low:.3g} to {high:.3g}; set "
+            'direction = "reversal", cut the trial with start and end, or correct command.neutral'
+        )
+
+
+def wrong_poles(ratio: float) -> str:
+    """Return the sentence about an electrical speed that is `ratio` times the optical one [1]."""
+    pairs = [
+        (actual, entered)
+        for entered in range(4, 43, 2)
+        for actual in range(4, 43, 2)
+        if abs(actual / entered - ratio) < 0.005 * ratio
+    ]
+    likely = min(pairs, key=sum, default=None)
+    guess = "" if likely is None else f", likely {likely[1]} entered for a motor of {likely[0]}"
+    return (
+        f"electrical speed is {ratio:.4g} times the optical one throughout: the pole count in the stand's "
+        f"program is wrong{guess}; the optical speed is used"
+    )
 
 
 def sign_against_speed(values: FloatArray, speed: FloatArray) -> int:

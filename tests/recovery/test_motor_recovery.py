@@ -1,5 +1,6 @@
 """Known truth → synthetic bench logs → static curves, cost and fit of the motor."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -8,9 +9,11 @@ import pytest
 
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError, LogError
+from sysid.loaders import load
 from sysid.motor.model import PARAMETERS, simulate
 from sysid.pipelines.motor import fit_motor
 from sysid.pipelines.motor_bench import in_search, prepare_bench, search_space
+from sysid.pipelines.motor_inertia import spike_inertia
 from sysid.pipelines.motor_objective import MotorObjective, score_values
 from sysid.pipelines.motor_saturation import saturation_space, saturation_trials
 from sysid.pipelines.search import FitOptions
@@ -307,6 +310,79 @@ def test_reversals_alone_are_refused(campaign_file: Path) -> None:
     path.write_text("[[trials]]".join([head, *kept]), encoding="utf-8")
     with pytest.raises(CampaignError, match="reversals alone cannot serve"):
         _prepare(path)
+
+
+def test_reversal_without_signed_speed_given_as_forward_is_refused_by_its_commands(campaign_file) -> None:
+    path = campaign_file.with_name("unsigned.csv")
+    _unsigned(campaign_file.parent / "reversal-2.h5", path)
+    text = campaign_file.read_text(encoding="utf-8")
+    head, *trials = text.split("[[trials]]")
+    last = trials[-1].replace("reversal-2.h5", "unsigned.csv").replace('"reversal"', '"forward"')
+    toml = campaign_file.with_name("unsigned.toml")
+    toml.write_text("[[trials]]".join([head, *trials[:-1], last]), encoding="utf-8")
+    with pytest.raises(LogError, match=r'a forward trial whose commands run from u = -1 to 0\.8; set'):
+        _prepare(toml)
+
+
+def _unsigned(source: Path, target: Path) -> None:
+    recording = load(source)
+    columns = [recording[name].values[::20] for name in ("command", "speed", "thrust", "torque")]
+    table = np.column_stack([recording["command"].time[::20], columns[0], np.abs(columns[1]), *columns[2:]])
+    header = "Time (s),Command (µs),Speed (rad/s),Fz (N),Mz (N·m)"
+    np.savetxt(target, table, delimiter=",", header=header, comments="", encoding="utf-8", fmt="%.6f")
+
+
+@pytest.mark.parametrize(
+    ("kv", "words"),
+    [
+        ("960 rad/s/V", r"1\.066e\+04 rad/s, the logs without propeller show 1030.*write kv = \"960 rpm/V\""),
+        ("100.53 rpm/V", r"100\.5 looks like rad/s/V: write kv = \"100\.5 rad/s/V\""),
+    ],
+)
+def test_kv_in_the_wrong_unit_is_refused(campaign_file: Path, kv: str, words: str) -> None:
+    path = _changed(campaign_file, 'kv = "960 rpm/V"', f'kv = "{kv}"', "kv.toml")
+    with pytest.raises(CampaignError, match=words):
+        _prepare(path)
+
+
+def test_odd_kv_is_warned_of(campaign_file: Path) -> None:
+    path = _changed(campaign_file, 'kv = "960 rpm/V"', 'kv = "2300 rpm/V"', "odd.toml")
+    with pytest.warns(UserWarning, match="check kv and reference_voltage"):
+        _prepare(path)
+
+
+def test_kv_in_si_is_the_same_motor(campaign_file: Path) -> None:
+    path = _changed(campaign_file, 'kv = "960 rpm/V"', 'kv = "100.531 rad/s/V"', "si.toml")
+    assert _prepare(path).values["torque_constant"] == pytest.approx(0.0099472, rel=1e-5)
+
+
+def test_torque_of_the_wrong_sign_is_refused(campaign_file: Path) -> None:
+    path = _changed(campaign_file, "[curves]", '[log]\ntorque_sign = "-"\n\n[curves]', "sign.toml")
+    with pytest.raises(LogError, match=r"torque_sign = '-' gives -\d+\.?\d* mN·m at a steady \d+ rad.*'\+'"):
+        _prepare(path)
+
+
+def test_pulse_widths_without_a_unit_are_refused(campaign_file: Path) -> None:
+    text = (campaign_file.parent / "static-forward.csv").read_text(encoding="utf-8-sig")
+    bare = campaign_file.with_name("unitless.csv")
+    bare.write_text(text.replace("ESC signal (µs)", "ESC signal"), encoding="utf-8")
+    path = _changed(campaign_file, '"static-forward.csv"', '"unitless.csv"', "unitless.toml")
+    with pytest.raises(LogError, match=r"states no unit and runs from 1500 to 2000.*log\.command_unit"):
+        _prepare(path)
+    declared = _changed(path, "[curves]", '[log]\ncommand_unit = "us"\n\n[curves]', "declared.toml")
+    assert _prepare(declared).curves.fits[0].points > 10
+
+
+def test_torque_spikes_show_the_inertia(prepared) -> None:
+    _, bench = prepared
+    found = spike_inertia([t.log for t in bench.fitted], {**PARAMETERS.nominal, **bench.values})
+    assert min(found.steps.values()) >= 6
+    for kind in ("up", "down"):
+        # Both sides pass one filter; the curve's error of up to 1 % of 40 mN·m remains.
+        assert found.value[kind] == pytest.approx(2.7e-5, rel=0.02)
+    assert found.sentence is None
+    half = dataclasses.replace(found, value={"up": 2.7e-5, "down": 2.0e-5})
+    assert "do not belong to one rotor" in half.sentence
 
 
 def test_window_outside_the_log_is_refused(campaign_file: Path) -> None:

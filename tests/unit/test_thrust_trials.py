@@ -1,13 +1,16 @@
 """Bench logs without a model: command ranges, stalls, repeated samples, tare, steady points, signs."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sysid.errors import LogError
+from sysid.trials.steady import ramp_points, steady_points
 from sysid.trials.thrust import (
     CommandRange,
+    check_command_direction,
     command_steps,
     find_stalls,
     outside,
@@ -15,8 +18,8 @@ from sysid.trials.thrust import (
     rows_at_rest,
     sign_against_speed,
     signed_speed,
-    steady_points,
     tare,
+    wrong_poles,
 )
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "rcbenchmark"
@@ -111,6 +114,56 @@ def test_steady_points_of_a_step_log() -> None:
     assert len(points) == 2
 
 
+def test_ramp_points_of_a_creeping_command() -> None:
+    # 1 to 2 ms in steps of 0.5 µs over 47 s, as a thrust stand's ramp script walks; a rotor of 0.1 s.
+    time = np.arange(0.0, 47.0, 0.023)
+    u = np.clip(np.round((time - 1.0) / 46.0 * 2000.0) / 2000.0, 0.0, 1.0)
+    speed = 1000.0 * np.maximum(0.0, (time - 1.1) / 46.0)
+    channels = {"speed": (time, speed), "torque": (time, 1e-7 * speed**2)}
+    assert len(steady_points(time, command_steps(time, u), channels)) == 0
+    points = ramp_points(time, command_steps(time, u), channels, zero_rows={"torque": 7})
+    assert len(points) > 40
+    # Slower than 1 % per 0.2 s: a ramp of 1000 rad/s in 46 s is that above 0.2 · 1000/46/0.01 = 435 rad/s.
+    assert points.speed.min() > 400.0
+    # The rotor trails by 0.1 s of 2 %/s of full: 2.2 rad/s, half a percent.
+    np.testing.assert_allclose(points.speed, 1000.0 * points.u, rtol=0.006)
+    np.testing.assert_allclose(points.torque, 1e-7 * points.speed**2, rtol=1e-3)  # curvature over 0.4 s
+    assert set(points.torque_zero) == {7}
+    # A ramp of 5 s is no steady log: the rotor would trail by a tenth of it.
+    quick = np.arange(0.0, 5.0, 0.01)
+    fast = {"speed": (quick, 200.0 * quick)}
+    assert len(ramp_points(quick, command_steps(quick, 0.2 * quick), fast)) == 0
+
+
+@pytest.mark.parametrize(
+    ("u", "direction", "words"),
+    [
+        ([0.0, 0.5, -1.0], "forward", 'commands run from u = -1 to 0.5; set direction = "reversal"'),
+        ([0.0, -0.5, 0.4], "reverse", 'commands run from u = -0.5 to 0.4; set direction = "reversal"'),
+        ([0.0, 0.5, 0.9], "reversal", "commands only run from u = 0 to 0.9"),
+    ],
+)
+def test_commands_against_the_direction_are_refused(u: list[float], direction: str, words: str) -> None:
+    with pytest.raises(LogError) as refusal:
+        check_command_direction(np.array(u), direction, "a.csv")
+    assert words in str(refusal.value)
+    check_command_direction(np.array([0.0, 0.5, np.nan]), "forward", "a.csv")
+    check_command_direction(np.array([0.0, 0.5, -0.5]), "reversal", "a.csv")
+
+
+@pytest.mark.parametrize(
+    ("ratio", "words"),
+    [(12 / 14, "0.8571 times .* likely 14 entered for a motor of 12"), (2.0, "likely 4 entered .* of 8")],
+)
+def test_wrong_pole_count_names_the_poles(ratio: float, words: str) -> None:
+    assert re.search(words, wrong_poles(ratio))
+
+
+def test_command_unit_that_contradicts_the_log_is_said_with_numbers() -> None:
+    with pytest.raises(LogError, match=r"run from 1000 to 2000 and are read as dshot, the campaign says us"):
+        CommandRange("us", 1000.0, 1500.0, 2000.0).to_u(np.array([1000.0, np.nan, 2000.0]), "dshot", "a.csv")
+
+
 def test_signs() -> None:
     unsigned = np.array([0.0, 100.0, 200.0])
     np.testing.assert_array_equal(signed_speed(unsigned, "reverse", "log"), -unsigned)
@@ -122,7 +175,7 @@ def test_signs() -> None:
 @pytest.mark.parametrize(
     ("speed", "direction", "message"),
     [
-        (np.zeros(4), "forward", "zero throughout"),
+        (np.zeros(4), "forward", "zero in all of its 4 samples"),
         (np.array([300.0, -300.0]), "forward", 'direction = "reversal"'),
         (np.array([300.0, 200.0]), "reversal", "never changes its sign"),
     ],
