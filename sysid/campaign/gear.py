@@ -62,6 +62,11 @@ class Capture(Table):
     down_slope: CaptureAxis = "+x"
     quaternion_order: Literal["wxyz", "xyzw"] | None = None
     length_unit: str | None = None
+    euler_order: str | None = None
+    clock: Literal["auto", "frame", "time"] | None = None
+    time_back: Literal["refuse", "drop"] | None = None
+    units: dict[str, str] = {}
+    columns: dict[str, str | int] = {}
     rate: Frequency | None = None
     centre_of_mass_offset: Point = (0.0, 0.0, 0.0)
     level: Literal["release", "capture"] = "release"

@@ -76,6 +76,10 @@ class LogOptions(Table):
     torque_unit: str | None = None
     speed_unit: str | None = None
     torque_sign: Literal["auto", "+", "-"] = "auto"
+    time_back: Literal["refuse", "drop"] | None = None
+    units: dict[str, str] = {}
+    columns: dict[str, str | int] = {}
+    datasets: dict[str, str] = {}
 
 
 class ChebyshevFilter(Table):

@@ -16,7 +16,7 @@ from sysid.campaign.file import resolve_log
 from sysid.errors import LogError, SysidWarning
 from sysid.filters import KaiserLowpass, bridge_gaps, differentiate
 from sysid.fit.cost import CostChannel, TrialTarget
-from sysid.loaders import detect, formats, load
+from sysid.pipelines.logs import load_stated
 from sysid.recording import Recording
 from sysid.trials.capture import (
     PLANAR_LIMIT,
@@ -136,15 +136,10 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
 
 def _read(campaign: GearCampaign, path: Path) -> Recording:
     capture = campaign.capture
-    format_name = detect(path) if capture.format == "auto" else capture.format
-    # A campaign may mix formats: each log is told what its own format can be told.
-    known = formats()[format_name].options if format_name in formats() else ()
-    options = {
-        name: getattr(capture, name)
-        for name in ("rigid_body", "quaternion_order", "length_unit")
-        if name in known
-    }
-    recording = load(path, format=format_name, **options)
+    names = ("rigid_body", "quaternion_order", "length_unit", "euler_order", "clock", "time_back")
+    stated: dict[str, Any] = {name: getattr(capture, name) for name in names}
+    stated |= {"units": capture.units or None, "columns": capture.columns or None}
+    recording = load_stated(path, capture.format, stated)
     if recording.kind != "motion-capture":
         raise LogError(f"{path}: is a {recording.kind} log, expected motion capture; correct the trial's log")
     return recording

@@ -1,5 +1,6 @@
 """Campaign files: templates are complete and valid; every mistake is one sentence that names the place."""
 
+import re
 from importlib import resources
 
 import pytest
@@ -165,3 +166,20 @@ def test_search_space_takes_bounds_and_fixed_values(tmp_path):
 def test_search_space_refusals(text, sentence, tmp_path):
     with pytest.raises(CampaignError, match=sentence):
         _choices(tmp_path, text).search_space(TABLE, ["mass"], {"mass": 1.0})
+
+
+@pytest.mark.parametrize("kind", ["gear", "motor"])
+def test_every_commented_line_of_a_template_is_valid_in_its_place(kind, tmp_path):
+    """A user uncomments a line; it must be accepted where it stands, alternatives of the plane aside."""
+    lines = TEMPLATES[kind].splitlines()
+    for i, line in enumerate(lines):
+        if not re.match(r"# \w+ = ", line):
+            continue
+        name = line[2:].split(" =")[0]
+        changed = [*lines[:i], line[2:], *lines[i + 1 :]]
+        if name in ("markers", "rest_log") and "[surface]" in "".join(lines[:i]):
+            changed = [other for other in changed if not other.startswith('point = ["0 m"')]
+        campaign = read_campaign(_write(tmp_path, "\n".join(changed)), kind)
+        module = pytest.importorskip(f"sysid.{kind}.model")
+        default = module.LF_FREE if kind == "gear" else module.FREE_DEFAULT
+        campaign.parameters.search_space(module.PARAMETERS, default, {})
