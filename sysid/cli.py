@@ -208,6 +208,49 @@ def fits(
     print_fits(folder)
 
 
+LoaderFormat = Annotated[
+    str, typer.Option("--format", help="Format of the log; judged by content by default.")
+]
+LoaderOptions = Annotated[
+    list[str] | None, typer.Option("--option", "-o", help="Loader option, for example rate=10000.")
+]
+
+
+@app.command("inspect")
+def inspect(
+    files: Annotated[list[Path], typer.Argument(help="Logs.", show_default=False)],
+    format: LoaderFormat = "auto",
+    option: LoaderOptions = None,
+    plot: Annotated[Path | None, typer.Option(help="Figure to write: .png, .pdf or .svg.")] = None,
+    json: Json = False,
+) -> None:
+    """Say what logs hold: device, channels, rates, gaps, drops, and what looks wrong."""
+    from sysid.pipelines.inspect import inspect_files, parse_options
+
+    inspect_files(files, format_name=format, options=parse_options(option or []), plot=plot, as_json=json)
+
+
+@app.command("convert")
+def convert(
+    file: Annotated[Path, typer.Argument(help="Log.", show_default=False)],
+    to: Annotated[Path, typer.Argument(help="HDF5 file to write.", show_default=False)],
+    format: LoaderFormat = "auto",
+    option: LoaderOptions = None,
+    add: Annotated[
+        Path | None, typer.Option(help="A second log of the same run, with its own clock.")
+    ] = None,
+    align_by: Annotated[str, typer.Option(help="Channel that both show, or FIRST:SECOND.")] = "speed",
+    force: Force = False,
+) -> None:
+    """Write a log in SI as HDF5, joined with a second one if asked."""
+    from sysid.pipelines.inspect import convert_file, parse_options
+
+    options = parse_options(option or [])
+    typer.echo(
+        convert_file(file, to, format_name=format, options=options, add=add, align_by=align_by, force=force)
+    )
+
+
 @app.command("new-campaign")
 def new_campaign(
     kind: Annotated[Kind, typer.Argument(help="What was recorded.")],

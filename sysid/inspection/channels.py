@@ -1,0 +1,108 @@
+"""One channel in numbers: range, rate, jitter, holes, blanks, repeats, saturation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.recording import Channel, FloatArray
+
+# A step this many times the median is a hole in the clock.
+_HOLE = 2.5
+# A sensor at its limit repeats its largest value: so many samples in a row, and this share of all.
+_FLAT_RUN, _FLAT_SHARE = 5, 0.005
+
+
+@dataclass(frozen=True)
+class ChannelReport:
+    """Numbers of one channel.
+
+    Parameters
+    ----------
+    name, unit : str
+        Of the channel.
+    samples : int
+        Rows on its clock.
+    blank : float
+        Share of them without a value [1].
+    lowest, highest : float
+        Of all components [unit]; NaN without a value.
+    rate : float
+        Median sample rate [Hz]; NaN below two samples.
+    jitter : float
+        90th percentile of the deviation of a step from the median one, as a share of it [1].
+    holes : int
+        Steps longer than 2.5 times the median.
+    longest_hole : float
+        The longest step of the clock [s].
+    longest_blank : float
+        The longest time without a value between two values [s].
+    repeated : float
+        Share of values equal to the one before [1].
+    saturated : float
+        Share of values in runs of five or more at the lowest or highest value [1].
+    """
+
+    name: str
+    unit: str
+    samples: int
+    blank: float
+    lowest: float
+    highest: float
+    rate: float
+    jitter: float
+    holes: int
+    longest_hole: float
+    longest_blank: float
+    repeated: float
+    saturated: float
+
+
+def _runs(mask: NDArray[np.bool_], least: int) -> int:
+    """Return how many samples lie in runs of True that are `least` or longer."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    lengths = edges[1::2] - edges[::2]
+    return int(lengths[lengths >= least].sum())
+
+
+def _saturated(values: FloatArray) -> float:
+    """Return the share of samples that are stuck at a limit other than zero."""
+    low, high = float(values.min()), float(values.max())
+    if values.size < 10 * _FLAT_RUN or low == high:
+        return 0.0
+    stuck = sum(_runs(values == limit, _FLAT_RUN) for limit in (low, high) if limit != 0.0)
+    # Half of the samples at one value is a plateau or a probe that is off, not a sensor at its limit.
+    share = stuck / values.size
+    return share if _FLAT_SHARE <= share <= 0.5 else 0.0
+
+
+def inspect_channel(channel: Channel) -> ChannelReport:
+    """Return the numbers of a channel."""
+    time, valid = channel.time, channel.valid
+    steps = np.diff(time)
+    median = float(np.median(steps)) if steps.size else float("nan")
+    # Zero where steps are equal to what times of this size can tell.
+    rounding = 4.0 * float(np.spacing(np.abs(time).max(initial=1.0)))
+    deviation = float(np.percentile(np.abs(steps - median), 90)) if steps.size else float("nan")
+    known = channel.values[valid]
+    blank_steps = np.diff(time[valid])
+    repeats = np.diff(known, axis=0) == 0
+    equal = repeats if repeats.ndim == 1 else repeats.all(axis=1)
+    discrete = channel.unit in ("us", "dshot") or channel.name in ("command", "log_time")
+    return ChannelReport(
+        channel.name,
+        channel.unit,
+        int(time.size),
+        float(1.0 - valid.mean()) if time.size else 0.0,
+        float(known.min()) if known.size else float("nan"),
+        float(known.max()) if known.size else float("nan"),
+        channel.rate,
+        0.0 if deviation <= rounding else deviation / median,
+        int(np.count_nonzero(steps > _HOLE * median)) if steps.size else 0,
+        float(steps.max()) if steps.size else 0.0,
+        float(blank_steps.max()) if blank_steps.size and not valid.all() else 0.0,
+        float(equal.mean()) if equal.size else 0.0,
+        0.0 if discrete or known.ndim > 1 or not known.size else _saturated(known),
+    )

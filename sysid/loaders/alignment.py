@@ -1,0 +1,166 @@
+"""Two recordings of one event with a clock each: the offset between the clocks, and one recording of both.
+
+The offset is where the cross-correlation of a channel of each, resampled to a common rate and
+differentiated, is largest; a parabola through the peak refines it below the sample period. Valid for clocks
+that run at one speed (crystals do to some 50 ppm: 3 ms per minute) and for events that both channels show
+once; the confidence says if another offset would fit nearly as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import signal
+
+from sysid.errors import LogError
+from sysid.recording import Channel, FloatArray, Recording
+
+_LARGEST_RATE = 2000.0
+# Correlation below which, and confidence below which, an offset is not to be used without a look.
+_WEAK, _UNSURE = 0.5, 0.2
+_FEWEST = 20
+# Overlap that two recordings must at least have, as a share of the shorter one.
+_OVERLAP = 0.3
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """What aligns two clocks.
+
+    Parameters
+    ----------
+    offset : float
+        To be added to the second recording's times [s].
+    correlation : float
+        Of the two channels at that offset, 0 to 1.
+    confidence : float
+        How far the next best offset falls behind: 1 - (second peak / first peak), 0 to 1.
+    reference, other : str
+        The channels that were compared.
+    """
+
+    offset: float
+    correlation: float
+    confidence: float
+    reference: str
+    other: str
+
+    @property
+    def sure(self) -> bool:
+        """Whether the offset can be used without a look at the figures."""
+        return self.correlation >= _WEAK and self.confidence >= _UNSURE
+
+    def sentence(self) -> str:
+        """Return the offset and its confidence in words."""
+        return (
+            f"{self.other} is aligned with {self.reference}: offset {self.offset:+.5g} s, correlation "
+            f"{self.correlation:.2f}, confidence {self.confidence:.2f}"
+        )
+
+
+def _even(channel: Channel, rate: float) -> tuple[float, FloatArray]:
+    """Return the start [s] and the changes of a channel on a uniform clock, of unit size."""
+    values = channel.values if channel.values.ndim == 1 else np.linalg.norm(channel.values, axis=1)
+    seen = np.isfinite(values)
+    time = np.arange(channel.time[seen][0], channel.time[seen][-1], 1.0 / rate)
+    even = np.interp(time, channel.time[seen], values[seen])
+    # Slow parts say little about when: compare changes, smoothed over a few samples.
+    window = np.hanning(7)
+    change = np.convolve(np.gradient(even), window / window.sum(), mode="same")
+    return float(time[0]), np.asarray(change)
+
+
+def find_offset(path: str, reference: Channel, other: Channel, *, sign: bool = True) -> ClockOffset:
+    """Return the offset that brings the other channel's clock onto the reference's.
+
+    Parameters
+    ----------
+    path : str
+        The second file, named in messages.
+    reference, other : Channel
+        One quantity, or two that change together (thrust and the square of speed do).
+    sign : bool
+        False: the two may be of opposite sign.
+
+    Raises
+    ------
+    LogError
+        When a channel is too short or never changes.
+    """
+    rates = []
+    for channel in (reference, other):
+        if channel.valid.sum() < _FEWEST:
+            raise LogError(f"{path}: {channel.name} has {channel.valid.sum()} samples, too few to align by")
+        rates.append(channel.rate)
+    rate = min(_LARGEST_RATE, max(rates))
+    start, first = _even(reference, rate)
+    other_start, second = _even(other, rate)
+    if not first.any() or not second.any() or min(first.size, second.size) < _FEWEST:
+        raise LogError(f"{path}: {reference.name} or {other.name} never changes; align by another channel")
+    products = signal.correlate(first, second, mode="full", method="fft")
+    ones = (np.ones(first.size), np.ones(second.size))
+    shared = np.round(signal.correlate(ones[0], ones[1], mode="full", method="fft"))
+    power = signal.correlate(first**2, ones[1], mode="full", method="fft")
+    own_power = signal.correlate(ones[0], second**2, mode="full", method="fft")
+    # A lag at which the recordings hardly overlap correlates by chance.
+    allowed = shared >= _OVERLAP * min(first.size, second.size)
+    scale = np.sqrt(np.maximum(power, 1e-9 * power.max()) * np.maximum(own_power, 1e-9 * own_power.max()))
+    score = np.where(allowed, (products if sign else np.abs(products)) / scale, -np.inf)
+    best = int(np.argmax(score))
+    lag = float(best)
+    if 0 < best < score.size - 1 and np.isfinite(score[best - 1 : best + 2]).all():
+        before, peak, after = score[best - 1 : best + 2]
+        curve = before - 2.0 * peak + after
+        lag += float(0.5 * (before - after) / curve) if curve < 0 else 0.0
+    correlation = float(np.clip(score[best], 0.0, 1.0))
+    offset = start - other_start + (lag - (second.size - 1)) / rate
+    # The next peak, beyond the width of the first.
+    low = high = best
+    while low > 0 and score[low - 1] < score[low]:
+        low -= 1
+    while high < score.size - 1 and score[high + 1] < score[high]:
+        high += 1
+    rest = np.concatenate([score[:low], score[high + 1 :]])
+    rival = float(np.max(rest, initial=0.0))
+    confidence = float(np.clip(1.0 - rival / correlation, 0.0, 1.0)) if correlation > 0 else 0.0
+    return ClockOffset(offset, correlation, confidence, reference.name, other.name)
+
+
+def join_recordings(first: Recording, second: Recording, by: str) -> tuple[Recording, ClockOffset]:
+    """Return one recording with the channels of both on the first one's clock, and the offset.
+
+    Parameters
+    ----------
+    first, second : Recording
+        The second's channels are added; those whose name the first has are left out.
+    by : str
+        Channel that both have (``"speed"``), or ``"thrust:speed"``: one of the first, one of the second.
+
+    Raises
+    ------
+    LogError
+        When a channel is not there, or the offset is not sure.
+    """
+    path = second.provenance.path
+    name, _, other = by.partition(":")
+    found = find_offset(path, first[name], second[other or name], sign=not other)
+    if not found.sure:
+        raise LogError(
+            f"{path}: cannot be aligned with {first.provenance.path} by {by}: correlation "
+            f"{found.correlation:.2f}, confidence {found.confidence:.2f} at {found.offset:+.4g} s; choose "
+            "another channel or record a common event"
+        )
+    channels = dict(first.channels)
+    added = []
+    for key, channel in second.channels.items():
+        if key not in channels:
+            channels[key] = Channel(key, channel.unit, channel.time + found.offset, channel.values)
+            added.append(key)
+    said = first.provenance
+    notes = (
+        *said.notes,
+        f"joined with {path} (SHA-256 {second.provenance.sha256}), which adds "
+        f"{', '.join(added) or 'nothing'}; {found.sentence()}",
+    )
+    return Recording(first.kind, channels, replace(said, notes=notes)), found

@@ -1,0 +1,207 @@
+"""What a log holds, in words and figures, and its conversion: the commands `inspect` and `convert`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from sysid.errors import CampaignError, LogError
+from sysid.inspection import BenchReport, ChannelReport, DropReport, LogReport, inspect_recording
+from sysid.loaders import formats, load
+from sysid.loaders.alignment import join_recordings
+from sysid.loaders.sysid_hdf5 import write_recording
+from sysid.recording import Recording
+
+_MOST_ROWS = 40
+
+
+def parse_options(given: Sequence[str]) -> dict[str, Any]:
+    """Return loader options from ``name=value`` words; values are TOML, bare words are text.
+
+    Raises
+    ------
+    CampaignError
+        When a word has no ``=``.
+    """
+    import tomllib
+
+    options: dict[str, Any] = {}
+    for word in given:
+        name, equals, value = word.partition("=")
+        if not equals or not name.strip():
+            raise CampaignError(f"option {word!r} is not NAME=VALUE; write for example rate=10000")
+        try:
+            options[name.strip()] = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            options[name.strip()] = value.strip()
+    return options
+
+
+def load_log(path: Path, format_name: str, options: Mapping[str, Any]) -> Recording:
+    """Load a log; options that its format does not have are refused there."""
+    return load(path, format=format_name, **options)
+
+
+def inspect_files(
+    paths: Sequence[Path],
+    *,
+    format_name: str = "auto",
+    options: Mapping[str, Any] | None = None,
+    plot: Path | None = None,
+    as_json: bool = False,
+) -> None:
+    """Print what logs hold, as tables or JSON, and draw them.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Logs.
+    format_name : str
+        Of all of them; ``"auto"`` judges by content.
+    options : mapping, optional
+        Loader options for all of them.
+    plot : Path, optional
+        Figure to write; of several logs, one under the other.
+    as_json : bool
+        Print JSON and nothing else.
+    """
+    recordings = [load_log(path, format_name, options or {}) for path in paths]
+    reports = [inspect_recording(recording) for recording in recordings]
+    if plot is not None:
+        from sysid.report.figures import save_figure
+        from sysid.report.inspect_figures import figure_logs
+
+        save_figure(figure_logs(recordings, reports), plot)
+    if as_json:
+        print(json.dumps([report.as_json() for report in reports], ensure_ascii=False, indent=2))
+        return
+    console = Console(soft_wrap=True)
+    for report in reports:
+        _print_report(console, report)
+    if plot is not None:
+        console.print(Text(f"wrote {plot}"))
+
+
+def convert_file(
+    path: Path,
+    to: Path,
+    *,
+    format_name: str = "auto",
+    options: Mapping[str, Any] | None = None,
+    add: Path | None = None,
+    align_by: str = "speed",
+    force: bool = False,
+) -> str:
+    """Write a log, joined with a second one where `add` is given, in our HDF5 layout; return a sentence.
+
+    Raises
+    ------
+    LogError
+        When the destination exists and `force` is False, or the logs cannot be read or aligned.
+    """
+    if to.exists() and not force:
+        raise LogError(f"{to} exists already; choose a new name or replace it with --force")
+    recording = load_log(path, format_name, options or {})
+    said = ""
+    if add is not None:
+        recording, offset = join_recordings(recording, load(add), align_by)
+        said = f"; {offset.sentence()}"
+    write_recording(recording, to)
+    return f"wrote {to}: {len(recording.channels)} channels of {path.name}{said}"
+
+
+def _number(value: float, digits: int = 4) -> str:
+    return "—" if not np.isfinite(value) else f"{value:.{digits}g}"
+
+
+def _clock_words(one: ChannelReport) -> str:
+    words = [f"{one.samples} samples", f"{_number(one.rate, 5)} Hz"]
+    if one.jitter > 0.01:
+        words.append(f"jitter {100 * one.jitter:.0f} %")
+    if one.holes:
+        words.append(f"holes {one.holes}, longest {_number(one.longest_hole, 3)} s")
+    return ", ".join(words)
+
+
+def _value_words(one: ChannelReport) -> str:
+    words = []
+    if one.blank > 0:
+        words.append(f"blank {100 * one.blank:.3g} %, longest {_number(one.longest_blank, 3)} s")
+    if one.saturated > 0:
+        words.append(f"at its limit {100 * one.saturated:.2g} %")
+    return "; ".join(words)
+
+
+def _print_report(console: Console, report: LogReport) -> None:
+    described = formats()[report.format].describes if report.format in formats() else report.format
+    console.print(Text(report.path, style="bold"))
+    console.print(
+        Text(f"  {described}; kind {report.kind}" + (f"; {report.device}" if report.device else ""))
+    )
+    if np.isfinite(report.duration):
+        console.print(Text(f"  {report.duration:.4g} s"))
+    table = Table(box=None, pad_edge=True)
+    table.add_column("channel", no_wrap=True)
+    table.add_column("unit")
+    for name in ("lowest", "highest"):
+        table.add_column(name, justify="right")
+    table.add_column("")
+    points = report.kind == "static-map"
+    clocks = {one.name: f"{one.samples} points" if points else _clock_words(one) for one in report.channels}
+    common = len(set(clocks.values())) == 1
+    if common and report.channels:
+        console.print(Text(f"  clock of all channels: {clocks[report.channels[0].name]}"))
+    for one in report.channels[:_MOST_ROWS]:
+        words = [word for word in ("" if common else clocks[one.name], _value_words(one)) if word]
+        cells = [one.name, one.unit, _number(one.lowest), _number(one.highest), "; ".join(words)]
+        table.add_row(*(Text(cell) for cell in cells))
+    console.print(table)
+    if len(report.channels) > _MOST_ROWS:
+        console.print(Text(f"  and {len(report.channels) - _MOST_ROWS} channels more (--json lists them)"))
+    for line in (*_drop_lines(report.drop), *_bench_lines(report.bench)):
+        console.print(Text(f"  {line}"))
+    for sentence in report.suspicions:
+        console.print(Text(f"  suspicious: {sentence}", style="bold yellow"))
+    for note in report.notes:
+        console.print(Text(f"  note: {note}"))
+
+
+def _drop_lines(drop: DropReport | None) -> list[str]:
+    if drop is None:
+        return []
+    begin = "in motion from the start of its flight"
+    if drop.release is not None:
+        begin = f"released at {drop.release:.4f} s"
+    lines = [
+        f"drop of {drop.body}: {begin}, touchdown near {drop.touchdown:.3f} s at about "
+        f"{drop.impact_speed:.2f} m/s after {1e3 * drop.fall_height:.0f} mm; falls with {drop.gravity:.2f} m/s²",
+        f'suggested: up = "{drop.up}"' + (f', down_slope = "{drop.down_slope}"' if drop.down_slope else ""),
+    ]
+    if drop.slope is not None:
+        lines.append(f"suggested: slope = {np.degrees(drop.slope):.1f} deg ({drop.slope_source})")
+    return lines
+
+
+def _bench_lines(bench: BenchReport | None) -> list[str]:
+    if bench is None:
+        return []
+    lines = [f"top speed {_number(bench.top_speed)} rad/s ({_number(bench.top_speed * 30 / np.pi)} rpm)"]
+    if bench.commands:
+        lines.append(
+            f"{bench.commands} command levels from {_number(bench.lowest_command)} to "
+            f"{_number(bench.highest_command)}; logger stalls: {bench.stalls}, of which "
+            f"{bench.stalls_at_commands} hide when a command was given"
+        )
+    if np.isfinite(bench.rest_thrust) or np.isfinite(bench.rest_torque):
+        lines.append(
+            f"before anything turns: thrust {_number(bench.rest_thrust, 3)} N, torque "
+            f"{_number(bench.rest_torque, 3)} N·m"
+        )
+    return lines

@@ -1,0 +1,88 @@
+"""Figures of logs as they were recorded: what `inspect` draws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from sysid.inspection import LogReport
+from sysid.recording import Channel, Recording
+from sysid.report.figures import BEST, MEASURED, RUNS
+
+# Channels that tell most about a bench log, first; of other logs the first ones.
+_FIRST = ("command", "speed", "thrust", "torque", "voltage", "current")
+_MOST_ROWS = 6
+_MOST_POINTS = 20_000
+_LONGEST_NAME = 60
+
+
+def _chosen(recording: Recording, report: LogReport) -> list[Channel]:
+    channels = recording.channels
+    if recording.kind == "motion-capture":
+        names = [f"{body}/{part}" for body in recording.rigid_bodies for part in ("position", "orientation")]
+        names = names or [f"{marker}/position" for marker in recording.markers]
+        if report.drop is not None:
+            own = f"{report.drop.body}/position"
+            names = [own, *(name for name in names if name != own)]
+    else:
+        names = [name for name in _FIRST if name in channels]
+        names += [name for name in channels if name not in names]
+    return [channels[name] for name in names if name in channels][:_MOST_ROWS]
+
+
+def _draw(axes: Axes, channel: Channel, points: bool) -> None:
+    step = max(1, channel.time.size // _MOST_POINTS)
+    time = channel.time[::step]
+    columns = channel.values[::step].reshape(time.size, -1)
+    labels = {3: "xyz", 4: "wxyz"}.get(columns.shape[1], "")
+    style = {"marker": "o", "linestyle": "none"} if points else {"linewidth": 0.9}
+    for i in range(columns.shape[1]):
+        colour = MEASURED if columns.shape[1] == 1 else RUNS[i]
+        label = labels[i] if labels else None
+        axes.plot(time, columns[:, i], color=colour, label=label, rasterized=True, **style)
+    if labels:
+        axes.legend(loc="upper right", ncols=len(labels), frameon=False, fontsize="small")
+    unit = f" [{channel.unit}]" if channel.unit not in ("", "1") else ""
+    axes.set_ylabel(channel.name.replace("/", "\n") + unit, fontsize="small")
+    axes.grid(True, color="0.9")
+
+
+def figure_logs(recordings: Sequence[Recording], reports: Sequence[LogReport]) -> Figure:
+    """Draw the main channels of logs over time, with the release and touchdown of a drop as thin lines.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        One block of rows each.
+    reports : sequence of LogReport
+        Of the same logs.
+    """
+    blocks = [_chosen(recording, report) for recording, report in zip(recordings, reports, strict=True)]
+    rows = max(1, sum(len(block) for block in blocks))
+    figure = Figure(figsize=(9.5, 1.2 + 1.5 * rows), layout="constrained")
+    all_axes = figure.subplots(rows, 1, squeeze=False)[:, 0]
+    row = 0
+    for recording, report, block in zip(recordings, reports, blocks, strict=True):
+        points = recording.kind == "static-map"
+        shared = None
+        for place, channel in enumerate(block):
+            axes = all_axes[row]
+            row += 1
+            _draw(axes, channel, points)
+            if shared is not None:
+                axes.sharex(shared)
+            shared = shared or axes
+            if place == 0:
+                title = Path(report.path).name
+                title = title if len(title) <= _LONGEST_NAME else title[: _LONGEST_NAME - 1] + "…"
+                axes.set_title(f"{title} ({report.kind})", fontsize="medium", loc="left")
+            if report.drop is not None and channel.name.endswith("/position"):
+                for at in (report.drop.release, report.drop.touchdown):
+                    if at is not None:
+                        axes.axvline(at, color=BEST, linewidth=0.8)
+            if place == len(block) - 1:
+                axes.set_xlabel("point" if points else "time [s]")
+    return figure
