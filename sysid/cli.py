@@ -272,7 +272,7 @@ def synthesize_gear(
     seed: Annotated[int, typer.Option(help="Seed of the noise.", min=0)] = 1,
     noise_mm: Annotated[float, typer.Option(help="Position noise [mm].", min=0)] = 0.3,
     noise_deg: Annotated[float, typer.Option(help="Angle noise [deg].", min=0)] = 0.2,
-    rate: Annotated[float, typer.Option(help="Capture rate [Hz].", min=50)] = 200.0,
+    rate: Annotated[float, typer.Option(help="Capture rate [Hz].", min=140)] = 200.0,
     force: Force = False,
 ) -> None:
     """Write drops with known truth as motion-capture logs."""
@@ -333,9 +333,12 @@ def _options(
 def _seconds(text: str | None) -> float | None:
     from sysid.units import parse_quantity
 
-    return (
-        None if text is None else parse_quantity(text.replace("m", "min") if text[-1:] == "m" else text, "s")
-    )
+    if text is None:
+        return None
+    seconds = parse_quantity(text.replace("m", "min") if text[-1:] == "m" else text, "s")
+    if not seconds > 0:
+        raise SysidError(f"--time-limit {text}: expected a time above 0, for example 20min")
+    return seconds
 
 
 def _print_fit(result: object, folder: Path, quiet: bool, json: bool) -> None:

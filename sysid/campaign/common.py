@@ -118,6 +118,10 @@ class ParameterChoices(Table):
                     f"parameters.bounds.{name}: lower bound {pair[0]} is not below upper bound {pair[1]}; "
                     f"swap or widen them"
                 )
+            if low < 0 <= table[name].lower:
+                raise CampaignError(
+                    f"parameters.bounds.{name}: {pair[0]} is negative; a {name.replace('_', ' ')} cannot be"
+                )
             bounds[name] = (low, high)
         with _in_table("parameters.bounds"):
             space = SearchSpace.build(table, free, values, bounds)

@@ -65,8 +65,8 @@ class Capture(Table):
     euler_order: str | None = None
     clock: Literal["auto", "frame", "time"] | None = None
     time_back: Literal["refuse", "drop"] | None = None
-    units: dict[str, str] = {}
-    columns: dict[str, str | int] = {}
+    units: dict[str, str] = Field(default_factory=dict)
+    columns: dict[str, str | int] = Field(default_factory=dict)
     rate: Frequency | None = None
     centre_of_mass_offset: Point = (0.0, 0.0, 0.0)
     level: Literal["release", "capture"] = "release"
@@ -110,6 +110,13 @@ class Window(Table):
     before_contact: PositiveTime = 0.05
     after_contact: PositiveTime = 0.7
     max_gap: PositiveTime = 0.05
+
+
+class Nuisance(Table):
+    """`[nuisance]`: offsets of each fitted drop that the search may choose, up to these; none by default."""
+
+    height: PositiveLength | None = None
+    start_time: PositiveTime | None = None
 
 
 class KaiserFilter(Table):
@@ -164,6 +171,7 @@ class GearCampaign(CampaignTable):
     capture: Capture = Capture()
     surface: Surface = Surface()
     window: Window = Window()
+    nuisance: Nuisance = Nuisance()
     filter: KaiserFilter = KaiserFilter()
     cost: GearCost = GearCost()
     fit: FitTable = FitTable(population=400)

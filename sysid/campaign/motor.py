@@ -77,9 +77,9 @@ class LogOptions(Table):
     speed_unit: str | None = None
     torque_sign: Literal["auto", "+", "-"] = "auto"
     time_back: Literal["refuse", "drop"] | None = None
-    units: dict[str, str] = {}
-    columns: dict[str, str | int] = {}
-    datasets: dict[str, str] = {}
+    units: dict[str, str] = Field(default_factory=dict)
+    columns: dict[str, str | int] = Field(default_factory=dict)
+    datasets: dict[str, str] = Field(default_factory=dict)
 
 
 class ChebyshevFilter(Table):

@@ -257,9 +257,9 @@ def _surface(
 
 def _static_sag(campaign: GearCampaign) -> float:
     """Return how far the body sinks on its nominal legs at rest [m]: axial, bending and ground in series."""
-    from sysid.gear.model import PARAMETERS
+    from sysid.gear.model import parameters_on
 
-    value = PARAMETERS.nominal
+    value = parameters_on(campaign.surface.law).nominal
     vehicle = campaign.vehicle
     span = vehicle.foot_dx - value["joint_dx"]
     compliance = (
@@ -301,20 +301,29 @@ def _window(
             last = at_touchdown + int(left[0])
             notes.append(f"the body leaves the board {motion.time[last] - touchdown:.2f} s after touchdown")
     margin = _margin(lowpass)
+    ends_early = False
     if first - margin < 0:
         raise LogError(
             f"{where}: the window starts {first} samples into the log, the filter needs {margin} before it; "
             f"start recording earlier"
         )
     if last + margin > len(motion.time):
-        last = len(motion.time) - margin
-        notes.append(
-            f"the log ends early: the window ends {motion.time[last - 1] - touchdown:.2f} s after touchdown"
-        )
+        last = max(0, len(motion.time) - margin)
+        ends_early = True
     if last - first < 10 or motion.time[min(last, len(motion.time)) - 1] < touchdown:
         raise LogError(
             f"{where}: only {max(0, last - first)} samples are left in the window around the touchdown at "
             f"{touchdown:.3f} s; record longer (the filter needs {margin} samples after the window)"
+        )
+    if ends_early:
+        kept = f"{motion.time[last - 1] - touchdown:.2f} s after the touchdown"
+        notes.append(f"the log ends early: the window ends {kept}")
+        warnings.warn(
+            f"{where}: the log ends early, so its window ends {kept} instead of "
+            f"{settings.after_contact:.2g} s (the filter needs {margin} samples more); the drop counts as "
+            f"much as the others",
+            SysidWarning,
+            stacklevel=2,
         )
     gap, at = _longest_gap(motion.valid[first - margin : last + margin])
     if gap / motion.rate > settings.max_gap + 1e-9:

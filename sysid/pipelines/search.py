@@ -19,7 +19,7 @@ import numpy as np
 
 from sysid import __version__, exact_json
 from sysid.campaign import FitTable
-from sysid.errors import CampaignError, FitError, SysidWarning
+from sysid.errors import CampaignError, FitError, SysidWarning, UnitError
 from sysid.executor import executor
 from sysid.fit.agreement import agreement, waterfall
 from sysid.fit.algorithms import ALGORITHMS, breeder
@@ -311,7 +311,7 @@ def naming(campaign_path: str | Path) -> Iterator[None]:
     """Put the campaign's path before a complaint about its content."""
     try:
         yield
-    except CampaignError as error:
+    except (CampaignError, UnitError) as error:
         if str(campaign_path) in str(error):
             raise
         raise CampaignError(f"{campaign_path}: {error}") from error
