@@ -182,7 +182,8 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
     Raises
     ------
     CampaignError
-        For an unknown parameter, a wrong unit, crossed bounds, bounds that exclude a measured value.
+        For an unknown parameter, a wrong unit, crossed bounds, bounds that exclude a measured value, a
+        parameter that neither torque nor speed depends on.
     """
     needed = ["command_delay"]
     if any(not trial.log.fast for trial in bench.fitted):
@@ -197,6 +198,21 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
     # A name that the campaign both frees and fixes stays in the list, to be refused.
     asked = set(choices.free or ())
     chosen = tuple(name for name in free if name not in choices.fixed or name in asked)
+    silent = [name for name in chosen if name.startswith("thrust_")]
+    if silent:
+        raise CampaignError(
+            f"parameters.free names {', '.join(silent)}, on which neither torque nor speed depends; thrust "
+            "comes from the static curves, so take it off the list"
+        )
+    scale = [name for name in ("back_emf_constant", "torque_constant") if name in chosen]
+    if scale and "winding_resistance" in chosen:
+        warnings.warn(
+            f"{' and '.join(scale)} free beside winding_resistance, and no log holds the motor's current: "
+            "torque and speed fix only k²/R, R/L and k·I_sat, which the result lists; the values themselves "
+            "are arbitrary together",
+            SysidWarning,
+            stacklevel=2,
+        )
     choices = choices.model_copy(update={"free": chosen})
     # A guess need not lie between the bounds of what is freed; a measurement must.
     values = {n: value for n, value in bench.values.items() if n not in chosen or n in bench.measured}

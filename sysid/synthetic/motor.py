@@ -8,7 +8,7 @@ static curves come from averaged points of a thrust stand on a battery, with the
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -96,6 +96,8 @@ def synthesize_motor(
     noise: bool = True,
     rate: float = 10_000.0,
     name: str = "synthetic-motor",
+    trials: Sequence[TrialPlan] = TRIALS,
+    ideal_reversal: bool = False,
     force: bool = False,
 ) -> Path:
     """Write a campaign of motor tests with known truth.
@@ -115,6 +117,10 @@ def synthesize_motor(
         Of the load cell [Hz].
     name : str
         Of the campaign.
+    trials : sequence of TrialPlan
+        Load-cell trials.
+    ideal_reversal : bool
+        A motor without saturation, as in Fig. 11.
     force : bool
         Replace an existing synthesized folder, with all that is in it.
 
@@ -140,14 +146,14 @@ def synthesize_motor(
     true = {**model.PARAMETERS.nominal, **TRUE_MOTOR, **(parameters or {})}
     spread = BenchNoise() if noise else BenchNoise(0.0, 0.0, 0.0)
     files: dict[str, Any] = {}
-    facts, trials = [], []
-    for number, plan in enumerate(TRIALS, start=1):
+    facts, entries = [], []
+    for number, plan in enumerate(trials, start=1):
         source = np.random.default_rng([seed, number])
-        log, fact = _trial(plan, true, rate, spread, source)
+        log, fact = _trial(plan, true, rate, spread, source, ideal_reversal)
         file = f"{plan.name}.{'csv' if plan.export == 'csv' else 'h5'}"
         files[file] = load_cell_csv(log) if plan.export == "csv" else load_cell_hdf5(log)
         facts.append({"name": plan.name, "log": file, "direction": plan.direction, "use": plan.use, **fact})
-        trials.append(_trial_text(plan, file, fact["window start [s]"]))
+        entries.append(_trial_text(plan, file, fact["window start [s]"]))
     stands = {}
     for number, (file, direction, loaded) in enumerate(
         (
@@ -162,7 +168,7 @@ def synthesize_motor(
         points, tare = _stand_points(direction == "forward", loaded, true, noise, source)
         files[file] = stand_csv(points, source, thrust_unit="gf" if direction == "forward" else "N")
         stands[file] = tare
-    files[CAMPAIGN_FILE] = _campaign_text(name, true, trials, seed)
+    files[CAMPAIGN_FILE] = _campaign_text(name, true, entries, seed)
     files[TRUTH_FILE] = truth_text(
         "motor",
         model.PARAMETERS,
@@ -184,7 +190,12 @@ def synthesize_motor(
 
 
 def _trial(
-    plan: TrialPlan, true: Mapping[str, float], rate: float, noise: BenchNoise, source: np.random.Generator
+    plan: TrialPlan,
+    true: Mapping[str, float],
+    rate: float,
+    noise: BenchNoise,
+    source: np.random.Generator,
+    ideal_reversal: bool,
 ) -> tuple[LoadCellLog, dict[str, Any]]:
     """Simulate one trial and record it with tare, noise and quantization."""
     first = round(float(source.uniform(3.0, 40.0)), 4)
@@ -192,7 +203,7 @@ def _trial(
     time = first + np.arange(count) / rate
     instants = first + np.concatenate([[0.0, _REST], _REST + _IDLE + plan.hold * np.arange(len(plan.levels))])
     levels = np.array([0.0, plan.idle, *plan.levels])
-    run = model.simulate(true, instants, levels, time)
+    run = model.simulate(true, instants, levels, time, ideal_reversal=ideal_reversal)
     # Half a sample early, so that rounding of the clock cannot move a step by one row.
     held = np.searchsorted(instants, time + 0.5 / rate, side="right") - 1
     command = NEUTRAL + (MAXIMUM - NEUTRAL) * levels[held]

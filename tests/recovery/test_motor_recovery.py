@@ -345,6 +345,37 @@ def test_kv_in_the_wrong_unit_is_refused(campaign_file: Path, kv: str, words: st
         _prepare(path)
 
 
+def test_freed_parameters_that_no_log_fixes_are_said(campaign_file: Path) -> None:
+    def space(*names: str):
+        free = "[parameters]\nfree = [" + ", ".join(f'"{name}"' for name in names) + "]\n\n[fit]"
+        path = _changed(campaign_file, "[fit]", free, "freed-more.toml")
+        campaign = read_campaign(path, "motor")
+        return search_space(campaign, prepare_bench(campaign, path))
+
+    with pytest.warns(UserWarning, match="torque_constant free beside winding_resistance.* only k²/R, R/L"):
+        space("winding_resistance", "torque_constant")
+    with pytest.raises(CampaignError, match="thrust_quadratic_forward, on which neither torque nor speed"):
+        space("winding_resistance", "thrust_quadratic_forward")
+    assert space("winding_resistance", "rotor_inertia").names[:2] == ("winding_resistance", "rotor_inertia")
+
+
+def test_scale_freedom_of_torque_and_speed(prepared) -> None:
+    # (k, R, L, I_sat) → (c k, c² R, c² L, I_sat/c) changes no score, reversals included.
+    campaign, bench = prepared
+    c = 1.7
+    scaled = TRUTH | {
+        "back_emf_constant": c * TRUTH["back_emf_constant"],
+        "torque_constant": c * TRUTH["torque_constant"],
+        "winding_resistance": c * c * TRUTH["winding_resistance"],
+        "winding_inductance": c * c * TRUTH["winding_inductance"],
+        "saturation_current": TRUTH["saturation_current"] / c,
+    }
+    # Other currents make the integrator choose other steps: 1e-5 of tolerance each.
+    np.testing.assert_allclose(
+        score_values(campaign, bench, scaled), score_values(campaign, bench, TRUTH), rtol=1e-3, atol=1e-6
+    )
+
+
 def test_odd_kv_is_warned_of(campaign_file: Path) -> None:
     path = _changed(campaign_file, 'kv = "960 rpm/V"', 'kv = "2300 rpm/V"', "odd.toml")
     with pytest.warns(UserWarning, match="check kv and reference_voltage"):
