@@ -3,9 +3,11 @@
 Notes
 -----
 Everything is relative to free fall: without weights the legs obey the same equations, and gravity is added to
-the body at the end. With ``rho`` the distance of a leg's centre of mass from its joint, ``F`` the ground's
-force on the foot at distance ``arm`` below that centre, ``S = k_h h + b_h h'`` the axial joint force (5),
-``M`` the joint moment on the leg (6) and ``lam`` the constraint force of the joint on the leg along ``ex``:
+the body at the end. Thrust acts on the body along ``ez(phi)``: ``lift`` is its sum over m_B, ``tilt`` its
+moment over I_B (the rear pair of motors pitches toward +). With ``rho`` the distance of a leg's centre of
+mass from its joint, ``F`` the ground's force on the foot at distance ``arm`` below that centre, ``S = k_h h +
+b_h h'`` the axial joint force (5), ``M`` the joint moment on the leg (6) and ``lam`` the constraint force of
+the joint on the leg along ``ex``:
 
     m_leg (a_j.ex - 2 h' theta' - rho theta'') = F.ex + lam
     I_leg theta'' = M - arm F.ex + rho lam
@@ -24,19 +26,22 @@ from sysid.gear.geometry import foot_motion, joint_position, sine_cosine
 
 @njit(error_model="numpy", forceinline=True)
 def pose(phi, theta_c, theta_d, dx_j, dz_j):
-    """Cosines and sines of both legs' angles from the slope, and the joints' offsets from the body [m]."""
+    """Cosines and sines of both legs' and the body's angles from the slope, and the joints' offsets [m].
+
+    Returned as cos, sin of leg C; of leg D; offset of joint C (along, normal); of joint D; cos, sin of phi.
+    """
     sin_phi, cos_phi = sine_cosine(phi)
     sin_c, cos_c = sine_cosine(theta_c)
     sin_d, cos_d = sine_cosine(theta_d)
     c_s, c_w = joint_position(cos_phi, sin_phi, 1.0, dx_j, dz_j)
     d_s, d_w = joint_position(cos_phi, sin_phi, -1.0, dx_j, dz_j)
-    return cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w
+    return cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w, cos_phi, sin_phi
 
 
 @njit(error_model="numpy", forceinline=True)
 def feet(joints, w, h_c, h_d, rates, l):  # noqa: E741
     """Penetration, its rate and slip speed of the rear foot, then of the front foot [m, m/s, m/s]."""
-    cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w = joints
+    cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w, _, _ = joints
     s_rate, w_rate, omega, h_c_rate, theta_c_rate, h_d_rate, theta_d_rate = rates
     rear = foot_motion(w, s_rate, w_rate, omega, c_s, c_w, l + h_c, h_c_rate, cos_c, sin_c, theta_c_rate)
     front = foot_motion(w, s_rate, w_rate, omega, d_s, d_w, l + h_d, h_d_rate, cos_d, sin_d, theta_d_rate)
@@ -49,46 +54,48 @@ def foot_looseness(joints, h_c, h_d, coefficients):
 
     The leg turns about a joint held still, slides along its axis, and the body moves as if it had no legs.
     """
-    cos_c, sin_c, cos_d, sin_d, _, c_w, _, d_w = joints
-    l, rho_0 = coefficients[6], coefficients[9]  # noqa: E741
-    per_m, per_i, per_ml, per_il = coefficients[10], coefficients[11], coefficients[12], coefficients[13]
+    cos_c, sin_c, cos_d, sin_d, _, c_w, _, d_w, _, _ = joints
+    l, _, _, rho_0, per_m, per_i, per_mc, per_ic, per_md, per_id = coefficients[10:20]  # noqa: E741
     rho_c = rho_0 + h_c
     rho_d = rho_0 + h_d
     lever_c = cos_c * (l + h_c)
     lever_d = cos_d * (l + h_d)
-    ratio = per_il * per_ml
-    loose_c = per_m + c_w * c_w * per_i + sin_c * sin_c * per_ml
-    loose_c = loose_c + lever_c * lever_c * ratio / (per_ml + rho_c * rho_c * per_il)
-    loose_d = per_m + d_w * d_w * per_i + sin_d * sin_d * per_ml
-    loose_d = loose_d + lever_d * lever_d * ratio / (per_ml + rho_d * rho_d * per_il)
+    loose_c = per_m + c_w * c_w * per_i + sin_c * sin_c * per_mc
+    loose_c = loose_c + lever_c * lever_c * per_ic * per_mc / (per_mc + rho_c * rho_c * per_ic)
+    loose_d = per_m + d_w * d_w * per_i + sin_d * sin_d * per_md
+    loose_d = loose_d + lever_d * lever_d * per_id * per_md / (per_md + rho_d * rho_d * per_id)
     return loose_c, loose_d
 
 
 @njit(error_model="numpy", forceinline=True)
-def accelerations(
-    joints, phi, h_c, theta_c, h_d, theta_d, rates, normal_c, normal_d, friction_c, friction_d, coefficients
-):
+def accelerations(joints, angles, rates, thrust, normals, friction_c, friction_d, coefficients):
     """Second time derivatives of (s, w, phi, h_C, theta_C, h_D, theta_D) under given forces on the feet.
 
     Parameters
     ----------
     joints : tuple
         From `pose`.
-    phi, theta_c, theta_d : float
-        Angles of body and legs from the slope [rad].
-    h_c, h_d : float
-        Extension of the legs [m].
+    angles : tuple of 5 float
+        phi, h_C, theta_C, h_D, theta_D: angles of body and legs from the slope [rad], extensions [m].
     rates : tuple of 7 float
         Rates of the coordinates.
-    normal_c, normal_d, friction_c, friction_d : float
-        Forces on the feet along the slope's normal and down-slope tangent [N].
-    coefficients : tuple of 16 float
-        k_h, b_h, k_t, b_t, dx_j, dz_j, l, q_n, arm, rho_0, 1/m_B, 1/I_B, 1/m_leg, 1/I_leg, gravity along the
-        tangent and along the normal.
+    thrust : tuple of 2 float
+        lift [m/s²] and tilt [rad/s²].
+    normals : tuple of 2 float
+        Forces on the rear and front foot along the slope's normal [N].
+    friction_c, friction_d : float
+        Forces on the feet along the down-slope tangent [N].
+    coefficients : tuple of 22 float
+        k_h, b_h, k_t, b_t of the rear leg, the same of the front leg, dx_j, dz_j, l, q_n, arm, rho_0, 1/m_B,
+        1/I_B, 1/m_leg, 1/I_leg of the rear leg, of the front leg, gravity along the tangent and the normal.
     """
-    cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w = joints
+    cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w, cos_phi, sin_phi = joints
+    phi, h_c, theta_c, h_d, theta_d = angles
+    lift, tilt = thrust
+    normal_c, normal_d = normals
     _, _, omega, h_c_rate, theta_c_rate, h_d_rate, theta_d_rate = rates
-    k_h, b_h, k_t, b_t, _, _, _, q_n, arm, rho_0, per_m, per_i, per_ml, per_il, g_s, g_w = coefficients
+    kh_c, bh_c, kt_c, bt_c, kh_d, bh_d, kt_d, bt_d = coefficients[:8]
+    _, _, _, q_n, arm, rho_0, per_m, per_i, per_mc, per_ic, per_md, per_id, g_s, g_w = coefficients[8:]
     spin = omega * omega
     rho_c = rho_0 + h_c
     rho_d = rho_0 + h_d
@@ -98,30 +105,30 @@ def accelerations(
     p_d = cos_d * d_w + sin_d * d_s
     n_d = sin_d * d_w - cos_d * d_s
     # Axial joint forces (5) and joint moments on the legs (6).
-    axial_c = k_h * h_c + b_h * h_c_rate
-    axial_d = k_h * h_d + b_h * h_d_rate
-    moment_c = -k_t * (theta_c - phi - q_n) - b_t * (theta_c_rate - omega)
-    moment_d = -k_t * (theta_d - phi + q_n) - b_t * (theta_d_rate - omega)
+    axial_c = kh_c * h_c + bh_c * h_c_rate
+    axial_d = kh_d * h_d + bh_d * h_d_rate
+    moment_c = -kt_c * (theta_c - phi - q_n) - bt_c * (theta_c_rate - omega)
+    moment_d = -kt_d * (theta_d - phi + q_n) - bt_d * (theta_d_rate - omega)
     # Ground forces in each leg's axes.
     across_c = friction_c * cos_c - normal_c * sin_c
     along_c = friction_c * sin_c + normal_c * cos_c
     across_d = friction_d * cos_d - normal_d * sin_d
     along_d = friction_d * sin_d + normal_d * cos_d
     # What is known of the body's accelerations before the constraint forces.
-    a_s = -(axial_c * sin_c + axial_d * sin_d) * per_m
-    a_w = -(axial_c * cos_c + axial_d * cos_d) * per_m
-    alpha = -(moment_c + moment_d + axial_c * n_c + axial_d * n_d) * per_i
+    a_s = lift * sin_phi - (axial_c * sin_c + axial_d * sin_d) * per_m
+    a_w = lift * cos_phi - (axial_c * cos_c + axial_d * cos_d) * per_m
+    alpha = tilt - (moment_c + moment_d + axial_c * n_c + axial_d * n_d) * per_i
     # 2 x 2 system of the constraint forces.
-    turn_c = (moment_c - arm * across_c) * per_il
-    turn_d = (moment_d - arm * across_d) * per_il
-    ratio_c = rho_c * per_il
-    ratio_d = rho_d * per_il
+    turn_c = (moment_c - arm * across_c) * per_ic
+    turn_d = (moment_d - arm * across_d) * per_id
+    ratio_c = rho_c * per_ic
+    ratio_d = rho_d * per_id
     right_c = a_s * cos_c - a_w * sin_c + alpha * p_c + spin * n_c
-    right_c = right_c - 2.0 * h_c_rate * theta_c_rate - across_c * per_ml - rho_c * turn_c
+    right_c = right_c - 2.0 * h_c_rate * theta_c_rate - across_c * per_mc - rho_c * turn_c
     right_d = a_s * cos_d - a_w * sin_d + alpha * p_d + spin * n_d
-    right_d = right_d - 2.0 * h_d_rate * theta_d_rate - across_d * per_ml - rho_d * turn_d
-    m_cc = per_ml + rho_c * ratio_c + per_m + p_c * p_c * per_i
-    m_dd = per_ml + rho_d * ratio_d + per_m + p_d * p_d * per_i
+    right_d = right_d - 2.0 * h_d_rate * theta_d_rate - across_d * per_md - rho_d * turn_d
+    m_cc = per_mc + rho_c * ratio_c + per_m + p_c * p_c * per_i
+    m_dd = per_md + rho_d * ratio_d + per_m + p_d * p_d * per_i
     m_cd = (cos_c * cos_d + sin_c * sin_d) * per_m + p_c * p_d * per_i
     scale = 1.0 / (m_cc * m_dd - m_cd * m_cd)
     lam_c = (m_dd * right_c - m_cd * right_d) * scale
@@ -132,7 +139,7 @@ def accelerations(
     theta_c_acc = turn_c + ratio_c * lam_c
     theta_d_acc = turn_d + ratio_d * lam_d
     h_c_acc = a_s * sin_c + a_w * cos_c + alpha * n_c - spin * p_c
-    h_c_acc = h_c_acc + rho_c * theta_c_rate * theta_c_rate - (along_c + axial_c) * per_ml
+    h_c_acc = h_c_acc + rho_c * theta_c_rate * theta_c_rate - (along_c + axial_c) * per_mc
     h_d_acc = a_s * sin_d + a_w * cos_d + alpha * n_d - spin * p_d
-    h_d_acc = h_d_acc + rho_d * theta_d_rate * theta_d_rate - (along_d + axial_d) * per_ml
+    h_d_acc = h_d_acc + rho_d * theta_d_rate * theta_d_rate - (along_d + axial_d) * per_md
     return a_s + g_s, a_w + g_w, alpha, h_c_acc, theta_c_acc, h_d_acc, theta_d_acc

@@ -1,43 +1,65 @@
 """The landing gear in time: many drops side by side in lanes, one drop alone with a single lane.
 
-`drop_driver(lanes)` makes the compiled driver; the scalar form is the same code with one lane. Each lane
-integrates its own job (a parameter row on a drop) with its own adaptive step and takes the next job when its
-drop ends; loops over lanes become packed instructions. Lanes never exchange numbers, so a result depends
+`drop_driver(lanes, surface)` makes the compiled driver; the scalar form is the same code with one lane. Each
+lane integrates its own job (a parameter row on a drop) with its own adaptive step and takes the next job when
+its drop ends; loops over lanes become packed instructions. Lanes never exchange numbers, so a result depends
 neither on the number of lanes and threads nor on the order of jobs, and a lane that is lost leaves the others
 alone.
 
 The method is the explicit pair of `sysid.integrate.tableau`; samples between steps come from the cubic
-Hermite polynomial of the step (order 3). On low friction a step never exceeds what the method's real
-stability allows for the slip of a creeping foot; on high friction a step ends where a foot loses its mode
-(`sysid.gear.hybrid`).
+Hermite polynomial of the step (order 3), and so do the times of touchdown, lift-off, flip and rest. A step
+never exceeds what the method's real stability allows for the slip of a creeping foot; on a surface with modes
+it ends where a foot loses its mode (`sysid.gear.surfaces.high_friction`); under thrust it ends where a
+segment of the thrust's history does.
 
-Status codes of a job: see `OK`, `STEP_COLLAPSED`, `TOO_EXPENSIVE`, `BLEW_UP`.
+Status codes of a job: see `OK` ... `FLIPPED_OVER`.
 """
 
 import hashlib
+import inspect
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numba import njit
 
-from sysid.gear.contact import low_friction, normal_force
+from sysid.gear import stages
+from sysid.gear.contact import normal_force
 from sysid.gear.dynamics import feet, pose
-from sysid.gear.stages import (
+from sysid.gear.jobs import (
+    FLIP_ANGLE,
+    REST_SPEED,
+    REST_TIME,
+    REST_TURN,
+    assign,
+    available,
+    begin,
+    idle,
+    locate,
+    sample,
+    thrust_segment,
+)
+from sysid.gear.rows import (
     COEFFICIENTS,
     COUNT,
     END,
+    FLIPPED,
     FRESH,
     FRICTION,
     FRICTION_0,
+    GROUND,
+    LAW,
+    LENGTH,
     LIMIT,
-    MARGIN,
-    MU_S,
+    MOVED,
     NEW_STEP,
     NEXT,
     NORMAL,
     RATES,
     REQUIRED,
+    RESTED,
     ROWS,
+    SEGMENT_END,
     START,
     STEP,
     STIFF,
@@ -45,16 +67,28 @@ from sysid.gear.stages import (
     SWITCH,
     TAKEN,
     TIME,
-    WAY,
-    evaluate,
-    switch,
+    TOUCHED,
 )
+from sysid.gear.surfaces.surface import Surface, specialized
 from sysid.integrate.tableau import REAL_LIMIT, STAGES, E
+
+# Bound to a surface's own when a driver is made.
+evaluate: Any = None
+after_step: Any = None
+friction: Any = None
 
 OK = 0
 STEP_COLLAPSED = 1
 TOO_EXPENSIVE = 2
 BLEW_UP = 3
+CAME_TO_REST = 4
+FLIPPED_OVER = 5
+
+# What a row of `marks` tells.
+TOUCHDOWN, LIFT_OFF, SLIP, STICK, FLIP, REST = 0, 1, 2, 3, 4, 5
+# Columns of `plans`: first segment (it holds until the history begins), one past the last, start of the
+# history [s], 1 if that start counts from the first contact instead of from the drop's start.
+PLAN_COLUMNS = 4
 
 # Error weights of the rates (s, w, phi, h_C, theta_C, h_D, theta_D): 1 / scale, scales 1 m/s and 10 rad/s for
 # the legs; a light leg may err 30 times more than the body, whose motion is what is measured.
@@ -62,181 +96,53 @@ WEIGHTS = np.array([30.0, 30.0, 6.0, 1.0, 0.1, 1.0, 0.1])
 
 # First step of a drop, and after a foot has switched its mode [s].
 FIRST_STEP = 6e-5
+# Two instants closer than this are one [s].
+_SAME = 1e-10
 
 # Part of the method's real stability limit that a step may use: the slip's decay rate can grow within the
 # step.
 STABLE = 0.9 * REAL_LIMIT
 
 
-def _fingerprint() -> int:
+def _fingerprint(surface: Surface) -> int:
     """Hash of the sources that are inlined here, so that a cached driver never outlives them."""
     here = Path(__file__).parent
-    sources = [
-        here / f"{name}.py" for name in ("geometry", "contact", "dynamics", "hybrid", "stages", "kernel")
-    ]
-    sources.append(here.parent / "integrate" / "tableau.py")
-    text = b"".join(source.read_bytes() for source in sources)
+    names = ("geometry", "contact", "dynamics", "rows", "stages", "jobs", "kernel")
+    sources = [here / f"{name}.py" for name in names]
+    sources += [here / "surfaces" / "surface.py", here.parent / "integrate" / "tableau.py"]
+    law = surface.friction if surface.friction is not None else surface.solve
+    sources.append(Path(inspect.getfile(law.py_func)))
+    text = surface.name.encode() + b"".join(source.read_bytes() for source in sources)
     return int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
 
 
-@njit(error_model="numpy")
-def _derive(parameters, slope, work, lane, lanes):
-    """Coefficients of one lane from a parameter row (order of `sysid.gear.model.PARAMETERS`) and a slope."""
-    span = parameters[3] - parameters[6]
-    drop = parameters[4] - parameters[7]
-    length = np.sqrt(span * span + drop * drop)
-    base = COEFFICIENTS * lanes + lane
-    work[base + 0 * lanes] = parameters[8]
-    work[base + 1 * lanes] = parameters[9]
-    work[base + 2 * lanes] = parameters[10]
-    work[base + 3 * lanes] = parameters[11]
-    work[base + 4 * lanes] = parameters[6]
-    work[base + 5 * lanes] = parameters[7]
-    work[base + 6 * lanes] = length
-    work[base + 7 * lanes] = np.arctan2(span, drop)
-    work[base + 8 * lanes] = parameters[16] * length
-    work[base + 9 * lanes] = (1.0 - parameters[16]) * length
-    work[base + 10 * lanes] = 1.0 / parameters[0]
-    work[base + 11 * lanes] = 1.0 / parameters[1]
-    work[base + 12 * lanes] = 1.0 / parameters[14]
-    work[base + 13 * lanes] = 1.0 / parameters[15]
-    work[base + 14 * lanes] = parameters[2] * np.sin(slope)
-    work[base + 15 * lanes] = -parameters[2] * np.cos(slope)
-    work[base + 16 * lanes] = parameters[12]
-    work[base + 17 * lanes] = parameters[13]
-    work[base + 18 * lanes] = parameters[17]
-    work[base + 19 * lanes] = parameters[18]
-    work[MU_S * lanes + lane] = parameters[17] + parameters[19]
+def drop_driver(lanes: int, surface: Surface):
+    """Make the driver for a number of lanes (1: the scalar form) and a surface."""
+    fingerprint = _fingerprint(surface)
+    modes = surface.switching
 
-
-@njit(error_model="numpy")
-def _begin(parameters, slope, body, legs, work, lane, lanes):
-    """Load a job into a lane: coefficients, state in the slope's frame, a first step of length 0."""
-    _derive(parameters, slope, work, lane, lanes)
-    c = np.cos(slope)
-    s = np.sin(slope)
-    y = START * lanes + lane
-    for i in range(2):
-        x = body[3 * i]
-        z = body[3 * i + 1]
-        work[y + (7 * i) * lanes] = c * x - s * z
-        work[y + (7 * i + 1) * lanes] = s * x + c * z
-    phi = body[2] - slope
-    rest = work[(COEFFICIENTS + 7) * lanes + lane]
-    work[y + 2 * lanes] = phi
-    work[y + 9 * lanes] = body[5]
-    if len(legs) == 8:
-        work[y + 3 * lanes] = legs[0]
-        work[y + 4 * lanes] = phi + legs[1]
-        work[y + 5 * lanes] = legs[2]
-        work[y + 6 * lanes] = phi - legs[3]
-        work[y + 10 * lanes] = legs[4]
-        work[y + 11 * lanes] = body[5] + legs[5]
-        work[y + 12 * lanes] = legs[6]
-        work[y + 13 * lanes] = body[5] - legs[7]
-    else:
-        work[y + 3 * lanes] = 0.0
-        work[y + 4 * lanes] = phi + rest
-        work[y + 5 * lanes] = 0.0
-        work[y + 6 * lanes] = phi - rest
-        work[y + 10 * lanes] = 0.0
-        work[y + 11 * lanes] = body[5]
-        work[y + 12 * lanes] = 0.0
-        work[y + 13 * lanes] = body[5]
-    for i in range(7):
-        work[(RATES + i) * lanes + lane] = 0.0
-    for foot in range(2):
-        work[(STUCK + foot) * lanes + lane] = 0.0
-        work[(WAY + foot) * lanes + lane] = 1.0
-        work[(MARGIN + foot) * lanes + lane] = -1e30
-        work[(SWITCH + foot) * lanes + lane] = 0.0
-        work[(FRICTION_0 + foot) * lanes + lane] = 0.0
-    work[TIME * lanes + lane] = 0.0
-    work[STEP * lanes + lane] = 0.0
-    work[FRESH * lanes + lane] = 1.0
-    work[COUNT * lanes + lane] = 0.0
-
-
-@njit(error_model="numpy")
-def _sample(work, lane, lanes, share, slope, columns, row):
-    """Write the state at `share` (0..1) of the step of one lane into `row`, in frame N."""
-    h = work[STEP * lanes + lane]
-    one = 1.0 - share
-    b00 = (1.0 + 2.0 * share) * one * one
-    b01 = share * share * (3.0 - 2.0 * share)
-    b10 = h * share * one * one
-    b11 = -h * share * share * one
-    c = np.cos(slope)
-    s = np.sin(slope)
-    half = 3 if columns == 6 else 7
-    for i in range(half):
-        x0 = work[(START + i) * lanes + lane]
-        v0 = work[(START + 7 + i) * lanes + lane]
-        x1 = work[(END + i) * lanes + lane]
-        v1 = work[(END + 7 + i) * lanes + lane]
-        a0 = work[(RATES + i) * lanes + lane]
-        a1 = work[(RATES + 7 * STAGES + i) * lanes + lane]
-        row[i] = b00 * x0 + b01 * x1 + b10 * v0 + b11 * v1
-        row[half + i] = b00 * v0 + b01 * v1 + b10 * a0 + b11 * a1
-    for i in range(2):
-        along = row[half * i]
-        normal = row[half * i + 1]
-        row[half * i] = c * along + s * normal
-        row[half * i + 1] = c * normal - s * along
-    if half == 7:
-        for i in range(2):
-            turn = row[7 * i + 2]
-            row[7 * i + 4] = row[7 * i + 4] - turn
-            row[7 * i + 6] = turn - row[7 * i + 6]
-    row[2] = row[2] + slope
-    if columns == 16:
-        for foot in range(2):
-            before = work[(FRICTION_0 + foot) * lanes + lane]
-            row[14 + foot] = one * before + share * work[(FRICTION + foot) * lanes + lane]
-
-
-@njit(error_model="numpy")
-def _assign(here, lane, job, cursor, clock, offset, cost, work):
-    """Let a lane own a job whose start it holds."""
-    lanes = len(job)
-    drop = here % (len(offset) - 1)
-    job[lane] = here
-    cursor[lane] = offset[drop]
-    work[NEXT * lanes + lane] = 0.0
-    work[LIMIT * lanes + lane] = max(1000.0, cost * clock[offset[drop + 1] - 1])
-
-
-@njit(error_model="numpy")
-def _idle(lane, job, work):
-    """Let a lane crawl from the start it holds: its numbers stay ordinary and nobody reads them."""
-    lanes = len(job)
-    job[lane] = -1
-    work[NEXT * lanes + lane] = np.inf
-    work[LIMIT * lanes + lane] = np.inf
-    work[FRESH * lanes + lane] = 2.0
-
-
-def drop_driver(lanes: int, high: bool):
-    """Make the driver for a number of lanes (1: the scalar form) and a surface of high or low friction."""
-    fingerprint = _fingerprint()
-
-    @njit(cache=True, nogil=True, error_model="numpy")
     def drive(
         parameters,
+        reads,
         slope,
         body,
         legs,
         clock,
         offset,
+        segments,
+        plans,
         jobs,
         tolerance,
         h_max,
         cost,
+        ends,
         samples,
         reached,
         status,
         spent,
         switches,
+        moments,
+        states,
         marks,
     ):
         """Integrate jobs (candidate * drops + drop) and sample them on their drop's clock.
@@ -244,13 +150,17 @@ def drop_driver(lanes: int, high: bool):
         Parameters
         ----------
         parameters : (P, n_par)
+        reads : (n,) int64
+            Columns of `parameters` that the friction law reads.
         slope : (D,) [rad]
-        body : (D, 6)
+        body : (P or 1, D, 6)
             x, z, q and rates at each drop's first sample, frame N [m, rad, s].
         legs : (8,) or (0,)
             h_C q_C h_D q_D and rates at the start, empty for legs at rest.
         clock : (n_total,)
             Sample times since each drop's start [s]; drop d owns offset[d]:offset[d + 1].
+        segments : (n, SEGMENT_COLUMNS), plans : (D, PLAN_COLUMNS)
+            Thrust histories and what each drop does with them.
         jobs : (n,) int64
         tolerance : float
             Bound of the weighted rms error of the rates per step.
@@ -258,21 +168,28 @@ def drop_driver(lanes: int, high: bool):
             Longest step [s].
         cost : float
             Right-hand sides that a drop may spend per second of its length, at least 1000 in all.
-        samples : (P, n_total, 6, 14 or 16)
-            Written: state at each sample, frame N (16: friction on the feet too); NaN from the failure on.
+        ends : bool
+            End a drop that has come to rest or flipped.
+        samples : (P, n_total, 6 or 16)
+            Written: state at each sample, frame N (16: friction on the feet too); NaN from the end on.
         reached, status, spent, switches : (P, D)
             Written: share of the drop's time integrated, status code, right-hand sides, mode switches.
+        moments : (P, D, 4)
+            Written: first touchdown of the rear and the front foot, flip, rest [s]; NaN where there is none.
+        states : (P, D, 3, 6)
+            Written: the body at the two touchdowns and at the end, frame N.
         marks : (n, 7)
-            Written: time, foot, 1 if it sticks from then on, available and required friction of both feet,
-            for the first n switches.
+            Written: time, kind, foot (2: body), available and required friction of both feet, for the first
+            n events; without rows only the first touchdowns are looked for.
         """
         if fingerprint < 0:  # keeps the sources' hash in the key of the cached code
             return
         drops = len(slope)
-        columns = samples.shape[2]
         work = np.ones(ROWS * lanes)
         job = np.full(lanes, -1, np.int64)
         cursor = np.zeros(lanes, np.int64)
+        segment = np.zeros(lanes, np.int64)
+        origin = np.zeros(lanes)
         per_tolerance = 1.0 / (7.0 * tolerance * tolerance)
         waiting = 0
         active = 0
@@ -280,24 +197,30 @@ def drop_driver(lanes: int, high: bool):
         for lane in range(lanes):
             here = jobs[min(waiting, len(jobs) - 1)]
             drop = here % drops
-            _begin(parameters[here // drops], slope[drop], body[drop], legs, work, lane, lanes)
+            start = body[here // drops if len(body) > 1 else 0, drop]
+            begin(parameters[here // drops], reads, slope[drop], start, legs, work, lane, lanes)
             if waiting < len(jobs):
-                _assign(here, lane, job, cursor, clock, offset, cost, work)
+                assign(here, lane, job, cursor, clock, offset, cost, work)
                 waiting += 1
                 active += 1
             else:
-                _idle(lane, job, work)
+                idle(lane, job, work)
+            segment[lane] = np.int64(plans[drop, 0])
+            origin[lane] = plans[drop, 2]
+            until = np.inf if plans[drop, 3] > 0.0 else origin[lane]
+            at = parameters[here // drops, 5]
+            thrust_segment(segments, segment[lane], 0.0, until, at, work, lane, lanes)
         while active > 0:
             for lane in range(lanes):
-                evaluate(work, 1, lane, lanes, high)
+                evaluate(work, 1, lane, lanes)
             for lane in range(lanes):
-                evaluate(work, 2, lane, lanes, high)
+                evaluate(work, 2, lane, lanes)
             for lane in range(lanes):
-                evaluate(work, 3, lane, lanes, high)
+                evaluate(work, 3, lane, lanes)
             for lane in range(lanes):
-                evaluate(work, 4, lane, lanes, high)
+                evaluate(work, 4, lane, lanes)
             for lane in range(lanes):
-                evaluate(work, 5, lane, lanes, high)
+                evaluate(work, 5, lane, lanes)
             attention = 0
             for lane in range(lanes):
                 total = 0.0
@@ -324,20 +247,59 @@ def drop_driver(lanes: int, high: bool):
                 fresh = work[FRESH * lanes + lane]
                 new_h = FIRST_STEP * taken if fresh > 0.0 else new_h
                 new_h = 1e-8 if fresh > 1.0 else new_h
-                if high:
-                    taken, new_h = switch(work, lane, lanes, h, taken, new_h)
+                if modes:
+                    taken, new_h = after_step(work, lane, lanes, h, taken, new_h)
+                t = work[TIME * lanes + lane]
+                now = t + h * taken
+                left = work[SEGMENT_END * lanes + lane] - now
+                over = 1.0 if left <= _SAME else 0.0
+                new_h = new_h if new_h < left or over > 0.0 else left
                 work[NEW_STEP * lanes + lane] = new_h
                 work[TAKEN * lanes + lane] = taken
                 count = work[COUNT * lanes + lane] + STAGES
                 work[COUNT * lanes + lane] = count
-                left = work[TIME * lanes + lane] + h - work[NEXT * lanes + lane]
-                stretch_c = work[(END + 3) * lanes + lane] + work[(COEFFICIENTS + 6) * lanes + lane]
-                stretch_d = work[(END + 5) * lanes + lane] + work[(COEFFICIENTS + 6) * lanes + lane]
+                # What happened in the step: contact, turning over, coming to rest.
+                touch_c = 1.0 if work[NORMAL * lanes + lane] > 0.0 else 0.0
+                touch_d = 1.0 if work[(NORMAL + 1) * lanes + lane] > 0.0 else 0.0
+                change_c = touch_c - work[TOUCHED * lanes + lane]
+                change_d = touch_d - work[(TOUCHED + 1) * lanes + lane]
+                if lanes == 1:
+                    change_c = change_c * change_c
+                    change_d = change_d * change_d
+                news = change_c if change_c > change_d else change_d
+                turn = work[(END + 2) * lanes + lane]
+                turn = turn if turn > 0.0 else -turn
+                turned = 1.0 if turn > FLIP_ANGLE else 0.0
+                turned = turned - work[FLIPPED * lanes + lane]
+                news = news if news > turned else turned
+                s_rate = work[(END + 7) * lanes + lane]
+                w_rate = work[(END + 8) * lanes + lane]
+                omega = work[(END + 9) * lanes + lane]
+                speed = s_rate * s_rate + w_rate * w_rate - REST_SPEED * REST_SPEED
+                spin = omega * omega - REST_TURN * REST_TURN
+                motion = speed if speed > spin else spin
+                moved = work[MOVED * lanes + lane]
+                if lanes == 1:
+                    calm = 1.0 if moved >= t else 0.0
+                    calm = calm if motion < 0.0 else 0.0
+                    news = news if news > calm else calm
+                moved = now if motion >= 0.0 else moved
+                moved = moved if taken > 0.0 else work[MOVED * lanes + lane]
+                work[MOVED * lanes + lane] = moved
+                rested = 1.0 if now - moved >= REST_TIME else 0.0
+                rested = rested - work[RESTED * lanes + lane]
+                news = news if news > rested else rested
+                news = news * taken
+                news = news if news > over else over
+                due = t + h - work[NEXT * lanes + lane]
+                stretch_c = work[(END + 3) * lanes + lane] + work[LENGTH * lanes + lane]
+                stretch_d = work[(END + 5) * lanes + lane] + work[LENGTH * lanes + lane]
                 sound = stretch_c if stretch_c < stretch_d else stretch_d
                 sound = sound if new_h > 1e-9 else -1.0
                 sound = sound if count < work[LIMIT * lanes + lane] else -1.0
-                due = left if taken > 0.0 else -1.0
+                due = due if taken > 0.0 else -1.0
                 due = due if sound > 0.0 else 1.0
+                due = due if news <= 0.0 else 1.0
                 attention += 1 if due >= 0.0 else 0
             if attention > 0:
                 for lane in range(lanes):
@@ -354,27 +316,81 @@ def drop_driver(lanes: int, high: bool):
                     taken = work[TAKEN * lanes + lane] > 0.0
                     if taken:
                         for foot in range(2):
-                            if high and work[(SWITCH + foot) * lanes + lane] > 0.0:
+                            touch = 1.0 if work[(NORMAL + foot) * lanes + lane] > 0.0 else 0.0
+                            before = work[(TOUCHED + foot) * lanes + lane]
+                            if touch > before or (lanes == 1 and touch < before):
+                                share = locate(work, lane, lanes, foot) if h > 0.0 else 0.0
+                                work[(TOUCHED + foot) * lanes + lane] = touch
+                                if touch > 0.0 and np.isnan(moments[candidate, drop, foot]):
+                                    moments[candidate, drop, foot] = t + share * h
+                                    row = states[candidate, drop, foot]
+                                    sample(work, lane, lanes, share, slope[drop], row)
+                                    begins = t + share * h + plans[drop, 2]
+                                    waits = plans[drop, 3] > 0.0 and segment[lane] == plans[drop, 0]
+                                    if waits and begins < work[SEGMENT_END * lanes + lane]:
+                                        origin[lane] = begins
+                                        work[SEGMENT_END * lanes + lane] = begins
+                                if marked < len(marks):
+                                    marks[marked, 0] = t + share * h
+                                    marks[marked, 1] = TOUCHDOWN if touch > 0.0 else LIFT_OFF
+                                    marks[marked, 2] = foot
+                                    marks[marked, 3:] = np.nan
+                                    marked += 1
+                            if modes and work[(SWITCH + foot) * lanes + lane] > 0.0:
                                 switches[candidate, drop] += 1
                                 if marked < len(marks):
                                     stuck = work[(STUCK + foot) * lanes + lane]
-                                    mu = work[(COEFFICIENTS + 18 if stuck > 0.0 else MU_S) * lanes + lane]
                                     marks[marked, 0] = t + h
-                                    marks[marked, 1] = foot
-                                    marks[marked, 2] = stuck
+                                    marks[marked, 1] = STICK if stuck > 0.0 else SLIP
+                                    marks[marked, 2] = foot
                                     for other in range(2):
-                                        normal = work[(NORMAL + other) * lanes + lane]
-                                        marks[marked, 3 + other] = mu * normal
+                                        marks[marked, 3 + other] = available(work, lane, lanes, stuck, other)
                                         marks[marked, 5 + other] = work[(REQUIRED + other) * lanes + lane]
                                     marked += 1
+                        if abs(work[(END + 2) * lanes + lane]) > FLIP_ANGLE and h > 0.0:
+                            if work[FLIPPED * lanes + lane] == 0.0:
+                                work[FLIPPED * lanes + lane] = 1.0
+                                moments[candidate, drop, 2] = t + h * locate(work, lane, lanes, 2)
+                                if marked < len(marks):
+                                    marks[marked, 0] = moments[candidate, drop, 2]
+                                    marks[marked, 1] = FLIP
+                                    marks[marked, 2] = 2
+                                    marks[marked, 3:] = np.nan
+                                    marked += 1
+                            code = FLIPPED_OVER if ends else code
+                        if lanes == 1 and h > 0.0 and work[MOVED * lanes + lane] == t:
+                            work[MOVED * lanes + lane] = t + h * locate(work, lane, lanes, 3)
+                        if t + h - work[MOVED * lanes + lane] >= REST_TIME:
+                            if work[RESTED * lanes + lane] == 0.0:
+                                work[RESTED * lanes + lane] = 1.0
+                                moments[candidate, drop, 3] = work[MOVED * lanes + lane]
+                                if marked < len(marks):
+                                    marks[marked, 0] = moments[candidate, drop, 3]
+                                    marks[marked, 1] = REST
+                                    marks[marked, 2] = 2
+                                    marks[marked, 3:] = np.nan
+                                    marked += 1
+                            code = CAME_TO_REST if ends and code == OK else code
                         while cursor[lane] < end and clock[cursor[lane]] <= t + h:
                             share = (clock[cursor[lane]] - t) / h if h > 0.0 else 0.0
                             row = samples[candidate, cursor[lane]]
-                            _sample(work, lane, lanes, share, slope[drop], columns, row)
+                            sample(work, lane, lanes, share, slope[drop], row)
                             cursor[lane] += 1
                         stretch = min(work[(END + 3) * lanes + lane], work[(END + 5) * lanes + lane])
-                        if not stretch + work[(COEFFICIENTS + 6) * lanes + lane] > 0.0:
+                        if not stretch + work[LENGTH * lanes + lane] > 0.0:
                             code = BLEW_UP
+                        now = t + h
+                        while work[SEGMENT_END * lanes + lane] - now <= _SAME:
+                            segment[lane] += 1
+                            until = np.inf
+                            if segment[lane] < plans[drop, 1]:
+                                until = origin[lane] + segments[segment[lane], 1]
+                            at = parameters[candidate, 5]
+                            begun = origin[lane]
+                            thrust_segment(segments, segment[lane], begun, until, at, work, lane, lanes)
+                        work[NEW_STEP * lanes + lane] = min(
+                            work[NEW_STEP * lanes + lane], work[SEGMENT_END * lanes + lane] - now
+                        )
                     elif not work[NEW_STEP * lanes + lane] > 1e-9:
                         code = STEP_COLLAPSED
                     if work[COUNT * lanes + lane] >= work[LIMIT * lanes + lane]:
@@ -386,20 +402,30 @@ def drop_driver(lanes: int, high: bool):
                         reached[candidate, drop] = min(t / length, 1.0) if length > 0.0 else 0.0
                         samples[candidate, cursor[lane] : end] = np.nan
                     else:
-                        code = OK
+                        code = code if code >= CAME_TO_REST else OK
                         reached[candidate, drop] = 1.0
+                    share = 1.0 if taken else 0.0
+                    if taken and cursor[lane] == end and code == OK:
+                        share = (length - t) / h if h > 0.0 else 0.0
+                    sample(work, lane, lanes, share, slope[drop], states[candidate, drop, 2])
                     status[candidate, drop] = code
                     spent[candidate, drop] = np.int64(work[COUNT * lanes + lane])
                     if waiting < len(jobs):
                         here = jobs[waiting]
                     drop = here % drops
-                    _begin(parameters[here // drops], slope[drop], body[drop], legs, work, lane, lanes)
+                    start = body[here // drops if len(body) > 1 else 0, drop]
+                    begin(parameters[here // drops], reads, slope[drop], start, legs, work, lane, lanes)
+                    segment[lane] = np.int64(plans[drop, 0])
+                    origin[lane] = plans[drop, 2]
+                    until = np.inf if plans[drop, 3] > 0.0 else origin[lane]
+                    at = parameters[here // drops, 5]
+                    thrust_segment(segments, segment[lane], 0.0, until, at, work, lane, lanes)
                     work[TAKEN * lanes + lane] = -1.0
                     if waiting < len(jobs):
-                        _assign(here, lane, job, cursor, clock, offset, cost, work)
+                        assign(here, lane, job, cursor, clock, offset, cost, work)
                         waiting += 1
                     else:
-                        _idle(lane, job, work)
+                        idle(lane, job, work)
                         active -= 1
             for lane in range(lanes):
                 taken = work[TAKEN * lanes + lane]
@@ -408,13 +434,13 @@ def drop_driver(lanes: int, high: bool):
                 work[STEP * lanes + lane] = work[NEW_STEP * lanes + lane] if taken >= 0.0 else 0.0
                 fresh = work[FRESH * lanes + lane]
                 fresh = 0.0 if taken >= 0.0 and fresh == 1.0 else fresh
-                if high:
+                if modes:
                     switched = work[SWITCH * lanes + lane] + work[(SWITCH + 1) * lanes + lane]
                     fresh = 1.0 if switched > 0.0 and fresh == 0.0 else fresh
-                    for foot in range(2):
-                        before = work[(FRICTION_0 + foot) * lanes + lane]
-                        now = work[(FRICTION + foot) * lanes + lane]
-                        work[(FRICTION_0 + foot) * lanes + lane] = now if taken > 0.0 else before
+                for foot in range(2):
+                    before = work[(FRICTION_0 + foot) * lanes + lane]
+                    now = work[(FRICTION + foot) * lanes + lane]
+                    work[(FRICTION_0 + foot) * lanes + lane] = now if taken > 0.0 else before
                 work[FRESH * lanes + lane] = fresh
             for i in range(14):
                 for lane in range(lanes):
@@ -427,27 +453,46 @@ def drop_driver(lanes: int, high: bool):
                     new = work[(RATES + 7 * STAGES + i) * lanes + lane]
                     work[(RATES + i) * lanes + lane] = new if work[TAKEN * lanes + lane] > 0.0 else old
 
-    return drive
+    text = specialized(stages.evaluate, solve=surface.solve)
+    stage = njit(error_model="numpy", inline="always")(text)
+    bound = specialized(drive, evaluate=stage, after_step=surface.after_step)
+    return njit(cache=True, nogil=True, error_model="numpy")(bound)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def foot_forces(parameters, slope, states, forces):
-    """Fill `forces` (n, 4) of states (n, 14), frame N: normal force rear, front, friction rear, front [N]."""
-    work = np.ones(ROWS)
-    for n in range(len(states)):
-        state = states[n]
-        legs = np.array([state[3], state[4], state[5], state[6], state[10], state[11], state[12], state[13]])
-        body = np.array([state[0], state[1], state[2], state[7], state[8], state[9]])
-        _begin(parameters, slope, body, legs, work, 0, 1)
-        y = work[:14]
-        p = work[COEFFICIENTS:]
-        joints = pose(y[2], y[4], y[6], p[4], p[5])
-        rates = (y[7], y[8], y[9], y[10], y[11], y[12], y[13])
-        p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, y[1], y[3], y[5], rates, p[6])
-        n_c = normal_force(p_c, dp_c, p[16], p[17])
-        n_d = normal_force(p_d, dp_d, p[16], p[17])
-        f_c, f_d = low_friction(n_c, n_d, v_c, v_d, p[18], p[19])
-        forces[n, 0] = n_c
-        forces[n, 1] = n_d
-        forces[n, 2] = f_c
-        forces[n, 3] = f_d
+def force_reader(surface: Surface):
+    """Make the function that reads the forces on the feet from states."""
+    fingerprint = _fingerprint(surface)
+    continuous = not surface.switching
+
+    def foot_forces(parameters, reads, slope, states, forces):
+        """Fill `forces` (n, 4) of states (n, 14), frame N: normal rear, front, friction rear, front [N].
+
+        Friction only where the law is a function of the state.
+        """
+        if fingerprint < 0:
+            return
+        work = np.ones(ROWS)
+        for n in range(len(states)):
+            state = states[n]
+            legs = np.array(
+                [state[3], state[4], state[5], state[6], state[10], state[11], state[12], state[13]]
+            )
+            body = np.array([state[0], state[1], state[2], state[7], state[8], state[9]])
+            begin(parameters, reads, slope, body, legs, work, 0, 1)
+            y = work[:14]
+            p = work[COEFFICIENTS:]
+            joints = pose(y[2], y[4], y[6], p[8], p[9])
+            rates = (y[7], y[8], y[9], y[10], y[11], y[12], y[13])
+            p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, y[1], y[3], y[5], rates, p[10])
+            forces[n, 0] = normal_force(p_c, dp_c, work[GROUND], work[GROUND + 1])
+            forces[n, 1] = normal_force(p_d, dp_d, work[GROUND], work[GROUND + 1])
+            if continuous:
+                k = LAW
+                law = (work[k], work[k + 1], work[k + 2], work[k + 3], work[k + 4], work[k + 5])
+                found = friction(forces[n, 0], forces[n, 1], v_c, v_d, law)
+                forces[n, 2] = found[0]
+                forces[n, 3] = found[1]
+
+    return njit(cache=True, nogil=True, error_model="numpy")(
+        specialized(foot_forces, friction=surface.friction)
+    )

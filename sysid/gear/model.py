@@ -1,7 +1,8 @@
 """Planar drone on two sprung legs landing on a slope (Bass & Lussier Desbiens, equations 5-12).
 
 Valid when roll and yaw stay small (the paper: below 10 deg); ignores aerodynamics of the body, the board's
-own motion and everything out of the plane. Motors off.
+own motion and everything out of the plane. Thrust, where given, acts along the body's z axis at ``(-+dx_m,
+0)``; it comes as a history, because it does not depend on the motion (`sysid.gear.propulsion`).
 
 Frame N: x down-slope to the right, z up, y into the page; positive pitch is nose-down. A slope of angle ``q_A
 > 0`` falls toward +x; its surface passes through the origin. For an angle a: ``ex(a) = (cos a, -sin a)``,
@@ -9,16 +10,16 @@ Frame N: x down-slope to the right, z up, y into the page; positive pitch is nos
 
 Each leg stands for the *pair* of real legs at its end: rear C up-slope at -x, front D at +x.
 
-=========  ==============================================================================================
+=========  ============================================================================================
 symbol     meaning [unit]
-=========  ==============================================================================================
+=========  ============================================================================================
 x_B z_B    body's centre of mass in frame N [m]
 q_B        pitch [rad]
 h_C h_D    extension of the rear and front leg along its axis [m], 0 at rest
-q_C q_D    angle of the rear and front leg from the body [rad], q_n at rest; absolute angles q_B + q_C, q_B -
-q_D l, q_n     leg length and angle at rest, from the feet (dx_f, dz_f) and joints (dx_j, dz_j) p, v_t
-penetration of a foot [m] and its speed along the slope [m/s] =========
-==============================================================================================
+q_C q_D    angle of the rear and front leg from the body [rad], q_n at rest; absolute q_B + q_C, q_B - q_D
+l, q_n     leg length and angle at rest, from the feet (dx_f, dz_f) and joints (dx_j, dz_j)
+p, v_t     penetration of a foot [m] and its speed along the slope [m/s]
+=========  ============================================================================================
 
 Laws
 ----
@@ -26,7 +27,7 @@ Joint, axial (5): force ``-(k_h h + b_h h')`` on the body along the leg. Joint, 
 body ``k_t (q_C - q_n) + b_t q_C'`` (rear; opposite sign for the front leg). The reaction across the leg is a
 constraint force. Contact (7): ``F_n = k_s p + b_s p'`` while ``p > 0``, the damper only while ``p' > 0``. Low
 friction (8): ``F_t = -mu_k F_n v_t / (|v_t| + eps_v)``. High friction (9, 10, Fig. 5): each foot slips
-or sticks, `sysid.gear.hybrid`. Motion (11, 12): `sysid.gear.dynamics`.
+or sticks, `sysid.gear.surfaces.high_friction`. Motion (11, 12): `sysid.gear.dynamics`.
 
 Where the printed paper cannot be meant literally: (8) lacks the minus sign (friction opposes slip); ``eps_v``
 is not printed (0.01 m/s here); the leg's centre of mass is not given (`leg_mass_fraction` of the length from
@@ -40,7 +41,6 @@ momentum.
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -48,118 +48,50 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from sysid.errors import CampaignError
 from sysid.gear import kernel
-from sysid.gear.trajectories import Drops, FloatArray, GearTrajectory, PopulationSamples, Status
-from sysid.parameters import Parameter, ParameterTable
-
-_MEASURED = "Table II, measured"
-_LF = "Table II, low friction, mean of five fits"
-
-# fmt: off
-PARAMETERS = ParameterTable(
-    [
-        Parameter("body_mass", "m_B", "kg", 1.242, 0.1, 10.0, "log", "Mass without legs.", _MEASURED),
-        Parameter(
-            "body_inertia", "I_B", "kg·m²", 0.0137, 1e-4, 1.0, "log",
-            "Moment of inertia of the body about its pitch axis.", _MEASURED,
-        ),
-        Parameter("gravity", "g", "m/s²", 9.81, 9.7, 9.9, "linear", "Gravity.", "standard value"),
-        Parameter(
-            "foot_dx", "dx_f", "m", 0.105, 0.02, 0.5, "linear",
-            "Horizontal distance of the feet at rest from the centre of mass.", _MEASURED,
-        ),
-        Parameter(
-            "foot_dz", "dz_f", "m", 0.151, 0.02, 0.5, "linear",
-            "Depth of the feet at rest below the centre of mass.", _MEASURED,
-        ),
-        Parameter(
-            "thrust_point_dx", "dx_m", "m", 0.225 * math.cos(math.pi / 4), 0.02, 1.0, "linear",
-            "Horizontal distance of the motor pairs from the centre of mass.",
-            "F450 in X configuration, arms of 0.225 m",
-        ),
-        Parameter(
-            "joint_dx", "dx_j", "m", 0.088, 0.040, 0.100, "linear",
-            "Horizontal distance of the leg joints from the centre of mass.", f"{_LF}; bounds guessed",
-        ),
-        Parameter(
-            "joint_dz", "dz_j", "m", 0.024, 0.0, 0.060, "linear",
-            "Depth of the leg joints below the centre of mass.", f"{_LF}; bounds guessed",
-        ),
-        Parameter(
-            "leg_axial_stiffness", "k_h", "N/m", 6440.0, 2000.0, 12000.0, "log",
-            "Axial spring of a pair of legs (buckling).", f"{_LF}; bounds guessed",
-        ),
-        Parameter(
-            "leg_axial_damping", "b_h", "N·s/m", 14.3, 1.0, 40.0, "log",
-            "Axial damper of a pair of legs.", f"{_LF}; bounds guessed",
-        ),
-        Parameter(
-            "leg_bending_stiffness", "k_t", "N·m/rad", 10.5, 1.0, 25.0, "log",
-            "Bending spring of a pair of legs.", f"{_LF}; bounds guessed",
-        ),
-        Parameter(
-            "leg_bending_damping", "b_t", "N·m·s/rad", 0.056, 0.001, 0.2, "log",
-            "Bending damper of a pair of legs.", f"{_LF}; bounds guessed",
-        ),
-        Parameter(
-            "ground_stiffness", "k_s", "N/m", 1.10e5, 2e4, 4e5, "log",
-            "Contact spring of a pair of feet.", f"{_LF}; bounds guessed",
-        ),
-        Parameter(
-            "ground_damping", "b_s", "N·s/m", 0.042, 0.001, 10.0, "log",
-            "Contact damper of a pair of feet, active while they go deeper.", f"{_LF}; bounds guessed",
-        ),
-        Parameter(
-            "leg_mass", "m_leg", "kg", 0.02, 0.005, 0.05, "log",
-            "Mass of a pair of legs.", f"{_MEASURED}; bounds guessed",
-        ),
-        Parameter(
-            "leg_inertia", "I_leg", "kg·m²", 2.0e-4, 2e-5, 1e-3, "log",
-            "Moment of inertia of a pair of legs about their centre.", "Table II, calculated; bounds guessed",
-        ),
-        Parameter(
-            "leg_mass_fraction", "f_leg", "1", 0.5, 0.1, 0.9, "linear",
-            "Distance of a leg's centre of mass from its foot over the leg's length, at rest.",
-            "guess: the middle of the leg",
-        ),
-        Parameter(
-            "kinetic_friction", "μ_k", "1", 0.44, 0.1, 1.2, "linear",
-            "Kinetic friction coefficient of the feet.", "Table II, measured on UHMW PE; bounds guessed",
-        ),
-        Parameter(
-            "slip_regularization", "ε_v", "m/s", 0.01, 1e-3, 0.1, "log",
-            "Slip speed at which low friction (8) reaches half of its limit.", "guess: the paper prints none",
-        ),
-        Parameter(
-            "static_friction_excess", "μ_s − μ_k", "1", 0.08, 0.0, 0.3, "linear",
-            "Static minus kinetic friction coefficient (high friction only).",
-            "Table II, high friction, mean of five fits; bounds guessed",
-        ),
-        Parameter(
-            "stick_speed", "e_v", "m/s", 1e-3, 1e-4, 1e-2, "log",
-            "Slip speed below which the paper lets a foot stick; no effect here: zero slip is located.",
-            "guess: the paper prints none",
-        ),
-    ]
+from sysid.gear.parameters import PARAMETERS, parameters_on
+from sysid.gear.propulsion import Propulsion
+from sysid.gear.surfaces import SURFACES, Surface, find_surface
+from sysid.gear.trajectories import (
+    Drops,
+    Event,
+    EventKind,
+    FloatArray,
+    GearTrajectory,
+    PopulationSamples,
+    Status,
 )
-# fmt: on
 
-LF_FREE = (
-    "joint_dx",
-    "joint_dz",
-    "leg_axial_stiffness",
-    "leg_axial_damping",
-    "leg_bending_stiffness",
-    "leg_bending_damping",
-    "ground_stiffness",
-    "ground_damping",
-)
-HF_FREE = (*LF_FREE, "leg_mass", "leg_inertia", "kinetic_friction", "static_friction_excess")
+__all__ = [
+    "COORDINATES",
+    "FIT_TOLERANCE",
+    "HF_FREE",
+    "LF_FREE",
+    "PARAMETERS",
+    "SURFACES",
+    "TIGHT_TOLERANCE",
+    "Drops",
+    "Event",
+    "EventKind",
+    "GearTrajectory",
+    "PopulationSamples",
+    "Propulsion",
+    "Status",
+    "Surface",
+    "find_surface",
+    "pack",
+    "parameters_on",
+    "prepare",
+    "simulate",
+    "simulate_population",
+]
+
+LF_FREE = SURFACES["lf"].free
+HF_FREE = SURFACES["hf"].free
 COORDINATES = ("x_B", "z_B", "q_B", "h_C", "q_C", "h_D", "q_D")
-SURFACES = ("lf", "hf")
 
 # Bound of the weighted rms error of the seven rates per step. FIT keeps the mean NRMSE of a drop (5-35 deg,
 # 0.4-1 m/s, 0.7 s) below 0.1 %, not by luck: on 360 drops scattered around six such cases as well. TIGHT
@@ -178,8 +110,15 @@ _MARKS = 1000
 _LANES = 8
 
 
-def pack(values: Mapping[str, float]) -> FloatArray:
-    """Lay values [SI] into the kernel's row (n_par,), `PARAMETERS` order; absent names take the nominal.
+def pack(values: Mapping[str, float], surface: str | Surface = "lf") -> FloatArray:
+    """Lay values [SI] into the kernel's row (n_par,), `PARAMETERS` order; absent names take the default.
+
+    Parameters
+    ----------
+    values : mapping
+        By name.
+    surface : str or Surface
+        Whose default values.
 
     Raises
     ------
@@ -188,7 +127,7 @@ def pack(values: Mapping[str, float]) -> FloatArray:
     """
     for name in values:
         PARAMETERS[name]
-    return np.array([float(values.get(name, row.nominal)) for name, row in PARAMETERS.items()])
+    return np.array([float(values.get(name, row.nominal)) for name, row in parameters_on(surface).items()])
 
 
 def simulate(
@@ -198,10 +137,11 @@ def simulate(
     time: ArrayLike,
     *,
     state: ArrayLike | None = None,
-    surface: str = "lf",
+    surface: str | Surface = "lf",
     tolerance: float = FIT_TOLERANCE,
+    propulsion: Propulsion | None = None,
 ) -> GearTrajectory:
-    """Simulate one drop without thrust.
+    """Simulate one drop or landing and log its events.
 
     Parameters
     ----------
@@ -215,17 +155,23 @@ def simulate(
         Sample times [s].
     state : (14,) array, optional
         All coordinates and rates at time[0] instead of `body_state`.
-    surface : {"lf", "hf"}
-        Friction law: continuous (8), or the hybrid of slipping and sticking feet (9, 10).
+    surface : {"lf", "hf"} or Surface
+        Friction law: continuous (8), the hybrid of slipping and sticking feet (9, 10), or one's own.
     tolerance : float
         Bound of the weighted rms error of the rates per step.
+    propulsion : Propulsion, optional
+        Thrust; none by default.
 
     Raises
     ------
     CampaignError
         If the input cannot be used; a simulation that fails returns its status instead.
     """
-    row = pack(parameters) if isinstance(parameters, Mapping) else np.asarray(parameters, dtype=np.float64)
+    own = find_surface(surface)
+    if isinstance(parameters, Mapping):
+        row = pack(parameters, own)
+    else:
+        row = np.asarray(parameters, dtype=np.float64)
     legs = np.empty(0)
     if state is not None:
         start = np.asarray(state, dtype=np.float64)
@@ -238,13 +184,23 @@ def simulate(
     if body_state is None:
         raise CampaignError("simulate: no initial state; give body_state (6 numbers) or state (14 numbers)")
     clock = np.asarray(time, dtype=np.float64)
-    drops = Drops(np.array([slope]), np.atleast_2d(np.asarray(body_state, dtype=np.float64)), (clock,))
-    result = _run(_checked(row[None]), drops, legs, surface, tolerance, lanes=1, columns=16, threads=1)
+    start = np.atleast_2d(np.asarray(body_state, dtype=np.float64))
+    drops = Drops(np.array([slope]), start, (clock,), propulsion)
+    result = _run(_checked(row[None]), drops, legs, own, tolerance, lanes=1, columns=16, threads=1)
     states = result.samples[0, :, :14]
     forces = np.empty((len(states), 4))
-    kernel.foot_forces(row, float(slope), states, forces)
-    if surface == "hf":
+    _force_reader(own)(row, _reads(own), float(slope), states, forces)
+    if own.switching:
         forces[:, 2:] = result.samples[0, :, 14:]
+    marks = result.marks[np.argsort(result.marks[:, 0], kind="stable")]
+    modes = np.isin(marks[:, 1], (EventKind.SLIP, EventKind.STICK))
+    switches = marks[modes][:, [0, 2, 1, 3, 4, 5, 6]]
+    switches[:, 2] = switches[:, 2] == EventKind.STICK
+    thrust = np.zeros((len(clock), 2))
+    if propulsion is not None:
+        touches = result.first_contact[0, 0]
+        first = np.nanmin(touches) if np.isfinite(touches).any() else np.inf
+        thrust = propulsion.at(clock - clock[0], float(first))
     return GearTrajectory(
         time=clock,
         state=states,
@@ -253,7 +209,12 @@ def simulate(
         status=Status(int(result.status[0, 0])),
         reached=float(result.reached[0, 0] * (clock[-1] - clock[0])),
         rhs_evaluations=int(result.rhs_evaluations[0, 0]),
-        switches=result.marks[: result.switches[0, 0]],
+        switches=switches,
+        events=tuple(
+            Event(float(t), EventKind(int(kind)), ("rear", "front", "body")[int(foot)])
+            for t, kind, foot in marks[:, :3]
+        ),
+        thrust=thrust,
     )
 
 
@@ -261,9 +222,11 @@ def simulate_population(
     parameters: ArrayLike,
     drops: Drops,
     *,
-    surface: str = "lf",
+    surface: str | Surface = "lf",
     tolerance: float = FIT_TOLERANCE,
     threads: int | None = None,
+    body_states: ArrayLike | None = None,
+    end_early: bool = False,
 ) -> PopulationSamples:
     """Simulate every candidate on every drop, on all cores.
 
@@ -276,46 +239,80 @@ def simulate_population(
         Rows as from `pack`.
     drops : Drops
         What each candidate is dropped on.
-    surface : {"lf", "hf"}
-        Friction law: continuous (8), or the hybrid of slipping and sticking feet (9, 10).
+    surface : {"lf", "hf"} or Surface
+        Friction law: continuous (8), the hybrid of slipping and sticking feet (9, 10), or one's own.
     tolerance : float
         Bound of the weighted rms error of the rates per step.
     threads : int, optional
         Number of threads; all cores by default.
+    body_states : (P, D, 6) array, optional
+        A start of each candidate's own instead of the drops'.
+    end_early : bool
+        End a drop that has come to rest or flipped; its later samples are NaN.
     """
     rows = _checked(np.atleast_2d(np.asarray(parameters, dtype=np.float64)))
-    return _run(rows, drops, np.empty(0), surface, tolerance, lanes=_LANES, columns=6, threads=threads)
+    bodies = None
+    if body_states is not None:
+        bodies = np.ascontiguousarray(body_states, dtype=np.float64)
+        if bodies.shape != (len(rows), len(drops.slope), 6):
+            raise CampaignError(
+                f"body_states: found {bodies.shape}, expected ({len(rows)}, {len(drops.slope)}, 6); give one "
+                "start per candidate and drop"
+            )
+    return _run(
+        rows, drops, np.empty(0), find_surface(surface), tolerance,
+        lanes=_LANES, columns=6, threads=threads, bodies=bodies, end_early=end_early,
+    )  # fmt: skip
 
 
-def prepare(surface: str = "lf") -> None:
-    """Compile both widths of a surface's driver, or load them from the disk cache.
+def prepare(surface: str | Surface = "lf", *, single: bool = True) -> None:
+    """Compile a surface's driver of populations, or load it from the disk cache.
 
-    The first call after an installation compiles for up to half a minute per surface; say so before. Every
-    simulation does it on demand.
+    The first call after an installation compiles for some 15 s; say so before. Every simulation does it on
+    demand.
+
+    Parameters
+    ----------
+    surface : str or Surface
+        Only its drivers are compiled.
+    single : bool
+        Prepare the driver of single drops as well.
     """
+    own = find_surface(surface)
     drops = Drops(np.zeros(1), np.array([[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]]), [np.array([0.0, 1e-3])])
-    simulate_population(pack({}), drops, surface=surface)
-    simulate(pack({}), 0.0, drops.body_state[0], drops.time[0], surface=surface)
+    simulate_population(pack({}, own), drops, surface=own)
+    if single:
+        simulate(pack({}, own), 0.0, drops.body_state[0], drops.time[0], surface=own)
 
 
-@lru_cache(maxsize=4)
-def _driver(lanes: int, high: bool) -> Any:
-    return kernel.drop_driver(lanes, high)
+@lru_cache(maxsize=16)
+def _driver(lanes: int, surface: Surface) -> Any:
+    return kernel.drop_driver(lanes, surface)
+
+
+@lru_cache(maxsize=8)
+def _force_reader(surface: Surface) -> Any:
+    return kernel.force_reader(surface)
+
+
+def _reads(surface: Surface) -> NDArray[np.int64]:
+    order = list(PARAMETERS)
+    return np.array([order.index(PARAMETERS[name].name) for name in surface.reads], dtype=np.int64)
 
 
 def _run(
     rows: FloatArray,
     drops: Drops,
     legs: FloatArray,
-    surface: str,
+    surface: Surface,
     tolerance: float,
     *,
     lanes: int,
     columns: int,
     threads: int | None,
+    bodies: FloatArray | None = None,
+    end_early: bool = False,
 ) -> PopulationSamples:
-    if surface not in SURFACES:
-        raise CampaignError(f"surface: no friction law {surface!r}; known are {', '.join(SURFACES)}")
     if not 0 < tolerance < 1:
         raise CampaignError(f"tolerance: found {tolerance:g}, expected between 0 and 1; use FIT_TOLERANCE")
     count, width = len(rows), len(drops.slope)
@@ -324,8 +321,12 @@ def _run(
     status = np.zeros((count, width), dtype=np.int8)
     spent = np.zeros((count, width), dtype=np.int64)
     switches = np.zeros((count, width), dtype=np.int64)
-    marks = np.empty((_MARKS if lanes == 1 else 0, 7))
-    drive = _driver(lanes, surface == "hf")
+    moments = np.full((count, width, 4), np.nan)
+    states = np.full((count, width, 3, 6), np.nan)
+    marks = np.full((_MARKS if lanes == 1 else 0, 7), np.nan)
+    body = drops.body_state[None] if bodies is None else bodies
+    reads = _reads(surface)
+    drive = _driver(lanes, surface)
     # A method of order 3 takes tolerance**(-1/3) more steps.
     cost = _COST * max(1.0, FIT_TOLERANCE / tolerance) ** (1 / 3)
     workers = max(1, min(threads or os.cpu_count() or 1, count * width))
@@ -337,9 +338,9 @@ def _run(
         jobs = np.ascontiguousarray(deck[share::shares])
         if len(jobs):
             drive(
-                rows, drops.slope, drops.body_state, legs, drops.clock, drops.offset, jobs,
-                tolerance, _LONGEST_STEP, cost, samples, reached, status, spent,
-                switches, marks,
+                rows, reads, drops.slope, body, legs, drops.clock, drops.offset, drops.segments, drops.plans,
+                jobs, tolerance, _LONGEST_STEP, cost, end_early, samples, reached, status, spent, switches,
+                moments, states, marks,
             )  # fmt: skip
 
     if workers == 1:
@@ -347,7 +348,19 @@ def _run(
     else:
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(work, range(shares)))
-    return PopulationSamples(samples, reached, status, spent, switches, marks)
+    return PopulationSamples(
+        samples=samples,
+        reached=reached,
+        status=status,
+        rhs_evaluations=spent,
+        switches=switches,
+        first_contact=moments[:, :, :2],
+        flip=moments[:, :, 2],
+        rest=moments[:, :, 3],
+        contact_state=states[:, :, :2],
+        end_state=states[:, :, 2],
+        marks=marks[np.isfinite(marks[:, 0])],
+    )
 
 
 def _checked(rows: FloatArray) -> FloatArray:

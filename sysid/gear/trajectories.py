@@ -6,12 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sysid.errors import CampaignError
 from sysid.gear import kernel
+from sysid.gear.propulsion import Propulsion, plans
 
 FloatArray = NDArray[np.float64]
 
@@ -23,6 +25,8 @@ class Status(IntEnum):
     STEP_COLLAPSED = kernel.STEP_COLLAPSED
     TOO_EXPENSIVE = kernel.TOO_EXPENSIVE
     BLEW_UP = kernel.BLEW_UP
+    CAME_TO_REST = kernel.CAME_TO_REST
+    FLIPPED_OVER = kernel.FLIPPED_OVER
 
     @property
     def text(self) -> str:
@@ -32,7 +36,40 @@ class Status(IntEnum):
             Status.STEP_COLLAPSED: "the step shrank below 1 ns: the parameters or the state are not physical",
             Status.TOO_EXPENSIVE: "needed many times an ordinary drop's work: the parameters are too stiff",
             Status.BLEW_UP: "a leg was pushed through its own joint: the legs are too soft for this impact",
+            Status.CAME_TO_REST: "ended at rest, as asked",
+            Status.FLIPPED_OVER: "ended when it had flipped, as asked",
         }[self]
+
+
+class EventKind(IntEnum):
+    """What happens to a foot, or to the body."""
+
+    TOUCHDOWN = kernel.TOUCHDOWN
+    LIFT_OFF = kernel.LIFT_OFF
+    SLIP = kernel.SLIP
+    STICK = kernel.STICK
+    FLIP = kernel.FLIP
+    REST = kernel.REST
+
+
+@dataclass(frozen=True)
+class Event:
+    """One located event of a simulated drop.
+
+    Parameters
+    ----------
+    time : float
+        Since the drop's first sample [s].
+    kind : EventKind
+        SLIP and STICK are the beginnings of those modes. FLIP: the body has turned beyond 80 deg from the
+        slope. REST: from here on it stays below 0.05 m/s and 0.2 rad/s for 0.2 s at least.
+    foot : {"rear", "front", "body"}
+        What it happens to.
+    """
+
+    time: float
+    kind: EventKind
+    foot: Literal["rear", "front", "body"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +94,11 @@ class GearTrajectory:
         Mode switches on a high-friction surface: time since the start [s], foot (0 rear, 1 front), 1 if it
         sticks from then on and 0 if it slips, friction available to the rear and front foot and required by
         them [N]. The first 1000; no rows on a low-friction surface.
+    events : tuple of Event
+        Touchdowns, lift-offs, slips, sticks, flip and rest in the order of time, each as exact as the
+        trajectory: located to 1e-6 s at `TIGHT_TOLERANCE`.
+    thrust : (n, 2) array
+        Of the rear and front pair of motors [N].
     """
 
     time: FloatArray
@@ -67,6 +109,8 @@ class GearTrajectory:
     reached: float
     rhs_evaluations: int
     switches: FloatArray
+    events: tuple[Event, ...]
+    thrust: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,17 +125,24 @@ class Drops:
         x_B, z_B, q_B and their rates at each drop's first sample, frame N [m, rad, s].
     time : sequence of D arrays
         Sample times of each drop [s], increasing; spacing may vary.
+    propulsion : Propulsion, or sequence of D of them or None, optional
+        Thrust of every drop, or of each; none by default.
     clock : (n_total,) array
         Derived: sample times since each drop's start, concatenated [s].
     offset : (D + 1,) array
         Derived: drop d owns samples offset[d]:offset[d + 1].
+    segments, plans : arrays
+        Derived: the thrust as the kernel reads it.
     """
 
     slope: FloatArray
     body_state: FloatArray
     time: Sequence[FloatArray]
+    propulsion: Propulsion | Sequence[Propulsion | None] | None = None
     clock: FloatArray = field(init=False)
     offset: NDArray[np.int64] = field(init=False)
+    segments: FloatArray = field(init=False)
+    plans: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
         slope = _frozen(self.slope)
@@ -117,6 +168,16 @@ class Drops:
                 raise CampaignError(
                     f"drop {number}: sample times do not increase; give one or more increasing times"
                 )
+        own = self.propulsion
+        each = (own,) * len(slope) if own is None or isinstance(own, Propulsion) else tuple(own)
+        if len(each) != len(slope):
+            raise CampaignError(
+                f"drops: found {len(each)} propulsions for {len(slope)} drops; give one for all, or one each"
+            )
+        segments, plan = plans(each)
+        object.__setattr__(self, "propulsion", each)
+        object.__setattr__(self, "segments", _frozen(segments))
+        object.__setattr__(self, "plans", _frozen(plan))
         object.__setattr__(self, "slope", slope)
         object.__setattr__(self, "body_state", body)
         object.__setattr__(self, "time", times)
@@ -141,8 +202,17 @@ class PopulationSamples:
         Right-hand sides spent.
     switches : (P, D) int64 array
         Mode switches on a high-friction surface.
+    first_contact : (P, D, 2) array
+        First touchdown of the rear and of the front foot since the drop's start [s]; NaN where none.
+    flip, rest : (P, D) array
+        When the body turned beyond 80 deg from the slope, and from when on it stayed below 0.05 m/s and 0.2
+        rad/s for 0.2 s [s], the latter to a step's length; NaN where it did not.
+    contact_state : (P, D, 2, 6) array
+        x_B, z_B, q_B and their rates at the two first touchdowns.
+    end_state : (P, D, 6) array
+        The same at the end: of the clock, of a failure, or where a drop was to end at rest or flipped.
     marks : (n, 7) array
-        The switches of a single drop, see `GearTrajectory`.
+        The events of a single drop as the kernel writes them.
     """
 
     samples: FloatArray
@@ -150,6 +220,11 @@ class PopulationSamples:
     status: NDArray[np.int8]
     rhs_evaluations: NDArray[np.int64]
     switches: NDArray[np.int64]
+    first_contact: FloatArray
+    flip: FloatArray
+    rest: FloatArray
+    contact_state: FloatArray
+    end_state: FloatArray
     marks: FloatArray
 
 

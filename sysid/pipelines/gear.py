@@ -18,10 +18,20 @@ from sysid.fit.agreement import loose_warnings
 from sysid.fit.cost import FilteredNrmse, PopulationCost
 from sysid.fit.objective import Evaluation
 from sysid.fit.result import FitResult, TrialResult, bound_warnings, ranked_sets
-from sysid.gear.model import FIT_TOLERANCE, HF_FREE, LF_FREE, PARAMETERS, SURFACES, Drops, simulate_population
+from sysid.gear.model import (
+    FIT_TOLERANCE,
+    LF_FREE,
+    PARAMETERS,
+    SURFACES,
+    Drops,
+    parameters_on,
+    prepare,
+    simulate_population,
+)
 from sysid.parameter_sets import ParameterRecord, parameter_records
 from sysid.parameters import SearchSpace
 from sysid.pipelines.drops import PreparedDrop, cost_channels, prepare_drops
+from sysid.pipelines.nuisance import offsets, shifted_before, shifted_starts, with_nuisance
 from sysid.pipelines.search import (
     FitOptions,
     check_start,
@@ -46,8 +56,10 @@ def search_space(campaign: GearCampaign) -> SearchSpace:
     law = campaign.surface.law
     if law not in SURFACES:
         raise CampaignError(f"surface.law is {law!r}; this version knows {', '.join(SURFACES)}")
-    default = LF_FREE if law == "lf" else HF_FREE
-    return campaign.parameters.search_space(PARAMETERS, default, measured_values(campaign))
+    space = campaign.parameters.search_space(
+        parameters_on(law), SURFACES[law].free, measured_values(campaign)
+    )
+    return with_nuisance(space, campaign)
 
 
 def measured_values(campaign: GearCampaign) -> dict[str, float]:
@@ -143,16 +155,25 @@ class GearObjective:
 
     def simulate(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return samples (P, n_total, 6) with every drop's margins, and the share that was reached (P, D)."""
+        own = offsets(self.space.table, rows, self.drops)
         result = simulate_population(
-            rows, self._jobs, surface=self.surface, tolerance=self.tolerance, threads=self.threads
+            rows[:, : len(PARAMETERS)],
+            self._jobs,
+            surface=self.surface,
+            tolerance=self.tolerance,
+            threads=self.threads,
+            body_states=None if own is None else shifted_starts(self.drops, *own),
         )
-        offsets, ends = self.cost.offsets, self._jobs.offset
+        first, ends = self.cost.offsets, self._jobs.offset
         samples = np.empty((len(rows), self.cost.n_total, 6))
         for d, drop in enumerate(self.drops):
             lead = len(drop.before)
-            samples[:, offsets[d] : offsets[d] + lead, :3] = drop.before
-            samples[:, offsets[d] : offsets[d] + lead, 3:] = np.nan
-            samples[:, offsets[d] + lead : offsets[d + 1]] = result.samples[:, ends[d] : ends[d + 1]]
+            before = drop.before if own is None else shifted_before(drop, own[1][:, d])
+            samples[:, first[d] : first[d] + lead, :3] = before
+            samples[:, first[d] : first[d] + lead, 3:] = np.nan
+            samples[:, first[d] + lead : first[d + 1]] = result.samples[:, ends[d] : ends[d + 1]]
+            if own is not None:
+                samples[:, first[d] + lead : first[d + 1], 1] += own[0][:, d, None]
         return samples, result.reached
 
 
@@ -207,8 +228,11 @@ def fit_gear(
         objective = GearObjective.build(campaign, space, fitted, options.threads)
         tell(
             f"{len(fitted)} drops to fit, {len(drops) - len(fitted)} to validate; {len(space.free)} free "
-            f"parameters; the kernel is compiled at the first start of a version (under a minute)"
+            f"parameters"
         )
+        law = campaign.surface.law
+        tell(f"preparing the {law} kernel: compiled once per version (under a minute), then loaded")
+        prepare(law, single=False)
         hashes = {drop.name: str(drop.provenance["sha256"]) for drop in drops}
         identity = fit_identity(path, settings, space, hashes, **{"the friction law": campaign.surface.law})
         found = search(
@@ -257,7 +281,13 @@ def fit_gear(
 
 
 # Rows that are choices of the model rather than measurements.
-_CONSTANTS = ("gravity", "leg_mass_fraction", "slip_regularization", "stick_speed")
+_CONSTANTS = (
+    "gravity",
+    "leg_mass_fraction",
+    "slip_regularization",
+    "stick_speed",
+    *(name for name in PARAMETERS if name.startswith("front_")),
+)
 # Rows that belong to one friction law only.
 _OF_LAW = {"slip_regularization": "lf", "static_friction_excess": "hf", "stick_speed": "hf"}
 
@@ -337,6 +367,7 @@ def score_values(
     The way to ask what the truth of a synthetic campaign scores.
     """
     space = search_space(campaign)
-    full = {**PARAMETERS.nominal, **measured_values(campaign), **space.fixed, **values}
+    default = parameters_on(campaign.surface.law).nominal
+    full = {**default, **measured_values(campaign), **space.fixed, **values}
     row = np.array([[full[name] for name in PARAMETERS]])
     return GearObjective.build(campaign, space, drops, **options).score(row)

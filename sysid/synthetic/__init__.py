@@ -5,7 +5,15 @@ tare, clocks and axes of their own) and, apart from it, ``truth.json`` with all 
 """
 
 from sysid.synthetic.folder import TRUTH_FILE, read_truth
-from sysid.synthetic.gear import LF_DROPS, DropPlan, synthesize_gear
+from sysid.synthetic.gear import HF_DROPS, LF_DROPS, DropPlan, synthesize_gear
 from sysid.synthetic.motor import synthesize_motor
 
-__all__ = ["LF_DROPS", "TRUTH_FILE", "DropPlan", "read_truth", "synthesize_gear", "synthesize_motor"]
+__all__ = [
+    "HF_DROPS",
+    "LF_DROPS",
+    "TRUTH_FILE",
+    "DropPlan",
+    "read_truth",
+    "synthesize_gear",
+    "synthesize_motor",
+]

@@ -19,9 +19,10 @@ import numpy as np
 from numba import njit
 from scipy.integrate import solve_ivp
 
-from sysid.gear.contact import low_friction, normal_force
+from sysid.gear.contact import normal_force
 from sysid.gear.dynamics import accelerations, feet, pose
 from sysid.gear.model import FIT_TOLERANCE, PARAMETERS, Drops, pack, simulate, simulate_population
+from sysid.gear.surfaces.low_friction import low_friction
 
 CASES = [(5, 0.5), (10, 0.8), (15, 0.6), (20, 1.0), (27, 0.7), (35, 0.45)]
 LIMIT = 1e-3
@@ -45,13 +46,14 @@ HIGH = {
 @njit(error_model="numpy")
 def derivative(y, coefficients, k_s, b_s, mu_k, eps_v):
     """Rates of the state in the slope's frame, for an integrator of somebody else."""
-    joints = pose(y[2], y[4], y[6], coefficients[4], coefficients[5])
+    joints = pose(y[2], y[4], y[6], coefficients[8], coefficients[9])
     rates = (y[7], y[8], y[9], y[10], y[11], y[12], y[13])
-    p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, y[1], y[3], y[5], rates, coefficients[6])
+    p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, y[1], y[3], y[5], rates, coefficients[10])
     n_c = normal_force(p_c, dp_c, k_s, b_s)
     n_d = normal_force(p_d, dp_d, k_s, b_s)
-    f_c, f_d = low_friction(n_c, n_d, v_c, v_d, mu_k, eps_v)
-    a = accelerations(joints, y[2], y[3], y[4], y[5], y[6], rates, n_c, n_d, f_c, f_d, coefficients)
+    f_c, f_d = low_friction(n_c, n_d, v_c, v_d, (mu_k, eps_v))
+    angles = (y[2], y[3], y[4], y[5], y[6])
+    a = accelerations(joints, angles, rates, (0.0, 0.0), (n_c, n_d), f_c, f_d, coefficients)
     out = np.empty(14)
     out[:7] = y[7:]
     for i in range(7):
@@ -91,11 +93,10 @@ def scipy_drop(method, slope, body, clock, exact):
     span, depth = p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"]
     length, rest = math.hypot(span, depth), math.atan2(span, depth)
     c, s = math.cos(slope), math.sin(slope)
+    legs = ("axial_stiffness", "axial_damping", "bending_stiffness", "bending_damping")
     coefficients = (
-        p["leg_axial_stiffness"],
-        p["leg_axial_damping"],
-        p["leg_bending_stiffness"],
-        p["leg_bending_damping"],
+        *(p[f"leg_{name}"] for name in legs),
+        *(p[f"leg_{name}"] for name in legs),
         p["joint_dx"],
         p["joint_dz"],
         length,
@@ -104,6 +105,8 @@ def scipy_drop(method, slope, body, clock, exact):
         (1 - p["leg_mass_fraction"]) * length,
         1 / p["body_mass"],
         1 / p["body_inertia"],
+        1 / p["leg_mass"],
+        1 / p["leg_inertia"],
         1 / p["leg_mass"],
         1 / p["leg_inertia"],
         p["gravity"] * s,

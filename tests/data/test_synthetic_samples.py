@@ -1,5 +1,6 @@
 """The sample logs in the repository are those that today's code would write."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,11 @@ TOLERANCE = {
     "A": 1e-2,
     "s": 1e-6,
 }
-MAKERS = {"motor": (synthesize_motor, "motor"), "gear-lf": (synthesize_gear, "gear")}
+MAKERS = {
+    "motor": (synthesize_motor, "motor"),
+    "gear-lf": (synthesize_gear, "gear"),
+    "gear-hf": (partial(synthesize_gear, surface="hf"), "gear"),
+}
 
 
 def numbers_of(path, **options):

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from sysid.gear import contact, dynamics, hybrid
+from sysid.gear import contact, dynamics
 from sysid.gear.model import PARAMETERS, pack
+from sysid.gear.surfaces import high_friction, low_friction
 
 NAMES = list(PARAMETERS)
+LEG = ("axial_stiffness", "axial_damping", "bending_stiffness", "bending_damping", "mass", "inertia")
 
 
 def twin_forces(p, slope, state):
@@ -33,7 +35,7 @@ def twin_forces(p, slope, state):
     return np.array(out)
 
 
-def twin_accelerations(p, slope, state, forces):
+def twin_accelerations(p, slope, state, forces, thrust=(0.0, 0.0)):
     """Nine equations (11, 12) for seven accelerations and two joint reactions, solved as they stand."""
     _, _, q, h_c, q_c, h_d, q_d, _, _, dq, dh_c, dq_c, dh_d, dq_d = state
     span, depth = p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"]
@@ -43,7 +45,9 @@ def twin_accelerations(p, slope, state, forces):
     matrix, right = np.zeros((9, 9)), np.zeros(9)
     matrix[0, 0] = matrix[1, 1] = p["body_mass"]
     matrix[2, 2] = p["body_inertia"]
-    right[:2] = p["body_mass"] * weight
+    right[:2] = p["body_mass"] * weight + sum(thrust) * ez(q)
+    for side, push in zip((1, -1), thrust, strict=True):
+        right[2] += push * ez(q) @ turned(-side * p["thrust_point_dx"] * ex(q))
     for leg, (side, h, angle, dh, dangle) in enumerate(
         ((1, h_c, q_c, dh_c, dq_c), (-1, h_d, q_d, dh_d, dq_d))
     ):
@@ -52,10 +56,9 @@ def twin_accelerations(p, slope, state, forces):
         rho = (1 - p["leg_mass_fraction"]) * length + h
         arm = p["leg_mass_fraction"] * length
         ground = forces[leg, 0] * ez(slope) + forces[leg, 1] * ex(slope)
-        axial = -(p["leg_axial_stiffness"] * h + p["leg_axial_damping"] * dh) * ez(theta)  # on the body, (5)
-        moment = side * (
-            p["leg_bending_stiffness"] * (angle - rest) + p["leg_bending_damping"] * dangle
-        )  # (6)
+        k_h, b_h, k_t, b_t, m, inertia = leg_values(p)[leg]
+        axial = -(k_h * h + b_h * dh) * ez(theta)  # on the body, (5)
+        moment = side * (k_t * (angle - rest) + b_t * dangle)  # (6)
         reaction, ih, it = 7 + leg, 3 + 2 * leg, 4 + 2 * leg
         right[:2] += axial
         right[2] += moment + axial @ turned(joint)
@@ -63,7 +66,6 @@ def twin_accelerations(p, slope, state, forces):
         matrix[2, reaction] += ex(theta) @ turned(joint)
         # Leg: m a_CM = weight + ground - axial + reaction, a_CM = a_B + ... - h'' ez - rho theta'' ex + ...
         rows = slice(3 + 3 * leg, 5 + 3 * leg)
-        m = p["leg_mass"]
         matrix[rows, 0], matrix[rows, 1] = (m, 0), (0, m)
         matrix[rows, 2] = m * turned(joint)
         matrix[rows, ih] = -m * ez(theta)
@@ -72,7 +74,7 @@ def twin_accelerations(p, slope, state, forces):
         known = -(dq**2) * joint - 2 * dh * dtheta * ex(theta) + rho * dtheta**2 * ez(theta)
         right[rows] = m * weight + ground - axial - m * known
         # Leg about its centre of mass: the foot hangs `arm` below, the joint `rho` above.
-        matrix[5 + 3 * leg, it] = p["leg_inertia"]
+        matrix[5 + 3 * leg, it] = inertia
         matrix[5 + 3 * leg, reaction] = -ex(theta) @ turned(rho * ez(theta))
         right[5 + 3 * leg] = -moment + ground @ turned(-arm * ez(theta))
     return np.linalg.solve(matrix, right)[:7]
@@ -91,7 +93,21 @@ def turned(r):
     return np.array([r[1], -r[0]])
 
 
-def kernel(p, slope, state, forces=None):
+def coefficients_of(p, slope):
+    """The 22 coefficients of `sysid.gear.dynamics.accelerations`."""
+    span, depth = p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"]
+    length = float(np.hypot(span, depth))
+    c, s = np.cos(slope), np.sin(slope)
+    rear, front = leg_values(p)
+    return (
+        *rear[:4], *front[:4], p["joint_dx"], p["joint_dz"], length, float(np.arctan2(span, depth)),
+        p["leg_mass_fraction"] * length, (1 - p["leg_mass_fraction"]) * length, 1 / p["body_mass"],
+        1 / p["body_inertia"], 1 / rear[4], 1 / rear[5], 1 / front[4], 1 / front[5],
+        float(p["gravity"] * s), float(-p["gravity"] * c),
+    )  # fmt: skip
+
+
+def kernel(p, slope, state, forces=None, thrust=(0.0, 0.0)):
     """Forces (2, 2) and accelerations (x z q h_C theta_C h_D theta_D) of the compiled functions, frame N."""
     x, z, q, h_c, q_c, h_d, q_d, dx, dz, dq, dh_c, dq_c, dh_d, dq_d = map(float, state)
     span, depth = p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"]
@@ -99,13 +115,7 @@ def kernel(p, slope, state, forces=None):
     c, s = np.cos(slope), np.sin(slope)
     phi, theta_c, theta_d = q - slope, q + q_c - slope, q - q_d - slope
     rates = (float(c * dx - s * dz), float(s * dx + c * dz), dq, dh_c, dq + dq_c, dh_d, dq - dq_d)
-    coefficients = (
-        p["leg_axial_stiffness"], p["leg_axial_damping"], p["leg_bending_stiffness"],
-        p["leg_bending_damping"], p["joint_dx"], p["joint_dz"], length, float(np.arctan2(span, depth)),
-        p["leg_mass_fraction"] * length, (1 - p["leg_mass_fraction"]) * length, 1 / p["body_mass"], 1 /
-        p["body_inertia"], 1 / p["leg_mass"], 1 / p["leg_inertia"], float(p["gravity"] * s),
-        float(-p["gravity"] * c),
-    )  # fmt: skip
+    coefficients = coefficients_of(p, slope)
     joints = dynamics.pose(phi, theta_c, theta_d, p["joint_dx"], p["joint_dz"])
     sink_c, dsink_c, slip_c, sink_d, dsink_d, slip_d = dynamics.feet(
         joints, float(s * x + c * z), h_c, h_d, rates, length
@@ -113,22 +123,33 @@ def kernel(p, slope, state, forces=None):
     if forces is None:
         n_c = contact.normal_force(sink_c, dsink_c, p["ground_stiffness"], p["ground_damping"])
         n_d = contact.normal_force(sink_d, dsink_d, p["ground_stiffness"], p["ground_damping"])
-        f_c, f_d = contact.low_friction(
-            n_c, n_d, slip_c, slip_d, p["kinetic_friction"], p["slip_regularization"]
-        )
+        law = (p["kinetic_friction"], p["slip_regularization"])
+        f_c, f_d = low_friction.low_friction(n_c, n_d, slip_c, slip_d, law)
         forces = np.array([(n_c, f_c), (n_d, f_d)])
     (n_c, f_c), (n_d, f_d) = forces.tolist()
-    a = dynamics.accelerations(
-        joints, phi, h_c, theta_c, h_d, theta_d, rates, n_c, n_d, f_c, f_d, coefficients
-    )
+    angles = (phi, h_c, theta_c, h_d, theta_d)
+    push = lift_and_tilt(p, thrust)
+    a = dynamics.accelerations(joints, angles, rates, push, (n_c, n_d), f_c, f_d, coefficients)
     return forces, np.array([c * a[0] + s * a[1], c * a[1] - s * a[0], *a[2:]])
+
+
+def leg_values(p):
+    """k_h b_h k_t b_t m_leg I_leg of the rear and of the front leg."""
+    rear = [p[f"leg_{name}"] for name in LEG]
+    return rear, [value * p[f"front_leg_{name}_ratio"] for value, name in zip(rear, LEG, strict=True)]
+
+
+def lift_and_tilt(p, thrust):
+    """Acceleration of a body alone by thrust of the rear and front motors [m/s², rad/s²]."""
+    rear, front = thrust
+    return (rear + front) / p["body_mass"], p["thrust_point_dx"] * (rear - front) / p["body_inertia"]
 
 
 def random_cases(count, seed):
     rng = np.random.default_rng(seed)
     for _ in range(count):
         p = dict(zip(NAMES, pack({}).tolist(), strict=True))
-        for name in NAMES[6:17]:
+        for name in [*NAMES[6:17], *NAMES[21:27]]:
             row = PARAMETERS[name]
             p[name] = float(rng.uniform(row.lower, row.upper))
         slope = float(rng.uniform(-0.7, 0.7))
@@ -140,85 +161,105 @@ def random_cases(count, seed):
 
 def test_against_newton_and_euler():
     touched = 0
+    rng = np.random.default_rng(4)
     for p, slope, state in random_cases(200, seed=1):
-        forces, ours = kernel(p, slope, state)
+        thrust = tuple(rng.uniform(-8, 8, 2).tolist())
+        forces, ours = kernel(p, slope, state, thrust=thrust)
         expected = twin_forces(p, slope, state)
         # Forces of up to 1e4 N from differences of heights of 0.1 m: double precision leaves 1e-10 of them.
         np.testing.assert_allclose(forces, expected, rtol=1e-9, atol=1e-9)
         touched += bool(expected[:, 0].any())
-        theirs = twin_accelerations(p, slope, state, expected)
+        theirs = twin_accelerations(p, slope, state, expected, thrust)
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9 * np.abs(theirs).max())
     assert touched > 50  # the random states must exercise contact, not only flight
 
 
-def foot_places(p, slope, q):
-    """Places of both feet along the slope for coordinates (7,)."""
-    x, z, b, h_c, q_c, h_d, q_d = q
+def slip_rates(p, slope, state, acceleration=None):
+    """Speed of both feet along the slope (2,), or with accelerations (x z q h_C theta_C ...) theirs."""
+    _, _, q, h_c, q_c, h_d, q_d, dx, dz, dq, dh_c, dq_c, dh_d, dq_d = state
     length = np.hypot(p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"])
-    places = []
-    for side, h, theta in ((1, h_c, b + q_c), (-1, h_d, b - q_d)):
-        joint = np.array([x, z]) - side * p["joint_dx"] * ex(b) - p["joint_dz"] * ez(b)
-        places.append((joint - (length + h) * ez(theta)) @ ex(slope))
-    return np.array(places)
+    out = []
+    for leg, (side, h, theta, dh, dtheta) in enumerate(
+        ((1, h_c, q + q_c, dh_c, dq + dq_c), (-1, h_d, q - q_d, dh_d, dq - dq_d))
+    ):
+        joint = -side * p["joint_dx"] * ex(q) - p["joint_dz"] * ez(q)
+        if acceleration is None:
+            foot = (
+                np.array([dx, dz]) + dq * turned(joint) - dh * ez(theta) - (length + h) * dtheta * ex(theta)
+            )
+        else:
+            foot = acceleration[:2] + acceleration[2] * turned(joint) - dq**2 * joint
+            foot = foot - acceleration[3 + 2 * leg] * ez(theta) - 2 * dh * dtheta * ex(theta)
+            turn = acceleration[4 + 2 * leg] * ex(theta) - dtheta**2 * ez(theta)
+            foot = foot - (length + h) * turn
+        out.append(foot @ ex(slope))
+    return np.array(out)
 
 
 @pytest.mark.parametrize("modes", [(0, 0), (0, 1), (1, 0), (1, 1)])
 def test_high_friction_in_every_mode(modes):
-    """Multipliers hold stuck feet, judged by the twin and by finite differences of the feet's places."""
-    for p, slope, state in random_cases(30, seed=3):
+    """The law's own solution against the nine equations with the stuck feet's constraints added."""
+    mu, ways, thrust = 0.8, (1.0, -1.0), (4.0, -2.0)
+    for p, slope, state in random_cases(60, seed=3):
         normal = np.array([40.0, 25.0])
-        ways = np.array([1.0, -1.0])
+        speed = slip_rates(p, slope, state)
 
-        def accelerations(friction, p=p, slope=slope, state=state, normal=normal):
-            a = twin_accelerations(p, slope, state, np.column_stack([normal, friction]))
-            return np.array(
-                [*a[:3], a[3], a[4] - a[2], a[5], a[2] - a[6]]
-            )  # of q_C and q_D, from absolute angles
+        def twin(friction, p=p, slope=slope, state=state, normal=normal):
+            return twin_accelerations(p, slope, state, np.column_stack([normal, friction]), thrust)
 
-        def feet(friction, t=2e-6, p=p, slope=slope, state=state, accelerations=accelerations):
-            a = accelerations(friction)
-            path = [foot_places(p, slope, state[:7] + s * state[7:] + s * s / 2 * a) for s in (-t, 0.0, t)]
-            return (path[2] - path[0]) / (2 * t), (path[2] - 2 * path[1] + path[0]) / t**2
-
-        speed, free = feet(np.zeros(2))
-        rear, front = feet(np.array([1.0, 0.0]))[1] - free, feet(np.array([0.0, 1.0]))[1] - free
-        f_c, f_d, _, _ = hybrid.high_friction(
-            tuple(free),
-            (rear[0], front[0], front[1]),
-            tuple(normal),
-            tuple(speed),
-            *map(float, modes),
-            *ways,
-            0.8,
-        )
-        ours = compiled_feet(p, slope, state, normal, (f_c, f_d))
-        for foot, (mode, force) in enumerate(zip(modes, (f_c, f_d), strict=True)):
-            # Second differences over 2e-6 s leave 1e-3 m/s^2 of truncation and rounding.
-            assert ours[foot] == pytest.approx(feet(np.array([f_c, f_d]))[1][foot], abs=1e-2, rel=1e-4)
-            if mode:
-                assert ours[foot] == pytest.approx(-200.0 * speed[foot], abs=1e-2, rel=1e-4)
+        free = twin(np.zeros(2))
+        ones = [twin(unit) for unit in np.eye(2)]
+        still = slip_rates(p, slope, state, free)
+        response = np.column_stack([slip_rates(p, slope, state, one) - still for one in ones])
+        friction = -mu * normal * ways
+        stuck = np.flatnonzero(modes)
+        if len(stuck):
+            known = still + response @ np.where(np.array(modes) == 1, 0.0, friction)
+            # A stuck foot's residual slip decays at 200 per second.
+            wanted = -200.0 * speed - known
+            friction[stuck] = np.linalg.solve(response[np.ix_(stuck, stuck)], wanted[stuck])
+        expected = twin(friction)
+        found, forces, required, _ = compiled_high_friction(p, slope, state, normal, modes, ways, mu, thrust)
+        scale = np.abs(friction).max()
+        np.testing.assert_allclose(forces, friction, rtol=0, atol=1e-9 * max(scale, 40.0))
+        # Two solutions of one linear problem; what is left is its condition.
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+        for foot in stuck:
+            assert required[foot] == pytest.approx(friction[foot], rel=1e-9, abs=1e-7)
+        for foot in np.flatnonzero(np.array(modes) == 0):
+            other = 1 - foot
+            if modes[other]:
+                both = np.linalg.solve(response, -still)[foot]
             else:
-                assert force == pytest.approx(-0.8 * normal[foot] * ways[foot])
+                both = -(still[foot] + response[foot, other] * friction[other]) / response[foot, foot]
+            # What sticking would need with the other foot in its mode.
+            assert required[foot] == pytest.approx(both, rel=1e-8, abs=1e-6)
 
 
-def compiled_feet(p, slope, state, normal, friction):
-    """Tangential accelerations of the feet from the compiled functions under given forces."""
-    _, a = kernel(p, slope, state, np.column_stack([normal, friction]))
+def compiled_high_friction(p, slope, state, normal, modes, ways, mu, thrust):
+    """Accelerations (x z q h_C theta_C h_D theta_D, frame N), friction and required friction of the law."""
     _, _, q, h_c, q_c, h_d, q_d, dx, dz, dq, dh_c, dq_c, dh_d, dq_d = map(float, state)
     c, s = float(np.cos(slope)), float(np.sin(slope))
     joints = dynamics.pose(q - slope, q + q_c - slope, q - q_d - slope, p["joint_dx"], p["joint_dz"])
-    length = float(np.hypot(p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"]))
     rates = (c * dx - s * dz, s * dx + c * dz, dq, dh_c, dq + dq_c, dh_d, dq - dq_d)
-    own = (c * a[0] - s * a[1], s * a[0] + c * a[1], *a[2:])
-    return hybrid.foot_accelerations(joints, h_c, h_d, length, rates, tuple(map(float, own)))
+    angles = (q - slope, h_c, q + q_c - slope, h_d, q - q_d - slope)
+    slips = tuple(slip_rates(p, slope, state).tolist())
+    a, friction, required, stiff = high_friction.solve(
+        joints, angles, rates, lift_and_tilt(p, thrust), tuple(normal.tolist()), slips,
+        (*map(float, modes), *ways), (mu, 0.1, 0.0, 0.0, 0.0, 0.0), coefficients_of(p, slope),
+    )  # fmt: skip
+    return np.array([c * a[0] + s * a[1], c * a[1] - s * a[0], *a[2:]]), friction, required, stiff
 
 
 @pytest.fixture(scope="module")
 def lagrangian():
     """Mass matrix and generalized forces without ground, derived from the energies alone."""
     t = sp.symbols("t")
-    constants = sp.symbols("m i g dxj dzj kh bh kt bt ml il frac l qn")
-    m, i, g, dxj, dzj, kh, bh, kt, bt, ml, il, frac, length, qn = constants
+    constants = sp.symbols(
+        "m i g dxj dzj frac l qn dxm tr tf khc bhc ktc btc mlc ilc khd bhd ktd btd mld ild"
+    )
+    m, i, g, dxj, dzj, frac, length, qn, dxm, t_r, t_f = constants[:11]
+    legs = (constants[11:17], constants[17:])
     q = [sp.Function(n)(t) for n in ("x", "z", "q", "hc", "qc", "hd", "qd")]
     fields = sp.symbols("nxc nzc nxd nzd")
     x, z, b, hc, qc, hd, qd = q
@@ -229,7 +270,7 @@ def lagrangian():
     potential = m * g * z
     loss = 0
     feet = []
-    for side, h, a in ((1, hc, qc), (-1, hd, qd)):
+    for side, h, a, (kh, bh, kt, bt, ml, il) in ((1, hc, qc, legs[0]), (-1, hd, qd, legs[1])):
         theta = b + side * a
         joint = centre - side * dxj * ex_(b) - dzj * ez_(b)
         middle = joint - ((1 - frac) * length + h) * ez_(theta)
@@ -240,6 +281,10 @@ def lagrangian():
     v = [f.diff(t) for f in q]
     momentum = [sp.diff(kinetic, r) for r in v]
     work = feet[0].dot(sp.Matrix(fields[:2])) + feet[1].dot(sp.Matrix(fields[2:]))
+    # Thrust along ez(q) at the two thrust points does the work of forces held in direction at the instant.
+    push = sp.Matrix(sp.symbols("ux uz"))
+    for side, thrust in ((1, t_r), (-1, t_f)):
+        work += thrust * (centre - side * dxm * ex_(b)).dot(push)
     rates, coordinates = sp.symbols("v0:7"), sp.symbols("q0:7")
     put = lambda e: e.subs(dict(zip(v, rates, strict=True))).subs(dict(zip(q, coordinates, strict=True)))  # noqa: E731
     momentum = [put(e) for e in momentum]
@@ -247,20 +292,23 @@ def lagrangian():
     force = []
     for a in range(7):
         drift = sum(sp.diff(momentum[a], coordinates[c]) * rates[c] for c in range(7))
-        force.append(put(sp.diff(kinetic - potential + work, q[a])) - sp.diff(put(loss), rates[a]) - drift)
+        own = put(sp.diff(kinetic - potential + work, q[a]))
+        own = own.subs(dict(zip(push, ez_(coordinates[2]), strict=True)))
+        force.append(own - sp.diff(put(loss), rates[a]) - drift)
     return sp.lambdify((coordinates, rates, fields, constants), [mass, sp.Matrix(force)], cse=True)
 
 
 def test_against_a_lagrangian(lagrangian):
     for p, slope, state in random_cases(50, seed=2):
-        forces, ours = kernel(p, slope, state)
+        thrust = (7.0, -3.0)
+        forces, ours = kernel(p, slope, state, thrust=thrust)
         ground = [forces[leg, 0] * ez(slope) + forces[leg, 1] * ex(slope) for leg in range(2)]
         span, depth = p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"]
+        rear, front = leg_values(p)
         constants = [
             p["body_mass"], p["body_inertia"], p["gravity"], p["joint_dx"], p["joint_dz"],
-            p["leg_axial_stiffness"], p["leg_axial_damping"], p["leg_bending_stiffness"],
-            p["leg_bending_damping"], p["leg_mass"], p["leg_inertia"], p["leg_mass_fraction"], np.hypot(span,
-            depth), np.arctan2(span, depth),
+            p["leg_mass_fraction"], np.hypot(span, depth), np.arctan2(span, depth), p["thrust_point_dx"],
+            *thrust, *rear, *front,
         ]  # fmt: skip
         mass, force = lagrangian(state[:7], state[7:], np.concatenate(ground), constants)
         theirs = np.linalg.solve(mass, np.ravel(force))

@@ -17,6 +17,7 @@ from sysid.gear.model import (
     PARAMETERS,
     Drops,
     Status,
+    find_surface,
     pack,
     simulate,
     simulate_population,
@@ -135,18 +136,23 @@ def test_lost_candidates_do_not_poison_their_neighbours():
 @pytest.mark.skipif(
     platform.machine() not in ("x86_64", "AMD64"), reason="knows the names of x86 instructions"
 )
-@pytest.mark.parametrize("high", [False, True])
-def test_lanes_become_packed_instructions(high):
+@pytest.mark.parametrize("surface", ["lf", "hf"])
+def test_lanes_become_packed_instructions(surface):
     drops = make_drops(SIX[:1], length=0.02)
-    drive = kernel.drop_driver(8, high)
+    own = find_surface(surface)
+    drive = kernel.drop_driver(8, own)
     drive._cache = NullCache()  # code loaded from the disk cache cannot be read back
     out = (
         np.empty((1, len(drops.clock), 6)),
         *(np.zeros((1, 1), t) for t in (float, np.int8, np.int64, np.int64)),
+        np.full((1, 1, 4), np.nan),
+        np.empty((1, 1, 3, 6)),
+        np.empty((0, 7)),
     )
-    jobs = np.zeros(1, np.int64)
-    start = (drops.slope, drops.body_state, np.empty(0), drops.clock, drops.offset)
-    drive(pack({})[None], *start, jobs, 1e-3, 5e-3, 1e6, *out, np.empty((0, 7)))
+    reads = np.array([17, 19], dtype=np.int64)
+    start = (drops.slope, drops.body_state[None], np.empty(0), drops.clock, drops.offset)
+    thrust = (drops.segments, drops.plans)
+    drive(pack({})[None], reads, *start, *thrust, np.zeros(1, np.int64), 1e-3, 5e-3, 1e6, False, *out)
     (text,) = drive.inspect_asm().values()
     packed = len(re.findall(r"\bv?mulpd\b", text))
     single = len(re.findall(r"\bv?mulsd\b", text))

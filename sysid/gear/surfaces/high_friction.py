@@ -14,6 +14,10 @@ with ``F_n = 0``.
 
 from numba import njit
 
+from sysid.gear.dynamics import accelerations
+from sysid.gear.rows import LAW, MARGIN, NORMAL, REQUIRED, SLIP, STUCK, SWITCH, WAY
+from sysid.gear.surfaces.surface import Surface
+
 # Decay rate of a stuck foot's residual slip [1/s].
 _SETTLE = 200.0
 # An event is hit when the step ends at most this late [s].
@@ -24,7 +28,7 @@ _NEVER = -1e30
 @njit(error_model="numpy", forceinline=True)
 def foot_accelerations(joints, h_c, h_d, l, rates, acceleration):  # noqa: E741
     """Acceleration of the rear and front foot along the slope [m/s²]."""
-    cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w = joints
+    cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w, _, _ = joints
     _, _, omega, h_c_rate, theta_c_rate, h_d_rate, theta_d_rate = rates
     a_s, _, alpha, h_c_acc, theta_c_acc, h_d_acc, theta_d_acc = acceleration
     spin = omega * omega
@@ -125,3 +129,105 @@ def next_mode(switch, stuck, way, normal, slip, required, margin, now, taken, mu
     new_way = new_way if taken > 0.0 else way
     new_margin = new_margin if taken > 0.0 else margin
     return new_stuck, new_way, new_margin
+
+
+@njit(error_model="numpy", forceinline=True)
+def solve(joints, angles, rates, thrust, normals, slips, modes, law, coefficients):
+    """Accelerations, friction and required friction with every foot in its mode.
+
+    The motion is linear in the friction forces: three evaluations give the multipliers exactly.
+    """
+    h_c = angles[1]
+    h_d = angles[3]
+    l = coefficients[10]  # noqa: E741
+    free = accelerations(joints, angles, rates, thrust, normals, 0.0, 0.0, coefficients)
+    rear = accelerations(joints, angles, rates, thrust, normals, 1.0, 0.0, coefficients)
+    front = accelerations(joints, angles, rates, thrust, normals, 0.0, 1.0, coefficients)
+    t_free = foot_accelerations(joints, h_c, h_d, l, rates, free)
+    t_rear = foot_accelerations(joints, h_c, h_d, l, rates, rear)
+    t_front = foot_accelerations(joints, h_c, h_d, l, rates, front)
+    response = (t_rear[0] - t_free[0], t_front[0] - t_free[0], t_front[1] - t_free[1])
+    f_c, f_d, r_c, r_d = high_friction(
+        t_free, response, normals, slips, modes[0], modes[1], modes[2], modes[3], law[0]
+    )
+    acceleration = (
+        free[0] + f_c * (rear[0] - free[0]) + f_d * (front[0] - free[0]),
+        free[1] + f_c * (rear[1] - free[1]) + f_d * (front[1] - free[1]),
+        free[2] + f_c * (rear[2] - free[2]) + f_d * (front[2] - free[2]),
+        free[3] + f_c * (rear[3] - free[3]) + f_d * (front[3] - free[3]),
+        free[4] + f_c * (rear[4] - free[4]) + f_d * (front[4] - free[4]),
+        free[5] + f_c * (rear[5] - free[5]) + f_d * (front[5] - free[5]),
+        free[6] + f_c * (rear[6] - free[6]) + f_d * (front[6] - free[6]),
+    )
+    return acceleration, (f_c, f_d), (r_c, r_d), 0.0
+
+
+@njit(error_model="numpy", inline="always")
+def after_step(work, lane, lanes, h, taken, new_h):
+    """Cut a step at the first loss of a foot's mode and switch modes there; returns taken and next step."""
+    mu_k = work[LAW * lanes + lane]
+    mu_s = mu_k + work[(LAW + 1) * lanes + lane]
+    c = lane
+    d = lanes + lane
+    stuck_c, way_c, margin_c = work[STUCK * lanes + c], work[WAY * lanes + c], work[MARGIN * lanes + c]
+    stuck_d, way_d, margin_d = work[STUCK * lanes + d], work[WAY * lanes + d], work[MARGIN * lanes + d]
+    n_c, v_c, r_c = work[NORMAL * lanes + c], work[SLIP * lanes + c], work[REQUIRED * lanes + c]
+    n_d, v_d, r_d = work[NORMAL * lanes + d], work[SLIP * lanes + d], work[REQUIRED * lanes + d]
+    now_c, lost_c, share_c = event(stuck_c, way_c, n_c, v_c, r_c, margin_c, mu_s)
+    now_d, lost_d, share_d = event(stuck_d, way_d, n_d, v_d, r_d, margin_d, mu_s)
+    taken, new_h, hit = settle(share_c, share_d, h, taken, new_h)
+    switch_c = hit * lost_c
+    switch_d = hit * lost_d
+    stuck_c, way_c, margin_c = next_mode(
+        switch_c, stuck_c, way_c, n_c, v_c, r_c, margin_c, now_c, taken, mu_k
+    )
+    stuck_d, way_d, margin_d = next_mode(
+        switch_d, stuck_d, way_d, n_d, v_d, r_d, margin_d, now_d, taken, mu_k
+    )
+    work[STUCK * lanes + c] = stuck_c
+    work[STUCK * lanes + d] = stuck_d
+    work[WAY * lanes + c] = way_c
+    work[WAY * lanes + d] = way_d
+    work[MARGIN * lanes + c] = margin_c
+    work[MARGIN * lanes + d] = margin_d
+    work[SWITCH * lanes + c] = switch_c
+    work[SWITCH * lanes + d] = switch_d
+    return taken, new_h
+
+
+SURFACE = Surface(
+    name="hf",
+    meaning="High friction, equations (9, 10) and Fig. 5: each foot slips or sticks.",
+    reads=("kinetic_friction", "static_friction_excess"),
+    free=(
+        "joint_dx",
+        "joint_dz",
+        "leg_axial_stiffness",
+        "leg_axial_damping",
+        "leg_bending_stiffness",
+        "leg_bending_damping",
+        "ground_stiffness",
+        "ground_damping",
+        "leg_mass",
+        "leg_inertia",
+        "kinetic_friction",
+        "static_friction_excess",
+    ),
+    solve=solve,
+    after_step=after_step,
+    nominal={
+        "joint_dx": 0.067,
+        "joint_dz": 0.019,
+        "leg_axial_stiffness": 6670.0,
+        "leg_axial_damping": 20.3,
+        "leg_bending_stiffness": 3.44,
+        "leg_bending_damping": 0.017,
+        "ground_stiffness": 1.49e5,
+        "ground_damping": 0.058,
+        "leg_mass": 0.015,
+        "leg_inertia": 2.1e-4,
+        "kinetic_friction": 0.87,
+        "static_friction_excess": 0.08,
+    },
+    source="Table II, high friction, mean of five fits",
+)

@@ -1,0 +1,94 @@
+"""Thrust during a drop or a landing: two histories, and the instant at which their clock starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.errors import CampaignError
+from sysid.gear.rows import SEGMENT_COLUMNS
+from sysid.integrate.piecewise import PiecewiseCubic
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Propulsion:
+    """Thrust of the rear and front pair of motors [N], along the body's z axis at the two thrust points.
+
+    Parameters
+    ----------
+    rear, front : PiecewiseCubic
+        Thrust of each pair against the history's own clock, for example from
+        `sysid.motor.thrust.thrust_history`; held at its first value before the clock starts.
+    begins : float or "first contact"
+        When that clock starts: this long after the drop's first sample [s], or when a foot first touches.
+    delay : float
+        Added to the first contact [s].
+    """
+
+    rear: PiecewiseCubic
+    front: PiecewiseCubic
+    begins: float | Literal["first contact"] = 0.0
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        known = self.begins == "first contact" if isinstance(self.begins, str) else np.isfinite(self.begins)
+        if not (known and 0 <= self.delay < np.inf):
+            raise CampaignError(
+                f"propulsion: begins {self.begins!r} with a delay of {self.delay!r} s; give a time in "
+                "seconds or 'first contact', and a delay of 0 or more"
+            )
+
+    @property
+    def waits_for_contact(self) -> bool:
+        """Whether the first contact starts the clock."""
+        return isinstance(self.begins, str)
+
+    def at(self, time: FloatArray, first_contact: float) -> FloatArray:
+        """Return rear and front thrust (n, 2) [N] at times since the drop's start, given a first contact."""
+        start = first_contact + self.delay if isinstance(self.begins, str) else self.begins
+        own = np.maximum(0.0, time - start) if np.isfinite(start) else np.zeros(np.shape(time))
+        return np.column_stack([self.rear(own), self.front(own)])
+
+    def segments(self) -> FloatArray:
+        """Return what the kernel reads (n, SEGMENT_COLUMNS): the value held before, the pieces, the last."""
+        knots = np.unique(np.concatenate([[0.0], self.rear.knots, self.front.knots]))
+        knots = knots[knots >= 0.0]
+        out = np.zeros((len(knots) + 1, SEGMENT_COLUMNS))
+        out[1:-1, 0], out[1:-1, 1] = knots[:-1], knots[1:]
+        out[1:-1, 2:6], out[1:-1, 6:10] = self.rear.on(knots), self.front.on(knots)
+        for column, history in ((2, self.rear), (6, self.front)):
+            out[0, column] = float(history(0.0))
+            out[-1, column] = float(history(knots[-1]))
+        out[-1, 0] = knots[-1]
+        out[-1, 1] = np.inf
+        return out
+
+
+def plans(propulsion: Sequence[Propulsion | None]) -> tuple[FloatArray, FloatArray]:
+    """Lay the drops' thrust into the kernel's arrays: all segments, and one plan per drop.
+
+    Drops that share a `Propulsion` share its segments.
+    """
+    tables: list[FloatArray] = [np.zeros((1, SEGMENT_COLUMNS))]
+    places: dict[int, tuple[int, int]] = {}
+    rows = []
+    total = 1
+    for one in propulsion:
+        if one is None:
+            rows.append([0, 1, np.inf, 1.0])  # a start at infinity: no thrust, for ever
+            continue
+        if id(one) not in places:
+            table = one.segments()
+            places[id(one)] = (total, total + len(table))
+            tables.append(table)
+            total += len(table)
+        first, stop = places[id(one)]
+        start = one.delay if isinstance(one.begins, str) else float(one.begins)
+        rows.append([first, stop, start, float(one.waits_for_contact)])
+    return np.concatenate(tables), np.array(rows, dtype=np.float64)

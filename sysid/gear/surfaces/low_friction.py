@@ -1,0 +1,47 @@
+"""Low friction (8): a continuous law that never sticks but creeps."""
+
+from numba import njit
+
+from sysid.gear.surfaces.surface import Surface, continuous_law
+
+
+@njit(error_model="numpy", forceinline=True)
+def low_friction(force_c, force_d, slip_c, slip_d, law):
+    """Friction on both feet along the slope [N], equation (8) with the sign that opposes the slip.
+
+    Notes
+    -----
+    ``F_t = -mu_k F_n v / (|v| + eps_v)`` with ``law = (mu_k, eps_v, ...)``; linear in v for |v| << eps_v, so
+    it never sticks but creeps. The two quotients share one division.
+    """
+    below_c = (slip_c if slip_c > 0.0 else -slip_c) + law[1]
+    below_d = (slip_d if slip_d > 0.0 else -slip_d) + law[1]
+    common = -law[0] / (below_c * below_d)
+    return common * below_d * force_c * slip_c, common * below_c * force_d * slip_d
+
+
+@njit(error_model="numpy", forceinline=True)
+def low_friction_damping(force, slip, law):
+    """Slope ``-dF_t/dv`` of the law (8) at a slip speed [N·s/m]."""
+    below = (slip if slip > 0.0 else -slip) + law[1]
+    return law[0] * force * law[1] / (below * below)
+
+
+SURFACE = Surface(
+    name="lf",
+    meaning="Low friction, equation (8): sliding and creeping, never sticking.",
+    reads=("kinetic_friction", "slip_regularization"),
+    free=(
+        "joint_dx",
+        "joint_dz",
+        "leg_axial_stiffness",
+        "leg_axial_damping",
+        "leg_bending_stiffness",
+        "leg_bending_damping",
+        "ground_stiffness",
+        "ground_damping",
+    ),
+    solve=continuous_law(low_friction, low_friction_damping),
+    friction=low_friction,
+    source="Table II, low friction, mean of five fits",
+)

@@ -1,0 +1,116 @@
+"""What a surface declares: its compiled friction law, the parameters it reads, and what is free on it."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from numba import njit
+
+from sysid.gear.dynamics import accelerations, foot_looseness
+
+# Bound to a law's own by `continuous_law`.
+friction: Any = None
+damping: Any = None
+
+# Numbers of its own that a law may read.
+LAW_SLOTS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A friction law and how it is identified.
+
+    Parameters
+    ----------
+    name : str
+        As in campaigns: ``lf``, ``hf``.
+    meaning : str
+        One sentence.
+    reads : tuple of str
+        Rows of the gear's table that the law reads, at most `LAW_SLOTS`, in the order in which its functions
+        receive them as the tuple ``law``. The first is the kinetic friction coefficient, the second the
+        static one's excess where the law has one.
+    free : tuple of str
+        Free parameters of a fit by default.
+    solve : compiled function
+        ``(joints, angles, rates, thrust, normals, slips, modes, law, coefficients) -> (accelerations,
+        friction, required, stiff)``: the motion's seven accelerations under the law, friction on the rear and
+        front foot [N], the friction that each foot would need to stick [N], and the fastest decay rate of a
+        slip [1/s], which bounds the explicit step. Arguments as in `sysid.gear.dynamics`; ``modes`` is
+        (stuck, stuck, way, way) of the rear and front foot. `continuous_law` makes it from two formulas.
+    after_step : compiled function, optional
+        ``(work, lane, lanes, h, taken, new_h) -> (taken, new_h)``: decide on a step of a law with modes, and
+        switch them (`sysid.gear.surfaces.high_friction`); None for a law without memory.
+    friction : compiled function, optional
+        ``(force_c, force_d, slip_c, slip_d, law) -> (friction_c, friction_d)`` of a law without memory.
+    nominal : mapping
+        Default values on this surface where they differ from the table's [SI].
+    source : str
+        Where `nominal` comes from.
+    """
+
+    name: str
+    meaning: str
+    reads: tuple[str, ...]
+    free: tuple[str, ...]
+    solve: Any
+    after_step: Any = None
+    friction: Any = None
+    nominal: Mapping[str, float] = field(default_factory=dict)
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.reads) <= LAW_SLOTS:
+            raise ValueError(f"surface {self.name}: reads {len(self.reads)} parameters, 1 to {LAW_SLOTS} fit")
+        if (self.after_step is None) == (self.friction is None):
+            raise ValueError(
+                f"surface {self.name}: give `friction` for a law without memory or `after_step` for one with"
+            )
+
+    @property
+    def switching(self) -> bool:
+        """Whether feet have modes that switch."""
+        return self.after_step is not None
+
+
+def specialized(function: Callable[..., Any], **bindings: Any) -> Callable[..., Any]:
+    """Return a copy of a Python function that sees other functions under the given global names.
+
+    The way one text serves every surface: numba inlines what the names are bound to.
+    """
+    copy = types.FunctionType(
+        function.__code__,
+        {**function.__globals__, **bindings},
+        function.__name__,
+        function.__defaults__,
+        function.__closure__,
+    )
+    copy.__qualname__ = function.__qualname__
+    copy.__module__ = function.__module__
+    return copy
+
+
+def continuous_law(friction: Any, damping: Any) -> Any:
+    """Make a `Surface.solve` from the formula of a friction that is a function of force and slip.
+
+    Parameters
+    ----------
+    friction : compiled function
+        ``(force_c, force_d, slip_c, slip_d, law) -> (friction_c, friction_d)``, opposing the slip [N].
+    damping : compiled function
+        ``(force, slip, law) -> -dF_t/dv`` at a slip [N·s/m], 0 or more.
+    """
+    bound = specialized(_solve, friction=friction, damping=damping)
+    return njit(error_model="numpy", forceinline=True)(bound)
+
+
+def _solve(joints, angles, rates, thrust, normals, slips, modes, law, coefficients):
+    f_c, f_d = friction(normals[0], normals[1], slips[0], slips[1], law)
+    loose_c, loose_d = foot_looseness(joints, angles[1], angles[3], coefficients)
+    stiff_c = loose_c * damping(normals[0], slips[0], law)
+    stiff_d = loose_d * damping(normals[1], slips[1], law)
+    acceleration = accelerations(joints, angles, rates, thrust, normals, f_c, f_d, coefficients)
+    return acceleration, (f_c, f_d), (0.0, 0.0), stiff_c if stiff_c > stiff_d else stiff_d

@@ -1,0 +1,184 @@
+"""Events of a drop: located, logged, and the limits of sliding and tipping that follow from the laws."""
+
+import math
+
+import numpy as np
+import pytest
+from numba import njit
+
+from sysid.errors import CampaignError
+from sysid.gear.model import (
+    PARAMETERS,
+    SURFACES,
+    TIGHT_TOLERANCE,
+    EventKind,
+    Surface,
+    find_surface,
+    parameters_on,
+    simulate,
+)
+from sysid.gear.surfaces import continuous_law
+
+
+def start(p, slope, speed, height=1e-3):
+    z = p["foot_dz"] + (height + p["foot_dx"] * math.sin(slope)) / math.cos(slope)
+    return [0.0, z, 0.0, 0.0, -speed, 0.0]
+
+
+def foot_depths(p, slope, state):
+    """Penetration of both feet (n, 2) from states (n, 14) [m]."""
+    x, z, q, h_c, q_c, h_d, q_d = state[:, :7].T
+    length = math.hypot(p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"])
+    out = []
+    for side, h, theta in ((1, h_c, q + q_c), (-1, h_d, q - q_d)):
+        jx = x - side * p["joint_dx"] * np.cos(q) - p["joint_dz"] * np.sin(q)
+        jz = z + side * p["joint_dx"] * np.sin(q) - p["joint_dz"] * np.cos(q)
+        fx, fz = jx - (length + h) * np.sin(theta), jz - (length + h) * np.cos(theta)
+        out.append(-(fx * math.sin(slope) + fz * math.cos(slope)))
+    return np.stack(out, 1)
+
+
+@pytest.mark.parametrize("surface", ["lf", "hf"])
+@pytest.mark.parametrize("slope_deg", [10, 27])
+def test_events_are_located_to_a_microsecond(surface, slope_deg):
+    p, slope = parameters_on(surface).nominal, math.radians(slope_deg)
+    body = start(p, slope, 0.7)
+    clock = np.array([0.0, 0.16])
+    ours = simulate(p, slope, body, clock, surface=surface, tolerance=TIGHT_TOLERANCE)
+    exact = simulate(p, slope, body, clock, surface=surface, tolerance=1e-9)
+    assert len(ours.events) >= 4
+    assert [(e.kind, e.foot) for e in ours.events] == [(e.kind, e.foot) for e in exact.events]
+    for mine, theirs in zip(ours.events, exact.events, strict=True):
+        assert mine.time == pytest.approx(theirs.time, abs=1e-6), mine
+    contacts = [e for e in exact.events if e.kind in (EventKind.TOUCHDOWN, EventKind.LIFT_OFF)]
+    times = np.array([e.time for e in contacts])
+    at = simulate(p, slope, body, np.concatenate([[0.0], times, [0.16]]), surface=surface, tolerance=1e-9)
+    depth = foot_depths(p, slope, at.state[1:-1])
+    for e, row in zip(contacts, depth, strict=True):
+        # At the event the foot is at the surface: 1e-6 s at 1 m/s is 1 um.
+        assert abs(row[("rear", "front").index(e.foot)]) < 1e-6
+
+
+@pytest.mark.parametrize("surface", ["lf", "hf"])
+def test_touchdown_and_lift_off_alternate(surface):
+    p, slope = parameters_on(surface).nominal, math.radians(15)
+    time = np.arange(0, 0.7, 1e-4)
+    run = simulate(p, slope, start(p, slope, 0.8), time, surface=surface, tolerance=1e-6)
+    assert [e.time for e in run.events] == sorted(e.time for e in run.events)
+    for number, foot in enumerate(("rear", "front")):
+        kinds = [e for e in run.events if e.foot == foot and e.kind <= EventKind.LIFT_OFF]
+        assert all(e.kind == i % 2 for i, e in enumerate(kinds))
+        touching = np.zeros(len(time), dtype=bool)
+        for e in kinds:
+            touching[time >= e.time] = e.kind == EventKind.TOUCHDOWN
+        # The log says of every sample whether the foot is loaded, but for samples at the event itself.
+        assert np.mean(touching != (run.normal_force[:, number] > 0)) < 1e-3
+    modes = [e for e in run.events if e.kind in (EventKind.SLIP, EventKind.STICK)]
+    assert len(modes) == len(run.switches)
+    assert bool(modes) == (surface == "hf")
+
+
+def test_flip_and_rest():
+    p = parameters_on("hf").nominal
+    slope = math.radians(40)
+    run = simulate(p, slope, start(p, slope, 1.2), np.arange(0, 2, 1e-3), surface="hf")
+    (flip,) = [e for e in run.events if e.kind is EventKind.FLIP]
+    turn = np.abs(run.state[:, 2] - slope)
+    assert flip.foot == "body"
+    assert flip.time == pytest.approx(run.time[np.argmax(turn > math.radians(80))], abs=1e-3)
+    slope = math.radians(5)
+    run = simulate(p, slope, start(p, slope, 0.2), np.arange(0, 3, 1e-3), surface="hf")
+    (rest,) = [e for e in run.events if e.kind is EventKind.REST]
+    calm = (np.hypot(run.state[:, 7], run.state[:, 8]) < 0.05) & (np.abs(run.state[:, 9]) < 0.2)
+    begin = int(np.ceil(rest.time / 1e-3))
+    assert calm[begin : begin + 200].all()
+    assert not calm[begin - 2]
+    # Nothing before it lasted 0.2 s.
+    runs = np.diff(np.flatnonzero(~calm[: begin + 1]))
+    assert runs.max() < 201
+
+
+def test_slide_limit_is_the_friction_angle():
+    p = PARAMETERS.nominal
+    limit = math.degrees(math.atan(p["kinetic_friction"]))
+    assert limit == pytest.approx(23.7, abs=0.1)
+    gained = []
+    for slope_deg in (limit - 0.5, limit + 0.5):
+        slope = math.radians(slope_deg)
+        run = simulate(p, slope, start(p, slope, 0.05, 1e-4), np.linspace(0, 80, 81))
+        along = run.state[:, 7] * math.cos(slope) - run.state[:, 8] * math.sin(slope)
+        gained.append(along[-1] - along[40])
+    # Over 40 s: below it a terminal speed (which the ringing legs let waver by 0.1 m/s); above it the steady
+    # acceleration g (sin q - mu_k cos q) = 0.09 m/s^2.
+    assert gained[0] < 0.2
+    assert gained[1] > 3.0
+
+
+def test_tip_limit_of_rigid_legs():
+    p = parameters_on("hf").nominal
+    stiff = p | {
+        "leg_axial_stiffness": 1e3 * p["leg_axial_stiffness"],
+        "leg_bending_stiffness": 1e3 * p["leg_bending_stiffness"],
+        "leg_axial_damping": 30 * p["leg_axial_damping"],
+        "leg_bending_damping": 30 * p["leg_bending_damping"],
+        "kinetic_friction": 1.2,
+    }
+    limit = math.degrees(math.atan(p["foot_dx"] / p["foot_dz"]))
+    assert limit == pytest.approx(34.8, abs=0.1)
+    turned = []
+    for slope_deg in (limit - 0.5, limit + 0.5):
+        slope = math.radians(slope_deg)
+        weight = (p["body_mass"] + 2 * p["leg_mass"]) * p["gravity"]
+        tip = math.tan(slope) * p["foot_dz"] / p["foot_dx"]
+        # The end of a slow ramp: at rest on the slope, feet sunk by their share of the weight.
+        rear, front = (max(0.0, weight / 2 * math.cos(slope) * (1 + s * tip)) for s in (-1, 1))
+        sink = np.array([rear, front]) / p["ground_stiffness"]
+        pitch = slope + (sink[1] - sink[0]) / (2 * p["foot_dx"])
+        height = p["foot_dz"] - sink.mean()
+        body = [height * math.sin(slope), height * math.cos(slope), pitch, 0.0, 0.0, 0.0]
+        run = simulate(stiff, slope, body, np.linspace(0, 2.5, 6), surface="hf")
+        assert np.isfinite(run.state).all()
+        turned.append(math.degrees(abs(run.state[-1, 2] - slope)))
+    assert turned[0] < 1.0
+    assert turned[1] > 45.0
+
+
+@njit(error_model="numpy", forceinline=True)
+def viscous(force_c, force_d, slip_c, slip_d, law):
+    return -law[0] * force_c * slip_c, -law[0] * force_d * slip_d
+
+
+@njit(error_model="numpy", forceinline=True)
+def viscous_damping(force, slip, law):
+    return law[0] * force
+
+
+def test_a_third_law_is_one_declaration():
+    wet = Surface(
+        name="wet",
+        meaning="Viscous: F_t = -c F_n v with c in the place of the kinetic friction [s/m].",
+        reads=("kinetic_friction",),
+        free=SURFACES["lf"].free,
+        solve=continuous_law(viscous, viscous_damping),
+        friction=viscous,
+    )
+    p, slope = PARAMETERS.nominal | {"kinetic_friction": 1.0}, math.radians(10)
+    run = simulate(p, slope, start(p, slope, 0.1), np.linspace(0, 4, 41), surface=wet)
+    along = run.state[:, 7] * math.cos(slope) - run.state[:, 8] * math.sin(slope)
+    # Terminal speed tan(slope)/c.
+    assert along[-1] == pytest.approx(math.tan(slope), rel=0.02)
+    np.testing.assert_allclose(run.friction_force[-1], -run.normal_force[-1] * along[-1], rtol=0.05)
+
+
+def test_surfaces_are_declared():
+    assert tuple(SURFACES) == ("lf", "hf")
+    for name, surface in SURFACES.items():
+        assert find_surface(name) is surface
+        assert set(surface.reads) <= set(PARAMETERS)
+        assert set(surface.free) <= set(PARAMETERS)
+    assert parameters_on("hf")["kinetic_friction"].nominal == 0.87
+    assert parameters_on("lf").nominal == PARAMETERS.nominal
+    with pytest.raises(CampaignError, match="ice"):
+        find_surface("ice")
+    with pytest.raises(ValueError, match="memory"):
+        Surface("x", "", ("kinetic_friction",), (), SURFACES["lf"].solve)

@@ -1,0 +1,112 @@
+"""Offsets of single drops and the high-friction campaign: known truth through the pipeline."""
+
+import numpy as np
+import pytest
+
+from sysid.campaign import read_campaign
+from sysid.gear.model import HF_FREE, LF_FREE, PARAMETERS, parameters_on
+from sysid.pipelines.drops import prepare_drops
+from sysid.pipelines.gear import GearObjective, score_values, search_space
+from sysid.synthetic import HF_DROPS, LF_DROPS, read_truth, synthesize_gear
+
+EXACT = {"noise_position": 0.0, "noise_angle": 0.0, "occlusions": False, "wobble": 0.0}
+
+
+@pytest.fixture(scope="module")
+def drops(tmp_path_factory):
+    return synthesize_gear(
+        tmp_path_factory.mktemp("n") / "lf", seed=3, drops=(*LF_DROPS[:2], LF_DROPS[6]), **EXACT
+    )
+
+
+def opened(folder, text=""):
+    path = folder / "campaign.toml"
+    changed = path.with_name("changed.toml")
+    changed.write_text(
+        path.read_text(encoding="utf-8").replace("[fit]\n", f"{text}\n[fit]\n"), encoding="utf-8"
+    )
+    campaign = read_campaign(changed, "gear")
+    return campaign, prepare_drops(campaign, changed)
+
+
+def test_offsets_are_off_by_default(drops):
+    campaign, _ = opened(drops)
+    assert search_space(campaign).names == LF_FREE
+
+
+def test_offsets_of_a_drop_are_found_where_they_were_put(drops):
+    campaign, prepared = opened(drops, '[nuisance]\nheight = "2 mm"\nstart_time = "2 ms"\n')
+    space = search_space(campaign)
+    assert space.names[8:] == tuple(
+        f"{kind}[drop-{n}]" for n in (1, 2) for kind in ("height_offset", "start_offset")
+    )
+    fitted = tuple(drop for drop in prepared if drop.use == "fit")
+    objective = GearObjective.build(campaign, space, fitted)
+    truth = read_truth(drops)["parameters"]
+    exact = np.array([truth.get(name, 0.0) for name in space.names])
+    grid = np.linspace(-1e-3, 1e-3, 9)
+    for column in range(8, 12):
+        rows = np.tile(space.encode(exact), (len(grid), 1))
+        low, high = space.free[column].lower, space.free[column].upper
+        rows[:, column] = (grid - low) / (high - low)
+        cost = objective.evaluate(rows).cost
+        # Without an error in the plane or the clock the best offset is none, and a millimetre (a
+        # millisecond) shows.
+        assert np.argmin(cost) == 4
+        assert min(cost[0], cost[-1]) > 5 * cost[4]
+    # A validation drop has no offset: its score is the plain one.
+    every = GearObjective.build(campaign, space, prepared)
+    moved = space.encode(exact)[None].copy()
+    moved[0, 8:] = 0.9
+    own = every.score(space.full(moved)).by_channel[:, 2]
+    plain = score_values(campaign, prepared, truth).by_channel[:, 2]
+    # But for the last bits of the unit cube, which the bounces multiply.
+    np.testing.assert_allclose(own, plain, rtol=0.02)
+
+
+def test_a_surface_that_is_a_millimetre_off_is_found_by_its_offset(drops):
+    point = read_truth(drops)["capture"]["surface point [m]"]
+    campaign, prepared = opened(drops, '[nuisance]\nheight = "3 mm"\n')
+    moved = (point[0], point[1] + 1e-3, point[2])
+    surface = campaign.surface.model_copy(update={"point": moved})
+    wrong = campaign.model_copy(update={"surface": surface})
+    prepared = prepare_drops(wrong, drops / "changed.toml")
+    fitted = tuple(drop for drop in prepared if drop.use == "fit")
+    space = search_space(wrong)
+    truth = read_truth(drops)["parameters"]
+    objective = GearObjective.build(wrong, space, fitted)
+    exact = np.array([truth.get(name, 0.0) for name in space.names])
+    corrected = exact.copy()
+    corrected[8:] = -1e-3
+    cost = objective.evaluate(space.encode(np.array([exact, corrected]))).cost
+    # The board lies 1 mm lower than the campaign says; told so, the truth scores what it scores with a right
+    # plane, up to the window that begins a sample elsewhere.
+    assert cost[1] < 0.1 * cost[0]
+    assert cost[1] < 5e-3
+
+
+def test_the_truth_of_high_friction_drops_scores_nothing(tmp_path):
+    folder = synthesize_gear(tmp_path / "hf", seed=3, surface="hf", drops=HF_DROPS[:3], **EXACT)
+    campaign, prepared = opened(folder)
+    truth = read_truth(folder)["parameters"]
+    space = search_space(campaign)
+    assert space.names == HF_FREE
+    assert {name: truth[name] for name in HF_FREE} == {n: parameters_on("hf").nominal[n] for n in HF_FREE}
+    scored = score_values(campaign, prepared, truth)
+    # Quantization, and 0.3 % of integration where a foot switches its mode.
+    assert scored.cost[0] < 5e-3
+    assert not scored.failed.any()
+    # Parameters that are left alone take the surface's own defaults.
+    assert score_values(campaign, prepared, {}).cost[0] == scored.cost[0]
+    beside = score_values(campaign, prepared, {**truth, "kinetic_friction": 0.7}).cost[0]
+    assert beside > 10 * scored.cost[0]
+
+
+def test_front_legs_may_differ(drops):
+    campaign, prepared = opened(drops)
+    truth = read_truth(drops)["parameters"]
+    equal = score_values(campaign, prepared, truth).cost[0]
+    names = [name for name in PARAMETERS if name.startswith("front_")]
+    assert len(names) == 6
+    for name in names:
+        assert score_values(campaign, prepared, {**truth, name: 1.5}).cost[0] > 1.5 * equal
