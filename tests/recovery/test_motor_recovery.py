@@ -16,6 +16,7 @@ from sysid.pipelines.motor_bench import in_search, prepare_bench, search_space
 from sysid.pipelines.motor_inertia import spike_inertia
 from sysid.pipelines.motor_objective import MotorObjective, score_values
 from sysid.pipelines.motor_saturation import saturation_space, saturation_trials
+from sysid.pipelines.results import print_sets
 from sysid.pipelines.search import FitOptions
 from sysid.synthetic.motor import TRUE_MOTOR, synthesize_motor
 
@@ -102,11 +103,11 @@ def test_holes_of_a_fast_log_are_masked_not_closed_up(campaign_file: Path, prepa
     assert np.all(score_values(campaign, bench, TRUTH)[0] < 0.01)
 
 
-def test_short_fit_finds_resistance_and_inductance(campaign_file: Path, tmp_path: Path) -> None:
+def test_short_fit_finds_resistance_and_inductance(campaign_file: Path, tmp_path: Path, capsys) -> None:
     options = FitOptions(
         out=tmp_path / "fit", runs=1, population=60, max_generations=25, seed=4, quiet=True
     )
-    result, _ = fit_motor(campaign_file, options)
+    result, folder = fit_motor(campaign_file, options)
     values = result.parameter_sets().set_values(1)
     # Required: 5 %. A population of 60 for 25 generations stops near, not at, the optimum.
     assert values["winding_resistance"] == pytest.approx(0.299, rel=0.05)
@@ -136,6 +137,11 @@ def test_short_fit_finds_resistance_and_inductance(campaign_file: Path, tmp_path
     assert not damping["identified"]
     assert 9.2e-9 < damping["below"] < 1e-6
     assert any("viscous_damping is not identifiable" in sentence for sentence in result.warnings)
+    capsys.readouterr()
+    print_sets(folder, json=False)
+    shown = capsys.readouterr().out
+    assert "what each step of the model buys" in shown
+    assert shown.count(f"< {damping['below']:.0e}") == 2  # ranked sets, means: a bound, no digits
 
 
 def _delay(parameters: dict, before: float, after: float) -> float:
