@@ -90,7 +90,7 @@ def inspect_channel(channel: Channel) -> ChannelReport:
     blank_steps = np.diff(time[valid])
     repeats = np.diff(known, axis=0) == 0
     equal = repeats if repeats.ndim == 1 else repeats.all(axis=1)
-    discrete = channel.unit in ("us", "dshot") or channel.name in ("command", "log_time")
+    discrete = channel.unit in ("us", "dshot", "rad/s") or channel.name in ("command", "log_time")
     return ChannelReport(
         channel.name,
         channel.unit,

@@ -22,6 +22,8 @@ STANDARD_GRAVITY = 9.80665
 _HALF_WINDOW = 0.0225
 # Share of g that counts as falling when judged on 45 ms of positions.
 _FALLING = 0.6
+# From this on a fall tells g to some percent [s].
+_LONG_FALL = 0.06
 # Tolerance on |a|/g, and the shortest flight [s] of a body in motion and of one that hung still.
 _NEAR, _SHORTEST, _SHORTEST_FALL = 0.25, 0.05, 0.03
 # Units that a length may have been read in: its factor on g, and what it means.
@@ -160,7 +162,7 @@ def _held_fall(
             continue
         height = -np.sign(acceleration[onset, axis]) * position[:, axis]
         end, release = min(time.size - 1, onset + half), float(time[onset])
-        for _ in range(20):  # the fit tells how far the fall reaches, which lets in more of it
+        for _ in range(40):  # the fit tells how far the fall reaches, which lets in more of it
             early = (half + 4) * step
             release = _release_time(time[begin:end], height[begin:end], float(time[onset]), early, gravity)
             fall = height + 0.5 * gravity * np.maximum(0.0, time - release) ** 2
@@ -170,12 +172,47 @@ def _held_fall(
             away = held_end + int(both[0]) if both.size else time.size - 1
             if away == end:
                 break
-            end = min(away, end + 2)
+            end = min(away, end + max(2, (end - held_end) // 4))
+        if time[end] - release > _LONG_FALL:  # long enough to tell g itself, which a wrong rate changes
+            end, release = _longer(time, height, begin, held_end, end, release)
         flight = _free_fall(time[begin:end], position[begin:end], release)
         size = float(np.linalg.norm(flight.acceleration))
         if abs(size / gravity - 1.0) < _NEAR and time[end] - release > _SHORTEST_FALL:
             return flight, end
     return None
+
+
+def _longer(
+    time: FloatArray, height: FloatArray, begin: int, held_end: int, end: int, release: float
+) -> tuple[int, float]:
+    """Return the end of a fall and its release when g is fitted too, however much that is."""
+    step = float(time[1] - time[0])
+    limit = max(4.0 * float(np.std(height[begin:held_end])), 5e-4)
+    for _ in range(40):
+        since, known = time[begin:end] - release, height[begin:end]
+
+        def parabola(start: float, since: FloatArray = since, known: FloatArray = known) -> FloatArray:
+            shape = 0.5 * np.maximum(0.0, since - start) ** 2
+            design = np.column_stack([np.ones_like(shape), shape])
+            return np.asarray(np.linalg.lstsq(design, known, rcond=None)[0])
+
+        def misfit(start: float, since: FloatArray = since, known: FloatArray = known) -> float:
+            place, fall = parabola(start)
+            return float(np.sum((known - place - 0.5 * fall * np.maximum(0.0, since - start) ** 2) ** 2))
+
+        found = optimize.minimize_scalar(
+            misfit, bounds=(-4.0 * step, 4.0 * step), method="bounded", options={"xatol": 1e-6}
+        )
+        place, fall = parabola(float(found.x))
+        release += float(found.x)
+        error = height - place - 0.5 * fall * np.maximum(0.0, time - release) ** 2
+        off = np.abs(error[held_end:]) > limit
+        both = np.flatnonzero(off[:-1] & off[1:])
+        away = held_end + int(both[0]) if both.size else time.size - 1
+        if away <= end:
+            break
+        end = min(away, end + max(2, (end - held_end) // 4))
+    return end, release
 
 
 def _leaves(time: FloatArray, position: FloatArray, flight: _Flight, inner: slice, first: int) -> int:

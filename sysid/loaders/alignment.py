@@ -71,6 +71,11 @@ def _even(channel: Channel, rate: float) -> tuple[float, FloatArray]:
     return float(time[0]), np.asarray(change)
 
 
+def _floor(power: FloatArray | np.float64) -> FloatArray:
+    """Return powers kept off zero, where a still stretch would divide noise by nothing."""
+    return np.asarray(np.maximum(power, 1e-6 * np.max(power)))
+
+
 def find_offset(path: str, reference: Channel, other: Channel, *, sign: bool = True) -> ClockOffset:
     """Return the offset that brings the other channel's clock onto the reference's.
 
@@ -101,11 +106,16 @@ def find_offset(path: str, reference: Channel, other: Channel, *, sign: bool = T
     products = signal.correlate(first, second, mode="full", method="fft")
     ones = (np.ones(first.size), np.ones(second.size))
     shared = np.round(signal.correlate(ones[0], ones[1], mode="full", method="fft"))
-    power = signal.correlate(first**2, ones[1], mode="full", method="fft")
-    own_power = signal.correlate(ones[0], second**2, mode="full", method="fft")
+    # The shorter recording's whole energy counts: an offset that shows one of its events is worse than
+    # one that shows all. Of the longer one counts what overlaps.
+    longer = first.size >= second.size
+    power = signal.correlate(first**2, ones[1], mode="full", method="fft") if longer else np.sum(first**2)
+    own_power = (
+        np.sum(second**2) if longer else signal.correlate(ones[0], second**2, mode="full", method="fft")
+    )
     # A lag at which the recordings hardly overlap correlates by chance.
     allowed = shared >= _OVERLAP * min(first.size, second.size)
-    scale = np.sqrt(np.maximum(power, 1e-9 * power.max()) * np.maximum(own_power, 1e-9 * own_power.max()))
+    scale = np.sqrt(_floor(power) * _floor(own_power))
     score = np.where(allowed, (products if sign else np.abs(products)) / scale, -np.inf)
     best = int(np.argmax(score))
     lag = float(best)

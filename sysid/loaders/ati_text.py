@@ -67,7 +67,9 @@ def _recognize(source: Source) -> int:
 
 def _table(text: Text, path: str) -> tuple[Text, TableHead, float | None]:
     """Return the text with one delimiter, where its rows are and how many columns they have, and the rate."""
-    if b"[" in text.data[:4096] or not any(mark in text.data[:4096] for mark in (b",", b";", b"\t")):
+    if text.data.lstrip().startswith(b"[") or not any(
+        mark in text.data[:4096] for mark in (b",", b";", b"\t")
+    ):
         # Rows printed by numpy, or parted by spaces.
         data = re.sub(rb"[ \t]*[\[\]][ \t]*", b"", text.data)
         data = re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", data)

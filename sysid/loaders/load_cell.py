@@ -39,7 +39,9 @@ QUANTITIES = {
 # At least one of these makes a log a load-cell log.
 MEASURED = ("thrust", "torque")
 # Names that only a force sensor has.
-CELL_AXES = QUANTITIES["thrust"].stems - {"thrust"}
+CELL_AXES = (QUANTITIES["thrust"].stems - {"thrust"}) | {"mz", "moment z"}
+# A log beside the cell's own may hold nothing but these.
+BESIDE = QUANTITIES["speed"].stems | QUANTITIES["voltage"].stems | QUANTITIES["current"].stems | TACHOMETER
 
 
 def quantity_channel(name: str, time: FloatArray, values: FloatArray) -> Channel:

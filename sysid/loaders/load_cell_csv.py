@@ -2,7 +2,8 @@
 
     Time (s),Command (us),Speed (rad/s),Fx (N),Fy (N),Fz (N),Mx (N·m),My (N·m),Mz (N·m)
 
-Any of the columns may be missing but Fz or Mz; the order is free, and the delimiter comma, semicolon or TAB.
+Any of the columns may be missing but Fz or Mz (a log beside the cell's own may hold speed, voltage or current
+alone and is of kind ``signals``); the order is free, and the delimiter comma, semicolon or TAB.
 Thrust is Fz and torque Mz with the sign of the file: the mounting of the cell is not the log's to know.
 Ignores cross-talk and temperature: the writer's calibration is taken as it is.
 """
@@ -18,6 +19,7 @@ from sysid.errors import LogError
 from sysid.loaders.clock import jitter_note, order_rows, positive_rate, rate_clock
 from sysid.loaders.columns import DeclaredUnits, find_column, missing_column, parse_header
 from sysid.loaders.load_cell import (
+    BESIDE,
     CELL_AXES,
     COMMAND,
     MEASURED,
@@ -43,7 +45,8 @@ def _recognize(source: Source) -> int:
     stems = {column.stem for column in parse_header(found[2])}
     if stems & CELL_AXES:
         return CERTAIN
-    return POSSIBLE if stems & COMMAND and any(stems & QUANTITIES[name].stems for name in MEASURED) else NO
+    measured = stems & COMMAND and any(stems & QUANTITIES[name].stems for name in MEASURED)
+    return POSSIBLE if measured or (stems & TIME and stems & BESIDE) else NO
 
 
 def read(
@@ -94,7 +97,7 @@ def read(
     declared = DeclaredUnits(path, units)
     found = {name: find_column(path, header, quantity.stems) for name, quantity in QUANTITIES.items()}
     quantities = {name: column for name, column in found.items() if column is not None}
-    if not any(name in quantities for name in MEASURED):
+    if not any(name in quantities for name in MEASURED) and not {column.stem for column in header} & BESIDE:
         raise missing_column(path, '"Fz" or "Mz"', header)
     command = find_column(path, header, COMMAND)
     pulses = find_column(path, header, TACHOMETER)
@@ -149,7 +152,9 @@ def read(
         "rate": rate, "units": units, "columns": columns, "pulses_per_revolution": pulses_per_revolution,
     }  # fmt: skip
     return Recording(
-        "load-cell", channels, source.provenance(_NAME, options=options, notes=[*notes, *declared.notes])
+        "load-cell" if any(name in channels for name in MEASURED) else "signals",
+        channels,
+        source.provenance(_NAME, options=options, notes=[*notes, *declared.notes]),
     )
 
 

@@ -31,7 +31,7 @@ _FIRST = "LabVIEW Measurement"
 _END = "***End_of_Header***"
 _SEPARATORS = {"tab": "\t", "comma": ",", "": "\t"}
 _KEYS = frozenset(
-    {"", "channels", "samples", "date", "time", "x_dimension", "x0", "delta_x", "y_unit_label", "y_dimension",
+    {"channels", "samples", "date", "time", "x_dimension", "x0", "delta_x", "y_unit_label", "y_dimension",
      "notes", "test_name", "test_numbers", "test_series", "uut_s/n", "uut_name", "uut_m/n", "model_number",
      "serial_number", "operator", "description", "project"}
 )  # fmt: skip

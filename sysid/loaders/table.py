@@ -203,7 +203,7 @@ def read_numbers(
     empty = LogError(f"{path}: no rows of numbers after line {max(head.line, 1)}; the log is empty")
     wanted = sorted(set(wanted))
     least = len(head.names) if least is None else least
-    end, closed = body_end(text.data, head.offset)
+    end, closed = body_end(text.data, head.offset, head.delimiter)
     if end <= head.offset:
         raise empty
     body = measure(text.data, head.offset, end, head.delimiter, head.line + 1)

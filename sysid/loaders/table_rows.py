@@ -79,16 +79,18 @@ class Body:
         self.lengths, self.fields = self.lengths[:-1], self.fields[:-1]
 
 
-def body_end(data: bytes, start: int) -> tuple[int, bool]:
+def body_end(data: bytes, start: int, delimiter: str) -> tuple[int, bool]:
     """Return where the last row ends, comments and blank lines after it left out, and if it has a "
     "line end."""
+    # A row of nothing but tabs is a row where tabs part the cells.
+    blanks = b" \r\v\f" if delimiter == "\t" else b" \t\r\v\f"
     end = len(data)
     while end > start:
         while end > start and data[end - 1] == 10:
             end -= 1
         begin = max(data.rfind(b"\n", start, end) + 1, start)
         line = data[begin:end]
-        if line.strip() and not line.lstrip().startswith(b"#"):
+        if line.strip(blanks) and not line.lstrip().startswith(b"#"):
             break
         end = begin
     return end, end < len(data)

@@ -181,7 +181,8 @@ def _drop_lines(drop: DropReport | None) -> list[str]:
         begin = f"released at {drop.release:.4f} s"
     lines = [
         f"drop of {drop.body}: {begin}, touchdown near {drop.touchdown:.3f} s at about "
-        f"{drop.impact_speed:.2f} m/s after {1e3 * drop.fall_height:.0f} mm; falls with {drop.gravity:.2f} m/s²",
+        f"{drop.impact_speed:.2f} m/s after {1e3 * drop.fall_height:.0f} mm; falls with "
+        f"{drop.gravity:.2f} m/s²",
         f'suggested: up = "{drop.up}"' + (f', down_slope = "{drop.down_slope}"' if drop.down_slope else ""),
     ]
     if drop.slope is not None:

@@ -1,0 +1,273 @@
+"""What inspection says of logs whose truth is known, and the commands inspect and convert."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from sysid.cli import app
+from sysid.errors import LogError, SysidError
+from sysid.inspection import inspect_recording
+from sysid.inspection.channels import inspect_channel
+from sysid.loaders import detect, load
+from sysid.loaders.sysid_hdf5 import write_recording
+from sysid.pipelines.inspect import convert_file, parse_options
+from sysid.recording import Channel, Provenance, Recording
+
+
+def recording(kind, *channels):
+    return Recording(kind, {one.name: one for one in channels}, Provenance("log", "00", "pose-table"))
+
+
+def drop(up="+z", slope=0.0, rate=200.0, noise=2e-4, scale=1.0, height=0.1, held=True, markers=True):
+    """A body that hangs, falls by `height` and stays where it lands; the board's markers beside it."""
+    random = np.random.default_rng(5)
+    time = 3.0 + np.arange(0, 2, 1 / rate)
+    release = 3.5
+    touchdown = release + math.sqrt(2 * height / 9.80665)
+    fallen = np.clip(time, release, touchdown) - release
+    level = -0.5 * 9.80665 * fallen**2
+    if not held:
+        level = np.where(time < touchdown, 1.0 * (time - 3.0) - 0.5 * 9.80665 * (time - 3.0) ** 2, np.nan)
+        stop = np.flatnonzero(np.isfinite(level))[-1]
+        level = np.where(np.isfinite(level), level, level[stop])
+    axis = np.zeros(3)
+    axis["xyz".index(up[1])] = 1.0 if up[0] == "+" else -1.0
+    place = np.outer(level, axis) + random.normal(size=(time.size, 3)) * noise
+    side = np.roll(np.abs(axis), 1)
+    tilt = Rotation.from_rotvec(slope * side)
+    landed = time >= touchdown
+    turns = np.where(landed[:, None], np.roll(tilt.as_quat(), 1), [[1.0, 0, 0, 0]])
+    made = [
+        Channel("quad/position", "m", time, place * scale),
+        Channel("quad/orientation", "1", time, turns),
+    ]
+    if markers:
+        for i, corner in enumerate(([0, 0], [0.5, 0], [0, 0.5])):
+            point = tilt.apply(np.roll(np.array([0.0, *corner]), int(np.argmax(np.abs(axis)))))
+            where = np.tile(point, (time.size, 1)) + random.normal(size=(time.size, 3)) * noise
+            made.append(Channel(f"board {i}/position", "m", time, where * scale))
+    return recording("motion-capture", *made), release, touchdown
+
+
+@pytest.mark.parametrize("up", ["+z", "-z", "+y", "-y", "+x"])
+@pytest.mark.parametrize("height", [0.03, 0.1, 0.4])
+def test_drop_is_found_whatever_is_up(up, height):
+    log, release, touchdown = drop(up, slope=np.radians(20), height=height)
+    report = inspect_recording(log)
+    assert report.drop.up == up
+    # 0.2 mm of noise at 200 Hz: two samples each way for events, 2 % for g over 80 ms of fall.
+    assert report.drop.release == pytest.approx(release, abs=4e-3)
+    assert report.drop.touchdown == pytest.approx(touchdown, abs=0.012)
+    assert report.drop.gravity == pytest.approx(9.80665, rel=0.03)
+    assert report.drop.impact_speed == pytest.approx(math.sqrt(2 * 9.80665 * height), abs=0.13)
+    # The plane of three markers half a metre apart, each known to a hundredth of a millimetre.
+    assert report.drop.slope == pytest.approx(np.radians(20), abs=1e-3)
+    assert any("points down" in said for said in report.suspicions) == (up[0] == "-")
+    assert any("swapped" in said for said in report.suspicions) == (up[1] == "x")
+
+
+def test_drop_without_markers_suggests_the_tilt_at_rest():
+    log, *_ = drop(slope=np.radians(12), markers=False)
+    report = inspect_recording(log)
+    assert report.drop.slope == pytest.approx(np.radians(12), abs=1e-6)
+    assert "tilt between hold and rest" in report.drop.slope_source
+
+
+def test_throw_has_no_release():
+    log, _, _ = drop(held=False, height=0.4)
+    report = inspect_recording(log)
+    assert report.drop.release is None
+    assert report.drop.gravity == pytest.approx(9.80665, rel=0.05)
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(1000.0, "mm"), (100.0, "cm"), (1e-3, "metres, read as mm")])
+def test_lengths_in_a_wrong_unit_are_suspected(scale, unit):
+    log, release, _ = drop(scale=scale)
+    report = inspect_recording(log)
+    assert report.drop.length_unit == unit
+    assert report.drop.release == pytest.approx(release, abs=4e-3)
+    assert any(f"as if lengths were in {unit}" in said for said in report.suspicions)
+
+
+def test_a_wrong_rate_shows_in_gravity():
+    log, *_ = drop(height=0.4)
+    slow = [Channel(c.name, c.unit, 1.1 * c.time, c.values) for c in log.channels.values()]
+    report = inspect_recording(recording("motion-capture", *slow))
+    assert report.drop.gravity == pytest.approx(9.80665 / 1.21, rel=0.03)
+    assert any("check the rate" in said for said in report.suspicions)
+
+
+def test_hover_is_no_drop():
+    time = np.arange(0, 10, 0.01)
+    place = np.column_stack([np.sin(time), np.cos(0.7 * time), 1 + 0.1 * np.sin(3 * time)])
+    assert (
+        inspect_recording(recording("motion-capture", Channel("a/position", "m", time, place))).drop is None
+    )
+
+
+def bench(thrust=1.0, speed=1.0, tare=0.0, sign=1.0):
+    time = np.arange(0, 5, 0.02)
+    turning = np.where(time > 1, 500 * (1 - np.exp(-np.maximum(time - 1, 0) / 0.1)), 0.0)
+    noise = np.random.default_rng(0).normal(size=time.size) * 0.01
+    return recording(
+        "thrust-stand",
+        Channel("command", "us", time, np.where(time > 1, 1500.0, 1000.0)),
+        Channel("speed", "rad/s", time, turning * speed),
+        Channel("thrust", "N", time, (sign * 2e-5 * turning**2 + tare + noise) * thrust),
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({}, None),
+        ({"speed": 60 / (2 * np.pi) * 3}, "probably rpm"),
+        ({"thrust": 1000 / 9.80665 * 10}, "probably grams"),
+        ({"tare": 0.6}, "N before anything turns: no tare"),
+        ({"sign": -1.0}, "thrust falls when the speed rises"),
+        ({"speed": 0.0}, "speed is zero throughout"),
+    ],
+)
+def test_bench_suspicions(options, said):
+    report = inspect_recording(bench(**options))
+    assert report.bench.commands == 2
+    if said is None:
+        assert report.suspicions == ()
+        assert report.bench.top_speed == pytest.approx(500, rel=1e-6)
+    else:
+        assert any(said in one for one in report.suspicions)
+
+
+def test_channel_numbers():
+    time = np.delete(np.arange(0, 1, 0.01), [40, 41, 42])
+    values = np.clip(np.sin(20 * time), -1, 0.7)
+    values[10:15] = np.nan
+    one = inspect_channel(Channel("thrust", "N", time, values))
+    assert (one.samples, one.holes) == (97, 1)
+    assert one.longest_hole == pytest.approx(0.04)
+    assert one.rate == pytest.approx(100)
+    assert one.jitter == 0.0
+    assert one.blank == pytest.approx(5 / 97)
+    assert one.longest_blank == pytest.approx(0.06)
+    assert one.highest == 0.7
+    assert 0.1 < one.saturated < 0.5
+
+
+def test_channels_without_samples_or_values():
+    for values in (np.zeros(0), np.full(3, np.nan), np.zeros(1)):
+        one = inspect_channel(Channel("a", "N", np.arange(values.size, dtype=float), values))
+        assert one.samples == values.size
+    report = inspect_recording(recording("signals", Channel("a", "V", np.zeros(1), np.full(1, np.nan))))
+    assert report.suspicions == ("a holds no value at all",)
+    assert json.loads(json.dumps(report.as_json(), allow_nan=False))["channels"][0]["lowest"] is None
+
+
+NAMES = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), min_size=1, max_size=12)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    names=st.lists(st.one_of(NAMES, st.sampled_from(["a", "a/b", "a/b/c", "/", ".", "..", "#0", "a/"])),
+                   min_size=1, max_size=6, unique=True),
+    seed=st.integers(0, 2**32 - 1),
+    notes=st.lists(NAMES, max_size=3),
+)  # fmt: skip
+def test_converted_recordings_read_back_equal(tmp_path, names, seed, notes):
+    random = np.random.default_rng(seed)
+    clocks = [np.cumsum(random.uniform(1e-5, 1, size=int(random.integers(0, 20)))) for _ in range(2)]
+    channels = {}
+    for name in names:
+        time = clocks[int(random.integers(0, 2))]
+        shape = (time.size,) if random.uniform() < 0.5 else (time.size, 3)
+        values = random.normal(size=shape)
+        values[random.uniform(size=shape) < 0.2] = np.nan
+        channels[name] = Channel(name, str(random.choice(["N", "rad/s", "", "m/s²"])), time, values)
+    first = Recording(
+        "load-cell", channels, Provenance("a.csv", "12", "lvm", "device µ", {"rate": "5"}, tuple(notes))
+    )
+    path = write_recording(first, tmp_path / "out.bin")
+    assert detect(path) == "sysid-hdf5"
+    again = load(path)
+    assert list(again.channels) == list(first.channels)
+    assert again.kind == first.kind
+    for name, channel in first.channels.items():
+        assert again[name].unit == channel.unit
+        np.testing.assert_array_equal(again[name].time, channel.time)
+        np.testing.assert_array_equal(again[name].values, channel.values)
+    said = again.provenance
+    assert (said.device, dict(said.options), said.format) == ("device µ", {"rate": "5"}, "lvm")
+    assert said.notes[:-1] == tuple(notes)
+    assert "converted from a.csv (SHA-256 12)" in said.notes[-1]
+
+
+def test_convert_refuses_to_replace_and_damage_is_named(tmp_path):
+    source, to = tmp_path / "cell.csv", tmp_path / "out.h5"
+    source.write_text("Time (s),Fz (N)\n0,1\n1e-3,2\n", encoding="utf-8")
+    assert "wrote" in convert_file(source, to)
+    with pytest.raises(LogError, match="exists already; choose a new name or replace it with --force"):
+        convert_file(source, to)
+    convert_file(source, to, force=True)
+    data = to.read_bytes()
+    for cut in range(0, len(data), 97):
+        to.write_bytes(data[:cut])
+        with pytest.raises(SysidError):
+            load(to, format="sysid-hdf5")
+
+
+def test_convert_joins_a_second_file(tmp_path):
+    time = np.arange(0, 5, 2e-3)
+    speed = np.where(time > 1, 300.0, 0) + np.where(time > 2.5, 200.0, 0) * (
+        1 - np.exp(-np.maximum(time - 2.5, 0))
+    )
+    first, second, to = tmp_path / "a.csv", tmp_path / "b.csv", tmp_path / "out.h5"
+    rows = [f"{t:.4f},{v:.4f},{0.01 * v:.5f}" for t, v in zip(time, speed, strict=True)]
+    first.write_text("\n".join(["Time (s),Speed (rad/s),Fz (N)", *rows, ""]), encoding="utf-8")
+    rows = [f"{t + 7:.4f},{v:.4f},16.1,0.3" for t, v in zip(time[::5], speed[::5], strict=True)]
+    second.write_text(
+        "\n".join(["Time (s),Speed (rad/s),Voltage (V),Current (A)", *rows, ""]), encoding="utf-8"
+    )
+    said = convert_file(first, to, add=second)
+    # Half of the second file's sample period of 10 ms.
+    assert float(said.split("offset ")[1].split(" s")[0]) == pytest.approx(-7, abs=5e-3)
+    log = load(to)
+    assert log["voltage"].time[0] == pytest.approx(0, abs=5e-3)
+    assert any("confidence" in note for note in log.provenance.notes)
+
+
+def test_options_of_the_command_line():
+    words = ["rate=10000", 'units={thrust = "N"}', "rigid_body=F450", "static=true"]
+    assert parse_options(words) == {
+        "rate": 10000, "units": {"thrust": "N"}, "rigid_body": "F450", "static": True,
+    }  # fmt: skip
+    with pytest.raises(SysidError, match="'rate' is not NAME=VALUE"):
+        parse_options(["rate"])
+
+
+def test_commands(tmp_path):
+    path, plot, to = tmp_path / "pose.csv", tmp_path / "out.png", tmp_path / "out.h5"
+    log, *_ = drop(markers=False)
+    place, turn = log["quad/position"], log["quad/orientation"]
+    rows = [
+        ",".join(repr(float(x)) for x in (t, *p, *q))
+        for t, p, q in zip(place.time, place.values, turn.values, strict=True)
+    ]
+    path.write_text("\n".join(["t,x,y,z,qw,qx,qy,qz", *rows, ""]), encoding="utf-8")
+    run = CliRunner()
+    shown = run.invoke(app, ["inspect", str(path), "-o", "length_unit=m", "--plot", str(plot)])
+    assert shown.exit_code == 0, shown.output
+    assert float(shown.output.split("released at ")[1].split(" s")[0]) == pytest.approx(3.5, abs=4e-3)
+    assert 'up = "+z"' in shown.output
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    shown = run.invoke(app, ["inspect", str(path), "-o", "length_unit=m", "--json"])
+    report = json.loads(shown.output)[0]
+    assert report["drop"]["up"] == "+z"
+    assert report["channels"][0]["unit"] == "m"
+    assert run.invoke(app, ["convert", str(path), str(to), "-o", "length_unit=m"]).exit_code == 0
+    shown = run.invoke(app, ["inspect", str(to)])
+    assert "drop of body" in shown.output

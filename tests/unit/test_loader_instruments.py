@@ -1,0 +1,414 @@
+"""Formats one by one: what each states, what must be declared, and what is refused."""
+
+import struct
+import sys
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sysid.errors import LogError, SysidError, UnitError
+from sysid.loaders import detect, load
+from sysid.loaders.rigid_pose import fit_rotations
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(content, name="log"):
+        path = tmp_path / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
+        return path
+
+    return write
+
+
+# One lbf and one lbf-in as the maker of the transducer states them.
+LBF, LBF_IN = 4.4482216152605, 0.1129848290276167
+CAL = """<?xml version="1.0" encoding="utf-8"?>
+<!-- NOTE: use UserAxis, not Axis -->
+<FTSensor Serial="FT00001" BodyStyle="Mini40" Family="DAQ" NumGages="6" CalFileVersion="1.1">
+  <Calibration PartNumber="US-20-40" ForceUnits="lbf" TorqueUnits="lbf-in" OutputRange="20">
+    <Axis Name="Fx" values="9 9 9 9 9 9" max="20" scale="3"/>
+    <BasicTransform Dx="0" Dy="0" Dz="0.211" Rx="0" Ry="0" Rz="0"/>
+    <UserAxis Name="Fx" values=" 1 0 0 0 0 0 " max="20"/>
+    <UserAxis Name="Fy" values=" 0 2 0 0 0 0 " max="20"/>
+    <UserAxis Name="Fz" values=" 0 0 3 0 0 1 " max="60"/>
+    <UserAxis Name="Tx" values=" 0 0 0 4 0 0 " max="40"/>
+    <UserAxis Name="Ty" values=" 0 0 0 0 5 0 " max="40"/>
+    <UserAxis Name="Tz" values=" 0 0 0 0 0 6 " max="40"/>
+  </Calibration>
+</FTSensor>
+"""
+VOLTS = "".join(f"{0.001 * i},1,0.5,0.25,2,3,{4 + i // 3}\n" for i in range(6))
+
+
+def test_ati_voltages_with_calibration_tare_and_transform(write):
+    write(CAL, "cell.cal")
+    path = write(VOLTS)
+    log = load(path, format="ati-text", calibration="cell.cal")
+    # FT = UserAxis · V: Fz = 3·0.25 + 4 in lbf, Tz = 6·4 in lbf-in.
+    np.testing.assert_allclose(log["thrust"].values[0], 4.75 * LBF, rtol=1e-12)
+    np.testing.assert_allclose(log["torque"].values[0], 24 * LBF_IN, rtol=1e-12)
+    assert log.provenance.device == "ATI Mini40 FT00001 US-20-40"
+    tared = load(path, format="ati-text", calibration="cell.cal", tare=0.0025)
+    # After three rows gauge 6 has grown by one volt: Fz by 1 lbf, Tz by 6 lbf-in, nothing else.
+    np.testing.assert_allclose(tared["thrust"].values, [0, 0, 0, LBF, LBF, LBF], atol=1e-14)
+    np.testing.assert_allclose(tared["torque"].values[3:], 6 * LBF_IN, rtol=1e-12)
+    np.testing.assert_allclose(tared["force_x"].values, 0, atol=1e-14)
+    # A force along z, seen from a point 10 mm along x: T' = T - d × F, so Ty' = 0.01 Fz.
+    moved = load(path, format="ati-text", calibration="cell.cal", tare=0.0025, transform={"dx": "10 mm"})
+    np.testing.assert_allclose(moved["torque_y"].values[3:], 0.01 * LBF, rtol=1e-12)
+    # Axes turned by a quarter about x: the old z is the new -y... of old +y the new z.
+    turned = load(path, format="ati-text", calibration="cell.cal", tare=0.0025, transform={"rx": "90 deg"})
+    np.testing.assert_allclose(turned["force_y"].values[3:], LBF, rtol=1e-12)
+    np.testing.assert_allclose(turned["thrust"].values, 0, atol=1e-14)
+
+
+def test_ati_loads_beyond_the_calibration_are_said(write):
+    write(CAL, "cell.cal")
+    log = load(write("0,0,30,0,0,0\n" * 3), format="ati-text", calibration="cell.cal", rate=100)
+    assert "beyond the calibrated range: Fz" in log.provenance.notes
+
+
+@pytest.mark.parametrize(
+    ("cal", "options", "message"),
+    [
+        (CAL, {}, "does not say its units; declare them"),
+        (CAL, {"units": {"force": "N"}}, "expected {force"),
+        (CAL, {"units": {"force": "N", "torque": "V"}}, "dimension"),
+        (CAL, {"calibration": "none.cal"}, "calibration cannot be read"),
+        (CAL, {"calibration": "cell.cal", "units": {"force": "N", "torque": "N*m"}}, "exclude each other"),
+        (CAL, {"calibration": "cell.cal", "tare": -1}, "expected seconds at the start"),
+        (CAL, {"calibration": "cell.cal", "transform": {"dq": "1 m"}}, 'transform names "dq"'),
+        (CAL, {"calibration": "cell.cal", "transform": {"dx": "1"}}, "has no unit"),
+        (CAL.replace("UserAxis", "Other"), {"calibration": "cell.cal"}, "no UserAxis Fx"),
+        (CAL.replace('6 "', 'x "'), {"calibration": "cell.cal"}, "UserAxis Tz does not hold six numbers"),
+        (CAL.replace('"lbf"', '"stone"'), {"calibration": "cell.cal"}, "ForceUnits: unit 'stone'"),
+        (CAL[:-20], {"calibration": "cell.cal"}, "the calibration is no XML"),
+        (
+            '<!DOCTYPE a [<!ENTITY b "c">]>' + CAL[40:],
+            {"calibration": "cell.cal"},
+            "not a calibration as ATI",
+        ),
+    ],
+)
+def test_ati_refusals(write, cal, options, message):
+    write(cal, "cell.cal")
+    with pytest.raises(SysidError, match=message):
+        load(write(VOLTS), format="ati-text", **options)
+
+
+LVM = (
+    "LabVIEW Measurement\nSeparator\tTab\nDecimal_Separator\t.\nX_Columns\tNo\n***End_of_Header***\n\n"
+    "Channels\t1\nY_Unit_Label\tN\nX0\t0\nDelta_X\t0.5\n***End_of_Header***\nX_Value\tFz\tComment\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("content", "options", "message"),
+    [
+        (LVM + "\t1\n\tx\n", {}, r"line 14: 'x' in column 'Fz' is not a number"),
+        (LVM + "\t1\n\n\t2\n", {}, r"line 15: '2' is neither a sample nor part of the header"),
+        (LVM, {}, "no rows of numbers after line 12"),
+        (LVM[:60], {}, r"no line \*\*\*End_of_Header\*\*\*"),
+        (LVM.replace("\tTab", "\tPipe") + "\t1\n", {}, "Separator is 'pipe'"),
+        (LVM.replace("0.5", "soon") + "\t1\n", {}, "line 12 states Delta_X as 'soon'"),
+        (LVM.replace("\tN\n", "\tfurlong\n") + "\t1\n", {}, 'column "Fz": .*furlong'),
+        (LVM.replace("Delta_X\t0.5\n", "") + "\t1\n", {}, "has no clock"),
+        (LVM + "\t1\n" + LVM[LVM.index("\n\n") :] + "\t2\n", {}, "holds 2 segments"),
+        (LVM + "\t1\n", {"segment": 2}, "the file holds segments 1 to 1"),
+        (LVM + "\t1\n", {"datasets": {"thrust": "Fq"}}, 'no dataset /Fq; found "/Fz"'),
+    ],
+)
+def test_lvm_refusals(write, content, options, message):
+    with pytest.raises(SysidError, match=message):
+        load(write(content), **options)
+
+
+def test_lvm_second_segment(write):
+    path = write(LVM + "\t1\n" + LVM[LVM.index("\n\n") :] + "\t2\n\t3\n")
+    np.testing.assert_array_equal(load(path, segment=2)["thrust"].values, [2, 3])
+
+
+TRACKER = (
+    "Objects\n100\n,,Global Angle drone:drone,,,,,\nFrame,Sub Frame,RX,RY,RZ,TX,TY,TZ\n"
+    ",,{u},{u},{u},mm,mm,mm\n"
+)
+
+
+def test_tracker_helical_angles_in_radians_and_degrees_and_a_dropped_object(write):
+    rows = f"1,0,0,0,{np.pi / 2},1,2,3\n2,0\n3,0,0,0,0,1,2,3\n"
+    log = load(write(TRACKER.format(u="") + rows))
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(
+        log["drone/orientation"].values, [[half, 0, 0, half], [1, 0, 0, 0]], atol=1e-12
+    )
+    np.testing.assert_allclose(log["drone/position"].time, [0.01, 0.03])
+    np.testing.assert_allclose(log["drone/position"].values[0], [1e-3, 2e-3, 3e-3])
+    log = load(write(TRACKER.format(u="deg") + "1,0,0,0,90,1,2,3\n2,0,0,0,0,1,2,3\n"))
+    np.testing.assert_allclose(log["drone/orientation"].values[0], [half, 0, 0, half], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("content", "options", "message"),
+    [
+        (TRACKER.format(u="deg").replace("Objects", "Segments") + "1,0,0,0,1,1,2,3\n", {}, "declare angles"),
+        (TRACKER.format(u="deg"), {}, "no rows of numbers after line 5"),
+        (TRACKER.format(u="deg") + "1,0,0,0,1,1,2,3\n", {"angles": "XYX"}, "angles = 'XYX' is unknown"),
+        (TRACKER.format(u="V") + "1,0,0,0,1,1,2,3\n", {}, "dimension"),
+        (TRACKER.format(u="").replace("mm", "") + "1,0,0,0,1,1,2,3\n", {}, "no length unit"),
+        (TRACKER.format(u="").replace("Sub Frame", "Other") + "1,0,0,0,1,1,2,3\n", {}, "line 4: found"),
+        (TRACKER.format(u="") + "1,0,0,0,1,1,2,3\n\nrest\n", {}, "line 8: 'rest' is no title of a section"),
+        (
+            TRACKER.format(u="") + "1,0,0,0,1,1,2,3\n",
+            {"rigid_body": "F450"},
+            'no rigid body "F450"; found "drone"',
+        ),
+        (TRACKER.format(u="") + "1,0,0,0,x,1,2,3\n", {}, "line 6: 'x' in column"),
+    ],
+)
+def test_vicon_refusals(write, content, options, message):
+    with pytest.raises(SysidError, match=message):
+        load(write(content), **options)
+
+
+QTM = "NO_OF_FRAMES\t2\nFREQUENCY\t100\nDATA_INCLUDED\t6D\nBODY_NAMES\tquad\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (QTM + "\t".join(["1"] * 16) + "\n", r"line 5: Rot.0. to Rot.8. of quad are no rotation"),
+        (QTM + "1\t2\n", "rows have 2 cells where the header names 16"),
+        (QTM.replace("6D", "EMG"), "DATA_INCLUDED is 'EMG'"),
+        (QTM.replace("FREQUENCY\t100\n", ""), "states no FREQUENCY"),
+        (QTM.replace("\tquad", "\t"), "states no BODY_NAMES"),
+        (QTM.replace("\tquad", "\ta\ta"), 'BODY_NAMES repeats "a"'),
+        (QTM, "rows have 1 cells|no rows of numbers"),
+    ],
+)
+def test_qualisys_refusals(write, content, message):
+    with pytest.raises(LogError, match=message):
+        load(write(content))
+
+
+def test_legacy_motive_refusals_and_names(write):
+    text = 'comment,x\nrighthanded\ninfo,version,1.1\nrigidbody,"quad",7,4\n'
+    row = "frame,{},{},1,7,1,2,3,0,0,0,1,0,0,0,1,4,5,6,1,M1\n"
+    log = load(write(text + row.format(0, 0.0) + row.format(1, 0.01)))
+    assert (log.rigid_bodies, log.markers) == (("quad",), ("M1",))
+    np.testing.assert_array_equal(log["quad/position"].values[0], [1, 2, 3])
+    with pytest.raises(LogError, match="left-handed"):
+        load(write(text.replace("right", "left") + row.format(0, 0)))
+    with pytest.raises(LogError, match=r"line 5: the counts .* do not agree"):
+        load(write(text + "frame,0,0,1,7,1,2\n" + row.format(1, 0.01)))
+
+
+def test_net_ft_refusals(write):
+    text = (
+        "RDT Sample Rate: 10\nForce Units: N\nCounts per Unit Force: 2\nTorque Units: Nm\n"
+        "Counts per Unit Torque: 4\nStatus (hex), RDT Sequence, Fx, Fy, Fz, Tx, Ty, Tz\n"
+        "0, 5, 1, 1, 2, 1, 1, 8\n"
+    )
+    log = load(write(text))
+    assert (log["thrust"].values[0], log["torque"].values[0]) == (1, 2)
+    for old, new, message in [
+        ("Force: 2", "Force: none", "is 'none'; expected a positive number"),
+        ("Units: Nm", "Units: V", "torque units"),
+        ("Fz", "Fx", "columns Fx, Fz are missing or repeated"),
+    ]:
+        with pytest.raises(SysidError, match=message):
+            load(write(text.replace(old, new)))
+
+
+def test_missing_library_names_the_extra(write, monkeypatch):
+    monkeypatch.setitem(sys.modules, "nptdms", None)
+    monkeypatch.setitem(sys.modules, "pyulog.core", None)
+    for data, package in [(b"TDSm" + bytes(40), "npTDMS"), (b"ULog\x01\x12\x35" + bytes(40), "pyulog")]:
+        with pytest.raises(LogError, match=rf'needs {package} .* pip install "sysid\[logs\]"'):
+            load(write(data))
+
+
+@pytest.mark.parametrize(
+    "data", [b"TDSm\x0e" + bytes(60), b"ULog\x01\x12\x35\x01" + bytes(3), b"\x89MCAP0\r\n12"]
+)
+def test_damaged_binary_logs_end_in_a_sentence(write, data):
+    with pytest.raises(LogError, match=r"damaged|holds no channel|none of the topics|empty"):
+        load(write(data))
+
+
+def ros_types(version):
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
+
+
+def fill_bag(writer, store, version, rows):
+    types = store.types
+    header_type, time_type = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
+    kind = "geometry_msgs/msg/PoseStamped"
+    place = writer.add_connection("/vrpn/quad/pose", kind, typestore=store)
+    other = writer.add_connection("/said", "std_msgs/msg/String", typestore=store)
+    encode = store.serialize_ros1 if version == 1 else store.serialize_cdr
+    for i, (position, q) in enumerate(rows):
+        stamp = time_type(sec=1700000000 + i // 100, nanosec=(i % 100) * 10_000_000)
+        header = header_type(stamp=stamp, frame_id="world", **({"seq": i} if version == 1 else {}))
+        pose = types["geometry_msgs/msg/Pose"](
+            position=types["geometry_msgs/msg/Point"](*position),
+            orientation=types["geometry_msgs/msg/Quaternion"](x=q[1], y=q[2], z=q[3], w=q[0]),
+        )
+        arrival = (1700000000 + i // 100) * 10**9 + (i % 100) * 10_000_000 + 3_000_000
+        writer.write(place, arrival, encode(types[kind](header=header, pose=pose), kind))
+        said = types["std_msgs/msg/String"](data="x")
+        writer.write(other, arrival, encode(said, "std_msgs/msg/String"))
+
+
+@pytest.mark.parametrize("form", ["bag", "mcap", "sqlite"])
+def test_ros_recordings(tmp_path, form):
+    pytest.importorskip("rosbags", reason="rosbags comes with the test extra")
+    random = np.random.default_rng(3)
+    turns = np.roll(Rotation.random(150, rng=random).as_quat(), 1, axis=1)
+    rows = list(zip(random.normal(size=(150, 3)), turns, strict=True))
+    if form == "bag":
+        from rosbags.rosbag1 import Writer
+
+        with Writer(tmp_path / "a.bag") as writer:
+            fill_bag(writer, ros_types(1), 1, rows)
+        file = tmp_path / "a.bag"
+    else:
+        from rosbags.rosbag2 import StoragePlugin, Writer
+
+        plugin = StoragePlugin.MCAP if form == "mcap" else StoragePlugin.SQLITE3
+        with Writer(tmp_path / "a", version=9, storage_plugin=plugin) as writer:
+            fill_bag(writer, ros_types(2), 2, rows)
+        file = next(one for one in (tmp_path / "a").iterdir() if one.suffix in (".mcap", ".db3"))
+    path = file.rename(tmp_path / "log.csv")
+    assert detect(path) == "ros-bag"
+    log = load(path)
+    assert log.rigid_bodies == ("vrpn/quad/pose",)
+    assert any("said" in note for note in log.provenance.notes)
+    np.testing.assert_array_equal(log["vrpn/quad/pose/position"].values, [position for position, _ in rows])
+    got = log["vrpn/quad/pose/orientation"].values
+    np.testing.assert_allclose(np.abs(np.sum(got * turns, axis=1)), 1, atol=1e-12)
+    # Unix seconds in double precision resolve 0.24 µs.
+    np.testing.assert_allclose(log["vrpn/quad/pose/position"].time, 1.7e9 + np.arange(150) * 0.01, atol=5e-7)
+    late = load(path, clock="arrival")["vrpn/quad/pose/position"].time
+    np.testing.assert_allclose(late - 1.7e9, np.arange(150) * 0.01 + 0.003, atol=5e-7)
+    with pytest.raises(LogError, match='no topic "/other"; found "/said", "/vrpn/quad/pose"'):
+        load(path, topic="/other")
+    with pytest.raises(LogError, match=r"no topic of poses; found .*|no topic of poses"):
+        load(path, topic="/said")
+
+
+def ulog_bytes(rows):
+    """A ULog by the format's definition: header, formats, subscriptions, data."""
+
+    def message(kind, body):
+        return struct.pack("<HB", len(body), ord(kind)) + body
+
+    odometry = "vehicle_odometry:uint64_t timestamp;float[3] position;float[4] q;"
+    battery = "battery_status:uint64_t timestamp;float voltage_v;"
+    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
+    out += message("B", bytes(40))
+    out += b"".join(message("F", text.encode()) for text in (odometry, battery))
+    out += message("A", struct.pack("<BH", 0, 0) + b"vehicle_odometry")
+    out += message("A", struct.pack("<BH", 0, 1) + b"battery_status")
+    for stamp, position, q in rows:
+        out += message("D", struct.pack("<HQ3f4f", 0, stamp, *position, *q))
+    out += message("D", struct.pack("<HQf", 1, 5_000_000, 16.25))
+    return out
+
+
+def test_ulog(write):
+    pytest.importorskip("pyulog", reason="pyulog comes with the test extra")
+    rows = [(1_000_000 + 4000 * i, (i, 0.5, -1.5), (0.6, 0.0, 0.0, 0.8)) for i in range(20)]
+    log = load(write(ulog_bytes(rows)))
+    assert (log.kind, log.rigid_bodies) == ("onboard", ("vehicle",))
+    np.testing.assert_array_equal(log["vehicle/position"].values[:, 0], np.arange(20))
+    np.testing.assert_allclose(log["vehicle/position"].time, 1 + 0.004 * np.arange(20))
+    # Written in single precision.
+    np.testing.assert_allclose(log["vehicle/orientation"].values, [[0.6, 0, 0, 0.8]] * 20, atol=1e-7)
+    assert log["voltage"].values[0] == 16.25
+
+
+def c3d_file(tmp_path, points, rate=100.0, labels=None, unit="mm"):
+    ezc3d = pytest.importorskip("ezc3d", reason="ezc3d comes with the test extra")
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["RATE"]["value"] = [rate]
+    file["parameters"]["POINT"]["LABELS"]["value"] = labels or [f"quad:{i}" for i in range(points.shape[1])]
+    file["parameters"]["POINT"]["UNITS"]["value"] = [unit]
+    data = np.ones((4, points.shape[1], len(points)))
+    data[:3] = points.transpose(2, 1, 0)
+    file["data"]["points"] = data
+    path = tmp_path / "log.c3d"
+    file.write(str(path))
+    return path
+
+
+def test_c3d_pose_follows_the_markers(tmp_path):
+    random = np.random.default_rng(4)
+    shape = np.array([[0, 0, 0], [200, 0, 0], [0, 150, 0], [0, 0, 90], [120, 80, 40.0]])
+    turns = Rotation.from_rotvec(np.cumsum(random.uniform(-0.2, 0.2, (60, 3)), axis=0))
+    way = np.cumsum(random.uniform(-20, 20, (60, 3)), axis=0)
+    points = np.einsum("nij,kj->nki", turns.as_matrix(), shape) + way[:, None]
+    points[10:14, 2] = np.nan
+    points[20:23, :3] = np.nan  # two markers left: no pose
+    log = load(c3d_file(tmp_path, points), rigid_body="quad")
+    assert log.rigid_bodies == ("quad",)
+    seen = log["quad/orientation"].valid
+    np.testing.assert_array_equal(np.flatnonzero(~seen), [20, 21, 22])
+    # The body's axes are those of the capture in the first whole frame: turns count from there.
+    relative = (turns * turns[0].inv())[np.flatnonzero(seen)]
+    wanted = np.roll(relative.as_quat(), 1, axis=1)
+    got = log["quad/orientation"].values[seen]
+    # C3D keeps single precision: 1e-5 mm in 100 mm.
+    np.testing.assert_allclose(np.abs(np.sum(got * wanted, axis=1)), 1, atol=1e-8)
+    centre = (np.einsum("nij,j->ni", turns.as_matrix(), shape.mean(axis=0)) + way) / 1000
+    np.testing.assert_allclose(log["quad/position"].values[seen], centre[seen], atol=1e-6)
+    assert np.nanmax(log["quad/residual"].values) < 1e-6
+    with pytest.raises(LogError, match='body "board" has 0 markers, a pose needs three'):
+        load(c3d_file(tmp_path, points), rigid_body="board")
+
+
+def test_c3d_units_and_lines(tmp_path):
+    random = np.random.default_rng(5)
+    points = random.normal(size=(10, 3, 3))
+    with pytest.raises(UnitError, match="POINT:UNITS is empty"):
+        load(c3d_file(tmp_path, points, unit=""))
+    with pytest.raises(UnitError, match="lengths are in mm and m"):
+        load(c3d_file(tmp_path, points), length_unit="m")
+    line = np.arange(3)[None, :, None] * np.array([100.0, 0, 0]) + np.arange(10)[:, None, None]
+    with pytest.raises(LogError, match="lie on one line"):
+        load(c3d_file(tmp_path, line), rigid_body="quad")
+
+
+def test_kabsch_never_mirrors():
+    # A flat body seen with noise fits its mirror image as well: the fit must stay a rotation.
+    random = np.random.default_rng(6)
+    shape = np.array([[0.1, 0, 0], [0, 0.1, 0], [-0.1, 0, 0], [0, -0.1, 0]])
+    turns = Rotation.random(200, rng=random)
+    points = np.einsum("nij,kj->nki", turns.as_matrix(), shape) + random.normal(size=(200, 4, 3)) * 1e-3
+    rotation, _, residual = fit_rotations(shape, points)
+    np.testing.assert_allclose(np.linalg.det(rotation), 1, atol=1e-12)
+    away = (Rotation.from_matrix(rotation) * turns.inv()).magnitude()
+    # 1 mm of noise on a body of 100 mm turns it by about 7 mrad; five times that is no mirror image.
+    assert away.max() < 0.035
+    assert residual.max() < 5e-3
+
+
+def test_channel_of_a_tie_is_refused(write):
+    from sysid.loaders.signals import Signal, choose_signals
+
+    signals = {name: Signal(name, "N", lambda: np.zeros(3), 1.0) for name in ("/a/Fz", "/b/Fz")}
+    with pytest.raises(LogError, match="both look like thrust"):
+        choose_signals("log", signals, None, measured=False)
+    assert choose_signals("log", signals, {"thrust": "/b/Fz"}, measured=True) == {"thrust": "/b/Fz"}
+
+
+def test_units_are_written_in_words():
+    from sysid.loaders.signals import plain_unit, written_unit
+
+    assert written_unit("Newtons") == "newtons"
+    assert plain_unit(written_unit("Volts")) == ("V", 1.0)
+    # Gram or standard gravity, and scales with an offset: never guessed.
+    assert plain_unit("g") == plain_unit("degC") == plain_unit(None) == ("", 1.0)
