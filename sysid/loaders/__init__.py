@@ -9,8 +9,7 @@ what a loader left out, kept or changed is in `Recording.provenance.notes`.
 
 Notes
 -----
-Each format is one small module (`rcbenchmark_csv`, `load_cell_csv`, `load_cell_hdf5`, `motive_csv`,
-`pose_table`) with one line in `sysid.loaders.registry`; other packages add theirs through the entry-point
+Each format is one small module (`rcbenchmark_csv`, `vicon_csv`, `tdms`, ...; `formats()` lists them) with one line in `sysid.loaders.registry`; other packages add theirs through the entry-point
 group ``sysid.loaders``.
 """
 

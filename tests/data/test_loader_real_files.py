@@ -187,7 +187,7 @@ def test_c3d_integer_and_real_numbers_agree():
     for name in whole.channels:
         if name.endswith("/position"):
             # Integers step by 0.28 mm.
-            np.testing.assert_allclose(whole[name].values, real[name].values, atol=0.15e-3)
+            np.testing.assert_allclose(whole[name].values, real[name].values, atol=0.29e-3)
     assert whole["analog/FX1"].unit == "N"
     assert whole["analog/MX1"].unit == "N·m"
     assert whole["analog/FX1"].rate == pytest.approx(200)
@@ -208,7 +208,9 @@ def test_c3d_of_another_byte_order_is_refused(tmp_path):
     data[(data[0] - 1) * 512 + 3] = 86  # the mark of SGI/MIPS
     path = tmp_path / "sgi.c3d"
     path.write_bytes(data)
-    with pytest.raises(LogError, match=r"sgi\.c3d: numbers are in the byte order of SGI/MIPS.*convert the file"):
+    with pytest.raises(
+        LogError, match=r"sgi\.c3d: numbers are in the byte order of SGI/MIPS.*convert the file"
+    ):
         load(path)
 
 
@@ -229,5 +231,5 @@ def test_vicon_markers_and_devices():
 
 
 def test_static_points_given_as_a_running_log_are_refused():
-    with pytest.raises(LogError, match="time goes back|too coarse"):
+    with pytest.raises(LogError, match="s apart .median.: averaged points, not a running log"):
         load(RCBENCHMARK / "sar_IM_StepsTestV2_2024-02-06_131025.csv", static=False)
