@@ -1,10 +1,10 @@
 """Time and error of the gear's kernel beside scipy, SUNDIALS and MuJoCo, the latter two where installed.
 
 Run ``python tests/benchmarks/gear_kernel.py [--json PATH] [--population N] [--lanes]``. Six drops of 0.7 s
-sampled every 5 ms; error is the mean NRMSE over x, z, q, vx, vz against a converged run. Each method of another
-library gets, per drop, its loosest relative tolerance that keeps 0.1 % there. Times are CPU time of the
-calling thread, best of several, so that other work on the machine disturbs the ratios little; drops/s over all threads is
-wall-clock time.
+sampled every 5 ms; error is the mean NRMSE over x, z, q, vx, vz against a converged run. Each method of
+another library gets, per drop, its loosest relative tolerance that keeps 0.1 % there; MuJoCo, whose contact
+law is another one, steps of 1 ms. Times are CPU time of the calling thread, best of several, so that other
+work on the machine disturbs the ratios little; drops/s over all threads is wall-clock time.
 """
 
 import argparse

@@ -19,6 +19,7 @@ from sysid.gear.model import (
     Status,
     find_surface,
     pack,
+    parameters_on,
     simulate,
     simulate_population,
 )
@@ -203,3 +204,17 @@ def test_refusals(change, message):
     } | change
     with pytest.raises(CampaignError, match=message):
         simulate(call.pop("parameters"), call.pop("slope"), call.pop("body_state"), call.pop("time"), **call)
+
+
+@pytest.mark.parametrize(("surface", "free"), [("lf", LF_FREE), ("hf", HF_FREE)])
+def test_no_candidate_costs_more_than_five_ordinary_ones(surface, free):
+    drops = make_drops()
+    table = parameters_on(surface)
+    space = SearchSpace.build(table, free, table.nominal)
+    rows = space.full(np.random.default_rng(7).random((100, len(free))))
+    found = simulate_population(rows, drops, surface=surface)
+    ordinary = found.rhs_evaluations[found.status == Status.OK].mean()
+    # The limit is 34 300 for 0.7 s, and a lane looks at it once per step of five right-hand sides.
+    assert found.rhs_evaluations.max() <= 34_300 + 5
+    assert found.rhs_evaluations.max() <= 5 * ordinary
+    assert (found.status == Status.OK).mean() > 0.95
