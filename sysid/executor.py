@@ -8,6 +8,7 @@ nor the cut into chunks nor a lost worker changes a bit of a result.
 from __future__ import annotations
 
 import os
+import signal
 import threading
 import time
 from concurrent.futures import CancelledError
@@ -29,6 +30,9 @@ CHUNK_TIME = 0.06
 _LEAST_CHUNK = 8
 # A chunk is submitted anew this often before the cluster is given up.
 ATTEMPTS = 6
+# Without any worker [s]; they may be on their way from a queue.
+PATIENCE = 120.0
+_LOOK = 2.0
 
 
 class ClusterError(SysidError):
@@ -118,7 +122,10 @@ class DaskCluster:
         try:
             if address == "local":
                 self._cluster = distributed.LocalCluster(
-                    n_workers=os.cpu_count() or 1, threads_per_worker=1, dashboard_address=None
+                    n_workers=os.cpu_count() or 1,
+                    threads_per_worker=1,
+                    dashboard_address=None,
+                    preload=[__name__],
                 )
             self._client = distributed.Client(self._cluster or address, timeout=10, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
@@ -129,8 +136,13 @@ class DaskCluster:
 
     @property
     def workers(self) -> int:
+        """Worker processes at the moment, at least 1 [1]."""
+        return max(1, self.alive)
+
+    @property
+    def alive(self) -> int:
         """Worker processes at the moment [1]."""
-        return max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
+        return len(self._client.scheduler_info(n_workers=-1)["workers"])
 
     def share(self, work: Work) -> Work:
         """Send the work to every worker; the result computes rows on them."""
@@ -150,8 +162,9 @@ class DaskCluster:
 
     def lost(self, why: object) -> ClusterError:
         """Return the sentence that the cluster is gone."""
+        first = next(iter(str(why).splitlines()), "no reason given").rstrip(":. ")
         return ClusterError(
-            f"the Dask cluster at {self.address!r} lost the work ({why}); bring the scheduler and a worker "
+            f"the Dask cluster at {self.address!r} lost the work ({first}); bring the scheduler and a worker "
             "back, then continue with --resume"
         )
 
@@ -212,7 +225,7 @@ class _Shared:
                 continue
             for first, future in futures.items():
                 try:
-                    spent, columns = future.result()
+                    spent, columns = self._result(future)
                 except _lost_errors() as error:
                     why = error
                     continue
@@ -223,6 +236,21 @@ class _Shared:
                 return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
             self._forget(data)
         raise self._cluster.lost(why)
+
+    def _result(self, future: Any) -> tuple[float, Columns]:
+        """Wait for a chunk; give up where no worker has been left for a while."""
+        since = time.monotonic()
+        while True:
+            try:
+                result: tuple[float, Columns] = future.result(timeout=_LOOK)
+                return result
+            except TimeoutError:
+                if future.done() or not self._cluster.running:
+                    raise
+                if self._cluster.alive:
+                    since = time.monotonic()
+                elif time.monotonic() - since > PATIENCE:
+                    raise self._cluster.lost(f"no worker for {PATIENCE:.0f} s") from None
 
     def _forget(self, data: Any) -> None:
         with self._lock:
@@ -242,6 +270,11 @@ def _lost_errors() -> tuple[type[BaseException], ...]:
     from distributed.comm import CommClosedError
 
     return (KilledWorker, FutureCancelledError, CancelledError, CommClosedError, OSError, TimeoutError)
+
+
+def dask_setup(worker: object) -> None:
+    """Prepare a worker of this machine: Ctrl-C is for the process that searches, not for its workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 _ONE_CHUNK = threading.Lock()

@@ -374,18 +374,19 @@ def run_many(
     if at_once <= 1:
         found = [one(run) for run in range(settings.runs)]
     else:
-        with ThreadPoolExecutor(at_once, thread_name_prefix="run") as pool:
-            futures = [pool.submit(one, run) for run in range(settings.runs)]
-            try:
-                # With a timeout, so that Ctrl-C is heard on every system while this thread waits.
-                while wait(futures, _HEARING, FIRST_EXCEPTION).not_done and not _one_failed(futures):
-                    pass
-                if _one_failed(futures):
-                    failed.set()
-                found = [future.result() for future in futures]
-            except BaseException:
+        pool = ThreadPoolExecutor(at_once, thread_name_prefix="run")
+        futures = [pool.submit(one, run) for run in range(settings.runs)]
+        try:
+            # With a timeout, so that Ctrl-C is heard on every system while this thread waits.
+            while wait(futures, _HEARING, FIRST_EXCEPTION).not_done and not _one_failed(futures):
+                pass
+            if _one_failed(futures):
                 failed.set()
-                raise
+            found = [future.result() for future in futures]
+        finally:
+            # A run that waits for a cluster is let go by whoever closes the cluster.
+            failed.set()
+            pool.shutdown(wait=False, cancel_futures=True)
     return tuple(history for history in found if history is not None)
 
 
