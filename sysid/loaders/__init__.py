@@ -9,8 +9,9 @@ what a loader left out, kept or changed is in `Recording.provenance.notes`.
 
 Notes
 -----
-Each format is one small module (`rcbenchmark_csv`, `vicon_csv`, `tdms`, ...; `formats()` lists them) with one line in `sysid.loaders.registry`; other packages add theirs through the entry-point
-group ``sysid.loaders``.
+Each format is one small module (`rcbenchmark_csv`, `vicon_csv`, `tdms`, ...; `formats()` lists them) with one
+line in `sysid.loaders.registry`; other packages add theirs through the entry-point group ``sysid.loaders``.
+Libraries that only one format needs come with the extra ``logs``.
 """
 
 from sysid.loaders.registry import LogFormat, detect, formats, load

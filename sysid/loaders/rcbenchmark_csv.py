@@ -113,7 +113,7 @@ def read(
     units : mapping of str to str, optional
         Units by channel or column name where the header states none or a wrong one.
     static : bool, optional
-        True: rows are averaged points; False: rows must be a running log. Judged from the row spacing by default.
+        True: rows are averaged points; False: they must be a running log. By default the row spacing decides.
     time_back : str
         ``"refuse"`` a log whose time goes back, or ``"drop"`` the rows that do not pass the latest time.
 
@@ -166,8 +166,8 @@ def read(
     log_time = numbers.columns[clock.index] * seconds if clock else None
     if static is False and log_time is not None and is_static(log_time):
         raise LogError(
-            f"{path}: rows lie {float(np.nanmedian(np.abs(np.diff(log_time)))):.3g} s apart (median): averaged "
-            "points, not a running log; leave static out, or record the log at the stand's full rate"
+            f"{path}: rows lie {float(np.nanmedian(np.abs(np.diff(log_time)))):.3g} s apart (median): "
+            "averaged points, not a running log; leave static out, or record the log at the stand's full rate"
         )
     if not static and clock is not None:
         time, said = order_rows(path, numbers, clock.index, seconds, stale_start=True, time_back=time_back)

@@ -76,6 +76,8 @@ def _mean_shape(points: FloatArray) -> FloatArray:
         use = np.isfinite(shape).all(axis=1)
         rotation, origin, _ = fit_rotations(shape[use], points[:, use])
         own = np.einsum("nji,nkj->nki", rotation, points - origin[:, None])
+        if not np.isfinite(own).any():
+            break  # markers on one line: no frame has a rotation
         counted = np.isfinite(own).all(axis=2).sum(axis=0)
         total = np.nansum(own, axis=0)
         shape = np.where(counted[:, None] > 0, total / np.maximum(counted, 1)[:, None], np.nan)

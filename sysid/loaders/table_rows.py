@@ -7,10 +7,11 @@ with its line and its column. Both ways give the same numbers, to the last bit.
 
 from __future__ import annotations
 
+import csv
 import io
 import math
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +23,10 @@ from sysid.loaders.text import split_line
 from sysid.recording import FloatArray
 
 _MISSING = frozenset({"", "nan", "-nan", "+nan"})
+# Bytes that are searched for quotes at once.
+_CHUNK = 1 << 22
+# Rows that are parted at once.
+_BATCH = 4096
 # More blank cells than this behind the last column of a row is no trailing delimiter.
 _MOST_TRAILING = 64
 
@@ -46,6 +51,16 @@ def parse_number(cell: str, decimal: str = ".") -> float:
     return float(text)
 
 
+def _quick_number(cell: str) -> float:
+    """Return `parse_number` of a cell, most of them at a third of the time."""
+    if cell.isascii() and "_" not in cell:
+        try:
+            return float(cell)
+        except ValueError:
+            pass
+    return parse_number(cell)
+
+
 @dataclass
 class Body:
     """The lines of a table that are rows: where they lie in `data`, and how many cells each seems to have."""
@@ -62,6 +77,19 @@ class Body:
         begin = int(self.begins[row])
         line = self.data[begin : begin + int(self.lengths[row])].decode("utf-8", errors="replace")
         return split_line(line, self.delimiter)
+
+    def all_cells(self) -> Iterator[list[str]]:
+        """Yield the cells of every row."""
+        for start in range(0, self.lines.size, _BATCH):
+            rows = range(start, min(start + _BATCH, self.lines.size))
+            spans = [(int(self.begins[row]), int(self.lengths[row])) for row in rows]
+            lines = [self.data[a : a + size].decode("utf-8", errors="replace") for a, size in spans]
+            try:
+                parted = list(csv.reader(lines, delimiter=self.delimiter))
+            except csv.Error:
+                parted = []
+            # A quote that is left open joins lines: then each is parted by itself, where it cannot.
+            yield from parted if len(parted) == len(lines) else (split_line(x, self.delimiter) for x in lines)
 
     def select(self, rows: NDArray[np.bool_]) -> None:
         """Keep only some rows, and the bytes of only those."""
@@ -172,9 +200,9 @@ def _plain_rows(body: Body, width: int, surplus: bool) -> NDArray[np.bool_]:
     plain = np.ones(body.lines.size, dtype=np.bool_)
     at = body.data.find(b'"', int(body.begins[0]))
     while at >= 0:
-        row = int(np.searchsorted(body.begins, at, side="right")) - 1
-        plain[row] = False
-        at = body.data.find(b'"', int(body.begins[row + 1])) if row + 1 < plain.size else -1
+        quotes = np.flatnonzero(data[at : at + _CHUNK] == ord('"')) + at
+        plain[np.searchsorted(body.begins, quotes, side="right") - 1] = False
+        at = body.data.find(b'"', at + _CHUNK)
     if not surplus:
         excess = body.fields - width
         stops = body.begins + body.lengths
@@ -230,8 +258,7 @@ def _read_slow(
     "really has."""
     rows = np.zeros(body.lines.size, dtype=np.bool_)
     values: dict[int, array[float]] = {index: array("d") for index in names}
-    for row in range(body.lines.size):
-        cells = body.cells(row)
+    for row, cells in enumerate(body.all_cells()):
         if cells[0].lstrip().startswith("#") or (len(cells) == 1 and not cells[0].strip()):
             continue
         rows[row], body.fields[row] = True, len(cells)
@@ -243,7 +270,7 @@ def _read_slow(
         for index, into in values.items():
             cell = cells[index] if index < len(cells) else ""
             try:
-                into.append(parse_number(cell, decimal))
+                into.append(_quick_number(cell) if decimal == "." else parse_number(cell, decimal))
             except ValueError:
                 found = cell.strip() if len(cell) <= 40 else cell.strip()[:37] + "..."
                 raise LogError(

@@ -199,7 +199,7 @@ def test_c3d_pose_of_three_markers():
     residual = log["pelvis/residual"].values
     # Markers on skin move by millimetres against each other.
     assert np.sqrt(np.nanmean(residual**2)) < 3e-3
-    with pytest.raises(LogError, match='the markers of "Derrick" move by .* are not one rigid body'):
+    with pytest.raises(LogError, match=r'the markers of "Derrick" move by .* are not one rigid body'):
         load(DATA / "c3d" / "ktk_kinematics_tennis_serve_nan.c3d", rigid_body="Derrick")
 
 
@@ -231,5 +231,5 @@ def test_vicon_markers_and_devices():
 
 
 def test_static_points_given_as_a_running_log_are_refused():
-    with pytest.raises(LogError, match="s apart .median.: averaged points, not a running log"):
+    with pytest.raises(LogError, match=r"s apart .median.: averaged points, not a running log"):
         load(RCBENCHMARK / "sar_IM_StepsTestV2_2024-02-06_131025.csv", static=False)

@@ -347,11 +347,13 @@ import numpy, pandas
 from sysid.loaders import load, formats
 from sysid.units import factor_to_si
 formats(); factor_to_si("N", "N")
-try:
-    import resource
-    peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-except ImportError:
-    peak = lambda: 0
+def peak():
+    # The peak since this program began; that of getrusage would be the one of the process that started it.
+    try:
+        with open("/proc/self/status", encoding="utf-8") as stream:
+            return next(int(line.split()[1]) * 1024 for line in stream if line.startswith("VmHWM"))
+    except OSError:
+        return 0
 before, start = peak(), time.perf_counter()
 log = load(sys.argv[1])
 print(time.perf_counter() - start, peak() - before, len(log["thrust"].values))
