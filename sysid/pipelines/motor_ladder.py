@@ -160,7 +160,7 @@ def climb(
     best : mapping
         Its best set with the second stage's dead band, by name [SI].
     saturated : bool
-        Whether the dead band was fitted or given; without it the ladder ends at "full".
+        Whether the dead band was fitted or given.
     settings : SearchSettings
         Algorithm, finisher and stop rule.
     seed : int
@@ -190,10 +190,12 @@ def climb(
     full = np.array([[best[name] for name in PARAMETERS]])
     values = {name: best[name] for name in space.names}
     rungs.append(Rung("full", values, ideal.score(full)[0][0]))
-    if saturated:
+    scored = replace(ideal, ideal_reversal=False).score(full)[0]
+    # A log that starts from rest passes the dead band as well, and a dead band that was not fitted must show.
+    if saturated or not np.allclose(scored[0], rungs[-1].nrmse, rtol=1e-3):
         values = values | {name: best[name] for name in ("saturation_current", "saturation_speed")}
-        complete = replace(ideal, ideal_reversal=False)
-        rungs.append(Rung("full with saturation", values, complete.score(full)[0][0]))
+        name = "full with saturation" if saturated else "full, saturation as in Table I"
+        rungs.append(Rung(name, values, scored[0]))
     return tuple(rungs)
 
 

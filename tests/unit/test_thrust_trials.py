@@ -129,6 +129,10 @@ def test_ramp_points_of_a_creeping_command() -> None:
     np.testing.assert_allclose(points.speed, 1000.0 * points.u, rtol=0.006)
     np.testing.assert_allclose(points.torque, 1e-7 * points.speed**2, rtol=1e-3)  # curvature over 0.4 s
     assert set(points.torque_zero) == {7}
+    # Nor is a staircase whose rotor has not answered yet: a steady speed, but whose?
+    stairs = np.floor(time / 0.7) / 70.0
+    late = {"speed": (time, np.full(time.size, 300.0))}
+    assert len(ramp_points(time, command_steps(time, 5.0 * stairs % 1.0), late)) == 0
     # A ramp of 5 s is no steady log: the rotor would trail by a tenth of it.
     quick = np.arange(0.0, 5.0, 0.01)
     fast = {"speed": (quick, 200.0 * quick)}
