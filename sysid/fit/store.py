@@ -228,8 +228,11 @@ def summary(result: FitResult) -> str:
     lines += ["", "sets, best first (SI; * ends at a bound)", ""]
     for i, record in enumerate(result.parameters):
         if record.status in ("free", "derived"):
+            loose = result.settings.get("profiles", {}).get(record.name, {}).get("below")
             cells = "".join(
                 f"{result.values[s, i]:>13.5g}{'*' if result.at_bound[s, i] else ' '}"
+                if loose is None
+                else f"{f'< {loose:.0e}':>13} "
                 for s in range(len(fitted))
             )
             head = f"{record.symbol} [{record.unit}]"

@@ -142,6 +142,7 @@ def test_short_fit_finds_resistance_and_inductance(campaign_file: Path, tmp_path
     shown = capsys.readouterr().out
     assert "what each step of the model buys" in shown
     assert shown.count(f"< {damping['below']:.0e}") == 2  # ranked sets, means: a bound, no digits
+    assert f"< {damping['below']:.0e}" in (folder / "summary.txt").read_text(encoding="utf-8")
 
 
 def _delay(parameters: dict, before: float, after: float) -> float:
