@@ -16,8 +16,8 @@ from sysid.campaign.file import resolve_log
 from sysid.campaign.motor import MotorTrial as TrialEntry
 from sysid.errors import LogError, SysidWarning
 from sysid.filters import ChebyshevLowpass
-from sysid.loaders import load
 from sysid.motor.population import MotorTrial
+from sysid.pipelines.logs import load_stated
 from sysid.pipelines.motor_cost import MotorTarget
 from sysid.recording import Recording
 from sysid.trials.steady import SETTLE, SteadyPoints, ramp_points, steady_points
@@ -119,8 +119,14 @@ def read_log(campaign: MotorCampaign, path: str | Path, log: str) -> Recording:
         )
         if unit is not None
     }  # fmt: skip
-    chosen: dict[str, Any] = {"units": units or None, "rate": options.rate}
-    recording = load(resolve_log(path, log), format=options.format, **chosen)
+    stated: dict[str, Any] = {
+        "units": {**options.units, **units} or None,
+        "rate": options.rate,
+        "time_back": options.time_back,
+        "columns": options.columns or None,
+        "datasets": options.datasets or None,
+    }
+    recording = load_stated(resolve_log(path, log), options.format, stated)
     where = recording.provenance.path
     ratio = _electrical_share(recording)
     if ratio is not None:
