@@ -347,9 +347,7 @@ def integrate(
             edge = 0.5
             while edge <= 1.0 and event == 0:
                 xs, ys = _between(edge, current, x, x3, x4), _between(edge, speed, y, y3, y4)
-                event = _violation(
-                    xs, ys, side, in_band, over, rising, i_sat, omega_min, k_m, quad, lin
-                )
+                event = _violation(xs, ys, side, in_band, over, rising, i_sat, omega_min, k_m, quad, lin)
                 edge += 0.5
             if event > 0:
                 low, high = 0.0, edge - 0.5
@@ -357,9 +355,7 @@ def integrate(
                     middle = 0.5 * (low + high)
                     xs = _between(middle, current, x, x3, x4)
                     ys = _between(middle, speed, y, y3, y4)
-                    found = _violation(
-                        xs, ys, side, in_band, over, rising, i_sat, omega_min, k_m, quad, lin
-                    )
+                    found = _violation(xs, ys, side, in_band, over, rising, i_sat, omega_min, k_m, quad, lin)
                     if found > 0:
                         high = middle
                         event = found
@@ -370,7 +366,7 @@ def integrate(
                     x, y, ex, ey, x3, y3, x4, y4 = _step(
                         shorter, current, speed, volt, volt_rate, res, ind, k_v, k_eff, clipped, quad, lin,
                         inertia,
-                    )
+                    )  # fmt: skip
                     # One Newton correction at a time, with the exact slope of the event function.
                     dx = (volt + volt_rate * shorter - k_v * y - res * x) / ind
                     dy = (k_eff * x + clipped - (quad * y + lin) * y) / inertia
@@ -408,9 +404,7 @@ def integrate(
                 out[done, 0] = _between(s, current, x, x3, x4)
                 out[done, 1] = limit if clip else out[done, 0]
                 out[done, 2] = _between(s, speed, y, y3, y4)
-                out[done, 3] = charge + step * (
-                    limit * s if clip else _integral(s, current, x, x3, x4)
-                )
+                out[done, 3] = charge + step * (limit * s if clip else _integral(s, current, x, x3, x4))
                 done += 1
             charge += step * (limit if clip else _integral(1.0, current, x, x3, x4))
             t, current, speed = t_next, x, y
@@ -449,7 +443,7 @@ def integrate(
 def integrate_population(
     rows, delays, command_time, command, command_first, supply_time, supply_ratio, supply_first,
     times, time_first, starts, initial, tolerance, ideal, out, status, reached,
-):
+):  # fmt: skip
     """Simulate every candidate on every trial: stator torque averaged over each cell, speed at its sample.
 
     Ragged trials lie end to end; trial j owns ``x[first[j]:first[j + 1]]``. `times` holds the cell edges
@@ -473,7 +467,13 @@ def integrate_population(
             command[command_first[j] : command_first[j + 1]],
             supply_time[supply_first[j] : supply_first[j + 1]],
             supply_ratio[supply_first[j] : supply_first[j + 1]],
-            t, starts[j], initial[j, 0], initial[j, 1], tolerance, ideal, trace,
+            t,
+            starts[j],
+            initial[j, 0],
+            initial[j, 1],
+            tolerance,
+            ideal,
+            trace,
         )
         status[i, j] = code
         reached[i, j] = share

@@ -74,7 +74,6 @@ PARAMETERS = ParameterTable(
 )  # fmt: skip
 
 
-
 def steady_speed_map(command: FloatArray, speed: FloatArray, ratio: FloatArray) -> FloatArray:
     """Return p0, p1, p2 (3,) of |Ω| = V/V_ref (p0 + p1 |u| + p2 u²) through steady points of one direction.
 

@@ -150,9 +150,23 @@ def simulate_population(
     numba.set_num_threads(before if threads is None else max(1, min(threads, before)))
     try:
         kernel.integrate_population(
-            rows, shifts, trials.command_time, trials.command, trials.command_first, trials.supply_time,
-            trials.supply_ratio, trials.supply_first, trials.cell_times, trials.cell_first, trials.starts,
-            trials.initial, tolerance, ideal_reversal, outputs, status, reached,
+            rows,
+            shifts,
+            trials.command_time,
+            trials.command,
+            trials.command_first,
+            trials.supply_time,
+            trials.supply_ratio,
+            trials.supply_first,
+            trials.cell_times,
+            trials.cell_first,
+            trials.starts,
+            trials.initial,
+            tolerance,
+            ideal_reversal,
+            outputs,
+            status,
+            reached,
         )
     finally:
         numba.set_num_threads(before)

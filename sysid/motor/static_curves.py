@@ -206,10 +206,14 @@ def _robust_line(
     coefficients = start / size
     errors = np.sqrt(np.diag(covariance)) / size
     return CurveFit(
-        quantity, direction,
-        (float(coefficients[0]), float(coefficients[1])), (float(errors[0]), float(errors[1])), ("", ""),
+        quantity,
+        direction,
+        (float(coefficients[0]), float(coefficients[1])),
+        (float(errors[0]), float(errors[1])),
+        ("", ""),
         1.0 - float(np.sum(residual[inlier] ** 2)) / total if total > 0 else float("nan"),
-        int(y.size), int(np.sum(~inlier)),
+        int(y.size),
+        int(np.sum(~inlier)),
     )
 
 
@@ -225,6 +229,12 @@ def _soft_line(columns: FloatArray, y: FloatArray, start: FloatArray) -> FloatAr
 
 def _with_units(fit: CurveFit, units: tuple[str, str]) -> CurveFit:
     return CurveFit(
-        fit.quantity, fit.direction, fit.coefficients, fit.standard_errors, units, fit.r_squared, fit.points,
+        fit.quantity,
+        fit.direction,
+        fit.coefficients,
+        fit.standard_errors,
+        units,
+        fit.r_squared,
+        fit.points,
         fit.outliers,
     )

@@ -123,9 +123,7 @@ def fit_saturation(
         space = saturation_space(campaign, bench, unpack(row))
         assert space is not None
         objective = MotorObjective.build(campaign, space, bench, trials, threads)
-        run = run_one(
-            objective, replace(settings, population=_POPULATION, runs=1, seed=seed, stop=stop)
-        )
+        run = run_one(objective, replace(settings, population=_POPULATION, runs=1, seed=seed, stop=stop))
         found.append(space.decode(run.best_point))
         flags.append(space.at_bound(run.best_point))
         costs.append(float(run.best[-1]))
@@ -163,9 +161,7 @@ def reversal_delays(bench: Bench, parameters: Mapping[str, float]) -> list[dict[
         volts = None
         if supply[0] is not None and supply[1] is not None:
             volts = (supply[0], supply[1] * parameters["reference_voltage"])
-        found = simulate(
-            parameters, log.steps.time, log.steps.level, grid, initial="steady", voltage=volts
-        )
+        found = simulate(parameters, log.steps.time, log.steps.level, grid, initial="steady", voltage=volts)
         kept = (log.steps.time >= start) | (log.steps.time <= log.steps.time[0])
         steps = CommandSteps(log.steps.time[kept], log.steps.level[kept])
         measured = find_reversals(log.time, steps, thrust, skip=log.doubtful, sense="both")

@@ -81,9 +81,7 @@ TRIALS = (
         "reverse-1", "reverse", "fit", -0.25, (-0.60, -0.35, -0.80, -0.45, -0.95, -0.50, -0.70), 0.5, "hdf5"
     ),
     TrialPlan("forward-2", "forward", "validate", 0.30, (0.90, 0.45, 0.55, 0.75, 0.35, 0.65), 0.5, "hdf5"),
-    TrialPlan(
-        "reversal-1", "reversal", "fit", 0.30, (0.62, -1.0, 0.62, -0.5, 0.4, -0.8, 0.8), 0.6, "hdf5"
-    ),
+    TrialPlan("reversal-1", "reversal", "fit", 0.30, (0.62, -1.0, 0.62, -0.5, 0.4, -0.8, 0.8), 0.6, "hdf5"),
     TrialPlan("reversal-2", "reversal", "validate", -0.30, (0.62, -1.0, 0.30, -0.62, 0.80), 0.8, "hdf5"),
 )
 

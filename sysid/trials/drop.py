@@ -252,9 +252,7 @@ def _fit(motion: PlanarMotion, held: slice, touchdown: float, gravity: float, wh
 
         guess = np.array([origin[1], release, gravity])
         measured = float(optimize.least_squares(with_free_gravity, guess, x_scale=[1e-3, 1e-3, 1.0]).x[2])
-    return Flight(
-        touchdown + release, True, np.concatenate([origin, rates]), gravity, measured, noise
-    )
+    return Flight(touchdown + release, True, np.concatenate([origin, rates]), gravity, measured, noise)
 
 
 def _fit_ballistic(time: FloatArray, coordinates: FloatArray, gravity: float) -> Flight:

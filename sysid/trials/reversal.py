@@ -120,16 +120,12 @@ def find_reversals(
         zero = _first(t, sign * values, 0.0)
         entered, left = _first(t, sign * values, -band), _first(t, sign * values, band)
         out.append(
-            Reversal(
-                start, before, after, hold, zero - start, left - entered, reached - start, sign * final
-            )
+            Reversal(start, before, after, hold, zero - start, left - entered, reached - start, sign * final)
         )
     return tuple(out)
 
 
-def _part(
-    signal: tuple[FloatArray, FloatArray], start: float, end: float
-) -> tuple[FloatArray, FloatArray]:
+def _part(signal: tuple[FloatArray, FloatArray], start: float, end: float) -> tuple[FloatArray, FloatArray]:
     inside = (signal[0] >= start) & (signal[0] < end)
     return signal[0][inside], signal[1][inside]
 

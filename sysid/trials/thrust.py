@@ -266,7 +266,7 @@ def check_command_direction(u: FloatArray, direction: Direction, where: str) -> 
                 f"{where}: a reversal trial whose commands only run from u = {low:.3g} to {high:.3g}; "
                 "correct the trial's direction, or command.neutral"
             )
-    elif (backward if direction == "forward" else ahead):
+    elif backward if direction == "forward" else ahead:
         raise LogError(
             f"{where}: a {direction} trial whose commands run from u = {low:.3g} to {high:.3g}; set "
             'direction = "reversal", cut the trial with start and end, or correct command.neutral'

@@ -34,9 +34,15 @@ def test_time_of_an_event_is_exact() -> None:
     # Constant torque k_m I_sat in the dead band (no drag): Ω_min is left after I^r Ω_min/(k_m I_sat),
     # counted from the instant at which the rising current meets I_sat.
     parameters = {
-        "torque_quadratic_forward": 0.0, "viscous_damping": 0.0, "torque_constant": 0.01,
-        "back_emf_constant": 0.01, "winding_inductance": 1e-5, "winding_resistance": 0.5,
-        "saturation_current": 0.4, "saturation_speed": 8.0, "rotor_inertia": 3e-5,
+        "torque_quadratic_forward": 0.0,
+        "viscous_damping": 0.0,
+        "torque_constant": 0.01,
+        "back_emf_constant": 0.01,
+        "winding_inductance": 1e-5,
+        "winding_resistance": 0.5,
+        "saturation_current": 0.4,
+        "saturation_speed": 8.0,
+        "rotor_inertia": 3e-5,
     }
     time = np.linspace(0.0, 0.1, 100_001)
     found = simulate(parameters, [0.0], [0.5], time)

@@ -80,9 +80,7 @@ def test_real_motor_is_fitted_and_carries_over(
     tmp_path: Path, motor: str, speed: float, torque: float
 ) -> None:
     path = _campaign(tmp_path, motor, split=False)
-    options = FitOptions(
-        out=tmp_path / "fit", runs=1, population=80, max_generations=30, seed=1, quiet=True
-    )
+    options = FitOptions(out=tmp_path / "fit", runs=1, population=80, max_generations=30, seed=1, quiet=True)
     result, _ = fit_motor(path, options)
     by_channel = result.trials[0].nrmse[0]
     assert by_channel[0] < torque

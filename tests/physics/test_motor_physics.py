@@ -134,7 +134,7 @@ def test_energy_balance_through_a_reversal() -> None:
     m = simulate({}, [0.0, 0.3], [0.8, -0.8], time, ideal_reversal=True)
     k = kv_to_si(960.0)
     volts = k * np.where(time < 0.3, 0.8, -0.8) * 1030.0
-    drag = (m.stator_torque - k * m.current + model.aerodynamic_torque(m.speed, {}) + 2 * 9.2e-9 * m.speed)
+    drag = m.stator_torque - k * m.current + model.aerodynamic_torque(m.speed, {}) + 2 * 9.2e-9 * m.speed
     power = volts * m.current - 0.299 * m.current**2 - drag * m.speed
     stored = 0.5 * 0.0038 * m.current**2 + 0.5 * 2.7e-5 * m.speed**2
     # Trapezoids of 5 µs over a jump of the voltage at the grid point: half an interval of 800 W.
@@ -237,8 +237,9 @@ def test_result_does_not_depend_on_threads() -> None:
 def test_delays_per_trial_add_to_the_parameter() -> None:
     grid = np.linspace(0.0, 0.6, 301)
     trial = MotorTrial(np.array([0.0, 0.2]), np.array([0.5, 0.9]), grid)
-    both = simulate_population(pack({"command_delay": 0.02})[None], MotorTrials([trial, trial]),
-                               delays=np.array([[0.0, 0.03]]))
+    both = simulate_population(
+        pack({"command_delay": 0.02})[None], MotorTrials([trial, trial]), delays=np.array([[0.0, 0.03]])
+    )
     second = simulate_population(pack({"command_delay": 0.05})[None], MotorTrials([trial]))
     np.testing.assert_allclose(both.outputs[0, 301:], second.outputs[0], atol=1e-9)  # rounding of 0.02 + 0.03
 

@@ -104,9 +104,7 @@ def test_holes_of_a_fast_log_are_masked_not_closed_up(campaign_file: Path, prepa
 
 
 def test_short_fit_finds_resistance_and_inductance(campaign_file: Path, tmp_path: Path, capsys) -> None:
-    options = FitOptions(
-        out=tmp_path / "fit", runs=1, population=60, max_generations=25, seed=4, quiet=True
-    )
+    options = FitOptions(out=tmp_path / "fit", runs=1, population=60, max_generations=25, seed=4, quiet=True)
     result, folder = fit_motor(campaign_file, options)
     values = result.parameter_sets().set_values(1)
     # Required: 5 %. A population of 60 for 25 generations stops near, not at, the optimum.
@@ -327,7 +325,7 @@ def test_reversal_without_signed_speed_given_as_forward_is_refused_by_its_comman
     last = trials[-1].replace("reversal-2.h5", "unsigned.csv").replace('"reversal"', '"forward"')
     toml = campaign_file.with_name("unsigned.toml")
     toml.write_text("[[trials]]".join([head, *trials[:-1], last]), encoding="utf-8")
-    with pytest.raises(LogError, match=r'a forward trial whose commands run from u = -1 to 0\.8; set'):
+    with pytest.raises(LogError, match=r"a forward trial whose commands run from u = -1 to 0\.8; set"):
         _prepare(toml)
 
 

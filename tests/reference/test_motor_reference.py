@@ -61,13 +61,22 @@ def test_population_speed_matches_the_reference() -> None:
 def test_columns_of_the_kernel_are_the_rows_of_the_table() -> None:
     names = list(PARAMETERS)
     columns = {
-        "winding_resistance": kernel.R, "winding_inductance": kernel.L, "viscous_damping": kernel.K_D,
-        "back_emf_constant": kernel.K_V, "torque_constant": kernel.K_M, "rotor_inertia": kernel.INERTIA,
-        "saturation_current": kernel.I_SAT, "saturation_speed": kernel.OMEGA_MIN,
-        "reference_voltage": kernel.V_REF, "no_load_slope_forward": kernel.NO_LOAD,
-        "no_load_intercept_reverse": kernel.NO_LOAD + 3, "thrust_quadratic_forward": kernel.THRUST,
-        "thrust_linear_reverse": kernel.THRUST + 3, "torque_quadratic_forward": kernel.TORQUE,
-        "torque_linear_reverse": kernel.TORQUE + 3, "command_delay": kernel.DELAY,
+        "winding_resistance": kernel.R,
+        "winding_inductance": kernel.L,
+        "viscous_damping": kernel.K_D,
+        "back_emf_constant": kernel.K_V,
+        "torque_constant": kernel.K_M,
+        "rotor_inertia": kernel.INERTIA,
+        "saturation_current": kernel.I_SAT,
+        "saturation_speed": kernel.OMEGA_MIN,
+        "reference_voltage": kernel.V_REF,
+        "no_load_slope_forward": kernel.NO_LOAD,
+        "no_load_intercept_reverse": kernel.NO_LOAD + 3,
+        "thrust_quadratic_forward": kernel.THRUST,
+        "thrust_linear_reverse": kernel.THRUST + 3,
+        "torque_quadratic_forward": kernel.TORQUE,
+        "torque_linear_reverse": kernel.TORQUE + 3,
+        "command_delay": kernel.DELAY,
     }
     assert {name: names.index(name) for name in columns} == columns
     assert len(names) == kernel.N_PARAMETERS
