@@ -223,6 +223,13 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> B
             values = values - tares[name].value
             if tares[name].rows == 0:
                 notes.append(f"no row at rest: the tare of {name} is taken as 0")
+                if name == "torque" and campaign.cost.weights.torque > 0:
+                    warnings.warn(
+                        f"{where}: no row at rest, so the torque's tare is taken as 0 and an offset of the "
+                        "sensor counts as torque; record a second before the motor starts",
+                        SysidWarning,
+                        stacklevel=2,
+                    )
         channels[name] = (channel.time[keep], values[keep])
     if "torque" not in channels and campaign.cost.weights.torque > 0:
         raise LogError(f"{where}: no torque; set cost.weights.torque = 0 or record it")

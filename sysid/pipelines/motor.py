@@ -251,6 +251,14 @@ def _say_what_is_fitted(
             + (f", {fit.outliers} of them outliers" if fit.outliers else "")
         )
     for trial in bench.trials:
+        tares = ", ".join(
+            f"{name} {1e3 * tare.value:.3g} m{unit}"
+            for name, unit in (("torque", "N·m"), ("thrust", "N"))
+            if (tare := trial.log.tares.get(name)) is not None and tare.rows > 0
+        )
+        if tares:
+            turned = ", torque sign turned" if trial.log.torque_sign < 0 else ""
+            tell(f"trial {trial.entry.name}: tare from its rows at rest: {tares}{turned}")
         lost = sum(end - start for start, end in trial.log.doubtful)
         if lost:
             tell(

@@ -198,6 +198,14 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
     # A name that the campaign both frees and fixes stays in the list, to be refused.
     asked = set(choices.free or ())
     chosen = tuple(name for name in free if name not in choices.fixed or name in asked)
+    if not {"rotor_inertia"} & {*chosen, *choices.fixed, *bench.values}:
+        warnings.warn(
+            f"the rotor's inertia is neither measured nor free, so Table I's "
+            f"{PARAMETERS['rotor_inertia'].nominal:g} kg·m² of another motor is used; state "
+            "motor.rotor_inertia or name it in parameters.free",
+            SysidWarning,
+            stacklevel=2,
+        )
     silent = [name for name in chosen if name.startswith("thrust_")]
     if silent:
         raise CampaignError(

@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -433,3 +435,28 @@ def test_command_range_that_the_log_exceeds_is_refused(campaign_file: Path) -> N
     path = _changed(campaign_file, "maximum = 2000", "maximum = 1900", "range.toml")
     with pytest.raises(LogError, match=r"outside 1000 to 1900 us"):
         _prepare(path)
+
+
+def test_a_missing_tare_and_a_borrowed_inertia_are_said(tmp_path: Path) -> None:
+    """Without rows at rest an offset would pass as torque, and Table I's inertia is another rotor's."""
+    folder = synthesize_motor(tmp_path / "motor", seed=1)
+    path = folder / "campaign.toml"
+    text = path.read_text(encoding="utf-8")
+    inertia = next(line for line in text.splitlines() if line.startswith("rotor_inertia"))
+    text = text.replace(inertia, "").replace(
+        "[fit]\n", '[parameters]\nfree = ["winding_resistance", "winding_inductance"]\n[fit]\n', 1
+    )
+    path.write_text(text, encoding="utf-8")
+    log = folder / "forward-1.csv"
+    lines = log.read_text(encoding="utf-8-sig").splitlines(keepends=True)
+    start = float(re.search(r'forward-1"\n.*\n.*\n.*\nstart = "([\d.]+) s"', text).group(1))
+    kept = [line for line in lines[1:] if float(line.split(",")[0]) >= start - 0.3]
+    log.write_text("".join([lines[0], *kept]), encoding="utf-8", newline="")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        campaign = read_campaign(path, "motor")
+        search_space(campaign, prepare_bench(campaign, path))
+    said = " | ".join(str(w.message) for w in caught)
+    assert "forward-1.csv" in said
+    assert "the torque's tare is taken as 0" in said
+    assert "the rotor's inertia is neither measured nor free" in said
