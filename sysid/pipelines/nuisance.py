@@ -66,7 +66,7 @@ def shifted_starts(drops: Sequence[PreparedDrop], height: FloatArray, delay: Flo
     """Return initial states (P, D, 6) over a surface that is higher, of a motion that is later."""
     out = np.empty((*height.shape, 6))
     for d, drop in enumerate(drops):
-        out[:, d] = drop.flight.at(drop.time[0] - delay[:, d])
+        out[:, d] = drop.flight.at(drop.time[0] - delay[:, d], free=True)
         out[:, d, 1] -= height[:, d]
     return out
 

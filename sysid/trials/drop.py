@@ -83,14 +83,19 @@ class Flight:
     measured_gravity: float
     noise: FloatArray
 
-    def at(self, time: FloatArray) -> FloatArray:
-        """Return (n, 6) states at `time` [s]: held before `start` (ballistic where nothing held it)."""
+    def at(self, time: FloatArray, *, free: bool = False) -> FloatArray:
+        """Return (n, 6) states at `time` [s]: held before `start` (ballistic where nothing held it).
+
+        `free` continues the flight backward through the hold: a simulation that starts there, falling
+        freely, is on the true flight from `start` on.
+        """
         elapsed = np.atleast_1d(time) - self.start
-        if self.held:
+        held = self.held and not free
+        if held:
             elapsed = np.maximum(elapsed, 0.0)
         rates = np.tile(self.state[3:], (len(elapsed), 1))
         rates[:, 1] -= self.gravity * elapsed
-        if self.held:
+        if held:
             rates[elapsed == 0.0] = 0.0
         out = self.state[:3] + elapsed[:, None] * self.state[3:]
         out[:, 1] -= 0.5 * self.gravity * elapsed**2

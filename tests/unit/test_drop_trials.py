@@ -94,6 +94,19 @@ def test_noise_moves_release_by_less_than_its_estimate():
     assert np.std(errors) < 2 * 0.25e-3
 
 
+def test_free_flight_backward_through_the_hold_meets_the_fall():
+    """A simulation that starts before the release, falling freely, is on the flight from the release on."""
+    frame = CaptureFrame("+y", "+x")
+    _, _, flight, touchdown = _prepare(_recording(frame), frame)
+    early, later = flight.start - 0.003, touchdown - 0.005
+    state = flight.at(np.array([early]), free=True)[0]
+    span = later - early
+    fallen = state[:3] + span * state[3:] - [0, 0.5 * G * span**2, 0]
+    assert fallen == pytest.approx(flight.at(np.array([later]))[0, :3], abs=1e-12)
+    # The hold itself stands still.
+    assert flight.at(np.array([early]))[0] == pytest.approx(flight.state, abs=1e-12)
+
+
 def test_signs_of_roll_and_yaw():
     frame = CaptureFrame("+z", "+x")
     time = np.arange(10) / 100
