@@ -287,7 +287,12 @@ def plain_unit(stated: str | None) -> tuple[str, float]:
     stated = (stated or "").strip()
     if stated in ("", "g", "G") or "deg" in stated or "°" in stated or "º" in stated:
         return "", 1.0
+    if stated.startswith("dB"):
+        return "", 1.0  # logarithmic: no factor turns it into anything
     for expected, shown in _OTHER_UNITS.items():
+        # A radian is a pure number to the units library: per cent, strain and counts are no angles.
+        if expected == "rad" and "rad" not in stated:
+            continue
         try:
             return shown, factor_to_si(stated, expected)
         except UnitError:

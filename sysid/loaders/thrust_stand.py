@@ -37,7 +37,8 @@ def choose_speed(
         return electrical, [f"speed is the electrical one{off}"]
     if electrical is None or not seen_electrical:
         return optical, [
-            "speed is the optical one" + ("; the electrical probe reads zero" if seen_optical else "")
+            "speed is the optical one"
+            + ("; the electrical probe reads zero" if seen_optical and electrical is not None else "")
         ]
     notes = ["speed is the optical one"]
     both = (np.nan_to_num(optical) != 0) & (np.nan_to_num(electrical) != 0)

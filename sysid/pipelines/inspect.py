@@ -106,6 +106,8 @@ def convert_file(
     LogError
         When the destination exists and `force` is False, or the logs cannot be read or aligned.
     """
+    if to.resolve() in {source.resolve() for source in (path, add) if source is not None}:
+        raise LogError(f"{to} is the log itself, which is never replaced; choose a new name")
     if to.exists() and not force:
         raise LogError(f"{to} exists already; choose a new name or replace it with --force")
     recording = load_log(path, format_name, options or {})
