@@ -263,8 +263,14 @@ def locate(work, lane, lanes, kind):
 
 
 @njit(error_model="numpy")
-def available(work, lane, lanes, stuck, foot):
-    """Friction that a foot can hold (sticking) or has (slipping) at the step's end [N]."""
+def available(work, lane, lanes, foot):
+    """Friction that a foot's own mode is judged by at the step's end (9) [N].
+
+    A foot that has just stuck was slipping and is judged by mu_k, one that was just released by mu_s; a foot
+    that keeps its mode by that of the mode.
+    """
+    sticks = work[(STUCK + foot) * lanes + lane]
+    sticks = 1.0 - sticks if work[(SWITCH + foot) * lanes + lane] > 0.0 else sticks
     mu = work[LAW * lanes + lane]
-    mu = mu if stuck > 0.0 else mu + work[(LAW + 1) * lanes + lane]
+    mu = mu + work[(LAW + 1) * lanes + lane] if sticks > 0.0 else mu
     return mu * work[(NORMAL + foot) * lanes + lane]

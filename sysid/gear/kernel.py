@@ -344,7 +344,7 @@ def drop_driver(lanes: int, surface: Surface):
                                     marks[marked, 1] = STICK if stuck > 0.0 else SLIP
                                     marks[marked, 2] = foot
                                     for other in range(2):
-                                        marks[marked, 3 + other] = available(work, lane, lanes, stuck, other)
+                                        marks[marked, 3 + other] = available(work, lane, lanes, other)
                                         marks[marked, 5 + other] = work[(REQUIRED + other) * lanes + lane]
                                     marked += 1
                         if abs(work[(END + 2) * lanes + lane]) > FLIP_ANGLE and h > 0.0:
