@@ -74,10 +74,16 @@ def _first_sentence(error: ValidationError, model: type[BaseModel], data: dict[s
     details = sorted(error.errors(include_url=False), key=lambda d: d["type"] != "extra_forbidden")
     detail = details[0]
     where = _place(detail["loc"], data)
-    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+    near: list[str] = []
+    known: list[str] = []
     if detail["type"] == "extra_forbidden":
         known = _known_keys(model, detail["loc"][:-1])
         near = difflib.get_close_matches(str(detail["loc"][-1]), known, 1)
+        # A required key that was mistyped is missing as well: one mistake, counted once.
+        meant = (*detail["loc"][:-1], *near)
+        details = [d for d in details if d["type"] != "missing" or d["loc"] != meant]
+    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+    if detail["type"] == "extra_forbidden":
         hint = f"nearest known key is {near[0]!r}" if near else f"known keys are {', '.join(known)}"
         return f"unknown key {where}; {hint}{more}"
     if detail["type"] == "missing":

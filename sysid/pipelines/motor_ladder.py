@@ -2,8 +2,9 @@
 
     first-order lag → equations (1-3) without L → full → full with saturation
 
-Every rung is fitted to the same forward and reverse trials by the same search; rungs below the last know no
-dead band. Judge a step by its held-out columns: an inductance is not real because a search returned one.
+Every rung is fitted to the same forward and reverse trials. The lower rungs take one short search of their
+own, the full model comes from the fit's runs; rungs below the last are scored without a dead band. Judge a
+step by its held-out columns: an inductance is not real because a search returned one.
 """
 
 from __future__ import annotations

@@ -94,6 +94,13 @@ def test_mistakes_are_one_sentence(kind, old, new, sentence, tmp_path):
     assert "\n" not in str(caught.value)
 
 
+def test_a_mistyped_required_key_is_one_mistake(tmp_path):
+    path = _write(tmp_path, TEMPLATES["gear"].replace("body_mass =", "body_mas ="))
+    with pytest.raises(CampaignError) as caught:
+        read_campaign(path)
+    assert "more)" not in str(caught.value)
+
+
 def test_wrong_kind_and_missing_files(tmp_path):
     path = _write(tmp_path, TEMPLATES["gear"])
     with pytest.raises(CampaignError, match="expected motor; use 'sysid fit-gear'"):

@@ -7,7 +7,8 @@ the switch).
 
 Slip ends where the speed along ``d`` falls through zero: the foot sticks if ``mu_k F_n > |f_req|``, the
 multiplier that sticking would need with the other foot in its mode, and slips back otherwise. This is the
-limit ``e_v -> 0`` of the paper's test ``|v_t| < e_v``; no crossing inside a step is missed. Sticking ends
+limit ``e_v -> 0`` of the paper's test ``|v_t| < e_v``; a crossing inside a step is
+found unless the slip, or the margin of a stuck foot, crosses twice within that step. Sticking ends
 where ``mu_s F_n`` falls below ``|f_req|``; the foot then slips against that force. A foot in the air slips
 with ``F_n = 0``.
 """
