@@ -1,0 +1,218 @@
+"""Landing controllers: what the motors are told from the impact on, as small declared objects.
+
+A controller is a list of steps. One's own takes ten lines::
+
+    from sysid.landing.controllers import Step, controller
+
+    @controller("staged")
+    def staged(pause: float = 0.05) -> list[Step]:
+        "Little thrust for a while, then full reverse."
+        return [Step(0.0, 0.3, 0.3), Step(pause, -1.0, -1.0)]
+
+and is then known by its name to every function here, and to the command line with ``--controllers FILE.py``.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import inspect
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from sysid.errors import CampaignError
+from sysid.landing.sensing import Sensing
+from sysid.units import parse_quantity
+
+# The paper's impulse: thrust is cut but not reversed, because a reversal takes too long.
+IDLE_COMMAND = 0.1
+IMPULSE_COMMAND = 0.8
+
+
+@dataclass(frozen=True)
+class Step:
+    """Commands from an instant on.
+
+    Parameters
+    ----------
+    after : float
+        Since the trigger [s].
+    rear, front : float
+        Command u of each pair of motors [1], -1 full reverse to 1 full forward.
+    """
+
+    after: float
+    rear: float
+    front: float
+
+
+@dataclass(frozen=True)
+class Controller:
+    """What the motors do in a landing; before the trigger they keep the hover command.
+
+    Parameters
+    ----------
+    name : str
+        As written: ``reverse``, ``impulse:delay=0.05,duration=0.1``.
+    steps : tuple of Step
+        In the order of time.
+    ideal_reversal : bool
+        Motors without saturation (I_sat = ∞), as in Fig. 11.
+    sensing : Sensing, optional
+        The drone's own accelerometer as trigger; the first contact of a foot by default.
+    """
+
+    name: str
+    steps: tuple[Step, ...]
+    ideal_reversal: bool = False
+    sensing: Sensing | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "steps", tuple(self.steps))
+        times = [step.after for step in self.steps]
+        commands = [u for step in self.steps for u in (step.rear, step.front)]
+        if not times or times != sorted(times) or not all(0 <= t < math.inf for t in times):
+            raise CampaignError(
+                f"controller {self.name!r}: steps at {times} s; give one or more in the order of time"
+            )
+        if not all(-1 <= u <= 1 for u in commands):
+            raise CampaignError(
+                f"controller {self.name!r}: commands {commands}; expected -1 to 1, 1 being full forward"
+            )
+
+    @property
+    def label(self) -> str:
+        """Name with its options, for tables and figures."""
+        more = (", ideal reversal" if self.ideal_reversal else "") + (", own sensing" if self.sensing else "")
+        return self.name + more
+
+    def document(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        return asdict(self)
+
+
+Recipe = Callable[..., Sequence[Step]]
+CONTROLLERS: dict[str, Recipe] = {}
+
+
+def controller(name: str) -> Callable[[Recipe], Recipe]:
+    """Register a function of numbers that returns the steps of a controller.
+
+    Parameters
+    ----------
+    name : str
+        By which it is asked for; the function's arguments are its options, plain numbers [SI].
+    """
+
+    def register(recipe: Recipe) -> Recipe:
+        CONTROLLERS[name] = recipe
+        return recipe
+
+    return register
+
+
+@controller("off")
+def off() -> list[Step]:
+    """Shut the motors off at impact: the paper's baseline, 0 %."""
+    return [Step(0.0, 0.0, 0.0)]
+
+
+@controller("reverse")
+def reverse() -> list[Step]:
+    """Full reverse thrust on all motors at impact, -100 %."""
+    return [Step(0.0, -1.0, -1.0)]
+
+
+@controller("command")
+def command(u: float) -> list[Step]:
+    """One command on all motors at impact."""
+    return [Step(0.0, u, u)]
+
+
+@controller("impulse")
+def impulse(
+    delay: float,
+    duration: float,
+    after: float = -1.0,
+    front: float = IMPULSE_COMMAND,
+    rear: float = IDLE_COMMAND,
+    idle: float = IDLE_COMMAND,
+) -> list[Step]:
+    """Idle at impact, after a delay an impulse of the front pair against the pitching, then full reverse."""
+    steps = [Step(0.0, idle, idle), Step(delay, rear, front), Step(delay + duration, after, after)]
+    # A step that the next one replaces at once commands nothing.
+    until = [delay, delay + duration, math.inf]
+    return [step for step, end in zip(steps, until, strict=True) if end > step.after]
+
+
+def find_controller(text: str, *, ideal_reversal: bool = False, sensing: Sensing | None = None) -> Controller:
+    """Return a controller as it is asked for on the command line.
+
+    Parameters
+    ----------
+    text : str
+        Name, then its options by name or in order: ``reverse``, ``command:-0.5``,
+        ``impulse:delay=50ms,duration=0.1``; a number without unit is SI.
+    ideal_reversal, sensing
+        As in `Controller`.
+
+    Raises
+    ------
+    CampaignError
+        When there is no such controller or its options do not fit.
+    """
+    name, _, options = text.partition(":")
+    recipe = CONTROLLERS.get(name.strip())
+    if recipe is None:
+        raise CampaignError(f"no controller {name!r}; known are {', '.join(CONTROLLERS)}")
+    signature = inspect.signature(recipe)
+    given: list[float] = []
+    named: dict[str, float] = {}
+    for part in filter(None, (piece.strip() for piece in options.split(","))):
+        key, equals, value = part.rpartition("=")
+        if equals:
+            named[key.strip()] = _number(text, value)
+        else:
+            given.append(_number(text, value))
+    try:
+        bound = signature.bind(*given, **named)
+    except TypeError as error:
+        wanted = ", ".join(str(one) for one in signature.parameters) or "none"
+        raise CampaignError(
+            f"controller {text!r}: {error}; its options are {wanted}, as in impulse:delay=50ms,duration=0.1"
+        ) from None
+    return Controller(text, tuple(recipe(*bound.args, **bound.kwargs)), ideal_reversal, sensing)
+
+
+def _number(text: str, value: str) -> float:
+    try:
+        return float(value)
+    except ValueError:
+        pass
+    unit = "1" if value.strip().endswith("%") else "s"
+    try:
+        return parse_quantity(value, unit)
+    except Exception as error:
+        raise CampaignError(f"controller {text!r}: {error}") from None
+
+
+def load_controllers(path: Path) -> None:
+    """Run a user's Python file that registers controllers.
+
+    Raises
+    ------
+    CampaignError
+        When there is no such file or it registers nothing.
+    """
+    before = dict(CONTROLLERS)
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if not path.is_file() or spec is None or spec.loader is None:
+        raise CampaignError(f"{path}: no Python file; give one that registers a controller")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    if before == CONTROLLERS:
+        raise CampaignError(
+            f"{path}: registers no controller; decorate a function with sysid.landing.controllers.controller"
+        )

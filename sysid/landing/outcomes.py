@@ -1,0 +1,124 @@
+"""What became of a landing: at rest near by, at rest further off, flipped, or otherwise.
+
+The paper prints no rule for "at rest" and "flipped"; these are options, with the defaults below, and travel
+with every result.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.errors import CampaignError
+
+FloatArray = NDArray[np.float64]
+
+
+class Outcome(IntEnum):
+    """Classes of a landing, as Fig. 8 colours them."""
+
+    SHORT = 0
+    NEAR = 1
+    FLIPPED = 2
+    OTHER = 3
+    LOST = 4
+
+    @property
+    def text(self) -> str:
+        """Say what it means."""
+        return {
+            Outcome.SHORT: "at rest within the short distance",
+            Outcome.NEAR: "at rest within the long distance",
+            Outcome.FLIPPED: "flipped within the long distance (A)",
+            Outcome.OTHER: "neither: still moving, or beyond the long distance (B)",
+            Outcome.LOST: "the simulation failed",
+        }[self]
+
+
+# The classes that a landing can have; LOST is the simulator's own failure.
+OUTCOMES = (Outcome.SHORT, Outcome.NEAR, Outcome.FLIPPED, Outcome.OTHER)
+LANDED = (Outcome.SHORT, Outcome.NEAR)
+
+
+@dataclass(frozen=True)
+class Rules:
+    """When a landing is over, and what it is called.
+
+    Parameters
+    ----------
+    horizon : float
+        Simulated time from touchdown [s].
+    short, long : float
+        Distances along the slope that divide the classes [m]: the paper's board and its 1 m.
+    rest_speed : float
+        At rest while the body's speed stays below this [m/s] ...
+    rest_turn : float
+        ... and its turn rate below this [rad/s] ...
+    rest_time : float
+        ... for this long [s], after the controller's last command.
+    flip_angle : float
+        Flipped when the body's pitch differs from the slope by more [rad].
+
+    Notes
+    -----
+    On low friction a drone at rest creeps, at 0.016 m/s on 15 deg and 0.11 m/s on 22 deg (the friction law
+    has no stiction), hence a `rest_speed` well above numerical noise.
+    """
+
+    horizon: float = 3.0
+    short: float = 0.45
+    long: float = 1.0
+    rest_speed: float = 0.05
+    rest_turn: float = 0.2
+    rest_time: float = 0.2
+    flip_angle: float = math.radians(80.0)
+
+    def __post_init__(self) -> None:
+        numbers = asdict(self)
+        wrong = [name for name, value in numbers.items() if not 0 < value < math.inf]
+        if wrong:
+            raise CampaignError(f"landing rules: {wrong[0]} is {numbers[wrong[0]]:g}; give a number above 0")
+        if not self.short <= self.long:
+            raise CampaignError(
+                f"landing rules: the short distance {self.short:g} m exceeds the long one {self.long:g} m; "
+                "swap them"
+            )
+
+    def document(self) -> dict[str, Any]:
+        """Return the numbers by name, ready for JSON [SI]."""
+        return asdict(self)
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> Rules:
+        """Return the rules that `document` wrote."""
+        return cls(**{name: float(value) for name, value in document.items()})
+
+    def classes(
+        self, distance: FloatArray, rest: FloatArray, flip: FloatArray, lost: NDArray[np.bool_]
+    ) -> NDArray[np.int8]:
+        """Return the `Outcome` codes (...).
+
+        Parameters
+        ----------
+        distance : (...) array
+            Displacement of the body's centre of mass down the slope when the landing was over [m].
+        rest, flip : (...) arrays
+            When it came to rest and when it flipped [s], NaN where it did not; the earlier one counts.
+        lost : (...) bool array
+            Whether the simulation failed.
+        """
+        far = np.abs(distance)
+        flipped = np.isfinite(flip) & ~(rest < flip)
+        rested = np.isfinite(rest) & ~flipped
+        out = np.full(np.shape(distance), Outcome.OTHER, dtype=np.int8)
+        out[rested & (far <= self.long)] = Outcome.NEAR
+        out[rested & (far <= self.short)] = Outcome.SHORT
+        out[flipped & (far <= self.long)] = Outcome.FLIPPED
+        out[np.asarray(lost)] = Outcome.LOST
+        return out

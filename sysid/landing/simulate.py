@@ -1,0 +1,260 @@
+"""Landings in time: one with everything that happens, or many side by side with what became of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.gear.model import simulate, simulate_population
+from sysid.gear.propulsion import Propulsion
+from sysid.gear.trajectories import Drops, EventKind, GearTrajectory, Status
+from sysid.landing.controllers import Controller
+from sysid.landing.drone import Drone
+from sysid.landing.motors import Motors
+from sysid.landing.outcomes import Outcome, Rules
+from sysid.landing.scenario import Scenario, along_slope, slopes_of
+
+FloatArray = NDArray[np.float64]
+
+# Bound of the weighted rms error per step. Landings bounce and are chaotic near the borders between classes:
+# `sysid.landing.maps` repeats a map with half of it and marks the cells that change.
+LANDING_TOLERANCE = 1e-4
+# An accelerometer averages over its sample.
+_GRAVITY = np.array([0.0, 1.0])
+_FAILED = (Status.STEP_COLLAPSED, Status.TOO_EXPENSIVE, Status.BLEW_UP)
+
+
+@dataclass(frozen=True, eq=False)
+class Landings:
+    """What became of many landings, one entry each.
+
+    Parameters
+    ----------
+    outcome : (n,) int8 array
+        `Outcome` codes.
+    distance : (n,) array
+        Displacement of the body's centre of mass down the slope from touchdown to rest, flip or the horizon
+        [m].
+    time : (n,) array
+        From touchdown until it came to rest [s], NaN where it did not.
+    flip : (n,) array
+        When it flipped [s], NaN where it did not.
+    trigger : (n,) array
+        When the controller began [s], NaN where it never did.
+    second_impact : (n,) array
+        First touchdown of the front foot [s], NaN where it never came.
+    second_impact_state : (n, 6) array
+        x_B, z_B, q_B and rates then, frame N [m, rad, s].
+    status : (n,) int8 array
+        `sysid.gear.trajectories.Status` codes.
+    """
+
+    outcome: NDArray[np.int8]
+    distance: FloatArray
+    time: FloatArray
+    flip: FloatArray
+    trigger: FloatArray
+    second_impact: FloatArray
+    second_impact_state: FloatArray
+    status: NDArray[np.int8]
+
+
+@dataclass(frozen=True, eq=False)
+class Landing:
+    """One landing with its history.
+
+    Parameters
+    ----------
+    drone, scenario, controller, rules
+        What was simulated.
+    trajectory : GearTrajectory
+        State, forces, thrust and events from touchdown to the horizon.
+    outcome : Outcome
+        By `rules`.
+    distance, time, trigger : float
+        As in `Landings`.
+    """
+
+    drone: Drone
+    scenario: Scenario
+    controller: Controller
+    rules: Rules
+    trajectory: GearTrajectory
+    outcome: Outcome
+    distance: float
+    time: float
+    trigger: float
+
+
+def land_many(
+    drone: Drone,
+    scenarios: Sequence[Scenario],
+    controller: Controller,
+    *,
+    rules: Rules | None = None,
+    tolerance: float = LANDING_TOLERANCE,
+    threads: int | None = None,
+    motors: Motors | None = None,
+) -> Landings:
+    """Simulate one drone's landings until each is at rest, flipped or over.
+
+    The numbers do not depend on the number of threads, nor on what else is simulated.
+
+    Parameters
+    ----------
+    drone : Drone
+    scenarios : sequence of Scenario
+        n touchdowns.
+    controller : Controller
+    rules : Rules, optional
+        When a landing is over; the defaults without.
+    tolerance : float
+        Bound of the weighted rms error of the rates per step.
+    threads : int, optional
+        All cores by default.
+    motors : Motors, optional
+        Thrust histories of this drone that were computed before.
+    """
+    own = rules or Rules()
+    source = motors or Motors(drone, controller.ideal_reversal)
+    triggers = _triggers(drone, scenarios, controller, source, own, tolerance, threads)
+    thrust = _propulsions(source, controller, triggers, own)
+    return run(drone, scenarios, thrust, triggers, own, tolerance, threads)
+
+
+def run(
+    drone: Drone,
+    scenarios: Sequence[Scenario],
+    thrust: Propulsion | Sequence[Propulsion],
+    triggers: FloatArray,
+    rules: Rules,
+    tolerance: float,
+    threads: int | None = None,
+) -> Landings:
+    """Simulate landings whose thrust is known already; see `land_many`."""
+    starts = np.array([one.start(drone) for one in scenarios])
+    slopes = slopes_of(scenarios)
+    clock = np.array([0.0, rules.horizon])
+    drops = Drops(slopes, starts, [clock] * len(slopes), thrust)
+    found = simulate_population(
+        drone.row, drops, surface=drone.surface, tolerance=tolerance, threads=threads, end_early=True
+    )
+    status = found.status[0]
+    distance = along_slope(found.end_state[0], slopes) - along_slope(starts, slopes)
+    rest = np.where(np.isfinite(triggers), found.rest[0], np.nan)
+    return Landings(
+        outcome=rules.classes(distance, rest, found.flip[0], np.isin(status, _FAILED)),
+        distance=distance,
+        time=rest,
+        flip=found.flip[0],
+        trigger=triggers,
+        second_impact=found.first_contact[0, :, 1],
+        second_impact_state=found.contact_state[0, :, 1],
+        status=status,
+    )
+
+
+def land(
+    drone: Drone,
+    scenario: Scenario,
+    controller: Controller,
+    *,
+    rules: Rules | None = None,
+    tolerance: float = LANDING_TOLERANCE,
+    rate: float = 1000.0,
+) -> Landing:
+    """Simulate one landing to the horizon and keep its history.
+
+    Parameters
+    ----------
+    drone, scenario, controller, rules, tolerance
+        As in `land_many`.
+    rate : float
+        Samples per second of the history [Hz].
+    """
+    own = rules or Rules()
+    motors = Motors(drone, controller.ideal_reversal)
+    triggers = _triggers(drone, [scenario], controller, motors, own, tolerance, 1)
+    (thrust,) = _propulsions(motors, controller, triggers, own)
+    clock = np.arange(round(own.horizon * rate) + 1) / rate
+    trajectory = simulate(
+        drone.row, scenario.slope, scenario.start(drone), clock,
+        surface=drone.surface, tolerance=tolerance, propulsion=thrust,
+    )  # fmt: skip
+    first = {event.kind: event.time for event in reversed(trajectory.events)}
+    rest = first.get(EventKind.REST, math.nan) if math.isfinite(triggers[0]) else math.nan
+    flip = first.get(EventKind.FLIP, math.nan)
+    over = min(flip if math.isfinite(flip) else math.inf, rest + own.rest_time if rest == rest else math.inf)
+    down = along_slope(trajectory.state, scenario.slope)
+    known = np.isfinite(down)
+    distance = float(np.interp(over, clock[known], down[known]) - down[0])
+    lost = np.array(trajectory.status in _FAILED)
+    code = own.classes(np.array(distance), np.array(rest), np.array(flip), lost)
+    return Landing(
+        drone, scenario, controller, own, trajectory, Outcome(int(code)), distance, rest, float(triggers[0])
+    )
+
+
+def _propulsions(
+    motors: Motors, controller: Controller, triggers: FloatArray, rules: Rules
+) -> list[Propulsion]:
+    """Return the thrust of every landing; those that trigger at touchdown share one."""
+    shared: dict[float, Propulsion] = {}
+    late = rules.horizon + 1.0  # for a trigger that never comes
+    for begins in np.where(np.isfinite(triggers), triggers, late).tolist():
+        if begins not in shared:
+            shared[begins] = motors.propulsion(controller.steps, begins)
+    return [shared[begins] for begins in np.where(np.isfinite(triggers), triggers, late).tolist()]
+
+
+def _triggers(
+    drone: Drone,
+    scenarios: Sequence[Scenario],
+    controller: Controller,
+    motors: Motors,
+    rules: Rules,
+    tolerance: float,
+    threads: int | None,
+) -> FloatArray:
+    """Return when the controller begins in each landing [s], NaN where nothing triggers it.
+
+    Landings begin at touchdown. The drone's own sensing looks at what happens with the motors hovering on.
+    """
+    if controller.sensing is None:
+        return np.zeros(len(scenarios))
+    sensing = controller.sensing
+    clock = np.arange(round(rules.horizon * sensing.rate) + 1) / sensing.rate
+    hovering = motors.propulsion(controller.steps, rules.horizon + 1.0)
+    starts = np.array([one.start(drone) for one in scenarios])
+    drops = Drops(slopes_of(scenarios), starts, [clock] * len(scenarios), hovering)
+    found = simulate_population(drone.row, drops, surface=drone.surface, tolerance=tolerance, threads=threads)
+    states = found.samples[0].reshape(len(scenarios), len(clock), 6)
+    return np.array([sensing.trigger(specific_force(one, sensing.rate, drone)) for one in states])
+
+
+def specific_force(states: FloatArray, rate: float, drone: Drone) -> FloatArray:
+    """Return what an accelerometer at the body's centre of mass reads (n, 2) [m/s²], along ex and ez of it.
+
+    Parameters
+    ----------
+    states : (n, 6) array
+        x_B, z_B, q_B and rates, sampled at `rate`; one that is NaN reads as hovering.
+    rate : float
+        [Hz].
+    drone : Drone
+        Whose gravity it is.
+
+    Notes
+    -----
+    Each reading is the mean over the sample before it, ``Δv/Δt + g``, in the axes of the body; the first is
+    hovering flight.
+    """
+    gravity = drone.value("gravity")
+    push = np.vstack([np.zeros(2), np.diff(states[:, 3:5], axis=0) * rate]) + gravity * _GRAVITY
+    c, s = np.cos(states[:, 2]), np.sin(states[:, 2])
+    read = np.column_stack([c * push[:, 0] - s * push[:, 1], s * push[:, 0] + c * push[:, 1]])
+    return np.where(np.isfinite(read), read, gravity * _GRAVITY)
