@@ -176,6 +176,20 @@ def show(
     print_sets(fit, json)
 
 
+@app.command("static-limits")
+def static_limits(
+    sets: Annotated[Path, typer.Argument(help="Gear fit folder or parameter-set file.", show_default=False)],
+    thrust: Annotated[
+        list[float] | None, typer.Option(help="Reverse thrust [N]; repeat it.", show_default="0 and 12")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Print the steepest slope on which each set's drone stays, its legs rigid and as fitted."""
+    from sysid.pipelines.static_limits import print_static_limits
+
+    print_static_limits(sets, thrust or [0.0, 12.0], json)
+
+
 @app.command("reversal-time")
 def reversal_time(
     logs: Annotated[list[Path], typer.Argument(help="Bench logs with reversals.", show_default=False)],

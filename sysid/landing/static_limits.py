@@ -1,0 +1,370 @@
+"""The steepest slope on which a drone stays: closed forms for rigid legs, and a slow ramp with its own legs.
+
+A drone that stands with both feet on a slope leaves it in one of two ways. It slides when friction is used
+up, or it tips over its front feet when the rear ones lose their load. Reverse thrust presses it on: it acts
+against the body's z axis, which stands normal to the slope while the legs are rigid.
+
+Rigid legs
+----------
+With the weight ``W = M g`` of body and legs, reverse thrust ``T > 0`` at the body's centre, friction
+coefficient ``mu``, and ``a`` and ``d`` the distances of the whole's centre of mass from the front feet along
+and normal to the slope::
+
+    slides:  W sin φ = mu (W cos φ + T)               φ = atan mu + asin(mu (T/W)/sqrt(1 + mu²))
+    tips:    W d sin φ = W a cos φ + T dx_f           φ = atan(a/d) + asin((T/W) dx_f/sqrt(a² + d²))
+
+Without thrust and with massless legs these are ``atan mu`` and ``atan(dx_f/dz_f)``. Where an arcsine has no
+value the drone stays on any slope. The low-friction law (8) never holds a drone still: below ``atan mu`` it
+creeps at ``eps_v r/(1 - r)``, ``r = tan φ/mu``, and reaches a given speed earlier than it slides.
+
+Bending legs
+------------
+Legs that bend lower the front and shift the centre of mass over its feet, so the drone tips earlier. There
+is no closed form: the gear's own kernel is taken up a slow ramp. Both legs bend alike and share the force
+along the slope about equally, while the rear one carries ever less weight: its feet slip first. Without
+thrust the drone then settles further until the rear feet lift, whatever the friction; pressed on by thrust it
+goes over as soon as they slip, so there friction decides as well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.errors import CampaignError
+from sysid.gear.model import PARAMETERS, Status, pack, simulate
+from sysid.gear.propulsion import Propulsion
+from sysid.gear.surfaces import Surface, find_surface
+from sysid.integrate.piecewise import PiecewiseCubic
+
+FloatArray = NDArray[np.float64]
+How = Literal["slides", "tips", "stays"]
+
+VERTICAL = math.pi / 2
+
+# A stair of the ramp, and the width to which the last one is halved [rad].
+_STAIR = math.radians(1.0)
+_WIDTH = math.radians(0.02)
+# On a stair the drone settles in pieces of this length [s] until it stands, at most so many of them.
+_PIECE = 0.25
+_PIECES = 24
+# It stands when the body is slower than this [m/s, rad/s] ...
+_STILL = 2e-3
+_STILL_TURN = 2e-2
+# ... and has fallen when it has turned, from the slope, by more than this [rad].
+_FALLEN = math.radians(60.0)
+# Slip at which the law (8) has reached 99.8 % of its limit, over eps_v [1].
+_FULL_SLIP = 500.0
+# Above this much slip a drone on the ramp has run away [m/s].
+_RUNS = 0.5
+# The kernel's bound per step: stiff legs ring, and near the limit a small force decides.
+_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class StaticLimit:
+    """The steepest slope on which a drone stays.
+
+    Parameters
+    ----------
+    slope : float
+        [rad], at most 90 deg.
+    how : {"slides", "tips", "stays"}
+        What happens beyond it; "stays": nothing up to 90 deg.
+    """
+
+    slope: float
+    how: How
+
+
+@dataclass(frozen=True)
+class RigidLimits:
+    """Closed forms for rigid legs.
+
+    Parameters
+    ----------
+    slide, tip : float
+        Slopes at which the drone slides and tips [rad]; 90 deg where it never does.
+    creep : float
+        On a surface that never sticks: slope at which it creeps at the speed that was asked for [rad];
+        elsewhere the slide limit.
+    """
+
+    slide: float
+    tip: float
+    creep: float
+
+    @property
+    def first(self) -> StaticLimit:
+        """The lower of the two."""
+        if min(self.slide, self.tip) >= VERTICAL:
+            return StaticLimit(VERTICAL, "stays")
+        return StaticLimit(self.slide, "slides") if self.slide < self.tip else StaticLimit(self.tip, "tips")
+
+
+def slide_limit(friction: float, thrust_ratio: float = 0.0) -> float:
+    """Return the slope [rad] at which a rigid drone slides, 0 to 90 deg.
+
+    Parameters
+    ----------
+    friction : float
+        Coefficient mu [1].
+    thrust_ratio : float
+        Reverse thrust over weight [1]; negative lifts.
+    """
+    return _limit(friction, 1.0, friction * thrust_ratio)
+
+
+def tip_limit(distance: float, height: float, thrust_ratio: float = 0.0, lever: float | None = None) -> float:
+    """Return the slope [rad] at which a rigid drone tips over its front feet, 0 to 90 deg.
+
+    Parameters
+    ----------
+    distance, height : float
+        Of the whole's centre of mass from the front feet, along and normal to the slope [m].
+    thrust_ratio : float
+        Reverse thrust over weight [1]; negative lifts.
+    lever : float, optional
+        Distance of the thrust from the front feet along the slope [m]; `distance` by default.
+    """
+    return _limit(distance, height, thrust_ratio * (distance if lever is None else lever))
+
+
+def _limit(along: float, normal: float, pressed: float) -> float:
+    """Return the root of ``normal sin φ = along cos φ + pressed`` in 0 to 90 deg."""
+    ratio = pressed / math.hypot(along, normal)
+    if ratio >= 1.0:
+        return VERTICAL
+    if ratio <= -1.0:
+        return 0.0
+    return min(max(math.atan2(along, normal) + math.asin(ratio), 0.0), VERTICAL)
+
+
+def rigid_limits(
+    gear: Mapping[str, float],
+    surface: str | Surface,
+    reverse_thrust: float = 0.0,
+    *,
+    creep_speed: float = 0.05,
+) -> RigidLimits:
+    """Return the closed forms for a set of the gear.
+
+    Parameters
+    ----------
+    gear : mapping
+        By name, as in `sysid.gear.model.PARAMETERS` [SI].
+    surface : str or Surface
+        Its friction law: the static coefficient counts where feet stick, the kinetic one elsewhere.
+    reverse_thrust : float
+        Sum over all motors [N]; negative lifts.
+    creep_speed : float
+        For `RigidLimits.creep` [m/s]; 0.05 m/s is the speed below which a landing is at rest.
+    """
+    own = find_surface(surface)
+    p = _Rig.of(gear, own, reverse_thrust)
+    kinetic, static = _friction(p.values, own)
+    creep = slide = slide_limit(static, p.ratio)
+    if not own.switching and "slip_regularization" in own.reads:
+        share = creep_speed / (creep_speed + p.values["slip_regularization"])
+        creep = slide_limit(kinetic * share, p.ratio)
+    return RigidLimits(slide, tip_limit(p.distance, p.height, p.ratio, p.values["foot_dx"]), creep)
+
+
+def ramp_limit(gear: Mapping[str, float], surface: str | Surface, reverse_thrust: float = 0.0) -> StaticLimit:
+    """Take a drone with its own, bending legs up a slow ramp until it slides or tips.
+
+    Parameters
+    ----------
+    gear, surface, reverse_thrust : as in `rigid_limits`
+
+    Returns
+    -------
+    StaticLimit
+        Within 0.02 deg for this path: set down on level ground under the thrust, then tilted.
+
+    Raises
+    ------
+    CampaignError
+        When the drone does not even stand on level ground, or the thrust lifts it.
+
+    Notes
+    -----
+    The ramp climbs in stairs of 1 deg; on each the drone settles, and the stair on which it leaves is halved
+    down to 0.02 deg. Dampers do not move an equilibrium, so they are raised to about critical: the drone
+    settles within a fraction of a second instead of ringing. Feet are slipping when a stair begins, so the
+    kinetic coefficient decides whether they hold. A drone that is put on a slope at once, or lands on it,
+    overshoots and tips earlier. On a surface that never sticks the drone creeps
+    on every stair; there the slide limit is the slope on which a drone that slides, fast enough for the whole
+    friction, no longer slows down.
+    """
+    ramp = _Ramp(gear, find_surface(surface), reverse_thrust)
+    below, above, how = ramp.climb()
+    if not ramp.surface.switching:
+        if how == "slides":
+            above = min(above + 5 * _STAIR, VERTICAL - _WIDTH)
+        if ramp.runs(above if how == "slides" else below):
+            return StaticLimit(ramp.slide(0.0, above if how == "slides" else below), "slides")
+    if how == "stays":
+        return StaticLimit(VERTICAL, "stays")
+    return StaticLimit(0.5 * (below + above), how)
+
+
+def _friction(values: Mapping[str, float], surface: Surface) -> tuple[float, float]:
+    """Kinetic and static coefficient of a surface, from the rows that its law declares."""
+    kinetic = values[surface.reads[0]]
+    return kinetic, kinetic + values[surface.reads[1]] if surface.switching else kinetic
+
+
+@dataclass(frozen=True)
+class _Rig:
+    """What the closed forms need of a set."""
+
+    values: dict[str, float]
+    weight: float
+    ratio: float
+    distance: float
+    height: float
+
+    @classmethod
+    def of(cls, gear: Mapping[str, float], surface: Surface, reverse_thrust: float) -> _Rig:
+        row = pack({name: value for name, value in gear.items() if name in PARAMETERS}, surface)
+        values = dict(zip(PARAMETERS, row.tolist(), strict=True))
+        up, down = values["leg_mass_fraction"], 1.0 - values["leg_mass_fraction"]
+        # A leg's centre of mass at rest: `leg_mass_fraction` of the way from its foot to its joint.
+        out = up * values["joint_dx"] + down * values["foot_dx"]
+        deep = up * values["joint_dz"] + down * values["foot_dz"]
+        rear = values["leg_mass"]
+        front = rear * values["front_leg_mass_ratio"]
+        mass = values["body_mass"] + rear + front
+        weight = mass * values["gravity"]
+        if not (math.isfinite(reverse_thrust) and reverse_thrust > -weight):
+            raise CampaignError(
+                f"static limits: a reverse thrust of {reverse_thrust:g} N on a weight of {weight:.2f} N; "
+                "give a finite thrust that does not lift the drone, positive pressing it down"
+            )
+        return cls(
+            values,
+            weight,
+            reverse_thrust / weight,
+            values["foot_dx"] - (front - rear) * out / mass,
+            values["foot_dz"] - (front + rear) * deep / mass,
+        )
+
+
+class _Ramp:
+    """A drone on a slope that grows slowly; states are (14,), frame N of the slope at hand."""
+
+    def __init__(self, gear: Mapping[str, float], surface: Surface, reverse_thrust: float) -> None:
+        self.surface = surface
+        rig = _Rig.of(gear, surface, reverse_thrust)
+        self.row = pack(_settling(rig.values), surface)
+        half = PiecewiseCubic.constant(-0.5 * reverse_thrust)
+        self.thrust = Propulsion(half, half)
+        self.slip = _FULL_SLIP * rig.values["slip_regularization"]
+        self.stairs: list[tuple[float, FloatArray]] = []
+        level = np.zeros(14)
+        level[1] = rig.values["foot_dz"]
+        span, depth = (rig.values[f"foot_d{a}"] - rig.values[f"joint_d{a}"] for a in "xz")
+        level[[4, 6]] = math.atan2(span, depth)
+        self.level = level
+
+    def climb(self) -> tuple[float, float, How]:
+        """Return a slope on which the drone stands, one on which it does not, and what happens there."""
+        state, how = self._settle(self.level, 0.0)
+        if state is None:
+            raise CampaignError(
+                "static limits: the drone does not stand on level ground; check the stiffness of its legs "
+                "and the thrust"
+            )
+        self.stairs = [(0.0, state)]
+        step, slope = _STAIR, 0.0
+        failed: How = "stays"
+        while step > _WIDTH / 2 and slope + step < VERTICAL:
+            state, how = self._settle(_turned(self.stairs[-1][1], step), slope + step)
+            if state is None:
+                failed = how
+                step *= 0.5
+            else:
+                slope += step
+                self.stairs.append((slope, state))
+                # After the first failure every stair is tried once: this is a bisection.
+                step = step if failed == "stays" else 0.5 * step
+        return slope, slope + 2 * step, failed
+
+    def _settle(self, state: FloatArray, slope: float) -> tuple[FloatArray | None, How]:
+        """Let the drone come to rest on a slope; None and what it did where it does not."""
+        begin = state
+        for _ in range(_PIECES):
+            run = simulate(
+                self.row, slope, None, np.array([0.0, _PIECE]), state=state, surface=self.surface,
+                propulsion=self.thrust, tolerance=_TOLERANCE,
+            )  # fmt: skip
+            if run.status != Status.OK:
+                return None, "tips"
+            before, state = state, run.state[-1]
+            if abs(state[2] - slope) > _FALLEN:
+                return None, "tips"
+            if abs(_along(state[:2] - begin[:2], slope)) > 0.5:
+                return None, "slides"
+            speed = abs(_along(state[7:9], slope))
+            calm = math.hypot(state[7], state[8]) < _STILL and abs(state[9]) < _STILL_TURN
+            # Creep is no motion that settles, but its speed does.
+            slower = speed <= abs(_along(before[7:9], slope)) + _STILL and speed < _RUNS
+            creeps = not self.surface.switching and slower and abs(state[9]) < _STILL_TURN
+            if calm or creeps:
+                still = state.copy()
+                still[7:] = 0.0
+                return still, "stays"
+        return None, "slides" if speed > _RUNS / 10 else "tips"
+
+    def runs(self, slope: float) -> bool:
+        """Whether a drone that slides down a slope fast enough for the whole friction gets faster."""
+        near, state = min(self.stairs, key=lambda stair: abs(stair[0] - slope))
+        state = _turned(state, slope - near)
+        state[7:9] = self.slip * math.cos(slope), -self.slip * math.sin(slope)
+        run = simulate(
+            self.row, slope, None, np.array([0.0, _PIECE, 2 * _PIECE]), state=state, surface=self.surface,
+            propulsion=self.thrust, tolerance=_TOLERANCE,
+        )  # fmt: skip
+        gained = _along((run.state[2] - run.state[1])[7:9], slope)
+        return bool(gained > 0.0)
+
+    def slide(self, below: float, above: float) -> float:
+        """Return the slope [rad] at which `runs` changes."""
+        while above - below > _WIDTH:
+            middle = 0.5 * (below + above)
+            below, above = (below, middle) if self.runs(middle) else (middle, above)
+        return 0.5 * (below + above)
+
+
+def _settling(values: Mapping[str, float]) -> dict[str, float]:
+    """Return a set with the same equilibria, whose dampers are about critical for the body on its legs."""
+    mass, inertia = 0.5 * values["body_mass"], 0.5 * values["body_inertia"]
+    inertia += mass * values["foot_dz"] ** 2
+    damper = {
+        "leg_axial_damping": math.sqrt(values["leg_axial_stiffness"] * mass),
+        "leg_bending_damping": math.sqrt(values["leg_bending_stiffness"] * inertia),
+        # Of the foot alone, which bounces on the ground without the body.
+        "ground_damping": math.sqrt(values["ground_stiffness"] * values["leg_mass"]),
+    }
+    return dict(values) | {name: max(values[name], value) for name, value in damper.items()}
+
+
+def _along(vector: FloatArray, slope: float) -> float:
+    """Component of (x, z) down the slope."""
+    return float(vector[0] * math.cos(slope) - vector[1] * math.sin(slope))
+
+
+def _turned(state: FloatArray, angle: float) -> FloatArray:
+    """Return a state turned about the origin together with its slope."""
+    turned = state.copy()
+    c, s = math.cos(angle), math.sin(angle)
+    for k in (0, 7):
+        turned[k : k + 2] = c * state[k] + s * state[k + 1], c * state[k + 1] - s * state[k]
+    turned[2] += angle
+    return turned

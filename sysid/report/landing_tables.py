@@ -1,0 +1,55 @@
+"""Tables of what sets mean for landings: static limits, and what a changed design buys."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+
+def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return static limits as a table, one row per set and thrust.
+
+    Parameters
+    ----------
+    name : str
+        Of the sets.
+    rows : sequence of mapping
+        As `sysid.pipelines.static_limits.SetLimits.document` writes them.
+    """
+    table = plain_table(
+        f"{name}: steepest slope that holds the drone [deg]",
+        "rigid: closed forms for stiff legs (creeps: at 0.05 m/s). own legs: as fitted, on a slow ramp",
+    )
+    creeps = any(row["rigid creep limit [deg]"] < row["rigid slide limit [deg]"] for row in rows)
+    heads = ["set", "thrust [N]", "rigid: slides", "rigid: tips", "own legs", ""]
+    for head in heads[:4] + (["rigid: creeps"] if creeps else []) + heads[4:]:
+        table.add_column(Text(head), justify="left" if not head else "right")
+    for row in rows:
+        cells = [
+            str(row["set"]),
+            f"{row['reverse thrust [N]']:g}",
+            f"{row['rigid slide limit [deg]']:.1f}",
+            f"{row['rigid tip limit [deg]']:.1f}",
+        ]
+        if creeps:
+            cells.append(f"{row['rigid creep limit [deg]']:.1f}")
+        table.add_row(*(Text(cell) for cell in (*cells, f"{row['own legs [deg]']:.1f}", row["own legs"])))
+    return table
+
+
+def plain_table(title: str, caption: str) -> Table:
+    """Return an empty table in the manner of the other ones."""
+    return Table(
+        title=Text(title),
+        caption=Text(caption),
+        title_justify="left",
+        caption_justify="left",
+        header_style="bold",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+    )
