@@ -143,7 +143,7 @@ class LogReversals:
                         }
                         for name, key in _TIMES
                     },
-                    "final thrust [N]": group.reversals[0].final_thrust,
+                    "final thrust [N]": [r.final_thrust for r in group.reversals],
                 }
                 for group in self.groups
             ],

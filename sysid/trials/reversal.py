@@ -27,6 +27,10 @@ DEAD_BAND = 0.05
 SLOW = 1.5
 # The final value is taken over this last part of the hold; a hold shorter than this has none [s].
 _LAST, _LEAST_HOLD = 0.25, 0.2
+# A repetition has settled when the halves of that part agree to the first share of its own value, and the value
+# is at least the second share of the largest: a battery that sags by a fifth keeps 0.64 of the thrust, a rotor
+# that has not started has none.
+_DRIFT, _LEAST_FINAL = 0.1, 0.6
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,7 @@ class Reversal:
     to_level : float
         Until the thrust was 90 % of its final value; NaN: never before the next command.
     final_thrust : float
-        [N], with the sign of `after`.
+        What `to_level` refers to: the repetition's own where it settled [N], with the sign of `after`.
     """
 
     time: float
@@ -93,8 +97,10 @@ def find_reversals(
 
     Notes
     -----
-    The final thrust of a command is the largest that any repetition reached in the last quarter of its
-    hold: a repetition that never gets there must not be measured against itself.
+    The final thrust of a repetition is the mean over the last quarter of its own hold: a supply that sags
+    weakens later repetitions and is no failure of theirs. One that has not settled by then (its halves differ
+    by over 10 %, or it has less than 60 % of the largest) must not be measured against itself; it takes the
+    final thrust of the nearest repetition in time that has.
     """
     ends = np.append(steps.time[1:], float(time[-1]))
     found: list[tuple[float, float, float, float]] = []
@@ -105,18 +111,16 @@ def find_reversals(
             continue
         if sense == "both" or (after < 0) == (sense == "to-reverse"):
             found.append((float(steps.time[i]), before, after, hold))
-    finals = {after: _final(found, after, thrust) for after in {f[2] for f in found}}
     signed = speed is not None and speed[1].size > 0 and float(np.min(speed[1])) < 0 < float(np.max(speed[1]))
     signal = speed if signed and speed is not None else thrust
-    scales = {after: _final(found, after, signal) for after in finals}
+    finals, scales = _finals(found, thrust), _finals(found, signal)
     out = []
-    for start, before, after, hold in found:
+    for (start, before, after, hold), final, scale in zip(found, finals, scales, strict=True):
         sign = 1.0 if after > 0 else -1.0
-        final = finals[after]
         t, values = _part(thrust, start, start + hold)
         reached = _first(t, sign * values, level * final) if final > 0 else float("nan")
         t, values = _part(signal, start, start + hold)
-        band = dead_band * scales[after]
+        band = dead_band * scale
         zero = _first(t, sign * values, 0.0)
         entered, left = _first(t, sign * values, -band), _first(t, sign * values, band)
         out.append(
@@ -130,18 +134,33 @@ def _part(signal: tuple[FloatArray, FloatArray], start: float, end: float) -> tu
     return signal[0][inside], signal[1][inside]
 
 
-def _final(
-    found: Sequence[tuple[float, float, float, float]], after: float, signal: tuple[FloatArray, FloatArray]
-) -> float:
-    """Return the largest mean over the last quarter of the holds at `after`, positive along it; NaN: none."""
-    sign = 1.0 if after > 0 else -1.0
-    means = []
-    for start, _, level, hold in found:
-        if level == after:
-            _, values = _part(signal, start + (1.0 - _LAST) * hold, start + hold)
-            if values.size:
-                means.append(sign * float(np.mean(values)))
-    return max(means, default=float("nan"))
+def _finals(
+    found: Sequence[tuple[float, float, float, float]], signal: tuple[FloatArray, FloatArray]
+) -> list[float]:
+    """Return the final value of every reversal, positive along its command; NaN where no repetition has one."""
+    own, drift = np.full(len(found), np.nan), np.zeros(len(found))
+    for i, (start, _, after, hold) in enumerate(found):
+        _, values = _part(signal, start + (1.0 - _LAST) * hold, start + hold)
+        if values.size:
+            own[i] = np.sign(after) * float(np.mean(values))
+            half = values.size // 2
+            # Two samples of a slow sensor say nothing about a drift.
+            if half > 1:
+                drift[i] = abs(float(np.mean(values[half:])) - float(np.mean(values[:half])))
+    times, levels = np.array([f[0] for f in found]), np.array([f[2] for f in found])
+    out = []
+    for i in range(len(found)):
+        same = np.flatnonzero((levels == levels[i]) & np.isfinite(own))
+        if not same.size:
+            out.append(float("nan"))
+            continue
+        largest = float(np.max(own[same]))
+        settled = same[(own[same] >= _LEAST_FINAL * largest) & (drift[same] <= _DRIFT * own[same])]
+        if not settled.size:
+            out.append(largest)
+            continue
+        out.append(float(own[settled[np.argmin(np.abs(times[settled] - times[i]))]]))
+    return out
 
 
 def _first(time: FloatArray, values: FloatArray, threshold: float) -> float:

@@ -56,6 +56,58 @@ def test_a_controller_that_fails_half_of_the_time_has_outliers():
     assert group.reversals[2].final_thrust == pytest.approx(-1.0)
 
 
+def _sagging(failed=()):
+    """Ten reversals of a motor on a battery that loses 10 % of its voltage; some leave rest 0.5 s late."""
+    count, hold = 10, 1.0
+    instants = np.arange(2 * count + 1) * hold
+    levels = np.where(np.arange(2 * count + 1) % 2, -1.0, 0.62)
+    time = np.arange(0.0, instants[-1] + hold, 1e-3)
+    volts = 11.1 * (1.0 - 0.1 * time / time[-1])
+    late = instants.copy()
+    late[[2 * i + 1 for i in failed]] += 0.5
+    run = simulate({}, late, levels, time, initial="steady", voltage=(time, volts))
+    return time, CommandSteps(instants, levels), (time, run.thrust), (time, run.speed)
+
+
+def test_a_battery_that_sags_makes_no_outliers():
+    (group,) = repetitions(find_reversals(*_sagging()))
+    assert group.outliers() == 0
+    each = np.array([r.to_level for r in group.reversals])
+    # A tenth less voltage: a tenth less torque to turn the rotor round, and a tenth less speed to reach.
+    assert np.ptp(each) < 0.1 * each.min()
+    # Thrust goes with the square of the speed, the speed a little slower than the voltage.
+    finals = np.array([r.final_thrust for r in group.reversals])
+    assert np.all(np.diff(finals) > 0)
+    assert finals[-1] / finals[0] == pytest.approx(0.9**1.7, abs=0.04)
+    # By thrust alone as well, where the dead band is read from the thrust.
+    (alone,) = repetitions(find_reversals(*_sagging()[:3]))
+    assert alone.outliers() == 0
+    assert np.all([0 < r.dead_band < 0.15 for r in alone.reversals])
+
+
+def test_outliers_on_a_battery_that_sags_are_found():
+    # 0.2 s or, half of the time, 0.7 s.
+    late = (1, 2, 5, 6, 9)
+    (group,) = repetitions(find_reversals(*_sagging(late)))
+    assert group.outliers() == len(late)
+    assert [i for i, r in enumerate(group.reversals) if r.to_level > 0.5] == list(late)
+
+
+def test_half_of_the_thrust_is_no_final_thrust():
+    # A repetition that stays at -0.5 N of -1 N has not reversed; one that only begins to at the end neither.
+    time, steps, (_, thrust) = _schedule([0.1, 0.1, 0.1])
+    third = (time >= 5.0) & (time < 6.0)
+    weak = np.where(third, np.maximum(thrust, -0.5), thrust)
+    (group,) = repetitions(find_reversals(time, steps, (time, weak)))
+    assert np.isnan(group.reversals[2].to_level)
+    assert group.outliers() == 1
+    creeping = np.where(third, np.where(thrust < 0, -(time - 5.0), thrust), thrust)
+    (group,) = repetitions(find_reversals(time, steps, (time, creeping)))
+    # Its own last quarter means -0.88 N, which it would pass at 0.79 s; it drifts, so -1 N counts.
+    assert group.reversals[2].to_level == pytest.approx(0.9, abs=2e-3)
+    assert group.outliers() == 1
+
+
 def test_dead_band_of_a_simulated_motor():
     time = np.arange(0.0, 1.5, 1e-4)
     found = simulate({"command_delay": 0.01}, [0.0, 0.5], [0.62, -1.0], time, initial="steady")
