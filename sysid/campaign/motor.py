@@ -111,6 +111,12 @@ class MotorCost(Table):
     weights: MotorWeights = MotorWeights()
 
 
+class MotorNuisance(Table):
+    """`[nuisance]`: what a log may be off by on its own, estimated and reported."""
+
+    command_delay: Literal["log", "common"] = "log"
+
+
 class MotorTrial(TrialTable):
     """One log of commands: which way it spins, and its window on the log's own clock."""
 
@@ -129,6 +135,7 @@ class MotorCampaign(CampaignTable):
     log: LogOptions = LogOptions()
     filter: ChebyshevFilter = ChebyshevFilter()
     cost: MotorCost = MotorCost()
+    nuisance: MotorNuisance = MotorNuisance()
     fit: FitTable = FitTable(population=200)
     trials: tuple[MotorTrial, ...]
 

@@ -115,13 +115,15 @@ def _advance(speed, target, duration, rise, fall):
 
 @njit(cache=True, error_model="numpy", parallel=True)
 def _population(
-    rows, command_time, command, command_first, supply_time, supply_ratio, supply_first, time, first, out
-):
+    rows, delays, command_time, command, command_first, supply_time, supply_ratio, supply_first, time, first,
+    out,
+):  # fmt: skip
     n_trials = first.size - 1
     for job in prange(rows.shape[0] * n_trials):
         i = job // n_trials
         j = job % n_trials
         row = rows[i]
+        delay = row[_DELAY] + delays[i, j]
         instants = command_time[command_first[j] : command_first[j + 1]]
         levels = command[command_first[j] : command_first[j + 1]]
         knots = supply_time[supply_first[j] : supply_first[j + 1]]
@@ -134,8 +136,8 @@ def _population(
             while near + 1 < knots.size and knots[near + 1] <= end:
                 near += 1
             ratio = ratios[near]
-            while at + 1 < instants.size and instants[at + 1] + row[_DELAY] <= end:
-                turn = max(t, instants[at + 1] + row[_DELAY])
+            while at + 1 < instants.size and instants[at + 1] + delay <= end:
+                turn = max(t, instants[at + 1] + delay)
                 if m > first[j]:
                     speed = _advance(speed, _steady(levels[at], row) * ratio, turn - t, row[0], row[1])
                     t = turn
@@ -149,7 +151,7 @@ def _population(
             out[i, m, 1] = speed
 
 
-def simulate_lag(rows: FloatArray, trials: MotorTrials) -> FloatArray:
+def simulate_lag(rows: FloatArray, trials: MotorTrials, delays: FloatArray | None = None) -> FloatArray:
     """Simulate every candidate on every trial.
 
     Parameters
@@ -157,6 +159,8 @@ def simulate_lag(rows: FloatArray, trials: MotorTrials) -> FloatArray:
     rows : (P, 16) array
         In the order of `PARAMETERS` [SI].
     trials : MotorTrials
+    delays : (P, n_trials) array, optional
+        Added to ``command_delay`` per candidate and trial [s].
 
     Returns
     -------
@@ -165,8 +169,9 @@ def simulate_lag(rows: FloatArray, trials: MotorTrials) -> FloatArray:
     """
     rows = np.ascontiguousarray(rows, dtype=np.float64)
     out = np.empty((len(rows), trials.time.size, 2))
+    shifts = np.zeros((len(rows), len(trials))) if delays is None else np.ascontiguousarray(delays)
     _population(
-        rows, trials.command_time, trials.command, trials.command_first, trials.supply_time,
+        rows, shifts, trials.command_time, trials.command, trials.command_first, trials.supply_time,
         trials.supply_ratio, trials.supply_first, trials.time, trials.first, out,
     )  # fmt: skip
     return out

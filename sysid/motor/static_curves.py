@@ -8,7 +8,7 @@ that settled late) loses weight instead of bending it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -62,6 +62,19 @@ class CurveFit:
         return {
             f"{self.quantity}_{name}_{self.direction}": value
             for name, value in zip(names, self.coefficients, strict=True)
+        }
+
+    def document(self) -> dict[str, Any]:
+        """Return the fit as a result states it."""
+        return {
+            "quantity": self.quantity,
+            "direction": self.direction,
+            "coefficients": list(self.coefficients),
+            "standard errors": list(self.standard_errors),
+            "units": list(self.units),
+            "R²": self.r_squared,
+            "points": self.points,
+            "outliers": self.outliers,
         }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from sysid.campaign import MotorCampaign
 from sysid.campaign.motor import MotorTrial as TrialEntry
 from sysid.errors import FitError, LogError, SysidWarning
-from sysid.motor.static_curves import CurveFit, fit_no_load_line, fit_speed_curve
+from sysid.motor.static_curves import OUTLIER, CurveFit, fit_no_load_line, fit_speed_curve
 from sysid.pipelines.bench_logs import BenchLog, bench_log, command_range, log_points, read_log
 from sysid.trials.steady import SETTLE, SteadyPoints
 from sysid.trials.thrust import (
@@ -79,17 +80,49 @@ class NoLoadTie:
 
     Parameters
     ----------
-    speed, torque : (2,) arrays
-        Slope and intercept of the least-squares lines of Ω [rad/s] and of τ [N·m] over u, at V_ref.
+    columns : (n, 2) array
+        u and sign(u) of the points, times V/V_ref.
+    points : (n, 2) array
+        Their loaded speed Ω [rad/s] and drag τ [N·m].
     """
 
-    speed: FloatArray
-    torque: FloatArray
+    columns: FloatArray
+    points: FloatArray
+
+    @cached_property
+    def speed(self) -> FloatArray:
+        """(2,) slope and intercept of the least-squares line of Ω over u, at V_ref [rad/s]."""
+        return np.asarray(np.linalg.lstsq(self.columns, self.points[:, 0], rcond=None)[0])
+
+    @cached_property
+    def torque(self) -> FloatArray:
+        """(2,) the same of τ [N·m]."""
+        return np.asarray(np.linalg.lstsq(self.columns, self.points[:, 1], rcond=None)[0])
 
     def line(self, drop: FloatArray, damping: FloatArray) -> FloatArray:
         """Return slope and intercept (P, 2) of Ω_0 for R/(k_m k_v) (P,) [rad/s per N·m] and k_d (P,)."""
         loaded = (1.0 + drop * damping)[:, None] * self.speed
         return np.asarray(loaded + drop[:, None] * self.torque, dtype=np.float64)
+
+    def fit(self, direction: Direction, drop: float, damping: float) -> CurveFit:
+        """Return the line at one R/(k_m k_v) and k_d, and how well the points lie on it.
+
+        The standard errors are those of the points; an error of R moves all points together and is not in
+        them.
+        """
+        line = self.line(np.array([drop]), np.array([damping]))[0]
+        lifted = self.points[:, 0] + drop * (self.points[:, 1] + damping * self.points[:, 0])
+        residual = lifted - self.columns @ line
+        total = float(np.sum((lifted - lifted.mean()) ** 2))
+        left = float(residual @ residual)
+        spread = left / max(residual.size - 2, 1)
+        errors = np.sqrt(np.diag(spread * np.linalg.inv(self.columns.T @ self.columns)))
+        sigma = float(np.median(np.abs(residual))) / 0.6745
+        return CurveFit(
+            "no_load", direction, (float(line[0]), float(line[1])), (float(errors[0]), float(errors[1])),
+            ("rad/s", "rad/s"), 1.0 - left / total if total > 0 else float("nan"), residual.size,
+            int(np.count_nonzero(np.abs(residual) > OUTLIER * sigma)),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +141,7 @@ class StaticCurves:
     """
 
     fits: tuple[CurveFit, ...]
-    ties: dict[str, NoLoadTie]
+    ties: dict[Direction, NoLoadTie]
     reference_voltage: float
     loaded: dict[str, SteadyPoints]
 
@@ -130,7 +163,7 @@ def static_curves(
     wanted = [d for d in DIRECTIONS if d in turning or "reversal" in turning]
     own = SteadyPoints.join([log_points(log) for log in logs]) if logs else None
     fits: list[CurveFit] = []
-    ties: dict[str, NoLoadTie] = {}
+    ties: dict[Direction, NoLoadTie] = {}
     loaded: dict[str, SteadyPoints] = {}
     for direction in wanted:
         parts = [
@@ -181,6 +214,4 @@ def _tie(direction: Direction, points: SteadyPoints, torque: CurveFit, reference
             f"no-load speed, {direction}: steady points at {np.unique(u).size} different commands; expected "
             "at least 3, or a log without propeller under curves.no_load"
         )
-    return NoLoadTie(
-        np.linalg.lstsq(columns, speed, rcond=None)[0], np.linalg.lstsq(columns, drag, rcond=None)[0]
-    )
+    return NoLoadTie(columns, np.column_stack([speed, drag]))

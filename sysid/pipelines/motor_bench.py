@@ -14,7 +14,9 @@ from sysid.errors import CampaignError, SysidWarning
 from sysid.motor.model import FREE_DEFAULT, PARAMETERS
 from sysid.parameters import SearchSpace
 from sysid.pipelines.bench_curves import StaticCurves, static_curves
-from sysid.pipelines.bench_logs import BenchLog, PreparedTrial, bench_log, prepare_trial
+from sysid.pipelines.bench_logs import BenchLog, bench_log
+from sysid.pipelines.bench_targets import PreparedTrial, prepare_trial
+from sysid.pipelines.motor_delays import with_log_delays
 
 # Full duty of an unloaded motor turns at V_ref/k_v; steady loaded speed extrapolated to u = 1 falls short of
 # that by about this factor. Only a start for motors of unknown Kv: no result depends on it but the scale.
@@ -53,6 +55,12 @@ class Bench:
     def fitted(self) -> tuple[PreparedTrial, ...]:
         """Trials of the dynamic fit: use "fit", and no reversal."""
         return tuple(t for t in self.trials if in_search(t))
+
+    @property
+    def banded(self) -> tuple[PreparedTrial, ...]:
+        """Trials that show the dead band: reversals of use "fit", or else fitted starts from rest."""
+        reversals = [t for t in self.trials if t.entry.use == "fit" and t.entry.direction == "reversal"]
+        return tuple(reversals) or tuple(t for t in self.fitted if t.starts)
 
 
 def in_search(trial: PreparedTrial) -> bool:
@@ -174,8 +182,9 @@ def untested_rows(campaign: MotorCampaign, bench: Bench) -> tuple[str, ...]:
 def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
     """Return what the dynamic fit frees: the campaign's, or R, L and k_d, and what its logs need beside them.
 
-    The rotor's inertia is free where it was not measured; the command delay always, and the torque sensor's
-    delay and lag where a trial is a slow log, unless the campaign fixes them. k_d is free by default only
+    The rotor's inertia is free where it was not measured; the command delay always, one per log where there
+    are several, and the torque sensor's delay and lag where a trial is a slow log, unless the campaign fixes
+    them. k_d is free by default only
     where a log without propeller gives Ω_0: with Ω_0 from loaded points,
     (k²/R, k_d, Ω_0) → (k²/R + c, k_d − c, Ω_0 (k²/R)/(k²/R + c)) changes nothing as L → 0.
 
@@ -221,7 +230,12 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
             SysidWarning,
             stacklevel=2,
         )
-    choices = choices.model_copy(update={"free": chosen})
+    # Bounds of the dead band belong to the second stage.
+    bounds = {name: pair for name, pair in choices.bounds.items() if name not in SATURATION}
+    choices = choices.model_copy(update={"free": chosen, "bounds": bounds})
     # A guess need not lie between the bounds of what is freed; a measurement must.
     values = {n: value for n, value in bench.values.items() if n not in chosen or n in bench.measured}
-    return choices.search_space(PARAMETERS, FREE_DEFAULT, values)
+    space = choices.search_space(PARAMETERS, FREE_DEFAULT, values)
+    if campaign.nuisance.command_delay == "common":
+        return space
+    return with_log_delays(space, bench.fitted, bench.banded)

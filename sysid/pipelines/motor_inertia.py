@@ -17,7 +17,8 @@ from scipy.signal import lfilter
 
 from sysid.filters import ChebyshevLowpass
 from sysid.motor.model import aerodynamic_torque
-from sysid.pipelines.bench_logs import BenchLog, uniform_filtered
+from sysid.pipelines.bench_logs import BenchLog
+from sysid.pipelines.bench_targets import uniform_filtered
 
 FloatArray = NDArray[np.float64]
 

@@ -2,9 +2,10 @@
 
     first-order lag → equations (1-3) without L → full → full with saturation
 
-Every rung is fitted to the same forward and reverse trials. The lower rungs take one short search of their
-own, the full model comes from the fit's runs; rungs below the last are scored without a dead band. Judge a
-step by its held-out columns: an inductance is not real because a search returned one.
+Every rung is fitted to the same forward and reverse trials by the same search: one run of one population with
+the same finisher, stop rule and seed. The fit's own sets, found with more, take no part. Rungs below the last
+are scored without a dead band, which only starts from rest and reversals show. Judge a step by its held-out
+columns: an inductance is not real because a search returned one.
 """
 
 from __future__ import annotations
@@ -21,28 +22,32 @@ from sysid.fit.engine import SearchSettings, run_one
 from sysid.fit.history import RunHistory
 from sysid.fit.objective import Evaluation, Objective
 from sysid.motor import lag
-from sysid.motor.model import PARAMETERS
 from sysid.motor.population import MotorTrials
-from sysid.parameters import SearchSpace
+from sysid.parameters import ParameterTable, SearchSpace
 from sysid.pipelines.bench_curves import StaticCurves
-from sysid.pipelines.bench_logs import PreparedTrial
-from sysid.pipelines.motor_bench import Bench
-from sysid.pipelines.motor_cost import CHANNELS, MotorCost
-from sysid.pipelines.motor_objective import MotorObjective
+from sysid.pipelines.bench_targets import PreparedTrial
+from sysid.pipelines.motor_bench import SATURATION, Bench
+from sysid.pipelines.motor_cost import CHANNELS, MotorCost, MotorTarget
+from sysid.pipelines.motor_delays import averaged, own_rows, shifts
+from sysid.pipelines.motor_objective import MotorObjective, ties_of
 
 FloatArray = NDArray[np.float64]
 
-# The rungs below the full model have three to six parameters.
+# Of every rung's search; they have two to some ten parameters.
 _POPULATION = 40
+# Compared instants below which a group of samples has no NRMSE.
+_LEAST = 10
 # Rises within a thousandth of any step that a log shows.
 _NO_INDUCTANCE = 1e-8
 _SENSORS = ("torque_sensor_delay", "torque_sensor_lag", "speed_sensor_lag")
-# Groups of trials, in the order of the table: (use, reversal) and its name.
+# What is scored, in the order of the table: (use, part of a trial) and its name.
 GROUPS = {
-    ("fit", False): "fitted",
-    ("validate", False): "held out",
-    ("fit", True): "reversals, fitted",
-    ("validate", True): "reversals, held out",
+    ("fit", "running"): "fitted",
+    ("validate", "running"): "held out",
+    ("fit", "start"): "starts, fitted",
+    ("validate", "start"): "starts, held out",
+    ("fit", "reversal"): "reversals, fitted",
+    ("validate", "reversal"): "reversals, held out",
 }
 
 
@@ -55,29 +60,68 @@ class Rung:
     name : str
     values : dict
         Free parameters by name [SI].
-    nrmse : (T, 2) array
-        Per trial of the bench: stator torque, speed [1].
+    nrmse : dict of group to (torque, speed)
+        Means over the parts of trials of each group [1].
+    evaluations : int
+        Candidates that its search scored.
     """
 
     name: str
     values: dict[str, float]
-    nrmse: FloatArray
+    nrmse: dict[str, tuple[float, float]]
+    evaluations: int
 
-    def document(self, trials: Sequence[PreparedTrial]) -> dict[str, Any]:
-        """Return the rung as a result states it: means over the trials of each group."""
+    def document(self, below: Rung | None) -> dict[str, Any]:
+        """Return the rung as a result states it, with what it takes off the NRMSE of the rung below."""
         return {
             "rung": self.name,
             "values": self.values,
-            "nrmse": {
-                title: dict(zip(CHANNELS, self.nrmse[rows].mean(axis=0).tolist(), strict=True))
-                for group, title in GROUPS.items()
-                if (rows := [t for t, trial in enumerate(trials) if _group(trial) == group])
+            "evaluations": self.evaluations,
+            "nrmse": {group: dict(zip(CHANNELS, pair, strict=True)) for group, pair in self.nrmse.items()},
+            "buys": {}
+            if below is None
+            else {
+                group: {c: below.nrmse[group][i] - pair[i] for i, c in enumerate(CHANNELS)}
+                for group, pair in self.nrmse.items()
             },
         }
 
 
-def _group(trial: PreparedTrial) -> tuple[str, bool]:
-    return trial.entry.use, trial.entry.direction == "reversal"
+@dataclass(frozen=True, eq=False)
+class _Parts:
+    """What the rungs are scored on: parts of the bench's trials, each with its group."""
+
+    trials: tuple[PreparedTrial, ...]
+    targets: tuple[MotorTarget, ...]
+    groups: tuple[str, ...]
+
+    @classmethod
+    def of(cls, bench: Bench, weights: tuple[float, float]) -> _Parts:
+        trials, targets, groups = [], [], []
+        for trial in bench.trials:
+            use, whole = trial.entry.use, trial.target
+            if trial.entry.direction == "reversal":
+                parts = [("reversal", whole)]
+            else:
+                starts = replace(whole, valid=whole.valid & trial.started[:, None])
+                parts = [("running", trial.dynamic_target)]
+                if all(starts.valid[:, c].sum() >= _LEAST for c in range(2) if weights[c] > 0):
+                    parts.append(("start", starts))
+            for part, target in parts:
+                trials.append(trial)
+                targets.append(target)
+                groups.append(GROUPS[use, part])
+        return cls(tuple(trials), tuple(targets), tuple(groups))
+
+    def means(self, nrmse: FloatArray) -> dict[str, tuple[float, float]]:
+        """Return the means of (n_parts, 2) NRMSE over each group, in the order of the table."""
+        out = {}
+        for title in GROUPS.values():
+            rows = [i for i, group in enumerate(self.groups) if group == title]
+            if rows:
+                torque, speed = nrmse[rows].mean(axis=0)
+                out[title] = (float(torque), float(speed))
+        return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,12 +131,14 @@ class LagObjective:
     Parameters
     ----------
     space : SearchSpace
-        Over the lag's table.
+        Over the lag's table and the delays of logs.
+    trials : tuple of PreparedTrial
     cost : MotorCost
     jobs : MotorTrials
     """
 
     space: SearchSpace
+    trials: tuple[PreparedTrial, ...]
     cost: MotorCost
     jobs: MotorTrials
 
@@ -105,29 +151,25 @@ class LagObjective:
         """Return NRMSE (P, T, 2) and failures (P, T) of rows of the lag's table [SI]."""
         index = [list(lag.PARAMETERS).index(name) for name in _SENSORS]
         sensors = np.ascontiguousarray(rows[:, index])
-        return self.cost(lag.simulate_lag(rows, self.jobs), np.ones((len(rows), len(self.jobs))), sensors)
+        delays = shifts(self.space.table, rows, self.trials)
+        samples = lag.simulate_lag(rows[:, : len(lag.PARAMETERS)], self.jobs, delays)
+        return self.cost(samples, np.ones((len(rows), len(self.jobs))), sensors)
 
 
-def lag_objective(campaign: MotorCampaign, space: SearchSpace, bench: Bench, every: bool) -> LagObjective:
-    """Return the objective of the first rung, over the fitted trials or over every one.
+def lag_space(space: SearchSpace, bench: Bench) -> SearchSpace:
+    """Return what the first rung frees.
 
     Its delays are free where those of the motor are; its steady speeds come from the loaded steady points.
     """
+    own = own_rows(space)
     free = ["rise_time_constant", "fall_time_constant"]
-    free += [name for name in ("command_delay", *_SENSORS) if name in space.names]
-    values = {name: value for name, value in space.fixed.items() if name in lag.PARAMETERS}
-    values |= {name: value for name, value in bench.curves.parameters.items() if name in lag.PARAMETERS}
+    free += [name for name in ("command_delay", *_SENSORS, *own) if name in space.names]
+    table = ParameterTable([*lag.PARAMETERS.values(), *(space.table[name] for name in own)])
+    values = {name: value for name, value in space.fixed.items() if name in table}
+    values |= {name: value for name, value in bench.curves.parameters.items() if name in table}
     values |= _steady_maps(bench.curves)
     bounds = {row.name: (row.lower, row.upper) for row in space.free if row.name in free}
-    trials = bench.trials if every else bench.fitted
-    weights = campaign.cost.weights
-    return LagObjective(
-        SearchSpace.build(lag.PARAMETERS, free, values, bounds),
-        MotorCost(
-            tuple(t.target for t in trials), (weights.torque, weights.speed), campaign.cost.denominator
-        ),
-        MotorTrials([t.simulated for t in trials]),
-    )
+    return SearchSpace.build(table, free, values, bounds)
 
 
 def _steady_maps(curves: StaticCurves) -> dict[str, float]:
@@ -144,13 +186,13 @@ def climb(
     campaign: MotorCampaign,
     bench: Bench,
     space: SearchSpace,
-    best: Mapping[str, float],
+    band: Mapping[str, float],
     saturated: bool,
     settings: SearchSettings,
     seed: int,
     threads: int | None = None,
 ) -> tuple[Rung, ...]:
-    """Fit the lower rungs, score all of them on every trial.
+    """Fit every rung to the fitted trials, score it on every trial.
 
     Parameters
     ----------
@@ -158,45 +200,64 @@ def climb(
     bench : Bench
     space : SearchSpace
         Of the dynamic fit.
-    best : mapping
-        Its best set with the second stage's dead band, by name [SI].
+    band : mapping
+        The dead band of the last rung, and delays of the logs that only its stage saw, by name [SI].
     saturated : bool
         Whether the dead band was fitted or given.
     settings : SearchSettings
-        Algorithm, finisher and stop rule.
+        Algorithm and stop rule.
     seed : int
     threads : int, optional
     """
     stop = replace(settings.stop, time_limit=None, max_evaluations=None)
-    small = replace(settings, population=_POPULATION, runs=1, seed=seed, stop=stop)
+    budget = replace(settings, population=_POPULATION, runs=1, seed=seed, stop=stop, finish="cmaes")
+    pair, denominator = (campaign.cost.weights.torque, campaign.cost.weights.speed), campaign.cost.denominator
+    parts = _Parts.of(bench, pair)
+    cost = MotorCost(parts.targets, pair, denominator)
+    jobs = MotorTrials([trial.simulated for trial in parts.trials])
 
-    def found(objective: Objective) -> tuple[FloatArray, dict[str, float]]:
-        run: RunHistory = run_one(objective, small)
-        names = objective.space.names
-        values = objective.space.decode(run.best_point)
-        return objective.space.full(run.best_point), dict(zip(names, values.tolist(), strict=True))
+    def found(objective: Objective) -> tuple[FloatArray, dict[str, float], int]:
+        run: RunHistory = run_one(objective, budget)
+        own = objective.space
+        values = own.decode(run.best_point)
+        row = averaged(own, own.full(run.best_point))
+        # A log that only the stage of the dead band saw has its delay from there.
+        index = {name: i for i, name in enumerate(own.table)}
+        for name in own_rows(own):
+            if name in band:
+                row[:, index[name]] = band[name]
+        return row, dict(zip(own.names, values.tolist(), strict=True)), run.evaluations
 
-    row, values = found(lag_objective(campaign, space, bench, every=False))
-    scored, _ = lag_objective(campaign, space, bench, every=True).score(row)
-    rungs = [Rung("first-order lag", values, scored[0])]
+    lower = lag_space(space, bench)
+    fitted = MotorTrials([trial.simulated for trial in bench.fitted])
+    targets = tuple(trial.dynamic_target for trial in bench.fitted)
+    row, values, spent = found(
+        LagObjective(lower, bench.fitted, MotorCost(targets, pair, denominator), fitted)
+    )
+    scored = LagObjective(lower, parts.trials, cost, jobs).score(row)[0][0]
+    rungs = [Rung("first-order lag", values, parts.means(scored), spent)]
 
-    ideal = replace(MotorObjective.build(campaign, space, bench, bench.trials, threads), ideal_reversal=True)
+    def motor(name: str, own: SearchSpace) -> tuple[FloatArray, MotorObjective]:
+        row, values, spent = found(
+            MotorObjective.build(campaign, own, bench, bench.fitted, threads, dynamic=True)
+        )
+        every = MotorObjective(own, parts.trials, ties_of(campaign, own, bench), cost, jobs, threads, True)
+        rungs.append(Rung(name, values, parts.means(every.score(row)[0][0]), spent))
+        return row, every
+
     if "winding_inductance" in space.names:
         fixed = {**space.fixed, "winding_inductance": _NO_INDUCTANCE}
-        without = SearchSpace(
-            PARAMETERS, tuple(row for row in space.free if row.name != "winding_inductance"), fixed
-        )
-        row, values = found(MotorObjective.build(campaign, without, bench, bench.fitted, threads))
-        rungs.append(Rung("without L", values, ideal.score(row)[0][0]))
-    full = np.array([[best[name] for name in PARAMETERS]])
-    values = {name: best[name] for name in space.names}
-    rungs.append(Rung("full", values, ideal.score(full)[0][0]))
-    scored = replace(ideal, ideal_reversal=False).score(full)[0]
+        free = tuple(row for row in space.free if row.name != "winding_inductance")
+        motor("without L", SearchSpace(space.table, free, fixed))
+    row, every = motor("full", space)
+    for name in SATURATION:
+        row[:, list(space.table).index(name)] = band[name]
+    last = parts.means(replace(every, ideal_reversal=False).score(row)[0][0])
     # A log that starts from rest passes the dead band as well, and a dead band that was not fitted must show.
-    if saturated or not np.allclose(scored[0], rungs[-1].nrmse, rtol=1e-3):
-        values = values | {name: best[name] for name in ("saturation_current", "saturation_speed")}
+    if saturated or any(not np.allclose(last[g], rungs[-1].nrmse[g], rtol=1e-3) for g in last):
+        values = rungs[-1].values | {name: float(band[name]) for name in SATURATION}
         name = "full with saturation" if saturated else "full, saturation as in Table I"
-        rungs.append(Rung(name, values, scored[0]))
+        rungs.append(Rung(name, values, last, rungs[-1].evaluations))
     return tuple(rungs)
 
 
@@ -212,7 +273,7 @@ def ladder_sentences(ladder: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
         )
     if "without L" not in by_name:
         return ()
-    without, full = (float(np.mean(list(by_name[n]["held out"].values()))) for n in ("without L", "full"))
+    without, full = (float(np.nanmean(list(by_name[n]["held out"].values()))) for n in ("without L", "full"))
     # Below a twentieth of the error itself a step is within what another day's log would change.
     if full < 0.95 * without:
         return ()

@@ -13,10 +13,11 @@ from sysid.fit.objective import Evaluation
 from sysid.motor.model import PARAMETERS, pack
 from sysid.motor.population import MotorTrials, simulate_population
 from sysid.parameters import SearchSpace
-from sysid.pipelines.bench_curves import NoLoadTie
-from sysid.pipelines.bench_logs import PreparedTrial
+from sysid.pipelines.bench_curves import Direction, NoLoadTie
+from sysid.pipelines.bench_targets import PreparedTrial
 from sysid.pipelines.motor_bench import Bench, search_space
 from sysid.pipelines.motor_cost import MotorCost
+from sysid.pipelines.motor_delays import shifts
 
 FloatArray = NDArray[np.float64]
 
@@ -46,7 +47,7 @@ class MotorObjective:
 
     space: SearchSpace
     trials: tuple[PreparedTrial, ...]
-    ties: dict[str, NoLoadTie]
+    ties: Mapping[Direction, NoLoadTie]
     cost: MotorCost
     jobs: MotorTrials
     threads: int | None = None
@@ -60,19 +61,19 @@ class MotorObjective:
         bench: Bench,
         trials: tuple[PreparedTrial, ...],
         threads: int | None = None,
+        *,
+        dynamic: bool = False,
     ) -> MotorObjective:
-        """Join prepared trials with the campaign's cost."""
+        """Join prepared trials with the campaign's cost.
+
+        `dynamic`: for the dynamic fit, which looks past the starts from rest: their dead band is not known
+        yet, and a wrong one would be paid for by L and the delay.
+        """
         weights = campaign.cost.weights
-        cost = MotorCost(
-            tuple(t.target for t in trials), (weights.torque, weights.speed), campaign.cost.denominator
-        )
-        ties = {
-            direction: tie
-            for direction, tie in bench.curves.ties.items()
-            if not {f"no_load_slope_{direction}", f"no_load_intercept_{direction}"}
-            & ({*space.names} | {*campaign.parameters.fixed})
-        }
-        return cls(space, trials, ties, cost, MotorTrials([t.simulated for t in trials]), threads)
+        targets = tuple(t.dynamic_target if dynamic else t.target for t in trials)
+        cost = MotorCost(targets, (weights.torque, weights.speed), campaign.cost.denominator)
+        jobs = MotorTrials([t.simulated for t in trials])
+        return cls(space, trials, ties_of(campaign, space, bench), cost, jobs, threads)
 
     def complete(self, rows: FloatArray) -> FloatArray:
         """Return rows (P, n_table) with the no-load lines that belong to their R and k_d."""
@@ -92,7 +93,7 @@ class MotorObjective:
         return Evaluation(self.cost.mean(by_channel), np.any(failed, axis=1), failed.size)
 
     def score(self, rows: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Return NRMSE (P, T, 2) and failures (P, T) of rows of the parameter table (P, n_table) [SI]."""
+        """Return NRMSE (P, T, 2) and failures (P, T) of rows (P, n_table) [SI]; 25 columns: one delay."""
         rows = self.complete(rows)
         share = max(1, int(_MEMORY / (16 * self.jobs.time.size)))
         scored = [self._score(rows[first : first + share]) for first in range(0, len(rows), share)]
@@ -105,7 +106,12 @@ class MotorObjective:
     def simulate(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return samples (P, n_total, 2) on the trials' grids, and the share reached (P, T), of full rows."""
         found = simulate_population(
-            rows, self.jobs, tolerance=FIT_TOLERANCE, threads=self.threads, ideal_reversal=self.ideal_reversal
+            rows[:, : len(PARAMETERS)],
+            self.jobs,
+            delays=shifts(self.space.table, rows, self.trials),
+            tolerance=FIT_TOLERANCE,
+            threads=self.threads,
+            ideal_reversal=self.ideal_reversal,
         )
         # Success is a status, not a share that rounding could leave at 1 - 1e-16.
         return found.outputs, np.where(found.status == 0, 1.0, np.minimum(found.reached, 1.0 - 1e-9))
@@ -115,6 +121,16 @@ class MotorObjective:
         """Return torque delay, torque lag and speed lag (P, 3) [s] of rows."""
         names = ("torque_sensor_delay", "torque_sensor_lag", "speed_sensor_lag")
         return np.ascontiguousarray(rows[:, [_INDEX[name] for name in names]])
+
+
+def ties_of(campaign: MotorCampaign, space: SearchSpace, bench: Bench) -> dict[Direction, NoLoadTie]:
+    """Return the no-load lines that follow R and k_d: neither free nor fixed by the campaign."""
+    chosen = {*space.names} | {*campaign.parameters.fixed}
+    return {
+        direction: tie
+        for direction, tie in bench.curves.ties.items()
+        if not {f"no_load_slope_{direction}", f"no_load_intercept_{direction}"} & chosen
+    }
 
 
 def score_values(
@@ -128,4 +144,5 @@ def score_values(
     every = MotorObjective.build(campaign, space, bench, bench.trials, threads)
     own = {d: tie for d, tie in every.ties.items() if f"no_load_slope_{d}" not in values}
     objective = MotorObjective(space, bench.trials, own, every.cost, every.jobs, threads)
-    return objective.score(pack({**bench.values, **space.fixed, **values})[None])[0][0]
+    known = {name: value for name, value in space.fixed.items() if name in PARAMETERS}
+    return objective.score(pack({**bench.values, **known, **values})[None])[0][0]

@@ -2,6 +2,8 @@
 
 The paper set both by hand. Everything that the dynamic fit found is held, so that the dead band cannot hide
 in R and L; what a reversal fixes best is the ratio Ω_min/I_sat, the time the rotor needs to leave the band.
+Free beside them is the command delay of each reversal log, which braking shows before the band is reached.
+Without a reversal to fit, starts from rest serve: they pass the same band once.
 """
 
 from __future__ import annotations
@@ -17,10 +19,11 @@ from sysid.campaign import MotorCampaign
 from sysid.errors import CampaignError
 from sysid.filters import ChebyshevLowpass
 from sysid.fit.engine import SearchSettings, run_one
-from sysid.motor.model import PARAMETERS, simulate, unpack
-from sysid.parameters import Parameter, SearchSpace
-from sysid.pipelines.bench_logs import PreparedTrial, uniform_filtered
+from sysid.motor.model import PARAMETERS, simulate
+from sysid.parameters import Parameter, ParameterTable, SearchSpace
+from sysid.pipelines.bench_targets import uniform_filtered
 from sysid.pipelines.motor_bench import SATURATION, Bench
+from sysid.pipelines.motor_delays import delay_name
 from sysid.pipelines.motor_objective import MotorObjective
 from sysid.trials.reversal import find_reversals
 from sysid.trials.thrust import CommandSteps
@@ -32,7 +35,6 @@ FloatArray = NDArray[np.float64]
 _POPULATION = 40
 # Of the thrust whose reversal is timed [s].
 _DELAY_GRID = 5e-4
-_INDEX = {name: i for i, name in enumerate(PARAMETERS)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +46,9 @@ class SaturationFit:
     free : tuple of Parameter
         Rows with the bounds that were searched.
     trials : tuple of str
-        Reversal trials that were fitted.
+        Trials that were fitted.
+    shown_by : {"reversals", "starts from rest"}
+        What they hold.
     values : (S, n) array
         Of `free` [SI].
     at_bound : (S, n) int8 array
@@ -57,6 +61,7 @@ class SaturationFit:
 
     free: tuple[Parameter, ...]
     trials: tuple[str, ...]
+    shown_by: str
     values: FloatArray
     at_bound: NDArray[np.int8]
     nrmse: FloatArray
@@ -69,20 +74,17 @@ class SaturationFit:
             "stage": "after the dynamic fit, all else held",
             "free": [row.name for row in self.free],
             "trials": list(self.trials),
+            "shown by": self.shown_by,
             "nrmse": self.nrmse.tolist(),
             "nrmse without saturation": self.without.tolist(),
             "evaluations": self.evaluations,
         }
 
 
-def saturation_trials(bench: Bench) -> tuple[PreparedTrial, ...]:
-    """Return the reversal trials of use "fit"."""
-    return tuple(t for t in bench.trials if t.entry.use == "fit" and t.entry.direction == "reversal")
-
-
 def fit_saturation(
     campaign: MotorCampaign,
     bench: Bench,
+    table: ParameterTable,
     rows: FloatArray,
     settings: SearchSettings,
     seeds: tuple[int, ...],
@@ -95,6 +97,8 @@ def fit_saturation(
     campaign : MotorCampaign
         Its bounds count; what it fixes stays.
     bench : Bench
+    table : ParameterTable
+        Columns of `rows`.
     rows : (S, n_table) array
         Sets of the dynamic fit [SI].
     settings : SearchSettings
@@ -106,21 +110,21 @@ def fit_saturation(
     Returns
     -------
     SaturationFit or None
-        None where there is nothing to fit: no reversal trial of use "fit", or both numbers given.
+        None where there is nothing to fit: no trial that shows the dead band, or both numbers given.
 
     Raises
     ------
     CampaignError
         As `saturation_space`.
     """
-    trials = saturation_trials(bench)
-    first = saturation_space(campaign, bench, unpack(rows[0]))
+    trials = bench.banded
+    first = saturation_space(campaign, bench, table, named(table, rows[0]))
     if first is None:
         return None
     stop = replace(settings.stop, time_limit=None, max_evaluations=None)
     found, costs, without, flags, count = [], [], [], [], 0
     for row, seed in zip(rows, seeds, strict=True):
-        space = saturation_space(campaign, bench, unpack(row))
+        space = saturation_space(campaign, bench, table, named(table, row))
         assert space is not None
         objective = MotorObjective.build(campaign, space, bench, trials, threads)
         run = run_one(objective, replace(settings, population=_POPULATION, runs=1, seed=seed, stop=stop))
@@ -130,20 +134,26 @@ def fit_saturation(
         ideal = replace(objective, ideal_reversal=True)
         without.append(float(ideal.evaluate(run.best_point[None]).cost[0]))
         count += run.evaluations
+    turned = trials[0].entry.direction == "reversal"
     return SaturationFit(
-        first.free, tuple(t.entry.name for t in trials), np.array(found), np.array(flags, dtype=np.int8),
-        np.array(costs), np.array(without), count,
+        first.free, tuple(t.entry.name for t in trials), "reversals" if turned else "starts from rest",
+        np.array(found), np.array(flags, dtype=np.int8), np.array(costs), np.array(without), count,
     )  # fmt: skip
 
 
-def reversal_delays(bench: Bench, parameters: Mapping[str, float]) -> list[dict[str, Any]]:
+def named(table: ParameterTable, row: FloatArray) -> dict[str, float]:
+    """Return the numbers of a row (n_table,) by name [SI]."""
+    return dict(zip(table, (float(value) for value in row), strict=True))
+
+
+def reversal_delays(bench: Bench, best: Mapping[str, float]) -> list[dict[str, Any]]:
     """Return, per reversal of every log with thrust, the measured and the simulated time to 90 % [s].
 
     Parameters
     ----------
     bench : Bench
-    parameters : mapping
-        The best set, by name [SI].
+    best : mapping
+        The best set with the delays of logs, by name [SI].
     """
     out: list[dict[str, Any]] = []
     for trial in bench.trials:
@@ -155,6 +165,8 @@ def reversal_delays(bench: Bench, parameters: Mapping[str, float]) -> list[dict[
             lowpass = ChebyshevLowpass(1.0 / float(np.median(np.diff(log.time))))
             time, values = uniform_filtered(*thrust, lowpass, f"trial {trial.entry.name!r}, thrust")
             thrust = (time[np.isfinite(values)], values[np.isfinite(values)])
+        parameters = {name: value for name, value in best.items() if name in PARAMETERS}
+        parameters["command_delay"] = best.get(delay_name(trial.entry.log), best["command_delay"])
         start = float(trial.simulated.time[0])
         grid = np.arange(start, float(log.time[-1]), _DELAY_GRID)
         supply = trial.simulated.supply_time, trial.simulated.supply_ratio
@@ -180,37 +192,47 @@ def reversal_delays(bench: Bench, parameters: Mapping[str, float]) -> list[dict[
     return out
 
 
-def with_saturation(rows: FloatArray, fit: SaturationFit | None) -> FloatArray:
+def with_saturation(table: ParameterTable, rows: FloatArray, fit: SaturationFit | None) -> FloatArray:
     """Return the sets (S, n_table) with what the second stage found."""
     rows = np.array(rows, dtype=np.float64)
+    index = {name: i for i, name in enumerate(table)}
     if fit is not None:
         for column, row in enumerate(fit.free):
-            rows[:, _INDEX[row.name]] = fit.values[:, column]
+            rows[:, index[row.name]] = fit.values[:, column]
     return rows
 
 
 def saturation_space(
-    campaign: MotorCampaign, bench: Bench, values: Mapping[str, float]
+    campaign: MotorCampaign, bench: Bench, table: ParameterTable, values: Mapping[str, float]
 ) -> SearchSpace | None:
     """Return what the second stage frees, all else held at `values` [SI]; None where it has nothing to do.
 
     Raises
     ------
     CampaignError
-        When the campaign frees I_sat or Ω_min and fixes it, or no reversal trial has use "fit".
+        When the campaign frees I_sat or Ω_min and fixes it, or no trial shows the dead band.
     """
     choices = campaign.parameters
     asked = [name for name in SATURATION if name in (choices.free or ())]
     given = {*choices.fixed, *bench.measured}
     names = tuple(name for name in SATURATION if name in asked or name not in given)
-    if not saturation_trials(bench):
+    if not bench.banded:
         if asked:
             raise CampaignError(
-                f"parameters.free names {', '.join(asked)}, but no reversal trial has use = 'fit'; set it "
-                "for one trial of direction = 'reversal'"
+                f"parameters.free names {', '.join(asked)}, but no reversal trial has use = 'fit', and none "
+                "of the others starts from rest inside its window; set it for one trial of direction = "
+                "'reversal'"
             )
         return None
     if not names:
         return None
-    known = {name: value for name, value in values.items() if name not in names}
-    return choices.model_copy(update={"free": names}).search_space(PARAMETERS, names, known)
+    known = {n: value for n, value in values.items() if n not in names and n in PARAMETERS}
+    own_bounds = {name: pair for name, pair in choices.bounds.items() if name in names}
+    choices = choices.model_copy(update={"free": names, "bounds": own_bounds})
+    space = choices.search_space(PARAMETERS, names, known)
+    # Delays of logs that only this stage sees; those of the dynamic fit are held.
+    seen = {delay_name(trial.entry.log) for trial in bench.fitted}
+    late = {delay_name(trial.entry.log) for trial in bench.banded} - seen
+    own = [row for name, row in table.items() if name in late]
+    held = {n: value for n, value in values.items() if n not in PARAMETERS and n not in late}
+    return SearchSpace(table, (*space.free, *own), {**space.fixed, **held})

@@ -19,7 +19,7 @@ from sysid import exact_json
 from sysid.errors import LogError
 from sysid.filters import ChebyshevLowpass
 from sysid.loaders import load
-from sysid.pipelines.bench_logs import uniform_filtered
+from sysid.pipelines.bench_targets import uniform_filtered
 from sysid.report.figures import save_figure
 from sysid.report.motor_figures import ReversalCurves, figure_reversals
 from sysid.trials.reversal import LEVEL, SLOW, Repetitions, Sense, find_reversals, repetitions

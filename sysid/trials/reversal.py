@@ -27,9 +27,9 @@ DEAD_BAND = 0.05
 SLOW = 1.5
 # The final value is taken over this last part of the hold; a hold shorter than this has none [s].
 _LAST, _LEAST_HOLD = 0.25, 0.2
-# A repetition has settled when the halves of that part agree to the first share of its own value, and the value
-# is at least the second share of the largest: a battery that sags by a fifth keeps 0.64 of the thrust, a rotor
-# that has not started has none.
+# A repetition has settled when the halves of that part agree to the first share of its own value, and the
+# value is at least the second share of the largest: a battery that sags by a fifth keeps 0.64 of the thrust,
+# a rotor that has not started has none.
 _DRIFT, _LEAST_FINAL = 0.1, 0.6
 
 
@@ -137,7 +137,7 @@ def _part(signal: tuple[FloatArray, FloatArray], start: float, end: float) -> tu
 def _finals(
     found: Sequence[tuple[float, float, float, float]], signal: tuple[FloatArray, FloatArray]
 ) -> list[float]:
-    """Return the final value of every reversal, positive along its command; NaN where no repetition has one."""
+    """Return the final value of every reversal, positive along its command; NaN where none is known."""
     own, drift = np.full(len(found), np.nan), np.zeros(len(found))
     for i, (start, _, after, hold) in enumerate(found):
         _, values = _part(signal, start + (1.0 - _LAST) * hold, start + hold)

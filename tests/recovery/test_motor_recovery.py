@@ -17,7 +17,7 @@ from sysid.pipelines.motor import fit_motor
 from sysid.pipelines.motor_bench import in_search, prepare_bench, search_space
 from sysid.pipelines.motor_inertia import spike_inertia
 from sysid.pipelines.motor_objective import MotorObjective, score_values
-from sysid.pipelines.motor_saturation import saturation_space, saturation_trials
+from sysid.pipelines.motor_saturation import saturation_space
 from sysid.pipelines.results import print_sets
 from sysid.pipelines.search import FitOptions
 from sysid.synthetic.motor import TRUE_MOTOR, synthesize_motor
@@ -191,7 +191,7 @@ def test_reversals_stay_out_of_the_dynamic_fit(prepared) -> None:
     _, bench = prepared
     assert {t.entry.name for t in bench.fitted} == {"forward-1", "reverse-1"}
     assert not any(in_search(t) for t in bench.trials if t.entry.direction == "reversal")
-    assert [t.entry.name for t in saturation_trials(bench)] == ["reversal-1"]
+    assert [t.entry.name for t in bench.banded] == ["reversal-1"]
 
 
 def test_without_reversals_the_dead_band_is_not_fitted(campaign_file: Path, tmp_path: Path) -> None:
@@ -234,10 +234,10 @@ def test_a_given_dead_band_is_held(campaign_file: Path) -> None:
     )
     campaign = read_campaign(path, "motor")
     bench = prepare_bench(campaign, path)
-    assert saturation_space(campaign, bench, PARAMETERS.nominal) is None
+    assert saturation_space(campaign, bench, PARAMETERS, PARAMETERS.nominal) is None
     one = _changed(path, 'saturation_current = "0.35 A"', "", "one.toml")
     campaign = read_campaign(one, "motor")
-    space = saturation_space(campaign, prepare_bench(campaign, one), PARAMETERS.nominal)
+    space = saturation_space(campaign, prepare_bench(campaign, one), PARAMETERS, PARAMETERS.nominal)
     assert space is not None
     assert space.names == ("saturation_current",)
     assert space.fixed["saturation_speed"] == PARAMETERS.nominal["saturation_speed"]

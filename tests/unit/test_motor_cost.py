@@ -69,7 +69,7 @@ def test_taps_of_a_fast_log_are_the_filter() -> None:
     from types import SimpleNamespace
 
     from sysid.campaign.motor import ChebyshevFilter
-    from sysid.pipelines.bench_logs import _fast
+    from sysid.pipelines.bench_targets import _fast
 
     campaign = SimpleNamespace(filter=ChebyshevFilter())
     log = SimpleNamespace(time=np.arange(30_000) / 10_000.0)
