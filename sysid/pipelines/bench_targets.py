@@ -37,6 +37,8 @@ _SUPPLY_LINE = 2e-3
 _TAP_LEAST = 1e-4
 # A trial of which less than this share is left beside its starts from rest is searched whole.
 _LEAST_LEFT = 0.25
+# Samples of the speed that a start from rest needs to show a dead band.
+_LEAST_SHOWN = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +67,11 @@ class PreparedTrial:
     def started(self) -> NDArray[np.bool_]:
         """(n,) True where a compared instant belongs to a start from rest."""
         return ~outside(self.target.time, self.starts)
+
+    @property
+    def shows_start(self) -> bool:
+        """Whether enough samples of the speed belong to starts from rest."""
+        return bool(self.target.valid[self.started, 1].sum() >= _LEAST_SHOWN)
 
     @property
     def only_starts(self) -> bool:

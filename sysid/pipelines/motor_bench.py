@@ -60,7 +60,7 @@ class Bench:
     def banded(self) -> tuple[PreparedTrial, ...]:
         """Trials that show the dead band: reversals of use "fit", or else fitted starts from rest."""
         reversals = [t for t in self.trials if t.entry.use == "fit" and t.entry.direction == "reversal"]
-        return tuple(reversals) or tuple(t for t in self.fitted if t.starts)
+        return tuple(reversals) or tuple(t for t in self.fitted if t.shows_start)
 
 
 def in_search(trial: PreparedTrial) -> bool:

@@ -33,6 +33,8 @@ FloatArray = NDArray[np.float64]
 # The valley of equal Ω_min/I_sat is narrow: CMA-ES alone from a random start ended in it in two of five runs,
 # the search with its finisher in none.
 _POPULATION = 40
+# A dead band that moves the cost of so many random candidates by less than this share is not felt.
+_PROBES, _FELT = 32, 1e-6
 # Of the thrust whose reversal is timed [s].
 _DELAY_GRID = 5e-4
 
@@ -110,7 +112,7 @@ def fit_saturation(
     Returns
     -------
     SaturationFit or None
-        None where there is nothing to fit: no trial that shows the dead band, or both numbers given.
+        None where there is nothing to fit: no trial shows the dead band, or both numbers are given.
 
     Raises
     ------
@@ -127,6 +129,9 @@ def fit_saturation(
         space = saturation_space(campaign, bench, table, named(table, row))
         assert space is not None
         objective = MotorObjective.build(campaign, space, bench, trials, threads)
+        probes = objective.evaluate(np.random.default_rng(seed).random((_PROBES, len(space.free)))).cost
+        if np.ptp(probes) <= _FELT * probes.min():
+            return None
         run = run_one(objective, replace(settings, population=_POPULATION, runs=1, seed=seed, stop=stop))
         found.append(space.decode(run.best_point))
         flags.append(space.at_bound(run.best_point))

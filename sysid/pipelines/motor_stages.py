@@ -153,7 +153,7 @@ def _about_saturation(
         return saturation.document(), doubts
     if given:
         return {"stage": "not fitted", "why": "given by the campaign"}, []
-    why = "no trial of direction = 'reversal' has use = 'fit', and no fitted trial starts from rest"
+    why = "no trial of use = 'fit' shows them, by a reversal or by a start from rest inside its window"
     return {"stage": "not fitted", "why": why}, [
         f"saturation_current and saturation_speed are not fitted ({why}); they keep Table I's "
         f"{best['saturation_current']:g} A and {best['saturation_speed']:g} rad/s"

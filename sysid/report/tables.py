@@ -125,7 +125,7 @@ def trial_table(sets: ParameterSets) -> Table:
 
 
 def ladder_table(sets: ParameterSets) -> Table:
-    """Return what each step of the model buys: NRMSE by rung and group of trials; a row per rung.
+    """Return what each step of the model buys: NRMSE by group of trials and rung; a row per group.
 
     Parameters
     ----------
@@ -136,17 +136,17 @@ def ladder_table(sets: ParameterSets) -> Table:
     groups = list(dict.fromkeys(group for rung in rungs for group in rung["nrmse"]))
     table = _table(
         f"{sets.name}: what each step of the model buys, NRMSE [%] of {' / '.join(sets.channels)}",
-        "judge by the held-out columns: a parameter is not real because a search returned it",
+        "judge by the held-out rows: a parameter is not real because a search returned it",
     )
-    table.add_column("model")
-    for group in groups:
-        table.add_column(_cell(group), justify="right")
+    table.add_column("trials")
     for rung in rungs:
+        table.add_column(_cell(rung["rung"]), justify="right")
+    for group in groups:
         cells = []
-        for group in groups:
+        for rung in rungs:
             found = rung["nrmse"].get(group)
             cells.append(_cell(" / ".join(_number(found[c]) for c in sets.channels) if found else _NONE))
-        table.add_row(_cell(rung["rung"]), *cells)
+        table.add_row(_cell(group), *cells)
     return table
 
 
