@@ -230,6 +230,14 @@ LoaderOptions = Annotated[
 ]
 
 
+@app.command("formats")
+def list_formats() -> None:
+    """List the log formats that are read, with the options of each."""
+    from sysid.pipelines.inspect import print_formats
+
+    print_formats()
+
+
 @app.command("inspect")
 def inspect(
     files: Annotated[list[Path], typer.Argument(help="Logs.", show_default=False)],

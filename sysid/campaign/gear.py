@@ -23,6 +23,7 @@ from sysid.campaign.common import (
     Time,
     TrialTable,
 )
+from sysid.campaign.logs import CaptureLogOptions
 
 CaptureAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Point = tuple[Length, Length, Length]
@@ -53,20 +54,11 @@ class Vehicle(Table):
     gravity: Acceleration = 9.81
 
 
-class Capture(Table):
-    """`[capture]`: how the motion capture names and orients things."""
+class Capture(CaptureLogOptions):
+    """`[capture]`: how the motion capture names and orients things, and how its files are read."""
 
-    format: str = "auto"
-    rigid_body: str | None = None
     up: CaptureAxis = "+y"
     down_slope: CaptureAxis = "+x"
-    quaternion_order: Literal["wxyz", "xyzw"] | None = None
-    length_unit: str | None = None
-    euler_order: str | None = None
-    clock: Literal["auto", "frame", "time"] | None = None
-    time_back: Literal["refuse", "drop"] | None = None
-    units: dict[str, str] = Field(default_factory=dict)
-    columns: dict[str, str | int] = Field(default_factory=dict)
     rate: Frequency | None = None
     centre_of_mass_offset: Point = (0.0, 0.0, 0.0)
     level: Literal["release", "capture"] = "release"
@@ -159,6 +151,7 @@ class GearTrial(TrialTable):
     release: Time | None = None
     touchdown: Time | None = None
     rigid_body: str | None = None
+    log_options: CaptureLogOptions = CaptureLogOptions()
     point: Point | None = None
     down_slope: CaptureAxis | None = None
 
@@ -176,6 +169,16 @@ class GearCampaign(CampaignTable):
     cost: GearCost = GearCost()
     fit: FitTable = FitTable(population=400)
     trials: tuple[GearTrial, ...]
+
+    @model_validator(mode="after")
+    def _one_body_per_drop(self) -> GearCampaign:
+        for trial in self.trials:
+            if trial.rigid_body is not None and trial.log_options.rigid_body is not None:
+                raise ValueError(
+                    f"trial {trial.name!r}: rigid_body is given twice, in the trial and in its log_options; "
+                    "keep one"
+                )
+        return self
 
     @model_validator(mode="after")
     def _every_drop_has_a_plane(self) -> GearCampaign:

@@ -17,6 +17,7 @@ from sysid.campaign.common import (
     Voltage,
     _quantity,
 )
+from sysid.campaign.logs import BenchLogOptions, SecondLog, Unit
 
 Current = Annotated[float, BeforeValidator(_quantity("A")), Field(gt=0)]
 AngularSpeed = Annotated[float, BeforeValidator(_quantity("rad/s")), Field(gt=0)]
@@ -57,6 +58,8 @@ class StaticLog(Table):
 
     log: str
     direction: Literal["forward", "reverse"] = "forward"
+    log_options: BenchLogOptions = BenchLogOptions()
+    second_log: SecondLog | None = None
 
 
 class Curves(Table):
@@ -66,20 +69,14 @@ class Curves(Table):
     no_load: tuple[StaticLog, ...] = ()
 
 
-class LogOptions(Table):
-    """`[log]`: how the load-cell and thrust-stand files are read."""
+class BenchLogs(BenchLogOptions):
+    """`[log]`: how the load-cell and thrust-stand files of the campaign are read."""
 
-    format: str = "auto"
-    rate: Frequency | None = None
     command_unit: Literal["us", "dshot"] | None = None
-    force_unit: str | None = None
-    torque_unit: str | None = None
-    speed_unit: str | None = None
+    force_unit: Unit | None = None
+    torque_unit: Unit | None = None
+    speed_unit: Unit | None = None
     torque_sign: Literal["auto", "+", "-"] = "auto"
-    time_back: Literal["refuse", "drop"] | None = None
-    units: dict[str, str] = Field(default_factory=dict)
-    columns: dict[str, str | int] = Field(default_factory=dict)
-    datasets: dict[str, str] = Field(default_factory=dict)
 
 
 class ChebyshevFilter(Table):
@@ -121,6 +118,8 @@ class MotorTrial(TrialTable):
     """One log of commands: which way it spins, and its window on the log's own clock."""
 
     direction: Direction
+    log_options: BenchLogOptions = BenchLogOptions()
+    second_log: SecondLog | None = None
     start: Time | None = None
     end: Time | None = None
 
@@ -132,7 +131,7 @@ class MotorCampaign(CampaignTable):
     motor: MotorRatings = MotorRatings()
     command: CommandProtocol
     curves: Curves = Curves()
-    log: LogOptions = LogOptions()
+    log: BenchLogs = BenchLogs()
     filter: ChebyshevFilter = ChebyshevFilter()
     cost: MotorCost = MotorCost()
     nuisance: MotorNuisance = MotorNuisance()

@@ -101,6 +101,8 @@ def _factors(path: str, units: Mapping[str, str] | None) -> FloatArray:
             f"{path}: such a log does not say its units; declare them, for example "
             'units = {force = "N", torque = "N*m"} or {force = "lbf", torque = "lbf-in"}'
         )
+    if isinstance(units, Mapping) and "thrust" in units and "force" not in units:
+        units = {("force" if name == "thrust" else name): unit for name, unit in units.items()}
     if not isinstance(units, Mapping) or set(units) != set(_UNIT_KEYS):
         raise UnitError(f'{path}: units = {units!r}; expected {{force = "N", torque = "N*m"}}')
     try:

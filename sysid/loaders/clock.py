@@ -29,8 +29,7 @@ def positive_rate(path: str, rate: object) -> float:
 
 
 def _stale_start(time: FloatArray) -> int:
-    """Return how many rows at the start are left over from an earlier run: the clock falls right "
-    "after them."""
+    """Return how many rows at the start are left over from an earlier run, after which the clock falls."""
     for first in range(1, min(_STALE_ROWS, time.size - 1) + 1):
         if time[first] < time[first - 1] and np.all(np.diff(time[first : first + 5]) >= 0):
             return first

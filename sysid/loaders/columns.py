@@ -35,12 +35,15 @@ class Column:
         Lower-case name without unit, words separated by one space.
     unit : str or None
         Unit as the header states it; None where it states none.
+    guessed : bool
+        The unit is only the end of the name, as in ``px_m``.
     """
 
     index: int
     label: str
     stem: str
     unit: str | None
+    guessed: bool = False
 
 
 def split_label(label: str) -> tuple[str, str | None]:
@@ -55,9 +58,19 @@ def split_label(label: str) -> tuple[str, str | None]:
     return re.sub(r"[\s_.:/]+", " ", text).strip().casefold(), unit
 
 
+def suffix_unit(label: str) -> str | None:
+    """Return the unit that a label without brackets seems to end in (``Fz_N``), or None."""
+    text = label.strip().strip('"').strip()
+    match = None if _BRACKETED.match(text) else _SUFFIXED.match(text)
+    return _SUFFIX_UNITS.get(match["unit"], match["unit"]) if match else None
+
+
 def parse_header(names: Sequence[str]) -> tuple[Column, ...]:
     """Return the columns of a header line."""
-    return tuple(Column(index, name, *split_label(name)) for index, name in enumerate(names))
+    return tuple(
+        Column(index, name, *split_label(name), suffix_unit(name) is not None)
+        for index, name in enumerate(names)
+    )
 
 
 def listing(names: Iterable[str]) -> str:
@@ -109,7 +122,20 @@ class DeclaredUnits:
             raise LogError(f'{path}: units = {units!r} is no table; expected for example {{thrust = "N"}}')
         self._declared = {str(name): str(unit) for name, unit in (units or {}).items()}
         self._used: set[str] = set()
-        self.notes: list[str] = []
+        self._said: list[str] = []
+        self._guessed: dict[str, str] = {}
+
+    @property
+    def notes(self) -> list[str]:
+        """What a reader should know about the units, one sentence each."""
+        if not self._guessed:
+            return self._said
+        by_unit = {
+            unit: listing(label for label, own in self._guessed.items() if own == unit)
+            for unit in dict.fromkeys(self._guessed.values())
+        }
+        guessed = "; ".join(f"{unit} of {labels}" for unit, labels in by_unit.items())
+        return [*self._said, f"units taken from the ends of names, so check them: {guessed}"]
 
     def unit_of(self, column: Column, channel: str, default: str | None = None) -> str | None:
         """Return the unit of a column: declared, else of the header, else `default`."""
@@ -124,8 +150,10 @@ class DeclaredUnits:
                     note = (
                         f"column {column.label!r} read in the declared unit {declared!r}, not in the header's"
                     )
-                    self.notes += [] if note in self.notes else [note]
+                    self._said += [] if note in self._said else [note]
                 return declared
+        if column.guessed and column.unit is not None:
+            self._guessed[column.label] = column.unit
         return default if column.unit is None else column.unit
 
     def factor(self, column: Column, channel: str, expected: str, default: str | None = None) -> float:

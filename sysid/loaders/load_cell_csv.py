@@ -54,7 +54,7 @@ def read(
     *,
     rate: float | None = None,
     units: Mapping[str, str] | None = None,
-    columns: Sequence[str] | None = None,
+    columns: Sequence[str] | Mapping[str, object] | None = None,
     pulses_per_revolution: float | None = None,
     time_back: str = "refuse",
 ) -> Recording:
@@ -69,8 +69,9 @@ def read(
         column, where there is one, must then span the same duration.
     units : mapping of str to str, optional
         Units by channel or column name where the header states none or a wrong one.
-    columns : sequence of str, optional
-        Names of all columns in order, for a log without header.
+    columns : sequence of str or mapping, optional
+        Names of all columns in order, for a log without header; or, for one with other names, new name ->
+        name in the header, for example ``{"speed": "tach"}``.
     pulses_per_revolution : float, optional
         Of a column ``Tachometer`` that holds pulses, from which ``speed`` is then found.
     time_back : str

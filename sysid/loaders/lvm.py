@@ -2,9 +2,10 @@
 
 Layout: ``LabVIEW Measurement``, a file header, then for every segment its own header (``Channels``,
 ``Samples``, units, ``X0``, ``Delta_X``), the row ``X_Value name ... Comment`` and the samples. Times are the
-written ones where there are any (``X_Columns One`` or ``Multi``), else X0 + i · Delta_X; a ``Delta_X`` of a
-few digits is noted, because the clock is then no better than them. The decimal mark is the declared one,
-else the one that the samples show. Comments are text and are left out.
+written ones where there are any (``X_Columns One`` or ``Multi``), else X0 + i · Delta_X; both are seconds
+unless ``X_Unit_Label`` says another unit of time, and an ``X_Dimension`` that is no time is refused. A
+``Delta_X`` of a few digits is noted, because the clock is then no better than them. The decimal mark is the
+declared one, else the one that the samples show. Comments are text and are left out.
 
 The body is read as every other text log is, so that a cell that is no number is named with its line; the
 reader that the field uses (lvm_read) turns such cells into gaps and loads pickles that lie beside the file.
@@ -18,22 +19,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid.errors import LogError
+from sysid.errors import LogError, UnitError
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.signals import Signal, kind_of, signal_channels, unique_names, written_unit
 from sysid.loaders.source import Source
 from sysid.loaders.table import TableHead, read_numbers
 from sysid.loaders.text import Text, read_text
 from sysid.recording import FloatArray, Recording
+from sysid.units import factor_to_si
 
 _NAME = "lvm"
 _FIRST = "LabVIEW Measurement"
 _END = "***End_of_Header***"
 _SEPARATORS = {"tab": "\t", "comma": ",", "": "\t"}
 _KEYS = frozenset(
-    {"channels", "samples", "date", "time", "x_dimension", "x0", "delta_x", "y_unit_label", "y_dimension",
-     "notes", "test_name", "test_numbers", "test_series", "uut_s/n", "uut_name", "uut_m/n", "model_number",
-     "serial_number", "operator", "description", "project"}
+    {"channels", "samples", "date", "time", "x_dimension", "x0", "delta_x", "x_unit_label", "y_unit_label",
+     "y_dimension", "notes", "test_name", "test_numbers", "test_series", "uut_s/n", "uut_name", "uut_m/n",
+     "model_number", "serial_number", "operator", "description", "project"}
 )  # fmt: skip
 _BLANK = re.compile(rb"\n[ \t,]*(?=\n)")
 # Headers of a file or a segment are shorter than this.
@@ -55,6 +57,8 @@ class _Segment:
     units: tuple[str, ...]
     starts: tuple[str, ...]
     steps: tuple[str, ...]
+    axes: tuple[str, ...]
+    axis_units: tuple[str, ...]
     rows: tuple[int, int]
 
     def stated(self, cells: tuple[str, ...], column: int, first: int) -> str:
@@ -117,7 +121,10 @@ def _segment(
     def row(key: str) -> tuple[str, ...]:
         return header.get(key, ())
 
-    return _Segment(line, names, row("y_unit_label"), row("x0"), row("delta_x"), (begin, end))
+    return _Segment(
+        line, names, row("y_unit_label"), row("x0"), row("delta_x"),
+        row("x_dimension"), row("x_unit_label"), (begin, end),
+    )  # fmt: skip
 
 
 def _number(path: str, segment: _Segment, what: str, cell: str, default: float) -> float:
@@ -132,9 +139,12 @@ def _number(path: str, segment: _Segment, what: str, cell: str, default: float) 
 
 
 def _segment_signals(
-    text: Text, segment: _Segment, delimiter: str, decimal: str | None, notes: list[str]
+    text: Text, segment: _Segment, delimiter: str, decimal: str | None, rated: bool, notes: list[str]
 ) -> list[Signal]:
-    """Return the signals of one segment; `text` holds nothing behind its rows."""
+    """Return the signals of one segment; `text` holds nothing behind its rows.
+
+    With `rated` the user has declared the clock, and that of the header is not looked at.
+    """
     path = text.path
     names = list(segment.names)
     while names and not names[-1]:
@@ -153,27 +163,36 @@ def _segment_signals(
     first = 0 if len(times) > 1 else 1
     signals = []
     clocks: dict[int, FloatArray | None] = {}
-    for time in times:
-        seen = np.isfinite(numbers.columns[time])
-        clocks[time] = numbers.columns[time] if seen.any() else None
+    for place in times:
+        seen = np.isfinite(numbers.columns[place])
+        clocks[place] = numbers.columns[place] if seen.any() else None
+    scaled: dict[tuple[int, float], FloatArray] = {}
+
+    def own_time(column: int | None, seconds: float) -> FloatArray | None:
+        """Return the times of a column [s], one array for all signals that share them."""
+        clock = None if column is None else clocks[column]
+        if column is None or clock is None or seconds == 1.0:
+            return clock
+        return scaled.setdefault((column, seconds), clock * seconds)
+
     for column in wanted:
         values = numbers.columns[column]
         if np.isnan(values).all():
             continue
-        own = max((time for time in times if time < column), default=None)
-        clock = clocks[own] if own is not None else None
+        own = max((one for one in times if one < column), default=None)
         place = own if len(times) > 1 and own is not None else column
-        step = _number(path, segment, "Delta_X", segment.stated(segment.steps, place, first), 0.0)
-        start = _number(path, segment, "X0", segment.stated(segment.starts, place, first), 0.0)
+        seconds = 1.0 if rated else _seconds(path, segment, labels[column], place, first)
+        step = seconds * _number(path, segment, "Delta_X", segment.stated(segment.steps, place, first), 0.0)
+        start = seconds * _number(path, segment, "X0", segment.stated(segment.starts, place, first), 0.0)
         rate = 1.0 / step if step > 0 else None
         unit = segment.stated(segment.units, place if len(times) > 1 else column, first)
 
         def read(values: FloatArray = values) -> FloatArray:
             return values
 
-        signals.append(
-            Signal(f"/{labels[column]}", written_unit(unit), read, rate, start, clock, labels[column])
-        )
+        time = own_time(own, seconds)
+        label = labels[column]
+        signals.append(Signal(f"/{label}", written_unit(unit), read, rate, start, time, label))
     notes += numbers.notes
     timed = any(clock is not None for clock in clocks.values())
     rounded = sorted({cell for cell in segment.steps if cell and not timed and _few_digits(cell)})
@@ -183,6 +202,26 @@ def _segment_signals(
             "declare the true rate if it is known"
         )
     return signals
+
+
+def _seconds(path: str, segment: _Segment, label: str, place: int, first: int) -> float:
+    """Return the factor from the X axis of a channel to seconds.
+
+    Without ``X_Dimension`` the axis is time, and without ``X_Unit_Label`` it is in seconds: so the format
+    defines it.
+    """
+    axis = segment.stated(segment.axes, place, first) or "Time"
+    unit = segment.stated(segment.axis_units, place, first) or "s"
+    try:
+        factor = factor_to_si(str(written_unit(unit)), "s")
+    except UnitError:
+        factor = 0.0
+    if axis.casefold() != "time" or factor == 0.0:
+        raise LogError(
+            f"{path}: the header above line {segment.line} gives {label!r} over {axis} in {unit}, not over "
+            "time; export the signal itself, or declare its rate"
+        )
+    return factor
 
 
 def _few_digits(cell: str) -> bool:
@@ -252,7 +291,9 @@ def read(
     if decimal not in (None, ".", ","):
         raise LogError(f"{path}: the header's Decimal_Separator is {decimal!r}; expected . or ,")
     notes: list[str] = []
-    signals = _segment_signals(text.up_to(chosen.rows[1]), chosen, delimiter, decimal, notes)
+    signals = _segment_signals(
+        text.up_to(chosen.rows[1]), chosen, delimiter, decimal, rate is not None, notes
+    )
     del text  # the file's bytes are not needed any more
     channels, said = signal_channels(
         path,

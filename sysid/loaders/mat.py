@@ -4,7 +4,8 @@
     time  or  rate (fs)             beside them: in the same struct, or at the top
     FT                              an (n, k) matrix is k signals FT[1] ... FT[k]
 
-Units that no struct states are declared. Ignores objects (timeseries, tables), which hold no plain arrays.
+Units that no struct states are declared, that of time among them. Ignores objects (timeseries, tables), which
+hold no plain arrays.
 """
 
 from __future__ import annotations

@@ -209,8 +209,7 @@ def _rate(path: str, settings: dict[str, str], key: str) -> float | None:
 
 
 def _clock(path: str, header: _Header, numbers: Numbers, clock: str) -> tuple[FloatArray, list[str]]:
-    """Return the times [s]: rebuilt from frame numbers and checked against the Time column, or "
-    "that column."""
+    """Return the times [s]: rebuilt from frame numbers and checked against the Time column, or written."""
     if clock not in ("auto", "frame", "time"):
         raise LogError(f'{path}: clock = {clock!r} is unknown; expected "auto", "frame" or "time"')
     rates = [_rate(path, header.settings, key) for key in ("Export Frame Rate", "Capture Frame Rate")]

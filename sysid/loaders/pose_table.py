@@ -110,7 +110,7 @@ def read(
     quaternion_order: str | None = None,
     length_unit: str | None = None,
     units: Mapping[str, str] | None = None,
-    columns: Sequence[str] | None = None,
+    columns: Sequence[str] | Mapping[str, object] | None = None,
     rigid_body: str = "body",
     time_back: str = "refuse",
 ) -> Recording:
@@ -126,8 +126,9 @@ def read(
         Unit of the positions where the header states none.
     units : mapping of str to str, optional
         Units of other columns, for example ``{"t": "ms"}``.
-    columns : sequence of str, optional
-        Names of all columns in order, for a log without header.
+    columns : sequence of str or mapping, optional
+        Names of all columns in order, for a log without header; or, for one with other names, new name ->
+        name in the header, for example ``{"speed": "tach"}``.
     rigid_body : str
         The name that the one body of the table is given.
     time_back : str

@@ -46,6 +46,8 @@ _MEASURED = ("torque", "thrust", "speed_electrical", "speed_optical")
 _UNIT_NAMES = {"N*m": "N·m", "m/s^2": "m/s²"}
 _MOST_MESSAGES = 5
 _LARGEST_DSHOT = 2047.0
+# Pulse widths of every speed controller lie within these [µs].
+_PULSE = (700.0, 2300.0)
 
 
 def _recognize(source: Source) -> int:
@@ -72,11 +74,18 @@ def _command_unit(
     stated = declared.unit_of(column, "command")
     if stated is not None:
         return declared.command(column)
-    largest, smallest = float(np.nanmax(values, initial=0.0)), float(np.nanmin(values, initial=0.0))
+    known = values[np.isfinite(values)]
+    smallest, largest = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
     if largest > _LARGEST_DSHOT or smallest < 0.0:
         raise UnitError(
             f'{path}: command column "{column.label}" states no unit and runs from {smallest:g} '
             f'to {largest:g}, beyond DShot 0 to 2047; declare it, for example units = {{command = "us"}}'
+        )
+    if smallest >= _PULSE[0] and largest <= _PULSE[1]:
+        raise UnitError(
+            f'{path}: command column "{column.label}" states no unit and runs from {smallest:g} '
+            f"to {largest:g}, as pulse widths in us do and DShot from rest does not; declare it, for example "
+            'units = {command = "us"} or {command = "dshot"} (in a campaign, log.command_unit)'
         )
     notes.append("the command column states no unit: read as DShot 0 to 2047")
     return "dshot"

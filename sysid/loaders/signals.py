@@ -2,19 +2,21 @@
 
 A signal is found by the name that its file gives it, in any case, or by the option ``datasets``; its unit is
 that of the file or declared; its clock is, in this order, the declared rate, its own times, a signal named
-time beside it, the rate that the file states.
+time beside it (whose unit must be stated or declared too), the rate that the file states. A unit that is only
+the end of a name (``Fz_N``) is taken for known quantities, whose dimension tells a mistake, and noted; of
+other signals it is not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sysid.errors import LogError, UnitError
 from sysid.loaders.clock import order_rows, positive_rate, rate_clock
-from sysid.loaders.columns import Column, DeclaredUnits, listing, split_label
+from sysid.loaders.columns import Column, DeclaredUnits, listing, split_label, suffix_unit
 from sysid.loaders.load_cell import COMMAND, MEASURED, QUANTITIES, TACHOMETER, TIME, quantity_channel
 from sysid.loaders.table import Numbers
 from sysid.loaders.tachometer import check_tachometer, pulse_speed
@@ -233,9 +235,12 @@ def signal_channels(
     columns = {}
     for index, (name, signal) in enumerate(by_name.items()):
         stem, unit = split_label(signal.label)
-        columns[name] = Column(index, signal.label, stem, unit if signal.unit is None else signal.unit)
+        guessed = signal.unit is None and suffix_unit(signal.label) is not None
+        columns[name] = Column(
+            index, signal.label, stem, unit if signal.unit is None else signal.unit, guessed
+        )
     clocks = _Clocks(
-        path, by_name, rate, chosen.get("time"), lambda name: declared.factor(columns[name], "time", "s", "s")
+        path, by_name, rate, chosen.get("time"), lambda name: declared.factor(columns[name], "time", "s")
     )
     others = []
     for channel, name in chosen.items():
@@ -257,6 +262,9 @@ def signal_channels(
             values = clocks.numbers[key].columns[index]
             column = columns[channel if channel in others else chosen[channel]]
             if channel in others:
+                # A known quantity checks the dimension of a unit at the end of its name; here nothing would.
+                if column.guessed:
+                    column = replace(column, unit=None, guessed=False)
                 unit, factor = plain_unit(declared.unit_of(column, column.label))
                 unknown += [] if unit else [by_name[channel].label]
                 shown = _free_name(by_name[channel], channels)

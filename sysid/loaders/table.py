@@ -6,13 +6,14 @@ Which rows are cut, short or blank is decided here; how their cells become numbe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import LogError
+from sysid.loaders.columns import listing, split_label
 from sysid.loaders.table_rows import body_end, decimal_mark, measure, parse_number, read_rows
 from sysid.loaders.text import SPACES, Text, sniff_delimiter, split_line
 from sysid.recording import FloatArray
@@ -88,15 +89,36 @@ def _spaces_as_tabs(text: Text, head: TableHead) -> tuple[Text, TableHead]:
     return Text(text.path, body, text.notes), TableHead(head.names, "\t", head.line, 0)
 
 
-def table_head(text: Text, columns: Sequence[str] | None = None) -> TableHead:
+def _renamed(path: str, names: Sequence[str], columns: Mapping[str, object]) -> list[str]:
+    """Return the names of a header with some replaced; a unit in brackets stays with its column."""
+    out = list(names)
+    for new, found in columns.items():
+        place = names.index(found) if isinstance(found, str) and found in names else -1
+        if isinstance(found, int) and not isinstance(found, bool) and 1 <= found <= len(names):
+            place = found - 1
+        stems = [split_label(name)[0] for name in names]
+        if place < 0 and isinstance(found, str) and stems.count(split_label(found)[0]) == 1:
+            place = stems.index(split_label(found)[0])
+        if place < 0:
+            raise LogError(
+                f"{path}: columns says that {new} is {found!r}, which is neither a column nor its number "
+                f"from 1; found {listing(names)}"
+            )
+        unit = split_label(names[place])[1]
+        out[place] = str(new) if unit is None else f"{new} ({unit})"
+    return out
+
+
+def table_head(text: Text, columns: Sequence[str] | Mapping[str, object] | None = None) -> TableHead:
     """Return the header of a table.
 
     Parameters
     ----------
     text : Text
         The log.
-    columns : sequence of str, optional
-        Names that the user declares, for a log without header or with a wrong one.
+    columns : sequence of str or mapping, optional
+        Names that the user declares, for a log without header or with a wrong one: all of them in order, or
+        new name -> name in the header (or its number from 1).
 
     Raises
     ------
@@ -114,7 +136,14 @@ def table_head(text: Text, columns: Sequence[str] | None = None) -> TableHead:
     headless = _all_numeric(names)
     if headless:
         number, offset = number - 1, lines[index - 1][1] if index else 0
-    if columns is not None:
+    if isinstance(columns, Mapping):
+        if headless:
+            raise LogError(
+                f"{text.path}, line {lines[index][0]}: found numbers where the header line should name the "
+                "columns; declare all of them in order, columns = [...]"
+            )
+        names = _renamed(text.path, names, columns)
+    elif columns is not None:
         if isinstance(columns, str) or not isinstance(columns, Sequence):
             raise LogError(f"{text.path}: columns = {columns!r} is no list of names")
         if len(columns) != len(names):

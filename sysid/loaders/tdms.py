@@ -2,8 +2,10 @@
 
 Valid for waveform channels: time = ``wf_start_offset`` + i · ``wf_increment``, counted from the earliest
 ``wf_start_time`` of the file, of which 1904-01-01 means not set. The number of samples is that of the data:
-``wf_samples`` is the size of one block. Channels without ``wf_increment`` take a time channel beside them or
-the declared rate. The thinned copies that SignalExpress adds (``Decimated Data_Level1``) are left out.
+``wf_samples`` is the size of one block. Both count in ``wf_xunit_string``, seconds where it is not set; a
+channel over another axis (a spectrum) is left out. Channels without ``wf_increment`` take a time channel
+beside them or the declared rate. The thinned copies that SignalExpress adds (``Decimated Data_Level1``) are
+left out.
 """
 
 from __future__ import annotations
@@ -15,13 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from sysid.errors import LogError
+from sysid.errors import LogError, UnitError
 from sysid.loaders.columns import listing
 from sysid.loaders.optional import library
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.signals import Signal, kind_of, signal_channels, written_unit
 from sysid.loaders.source import Source
 from sysid.recording import FloatArray, Recording
+from sysid.units import factor_to_si
 
 _NAME = "tdms"
 _THINNED = re.compile(r"Decimated Data_Level\d+$")
@@ -42,6 +45,14 @@ def _start(properties: Mapping[str, Any]) -> np.datetime64 | None:
     return start if isinstance(start, np.datetime64) and start > np.datetime64("1905-01-01") else None
 
 
+def _seconds(unit: str) -> float | None:
+    """Return the factor from the unit of a waveform's axis to seconds; None where it is no time."""
+    try:
+        return factor_to_si(unit, "s")
+    except UnitError:
+        return None
+
+
 def _samples(channel: Any) -> FloatArray:
     values = channel[:]
     if values.dtype.kind == "M":  # a channel of time stamps, usable as a clock
@@ -50,7 +61,7 @@ def _samples(channel: Any) -> FloatArray:
 
 
 def _signals(file: Any, notes: list[str]) -> list[Signal]:
-    found, thinned, other = [], [], []
+    found, thinned, other, spectra = [], [], [], []
     waves = [(group, channel) for group in file.groups() for channel in group.channels()]
     starts = [start for _, channel in waves if (start := _start(channel.properties)) is not None]
     first = min(starts) if starts else None
@@ -69,12 +80,18 @@ def _signals(file: Any, notes: list[str]) -> list[Signal]:
             (str(properties[key]) for key in ("unit_string", "NI_UnitDescription") if properties.get(key)),
             None,
         )
+        if np.dtype(channel.dtype).kind == "M":
+            unit = "s"  # what `_samples` makes of time stamps
         step = properties.get("wf_increment")
+        seconds = _seconds(str(properties.get("wf_xunit_string") or "s").strip())
+        if seconds is None:
+            spectra.append(name)
+            continue
         start = _start(properties)
-        begin = float(properties.get("wf_start_offset", 0.0) or 0.0)
+        begin = float(properties.get("wf_start_offset", 0.0) or 0.0) * seconds
         if start is not None and first is not None:
             begin += float((start - first) / np.timedelta64(1, "ns")) * 1e-9
-        rate = 1.0 / float(step) if isinstance(step, float) and step > 0 else None
+        rate = 1.0 / (float(step) * seconds) if isinstance(step, float) and step > 0 else None
 
         def read(channel: Any = channel) -> FloatArray:
             return _samples(channel)
@@ -84,6 +101,8 @@ def _signals(file: Any, notes: list[str]) -> list[Signal]:
         notes.append(f"recording began at {first} UTC")
     if thinned:
         notes.append(f"thinned copies, left out: {len(thinned)}")
+    if spectra:
+        notes.append(f"channels over another axis than time, left out: {listing(spectra)}")
     if other:
         notes.append(f"channels that hold no numbers, left out: {listing(other)}")
     return found

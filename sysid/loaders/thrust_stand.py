@@ -11,8 +11,10 @@ _STATIC_STEP = 0.2
 
 
 def is_static(time: FloatArray) -> bool:
-    """Return whether rows are averaged points: half of them or more lie over 0.2 s from the next, "
-    "either way."""
+    """Return whether rows are averaged points.
+
+    Half of them or more lie over 0.2 s from the next, either way.
+    """
     known = time[np.isfinite(time)]
     return known.size > 1 and float(np.median(np.abs(np.diff(known)))) >= _STATIC_STEP
 

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from sysid.campaign import MotorCampaign
 from sysid.campaign.motor import MotorTrial as TrialEntry
+from sysid.campaign.motor import StaticLog
 from sysid.errors import FitError, LogError, SysidWarning
 from sysid.motor.static_curves import OUTLIER, CurveFit, fit_no_load_line, fit_speed_curve
-from sysid.pipelines.bench_logs import BenchLog, bench_log, command_range, log_points, read_log
+from sysid.pipelines.bench_logs import BenchLog, bench_log, command_range, log_points
+from sysid.pipelines.bench_reading import read_log
 from sysid.trials.steady import SETTLE, SteadyPoints
 from sysid.trials.thrust import (
     sign_against_speed,
@@ -29,9 +31,7 @@ Direction = Literal["forward", "reverse"]
 DIRECTIONS: tuple[Direction, Direction] = ("forward", "reverse")
 
 
-def static_log_points(
-    campaign: MotorCampaign, path: str | Path, log: str, direction: Direction
-) -> SteadyPoints:
+def static_log_points(campaign: MotorCampaign, path: str | Path, static: StaticLog) -> SteadyPoints:
     """Return the points of a log under `[curves]`: rows of averaged points, or steady stretches of steps.
 
     Raises
@@ -39,9 +39,12 @@ def static_log_points(
     LogError
         When the log holds no steady point.
     """
-    recording = read_log(campaign, path, log)
+    recording, direction = read_log(campaign, path, static).recording, static.direction
     if recording.kind != "static-map":
-        entry = TrialEntry(name=Path(log).name, log=log, direction=direction)
+        entry = TrialEntry(
+            name=Path(static.log).name, log=static.log, direction=direction,
+            log_options=static.log_options, second_log=static.second_log,
+        )  # fmt: skip
         points = log_points(bench_log(campaign, path, entry))
     else:
         where = recording.provenance.path
@@ -167,9 +170,7 @@ def static_curves(
     loaded: dict[str, SteadyPoints] = {}
     for direction in wanted:
         parts = [
-            static_log_points(campaign, path, s.log, direction)
-            for s in campaign.curves.static
-            if s.direction == direction
+            static_log_points(campaign, path, s) for s in campaign.curves.static if s.direction == direction
         ]
         points = SteadyPoints.join(parts) if parts else own
         if points is None:
@@ -190,9 +191,7 @@ def static_curves(
                 stacklevel=2,
             )
         bare = [
-            static_log_points(campaign, path, s.log, direction)
-            for s in campaign.curves.no_load
-            if s.direction == direction
+            static_log_points(campaign, path, s) for s in campaign.curves.no_load if s.direction == direction
         ]
         if bare:
             free = SteadyPoints.join(bare)

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.campaign import MotorCampaign
-from sysid.campaign.file import resolve_log
 from sysid.campaign.motor import MotorTrial as TrialEntry
 from sysid.errors import LogError, SysidWarning
-from sysid.pipelines.logs import load_stated
+from sysid.pipelines.bench_reading import read_log
 from sysid.recording import Recording
 from sysid.trials.steady import SteadyPoints, ramp_points, steady_points
 from sysid.trials.thrust import (
@@ -30,7 +29,6 @@ from sysid.trials.thrust import (
     sign_against_speed,
     signed_speed,
     tare,
-    wrong_poles,
 )
 
 FloatArray = NDArray[np.float64]
@@ -39,8 +37,6 @@ DIRECTIONS: tuple[Direction, Direction] = ("forward", "reverse")
 
 # A log is fast, and filtered, when it has this many samples per period of the stop-band edge.
 _FAST = 10.0
-# Pulse widths of every controller lie within these [µs].
-_PULSE = (700.0, 2300.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +63,8 @@ class BenchLog:
     torque_sign : int
         What the recorded torque was multiplied by.
     notes : list of str
+    second : dict or None
+        Of a second file that was joined: what it is and how its clock was found.
     """
 
     name: str
@@ -80,62 +78,7 @@ class BenchLog:
     tares: dict[str, Tare]
     torque_sign: int
     notes: list[str]
-
-
-def read_log(campaign: MotorCampaign, path: str | Path, log: str) -> Recording:
-    """Load a log of the campaign with the options that its `[log]` table states."""
-    options = campaign.log
-    units = {
-        name: unit
-        for name, unit in (
-            ("command", options.command_unit), ("thrust", options.force_unit),
-            ("torque", options.torque_unit), ("speed", options.speed_unit),
-        )
-        if unit is not None
-    }  # fmt: skip
-    stated: dict[str, Any] = {
-        "units": {**options.units, **units} or None,
-        "rate": options.rate,
-        "time_back": options.time_back,
-        "columns": options.columns or None,
-        "datasets": options.datasets or None,
-    }
-    recording = load_stated(resolve_log(path, log), options.format, stated)
-    where = recording.provenance.path
-    ratio = _electrical_share(recording)
-    if ratio is not None:
-        warnings.warn(f"{where}: {wrong_poles(ratio)}", SysidWarning, stacklevel=2)
-    if "command" in recording.channels and options.command_unit is None:
-        _check_unstated_unit(recording, where)
-    return recording
-
-
-def _electrical_share(recording: Recording) -> float | None:
-    """Return the constant ratio of electrical to optical speed where it is not 1; None otherwise."""
-    if not {"speed_electrical", "speed_optical"} <= set(recording.channels):
-        return None
-    electrical, optical = recording["speed_electrical"].values, recording["speed_optical"].values
-    both = (np.nan_to_num(optical) != 0) & (np.nan_to_num(electrical) != 0)
-    if np.count_nonzero(both) < 3:
-        return None
-    ratio = electrical[both] / optical[both]
-    low, middle, high = np.percentile(ratio, [25, 50, 75])
-    # One pole pair of fourteen is 7 %; probes that agree differ by well under 2 %.
-    return float(middle) if abs(middle - 1.0) > 0.02 and high - low < 0.02 * middle else None
-
-
-def _check_unstated_unit(recording: Recording, where: str) -> None:
-    """Refuse a log without command unit whose numbers look like pulse widths."""
-    if not any("states no unit" in note for note in recording.provenance.notes):
-        return
-    known = recording["command"].values
-    known = known[np.isfinite(known)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
-    if low >= _PULSE[0] and high <= _PULSE[1]:
-        raise LogError(
-            f"{where}: the command column states no unit and runs from {low:g} to {high:g}, as pulse widths "
-            'in us do and DShot from rest does not; declare log.command_unit = "us" or "dshot"'
-        )
+    second: dict[str, Any] | None = None
 
 
 def command_range(campaign: MotorCampaign) -> CommandRange:
@@ -152,7 +95,8 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> B
     LogError
         When command, speed or torque is missing, or the log turns another way than its direction says.
     """
-    recording = read_log(campaign, path, entry.log)
+    file = read_log(campaign, path, entry)
+    recording = file.recording
     where = f"{recording.provenance.path}, trial {entry.name!r}"
     if recording.kind == "static-map":
         raise LogError(f"{where}: holds averaged points, no transients; name it under curves.static")
@@ -232,8 +176,9 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> B
                 f"{stall.doubtful[0]:.4f} to {stall.doubtful[1]:.4f} s is left out of the cost"
             )
     return BenchLog(
-        entry.name, recording, steps, time, channels, (begin, end), doubtful, fast, tares, sign, notes
-    )
+        entry.name, recording, steps, time, channels, (begin, end), doubtful, fast, tares, sign, notes,
+        file.second,
+    )  # fmt: skip
 
 
 def log_points(log: BenchLog) -> SteadyPoints:

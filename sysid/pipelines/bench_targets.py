@@ -64,6 +64,12 @@ class PreparedTrial:
     provenance: dict[str, Any]
 
     @property
+    def hashes(self) -> str:
+        """SHA-256 of its log, and of the second one where there is one."""
+        second = self.provenance.get("second log", {})
+        return " ".join(str(one["sha256"]) for one in (self.provenance, second) if one)
+
+    @property
     def started(self) -> NDArray[np.bool_]:
         """(n,) True where a compared instant belongs to a start from rest."""
         return ~outside(self.target.time, self.starts)
@@ -124,6 +130,7 @@ def prepare_trial(
             },
             "doubtful [s]": [list(interval) for interval in log.doubtful],
             "starts from rest [s]": [list(interval) for interval in starts],
+            **({} if log.second is None else {"second log": log.second}),
             "notes": log.notes,
         },
     )  # fmt: skip

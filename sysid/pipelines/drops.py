@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sysid.campaign import GearCampaign, GearTrial
 from sysid.campaign.file import resolve_log
+from sysid.campaign.logs import CaptureLogOptions
 from sysid.errors import LogError, SysidWarning
 from sysid.filters import KaiserLowpass, bridge_gaps, differentiate
 from sysid.fit.cost import CostChannel, TrialTarget
@@ -124,22 +125,29 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
     """
     # Several drops may lie in one long take: keep the last files read.
     read = lru_cache(maxsize=2)(partial(_read, campaign))
+
     for trial in campaign.trials:  # every file must exist before the first is read
         resolve_log(path, trial.log)
     rest = None
     if campaign.surface.rest_log is not None:
-        rest = read(resolve_log(path, campaign.surface.rest_log))
+        rest = read(resolve_log(path, campaign.surface.rest_log), None, "{}")
     return tuple(
-        _prepare(campaign, trial, read(resolve_log(path, trial.log)), rest) for trial in campaign.trials
+        _prepare(
+            campaign,
+            trial,
+            read(resolve_log(path, trial.log), trial.rigid_body, trial.log_options.model_dump_json()),
+            rest,
+        )
+        for trial in campaign.trials
     )
 
 
-def _read(campaign: GearCampaign, path: Path) -> Recording:
+def _read(campaign: GearCampaign, path: Path, body: str | None, options: str) -> Recording:
+    """Read a log with the campaign's options, a drop's body and its own options (JSON, to be hashable)."""
+    own = CaptureLogOptions.model_validate_json(options)
     capture = campaign.capture
-    names = ("rigid_body", "quaternion_order", "length_unit", "euler_order", "clock", "time_back")
-    stated: dict[str, Any] = {name: getattr(capture, name) for name in names}
-    stated |= {"units": capture.units or None, "columns": capture.columns or None}
-    recording = load_stated(path, capture.format, stated)
+    stated = capture.loader_options() | ({} if body is None else {"rigid_body": body})
+    recording = load_stated(path, own.format or capture.format, stated, own.loader_options())
     if recording.kind != "motion-capture":
         raise LogError(f"{path}: is a {recording.kind} log, expected motion capture; correct the trial's log")
     return recording
@@ -207,7 +215,7 @@ def _prepare(
 def _motion(
     campaign: GearCampaign, trial: GearTrial | None, recording: Recording, frame: CaptureFrame
 ) -> SpatialMotion:
-    own = trial.rigid_body if trial is not None else None
+    own = (trial.rigid_body or trial.log_options.rigid_body) if trial is not None else None
     return spatial_motion(
         recording,
         own or campaign.capture.rigid_body,

@@ -119,6 +119,16 @@ def convert_file(
     return f"wrote {to}: {len(recording.channels)} channels of {path.name}{said}"
 
 
+def print_formats() -> None:
+    """Print the formats that are read, those of installed packages included, with the options of each."""
+    table = Table(box=None, pad_edge=True)
+    for title in ("format", "reads", "options"):
+        table.add_column(title, no_wrap=title == "format")
+    for name, one in formats().items():
+        table.add_row(*(Text(cell) for cell in (name, one.describes, ", ".join(one.options) or "none")))
+    Console().print(table)
+
+
 def _number(value: float, digits: int = 4) -> str:
     return "—" if not np.isfinite(value) else f"{value:.{digits}g}"
 

@@ -90,7 +90,7 @@ def fit_motor(
         saturation_space(campaign, bench, space.table, PARAMETERS.nominal)
         objective = MotorObjective.build(campaign, space, bench, bench.fitted, options.threads, dynamic=True)
         say_what_is_fitted(campaign, bench, space, tell)
-        hashes = {trial.entry.name: str(trial.provenance["sha256"]) for trial in bench.trials}
+        hashes = {trial.entry.name: trial.hashes for trial in bench.trials}
         identity = fit_identity(path, settings, space, hashes)
         found = search(
             objective, settings, folder=folder, options=options, identity=identity,

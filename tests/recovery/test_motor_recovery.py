@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sysid.campaign import read_campaign
-from sysid.errors import CampaignError, LogError
+from sysid.errors import CampaignError, LogError, UnitError
 from sysid.loaders import load
 from sysid.motor.model import PARAMETERS, simulate
 from sysid.pipelines.motor import fit_motor
@@ -405,7 +405,7 @@ def test_pulse_widths_without_a_unit_are_refused(campaign_file: Path) -> None:
     bare = campaign_file.with_name("unitless.csv")
     bare.write_text(text.replace("ESC signal (µs)", "ESC signal"), encoding="utf-8")
     path = _changed(campaign_file, '"static-forward.csv"', '"unitless.csv"', "unitless.toml")
-    with pytest.raises(LogError, match=r"states no unit and runs from 1500 to 2000.*log\.command_unit"):
+    with pytest.raises(UnitError, match=r"states no unit and runs from 1500 to 2000.*log\.command_unit"):
         _prepare(path)
     declared = _changed(path, "[curves]", '[log]\ncommand_unit = "us"\n\n[curves]', "declared.toml")
     assert _prepare(declared).curves.fits[0].points > 10

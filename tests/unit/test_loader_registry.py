@@ -259,6 +259,13 @@ def test_hdf5_layouts_and_refusals(tmp_path):
         LogError, match=r"datasets /a/Fz and /b/Fz both look like thrust; choose with datasets"
     ):
         load(path)
+    # Seconds or milliseconds: a file that does not say it is asked.
+    with pytest.raises(SysidError, match='column "time" states no unit; declare it, .* units = {time = "s"}'):
+        load(path, datasets={"thrust": "a/Fz"})
+    milli = load(path, datasets={"thrust": "a/Fz"}, units={"time": "ms"})
+    np.testing.assert_allclose(milli["thrust"].time, [0, 1e-4, 2e-4, 3e-4])
+    with h5py.File(path, "a") as file:
+        file["a/time"].attrs["unit"] = "s"
     log = load(path, datasets={"thrust": "a/Fz"})
     np.testing.assert_allclose(log["thrust"].values, np.arange(4) * 9.80665e-3)
     np.testing.assert_array_equal(log["thrust"].time, [0, 0.1, 0.2, 0.3])

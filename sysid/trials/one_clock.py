@@ -1,0 +1,91 @@
+"""Channels of several sensors on the clock of one of them.
+
+A load cell, a tachometer and a second logger each sample at their own times; a fit compares rows. A command
+holds until the next one, every other quantity is taken linear between two of its samples that lie close
+together. Valid for sensors faster than what is looked at; how far apart their samples lie is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sysid.recording import Channel, FloatArray, Recording
+
+# A value is taken between two samples no further apart than this [s], or than three median steps of a slow
+# sensor: a rotor's speed changes little in either.
+_LONGEST, _STEPS = 0.05, 3.0
+
+
+def _between(channel: Channel, time: FloatArray) -> FloatArray:
+    """Return a channel at other times: NaN outside its samples and in its holes."""
+    seen, values = channel.time[channel.valid], channel.values[channel.valid]
+    if seen.size < 2:
+        return np.full(time.size, np.nan)
+    longest = max(_LONGEST, _STEPS * float(np.median(np.diff(seen))))
+    right = np.clip(np.searchsorted(seen, time), 1, seen.size - 1)
+    known = (time >= seen[0]) & (time <= seen[-1]) & (seen[right] - seen[right - 1] <= longest)
+    return np.where(known, np.interp(time, seen, values), np.nan)
+
+
+def _held(channel: Channel, time: FloatArray) -> FloatArray:
+    """Return a command at other times: the last one given; NaN before the first and after the last row."""
+    seen, values = channel.time[channel.valid], channel.values[channel.valid]
+    if not seen.size:
+        return np.full(time.size, np.nan)
+    last = np.clip(np.searchsorted(seen, time, side="right") - 1, 0, seen.size - 1)
+    step = float(np.median(np.diff(seen))) if seen.size > 1 else 0.0
+    return np.where((time >= seen[0]) & (time <= seen[-1] + step), values[last], np.nan)
+
+
+def on_one_clock(recording: Recording, names: Sequence[str], reference: Sequence[str]) -> Recording:
+    """Return a recording whose channels `names` share a clock; unchanged where they do already.
+
+    Parameters
+    ----------
+    recording : Recording
+        As loaded, or joined from two files.
+    names : sequence of str
+        Channels that are needed on one clock; those that the recording lacks are passed over.
+    reference : sequence of str
+        Whose clock it is: the first of these that the recording has.
+
+    Returns
+    -------
+    Recording
+        Rows before the first or after the last known command are left out; notes say what was done.
+    """
+    channels = dict(recording.channels)
+    own = next((channels[name] for name in reference if name in channels), None)
+    present = [name for name in names if name in channels]
+    if own is None or all(np.array_equal(channels[name].time, own.time) for name in present):
+        return recording
+    moved: dict[str, FloatArray] = {}
+    notes = []
+    for name in present:
+        channel = channels[name]
+        if np.array_equal(channel.time, own.time):
+            moved[name] = channel.values
+        elif name == "command":
+            moved[name] = _held(channel, own.time)
+        else:
+            moved[name] = _between(channel, own.time)
+            steps = np.diff(channel.time[channel.valid])
+            middle = f", {1e3 * float(np.median(steps)):.3g} ms apart (median)" if steps.size else ""
+            notes.append(f"{name}: {channel.valid.sum()} samples{middle}, taken linear between them")
+    rows = np.isfinite(moved["command"]) if "command" in moved else np.ones(own.time.size, dtype=np.bool_)
+    if "command" in moved and not np.array_equal(channels["command"].time, own.time) and rows.any():
+        inside = np.flatnonzero(rows)
+        rows = np.zeros(rows.size, dtype=np.bool_)
+        rows[inside[0] : inside[-1] + 1] = True
+        if not rows.all():
+            notes.append(f"rows at which the other log gives no command, left out: {int((~rows).sum())}")
+    else:
+        rows = np.ones(own.time.size, dtype=np.bool_)
+    time = own.time[rows]
+    for name, values in moved.items():
+        channels[name] = Channel(name, channels[name].unit, time, values[rows])
+    said = replace(recording.provenance, notes=(*recording.provenance.notes, *notes))
+    return Recording(recording.kind, channels, said)
