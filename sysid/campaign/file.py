@@ -88,7 +88,7 @@ def _first_sentence(error: ValidationError, model: type[BaseModel], data: dict[s
         return f"unknown key {where}; {hint}{more}"
     if detail["type"] == "missing":
         return f"{where} is missing; 'sysid new-campaign' shows how it is written{more}"
-    message = detail["msg"].removeprefix("Value error, ")
+    message = detail["msg"].removeprefix("Value error, ").replace("a valid tuple", "a list")
     value = detail.get("input")
     shown = (
         f", found {value!r}" if isinstance(value, str | int | float) and repr(value) not in message else ""

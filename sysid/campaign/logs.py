@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from sysid.campaign.common import Angle, Frequency, Length, PositiveTime, Table
 from sysid.errors import UnitError
@@ -26,7 +26,20 @@ def _known_unit(unit: str) -> str:
 
 
 Unit = Annotated[str, AfterValidator(_known_unit)]
-Columns = tuple[str, ...] | dict[str, str | int]
+
+
+def _columns(value: Any) -> tuple[str, ...] | dict[str, str | int]:
+    if isinstance(value, dict) and all(type(one) in (str, int) for one in value.values()):
+        return value
+    if isinstance(value, list | tuple) and all(isinstance(one, str) for one in value):
+        return tuple(value)
+    raise ValueError(
+        'expected { speed = "tach" } (a new name and the one in the header, or its number), or a list of all '
+        "names"
+    )
+
+
+Columns = Annotated[Any, BeforeValidator(_columns)]
 
 
 class LogOptions(Table):

@@ -260,7 +260,7 @@ def test_hdf5_layouts_and_refusals(tmp_path):
     ):
         load(path)
     # Seconds or milliseconds: a file that does not say it is asked.
-    with pytest.raises(SysidError, match='column "time" states no unit; declare it, .* units = {time = "s"}'):
+    with pytest.raises(SysidError, match=r'column "time" states no unit; declare it, .* units = .time = "s"'):
         load(path, datasets={"thrust": "a/Fz"})
     milli = load(path, datasets={"thrust": "a/Fz"}, units={"time": "ms"})
     np.testing.assert_allclose(milli["thrust"].time, [0, 1e-4, 2e-4, 3e-4])
