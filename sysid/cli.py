@@ -156,13 +156,17 @@ def fit_gear(
 @app.command("export")
 def export_fit(
     fit: Annotated[Path, typer.Argument(help="Fit folder, or a parameter-set file.", show_default=False)],
-    to: Annotated[Path, typer.Option(help="File to write: .json, .csv, .h5 or .mat.", show_default=False)],
+    to: Annotated[Path, typer.Option(help=".json, .csv, .h5, .mat; .xml, .sdf.", show_default=False)],
+    set: Annotated[int | None, typer.Option(help=".xml, .sdf: only the set of this rank.", min=1)] = None,
+    slope_deg: Annotated[float, typer.Option(help=".xml: slope of the ground in degrees.")] = 0.0,
+    per_leg: Annotated[bool, typer.Option("--per-leg", help=".xml: four single legs in space.")] = False,
     force: Force = False,
 ) -> None:
-    """Write the ranked sets, with every fixed value, for a simulator."""
+    """Write the ranked sets for a simulator, or each as a MuJoCo (.xml) or Gazebo motor (.sdf) model."""
     from sysid.pipelines.results import export_sets
 
-    typer.echo(f"wrote {export_sets(fit, to, force)}")
+    for file in export_sets(fit, to, force, rank=set, slope_deg=slope_deg, per_leg=per_leg):
+        typer.echo(f"wrote {file}")
 
 
 @app.command("show")

@@ -69,7 +69,7 @@ def run_demo(
         shares = "  ".join(f"{100 * value:.2f}" for value in result.nrmse)
         written[f"{name}, all of the fit (NRMSE of its sets: {shares} %)"] = folder
         for suffix in ("json", "csv"):
-            target = export_sets(folder, folder / f"sets.{suffix}", force=True)
+            (target,) = export_sets(folder, folder / f"sets.{suffix}", force=True)
             written[f"{name}, parameter sets as {suffix.upper()}"] = target
         figures = {
             "measured against simulated": figure_measured_against_simulated(result),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -32,8 +33,19 @@ def load_sets(path: str | Path) -> ParameterSets:
     return load_parameter_sets(path)
 
 
-def export_sets(source: str | Path, target: Path, force: bool = False) -> Path:
+def export_sets(
+    source: str | Path,
+    target: Path,
+    force: bool = False,
+    *,
+    rank: int | None = None,
+    slope_deg: float = 0.0,
+    per_leg: bool = False,
+) -> list[Path]:
     """Write the ranked sets of a fit folder or file; the suffix of `target` chooses the format.
+
+    `rank`, `slope_deg` and `per_leg` are for models of other simulators, see `export_models`; the files that
+    were written are returned.
 
     Raises
     ------
@@ -41,9 +53,19 @@ def export_sets(source: str | Path, target: Path, force: bool = False) -> Path:
         When `target` exists and `force` is off, or cannot be written; the old file survives then.
     """
     sets = load_sets(source)
+    if target.suffix.lower() in (".xml", ".sdf"):
+        from sysid.pipelines.simulators import export_models
+
+        slope = math.radians(slope_deg)
+        return export_models(sets, target, rank=rank, slope=slope, per_leg=per_leg, force=force)
+    if rank is not None or slope_deg or per_leg:
+        raise ExportError(
+            f"{target}: --set, --slope-deg and --per-leg are for models of other simulators (.xml, .sdf); "
+            "leave them out"
+        )
     if target.exists() and not force:
         raise ExportError(f"{target}: exists already; choose a new name or add --force")
-    return export(sets, target)
+    return [export(sets, target)]
 
 
 def print_sets(source: str | Path, json: bool) -> None:
