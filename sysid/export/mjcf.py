@@ -18,7 +18,7 @@ so ``s = k_s A``, ``c = b_s A`` and a small constant ``d`` make it the spring an
 except that the damper acts while the foot comes out as well. Friction has its own reference
 (``solreffriction``, rate ``B``) and regularization ``R = A (1 - d)/(d impratio)``: below the cone
 ``mu_k F_n`` a slipping foot feels ``B v/R``. Low friction (8) wants ``mu_k N_0/eps_v`` near zero slip, with
-the standing drone's load ``N_0``; on high friction a foot sticks, but for a creep of micrometres per second.
+the standing drone's load ``N_0``; on high friction a foot sticks, but for some 0.05 mm/s of creep.
 MuJoCo knows one coefficient: it gets the kinetic one.
 """
 
