@@ -119,7 +119,6 @@ _BOTH_SURFACES: dict[str, Printed] = {
     "slip_regularization": Printed(
         0.01, "fixed", f"{_UNPRINTED}: a slip speed small against the fitted ones"
     ),
-    "stick_speed": Printed(1e-3, "fixed", f"{_UNPRINTED}: a slip speed small against the fitted ones"),
 }
 
 # "Measured" column of the fitted rows, footnote c: obtained for validation only.

@@ -79,7 +79,6 @@ class Surface(Table):
     kinetic_friction: float | None = Field(default=None, gt=0, lt=5)
     static_friction_excess: float | None = Field(default=None, ge=0, lt=5)
     slip_regularization: Speed | None = None
-    stick_speed: Speed | None = None
     point: Point | None = None
     markers: tuple[str, ...] | None = None
     marker_height: Length = 0.0
@@ -144,6 +143,12 @@ class GearCost(Table):
     weights: GearWeights = GearWeights()
 
 
+class GearFitTable(FitTable):
+    """`[fit]`: the search, and how exactly a drop is simulated in it."""
+
+    tolerance: float | None = Field(default=None, ge=1e-7, le=1e-2)
+
+
 class GearTrial(TrialTable):
     """One drop: its log, the slope, and overrides where a drop differs from the campaign."""
 
@@ -167,7 +172,7 @@ class GearCampaign(CampaignTable):
     nuisance: Nuisance = Nuisance()
     filter: KaiserFilter = KaiserFilter()
     cost: GearCost = GearCost()
-    fit: FitTable = FitTable(population=400)
+    fit: GearFitTable = GearFitTable(population=400)
     trials: tuple[GearTrial, ...]
 
     @model_validator(mode="after")

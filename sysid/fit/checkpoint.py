@@ -29,7 +29,7 @@ from sysid.fit.stopping import REASONS
 from sysid.writing import write_file
 
 CHECKPOINT_SCHEMA = "sysid-checkpoint"
-CHECKPOINT_VERSION = 1
+CHECKPOINT_VERSION = 2
 # Between two states of a run [s]: what a kill may cost. Longer only where writing is slow.
 INTERVAL = 1.0
 _LONGEST_INTERVAL = 1.5
@@ -243,6 +243,8 @@ def state_bytes(memory: RunMemory, identity: str) -> bytes:
             group["candidates"] = np.array(sizes, dtype=np.int64)
             group["cost"] = np.concatenate(stage.cost) if stage.cost else np.empty(0)
             group["failed"] = np.array(stage.failed, dtype=np.int64)
+            causes = exact_json.dumps(stage.causes, indent=None)
+            group.create_dataset("causes_json", data=causes, dtype=h5py.string_dtype())
             group["simulations"] = np.array(stage.simulations, dtype=np.int64)
             group["asked"] = np.array(stage.asked, dtype=np.uint64)
             group["elapsed"] = np.array(stage.elapsed, dtype=np.float64)
@@ -290,6 +292,7 @@ def _read_stage(group: Any) -> StageMemory:
         algorithm=group.attrs["algorithm"],
         cost=np.split(group["cost"][()], ends[:-1]) if len(ends) else [],
         failed=[int(value) for value in group["failed"][()]],
+        causes=exact_json.loads(group["causes_json"].asstr()[()]),
         simulations=[int(value) for value in group["simulations"][()]],
         asked=[int(value) for value in group["asked"][()]],
         elapsed=[float(value) for value in group["elapsed"][()]],

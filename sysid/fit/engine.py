@@ -27,7 +27,7 @@ from sysid.fit.algorithms import ALGORITHMS, Breeder, Start, breeder
 from sysid.fit.apart import BreederApart
 from sysid.fit.history import Generation, RunHistory, StageHistory
 from sysid.fit.memory import RunMemory, StageMemory
-from sysid.fit.objective import Evaluation, Objective
+from sysid.fit.objective import Evaluation, Objective, causes_of
 from sysid.fit.stopping import StopReason, StopRule
 
 FloatArray = NDArray[np.float64]
@@ -236,7 +236,8 @@ class _Run:
             new = len(generations) >= remembered
             if new:
                 scored = _scored(self.objective, points)
-                memory.append(points, scored, already + time.perf_counter() - began)
+                elapsed = already + time.perf_counter() - began
+                memory.append(points, scored, elapsed, causes_of(self.objective))
             else:
                 memory.check(len(generations), points)
             bred.tell(memory.cost[len(generations)])
@@ -258,6 +259,7 @@ class _Run:
             cube=np.stack([g.cube for g in generations]),
             cost=np.stack([g.cost for g in generations]),
             failed=np.array([g.failed for g in generations], dtype=np.int64),
+            causes=tuple(memory.causes[: len(generations)]),
             evaluations=self.evaluations - evaluations_before,
             simulations=self.simulations - simulations_before,
             wall_time=already + time.perf_counter() - began,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,15 @@ from numpy.typing import NDArray
 from sysid.fit.stopping import StopReason
 
 FloatArray = NDArray[np.float64]
+
+
+def summed(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
+    """Return the sums of counts by name, in the order in which names appear."""
+    total: dict[str, int] = {}
+    for one in counts:
+        for name, count in one.items():
+            total[name] = total.get(name, 0) + count
+    return total
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +87,8 @@ class StageHistory:
         Of this stage [s].
     stop_reason : str
         A key of `sysid.fit.stopping.REASONS`.
+    causes : tuple of mapping
+        The failed candidates of every generation by cause [1]; empty where none were told apart.
     """
 
     algorithm: str
@@ -87,6 +99,12 @@ class StageHistory:
     simulations: int
     wall_time: float
     stop_reason: StopReason
+    causes: tuple[Mapping[str, int], ...] = ()
+
+    @property
+    def failures(self) -> dict[str, int]:
+        """Failed candidates of the whole stage by cause [1]."""
+        return summed(self.causes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +137,11 @@ class RunHistory:
     def failed(self) -> NDArray[np.int64]:
         """(G,) failed candidates of every generation, over all stages [1]."""
         return np.concatenate([stage.failed for stage in self.stages])
+
+    @property
+    def failures(self) -> dict[str, int]:
+        """Failed candidates by cause, over all stages [1]."""
+        return summed(stage.failures for stage in self.stages)
 
     @property
     def best_point(self) -> FloatArray:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import FitError
-from sysid.fit.objective import Evaluation
+from sysid.fit.objective import UNNAMED_CAUSE, Evaluation, count_causes
 from sysid.fit.stopping import StopReason
 
 FloatArray = NDArray[np.float64]
@@ -38,6 +38,8 @@ class StageMemory:
         In the order in which the candidates were asked for [1].
     failed, simulations : list of int
         Of every generation [1].
+    causes : list of dict
+        Failed candidates of every generation by cause [1].
     asked : list of int
         `fingerprint` of the candidates of every generation.
     elapsed : list of float
@@ -49,15 +51,23 @@ class StageMemory:
     algorithm: str
     cost: list[FloatArray] = field(default_factory=list)
     failed: list[int] = field(default_factory=list)
+    causes: list[dict[str, int]] = field(default_factory=list)
     simulations: list[int] = field(default_factory=list)
     asked: list[int] = field(default_factory=list)
     elapsed: list[float] = field(default_factory=list)
     ended: StopReason | None = None
 
-    def append(self, points: FloatArray, scored: Evaluation, elapsed: float) -> None:
+    def append(
+        self,
+        points: FloatArray,
+        scored: Evaluation,
+        elapsed: float,
+        causes: tuple[str, ...] = UNNAMED_CAUSE,
+    ) -> None:
         """Remember a generation."""
         self.cost.append(np.array(scored.cost, dtype=np.float64))
         self.failed.append(int(np.count_nonzero(scored.failed)))
+        self.causes.append(count_causes(scored.failed, causes))
         self.simulations.append(int(scored.simulations))
         self.asked.append(fingerprint(points))
         self.elapsed.append(elapsed)

@@ -20,22 +20,39 @@ class Evaluation:
     ----------
     cost : (P,) array
         NRMSE of each candidate [1]; finite, a failed candidate carries its graded penalty.
-    failed : (P,) bool array
-        Candidates of which at least one simulation failed.
+    failed : (P,) bool or int8 array
+        Candidates of which at least one simulation failed: True, or the number (from 1) of its cause among
+        the objective's `causes`.
     simulations : int
         Simulations that were run (candidates × trials).
     """
 
     cost: NDArray[np.float64]
-    failed: NDArray[np.bool_]
+    failed: NDArray[np.bool_] | NDArray[np.int8]
     simulations: int
+
+
+# What a failed candidate counts under where its objective names no causes.
+UNNAMED_CAUSE = ("simulation failed",)
+
+
+def causes_of(objective: object) -> tuple[str, ...]:
+    """Return the causes of failure that an objective tells apart."""
+    return tuple(getattr(objective, "causes", UNNAMED_CAUSE))
+
+
+def count_causes(failed: NDArray[np.bool_] | NDArray[np.int8], causes: tuple[str, ...]) -> dict[str, int]:
+    """Return how many candidates failed, by cause; causes that did not occur are left out."""
+    counts = np.bincount(np.asarray(failed, dtype=np.int64), minlength=len(causes) + 1)
+    return {cause: int(count) for cause, count in zip(causes, counts[1:], strict=True) if count}
 
 
 class Objective(Protocol):
     """A fit problem as the optimiser sees it.
 
     `evaluate` must be a pure function of the points: equal rows give equal costs whatever their order,
-    their neighbours or the number of threads.
+    their neighbours or the number of threads. An objective that tells causes of failure apart names them in
+    an attribute `causes`.
     """
 
     @property
@@ -56,7 +73,7 @@ class Scored:
 
     def __call__(
         self, rows: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.int64]]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_] | NDArray[np.int8], NDArray[np.int64]]:
         """Simulate and score unit-cube points (P, n_free)."""
         scored = self.objective.evaluate(rows)
         each, rest = divmod(scored.simulations, len(rows))
@@ -84,6 +101,11 @@ class SpreadObjective:
     def space(self) -> SearchSpace:
         """The free parameters."""
         return self._objective.space
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """The causes of failure that the objective tells apart."""
+        return causes_of(self._objective)
 
     def evaluate(self, cube: NDArray[np.float64]) -> Evaluation:
         """Simulate and score unit-cube points (P, n_free)."""

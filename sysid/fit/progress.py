@@ -16,6 +16,7 @@ from rich.text import Text
 
 from sysid.fit.engine import SearchSettings
 from sysid.fit.history import Generation, RunHistory
+from sysid.fit.record import failures
 from sysid.fit.stopping import REASONS
 
 # Between two plain lines [s].
@@ -82,14 +83,13 @@ class FitProgress:
         self._finished.append(history.wall_time)
         if self._quiet:
             return
-        failed = int(history.failed.sum())
         stages = ", ".join(
             f"{stage.algorithm} {len(stage.cost)} generations ({REASONS[stage.stop_reason]})"
             for stage in history.stages
         )
         self._say(
             f"run {run + 1}/{self._settings.runs} ended: NRMSE {100 * history.best[-1]:.3f} %, "
-            f"{history.wall_time:.1f} s, {history.evaluations} candidates, {failed} failed: {stages}"
+            f"{history.wall_time:.1f} s, {history.evaluations} candidates, {failures(history)}; {stages}"
         )
 
     def on_stop(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from sysid.fit.history import RunHistory
 from sysid.fit.result import FitResult
 from sysid.fit.stopping import REASONS
 
@@ -39,6 +40,7 @@ def run_record(result: FitResult) -> dict[str, Any]:
                         "generations": len(stage.cost),
                         "candidates": stage.evaluations,
                         "failed candidates": int(stage.failed.sum()),
+                        "failed candidates by cause": stage.failures,
                         "wall time [s]": stage.wall_time,
                         "ended": REASONS[stage.stop_reason],
                     }
@@ -48,6 +50,12 @@ def run_record(result: FitResult) -> dict[str, Any]:
             for run in result.runs
         ],
     }
+
+
+def failures(run: RunHistory) -> str:
+    """Return how many candidates of a run failed, and of what: ``3 failed: 2 blew up, 1 never touched``."""
+    by_cause = ", ".join(f"{count} {cause}" for cause, count in run.failures.items())
+    return f"{int(run.failed.sum())} failed" + (f": {by_cause}" if by_cause else "")
 
 
 def record_lines(record: dict[str, Any]) -> list[str]:

@@ -18,14 +18,14 @@ from sysid import exact_json
 from sysid.errors import ExportError, FitError
 from sysid.fit.agreement import agreement, waterfall
 from sysid.fit.history import RunHistory, StageHistory
-from sysid.fit.record import record_lines, run_record
+from sysid.fit.record import failures, record_lines, run_record
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.stopping import REASONS
 from sysid.parameter_sets import ParameterSets
 from sysid.writing import check_folder, replaced_folder
 
 FIT_SCHEMA = "sysid-fit"
-FIT_VERSION = 2
+FIT_VERSION = 3
 _STAGE_FIELDS = ("algorithm", "evaluations", "simulations", "wall_time", "stop_reason")
 
 
@@ -108,6 +108,10 @@ def _write_numbers(file: Any, result: FitResult, sets: ParameterSets) -> None:
             _array(part, "cube", stage.cube, "generation, individual (best first), free parameter")
             _array(part, "cost", stage.cost, "generation, individual")
             _array(part, "failed", stage.failed, "generation")
+            names = list(stage.failures)
+            counts = [[generation.get(name, 0) for name in names] for generation in stage.causes]
+            _array(part, "failed_by_cause", np.array(counts, dtype=np.int64), "generation, cause")
+            part["failed_by_cause"].attrs["causes"] = exact_json.dumps(names, indent=None)
     units = ", ".join(result.channel_units)
     for number, trial in enumerate(result.trials, start=1):
         group = file.create_group(f"trials/{number}")
@@ -191,10 +195,18 @@ def _read_stage(group: Any) -> StageHistory:
         cube=group["cube"][()],
         cost=group["cost"][()],
         failed=group["failed"][()],
+        causes=_read_causes(group["failed_by_cause"]),
         evaluations=int(group.attrs["evaluations"]),
         simulations=int(group.attrs["simulations"]),
         wall_time=float(group.attrs["wall_time"]),
         stop_reason=group.attrs["stop_reason"],
+    )
+
+
+def _read_causes(dataset: Any) -> tuple[dict[str, int], ...]:
+    names = exact_json.loads(dataset.attrs["causes"])
+    return tuple(
+        {name: int(count) for name, count in zip(names, row, strict=True) if count} for row in dataset[()]
     )
 
 
@@ -257,7 +269,7 @@ def summary(result: FitResult) -> str:
     for number, run in enumerate(result.runs, start=1):
         lines.append(
             f"{number:>4}  NRMSE {100 * run.best[-1]:.3f} %, {run.evaluations} candidates "
-            f"({int(run.failed.sum())} failed), {run.wall_time:.1f} s"
+            f"({failures(run)}), {run.wall_time:.1f} s"
         )
         lines += [
             f"      {stage.algorithm}: {len(stage.cost)} generations, {stage.evaluations} candidates, "

@@ -53,7 +53,7 @@ def _derive(parameters, reads, slope, work, lane, lanes):
     base = COEFFICIENTS * lanes + lane
     for i in range(4):
         work[base + i * lanes] = parameters[8 + i]
-        work[base + (4 + i) * lanes] = parameters[8 + i] * parameters[21 + i]
+        work[base + (4 + i) * lanes] = parameters[8 + i] * parameters[20 + i]
     work[base + 8 * lanes] = parameters[6]
     work[base + 9 * lanes] = parameters[7]
     work[LENGTH * lanes + lane] = length
@@ -64,7 +64,7 @@ def _derive(parameters, reads, slope, work, lane, lanes):
     work[base + 15 * lanes] = 1.0 / parameters[1]
     for i in range(2):
         work[base + (16 + i) * lanes] = 1.0 / parameters[14 + i]
-        work[base + (18 + i) * lanes] = 1.0 / (parameters[14 + i] * parameters[25 + i])
+        work[base + (18 + i) * lanes] = 1.0 / (parameters[14 + i] * parameters[24 + i])
     work[base + 20 * lanes] = parameters[2] * np.sin(slope)
     work[base + 21 * lanes] = -parameters[2] * np.cos(slope)
     work[GROUND * lanes + lane] = parameters[12]
@@ -266,11 +266,12 @@ def locate(work, lane, lanes, kind):
 def available(work, lane, lanes, foot):
     """Friction that a foot's own mode is judged by at the step's end (9) [N].
 
-    A foot that has just stuck was slipping and is judged by mu_k, one that was just released by mu_s; a foot
-    that keeps its mode by that of the mode.
+    That of the mode which it has, or which it has just lost: a foot whose slip has come to zero is judged by
+    mu_k, whether it sticks then or slips back, a foot that is released by mu_s.
     """
+    lost = work[(SWITCH + foot) * lanes + lane]
     sticks = work[(STUCK + foot) * lanes + lane]
-    sticks = 1.0 - sticks if work[(SWITCH + foot) * lanes + lane] > 0.0 else sticks
+    sticks = lost - 1.0 if lost > 0.0 else sticks
     mu = work[LAW * lanes + lane]
     mu = mu + work[(LAW + 1) * lanes + lane] if sticks > 0.0 else mu
     return mu * work[(NORMAL + foot) * lanes + lane]

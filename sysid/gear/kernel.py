@@ -24,8 +24,6 @@ import numpy as np
 from numba import njit
 
 from sysid.gear import stages
-from sysid.gear.contact import normal_force
-from sysid.gear.dynamics import feet, pose
 from sysid.gear.jobs import (
     FLIP_ANGLE,
     REST_SPEED,
@@ -40,15 +38,12 @@ from sysid.gear.jobs import (
     thrust_segment,
 )
 from sysid.gear.rows import (
-    COEFFICIENTS,
     COUNT,
     END,
     FLIPPED,
     FRESH,
     FRICTION,
     FRICTION_0,
-    GROUND,
-    LAW,
     LENGTH,
     LIMIT,
     MOVED,
@@ -75,7 +70,6 @@ from sysid.integrate.tableau import REAL_LIMIT, STAGES, E
 # Bound to a surface's own when a driver is made.
 evaluate: Any = None
 after_step: Any = None
-friction: Any = None
 
 OK = 0
 STEP_COLLAPSED = 1
@@ -104,7 +98,7 @@ _SAME = 1e-10
 STABLE = 0.9 * REAL_LIMIT
 
 
-def _fingerprint(surface: Surface) -> int:
+def fingerprint(surface: Surface) -> int:
     """Hash of the sources that are inlined here, so that a cached driver never outlives them."""
     here = Path(__file__).parent
     names = ("geometry", "contact", "dynamics", "rows", "stages", "jobs", "kernel")
@@ -118,7 +112,7 @@ def _fingerprint(surface: Surface) -> int:
 
 def drop_driver(lanes: int, surface: Surface):
     """Make the driver for a number of lanes (1: the scalar form) and a surface."""
-    fingerprint = _fingerprint(surface)
+    sources = fingerprint(surface)
     modes = surface.switching
 
     def drive(
@@ -182,7 +176,7 @@ def drop_driver(lanes: int, surface: Surface):
             Written: time, kind, foot (2: body), available and required friction of both feet, for the first
             n events; without rows only the first touchdowns are looked for.
         """
-        if fingerprint < 0:  # keeps the sources' hash in the key of the cached code
+        if sources < 0:  # keeps the sources' hash in the key of the cached code
             return
         drops = len(slope)
         work = np.ones(ROWS * lanes)
@@ -235,9 +229,9 @@ def drop_driver(lanes: int, surface: Surface):
                 # Fourth root of the error (of its square, the eighth): close to the cube root, and packed.
                 root = np.sqrt(np.sqrt(np.sqrt(total + 1e-9)))
                 factor = 0.85 / root
-                factor = factor if factor < 4.0 else 4.0
-                # A comparison with NaN is false: a lost step counts as rejected and shrinks fast.
+                # In this order: a comparison with NaN is false, so a lost step is rejected and shrinks.
                 factor = factor if factor > 0.2 else 0.2
+                factor = factor if factor < 4.0 else 4.0
                 taken = 1.0 if total <= 1.0 else 0.0
                 new_h = h * factor
                 new_h = new_h if new_h < h_max else h_max
@@ -453,46 +447,7 @@ def drop_driver(lanes: int, surface: Surface):
                     new = work[(RATES + 7 * STAGES + i) * lanes + lane]
                     work[(RATES + i) * lanes + lane] = new if work[TAKEN * lanes + lane] > 0.0 else old
 
-    text = specialized(stages.evaluate, solve=surface.solve)
+    text = specialized(stages.evaluate, solve=surface.solve, modes=surface.switching)
     stage = njit(error_model="numpy", inline="always")(text)
     bound = specialized(drive, evaluate=stage, after_step=surface.after_step)
     return njit(cache=True, nogil=True, error_model="numpy")(bound)
-
-
-def force_reader(surface: Surface):
-    """Make the function that reads the forces on the feet from states."""
-    fingerprint = _fingerprint(surface)
-    continuous = not surface.switching
-
-    def foot_forces(parameters, reads, slope, states, forces):
-        """Fill `forces` (n, 4) of states (n, 14), frame N: normal rear, front, friction rear, front [N].
-
-        Friction only where the law is a function of the state.
-        """
-        if fingerprint < 0:
-            return
-        work = np.ones(ROWS)
-        for n in range(len(states)):
-            state = states[n]
-            legs = np.array(
-                [state[3], state[4], state[5], state[6], state[10], state[11], state[12], state[13]]
-            )
-            body = np.array([state[0], state[1], state[2], state[7], state[8], state[9]])
-            begin(parameters, reads, slope, body, legs, work, 0, 1)
-            y = work[:14]
-            p = work[COEFFICIENTS:]
-            joints = pose(y[2], y[4], y[6], p[8], p[9])
-            rates = (y[7], y[8], y[9], y[10], y[11], y[12], y[13])
-            p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, y[1], y[3], y[5], rates, p[10])
-            forces[n, 0] = normal_force(p_c, dp_c, work[GROUND], work[GROUND + 1])
-            forces[n, 1] = normal_force(p_d, dp_d, work[GROUND], work[GROUND + 1])
-            if continuous:
-                k = LAW
-                law = (work[k], work[k + 1], work[k + 2], work[k + 3], work[k + 4], work[k + 5])
-                found = friction(forces[n, 0], forces[n, 1], v_c, v_d, law)
-                forces[n, 2] = found[0]
-                forces[n, 3] = found[1]
-
-    return njit(cache=True, nogil=True, error_model="numpy")(
-        specialized(foot_forces, friction=surface.friction)
-    )

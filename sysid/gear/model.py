@@ -51,7 +51,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sysid.errors import CampaignError
-from sysid.gear import kernel
+from sysid.gear import forces, kernel
 from sysid.gear.parameters import PARAMETERS, parameters_on
 from sysid.gear.propulsion import Propulsion
 from sysid.gear.surfaces import SURFACES, Surface, find_surface
@@ -104,7 +104,7 @@ TIGHT_TOLERANCE = 1e-6
 # six drops take on average.
 _COST = 4.9e4
 _LONGEST_STEP = 5e-3
-# Mode switches that a single simulation keeps.
+# Room for events of a single simulation at first; where there are more it is repeated with more room.
 _MARKS = 1000
 # Lanes of the population driver: one register of eight doubles where the CPU has it, two or four registers
 # elsewhere.
@@ -187,7 +187,12 @@ def simulate(
     clock = np.asarray(time, dtype=np.float64)
     start = np.atleast_2d(np.asarray(body_state, dtype=np.float64))
     drops = Drops(np.array([slope]), start, (clock,), propulsion)
-    result = _run(_checked(row[None]), drops, legs, own, tolerance, lanes=1, columns=16, threads=1)
+    checked, room = _checked(row[None]), _MARKS
+    while True:
+        result = _run(checked, drops, legs, own, tolerance, lanes=1, columns=16, threads=1, room=room)
+        if len(result.marks) < room:
+            break
+        room *= 8
     states = result.samples[0, :, :14]
     forces = np.empty((len(states), 4))
     _force_reader(own)(row, _reads(own), float(slope), states, forces)
@@ -293,7 +298,7 @@ def _driver(lanes: int, surface: Surface) -> Any:
 
 @lru_cache(maxsize=8)
 def _force_reader(surface: Surface) -> Any:
-    return kernel.force_reader(surface)
+    return forces.force_reader(surface)
 
 
 def _reads(surface: Surface) -> NDArray[np.int64]:
@@ -313,6 +318,7 @@ def _run(
     threads: int | None,
     bodies: FloatArray | None = None,
     end_early: bool = False,
+    room: int = 0,
 ) -> PopulationSamples:
     if not 0 < tolerance < 1:
         raise CampaignError(f"tolerance: found {tolerance:g}, expected between 0 and 1; use FIT_TOLERANCE")
@@ -324,7 +330,7 @@ def _run(
     switches = np.zeros((count, width), dtype=np.int64)
     moments = np.full((count, width, 4), np.nan)
     states = np.full((count, width, 3, 6), np.nan)
-    marks = np.full((_MARKS if lanes == 1 else 0, 7), np.nan)
+    marks = np.full((room, 7), np.nan)
     body = drops.body_state[None] if bodies is None else bodies
     reads = _reads(surface)
     drive = _driver(lanes, surface)

@@ -108,11 +108,6 @@ PARAMETERS = ParameterTable(
             "Static minus kinetic friction coefficient (high friction only).",
             "Table II, high friction, mean of five fits; bounds guessed",
         ),
-        Parameter(
-            "stick_speed", "e_v", "m/s", 1e-3, 1e-4, 1e-2, "log",
-            "Slip speed below which the paper lets a foot stick; no effect here: zero slip is located.",
-            "guess: the paper prints none",
-        ),
         _front("axial_stiffness", "k_h", "axial spring"),
         _front("axial_damping", "b_h", "axial damper"),
         _front("bending_stiffness", "k_t", "bending spring"),

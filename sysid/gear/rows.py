@@ -29,7 +29,7 @@ FRICTION_0 = TIME + 17  # friction at the step's start
 STUCK = TIME + 19
 WAY = TIME + 21
 MARGIN = TIME + 23
-SWITCH = TIME + 25  # 1 for a foot whose mode switches at the step's end
+SWITCH = TIME + 25  # at the step's end a foot loses its mode: slipping (1), sticking (2)
 # Thrust: cubics of (time - origin) in the current segment.
 LIFT = TIME + 27  # 4 coefficients [m/s², ...]
 TILT = TIME + 31  # 4 coefficients [rad/s², ...]
@@ -40,7 +40,10 @@ TOUCHED = TIME + 37  # two rows: foot touches (one lane) or has touched (several
 FLIPPED = TIME + 39  # 1 once the body has turned over
 RESTED = TIME + 40  # 1 once it has come to rest
 MOVED = TIME + 41  # end of the last step at whose end the body still moved
-ROWS = TIME + 42
+# Of a law with modes, at the stages within the step, 6 rows each: normal force, slip, required friction, of
+# the rear and the front foot.
+INNER = TIME + 42
+ROWS = INNER + 6 * (STAGES - 1)
 
 # Columns of the thrust segments that a driver reads: start and end on the history's own clock [s], then the
 # coefficients of rear and front thrust [N, N/s, ...].

@@ -11,6 +11,7 @@ from sysid.gear.rows import (
     END,
     FRICTION,
     GROUND,
+    INNER,
     LAW,
     LIFT,
     NORMAL,
@@ -30,6 +31,7 @@ from sysid.integrate.tableau import A_TWICE, STAGES, A, C
 
 # Bound to a surface's own when a driver is made.
 solve: Any = None
+modes: Any = None
 
 
 @njit(error_model="numpy", inline="always")
@@ -97,7 +99,7 @@ def _loaded_law(work, p, n):
 def evaluate(work, stage, lane, lanes):
     """Accelerations of one lane at a stage; stage 0 is never evaluated (first same as last).
 
-    A text, compiled once per surface: `solve` is the friction law's own.
+    A text, compiled once per surface: `solve` is the friction law's own, `modes` says whether it switches.
     """
     s, s_rate = advanced(work, stage, 0, lane, lanes)
     w, w_rate = advanced(work, stage, 1, lane, lanes)
@@ -114,7 +116,7 @@ def evaluate(work, stage, lane, lanes):
             work[(END + 7 + i) * lanes + lane] = rates[i]
     coefficients = _loaded(work, COEFFICIENTS * lanes + lane, lanes)
     law = _loaded_law(work, LAW * lanes + lane, lanes)
-    modes = (
+    mode = (
         work[STUCK * lanes + lane],
         work[(STUCK + 1) * lanes + lane],
         work[WAY * lanes + lane],
@@ -130,7 +132,7 @@ def evaluate(work, stage, lane, lanes):
     n_d = normal_force(p_d, dp_d, k_s, b_s)
     angles = (phi, h_c, theta_c, h_d, theta_d)
     acceleration, friction, required, stiff = solve(
-        joints, angles, rates, thrust, (n_c, n_d), (v_c, v_d), modes, law, coefficients
+        joints, angles, rates, thrust, (n_c, n_d), (v_c, v_d), mode, law, coefficients
     )
     if stage == STAGES:
         work[STIFF * lanes + lane] = stiff
@@ -142,6 +144,14 @@ def evaluate(work, stage, lane, lanes):
         work[(FRICTION + 1) * lanes + lane] = friction[1]
         work[REQUIRED * lanes + lane] = required[0]
         work[(REQUIRED + 1) * lanes + lane] = required[1]
+    elif modes:
+        inner = (INNER + 6 * (stage - 1)) * lanes + lane
+        work[inner] = n_c
+        work[inner + 1 * lanes] = n_d
+        work[inner + 2 * lanes] = v_c
+        work[inner + 3 * lanes] = v_d
+        work[inner + 4 * lanes] = required[0]
+        work[inner + 5 * lanes] = required[1]
     k = (RATES + 7 * stage) * lanes + lane
     work[k] = acceleration[0]
     work[k + 1 * lanes] = acceleration[1]

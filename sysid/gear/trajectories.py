@@ -93,7 +93,9 @@ class GearTrajectory:
     switches : (n_switches, 7) array
         Mode switches on a high-friction surface: time since the start [s], foot (0 rear, 1 front), 1 if it
         sticks from then on and 0 if it slips, friction available to the rear and front foot and required by
-        them [N]. The first 1000; no rows on a low-friction surface.
+        them [N]; no rows on a low-friction surface. The available friction is that of the mode that the foot
+        has or has just lost: mu_k F_n where a slip came to zero, mu_s F_n where a stuck foot was released. A
+        slipping foot that fails to stick slips back: a row with 0 for a foot that had not stuck.
     events : tuple of Event
         Touchdowns, lift-offs, slips, sticks, flip and rest in the order of time, each as exact as the
         trajectory: located to 1e-6 s at `TIGHT_TOLERANCE`.

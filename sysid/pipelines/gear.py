@@ -16,6 +16,7 @@ from sysid.errors import CampaignError, SysidWarning
 from sysid.filters import KaiserLowpass
 from sysid.fit.agreement import loose_warnings
 from sysid.fit.cost import FilteredNrmse, PopulationCost
+from sysid.fit.history import summed
 from sysid.fit.objective import Evaluation
 from sysid.fit.result import FitResult, TrialResult, bound_warnings, ranked_sets
 from sysid.gear.model import (
@@ -24,6 +25,7 @@ from sysid.gear.model import (
     PARAMETERS,
     SURFACES,
     Drops,
+    PopulationSamples,
     parameters_on,
     prepare,
     simulate_population,
@@ -31,6 +33,7 @@ from sysid.gear.model import (
 from sysid.parameter_sets import ParameterRecord, parameter_records
 from sysid.parameters import SearchSpace
 from sysid.pipelines.drops import PreparedDrop, cost_channels, prepare_drops
+from sysid.pipelines.gear_causes import CAUSES, judged
 from sysid.pipelines.nuisance import offsets, shifted_before, shifted_starts, with_nuisance
 from sysid.pipelines.search import (
     FitOptions,
@@ -60,6 +63,12 @@ def search_space(campaign: GearCampaign) -> SearchSpace:
         parameters_on(law), SURFACES[law].free, measured_values(campaign)
     )
     return with_nuisance(space, campaign)
+
+
+def fit_tolerance(campaign: GearCampaign) -> float:
+    """Return the bound of the simulations' error per step that a campaign asks for."""
+    own = campaign.fit.tolerance
+    return FIT_TOLERANCE if own is None else own
 
 
 def measured_values(campaign: GearCampaign) -> dict[str, float]:
@@ -110,6 +119,10 @@ class GearObjective:
         Friction law.
     threads : int, optional
         Cores to use; all by default. The numbers do not depend on it.
+    tolerance : float
+        Bound of the simulation's error per step, see `sysid.gear.model.simulate`.
+    board_length : float, optional
+        Way down-slope from the touchdown to the board's end [m].
     """
 
     space: SearchSpace
@@ -118,6 +131,7 @@ class GearObjective:
     surface: str
     threads: int | None = None
     tolerance: float = FIT_TOLERANCE
+    board_length: float | None = None
     _jobs: Drops = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -135,26 +149,42 @@ class GearObjective:
         space: SearchSpace,
         drops: tuple[PreparedDrop, ...],
         threads: int | None = None,
-        tolerance: float = FIT_TOLERANCE,
+        tolerance: float | None = None,
     ) -> GearObjective:
-        """Join prepared drops with the campaign's cost."""
+        """Join prepared drops with the campaign's cost; the tolerance is the campaign's by default."""
         cost = FilteredNrmse(
             [drop.target for drop in drops], cost_channels(campaign), campaign.cost.denominator
         )
-        return cls(space, drops, cost, campaign.surface.law, threads, tolerance)
+        accuracy = fit_tolerance(campaign) if tolerance is None else tolerance
+        return cls(space, drops, cost, campaign.surface.law, threads, accuracy, campaign.surface.board_length)
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """The causes of failure that are told apart."""
+        return CAUSES
 
     def evaluate(self, cube: FloatArray) -> Evaluation:
         """Simulate and score unit-cube points (P, n_free)."""
-        scored = self.score(self.space.full(cube))
-        return Evaluation(scored.cost, np.asarray(scored.failed.any(axis=1)), len(cube) * len(self.drops))
+        scored, causes = self.judge(self.space.full(cube))
+        return Evaluation(scored.cost, causes, len(cube) * len(self.drops))
 
     def score(self, rows: FloatArray) -> PopulationCost:
         """Simulate and score rows of the whole parameter table (P, n_par) [SI]."""
-        samples, reached = self.simulate(rows)
-        return self.cost(samples, reached)
+        return self.judge(rows)[0]
 
-    def simulate(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return samples (P, n_total, 6) with every drop's margins, and the share that was reached (P, D)."""
+    def judge(self, rows: FloatArray) -> tuple[PopulationCost, NDArray[np.int8]]:
+        """Score rows, and tell of each why it failed: the number (from 1) among `causes`, 0 for none."""
+        return self.judge_samples(*self.simulate(rows))
+
+    def judge_samples(
+        self, samples: FloatArray, result: PopulationSamples
+    ) -> tuple[PopulationCost, NDArray[np.int8]]:
+        """Score what `simulate` returned."""
+        scored = self.cost(samples, result.reached)
+        return judged(self.cost, self.drops, self.board_length, result, samples, scored)
+
+    def simulate(self, rows: FloatArray) -> tuple[FloatArray, PopulationSamples]:
+        """Return samples (P, n_total, 6) with every drop's margins, and all that the simulation found."""
         own = offsets(self.space.table, rows, self.drops)
         result = simulate_population(
             rows[:, : len(PARAMETERS)],
@@ -174,7 +204,7 @@ class GearObjective:
             samples[:, first[d] + lead : first[d + 1]] = result.samples[:, ends[d] : ends[d + 1]]
             if own is not None:
                 samples[:, first[d] + lead : first[d + 1], 1] += own[0][:, d, None]
-        return samples, result.reached
+        return samples, result
 
 
 def fit_gear(
@@ -234,7 +264,8 @@ def fit_gear(
         tell(f"preparing the {law} kernel: compiled once per version (under a minute), then loaded")
         prepare(law, single=False)
         hashes = {drop.name: str(drop.provenance["sha256"]) for drop in drops}
-        identity = fit_identity(path, settings, space, hashes, **{"the friction law": campaign.surface.law})
+        accuracy = {"the friction law": law, "the accuracy of a simulation": objective.tolerance}
+        identity = fit_identity(path, settings, space, hashes, **accuracy)
         found = search(
             objective, settings, folder=folder, options=options, identity=identity,
             simulated="drops", tell=tell,
@@ -268,13 +299,16 @@ def fit_gear(
         channel_units=tuple(channel.unit for channel in objective.cost.channels),
         channel_weights=tuple(channel.weight for channel in objective.cost.channels),
         settings=_settings(campaign, fitted),
-        provenance=provenance(
-            path,
-            settings,
-            campaign.cost.denominator,
-            _filter_design(campaign, fitted[0]),
-            {drop.name: drop.provenance for drop in drops},
-        ),
+        provenance={
+            **provenance(
+                path,
+                settings,
+                campaign.cost.denominator,
+                _filter_design(campaign, fitted[0]),
+                {drop.name: drop.provenance for drop in drops},
+            ),
+            "failed candidates by cause": summed(run.failures for run in found.runs),
+        },
         warnings=(*doubts, *found.warnings, *after),
     )
     return result, found.write(result, folder, options)
@@ -285,11 +319,10 @@ _CONSTANTS = (
     "gravity",
     "leg_mass_fraction",
     "slip_regularization",
-    "stick_speed",
     *(name for name in PARAMETERS if name.startswith("front_")),
 )
 # Rows that belong to one friction law only.
-_OF_LAW = {"slip_regularization": "lf", "static_friction_excess": "hf", "stick_speed": "hf"}
+_OF_LAW = {"slip_regularization": "lf", "static_friction_excess": "hf"}
 
 
 def _say_defaults(campaign: GearCampaign, space: SearchSpace) -> None:
@@ -311,8 +344,8 @@ def _say_defaults(campaign: GearCampaign, space: SearchSpace) -> None:
 
 
 def _trial_results(objective: GearObjective, rows: FloatArray) -> tuple[TrialResult, ...]:
-    samples, reached = objective.simulate(rows)
-    scored = objective.cost(samples, reached)
+    samples, result = objective.simulate(rows)
+    scored, _ = objective.judge_samples(samples, result)
     simulated = objective.cost.prepared(samples)
     out = []
     for d, drop in enumerate(objective.drops):
@@ -347,7 +380,7 @@ def _settings(campaign: GearCampaign, drops: tuple[PreparedDrop, ...]) -> dict[s
             "after_contact [s]": campaign.window.after_contact,
         },
         "slopes [deg]": {drop.name: float(np.degrees(drop.slope)) for drop in drops},
-        "tolerance": FIT_TOLERANCE,
+        "tolerance": fit_tolerance(campaign),
     }
 
 

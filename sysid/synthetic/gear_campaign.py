@@ -68,7 +68,7 @@ def campaign_text(
     friction = f"kinetic_friction = {values['kinetic_friction']:.10g}  # tilted board: tan(angle)\n"
     if surface != "lf":  # identified there, not measured
         legs = f"leg_mass_fraction = {values['leg_mass_fraction']:.10g}\n"
-        friction = f"stick_speed = {quantity(values['stick_speed'], 'm/s')}\n"
+        friction = ""
     else:
         friction += f"slip_regularization = {quantity(values['slip_regularization'], 'm/s')}\n"
     return f"""\

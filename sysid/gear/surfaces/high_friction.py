@@ -7,23 +7,29 @@ the switch).
 
 Slip ends where the speed along ``d`` falls through zero: the foot sticks if ``mu_k F_n > |f_req|``, the
 multiplier that sticking would need with the other foot in its mode, and slips back otherwise. This is the
-limit ``e_v -> 0`` of the paper's test ``|v_t| < e_v``; a crossing inside a step is
-found unless the slip, or the margin of a stuck foot, crosses twice within that step. Sticking ends
-where ``mu_s F_n`` falls below ``|f_req|``; the foot then slips against that force. A foot in the air slips
-with ``F_n = 0``.
+limit ``e_v -> 0`` of the paper's test ``|v_t| < e_v``, whose ``e_v`` is not printed: the crossing is located,
+so no speed below which a foot may stick has to be chosen. Sticking ends where ``mu_s F_n`` falls below
+``|f_req|``; the foot then slips against that force. A foot in the air slips with ``F_n = 0``.
+
+A loss of a mode shows at the step's end, or, where it heals before that, at one of the step's inner stages:
+such a step is repeated to end there.
 """
 
 from numba import njit
 
 from sysid.gear.dynamics import accelerations
-from sysid.gear.rows import LAW, MARGIN, NORMAL, REQUIRED, SLIP, STUCK, SWITCH, WAY
+from sysid.gear.rows import INNER, LAW, MARGIN, NORMAL, REQUIRED, SLIP, STUCK, SWITCH, WAY
 from sysid.gear.surfaces.surface import Surface
+from sysid.integrate.tableau import STAGES, C
 
 # Decay rate of a stuck foot's residual slip [1/s].
 _SETTLE = 200.0
 # An event is hit when the step ends at most this late [s].
 _LATE = 1e-7
 _NEVER = -1e30
+# The shortest step that is cut for what its inner stages saw [s], and the least share of it that is left.
+_INNER_STEP = 1e-6
+_INNER_SHARE = 0.1
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -94,6 +100,29 @@ def event(stuck, way, normal, slip, required, margin, mu_s):
     start = margin if margin > 0.0 else 0.0
     share = start / (start - now) if lost > 0.0 else 1.0
     return now, lost, share
+
+
+@njit(error_model="numpy", forceinline=True)
+def inner_share(work, foot, lane, lanes, h, stuck, way, margin, mu_s):
+    """Share of the step after which an inner stage saw a foot out of its mode, 1 where none did.
+
+    Stages are states of low order: what they see only shortens the step, its end decides.
+    """
+    share = 1.0
+    start = margin if margin > 0.0 else 0.0
+    for stage in range(1, STAGES):
+        row = (INNER + 6 * (stage - 1) + foot) * lanes + lane
+        normal = work[row]
+        required = work[row + 4 * lanes]
+        force = required if required > 0.0 else -required
+        now = work[row + 2 * lanes] * way if normal > 0.0 else 1.0
+        now = mu_s * normal - force if stuck > 0.0 else now
+        falling = 1.0 if now < margin else 0.0
+        lost = falling if now < 0.0 else 0.0
+        here = C[stage] * start / (start - now) if lost > 0.0 else 1.0
+        share = here if here < share else share
+    share = share if share > _INNER_SHARE else _INNER_SHARE
+    return share if h > _INNER_STEP else 1.0
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -176,9 +205,15 @@ def after_step(work, lane, lanes, h, taken, new_h):
     n_d, v_d, r_d = work[NORMAL * lanes + d], work[SLIP * lanes + d], work[REQUIRED * lanes + d]
     now_c, lost_c, share_c = event(stuck_c, way_c, n_c, v_c, r_c, margin_c, mu_s)
     now_d, lost_d, share_d = event(stuck_d, way_d, n_d, v_d, r_d, margin_d, mu_s)
+    inner_c = inner_share(work, 0, lane, lanes, h, stuck_c, way_c, margin_c, mu_s)
+    inner_d = inner_share(work, 1, lane, lanes, h, stuck_d, way_d, margin_d, mu_s)
+    share_c = inner_c if inner_c < share_c else share_c
+    share_d = inner_d if inner_d < share_d else share_d
     taken, new_h, hit = settle(share_c, share_d, h, taken, new_h)
     switch_c = hit * lost_c
     switch_d = hit * lost_d
+    lost_mode_c = switch_c * (1.0 + stuck_c)
+    lost_mode_d = switch_d * (1.0 + stuck_d)
     stuck_c, way_c, margin_c = next_mode(
         switch_c, stuck_c, way_c, n_c, v_c, r_c, margin_c, now_c, taken, mu_k
     )
@@ -191,8 +226,8 @@ def after_step(work, lane, lanes, h, taken, new_h):
     work[WAY * lanes + d] = way_d
     work[MARGIN * lanes + c] = margin_c
     work[MARGIN * lanes + d] = margin_d
-    work[SWITCH * lanes + c] = switch_c
-    work[SWITCH * lanes + d] = switch_d
+    work[SWITCH * lanes + c] = lost_mode_c
+    work[SWITCH * lanes + d] = lost_mode_d
     return taken, new_h
 
 
