@@ -63,6 +63,27 @@ def test_finds_the_minimum():
     assert np.all(np.diff(run.best) <= 0)
 
 
+class Torn(Bowl):
+    """A bowl that tells why a candidate failed."""
+
+    causes = ("fell over", "ran away")
+
+    def evaluate(self, cube):
+        scored = super().evaluate(cube)
+        codes = np.where(scored.failed, 1 + (cube[:, 1] > 0.5), 0).astype(np.int8)
+        return Evaluation(scored.cost, codes, scored.simulations)
+
+
+def test_failures_are_counted_by_cause():
+    torn = run_genetic(Torn(), population=40, seed=3, stop=SHORT)
+    plain = run_genetic(Bowl(), population=40, seed=3, stop=SHORT)
+    np.testing.assert_array_equal(torn.failed, plain.failed)
+    assert set(torn.failures) == {"fell over", "ran away"}
+    assert sum(torn.failures.values()) == torn.failed.sum()
+    assert [sum(one.values()) for one in torn.stages[0].causes] == list(torn.failed)
+    assert plain.failures == {"simulation failed": int(plain.failed.sum())}
+
+
 def test_history_is_complete_and_sorted():
     run = run_genetic(Bowl(), population=40, seed=3, stop=SHORT)
     assert run.stages[0].cube.shape == (12, 40, 3)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import sysid
+from sysid import exact_json
 from sysid.errors import FitError
 from sysid.fit import store
 from sysid.fit.history import RunHistory, StageHistory
@@ -48,6 +49,7 @@ def made_fit(name="bench", seed=0, state="done"):
                     simulations=18 * size,
                     wall_time=1.5 + i,
                     stop_reason="converged",
+                    causes=tuple({"blew up": g, "left the board": 2} if g else {} for g in range(6)),
                 )
                 for algorithm, size in (("ga", 20), ("cmaes", 8))
             ),
@@ -104,6 +106,7 @@ def assert_same(a, b):
         for first, second in zip(x.stages, y.stages, strict=True):
             assert first.algorithm == second.algorithm
             assert (first.wall_time, first.stop_reason) == (second.wall_time, second.stop_reason)
+            assert first.causes == second.causes
             for field in ("cube", "cost", "failed"):
                 np.testing.assert_array_equal(getattr(first, field), getattr(second, field))
     for x, y in zip(a.trials, b.trials, strict=True):
@@ -270,7 +273,7 @@ def test_damaged_fits_are_refused(tmp_path):
     (path / "fit.h5").write_bytes(whole)
     with h5py.File(path / "fit.h5", "r+") as file:
         file.attrs["version"] = 99
-    with pytest.raises(FitError, match="fit version 99, expected 2"):
+    with pytest.raises(FitError, match="fit version 99, expected 3"):
         read_fit(path)
     (path / "fit.h5").write_bytes(whole)
     with h5py.File(path / "fit.h5", "r+") as file:
@@ -289,3 +292,16 @@ def test_trajectory_shapes_are_checked():
     bad = TrialResult(**{**vars(fit.trials[0]), "simulated": np.zeros((3, 49, 2))})
     with pytest.raises(ValueError, match="trial up: simulated"):
         FitResult(**{**vars(fit), "trials": (bad, *fit.trials[1:])})
+
+
+def test_failures_are_told_by_cause_in_text_and_numbers(tmp_path):
+    path = write_fit(made_fit(), tmp_path / "bench")
+    # 1 + 2 + 3 + 4 + 5 in each of two stages, and 2 in five generations of each.
+    assert read_fit(path).runs[0].failures == {"blew up": 30, "left the board": 20}
+    assert "failed: 30 blew up, 20 left the board" in (path / "summary.txt").read_text(encoding="utf-8")
+    with h5py.File(path / "fit.h5") as file:
+        counts = file["runs/1/stages/1/failed_by_cause"]
+        assert counts[()].tolist() == [[0, 0], *([g, 2] for g in range(1, 6))]
+        record = exact_json.loads(file["record_json"].asstr()[()])
+    by_cause = record["runs"][0]["stages"][0]["failed candidates by cause"]
+    assert by_cause == {"blew up": 15, "left the board": 10}
