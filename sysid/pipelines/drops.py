@@ -166,9 +166,10 @@ def _prepare(
 
     held = find_fall(motion, gravity, where, trial.release)
     hangs = held.stop > held.start
-    level = held_level(motion, held) if hangs and campaign.capture.level == "release" else np.eye(3)
+    levels = hangs and campaign.capture.level == "release"
+    level = held_level(motion, held) if levels else np.eye(3)
     planar = planar_motion(motion, point, level)
-    flight, touchdown = fit_flight(planar, plane, feet, held, gravity, where)
+    flight, touchdown = fit_flight(planar, plane, feet, held, gravity, where, levels)
     if trial.touchdown is not None:
         touchdown = trial.touchdown
 

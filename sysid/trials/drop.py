@@ -14,13 +14,18 @@ from numpy.typing import NDArray
 from scipy import optimize, signal
 
 from sysid.errors import LogError
-from sysid.trials.capture import PlanarMotion, SpatialMotion, smooth_height
+from sysid.trials.capture import PlanarMotion, SpatialMotion, held_level, smooth_height
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 # Share of g that counts as falling when judged on 45 ms of positions.
 _FALLING = 0.6
+# Of a hold, samples back to the last one this far from its place or turned by this much count, at most for
+# this long [m, rad, s]: a magnet holds for long, and every simulation starts from the mean of its samples.
+_STILL = 2e-3
+_STILL_TURN = np.radians(1.5)
+_LONGEST_HOLD = 2.0
 # Ballistic fits reach this far back from the touchdown at most [s].
 _LOOK_BACK = 0.6
 
@@ -144,11 +149,31 @@ def find_fall(motion: SpatialMotion, gravity: float, where: str, release: float 
     # A hand moves by more than this within 0.3 s; a magnet does not.
     if last - first < 5 or np.ptp(still) > 0.004 or motion.valid[held].sum() < 3:
         return slice(onset, onset)
-    return held
+    return slice(_still_since(motion, held), last)
+
+
+def _still_since(motion: SpatialMotion, held: slice) -> int:
+    """Return the first sample of the rest that a hold is the end of: more samples tell its place better."""
+    first = max(0, held.stop - round(_LONGEST_HOLD * motion.rate))
+    place = np.nanmean(np.where(motion.valid[held, None], motion.position[held], np.nan), axis=0)
+    turn = held_level(motion, held)
+    before = slice(first, held.start)
+    away = np.abs(motion.position[before] - place).max(axis=1) > _STILL
+    # The angle of the rotation in between from its trace.
+    trace = np.einsum("ij,nij->n", turn, motion.rotation[before])
+    turned = trace < 1 + 2 * np.cos(_STILL_TURN)
+    moved = np.flatnonzero(motion.valid[before] & (away | turned))
+    return first + int(moved[-1]) + 1 if len(moved) else first
 
 
 def fit_flight(
-    motion: PlanarMotion, plane: SlopedPlane, feet: Feet, held: slice, gravity: float, where: str
+    motion: PlanarMotion,
+    plane: SlopedPlane,
+    feet: Feet,
+    held: slice,
+    gravity: float,
+    where: str,
+    level: bool = False,
 ) -> tuple[Flight, float]:
     """Fit hold and free flight, and find the first contact.
 
@@ -164,6 +189,8 @@ def fit_flight(
         [m/s²]
     where : str
         File and trial, for the message.
+    level : bool
+        The hold defines level: a body that is let go at rest has exactly no pitch.
 
     Returns
     -------
@@ -195,7 +222,7 @@ def fit_flight(
         )
     touchdown = float(motion.time[from_index + contact[0]])
     for _ in range(3):  # the samples that count depend on the touchdown, which they move by less than one
-        flight = _fit(motion, held, touchdown, gravity, where)
+        flight = _fit(motion, held, touchdown, gravity, where, level)
         refined = _contact_time(flight, plane, feet, touchdown)
         if abs(refined - touchdown) < 1e-6:
             break
@@ -203,7 +230,9 @@ def fit_flight(
     return flight, touchdown
 
 
-def _fit(motion: PlanarMotion, held: slice, touchdown: float, gravity: float, where: str) -> Flight:
+def _fit(
+    motion: PlanarMotion, held: slice, touchdown: float, gravity: float, where: str, level: bool
+) -> Flight:
     period = 1.0 / motion.rate
     holds = held.stop > held.start
     earliest = motion.time[held.start] if holds else max(motion.time[held.stop], touchdown - _LOOK_BACK)
@@ -247,7 +276,7 @@ def _fit(motion: PlanarMotion, held: slice, touchdown: float, gravity: float, wh
         if abs(solution[1]) > 3 * sigma:
             origin[column], rates[column] = solution
         else:
-            origin[column] = values.mean()
+            origin[column] = 0.0 if level and column == 2 else values.mean()
     measured = float("nan")
     if (elapsed > 0).sum() >= 5:
         height = coordinates[:, 1]

@@ -76,12 +76,13 @@ def test_energy_is_conserved_without_damping_and_friction():
     assert np.abs(total - total[0]).max() < 1e-6 * abs(total[0])
 
 
-def test_momentum_in_flight():
+@pytest.mark.parametrize("surface", ["lf", "hf"])
+def test_momentum_in_flight(surface):
     state = np.zeros(14)
     state[:7] = [0.0, 5.0, 0.3, 0.004, 0.2, -0.003, 0.05]
     state[7:] = [0.4, -0.2, 2.0, 0.1, 3.0, -0.2, -4.0]
     time = np.linspace(0, 0.5, 101)
-    run = simulate(NOMINAL, 0.2, None, time, state=state, tolerance=1e-8)
+    run = simulate(NOMINAL, 0.2, None, time, state=state, tolerance=1e-8, surface=surface)
     assert run.normal_force.max() == 0
     p, s = NOMINAL, run.state
     masses = [p["body_mass"], p["leg_mass"], p["leg_mass"]]
@@ -101,7 +102,9 @@ def test_momentum_in_flight():
     np.testing.assert_allclose(spin, spin[0], atol=1e-7)
 
 
-def test_mirrored_slope_mirrors_the_motion():
+@pytest.mark.parametrize(("surface", "friction"), [("lf", 0.44), ("hf", 0.87)])
+def test_mirrored_slope_mirrors_the_motion(surface, friction):
+    p = NOMINAL | {"kinetic_friction": friction}
     slope = math.radians(15)
     state = np.zeros(14)
     state[:7] = [0.01, 0.19, 0.1, 0.0, 0.13, 0.0, 0.15]
@@ -110,12 +113,16 @@ def test_mirrored_slope_mirrors_the_motion():
     swap = [0, 1, 2, 5, 6, 3, 4]
     order = [*swap, *(7 + i for i in swap)]
     time = np.linspace(0, 0.4, 81)
-    run = simulate(NOMINAL, slope, None, time, state=state, tolerance=1e-6)
-    twin = simulate(NOMINAL, -slope, None, time, state=mirrored[order], tolerance=1e-6)
+    run = simulate(p, slope, None, time, state=state, tolerance=1e-6, surface=surface)
+    twin = simulate(p, -slope, None, time, state=mirrored[order], tolerance=1e-6, surface=surface)
     back = twin.state[:, order] * np.tile([-1, 1, -1, 1, 1, 1, 1], 2)
     # Sums run in another order, so that now and then a step is accepted on one side only: the motions agree
     # as well as either is integrated, 1e-5 for leg rates of 10 rad/s at this tolerance.
     np.testing.assert_allclose(back, run.state, rtol=0, atol=1e-4)
+    assert (len(run.switches) >= 4) == (surface == "hf")
+    # Rear and front change places, and with them the modes.
+    np.testing.assert_array_equal(twin.switches[:, 1], 1 - run.switches[:, 1])
+    np.testing.assert_array_equal(twin.switches[:, 2], run.switches[:, 2])
     assert run.normal_force.max() > 20
 
 

@@ -61,8 +61,9 @@ def test_offsets_of_a_drop_are_found_where_they_were_put(drops):
     moved[0, 8:] = 0.9
     own = every.score(space.full(moved)).by_channel[:, 2]
     plain = score_values(campaign, prepared, truth).by_channel[:, 2]
-    # But for the last bits of the unit cube, which the bounces multiply.
-    np.testing.assert_allclose(own, plain, rtol=0.02)
+    # But for the last bits of the unit cube, which the bounces multiply to a tenth of what the integration
+    # leaves; 1.6 mm of height would be a hundred times that.
+    np.testing.assert_allclose(own, plain, rtol=0, atol=1e-4)
 
 
 def test_a_surface_that_is_a_millimetre_off_is_found_by_its_offset(drops):

@@ -70,7 +70,7 @@ class Torn(Bowl):
 
     def evaluate(self, cube):
         scored = super().evaluate(cube)
-        codes = np.where(scored.failed, 1 + (cube[:, 1] > 0.5), 0).astype(np.int8)
+        codes = np.where(scored.failed, 1 + (cube[:, 0] > 0.975), 0).astype(np.int8)
         return Evaluation(scored.cost, codes, scored.simulations)
 
 

@@ -1,0 +1,152 @@
+"""Candidates that describe no measured drop: recognized, penalized by degree, counted by cause."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sysid import exact_json
+from sysid.campaign import read_campaign
+from sysid.fit.cost import FAILED_NRMSE
+from sysid.fit.store import read_fit
+from sysid.gear.model import pack, simulate_population
+from sysid.pipelines.drops import prepare_drops
+from sysid.pipelines.gear import GearObjective, fit_gear, search_space
+from sysid.pipelines.gear_causes import CAUSES
+from sysid.pipelines.search import FitOptions
+from sysid.synthetic import LF_DROPS, read_truth, synthesize_gear
+
+EXACT = {"noise_position": 0.0, "noise_angle": 0.0, "occlusions": False, "wobble": 0.0}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    drops = (LF_DROPS[1], LF_DROPS[5])  # 10 deg and 35 deg: the steep one slides
+    return synthesize_gear(tmp_path_factory.mktemp("causes") / "lf", seed=3, drops=drops, **EXACT)
+
+
+@pytest.fixture(scope="module")
+def problem(folder):
+    """Objective, and the truth's row of the table."""
+    path = folder / "campaign.toml"
+    campaign = read_campaign(path, "gear")
+    prepared = prepare_drops(campaign, path)
+    space = search_space(campaign)
+    truth = read_truth(folder)["parameters"]
+    return GearObjective.build(campaign, space, prepared), pack(truth)
+
+
+def cause(objective, row):
+    scored, codes = objective.judge(row[None])
+    assert np.isfinite(scored.by_channel).all()
+    return float(scored.cost[0]), "fine" if not codes[0] else CAUSES[codes[0] - 1]
+
+
+def lifted(objective, height):
+    """The same drops from higher up."""
+    up = np.array([0.0, height, 0.0, 0.0, 0.0, 0.0])
+    drops = tuple(replace(drop, initial_state=drop.initial_state + up) for drop in objective.drops)
+    return replace(objective, drops=drops)
+
+
+def changed(row, column, value):
+    out = row.copy()
+    out[column] = value
+    return out
+
+
+def test_the_truth_is_fine(problem):
+    objective, row = problem
+    cost, why = cause(objective, row)
+    assert why == "fine"
+    assert cost < 2e-3  # integration and quantization, as elsewhere in these tests
+
+
+def test_a_drop_that_never_touches_is_penalized_by_its_height(problem):
+    objective, row = problem
+    found = [cause(lifted(objective, height), row) for height in (5.0, 10.0)]
+    assert [why for _, why in found] == ["never touched"] * 2
+    # Finite, above what any simulation that touches scores, and graded.
+    assert FAILED_NRMSE < found[0][0] < found[1][0]
+    low, why = cause(lifted(objective, 0.2), row)
+    assert why == "fine"
+    assert low < FAILED_NRMSE
+
+
+def test_leaving_the_board_is_penalized_by_what_is_missing(problem):
+    objective, row = problem
+    boards = (0.05, 0.1, 0.2, 0.3, 5.0)
+    found = [cause(replace(objective, board_length=board), row) for board in boards]
+    assert [why for _, why in found[:2]] == ["left the board"] * 2
+    assert found[-1] == cause(objective, row)
+    costs = [cost for cost, _ in found]
+    # The sooner it leaves, the more it pays; who stays on is scored as ever.
+    assert costs == sorted(costs, reverse=True)
+    assert costs[0] > costs[1] > costs[-1]
+    # Both drops reach the shortest board's end, and neither before its touchdown.
+    assert costs[0] < FAILED_NRMSE + costs[-1]
+
+
+def test_the_penalty_of_leaving_begins_at_nothing(problem):
+    """A candidate beside the truth that crosses the board's end just before the window's end pays little."""
+    objective, row = problem
+    steep = objective.drops[1]
+    along = steep.target.measured[:, :2] @ [np.cos(steep.slope), -np.sin(steep.slope)]
+    touch = np.searchsorted(steep.time, steep.touchdown)
+    way = along[-1] - along[touch]
+    own, _ = cause(objective, row)
+    # Up to 5 % before the end of the measured way nothing is paid; 2 % more are some samples of the window.
+    assert cause(replace(objective, board_length=0.97 * way), row) == (own, "fine")
+    cost, why = cause(replace(objective, board_length=0.92 * way), row)
+    assert why == "left the board"
+    assert own < cost < own + 0.1 * FAILED_NRMSE
+
+
+def test_every_way_to_be_lost_is_told_apart(problem):
+    objective, row = problem
+    assert cause(objective, changed(row, 8, 5.0))[1] == "blew up"
+    assert cause(objective, changed(row, 12, 1e13))[1] == "too stiff"
+    assert cause(objective, changed(row, 15, 0.0))[1] == "step collapsed"
+    later, sooner = (cause(objective, changed(row, 8, k_h))[0] for k_h in (50.0, 5.0))
+    # Both are lost, the softer legs earlier.
+    assert FAILED_NRMSE / 2 < later < sooner < 2 * FAILED_NRMSE
+
+
+def test_none_costs_more_than_five_ordinary_candidates(problem):
+    objective, row = problem
+    jobs = objective._jobs
+    rows = np.stack(
+        [row, *(changed(row, *change) for change in ((8, 5.0), (12, 1e13), (15, 0.0), (12, 1e300)))]
+    )
+    spent = simulate_population(rows, jobs).rhs_evaluations
+    high = simulate_population(row, lifted(objective, 5.0)._jobs).rhs_evaluations
+    # In right-hand sides, which is what a candidate costs. Leaving the board is the truth's own drop.
+    assert spent[1:].max() <= 5 * spent[0].mean()
+    assert high.max() < spent[0].mean()
+
+
+def test_a_fit_counts_them_by_cause(folder, tmp_path):
+    path = folder / "soft.toml"
+    text = (folder / "campaign.toml").read_text(encoding="utf-8")
+    text = text.replace('board_length = "1.2 m"', 'board_length = "0.25 m"')
+    text += '\n[parameters.bounds]\nleg_axial_stiffness = ["5 N/m", "12000 N/m"]\n'
+    path.write_text(text, encoding="utf-8")
+    options = FitOptions(
+        out=tmp_path / "fit",
+        population=24,
+        runs=1,
+        max_generations=2,
+        algorithm="ga",
+        finish="none",
+        quiet=True,
+    )
+    result, out = fit_gear(path, options)
+    counts = result.runs[0].failures
+    assert {"blew up", "left the board"} <= set(counts) <= set(CAUSES)
+    assert sum(counts.values()) == result.runs[0].failed.sum()
+    # In text, numbers and JSON.
+    assert read_fit(out).runs[0].failures == counts
+    for cause_text, count in counts.items():
+        assert f"{count} {cause_text}" in (out / "summary.txt").read_text(encoding="utf-8")
+    document = exact_json.loads((out / "fit.json").read_text(encoding="utf-8"))
+    assert document["provenance"]["failed candidates by cause"] == counts
