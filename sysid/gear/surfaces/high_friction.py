@@ -13,8 +13,7 @@ so no speed below which a foot may stick has to be chosen. Sticking ends where `
 
 A loss of a mode shows at the step's end, or, where it heals before that, at one of the step's inner stages:
 such a step is repeated to end there. A loss that falls between two stages is missed: at the fit's setting 2
-of 20 switches in 0.5 s of a drop at 5 deg and 0.5 m/s, none of 8 to 25 in ten other drops (0.3 to 1 m/s, 3 to
-35 deg); the body's motion up to the third contact stays within 0.02 %.
+of the 20 switches in 0.5 s of a drop at 5 deg and 0.5 m/s, none in eleven others (8 to 25 switches each).
 """
 
 from numba import njit
