@@ -179,12 +179,12 @@ def _in_table(where: str) -> Iterator[None]:
 
 
 class FitTable(Table):
-    """`[fit]`: the search."""
+    """`[fit]`: the search; an algorithm or a population that is not named is the search's own default."""
 
-    population: int = Field(default=400, ge=8, le=100_000)
+    population: int | None = Field(default=None, ge=8, le=100_000)
     runs: int = Field(default=5, ge=1, le=1000)
     seed: int = Field(default=1, ge=0)
-    algorithm: Literal["ga", "matlab-ga", "cmaes", "de", "pso"] = "ga"
+    algorithm: Literal["ga", "matlab-ga", "cmaes", "de", "pso"] | None = None
     finish: Literal["cmaes", "none"] = "cmaes"
     stop_reading: Literal["relative", "matlab"] = "relative"
     stop_window: int = Field(default=4, ge=1)

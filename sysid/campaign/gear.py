@@ -172,7 +172,7 @@ class GearCampaign(CampaignTable):
     nuisance: Nuisance = Nuisance()
     filter: KaiserFilter = KaiserFilter()
     cost: GearCost = GearCost()
-    fit: GearFitTable = GearFitTable(population=400)
+    fit: GearFitTable = GearFitTable()
     trials: tuple[GearTrial, ...]
 
     @model_validator(mode="after")

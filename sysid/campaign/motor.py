@@ -135,7 +135,7 @@ class MotorCampaign(CampaignTable):
     filter: ChebyshevFilter = ChebyshevFilter()
     cost: MotorCost = MotorCost()
     nuisance: MotorNuisance = MotorNuisance()
-    fit: FitTable = FitTable(population=200)
+    fit: FitTable = FitTable()
     trials: tuple[MotorTrial, ...]
 
     @model_validator(mode="after")

@@ -24,6 +24,11 @@ FloatArray = NDArray[np.float64]
 SAME_NRMSE = 2e-3
 # Of the unit cube's edge.
 SAME_PLACE = 0.02
+# Relative difference of NRMSE within which searches end, three times CMA-ES's tolerance: no further search
+# tells apart what lies within it.
+ENDS_WITHIN = 3e-5
+# A parameter that such sets spread over by more is held no tighter than that [1].
+_HELD = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,18 +113,18 @@ def _width(run: RunHistory) -> FloatArray:
 
 
 def loose_warnings(runs: Sequence[RunHistory], space: SearchSpace) -> tuple[str, ...]:
-    """Return a sentence per free parameter that the data do not hold, judged from the candidates themselves.
+    """Return sentences on the free parameters that the data do not hold, judged from the candidates.
 
     A parameter is called loose when candidates of the runs in the best optimum that score within 0.2 % of the
     best NRMSE spread over more than a factor of three (logarithmic scale) or a third of its range (linear).
-    It is a lower bound on what the data leave open: a search does not explore what does not pay.
+    Of the others those are named whose value differs by more than 1 % between candidates that score within
+    0.003 % of the best: no search tells these apart. Both are lower bounds on what the data leave open: a
+    search does not explore what does not pay.
     """
-    found = agreement(runs)
-    limit = float(found.cost.min()) * (1 + SAME_NRMSE)
-    stages = [stage for run in runs for stage in run.stages]
-    good = np.concatenate([stage.cube[stage.cost <= limit] for stage in stages])
-    low, high = space.decode(good.min(axis=0)), space.decode(good.max(axis=0))
-    out = []
+    low, high = _span(runs, space, SAME_NRMSE)
+    out, held = [], []
+    least, most = _span(runs, space, ENDS_WITHIN)
+    spread = (most - least) / np.maximum(np.abs(most + least) / 2, np.finfo(float).tiny)
     for i, row in enumerate(space.free):
         wide = high[i] > 3 * low[i] if row.scale == "log" else high[i] - low[i] > (row.upper - row.lower) / 3
         if wide:
@@ -127,7 +132,22 @@ def loose_warnings(runs: Sequence[RunHistory], space: SearchSpace) -> tuple[str,
                 f"{row.name} is not fixed by the data: sets from {low[i]:.2g} to {high[i]:.2g} {row.unit} "
                 f"score within {100 * SAME_NRMSE:g} % of the best NRMSE; do not read digits into it"
             )
+        elif len(runs) > 1 and spread[i] > _HELD:
+            held.append(f"{row.name} {100 * spread[i]:.2g} %")
+    if held:
+        out.append(
+            f"held no tighter than this, over sets that score within {100 * ENDS_WITHIN:g} % of the best "
+            f"NRMSE: {', '.join(held)}"
+        )
     return tuple(out)
+
+
+def _span(runs: Sequence[RunHistory], space: SearchSpace, within: float) -> tuple[FloatArray, FloatArray]:
+    """Return least and largest value (n_free,) [SI] of all candidates within a share of the best NRMSE."""
+    limit = min(float(run.best[-1]) for run in runs) * (1 + within)
+    stages = [stage for run in runs for stage in run.stages]
+    good = np.concatenate([stage.cube[stage.cost <= limit] for stage in stages])
+    return space.decode(good.min(axis=0)), space.decode(good.max(axis=0))
 
 
 def waterfall(runs: Sequence[RunHistory]) -> list[str]:

@@ -39,6 +39,14 @@ _PATIENCE = 0.3
 _BLOCK = 512  # the smallest user block
 
 
+# Words of an identity with a meaning of their own: another processor is only noted, and it may round the
+# costs of the same candidates.
+PROCESSOR = "the processor"
+PROBES = "the cost of the same candidates (its inputs or code)"
+# Relative [1]; SOMETHING
+SAME_COST = 1e-4
+
+
 class DamagedState(FitError):
     """A state file that is not whole; the one before it may be."""
 
@@ -135,6 +143,7 @@ class Checkpoint:
                 damage.append(str(error))
                 continue
             self._check(identity)
+            memory.elsewhere = self._begun_elsewhere(identity)
             if damage:
                 done = sum(len(stage.cost) for stage in memory.stages)
                 self.notes.append(
@@ -146,13 +155,30 @@ class Checkpoint:
 
     def _check(self, stored: Mapping[str, Any]) -> None:
         own = exact_json.loads(self._identity)
+        elsewhere = self._begun_elsewhere(stored)
         for key in {**stored, **own}:
+            if key == PROCESSOR or (key == PROBES and elsewhere and _near(stored.get(key), own.get(key))):
+                continue
             if stored.get(key) != own.get(key):
                 found, expected = (_short(values.get(key)) for values in (own, stored))
                 raise FitError(
                     f"{self.folder}: cannot be continued because {key} differs (now {found}, then "
                     f"{expected}); restore it, or start anew with --force"
                 )
+
+    def _begun_elsewhere(self, stored: Mapping[str, Any]) -> bool:
+        """Return whether the state is of another processor, and note it."""
+        then, now = stored.get(PROCESSOR), exact_json.loads(self._identity).get(PROCESSOR)
+        if then == now:
+            return False
+        note = (
+            f"the fit was begun on another processor ({then}; this is {now}): it goes on, but the same bits "
+            "as of an uninterrupted fit are no longer promised, and candidates that come out otherwise here "
+            "are computed again"
+        )
+        if note not in self.notes:
+            self.notes.append(note)
+        return True
 
     def keep(self, run: int, memory: RunMemory, stage_ended: bool) -> None:
         """Write the state of a run (from 0) when it is due: every second, and when a stage has ended.
@@ -247,6 +273,7 @@ def state_bytes(memory: RunMemory, identity: str) -> bytes:
             group.create_dataset("causes_json", data=causes, dtype=h5py.string_dtype())
             group["simulations"] = np.array(stage.simulations, dtype=np.int64)
             group["asked"] = np.array(stage.asked, dtype=np.uint64)
+            group["sketch"] = np.array(stage.sketch, dtype=np.float64)
             group["elapsed"] = np.array(stage.elapsed, dtype=np.float64)
     content = buffer.getvalue()
     return _header(content) + content
@@ -295,9 +322,18 @@ def _read_stage(group: Any) -> StageMemory:
         causes=exact_json.loads(group["causes_json"].asstr()[()]),
         simulations=[int(value) for value in group["simulations"][()]],
         asked=[int(value) for value in group["asked"][()]],
+        sketch=list(group["sketch"][()]),
         elapsed=[float(value) for value in group["elapsed"][()]],
         ended=ended if ended in REASONS else None,
     )
+
+
+def _near(then: Any, now: Any) -> bool:
+    """Return whether two lists of costs (hexadecimal) are equal but for rounding."""
+    if not isinstance(then, list) or not isinstance(now, list) or len(then) != len(now):
+        return False
+    pairs = [(float.fromhex(a), float.fromhex(b)) for a, b in zip(then, now, strict=True)]
+    return all(abs(a - b) <= SAME_COST * abs(a) for a, b in pairs)
 
 
 def _short(value: Any) -> str:

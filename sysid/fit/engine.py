@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import FitError
-from sysid.fit.algorithms import ALGORITHMS, Breeder, Start, breeder
+from sysid.fit.algorithms import ALGORITHMS, DEFAULT_ALGORITHM, POPULATION, Breeder, Start, breeder
 from sysid.fit.apart import BreederApart
 from sysid.fit.history import Generation, RunHistory, StageHistory
 from sysid.fit.memory import RunMemory, StageMemory
@@ -50,7 +50,7 @@ class SearchSettings:
     Parameters
     ----------
     population : int
-        Individuals per generation [1]; the paper uses 200 (motor) and 400 to 800 (gear).
+        Individuals per generation of the first stage [1]; the paper uses 200 (motor) and 400 to 800 (gear).
     runs : int
         Independent runs [1]; the paper uses 5.
     seed : int
@@ -64,11 +64,11 @@ class SearchSettings:
         CMA-ES from mean and spread of each run's last generation; ``none`` is the paper's method.
     """
 
-    population: int = 400
+    population: int = POPULATION[DEFAULT_ALGORITHM]
     runs: int = 5
     seed: int = 1
     stop: StopRule = field(default_factory=StopRule)
-    algorithm: str = "ga"
+    algorithm: str = DEFAULT_ALGORITHM
     finish: str = "cmaes"
 
     def __post_init__(self) -> None:
@@ -234,12 +234,13 @@ class _Run:
                 reason = "exhausted"
                 break
             new = len(generations) >= remembered
+            if not new and not memory.recalls(len(generations), points, self.memory.elsewhere):
+                self.memory.forget_from(memory, len(generations))
+                new, remembered = True, len(generations)
             if new:
                 scored = _scored(self.objective, points)
                 elapsed = already + time.perf_counter() - began
                 memory.append(points, scored, elapsed, causes_of(self.objective))
-            else:
-                memory.check(len(generations), points)
             bred.tell(memory.cost[len(generations)])
             generation = self._generation(memory, len(generations), name, bred.population())
             generations.append(generation)

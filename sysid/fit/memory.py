@@ -3,6 +3,9 @@
 A breeder is a pure function of its seed and of the costs it was told. A run is therefore continued by
 breeding again from the start and telling the remembered costs, until they are used up: no state of any
 library is stored, and the candidates asked for are compared with a fingerprint of those that were scored.
+
+Another processor rounds otherwise, so the same seed and costs breed candidates that differ in their last
+digits. A sketch of every generation tells these from candidates that have nothing to do with the scored ones.
 """
 
 from __future__ import annotations
@@ -26,6 +29,21 @@ def fingerprint(cube: FloatArray) -> int:
     return int.from_bytes(hashlib.blake2b(data, digest_size=8).digest(), "little")
 
 
+# Of a sketch's entries [1]: far above what rounding leaves of a replayed search, and a thousandth of what a
+# fit resolves of a parameter.
+SAME_SKETCH = 1e-5
+
+
+def sketch(cube: FloatArray) -> FloatArray:
+    """Return a few numbers (n_free,) that move as little as the candidates (P, n_free) do.
+
+    Every candidate has another weight, so that exchanged ones show too.
+    """
+    weight = np.cos(np.arange(len(cube), dtype=np.float64))
+    mean: FloatArray = (weight[:, None] * cube).mean(axis=0)
+    return mean
+
+
 @dataclass
 class StageMemory:
     """What one stage has scored, generation by generation.
@@ -42,6 +60,8 @@ class StageMemory:
         Failed candidates of every generation by cause [1].
     asked : list of int
         `fingerprint` of the candidates of every generation.
+    sketch : list of (n_free,) array
+        `sketch` of the candidates of every generation.
     elapsed : list of float
         Wall time of the stage at the end of every generation [s].
     ended : str, optional
@@ -54,6 +74,7 @@ class StageMemory:
     causes: list[dict[str, int]] = field(default_factory=list)
     simulations: list[int] = field(default_factory=list)
     asked: list[int] = field(default_factory=list)
+    sketch: list[FloatArray] = field(default_factory=list)
     elapsed: list[float] = field(default_factory=list)
     ended: StopReason | None = None
 
@@ -70,22 +91,48 @@ class StageMemory:
         self.causes.append(count_causes(scored.failed, causes))
         self.simulations.append(int(scored.simulations))
         self.asked.append(fingerprint(points))
+        self.sketch.append(sketch(points))
         self.elapsed.append(elapsed)
 
-    def check(self, generation: int, points: FloatArray) -> None:
-        """Refuse to go on when other candidates are asked for than those that were scored.
+    def recalls(self, generation: int, points: FloatArray, elsewhere: bool) -> bool:
+        """Return whether the remembered costs of a generation are those of the candidates asked for.
+
+        Parameters
+        ----------
+        generation : int
+            From 0.
+        points : (P, n_free) array
+            Asked for.
+        elsewhere : bool
+            The costs were paid on another processor: candidates that differ by rounding are the same, and
+            those that differ by more are not remembered.
 
         Raises
         ------
         FitError
-            The search cannot be continued to the result that it would have had.
+            Other candidates are asked for on the same processor: the search cannot be continued to the
+            result that it would have had.
         """
-        if self.asked[generation] != fingerprint(points):
+        if self.asked[generation] == fingerprint(points):
+            return True
+        if not elsewhere:
             raise FitError(
                 f"the checkpoint cannot be continued: generation {generation + 1} of {self.algorithm} asks "
-                "for other candidates than were scored, so a library or the processor has changed; "
-                "continue where the fit was begun, or start anew with --force"
+                "for other candidates than were scored, so a library has changed; continue where the fit was "
+                "begun, or start anew with --force"
             )
+        same = len(self.cost[generation]) == len(points)
+        if not same or np.max(np.abs(sketch(points) - self.sketch[generation])) > SAME_SKETCH:
+            return False
+        # From here on it is continued on this processor.
+        self.asked[generation] = fingerprint(points)
+        return True
+
+    def forget_from(self, generation: int) -> None:
+        """Forget a generation (from 0) and all after it; the time that they took was spent."""
+        for entries in (self.cost, self.failed, self.simulations, self.asked, self.sketch, self.elapsed):
+            del entries[generation:]
+        self.ended = None
 
 
 @dataclass
@@ -98,10 +145,13 @@ class RunMemory:
         Of the run.
     stages : list of StageMemory
         Those that were begun.
+    elsewhere : bool
+        They were paid for on another processor.
     """
 
     seed: int
     stages: list[StageMemory] = field(default_factory=list)
+    elsewhere: bool = False
 
     def reopen(self) -> None:
         """Forget that the run was cut short, and what came after the cut: it goes on as if never cut."""
@@ -110,6 +160,11 @@ class RunMemory:
                 stage.ended = None
                 del self.stages[number + 1 :]
                 return
+
+    def forget_from(self, stage: StageMemory, generation: int) -> None:
+        """Forget a generation (from 0) of a stage and all that came after it."""
+        stage.forget_from(generation)
+        del self.stages[next(i for i, own in enumerate(self.stages) if own is stage) + 1 :]
 
     def stage(self, number: int, algorithm: str) -> StageMemory:
         """Return the memory of a stage (from 0), which is begun if it is new."""

@@ -22,9 +22,16 @@ from sysid.campaign import FitTable
 from sysid.errors import CampaignError, FitError, SysidWarning, UnitError
 from sysid.executor import executor
 from sysid.fit.agreement import agreement, waterfall
-from sysid.fit.algorithms import ALGORITHMS, breeder
+from sysid.fit.algorithms import ALGORITHMS, DEFAULT_ALGORITHM, POPULATION, breeder
 from sysid.fit.apart import BreederApart
-from sysid.fit.checkpoint import Checkpoint, checkpoint_folder, run_numbers, unfinished
+from sysid.fit.checkpoint import (
+    PROBES,
+    PROCESSOR,
+    Checkpoint,
+    checkpoint_folder,
+    run_numbers,
+    unfinished,
+)
 from sysid.fit.engine import FINISH_POPULATION, Hooks, SearchSettings, run_many
 from sysid.fit.history import RunHistory
 from sysid.fit.objective import Objective, SpreadObjective
@@ -102,11 +109,12 @@ class FitOptions:
             own = getattr(self, name)
             return int(getattr(table, name) if own is None else own)
 
+        algorithm = self.algorithm or table.algorithm or DEFAULT_ALGORITHM
         return SearchSettings(
-            population=chosen("population"),
+            population=self.population or table.population or POPULATION[algorithm],
             runs=chosen("runs"),
             seed=chosen("seed"),
-            algorithm=self.algorithm or table.algorithm,
+            algorithm=algorithm,
             finish=self.finish or table.finish,
             stop=StopRule(
                 reading=table.stop_reading,
@@ -204,11 +212,10 @@ def search(
     FitError
         When another process works on the fit, or it cannot be continued.
     """
-    # What no hash of a log or a table covers (a static log, a kernel, a processor) shows in the costs of some
-    # candidates.
+    # What no hash of a log or a table covers (a static log, a kernel) shows in the costs of some candidates.
     points = np.random.default_rng(0).random((_PROBES, len(objective.space.free)))
     costs = [float(cost).hex() for cost in objective.evaluate(points).cost]
-    identity = {**identity, "the cost of the same candidates (its inputs, code or processor)": costs}
+    identity = {**identity, PROBES: costs, PROCESSOR: _processor()}
     checkpoint = Checkpoint(folder, identity, resume=options.resume, force=options.force)
     try:
         for note in checkpoint.notes:

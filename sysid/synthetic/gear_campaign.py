@@ -97,7 +97,6 @@ law = "{surface}"
 board_length = "1.2 m"
 
 [fit]
-population = 400
 runs = 5
 seed = {seed}
 

@@ -301,7 +301,6 @@ no_load = [  # without propeller
 ]
 
 [fit]
-population = 200
 runs = 5
 seed = {seed}
 

@@ -126,7 +126,7 @@ FIRST = "drop-1-5deg-0.50mps.csv"
         (FIRST, "drop-99.csv", ("log 'drop-99.csv' does not exist",)),
         ('down_slope = "-z"', 'down_slope = "+z"', ("surface", "capture.down_slope")),
         ('up = "+y"', 'up = "+x"', ("nothing falls", "capture.up")),
-        ("population = 400", "population = 2", ("fit.population",)),
+        ("[fit]", "[fit]\npopulation = 2", ("fit.population",)),
     ],
 )
 def test_typing_mistakes_in_the_campaign(old, new, words, drops, monkeypatch, capsys):

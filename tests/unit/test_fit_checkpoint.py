@@ -15,21 +15,33 @@ from test_fit_engine import Bowl, assert_same_run
 
 from sysid.errors import FitError
 from sysid.fit import checkpoint as checkpoint_module
-from sysid.fit.checkpoint import Checkpoint, checkpoint_folder, read_state, run_numbers, state_files
+from sysid.fit.algorithms import breeder
+from sysid.fit.checkpoint import (
+    PROBES,
+    PROCESSOR,
+    Checkpoint,
+    checkpoint_folder,
+    read_state,
+    run_numbers,
+    state_files,
+)
 from sysid.fit.engine import Hooks, SearchSettings, run_many
 from sysid.fit.memory import RunMemory
 from sysid.fit.objective import Evaluation
 from sysid.fit.stopping import StopFlag, StopRule
 
 IDENTITY = {"the campaign file": "ab" * 32, "the population": 40, "log drop-1": "cd" * 32}
-SETTINGS = SearchSettings(40, 3, 5, StopRule(max_generations=14))
+SETTINGS = SearchSettings(40, 3, 5, StopRule(max_generations=14), "ga")
 
 
-def run_all(fit, objective=None, *, resume=False, flag=None, settings=SETTINGS, done=True):
-    hold = Checkpoint(fit, IDENTITY, resume=resume)
+def run_all(
+    fit, objective=None, *, resume=False, flag=None, settings=SETTINGS, done=True, breeds=breeder, **more
+):
+    hold = Checkpoint(fit, {**IDENTITY, **more}, resume=resume)
     try:
         hooks = Hooks(keep=hold.keep, should_stop=flag)
-        return run_many(objective or Bowl(), settings, memories=hold.memories, hooks=hooks), hold.notes
+        found = run_many(objective or Bowl(), settings, memories=hold.memories, hooks=hooks, breeds=breeds)
+        return found, hold.notes
     finally:
         if done:
             hold.discard()
@@ -37,10 +49,10 @@ def run_all(fit, objective=None, *, resume=False, flag=None, settings=SETTINGS, 
             hold.close()
 
 
-def interrupted(fit, calls):
+def interrupted(fit, calls, **more):
     """Leave the checkpoint of a fit that was stopped after so many populations."""
     objective = Bowl()
-    run_all(fit, objective, flag=lambda: objective.calls >= calls, done=False)
+    run_all(fit, objective, flag=lambda: objective.calls >= calls, done=False, **more)
     return objective.calls
 
 
@@ -69,7 +81,7 @@ def test_resume_is_bit_identical(tmp_path, whole, calls):
 
 def test_more_runs_continue_the_same_fit(tmp_path, whole):
     interrupted(tmp_path / "fit", 20)
-    found, _ = run_all(tmp_path / "fit", resume=True, settings=SearchSettings(40, 4, 5, SETTINGS.stop))
+    found, _ = run_all(tmp_path / "fit", resume=True, settings=SearchSettings(40, 4, 5, SETTINGS.stop, "ga"))
     assert_same(found[:3], whole)
     assert len(found) == 4
 
@@ -151,6 +163,97 @@ def test_refused_when_anything_differs(tmp_path, change, words):
     assert sorted((p.name, p.stat().st_size) for p in checkpoint_folder(tmp_path / "fit").iterdir()) == before
 
 
+class Rounded:
+    """A breeder as another processor would breed: its candidates differ in their last digits."""
+
+    def __init__(self, *arguments):
+        self._inner = breeder(*arguments)
+
+    def __getattr__(self, name):
+        return getattr(self._inner, name)
+
+    def ask(self):
+        points = self._inner.ask()
+        return None if points is None else np.minimum(points * (1 + 1e-13), 1.0)
+
+
+class Turned(Rounded):
+    """From the sixth generation of a stage on it breeds something else altogether."""
+
+    def __init__(self, name, n_free, population, seed, start):
+        super().__init__(name, n_free, population, seed, start)
+        self._other = breeder(name, n_free, population, seed + 1, start)
+        self._asked = 0
+
+    def ask(self):
+        self._asked += 1
+        if self._asked == 6:
+            self._inner = self._other
+        return self._inner.ask()
+
+
+ELSEWHERE = {PROCESSOR: "Other 2"}
+
+
+def test_on_another_processor_a_fit_goes_on_and_says_so(tmp_path, whole):
+    begun = {PROCESSOR: "One 1"}
+    done = interrupted(tmp_path / "fit", 33, **begun)
+    again = Bowl()
+    found, notes = run_all(tmp_path / "fit", again, resume=True, breeds=Rounded, **ELSEWHERE)
+    # Rounding costs no simulation, and what was paid for counts.
+    assert done + again.calls == sum(len(run.best) for run in found)
+    (note,) = notes
+    assert "begun on another processor (One 1; this is Other 2): it goes on, but the same bits" in note
+    for a, b in zip(found, whole, strict=True):
+        # Both end at the bowl's bottom of 0.01, within the tolerance of 1e-5 of CMA-ES.
+        assert a.best[-1] == pytest.approx(b.best[-1], abs=2e-5)
+
+    # On the same processor other candidates mean another library, which is refused.
+    interrupted(tmp_path / "same", 33, **begun)
+    with pytest.raises(FitError, match="asks for other candidates than were scored, so a library"):
+        run_all(tmp_path / "same", resume=True, breeds=Rounded, **begun)
+
+
+def test_on_another_processor_twice(tmp_path):
+    interrupted(tmp_path / "fit", 20, **{PROCESSOR: "One 1"})
+    first = Bowl()
+    run_all(
+        tmp_path / "fit", first, resume=True, done=False, breeds=Rounded,
+        flag=lambda: first.calls >= 15, **ELSEWHERE,
+    )  # fmt: skip
+    # What this processor has continued is its own: the same bits are promised again.
+    again = Bowl()
+    found, notes = run_all(tmp_path / "fit", again, resume=True, breeds=Rounded, **ELSEWHERE)
+    assert notes == []
+    assert 20 + first.calls + again.calls == sum(len(run.best) for run in found)
+
+
+def test_what_another_processor_breeds_otherwise_is_computed_again(tmp_path):
+    interrupted(tmp_path / "fit", 33, **{PROCESSOR: "One 1"})
+    states = [read_state(state_files(checkpoint_folder(tmp_path / "fit"), run)[0])[0] for run in (1, 2)]
+    kept = sum(min(5, len(stage.cost)) for memory in states for stage in memory.stages[:1])
+    again = Bowl()
+    found, _ = run_all(tmp_path / "fit", again, resume=True, breeds=Turned, **ELSEWHERE)
+    assert kept + again.calls == sum(len(run.best) for run in found)
+    assert sum(run.evaluations for run in found) == sum(
+        40 * len(run.stages[0].cost) + 64 * len(run.stages[1].cost) for run in found
+    )
+    for run in found:
+        # Every cost belongs to its point.
+        for stage in run.stages:
+            np.testing.assert_array_equal(Bowl().evaluate(stage.cube[-1]).cost, stage.cost[-1])
+
+
+def test_costs_of_the_same_candidates_may_be_rounded_elsewhere_only(tmp_path):
+    then = {PROCESSOR: "One 1", PROBES: [(0.1).hex(), (2.5).hex()]}
+    near, far = [[(0.1 * (1 + d)).hex(), (2.5).hex()] for d in (1e-9, 1e-3)]
+    interrupted(tmp_path / "fit", 20, **then)
+    for now in ({**then, PROBES: near}, {**ELSEWHERE, PROBES: far}, {**ELSEWHERE, PROBES: None}):
+        with pytest.raises(FitError, match=r"the cost of the same candidates .* differs"):
+            Checkpoint(tmp_path / "fit", {**IDENTITY, **now}, resume=True)
+    Checkpoint(tmp_path / "fit", {**IDENTITY, **ELSEWHERE, PROBES: near}, resume=True).close()
+
+
 def test_neither_overwritten_nor_resumed_by_accident(tmp_path):
     with pytest.raises(FitError, match="holds no state of a fit to continue"):
         Checkpoint(tmp_path / "fit", IDENTITY, resume=True)
@@ -185,6 +288,26 @@ def test_full_disk_is_said_and_the_last_state_is_intact(tmp_path, monkeypatch, w
     assert notes == []
 
 
+if sys.platform != "win32":  # which has no such limit
+
+    def test_a_state_that_the_system_refuses_to_write_leaves_the_last_one(tmp_path, whole):
+        code = (
+            "import resource, sys; sys.path.insert(0, sys.argv[1]);"
+            "from test_fit_checkpoint import *;"
+            "work(sys.argv[2], False, lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (17000, 17000)))"
+        )
+        full = subprocess.run(
+            [sys.executable, "-c", code, HERE, str(tmp_path / "fit")], capture_output=True, text=True
+        )
+        assert full.returncode == 1
+        said = full.stderr.splitlines()[-1]
+        assert "cannot be written (File too large)" in said
+        assert "continue the fit with --resume" in said
+        found, notes = run_all(tmp_path / "fit", resume=True)
+        assert_same(found, whole)
+        assert notes == []
+
+
 def test_written_every_second_and_at_every_stage_end(tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoint_module, "INTERVAL", 0.05)
     monkeypatch.setattr(checkpoint_module, "_SHARE", 1.0)
@@ -200,7 +323,7 @@ def test_written_every_second_and_at_every_stage_end(tmp_path, monkeypatch):
             return super().evaluate(cube)
 
     started = time.monotonic()
-    run_all(tmp_path / "fit", Slow(), settings=SearchSettings(40, 1, 5, SETTINGS.stop))
+    run_all(tmp_path / "fit", Slow(), settings=SearchSettings(40, 1, 5, SETTINGS.stop, "ga"))
     gaps = np.diff([started, *written])
     assert len(written) >= 5
     # The interval, a generation, and what a loaded machine adds.
@@ -223,8 +346,9 @@ class Paced(Bowl):
         return super().evaluate(cube)
 
 
-def work(fit, resume):
+def work(fit, resume, limit=lambda: None):
     checkpoint_module.INTERVAL = 0.0
+    limit()
     hold = Checkpoint(fit, IDENTITY, resume=resume)
     print("begun", flush=True)
     run_many(Paced(), SETTINGS, memories=hold.memories, hooks=Hooks(keep=hold.keep))

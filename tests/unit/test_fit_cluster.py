@@ -24,7 +24,7 @@ from sysid.pipelines.gear import GearObjective, search_space
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
 HERE = str(Path(__file__).parent)
-SETTINGS = SearchSettings(40, 3, 5, StopRule(max_generations=10))
+SETTINGS = SearchSettings(40, 3, 5, StopRule(max_generations=10), "ga")
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from sysid import cli
 from sysid.fit.store import read_fit
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
-SMALL = ("--population", "16", "--runs", "2", "--max-generations", "4", "--quiet")
+SMALL = ("--algorithm", "ga", "--population", "16", "--runs", "2", "--max-generations", "4", "--quiet")
 
 
 def run(monkeypatch, capsys, *arguments):
@@ -127,6 +127,98 @@ def test_a_changed_log_is_not_continued(campaign, monkeypatch, capsys):
     code, _, err = run(monkeypatch, capsys, *fit, "--resume")
     assert code == 2
     assert "log drop-2 differs" in err
+
+
+@pytest.fixture
+def cut(campaign, monkeypatch, capsys):
+    """The command of a fit that its time limit has cut, for `--resume`."""
+    fit = ("fit-gear", campaign, *SMALL)
+    assert run(monkeypatch, capsys, *fit, "--time-limit", "0.001 s")[0] == 0
+    return fit
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (("--algorithm", "de"), "the algorithm differs (now de, then ga)"),
+        (("--finish", "none"), "the finisher differs (now none, then cmaes)"),
+        (("--population", "24"), "the population differs (now 24, then 16)"),
+        (("--max-generations", "9"), "the stop rule differs"),
+        (("--max-evaluations", "900"), "the evaluation budget of a run differs (now 450, then nothing)"),
+        (("--surface", "hf"), "the parameter table differs"),
+    ],
+)
+def test_another_search_is_not_continued(more, words, cut, monkeypatch, capsys):
+    code, _, err = run(monkeypatch, capsys, *cut, "--resume", *more)
+    assert code == 2
+    assert words in err
+    assert "restore it, or start anew with --force" in err
+
+
+def test_an_edited_campaign_is_not_continued(cut, monkeypatch, capsys):
+    path = cut[1]
+    path.write_bytes(path.read_bytes() + b"# measured again in March\n")
+    code, _, err = run(monkeypatch, capsys, *cut, "--resume")
+    assert code == 2
+    assert "cannot be continued because the campaign file differs" in err
+
+
+def test_another_parameter_table_is_not_continued(cut, monkeypatch, capsys):
+    from dataclasses import replace
+
+    from sysid.parameters import ParameterTable
+    from sysid.pipelines import gear
+
+    rows = gear.parameters_on("lf").values()
+    wider = [replace(row, upper=2 * row.upper) if row.name == "ground_stiffness" else row for row in rows]
+    monkeypatch.setattr(gear, "parameters_on", lambda law: ParameterTable(wider))
+    code, _, err = run(monkeypatch, capsys, *cut, "--resume")
+    assert code == 2
+    assert "cannot be continued because the parameter table differs" in err
+
+
+def test_another_processor_is_noted(cut, monkeypatch, capsys):
+    from sysid.pipelines import search
+
+    monkeypatch.setattr(search, "_processor", lambda: "Abacus 2")
+    code, _, err = run(monkeypatch, capsys, *cut, "--resume")
+    assert code == 0, err
+    assert "warning: the fit was begun on another processor (" in err
+    fit = read_fit(Path("fits") / "synthetic-lf")
+    assert fit.state == "done"
+    assert any("this is Abacus 2" in warning for warning in fit.warnings)
+
+
+def test_more_runs_keep_the_best_five(campaign, monkeypatch, capsys):
+    fit = ("fit-gear", campaign, *SMALL, "--runs", "7")
+    code, _, err = run(monkeypatch, capsys, *(word for word in fit if word != "--quiet"))
+    assert code == 0
+    found = read_fit(Path("fits") / "synthetic-lf")
+    best = sorted(float(run.best[-1]) for run in found.runs)
+    assert len(best) == 7
+    assert found.nrmse.tolist() == best[:5]
+    assert len(set(found.set_runs)) == 5
+    # Four generations of sixteen end anywhere: seven rows of a table, and a sentence.
+    assert "rank  run" in err
+    assert "the runs disagree: " in err
+    assert any(warning.startswith("the runs disagree: ") for warning in found.warnings)
+
+
+def test_population_follows_the_algorithm_where_none_is_named():
+    from sysid.campaign.common import FitTable
+    from sysid.fit.algorithms import DEFAULT_ALGORITHM, POPULATION
+    from sysid.pipelines.search import FitOptions
+
+    def searched(table, **options):
+        settings = FitOptions(**options).settings(FitTable(**table))
+        return settings.algorithm, settings.population
+
+    assert searched({}) == (DEFAULT_ALGORITHM, POPULATION[DEFAULT_ALGORITHM])
+    for algorithm, population in POPULATION.items():
+        assert searched({}, algorithm=algorithm) == (algorithm, population)
+        assert searched({"algorithm": algorithm}) == (algorithm, population)
+    assert searched({"population": 70}, algorithm="de") == ("de", 70)
+    assert searched({"population": 70}, algorithm="de", population=90) == ("de", 90)
 
 
 def test_algorithm_finish_and_budget(campaign, monkeypatch, capsys):

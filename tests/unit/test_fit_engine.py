@@ -47,6 +47,7 @@ class Bowl:
 
 
 SHORT = StopRule(max_generations=12)
+PAPER = {"algorithm": "ga", "finish": "none"}
 
 
 def run_genetic(objective, *, population, seed, stop, algorithm="ga", finish="none", **more):
@@ -100,12 +101,12 @@ def test_history_is_complete_and_sorted():
 
 
 def test_same_seed_same_numbers_other_seed_other_numbers():
-    settings = SearchSettings(population=40, runs=2, seed=5, stop=SHORT, finish="none")
+    settings = SearchSettings(population=40, runs=2, seed=5, stop=SHORT, **PAPER)
     first, second = run_many(Bowl(), settings), run_many(Bowl(), settings)
     for a, b in zip(first, second, strict=True):
         np.testing.assert_array_equal(a.stages[0].cube, b.stages[0].cube)
         np.testing.assert_array_equal(a.stages[0].cost, b.stages[0].cost)
-    other = run_many(Bowl(), SearchSettings(population=40, runs=2, seed=6, stop=SHORT, finish="none"))
+    other = run_many(Bowl(), SearchSettings(population=40, runs=2, seed=6, stop=SHORT, **PAPER))
     assert not np.array_equal(first[0].stages[0].cube, other[0].stages[0].cube)
     assert not np.array_equal(first[0].stages[0].cube, first[1].stages[0].cube)
 
@@ -184,7 +185,7 @@ def test_matlab_ga_breeds_as_documented():
 
 
 def test_finisher_starts_from_mean_and_spread_and_reaches_the_bottom():
-    settings = SearchSettings(population=40, runs=1, seed=3, stop=SHORT)
+    settings = SearchSettings(population=40, runs=1, seed=3, stop=SHORT, algorithm="ga")
     assert settings.stages == ("ga", "cmaes")
     assert SearchSettings(algorithm="cmaes").stages == ("cmaes",)
     short = replace(settings, stop=replace(SHORT, max_generations=200))
@@ -231,7 +232,7 @@ def assert_same_run(a, b):
 
 
 def test_a_memory_of_another_search_is_refused():
-    settings = SearchSettings(40, 1, 5, SHORT)
+    settings = SearchSettings(40, 1, 5, SHORT, "ga")
     memory = RunMemory(settings.run_seeds()[0])
     run_one(Bowl(), settings, memory=memory)
     memory.stages[0].asked[6] ^= 1
@@ -240,7 +241,7 @@ def test_a_memory_of_another_search_is_refused():
 
 
 def test_runs_at_once_give_the_same_numbers():
-    settings = SearchSettings(40, 5, 5, StopRule(max_generations=14))
+    settings = SearchSettings(40, 5, 5, StopRule(max_generations=14), "ga")
     for a, b in zip(run_many(Bowl(), settings), run_many(Bowl(), settings, at_once=3), strict=True):
         assert_same_run(a, b)
 
@@ -260,18 +261,18 @@ def test_runs_at_once_give_the_same_numbers():
 
 def test_budgets_are_shared_between_search_and_finisher():
     stop = StopRule(max_generations=500, tolerance=0, max_evaluations=2000)
-    run = run_one(Bowl(), SearchSettings(40, 1, 5, stop))
+    run = run_one(Bowl(), SearchSettings(40, 1, 5, stop, "ga"))
     assert run.stages[0].stop_reason == "evaluations"
     assert run.stages[0].evaluations == 1200
     assert 1200 < run.evaluations <= 2000
-    timed = run_one(Bowl(), SearchSettings(40, 1, 5, StopRule(tolerance=0)), time_limit=0.5)
+    timed = run_one(Bowl(), SearchSettings(40, 1, 5, StopRule(tolerance=0), "ga"), time_limit=0.5)
     assert timed.stages[0].stop_reason == "time"
     # A generation here takes a few milliseconds; half a second is left for a loaded machine.
     assert timed.wall_time < 1.0
 
 
 def test_a_run_is_reproducible_without_those_before_it():
-    settings = SearchSettings(population=40, runs=3, seed=5, stop=SHORT, finish="none")
+    settings = SearchSettings(population=40, runs=3, seed=5, stop=SHORT, **PAPER)
     together = run_many(Bowl(), settings)
     assert settings.run_seeds() == tuple(run.seed for run in together)
     alone = run_one(Bowl(), settings, 2)
@@ -310,7 +311,7 @@ def test_stop_flag_keeps_what_was_found():
 
     runs = run_many(
         Bowl(),
-        SearchSettings(population=40, runs=5, seed=5, stop=SHORT, finish="none"),
+        SearchSettings(population=40, runs=5, seed=5, stop=SHORT, **PAPER),
         hooks=Hooks(on_generation=on_generation, should_stop=flag),
     )
     assert [run.stop_reason for run in runs] == ["generations", "interrupted"]
@@ -322,14 +323,14 @@ def test_stop_flag_keeps_what_was_found():
 
 def test_evaluation_budget_is_shared_and_never_exceeded():
     stop = StopRule(max_generations=50, max_evaluations=1000)
-    runs = run_many(Bowl(), SearchSettings(population=40, runs=2, seed=5, stop=stop, finish="none"))
+    runs = run_many(Bowl(), SearchSettings(population=40, runs=2, seed=5, stop=stop, **PAPER))
     assert [run.evaluations for run in runs] == [480, 480]
     assert {run.stop_reason for run in runs} == {"evaluations"}
 
 
 def test_time_limit_leaves_one_set_per_run():
     stop = StopRule(max_generations=50, time_limit=0.0)
-    runs = run_many(Bowl(), SearchSettings(population=40, runs=3, seed=5, stop=stop, finish="none"))
+    runs = run_many(Bowl(), SearchSettings(population=40, runs=3, seed=5, stop=stop, **PAPER))
     assert [(run.stop_reason, len(run.best)) for run in runs] == [("time", 1)] * 3
 
 
@@ -337,7 +338,7 @@ def test_ranked_sets_are_the_best_of_each_last_generation():
     objective = Bowl((0.001, 0.5, 0.999))
     runs = run_many(
         objective,
-        SearchSettings(population=60, runs=3, seed=5, stop=StopRule(max_generations=40), finish="none"),
+        SearchSettings(population=60, runs=3, seed=5, stop=StopRule(max_generations=40), **PAPER),
     )
     ranked = ranked_sets(runs, objective.space)
     best = [run.stages[0].cost[-1].min() for run in runs]
