@@ -69,7 +69,9 @@ Out = Annotated[Path | None, typer.Option(help="Result folder.", show_default="f
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, no table.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
-Population = Annotated[int | None, typer.Option(help="Individuals per generation.", min=8)]
+Population = Annotated[
+    int | None, typer.Option(help="Individuals per generation; default: the algorithm's own.", min=8)
+]
 Runs = Annotated[int | None, typer.Option(help="Independent runs.", min=1)]
 Seed = Annotated[int | None, typer.Option(help="Seed of the search.", min=0)]
 Generations = Annotated[int | None, typer.Option(help="End a run after so many generations.", min=1)]
@@ -332,7 +334,7 @@ def demo(
     out: Annotated[Path, typer.Option(help="Where the results go.")] = Path("fits") / "demo",
     quiet: Quiet = False,
 ) -> None:
-    """Run the whole job on data_samples: load, filter, reduced fits, exports, figures."""
+    """Run the whole job on data_samples: load, filter, fits, exports, figures."""
     from sysid.pipelines.demo import run_demo
 
     run_demo(data, out, quiet, None if quiet else say)

@@ -37,9 +37,11 @@ ALGORITHMS: dict[str, str] = {
 
 # What a fit uses that names no algorithm, and the population of each where none is named. Chosen by
 # tests/benchmarks/engine.py; the paper's own population is 200 for a motor and 400 to 800 for a gear.
-DEFAULT_ALGORITHM = "pso"
-POPULATION = {"ga": 400, "matlab-ga": 400, "cmaes": 64, "de": 100, "pso": 100}
+DEFAULT_ALGORITHM = "ga"
+POPULATION = {"ga": 100, "matlab-ga": 400, "cmaes": 64, "de": 100, "pso": 100}
 
+# What pymoo calls the values of a scored individual.
+_SCORED = ("F", "G", "H")
 # Of a CMA-ES that starts anywhere: 0.3 of the cube's edge is cma's own advice for a bounded search.
 _RANDOM_SPREAD = 0.3
 # A converged population spans almost nothing in some directions; CMA-ES needs room to measure them.
@@ -79,12 +81,10 @@ class Breeder:
     """
 
     def __init__(self, algorithm: Any, n_free: int) -> None:
-        from pymoo.core.evaluator import Evaluator
         from pymoo.core.problem import Problem
         from pymoo.core.termination import NoTermination
 
         self._problem = Problem(n_var=n_free, n_obj=1, xl=np.zeros(n_free), xu=np.ones(n_free))
-        self._evaluator = Evaluator()
         self._algorithm = algorithm
         algorithm.setup(self._problem, termination=NoTermination(), verbose=False)
         self._asked: Any = None
@@ -100,17 +100,18 @@ class Breeder:
 
     def tell(self, cost: FloatArray) -> None:
         """Take the costs (P,) of the candidates last asked for."""
-        from pymoo.problems.static import StaticProblem
-
-        self._evaluator.eval(StaticProblem(self._problem, F=cost[:, None]), self._asked)
+        # pymoo's evaluator would ask every individual several times for constraints that there are not.
+        for individual, own in zip(self._asked, cost, strict=True):
+            individual.F = np.array([own])
+            individual.evaluated.update(_SCORED)
         self._algorithm.tell(infills=self._asked)
 
     def population(self) -> tuple[FloatArray, FloatArray]:
         """Return points (P, n_free) and costs (P,) of the population, best first."""
         population = self._algorithm.pop
-        cost = population.get("F")[:, 0].astype(np.float64)
+        cost = np.array([individual.F[0] for individual in population], dtype=np.float64)
         order = np.argsort(cost, kind="stable")
-        return population.get("X").astype(np.float64)[order], cost[order]
+        return np.array([population[i].X for i in order], dtype=np.float64), cost[order]
 
     def close(self) -> None:
         """Let go of what was taken: nothing."""

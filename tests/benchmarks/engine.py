@@ -7,9 +7,11 @@ Run ``python tests/benchmarks/engine.py PART [--problem lf|hf|motor] [--seeds 5]
     Candidates and processor time (of all threads) until the best NRMSE is within 1.01 × the best that any of
     the runs found, for every algorithm alone and with its finisher; how many seeds get there; where they end.
 ``overhead``
-    Wall time of one LF run with checkpoints, and share of it that is spent outside the simulations.
+    Wall time of one LF run of the default search with checkpoints, and the shares of it, and of its processor
+    time, that are spent outside the simulations. A fit overlaps two runs, which hides what one breeds.
 ``workers``
-    The same LF candidates on one and on two Dask worker processes.
+    The same LF candidates on one and on two Dask worker processes: wall times, and the processor time of
+    workers, scheduler and search over that of the candidates alone, which other work moves less.
 ``schedule``
     A simulated cluster of 64 workers for five runs of population 800: measured time of a candidate, measured
     time of breeding, 1 ms of scheduler per chunk; no real machines. ``--shared-breeding`` lets all runs breed
@@ -139,18 +141,19 @@ def algorithms(arguments, folder):
 def overhead(arguments, folder):
     """Return what a run spends outside its simulations, and what the checkpoints cost of that."""
     objective, _ = problem("lf", folder)
-    simulating = [0.0]
+    simulating, computing = [0.0], [0.0]
 
     class Timed:
         space = objective.space
 
         def evaluate(self, cube):
-            began = time.perf_counter()
+            began, clock = time.perf_counter(), time.process_time()
             scored = objective.evaluate(cube)
             simulating[0] += time.perf_counter() - began
+            computing[0] += time.process_time() - clock
             return scored
 
-    settings = SearchSettings(400, 1, 1)
+    settings = SearchSettings(runs=1, seed=1)
     hold = Checkpoint(Path(folder) / "fit", {"benchmark": 1})
     writing = [0.0]
 
@@ -159,14 +162,16 @@ def overhead(arguments, folder):
         hold.keep(run, memory, ended)
         writing[0] += time.perf_counter() - began
 
-    began = time.perf_counter()
+    began, clock = time.perf_counter(), time.process_time()
     run_one(Timed(), settings, hooks=Hooks(keep=keep))
-    wall = time.perf_counter() - began
+    wall, processor = time.perf_counter() - began, time.process_time() - clock
     hold.discard()
     out = {
         "wall [s]": wall,
         "checkpoints [%]": 100 * writing[0] / wall,
         "breeding and the rest [%]": 100 * (wall - simulating[0] - writing[0]) / wall,
+        "processor time [s]": processor,
+        "of it outside the simulations [%]": 100 * (processor - computing[0]) / processor,
     }
     print(out)
     return out
@@ -177,20 +182,44 @@ def workers(arguments, folder):
     import distributed
 
     objective, _ = gear(folder, "lf", threads=1)
-    settings = SearchSettings(400, 3, 1, StopRule(max_generations=6), finish="none")
-    spent = {}
+    settings = SearchSettings(seed=1, stop=StopRule(max_generations=10), finish="none")
+    spent, used = {}, {}
     for count in (1, 2):
         with distributed.LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None) as pool:
-            where = DaskCluster(pool.scheduler_address, at_once=3)
+            where = DaskCluster(pool.scheduler_address, at_once=5)
             spread = SpreadObjective(objective, where)
             spread.evaluate(np.random.default_rng(0).random((64, len(objective.space.free))))  # compiles
-            began = time.perf_counter()
-            run_many(spread, settings, at_once=3)
-            spent[count] = time.perf_counter() - began
+            began, clock = time.perf_counter(), _processor_time(where)
+            run_many(spread, settings, at_once=5)
+            spent[count], used[count] = time.perf_counter() - began, _processor_time(where) - clock
             where.close()
-    out = {"1 worker [s]": spent[1], "2 workers [s]": spent[2], "efficiency": spent[1] / (2 * spent[2])}
+
+    class Timed:
+        space = objective.space
+        alone = 0.0
+
+        def evaluate(self, cube):
+            clock = time.process_time()
+            scored = objective.evaluate(cube)
+            self.alone += time.process_time() - clock
+            return scored
+
+    timed = Timed()
+    run_many(timed, settings)
+    out = {
+        "1 worker [s]": spent[1],
+        "2 workers [s]": spent[2],
+        "efficiency": spent[1] / (2 * spent[2]),
+        "processor time over that of the candidates, 1 worker": used[1] / timed.alone,
+        "2 workers": used[2] / timed.alone,
+    }
     print(out, f"on {os.cpu_count()} cores, load {os.getloadavg() if hasattr(os, 'getloadavg') else '?'}")
     return out
+
+
+def _processor_time(where):
+    """Return the processor time of this process, which runs the scheduler too, and of the workers [s]."""
+    return time.process_time() + sum(where._client.run(time.process_time).values())
 
 
 def schedule(arguments, folder):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from test_drops_recovery import assert_sets_agree
 
 from sysid.campaign import read_campaign
 from sysid.gear.model import HF_FREE, LF_FREE, PARAMETERS, parameters_on
@@ -125,6 +126,8 @@ def test_high_friction_fit_recovers_the_truth(tmp_path):
     result, _ = fit_gear(folder / "campaign.toml", FitOptions(out=tmp_path / "fit", quiet=True))
     print(f"truth {own:.4%}, sets over truth {result.nrmse / own}")
     assert np.sum(result.nrmse <= 1.005 * own) >= 4
+    held = assert_sets_agree(result)
+    assert {"joint_dx", "leg_axial_stiffness", "leg_bending_stiffness", "kinetic_friction"} <= held
     best = result.parameter_sets().set_values(1)
     # What six such drops hold (linearized spreads of 0.2 to 2 %, two to three of them).
     for name in ("kinetic_friction", "leg_axial_stiffness", "leg_bending_stiffness", "leg_axial_damping"):

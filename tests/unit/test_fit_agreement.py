@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sysid.fit.agreement import agreement, waterfall
+from sysid.fit.agreement import agreement, loose_warnings, waterfall
 from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.result import SETS_KEPT, ranked_sets
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
@@ -50,6 +50,22 @@ def test_a_parameter_that_the_data_do_not_hold_does_not_tear_runs_apart():
     runs = [run(0.08, (0.2, 0.4), loose=(0.0, 0.3)), run(0.08, (0.2, 0.6), loose=(0.0, 0.3))]
     assert agreement(runs).agrees
     assert not agreement([run(0.08, (0.2, 0.4)), run(0.08, (0.2, 0.6))]).agrees
+
+
+def space_of_two():
+    rows = [Parameter(n, n, "N/m", 3.0, 1.0, 100.0, "log", "Test.", "guess") for n in ("a", "b")]
+    return SearchSpace.build(ParameterTable(rows), ["a", "b"], {})
+
+
+def test_what_sets_of_one_nrmse_spread_over_is_named():
+    near, off = run(0.08, (0.2, 0.5)), run(0.08 * (1 + 1e-5), (0.2005, 0.51))
+    (sentence,) = loose_warnings([near, off], space_of_two())
+    # Along the cube's edge b grows a hundredfold: 0.01 of it are 4.7 %; 0.0005 of it are 0.2 % of a.
+    assert sentence.startswith("held no tighter than this, over sets that score within 0.003 %")
+    assert sentence.endswith(" NRMSE: b 4.6 %")
+    # A set that scores worse says nothing, and one run alone does not know.
+    assert loose_warnings([near, run(0.08 * (1 + 1e-4), (0.2, 0.51))], space_of_two()) == ()
+    assert loose_warnings([near], space_of_two()) == ()
 
 
 def test_a_single_run_says_so():
