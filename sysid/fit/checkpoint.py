@@ -29,7 +29,7 @@ from sysid.fit.stopping import REASONS
 from sysid.writing import write_file
 
 CHECKPOINT_SCHEMA = "sysid-checkpoint"
-CHECKPOINT_VERSION = 2
+CHECKPOINT_VERSION = 3
 # Between two states of a run [s]: what a kill may cost. Longer only where writing is slow.
 INTERVAL = 1.0
 _LONGEST_INTERVAL = 1.5

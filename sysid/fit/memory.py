@@ -130,7 +130,8 @@ class StageMemory:
 
     def forget_from(self, generation: int) -> None:
         """Forget a generation (from 0) and all after it; the time that they took was spent."""
-        for entries in (self.cost, self.failed, self.simulations, self.asked, self.sketch, self.elapsed):
+        numbers = (self.cost, self.failed, self.causes, self.simulations)
+        for entries in (*numbers, self.asked, self.sketch, self.elapsed):
             del entries[generation:]
         self.ended = None
 
