@@ -182,7 +182,7 @@ def workers(arguments, folder):
     import distributed
 
     objective, _ = gear(folder, "lf", threads=1)
-    settings = SearchSettings(seed=1, stop=StopRule(max_generations=10), finish="none")
+    settings = SearchSettings(seed=1, stop=StopRule(max_generations=8), finish="none")
     spent, used = {}, {}
     for count in (1, 2):
         with distributed.LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None) as pool:
