@@ -267,16 +267,19 @@ def convert(
     add: Annotated[
         Path | None, typer.Option(help="A second log of the same run, with its own clock.")
     ] = None,
+    add_format: Annotated[str, typer.Option(help="Format of the second log.")] = "auto",
+    add_option: Annotated[
+        list[str] | None, typer.Option(help="Loader option of the second log, as --option.")
+    ] = None,
     align_by: Annotated[str, typer.Option(help="Channel that both show, or FIRST:SECOND.")] = "speed",
     force: Force = False,
 ) -> None:
     """Write a log in SI as HDF5, joined with a second one if asked."""
-    from sysid.pipelines.inspect import convert_file, parse_options
+    from sysid.pipelines.inspect import SecondFile, convert_file, parse_options
 
+    second = SecondFile(add, add_format, parse_options(add_option or []), align_by) if add else None
     options = parse_options(option or [])
-    typer.echo(
-        convert_file(file, to, format_name=format, options=options, add=add, align_by=align_by, force=force)
-    )
+    typer.echo(convert_file(file, to, format_name=format, options=options, second=second, force=force))
 
 
 @app.command("new-campaign")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ class ChannelReport:
     holes : int
         Steps longer than 2.5 times the median.
     longest_hole : float
-        The longest step of the clock [s].
+        The longest step of the clock [s]; NaN, as rate, jitter and longest_blank, where rows have no time.
     longest_blank : float
         The longest time without a value between two values [s].
     repeated : float
@@ -58,6 +58,12 @@ class ChannelReport:
     longest_blank: float
     repeated: float
     saturated: float
+
+
+def without_clock(one: ChannelReport) -> ChannelReport:
+    """Return the numbers of a channel whose rows have a number and no time; those of its clock are NaN."""
+    unknown = float("nan")
+    return replace(one, rate=unknown, jitter=unknown, holes=0, longest_hole=unknown, longest_blank=unknown)
 
 
 def _runs(mask: NDArray[np.bool_], least: int) -> int:

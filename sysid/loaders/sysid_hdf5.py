@@ -2,7 +2,8 @@
 
     /                       attributes: sysid_recording = 1 (version of this layout), kind, format, device,
                             source (name of the original file), source_sha256, options and notes (JSON text)
-    /clocks/0, 1, ...       (n,) sample times [s], one per clock that channels share; attribute unit = "s"
+    /clocks/0, 1, ...       (n,) sample times [s], one per clock that channels share; attribute unit = "s",
+                            or "1" where rows are points of a static map
     /channels/NAME          (n,) or (n, k) samples in SI, NaN where nothing was recorded; attributes: name,
     index
                             (order), unit, clock (number of its clock)
@@ -72,7 +73,9 @@ def write_recording(recording: Recording, path: str | Path) -> Path:
             if clock is None:
                 clock = len(clocks)
                 clocks.append(channel.time)
-                _dataset(file, f"clocks/{clock}", channel.time).attrs["unit"] = "s"
+                # A static map's rows are counted: its clock is the point's number.
+                unit = "1" if recording.kind == "static-map" else "s"
+                _dataset(file, f"clocks/{clock}", channel.time).attrs["unit"] = unit
             data = _dataset(group, _place(group, name, index), channel.values)
             data.attrs["name"], data.attrs["index"] = name, index
             data.attrs["unit"], data.attrs["clock"] = channel.unit, clock

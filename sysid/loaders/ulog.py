@@ -37,7 +37,7 @@ _PLAIN: tuple[tuple[str, str, tuple[str, ...], str, float], ...] = (
     ("battery_status", "voltage", ("voltage_v",), "V", 1.0),
     ("battery_status", "current", ("current_a",), "A", 1.0),
     *(("esc_status", f"esc_{i}/speed", (f"esc[{i}].esc_rpm",), "rad/s", _RPM) for i in range(8)),
-    *(("actuator_outputs", f"output_{i}", (f"output[{i}]",), "us", 1.0) for i in range(8)),
+    *(("actuator_outputs", f"output_{i}", (f"output[{i}]",), "", 1.0) for i in range(8)),
     *(("actuator_motors", f"motor_{i}", (f"control[{i}]",), "1", 1.0) for i in range(8)),
 )
 # What pyulog raises on a damaged file besides its own errors.
@@ -92,7 +92,8 @@ def read(source: Source, *, time_back: str = "drop") -> Recording:
     Recording
         Kind ``onboard``: ``vehicle/position``, ``vehicle/orientation`` where odometry was logged,
         ``attitude``, ``local_position`` [m], ``local_velocity``, ``acceleration``, ``angular_velocity``,
-        ``voltage``, ``current``, ``esc_N/speed`` [rad/s], ``output_N`` [us], ``motor_N`` [1]; each topic on
+        ``voltage``, ``current``, ``esc_N/speed`` [rad/s], ``output_N`` (as recorded: µs of PWM, or the
+        levels of DShot or CAN, which the log does not say), ``motor_N`` [1]; each topic on
         its own clock, seconds since boot.
 
     Raises
@@ -153,6 +154,11 @@ def read(source: Source, *, time_back: str = "drop") -> Recording:
     if not channels:
         raise LogError(
             f"{path}: none of the topics that sysid reads is in this log; found {listing(sorted(topics))}"
+        )
+    if any(name.startswith("output_") for name in channels):
+        notes.append(
+            "actuator outputs as recorded: µs where the speed controllers take PWM, levels of DShot or CAN "
+            "where they do not"
         )
     if log.dropouts:
         lost = 1e-3 * sum(one.duration for one in log.dropouts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -89,31 +90,42 @@ def inspect_files(
         console.print(Text(f"wrote {plot}"))
 
 
+@dataclass(frozen=True)
+class SecondFile:
+    """A second log of the same run: its own format and options, and by which channel its clock is found."""
+
+    path: Path
+    format_name: str = "auto"
+    options: Mapping[str, Any] = field(default_factory=dict)
+    align_by: str = "speed"
+
+
 def convert_file(
     path: Path,
     to: Path,
     *,
     format_name: str = "auto",
     options: Mapping[str, Any] | None = None,
-    add: Path | None = None,
-    align_by: str = "speed",
+    second: SecondFile | None = None,
     force: bool = False,
 ) -> str:
-    """Write a log, joined with a second one where `add` is given, in our HDF5 layout; return a sentence.
+    """Write a log, joined with a second one where it is given, in our HDF5 layout; return a sentence.
 
     Raises
     ------
     LogError
         When the destination exists and `force` is False, or the logs cannot be read or aligned.
     """
-    if to.resolve() in {source.resolve() for source in (path, add) if source is not None}:
+    sources = (path,) if second is None else (path, second.path)
+    if to.resolve() in {source.resolve() for source in sources}:
         raise LogError(f"{to} is the log itself, which is never replaced; choose a new name")
     if to.exists() and not force:
         raise LogError(f"{to} exists already; choose a new name or replace it with --force")
     recording = load_log(path, format_name, options or {})
     said = ""
-    if add is not None:
-        recording, offset = join_recordings(recording, load(add), align_by)
+    if second is not None:
+        other = load_log(second.path, second.format_name, second.options)
+        recording, offset = join_recordings(recording, other, second.align_by)
         said = f"; {offset.sentence()}"
     write_recording(recording, to)
     return f"wrote {to}: {len(recording.channels)} channels of {path.name}{said}"
@@ -145,7 +157,8 @@ def _clock_words(one: ChannelReport) -> str:
 def _value_words(one: ChannelReport) -> str:
     words = []
     if one.blank > 0:
-        words.append(f"blank {100 * one.blank:.3g} %, longest {_number(one.longest_blank, 3)} s")
+        longest = f", longest {one.longest_blank:.3g} s" if np.isfinite(one.longest_blank) else ""
+        words.append(f"blank {100 * one.blank:.3g} %{longest}")
     if one.saturated > 0:
         words.append(f"at its limit {100 * one.saturated:.2g} %")
     return "; ".join(words)
@@ -190,13 +203,15 @@ def _drop_lines(drop: DropReport | None) -> list[str]:
         return []
     begin = "in motion from the start of its flight"
     if drop.release is not None:
-        begin = f"released at {drop.release:.4f} s"
+        begin = f"released at {drop.release:.4f} ± {drop.release_error:.4f} s"
     lines = [
-        f"drop of {drop.body}: {begin}, touchdown near {drop.touchdown:.3f} s at about "
-        f"{drop.impact_speed:.2f} m/s after {1e3 * drop.fall_height:.0f} mm; falls with "
-        f"{drop.gravity:.2f} m/s²",
+        f"drop of {drop.body}: {begin}, touchdown near {drop.touchdown:.3f} ± {drop.touchdown_error:.3f} s "
+        f"at {drop.impact_speed:.2f} ± {drop.impact_speed_error:.2f} m/s after "
+        f"{1e3 * drop.fall_height:.0f} mm; falls with {drop.gravity:.2f} m/s²",
         f'suggested: up = "{drop.up}"' + (f', down_slope = "{drop.down_slope}"' if drop.down_slope else ""),
     ]
+    if drop.down_slope_doubt:
+        lines[-1] += f" (down_slope is doubtful: {drop.down_slope_doubt})"
     if drop.slope is not None:
         lines.append(f"suggested: slope = {np.degrees(drop.slope):.1f} deg ({drop.slope_source})")
     return lines

@@ -308,14 +308,17 @@ def ulog_bytes(rows):
 
     odometry = "vehicle_odometry:uint64_t timestamp;float[3] position;float[4] q;"
     battery = "battery_status:uint64_t timestamp;float voltage_v;"
+    outputs = "actuator_outputs:uint64_t timestamp;float[2] output;"
     out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
     out += message("B", bytes(40))
-    out += b"".join(message("F", text.encode()) for text in (odometry, battery))
+    out += b"".join(message("F", text.encode()) for text in (odometry, battery, outputs))
     out += message("A", struct.pack("<BH", 0, 0) + b"vehicle_odometry")
     out += message("A", struct.pack("<BH", 0, 1) + b"battery_status")
+    out += message("A", struct.pack("<BH", 0, 2) + b"actuator_outputs")
     for stamp, position, q in rows:
         out += message("D", struct.pack("<HQ3f4f", 0, stamp, *position, *q))
     out += message("D", struct.pack("<HQf", 1, 5_000_000, 16.25))
+    out += message("D", struct.pack("<HQ2f", 2, 5_000_000, 1100.0, 0.0))
     return out
 
 
@@ -329,6 +332,9 @@ def test_ulog(write):
     # Written in single precision.
     np.testing.assert_allclose(log["vehicle/orientation"].values, [[0.6, 0, 0, 0.8]] * 20, atol=1e-7)
     assert log["voltage"].values[0] == 16.25
+    # Pulse widths or DShot levels: the log does not say, so neither do we.
+    assert (log["output_0"].unit, log["output_0"].values[0]) == ("", 1100.0)
+    assert any("actuator outputs as recorded" in note for note in log.provenance.notes)
 
 
 def c3d_file(tmp_path, points, rate=100.0, labels=None, unit="mm"):
