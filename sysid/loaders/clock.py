@@ -11,6 +11,8 @@ from sysid.recording import BoolArray, FloatArray
 
 # A logger leaves at most this many samples of an earlier run at the start of a file.
 _STALE_ROWS = 2
+# Rows that a line through times and frame numbers needs, and the median delay that it may leave [s].
+_FEWEST_FRAMES, _LONGEST_DELAY = 10, 0.1
 
 
 def positive_rate(path: str, rate: object) -> float:
@@ -117,6 +119,57 @@ def order_rows(
         )
         numbers.keep(last)
         time = time[last]
+    return time, notes
+
+
+def frame_clock(
+    path: str, numbers: Numbers, frame_column: int, time_column: int, factor: float, *, time_back: str = ""
+) -> tuple[FloatArray, list[str]]:
+    """Return times [s] rebuilt from frame numbers, and notes, where the written ones are times of arrival.
+
+    They lie on the straight line that fits the written times best, so the rate is that of the log itself and
+    a constant delay stays in it. `numbers` keeps only the rows they belong to.
+
+    Parameters
+    ----------
+    path : str
+        Named in messages.
+    numbers : Numbers
+        Rows as read; changed in place.
+    frame_column, time_column : int
+        Columns of the frame numbers and of the written times.
+    factor : float
+        From the time column's unit to seconds.
+    time_back : str
+        As for `order_rows`, of the frame numbers.
+
+    Raises
+    ------
+    LogError
+        When the two columns do not belong together.
+    """
+    _, notes = order_rows(path, numbers, frame_column, 1.0, time_back=time_back)
+    frames, written = numbers.columns[frame_column], numbers.columns[time_column] * factor
+    seen = np.isfinite(written)
+    if seen.sum() < _FEWEST_FRAMES:
+        raise LogError(f"{path}: {int(seen.sum())} rows have a frame number and a time; too few for a clock")
+    first, start = frames[seen][0], written[seen][0]
+    period, offset = np.polyfit(frames[seen] - first, written[seen] - start, 1)
+    time: FloatArray = start + offset + period * (frames - first)
+    off = np.where(seen, np.abs(written - time), 0.0)
+    # A network delays frames by milliseconds, and by some tenths of a second at its worst.
+    if period <= 0 or float(np.median(off[seen])) > _LONGEST_DELAY:
+        row = int(off.argmax())
+        raise LogError(
+            f"{path}, {numbers.row_word} {numbers.lines[row]}: frame {frames[row]:.0f} should be at "
+            f"{time[row]:.6g} s but the time column says {written[row]:.6g} s; the two columns do not belong "
+            'together, so choose clock = "time"'
+        )
+    notes.append(
+        f"time rebuilt from frame numbers at {1 / period:.6g} Hz: the written times lie "
+        f"{1e3 * float(np.sqrt(np.mean(off[seen] ** 2))):.2g} ms rms and up to "
+        f"{1e3 * float(off.max()):.3g} ms beside it"
+    )
     return time, notes
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.loaders.clock import jitter_note, order_rows, positive_rate, rate_clock
-from sysid.loaders.columns import DeclaredUnits, find_column, missing_column, parse_header
+from sysid.loaders.columns import DeclaredUnits, find_column, listing, missing_column, parse_header
 from sysid.loaders.load_cell import (
     BESIDE,
     CELL_AXES,
@@ -107,7 +107,10 @@ def read(
     )
     clock = find_column(path, header, TIME)
     if clock is None and rate is None:
-        raise LogError(f"{path}: no time column; declare the sample rate [Hz] with rate = ...")
+        raise LogError(
+            f"{path}: no time column among {listing(column.label for column in header)}; name it with "
+            'columns = {time = "..."}, or declare the sample rate [Hz] with rate = ...'
+        )
     seconds = declared.factor(clock, "time", "s") if clock else 1.0
     factors = {
         name: declared.factor(column, name, QUANTITIES[name].unit, "rpm" if column.stem == "rpm" else None)

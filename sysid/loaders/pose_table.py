@@ -6,8 +6,9 @@ declared.
     t [ms];x (mm);y (mm);z (mm);q0;q1;q2;q3              quaternion_order = "wxyz" or "xyzw" declared
 
 Times are those of the file, seconds where no unit is stated and the steps are those of a capture; where a
-network stamped them on arrival their jitter is kept and noted. Velocities, where the table has them, are kept
-as channels; the frame of an angular velocity is not in the file.
+network stamped them on arrival their jitter is kept and noted, or, with frame numbers, taken out on demand.
+Velocities, where the table has them, are kept as channels; the frame of an angular velocity is not in the
+file.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sysid.errors import LogError, UnitError
-from sysid.loaders.clock import jitter_note, order_rows
+from sysid.loaders.clock import frame_clock, jitter_note, order_rows
 from sysid.loaders.columns import Column, DeclaredUnits, find_column, listing, missing_column, parse_header
 from sysid.loaders.motion_capture import body_channels, unit_quaternions
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE, LogFormat
@@ -29,6 +30,7 @@ from sysid.recording import Channel, Recording
 from sysid.units import factor_to_si
 
 _NAME = "pose-table"
+_FRAME = frozenset({"frame", "frame number", "frame no", "frame id", "seq"})
 _TIME = frozenset({"t", "time", "timestamp", "time stamp", "stamp"})
 _POSITION = re.compile(
     r"^(?:(?:.* )?(?:p|pos|position|translation)(?: \w+)*? ([xyz])|[pt]?([xyz])|([xyz]) pos(?:ition)?)$"
@@ -112,6 +114,7 @@ def read(
     units: Mapping[str, str] | None = None,
     columns: Sequence[str] | Mapping[str, object] | None = None,
     rigid_body: str = "body",
+    clock: str = "time",
     time_back: str = "refuse",
 ) -> Recording:
     """Read a pose table.
@@ -131,6 +134,9 @@ def read(
         name in the header, for example ``{"speed": "tach"}``.
     rigid_body : str
         The name that the one body of the table is given.
+    clock : str
+        ``"time"`` (or ``"auto"``): the times as written; ``"frame"``: rebuilt from a column of frame numbers,
+        where the written ones are times of arrival (`clock.frame_clock`).
     time_back : str
         ``"refuse"`` a log whose time goes back, or ``"drop"`` the rows that do not pass the latest time.
 
@@ -153,9 +159,14 @@ def read(
     head = table_head(text, columns)
     header = parse_header(head.names)
     declared = DeclaredUnits(path, units)
-    clock = find_column(path, header, _TIME)
-    if clock is None:
+    stamp = find_column(path, header, _TIME)
+    if stamp is None:
         raise missing_column(path, '"t"', header)
+    frame = find_column(path, header, _FRAME)
+    if clock not in ("auto", "time", "frame"):
+        raise LogError(f'{path}: clock = {clock!r} is unknown; expected "time" or "frame"')
+    if clock == "frame" and frame is None:
+        raise missing_column(path, '"frame"', header)
     position = _matched(path, header, _POSITION)
     if len(position) < 3:
         raise missing_column(path, ", ".join(f'"{axis}"' for axis in "xyz" if axis not in position), header)
@@ -190,8 +201,8 @@ def read(
                 f'{path}: length_unit = "{length_unit}" contradicts column "{position[axis].label}"'
             )
         scale.append(factor)
-    seconds = declared.factor(clock, "t", "s", "s")
-    stated_time = declared.unit_of(clock, "t")
+    seconds = declared.factor(stamp, "t", "s", "s")
+    stated_time = declared.unit_of(stamp, "t")
     rates = {
         name: [declared.factor(found[axis], found[axis].label, triples[name][0]) for axis in "xyz"]
         for name, found in extra.items()
@@ -199,7 +210,8 @@ def read(
     declared.check_used(header)
 
     wanted = [
-        clock,
+        stamp,
+        *([frame] if frame is not None and clock == "frame" else []),
         *position.values(),
         *quaternion,
         *(c for found in extra.values() for c in found.values()),
@@ -207,17 +219,23 @@ def read(
     numbers = read_numbers(text, head, [column.index for column in wanted])
     del text  # the file's bytes are not needed any more
     notes = numbers.notes
-    time, said = order_rows(path, numbers, clock.index, seconds, time_back=time_back)
+    if frame is not None and clock == "frame":
+        time, said = frame_clock(path, numbers, frame.index, stamp.index, seconds, time_back=time_back)
+    else:
+        time, said = order_rows(path, numbers, stamp.index, seconds, time_back=time_back)
     notes += said
     if stated_time is None:
         step = float(np.median(np.diff(time))) if time.size > 1 else 0.0
         if step > _LONGEST_STEP:
             raise UnitError(
-                f'{path}: column "{clock.label}" states no unit and its steps of {step:g} cannot be seconds; '
-                f'declare it, for example units = {{{clock.label} = "ms"}}'
+                f'{path}: column "{stamp.label}" states no unit and its steps of {step:g} cannot be seconds; '
+                f'declare it, for example units = {{{stamp.label} = "ms"}}'
             )
-        notes.append(f'column "{clock.label}" states no unit: read as seconds')
-    notes += jitter_note(time)
+        notes.append(f'column "{stamp.label}" states no unit: read as seconds')
+    jitter = jitter_note(time)
+    if jitter and frame is not None:
+        jitter.append('the column of frame numbers gives a steady clock: clock = "frame"')
+    notes += jitter
 
     raw = np.column_stack([numbers.columns[column.index] for column in quaternion])
     orientation, said = unit_quaternions(path, rigid_body, numbers, raw)
@@ -235,6 +253,7 @@ def read(
         "units": units,
         "columns": columns,
         "rigid_body": None if rigid_body == "body" else rigid_body,
+        "clock": clock if clock == "frame" else None,
     }
     return Recording(
         "motion-capture", channels, source.provenance(_NAME, options=options, notes=[*notes, *declared.notes])

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sysid.errors import LogError
-from sysid.loaders.clock import jitter_note, order_rows
+from sysid.loaders.clock import frame_clock, jitter_note, order_rows
 from sysid.loaders.columns import Column, listing, parse_header
 from sysid.loaders.motion_capture import body_channels, unit_quaternions
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
@@ -24,7 +24,8 @@ from sysid.recording import Recording
 
 _NAME = "ros-csv"
 _ARRIVAL, _STAMP = "%time", "field header stamp"
-_CLOCKS = ("header", "arrival")
+_SEQUENCE = "field header seq"
+_CLOCKS = ("header", "arrival", "frame")
 _POSITION = ("position", "translation")
 _TURN = ("orientation", "rotation")
 
@@ -66,7 +67,8 @@ def read(
     rigid_body : str
         The name that the body is given.
     clock : str
-        ``"header"``: the stamp of the message; ``"arrival"``: when it was received.
+        ``"header"``: the stamp of the message; ``"arrival"``: when it was received; ``"frame"``: rebuilt from
+        the sequence numbers of the headers, where their stamps are times of arrival too.
     time_back : str
         ``"refuse"`` a log whose time goes back, or ``"drop"`` the rows that do not pass the latest time.
 
@@ -83,7 +85,7 @@ def read(
     """
     path = source.path
     if clock not in _CLOCKS:
-        raise LogError(f'{path}: clock = {clock!r} is unknown; expected "header" or "arrival"')
+        raise LogError(f'{path}: clock = {clock!r} is unknown; expected "header", "arrival" or "frame"')
     if not isinstance(rigid_body, str) or not rigid_body:
         raise LogError(f"{path}: rigid_body = {rigid_body!r} is no name; a pose topic holds one body")
     text = read_text(source)
@@ -92,19 +94,28 @@ def read(
     place = _axes(path, columns, _POSITION, "xyz")
     turn = _axes(path, columns, _TURN, "wxyz")
     clocks = {column.stem: column for column in columns if column.stem in (_ARRIVAL, _STAMP)}
-    wanted = _STAMP if clock == "header" else _ARRIVAL
+    wanted = _ARRIVAL if clock == "arrival" or (clock == "frame" and _STAMP not in clocks) else _STAMP
     if wanted not in clocks:
         raise LogError(
             f"{path}: no column {wanted.replace(' ', '.')}; "
             f'choose clock = "{"arrival" if clock == "header" else "header"}"'
         )
-    numbers = read_numbers(text, head, [clocks[wanted].index, *(one.index for one in (*place, *turn))])
+    sequence = next((column for column in columns if column.stem == _SEQUENCE), None)
+    if clock == "frame" and sequence is None:
+        raise LogError(f'{path}: no column field.header.seq; choose clock = "header" or "arrival"')
+    counted = [sequence.index] if sequence is not None and clock == "frame" else []
+    numbers = read_numbers(
+        text, head, [clocks[wanted].index, *counted, *(one.index for one in (*place, *turn))]
+    )
     del text  # the file's bytes are not needed any more
     notes = numbers.notes
     stamps = numbers.columns[clocks[wanted].index]
     if clock == "header" and not np.nan_to_num(stamps).any():
         raise LogError(f'{path}: every header stamp is 0; choose clock = "arrival"')
-    time, said = order_rows(path, numbers, clocks[wanted].index, 1e-9, time_back=time_back)
+    if counted:
+        time, said = frame_clock(path, numbers, counted[0], clocks[wanted].index, 1e-9, time_back=time_back)
+    else:
+        time, said = order_rows(path, numbers, clocks[wanted].index, 1e-9, time_back=time_back)
     notes += [*said, *jitter_note(time)]
     raw = np.column_stack([numbers.columns[one.index] for one in turn])
     orientation, said = unit_quaternions(path, rigid_body, numbers, raw)
