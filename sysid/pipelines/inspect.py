@@ -182,7 +182,8 @@ def _print_report(console: Console, report: LogReport) -> None:
     clocks = {one.name: f"{one.samples} points" if points else _clock_words(one) for one in report.channels}
     common = len(set(clocks.values())) == 1
     if common and report.channels:
-        console.print(Text(f"  clock of all channels: {clocks[report.channels[0].name]}"))
+        title = "rows" if points else "clock of all channels"
+        console.print(Text(f"  {title}: {clocks[report.channels[0].name]}"))
     for one in report.channels[:_MOST_ROWS]:
         words = [word for word in ("" if common else clocks[one.name], _value_words(one)) if word]
         cells = [one.name, one.unit, _number(one.lowest), _number(one.highest), "; ".join(words)]
@@ -195,6 +196,8 @@ def _print_report(console: Console, report: LogReport) -> None:
     for sentence in report.suspicions:
         console.print(Text(f"  suspicious: {sentence}", style="bold yellow"))
     for note in report.notes:
+        if note in report.suspicions:
+            continue
         console.print(Text(f"  note: {note}"))
 
 

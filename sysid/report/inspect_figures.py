@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -25,18 +26,20 @@ def _chosen(recording: Recording, report: LogReport) -> list[Channel]:
         names = [f"{body}/{part}" for body in recording.rigid_bodies for part in ("position", "orientation")]
         names = names or [f"{marker}/position" for marker in recording.markers]
         if report.drop is not None:
-            own = f"{report.drop.body}/position"
-            names = [own, *(name for name in names if name != own)]
+            own = [f"{report.drop.body}/{part}" for part in ("position", "orientation")]
+            names = [*own, *(name for name in names if name not in own)]
     else:
         names = [name for name in _FIRST if name in channels]
         names += [name for name in channels if name not in names]
     return [channels[name] for name in names if name in channels][:_MOST_ROWS]
 
 
-def _draw(axes: Axes, channel: Channel, points: bool) -> None:
+def _draw(axes: Axes, channel: Channel, points: bool, change: bool = False) -> None:
     step = max(1, channel.time.size // _MOST_POINTS)
     time = channel.time[::step]
     columns = channel.values[::step].reshape(time.size, -1)
+    if change:  # a fall of centimetres is not seen in coordinates of metres
+        columns = columns - columns[int(np.argmax(np.isfinite(columns).all(axis=1)))]
     labels = {3: "xyz", 4: "wxyz"}.get(columns.shape[1], "")
     style = {"marker": "o", "linestyle": "none"} if points else {"linewidth": 0.9}
     for i in range(columns.shape[1]):
@@ -44,9 +47,13 @@ def _draw(axes: Axes, channel: Channel, points: bool) -> None:
         label = labels[i] if labels else None
         axes.plot(time, columns[:, i], color=colour, label=label, rasterized=True, **style)
     if labels:
-        axes.legend(loc="upper right", ncols=len(labels), frameon=False, fontsize="small")
+        axes.legend(
+            loc="lower right", bbox_to_anchor=(1.0, 0.98), borderaxespad=0.0, ncols=len(labels),
+            frameon=False, fontsize="small",
+        )  # fmt: skip
     unit = f" [{channel.unit}]" if channel.unit not in ("", "1") else ""
-    axes.set_ylabel(channel.name.replace("/", "\n") + unit, fontsize="small")
+    name = channel.name.replace("/", "\n") + (" change" if change else "")
+    axes.set_ylabel(name + unit, fontsize="small")
     axes.grid(True, color="0.9")
 
 
@@ -71,7 +78,8 @@ def figure_logs(recordings: Sequence[Recording], reports: Sequence[LogReport]) -
         for place, channel in enumerate(block):
             axes = all_axes[row]
             row += 1
-            _draw(axes, channel, points)
+            falls = report.drop is not None and channel.name == f"{report.drop.body}/position"
+            _draw(axes, channel, points, change=falls)
             if shared is not None:
                 axes.sharex(shared)
             shared = shared or axes
@@ -79,10 +87,16 @@ def figure_logs(recordings: Sequence[Recording], reports: Sequence[LogReport]) -
                 title = Path(report.path).name
                 title = title if len(title) <= _LONGEST_NAME else title[: _LONGEST_NAME - 1] + "…"
                 axes.set_title(f"{title} ({report.kind})", fontsize="medium", loc="left")
-            if report.drop is not None and channel.name.endswith("/position"):
-                for at in (report.drop.release, report.drop.touchdown):
+            if report.drop is not None and falls:
+                for word, at in (("release", report.drop.release), ("touchdown", report.drop.touchdown)):
                     if at is not None:
                         axes.axvline(at, color=BEST, linewidth=0.8)
+                        axes.annotate(
+                            word, (at, 0.03), xycoords=("data", "axes fraction"), fontsize="small",
+                            ha="right" if word == "release" else "left", color=BEST,
+                            xytext=(-3 if word == "release" else 3, 0), textcoords="offset points",
+                            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+                        )  # fmt: skip
             if place == len(block) - 1:
                 axes.set_xlabel("point" if points else "time [s]")
     return figure
