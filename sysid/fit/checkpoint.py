@@ -43,7 +43,7 @@ _BLOCK = 512  # the smallest user block
 # costs of the same candidates.
 PROCESSOR = "the processor"
 PROBES = "the cost of the same candidates (its inputs or code)"
-# Relative [1]; SOMETHING
+# Relative [1]: an allowance for rounding, not a measured difference between two machines.
 SAME_COST = 1e-4
 
 
