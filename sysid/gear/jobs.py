@@ -13,6 +13,7 @@ from sysid.gear.rows import (
     FRICTION,
     FRICTION_0,
     GROUND,
+    HOLD,
     LAW,
     LENGTH,
     LIFT,
@@ -36,12 +37,6 @@ from sysid.gear.rows import (
     WAY,
 )
 from sysid.integrate.tableau import STAGES
-
-# At rest while slower than these, flipped beyond that angle from the slope.
-REST_SPEED = 0.05
-REST_TURN = 0.2
-REST_TIME = 0.2
-FLIP_ANGLE = 80.0 * np.pi / 180.0
 
 
 @njit(error_model="numpy")
@@ -166,6 +161,12 @@ def thrust_segment(segments, at, origin, until, thrust_dx, work, lane, lanes):
 
 
 @njit(error_model="numpy")
+def hold_rest(settled, origin, work, lane, lanes):
+    """Count no rest until a history whose clock starts at `origin` shows `settled`, if not negative."""
+    work[HOLD * lanes + lane] = origin + settled if settled >= 0.0 else 0.0
+
+
+@njit(error_model="numpy")
 def interpolated(work, lane, lanes, share, i):
     """Coordinate `i` and its rate at `share` (0..1) of the lane's step, from cubic Hermite polynomials."""
     h = work[STEP * lanes + lane]
@@ -213,17 +214,17 @@ def sample(work, lane, lanes, share, slope, row):
 
 
 @njit(error_model="numpy")
-def _gap(work, lane, lanes, share, kind):
+def _gap(work, lane, lanes, share, kind, ending):
     """What an event looks for: 0, 1 penetration of a foot; 2 turn beyond the flip; 3 excess of motion."""
     if kind == 2:
         phi, _ = interpolated(work, lane, lanes, share, 2)
-        return abs(phi) - FLIP_ANGLE
+        return abs(phi) - ending[4]
     if kind == 3:
         _, s_rate = interpolated(work, lane, lanes, share, 0)
         _, w_rate = interpolated(work, lane, lanes, share, 1)
         _, omega = interpolated(work, lane, lanes, share, 2)
         speed = np.sqrt(s_rate * s_rate + w_rate * w_rate)
-        return max(speed / REST_SPEED, abs(omega) / REST_TURN) - 1.0
+        return max(speed / ending[1], abs(omega) / ending[2]) - 1.0
     w, _ = interpolated(work, lane, lanes, share, 1)
     phi, _ = interpolated(work, lane, lanes, share, 2)
     h_c, _ = interpolated(work, lane, lanes, share, 3)
@@ -238,17 +239,17 @@ def _gap(work, lane, lanes, share, kind):
 
 
 @njit(error_model="numpy")
-def locate(work, lane, lanes, kind):
+def locate(work, lane, lanes, kind, ending):
     """Share of the lane's step at which the gap of a kind changes its sign (regula falsi, Illinois)."""
     low, high = 0.0, 1.0
-    at_low = _gap(work, lane, lanes, 0.0, kind)
-    at_high = _gap(work, lane, lanes, 1.0, kind)
+    at_low = _gap(work, lane, lanes, 0.0, kind, ending)
+    at_high = _gap(work, lane, lanes, 1.0, kind, ending)
     if at_low * at_high >= 0.0:
         return 0.0 if abs(at_low) < abs(at_high) else 1.0
     side = 0
     for _ in range(40):
         share = (low * at_high - high * at_low) / (at_high - at_low)
-        here = _gap(work, lane, lanes, share, kind)
+        here = _gap(work, lane, lanes, share, kind, ending)
         if (high - low) * work[STEP * lanes + lane] < 1e-9 or abs(here) < 1e-12:
             return share
         if here * at_high > 0.0:

@@ -12,7 +12,7 @@ never exceeds what the method's real stability allows for the slip of a creeping
 it ends where a foot loses its mode (`sysid.gear.surfaces.high_friction`); under thrust it ends where a
 segment of the thrust's history does.
 
-Status codes of a job: see `OK` ... `FLIPPED_OVER`.
+Status codes of a job: see `OK` ... `BOTH_TOUCHED`.
 """
 
 import hashlib
@@ -25,13 +25,10 @@ from numba import njit
 
 from sysid.gear import stages
 from sysid.gear.jobs import (
-    FLIP_ANGLE,
-    REST_SPEED,
-    REST_TIME,
-    REST_TURN,
     assign,
     available,
     begin,
+    hold_rest,
     idle,
     locate,
     sample,
@@ -44,6 +41,7 @@ from sysid.gear.rows import (
     FRESH,
     FRICTION,
     FRICTION_0,
+    HOLD,
     LENGTH,
     LIMIT,
     MOVED,
@@ -77,12 +75,14 @@ TOO_EXPENSIVE = 2
 BLEW_UP = 3
 CAME_TO_REST = 4
 FLIPPED_OVER = 5
+BOTH_TOUCHED = 6
 
 # What a row of `marks` tells.
 TOUCHDOWN, LIFT_OFF, SLIP, STICK, FLIP, REST = 0, 1, 2, 3, 4, 5
 # Columns of `plans`: first segment (it holds until the history begins), one past the last, start of the
-# history [s], 1 if that start counts from the first contact instead of from the drop's start.
-PLAN_COLUMNS = 4
+# history [s], 1 if that start counts from the first contact instead of from the drop's start, and when on
+# the history's clock a drop may begin to count as at rest [s], negative: at any time.
+PLAN_COLUMNS = 5
 
 # Error weights of the rates (s, w, phi, h_C, theta_C, h_D, theta_D): 1 / scale, scales 1 m/s and 10 rad/s for
 # the legs; a light leg may err 30 times more than the body, whose motion is what is measured.
@@ -129,7 +129,7 @@ def drop_driver(lanes: int, surface: Surface):
         tolerance,
         h_max,
         cost,
-        ends,
+        ending,
         samples,
         reached,
         status,
@@ -162,8 +162,9 @@ def drop_driver(lanes: int, surface: Surface):
             Longest step [s].
         cost : float
             Right-hand sides that a drop may spend per second of its length, at least 1000 in all.
-        ends : bool
-            End a drop that has come to rest or flipped.
+        ending : 5 float
+            0: run on, 1: end a drop that has come to rest or flipped, 2: or whose feet have both touched;
+            then speed [m/s], turn rate [rad/s] and time [s] of rest, and the angle of a flip [rad].
         samples : (P, n_total, 6 or 16)
             Written: state at each sample, frame N (16: friction on the feet too); NaN from the end on.
         reached, status, spent, switches : (P, D)
@@ -178,6 +179,8 @@ def drop_driver(lanes: int, surface: Surface):
         """
         if sources < 0:  # keeps the sources' hash in the key of the cached code
             return
+        ends = ending[0] > 0.0
+        _, rest_speed, rest_turn, rest_time, flip_angle = ending
         drops = len(slope)
         work = np.ones(ROWS * lanes)
         job = np.full(lanes, -1, np.int64)
@@ -204,6 +207,7 @@ def drop_driver(lanes: int, surface: Surface):
             until = np.inf if plans[drop, 3] > 0.0 else origin[lane]
             at = parameters[here // drops, 5]
             thrust_segment(segments, segment[lane], 0.0, until, at, work, lane, lanes)
+            hold_rest(plans[drop, 4], until, work, lane, lanes)
         while active > 0:
             for lane in range(lanes):
                 evaluate(work, 1, lane, lanes)
@@ -263,15 +267,16 @@ def drop_driver(lanes: int, surface: Surface):
                 news = change_c if change_c > change_d else change_d
                 turn = work[(END + 2) * lanes + lane]
                 turn = turn if turn > 0.0 else -turn
-                turned = 1.0 if turn > FLIP_ANGLE else 0.0
+                turned = 1.0 if turn > flip_angle else 0.0
                 turned = turned - work[FLIPPED * lanes + lane]
                 news = news if news > turned else turned
                 s_rate = work[(END + 7) * lanes + lane]
                 w_rate = work[(END + 8) * lanes + lane]
                 omega = work[(END + 9) * lanes + lane]
-                speed = s_rate * s_rate + w_rate * w_rate - REST_SPEED * REST_SPEED
-                spin = omega * omega - REST_TURN * REST_TURN
+                speed = s_rate * s_rate + w_rate * w_rate - rest_speed * rest_speed
+                spin = omega * omega - rest_turn * rest_turn
                 motion = speed if speed > spin else spin
+                motion = motion if now >= work[HOLD * lanes + lane] else 1.0
                 moved = work[MOVED * lanes + lane]
                 if lanes == 1:
                     calm = 1.0 if moved >= t else 0.0
@@ -280,7 +285,7 @@ def drop_driver(lanes: int, surface: Surface):
                 moved = now if motion >= 0.0 else moved
                 moved = moved if taken > 0.0 else work[MOVED * lanes + lane]
                 work[MOVED * lanes + lane] = moved
-                rested = 1.0 if now - moved >= REST_TIME else 0.0
+                rested = 1.0 if now - moved >= rest_time else 0.0
                 rested = rested - work[RESTED * lanes + lane]
                 news = news if news > rested else rested
                 news = news * taken
@@ -313,7 +318,7 @@ def drop_driver(lanes: int, surface: Surface):
                             touch = 1.0 if work[(NORMAL + foot) * lanes + lane] > 0.0 else 0.0
                             before = work[(TOUCHED + foot) * lanes + lane]
                             if touch > before or (lanes == 1 and touch < before):
-                                share = locate(work, lane, lanes, foot) if h > 0.0 else 0.0
+                                share = locate(work, lane, lanes, foot, ending) if h > 0.0 else 0.0
                                 work[(TOUCHED + foot) * lanes + lane] = touch
                                 if touch > 0.0 and np.isnan(moments[candidate, drop, foot]):
                                     moments[candidate, drop, foot] = t + share * h
@@ -324,6 +329,9 @@ def drop_driver(lanes: int, surface: Surface):
                                     if waits and begins < work[SEGMENT_END * lanes + lane]:
                                         origin[lane] = begins
                                         work[SEGMENT_END * lanes + lane] = begins
+                                        hold_rest(plans[drop, 4], begins, work, lane, lanes)
+                                    if ending[0] > 1.0 and moments[candidate, drop, 1 - foot] >= 0.0:
+                                        code = BOTH_TOUCHED
                                 if marked < len(marks):
                                     marks[marked, 0] = t + share * h
                                     marks[marked, 1] = TOUCHDOWN if touch > 0.0 else LIFT_OFF
@@ -341,10 +349,10 @@ def drop_driver(lanes: int, surface: Surface):
                                         marks[marked, 3 + other] = available(work, lane, lanes, other)
                                         marks[marked, 5 + other] = work[(REQUIRED + other) * lanes + lane]
                                     marked += 1
-                        if abs(work[(END + 2) * lanes + lane]) > FLIP_ANGLE and h > 0.0:
+                        if abs(work[(END + 2) * lanes + lane]) > flip_angle and h > 0.0:
                             if work[FLIPPED * lanes + lane] == 0.0:
                                 work[FLIPPED * lanes + lane] = 1.0
-                                moments[candidate, drop, 2] = t + h * locate(work, lane, lanes, 2)
+                                moments[candidate, drop, 2] = t + h * locate(work, lane, lanes, 2, ending)
                                 if marked < len(marks):
                                     marks[marked, 0] = moments[candidate, drop, 2]
                                     marks[marked, 1] = FLIP
@@ -353,8 +361,8 @@ def drop_driver(lanes: int, surface: Surface):
                                     marked += 1
                             code = FLIPPED_OVER if ends else code
                         if lanes == 1 and h > 0.0 and work[MOVED * lanes + lane] == t:
-                            work[MOVED * lanes + lane] = t + h * locate(work, lane, lanes, 3)
-                        if t + h - work[MOVED * lanes + lane] >= REST_TIME:
+                            work[MOVED * lanes + lane] = t + h * locate(work, lane, lanes, 3, ending)
+                        if t + h - work[MOVED * lanes + lane] >= rest_time:
                             if work[RESTED * lanes + lane] == 0.0:
                                 work[RESTED * lanes + lane] = 1.0
                                 moments[candidate, drop, 3] = work[MOVED * lanes + lane]
@@ -414,6 +422,7 @@ def drop_driver(lanes: int, surface: Surface):
                     until = np.inf if plans[drop, 3] > 0.0 else origin[lane]
                     at = parameters[here // drops, 5]
                     thrust_segment(segments, segment[lane], 0.0, until, at, work, lane, lanes)
+                    hold_rest(plans[drop, 4], until, work, lane, lanes)
                     work[TAKEN * lanes + lane] = -1.0
                     if waiting < len(jobs):
                         assign(here, lane, job, cursor, clock, offset, cost, work)

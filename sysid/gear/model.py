@@ -56,7 +56,9 @@ from sysid.gear.parameters import PARAMETERS, parameters_on
 from sysid.gear.propulsion import Propulsion
 from sysid.gear.surfaces import SURFACES, Surface, find_surface
 from sysid.gear.trajectories import (
+    TO_THE_CLOCK,
     Drops,
+    Ending,
     Event,
     EventKind,
     FloatArray,
@@ -74,6 +76,7 @@ __all__ = [
     "SURFACES",
     "TIGHT_TOLERANCE",
     "Drops",
+    "Ending",
     "Event",
     "EventKind",
     "GearTrajectory",
@@ -142,6 +145,7 @@ def simulate(
     surface: str | Surface = "lf",
     tolerance: float = FIT_TOLERANCE,
     propulsion: Propulsion | None = None,
+    ending: Ending = TO_THE_CLOCK,
 ) -> GearTrajectory:
     """Simulate one drop or landing and log its events.
 
@@ -163,6 +167,8 @@ def simulate(
         Bound of the weighted rms error of the rates per step.
     propulsion : Propulsion, optional
         Thrust; none by default.
+    ending : Ending
+        When it is over, and what counts as rest and as a flip.
 
     Raises
     ------
@@ -190,7 +196,9 @@ def simulate(
     drops = Drops(np.array([slope]), start, (clock,), propulsion)
     checked, room = _checked(row[None]), _MARKS
     while True:
-        result = _run(checked, drops, legs, own, tolerance, lanes=1, columns=16, threads=1, room=room)
+        result = _run(
+            checked, drops, legs, own, tolerance, lanes=1, columns=16, threads=1, ending=ending, room=room
+        )
         if len(result.marks) < room:
             break
         room *= 8
@@ -233,7 +241,7 @@ def simulate_population(
     tolerance: float = FIT_TOLERANCE,
     threads: int | None = None,
     body_states: ArrayLike | None = None,
-    end_early: bool = False,
+    ending: Ending = TO_THE_CLOCK,
 ) -> PopulationSamples:
     """Simulate every candidate on every drop, on all cores.
 
@@ -254,8 +262,8 @@ def simulate_population(
         Number of threads; all cores by default.
     body_states : (P, D, 6) array, optional
         A start of each candidate's own instead of the drops'.
-    end_early : bool
-        End a drop that has come to rest or flipped; its later samples are NaN.
+    ending : Ending
+        When a drop is over; samples later than an early end are NaN.
     """
     rows = _checked(np.atleast_2d(np.asarray(parameters, dtype=np.float64)))
     bodies = None
@@ -268,7 +276,7 @@ def simulate_population(
             )
     return _run(
         rows, drops, np.empty(0), find_surface(surface), tolerance,
-        lanes=_LANES, columns=6, threads=threads, bodies=bodies, end_early=end_early,
+        lanes=_LANES, columns=6, threads=threads, bodies=bodies, ending=ending,
     )  # fmt: skip
 
 
@@ -318,7 +326,7 @@ def _run(
     columns: int,
     threads: int | None,
     bodies: FloatArray | None = None,
-    end_early: bool = False,
+    ending: Ending = TO_THE_CLOCK,
     room: int = 0,
 ) -> PopulationSamples:
     if not 0 < tolerance < 1:
@@ -347,8 +355,8 @@ def _run(
         if len(jobs):
             drive(
                 rows, reads, drops.slope, body, legs, drops.clock, drops.offset, drops.segments, drops.plans,
-                jobs, tolerance, _LONGEST_STEP, cost, end_early, samples, reached, status, spent, switches,
-                moments, states, marks,
+                jobs, tolerance, _LONGEST_STEP, cost, ending.packed, samples, reached, status, spent,
+                switches, moments, states, marks,
             )  # fmt: skip
 
     if workers == 1:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -29,12 +30,16 @@ class Propulsion:
         When that clock starts: this long after the drop's first sample [s], or when a foot first touches.
     delay : float
         Added to the first contact [s].
+    settled : float, optional
+        Last command on the history's clock [s]: before it nothing counts as at rest, because the motors are
+        still to be told something.
     """
 
     rear: PiecewiseCubic
     front: PiecewiseCubic
     begins: float | Literal["first contact"] = 0.0
     delay: float = 0.0
+    settled: float | None = None
 
     def __post_init__(self) -> None:
         known = self.begins == "first contact" if isinstance(self.begins, str) else np.isfinite(self.begins)
@@ -55,8 +60,9 @@ class Propulsion:
         own = np.maximum(0.0, time - start) if np.isfinite(start) else np.zeros(np.shape(time))
         return np.column_stack([self.rear(own), self.front(own)])
 
+    @cached_property
     def segments(self) -> FloatArray:
-        """Return what the kernel reads (n, SEGMENT_COLUMNS): the value held before, the pieces, the last."""
+        """What the kernel reads (n, SEGMENT_COLUMNS): the value held before, the pieces, the last."""
         knots = np.unique(np.concatenate([[0.0], self.rear.knots, self.front.knots]))
         knots = knots[knots >= 0.0]
         out = np.zeros((len(knots) + 1, SEGMENT_COLUMNS))
@@ -81,14 +87,16 @@ def plans(propulsion: Sequence[Propulsion | None]) -> tuple[FloatArray, FloatArr
     total = 1
     for one in propulsion:
         if one is None:
-            rows.append([0, 1, np.inf, 1.0])  # a start at infinity: no thrust, for ever
+            rows.append([0, 1, np.inf, 1.0, -1.0])  # a start at infinity: no thrust, for ever
             continue
         if id(one) not in places:
-            table = one.segments()
+            table = one.segments
             places[id(one)] = (total, total + len(table))
             tables.append(table)
             total += len(table)
         first, stop = places[id(one)]
         start = one.delay if isinstance(one.begins, str) else float(one.begins)
-        rows.append([first, stop, start, float(one.waits_for_contact)])
+        rows.append(
+            [first, stop, start, float(one.waits_for_contact), -1.0 if one.settled is None else one.settled]
+        )
     return np.concatenate(tables), np.array(rows, dtype=np.float64)

@@ -40,9 +40,10 @@ TOUCHED = TIME + 37  # two rows: foot touches (one lane) or has touched (several
 FLIPPED = TIME + 39  # 1 once the body has turned over
 RESTED = TIME + 40  # 1 once it has come to rest
 MOVED = TIME + 41  # end of the last step at whose end the body still moved
+HOLD = TIME + 42  # lane time until which the body counts as moving
 # Of a law with modes, at the stages within the step, 6 rows each: normal force, slip, required friction, of
 # the rear and the front foot.
-INNER = TIME + 42
+INNER = TIME + 43
 ROWS = INNER + 6 * (STAGES - 1)
 
 # Columns of the thrust segments that a driver reads: start and end on the history's own clock [s], then the

@@ -27,6 +27,7 @@ class Status(IntEnum):
     BLEW_UP = kernel.BLEW_UP
     CAME_TO_REST = kernel.CAME_TO_REST
     FLIPPED_OVER = kernel.FLIPPED_OVER
+    BOTH_TOUCHED = kernel.BOTH_TOUCHED
 
     @property
     def text(self) -> str:
@@ -38,7 +39,39 @@ class Status(IntEnum):
             Status.BLEW_UP: "a leg was pushed through its own joint: the legs are too soft for this impact",
             Status.CAME_TO_REST: "ended at rest, as asked",
             Status.FLIPPED_OVER: "ended when it had flipped, as asked",
+            Status.BOTH_TOUCHED: "ended when both feet had touched, as asked",
         }[self]
+
+
+@dataclass(frozen=True)
+class Ending:
+    """When a drop is over, and what counts as rest and as a flip.
+
+    Parameters
+    ----------
+    at : {"clock", "rest", "both feet"}
+        Run to the end of the clock; end at rest or when flipped; end then or when both feet have touched.
+    rest_speed, rest_turn, rest_time : float
+        At rest while the body stays below this speed [m/s] and this turn rate [rad/s] for this time [s];
+        under thrust not before `Propulsion.settled`.
+    flip_angle : float
+        Flipped beyond this angle from the slope [rad].
+    """
+
+    at: Literal["clock", "rest", "both feet"] = "clock"
+    rest_speed: float = 0.05
+    rest_turn: float = 0.2
+    rest_time: float = 0.2
+    flip_angle: float = math.radians(80.0)
+
+    @property
+    def packed(self) -> tuple[float, ...]:
+        """What the kernel reads."""
+        mode = ("clock", "rest", "both feet").index(self.at)
+        return (float(mode), self.rest_speed, self.rest_turn, self.rest_time, self.flip_angle)
+
+
+TO_THE_CLOCK = Ending()
 
 
 class EventKind(IntEnum):
@@ -61,8 +94,8 @@ class Event:
     time : float
         Since the drop's first sample [s].
     kind : EventKind
-        SLIP and STICK are the beginnings of those modes. FLIP: the body has turned beyond 80 deg from the
-        slope. REST: from here on it stays below 0.05 m/s and 0.2 rad/s for 0.2 s at least.
+        SLIP and STICK are the beginnings of those modes. FLIP and REST as `Ending` says: by default turned
+        beyond 80 deg from the slope; from here on below 0.05 m/s and 0.2 rad/s for 0.2 s at least.
     foot : {"rear", "front", "body"}
         What it happens to.
     """
@@ -207,8 +240,8 @@ class PopulationSamples:
     first_contact : (P, D, 2) array
         First touchdown of the rear and of the front foot since the drop's start [s]; NaN where none.
     flip, rest : (P, D) array
-        When the body turned beyond 80 deg from the slope, and from when on it stayed below 0.05 m/s and 0.2
-        rad/s for 0.2 s [s], the latter to a step's length; NaN where it did not.
+        When the body flipped, and from when on it stayed at rest, by `Ending` [s], the latter to a step's
+        length; NaN where it did not.
     contact_state : (P, D, 2, 6) array
         x_B, z_B, q_B and their rates at the two first touchdowns.
     end_state : (P, D, 6) array

@@ -74,6 +74,7 @@ class Motors:
             self.history(tuple((step.after, step.rear) for step in steps)),
             self.history(tuple((step.after, step.front) for step in steps)),
             begins=begins,
+            settled=steps[-1].after,
         )
 
 

@@ -10,12 +10,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import CampaignError
+from sysid.gear.trajectories import Ending
 
 FloatArray = NDArray[np.float64]
 
@@ -89,6 +90,10 @@ class Rules:
                 f"landing rules: the short distance {self.short:g} m exceeds the long one {self.long:g} m; "
                 "swap them"
             )
+
+    def ending(self, at: Literal["clock", "rest", "both feet"]) -> Ending:
+        """Return what the kernel is told."""
+        return Ending(at, self.rest_speed, self.rest_turn, self.rest_time, self.flip_angle)
 
     def document(self) -> dict[str, Any]:
         """Return the numbers by name, ready for JSON [SI]."""

@@ -45,10 +45,6 @@ class Landings:
         When it flipped [s], NaN where it did not.
     trigger : (n,) array
         When the controller began [s], NaN where it never did.
-    second_impact : (n,) array
-        First touchdown of the front foot [s], NaN where it never came.
-    second_impact_state : (n, 6) array
-        x_B, z_B, q_B and rates then, frame N [m, rad, s].
     status : (n,) int8 array
         `sysid.gear.trajectories.Status` codes.
     """
@@ -58,8 +54,6 @@ class Landings:
     time: FloatArray
     flip: FloatArray
     trigger: FloatArray
-    second_impact: FloatArray
-    second_impact_state: FloatArray
     status: NDArray[np.int8]
 
 
@@ -141,21 +135,42 @@ def run(
     clock = np.array([0.0, rules.horizon])
     drops = Drops(slopes, starts, [clock] * len(slopes), thrust)
     found = simulate_population(
-        drone.row, drops, surface=drone.surface, tolerance=tolerance, threads=threads, end_early=True
-    )
+        drone.row, drops,
+        surface=drone.surface, tolerance=tolerance, threads=threads, ending=rules.ending("rest"),
+    )  # fmt: skip
     status = found.status[0]
     distance = along_slope(found.end_state[0], slopes) - along_slope(starts, slopes)
-    rest = np.where(np.isfinite(triggers), found.rest[0], np.nan)
     return Landings(
-        outcome=rules.classes(distance, rest, found.flip[0], np.isin(status, _FAILED)),
+        outcome=rules.classes(distance, found.rest[0], found.flip[0], np.isin(status, _FAILED)),
         distance=distance,
-        time=rest,
+        time=found.rest[0],
         flip=found.flip[0],
         trigger=triggers,
-        second_impact=found.first_contact[0, :, 1],
-        second_impact_state=found.contact_state[0, :, 1],
         status=status,
     )
+
+
+def second_impacts(
+    drone: Drone,
+    scenarios: Sequence[Scenario],
+    thrust: Propulsion | Sequence[Propulsion],
+    rules: Rules,
+    tolerance: float,
+    threads: int | None = None,
+) -> FloatArray:
+    """Return time [s], turn rate [rad/s], pitch minus slope [rad] (n, 3) at the front foot's first touch.
+
+    NaN where it does not within the horizon, or not before the drone has flipped.
+    """
+    starts = np.array([one.start(drone) for one in scenarios])
+    slopes = slopes_of(scenarios)
+    clock = np.array([0.0, rules.horizon])
+    found = simulate_population(
+        drone.row, Drops(slopes, starts, [clock] * len(slopes), thrust),
+        surface=drone.surface, tolerance=tolerance, threads=threads, ending=rules.ending("both feet"),
+    )  # fmt: skip
+    state = found.contact_state[0, :, 1]
+    return np.column_stack([found.first_contact[0, :, 1], state[:, 5], state[:, 2] - slopes])
 
 
 def land(
@@ -183,10 +198,10 @@ def land(
     clock = np.arange(round(own.horizon * rate) + 1) / rate
     trajectory = simulate(
         drone.row, scenario.slope, scenario.start(drone), clock,
-        surface=drone.surface, tolerance=tolerance, propulsion=thrust,
+        surface=drone.surface, tolerance=tolerance, propulsion=thrust, ending=own.ending("clock"),
     )  # fmt: skip
     first = {event.kind: event.time for event in reversed(trajectory.events)}
-    rest = first.get(EventKind.REST, math.nan) if math.isfinite(triggers[0]) else math.nan
+    rest = first.get(EventKind.REST, math.nan)
     flip = first.get(EventKind.FLIP, math.nan)
     over = min(flip if math.isfinite(flip) else math.inf, rest + own.rest_time if rest == rest else math.inf)
     down = along_slope(trajectory.state, scenario.slope)

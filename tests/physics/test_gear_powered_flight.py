@@ -9,7 +9,16 @@ from numba import njit
 from sysid.errors import CampaignError
 from sysid.gear.contact import normal_force
 from sysid.gear.dynamics import accelerations, feet, pose
-from sysid.gear.model import PARAMETERS, Drops, Propulsion, Status, pack, simulate, simulate_population
+from sysid.gear.model import (
+    PARAMETERS,
+    Drops,
+    Ending,
+    Propulsion,
+    Status,
+    pack,
+    simulate,
+    simulate_population,
+)
 from sysid.gear.surfaces.low_friction import low_friction
 from sysid.integrate.piecewise import PiecewiseCubic
 from sysid.motor.model import PARAMETERS as MOTOR
@@ -244,7 +253,7 @@ def test_landings_end_early_and_say_how():
     down = Propulsion(*(thrust_history(M, [-1, 0], [0.5, -1], 1.0) for _ in range(2)), begins="first contact")
     drops = Drops(slopes, states, [np.array([0.0, 3.0])] * 2, down)
     row = pack({}, "hf")
-    early = simulate_population(row, drops, surface="hf", end_early=True)
+    early = simulate_population(row, drops, surface="hf", ending=Ending("rest"))
     full = simulate_population(row, drops, surface="hf")
     assert list(early.status[0]) == [Status.CAME_TO_REST, Status.FLIPPED_OVER]
     assert early.rhs_evaluations.sum() < 0.6 * full.rhs_evaluations.sum()

@@ -1,0 +1,279 @@
+"""Impulse control (section III-C): the delay and duration that stop the pitching at the second impact.
+
+At the first impact the motors idle; after a delay the front pair pushes for a duration; then all reverse.
+The best pair of numbers leaves the smallest angular speed when the front foot first touches down, and among
+equals the attitude nearest the slope's.
+
+A landing knows nothing of commands that are still to come. So when the front foot touches at ``t``, all
+pairs whose commands agree up to ``t`` share one simulation: every duration once ``delay >= t`` without an
+impulse, and every longer duration once ``delay + duration >= t``. What is left is simulated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.errors import CampaignError
+from sysid.gear.propulsion import Propulsion
+from sysid.landing.controllers import IDLE_COMMAND, IMPULSE_COMMAND, Step, impulse
+from sysid.landing.drone import Drone
+from sysid.landing.motors import Motors
+from sysid.landing.outcomes import Rules
+from sysid.landing.scenario import Scenario
+from sysid.landing.simulate import second_impacts
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# Landings simulated in one call: bounds the memory.
+_AT_ONCE = 20_000
+# Largest difference of angular speed that makes no difference when an optimum is refined [rad/s].
+_EQUAL_TURN = 0.02
+
+
+@dataclass(frozen=True)
+class ImpulseSettings:
+    """Which impulses are tried.
+
+    Parameters
+    ----------
+    delays, durations : tuple of float
+        The grid [s]; the paper's by default.
+    front, rear : float
+        Commands during the impulse [1].
+    idle : float
+        Command of all motors until the impulse [1].
+    after : float
+        Command of all motors after it [1].
+    ideal_reversal : bool
+        Motors without saturation.
+    horizon : float
+        A second impact is looked for so long after the first [s].
+    finest : float
+        The optimum is refined to this step [s]; 0 keeps the grid's.
+    """
+
+    delays: tuple[float, ...] = tuple(round(0.01 * k, 2) for k in range(27))
+    durations: tuple[float, ...] = tuple(round(0.01 * k, 2) for k in range(17))
+    front: float = IMPULSE_COMMAND
+    rear: float = IDLE_COMMAND
+    idle: float = IDLE_COMMAND
+    after: float = -1.0
+    ideal_reversal: bool = False
+    horizon: float = 1.0
+    finest: float = 1.25e-3
+
+    def __post_init__(self) -> None:
+        for name, values in (("delays", self.delays), ("durations", self.durations)):
+            rising = all(b > a for a, b in pairwise(values))
+            if not values or not rising or values[0] < 0:
+                raise CampaignError(f"impulse: {name} {list(values)} s; give increasing times from 0 on")
+        if not (self.horizon > 0 and self.finest >= 0):
+            raise CampaignError(
+                f"impulse: horizon {self.horizon:g} s, finest step {self.finest:g} s; give a horizon above 0 "
+                "and a step of 0 or more"
+            )
+
+    @property
+    def combinations(self) -> int:
+        """Pairs of the grid."""
+        return len(self.delays) * len(self.durations)
+
+    def steps(self, delay: float, duration: float) -> list[Step]:
+        """Return the controller's steps."""
+        return impulse(delay, duration, self.after, self.front, self.rear, self.idle)
+
+    def name(self, delay: float, duration: float) -> str:
+        """Return how the controller is asked for."""
+        return f"impulse:delay={delay:g},duration={duration:g},after={self.after:g}"
+
+    def document(self) -> dict[str, Any]:
+        """Return the settings by name, ready for JSON [SI]."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """The best impulse of each of n landings.
+
+    Parameters
+    ----------
+    delay, duration : (n,) arrays
+        On the grid [s], 0 where the front foot never touches down: reverse thrust alone.
+    turn : (n,) array
+        Angular speed at the second impact [rad/s], NaN where there is none.
+    attitude : (n,) array
+        Pitch minus slope then [rad].
+    refined_delay, refined_duration, refined_turn, refined_attitude : (n,) arrays
+        The same, refined.
+    simulated : (n,) int64 array
+        Landings that were simulated for the grid; all other pairs equal one of them.
+    """
+
+    delay: FloatArray
+    duration: FloatArray
+    turn: FloatArray
+    attitude: FloatArray
+    refined_delay: FloatArray
+    refined_duration: FloatArray
+    refined_turn: FloatArray
+    refined_attitude: FloatArray
+    simulated: IntArray
+
+
+class Impulses:
+    """Impulses of one drone, with their thrust histories."""
+
+    def __init__(self, drone: Drone, settings: ImpulseSettings) -> None:
+        self._drone = drone
+        self._settings = settings
+        self._motors = Motors(drone, settings.ideal_reversal)
+        self._thrust: dict[tuple[float, float], Propulsion] = {}
+
+    def thrust(self, delay: float, duration: float) -> Propulsion:
+        """Return the thrust of an impulse; an infinite delay idles for ever."""
+        key = (delay, duration)
+        if key not in self._thrust:
+            own = self._settings
+            steps = [Step(0.0, own.idle, own.idle)] if delay == math.inf else own.steps(delay, duration)
+            self._thrust[key] = self._motors.propulsion(steps)
+        return self._thrust[key]
+
+    def second_impacts(
+        self,
+        cells: Sequence[Scenario],
+        delay: FloatArray,
+        duration: FloatArray,
+        tolerance: float,
+        threads: int | None,
+    ) -> FloatArray:
+        """Return time [s], turn rate [rad/s] and pitch minus slope [rad] (n, 3) at each second impact.
+
+        NaN where the front foot does not touch down within the horizon.
+        """
+        out = np.empty((len(cells), 3))
+        rules = Rules(horizon=self._settings.horizon)
+        for first in range(0, len(cells), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            pairs = zip(delay[part].tolist(), duration[part].tolist(), strict=True)
+            thrust = [self.thrust(*pair) for pair in pairs]
+            out[part] = second_impacts(self._drone, cells[part], thrust, rules, tolerance, threads)
+        return out
+
+    def search(
+        self, cells: Sequence[Scenario], tolerance: float, threads: int | None = None
+    ) -> tuple[FloatArray, IntArray]:
+        """Return what every pair of the grid leaves at the second impact of every landing.
+
+        Returns
+        -------
+        impacts : (n, n_delays, n_durations, 3) array
+            As `second_impacts`.
+        simulated : (n,) int64 array
+            How many landings were simulated.
+        """
+        own = self._settings
+        delays, durations = np.array(own.delays), np.array(own.durations)
+        impacts = np.full((len(cells), len(delays), len(durations), 3), np.nan)
+        simulated = np.zeros(len(cells), dtype=np.int64)
+
+        def simulate(which: IntArray, delay: FloatArray, duration: FloatArray) -> FloatArray:
+            np.add.at(simulated, which, 1)
+            return self.second_impacts([cells[i] for i in which], delay, duration, tolerance, threads)
+
+        everyone = np.arange(len(cells))
+        idle = simulate(everyone, np.full(len(cells), np.inf), np.zeros(len(cells)))
+        # NaN compares as false: without a second impact nothing is shared.
+        late = delays[None] >= idle[:, :1]
+        impacts[late] = np.broadcast_to(idle[:, None], (len(cells), len(delays), 3))[late][:, None]
+        which, d = np.nonzero(~late)
+        longest = simulate(which, delays[d], np.full(len(d), durations[-1]))
+        impacts[which, d, -1] = longest
+        shared = delays[d][:, None] + durations[None] >= longest[:, :1]
+        shared[:, -1] = True
+        rows, t = np.nonzero(shared)
+        impacts[which[rows], d[rows], t] = longest[rows]
+        rows, t = np.nonzero(~shared)
+        impacts[which[rows], d[rows], t] = simulate(which[rows], delays[d[rows]], durations[t])
+        return impacts, simulated
+
+    def optimize(self, cells: Sequence[Scenario], tolerance: float, threads: int | None = None) -> Optimum:
+        """Return the best impulse of every landing, on the grid and refined."""
+        own = self._settings
+        impacts, simulated = self.search(cells, tolerance, threads)
+        flat = impacts.reshape(len(cells), -1, 3)
+        delay, duration = (axis.ravel() for axis in np.meshgrid(own.delays, own.durations, indexing="ij"))
+        best = np.array([best_pair(one, delay, duration) for one in flat])
+        everyone = np.arange(len(cells))
+        found = flat[everyone, best]
+        grid_delay, grid_duration = delay[best], duration[best]
+        refined_delay, refined_duration, refined = grid_delay.copy(), grid_duration.copy(), found.copy()
+        step = 0.5 * min([*np.diff(own.delays), *np.diff(own.durations), 0.01])
+        while own.finest > 0 and step >= 0.999 * own.finest:
+            self._refine(cells, step, refined_delay, refined_duration, refined, tolerance, threads)
+            step /= 2
+        return Optimum(
+            grid_delay, grid_duration, found[:, 1], found[:, 2],
+            refined_delay, refined_duration, refined[:, 1], refined[:, 2], simulated,
+        )  # fmt: skip
+
+    def _refine(
+        self,
+        cells: Sequence[Scenario],
+        step: float,
+        delay: FloatArray,
+        duration: FloatArray,
+        found: FloatArray,
+        tolerance: float,
+        threads: int | None,
+    ) -> None:
+        """Move every optimum to the best of its eight neighbours at a distance, where one is better."""
+        own = self._settings
+        # Where the impulse comes too late to matter there is nothing to refine.
+        chosen = np.flatnonzero(np.isfinite(found[:, 0]) & (delay < found[:, 0]))
+        around = np.array([(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b]) * step
+        which = np.repeat(chosen, len(around))
+        tried = np.tile(around, (len(chosen), 1)) + np.column_stack([delay[which], duration[which]])
+        tried = np.round(tried, 9)
+        inside = (tried[:, 0] >= own.delays[0]) & (tried[:, 0] <= own.delays[-1])
+        inside &= (tried[:, 1] >= own.durations[0]) & (tried[:, 1] <= own.durations[-1])
+        which, tried = which[inside], tried[inside]
+        if not len(which):
+            return
+        new = self.second_impacts([cells[i] for i in which], tried[:, 0], tried[:, 1], tolerance, threads)
+        for i in chosen:
+            mine = np.flatnonzero(which == i)
+            trials = np.vstack([found[i], new[mine]])
+            pairs = np.vstack([[delay[i], duration[i]], tried[mine]])
+            best = best_pair(trials, pairs[:, 0], pairs[:, 1], _EQUAL_TURN)
+            found[i], (delay[i], duration[i]) = trials[best], pairs[best]
+
+
+def best_pair(impacts: FloatArray, delay: FloatArray, duration: FloatArray, equal: float = 0.0) -> int:
+    """Return which of n impulses is the best.
+
+    Parameters
+    ----------
+    impacts : (n, 3) array
+        Time [s], turn rate [rad/s], pitch minus slope [rad] at the second impact; NaN without one.
+    delay, duration : (n,) arrays
+        Of the impulses [s].
+    equal : float
+        Turn rates below this are all as good as none [rad/s].
+
+    Notes
+    -----
+    The smallest turn rate; among equals the attitude nearest the slope, then the shortest and the earliest
+    impulse, so that one which comes too late is none. Without any second impact: the first.
+    """
+    turn = np.abs(impacts[:, 1])
+    turn = np.where(np.isnan(turn), np.inf, np.maximum(turn, equal))
+    attitude = np.nan_to_num(np.abs(impacts[:, 2]), nan=np.inf)
+    return int(np.lexsort((delay, duration, attitude, turn))[0])

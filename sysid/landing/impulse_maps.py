@@ -1,0 +1,193 @@
+"""Impulse control over slope and touchdown speed (Figs. 9 to 11): the best impulse, and how it lands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.executor import Columns, Executor, LocalThreads
+from sysid.landing.blocks import BlockStore, compute_blocks
+from sysid.landing.drone import Drone
+from sysid.landing.impulse import Impulses, ImpulseSettings, Optimum
+from sysid.landing.maps import LandingMap, MapSettings, map_identity
+from sysid.landing.scenario import Scenario
+from sysid.landing.simulate import run
+
+FloatArray = NDArray[np.float64]
+
+OPTIMUM = tuple(Optimum.__dataclass_fields__)
+UNITS = {
+    "delay": "s", "duration": "s", "turn": "rad/s", "attitude": "rad", "simulated": "1",
+    "refined_delay": "s", "refined_duration": "s", "refined_turn": "rad/s", "refined_attitude": "rad",
+}  # fmt: skip
+# What the landings after the search are called: impulse taken from the grid or refined, and what follows it.
+_VARIANTS = ("impulse, then reverse", "refined impulse, then reverse", "impulse alone")
+_LANDING_COLUMNS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class ImpulseMap:
+    """The best impulse of every cell and set on one surface.
+
+    Parameters
+    ----------
+    surface : str
+        Friction law.
+    controller : str
+        Label.
+    sets : tuple of str
+        Names of the S drones.
+    slopes_deg, speeds : (n,), (m,) arrays
+        Of the cells [deg], [m/s].
+    optimum : mapping of str to (S, n, m) array
+        The arrays of `sysid.landing.impulse.Optimum` by name.
+    """
+
+    surface: str
+    controller: str
+    sets: tuple[str, ...]
+    slopes_deg: FloatArray
+    speeds: FloatArray
+    optimum: dict[str, FloatArray]
+
+    @property
+    def title(self) -> str:
+        """Surface and controller in words."""
+        return f"{self.surface.upper()}, {self.controller}"
+
+    def mean(self, name: str) -> FloatArray:
+        """Mean over the sets (n, m)."""
+        return np.asarray(self.optimum[name].mean(axis=0))
+
+    def sigma(self, name: str) -> FloatArray:
+        """Standard deviation over the sets (n, m), divided by S - 1; 0 for a single set."""
+        values = self.optimum[name]
+        return np.asarray(values.std(axis=0, ddof=1)) if len(values) > 1 else np.zeros(values.shape[1:])
+
+
+@dataclass(frozen=True, eq=False)
+class ImpulseWork:
+    """Rows (P, 3) of drone number, slope [rad] and speed [m/s] to the best impulse and how it lands.
+
+    Columns: those of `Optimum`, then outcome, distance, time and uncertain of each variant.
+    """
+
+    drones: tuple[Drone, ...]
+    settings: MapSettings
+    impulses: ImpulseSettings
+    threads: int | None = None
+    _known: dict[tuple[int, float], Impulses] = field(default_factory=dict, init=False, repr=False)
+
+    def __call__(self, rows: FloatArray) -> Columns:
+        parts = []
+        for drone in np.unique(rows[:, 0]).astype(int).tolist():
+            chosen = np.flatnonzero(rows[:, 0] == drone)
+            parts.append((chosen, self._cells(drone, rows[chosen, 1:])))
+        order = np.argsort(np.concatenate([chosen for chosen, _ in parts]), kind="stable")
+        columns = [np.concatenate(column) for column in zip(*(found for _, found in parts), strict=True)]
+        return tuple(column[order] for column in columns)
+
+    def _cells(self, drone: int, cells: FloatArray) -> Columns:
+        scenarios = [Scenario(float(slope), float(speed)) for slope, speed in cells]
+        search = self._impulses(drone, self.impulses.after)
+        best = search.optimize(scenarios, self.settings.tolerance, self.threads)
+        out = [getattr(best, name) for name in OPTIMUM]
+        alone = self._impulses(drone, 0.0)
+        for source, delay, duration in (
+            (search, best.delay, best.duration),
+            (search, best.refined_delay, best.refined_duration),
+            (alone, best.delay, best.duration),
+        ):
+            thrust = [source.thrust(*pair) for pair in zip(delay.tolist(), duration.tolist(), strict=True)]
+            found = [
+                run(
+                    self.drones[drone], scenarios, thrust, np.zeros(len(cells)), self.settings.rules,
+                    self.settings.tolerance / halved, self.threads,
+                )
+                for halved in ((1, 2) if self.settings.check else (1,))
+            ]  # fmt: skip
+            over = np.isfinite(found[0].time)
+            out += [found[0].outcome, np.where(over, found[0].distance, np.nan), found[0].time]
+            out.append(found[-1].outcome != found[0].outcome)
+        return tuple(out)
+
+    def _impulses(self, drone: int, after: float) -> Impulses:
+        key = (drone, after)
+        if key not in self._known:
+            self._known[key] = Impulses(self.drones[drone], replace(self.impulses, after=after))
+        return self._known[key]
+
+
+def impulse_identity(
+    fleets: Sequence[Sequence[Drone]], settings: MapSettings, impulses: ImpulseSettings
+) -> dict[str, Any]:
+    """Return what must be equal for an unfinished map to be continued, in words."""
+    return map_identity(fleets, (), settings) | {"the tried impulses": impulses.document()}
+
+
+def impulse_maps(
+    fleets: Sequence[Sequence[Drone]],
+    settings: MapSettings | None = None,
+    impulses: ImpulseSettings | None = None,
+    *,
+    where: Executor | None = None,
+    threads: int | None = None,
+    store: BlockStore | None = None,
+    on_block: Callable[[int, bool], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+) -> tuple[tuple[ImpulseMap, ...], tuple[LandingMap, ...]]:
+    """Search the best impulse of every cell and set, and land with it.
+
+    Parameters
+    ----------
+    fleets : sequence of sequences of Drone
+        The sets of each surface.
+    settings : MapSettings, optional
+        Cells, rules, tolerance; the paper's grid without.
+    impulses : ImpulseSettings, optional
+        What is tried; the paper's grid of pairs without.
+    where, threads, store, on_block, stop
+        As in `sysid.landing.maps.landing_maps`.
+
+    Returns
+    -------
+    impulse maps, landing maps : tuples
+        One and three per surface: impulse and then reverse thrust, the same refined, the impulse alone (all
+        motors off after it). Empty where `stop` said so.
+    """
+    own, tried = settings or MapSettings(), impulses or ImpulseSettings()
+    all_drones = tuple(drone for fleet in fleets for drone in fleet)
+    work = ImpulseWork(all_drones, own, tried, threads)
+    cells = np.array([(cell.slope, cell.speed) for cell in own.cells()])
+    by_slope = cells.reshape(len(own.slopes_deg), len(own.speeds), 2)
+    blocks = {
+        f"set-{d + 1}-slope-{s + 1}": np.column_stack([np.full(len(own.speeds), float(d)), row])
+        for d in range(len(all_drones))
+        for s, row in enumerate(by_slope)
+    }
+    found = compute_blocks(work, blocks, where or LocalThreads(), store=store, on_block=on_block, stop=stop)
+    if len(found) < len(blocks):
+        return (), ()
+    ideal = ", ideal reversal" if tried.ideal_reversal else ""
+    axes = (np.array(own.slopes_deg), np.array(own.speeds))
+    searched, landed = [], []
+    first = 0
+    for fleet in fleets:
+        numbers = range(first + 1, first + len(fleet) + 1)
+        first += len(fleet)
+        names = tuple(drone.name for drone in fleet)
+        columns = [
+            np.array([[found[f"set-{d}-slope-{s + 1}"][k] for s in range(len(axes[0]))] for d in numbers])
+            for k in range(len(OPTIMUM) + _LANDING_COLUMNS * len(_VARIANTS))
+        ]
+        optimum = dict(zip(OPTIMUM, columns, strict=False))
+        searched.append(ImpulseMap(fleet[0].surface, f"impulse{ideal}", names, *axes, optimum))
+        for v, variant in enumerate(_VARIANTS):
+            start = len(OPTIMUM) + _LANDING_COLUMNS * v
+            part = columns[start : start + _LANDING_COLUMNS]
+            landed.append(LandingMap(fleet[0].surface, f"{variant}{ideal}", names, *axes, *part))
+    return tuple(searched), tuple(landed)

@@ -1,0 +1,292 @@
+"""Landing maps (Fig. 8): what becomes of a landing, over slope and touchdown speed, for every set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid import __version__
+from sysid.errors import CampaignError
+from sysid.executor import Columns, Executor, LocalThreads
+from sysid.landing.blocks import BlockStore, compute_blocks, digest
+from sysid.landing.controllers import Controller
+from sysid.landing.drone import Drone
+from sysid.landing.motors import Motors
+from sysid.landing.outcomes import LANDED, OUTCOMES, Outcome, Rules
+from sysid.landing.scenario import Scenario
+from sysid.landing.simulate import LANDING_TOLERANCE, Landings, land_many
+
+FloatArray = NDArray[np.float64]
+
+# The paper's grid.
+SLOPES_DEG = tuple(float(slope) for slope in range(46))
+SPEEDS = tuple(round(0.05 * step, 2) for step in range(41))
+
+
+@dataclass(frozen=True)
+class MapSettings:
+    """Cells of a map and how they are computed.
+
+    Parameters
+    ----------
+    slopes_deg : tuple of float
+        [deg], increasing.
+    speeds : tuple of float
+        Vertical touchdown speeds [m/s], increasing.
+    rules : Rules
+        When a landing is over.
+    tolerance : float
+        Bound of the weighted rms error of the rates per step.
+    check : bool
+        Repeat every landing with half the tolerance and mark those whose class changes.
+    pitch : float
+        Of the body at touchdown [rad].
+    horizontal_speed : float
+        At touchdown [m/s].
+    """
+
+    slopes_deg: tuple[float, ...] = SLOPES_DEG
+    speeds: tuple[float, ...] = SPEEDS
+    rules: Rules = field(default_factory=Rules)
+    tolerance: float = LANDING_TOLERANCE
+    check: bool = True
+    pitch: float = 0.0
+    horizontal_speed: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, values in (("slopes", self.slopes_deg), ("speeds", self.speeds)):
+            if not values or any(b <= a for a, b in pairwise(values)):
+                raise CampaignError(f"landing map: {name} {list(values)}; give increasing numbers")
+
+    def cells(self) -> list[Scenario]:
+        """Return the scenario of every cell, slopes outside, speeds inside."""
+        return [
+            Scenario(
+                float(np.radians(slope)), speed, pitch=self.pitch, horizontal_speed=self.horizontal_speed
+            )
+            for slope in self.slopes_deg
+            for speed in self.speeds
+        ]
+
+    def document(self) -> dict[str, Any]:
+        """Return the settings by name, ready for JSON."""
+        own = {name: getattr(self, name) for name in ("slopes_deg", "speeds", "tolerance", "check")}
+        own |= {"pitch": self.pitch, "horizontal_speed": self.horizontal_speed}
+        return own | {"rules": self.rules.document()}
+
+
+@dataclass(frozen=True, eq=False)
+class LandingMap:
+    """One map: a surface under a controller.
+
+    Parameters
+    ----------
+    surface : str
+        Friction law.
+    controller : str
+        Label.
+    sets : tuple of str
+        Names of the S drones.
+    slopes_deg, speeds : (n,), (m,) arrays
+        Of the cells [deg], [m/s].
+    outcome : (S, n, m) int8 array
+        `Outcome` codes.
+    distance, time : (S, n, m) arrays
+        Displacement down the slope [m] and time to rest [s], NaN where it did not come to rest.
+    uncertain : (S, n, m) bool array
+        Whether half the tolerance changes the class.
+    """
+
+    surface: str
+    controller: str
+    sets: tuple[str, ...]
+    slopes_deg: FloatArray
+    speeds: FloatArray
+    outcome: NDArray[np.int8]
+    distance: FloatArray
+    time: FloatArray
+    uncertain: NDArray[np.bool_]
+
+    @property
+    def title(self) -> str:
+        """Surface and controller in words."""
+        return f"{self.surface.upper()}, {self.controller}"
+
+    def share(self, outcome: Outcome) -> FloatArray:
+        """Return the share of the sets (n, m) that end so, of those that were not lost; NaN without any."""
+        sound = np.sum(self.outcome != Outcome.LOST, axis=0)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.sum(self.outcome == outcome, axis=0) / np.where(sound, sound, np.nan))
+
+    @property
+    def landed(self) -> FloatArray:
+        """Share of the sets (n, m) that come to rest within the long distance."""
+        return np.sum([self.share(one) for one in LANDED], axis=0)
+
+    @property
+    def likeliest(self) -> NDArray[np.int8]:
+        """Most frequent class of each cell (n, m); the better one where two are equal."""
+        shares = np.array([np.nan_to_num(self.share(one)) for one in OUTCOMES])
+        return np.argmax(shares, axis=0).astype(np.int8)
+
+    @property
+    def mean_distance(self) -> FloatArray:
+        """Mean (n, m) over the sets that came to rest [m], NaN where none did."""
+        return _mean(np.abs(self.distance))
+
+    @property
+    def mean_time(self) -> FloatArray:
+        """Mean (n, m) over the sets that came to rest [s], NaN where none did."""
+        return _mean(self.time)
+
+    def steepest(self, speed: float, share: float = 0.5) -> float:
+        """Return the steepest slope [deg] up to which at least `share` of the sets land; NaN without one.
+
+        Parameters
+        ----------
+        speed : float
+            Touchdown speed [m/s]; the nearest column counts.
+        share : float
+            [1].
+        """
+        column = self.landed[:, int(np.argmin(np.abs(self.speeds - speed)))]
+        fails = np.flatnonzero(~(column >= share))
+        last = (fails[0] if len(fails) else len(column)) - 1
+        return float(self.slopes_deg[last]) if last >= 0 else float("nan")
+
+
+def _mean(values: FloatArray) -> FloatArray:
+    """Mean over the first axis of what is finite."""
+    known = np.isfinite(values)
+    count = known.sum(axis=0)
+    total = np.where(known, values, 0.0).sum(axis=0)
+    return np.asarray(np.where(count, total / np.maximum(count, 1), np.nan))
+
+
+@dataclass(frozen=True, eq=False)
+class LandingWork:
+    """Rows (P, 4) of drone, controller (both by number), slope [rad] and speed [m/s] to what becomes of them.
+
+    Columns: outcome, distance [m], time to rest [s], whether half the tolerance changes the outcome.
+    """
+
+    drones: tuple[Drone, ...]
+    controllers: tuple[Controller, ...]
+    settings: MapSettings
+    threads: int | None = None
+    _motors: dict[tuple[int, bool], Motors] = field(default_factory=dict, init=False, repr=False)
+
+    def __call__(self, rows: FloatArray) -> Columns:
+        outcome = np.empty(len(rows), dtype=np.int8)
+        distance, time = np.empty(len(rows)), np.empty(len(rows))
+        uncertain = np.zeros(len(rows), dtype=bool)
+        for drone, controller in np.unique(rows[:, :2], axis=0).astype(int).tolist():
+            chosen = np.flatnonzero((rows[:, 0] == drone) & (rows[:, 1] == controller))
+            found = self._land(drone, controller, rows[chosen, 2:], self.settings.tolerance)
+            outcome[chosen], time[chosen] = found.outcome, found.time
+            distance[chosen] = np.where(np.isfinite(found.time), found.distance, np.nan)
+            if self.settings.check:
+                again = self._land(drone, controller, rows[chosen, 2:], self.settings.tolerance / 2)
+                uncertain[chosen] = again.outcome != found.outcome
+        return outcome, distance, time, uncertain
+
+    def _land(self, drone: int, controller: int, cells: FloatArray, tolerance: float) -> Landings:
+        told = self.controllers[controller]
+        key = (drone, told.ideal_reversal)
+        if key not in self._motors:
+            self._motors[key] = Motors(self.drones[drone], told.ideal_reversal)
+        more = {"pitch": self.settings.pitch, "horizontal_speed": self.settings.horizontal_speed}
+        return land_many(
+            self.drones[drone],
+            [Scenario(float(slope), float(speed), **more) for slope, speed in cells],
+            told,
+            rules=self.settings.rules,
+            tolerance=tolerance,
+            threads=self.threads,
+            motors=self._motors[key],
+        )
+
+
+def map_identity(
+    fleets: Sequence[Sequence[Drone]], controllers: Sequence[Controller], settings: MapSettings
+) -> dict[str, Any]:
+    """Return what must be equal for an unfinished map to be continued, in words."""
+    return {
+        "the version of sysid": __version__,
+        "a parameter set": digest([[dict(d.gear), dict(d.motor), d.surface] for f in fleets for d in f]),
+        "a controller": [one.document() for one in controllers],
+        "the grid or a rule": settings.document(),
+    }
+
+
+def landing_maps(
+    fleets: Sequence[Sequence[Drone]],
+    controllers: Sequence[Controller],
+    settings: MapSettings | None = None,
+    *,
+    where: Executor | None = None,
+    threads: int | None = None,
+    store: BlockStore | None = None,
+    on_block: Callable[[int, bool], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+) -> tuple[LandingMap, ...]:
+    """Compute the map of every surface under every controller.
+
+    Parameters
+    ----------
+    fleets : sequence of sequences of Drone
+        The sets of each surface, for example five on low and five on high friction.
+    controllers : sequence of Controller
+    settings : MapSettings, optional
+        The paper's grid without.
+    where : Executor, optional
+        This process by default.
+    threads : int, optional
+        Cores of this process; the result does not depend on it.
+    store, on_block, stop
+        As in `sysid.landing.blocks.compute_blocks`.
+
+    Returns
+    -------
+    tuple of LandingMap
+        Fleet by fleet, controller by controller; empty where `stop` said so.
+    """
+    own = settings or MapSettings()
+    all_drones = tuple(drone for fleet in fleets for drone in fleet)
+    cells = np.array([(cell.slope, cell.speed) for cell in own.cells()])
+    work = LandingWork(all_drones, tuple(controllers), own, threads)
+    blocks = {
+        f"set-{d + 1}-controller-{c + 1}": np.column_stack(
+            [np.full(len(cells), float(d)), np.full(len(cells), float(c)), cells]
+        )
+        for d in range(len(all_drones))
+        for c in range(len(controllers))
+    }
+    found = compute_blocks(work, blocks, where or LocalThreads(), store=store, on_block=on_block, stop=stop)
+    if len(found) < len(blocks):
+        return ()
+    shape = (len(own.slopes_deg), len(own.speeds))
+    out = []
+    first = 0
+    for fleet in fleets:
+        for c, told in enumerate(controllers):
+            parts = [found[f"set-{first + s + 1}-controller-{c + 1}"] for s in range(len(fleet))]
+            columns = [np.array([part[k].reshape(shape) for part in parts]) for k in range(4)]
+            out.append(
+                LandingMap(
+                    fleet[0].surface, told.label, tuple(drone.name for drone in fleet),
+                    np.array(own.slopes_deg), np.array(own.speeds), *columns,
+                )
+            )  # fmt: skip
+        first += len(fleet)
+    return tuple(out)
+
+
+def with_reversal(controllers: Sequence[Controller], ideal: bool) -> tuple[Controller, ...]:
+    """Return controllers with or without ideal reversal."""
+    return tuple(replace(one, ideal_reversal=ideal) for one in controllers)
