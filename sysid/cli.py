@@ -12,6 +12,8 @@ from typing import Annotated
 
 import typer
 
+from sysid.cli_landing import COMMANDS
+from sysid.cli_options import Dask, Force, Json, Quiet, Resume, Threads
 from sysid.errors import SysidError
 
 app = typer.Typer(
@@ -23,6 +25,8 @@ app = typer.Typer(
 )
 synthesize = typer.Typer(help="Write a campaign with known truth in real log formats.", no_args_is_help=True)
 app.add_typer(synthesize, name="synthesize")
+for name, command in COMMANDS.items():
+    app.command(name)(command)
 
 
 class Kind(StrEnum):
@@ -66,9 +70,6 @@ class Sense(StrEnum):
 
 CampaignFile = Annotated[Path, typer.Argument(help="Campaign file (TOML).", show_default=False)]
 Out = Annotated[Path | None, typer.Option(help="Result folder.", show_default="fits/NAME")]
-Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
-Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, no table.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Population = Annotated[
     int | None, typer.Option(help="Individuals per generation; default: the algorithm's own.", min=8)
 ]
@@ -83,9 +84,6 @@ Finisher = Annotated[
     Finish | None, typer.Option("--finish", help="CMA-ES after every run, or none: the paper's method.")
 ]
 Evaluations = Annotated[int | None, typer.Option(help="Candidates that the whole fit may score.", min=1)]
-Resume = Annotated[bool, typer.Option("--resume", help="Continue an unfinished fit.")]
-Dask = Annotated[str | None, typer.Option(help="Compute on a Dask cluster: tcp://host:8786, or local.")]
-Threads = Annotated[int | None, typer.Option(help="Cores to use; the result is the same.", min=1)]
 
 
 def say(sentence: str) -> None:

@@ -114,7 +114,7 @@ class BlockStore:
             return None
         try:
             with np.load(path) as file:
-                return tuple(file[f"column_{i}"] for i in range(len(file.files)))
+                return tuple(file[f"arr_{i}"] for i in range(len(file.files)))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             self.notes.append(f"{path}: damaged ({error}), so it is computed again")
             return None
@@ -122,7 +122,7 @@ class BlockStore:
     def save(self, name: str, columns: Columns) -> None:
         """Keep a finished block."""
         buffer = io.BytesIO()
-        np.savez(buffer, **{f"column_{i}": column for i, column in enumerate(columns)})
+        np.savez(buffer, *columns)
         write_file(self.folder / f"{name}.npz", buffer.getvalue(), ExportError)
 
     def discard(self) -> None:

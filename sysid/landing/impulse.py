@@ -86,7 +86,7 @@ class ImpulseSettings:
         """Pairs of the grid."""
         return len(self.delays) * len(self.durations)
 
-    def steps(self, delay: float, duration: float) -> list[Step]:
+    def steps(self, delay: float, duration: float) -> Sequence[Step]:
         """Return the controller's steps."""
         return impulse(delay, duration, self.after, self.front, self.rear, self.idle)
 
@@ -142,7 +142,8 @@ class Impulses:
         key = (delay, duration)
         if key not in self._thrust:
             own = self._settings
-            steps = [Step(0.0, own.idle, own.idle)] if delay == math.inf else own.steps(delay, duration)
+            forever = [Step(0.0, own.idle, own.idle)]
+            steps = forever if delay == math.inf else own.steps(delay, duration)
             self._thrust[key] = self._motors.propulsion(steps)
         return self._thrust[key]
 
@@ -186,7 +187,9 @@ class Impulses:
 
         def simulate(which: IntArray, delay: FloatArray, duration: FloatArray) -> FloatArray:
             np.add.at(simulated, which, 1)
-            return self.second_impacts([cells[i] for i in which], delay, duration, tolerance, threads)
+            return self.second_impacts(
+                [cells[i] for i in which.tolist()], delay, duration, tolerance, threads
+            )
 
         everyone = np.arange(len(cells))
         idle = simulate(everyone, np.full(len(cells), np.inf), np.zeros(len(cells)))
@@ -247,7 +250,9 @@ class Impulses:
         which, tried = which[inside], tried[inside]
         if not len(which):
             return
-        new = self.second_impacts([cells[i] for i in which], tried[:, 0], tried[:, 1], tolerance, threads)
+        new = self.second_impacts(
+            [cells[i] for i in which.tolist()], tried[:, 0], tried[:, 1], tolerance, threads
+        )
         for i in chosen:
             mine = np.flatnonzero(which == i)
             trials = np.vstack([found[i], new[mine]])

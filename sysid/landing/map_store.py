@@ -124,7 +124,7 @@ def read_maps(path: str | Path) -> MapFile:
     return MapFile(tuple(maps), tuple(best), *texts)
 
 
-def _head(group: Any) -> tuple[Any, ...]:
+def _head(group: Any) -> tuple[str, str, tuple[str, ...], Any, Any]:
     names = tuple(group["sets"].asstr()[()])
     return (
         str(group.attrs["surface"]), str(group.attrs["controller"]), names, group["slope"][()],
@@ -133,9 +133,8 @@ def _head(group: Any) -> tuple[Any, ...]:
 
 
 def _read_map(group: Any) -> LandingMap:
-    return LandingMap(
-        *_head(group), *(group[name][()] for name in ("outcome", "distance", "time", "uncertain"))
-    )
+    arrays = [group[name][()] for name in ("outcome", "distance", "time", "uncertain")]
+    return LandingMap(*_head(group), *arrays)
 
 
 def _read_impulse(group: Any) -> ImpulseMap:

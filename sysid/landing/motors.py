@@ -7,6 +7,7 @@ list of steps, on a clock that starts at the trigger, serves every slope and spe
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 from sysid.gear.propulsion import Propulsion
@@ -22,6 +23,21 @@ SETTLING = 1.0
 Commands = tuple[tuple[float, float], ...]
 
 
+@dataclass(frozen=True)
+class MotorState:
+    """What the rear and the front motors do when the trigger comes, each pair alike.
+
+    Parameters
+    ----------
+    command, current, speed : (rear, front)
+        u [1], I [A], Ω [rad/s].
+    """
+
+    command: tuple[float, float]
+    current: tuple[float, float]
+    speed: tuple[float, float]
+
+
 class Motors:
     """Thrust histories of one drone.
 
@@ -31,34 +47,43 @@ class Motors:
         Hovering until the trigger.
     ideal_reversal : bool
         Motors without saturation.
+    state : MotorState, optional
+        At the trigger; hovering by default.
     """
 
-    def __init__(self, drone: Drone, ideal_reversal: bool = False) -> None:
+    def __init__(self, drone: Drone, ideal_reversal: bool = False, state: MotorState | None = None) -> None:
+        self._state = state
         self._drone = drone
         self._ideal = ideal_reversal
-        self._histories: dict[Commands, PiecewiseCubic] = {}
+        self._histories: dict[tuple[int, Commands], PiecewiseCubic] = {}
 
-    def history(self, commands: Commands) -> PiecewiseCubic:
+    def history(self, commands: Commands, pair: int = 0) -> PiecewiseCubic:
         """Return the thrust of a pair [N] on the trigger's clock.
 
         Parameters
         ----------
         commands : tuple of (float, float)
             Instants since the trigger [s] and the command u from each on.
+        pair : int
+            0 rear, 1 front; they differ only in a given `MotorState`.
         """
         told = _changes(commands)
-        if told not in self._histories:
+        now = self._state
+        key = (0 if now is None else pair, told)
+        if key not in self._histories:
             times = [-1.0, *(time for time, _ in told)]
-            levels = [self._drone.hover_command, *(level for _, level in told)]
-            self._histories[told] = thrust_history(
+            before = self._drone.hover_command if now is None else now.command[pair]
+            levels = [before, *(level for _, level in told)]
+            self._histories[key] = thrust_history(
                 self._drone.motor,
                 times,
                 levels,
                 told[-1][0] + SETTLING,
                 motors=MOTORS_PER_PAIR,
+                initial="steady" if now is None else (now.current[pair], now.speed[pair]),
                 ideal_reversal=self._ideal,
             )
-        return self._histories[told]
+        return self._histories[key]
 
     def propulsion(self, steps: Sequence[Step], begins: float | Literal["first contact"] = 0.0) -> Propulsion:
         """Return the thrust of both pairs under a controller's steps.
@@ -72,7 +97,7 @@ class Motors:
         """
         return Propulsion(
             self.history(tuple((step.after, step.rear) for step in steps)),
-            self.history(tuple((step.after, step.front) for step in steps)),
+            self.history(tuple((step.after, step.front) for step in steps), pair=1),
             begins=begins,
             settled=steps[-1].after,
         )

@@ -181,6 +181,7 @@ def land(
     rules: Rules | None = None,
     tolerance: float = LANDING_TOLERANCE,
     rate: float = 1000.0,
+    motors: Motors | None = None,
 ) -> Landing:
     """Simulate one landing to the horizon and keep its history.
 
@@ -190,11 +191,13 @@ def land(
         As in `land_many`.
     rate : float
         Samples per second of the history [Hz].
+    motors : Motors, optional
+        Whose motors do not hover at touchdown.
     """
     own = rules or Rules()
-    motors = Motors(drone, controller.ideal_reversal)
-    triggers = _triggers(drone, [scenario], controller, motors, own, tolerance, 1)
-    (thrust,) = _propulsions(motors, controller, triggers, own)
+    source = motors or Motors(drone, controller.ideal_reversal)
+    triggers = _triggers(drone, [scenario], controller, source, own, tolerance, 1)
+    (thrust,) = _propulsions(source, controller, triggers, own)
     clock = np.arange(round(own.horizon * rate) + 1) / rate
     trajectory = simulate(
         drone.row, scenario.slope, scenario.start(drone), clock,

@@ -1,0 +1,141 @@
+"""Real landings beside a map: read from a table, looked up in the map, counted."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.errors import LogError
+from sysid.landing.maps import LandingMap
+from sysid.landing.outcomes import OUTCOMES, Outcome
+
+COLUMNS = ("surface", "controller", "slope [deg]", "speed [m/s]", "outcome")
+# What a table may call an outcome, and the classes that agree with it: a board of 45 cm cannot tell a drone
+# that left it and came to rest later from one that flipped.
+WORDS: dict[str, tuple[Outcome, ...]] = {
+    "short": (Outcome.SHORT,),
+    "near": (Outcome.NEAR,),
+    "flipped": (Outcome.FLIPPED,),
+    "other": (Outcome.OTHER,),
+    "landed": (Outcome.SHORT,),
+    "failed": (Outcome.NEAR, Outcome.FLIPPED, Outcome.OTHER),
+}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One landing of a real drone.
+
+    Parameters
+    ----------
+    surface, controller : str
+        As the map calls them.
+    slope_deg, speed : float
+        [deg], vertical touchdown speed [m/s].
+    outcome : str
+        One of `WORDS`.
+    """
+
+    surface: str
+    controller: str
+    slope_deg: float
+    speed: float
+    outcome: str
+
+
+@dataclass(frozen=True, eq=False)
+class Confusion:
+    """Observed against simulated on one map.
+
+    Parameters
+    ----------
+    words : tuple of str
+        Observed outcomes, rows of `counts`.
+    counts : (n, 4) array
+        Landings by the likeliest simulated class, in the order of `OUTCOMES`.
+    agreeing, outside : int
+        Landings whose cell agrees with what was observed; landings outside the map, counted nowhere else.
+    """
+
+    words: tuple[str, ...]
+    counts: NDArray[np.int64]
+    agreeing: int
+    outside: int
+
+
+def read_experiments(path: Path) -> tuple[Experiment, ...]:
+    """Return the rows of a CSV file with the columns of `COLUMNS`.
+
+    Raises
+    ------
+    LogError
+        When it cannot be read, lacks a column, or a row makes no sense.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            reader = csv.DictReader(stream)
+            rows = list(reader)
+            found = [name.strip() for name in reader.fieldnames or ()]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise LogError(f"{path}: cannot be read as CSV ({error}); give a table of landings") from error
+    missing = [name for name in COLUMNS if name not in found]
+    if missing:
+        raise LogError(
+            f"{path}: no column {missing[0]!r}, found {', '.join(found) or 'nothing'}; expected the columns "
+            f"{', '.join(COLUMNS)}"
+        )
+    out = []
+    for number, row in enumerate(rows, start=2):
+        cells = {(key or "").strip(): (value or "").strip() for key, value in row.items() if key is not None}
+        word = cells["outcome"].lower()
+        if word not in WORDS:
+            raise LogError(
+                f"{path}, row {number}: outcome {cells['outcome']!r}; expected one of {', '.join(WORDS)}"
+            )
+        try:
+            slope, speed = float(cells["slope [deg]"]), float(cells["speed [m/s]"])
+        except ValueError:
+            slope = speed = math.nan
+        if not (math.isfinite(slope) and math.isfinite(speed) and speed >= 0):
+            raise LogError(
+                f"{path}, row {number}: slope {cells['slope [deg]']!r}, speed {cells['speed [m/s]']!r}; "
+                "expected numbers, the speed downward and 0 or more"
+            )
+        out.append(Experiment(cells["surface"].lower(), cells["controller"], slope, speed, word))
+    return tuple(out)
+
+
+def of_map(experiments: Sequence[Experiment], one: LandingMap) -> list[Experiment]:
+    """Return the experiments that were made on the map's surface under its controller."""
+    return [e for e in experiments if e.surface == one.surface and e.controller == one.controller]
+
+
+def confusion(experiments: Sequence[Experiment], one: LandingMap) -> Confusion:
+    """Count what was observed against the likeliest class of the nearest cell of a map."""
+    words = tuple(word for word in WORDS if any(e.outcome == word for e in experiments))
+    counts = np.zeros((len(words), len(OUTCOMES)), dtype=np.int64)
+    agreeing = outside = 0
+    likeliest = one.likeliest
+    for experiment in experiments:
+        row = _nearest(one.slopes_deg, experiment.slope_deg)
+        column = _nearest(one.speeds, experiment.speed)
+        if row is None or column is None:
+            outside += 1
+            continue
+        code = Outcome(int(likeliest[row, column]))
+        counts[words.index(experiment.outcome), OUTCOMES.index(code)] += 1
+        agreeing += code in WORDS[experiment.outcome]
+    return Confusion(words, counts, agreeing, outside)
+
+
+def _nearest(axis: NDArray[np.float64], value: float) -> int | None:
+    """Index of the nearest cell, None beyond half a cell outside."""
+    index = int(np.argmin(np.abs(axis - value)))
+    reach = 0.5 * float(np.max(np.diff(axis))) if len(axis) > 1 else np.inf
+    return index if abs(axis[index] - value) <= reach + 1e-12 else None

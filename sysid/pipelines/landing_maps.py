@@ -1,0 +1,290 @@
+"""Landing maps from the command line: compute in blocks, write HDF5, draw, compare with real landings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from sysid import exact_json
+from sysid.errors import ExportError
+from sysid.executor import executor
+from sysid.fit.stopping import stop_on_interrupt
+from sysid.landing.blocks import BlockStore, blocks_folder
+from sysid.landing.controllers import Controller
+from sysid.landing.drone import Drone
+from sysid.landing.experiments import Experiment, confusion, of_map, read_experiments
+from sysid.landing.impulse import ImpulseSettings
+from sysid.landing.impulse_maps import impulse_identity, impulse_maps
+from sysid.landing.map_store import MapFile, summary, write_maps
+from sysid.landing.maps import LandingMap, MapSettings, landing_maps, map_identity
+from sysid.landing.motors import Motors
+from sysid.landing.outcomes import OUTCOMES
+from sysid.landing.static_limits import ramp_limit, rigid_limits
+from sysid.pipelines.landing_sources import BlockProgress, LandingOptions
+from sysid.report.figures import save_figure
+from sysid.report.landing_figures import figure_impulse, figure_landing_maps
+
+Say = Callable[[str], None] | None
+# Blocks that share a cluster at the same time.
+_AT_ONCE = 8
+
+
+@dataclass(frozen=True)
+class MapOptions:
+    """What the command line says of a map.
+
+    Parameters
+    ----------
+    out : Path
+        HDF5 file to write; the figure goes beside it.
+    figure : Path, optional
+        Where else the figure goes.
+    experiments : Path, optional
+        Real landings (CSV).
+    force, resume : bool
+        Replace what is there; continue what is unfinished.
+    dask : str, optional
+        Address of a Dask scheduler, or ``local``.
+    threads : int, optional
+        Cores; the result is the same.
+    quiet, json : bool
+        No progress; print the summary as JSON.
+    """
+
+    out: Path
+    figure: Path | None = None
+    experiments: Path | None = None
+    force: bool = False
+    resume: bool = False
+    dask: str | None = None
+    threads: int | None = None
+    quiet: bool = False
+    json: bool = False
+
+    @property
+    def picture(self) -> Path:
+        """Where the figure goes."""
+        return self.figure or self.out.with_suffix(".png")
+
+    def check(self) -> None:
+        """Refuse what is in the way, before the minutes of a map are spent.
+
+        Raises
+        ------
+        ExportError
+            When the result exists, or its folder does not.
+        """
+        if self.out.suffix.lower() not in (".h5", ".hdf5"):
+            raise ExportError(f"{self.out}: a map is written as HDF5; give --out a name that ends in .h5")
+        if self.out.exists() and not self.force:
+            raise ExportError(f"{self.out}: exists already; choose a new name or add --force")
+        if self.resume and self.force and self.out.exists() is False:
+            raise ExportError("--resume continues a map and --force discards it; choose one")
+        for path in (self.out, self.picture):
+            if not path.resolve().parent.is_dir():
+                raise ExportError(f"{path}: the folder {path.parent} does not exist; make it first")
+
+
+def compute_landing_maps(
+    gears: Sequence[Path],
+    sources: LandingOptions,
+    settings: MapSettings,
+    options: MapOptions,
+    say: Say = None,
+) -> MapFile | None:
+    """Compute, write, draw and print the maps of every surface under every controller; None if stopped."""
+    options.check()
+    fleets, told = sources.fleets(gears), sources.told()
+    real = read_experiments(options.experiments) if options.experiments else ()
+    identity = map_identity(fleets, told, settings)
+    blocks = sum(len(fleet) for fleet in fleets) * len(told)
+
+    def compute(**how: Any) -> tuple[tuple[LandingMap, ...], tuple[()]]:
+        return landing_maps(fleets, told, settings, **how), ()
+
+    found = _computed(compute, identity, blocks, "landings", options, say)
+    if found is None:
+        return None
+    maps, _ = found
+    document = settings.document() | {"controllers": [one.document() for one in told]}
+    content = MapFile(maps, (), document, sources.sources(gears))
+    limits = static_lines(fleets, told)
+    _written(content, options, settings, limits, real, say)
+    return content
+
+
+def compute_impulse_maps(
+    gears: Sequence[Path],
+    sources: LandingOptions,
+    settings: MapSettings,
+    impulses: ImpulseSettings,
+    options: MapOptions,
+    say: Say = None,
+) -> MapFile | None:
+    """Search the best impulse of every cell and set, land with it, write and draw; None if stopped."""
+    options.check()
+    fleets = sources.fleets(gears)
+    identity = impulse_identity(fleets, settings, impulses)
+    blocks = sum(len(fleet) for fleet in fleets) * len(settings.slopes_deg)
+
+    def compute(**how: Any) -> tuple[Any, Any]:
+        best, maps = impulse_maps(fleets, settings, impulses, **how)
+        return maps, best
+
+    found = _computed(compute, identity, blocks, "cells", options, say)
+    if found is None:
+        return None
+    maps, best = found
+    document = settings.document() | {"impulses": impulses.document()}
+    content = MapFile(maps, best, document, sources.sources(gears))
+    tried = sum(one.optimum["delay"].size for one in best) * impulses.combinations
+    simulated = sum(int(one.optimum["simulated"].sum()) for one in best)
+    if say is not None:
+        say(
+            f"{tried} combinations of delay and duration judged by {simulated} landings to the second "
+            "impact; the others equal one of them, their commands differing only after it"
+        )
+    picture = options.picture
+    save_figure(figure_impulse(best), picture.with_name(f"{picture.stem}-impulse{picture.suffix}"))
+    _written(content, options, settings, {}, (), say)
+    return content
+
+
+def _computed(
+    compute: Callable[..., tuple[Any, Any]],
+    identity: dict[str, Any],
+    blocks: int,
+    what: str,
+    options: MapOptions,
+    say: Say,
+) -> tuple[Any, Any] | None:
+    """Compute with progress; Ctrl-C keeps the finished blocks. The blocks go once the result is there."""
+    if options.resume and not blocks_folder(options.out).is_dir():
+        raise ExportError(f"{options.out}: nothing unfinished to continue is there; start without --resume")
+    store = BlockStore(options.out, identity, resume=options.resume, force=options.force)
+    progress = BlockProgress(blocks, what, options.quiet)
+    threads = 1 if options.dask is not None else options.threads
+    try:
+        with (
+            executor(options.dask, _AT_ONCE) as where,
+            stop_on_interrupt(progress.on_stop) as flag,
+            progress,
+        ):
+            found = compute(where=where, threads=threads, store=store, on_block=progress.on_block, stop=flag)
+    except BaseException:
+        store.close()
+        raise
+    for note in store.notes:
+        if say is not None:
+            say(f"warning: {note}")
+    if not found[0]:
+        store.close()
+        if say is not None:
+            say(f"stopped: the finished blocks are kept in {store.folder}; continue with --resume")
+        return None
+    store.discard()
+    return found
+
+
+def static_lines(
+    fleets: Sequence[Sequence[Drone]], controllers: Sequence[Controller]
+) -> dict[tuple[str, str], list[tuple[float, str]]]:
+    """Return the static limits of each surface's best set under each controller's last command.
+
+    Slope [deg] and line style: dashed for rigid legs, dotted for its own, bending ones.
+    """
+    out = {}
+    for fleet in fleets:
+        drone = fleet[0]
+        for told in controllers:
+            push = final_reverse_thrust(drone, told)
+            if push <= -drone.weight:
+                continue  # held up by its motors: no static limit
+            rigid = rigid_limits(drone.gear, drone.surface, push).first.slope
+            bending = ramp_limit(drone.gear, drone.surface, push).slope
+            out[(drone.surface, told.label)] = [
+                (float(np.degrees(rigid)), "dashed"), (float(np.degrees(bending)), "dotted")
+            ]  # fmt: skip
+    return out
+
+
+def final_reverse_thrust(drone: Drone, controller: Controller) -> float:
+    """Return the thrust toward the ground [N] of all motors once the last command has settled."""
+    thrust = Motors(drone, controller.ideal_reversal).propulsion(controller.steps)
+    return -float(thrust.rear(thrust.rear.knots[-1]) + thrust.front(thrust.front.knots[-1]))
+
+
+def _written(
+    content: MapFile,
+    options: MapOptions,
+    settings: MapSettings,
+    limits: Any,
+    real: Sequence[Experiment],
+    say: Say,
+) -> None:
+    write_maps(options.out, content)
+    figure = figure_landing_maps(
+        content.maps, limits=limits, experiments=real, short=settings.rules.short, long=settings.rules.long
+    )
+    save_figure(figure, options.picture)
+    counts = summary(content.maps)
+    for entry, one in zip(counts, content.maps, strict=True):
+        if entry["lost"] and say is not None:
+            say(f"warning: {one.title}: {entry['lost']} landings could not be simulated and count nowhere")
+    if options.json:
+        print(exact_json.dumps({"file": str(options.out), "figure": str(options.picture), "maps": counts}))
+        return
+    if not options.quiet:
+        console = Console()
+        console.print(_summary_table(counts))
+        for one in content.maps:
+            chosen = of_map(real, one)
+            if chosen:
+                console.print(_confusion_table(one, chosen))
+        print(f"wrote {options.out} and {options.picture}")
+
+
+def _summary_table(counts: Sequence[dict[str, Any]]) -> Table:
+    speeds = list(next(iter(counts))["steepest slope that half of the sets land on [deg]"])
+    table = Table(
+        title="Steepest slope [deg] that at least half of the sets land on within the long distance"
+    )
+    table.add_column("map")
+    for speed in speeds:
+        table.add_column(speed, justify="right")
+    for name in ("time [s]", "distance [m]", "uncertain [%]"):
+        table.add_column(name, justify="right")
+    for entry in counts:
+        slopes = entry["steepest slope that half of the sets land on [deg]"]
+        means = (
+            entry[f"mean {name} where landed {unit}"]
+            for name, unit in (("time to rest", "[s]"), ("distance", "[m]"))
+        )
+        table.add_row(
+            f"{entry['surface'].upper()}, {entry['controller']}",
+            *(f"{slopes[speed]:.0f}" for speed in speeds),
+            *(f"{value:.2f}" for value in means),
+            f"{entry['uncertain [%]']:.2f}",
+        )
+    return table
+
+
+def _confusion_table(one: LandingMap, chosen: Sequence[Experiment]) -> Table:
+    found = confusion(chosen, one)
+    total = int(found.counts.sum())
+    title = (
+        f"{one.title}: {found.agreeing} of {total} real landings agree with the likeliest class of their cell"
+    )
+    table = Table(title=title + (f", {found.outside} outside the map" if found.outside else ""))
+    table.add_column("observed")
+    for outcome in OUTCOMES:
+        table.add_column(f"simulated {outcome.name.lower()}", justify="right")
+    for word, row in zip(found.words, found.counts, strict=True):
+        table.add_row(word, *(str(int(count)) for count in row))
+    return table
