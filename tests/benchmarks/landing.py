@@ -1,0 +1,152 @@
+"""Landings per second: sysid's lanes against scipy's LSODA on the same right-hand side, and MuJoCo.
+
+``python tests/benchmarks/landing.py``; ``--maps`` computes all of Fig. 8 (four maps, five sets), ``--impulse``
+one map of Fig. 9 (4.3 million combinations); ``--every 4`` takes every fourth slope and speed. Times are of
+the wall and of the processor; the ratio is what counts on a machine that does other things as well.
+"""
+
+import argparse
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+sys.path.insert(0, str(Path(__file__).parent))
+import gear_rivals
+
+from sysid.gear.model import PARAMETERS, prepare
+from sysid.gear.trajectories import Drops
+from sysid.landing.controllers import find_controller
+from sysid.landing.drone import Drone, drones
+from sysid.landing.impulse import ImpulseSettings
+from sysid.landing.impulse_maps import impulse_maps
+from sysid.landing.maps import MapSettings, landing_maps
+from sysid.landing.motors import Motors
+from sysid.landing.scenario import Scenario, grid
+from sysid.landing.simulate import land_many
+from sysid.published import table_1, table_2
+
+
+def fleet(surface, sets=5):
+    """Five sets around the published means: the paper prints mean and σ, not the sets."""
+    (drone,) = drones(table_2(surface), table_1())
+    sigma = {r.name: r.stated_sigma for r in table_2(surface).parameters if r.stated_sigma}
+    rng = np.random.default_rng(1)
+    out = []
+    for rank in range(sets):
+        values = dict(drone.gear)
+        for name, s in sigma.items():
+            row = PARAMETERS[name]
+            values[name] = float(
+                np.clip(values[name] + 0.5 * s * rng.standard_normal(), row.lower, row.upper)
+            )
+        out.append(Drone(values, drone.motor, surface, f"{surface} {rank + 1}"))
+    return tuple(out)
+
+
+def measured(call):
+    """Wall time [s], processor time [s] and the result."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    found = call()
+    return time.perf_counter() - wall, time.process_time() - cpu, found
+
+
+def rivals(repeats):
+    """One core, the same landings, unpowered (MuJoCo has no motor with a dead band): milliseconds each."""
+    cells = grid(np.radians([5.0, 15.0, 25.0, 35.0]), [0.3, 0.6, 0.9, 1.2])
+    drone = Drone({}, table_1().set_values(), "lf")
+    clock = np.array([0.0, 3.0])
+    full = np.linspace(0.0, 3.0, 601)
+    from sysid.gear.model import FIT_TOLERANCE, Ending, simulate_population
+
+    drops = Drops(
+        np.array([c.slope for c in cells]), np.array([c.start(drone) for c in cells]), [clock] * len(cells)
+    )
+    for ending in (Ending(), Ending("rest")):
+        many = Drops(
+            np.tile(drops.slope, repeats),
+            np.tile(drops.body_state, (repeats, 1)),
+            [clock] * (len(cells) * repeats),
+        )
+        _, ours, _ = measured(
+            lambda ending=ending, many=many: simulate_population(
+                drone.row, many, tolerance=FIT_TOLERANCE, threads=1, ending=ending
+            )
+        )
+        print(f"sysid, {ending.at:5}: {1e3 * ours / len(many.slope):8.3f} ms per landing and core")
+        if ending.at == "clock":
+            base = ours / len(many.slope)
+    spent = 0.0
+    for cell in cells[::3]:
+        rhs, start, _ = gear_rivals.problem(cell.slope, cell.start(drone))
+        _, cpu, _ = measured(
+            lambda rhs=rhs, start=start: solve_ivp(
+                lambda t, y: rhs(y), (0.0, 3.0), start, method="LSODA", rtol=1e-5, atol=1e-7
+            )
+        )
+        spent += cpu / len(cells[::3])
+    print(f"scipy LSODA, same right-hand side: {1e3 * spent:8.1f} ms, ratio {spent / base:.0f}")
+    if gear_rivals.installed("mujoco"):
+        spent = 0.0
+        for cell in cells[::3]:
+            found = gear_rivals.mujoco_drop(
+                cell.slope, cell.start(drone), full, np.ones((601, 6)) + full[:, None]
+            )
+            spent += found["seconds"] / len(cells[::3])
+        print(f"MuJoCo, own contact law, 1 ms: {1e3 * spent:8.1f} ms, ratio {spent / base:.0f}")
+
+
+def main():
+    """Measure."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--maps", action="store_true")
+    parser.add_argument("--impulse", choices=["lf", "hf"])
+    parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--no-check", action="store_true")
+    chosen = parser.parse_args()
+    settings = MapSettings(check=not chosen.no_check)
+    settings = replace(
+        settings, slopes_deg=settings.slopes_deg[:: chosen.every], speeds=settings.speeds[:: chosen.every]
+    )
+    told = (find_controller("off"), find_controller("reverse"))
+    for surface in ("lf", "hf"):
+        prepare(surface, single=False)
+        land_many(fleet(surface, 1)[0], [Scenario(0.1, 0.1)], told[0])
+    if chosen.maps:
+        wall, cpu, maps = measured(lambda: landing_maps([fleet("lf"), fleet("hf")], told, settings))
+        count = sum(one.outcome.size for one in maps)
+        print(
+            f"Fig. 8: {count} landings, {wall:.1f} s, {cpu:.1f} s of processor, "
+            f"{count / cpu:.0f} per core and second"
+        )
+        for one in maps:
+            print(f"  {one.title}: {100 * one.uncertain.mean():.2f} % uncertain")
+    elif chosen.impulse:
+        wall, cpu, found = measured(
+            lambda: impulse_maps([fleet(chosen.impulse)], settings, ImpulseSettings())
+        )
+        best = found[0][0].optimum
+        pairs = best["delay"].size * ImpulseSettings().combinations
+        print(
+            f"Fig. 9, {chosen.impulse}: {pairs} combinations, {int(best['simulated'].sum())} simulated, "
+            f"{wall:.1f} s, "
+            f"{cpu:.1f} s of processor"
+        )
+    else:
+        drone = fleet("lf", 1)[0]
+        motors = Motors(drone)
+        cells = settings.cells()
+        for controller in told:
+            _, cpu, _ = measured(
+                lambda controller=controller: land_many(drone, cells, controller, motors=motors, threads=1)
+            )
+            rate = len(cells) / cpu
+            print(f"map of {len(cells)} landings, {controller.label}: {rate:.0f} per core and second")
+        rivals(20)
+
+
+if __name__ == "__main__":
+    main()

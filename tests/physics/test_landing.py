@@ -1,0 +1,241 @@
+"""Landings obey physics: hover, triggers, rest, descent, impulses, borders."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sysid.errors import CampaignError
+from sysid.gear.model import Ending
+from sysid.gear.trajectories import EventKind
+from sysid.landing.controllers import Controller, Step, find_controller
+from sysid.landing.descent import descend
+from sysid.landing.drone import drones
+from sysid.landing.impulse import Impulses, ImpulseSettings, best_pair
+from sysid.landing.maps import LandingWork, MapSettings
+from sysid.landing.motors import Motors
+from sysid.landing.outcomes import LANDED, Outcome, Rules
+from sysid.landing.scenario import Scenario, grid
+from sysid.landing.sensing import Sensing
+from sysid.landing.simulate import land, land_many, specific_force
+from sysid.published import table_1, table_2
+
+SMALL = ImpulseSettings(
+    delays=tuple(round(0.02 * k, 2) for k in range(8)), durations=tuple(round(0.04 * k, 2) for k in range(4))
+)
+
+
+def published(surface="lf"):
+    (drone,) = drones(table_2(surface), table_1())
+    return drone
+
+
+def test_a_drone_that_is_told_to_hover_stays():
+    drone = published()
+    hold = Controller("hold", (Step(0.0, drone.hover_command, drone.hover_command),))
+    run = land(drone, Scenario(0.0, 0.0), hold, rules=Rules(horizon=1.0)).trajectory
+    assert run.thrust.sum(axis=1) == pytest.approx(np.full(1001, drone.weight), rel=1e-5)
+    # Thrust carries all but 1e-5 of the weight: g/2 * 1e-5 over one second.
+    assert abs(run.state[-1, 1] - run.state[0, 1]) < 5e-5
+
+
+def test_thrust_is_that_of_the_motor_model():
+    drone = published()
+    run = land(drone, Scenario(0.1, 0.3), find_controller("reverse"))
+    total = run.trajectory.thrust.sum(axis=1)
+    assert total[0] == pytest.approx(drone.weight, rel=1e-6)
+    # Full reverse of four motors presses with about 12 N (the paper's static limits imply as much).
+    assert total[-1] == pytest.approx(-12.0, abs=2.0)
+    reached = np.flatnonzero(total < 0.9 * total[-1])[0] / 1000.0
+    assert 0.17 <= reached <= 0.28  # the paper's 250 ms; an independent simulation gave 210 ms
+
+
+def test_ideal_reversal_only_saves_the_dead_time():
+    slow, fast = (
+        land(published(), Scenario(0.1, 0.3), find_controller("reverse", ideal_reversal=ideal)).trajectory
+        for ideal in (False, True)
+    )
+    before = slow.thrust[:, 0] > 0.1
+    np.testing.assert_allclose(slow.thrust[before], fast.thrust[before], atol=1e-4)
+    np.testing.assert_allclose(slow.thrust[-1], fast.thrust[-1], rtol=1e-5)
+    at = [np.flatnonzero(run.thrust[:, 0] < 0.5 * run.thrust[-1, 0])[0] for run in (slow, fast)]
+    # I^r Ω_min/(k_m I_sat) = 49 ms in the dead band (model.md §4).
+    assert at[0] - at[1] == pytest.approx(49, abs=12)
+
+
+@pytest.mark.parametrize("surface", ["lf", "hf"])
+@pytest.mark.parametrize("controller", ["off", "reverse"])
+def test_one_landing_and_many_agree(surface, controller):
+    told = find_controller(controller)
+    for slope, speed in ((8.0, 0.4), (38.0, 1.0)):
+        cell = Scenario(math.radians(slope), speed)
+        one = land(published(surface), cell, told)
+        many = land_many(published(surface), [cell], told)
+        assert many.outcome[0] == one.outcome
+        # The many locate rest and flip to a step of at most 5 ms, and look at most one step later.
+        np.testing.assert_allclose(many.time[0], one.time, atol=6e-3)
+        np.testing.assert_allclose(many.distance[0], one.distance, atol=8e-3)
+
+
+def test_nothing_rests_before_the_last_command():
+    # Level and slow it stands at once; the push that comes a second later throws it over.
+    late = Controller("late", (Step(0.0, 0.0, 0.0), Step(1.0, 0.0, 1.0), Step(1.6, -1.0, -1.0)))
+    found = land_many(published(), [Scenario(0.0, 0.1)], late)
+    assert found.outcome[0] == Outcome.FLIPPED
+    assert found.flip[0] > 1.0
+    calm = land_many(published(), [Scenario(0.0, 0.1)], find_controller("off"))
+    assert calm.outcome[0] == Outcome.SHORT
+    assert calm.time[0] < 0.5
+
+
+def test_rules_reach_the_kernel():
+    cells, off = [Scenario(0.1, 0.6)], find_controller("off")
+    normal = land_many(published(), cells, off)
+    longer = land_many(published(), cells, off, rules=Rules(rest_time=0.6))
+    stricter = land_many(published(), cells, off, rules=Rules(rest_speed=1e-4, rest_turn=1e-3))
+    assert longer.time[0] == pytest.approx(normal.time[0], abs=6e-3)  # a longest step
+    # On low friction it creeps at 2.9 mm/s on this slope (eps_v r/(1 - r)) and is never that still.
+    assert np.isnan(stricter.time[0])
+    tipped = land_many(published("hf"), [Scenario(0.6, 0.6)], off)
+    early = land_many(published("hf"), [Scenario(0.6, 0.6)], off, rules=Rules(flip_angle=0.7))
+    assert tipped.outcome[0] == early.outcome[0] == Outcome.FLIPPED
+    assert early.flip[0] < tipped.flip[0] - 0.02
+    assert Ending().rest_speed == Rules().rest_speed
+    assert Rules().ending("rest") == Ending("rest")
+
+
+@pytest.mark.parametrize("surface", ["lf", "hf"])
+def test_own_sensing_triggers_late_or_never(surface):
+    told = find_controller("reverse", sensing=Sensing())
+    cells = [Scenario(math.radians(15.0), speed) for speed in (0.0, 0.1, 0.6, 1.0)]
+    found = land_many(published(surface), cells, told)
+    # A gentle touchdown stays below 2 g: nothing triggers, the motors run on, nothing has landed.
+    assert np.isnan(found.trigger[:2]).all()
+    assert set(found.outcome[:2].tolist()) <= {Outcome.OTHER, Outcome.FLIPPED}
+    assert np.isnan(found.time[:2]).all()
+    # The filter needs some milliseconds.
+    assert (found.trigger[2:] > 1e-3).all()
+    assert (found.trigger[2:] < 0.05).all()
+    run = land(published(surface), cells[2], told)
+    assert run.trigger == found.trigger[2]
+    hovering = run.trajectory.time < run.trigger
+    assert run.trajectory.thrust[hovering].sum(axis=1) == pytest.approx(published(surface).weight, rel=1e-5)
+
+
+def test_hovering_reads_one_g_and_falling_nothing():
+    time = np.arange(50) / 1000.0
+    states = np.zeros((50, 6))
+    states[:, 2] = 0.3
+    drone = published()
+    read = specific_force(states, 1000.0, drone)
+    # Body axes of a drone pitched by 0.3 rad.
+    np.testing.assert_allclose(read[1:], np.tile([-9.81 * math.sin(0.3), 9.81 * math.cos(0.3)], (49, 1)))
+    states[:, 4] = -9.81 * time
+    np.testing.assert_allclose(specific_force(states, 1000.0, drone)[1:], 0.0, atol=1e-11)
+
+
+def test_a_level_descent_arrives_as_it_began():
+    drone = published()
+    begin = Scenario(math.radians(20.0), 0.5)
+    way = descend(drone, begin, 0.4)
+    assert way.duration == pytest.approx(0.8, rel=1e-4)  # LSODA at 1e-8, hover to 1e-6 of the weight
+    assert way.touchdown.pitch == pytest.approx(0.0, abs=1e-9)
+    assert way.touchdown.speed == pytest.approx(0.5, rel=1e-4)
+    direct = land(drone, begin, find_controller("reverse"))
+    after = land(drone, way.touchdown, find_controller("reverse"), motors=Motors(drone, state=way.motors))
+    assert after.outcome == direct.outcome
+    assert after.distance == pytest.approx(direct.distance, abs=2e-3)  # bounces amplify 1e-4
+
+
+def test_the_attitude_controller_levels_a_tilted_drone():
+    drone = published()
+    begin = Scenario(math.radians(10.0), 0.5, pitch=math.radians(8.0))
+    near, far = descend(drone, begin, 0.05), descend(drone, begin, 1.0)
+    assert abs(far.touchdown.pitch) < 0.02 * begin.pitch < abs(near.touchdown.pitch)
+    # Tilted nose-down the thrust pulls it down-slope, as long as the tilt lasts.
+    assert far.touchdown.horizontal_speed > 0.05
+    with pytest.raises(CampaignError, match="give both above 0"):
+        descend(drone, Scenario(0.1, 0.0), 1.0)
+    with pytest.raises(CampaignError, match="never touches down"):
+        descend(drone, Scenario(0.1, 0.5, pitch_rate=-60.0), 1.0)
+
+
+@pytest.mark.parametrize("surface", ["lf", "hf"])
+def test_pairs_that_share_a_simulation_equal_their_own(surface):
+    drone = published(surface)
+    cells = [
+        Scenario(math.radians(slope), speed) for slope, speed in ((0, 0.5), (10, 0.3), (25, 0.6), (40, 1.2))
+    ]
+    impulses = Impulses(drone, SMALL)
+    found, simulated = impulses.search(cells, 1e-4)
+    assert (simulated < SMALL.combinations + 1).all()
+    assert simulated[0] <= 2  # level: both feet touch at once
+    for c, cell in enumerate(cells):
+        delay, duration = (a.ravel() for a in np.meshgrid(SMALL.delays, SMALL.durations, indexing="ij"))
+        own = impulses.second_impacts([cell] * len(delay), delay, duration, 1e-4, None)
+        # Thrust histories agree within 1e-6 before the command that they do not share.
+        np.testing.assert_allclose(found[c].reshape(-1, 3), own, atol=1e-4)
+
+
+def test_the_best_impulse_stops_the_pitching():
+    drone = published()
+    cells = [Scenario(math.radians(20.0), 0.4), Scenario(0.0, 1.0), Scenario(math.radians(3.0), 1.5)]
+    impulses = Impulses(drone, ImpulseSettings())
+    best = impulses.optimize(cells, 1e-4)
+    bare = impulses.second_impacts(cells, np.zeros(3), np.zeros(3), 1e-4, None)
+    # 3 rad/s without an impulse, next to nothing with the best one.
+    assert abs(bare[0, 1]) > 2.0
+    assert abs(best.turn[0]) < 0.5
+    assert abs(best.refined_turn[0]) <= max(abs(best.turn[0]), 0.02)
+    assert best.delay[0] > 0.0
+    # Low and fast: the second impact comes before an impulse could act; reverse at once (section III-C).
+    assert best.delay[1] == best.duration[1] == 0.0
+    assert best.delay[2] == 0.0
+    again = impulses.second_impacts(cells[:1], best.delay[:1], best.duration[:1], 1e-4, 1)
+    assert again[0, 1] == pytest.approx(best.turn[0], abs=1e-9)
+
+
+def test_ties_go_to_the_attitude_then_to_no_impulse():
+    impacts = np.array([[0.1, 0.5, 0.2], [0.1, -0.5, 0.1], [0.1, 0.5, -0.1], [0.1, 0.6, 0.0], [np.nan] * 3])
+    delay = np.array([0.0, 0.1, 0.0, 0.0, 0.0])
+    duration = np.array([0.1, 0.0, 0.0, 0.0, 0.0])
+    assert best_pair(impacts, delay, duration) == 2
+    assert best_pair(impacts, delay, duration, equal=0.7) == 3
+    assert best_pair(impacts[4:], delay[4:], duration[4:]) == 0
+
+
+@pytest.mark.parametrize("surface", ["lf", "hf"])
+def test_maps_equal_on_one_and_two_threads_and_in_any_order(surface):
+    cells = grid(np.radians([2.0, 14.0, 24.0, 36.0]), [0.1, 0.7, 1.4])
+    rows = np.array([(0.0, c, cell.slope, cell.speed) for c in range(2) for cell in cells])
+    told = (find_controller("off"), find_controller("reverse"))
+    settings = MapSettings(check=False)
+    one = LandingWork((published(surface),), told, settings, threads=1)(rows)
+    two = LandingWork((published(surface),), told, settings, threads=2)(rows)
+    back = LandingWork((published(surface),), told, settings)(rows[::-1])
+    for a, b, c in zip(one, two, back, strict=True):
+        np.testing.assert_array_equal(a, b)
+        np.testing.assert_array_equal(a, c[::-1])
+
+
+def test_low_speed_borders_are_monotone():
+    """Slowly set down, a steeper slope never lands where a gentler one does not, and thrust only helps."""
+    slopes = np.arange(0, 46, 3)
+    for surface in ("lf", "hf"):
+        landed = {}
+        for name in ("off", "command:-0.5", "reverse"):
+            found = land_many(published(surface), grid(np.radians(slopes), [0.1]), find_controller(name))
+            landed[name] = np.isin(found.outcome, LANDED)
+            # Once it fails it fails on.
+            assert (np.diff(landed[name].astype(int)) <= 0).all(), (surface, name)
+        assert landed["off"].sum() <= landed["command:-0.5"].sum() <= landed["reverse"].sum()
+
+
+def test_events_of_a_landing_tell_the_story():
+    run = land(published("hf"), Scenario(math.radians(20.0), 0.4), find_controller("reverse"))
+    kinds = [(event.kind, event.foot) for event in run.trajectory.events]
+    assert kinds[0] == (EventKind.TOUCHDOWN, "rear")
+    assert (EventKind.TOUCHDOWN, "front") in kinds
+    assert (EventKind.REST, "body") in kinds
+    assert run.outcome in LANDED
+    assert run.distance == pytest.approx(run.trajectory.state[-1, 0] / math.cos(math.radians(20.0)), abs=0.03)

@@ -1,0 +1,242 @@
+"""Maps in blocks: resume, damage, stops, files, experiments, figures."""
+
+import numpy as np
+import pytest
+
+from sysid.errors import CampaignError, ExportError, LogError
+from sysid.executor import LocalThreads
+from sysid.landing.blocks import BlockStore, blocks_folder, compute_blocks
+from sysid.landing.experiments import Experiment, confusion, of_map, read_experiments
+from sysid.landing.impulse import ImpulseSettings
+from sysid.landing.impulse_maps import OPTIMUM, UNITS, ImpulseMap
+from sysid.landing.map_store import MapFile, read_maps, summary, write_maps
+from sysid.landing.maps import SLOPES_DEG, SPEEDS, LandingMap, MapSettings
+from sysid.landing.outcomes import Outcome
+from sysid.pipelines.landing_sources import span
+from sysid.report.figures import save_figure
+from sysid.report.landing_figures import figure_impulse, figure_landing_maps
+
+
+class Squares:
+    """Work that counts its calls and may stop after some."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self, rows):
+        self.calls += 1
+        return rows[:, 0] ** 2, np.arange(len(rows), dtype=np.int64)
+
+
+BLOCKS = {f"block-{k}": np.arange(6.0).reshape(3, 2) + k for k in range(5)}
+
+
+def some_map(controller="off", sets=4):
+    rng = np.random.default_rng(3)
+    slopes, speeds = np.arange(0.0, 46.0, 5.0), np.arange(0.0, 2.05, 0.25)
+    steep = slopes[:, None] + 10 * speeds[None] + 4 * rng.random((sets, 1, 1))
+    outcome = np.digitize(steep, [18.0, 22.0, 32.0]).astype(np.int8)
+    rested = outcome <= 1
+    return LandingMap(
+        "lf", controller, tuple(f"set {k + 1}" for k in range(sets)), slopes, speeds, outcome,
+        np.where(rested, steep / 40, np.nan), np.where(rested, 0.2 + steep / 30, np.nan), outcome == 7,
+    )  # fmt: skip
+
+
+def some_impulse():
+    one = some_map()
+    rng = np.random.default_rng(4)
+    return ImpulseMap(
+        "lf", "impulse", one.sets, one.slopes_deg, one.speeds,
+        {name: 0.1 * rng.random(one.outcome.shape) for name in OPTIMUM},
+    )  # fmt: skip
+
+
+def test_the_papers_grid():
+    assert (len(SLOPES_DEG), SLOPES_DEG[-1], len(SPEEDS), SPEEDS[-1]) == (46, 45.0, 41, 2.0)
+    tried = ImpulseSettings()
+    assert (len(tried.delays), tried.delays[-1], len(tried.durations), tried.durations[-1]) == (
+        27,
+        0.26,
+        17,
+        0.16,
+    )
+    assert 5 * 46 * 41 * tried.combinations == 4_328_370  # the 4.3 million combinations of a map
+
+
+def test_blocks_stop_and_go_on(tmp_path):
+    result = tmp_path / "map.h5"
+    work, seen = Squares(), []
+    store = BlockStore(result, {"grid": 1})
+    part = compute_blocks(
+        work, BLOCKS, LocalThreads(), store=store,
+        on_block=lambda rows, new: seen.append(new), stop=lambda: work.calls >= 2,
+    )  # fmt: skip
+    store.close()
+    assert 2 <= len(part) < len(BLOCKS)
+    again, seen = Squares(), []
+    store = BlockStore(result, {"grid": 1}, resume=True)
+    whole = compute_blocks(
+        again, BLOCKS, LocalThreads(), store=store, on_block=lambda rows, new: seen.append(new)
+    )
+    assert again.calls == len(BLOCKS) - len(part)
+    assert seen.count(False) == len(part)
+    for name, rows in BLOCKS.items():
+        np.testing.assert_array_equal(whole[name][0], rows[:, 0] ** 2)
+        assert whole[name][1].dtype == np.int64
+    store.discard()
+    assert not blocks_folder(result).exists()
+
+
+def test_blocks_that_are_damaged_are_computed_again(tmp_path):
+    result = tmp_path / "map.h5"
+    store = BlockStore(result, {})
+    compute_blocks(Squares(), BLOCKS, LocalThreads(), store=store)
+    store.close()
+    folder = blocks_folder(result)
+    cut = folder / "block-0.npz"
+    cut.write_bytes(cut.read_bytes()[:100])
+    flipped = folder / "block-1.npz"
+    data = bytearray(flipped.read_bytes())
+    data[data.index(b"NUMPY") + 130] ^= 1  # in the numbers
+    flipped.write_bytes(data)
+    work = Squares()
+    store = BlockStore(result, {}, resume=True)
+    found = compute_blocks(work, BLOCKS, LocalThreads(), store=store)
+    store.close()
+    assert work.calls == 2
+    assert len(store.notes) == 2
+    assert "damaged" in store.notes[0]
+    np.testing.assert_array_equal(found["block-1"][0], BLOCKS["block-1"][:, 0] ** 2)
+
+
+def test_blocks_are_never_mixed_up(tmp_path):
+    result = tmp_path / "map.h5"
+    with pytest.raises(ExportError, match="nothing to continue"):
+        BlockStore(result, {}, resume=True)
+    store = BlockStore(result, {"a controller": "off"})
+    with pytest.raises(ExportError, match="another process"):
+        BlockStore(result, {"a controller": "off"})
+    compute_blocks(Squares(), BLOCKS, LocalThreads(), store=store)
+    store.close()
+    with pytest.raises(ExportError, match="continue it with --resume"):
+        BlockStore(result, {"a controller": "off"})
+    with pytest.raises(ExportError, match="a controller differs"):
+        BlockStore(result, {"a controller": "reverse"}, resume=True)
+    store = BlockStore(result, {"a controller": "reverse"}, force=True)
+    assert not list(blocks_folder(result).glob("*.npz"))
+    store.close()
+    assert not blocks_folder(result).exists()
+
+
+def test_files_give_back_what_was_written(tmp_path):
+    content = MapFile(
+        (some_map(), some_map("reverse")), (some_impulse(),), {"rules": {"short": 0.45}}, {"a": [1]}
+    )
+    path = write_maps(tmp_path / "map.h5", content)
+    back = read_maps(path)
+    assert back.settings == content.settings
+    assert back.provenance == content.provenance
+    for own, other in zip(content.maps, back.maps, strict=True):
+        assert (own.title, own.sets) == (other.title, other.sets)
+        for name in ("slopes_deg", "speeds", "outcome", "distance", "time", "uncertain"):
+            np.testing.assert_array_equal(getattr(own, name), getattr(other, name))
+    assert set(UNITS) == set(OPTIMUM)
+    for name in OPTIMUM:
+        np.testing.assert_array_equal(content.impulses[0].optimum[name], back.impulses[0].optimum[name])
+    path.write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(ExportError, match=r"map\.h5: cannot be read"):
+        read_maps(path)
+    with pytest.raises(ExportError, match="cannot be read"):
+        read_maps(tmp_path / "missing.h5")
+
+
+def test_shares_means_and_borders():
+    one = some_map()
+    total = sum(one.share(outcome) for outcome in Outcome if outcome != Outcome.LOST)
+    np.testing.assert_allclose(total, 1.0)
+    np.testing.assert_array_equal(one.landed, np.mean(one.outcome <= 1, axis=0))
+    assert np.isnan(one.mean_time[-1, -1])
+    assert one.mean_distance[0, 0] == pytest.approx(one.distance[:, 0, 0].mean())
+    # 18 + 4 deg at rest, less 10 deg per m/s, less 0 to 4 deg of each set.
+    assert one.steepest(0.0) == 20.0
+    assert one.steepest(1.0) == 10.0
+    assert np.isnan(one.steepest(2.0, share=1.0)) or one.steepest(2.0, share=1.0) == 0.0
+    lost = some_map()
+    lost.outcome[0] = Outcome.LOST
+    np.testing.assert_array_equal(lost.landed, np.mean(one.outcome[1:] <= 1, axis=0))
+    entry = summary([lost])[0]
+    assert entry["lost"] == lost.outcome[0].size
+    assert entry["sets"] == 4
+
+
+CSV = """surface,controller,slope [deg],speed [m/s],outcome
+lf,off,5,0.3,landed
+lf,off,40,0.5,failed
+lf,off,40,0.5,landed
+lf,reverse,5,0.3,short
+lf,off,60,0.3,failed
+"""
+
+
+def test_experiments_against_a_map(tmp_path):
+    path = tmp_path / "real.csv"
+    path.write_text(CSV, encoding="utf-8")
+    rows = read_experiments(path)
+    assert rows[0] == Experiment("lf", "off", 5.0, 0.3, "landed")
+    one = some_map()
+    chosen = of_map(rows, one)
+    assert len(chosen) == 4
+    found = confusion(chosen, one)
+    assert found.words == ("landed", "failed")
+    assert found.counts.tolist() == [[1, 0, 0, 1], [0, 0, 0, 1]]
+    assert (found.agreeing, found.outside) == (2, 1)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("outcome", "result", "no column 'outcome'"),
+        ("landed", "fell", "row 2: outcome 'fell'"),
+        ("40,0.5,failed", "steep,0.5,failed", "row 3: slope 'steep'"),
+        ("5,0.3,landed", "5,-0.3,landed", "row 2: .*speed '-0.3'"),
+    ],
+)
+def test_experiments_that_make_no_sense(tmp_path, old, new, says):
+    path = tmp_path / "real.csv"
+    path.write_text(CSV.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(LogError, match=says):
+        read_experiments(path)
+
+
+def test_figures_show_every_map(tmp_path):
+    maps = [some_map(), some_map("reverse")]
+    limits = {("lf", "off"): [(23.7, "dashed"), (22.0, "dotted")]}
+    figure = figure_landing_maps(
+        maps, limits=limits, experiments=[Experiment("lf", "off", 5.0, 0.3, "landed")]
+    )
+    shown = [axes for axes in figure.axes if axes.get_visible()]
+    assert [axes.get_title() for axes in shown] == ["LF, off", "LF, reverse"]
+    lines = [line.get_ydata()[0] for line in shown[0].lines]
+    assert lines == [23.7, 22.0]
+    # The colour of a cell is that of its classes: green where every set lands close by, white for B.
+    image = shown[0].images[0].get_array()
+    np.testing.assert_allclose(image[0, 0], np.array([0, 158, 115]) / 255)
+    np.testing.assert_allclose(image[-1, -1], 1.0)
+    assert len(shown[0].collections) > 0
+    assert save_figure(figure, tmp_path / "map.png").stat().st_size > 10_000
+    best = figure_impulse([some_impulse()])
+    assert len([axes for axes in best.axes if axes.images]) == 4
+
+
+@pytest.mark.parametrize("text", ["0:45", "a", "1,1", "5:0:1", "0:1:0", ""])
+def test_spans_that_make_no_sense(text):
+    with pytest.raises(CampaignError, match="--slopes"):
+        span(text, "--slopes")
+
+
+def test_spans():
+    assert span("0:0.3:0.1", "--speeds") == (0.0, 0.1, 0.2, 0.3)
+    assert span("3,5", "--slopes") == (3.0, 5.0)
+    with pytest.raises(CampaignError, match="increasing"):
+        MapSettings(slopes_deg=(2.0, 1.0))
