@@ -29,20 +29,26 @@ class Sensing:
         -3 dB corner of the low-pass, Butterworth, causal [Hz].
     order : int
         Of the low-pass.
+    window : float
+        An impact is looked for so long after touchdown [s].
 
     Notes
     -----
     The filter's delay (about 11 ms at 30 Hz) is part of the reaction time. A gentle touchdown may stay below
-    the threshold for ever: then nothing triggers, as on the real drone.
+    the threshold: then nothing triggers, as on the real drone. Until then the motors hold the hover command;
+    without attitude control that says nothing after some tenths of a second, hence the window.
     """
 
     threshold: float = 2.0 * STANDARD_GRAVITY
     rate: float = 1000.0
     corner: float = 30.0
     order: int = 3
+    window: float = 0.5
 
     def __post_init__(self) -> None:
-        if not (self.threshold > 0 and 0 < 2 * self.corner < self.rate and self.order >= 1):
+        if not (
+            self.threshold > 0 and self.window > 0 and 0 < 2 * self.corner < self.rate and self.order >= 1
+        ):
             raise CampaignError(
                 f"sensing: threshold {self.threshold:g} m/s², rate {self.rate:g} Hz, corner "
                 f"{self.corner:g} Hz, order {self.order}; expected a corner below half the rate"

@@ -245,7 +245,7 @@ def _triggers(
     if controller.sensing is None:
         return np.zeros(len(scenarios))
     sensing = controller.sensing
-    clock = np.arange(round(rules.horizon * sensing.rate) + 1) / sensing.rate
+    clock = np.arange(round(sensing.window * sensing.rate) + 1) / sensing.rate
     hovering = motors.propulsion(controller.steps, rules.horizon + 1.0)
     starts = np.array([one.start(drone) for one in scenarios])
     drops = Drops(slopes_of(scenarios), starts, [clock] * len(scenarios), hovering)

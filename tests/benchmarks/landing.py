@@ -1,7 +1,7 @@
 """Landings per second: sysid's lanes against scipy's LSODA on the same right-hand side, and MuJoCo.
 
-``python tests/benchmarks/landing.py``; ``--maps`` computes all of Fig. 8 (four maps, five sets), ``--impulse``
-one map of Fig. 9 (4.3 million combinations); ``--every 4`` takes every fourth slope and speed. Times are of
+``python tests/benchmarks/landing.py``; ``--maps`` computes Fig. 8 (four maps, five sets), ``--impulse`` one
+map of Fig. 9 (4.3 million combinations); ``--every 4`` takes every fourth slope and speed. Times are of
 the wall and of the processor; the ratio is what counts on a machine that does other things as well.
 """
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid.errors import CampaignError
-from sysid.gear.model import Ending
+from sysid.gear.model import Ending, simulate
 from sysid.gear.trajectories import EventKind
 from sysid.landing.controllers import Controller, Step, find_controller
 from sysid.landing.descent import descend
@@ -18,6 +18,7 @@ from sysid.landing.outcomes import LANDED, Outcome, Rules
 from sysid.landing.scenario import Scenario, grid
 from sysid.landing.sensing import Sensing
 from sysid.landing.simulate import land, land_many, specific_force
+from sysid.landing.static_limits import rigid_limits
 from sysid.published import table_1, table_2
 
 SMALL = ImpulseSettings(
@@ -33,10 +34,13 @@ def published(surface="lf"):
 def test_a_drone_that_is_told_to_hover_stays():
     drone = published()
     hold = Controller("hold", (Step(0.0, drone.hover_command, drone.hover_command),))
-    run = land(drone, Scenario(0.0, 0.0), hold, rules=Rules(horizon=1.0)).trajectory
-    assert run.thrust.sum(axis=1) == pytest.approx(np.full(1001, drone.weight), rel=1e-5)
-    # Thrust carries all but 1e-5 of the weight: g/2 * 1e-5 over one second.
-    assert abs(run.state[-1, 1] - run.state[0, 1]) < 5e-5
+    # Clear of the ground: unloaded legs that begin to hang would push it off.
+    body = Scenario(0.0, 0.0).start(drone) + np.array([0.0, 0.1, 0.0, 0.0, 0.0, 0.0])
+    thrust = Motors(drone).propulsion(hold.steps)
+    run = simulate(drone.row, 0.0, body, np.array([0.0, 0.5, 1.0]), propulsion=thrust)
+    assert run.thrust.sum(axis=1) == pytest.approx(np.full(3, drone.weight), rel=1e-5)
+    # Thrust carries all but 1e-5 of the weight, g/2 * 1e-5 over one second; hanging legs move it by microns.
+    assert abs(run.state[-1, 1] - body[1]) < 6e-5
 
 
 def test_thrust_is_that_of_the_motor_model():
@@ -96,8 +100,8 @@ def test_rules_reach_the_kernel():
     assert longer.time[0] == pytest.approx(normal.time[0], abs=6e-3)  # a longest step
     # On low friction it creeps at 2.9 mm/s on this slope (eps_v r/(1 - r)) and is never that still.
     assert np.isnan(stricter.time[0])
-    tipped = land_many(published("hf"), [Scenario(0.6, 0.6)], off)
-    early = land_many(published("hf"), [Scenario(0.6, 0.6)], off, rules=Rules(flip_angle=0.7))
+    tipped = land_many(published("hf"), [Scenario(math.radians(20.0), 1.2)], off)
+    early = land_many(published("hf"), [Scenario(math.radians(20.0), 1.2)], off, rules=Rules(flip_angle=0.7))
     assert tipped.outcome[0] == early.outcome[0] == Outcome.FLIPPED
     assert early.flip[0] < tipped.flip[0] - 0.02
     assert Ending().rest_speed == Rules().rest_speed
@@ -168,7 +172,7 @@ def test_pairs_that_share_a_simulation_equal_their_own(surface):
     ]
     impulses = Impulses(drone, SMALL)
     found, simulated = impulses.search(cells, 1e-4)
-    assert (simulated < SMALL.combinations + 1).all()
+    assert (simulated <= SMALL.combinations + 1).all()  # and the one that idles
     assert simulated[0] <= 2  # level: both feet touch at once
     for c, cell in enumerate(cells):
         delay, duration = (a.ravel() for a in np.meshgrid(SMALL.delays, SMALL.durations, indexing="ij"))
@@ -218,17 +222,24 @@ def test_maps_equal_on_one_and_two_threads_and_in_any_order(surface):
         np.testing.assert_array_equal(a, c[::-1])
 
 
-def test_low_speed_borders_are_monotone():
-    """Slowly set down, a steeper slope never lands where a gentler one does not, and thrust only helps."""
-    slopes = np.arange(0, 46, 3)
+def test_borders_that_physics_fixes():
+    """Slow and shut off, steeper is never better; thrust helps; beyond the static limit nothing rests."""
+    slopes = np.arange(0, 61, 3)
     for surface in ("lf", "hf"):
+        drone = published(surface)
         landed = {}
         for name in ("off", "command:-0.5", "reverse"):
-            found = land_many(published(surface), grid(np.radians(slopes), [0.1]), find_controller(name))
+            told = find_controller(name)
+            found = land_many(drone, grid(np.radians(slopes), [0.1]), told)
             landed[name] = np.isin(found.outcome, LANDED)
-            # Once it fails it fails on.
-            assert (np.diff(landed[name].astype(int)) <= 0).all(), (surface, name)
+            thrust = Motors(drone).propulsion(told.steps)
+            push = -float(thrust.rear(9.0) + thrust.front(9.0))
+            limit = rigid_limits(drone.gear, surface, push)
+            # Creep at the speed of rest is rest on low friction.
+            assert not landed[name][np.radians(slopes) > min(limit.slide, limit.tip)].any(), (surface, name)
+        assert (np.diff(landed["off"].astype(int)) <= 0).all(), surface
         assert landed["off"].sum() <= landed["command:-0.5"].sum() <= landed["reverse"].sum()
+        assert landed["off"].sum() < landed["reverse"].sum()
 
 
 def test_events_of_a_landing_tell_the_story():
