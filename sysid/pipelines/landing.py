@@ -12,8 +12,10 @@ from typing import Any
 import h5py
 import numpy as np
 from numpy.typing import NDArray
+from rich import box
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from sysid import exact_json
 from sysid.errors import CampaignError, ExportError
@@ -196,11 +198,12 @@ def _hdf5(landings: Sequence[Landing], rows: Sequence[dict[str, Any]], sources: 
 def _table(rows: Sequence[dict[str, Any]], first: Landing) -> Table:
     scenario = first.scenario
     table = Table(
+        box=box.SIMPLE_HEAD,
         title=f"{first.drone.surface.upper()}, {math.degrees(scenario.slope):g} deg, {scenario.speed:g} m/s: "
-        f"{first.controller.label}"
+        f"{first.controller.label}",
     )
     for name in rows[0]:
-        table.add_column(name, justify="left" if name == "outcome" else "right")
+        table.add_column(Text(name), justify="left" if name == "outcome" else "right")
     for row in rows:
         table.add_row(*(f"{v:.3f}" if isinstance(v, float) else str(v) for v in row.values()))
     return table

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich import box
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from sysid import exact_json
 from sysid.errors import ExportError
@@ -252,14 +254,12 @@ def _written(
 
 def _summary_table(counts: Sequence[dict[str, Any]]) -> Table:
     speeds = list(next(iter(counts))["steepest slope that half of the sets land on [deg]"])
-    table = Table(
-        title="Steepest slope [deg] that at least half of the sets land on within the long distance"
-    )
+    table = Table(title=Text("Steepest slope [deg] that half of the sets land on"), box=box.SIMPLE_HEAD)
     table.add_column("map")
     for speed in speeds:
         table.add_column(speed, justify="right")
     for name in ("time [s]", "distance [m]", "uncertain [%]"):
-        table.add_column(name, justify="right")
+        table.add_column(Text(name), justify="right")
     for entry in counts:
         slopes = entry["steepest slope that half of the sets land on [deg]"]
         means = (
@@ -281,7 +281,9 @@ def _confusion_table(one: LandingMap, chosen: Sequence[Experiment]) -> Table:
     title = (
         f"{one.title}: {found.agreeing} of {total} real landings agree with the likeliest class of their cell"
     )
-    table = Table(title=title + (f", {found.outside} outside the map" if found.outside else ""))
+    table = Table(
+        box=box.SIMPLE_HEAD, title=title + (f", {found.outside} outside the map" if found.outside else "")
+    )
     table.add_column("observed")
     for outcome in OUTCOMES:
         table.add_column(f"simulated {outcome.name.lower()}", justify="right")

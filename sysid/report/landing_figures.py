@@ -27,8 +27,10 @@ COLOURS: dict[Outcome, str] = {
     Outcome.OTHER: "#FFFFFF",
 }
 _DISTANCES = (0.1, 0.2, 0.45, 1.0)
-_TIMES = (0.3, 0.6, 1.0, 1.5, 2.0)
-_DISTANCE_COLOUR, _TIME_COLOUR, _LIMIT_COLOUR, _BASE_COLOUR = "#000000", "#0072B2", "#D55E00", "#CC79A7"
+_TIMES = (0.5, 1.0, 2.0)
+_DISTANCE_COLOUR, _TIME_COLOUR, _LIMIT_COLOUR = "#000000", "#00224E", "#D55E00"
+# Room above the steepest slope of a map, for static limits that lie a little higher [deg].
+_ROOM = 6.0
 
 Limits = Mapping[tuple[str, str], Sequence[tuple[float, str]]]
 
@@ -64,15 +66,14 @@ def figure_landing_maps(
     columns = list(dict.fromkeys(one.controller for one in maps))
     size = (1.2 + 4.1 * len(columns), 1.7 + 3.5 * len(surfaces))
     figure = Figure(figsize=size, layout="constrained")
-    grid = figure.subplots(len(surfaces), len(columns), sharex=True, sharey=True, squeeze=False)
+    grid = figure.subplots(len(surfaces), len(columns), sharex=True, squeeze=False)
     for axes in grid.ravel():
         axes.set_visible(False)
     for one in maps:
         axes = grid[surfaces.index(one.surface), columns.index(one.controller)]
         axes.set_visible(True)
         _draw_map(axes, one, lines)
-        for slope, style in (limits or {}).get((one.surface, one.controller), ()):
-            axes.axhline(slope, color=_LIMIT_COLOUR, linestyle=style, linewidth=1.6)
+        _draw_limits(axes, one, (limits or {}).get((one.surface, one.controller), ()))
         _draw_experiments(axes, of_map(experiments, one))
         axes.set_title(one.title, fontsize=10)
     for axes in grid[-1]:
@@ -115,7 +116,7 @@ def _draw_map(axes: Axes, one: LandingMap, lines: bool) -> None:
     shown = one.landed >= 0.5
     for values, levels, colour, style, unit in (
         (one.mean_distance, _DISTANCES, _DISTANCE_COLOUR, "solid", "m"),
-        (one.mean_time, _TIMES, _TIME_COLOUR, "dotted", "s"),
+        (one.mean_time, _TIMES, _TIME_COLOUR, (0, (4, 2)), "s"),
     ):
         # Where hardly anything lands a mean says little, and its contours are a tangle.
         known = np.where(shown & np.isfinite(values), values, np.nan)
@@ -131,6 +132,24 @@ def _draw_map(axes: Axes, one: LandingMap, lines: bool) -> None:
             colors=colour, linestyles=style, linewidths=1.1,
         )  # fmt: skip
         axes.clabel(drawn, fmt=lambda level, unit=unit: f"{level:g} {unit}", fontsize=7)
+
+
+def _draw_limits(axes: Axes, one: LandingMap, limits: Sequence[tuple[float, str]]) -> None:
+    """Draw the limits within reach as lines; name those above at the upper edge."""
+    low, high = _extent(one)[2:]
+    axes.set_ylim(low, high)
+    above = []
+    for slope, style in limits:
+        if slope <= high + _ROOM:
+            axes.axhline(slope, color=_LIMIT_COLOUR, linestyle=style, linewidth=1.6)
+            axes.set_ylim(low, max(axes.get_ylim()[1], slope + 1.0))
+        else:
+            above.append(f"{slope:.0f}° ({'rigid' if style == 'dashed' else 'bending'} legs)")
+    if above:
+        axes.text(
+            0.98, 0.98, f"static limit above: {', '.join(above)}", transform=axes.transAxes, ha="right", va="top",
+            fontsize=8, color=_LIMIT_COLOUR, bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+        )  # fmt: skip
 
 
 def _middle(cells: NDArray[np.bool_]) -> tuple[int, int] | None:
@@ -174,7 +193,7 @@ def _handles(
     ]
     if lines:
         handles.append(Line2D([], [], color=_DISTANCE_COLOUR, label="mean distance to rest"))
-        handles.append(Line2D([], [], color=_TIME_COLOUR, linestyle="dotted", label="mean time to rest"))
+        handles.append(Line2D([], [], color=_TIME_COLOUR, linestyle=(0, (4, 2)), label="mean time to rest"))
     if limits:
         handles.append(
             Line2D([], [], color=_LIMIT_COLOUR, linestyle="dashed", label="static limit, rigid legs")
