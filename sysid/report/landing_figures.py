@@ -129,7 +129,7 @@ def _draw_map(axes: Axes, one: LandingMap, lines: bool) -> None:
             continue
         drawn = axes.contour(
             one.speeds, one.slopes_deg, np.ma.masked_invalid(known), levels=inside,
-            colors=colour, linestyles=style, linewidths=1.1,
+            colors=colour, linestyles=[style], linewidths=1.1,
         )  # fmt: skip
         axes.clabel(drawn, fmt=lambda level, unit=unit: f"{level:g} {unit}", fontsize=7)
 
@@ -147,8 +147,8 @@ def _draw_limits(axes: Axes, one: LandingMap, limits: Sequence[tuple[float, str]
             above.append(f"{slope:.0f}° ({'rigid' if style == 'dashed' else 'bending'} legs)")
     if above:
         axes.text(
-            0.98, 0.98, f"static limit above: {', '.join(above)}", transform=axes.transAxes, ha="right", va="top",
-            fontsize=8, color=_LIMIT_COLOUR, bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+            0.98, 0.98, f"static limit above: {', '.join(above)}", transform=axes.transAxes,
+            ha="right", va="top", fontsize=8, color=_LIMIT_COLOUR, bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8},
         )  # fmt: skip
 
 
