@@ -76,6 +76,9 @@ def figure_landing_maps(
         _draw_limits(axes, one, (limits or {}).get((one.surface, one.controller), ()))
         _draw_experiments(axes, of_map(experiments, one))
         axes.set_title(one.title, fontsize=10)
+    highest = max(axes.get_ylim()[1] for axes in grid.ravel() if axes.get_visible())
+    for axes in grid.ravel():
+        axes.set_ylim(top=highest)
     for axes in grid[-1]:
         axes.set_xlabel("touchdown speed [m/s]")
     for axes in grid[:, 0]:
@@ -147,8 +150,9 @@ def _draw_limits(axes: Axes, one: LandingMap, limits: Sequence[tuple[float, str]
             above.append(f"{slope:.0f}° ({'rigid' if style == 'dashed' else 'bending'} legs)")
     if above:
         axes.text(
-            0.98, 0.98, f"static limit above: {', '.join(above)}", transform=axes.transAxes,
-            ha="right", va="top", fontsize=8, color=_LIMIT_COLOUR, bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+            0.98, 0.91, f"static limit above: {', '.join(above)}", transform=axes.transAxes,
+            ha="right", va="top", fontsize=8, color=_LIMIT_COLOUR,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8},
         )  # fmt: skip
 
 
