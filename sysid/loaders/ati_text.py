@@ -9,7 +9,6 @@ transducer's ``.cal`` file) the six are gauge voltages. Units are not in the fil
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -32,6 +31,7 @@ _CHANNELS = ("force_x", "force_y", "thrust", "torque_x", "torque_y", "torque")
 _STATES_RATE = "sampling freq"
 _HEADER_LINES = 20
 _UNIT_KEYS = ("force", "torque")
+_NO_BRACKETS = bytes.maketrans(b"[]", b"  ")
 
 
 def _cells(line: str) -> list[str]:
@@ -49,6 +49,17 @@ def _is_row(cells: list[str]) -> bool:
         return all(np.isfinite(parse_number(cell)) for cell in cells)
     except ValueError:
         return False
+
+
+def _is_words(cells: list[str]) -> bool:
+    """Return whether a line holds labels: something, and no number."""
+    numbers = 0
+    for cell in cells:
+        try:
+            numbers += bool(np.isfinite(parse_number(cell)))
+        except ValueError:
+            continue
+    return bool(cells) and not numbers
 
 
 def _recognize(source: Source) -> int:
@@ -71,24 +82,26 @@ def _table(text: Text, path: str) -> tuple[Text, TableHead, float | None]:
         mark in text.data[:4096] for mark in (b",", b";", b"\t")
     ):
         # Rows printed by numpy, or parted by spaces.
-        data = re.sub(rb"[ \t]*[\[\]][ \t]*", b"", text.data)
-        data = re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", data)
-        text = Text(path, re.sub(rb"[ \t]+", b"\t", data), text.notes)
+        text = Text(path, text.data.translate(_NO_BRACKETS), text.notes)
     rate = None
     states = False
+    begin: tuple[int, int] | None = None
     for number, offset, line in text.lines(_HEADER_LINES):
         cells = _cells(line)
         if number == 1 and _STATES_RATE in line.casefold():
             states = True
-        elif states and rate is None and len(cells) >= 2:
+        elif _is_row(cells):
+            # A row with a damaged or blank cell above this one is not passed over: its line is read too.
+            names = ("t", *AXES) if len(cells) == 7 else AXES
+            before, start = begin or (number - 1, offset - len(line.encode("utf-8")) - 1)
+            return text, TableHead(names, sniff_delimiter(line), before, max(start, 0)), rate
+        elif states and rate is None:
             try:
-                rate = positive_rate(path, parse_number(cells[0]))
+                rate = positive_rate(path, parse_number(cells[0])) if len(cells) > 1 else None
             except (ValueError, LogError):
                 continue
-        elif _is_row(cells) or (number > 1 and len(cells) in (6, 7) and "".join(cells) == ""):
-            names = ("t", *AXES) if len(cells) == 7 else AXES
-            start = offset - len(line.encode("utf-8")) - 1
-            return text, TableHead(names, sniff_delimiter(line), number - 1, max(start, 0)), rate
+        elif begin is None and line.strip() and (rate is not None or number == 1) and not _is_words(cells):
+            begin = number - 1, offset - len(line.encode("utf-8")) - 1
     raise LogError(
         f"{path}: no row of six numbers, or of a time and six, in the first {_HEADER_LINES} "
         "lines; check the format"
@@ -186,8 +199,8 @@ def read(
         over = np.asarray(np.abs(load) > known.limits)
         names = [axis for i, axis in enumerate(AXES) if over[:, i].any()]
         notes += [f"beyond the calibrated range: {', '.join(names)}"] if names else []
-    load = load @ turn.T
     if transform:
+        load = load @ turn.T
         notes.append("loads are at the motor's axes, as declared by transform")
     notes.append("channels by place: Fx Fy Fz Tx Ty Tz")
     channels = {name: quantity_channel(name, time, load[:, i].copy()) for i, name in enumerate(_CHANNELS)}

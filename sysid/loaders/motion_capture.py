@@ -38,8 +38,9 @@ def unit_quaternions(path: str, body: str, numbers: Numbers, raw: FloatArray) ->
         When a quaternion's length is not 1 within 2 %.
     """
     notes: list[str] = []
-    length = np.linalg.norm(raw, axis=1)
-    lost = ~np.isfinite(length)
+    with np.errstate(over="ignore"):  # a damaged number may be too large to square: its length is no 1
+        length = np.linalg.norm(raw, axis=1)
+    lost = np.isnan(length)
     zero = length == 0.0
     if zero.any():
         notes.append(f"frames with an all-zero quaternion of {body}, taken as lost: {int(zero.sum())}")

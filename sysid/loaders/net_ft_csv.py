@@ -120,7 +120,7 @@ def read(
         )
     places = [known.index(axis.casefold()) for axis in AXES]
     sequence = known.index(_SEQUENCE)
-    numbers = read_numbers(text, table, [sequence, *places], least=max(sequence, *places) + 1, surplus=True)
+    numbers = read_numbers(text, table, [sequence, *places], least=max(sequence, *places) + 1)
     del text  # the file's bytes are not needed any more
     notes = numbers.notes
     counted = numbers.columns[sequence]
@@ -137,8 +137,8 @@ def read(
     if tare is not None:
         load = load - tare_offset(path, load, time, tare)
         notes.append(f"tare: the mean of the first {tare:g} s was subtracted")
-    load = load @ turn.T
     if transform:
+        load = load @ turn.T  # which spreads a blank cell to all channels that it counts in
         notes.append("loads are at the motor's axes, as declared by transform")
     channels = {name: quantity_channel(name, time, load[:, i].copy()) for i, name in enumerate(_CHANNELS)}
     if stated.get("start time"):

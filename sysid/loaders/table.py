@@ -80,15 +80,6 @@ def _header_cells(line: str, delimiter: str) -> list[str]:
     return joined
 
 
-def _spaces_as_tabs(text: Text, head: TableHead) -> tuple[Text, TableHead]:
-    """Return a table parted by spaces as one parted by tabs, line for line."""
-    body = text.data[head.offset :].replace(b"\t", b" ")
-    while b"  " in body:  # halves every run of spaces; a regular expression takes ten times as long
-        body = body.replace(b"  ", b" ")
-    body = body.replace(b"\n ", b"\n").replace(b" \n", b"\n").strip(b" ").replace(b" ", b"\t")
-    return Text(text.path, body, text.notes), TableHead(head.names, "\t", head.line, 0)
-
-
 def _renamed(path: str, names: Sequence[str], columns: Mapping[str, object]) -> list[str]:
     """Return the names of a header with some replaced; a unit in brackets stays with its column."""
     out = list(names)
@@ -226,8 +217,6 @@ def read_numbers(
     LogError
         When there are no rows, a cell is not a number, or most rows do not fit the header.
     """
-    if head.delimiter == SPACES:
-        text, head = _spaces_as_tabs(text, head)
     path = text.path
     empty = LogError(f"{path}: no rows of numbers after line {max(head.line, 1)}; the log is empty")
     wanted = sorted(set(wanted))
@@ -236,6 +225,8 @@ def read_numbers(
     if end <= head.offset:
         raise empty
     body = measure(text.data, head.offset, end, head.delimiter, head.line + 1)
+    if not body.lines.size:
+        raise empty
     notes = list(text.notes)
     if decimal is None:
         first_rows = [body.cells(row) for row in range(min(body.lines.size, 200))]
@@ -245,7 +236,7 @@ def read_numbers(
         notes.append(f"line {body.lines[-1]}, the last, is cut and was left out")
         if body.lines.size == 1:
             raise empty
-        body.drop_last()
+        body = body.part(slice(0, -1))
         open_end = False
     elif open_end:
         notes.append(f"line {body.lines[-1]}, the last, has no line end: its last number may be cut")
@@ -263,17 +254,17 @@ def read_numbers(
                 f"{path}, line {lines[row]}: {fields[row]} cells where {least} are expected, as in "
                 "most rows; check the delimiter and the header"
             )
-        columns = {index: np.where(short, np.nan, values) for index, values in columns.items()}
+        for values in columns.values():
+            values[short] = np.nan
         notes.append(
             f"rows with fewer than {least} cells: {int(short.sum())} (first: line "
             f"{lines[np.argmax(short)]}); taken as missing"
         )
     infinite = 0
-    for index, values in columns.items():
+    for values in columns.values():
         wild = np.isinf(values)
-        if wild.any():
-            infinite += int(wild.sum())
-            columns[index] = np.where(wild, np.nan, values)
+        infinite += int(np.count_nonzero(wild))
+        values[wild] = np.nan
     if infinite:
         notes.append(f"cells that hold an infinite number: {infinite}; taken as missing")
     return Numbers(columns, lines, notes, open_end=open_end)

@@ -1,8 +1,9 @@
 """Rows of numbers as bytes: where they lie, and two exact ways of reading them.
 
-A clean numeric body is parsed by the C engine of pandas; whatever that engine will not take (quotes, surplus
-cells, a cell that is no number) is read line by line, where the first cell that is not a number is named
-with its line and its column. Both ways give the same numbers, to the last bit.
+A clean numeric body is parsed by the C engine of pandas, some megabytes at a time so that beside the file and
+its numbers hardly anything is in memory; whatever that engine will not take (quotes, surplus cells, a cell
+that is no number) is read line by line, where the first cell that is not a number is named with its line and
+its column. Both ways give the same numbers, to the last bit.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ from __future__ import annotations
 import csv
 import io
 import math
-from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import LogError
-from sysid.loaders.text import split_line
+from sysid.loaders.text import SPACES, split_line
 from sysid.recording import FloatArray
 
 _MISSING = frozenset({"", "nan", "-nan", "+nan"})
-# Bytes that are searched for quotes at once.
-_CHUNK = 1 << 22
+# Bytes that are searched, or parsed, at once: the copies made of them are small beside the numbers.
+_SEARCHED, _PARSED = 1 << 20, 1 << 22
 # Rows that are parted at once.
 _BATCH = 4096
 # More blank cells than this behind the last column of a row is no trailing delimiter.
@@ -84,27 +84,37 @@ class Body:
             rows = range(start, min(start + _BATCH, self.lines.size))
             spans = [(int(self.begins[row]), int(self.lengths[row])) for row in rows]
             lines = [self.data[a : a + size].decode("utf-8", errors="replace") for a, size in spans]
-            try:
-                parted = list(csv.reader(lines, delimiter=self.delimiter))
-            except csv.Error:
-                parted = []
+            parted: list[list[str]] = []
+            if self.delimiter != SPACES:
+                try:
+                    parted = list(csv.reader(lines, delimiter=self.delimiter))
+                except csv.Error:
+                    parted = []
             # A quote that is left open joins lines: then each is parted by itself, where it cannot.
             yield from parted if len(parted) == len(lines) else (split_line(x, self.delimiter) for x in lines)
 
-    def select(self, rows: NDArray[np.bool_]) -> None:
-        """Keep only some rows, and the bytes of only those."""
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], rows.astype(np.int8), [0]))))
-        view = memoryview(self.data)
-        stops = self.begins + self.lengths
-        runs = [view[self.begins[a] : stops[b - 1]] for a, b in zip(edges[::2], edges[1::2], strict=True)]
-        self.data = b"\n".join(runs)
-        self.lines, self.lengths, self.fields = self.lines[rows], self.lengths[rows], self.fields[rows]
-        self.begins = np.cumsum(self.lengths + 1) - (self.lengths + 1)
+    def part(self, rows: slice | NDArray[np.bool_]) -> Body:
+        """Return some of the rows; `data` is shared."""
+        own = (self.lines[rows], self.begins[rows], self.lengths[rows], self.fields[rows])
+        return Body(self.data, self.delimiter, *own)
 
-    def drop_last(self) -> None:
-        """Leave out the last row."""
-        self.lines, self.begins = self.lines[:-1], self.begins[:-1]
-        self.lengths, self.fields = self.lengths[:-1], self.fields[:-1]
+    def parts(self) -> Iterator[slice]:
+        """Yield the rows in runs of some megabytes."""
+        start = 0
+        while start < self.lines.size:
+            stop = int(np.searchsorted(self.begins, self.begins[start] + _PARSED))
+            yield slice(start, max(stop, start + 1))
+            start = max(stop, start + 1)
+
+    def joined(self) -> bytes:
+        """Return the rows as text, without what stands between them in `data`."""
+        stops = self.begins + self.lengths
+        edges = np.flatnonzero(self.begins[1:] != stops[:-1] + 1) + 1
+        firsts, lasts = np.append(0, edges), np.append(edges, stops.size) - 1
+        if firsts.size == 1:
+            return self.data[self.begins[0] : stops[-1]]
+        view = memoryview(self.data)
+        return b"\n".join(view[self.begins[a] : stops[b]] for a, b in zip(firsts, lasts, strict=True))
 
 
 def body_end(data: bytes, start: int, delimiter: str) -> tuple[int, bool]:
@@ -127,25 +137,33 @@ def body_end(data: bytes, start: int, delimiter: str) -> tuple[int, bool]:
 def measure(data: bytes, start: int, end: int, delimiter: str, first_line: int) -> Body:
     """Return the lines of `data` from `start` to `end`; blank ones and comments are not among them."""
     body = np.frombuffer(data, dtype=np.uint8, count=end - start, offset=start)
-    ends, counts, carried = [], [], 0
-    for begin in range(0, body.size, chunk := 1 << 22):
-        part = body[begin : begin + chunk]
+    ends, counts, carried, in_word = [], [], 0, False
+    for begin in range(0, body.size, _SEARCHED):
+        part = body[begin : begin + _SEARCHED]
         breaks = np.flatnonzero(part == 10)
-        seen = np.cumsum(part == ord(delimiter), dtype=np.int32)
+        if delimiter == SPACES:  # the cells are the words
+            word = part > ord(" ")
+            marks = word.copy()
+            marks[1:] &= ~word[:-1]
+            marks[0] &= not in_word
+            in_word = bool(word[-1])
+        else:
+            marks = part == ord(delimiter)
+        seen = np.cumsum(marks, dtype=np.int32)
         ends.append(breaks + begin)
         counts.append(seen[breaks] + carried)
         carried += int(seen[-1])
     stops = np.append(np.concatenate(ends), body.size)
     lengths = np.diff(stops, prepend=-1) - 1
-    totals = np.append(np.concatenate(counts), carried)
-    begins = start + stops - lengths
-    fields = np.diff(totals, prepend=0) + 1
-    rows = Body(data, delimiter, first_line + np.arange(stops.size), begins, lengths, fields)
+    fields = np.diff(np.append(np.concatenate(counts), carried), prepend=0)
+    rows = Body(data, delimiter, first_line + np.arange(stops.size), start + stops - lengths, lengths, fields)
     filled = lengths > 0
-    filled[filled] = np.frombuffer(data, dtype=np.uint8)[begins[filled]] != ord("#")
-    if not filled.all():
-        rows.select(filled)
-    return rows
+    filled[filled] = np.frombuffer(data, dtype=np.uint8)[rows.begins[filled]] != ord("#")
+    if delimiter == SPACES:
+        filled &= fields > 0
+    else:
+        fields += 1
+    return rows if filled.all() else rows.part(filled)
 
 
 def decimal_mark(rows: Sequence[Sequence[str]], wanted: Sequence[int], delimiter: str) -> str:
@@ -157,19 +175,19 @@ def decimal_mark(rows: Sequence[Sequence[str]], wanted: Sequence[int], delimiter
 
 
 def _read_fast(body: Body, wanted: Sequence[int], decimal: str) -> dict[int, FloatArray] | None:
-    """Parse a body with the C engine; None where the engine refuses or does not see every row."""
+    """Parse rows with the C engine; None where the engine refuses or does not see every row."""
     import pandas as pd
 
     # Exact to the last bit: the default from pandas 3.1 on, an option before.
     version = tuple(int(part) for part in pd.__version__.split(".")[:2])
     exact: dict[str, Any] = {} if version >= (3, 1) else {"float_precision": "round_trip"}
-    rows = int(body.lines.size)
-    stream = io.BytesIO(body.data)
-    stream.seek(int(body.begins[0]))
+    rows, text, delimiter = int(body.lines.size), body.joined(), body.delimiter
+    if delimiter == SPACES:
+        text, delimiter = _tabbed(text), "\t"
     try:
         frame = pd.read_csv(
-            stream,
-            sep=body.delimiter,
+            io.BytesIO(text),
+            sep=delimiter,
             header=None,
             names=list(range(int(body.fields.max()))),
             usecols=list(wanted),
@@ -190,6 +208,14 @@ def _read_fast(body: Body, wanted: Sequence[int], decimal: str) -> dict[int, Flo
     return {index: frame[index].to_numpy() for index in wanted}
 
 
+def _tabbed(text: bytes) -> bytes:
+    """Return lines parted by spaces as lines parted by tabs."""
+    text = text.replace(b"\t", b" ")
+    while b"  " in text:  # halves every run of spaces; a regular expression takes ten times as long
+        text = text.replace(b"  ", b" ")
+    return text.replace(b"\n ", b"\n").replace(b" \n", b"\n").strip(b" ").replace(b" ", b"\t")
+
+
 def _plain_rows(body: Body, width: int, surplus: bool) -> NDArray[np.bool_]:
     """Return which rows the C engine may see.
 
@@ -198,68 +224,66 @@ def _plain_rows(body: Body, width: int, surplus: bool) -> NDArray[np.bool_]:
     """
     data = np.frombuffer(body.data, dtype=np.uint8)
     plain = np.ones(body.lines.size, dtype=np.bool_)
-    at = body.data.find(b'"', int(body.begins[0]))
+    stops = body.begins + body.lengths
+    end = int(stops[-1])
+    at = body.data.find(b'"', int(body.begins[0]), end)
     while at >= 0:
-        quotes = np.flatnonzero(data[at : at + _CHUNK] == ord('"')) + at
+        quotes = np.flatnonzero(data[at : min(at + _SEARCHED, end)] == ord('"')) + at
         plain[np.searchsorted(body.begins, quotes, side="right") - 1] = False
-        at = body.data.find(b'"', at + _CHUNK)
+        at = body.data.find(b'"', at + _SEARCHED, end)
     if not surplus:
         excess = body.fields - width
-        stops = body.begins + body.lengths
-        for place in range(1, min(int(excess.max()), _MOST_TRAILING) + 1):
-            longer = np.flatnonzero(excess >= place)
-            plain[longer] &= data[stops[longer] - place] == ord(body.delimiter)
-        plain &= excess <= _MOST_TRAILING
+        if body.delimiter != SPACES:  # between spaces there is no cell that is blank
+            for place in range(1, min(int(excess.max()), _MOST_TRAILING) + 1):
+                longer = np.flatnonzero(excess >= place)
+                plain[longer] &= data[stops[longer] - place] == ord(body.delimiter)
+        plain &= excess <= (0 if body.delimiter == SPACES else _MOST_TRAILING)
     return plain
 
 
 def read_rows(
     path: str, body: Body, names: Mapping[int, str], width: int, decimal: str, surplus: bool
 ) -> dict[int, FloatArray]:
-    """Read plain rows with the C engine and the others one by one; all of them where the engine refuses."""
-    wanted = list(names)
-    plain = _plain_rows(body, width, surplus)
-    if plain.all():
-        columns = _read_fast(body, wanted, decimal)
-    elif plain.mean() < 0.5:
-        columns = None
-    else:
-        # Only the places of the odd rows are cut out of the bytes; all rows keep their numbers.
-        rest = Body(body.data, body.delimiter, body.lines, body.begins, body.lengths, body.fields)
-        rest.select(plain)
-        columns = _read_fast(rest, wanted, decimal)
-        del rest
-    if columns is None:
-        return _read_slow(path, body, names, width, decimal, surplus)
-    if plain.all():
-        return columns
-    odd = np.flatnonzero(~plain)
-    few = Body(
-        body.data, body.delimiter, body.lines[odd], body.begins[odd], body.lengths[odd], body.fields[odd]
-    )
-    slow = _read_slow(path, few, names, width, decimal, surplus)
-    kept = np.ones(plain.size, dtype=np.bool_)
-    kept[odd] = np.isin(body.lines[odd], few.lines)
-    out = {}
-    for index in wanted:
-        values = np.empty(plain.size)
-        values[plain] = columns[index]
-        values[~plain & kept] = slow[index]
-        out[index] = values[kept]
-    body.fields[~plain & kept] = few.fields
-    body.lines, body.fields = body.lines[kept], body.fields[kept]
-    return out
+    """Return the numbers of the named columns; `body` keeps the lines that turn out to be rows.
+
+    Some megabytes at a time, plain rows are read by the C engine and the others one by one; all of them where
+    the engine refuses.
+    """
+    columns = {index: np.empty(body.lines.size) for index in names}
+    kept = np.ones(body.lines.size, dtype=np.bool_)
+    for place in body.parts():
+        part = body.part(place)
+        fast = _plain_rows(part, width, surplus)
+        found = _read_fast(part.part(fast), list(names), decimal) if fast.mean() >= 0.5 else None
+        if found is None:
+            fast[:] = False
+        else:
+            for index, values in found.items():
+                columns[index][place][fast] = values
+        if not fast.all():
+            few = part.part(~fast)
+            rows, slow = _read_slow(path, few, names, width, decimal, surplus)
+            part.fields[~fast] = few.fields
+            kept[place][~fast] = rows
+            for index, values in slow.items():
+                columns[index][place][~fast] = values
+    if not kept.all():
+        body.lines, body.fields = body.lines[kept], body.fields[kept]
+        columns = {index: values[kept] for index, values in columns.items()}
+    return columns
 
 
 def _read_slow(
     path: str, body: Body, names: Mapping[int, str], width: int, decimal: str, surplus: bool
-) -> dict[int, FloatArray]:
-    """Read row by row; `body` keeps the lines that turn out to be rows, with the cells that each "
-    "really has."""
+) -> tuple[NDArray[np.bool_], dict[int, FloatArray]]:
+    """Read row by row; return which lines turn out to be rows, and their numbers, NaN for the others.
+
+    `body.fields` is set to the cells that each row really has.
+    """
     rows = np.zeros(body.lines.size, dtype=np.bool_)
-    values: dict[int, array[float]] = {index: array("d") for index in names}
+    values = {index: np.full(body.lines.size, np.nan) for index in names}
     for row, cells in enumerate(body.all_cells()):
-        if cells[0].lstrip().startswith("#") or (len(cells) == 1 and not cells[0].strip()):
+        if not cells or cells[0].lstrip().startswith("#") or (len(cells) == 1 and not cells[0].strip()):
             continue
         rows[row], body.fields[row] = True, len(cells)
         if not surplus and any(cell.strip() for cell in cells[width:]):
@@ -270,12 +294,11 @@ def _read_slow(
         for index, into in values.items():
             cell = cells[index] if index < len(cells) else ""
             try:
-                into.append(_quick_number(cell) if decimal == "." else parse_number(cell, decimal))
+                into[row] = _quick_number(cell) if decimal == "." else parse_number(cell, decimal)
             except ValueError:
                 found = cell.strip() if len(cell) <= 40 else cell.strip()[:37] + "..."
                 raise LogError(
                     f"{path}, line {body.lines[row]}: {found!r} in column {names[index]!r} is not a number; "
                     "repair the cell or leave it blank"
                 ) from None
-    body.lines, body.fields = body.lines[rows], body.fields[rows]
-    return {index: np.array(numbers, dtype=np.float64) for index, numbers in values.items()}
+    return rows, values

@@ -6,7 +6,9 @@ semicolon means the same everywhere. The tables of numbers inside are the matter
 
 from __future__ import annotations
 
+import codecs
 import csv
+import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -17,6 +19,9 @@ _DELIMITERS = ",;\t"
 SPACES = " "
 # A table of fewer columns than this is not told from prose by its spaces.
 _FEWEST_WORDS = 4
+_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+# Bytes that are decoded at once.
+_PIECE = 1 << 20
 
 
 def decode(data: bytes, path: str, *, partial: bool = False) -> str:
@@ -36,7 +41,7 @@ def decode(data: bytes, path: str, *, partial: bool = False) -> str:
     LogError
         When a file marked UTF-16 is broken.
     """
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+    if data[:2] in _UTF16_MARKS:
         body = data[: len(data) // 2 * 2] if partial else data
         try:
             return body.decode("utf-16")
@@ -89,8 +94,8 @@ def read_text(source: Source) -> Text:
     """
     data = source.read_bytes()
     notes = []
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        data = decode(data, source.path).removeprefix("\ufeff").encode("utf-8")
+    if data[:2] in _UTF16_MARKS:
+        data = _as_utf8(data, "utf-16", source.path)
         notes.append("read as UTF-16, as its byte-order mark says")
     nul = data.find(b"\0")
     if nul >= 0:
@@ -100,18 +105,43 @@ def read_text(source: Source) -> Text:
             "UTF-16 without a mark; export it again as UTF-8 text"
         )
     data = data.removeprefix(b"\xef\xbb\xbf")
-    if not data.isascii():
-        try:
-            data.decode("utf-8")
-        except UnicodeDecodeError:
-            data = data.decode("cp1252", errors="replace").encode("utf-8")
-            notes.append("not UTF-8: read as Windows-1252")
+    if not data.isascii() and not _is_utf8(data):
+        data = _as_utf8(data, "cp1252", source.path)
+        notes.append("not UTF-8: read as Windows-1252")
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n")
         if b"\r" in data:
             # "\r\r\n", which a text-mode copy makes, is one line end; a lone "\r" is an old one.
             data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     return Text(source.path, data, tuple(notes))
+
+
+def _pieces(data: bytes, coding: str, errors: str = "strict") -> Iterator[str]:
+    """Yield the text of `data` piece by piece: a whole one would take four bytes a character."""
+    decoder = codecs.getincrementaldecoder(coding)(errors)
+    for begin in range(0, len(data), _PIECE):
+        yield decoder.decode(data[begin : begin + _PIECE], begin + _PIECE >= len(data))
+
+
+def _is_utf8(data: bytes) -> bool:
+    try:
+        for _ in _pieces(data, "utf-8"):
+            pass
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def _as_utf8(data: bytes, coding: str, path: str) -> bytes:
+    out = io.BytesIO()
+    try:
+        for piece in _pieces(data, coding, "strict" if coding == "utf-16" else "replace"):
+            out.write(piece.encode("utf-8"))
+    except UnicodeError as error:  # a half of a surrogate pair is refused by the encoder
+        raise LogError(
+            f"{path}: marked as UTF-16 but broken behind {out.tell()} bytes of text; save it as UTF-8"
+        ) from error
+    return out.getvalue()
 
 
 def split_line(line: str, delimiter: str) -> list[str]:

@@ -41,6 +41,10 @@ _NAME = "vicon-csv"
 _TITLES = ("trajectories", "segments", "objects", "devices", "model outputs", "joints")
 _ANGLES = ("helical", *EULER_ORDERS)
 _HEADER_LINES = 5
+# No device samples this often within a frame.
+_MOST_SUBS = 1e6
+# The fields of which a marker or a body must have all.
+_PLACE, _BODY = ("X", "Y", "Z"), ("RX", "RY", "RZ", "TX", "TY", "TZ")
 
 
 @dataclass(frozen=True)
@@ -117,6 +121,12 @@ def _section(text: Text, number: int, offset: int) -> _Section | None:
     for column in range(width):
         last = names[column] if column < len(names) and names[column] else last
         filled.append("" if column < 2 else last)
+    nameless = next((column for column in range(2, width) if fields[column] and not filled[column]), None)
+    if nameless is not None:
+        raise LogError(
+            f"{path}, line {rows[2][0]}: column {nameless + 1} has no name above its field "
+            f"{fields[nameless]!r}; export the file again"
+        )
     units = [*units, *[""] * width][:width]
     labels = [f"{name} {cell}".strip() for name, cell in zip(filled, fields, strict=True)]
     line_number, behind, _ = rows[-1]
@@ -156,9 +166,17 @@ def _clock(path: str, section: _Section, numbers: Numbers) -> tuple[FloatArray, 
     """Return times [s]: frame numbers over the capture's rate, sub frames between them."""
     sub = numbers.columns[1]
     known = sub[np.isfinite(sub)]
-    shares = float(known.max(initial=0.0)) + 1.0
-    if known.size and (known.min() < 0 or np.any(known != np.floor(known))):
+    if known.size and (known.min() < 0 or known.max() > _MOST_SUBS or np.any(known != np.floor(known))):
         raise LogError(f"{path}, line {numbers.lines[0]}: sub frames must be 0, 1, 2, ...; check the columns")
+    shares = float(known.max(initial=0.0)) + 1.0
+    seen = np.bincount(known.astype(np.int64), minlength=1)
+    if np.any(seen < 0.5 * seen.max()):  # one damaged number there would change the whole clock
+        odd = int(np.flatnonzero(seen < 0.5 * seen.max())[-1])
+        row = int(np.argmax(sub == odd)) if seen[odd] else int(np.argmax(sub == known.max()))
+        raise LogError(
+            f"{path}, line {numbers.lines[row]}: sub frame {sub[row]:g} is not one that every frame has; "
+            "repair or remove the row"
+        )
     numbers.columns[0] = (numbers.columns[0] * shares + np.where(np.isfinite(sub), sub, 0.0)) / section.rate
     return order_rows(path, numbers, 0, 1.0)
 
@@ -196,6 +214,22 @@ def _rotation(
     return euler_quaternions(chosen, np.degrees(stacked([f"R{axis}" for axis in chosen]) * factor))
 
 
+def _check_whole(path: str, section: _Section, name: str, group: Sequence[int]) -> None:
+    """Refuse a marker or a body that lacks a component, or has one twice: its name may be a neighbour's."""
+    fields = [section.fields[column].upper() for column in group]
+    wanted = {"trajectories": _PLACE, "objects": _BODY, "segments": _BODY}.get(section.title, ())
+    if section.title == "objects" and "(Quaternion)" in name:
+        wanted = (*_BODY, "RW")
+    missing = [field for field in wanted if field not in fields]
+    twice = sorted({field for field in fields if field in wanted and fields.count(field) > 1})
+    if twice or (missing and len(missing) < len(wanted)):
+        said = f"has {', '.join(twice)} twice" if twice else f"lacks {', '.join(missing)}"
+        raise LogError(
+            f'{path}, line {section.table.line - 1}: "{name}" {said}; export the file again with whole '
+            "markers and bodies"
+        )
+
+
 def _body_name(name: str) -> str:
     """Return the name of an object: ``Global Angle (Quaternion) drone:drone`` is drone."""
     name = name.removeprefix("Global Angle").strip().removeprefix("(Quaternion)").strip()
@@ -221,7 +255,8 @@ def _read_section(
     blank = []
     for name, group in groups.items():
         fields = {section.fields[column].upper(): column for column in group}
-        if section.title == "trajectories" and set("XYZ") <= set(fields):
+        _check_whole(path, section, name, group)
+        if section.title == "trajectories" and set(_PLACE) <= set(fields):
             place = [fields[axis] for axis in "XYZ"]
             position = np.column_stack([numbers.columns[column] for column in place])
             if not np.isfinite(position).all(axis=1).any():
@@ -229,7 +264,7 @@ def _read_section(
                 continue
             scale = _length(path, section, place, length_unit)
             channels[f"{name}/position"] = Channel(f"{name}/position", "m", time, position * scale)
-        elif section.title in ("segments", "objects") and {"RX", "RY", "RZ", "TX", "TY", "TZ"} <= set(fields):
+        elif section.title in ("segments", "objects") and set(_BODY) <= set(fields):
             body = _body_name(name)
             if kept is not None and body not in kept:
                 continue
