@@ -23,8 +23,8 @@ from sysid.loaders.text import SPACES, split_line
 from sysid.recording import FloatArray
 
 _MISSING = frozenset({"", "nan", "-nan", "+nan"})
-# Bytes that are searched, or parsed, at once: the copies made of them are small beside the numbers.
-_SEARCHED, _PARSED = 1 << 20, 1 << 22
+# Bytes that are searched, or parsed, at once: what is made of them is small beside the numbers.
+_SEARCHED, _PARSED = 1 << 20, 1 << 20
 # Rows that are parted at once.
 _BATCH = 4096
 # More blank cells than this behind the last column of a row is no trailing delimiter.

@@ -1,0 +1,188 @@
+"""Time and memory of reading a minute of a 10 kHz load cell (8 columns, about 50 MB) as each dialect of CSV.
+
+Run ``python tests/benchmarks/loaders.py [--rows N] [--dialects NAMES] [--ours] [--json PATH]``. Every reading
+is a process of its own: seconds of processor time and of the clock, MB/s of processor time, and the peak of
+memory above that of the imports as a multiple of the arrays (8 bytes a number). Beside it stand readers that
+only parse: pandas with its default and with its exact conversion, pyarrow where it is installed, and
+numpy.loadtxt. They check no header and name no line; what they cannot read is shown as "no".
+"""
+
+import argparse
+import io
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+COLUMNS = ["Time (s)", "Command (us)", "Speed (rad/s)", "Fx (N)", "Fy (N)", "Fz (N)", "Mx (N·m)", "Mz (N·m)"]
+# delimiter, decimal mark, line end, encoding, and every how many rows something odd stands in one.
+DIALECTS = {
+    "comma": (",", ".", "\n", "utf-8", 0),
+    "crlf": (",", ".", "\r\n", "utf-8-sig", 0),
+    "semicolon": (";", ",", "\n", "utf-8", 0),
+    "tab": ("\t", ".", "\n", "utf-8", 0),
+    "spaces": (" ", ".", "\n", "utf-8", 0),
+    "quoted": (",", ".", "\n", "utf-8", 100),
+    "comments": (",", ".", "\n", "utf-8", 1000),
+    "blanks": (",", ".", "\n", "utf-8", 50),
+    "windows-1252": (",", ".", "\n", "cp1252", 0),
+    "utf-16": (",", ".", "\n", "utf-16", 0),
+}
+READERS = ("sysid", "pandas", "pandas exact", "pyarrow", "numpy.loadtxt")
+
+
+def write_log(path, dialect, rows):
+    """Write a log: numbers of nine digits that repeat every 2000 rows, on a clock that does not."""
+    import numpy as np
+
+    mark, decimal, end, encoding, odd = DIALECTS[dialect]
+    random = np.random.default_rng(0)
+    block = [
+        mark.join(f"{x:.9g}" for x in row).replace(".", decimal)
+        for row in random.normal(size=(2000, len(COLUMNS) - 1)) * 1000
+    ]
+    gap = " " * 3 if mark == " " else mark
+    with path.open("w", encoding=encoding, newline="") as stream:
+        stream.write(mark.join(COLUMNS) + end)
+        for begin in range(0, rows, 10_000):
+            lines = []
+            for i in range(begin, min(begin + 10_000, rows)):
+                line = f"{i * 1e-4:.4f}".replace(".", decimal) + gap + block[i % 2000]
+                if odd and i % odd == odd - 1:
+                    first, *others = line.split(mark)
+                    if dialect == "quoted":
+                        line = mark.join([f'"{first}"', *others])
+                    elif dialect == "comments":
+                        line = f"# a note, by hand{end}{line}"
+                    else:
+                        line = mark.join([first, "", *others[1:]])
+                lines.append(line)
+            stream.write(end.join(lines) + end)
+
+
+def memory(peak):
+    """Return the largest size of this process so far, or its size now [bytes]."""
+    status = Path("/proc/self/status")
+    if status.exists():
+        key = "VmHWM" if peak else "VmRSS"
+        with status.open(encoding="utf-8") as stream:
+            return next(int(line.split()[1]) * 1024 for line in stream if line.startswith(key))
+    if sys.platform == "win32":
+        import ctypes
+        from ctypes import wintypes
+
+        class Counters(ctypes.Structure):
+            _fields_ = (
+                *(("cb", wintypes.DWORD), ("faults", wintypes.DWORD)),
+                *((name, ctypes.c_size_t) for name in ("peak", "now", "a", "b", "c", "d", "e", "f")),
+            )
+
+        found = Counters()
+        own = ctypes.windll.kernel32.GetCurrentProcess
+        own.restype = wintypes.HANDLE
+        ask = ctypes.windll.psapi.GetProcessMemoryInfo
+        ask.argtypes = (wintypes.HANDLE, ctypes.c_void_p, wintypes.DWORD)
+        ask(own(), ctypes.byref(found), ctypes.sizeof(found))
+        return found.peak if peak else found.now
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def reader_of(name, dialect):
+    """Return a function of a path, with everything imported that it needs."""
+    mark, decimal, _, encoding, _ = DIALECTS[dialect]
+    if name == "sysid":
+        import pandas as pd
+
+        from sysid.loaders import formats, load
+        from sysid.units import factor_to_si
+
+        # Imports that the first load of any log makes.
+        formats()
+        factor_to_si("N", "N")
+        pd.read_csv(io.StringIO("1,2\n"), header=None)
+        return lambda path: load(path)["thrust"].values
+    if name.startswith("pandas"):
+        import pandas as pd
+
+        exact = {"float_precision": "round_trip"} if name.endswith("exact") else {}
+        parted = {"sep": r"\s+"} if mark == " " else {"sep": mark}
+        return lambda path: pd.read_csv(
+            path, header=None, skiprows=1, decimal=decimal, comment="#", encoding=encoding, **parted, **exact
+        ).to_numpy()
+    if name == "pyarrow":
+        from pyarrow import csv
+
+        parse = csv.ParseOptions(delimiter=mark)
+        convert = csv.ConvertOptions(decimal_point=decimal)
+        options = csv.ReadOptions(encoding=encoding)
+        return lambda path: csv.read_csv(path, options, parse, convert).to_pandas().to_numpy()
+    import numpy as np
+
+    if decimal != ".":
+        raise ValueError("no decimal comma")
+    parted = {} if mark == " " else {"delimiter": mark}
+    return lambda path: np.loadtxt(path, skiprows=1, encoding=encoding, quotechar='"', **parted)
+
+
+def measure(path, name, dialect):
+    """Read once in this process; print seconds and bytes as JSON."""
+    read = reader_of(name, dialect)
+    before = memory(peak=False)
+    wall, spent = time.perf_counter(), time.process_time()
+    values = read(path)
+    wall, spent = time.perf_counter() - wall, time.process_time() - spent
+    numbers = len(values) * len(COLUMNS)
+    assert str(values.dtype) == "float64"
+    print(json.dumps({"rows": len(values), "seconds": spent, "wall": wall,
+                      "memory": (memory(peak=True) - before) / (8 * numbers)}))  # fmt: skip
+
+
+def benchmark(rows, dialects, readers):
+    """Return one entry per dialect and reader; None where the reader cannot read the dialect."""
+    found = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "minute.csv"
+        for dialect in dialects:
+            write_log(path, dialect, rows)
+            size = path.stat().st_size / 1e6
+            print(f"\n{dialect}: {size:.1f} MB, {rows} rows of {len(COLUMNS)}")
+            for name in readers:
+                command = [sys.executable, __file__, "--measure", str(path), name, dialect]
+                done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", check=False)
+                entry = json.loads(done.stdout) if done.returncode == 0 else None
+                if entry is not None and entry["rows"] != rows:
+                    entry = None
+                found.append({"dialect": dialect, "reader": name, "megabytes": size, "found": entry})
+                if entry is None:
+                    print(f"  {name:14} no: {(done.stderr.strip().splitlines() or ['other rows'])[-1][:70]}")
+                    continue
+                print(
+                    f"  {name:14} {entry['seconds']:6.2f} s of processor, {entry['wall']:6.2f} s of clock, "
+                    f"{size / entry['seconds']:6.1f} MB/s, memory {entry['memory']:5.2f} times the arrays"
+                )
+    return found
+
+
+def main():
+    """Run the benchmark as the first lines of this file say."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rows", type=int, default=600_000)
+    parser.add_argument("--dialects", default=",".join(DIALECTS))
+    parser.add_argument("--ours", action="store_true", help="leave the other readers out")
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--measure", nargs=3, metavar=("PATH", "READER", "DIALECT"))
+    options = parser.parse_args()
+    if options.measure:
+        measure(Path(options.measure[0]), *options.measure[1:])
+        return
+    found = benchmark(options.rows, options.dialects.split(","), READERS[:1] if options.ours else READERS)
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=2), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
