@@ -213,11 +213,12 @@ def jitter_note(time: FloatArray) -> list[str]:
     """Return a note when the steps of a clock vary by more than a tenth of their median."""
     if time.size < 3:
         return []
-    steps = np.diff(time) * 1e3
+    steps = np.diff(time)
     median = float(np.median(steps))
     if float(np.percentile(np.abs(steps - median), 90)) <= 0.1 * median:
         return []
+    least, middle, most = (1e3 * float(step) for step in (steps.min(), median, steps.max()))
     return [
-        f"time steps vary from {steps.min():.3g} to {steps.max():.3g} ms (median {median:.3g} ms): "
+        f"time steps vary from {least:.3g} to {most:.3g} ms (median {middle:.3g} ms): "
         "they look like times of arrival and are kept as recorded"
     ]

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import h5py
 from filelock import Timeout
-from rich.console import Console
 from rich.table import Table
 
 from sysid.errors import FitError
 from sysid.fit.checkpoint import lock, read_state, run_numbers, state_files
 from sysid.fit.store import FIT_SCHEMA
+from sysid.report.printing import print_table
 
 _SUFFIX = ".checkpoint"
 
@@ -117,7 +117,7 @@ def print_fits(folder: Path) -> None:
         nrmse = "-" if entry.nrmse is None else f"{100 * entry.nrmse:.3f} %"
         age = _age(now - entry.changed) if entry.changed else "-"
         table.add_row(entry.name, entry.state, nrmse, str(entry.runs), age)
-    Console().print(table)
+    print_table(table)
     if any(entry.state == "stopped" for entry in entries):
         print("a stopped fit goes on with its command and --resume")
 

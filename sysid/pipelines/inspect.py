@@ -19,6 +19,7 @@ from sysid.loaders import formats, load
 from sysid.loaders.alignment import join_recordings
 from sysid.loaders.sysid_hdf5 import write_recording
 from sysid.recording import Recording
+from sysid.report.printing import print_table
 
 _MOST_ROWS = 40
 
@@ -188,7 +189,7 @@ def _print_report(console: Console, report: LogReport) -> None:
         words = [word for word in ("" if common else clocks[one.name], _value_words(one)) if word]
         cells = [one.name, one.unit, _number(one.lowest), _number(one.highest), "; ".join(words)]
         table.add_row(*(Text(cell) for cell in cells))
-    console.print(table)
+    print_table(table, console)
     if len(report.channels) > _MOST_ROWS:
         console.print(Text(f"  and {len(report.channels) - _MOST_ROWS} channels more (--json lists them)"))
     for line in (*_drop_lines(report.drop), *_bench_lines(report.bench)):

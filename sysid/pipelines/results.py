@@ -7,14 +7,13 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from sysid import exact_json
 from sysid.errors import CampaignError, ExportError, FitError
 from sysid.export import export, load_parameter_sets
 from sysid.fit.result import FitResult
 from sysid.fit.store import read_fit
 from sysid.parameter_sets import ParameterSets
+from sysid.report.printing import print_table
 from sysid.report.tables import ladder_table, mean_sigma_table, ranked_table, trial_table
 from sysid.writing import write_file
 
@@ -90,13 +89,12 @@ def print_fit(result: Any, folder: Path, json: bool) -> None:
 
 
 def _print_tables(sets: ParameterSets) -> None:
-    console = Console()
-    console.print(ranked_table(sets))
-    console.print(mean_sigma_table(sets))
+    print_table(ranked_table(sets))
+    print_table(mean_sigma_table(sets))
     if sets.trials:
-        console.print(trial_table(sets))
+        print_table(trial_table(sets))
     if "ladder" in sets.settings:
-        console.print(ladder_table(sets))
+        print_table(ladder_table(sets))
 
 
 def write_template(kind: str, path: Path, force: bool = False) -> Path:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rich import box
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -22,6 +21,7 @@ from sysid.loaders import load
 from sysid.pipelines.bench_targets import uniform_filtered
 from sysid.report.figures import save_figure
 from sysid.report.motor_figures import ReversalCurves, figure_reversals
+from sysid.report.printing import print_table
 from sysid.trials.reversal import LEVEL, SLOW, Repetitions, Sense, find_reversals, repetitions
 from sysid.trials.thrust import (
     CommandRange,
@@ -272,7 +272,7 @@ def reversal_times(
     if json:
         print(exact_json.dumps({"level": LEVEL, "logs": [one.document(options.slow) for one in found]}))
     else:
-        Console().print(_table(found, options.slow))
+        print_table(_table(found, options.slow))
         for one in found:
             if one.lost:
                 print(f"{one.name}: {one.lost} reversals left out, the logger stalled around their command")

@@ -199,12 +199,8 @@ def assert_rows(channels, table, points):
         shifts = sorted({float(clock[0]) - t for row in rows[:3] for t in row.times[:1]}, key=abs)[:3] or [
             0.0
         ]
-    failed = ""
-    for shift in shifts:
-        failed = walk(channels, clock, rows, table, points, shift)
-        if not failed:
-            break
-    assert not failed, failed
+    failed = [walk(channels, clock, rows, table, points, shift) for shift in shifts]
+    assert "" in failed, failed[0]
     for channel in channels:
         if channel.name in table.turns:
             seen = channel.values[np.isfinite(channel.values).all(axis=1)]

@@ -184,8 +184,10 @@ def motive_csv(data, recording):
     names = next((row for row in head[1:] if len(row) > 1 and row[1].casefold() == "name"), below[0])
     length = need(factor_of(settings["Length Units"], "length") or
                   factor_of(settings["Length Units"].title(), "length"), "a length")  # fmt: skip
+    places = {"frame" if cell.casefold() == "frame" else "time": i for i, cell in enumerate(axes[:2])
+              if cell.casefold() == "frame" or cell.casefold().startswith("time")}  # fmt: skip
     columns, turns = {}, {}
-    for i in range(2, len(axes)):
+    for i in range(len(places), len(axes)):
         where = [row[i] if i < len(row) else "" for row in (kinds, names, parts)]
         kind, name, part = where[0].casefold(), where[1], where[2]
         if part == "Position" and kind in ("rigid body", "marker") and axes[i].upper() in "XYZ" and axes[i]:
@@ -193,8 +195,6 @@ def motive_csv(data, recording):
         if part == "Rotation" and kind == "rigid body" and axes[i].upper() in "WXYZ" and axes[i]:
             columns[f"{name}/orientation", "WXYZ".index(axes[i].upper())] = (i, 1.0)
             turns[f"{name}/orientation"] = quaternion
-    places = {"frame" if cell.casefold() == "frame" else "time": i for i, cell in enumerate(axes[:2])
-              if cell.casefold() == "frame" or cell.casefold().startswith("time")}  # fmt: skip
     rate = None
     for key in ("Export Frame Rate", "Capture Frame Rate"):
         stated = number(settings.get(key, ""))
@@ -209,7 +209,7 @@ def motive_csv(data, recording):
         if "frame" in places and rate is not None:
             counted = at(places["frame"]) / rate
             written = at(places["time"]) if "time" in places else math.nan
-            return (counted,) if math.isnan(written) else (counted, written)
+            return (counted, written) if math.isfinite(written) else (counted,)
         return (at(need(places.get("time"), "a clock")),)
 
     table = Table(turns=turns, offset=rate is not None)
