@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from sysid.errors import LogError, UnitError
+from sysid.loaders.text import shortened
 from sysid.units import factor_to_si
 
 _BRACKETED = re.compile(r"^(?P<stem>.*?)\s*[(\[]\s*(?P<unit>[^()\[\]]*?)\s*[)\]]$")
@@ -17,6 +18,8 @@ _SUFFIXED = re.compile(
 _SUFFIX_UNITS = {"rad_s": "rad/s", "deg_s": "deg/s", "m_s": "m/s", "m_s2": "m/s^2", "N_m": "N*m"}
 # Standard gravity where an accelerometer writes "g", which is a gram elsewhere.
 _ACCELERATION = {"g": "g_0", "G": "g_0"}
+
+_LONGEST_NAME = 160
 
 COMMAND_UNITS = {"us": "us", "µs": "us", "μs": "us", "dshot": "dshot", "1": "1", "-": "1", "": "1"}
 
@@ -67,15 +70,17 @@ def suffix_unit(label: str) -> str | None:
 
 def parse_header(names: Sequence[str]) -> tuple[Column, ...]:
     """Return the columns of a header line."""
+    # A damaged line may be one name of a megabyte, on which patterns of names take for ever.
+    shown = [shortened(name, _LONGEST_NAME) for name in names]
     return tuple(
         Column(index, name, *split_label(name), suffix_unit(name) is not None)
-        for index, name in enumerate(names)
+        for index, name in enumerate(shown)
     )
 
 
 def listing(names: Iterable[str]) -> str:
     """Return names for a message, quoted, the first dozen."""
-    names = [name for name in names if name]
+    names = [shortened(name, 80) for name in names if name]
     shown = ", ".join(f'"{name}"' for name in names[:12])
     return (f"{shown} and {len(names) - 12} more" if len(names) > 12 else shown) or "none"
 
@@ -92,7 +97,7 @@ def find_column(path: str, columns: Sequence[Column], stems: Collection[str]) ->
     if len(found) > 1:
         raise LogError(
             f"{path}: columns {found[0].index + 1} and {found[1].index + 1} are both named "
-            f'"{found[1].label}"; rename or remove one'
+            f'"{shortened(found[1].label, 80)}"; rename or remove one'
         )
     return found[0] if found else None
 

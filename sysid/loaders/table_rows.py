@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import LogError
-from sysid.loaders.text import SPACES, split_line
+from sysid.loaders.text import SPACES, shortened, split_line
 from sysid.recording import FloatArray
 
 _MISSING = frozenset({"", "nan", "-nan", "+nan"})
@@ -296,9 +296,8 @@ def _read_slow(
             try:
                 into[row] = _quick_number(cell) if decimal == "." else parse_number(cell, decimal)
             except ValueError:
-                found = cell.strip() if len(cell) <= 40 else cell.strip()[:37] + "..."
                 raise LogError(
-                    f"{path}, line {body.lines[row]}: {found!r} in column {names[index]!r} is not a number; "
-                    "repair the cell or leave it blank"
+                    f"{path}, line {body.lines[row]}: {shortened(cell)!r} in column "
+                    f"{shortened(names[index], 80)!r} is not a number; repair the cell or leave it blank"
                 ) from None
     return rows, values

@@ -144,6 +144,12 @@ def _as_utf8(data: bytes, coding: str, path: str) -> bytes:
     return out.getvalue()
 
 
+def shortened(text: str, most: int = 40) -> str:
+    """Return a cell or a name for a message, of which a damaged file may make a whole page."""
+    text = text.strip()
+    return text if len(text) <= most else text[: most - 3] + "..."
+
+
 def split_line(line: str, delimiter: str) -> list[str]:
     """Return the cells of one line; a quote never runs past the end of its line.
 

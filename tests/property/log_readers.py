@@ -269,7 +269,7 @@ def vicon_csv(data, recording):
              least=len(fields), skip=(0, 1))  # fmt: skip
         for row in table.rows:
             # One row per frame and no sub frames: another number than 0 there is a damaged one.
-            row.times = row.times[:1] if row.times[1] == 0 or math.isnan(row.times[1]) else ()
+            row.times = row.times[:1] if row.times[1] == 0 or not math.isfinite(row.times[1]) else ()
         tables.append(table)
         i = end
     return tables
@@ -455,7 +455,10 @@ def lvm(data, recording):
         if channel is None:
             channel = " ".join(names[column].split())
             shown = recording[channel].unit if channel in recording.channels else ""
-            quantity = {"N": "force", "N·m": "torque", "rad/s": "angular speed", "V": "voltage"}.get(shown)
+            quantity = {
+                "N": "force", "N·m": "torque", "rad/s": "angular speed", "V": "voltage", "s": "time",
+                "A": "current", "m": "length", "rad": "angle",
+            }.get(shown)  # fmt: skip
         if quantity == "command":
             factor = 1.0 if unit.casefold() in COMMANDS else math.inf
         else:
