@@ -103,7 +103,7 @@ SUFFIX = re.compile(r"(.+?)_(rad_s|deg_s|m_s2|m_s|N_m|mm|cm|ms|us|ns|Nm|rpm|deg|
 
 def label_of(cell):
     """Return (name in lower case, printed unit or None) of a column's label."""
-    text = cell.strip().strip('"').strip()
+    text = cell.strip().strip('"').strip()[:200]
     found = BRACKETS.fullmatch(text) or SUFFIX.fullmatch(text)
     unit = None
     if found:
