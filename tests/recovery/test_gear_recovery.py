@@ -1,0 +1,187 @@
+"""Fits of synthetic drops: every run's score, errors, drops that were not fitted, two accuracies.
+
+0.3 mm and 0.2 deg of noise. Run with ``-m slow -s`` to see the tables.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sysid.campaign import read_campaign
+from sysid.fit.engine import SearchSettings, run_one
+from sysid.gear.model import EventKind, simulate
+from sysid.pipelines.drops import prepare_drops
+from sysid.pipelines.gear import GearObjective, fit_gear, score_values, search_space
+from sysid.pipelines.search import FitOptions
+from sysid.synthetic import read_truth, synthesize_gear
+
+# Relative errors that six drops allow [1]; the damper of the ground and, on most campaigns, mu_s - mu_k are
+# not fixed by such data.
+BOUNDS = {
+    "lf": {
+        "joint_dx": 0.005,
+        "joint_dz": 0.06,
+        "leg_axial_stiffness": 0.02,
+        "leg_axial_damping": 0.02,
+        "leg_bending_stiffness": 0.02,
+        "leg_bending_damping": 0.02,
+        "ground_stiffness": 0.15,
+    },
+    "hf": {
+        "kinetic_friction": 0.01,
+        "leg_axial_stiffness": 0.02,
+        "leg_axial_damping": 0.02,
+        "leg_bending_stiffness": 0.02,
+        "leg_mass": 0.05,
+        "leg_inertia": 0.05,
+        "joint_dz": 0.05,
+        "ground_stiffness": 0.15,
+    },
+}
+SEEDS = (1, 2, 3, 4, 5)
+
+
+def opened(folder):
+    """Campaign, prepared drops, true values."""
+    path = folder / "campaign.toml"
+    campaign = read_campaign(path, "gear")
+    return campaign, prepare_drops(campaign, path), read_truth(folder)["parameters"]
+
+
+def used(drops, use):
+    return tuple(drop for drop in drops if drop.use == use)
+
+
+def third_contact(drop, truth, surface):
+    """Time of the third touchdown of the true drop on the log's clock [s].
+
+    Touchdowns of one foot less than 5 ms apart are one.
+    """
+    run = simulate(
+        truth, drop.slope, drop.initial_state, drop.simulated_time, surface=surface, tolerance=1e-6
+    )
+    found = []
+    for foot in ("rear", "front"):
+        last = -1.0
+        for event in run.events:
+            if event.foot == foot and event.kind is EventKind.TOUCHDOWN:
+                found += [event.time] if event.time - last > 5e-3 else []
+            if event.foot == foot and event.kind in (EventKind.TOUCHDOWN, EventKind.LIFT_OFF):
+                last = event.time
+    return drop.time[0] + sorted(found)[2]
+
+
+def up_to_third_contact(drops, truth, surface):
+    """The same drops, compared up to their third contact only; after it the bounces are chaotic."""
+    out = []
+    for drop in drops:
+        early = drop.time < third_contact(drop, truth, surface)
+        valid = early if drop.target.valid is None else drop.target.valid & early
+        out.append(replace(drop, target=replace(drop.target, valid=valid)))
+    return tuple(out)
+
+
+@pytest.fixture(scope="module", params=["lf", "hf"])
+def fitted(request, tmp_path_factory):
+    """The paper's population of 400, five runs and a finisher: surface, opened campaign, result."""
+    surface = request.param
+    folder = synthesize_gear(tmp_path_factory.mktemp("fit") / surface, seed=1, surface=surface)
+    options = FitOptions(
+        out=folder / "result", algorithm="ga", population=400, runs=5, finish="cmaes", quiet=True
+    )
+    result, _ = fit_gear(folder / "campaign.toml", options)
+    return surface, opened(folder), result
+
+
+@pytest.mark.slow
+def test_every_run_ends_where_the_truth_scores(fitted):
+    surface, (campaign, drops, truth), result = fitted
+    own = float(score_values(campaign, used(drops, "fit"), truth).cost[0])
+    ratio = result.nrmse / own
+    print(f"\n{surface}: truth {own:.4%}, five runs over it {ratio.round(5)}")
+    assert len(ratio) == 5
+    # Free parameters soak up some of the noise of 900 samples per channel: about 2 % of the truth's NRMSE.
+    assert (ratio > 0.97).all()
+    if surface == "lf":
+        assert (ratio <= 1.002).all()
+    else:
+        assert (ratio <= 1.005).sum() >= 4
+
+
+@pytest.mark.slow
+def test_drops_that_were_not_fitted(fitted):
+    surface, (campaign, drops, truth), result = fitted
+    early = up_to_third_contact(used(drops, "validate"), truth, surface)
+    assert len(early) == 2
+    best = result.parameter_sets().set_values(1)
+    best = {name: value for name, value in best.items() if name in truth}
+    own, found = (
+        score_values(campaign, early, values).by_channel.mean(axis=2)[0] for values in (truth, best)
+    )
+    print(f"\n{surface}: validation up to the third contact, fit over truth {(found / own).round(4)}")
+    # A fit that has learnt noise instead of a drone fails here.
+    assert (found <= 1.1 * own).all()
+
+
+def exact_start(drops, facts, gravity):
+    """The same drops from where they truly were at their first sample, instead of from what the log says."""
+    by_name = {fact["name"]: fact for fact in facts["drops"]}
+    out = []
+    for drop in drops:
+        fact = by_name[drop.name]
+        held = fact["state at release, from the surface point"]
+        fall = max(0.0, drop.time[0] - fact["release [s]"])
+        x, z, q = held["x_B [m]"], held["z_B [m]"] - 0.5 * gravity * fall**2, held["q_B [rad]"]
+        out.append(replace(drop, initial_state=np.array([x, z, q, 0.0, -gravity * fall, 0.0])))
+    return tuple(out)
+
+
+def errors(objective, truth, seed):
+    """Relative errors of a search by CMA-ES alone (the optimum of a finished run at a tenth of its work)."""
+    run = run_one(objective, SearchSettings(64, 1, seed, algorithm="cmaes", finish="none"))
+    values = objective.space.full(run.best_point[None])[0]
+    row = dict(zip(objective.space.table, values, strict=True))
+    return {name: row[name] / truth[name] - 1 for name in objective.space.names}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("surface", ["lf", "hf"])
+def test_parameters_are_found_within_what_the_data_fix(surface, tmp_path):
+    """Median over five draws of noise, from the true start, as in the study that the bounds are from."""
+    found = []
+    for seed in SEEDS:
+        folder = synthesize_gear(tmp_path / str(seed), seed=seed, surface=surface)
+        campaign, drops, truth = opened(folder)
+        start = exact_start(used(drops, "fit"), read_truth(folder), truth["gravity"])
+        objective = GearObjective.build(campaign, search_space(campaign), start)
+        found.append(errors(objective, truth, seed))
+    median = {name: float(np.median([abs(one[name]) for one in found])) for name in found[0]}
+    print(f"\n{surface}: relative errors over {len(SEEDS)} draws of noise [%]")
+    for name, middle in median.items():
+        each = " ".join(f"{100 * one[name]:7.2f}" for one in found)
+        bound = BOUNDS[surface].get(name)
+        limit = "-" if bound is None else f"{100 * bound:.1f}"
+        print(f"{name:>24} median {100 * middle:6.2f}, bound {limit:>4}: {each}")
+    for name, bound in BOUNDS[surface].items():
+        assert median[name] <= bound, name
+
+
+@pytest.mark.slow
+def test_two_accuracies_find_the_same_parameters(tmp_path):
+    folder = synthesize_gear(tmp_path / "drops", seed=1)
+    path = folder / "campaign.toml"
+    text = path.read_text(encoding="utf-8")
+    sets = []
+    for tolerance in (3e-4, 3e-5):
+        path.write_text(text.replace("[fit]\n", f"[fit]\ntolerance = {tolerance}\n"), encoding="utf-8")
+        options = FitOptions(
+            out=tmp_path / f"{tolerance}", algorithm="cmaes", population=64, runs=1, quiet=True
+        )
+        result, _ = fit_gear(path, options)
+        assert result.settings["tolerance"] == tolerance
+        sets.append(result.parameter_sets().set_values(1))
+    moved = {name: sets[0][name] / sets[1][name] - 1 for name in BOUNDS["lf"]}
+    print("\n10 times the accuracy moves [%]", {name: round(100 * m, 3) for name, m in moved.items()})
+    # A setting that were wrong by 1 % of NRMSE would move the optimum by that order.
+    assert max(abs(m) for m in moved.values()) < 0.01
