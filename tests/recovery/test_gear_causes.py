@@ -7,9 +7,10 @@ import pytest
 
 from sysid import exact_json
 from sysid.campaign import read_campaign
+from sysid.errors import CampaignError
 from sysid.fit.cost import FAILED_NRMSE
 from sysid.fit.store import read_fit
-from sysid.gear.model import pack, simulate_population
+from sysid.gear.model import FIT_TOLERANCE, pack, simulate_population
 from sysid.pipelines.drops import prepare_drops
 from sysid.pipelines.gear import GearObjective, fit_gear, search_space
 from sysid.pipelines.gear_causes import CAUSES
@@ -150,3 +151,22 @@ def test_a_fit_counts_them_by_cause(folder, tmp_path):
         assert f"{count} {cause_text}" in (out / "summary.txt").read_text(encoding="utf-8")
     document = exact_json.loads((out / "fit.json").read_text(encoding="utf-8"))
     assert document["provenance"]["failed candidates by cause"] == counts
+
+
+def test_the_accuracy_of_a_simulation_is_the_campaigns(folder, problem):
+    objective, row = problem
+    assert objective.tolerance == FIT_TOLERANCE
+    text = (folder / "campaign.toml").read_text(encoding="utf-8")
+    path = folder / "exact.toml"
+    path.write_text(text.replace("[fit]\n", "[fit]\ntolerance = 1e-5\n"), encoding="utf-8")
+    campaign = read_campaign(path, "gear")
+    exact = GearObjective.build(campaign, search_space(campaign), objective.drops)
+    assert exact.tolerance == 1e-5
+    # It reaches the kernel: 30 times the accuracy of a method of order 3 takes three times the work where
+    # accuracy rules the steps, and none more where the slip's stability does.
+    spent = [one.simulate(row[None])[1].rhs_evaluations.sum() for one in (objective, exact)]
+    assert 1.5 < spent[1] / spent[0] < 4
+    for wrong in ("0", "-1e-3", "0.5", '"fine"'):
+        path.write_text(text.replace("[fit]\n", f"[fit]\ntolerance = {wrong}\n"), encoding="utf-8")
+        with pytest.raises(CampaignError, match=r"fit\.tolerance"):
+            read_campaign(path, "gear")
