@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -53,3 +54,45 @@ def plain_table(title: str, caption: str) -> Table:
         padding=(0, 1, 0, 0),
         pad_edge=False,
     )
+
+
+def gains_table(name: str, base: Mapping[str, float], gains: Sequence[Mapping[str, Any]]) -> Table:
+    """Return what each change of a design buys, most first.
+
+    Parameters
+    ----------
+    name : str
+        Of the sets.
+    base : mapping of str to float
+        Largest safe slope of the sets as they are [deg], by touchdown speed.
+    gains : sequence of mapping
+        As `sysid.landing.design_study.DesignStudy.gains` returns them.
+    """
+    table = plain_table(
+        f"{name}: degrees of slope that a change buys",
+        "gain: in width of slopes landed on, mean over the speeds; columns of speeds: the largest safe slope "
+        "[deg] at the best value",
+    )
+    for head in ("change", "best", "gain [deg]", "worst", "loss [deg]", *base):
+        table.add_column(Text(head), justify="left" if head == "change" else "right")
+    table.add_row(*(Text(cell) for cell in ("as it is", "", "", "", "", *(_slope(v) for v in base.values()))))
+    table.add_section()
+    for row in gains:
+        cells = (
+            row["change"],
+            _values(row["best value"]),
+            f"{row['gain [deg]']:+.1f}",
+            _values(row["worst value"]),
+            f"{row['loss [deg]']:+.1f}",
+            *(_slope(v) for v in row["largest safe slope [deg]"].values()),
+        )
+        table.add_row(*(Text(cell) for cell in cells))
+    return table
+
+
+def _values(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:.3g}" for value in values)
+
+
+def _slope(value: float) -> str:
+    return f"{value:.0f}" if math.isfinite(value) else "–"

@@ -1,0 +1,399 @@
+"""What a changed design buys: the steepest slope that a drone lands on, over its legs, feet and motors.
+
+Every change multiplies one number of the sets (legs, feet, body, motors), or adds to the pause of a thrust
+reversal; each value of it is flown by every set over a grid of slopes and touchdown speeds, one change at a
+time, or two together on a grid.
+
+Valid for changes that leave the identified model what it is: a leg of half the stiffness is taken to be a
+leg of the same mass and inertia. The paper names this study as future work.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.errors import CampaignError
+from sysid.executor import Executor
+from sysid.gear.model import PARAMETERS as GEAR
+from sysid.landing.blocks import BlockStore
+from sysid.landing.controllers import Controller
+from sysid.landing.drone import Drone
+from sysid.landing.maps import LandingMap, MapSettings, landing_maps
+from sysid.motor.model import PARAMETERS as MOTOR
+from sysid.units import parse_quantity
+
+FloatArray = NDArray[np.float64]
+Kind = Literal["gear", "motor", "reversal"]
+
+REVERSAL = "reversal_delay"
+SLOPES_DEG = tuple(float(slope) for slope in range(0, 61))
+SPEEDS = (0.3, 0.6, 0.9, 1.2)
+_MOST = 41
+
+
+@dataclass(frozen=True)
+class Change:
+    """One number of the design and the values that it takes.
+
+    Parameters
+    ----------
+    name : str
+        A row of the gear's or the motor's table, or ``reversal_delay``.
+    symbol : str
+        For tables and figures.
+    kind : {"gear", "motor", "reversal"}
+        Where it acts.
+    values : tuple of float
+        Factors on the sets' own value [1]; of ``reversal_delay`` what is added to it [s].
+    """
+
+    name: str
+    symbol: str
+    kind: Kind
+    values: tuple[float, ...]
+
+    @property
+    def neutral(self) -> float:
+        """The value that leaves the sets as they are."""
+        return 0.0 if self.kind == "reversal" else 1.0
+
+    @property
+    def axis(self) -> tuple[float, ...]:
+        """Its values in order, with the neutral one among them."""
+        return tuple(sorted({*self.values, self.neutral}))
+
+    @property
+    def label(self) -> str:
+        """Symbol with what a value means."""
+        return f"{self.symbol} + [s]" if self.kind == "reversal" else f"{self.symbol} ×"
+
+    def apply(self, drone: Drone, value: float) -> Drone:
+        """Return the drone with this value of the change.
+
+        Raises
+        ------
+        CampaignError
+            When no such drone can be built.
+
+        Notes
+        -----
+        A reversing rotor pauses for about ``I^r Ω_min/(k_m I_sat)`` in its dead band, whose edge ``Ω_min``
+        is moved to make the pause longer or shorter by `value`.
+        """
+        if self.kind == "gear":
+            gear = dict(drone.gear) | {self.name: drone.value(self.name) * value}
+            changed = replace(drone, gear=gear)
+            if not changed.value("foot_dz") > changed.value("joint_dz"):
+                raise CampaignError(
+                    f"{self.symbol} × {value:g}: the feet of {drone.name} lie above the joints of its legs; "
+                    "vary it less"
+                )
+            return changed
+        motor = MOTOR.nominal | dict(drone.motor)
+        if self.kind == "motor":
+            return replace(drone, motor=dict(drone.motor) | {self.name: motor[self.name] * value})
+        rate = motor["torque_constant"] * motor["saturation_current"] / motor["rotor_inertia"]
+        edge = motor["saturation_speed"] + value * rate
+        if not 0.0 < edge < math.inf:
+            raise CampaignError(
+                f"{REVERSAL} {value:+g} s: the motors of {drone.name} pause for "
+                f"{motor['saturation_speed'] / rate:.3g} s when they reverse; take away less, or use ideal "
+                "reversal"
+            )
+        return replace(drone, motor=dict(drone.motor) | {"saturation_speed": edge})
+
+
+def find_changes(text: str) -> tuple[Change, ...]:
+    """Return the changes of a command line, for example ``k_t=0.5:2:5,dx_f=0.8:1.4:4``.
+
+    Parameters
+    ----------
+    text : str
+        ``NAME=FIRST:LAST:COUNT``, separated by commas. NAME is a row of the gear's or the motor's table by
+        name or symbol, its values are factors in equal ratios; or ``reversal_delay``, its values are added
+        seconds in equal steps (``0ms:200ms:5``).
+
+    Raises
+    ------
+    CampaignError
+        When a name is unknown or a range cannot be read.
+    """
+    found = tuple(_change(part.strip()) for part in text.split(",") if part.strip())
+    if not found:
+        raise CampaignError("nothing to vary; give for example --vary k_t=0.5:2:5")
+    names = [one.name for one in found]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice:
+        raise CampaignError(f"{twice} is varied twice; give it once")
+    return found
+
+
+def _change(text: str) -> Change:
+    name, equals, span = text.partition("=")
+    name = name.strip()
+    kind, row_name, symbol = _find(name)
+    parts = [part.strip() for part in span.split(":")]
+    if not equals or len(parts) != 3 or not parts[2].isdigit() or not 1 <= int(parts[2]) <= _MOST:
+        raise CampaignError(
+            f"{text!r}: expected NAME=FIRST:LAST:COUNT with a count of 1 to {_MOST}, for example k_t=0.5:2:5"
+        )
+    first, last = (_number(text, part, kind) for part in parts[:2])
+    count = int(parts[2])
+    if kind == "reversal":
+        return Change(row_name, symbol, kind, tuple(np.linspace(first, last, count).round(12).tolist()))
+    if not (first > 0 and last > 0):
+        raise CampaignError(f"{text!r}: factors of {first:g} to {last:g}; give numbers above 0")
+    # Rounded: the middle of 0.5 to 2 is the set as it is, not 1 + 2e-16.
+    return Change(row_name, symbol, kind, tuple(np.geomspace(first, last, count).round(12).tolist()))
+
+
+def _find(name: str) -> tuple[Kind, str, str]:
+    if name == REVERSAL:
+        return "reversal", REVERSAL, "reversal delay"
+    tables: tuple[tuple[Kind, Any], ...] = (("gear", GEAR), ("motor", MOTOR))
+    for kind, table in tables:
+        for row in table.values():
+            if name in (row.name, row.symbol):
+                return kind, row.name, row.symbol
+    known = ", ".join(row.symbol for row in GEAR.values() if row.symbol.isascii() and "/" not in row.symbol)
+    raise CampaignError(
+        f"no design parameter {name!r}; known are {REVERSAL}, {known}, and every name of the gear's and the "
+        "motor's table"
+    )
+
+
+def _number(text: str, part: str, kind: Kind) -> float:
+    try:
+        value = float(part)
+    except ValueError:
+        try:
+            value = parse_quantity(part, "s" if kind == "reversal" else "1")
+        except Exception as error:
+            raise CampaignError(f"{text!r}: {error}") from None
+    if not math.isfinite(value):
+        raise CampaignError(f"{text!r}: {part} is not a finite number")
+    return value
+
+
+@dataclass(frozen=True)
+class StudySettings:
+    """Grid of a study, and when a slope is safe.
+
+    Parameters
+    ----------
+    slopes_deg : tuple of float
+        [deg], increasing.
+    speeds : tuple of float
+        Touchdown speeds [m/s], increasing.
+    share : float
+        Least share of the landings that must come to rest within the long distance [1].
+    spread_deg : float
+        Each set also lands with its nose this much up and down [deg]; 0: level only.
+    together : bool
+        The two changes on a grid instead of one at a time.
+    maps : MapSettings
+        Rules and tolerance.
+    """
+
+    slopes_deg: tuple[float, ...] = SLOPES_DEG
+    speeds: tuple[float, ...] = SPEEDS
+    share: float = 0.5
+    spread_deg: float = 0.0
+    together: bool = False
+    maps: MapSettings = field(default_factory=lambda: MapSettings(check=False))
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.share <= 1.0:
+            raise CampaignError(f"share of {self.share:g}; give a number above 0, up to 1")
+        if not 0.0 <= self.spread_deg <= 20.0:
+            raise CampaignError(f"spread of {self.spread_deg:g} deg; give 0 to 20 deg")
+
+    def grids(self) -> list[MapSettings]:
+        """Return the landing map of every attitude at touchdown."""
+        tilts = [0.0] if self.spread_deg == 0 else [0.0, -self.spread_deg, self.spread_deg]
+        return [
+            replace(
+                self.maps,
+                slopes_deg=self.slopes_deg,
+                speeds=self.speeds,
+                pitch=self.maps.pitch + math.radians(tilt),
+            )
+            for tilt in tilts
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class DesignStudy:
+    """What became of every design.
+
+    Parameters
+    ----------
+    name, controller : str
+        Of the sets, and the controller's label.
+    changes : tuple of Change
+    settings : StudySettings
+    points : (p, c) array
+        Value of each change in every design; the first is the sets as they are.
+    landed : (p, n, m) array
+        Share of the landings at rest within the long distance, over slopes and speeds [1].
+    """
+
+    name: str
+    controller: str
+    changes: tuple[Change, ...]
+    settings: StudySettings
+    points: FloatArray
+    landed: FloatArray
+
+    @property
+    def steepest(self) -> FloatArray:
+        """Slope (p, m) [deg] up to which every one is safe; NaN where not even the first is."""
+        safe = self.landed >= self.settings.share - 1e-9
+        count = np.where(safe.all(axis=1), safe.shape[1], np.argmin(safe, axis=1))
+        slopes = np.array([math.nan, *self.settings.slopes_deg])
+        return np.asarray(slopes[count])
+
+    @property
+    def landable(self) -> FloatArray:
+        """Width (p, m) of slopes that the sets land on [deg]: the integral of the share over the slope.
+
+        Equals the steepest slope, to half a step of the grid, where the share falls from 1 to 0 at once. A
+        single slope on which the drone falls by chance, with safe ones on both sides, hardly moves it.
+        """
+        return np.asarray(np.trapezoid(self.landed, np.array(self.settings.slopes_deg), axis=1))
+
+    def along(self, change: int) -> NDArray[np.intp]:
+        """Return the designs in which only one change acts, the sets as they are among them, by value."""
+        others = [c for c in range(len(self.changes)) if c != change]
+        neutral = np.array([self.changes[c].neutral for c in others])
+        alone = np.all(self.points[:, others] == neutral, axis=1)
+        chosen = np.flatnonzero(alone)
+        _, first = np.unique(self.points[chosen, change], return_index=True)
+        return np.asarray(chosen[first])
+
+    def gains(self) -> list[dict[str, Any]]:
+        """Return per change its best value and what it buys, most first.
+
+        Gains are in landable degrees, mean over the speeds; designs with several changes count as they are.
+        """
+        base = self.landable[0]
+        gained = (self.landable - base).mean(axis=1)
+        rows: list[dict[str, Any]] = []
+        groups: list[tuple[tuple[int, ...], NDArray[np.intp]]]
+        groups = [((c,), self.along(c)) for c in range(len(self.changes))]
+        if self.settings.together:
+            groups.append((tuple(range(len(self.changes))), np.arange(len(self.points))))
+        for used, chosen in groups:
+            if len(chosen) < 2:
+                continue
+            best, worst = chosen[np.argmax(gained[chosen])], chosen[np.argmin(gained[chosen])]
+            rows.append(
+                {
+                    "change": " and ".join(self.changes[c].label for c in used),
+                    "best value": [float(self.points[best, c]) for c in used],
+                    "gain [deg]": float(gained[best]),
+                    "worst value": [float(self.points[worst, c]) for c in used],
+                    "loss [deg]": float(gained[worst]),
+                    "largest safe slope [deg]": {
+                        f"{speed:g} m/s": float(slope)
+                        for speed, slope in zip(self.settings.speeds, self.steepest[best], strict=True)
+                    },
+                }
+            )
+        return sorted(rows, key=lambda row: -row["gain [deg]"])
+
+
+def designs(changes: Sequence[Change], together: bool = False) -> FloatArray:
+    """Return the values (p, c) of every design: the sets as they are, then one change at a time or a grid.
+
+    Raises
+    ------
+    CampaignError
+        When a grid is asked for without exactly two changes.
+    """
+    neutral = [one.neutral for one in changes]
+    rows = [neutral]
+    if together:
+        if len(changes) != 2:
+            raise CampaignError(f"a map of two changes, but {len(changes)} given; give exactly two to --vary")
+        rows += [list(pair) for pair in product(*(one.axis for one in changes))]
+    else:
+        for c, one in enumerate(changes):
+            rows += [[*neutral[:c], value, *neutral[c + 1 :]] for value in one.values]
+    unique = list(dict.fromkeys(tuple(row) for row in rows))
+    return np.array(unique, dtype=np.float64)
+
+
+def fleets_of(drones: Sequence[Drone], changes: Sequence[Change], points: FloatArray) -> list[list[Drone]]:
+    """Return the drones of every design."""
+    out = []
+    for row in points:
+        fleet = list(drones)
+        for change, value in zip(changes, row.tolist(), strict=True):
+            if value != change.neutral:
+                fleet = [change.apply(drone, value) for drone in fleet]
+        out.append(fleet)
+    return out
+
+
+def design_study(
+    name: str,
+    drones: Sequence[Drone],
+    changes: Sequence[Change],
+    controller: Controller,
+    settings: StudySettings | None = None,
+    *,
+    where: Executor | None = None,
+    threads: int | None = None,
+    stores: Sequence[BlockStore | None] | None = None,
+    on_block: Callable[[int, bool], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+) -> DesignStudy | None:
+    """Land every design on every slope at every speed.
+
+    Parameters
+    ----------
+    name : str
+        Of the sets.
+    drones : sequence of Drone
+        The sets as they are.
+    changes : sequence of Change
+    controller : Controller
+    settings : StudySettings, optional
+    where, threads, on_block, stop
+        As in `sysid.landing.maps.landing_maps`.
+    stores : sequence of BlockStore or None, optional
+        One per attitude of `StudySettings.grids`.
+
+    Returns
+    -------
+    DesignStudy or None
+        None where `stop` said so.
+    """
+    own = settings or StudySettings()
+    points = designs(changes, own.together)
+    fleets = fleets_of(drones, changes, points)
+    grids = own.grids()
+    shares = []
+    for number, grid in enumerate(grids):
+        found: tuple[LandingMap, ...] = landing_maps(
+            fleets,
+            [controller],
+            grid,
+            where=where,
+            threads=threads,
+            store=stores[number] if stores else None,
+            on_block=on_block,
+            stop=stop,
+        )
+        if not found:
+            return None
+        shares.append(np.array([np.nan_to_num(one.landed) for one in found]))
+    return DesignStudy(name, controller.label, tuple(changes), own, points, np.mean(shares, axis=0))
