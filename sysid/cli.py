@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from sysid.cli_landing import COMMANDS
+from sysid import cli_design, cli_landing
 from sysid.cli_options import Dask, Force, Json, Quiet, Resume, Threads
 from sysid.errors import SysidError
 
@@ -25,7 +25,7 @@ app = typer.Typer(
 )
 synthesize = typer.Typer(help="Write a campaign with known truth in real log formats.", no_args_is_help=True)
 app.add_typer(synthesize, name="synthesize")
-for name, command in COMMANDS.items():
+for name, command in (cli_landing.COMMANDS | cli_design.COMMANDS).items():
     app.command(name)(command)
 
 
@@ -178,58 +178,6 @@ def show(
     from sysid.pipelines.results import print_sets
 
     print_sets(fit, json)
-
-
-@app.command("static-limits")
-def static_limits(
-    sets: Annotated[Path, typer.Argument(help="Gear fit folder or parameter-set file.", show_default=False)],
-    thrust: Annotated[
-        list[float] | None, typer.Option(help="Reverse thrust [N]; repeat it.", show_default="0 and 12")
-    ] = None,
-    json: Json = False,
-) -> None:
-    """Print the steepest slope on which each set's drone stays, its legs rigid and as fitted."""
-    from sysid.pipelines.static_limits import print_static_limits
-
-    print_static_limits(sets, thrust or [0.0, 12.0], json)
-
-
-@app.command("design-study")
-def design_study(
-    sets: Annotated[Path, typer.Argument(help="Gear fit folder or parameter-set file.", show_default=False)],
-    motor: Annotated[Path, typer.Option(help="Motor fit folder or parameter-set file.", show_default=False)],
-    vary: Annotated[
-        str,
-        typer.Option(help="k_t=0.5:2:5,dx_f=... (factors); reversal_delay=0ms:200ms:5", show_default=False),
-    ],
-    controller: Annotated[str, typer.Option(help="off, reverse, command:U, impulse:...")] = "reverse",
-    speed: Annotated[list[float] | None, typer.Option(help="Touchdown speed in m/s; repeat it.")] = None,
-    slopes_deg: Annotated[float, typer.Option(help="Steepest slope.")] = 60.0,
-    step_deg: Annotated[float, typer.Option(help="Step of the slopes.")] = 1.0,
-    share: Annotated[float, typer.Option(help="Share of landings within 1 m that is safe.")] = 0.5,
-    spread_deg: Annotated[float, typer.Option(help="Land with the nose up and down, too.")] = 0.0,
-    together: Annotated[bool, typer.Option("--together", help="A map of two changes.")] = False,
-    ideal_reversal: Annotated[
-        bool, typer.Option("--ideal-reversal", help="Motors that do not pause.")
-    ] = False,
-    out: Annotated[Path, typer.Option(help="HDF5 file; the figure goes beside it.")] = Path(
-        "design-study.h5"
-    ),
-    force: Force = False,
-    resume: Resume = False,
-    threads: Threads = None,
-    dask: Dask = None,
-    quiet: Quiet = False,
-    json: Json = False,
-) -> None:
-    """Vary legs, feet and motors: the steepest slope that the drone lands on, and what buys most."""
-    from sysid.pipelines.design_study import StudyOptions, print_study, study_designs
-
-    options = StudyOptions(
-        tuple(speed or (0.3, 0.6, 0.9, 1.2)), slopes_deg, step_deg, share, spread_deg, together,
-        ideal_reversal, resume, force, threads, dask, quiet or json,
-    )  # fmt: skip
-    print_study(study_designs(sets, motor, vary, controller, out, options), out, json, quiet)
 
 
 @app.command("reversal-time")
