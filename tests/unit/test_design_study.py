@@ -77,7 +77,7 @@ def test_an_added_reversal_delay_is_what_the_thrust_shows():
         # The pause ends a little later than the formula: drag grows on the way to the dead band's edge.
         added = reversal_time(later.apply(FLEET[0], value)) - base
         assert added == pytest.approx(value, abs=0.12 * abs(value) + 2e-3)
-    with pytest.raises(CampaignError, match="pause for 0.0488 s"):
+    with pytest.raises(CampaignError, match=r"pause for 0\.0488 s"):
         later.apply(FLEET[0], -0.05)
 
 
