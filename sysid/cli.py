@@ -68,6 +68,13 @@ class Sense(StrEnum):
     both = "both"
 
 
+class Half(StrEnum):
+    """The half of bidirectional DShot that turns forward: 48 to 1047, or 1048 to 2047."""
+
+    low = "low"
+    high = "high"
+
+
 CampaignFile = Annotated[Path, typer.Argument(help="Campaign file (TOML).", show_default=False)]
 Out = Annotated[Path | None, typer.Option(help="Result folder.", show_default="fits/NAME")]
 Population = Annotated[
@@ -190,6 +197,7 @@ def reversal_time(
     sense: Annotated[Sense, typer.Option(help="Which reversals.")] = Sense.to_reverse,
     slow: Annotated[float, typer.Option(help="Outlier: over so many times the lower quartile.")] = 1.5,
     thrust_sign: Annotated[float, typer.Option(help="-1 where the log's thrust points the other way.")] = 1.0,
+    forward_half: Annotated[Half | None, typer.Option(help="Of bidirectional DShot.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Figure to write: .png, .pdf or .svg.")] = None,
     json: Json = False,
 ) -> None:
@@ -197,8 +205,9 @@ def reversal_time(
     from sysid.pipelines.reversal import ReversalOptions, reversal_times
 
     options = ReversalOptions(
-        command_unit, minimum, neutral, maximum, sense.value, slow=slow, thrust_sign=thrust_sign
-    )
+        command_unit, minimum, neutral, maximum, sense.value, slow=slow, thrust_sign=thrust_sign,
+        forward_half=forward_half.value if forward_half else None,
+    )  # fmt: skip
     reversal_times(logs, options, figure=figure, json=json)
 
 

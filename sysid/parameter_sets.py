@@ -88,6 +88,24 @@ class ParameterRecord:
         )  # fmt: skip
 
 
+# Keys of a result's settings: numbers that the data fix only in combination, and those combinations.
+NOT_ALONE, COMBINATIONS = "fixed only in combination", "combinations"
+
+
+def in_place_of_digits(settings: Mapping[str, Any], name: str) -> str | None:
+    """Return what a table prints instead of a number that the data do not fix; None where they do.
+
+    A parameter below a bound of its profile is printed as that bound; one that rests on a guessed scale is
+    not printed at all, because its digits would be the guess's.
+    """
+    if name in settings.get(NOT_ALONE, ()):
+        return "not fixed"
+    found = settings.get("profiles", {}).get(name)
+    if not found or found["identified"]:
+        return None
+    return f"< {found['below']:.0e}"
+
+
 def parameter_records(
     space: SearchSpace,
     measured: Mapping[str, str] | None = None,

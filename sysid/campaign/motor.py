@@ -39,12 +39,33 @@ class CommandProtocol(Table):
     """`[command]`: how a logged command becomes u in [-1, 1]."""
 
     unit: Literal["us", "dshot"]
-    minimum: float
-    maximum: float
+    minimum: float | None = None
+    maximum: float | None = None
     neutral: float | None = None
+    forward_half: Literal["low", "high"] | None = None
+
+    @property
+    def reversible(self) -> bool:
+        """Whether a command can turn the motor backward."""
+        return self.neutral is not None or self.forward_half is not None
 
     @model_validator(mode="after")
     def _ordered(self) -> CommandProtocol:
+        if self.forward_half is not None:
+            if self.unit != "dshot":
+                raise ValueError(f"forward_half belongs to unit = 'dshot', not to {self.unit!r}; drop it")
+            stated = [n for n in ("minimum", "neutral", "maximum") if getattr(self, n) is not None]
+            if stated:
+                raise ValueError(
+                    f"forward_half says what every DShot number means; drop {', '.join(stated)}, or drop it"
+                )
+            return self
+        if self.minimum is None or self.maximum is None:
+            missing = [n for n in ("minimum", "maximum") if getattr(self, n) is None]
+            raise ValueError(
+                f"{' and '.join(missing)} is missing; state the logged numbers of full reverse (or stop) and "
+                "full forward, or forward_half = 'low' or 'high' for bidirectional DShot"
+            )
         neutral = self.minimum if self.neutral is None else self.neutral
         if not self.minimum <= neutral < self.maximum:
             raise ValueError(
@@ -77,6 +98,8 @@ class BenchLogs(BenchLogOptions):
     torque_unit: Unit | None = None
     speed_unit: Unit | None = None
     torque_sign: Literal["auto", "+", "-"] = "auto"
+    thrust_sign: Literal["auto", "+", "-"] = "auto"
+    current: Literal["supply", "motor"] = "supply"
 
 
 class ChebyshevFilter(Table):
@@ -141,6 +164,9 @@ class MotorCampaign(CampaignTable):
     @model_validator(mode="after")
     def _bidirectional_needs_neutral(self) -> MotorCampaign:
         turns: set[Any] = {trial.direction for trial in self.trials}
-        if turns & {"reverse", "reversal"} and self.command.neutral is None:
-            raise ValueError("a reverse or reversal trial needs command.neutral, the command at rest")
+        if turns & {"reverse", "reversal"} and not self.command.reversible:
+            raise ValueError(
+                "a reverse or reversal trial needs command.neutral, the command at rest, or "
+                "command.forward_half of bidirectional DShot"
+            )
         return self

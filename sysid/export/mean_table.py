@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sysid.parameter_sets import ParameterRecord, ParameterSets
+from sysid.parameter_sets import COMBINATIONS, ParameterRecord, ParameterSets
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ def mean_table(*fits: ParameterSets) -> tuple[MeanRow, ...]:
     order: dict[str, ParameterRecord] = {}
     for sets in fits:
         for record in sets.parameters:
-            if record.status in ("free", "measured"):
+            if record.status in ("free", "measured") or record.name in sets.settings.get(COMBINATIONS, ()):
                 order.setdefault(record.name, record)
     return tuple(_row(name, record, fits) for name, record in order.items())
 
@@ -56,7 +56,7 @@ def _row(name: str, record: ParameterRecord, fits: Sequence[ParameterSets]) -> M
         if name in sets.names and len(sets):
             i = sets.names.index(name)
             own = sets.parameters[i]
-            if own.status == "free":
+            if own.status == "free" or name in sets.settings.get(COMBINATIONS, ()):
                 cell = (float(sets.mean[i]), float(sets.sigma[i]))
                 measured = measured or (own.measured_range or ())
             elif own.status == "measured":

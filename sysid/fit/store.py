@@ -21,7 +21,7 @@ from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.record import failures, record_lines, run_record
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.stopping import REASONS
-from sysid.parameter_sets import ParameterSets
+from sysid.parameter_sets import ParameterSets, in_place_of_digits
 from sysid.writing import check_folder, replaced_folder
 
 FIT_SCHEMA = "sysid-fit"
@@ -240,11 +240,11 @@ def summary(result: FitResult) -> str:
     lines += ["", "sets, best first (SI; * ends at a bound)", ""]
     for i, record in enumerate(result.parameters):
         if record.status in ("free", "derived"):
-            loose = result.settings.get("profiles", {}).get(record.name, {}).get("below")
+            instead = in_place_of_digits(result.settings, record.name)
             cells = "".join(
                 f"{result.values[s, i]:>13.5g}{'*' if result.at_bound[s, i] else ' '}"
-                if loose is None
-                else f"{f'< {loose:.0e}':>13} "
+                if instead is None
+                else f"{instead:>13} "
                 for s in range(len(fitted))
             )
             head = f"{record.symbol} [{record.unit}]"

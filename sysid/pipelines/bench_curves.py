@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,14 +18,11 @@ from sysid.campaign.motor import MotorTrial as TrialEntry
 from sysid.campaign.motor import StaticLog
 from sysid.errors import FitError, LogError, SysidWarning
 from sysid.motor.static_curves import OUTLIER, CurveFit, fit_no_load_line, fit_speed_curve
-from sysid.pipelines.bench_logs import BenchLog, bench_log, command_range, log_points
+from sysid.pipelines.bench_logs import STATED_SIGNS, BenchLog, bench_log, command_range, log_points
 from sysid.pipelines.bench_reading import read_log
+from sysid.trials.signs import sign_against_speed
 from sysid.trials.steady import SETTLE, SteadyPoints
-from sysid.trials.thrust import (
-    sign_against_speed,
-    signed_speed,
-    tare,
-)
+from sysid.trials.thrust import signed_speed, tare
 
 FloatArray = NDArray[np.float64]
 Direction = Literal["forward", "reverse"]
@@ -59,11 +57,9 @@ def static_log_points(campaign: MotorCampaign, path: str | Path, static: StaticL
             zero = tare(values, rest)
             columns[name] = values if name == "voltage" else values - zero.value
             zeros[name] = np.full(int(turning.sum()), zero.rows, dtype=np.int64)
-        for name in ("thrust", "torque"):
-            if not (name == "torque" and campaign.log.torque_sign != "auto"):
-                columns[name] = columns[name] * sign_against_speed(columns[name][turning], speed[turning])
-            elif campaign.log.torque_sign == "-":
-                columns[name] = -columns[name]
+        for name, stated in (("thrust", campaign.log.thrust_sign), ("torque", campaign.log.torque_sign)):
+            seen = sign_against_speed(columns[name][turning], speed[turning]) or 1
+            columns[name] = columns[name] * STATED_SIGNS.get(stated, seen)
         points = SteadyPoints(
             u[turning], speed[turning], columns["thrust"][turning], columns["torque"][turning],
             columns["voltage"][turning], np.ones(int(turning.sum()), dtype=np.int64),
@@ -177,13 +173,23 @@ def static_curves(
             raise FitError(
                 f"no log with steady points in the {direction} direction; name one in curves.static"
             )
+        names = [s.log for s in campaign.curves.static if s.direction == direction]
+        source = ", ".join(names or [f"{log.where}" for log in logs])
+        turns = (points.speed > 0) if direction == "forward" else (points.speed < 0)
+        if not turns.any():
+            raise LogError(
+                f"{source}: no steady segment in the {direction} direction; hold each command for over "
+                f"{SETTLE:g} s, ramp from rest to full in 20 s or more, or name another log in curves.static"
+            )
         loaded[direction] = points
         zero = int(min(points.torque_zero, default=0))
-        torque = fit_speed_curve("torque", direction, points.speed, points.torque, zero_rows=zero)
+        with _of_logs(source):
+            torque = fit_speed_curve("torque", direction, points.speed, points.torque, zero_rows=zero)
         fits.append(torque)
         if np.isfinite(points.thrust).any():
             zero = int(min(points.thrust_zero, default=0))
-            fits.append(fit_speed_curve("thrust", direction, points.speed, points.thrust, zero_rows=zero))
+            with _of_logs(source):
+                fits.append(fit_speed_curve("thrust", direction, points.speed, points.thrust, zero_rows=zero))
         else:
             warnings.warn(
                 f"no thrust in the {direction} direction: its curve keeps the default, which is a guess",
@@ -196,10 +202,21 @@ def static_curves(
         if bare:
             free = SteadyPoints.join(bare)
             ratio = np.where(np.isfinite(free.voltage), free.voltage / reference_voltage, 1.0)
-            fits.append(fit_no_load_line(direction, free.u, free.speed, supply_ratio=ratio))
+            with _of_logs(", ".join(s.log for s in campaign.curves.no_load if s.direction == direction)):
+                fits.append(fit_no_load_line(direction, free.u, free.speed, supply_ratio=ratio))
         else:
-            ties[direction] = _tie(direction, points, torque, reference_voltage)
+            with _of_logs(source):
+                ties[direction] = _tie(direction, points, torque, reference_voltage)
     return StaticCurves(tuple(fits), ties, reference_voltage, loaded)
+
+
+@contextmanager
+def _of_logs(source: str) -> Iterator[None]:
+    """Put the logs' names before a complaint about their points."""
+    try:
+        yield
+    except FitError as error:
+        raise FitError(f"{source}: {error}") from None
 
 
 def _tie(direction: Direction, points: SteadyPoints, torque: CurveFit, reference_voltage: float) -> NoLoadTie:

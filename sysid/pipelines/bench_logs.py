@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -16,7 +16,8 @@ from sysid.campaign.motor import MotorTrial as TrialEntry
 from sysid.errors import LogError, SysidWarning
 from sysid.pipelines.bench_reading import read_log
 from sysid.recording import Recording
-from sysid.trials.steady import SteadyPoints, ramp_points, steady_points
+from sysid.trials.signs import sign_against_speed, sign_of_log, zero_of_steady
+from sysid.trials.steady import SETTLE, SteadyPoints, ramp_points, steady_points
 from sysid.trials.thrust import (
     CommandRange,
     CommandSteps,
@@ -26,7 +27,6 @@ from sysid.trials.thrust import (
     find_stalls,
     real_samples,
     rows_at_rest,
-    sign_against_speed,
     signed_speed,
     tare,
 )
@@ -37,6 +37,8 @@ DIRECTIONS: tuple[Direction, Direction] = ("forward", "reverse")
 
 # A log is fast, and filtered, when it has this many samples per period of the stop-band edge.
 _FAST = 10.0
+# What a campaign may say of a channel's sign; "auto" leaves it to the log.
+STATED_SIGNS = {"+": 1, "-": -1}
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +54,8 @@ class BenchLog:
     time : (n,) array
         Row times [s].
     channels : dict of name to (times, values)
-        Signed ``speed`` [rad/s], ``torque`` [N·m], ``thrust`` [N], ``voltage`` [V]; real samples only.
+        Signed ``speed`` [rad/s], ``torque`` [N·m], ``thrust`` [N], ``voltage`` [V]; ``current`` of the motor
+        [A] where the campaign says that it is logged; real samples only.
     window : (start, end)
         Part of the log that the trial may use [s].
     doubtful : tuple of (start, end)
@@ -60,8 +63,8 @@ class BenchLog:
     fast : bool
         Fast enough for the filter.
     tares : dict of name to Tare
-    torque_sign : int
-        What the recorded torque was multiplied by.
+    torque_sign, thrust_sign : int
+        What the recorded torque and thrust were multiplied by.
     notes : list of str
     second : dict or None
         Of a second file that was joined: what it is and how its clock was found.
@@ -77,13 +80,21 @@ class BenchLog:
     fast: bool
     tares: dict[str, Tare]
     torque_sign: int
+    thrust_sign: int
     notes: list[str]
     second: dict[str, Any] | None = None
+
+    @property
+    def where(self) -> str:
+        """The log and the trial, as sentences name them."""
+        return f"{self.recording.provenance.path}, trial {self.name!r}"
 
 
 def command_range(campaign: MotorCampaign) -> CommandRange:
     """Return the campaign's command protocol; one direction where no neutral is given."""
     c = campaign.command
+    if c.minimum is None or c.maximum is None:
+        return CommandRange(c.unit, 0.0, 0.0, 2047.0, c.forward_half)
     return CommandRange(c.unit, c.minimum, c.minimum if c.neutral is None else c.neutral, c.maximum)
 
 
@@ -103,6 +114,8 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> B
     command = recording["command"]
     time = command.time
     u = command_range(campaign).to_u(command.values, command.unit, where)
+    if not np.isfinite(u).any():
+        raise LogError(f"{where}: holds no command; a motor fit needs the command beside the speed")
     steps = command_steps(time, u)
     raw = recording["speed"]
     begin = float(time[0]) if entry.start is None else entry.start
@@ -129,44 +142,27 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> B
     rest = rows_at_rest(time, u, np.interp(time, raw.time, np.nan_to_num(raw.values)))
     channels = {"speed": (raw.time[np.isfinite(speed)], speed[np.isfinite(speed)])}
     tares: dict[str, Tare] = {}
-    for name in ("torque", "thrust", "voltage"):
-        if name not in recording.channels:
+    for name in ("torque", "thrust", "voltage", "current"):
+        if name not in recording.channels or (name == "current" and campaign.log.current != "motor"):
             continue
         channel = recording[name]
-        keep = channel.valid if fast or name == "voltage" else real_samples(channel.values)
+        keep = channel.valid if fast or name in ("voltage", "current") else real_samples(channel.values)
         values = channel.values
         if name != "voltage":
             row = np.minimum(np.searchsorted(time, channel.time), time.size - 1)
             tares[name] = tare(values, rest[row])
             values = values - tares[name].value
-            if tares[name].rows == 0:
-                notes.append(f"no row at rest: the tare of {name} is taken as 0")
-                if name == "torque" and campaign.cost.weights.torque > 0:
-                    warnings.warn(
-                        f"{where}: no row at rest, so the torque's tare is taken as 0 and an offset of the "
-                        "sensor counts as torque; record a second before the motor starts",
-                        SysidWarning,
-                        stacklevel=2,
-                    )
         channels[name] = (channel.time[keep], values[keep])
     if "torque" not in channels and campaign.cost.weights.torque > 0:
         raise LogError(f"{where}: no torque; set cost.weights.torque = 0 or record it")
+    _zeros_from_steady(campaign, where, channels, tares, notes, (time, steps, (begin, end), doubtful))
     points = _points_in(time, steps, channels, (begin, end), doubtful, tares)
-    sign = 1
-    if "torque" in channels:
-        seen = sign_against_speed(points.torque, points.speed)
-        sign = {"+": 1, "-": -1}.get(campaign.log.torque_sign, seen)
-        if sign != seen and np.isfinite(points.torque).any():
-            worst = int(np.nanargmax(np.abs(points.torque)))
-            raise LogError(
-                f"{where}: log.torque_sign = {campaign.log.torque_sign!r} gives "
-                f"{1e3 * sign * points.torque[worst]:.3g} mN·m at a steady {points.speed[worst]:.0f} rad/s, "
-                f"a drag that drives the rotor; set it to {'+' if seen > 0 else '-'!r} or 'auto'"
-            )
-        t, values = channels["torque"]
-        channels["torque"] = (t, sign * values)
-        if sign < 0:
-            notes.append("the recorded torque opposes the rotation at steady speed: its sign was turned")
+    signs = {"torque": 1, "thrust": 1}
+    for name, stated in (("torque", campaign.log.torque_sign), ("thrust", campaign.log.thrust_sign)):
+        if name in channels:
+            signs[name] = _sign(name, stated, channels, points, where, notes)
+            t, values = channels[name]
+            channels[name] = (t, signs[name] * values)
     if not fast:
         notes.append(f"rows every {1e3 / rate:.1f} ms: compared unfiltered at its own real samples")
     for stall in stalls:
@@ -176,9 +172,82 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> B
                 f"{stall.doubtful[0]:.4f} to {stall.doubtful[1]:.4f} s is left out of the cost"
             )
     return BenchLog(
-        entry.name, recording, steps, time, channels, (begin, end), doubtful, fast, tares, sign, notes,
-        file.second,
+        entry.name, recording, steps, time, channels, (begin, end), doubtful, fast, tares,
+        signs["torque"], signs["thrust"], notes, file.second,
     )  # fmt: skip
+
+
+def _zeros_from_steady(
+    campaign: MotorCampaign,
+    where: str,
+    channels: dict[str, tuple[FloatArray, FloatArray]],
+    tares: dict[str, Tare],
+    notes: list[str],
+    log: tuple[FloatArray, CommandSteps, tuple[float, float], tuple[tuple[float, float], ...]],
+) -> None:
+    """Estimate the tare of torque and thrust where the log has no row at rest, and say so."""
+    time, steps, window, doubtful = log
+    points = _points_in(time, steps, channels, window, doubtful, tares)
+    for name, unit in (("torque", "N·m"), ("thrust", "N")):
+        if name not in channels or tares[name].rows > 0:
+            continue
+        found = zero_of_steady(getattr(points, name), points.speed)
+        if found is None:
+            said = f"no row at rest and too few steady points: the tare of {name} is taken as 0"
+        else:
+            tares[name] = found
+            t, values = channels[name]
+            channels[name] = (t, values - found.value)
+            said = (
+                f"no row at rest: the tare of {name}, {1e3 * found.value:.3g} ± {1e3 * found.error:.2g} "
+                f"m{unit}, is what its steady points over Ω|Ω| leave at standstill"
+            )
+        notes.append(said)
+        if name == "torque" and campaign.cost.weights.torque > 0:
+            warnings.warn(
+                f"{where}: {said}; record a second before the motor starts", SysidWarning, stacklevel=3
+            )
+
+
+def _sign(
+    name: str,
+    stated: str,
+    channels: dict[str, tuple[FloatArray, FloatArray]],
+    points: SteadyPoints,
+    where: str,
+    notes: list[str],
+) -> int:
+    """Return what a channel is multiplied by so that a steady value has the sign of its speed.
+
+    Raises
+    ------
+    LogError
+        When the stated sign contradicts the steady points.
+    """
+    steady = getattr(points, name)
+    seen = sign_against_speed(steady, points.speed)
+    sign = STATED_SIGNS.get(stated, seen)
+    if seen and sign != seen:
+        worst, unit = int(np.nanargmax(np.abs(steady))), "mN·m" if name == "torque" else "mN"
+        what = "a drag that drives the rotor" if name == "torque" else "a thrust against the rotation"
+        raise LogError(
+            f"{where}: log.{name}_sign = {stated!r} gives {1e3 * sign * steady[worst]:.3g} {unit} at a "
+            f"steady {points.speed[worst]:.0f} rad/s, {what}; set {'+' if seen > 0 else '-'!r} or 'auto'"
+        )
+    if sign == 0:
+        sign = sign_of_log(channels[name], channels["speed"])
+        notes.append(f"no steady stretch: the sign of {name} is that of the whole log against its speed")
+    if sign == 0:
+        warnings.warn(
+            f"{where}: nothing tells the sign of {name}, so it is taken as recorded; state "
+            f"log.{name}_sign = '+' or '-'",
+            SysidWarning,
+            stacklevel=3,
+        )
+        return 1
+    if sign < 0:
+        notes.append(f"the recorded {name} opposes the rotation at steady speed: its sign was turned")
+    return sign
 
 
 def log_points(log: BenchLog) -> SteadyPoints:
@@ -201,3 +270,59 @@ def _points_in(
         return points
     # Too few plateaus for any curve: a command that creeps serves as well.
     return SteadyPoints.join([points, ramp_points(time, steps, channels, skip, zeros)])
+
+
+@dataclass(frozen=True)
+class TorquePerCurrent:
+    """Torque constant of a logged motor current.
+
+    Parameters
+    ----------
+    value, error : float
+        k_m and its standard error [N·m/A].
+    points : int
+        Steady points behind it.
+    """
+
+    value: float
+    error: float
+    points: int
+
+
+def torque_per_current(logs: Sequence[BenchLog]) -> TorquePerCurrent:
+    """Return k_m from the steady points of logs that hold the winding's current.
+
+    At a steady speed the stator feels k_m I, bearing drag aside, which the current pays for as well.
+
+    Raises
+    ------
+    LogError
+        When a log holds no current, or the points are fewer than three.
+    """
+    pairs = []
+    for log in logs:
+        if "current" not in log.channels or "torque" not in log.channels:
+            missing = "current" if "torque" in log.channels else "torque"
+            raise LogError(
+                f"{log.where}: log.current = 'motor', but the log holds no {missing}; record it, or leave "
+                "log.current out"
+            )
+        channels = {
+            "speed": log.channels["speed"], "torque": log.channels["torque"],
+            "thrust": log.channels["current"],
+        }  # fmt: skip
+        points = _points_in(log.time, log.steps, channels, log.window, log.doubtful, {})
+        pairs.append(np.column_stack([np.abs(points.thrust), np.abs(points.torque)]))
+    current, torque = np.concatenate(pairs).T
+    known = np.isfinite(current) & np.isfinite(torque) & (current > 0)
+    current, torque = current[known], torque[known]
+    if current.size < 3:
+        raise LogError(
+            f"{', '.join(log.where for log in logs)}: {current.size} steady points hold torque and motor "
+            "current; expected at least 3: hold more commands for over "
+            f"{SETTLE:g} s, or leave log.current out"
+        )
+    value = float(current @ torque / (current @ current))
+    residual = torque - value * current
+    spread = float(residual @ residual) / (current.size - 1)
+    return TorquePerCurrent(value, float(np.sqrt(spread / (current @ current))), int(current.size))

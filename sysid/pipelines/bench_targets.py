@@ -104,7 +104,8 @@ def prepare_trial(
     # The simulation begins at a steady state, at the latest where the filter begins to look.
     reach = (len(taps) - 1) * _fast_step(campaign) if log.fast else 0.0
     start = _steady_start(log, max(float(log.time[0]), window[0] - reach))
-    target, grid = target_of(entry.name, window, start, taps)
+    where = f"trial {entry.name!r} of {entry.log}"
+    target, grid = target_of(where, window, start, taps)
     starts = find_starts(
         *log.channels["speed"], log.steps, PARAMETERS["saturation_speed"].upper, float(log.time[-1])
     )
@@ -124,8 +125,14 @@ def prepare_trial(
             "window [s]": [float(w) for w in window],
             "commands": int(log.steps.time.size),
             "torque sign": log.torque_sign,
+            "thrust sign": log.thrust_sign,
             "tare": {
-                name: {"value": t.value, "error": None if t.rows == 0 else t.error, "rows": t.rows}
+                name: {
+                    "value": t.value,
+                    "error": t.error if np.isfinite(t.error) else None,
+                    "rows": t.rows,
+                    "from": t.source,
+                }
                 for name, t in log.tares.items()
             },
             "doubtful [s]": [list(interval) for interval in log.doubtful],
@@ -183,14 +190,14 @@ def _fast(campaign: MotorCampaign, log: BenchLog) -> Any:
         rows = rows[(grid[rows] >= window[0]) & (grid[rows] <= window[1])]
         if rows.size < 10:
             raise LogError(
-                f"trial {name!r}: {rows.size} compared instants between {window[0]:g} and {window[1]:g} s; "
+                f"{log.where}: {rows.size} compared instants between {window[0]:g} and {window[1]:g} s; "
                 f"the filter takes {half * step:.2f} s at each end of the log: widen the window"
             )
         measured = np.empty((rows.size, 2))
         for c, channel in enumerate(("torque", "speed")):
             measured[:, c] = np.nan
             if channel in log.channels:
-                t, values = uniform_filtered(*log.channels[channel], lowpass, f"trial {name!r}, {channel}")
+                t, values = uniform_filtered(*log.channels[channel], lowpass, f"{log.where}, {channel}")
                 measured[:, c] = np.interp(grid[rows], t, values)
         valid = np.isfinite(measured) & outside(grid[rows], log.doubtful)[:, None]
         return MotorTarget(name, grid[rows], measured, valid, start, step, grid.size, taps), grid

@@ -15,6 +15,7 @@ from sysid.fit.agreement import loose_warnings
 from sysid.fit.result import FitResult, TrialResult, bound_warnings, ranked_sets
 from sysid.motor.model import PARAMETERS, invariants, unpack
 from sysid.parameter_sets import ParameterRecord, parameter_records
+from sysid.pipelines.bench_logs import command_range
 from sysid.pipelines.bench_targets import filter_design
 from sysid.pipelines.motor_bench import Bench, prepare_bench, search_space, untested_rows
 from sysid.pipelines.motor_cost import CHANNEL_UNITS, CHANNELS
@@ -216,14 +217,15 @@ def _trial_results(objective: MotorObjective, rows: FloatArray) -> tuple[TrialRe
 
 def _settings(campaign: MotorCampaign, bench: Bench) -> dict[str, Any]:
     """Return what a simulator must know beside the numbers."""
-    command = campaign.command
+    u_of = command_range(campaign)
     return {
         "command": {
-            "unit": command.unit,
-            "minimum": command.minimum,
-            "neutral": command.minimum if command.neutral is None else command.neutral,
-            "maximum": command.maximum,
-            "bidirectional": command.neutral is not None and command.neutral > command.minimum,
+            "unit": u_of.unit,
+            "minimum": u_of.minimum,
+            "neutral": u_of.neutral,
+            "maximum": u_of.maximum,
+            "bidirectional": u_of.forward_half is not None or u_of.neutral > u_of.minimum,
+            "forward half": u_of.forward_half,
         },
         "voltage": "V_c = k_v Ω_0(u) V/V_ref; Ω_0(u) = a u + b sign(u) per direction",
         "curves": "c2 Ω|Ω| + c1 Ω, one pair of coefficients per direction",

@@ -14,7 +14,7 @@ from sysid.errors import CampaignError, SysidWarning
 from sysid.motor.model import FREE_DEFAULT, PARAMETERS
 from sysid.parameters import SearchSpace
 from sysid.pipelines.bench_curves import StaticCurves, static_curves
-from sysid.pipelines.bench_logs import BenchLog, bench_log
+from sysid.pipelines.bench_logs import BenchLog, TorquePerCurrent, bench_log, torque_per_current
 from sysid.pipelines.bench_targets import PreparedTrial, prepare_trial
 from sysid.pipelines.motor_delays import with_log_delays
 
@@ -27,6 +27,10 @@ _KV_NO_LOAD, _KV_LOADED = (0.7, 1.5), (0.8, 2.8)
 
 # Fitted to reversals after everything else, never with it.
 SATURATION = ("saturation_current", "saturation_speed")
+# Equal in SI; without one of them torque and speed fix R, L and I_sat only up to a common scale.
+CONSTANTS = ("back_emf_constant", "torque_constant")
+# A rating is good to some percent.
+_SCALE_AGREES = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +47,8 @@ class Bench:
         Where those of them come from that were measured, by name.
     stated : mapping of str to str
         Where the others come from: a rating, a guess.
+    scale_known : bool
+        Whether a Kv, a logged motor current or the campaign fixes the scale of R, L and I_sat.
     """
 
     trials: tuple[PreparedTrial, ...]
@@ -50,6 +56,7 @@ class Bench:
     values: dict[str, float]
     measured: Mapping[str, str]
     stated: Mapping[str, str]
+    scale_known: bool
 
     @property
     def fitted(self) -> tuple[PreparedTrial, ...]:
@@ -91,12 +98,18 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
     curves = static_curves(campaign, path, fitted, reference)
     if campaign.motor.kv is not None:
         _check_kv(campaign.motor.kv, reference, curves)
-    values, measured, stated = _known_values(campaign, curves, reference)
+    current = torque_per_current(fitted) if campaign.log.current == "motor" else None
+    values, measured, stated = _known_values(campaign, curves, reference, current)
+    chosen = campaign.parameters
+    scale_known = campaign.motor.kv is not None or current is not None
+    scale_known |= any(name in chosen.fixed for name in CONSTANTS)
+    # Freed beside R, the constants are arbitrary with it whatever they start from.
+    scale_known &= current is not None or not {*CONSTANTS} & {*(chosen.free or ())}
     trials = tuple(
         prepare_trial(campaign, entry, log, reference)
         for entry, log in zip(campaign.trials, logs, strict=True)
     )
-    return Bench(trials, curves, values, measured, stated)
+    return Bench(trials, curves, values, measured, stated, scale_known)
 
 
 def _check_kv(kv: float, reference: float, curves: StaticCurves) -> None:
@@ -133,14 +146,17 @@ def _median_supply(logs: list[BenchLog]) -> float:
 
 
 def _known_values(
-    campaign: MotorCampaign, curves: StaticCurves, reference: float
+    campaign: MotorCampaign,
+    curves: StaticCurves,
+    reference: float,
+    current: TorquePerCurrent | None,
 ) -> tuple[dict[str, float], dict[str, str], dict[str, str]]:
     """Return the values that campaign and logs give, and where the measured and the other ones come from."""
     motor = campaign.motor
     values = {**curves.parameters, "reference_voltage": reference}
     measured = dict.fromkeys(curves.parameters, "steady points of the logs")
     stated: dict[str, str] = {}
-    constants = ("back_emf_constant", "torque_constant")
+    constants = CONSTANTS
     if motor.reference_voltage is not None:
         measured["reference_voltage"] = "campaign: motor.reference_voltage"
     else:
@@ -148,11 +164,23 @@ def _known_values(
     if motor.kv is not None:
         values |= dict.fromkeys(constants, 1.0 / motor.kv)
         stated |= dict.fromkeys(constants, "campaign: 1/motor.kv, a rating")
+        if current is not None and abs(current.value * motor.kv - 1.0) > _SCALE_AGREES:
+            warnings.warn(
+                f"motor.kv says {1.0 / motor.kv:.4g} N·m/A, torque over the logged motor current "
+                f"{current.value:.4g} ± {current.error:.2g} N·m/A: the rating is used; leave motor.kv out to "
+                "use the current, or correct log.current",
+                SysidWarning,
+                stacklevel=3,
+            )
+    elif current is not None:
+        values |= dict.fromkeys(constants, current.value)
+        source = f"torque over the logged motor current, {current.points} steady points"
+        measured |= dict.fromkeys(constants, f"{source}, ± {current.error:.2g} N·m/A; k_v = k_m")
     elif curves.ties:
         top = max(float(np.sum(tie.speed)) for tie in curves.ties.values())
         values |= dict.fromkeys(constants, _LOADED_SHARE * reference / top)
         stated |= dict.fromkeys(constants, "guess from supply and loaded speed: the campaign gives no Kv")
-    if motor.kv is None and not set(constants) <= set(campaign.parameters.fixed):
+    if motor.kv is None and current is None and not set(constants) <= set(campaign.parameters.fixed):
         warnings.warn(
             "no Kv in the campaign: R, L and I_sat rest on a guessed motor constant of "
             f"{values.get('torque_constant', PARAMETERS.nominal['torque_constant']):.4g} N·m/A; torque and "
@@ -222,7 +250,7 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
             "comes from the static curves, so take it off the list"
         )
     scale = [name for name in ("back_emf_constant", "torque_constant") if name in chosen]
-    if scale and "winding_resistance" in chosen:
+    if scale and "winding_resistance" in chosen and not bench.scale_known:
         warnings.warn(
             f"{' and '.join(scale)} free beside winding_resistance, and no log holds the motor's current: "
             "torque and speed fix only k²/R, R/L and k·I_sat, which the result lists; the values themselves "

@@ -87,10 +87,10 @@ class MotorCost:
                 try:
                     scale = spread(target.measured[:, c], target.valid[:, c], denominator)
                 except FitError as error:
-                    raise FitError(f"trial {target.name}, {CHANNELS[c]}: {error}") from None
+                    raise FitError(f"{target.name}, {CHANNELS[c]}: {error}") from None
                 if scale == 0.0:
                     raise FitError(
-                        f"trial {target.name}, {CHANNELS[c]}: constant over the window, so its NRMSE is "
+                        f"{target.name}, {CHANNELS[c]}: constant over the window, so its NRMSE is "
                         "undefined; give the channel weight 0 or drop the trial"
                     )
                 self.denominators[t, c] = scale

@@ -2,8 +2,8 @@
 
     first-order lag → equations (1-3) without L → full → full with saturation
 
-Every rung is fitted to the same forward and reverse trials by the same search: algorithm, population, finisher,
-stop rule and seed. The fit's own sets, found with more, take no part. Rungs below the last
+Every rung is fitted to the same forward and reverse trials by the same search: algorithm, population,
+finisher, stop rule and seed. The fit's own sets, found with more, take no part. Rungs below the last
 are scored without a dead band, which only starts from rest and reversals show. Judge a step by its held-out
 columns: an inductance is not real because a search returned one.
 """
@@ -33,8 +33,8 @@ from sysid.pipelines.motor_objective import MotorObjective, ties_of
 
 FloatArray = NDArray[np.float64]
 
-# Every rung's search, of two to some ten parameters: a particle swarm and CMA-ES. CMA-ES alone ended in a worse
-# optimum with L than without it on a real log.
+# Every rung's search, of two to some ten parameters: a particle swarm and CMA-ES. CMA-ES alone ended in a
+# worse optimum with L than without it on a real log.
 _ALGORITHM, _POPULATION = "pso", 40
 # Compared instants below which a group of samples has no NRMSE, and their least standard deviation as a share
 # of the trial's: a start that a stall cuts down to a rotor at rest has none.

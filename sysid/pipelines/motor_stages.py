@@ -13,8 +13,9 @@ from sysid.campaign import MotorCampaign
 from sysid.fit.engine import SearchSettings
 from sysid.fit.result import RankedSets
 from sysid.motor.model import PARAMETERS, unpack
+from sysid.parameter_sets import COMBINATIONS, NOT_ALONE
 from sysid.parameters import SearchSpace
-from sysid.pipelines.motor_bench import SATURATION, Bench, untested_rows
+from sysid.pipelines.motor_bench import CONSTANTS, SATURATION, Bench, untested_rows
 from sysid.pipelines.motor_delays import averaged, delay_name
 from sysid.pipelines.motor_inertia import spike_inertia
 from sysid.pipelines.motor_ladder import climb, ladder_sentences
@@ -109,9 +110,18 @@ def after_the_search(
     spikes = spike_inertia([trial.log for trial in bench.fitted], unpack(rows[0, : len(PARAMETERS)]))
     out["rotor inertia from torque spikes"] = spikes.document()
     warned += [] if spikes.sentence is None else [spikes.sentence]
+    if not bench.scale_known:
+        out |= _scale_free(saturation is not None or given)
     for sentence in warned:
         tell(f"warning: {sentence}")
     return After(sets, rows, nrmse, saturation, out, tuple(warned))
+
+
+def _scale_free(banded: bool) -> dict[str, Any]:
+    """Return which numbers of a motor of unknown scale are not fixed alone, and what they fix together."""
+    alone = ["winding_resistance", "winding_inductance", *SATURATION[:1], *CONSTANTS]
+    together = ["k2_over_R", "R_over_L", "electromechanical_time_constant"]
+    return {NOT_ALONE: alone, COMBINATIONS: together[:2] + ["k_I_sat"] * banded + together[2:]}
 
 
 def _ranked(
@@ -221,11 +231,13 @@ def say_what_is_fitted(
         tares = ", ".join(
             f"{name} {1e3 * tare.value:.3g} m{unit}"
             for name, unit in (("torque", "N·m"), ("thrust", "N"))
-            if (tare := trial.log.tares.get(name)) is not None and tare.rows > 0
+            if (tare := trial.log.tares.get(name)) is not None and tare.source != "assumed"
         )
         if tares:
-            turned = ", torque sign turned" if trial.log.torque_sign < 0 else ""
-            tell(f"trial {trial.entry.name}: tare from its rows at rest: {tares}{turned}")
+            signs = (("torque", trial.log.torque_sign), ("thrust", trial.log.thrust_sign))
+            turned = "".join(f", {name} sign turned" for name, sign in signs if sign < 0)
+            source = trial.log.tares["torque" if "torque" in trial.log.tares else "thrust"].source
+            tell(f"trial {trial.entry.name}: tare from its {source}: {tares}{turned}")
         lost = sum(end - start for start, end in trial.log.doubtful)
         if lost:
             tell(

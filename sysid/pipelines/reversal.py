@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,8 @@ class ReversalOptions:
         Times the lower quartile beyond which a repetition is an outlier [1].
     thrust_sign : float
         -1 where the log's thrust is positive in reverse.
+    forward_half : {"low", "high"}, optional
+        Of bidirectional DShot; in place of the three numbers.
     """
 
     command_unit: str | None = None
@@ -69,6 +71,7 @@ class ReversalOptions:
     stop_edge: float = 100.0
     slow: float = SLOW
     thrust_sign: float = 1.0
+    forward_half: Literal["low", "high"] | None = None
 
     def range_of(self, unit: str, where: str) -> CommandRange:
         """Return the command range in the log's unit.
@@ -79,11 +82,18 @@ class ReversalOptions:
             When the protocol has no default and the user gave no neutral.
         """
         given = (self.minimum, self.neutral, self.maximum)
+        if self.forward_half is not None:
+            if unit != "dshot" or any(value is not None for value in given):
+                raise LogError(
+                    f"{where}: --forward-half says what every DShot number means; commands are in {unit}: "
+                    "give it without --minimum, --neutral, --maximum, or give them instead"
+                )
+            return CommandRange(unit, 0.0, 0.0, 2047.0, self.forward_half)
         known = _PROTOCOLS.get(unit)
         if known is None and any(value is None for value in given):
             raise LogError(
                 f"{where}: commands are in {unit}, whose neutral is not known; give --minimum, --neutral and "
-                "--maximum in that unit"
+                "--maximum in that unit, or --forward-half low or high for bidirectional DShot"
             )
         low, rest, high = (
             default if own is None else own for own, default in zip(given, known or (0.0,) * 3, strict=True)

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from sysid.export.mean_table import mean_sigma, mean_table
-from sysid.parameter_sets import ParameterRecord, ParameterSets
+from sysid.parameter_sets import COMBINATIONS, ParameterRecord, ParameterSets, in_place_of_digits
 
 _AT_BOUND = "*"
 _FLAG = "* ends within 1 % of a bound of the search"
@@ -46,7 +46,7 @@ def ranked_table(sets: ParameterSets) -> Table:
         cells = []
         for s in range(len(sets)):
             bound = bool(sets.at_bound[s, column])
-            text = _unidentified(sets, sets.names[column])
+            text = in_place_of_digits(sets.settings, sets.names[column])
             if text is None:
                 text = f"{sets.values[s, column]:.4g}{_AT_BOUND if bound else ''}"
             cells.append(_cell(text, style="yellow" if bound else ""))
@@ -84,7 +84,8 @@ def mean_sigma_table(*fits: ParameterSets) -> Table:
         measured = " to ".join(ends) or _NONE
         cells = [
             _cell(
-                _unidentified(own, row.name) or mean_sigma(cell) + (_AT_BOUND if row.name in flag else ""),
+                in_place_of_digits(own.settings, row.name)
+                or mean_sigma(cell) + (_AT_BOUND if row.name in flag else ""),
                 style="yellow" if row.name in flag else "",
             )
             for own, cell, flag in zip(fits, row.fitted, flags, strict=True)
@@ -150,14 +151,6 @@ def ladder_table(sets: ParameterSets) -> Table:
     return table
 
 
-def _unidentified(sets: ParameterSets, name: str) -> str | None:
-    """Return what stands for the digits of a parameter whose profile says that the data do not hold it."""
-    found = sets.settings.get("profiles", {}).get(name)
-    if not found or found["identified"]:
-        return None
-    return f"< {found['below']:.0e}"
-
-
 def _table(title: str, caption: str | None) -> Table:
     return Table(
         title=Text(title),
@@ -173,8 +166,9 @@ def _table(title: str, caption: str | None) -> Table:
 
 
 def _shown(sets: ParameterSets) -> list[int]:
-    """Return the columns of the free parameters; of all that were measured where a file has no free one."""
-    free = [i for i, record in enumerate(sets.parameters) if record.status == "free"]
+    """Return the columns of the free parameters and of what they fix together; else of all measured ones."""
+    combined = sets.settings.get(COMBINATIONS, ())
+    free = [i for i, r in enumerate(sets.parameters) if r.status == "free" or r.name in combined]
     return free or [i for i, record in enumerate(sets.parameters) if record.status == "measured"]
 
 

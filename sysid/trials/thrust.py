@@ -29,6 +29,8 @@ _REACH = 0.15
 _RECOVERY = 0.15
 # A sensor still rings this long after a stop [s].
 _RINGING = 0.5
+# DShot: 0 to 47 stop the motor or are no throttle, then 1000 steps per half (one direction: 2000).
+_DSHOT_STOP, _DSHOT_HALF, _DSHOT_LAST = 47, 1000, 2047
 # u below this is no command [1]; beyond this it commands a direction.
 AT_REST = 1e-9
 _COMMANDED = 0.02
@@ -44,12 +46,16 @@ class CommandRange:
         Of the log.
     minimum, neutral, maximum : float
         In that unit. A controller of one direction has neutral = minimum.
+    forward_half : {"low", "high"}, optional
+        Of bidirectional DShot, whose two halves each run from slowest to fastest (48 to 1047, 1048 to 2047;
+        below them the motor stands): the half that turns forward. The three numbers do not count then.
     """
 
     unit: str
     minimum: float
     neutral: float
     maximum: float
+    forward_half: Literal["low", "high"] | None = None
 
     def to_u(self, command: FloatArray, unit: str, where: str) -> FloatArray:
         """Return u (n,) in [-1, 1] of logged commands (n,); below the neutral of one direction is rest.
@@ -66,6 +72,8 @@ class CommandRange:
                 f"{where}: commands run from {low:g} to {high:g} and are read as {unit}, the campaign says "
                 f"{self.unit}; correct command.unit, or log.command_unit where the log states none"
             )
+        if self.forward_half is not None:
+            return self._halves(values, where)
         above = values - self.neutral
         span = np.where(above >= 0, self.maximum - self.neutral, max(self.neutral - self.minimum, 1e-300))
         u = above / span
@@ -79,6 +87,20 @@ class CommandRange:
                 f"{self.unit}, for example {outside[0]:g}; correct command.minimum and command.maximum"
             )
         return u
+
+    def _halves(self, values: FloatArray, where: str) -> FloatArray:
+        with np.errstate(invalid="ignore"):
+            outside = values[(values < 0) | (values > _DSHOT_LAST) | (values != np.rint(values))]
+            outside = outside[np.isfinite(outside)]
+            low = np.where(values > _DSHOT_STOP, (values - _DSHOT_STOP) / _DSHOT_HALF, 0.0)
+            high = (values - _DSHOT_STOP - _DSHOT_HALF) / _DSHOT_HALF
+        if outside.size:
+            raise LogError(
+                f"{where}: {outside.size} commands are no DShot number of 0 to {_DSHOT_LAST}, for example "
+                f"{outside[0]:g}; leave out command.forward_half and state command.minimum and its kin"
+            )
+        sign = 1.0 if self.forward_half == "low" else -1.0
+        return np.where(high > 0, -sign * high, sign * low) + 0.0 * values
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,19 +201,22 @@ class Tare:
     error : float
         Standard error of `value` [same]; NaN without rows.
     rows : int
-        Samples that it rests on.
+        Samples at rest behind it.
+    source : str
+        Where it comes from.
     """
 
     value: float
     error: float
     rows: int
+    source: str = "rows at rest"
 
 
 def tare(values: FloatArray, at_rest: BoolArray) -> Tare:
     """Return the mean of a sensor over the rows at rest."""
     used = values[at_rest & np.isfinite(values)]
     if used.size == 0:
-        return Tare(0.0, float("nan"), 0)
+        return Tare(0.0, float("nan"), 0, "assumed")
     return Tare(float(used.mean()), float(used.std() / np.sqrt(used.size)), int(used.size))
 
 
@@ -287,14 +312,3 @@ def wrong_poles(ratio: float) -> str:
         f"electrical speed is {ratio:.4g} times the optical one throughout: the pole count in the stand's "
         f"program is wrong{guess}; the optical speed is used"
     )
-
-
-def sign_against_speed(values: FloatArray, speed: FloatArray) -> int:
-    """Return -1 where steady values (n,) oppose their speeds (n,) throughout, else +1.
-
-    A propeller's drag has the sign of its speed, so the torque of a stand that reads it otherwise is flipped.
-    """
-    known = np.isfinite(values) & np.isfinite(speed) & (speed != 0)
-    if not known.any():
-        return 1
-    return -1 if float(np.sum(values[known] * speed[known])) < 0 else 1

@@ -79,6 +79,14 @@ def test_quantities_become_si(tmp_path):
         ("gear", 'kind = "gear"', 'kind = "glider"', "kind is 'glider'; expected 'motor' or 'gear'"),
         ("gear", "[fit]", "[fit", "not valid TOML"),
         ("motor", "maximum = 2000", "maximum = 900", "are not in order"),
+        ("motor", "maximum = 2000", "", "maximum is missing; state the logged numbers"),
+        ("motor", "maximum = 2000", 'forward_half = "low"', "forward_half belongs to unit = 'dshot'"),
+        (
+            "motor",
+            'unit = "us"                              # or',
+            'unit = "dshot"\nforward_half = "low" #',
+            "forward_half says what every DShot number means; drop minimum, neutral, maximum",
+        ),
         ("motor", 'kv = "960 rpm/V"', 'kv = "960 V"', "unit 'V' is not a 'rad/s/V'"),
         ("motor", 'direction = "forward"                    #', 'direction = "sideways" #', "forward"),
     ],
@@ -186,6 +194,9 @@ def test_every_commented_line_of_a_template_is_valid_in_its_place(kind, tmp_path
         changed = [*lines[:i], line[2:], *lines[i + 1 :]]
         if name in ("markers", "rest_log") and "[surface]" in "".join(lines[:i]):
             changed = [other for other in changed if not other.startswith('point = ["0 m"')]
+        if name == "forward_half":
+            changed = [o for o in changed if not o.startswith(("minimum", "neutral", "maximum"))]
+            changed = ['unit = "dshot"' if o.startswith('unit = "us"') else o for o in changed]
         campaign = read_campaign(_write(tmp_path, "\n".join(changed)), kind)
         module = pytest.importorskip(f"sysid.{kind}.model")
         default = module.LF_FREE if kind == "gear" else module.FREE_DEFAULT

@@ -97,7 +97,7 @@ def test_failed_simulation_scores_its_graded_penalty() -> None:
 def test_channel_without_samples_is_refused_unless_it_has_no_weight() -> None:
     time = np.linspace(0.01, 1.9, 50)
     measured = np.column_stack([np.full(50, np.nan), RNG.normal(size=50)])
-    with pytest.raises(FitError, match="trial slow, stator_torque: no valid sample"):
+    with pytest.raises(FitError, match="slow, stator_torque: no valid sample"):
         MotorCost((_slow(measured, time),), (1.0, 1.0), "std")
     cost = MotorCost((_slow(measured, time),), (0.0, 1.0), "std")
     by_channel, failed = cost(np.zeros((1, 1001, 2)), np.ones((1, 1)), np.zeros((1, 3)))

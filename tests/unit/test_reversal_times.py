@@ -205,3 +205,8 @@ def test_unitless_dshot_needs_a_neutral(tmp_path):
         log_reversals(path)
     found = log_reversals(path, ReversalOptions(minimum=0, neutral=1024, maximum=2047))
     assert found.groups[0].reversals[0].to_level == pytest.approx(0.0, abs=0.02)
+    # The same numbers as bidirectional DShot: 1500 is 45 % of the high half, 500 45 % of the low one.
+    halves = log_reversals(path, ReversalOptions(forward_half="high"))
+    assert (halves.groups[0].before, halves.groups[0].after) == (0.453, -0.453)
+    with pytest.raises(LogError, match="--forward-half says what every DShot number means"):
+        log_reversals(path, ReversalOptions(neutral=1024, forward_half="high"))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sysid.errors import LogError
+from sysid.trials.signs import sign_against_speed, sign_of_log, zero_of_steady
 from sysid.trials.steady import ramp_points, steady_points
 from sysid.trials.thrust import (
     CommandRange,
@@ -16,7 +17,6 @@ from sysid.trials.thrust import (
     outside,
     real_samples,
     rows_at_rest,
-    sign_against_speed,
     signed_speed,
     tare,
     wrong_poles,
@@ -34,6 +34,40 @@ def test_command_range_in_both_directions() -> None:
 def test_command_range_of_one_direction() -> None:
     throttle = CommandRange("us", 1000.0, 1000.0, 2000.0)
     np.testing.assert_allclose(throttle.to_u(np.array([950.0, 1000.0, 1500.0]), "us", "log"), [0, 0, 0.5])
+
+
+@pytest.mark.parametrize(("half", "sign"), [("low", 1.0), ("high", -1.0)])
+def test_command_range_of_bidirectional_dshot(half, sign: float) -> None:
+    protocol = CommandRange("dshot", 0.0, 0.0, 2047.0, half)
+    # 0 stops, 1 to 47 are no throttle; each half runs from the slowest step of 1000 to the fastest.
+    logged = np.array([0.0, 47.0, 48.0, 547.0, 1047.0, 1048.0, 1547.0, 2047.0, np.nan])
+    u = sign * np.array([0.0, 0.0, 0.001, 0.5, 1.0, -0.001, -0.5, -1.0, np.nan])
+    np.testing.assert_allclose(protocol.to_u(logged, "dshot", "log"), u, atol=1e-15)
+    with pytest.raises(
+        LogError, match=r"a\.csv: 1 commands are no DShot number of 0 to 2047, for example 2048"
+    ):
+        protocol.to_u(np.array([48.0, 2048.0]), "dshot", "a.csv")
+    with pytest.raises(LogError, match="are read as us, the campaign says dshot"):
+        protocol.to_u(np.array([1500.0]), "us", "a.csv")
+
+
+def test_sign_and_zero_from_the_log_itself() -> None:
+    time = np.linspace(0.0, 10.0, 2000)
+    speed = 400.0 + 200.0 * np.sin(time)
+    # Never steady: drag and the rotor's own acceleration, I^r dΩ/dt.
+    torque = 1.6e-7 * speed**2 + 2.7e-5 * 200.0 * np.cos(time)
+    assert sign_of_log((time, -torque), (time, speed)) == -1
+    assert sign_of_log((time, torque), (time, -speed)) == -1
+    assert sign_of_log((np.zeros(0), np.zeros(0)), (time, speed)) == 0
+    assert sign_against_speed(np.array([np.nan]), np.array([100.0])) == 0
+    steady = np.array([300.0, 450.0, 600.0])
+    found = zero_of_steady(-1.6e-7 * steady**2 + 0.02, steady)
+    assert found is not None
+    assert found.value == pytest.approx(0.02, abs=1e-12)
+    assert found.rows == 0
+    # Two speeds, or speeds within 30 % of each other, say nothing about standstill.
+    assert zero_of_steady(np.array([1.0, 2.0]), np.array([300.0, 600.0])) is None
+    assert zero_of_steady(np.array([1.0, 1.1, 1.2]), np.array([500.0, 550.0, 600.0])) is None
 
 
 def test_command_refusals() -> None:

@@ -1,0 +1,56 @@
+"""Signs and zeros that a bench log does not state: of torque and thrust against the rotation.
+
+Knows no motor model, only that a propeller's drag and thrust have the sign of its speed and grow with its
+square. Used where an instrument's sign convention is its own and nothing was recorded at rest.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.trials.thrust import Tare
+
+FloatArray = NDArray[np.float64]
+
+# Steady points from which a zero is read: so many different speeds, the fastest so many times the slowest.
+_SPEEDS, _SPAN = 3, 1.3
+
+
+def zero_of_steady(values: FloatArray, speed: FloatArray) -> Tare | None:
+    """Return the value at standstill of steady values (n,) against their speeds (n,), or None.
+
+    Valid where the values grow with Ω|Ω|; ignores a linear term, whose share passes into the zero. None where
+    the speeds are too few or too close to each other.
+    """
+    known = np.isfinite(values) & np.isfinite(speed) & (speed != 0)
+    y, omega = values[known], speed[known]
+    size = np.abs(omega)
+    if np.unique(omega).size < _SPEEDS or size.max() < _SPAN * size.min():
+        return None
+    columns = np.column_stack([omega * size / float(size.max()) ** 2, np.ones(omega.size)])
+    found = np.linalg.lstsq(columns, y, rcond=None)[0]
+    residual = y - columns @ found
+    spread = float(residual @ residual) / max(y.size - 2, 1)
+    error = float(np.sqrt(spread * np.linalg.inv(columns.T @ columns)[1, 1]))
+    return Tare(float(found[1]), error, 0, "steady points over Ω|Ω|")
+
+
+def sign_against_speed(values: FloatArray, speed: FloatArray) -> int:
+    """Return -1 where values (n,) oppose their speeds (n,) throughout, else +1; 0 where nothing tells.
+
+    A propeller's drag has the sign of its speed, so the torque of a stand that reads it otherwise is flipped.
+    """
+    known = np.isfinite(values) & np.isfinite(speed) & (speed != 0)
+    total = float(np.sum(values[known] * speed[known]))
+    return int(np.sign(total))
+
+
+def sign_of_log(values: tuple[FloatArray, FloatArray], speed: tuple[FloatArray, FloatArray]) -> int:
+    """Return the sign of a channel (times, values) against a speed, transients included; 0: nothing tells.
+
+    Serves logs without a steady stretch. Over a whole log the air takes more than the rotor gives back.
+    """
+    if not values[0].size or not speed[0].size:
+        return 0
+    return sign_against_speed(values[1], np.interp(values[0], *speed))
