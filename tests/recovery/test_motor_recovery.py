@@ -164,16 +164,39 @@ def _ladder_climbs(result) -> None:
 
 
 @pytest.mark.slow
-def test_full_fit_of_five_runs(campaign_file: Path, tmp_path: Path) -> None:
-    result, folder = fit_motor(campaign_file, FitOptions(out=tmp_path / "fit", quiet=True))
-    assert folder.is_dir()
-    names = [record.name for record in result.parameters]
-    found = result.values[:, [names.index("winding_resistance"), names.index("winding_inductance")]]
-    # Required: 5 %. A run that the paper's rule stops early can leave L there (delay and L trade places), so
-    # L is asked of the better half.
-    np.testing.assert_allclose(found[:, 0], 0.299, rtol=0.05)
-    np.testing.assert_allclose(found[:3, 1], 0.0038, rtol=0.05)
-    assert np.all(result.nrmse < PAPER)
+@pytest.mark.parametrize(
+    ("noise", "algorithm", "population", "seed"),
+    [(11, "ga", 200, 11), (21, "pso", 100, 2), (31, "cmaes", 64, 3)],
+)
+def test_full_fit_of_five_runs(
+    tmp_path: Path, noise: int, algorithm: str, population: int, seed: int
+) -> None:
+    path = synthesize_motor(tmp_path / "bench", seed=noise) / "campaign.toml"
+    options = FitOptions(
+        tmp_path / "fit",
+        runs=5,
+        population=population,
+        algorithm=algorithm,
+        finish="cmaes",
+        seed=seed,
+        quiet=True,
+    )
+    result, _ = fit_motor(path, options)
+    found = {name: result.values[:, i] for i, name in enumerate(r.name for r in result.parameters)}
+    # CMA-ES alone may end a run elsewhere, which its NRMSE then shows; of the others every set must hold.
+    good = result.nrmse < 1.5 * result.nrmse[0] if algorithm == "cmaes" else np.full(5, True)
+    assert np.count_nonzero(good) >= 4
+    np.testing.assert_allclose(found["winding_resistance"][good], 0.299, rtol=0.03)  # required
+    np.testing.assert_allclose(found["winding_inductance"][good], 0.0038, rtol=0.05)  # required
+    ratio = found["saturation_speed"] / found["saturation_current"]
+    np.testing.assert_allclose(ratio[good], 6.3 / 0.35, rtol=0.05)  # required
+    for rank in np.flatnonzero(good):
+        values = {name: float(found[name][rank]) for name in PARAMETERS}
+        for before, after in ((0.62, -1.0), (-0.62, 0.8)):
+            # Required: 5 ms.
+            assert _delay(values, before, after) == pytest.approx(_delay(TRUTH, before, after), abs=5e-3)
+    assert not result.settings["profiles"]["viscous_damping"]["identified"]
+    assert np.all(result.nrmse[good] < PAPER)
 
 
 def test_numbers_do_not_depend_on_threads(prepared) -> None:
@@ -458,5 +481,5 @@ def test_a_missing_tare_and_a_borrowed_inertia_are_said(tmp_path: Path) -> None:
         search_space(campaign, prepare_bench(campaign, path))
     said = " | ".join(str(w.message) for w in caught)
     assert "forward-1.csv" in said
-    assert "the torque's tare is taken as 0" in said
+    assert "no row at rest: the tare of torque" in said
     assert "the rotor's inertia is neither measured nor free" in said
