@@ -25,6 +25,7 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.loaders.columns import split_label
+from sysid.loaders.hdf5_damage import check_heaps
 from sysid.loaders.load_cell import CELL_AXES
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE, LogFormat
 from sysid.loaders.signals import Signal, signal_channels
@@ -151,6 +152,7 @@ def read(
     path = source.path
     if not is_hdf5(source):
         raise LogError(f"{path}: not an HDF5 file (its signature is missing); check the format")
+    check_heaps(path)
     try:
         with h5py.File(path, "r") as file:
             return _read_open(source, file, rate, units, datasets, pulses_per_revolution, time_back)

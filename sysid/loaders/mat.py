@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import LogError
+from sysid.loaders.hdf5_damage import check_heaps
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.signals import Signal, signal_channels, written_unit
 from sysid.loaders.source import Source
@@ -51,6 +52,8 @@ def _tree_v5(path: str) -> Tree:
 
 def _tree_v73(path: str) -> Tree:
     import h5py
+
+    check_heaps(path)
 
     def branch(group: Any) -> Tree:
         out: Tree = {}

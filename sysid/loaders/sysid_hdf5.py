@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import LogError
+from sysid.loaders.hdf5_damage import check_heaps
 from sysid.loaders.load_cell_hdf5 import LAYOUT_ATTRIBUTE, is_hdf5
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
@@ -126,6 +127,7 @@ def read(source: Source) -> Recording:
     path = source.path
     if not is_hdf5(source):
         raise LogError(f"{path}: not an HDF5 file (its signature is missing); check the format")
+    check_heaps(path)
     try:
         with h5py.File(path, "r") as file:
             return _read_open(source, file)

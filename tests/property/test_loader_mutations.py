@@ -8,6 +8,7 @@ import _thread
 import contextlib
 import faulthandler
 import io
+import struct
 import threading
 import time as clock
 import warnings
@@ -261,8 +262,8 @@ def stored_bytes(original):
 def hdf5_cases(tmp_path, count, seed):
     """Cut files, and files damaged where the samples lie.
 
-    Damage to the HDF5 library's own structures is left out: some of it makes the library itself loop for ever
-    (seen with a string attribute whose heap is damaged), which no caller in the same process can stop.
+    Damage to the HDF5 library's own structures has a test of its own: some of it makes the library loop for
+    ever, which nothing in the same process can stop.
     """
     random = np.random.default_rng(seed)
     original = cell_hdf5()
@@ -283,6 +284,24 @@ def hdf5_cases(tmp_path, count, seed):
             # The check sum of the compression finds every damaged sample; what loads is what was written.
             for name, channel in recording.channels.items():
                 np.testing.assert_array_equal(channel.values, whole[name].values)
+
+
+@pytest.mark.parametrize(
+    ("object_number", "length"),
+    [(4, 0), (4, 8), (4, 20), (0, 0), (2, 0), (2, 2**20), (4, 2**50), (1, 2**64 - 1)],
+)
+def test_damaged_list_of_texts_in_hdf5(tmp_path, object_number, length):
+    """A free space of no length keeps the HDF5 library at one place for ever (seen: no end after 14 s)."""
+    data = bytearray(cell_hdf5())
+    place = data.find(b"GCOL") + 16
+    for _ in range(object_number):
+        place += 16 + (struct.unpack_from("<Q", data, place + 8)[0] + 7) // 8 * 8
+    struct.pack_into("<Q", data, place + 8, length)
+    path = tmp_path / "log.h5"
+    path.write_bytes(data)
+    with watchdog():
+        assert outcome(path, "load-cell-hdf5") is None
+        assert outcome(path, "auto") is None
 
 
 def test_damaged_hdf5(tmp_path):
