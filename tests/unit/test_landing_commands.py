@@ -1,0 +1,220 @@
+"""sysid simulate, landing-map and impulse-map as a user meets them."""
+
+import csv
+import json
+import signal
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from sysid import cli
+from sysid.landing import blocks
+from sysid.landing.map_store import read_maps
+from sysid.landing.outcomes import Outcome
+from sysid.pipelines.landing import COLUMNS
+from sysid.pipelines.landing_sources import BlockProgress
+
+PUBLISHED = Path(__file__).resolve().parents[2] / "data_samples" / "published"
+LF, HF, MOTOR = (PUBLISHED / f"published-{name}.json" for name in ("gear-lf", "gear-hf", "motor"))
+GRID = ("--slopes", "4,40", "--speeds", "0.3,1.5")
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["sysid", *map(str, arguments)])
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+def test_one_landing_per_set_as_csv_and_hdf5(run, tmp_path):
+    command = ("simulate", LF, "--motor", MOTOR, "--slope-deg", 10, "--speed", 0.5)
+    code, out, err = run(*command, "--controller", "off", "--out", "x.csv")
+    assert code == 0, err
+    assert "short" in out
+    with Path("x.csv").open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert tuple(rows[0]) == ("set", *COLUMNS)
+    assert len(rows) == 3001
+    assert float(rows[0]["z_B_rate [m/s]"]) == pytest.approx(-0.5)  # turned into the slope and back
+    with Path("x-outcomes.csv").open(newline="", encoding="utf-8") as stream:
+        (outcome,) = csv.DictReader(stream)
+    assert outcome["outcome"] == "short"
+    with Path("x-events.csv").open(newline="", encoding="utf-8") as stream:
+        events = list(csv.DictReader(stream))
+    assert events[0] == {"set": "1", "time [s]": "0.0", "event": "touchdown", "of": "rear"}
+    assert {"event": "rest", "of": "body"}.items() <= events[-1].items()
+    code, out, err = run(*command, "--controller", "off", "--out", "x.h5", "--json")
+    assert code == 0, err
+    (entry,) = json.loads(out)
+    assert entry["outcome"] == "short"
+    with h5py.File("x.h5") as file:
+        group = file["sets/1"]
+        assert group["q_B"].attrs["unit"] == "rad"
+        np.testing.assert_array_equal(group["z_B"][()], [float(row["z_B [m]"]) for row in rows])
+        assert group.attrs["distance [m]"] == float(outcome["distance [m]"])
+        assert json.loads(file["settings_json"].asstr()[()])["rules"]["short"] == 0.45
+
+
+def test_options_reach_the_landing(run):
+    command = ("simulate", LF, "--motor", MOTOR, "--slope-deg", 10, "--speed", 0.5, "--json")
+    wide = json.loads(run(*command, "--short", "0.001", "--long", "5")[1])[0]
+    assert wide["outcome"] == "near"
+    imu = json.loads(run(*command, "--trigger", "imu")[1])[0]
+    assert 0.001 < imu["trigger [s]"] < 0.05
+    down = json.loads(run(*command, "--height", "0.5", "--pitch-deg", "3")[1])[0]
+    assert down["distance [m]"] != wide["distance [m]"]
+    Path("mine.py").write_text(
+        "from sysid.landing.controllers import Step, controller\n\n\n"
+        "@controller('hold')\ndef hold(u: float) -> list[Step]:\n    return [Step(0.0, u, u)]\n",
+        encoding="utf-8",
+    )
+    held = json.loads(run(*command, "--controllers", "mine.py", "--controller", "hold:0")[1])[0]
+    off = json.loads(run(*command, "--controller", "off")[1])[0]
+    assert held["distance [m]"] == off["distance [m]"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--controller", "revers"), "known are off, reverse"),
+        (("--out", "x.txt"), "ends in .csv or .h5"),
+        (("--out", "no/x.csv"), "make it first"),
+        (("--slope-deg", "95"), "expected a slope within 85 deg"),
+        (("--motor", LF), "expected motor sets"),
+        (("--height", "-1"), "give both above 0"),
+        (("--short", "2"), "swap them"),
+    ],
+)
+def test_refusals_of_simulate(run, tmp_path, arguments, says):
+    base = ["simulate", LF, "--motor", MOTOR, "--slope-deg", 10, "--speed", 0.5]
+    code, out, err = run(*base, *arguments)
+    assert code == 2
+    assert says in err
+    assert err.count("\n") == 1
+    assert not out
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_landing_map_of_both_surfaces(run):
+    Path("real.csv").write_text(
+        "surface,controller,slope [deg],speed [m/s],outcome\nlf,off,4,0.3,landed\nhf,off,40,1.5,failed\n",
+        encoding="utf-8",
+    )
+    command = ("landing-map", LF, HF, "--motor", MOTOR, *GRID, "--out", "map.h5")
+    code, out, err = run(*command, "--experiments", "real.csv")
+    assert code == 0, err
+    assert "1 of 1 real landings agree" in out
+    found = read_maps("map.h5")
+    assert [one.title for one in found.maps] == ["LF, off", "LF, reverse", "HF, off", "HF, reverse"]
+    for one in found.maps:
+        assert one.outcome.shape == (1, 2, 2)
+        assert one.outcome[0, 0, 0] == Outcome.SHORT
+        assert not one.uncertain.any()
+    assert found.maps[2].outcome[0, 1, 1] == Outcome.FLIPPED
+    assert found.settings["rules"]["horizon"] == 3.0
+    assert found.settings["controllers"][1]["steps"][0]["rear"] == -1.0
+    assert found.provenance["gear published-gear-lf.json"]["name"] == "published-gear-lf"
+    assert Path("map.png").stat().st_size > 10_000
+    assert not blocks.blocks_folder(Path("map.h5")).exists()
+    code, out, err = run(*command)
+    assert code == 2
+    assert "exists already" in err
+    code, out, err = run(*command, "--force", "--json", "--no-check", "--threads", "1")
+    assert code == 0, err
+    again = read_maps("map.h5")
+    for one, other in zip(found.maps, again.maps, strict=True):
+        np.testing.assert_array_equal(one.outcome, other.outcome)
+        np.testing.assert_array_equal(one.distance, other.distance)
+    entry = json.loads(out)["maps"][0]
+    assert sum(entry["cells"].values()) == 4
+    assert entry["lost"] == 0
+
+
+def test_ctrl_c_keeps_the_finished_blocks(run, monkeypatch):
+    command = ("landing-map", LF, HF, "--motor", MOTOR, *GRID, "--out", "map.h5", "--no-check")
+    report = BlockProgress.on_block
+
+    def pressed(self, rows, computed):
+        report(self, rows, computed)
+        signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(BlockProgress, "on_block", pressed)
+        code, _, err = run(*command)
+    assert code == 130
+    assert "continue with --resume" in err
+    folder = blocks.blocks_folder(Path("map.h5"))
+    kept = len(list(folder.glob("*.npz")))
+    assert 1 <= kept < 4
+    assert not Path("map.h5").exists()
+    code, _, err = run(*command)
+    assert code == 2
+    assert "--resume" in err
+    code, _, err = run(*command, "--resume", "--controller", "off")
+    assert code == 2
+    assert "a controller differs" in err
+    code, _, err = run(*command, "--resume")
+    assert code == 0, err
+    assert not folder.exists()
+    code, _, err = run(*command[:-3], "--out", "whole.h5", "--no-check")
+    for one, other in zip(read_maps("map.h5").maps, read_maps("whole.h5").maps, strict=True):
+        np.testing.assert_array_equal(one.outcome, other.outcome)
+        np.testing.assert_array_equal(one.time, other.time)
+
+
+def test_an_impulse_map(run):
+    tried = ("--delays", "0:0.12:0.04", "--durations", "0:0.1:0.05")
+    command = ("impulse-map", LF, "--motor", MOTOR, "--slopes", "0,20", "--speeds", "0.4", "--out", "i.h5")
+    code, _, err = run(*command, *tried, "--quiet")
+    assert code == 0, err
+    found = read_maps("i.h5")
+    (best,) = found.impulses
+    assert best.optimum["delay"].shape == (1, 2, 1)
+    # Level: both feet touch at once, so there is nothing to stop.
+    assert best.optimum["duration"][0, 0, 0] == 0.0
+    assert best.optimum["duration"][0, 1, 0] > 0.0
+    assert abs(best.optimum["refined_turn"][0, 1, 0]) <= abs(best.optimum["turn"][0, 1, 0]) + 1e-12
+    assert [one.controller for one in found.maps] == [
+        "impulse, then reverse", "refined impulse, then reverse", "impulse alone"
+    ]  # fmt: skip
+    assert found.settings["impulses"]["delays"] == [0.0, 0.04, 0.08, 0.12]
+    assert Path("i.png").exists()
+    assert Path("i-impulse.png").exists()
+    code, _, err = run(*command, "--durations", "0:1")
+    assert code == 2
+    assert "--durations" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--slopes", "45:0:1"), "--slopes"),
+        (("--out", "map.csv"), "ends in .h5"),
+        (("--resume",), "nothing unfinished to continue"),
+        (("--experiments", "missing.csv"), "cannot be read as CSV"),
+    ],
+)
+def test_refusals_of_landing_map(run, tmp_path, arguments, says):
+    code, _, err = run("landing-map", LF, "--motor", MOTOR, "--out", "map.h5", *arguments)
+    assert code == 2
+    assert says in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_two_gears_of_one_surface_are_refused(run):
+    code, _, err = run("landing-map", LF, LF, "--motor", MOTOR, "--out", "map.h5")
+    assert code == 2
+    assert "one gear file per surface" in err
