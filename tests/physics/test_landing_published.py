@@ -5,6 +5,7 @@ import pytest
 
 from sysid.landing.controllers import find_controller
 from sysid.landing.drone import drones
+from sysid.landing.maps import MapSettings, landing_maps
 from sysid.landing.outcomes import LANDED, Outcome
 from sysid.landing.scenario import Scenario, grid
 from sysid.landing.simulate import land_many
@@ -61,3 +62,44 @@ def test_high_friction_makes_a_larger_zone_of_flips(controller):
     ]
     # Over the full maps 1.6 and 1.3 times as large.
     assert flips[1] > 1.15 * flips[0]
+
+
+@pytest.fixture(scope="module")
+def maps():
+    """Both surfaces under both controllers, every third degree and every 0.2 m/s."""
+    settings = MapSettings(tuple(range(0, 46, 3)), tuple(0.2 * k for k in range(11)), check=False)
+    told = [find_controller("off"), find_controller("reverse")]
+    found = landing_maps([[published("lf")], [published("hf")]], told, settings)
+    return {(one.surface, one.controller): one for one in found}
+
+
+def both_land(*ones):
+    return np.all([one.landed == 1.0 for one in ones], axis=0)
+
+
+@pytest.mark.parametrize(("surface", "saved"), [("lf", 0.3), ("hf", 0.05)])
+def test_reverse_thrust_lands_faster(maps, surface, saved):
+    """Reverse thrust "allows for faster landing over a large range of possible inclinations"."""
+    off, reverse = maps[surface, "off"], maps[surface, "reverse"]
+    cells = both_land(off, reverse)
+    # On the full grid 0.74 s become 0.42 s (LF) and 0.91 s become 0.75 s (HF);
+    # this coarse one holds few cells on high friction: 0.77 s become 0.70 s.
+    assert reverse.mean_time[cells].mean() < (1 - saved) * off.mean_time[cells].mean()
+
+
+@pytest.mark.parametrize("controller", ["off", "reverse"])
+def test_high_friction_takes_longer_to_rest(maps, controller):
+    """The time to rest is "twice as high for the HF surface": here 1.6 (off) and 1.9 times (reverse)."""
+    low, high = maps["lf", controller], maps["hf", controller]
+    cells = both_land(low, high)
+    ratio = high.mean_time[cells].mean() / low.mean_time[cells].mean()
+    assert 1.3 < ratio < 2.5  # the coarse grid moves it by some tenths
+
+
+def test_reverse_thrust_shrinks_the_zone_of_flips_and_widens_the_landings(maps):
+    for surface in ("lf", "hf"):
+        off, reverse = maps[surface, "off"], maps[surface, "reverse"]
+        assert np.sum(reverse.likeliest == Outcome.FLIPPED) < np.sum(off.likeliest == Outcome.FLIPPED)
+        assert reverse.landed.sum() > 1.8 * off.landed.sum()
+        # What lands without reverse thrust lands with it, but for single cells on the border.
+        assert np.sum((off.landed == 1.0) & (reverse.landed == 0.0)) <= 2
