@@ -38,7 +38,7 @@ class ChannelReport:
     longest_hole : float
         The longest step of the clock [s]; NaN, as rate, jitter and longest_blank, where rows have no time.
     longest_blank : float
-        The longest time without a value between two values [s].
+        The longest time without a value, before the first and behind the last one too [s].
     repeated : float
         Share of values equal to the one before [1].
     saturated : float
@@ -84,6 +84,18 @@ def _saturated(values: FloatArray) -> float:
     return share if _FLAT_SHARE <= share <= 0.5 else 0.0
 
 
+def _longest_blank(time: FloatArray, valid: NDArray[np.bool_]) -> float:
+    """Return the longest time without a value [s]: between two values, or from one to an end of the log."""
+    if valid.all():
+        return 0.0
+    known = np.flatnonzero(valid)
+    if not known.size:
+        return float(time[-1] - time[0])
+    between = np.diff(known) > 1
+    ends = [float(time[known[0]] - time[0]), float(time[-1] - time[known[-1]])]
+    return max(*ends, float(np.diff(time[known])[between].max(initial=0.0)))
+
+
 def inspect_channel(channel: Channel) -> ChannelReport:
     """Return the numbers of a channel."""
     time, valid = channel.time, channel.valid
@@ -93,7 +105,6 @@ def inspect_channel(channel: Channel) -> ChannelReport:
     rounding = 4.0 * float(np.spacing(np.abs(time).max(initial=1.0)))
     deviation = float(np.percentile(np.abs(steps - median), 90)) if steps.size else float("nan")
     known = channel.values[valid]
-    blank_steps = np.diff(time[valid])
     repeats = np.diff(known, axis=0) == 0
     equal = repeats if repeats.ndim == 1 else repeats.all(axis=1)
     discrete = channel.unit in ("us", "dshot", "rad/s") or channel.name in ("command", "log_time")
@@ -108,7 +119,7 @@ def inspect_channel(channel: Channel) -> ChannelReport:
         0.0 if deviation <= rounding else deviation / median,
         int(np.count_nonzero(steps > _HOLE * median)) if steps.size else 0,
         float(steps.max()) if steps.size else 0.0,
-        float(blank_steps.max()) if blank_steps.size and not valid.all() else 0.0,
+        _longest_blank(time, valid),
         float(equal.mean()) if equal.size else 0.0,
         0.0 if discrete or known.ndim > 1 or not known.size else _saturated(known),
     )

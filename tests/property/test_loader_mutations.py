@@ -8,6 +8,7 @@ import _thread
 import contextlib
 import faulthandler
 import io
+import re
 import struct
 import threading
 import time as clock
@@ -224,6 +225,25 @@ def test_the_oracle_objects_to_a_planted_fault(tmp_path, monkeypatch, format_nam
     recording = load(path, format=format_name, **log.options)
     with pytest.raises(AssertionError):
         judge(log.data, recording)
+
+
+@pytest.mark.parametrize(
+    ("format_name", "column", "said"),
+    [
+        ("rcbenchmark-csv", 0, 'no column "Time", so rows have no clock'),
+        ("load-cell-csv", 0, "no time column; declare the sample rate"),
+        ("pose-table", 0, 'no column "t"'),
+        ("ros-csv", 2, "no column field.header.stamp"),
+    ],
+)
+def test_a_log_without_time_is_refused(tmp_path, format_name, column, said):
+    log = LOGS[format_name]
+    lines = [line.split(log.delimiter) for line in log.data.decode("utf-8").split("\n")]
+    path = tmp_path / "log.csv"
+    rest = "\n".join(log.delimiter.join(c for k, c in enumerate(cells) if k != column) for cells in lines)
+    path.write_bytes(rest.encode("utf-8"))
+    with pytest.raises(SysidError, match=re.escape(said)):
+        load(path, format=format_name)
 
 
 @pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)

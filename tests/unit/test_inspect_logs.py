@@ -366,3 +366,26 @@ def test_commands(tmp_path):
     assert run.invoke(app, ["convert", str(path), str(to), "-o", "length_unit=m"]).exit_code == 0
     shown = run.invoke(app, ["inspect", str(to)])
     assert "drop of body" in shown.output
+
+
+@pytest.mark.parametrize(
+    ("blank", "longest"),
+    [
+        # A clock of 10 ms: seven rows before the first value, or behind the last, are 70 ms without one.
+        (range(7), 0.07),
+        (range(93, 100), 0.07),
+        # Between two values there is a step more than there are rows.
+        (range(40, 47), 0.08),
+        ([*range(3), 50, *range(95, 100)], 0.05),
+        # A hole of the clock (0.5 s behind row 79) is no blank.
+        ([20], 0.02),
+        (range(100), 1.48),
+    ],
+)
+def test_blanks_at_the_edges_of_a_log_count(blank, longest):
+    time = np.arange(100) * 0.01 + np.where(np.arange(100) >= 80, 0.49, 0.0)
+    values = np.random.default_rng(0).normal(size=100)
+    values[list(blank)] = np.nan
+    one = inspect_channel(Channel("thrust", "N", time, values))
+    assert one.blank == pytest.approx(len(blank) / 100)
+    assert one.longest_blank == pytest.approx(longest, abs=1e-9)
