@@ -16,7 +16,7 @@ from sysid.campaign.motor import MotorTrial, StaticLog
 from sysid.errors import SysidWarning
 from sysid.loaders import detect
 from sysid.loaders.alignment import join_recordings
-from sysid.pipelines.logs import load_stated
+from sysid.pipelines.logs import load_stated, warn_of_idle_options
 from sysid.recording import Recording
 from sysid.trials.one_clock import on_one_clock
 from sysid.trials.thrust import wrong_poles
@@ -85,6 +85,14 @@ def read_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial | Stat
             "notes": list(said.notes),
         }
     return BenchFile(on_one_clock(recording, _NEEDED, _CLOCK_OF), second)
+
+
+def check_options(campaign: MotorCampaign, path: str | Path) -> None:
+    """Warn of what `[log]` says and no log of the campaign takes."""
+    curves = campaign.curves
+    entries: tuple[MotorTrial | StaticLog, ...] = (*campaign.trials, *curves.static, *curves.no_load)
+    logs = [(resolve_log(path, one.log), one.log_options.format or campaign.log.format) for one in entries]
+    warn_of_idle_options("log", campaign.log.loader_options(), logs)
 
 
 def _campaign_wide(campaign: MotorCampaign, name: str, own: BenchLogOptions) -> dict[str, Any]:

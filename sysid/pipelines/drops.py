@@ -17,7 +17,7 @@ from sysid.campaign.logs import CaptureLogOptions
 from sysid.errors import LogError, SysidWarning
 from sysid.filters import KaiserLowpass, bridge_gaps, differentiate
 from sysid.fit.cost import CostChannel, TrialTarget
-from sysid.pipelines.logs import load_stated
+from sysid.pipelines.logs import load_stated, warn_of_idle_options
 from sysid.recording import Recording
 from sysid.trials.capture import (
     PLANAR_LIMIT,
@@ -128,6 +128,12 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
 
     for trial in campaign.trials:  # every file must exist before the first is read
         resolve_log(path, trial.log)
+    capture = campaign.capture
+    warn_of_idle_options(
+        "capture",
+        {name: value for name, value in capture.loader_options().items() if name != "rigid_body"},
+        [(resolve_log(path, t.log), t.log_options.format or capture.format) for t in campaign.trials],
+    )
     rest = None
     if campaign.surface.rest_log is not None:
         rest = read(resolve_log(path, campaign.surface.rest_log), None, "{}")

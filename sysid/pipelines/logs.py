@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from sysid.errors import SysidWarning
 from sysid.loaders import detect, formats, load
 from sysid.recording import Recording
 
@@ -40,3 +42,30 @@ def load_stated(
     takes = known[format_name].options if format_name in known else ()
     options = {name: stated[name] for name in takes if name in stated} | dict(own or {})
     return load(path, format=format_name, **options)
+
+
+def warn_of_idle_options(
+    table: str, stated: Mapping[str, Any], logs: Iterable[tuple[Path, str | None]]
+) -> None:
+    """Warn of what a campaign says to its loaders and none of its logs' formats takes.
+
+    Parameters
+    ----------
+    table : str
+        Of the campaign, named in the warning.
+    stated : mapping
+        Loader options of the whole campaign, by name.
+    logs : iterable of (Path, str or None)
+        Every log and the format that is declared for it.
+    """
+    named = {detect(path) if name in (None, "auto") else str(name) for path, name in logs}
+    known = formats()
+    taken = {option for name in named if name in known for option in known[name].options}
+    for option in sorted({name for name, value in stated.items() if value is not None} - taken):
+        near = ", ".join(name for name, one in known.items() if option in one.options)
+        warnings.warn(
+            f"{table}.{option} has no effect: the logs are {', '.join(sorted(named))}, and it is for {near}; "
+            "leave it out, or name the format",
+            SysidWarning,
+            stacklevel=3,
+        )

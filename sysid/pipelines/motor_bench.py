@@ -15,6 +15,7 @@ from sysid.motor.model import FREE_DEFAULT, PARAMETERS
 from sysid.parameters import SearchSpace
 from sysid.pipelines.bench_curves import StaticCurves, static_curves
 from sysid.pipelines.bench_logs import BenchLog, TorquePerCurrent, bench_log, torque_per_current
+from sysid.pipelines.bench_reading import check_options
 from sysid.pipelines.bench_targets import PreparedTrial, prepare_trial
 from sysid.pipelines.motor_delays import with_log_delays
 
@@ -83,6 +84,7 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
     SysidError
         For the first log that cannot be used, or a campaign that has nothing to fit.
     """
+    check_options(campaign, path)
     logs = [bench_log(campaign, path, entry) for entry in campaign.trials]
     fitted = [
         log

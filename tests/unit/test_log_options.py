@@ -1,6 +1,7 @@
 """What a campaign can tell a loader: every option of every format, a typo named, the nearest word winning."""
 
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -8,9 +9,9 @@ import pytest
 from sysid.campaign import read_campaign
 from sysid.campaign.logs import BenchLogOptions, CaptureLogOptions, SecondLog
 from sysid.campaign.motor import StaticLog
-from sysid.errors import CampaignError, LogError, SysidError
+from sysid.errors import CampaignError, LogError, SysidError, SysidWarning
 from sysid.loaders import formats
-from sysid.pipelines.bench_reading import read_log
+from sysid.pipelines.bench_reading import check_options, read_log
 from sysid.pipelines.drops import prepare_drops
 from sysid.recording import Channel, Provenance, Recording
 from sysid.trials.one_clock import on_one_clock
@@ -138,6 +139,22 @@ def test_a_trial_wins_over_the_campaign_and_must_fit_its_format(tmp_path):
         MOTOR.format(log="units = { Fy = 'N' }", trial="log_options = { units = { speed = 'rpm' } }"),
     )
     assert "thrust" in read_log(found, path, found.trials[0]).recording.channels
+
+
+def test_an_option_that_no_log_takes_is_said(tmp_path):
+    (tmp_path / "log.csv").write_text(CELL, encoding="utf-8")
+    found, path = campaign(tmp_path, MOTOR.format(log="speed_unit = 'rpm'\nsegment = 2", trial=""))
+    with pytest.warns(
+        SysidWarning, match=r"log\.segment has no effect: .* load-cell-csv, and it is for lvm;"
+    ):
+        check_options(found, path)
+    found, path = campaign(tmp_path, MOTOR.format(log="speed_unit = 'rpm'\nrate = '100 Hz'", trial=""))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_options(found, path)
+    found, path = campaign(tmp_path, GEAR.format(capture="rigid_body = 'c'\nangles = 'XYZ'", trial=""))
+    with pytest.warns(SysidWarning, match=r"capture\.angles has no effect"), pytest.raises(SysidError):
+        prepare_drops(found, path)
 
 
 def test_columns_of_other_names(tmp_path):
