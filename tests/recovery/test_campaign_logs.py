@@ -7,11 +7,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sysid.campaign import read_campaign
+from sysid.fit.store import read_fit
 from sysid.loaders import load
 from sysid.motor.model import PARAMETERS
 from sysid.pipelines.drops import prepare_drops
+from sysid.pipelines.motor import fit_motor
 from sysid.pipelines.motor_bench import prepare_bench
 from sysid.pipelines.motor_objective import score_values
+from sysid.pipelines.search import FitOptions
 from sysid.synthetic import synthesize_gear
 from sysid.synthetic.motor import TRIALS, TRUE_MOTOR, synthesize_motor
 
@@ -200,8 +203,8 @@ def test_cell_and_tachometer_are_one_trial(cell_and_tachometer):
     record = bench.trials[0].provenance
     second = record["second log"]
     # The cell's clock starts at 0 and the tachometer's at -7.3 s + 0.2 s: the cell's is 7.3 s ahead.
-    # Its pulses are 2 to 5 ms apart; seven steps of the command place them to a tenth of that.
-    assert second["offset [s]"] == pytest.approx(7.3, abs=3e-4)
+    # Its pulses are 2 to 5 ms apart, each a mean over that time: the steps place them to a quarter of one.
+    assert second["offset [s]"] == pytest.approx(7.3, abs=5e-4)
     assert second["correlation"] > 0.8
     assert second["confidence"] > 0.1
     assert second["aligned"] == "speed with thrust"
@@ -215,3 +218,13 @@ def test_cell_and_tachometer_are_one_trial(cell_and_tachometer):
     # 60 Hz of the filter is 2 to 3 rad/s of a deviation of 170.
     assert np.all(scored[:, 0] < 0.013)
     assert np.all(scored[:, 1] < 0.02)
+
+
+def test_the_offset_is_in_the_record_of_a_fit(cell_and_tachometer):
+    folder = cell_and_tachometer.with_name("fit")
+    options = FitOptions(folder, population=8, runs=1, max_generations=1, finish="none", quiet=True)
+    fit_motor(cell_and_tachometer, options)
+    second = read_fit(folder).provenance["logs"]["forward-1"]["second log"]
+    assert second["log"] == "tach.csv"
+    assert second["offset [s]"] == pytest.approx(7.3, abs=5e-4)
+    assert second["confidence"] > 0.1
