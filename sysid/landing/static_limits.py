@@ -52,10 +52,10 @@ _STAIR = math.radians(1.0)
 _WIDTH = math.radians(0.02)
 # On a stair the drone settles in pieces of this length [s] until it stands, at most so many of them.
 _PIECE = 0.25
-_PIECES = 24
-# It stands when the body is slower than this [m/s, rad/s] ...
-_STILL = 2e-3
-_STILL_TURN = 2e-2
+_PIECES = 40
+# It stands when the body is slower than this [m/s, rad/s], and not faster than a piece before ...
+_STILL = 1e-4
+_STILL_TURN = 1e-3
 # ... and has fallen when it has turned, from the slope, by more than this [rad].
 _FALLEN = math.radians(60.0)
 # Slip at which the law (8) has reached 99.8 % of its limit, over eps_v [1].
@@ -185,7 +185,7 @@ def ramp_limit(gear: Mapping[str, float], surface: str | Surface, reverse_thrust
     Returns
     -------
     StaticLimit
-        Within 0.02 deg for this path: set down on level ground under the thrust, then tilted.
+        Within 0.1 deg for this path: set down on level ground under the thrust, then tilted.
 
     Raises
     ------
@@ -312,7 +312,10 @@ class _Ramp:
             if abs(_along(state[:2] - begin[:2], slope)) > 0.5:
                 return None, "slides"
             speed = abs(_along(state[7:9], slope))
-            calm = math.hypot(state[7], state[8]) < _STILL and abs(state[9]) < _STILL_TURN
+            # At the limit motion grows from nothing, slowly at first.
+            turns = abs(state[9]) <= abs(before[9]) + 0.01 * _STILL_TURN
+            calm = math.hypot(state[7], state[8]) < _STILL and abs(state[9]) < _STILL_TURN and turns
+            calm = calm and before is not begin
             # Creep is no motion that settles, but its speed does.
             slower = speed <= abs(_along(before[7:9], slope)) + _STILL and speed < _RUNS
             creeps = not self.surface.switching and slower and abs(state[9]) < _STILL_TURN

@@ -10,6 +10,7 @@ from scipy.optimize import brentq, root
 from sysid import cli
 from sysid.errors import CampaignError
 from sysid.gear.model import PARAMETERS, pack
+from sysid.landing import static_limits
 from sysid.landing.static_limits import StaticLimit, ramp_limit, rigid_limits, slide_limit, tip_limit
 from sysid.published import table_2
 
@@ -167,9 +168,17 @@ def test_under_thrust_bending_legs_tip_when_the_rear_feet_slip():
     limit = np.interp(p["kinetic_friction"], ratios, slopes)
     found = ramp_limit(p, "hf", REVERSE)
     assert found.how == "tips"
-    # Stairs of 1 deg shake the stuck feet by micrometres.
-    assert deg(found.slope) == pytest.approx(deg(limit), abs=0.5)
+    # The twin is interpolated between 0.5 deg, in a ratio that grows by a tenth per degree.
+    assert deg(found.slope) == pytest.approx(deg(limit), abs=0.15)
     assert deg(ramp_limit(p | {"kinetic_friction": 1.1}, "hf", REVERSE).slope) > deg(found.slope) + 1.0
+
+
+def test_the_ramp_does_not_depend_on_its_stairs(monkeypatch):
+    found = [deg(ramp_limit(HF, "hf", thrust).slope) for thrust in (4.0, REVERSE)]
+    monkeypatch.setattr(static_limits, "_STAIR", math.radians(0.37))
+    again = [deg(ramp_limit(HF, "hf", thrust).slope) for thrust in (4.0, REVERSE)]
+    # Twice the width to which the ramp is halved, and what the stairs shake loose.
+    assert again == pytest.approx(found, abs=0.06)
 
 
 def test_stiffer_legs_and_wider_feet_hold_better():
