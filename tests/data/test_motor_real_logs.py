@@ -73,7 +73,7 @@ def test_bench_is_prepared(tmp_path: Path, motor: str, stalls: int) -> None:
 @pytest.mark.parametrize(
     ("motor", "speed", "torque"),
     # Required of the speed: 5 %. Reached: 2.7 and 4.5 % of speed, 11 and 8.3 % of torque.
-    [("IM", 0.05, 0.13), ("SOV5", 0.05, 0.10)],
+    [("IM", 0.05, 0.13), pytest.param("SOV5", 0.05, 0.10, marks=pytest.mark.slow)],
 )
 def test_real_motor_is_fitted_and_carries_over(
     tmp_path: Path, motor: str, speed: float, torque: float

@@ -150,6 +150,7 @@ def test_a_tare_without_rows_at_rest_is_estimated(tmp_path: Path) -> None:
     log = path.with_name("forward-1.csv")
     header, table = _table_of(log)
     start = float(re.search(r'start = "([\d.]+) s"', path.read_text(encoding="utf-8")).group(1))
+    _, rested = _bench(path)
     _write(log, header, table[table[:, 0] > start - 0.3])
     with pytest.warns(
         UserWarning, match=r"no row at rest: the tare of torque, .* ± .* mN·m.*record a second"
@@ -162,6 +163,10 @@ def test_a_tare_without_rows_at_rest_is_estimated(tmp_path: Path) -> None:
     assert tares["torque"].value == pytest.approx(fact["tare torque [N·m]"], abs=3e-4)
     assert tares["thrust"].value == pytest.approx(fact["tare force [N]"], abs=0.02)
     assert tares["torque"].source == "steady points over Ω|Ω|"
+    for name, off in (("torque", 3e-4), ("thrust", 0.02)):
+        cut, whole = (b.trials[0].log.channels[name][1] for b in (bench, rested))
+        # Taken off the channel, not only reported.
+        assert np.mean(cut) == pytest.approx(np.mean(whole[-cut.size :]), abs=off)
     assert bench.trials[0].provenance["tare"]["torque"]["error"] > 0
 
 
