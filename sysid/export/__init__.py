@@ -71,7 +71,8 @@ def export(source: ParameterSets | HasParameterSets, path: str | Path) -> Path:
     writer = _WRITERS.get(path.suffix.lower())
     if writer is None:
         raise ExportError(
-            f"{path}: unknown export format {path.suffix!r}; expected one of {', '.join(_WRITERS)}"
+            f"{path}: unknown export format {path.suffix!r}; expected one of {', '.join(_WRITERS)}, or on "
+            "the command line .xml (MuJoCo) or .sdf (Gazebo)"
         )
     if not path.parent.is_dir():
         raise ExportError(f"{path}: the folder {path.parent} does not exist; make it first")

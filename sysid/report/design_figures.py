@@ -9,8 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullLocator
+from numpy.typing import NDArray
 
 from sysid.landing.design_study import Change, DesignStudy
+
+FloatArray = NDArray[np.float64]
 
 _COLOURS = ("#0072B2", "#009E73", "#E69F00", "#D55E00", "#CC79A7", "#56B4E9", "#000000")
 _STEEPEST = "largest safe slope"
@@ -47,7 +50,7 @@ def _curves(study: DesignStudy) -> Figure:
             colour = _COLOURS[m % len(_COLOURS)]
             panel.plot(values, landable[chosen, m], color=colour, linewidth=1.6)
             panel.plot(values, steepest[chosen, m], color=colour, marker="o", markersize=4, linestyle="none")
-        _axis(panel, change, values, "x")
+        _axis(panel, change, values)
         if c % columns == 0:
             panel.set_ylabel("slope [deg]")
         panel.set_ylim(0, 1.05 * top)
@@ -109,14 +112,23 @@ def _map(study: DesignStudy) -> Figure:
     return figure
 
 
-def _axis(panel: Axes, change: Change, values: np.ndarray, which: str) -> None:
+def _axis(panel: Axes, change: Change, values: FloatArray) -> None:
     panel.set_xlabel(change.label)
     if change.kind != "reversal":
         panel.set_xscale("log")
-        ticks = values if len(values) <= 6 else values[:: math.ceil(len(values) / 6)]
-        panel.set_xticks(ticks)
+        panel.set_xticks(_apart(values, change.neutral))
         panel.xaxis.set_minor_locator(NullLocator())
         panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
+
+
+def _apart(values: FloatArray, neutral: float) -> list[float]:
+    """Return the values that fit beside each other on a logarithmic axis, the neutral one among them."""
+    near = 0.12 * math.log(values[-1] / values[0])
+    kept: list[float] = []
+    for value in sorted(values.tolist(), key=lambda v: (v != neutral, v)):
+        if all(abs(math.log(value / other)) > near for other in kept):
+            kept.append(value)
+    return sorted(kept)
 
 
 def _title(study: DesignStudy) -> str:

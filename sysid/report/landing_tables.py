@@ -21,11 +21,13 @@ def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
     rows : sequence of mapping
         As `sysid.pipelines.static_limits.SetLimits.document` writes them.
     """
+    creeps = any(row["rigid creep limit [deg]"] < row["rigid slide limit [deg]"] for row in rows)
     table = plain_table(
         f"{name}: steepest slope that holds the drone [deg]",
-        "rigid: closed forms for stiff legs (creeps: at 0.05 m/s). own legs: as fitted, on a slow ramp",
+        "rigid: closed forms for stiff legs"
+        + (" (creeps: at 0.05 m/s)" if creeps else "")
+        + "; own legs: as fitted, on a slow ramp",
     )
-    creeps = any(row["rigid creep limit [deg]"] < row["rigid slide limit [deg]"] for row in rows)
     heads = ["set", "thrust [N]", "rigid: slides", "rigid: tips", "own legs", ""]
     for head in heads[:4] + (["rigid: creeps"] if creeps else []) + heads[4:]:
         table.add_column(Text(head), justify="left" if not head else "right")

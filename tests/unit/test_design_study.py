@@ -144,6 +144,8 @@ def test_curves_show_every_value():
     points = designs(changes)
     one = study(np.ones((len(points), 4, 2)), changes=changes, points=points)
     panels = figure_design_study(one).axes
+    # 1.06, the middle of 0.8 to 1.4, would be written over 1.
+    assert panels[1].get_xticks().tolist() == [0.8, 1.0, 1.4]
     assert [panel.get_xlabel() for panel in panels] == ["k_t ×", "dx_f ×"]
     for c, panel in enumerate(panels):
         lines = [line for line in panel.lines if len(line.get_xdata()) > 2]
