@@ -9,6 +9,7 @@ import pytest
 from sysid.errors import ExportError
 from sysid.export.mjcf import foot_inverse_mass, from_mjcf, to_mjcf
 from sysid.gear.model import PARAMETERS, pack, simulate
+from sysid.landing.static_limits import ramp_limit
 from sysid.published import table_2
 
 mujoco = pytest.importorskip("mujoco", reason="the model of another simulator runs with the extra 'dev' only")
@@ -187,6 +188,26 @@ def test_a_standing_drone_sinks_and_stays():
     assert total == pytest.approx(weight * math.cos(slope), rel=1e-3)
     # It sticks, but for a creep of F R/B: 3 N on 7e4 N·s/m, 45 µm/s on the front feet.
     assert np.abs(data.geom_xpos[feet] - places).max() < 4e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("thrust", [0.0, 12.0])
+def test_another_simulator_finds_the_ramp_s_limit(thrust):
+    p = values("hf")
+    model, data = load(to_mjcf(p, sticks=True))
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.ctrl[:] = -thrust / 2
+    mujoco.mj_step(model, data, round(1.0 / model.opt.timestep))
+    begin, slope = data.time, 0.0
+    # Gravity turns by 1 deg/s instead of the ground, without stairs and with the set's own dampers.
+    while abs(data.qpos[2]) < math.radians(8.0):
+        slope = math.radians(1.0) * (data.time - begin)
+        assert slope < math.radians(60.0)
+        model.opt.gravity[:] = [p["gravity"] * math.sin(slope), 0.0, -p["gravity"] * math.cos(slope)]
+        mujoco.mj_step(model, data, 20)
+    # Behind the limit the fall begins slowly, so the ramp is 0.6 to 1.2 deg further when it shows.
+    late = math.degrees(slope - ramp_limit(p, "hf", thrust).slope)
+    assert 0.0 < late < 1.6
 
 
 def test_refusals():
