@@ -167,6 +167,12 @@ def impulse_map(
     rear: Annotated[float, typer.Option(help="Command of the rear pair in the impulse.")] = 0.1,
     idle: Annotated[float, typer.Option(help="Command of all motors until the impulse.")] = 0.1,
     after: Annotated[float, typer.Option(help="Command of all motors after it.")] = -1.0,
+    worth: Annotated[
+        float, typer.Option(help="Share of the turn rate that an impulse must take away.")
+    ] = 0.05,
+    equal: Annotated[
+        float, typer.Option(help="Turn rates below this are equal: attitude decides [rad/s].")
+    ] = 0.0,
     pair: Pairing = Pair.best,
     ideal_reversal: Ideal = False,
     horizon: Horizon = 3.0,
@@ -189,7 +195,8 @@ def impulse_map(
 
     sources = LandingOptions(motor, pair.value, ideal_reversal=ideal_reversal)
     tried = (span(delays, "--delays"), span(durations, "--durations"))
-    impulses = ImpulseSettings(*tried, front, rear, idle, after, ideal_reversal)
+    commands = (front, rear, idle, after, ideal_reversal)
+    impulses = ImpulseSettings(*tried, *commands, worth=worth, equal=equal)
     cells = (span(slopes, "--slopes"), span(speeds, "--speeds"))
     settings = MapSettings(*cells, Rules(horizon, short, long), check=not no_check)
     options = MapOptions(out, figure, None, force, resume, dask, threads, quiet or json, json)

@@ -58,6 +58,12 @@ class ImpulseSettings:
         A second impact is looked for so long after the first [s].
     finest : float
         The optimum is refined to this step [s]; 0 keeps the grid's.
+    worth : float
+        Share of the turn rate that an impulse must take away, else it is omitted and all reverse at once [1].
+        Low and fast the second impact comes within some 30 ms, and the impulse takes a few per cent away; the
+        paper omits it there. 0 takes the smallest turn rate whatever the gain.
+    equal : float
+        Turn rates below this are all as good as none, so that the attitude decides [rad/s].
     """
 
     delays: tuple[float, ...] = tuple(round(0.01 * k, 2) for k in range(27))
@@ -69,16 +75,18 @@ class ImpulseSettings:
     ideal_reversal: bool = False
     horizon: float = 1.0
     finest: float = 1.25e-3
+    worth: float = 0.05
+    equal: float = 0.0
 
     def __post_init__(self) -> None:
         for name, values in (("delays", self.delays), ("durations", self.durations)):
             rising = all(b > a for a, b in pairwise(values))
             if not values or not rising or values[0] < 0:
                 raise CampaignError(f"impulse: {name} {list(values)} s; give increasing times from 0 on")
-        if not (self.horizon > 0 and self.finest >= 0):
+        if not (self.horizon > 0 and self.finest >= 0 and 0 <= self.worth < 1 and self.equal >= 0):
             raise CampaignError(
-                f"impulse: horizon {self.horizon:g} s, finest step {self.finest:g} s; give a horizon above 0 "
-                "and a step of 0 or more"
+                f"impulse: horizon {self.horizon:g} s, finest step {self.finest:g} s, worth {self.worth:g}, "
+                f"equal {self.equal:g} rad/s; give a horizon above 0, a worth of 0 to 1 and the others from 0 on"
             )
 
     @property
@@ -213,14 +221,20 @@ class Impulses:
         impacts, simulated = self.search(cells, tolerance, threads)
         flat = impacts.reshape(len(cells), -1, 3)
         delay, duration = (axis.ravel() for axis in np.meshgrid(own.delays, own.durations, indexing="ij"))
-        best = np.array([best_pair(one, delay, duration) for one in flat])
+        best = np.array([best_pair(one, delay, duration, own.equal) for one in flat])
         everyone = np.arange(len(cells))
+        omitted = np.zeros(len(cells), dtype=bool)
+        if delay[0] == duration[0] == 0.0:
+            least = np.maximum(np.abs(flat[everyone, best, 1]), own.equal)
+            # NaN compares as false; where nothing ever touches the first pair is the best already.
+            omitted = (1.0 - own.worth) * np.abs(flat[:, 0, 1]) <= least
+            best[omitted] = 0
         found = flat[everyone, best]
         grid_delay, grid_duration = delay[best], duration[best]
         refined_delay, refined_duration, refined = grid_delay.copy(), grid_duration.copy(), found.copy()
         step = 0.5 * min([*np.diff(own.delays), *np.diff(own.durations), 0.01])
         while own.finest > 0 and step >= 0.999 * own.finest:
-            self._refine(cells, step, refined_delay, refined_duration, refined, tolerance, threads)
+            self._refine(cells, ~omitted, step, refined_delay, refined_duration, refined, tolerance, threads)
             step /= 2
         return Optimum(
             grid_delay, grid_duration, found[:, 1], found[:, 2],
@@ -230,6 +244,7 @@ class Impulses:
     def _refine(
         self,
         cells: Sequence[Scenario],
+        which_cells: NDArray[np.bool_],
         step: float,
         delay: FloatArray,
         duration: FloatArray,
@@ -240,7 +255,7 @@ class Impulses:
         """Move every optimum to the best of its eight neighbours at a distance, where one is better."""
         own = self._settings
         # Where the impulse comes too late to matter there is nothing to refine.
-        chosen = np.flatnonzero(np.isfinite(found[:, 0]) & (delay < found[:, 0]))
+        chosen = np.flatnonzero(which_cells & np.isfinite(found[:, 0]) & (delay < found[:, 0]))
         around = np.array([(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b]) * step
         which = np.repeat(chosen, len(around))
         tried = np.tile(around, (len(chosen), 1)) + np.column_stack([delay[which], duration[which]])
@@ -257,7 +272,7 @@ class Impulses:
             mine = np.flatnonzero(which == i)
             trials = np.vstack([found[i], new[mine]])
             pairs = np.vstack([[delay[i], duration[i]], tried[mine]])
-            best = best_pair(trials, pairs[:, 0], pairs[:, 1], _EQUAL_TURN)
+            best = best_pair(trials, pairs[:, 0], pairs[:, 1], max(_EQUAL_TURN, own.equal))
             found[i], (delay[i], duration[i]) = trials[best], pairs[best]
 
 

@@ -217,9 +217,10 @@ def _handles(
 
 
 def figure_impulse(best: Sequence[ImpulseMap], *, refined: bool = False) -> Figure:
-    """Draw the best impulse: a row per surface; mean and σ over the sets of its delay and its duration."""
-    columns = [(which, name) for name in ("delay", "duration") for which in ("mean", "sigma")]
-    figure = Figure(figsize=(14.5, 0.9 + 3.1 * len(best)), layout="constrained")
+    """Draw the best impulse: a row per surface; mean and σ over the sets of delay and duration."""
+    shown = ("mean", "sigma") if any(len(one.sets) > 1 for one in best) else ("mean",)
+    columns = [(which, name) for name in ("delay", "duration") for which in shown]
+    figure = Figure(figsize=(0.5 + 3.5 * len(columns), 0.9 + 3.1 * len(best)), layout="constrained")
     grid = figure.subplots(len(best), len(columns), sharex=True, sharey=True, squeeze=False)
     for row, one in zip(grid, best, strict=True):
         for axes, (which, name) in zip(row, columns, strict=True):

@@ -194,7 +194,14 @@ def test_the_best_impulse_stops_the_pitching():
     assert best.delay[0] > 0.0
     # Low and fast: the second impact comes before an impulse could act; reverse at once (section III-C).
     assert best.delay[1] == best.duration[1] == 0.0
-    assert best.delay[2] == 0.0
+    assert best.delay[2] == best.duration[2] == 0.0
+    # Where it is asked for, the last few per cent are taken as well.
+    all_of_it = Impulses(drone, ImpulseSettings(worth=0.0, finest=0.0)).optimize(cells[2:], 1e-4)
+    assert 0.94 * abs(best.turn[2]) < abs(all_of_it.turn[0]) < abs(best.turn[2])
+    # If turn rates below 1 rad/s are all the same, the attitude decides.
+    level = Impulses(drone, ImpulseSettings(equal=1.0, finest=0.0)).optimize(cells[:1], 1e-4)
+    assert abs(level.attitude[0]) <= abs(best.attitude[0])
+    assert abs(level.turn[0]) <= 1.0
     again = impulses.second_impacts(cells[:1], best.delay[:1], best.duration[:1], 1e-4, 1)
     assert again[0, 1] == pytest.approx(best.turn[0], abs=1e-9)
 

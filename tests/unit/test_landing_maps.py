@@ -227,6 +227,12 @@ def test_figures_show_every_map(tmp_path):
     assert save_figure(figure, tmp_path / "map.png").stat().st_size > 10_000
     best = figure_impulse([some_impulse()])
     assert len([axes for axes in best.axes if axes.images]) == 4
+    # A single set has no spread to draw.
+    one = some_impulse()
+    single = ImpulseMap(
+        "lf", "impulse", one.sets[:1], one.slopes_deg, one.speeds, {n: v[:1] for n, v in one.optimum.items()}
+    )
+    assert len([axes for axes in figure_impulse([single]).axes if axes.images]) == 2
 
 
 @pytest.mark.parametrize("text", ["0:45", "a", "1,1", "5:0:1", "0:1:0", ""])

@@ -1,0 +1,104 @@
+"""What the paper says of impulse control and of faster motors (section III-C), with Tables I and II's means.
+
+Every fifth degree and four speeds stand for the maps; numbers in comments are of the whole grid.
+"""
+
+import numpy as np
+import pytest
+
+from sysid.landing.controllers import find_controller
+from sysid.landing.drone import drones
+from sysid.landing.impulse import ImpulseSettings
+from sysid.landing.impulse_maps import impulse_maps
+from sysid.landing.maps import MapSettings, landing_maps
+from sysid.landing.outcomes import Outcome
+from sysid.published import table_1, table_2
+
+pytestmark = pytest.mark.slow
+
+GRID = MapSettings(tuple(range(0, 46, 3)), (0.1, 0.3, 0.5, 0.7, 0.9, 1.1, 1.3, 1.5), check=False)
+
+
+@pytest.fixture(scope="module")
+def maps():
+    fleets = [drones(table_2(surface), table_1()) for surface in ("lf", "hf")]
+    told = [find_controller("off"), find_controller("reverse")]
+    told.append(find_controller("reverse", ideal_reversal=True))
+    out = {(one.surface, one.controller): one for one in landing_maps(fleets, told, GRID)}
+    for ideal in (False, True):
+        found = impulse_maps(fleets, GRID, ImpulseSettings(finest=0.0, ideal_reversal=ideal))
+        out |= {(one.surface, one.controller): one for one in found[1]}
+        out |= {(one.surface, f"best{', ideal' if ideal else ''}"): one for one in found[0]}
+    return out
+
+
+def landings(one):
+    return int(one.landed.sum())
+
+
+def flips(one):
+    return int(np.sum(one.likeliest == Outcome.FLIPPED))
+
+
+def mean_time(maps, surface, *names):
+    """Mean time to rest [s] under each controller where all of them land."""
+    cells = np.all([maps[surface, name].landed == 1.0 for name in names], axis=0)
+    return [float(maps[surface, name].mean_time[cells].mean()) for name in names]
+
+
+def test_the_impulse_reduces_the_zone_of_flips(maps):
+    for surface in ("lf", "hf"):
+        assert flips(maps[surface, "impulse, then reverse"]) < flips(maps[surface, "reverse"])
+
+
+def test_the_impulse_raises_the_steepest_slope_on_high_friction(maps):
+    """It "slightly increases the maximum inclination": HF 29 to 33 deg at 0.3 m/s, LF 36 to 37 deg."""
+    steepest = [maps["hf", name].steepest(0.3) for name in ("reverse", "impulse, then reverse")]
+    assert 0.0 < steepest[1] - steepest[0] <= 9.0
+
+
+def test_the_impulse_alone_lands_about_as_the_baseline(maps):
+    for surface in ("lf", "hf"):
+        alone, off = (landings(maps[surface, name]) for name in ("impulse alone", "off"))
+        reverse = landings(maps[surface, "reverse"])
+        # 1.1 (LF) and 1.2 times as many cells; reverse thrust lands 2.2 times as many.
+        assert 0.8 * off <= alone <= 1.4 * off
+        assert alone < 0.75 * reverse
+
+
+def test_low_and_fast_the_impulse_is_omitted(maps):
+    for surface in ("lf", "hf"):
+        best = maps[surface, "best"]
+        low, fast = best.slopes_deg <= 3.0, best.speeds >= 1.1
+        corner = np.ix_([True] * len(best.sets), low, fast)
+        assert (best.optimum["duration"][corner] == 0.0).all()
+        assert (best.optimum["delay"][corner] == 0.0).all()
+
+
+def test_the_delay_grows_as_the_touchdown_slows(maps):
+    """Fig. 10: the second impact comes later, and so does the impulse."""
+    for surface in ("lf", "hf"):
+        best = maps[surface, "best"]
+        middle = (best.slopes_deg >= 15) & (best.slopes_deg <= 35)
+        delay = best.mean("delay")[middle].mean(axis=0)
+        assert (np.diff(delay[best.speeds <= 0.9]) < 0.0).all()
+
+
+def test_faster_motors_widen_the_landings_on_high_friction(maps):
+    for name in ("reverse", "impulse, then reverse"):
+        slow, fast = maps["hf", name], maps["hf", f"{name}, ideal reversal"]
+        assert landings(fast) > landings(slow)
+        assert flips(fast) <= flips(slow)
+        assert fast.steepest(0.3) >= slow.steepest(0.3)
+
+
+def test_faster_motors_shorten_the_landing(maps):
+    """The time decreases "most notably for the HF surface"."""
+    saved = {}
+    for surface in ("lf", "hf"):
+        slow, fast = mean_time(
+            maps, surface, "impulse, then reverse", "impulse, then reverse, ideal reversal"
+        )
+        saved[surface] = slow - fast
+    assert saved["hf"] > 0.0
+    assert saved["hf"] > saved["lf"]
