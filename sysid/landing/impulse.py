@@ -86,7 +86,7 @@ class ImpulseSettings:
         if not (self.horizon > 0 and self.finest >= 0 and 0 <= self.worth < 1 and self.equal >= 0):
             raise CampaignError(
                 f"impulse: horizon {self.horizon:g} s, finest step {self.finest:g} s, worth {self.worth:g}, "
-                f"equal {self.equal:g} rad/s; give a horizon above 0, a worth of 0 to 1 and the others from 0 on"
+                f"equal {self.equal:g} rad/s; give a horizon above 0, a worth below 1, nothing negative"
             )
 
     @property

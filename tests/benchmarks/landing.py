@@ -27,7 +27,10 @@ from sysid.landing.maps import MapSettings, landing_maps
 from sysid.landing.motors import Motors
 from sysid.landing.scenario import Scenario, grid
 from sysid.landing.simulate import land_many
+from sysid.pipelines.landing_maps import static_lines
 from sysid.published import table_1, table_2
+from sysid.report.figures import save_figure
+from sysid.report.landing_figures import figure_landing_maps
 
 
 def fleet(surface, sets=5):
@@ -103,6 +106,7 @@ def main():
     """Measure."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--maps", action="store_true")
+    parser.add_argument("--picture", type=Path, help="with --maps: figure to write")
     parser.add_argument("--impulse", choices=["lf", "hf"])
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--no-check", action="store_true")
@@ -124,6 +128,9 @@ def main():
         )
         for one in maps:
             print(f"  {one.title}: {100 * one.uncertain.mean():.2f} % uncertain")
+        if chosen.picture:
+            limits = static_lines([fleet("lf"), fleet("hf")], told)
+            save_figure(figure_landing_maps(maps, limits=limits), chosen.picture, dpi=100)
     elif chosen.impulse:
         wall, cpu, found = measured(
             lambda: impulse_maps([fleet(chosen.impulse)], settings, ImpulseSettings())
