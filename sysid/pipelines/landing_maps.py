@@ -17,7 +17,7 @@ from sysid import exact_json
 from sysid.errors import ExportError
 from sysid.executor import executor
 from sysid.fit.stopping import stop_on_interrupt
-from sysid.landing.blocks import BlockStore, blocks_folder
+from sysid.landing.blocks import BlockStore
 from sysid.landing.controllers import Controller
 from sysid.landing.drone import Drone
 from sysid.landing.experiments import Experiment, confusion, of_map, read_experiments
@@ -86,8 +86,6 @@ class MapOptions:
             raise ExportError(f"{self.out}: a map is written as HDF5; give --out a name that ends in .h5")
         if self.out.exists() and not self.force:
             raise ExportError(f"{self.out}: exists already; choose a new name or add --force")
-        if self.resume and self.force and self.out.exists() is False:
-            raise ExportError("--resume continues a map and --force discards it; choose one")
         for path in (self.out, self.picture):
             if not path.resolve().parent.is_dir():
                 raise ExportError(f"{path}: the folder {path.parent} does not exist; make it first")
@@ -167,8 +165,6 @@ def _computed(
     say: Say,
 ) -> tuple[Any, Any] | None:
     """Compute with progress; Ctrl-C keeps the finished blocks. The blocks go once the result is there."""
-    if options.resume and not blocks_folder(options.out).is_dir():
-        raise ExportError(f"{options.out}: nothing unfinished to continue is there; start without --resume")
     store = BlockStore(options.out, identity, resume=options.resume, force=options.force)
     progress = BlockProgress(blocks, what, options.quiet)
     threads = 1 if options.dask is not None else options.threads

@@ -203,7 +203,7 @@ def test_an_impulse_map(run):
     [
         (("--slopes", "45:0:1"), "--slopes"),
         (("--out", "map.csv"), "ends in .h5"),
-        (("--resume",), "nothing unfinished to continue"),
+        (("--resume",), "nothing to continue"),
         (("--experiments", "missing.csv"), "cannot be read as CSV"),
     ],
 )
@@ -218,3 +218,16 @@ def test_two_gears_of_one_surface_are_refused(run):
     code, _, err = run("landing-map", LF, LF, "--motor", MOTOR, "--out", "map.h5")
     assert code == 2
     assert "one gear file per surface" in err
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_map(run):
+    pytest.importorskip("distributed", reason="Dask comes with the test extra")
+    command = ("landing-map", HF, "--motor", MOTOR, "--slopes", "5:40:7", "--speeds", "0.2:1.4:0.4")
+    code, _, err = run(*command, "--out", "here.h5")
+    assert code == 0, err
+    code, _, err = run(*command, "--out", "there.h5", "--dask", "local")
+    assert code == 0, err
+    for one, other in zip(read_maps("here.h5").maps, read_maps("there.h5").maps, strict=True):
+        for name in ("outcome", "distance", "time", "uncertain"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
