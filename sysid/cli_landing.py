@@ -195,8 +195,7 @@ def impulse_map(
 
     sources = LandingOptions(motor, pair.value, ideal_reversal=ideal_reversal)
     tried = (span(delays, "--delays"), span(durations, "--durations"))
-    commands = (front, rear, idle, after, ideal_reversal)
-    impulses = ImpulseSettings(*tried, *commands, worth=worth, equal=equal)
+    impulses = ImpulseSettings(*tried, front, rear, idle, after, ideal_reversal, worth=worth, equal=equal)
     cells = (span(slopes, "--slopes"), span(speeds, "--speeds"))
     settings = MapSettings(*cells, Rules(horizon, short, long), check=not no_check)
     options = MapOptions(out, figure, None, force, resume, dask, threads, quiet or json, json)

@@ -85,11 +85,17 @@ def test_the_delay_grows_as_the_touchdown_slows(maps):
 
 
 def test_faster_motors_widen_the_landings_on_high_friction(maps):
+    """Fig. 11 has zone A shrink as well: so it does after reverse thrust, not after the impulse.
+
+    There the rear motors only idle during the impulse; a faster reversal then starts the reverse thrust
+    earlier, which throws over some that came down beyond 1 m before.
+    """
     for name in ("reverse", "impulse, then reverse"):
         slow, fast = maps["hf", name], maps["hf", f"{name}, ideal reversal"]
         assert landings(fast) > landings(slow)
-        assert flips(fast) <= flips(slow)
-        assert fast.steepest(0.3) >= slow.steepest(0.3)
+    slow, fast = maps["hf", "reverse"], maps["hf", "reverse, ideal reversal"]
+    assert flips(fast) <= flips(slow)
+    assert fast.steepest(0.3) >= slow.steepest(0.3)
 
 
 def test_faster_motors_shorten_the_landing(maps):
