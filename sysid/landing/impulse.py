@@ -47,8 +47,8 @@ class ImpulseSettings:
     delays, durations : tuple of float
         The grid [s]; the paper's by default.
     front, rear : float
-        Commands during the impulse [1]. The paper idles the rear pair, because a reversal takes too long; with
-        ideal reversal a rear pair at -0.8 makes the "pure angular impulse" of its Fig. 11.
+        Commands during the impulse [1]. The paper idles the rear pair, because a reversal takes too long;
+        with ideal reversal a rear pair at -0.8 makes the "pure angular impulse" of its Fig. 11.
     idle : float
         Command of all motors until the impulse [1].
     after : float

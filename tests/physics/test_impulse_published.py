@@ -87,7 +87,7 @@ def test_the_delay_grows_as_the_touchdown_slows(maps):
 
 
 def test_faster_motors_widen_the_landings_on_high_friction(maps):
-    """Fig. 11: landed cells 75, 82 (ideal reversal, rear motors idle in the impulse), 93 (rear motors at -80 %).
+    """Fig. 11: landed cells 75, 82 (ideal reversal, rear motors idle in the impulse), 93 (rear at -80 %).
 
     Zone A: 72, 69, 56 cells, on every third degree and every 0.2 m/s.
     """
