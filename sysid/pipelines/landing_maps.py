@@ -250,11 +250,14 @@ def _written(
 
 def _summary_table(counts: Sequence[dict[str, Any]]) -> Table:
     speeds = list(next(iter(counts))["steepest slope that half of the sets land on [deg]"])
-    table = Table(title=Text("Steepest slope [deg] that half of the sets land on"), box=box.SIMPLE_HEAD)
-    table.add_column("map")
+    table = Table(
+        title=Text("Steepest slope [deg] that half of the sets land on, by touchdown speed [m/s]"),
+        box=box.SIMPLE_HEAD,
+    )
+    table.add_column("map", min_width=22)
     for speed in speeds:
-        table.add_column(speed, justify="right")
-    for name in ("time [s]", "distance [m]", "uncertain [%]"):
+        table.add_column(speed.removesuffix(" m/s"), justify="right")
+    for name in ("time [s]", "way [m]", "doubt [%]"):
         table.add_column(Text(name), justify="right")
     for entry in counts:
         slopes = entry["steepest slope that half of the sets land on [deg]"]
