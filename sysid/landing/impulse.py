@@ -75,7 +75,7 @@ class ImpulseSettings:
     after: float = -1.0
     ideal_reversal: bool = False
     horizon: float = 1.0
-    finest: float = 1.25e-3
+    finest: float = 2.5e-3
     worth: float = 0.05
     equal: float = 0.0
 

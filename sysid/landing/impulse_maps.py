@@ -118,6 +118,9 @@ class ImpulseWork:
     def _impulses(self, drone: int, after: float) -> Impulses:
         key = (drone, after)
         if key not in self._known:
+            # A drone's thousands of thrust histories are hundreds of megabytes: keep those of one.
+            for other in [known for known in self._known if known[0] != drone]:
+                del self._known[other]
             self._known[key] = Impulses(self.drones[drone], replace(self.impulses, after=after))
         return self._known[key]
 

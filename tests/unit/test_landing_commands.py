@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sysid import cli
-from sysid.landing import blocks
+from sysid.landing import blocks, controllers
 from sysid.landing.map_store import read_maps
 from sysid.landing.outcomes import Outcome
 from sysid.pipelines.landing import COLUMNS
@@ -68,7 +68,8 @@ def test_one_landing_per_set_as_csv_and_hdf5(run, tmp_path):
         assert json.loads(file["settings_json"].asstr()[()])["rules"]["short"] == 0.45
 
 
-def test_options_reach_the_landing(run):
+def test_options_reach_the_landing(run, monkeypatch):
+    monkeypatch.setattr(controllers, "CONTROLLERS", dict(controllers.CONTROLLERS))
     command = ("simulate", LF, "--motor", MOTOR, "--slope-deg", 10, "--speed", 0.5, "--json")
     wide = json.loads(run(*command, "--short", "0.001", "--long", "5")[1])[0]
     assert wide["outcome"] == "near"
