@@ -76,6 +76,18 @@ def _recognize(source: Source) -> int:
     return POSSIBLE if all(_is_row(_cells(line)) for line in lines[:3]) else NO
 
 
+def _check_settings(path: str, line: int, cells: list[str]) -> None:
+    """Refuse a line of settings with words in it: damaged, it may have swallowed the first row."""
+    for cell in cells:
+        try:
+            parse_number(cell)
+        except ValueError:
+            raise LogError(
+                f'{path}, line {line}: {cell[:40]!r} is no number in the line that states the rate; '
+                "mend or delete that line and declare rate = ..."
+            ) from None
+
+
 def _table(text: Text, path: str) -> tuple[Text, TableHead, float | None]:
     """Return the text with one delimiter, where its rows are and how many columns they have, and the rate."""
     if text.data.lstrip().startswith(b"[") or not any(
@@ -100,6 +112,7 @@ def _table(text: Text, path: str) -> tuple[Text, TableHead, float | None]:
                 rate = positive_rate(path, parse_number(cells[0])) if len(cells) > 1 else None
             except (ValueError, LogError):
                 continue
+            _check_settings(path, number, cells)
         elif begin is None and line.strip() and (rate is not None or number == 1) and not _is_words(cells):
             begin = number - 1, offset - len(line.encode("utf-8")) - 1
     raise LogError(

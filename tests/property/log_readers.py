@@ -406,6 +406,8 @@ def ati_text(data, recording):
             break
         if rate is None:
             rate = numbers[0] if len(cells) > 1 and numbers[0] > 0 else None
+            if rate is not None and len(filled) < sum(bool(cell.strip()) for cell in cells):
+                raise SaysNothing("a rate: words among the settings")
         elif lines[i].strip() and (filled or not any(cell.strip() for cell in cells)):
             first = first or i
     need(first or None, "a row")
