@@ -83,7 +83,7 @@ def _check_settings(path: str, line: int, cells: list[str]) -> None:
             parse_number(cell)
         except ValueError:
             raise LogError(
-                f'{path}, line {line}: {cell[:40]!r} is no number in the line that states the rate; '
+                f"{path}, line {line}: {cell[:40]!r} is no number in the line that states the rate; "
                 "mend or delete that line and declare rate = ..."
             ) from None
 

@@ -156,8 +156,9 @@ def _segment_signals(
         raise LogError(f"{path}, line {segment.line}: names no channel after X_Value; export the file again")
     head = TableHead(tuple(names), delimiter, segment.line, segment.rows[0])
     numbers = read_numbers(
-        text, head, [*times, *wanted], least=max(wanted) + 1, surplus=True, decimal=decimal
-    )
+        text, head, [*times, *wanted], least=max(wanted) + 1, surplus=True,
+        free_text=max(text_columns, default=None), decimal=decimal,
+    )  # fmt: skip
     labels = dict(zip(wanted, unique_names([names[i] for i in wanted]), strict=True))
     # X_Columns Multi: header rows have one cell per column; else one per channel, after the X column.
     first = 0 if len(times) > 1 else 1

@@ -160,10 +160,13 @@ def read(
 
     wanted = [command, *quantities.values(), *temperatures, *([clock] if clock else [])]
     indices = [column.index for column in wanted]
-    # Rows are ragged: a vendor script appends cells to some of them, beyond the ones that are read here.
-    numbers = read_numbers(text, head, indices, least=max(indices) + 1, surplus=True)
-    notes = numbers.notes
     message = find_column(path, columns, {"app message"})
+    words = message.index if message is not None and message.index > max(indices) else None
+    # Rows are ragged: a vendor script appends cells to some, behind the message, and a message may hold
+    # commas. A row that ends before it, or before the delimiter behind it, has lost cells somewhere.
+    least = len(head.names) if words is None else words + 1 + min(head.trailing, 1)
+    numbers = read_numbers(text, head, indices, least=least, surplus=True, free_text=words)
+    notes = numbers.notes
     if message is not None:
         notes += _messages(text, head, message)
     del text  # the file's bytes are not needed any more

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sysid.errors import LogError
 from sysid.loaders.columns import listing, split_label
-from sysid.loaders.table_rows import body_end, decimal_mark, measure, parse_number, read_rows
+from sysid.loaders.table_rows import Body, body_end, decimal_mark, measure, parse_number, read_rows
 from sysid.loaders.text import SPACES, Text, sniff_delimiter, split_line
 from sysid.recording import FloatArray
 
@@ -34,12 +34,13 @@ def _all_numeric(cells: Sequence[str]) -> bool:
 
 @dataclass(frozen=True)
 class TableHead:
-    """Header of a table: `names` without the empty ones at the end, and where the rows begin."""
+    """Header of a table: `names` without the `trailing` empty ones at the end, and where the rows begin."""
 
     names: tuple[str, ...]
     delimiter: str
     line: int
     offset: int
+    trailing: int = 0
 
 
 def find_header(lines: Sequence[str]) -> tuple[int, str, list[str]] | None:
@@ -148,7 +149,8 @@ def table_head(text: Text, columns: Sequence[str] | Mapping[str, object] | None 
             f"{text.path}, line {lines[index][0]}: found numbers where the header line should name "
             "the columns; declare them with columns = [...]"
         )
-    return TableHead(tuple(names), delimiter, number, offset)
+    trailing = 0 if delimiter == SPACES else len(split_line(lines[index][2], delimiter)) - len(names)
+    return TableHead(tuple(names), delimiter, number, offset, trailing)
 
 
 @dataclass
@@ -190,12 +192,15 @@ def read_numbers(
     *,
     least: int | None = None,
     surplus: bool = False,
+    free_text: int | None = None,
     decimal: str | None = None,
 ) -> Numbers:
     """Parse the wanted columns of a table.
 
     A blank cell or a written ``nan`` is NaN. A last line that was cut is left out; a row that lacks wanted
-    cells keeps its place with NaN in all of them, because the last number of a cut row is not to be trusted.
+    cells keeps its place with NaN in all of them, because the last number of a cut row is not to be trusted,
+    and so does one with more cells than the header and most rows have, whose numbers are not below their
+    names.
 
     Parameters
     ----------
@@ -208,7 +213,9 @@ def read_numbers(
     least : int, optional
         Cells that a row must have to be trusted; by default as many as the header names.
     surplus : bool
-        Rows may have filled cells beyond the header.
+        Rows may have filled cells beyond the header, behind words in column `free_text`.
+    free_text : int, optional
+        Column of words, which may hold delimiters.
     decimal : str, optional
         Decimal mark; judged from the first rows by default.
 
@@ -247,6 +254,9 @@ def read_numbers(
         raise empty
     lines, fields = body.lines, body.fields
     short = fields < least
+    if free_text is not None:
+        for row in np.flatnonzero(short & (fields == free_text + 1)).tolist():
+            short[row] = not _is_words(body.cells(row), free_text)
     if short.any():
         if short.sum() * 2 > short.size:
             row = int(np.argmax(short))
@@ -260,6 +270,14 @@ def read_numbers(
             f"rows with fewer than {least} cells: {int(short.sum())} (first: line "
             f"{lines[np.argmax(short)]}); taken as missing"
         )
+    shifted = _shifted(path, body, head, wanted, surplus, free_text)
+    if shifted.size:
+        for values in columns.values():
+            values[shifted] = np.nan
+        notes.append(
+            f"rows with a cell too many, whose numbers are not below their names: {shifted.size} (first: "
+            f"line {lines[shifted[0]]}); taken as missing"
+        )
     infinite = 0
     for values in columns.values():
         wild = np.isinf(values)
@@ -268,6 +286,48 @@ def read_numbers(
     if infinite:
         notes.append(f"cells that hold an infinite number: {infinite}; taken as missing")
     return Numbers(columns, lines, notes, open_end=open_end)
+
+
+def _is_words(cells: Sequence[str], column: int | None) -> bool:
+    return column is not None and column < len(cells) and not _all_numeric([cells[column].strip() or "0"])
+
+
+def _appended(cells: Sequence[str], free_text: int | None) -> bool:
+    """Return whether the cells too many are behind those that are read: parts of words, or a script's own.
+
+    With a delimiter too many in front, the number that belongs before the words stands in their place.
+    """
+    if free_text is None or _is_words(cells, free_text):
+        return free_text is not None
+    return not cells[free_text].strip() and any(cell.strip() for cell in cells[free_text + 1 :])
+
+
+def _shifted(
+    path: str, body: Body, head: TableHead, wanted: Sequence[int], surplus: bool, free_text: int | None
+) -> NDArray[np.int64]:
+    """Return the rows with more cells than there should be, by a delimiter too many."""
+    width, fields = len(head.names), body.fields
+    if head.delimiter == SPACES:
+        return np.empty(0, dtype=np.int64)
+    usual = int(np.bincount(fields).argmax())
+    # Many programs end each row, but not the header, with a delimiter.
+    most = max(width + head.trailing, min(usual, width + 1) if surplus else usual)
+    found = [
+        row for row in np.flatnonzero(fields > most).tolist() if not _appended(body.cells(row), free_text)
+    ]
+    if len(found) * 2 > fields.size:
+        raise LogError(
+            f"{path}, line {body.lines[found[0]]}: {fields[found[0]]} cells where the header has "
+            f"{width + head.trailing}, as in most rows; check the header for a name that is lost"
+        )
+    if free_text is not None and usual < width == free_text + 1:
+        # Most rows end before the words; in some a number stands there and a blank in front of it.
+        for row in np.flatnonzero(fields == width).tolist():
+            cells = body.cells(row)
+            blank = any(not cells[column].strip() for column in wanted if column)  # 0 may be an unused clock
+            if blank and cells[free_text].strip() and not _is_words(cells, free_text):
+                found.append(row)
+    return np.array(sorted(found), dtype=np.int64)
 
 
 def _is_whole(cells: Sequence[str], wanted: Sequence[int], least: int, decimal: str) -> bool:

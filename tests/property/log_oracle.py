@@ -9,6 +9,7 @@ became a gap, a factor that is not that of the printed unit: each is an assertio
 import csv
 import math
 import re
+from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -137,10 +138,15 @@ class Table:
     counted: bool = False
 
 
-def fill(table, lines, closed, first, last, delimiter, columns, time, *, least, decimal=None, skip=()):
+def fill(
+    table, lines, closed, first, last, delimiter, columns, time, *, least, most=0, words=None, decimal=None,
+    skip=(),
+):  # fmt: skip
     """Add the rows of lines `first` to `last`.
 
     `columns` is (channel, component) -> (column, factor); `time` a function of the row's numbers by column.
+    A row of more cells than `most`, and than most rows have, is told by none of them; but the words of column
+    `words` may hold delimiters.
     """
     wanted = sorted({column for column, _ in columns.values()})
     for channel, component in columns:
@@ -154,7 +160,19 @@ def fill(table, lines, closed, first, last, delimiter, columns, time, *, least, 
         cells = [row[c] for _, row in body[:200] for c in (*wanted, *skip) if c < len(row)]
         comma = any("," in cell for cell in cells) and not any("." in cell for cell in cells)
         decimal = "," if delimiter != "," and comma else "."
+    counts = Counter(len(cells) for _, cells in body)
+    usual = min((n for n in counts if counts[n] == max(counts.values())), default=0)
     for i, cells in body:
+        long = most and delimiter != " " and len(cells) > max(most, usual)
+        if words is not None and usual < words + 1 == most == len(cells):
+            long = any(not cells[c].strip() for c in wanted)  # a number where words should be, a gap before
+        if words is not None and words < len(cells) and isinstance(number(cells[words]), Wrong):
+            long = False  # words with delimiters in them
+        whole = len(cells) >= least or (
+            words is not None and len(cells) == words + 1 and isinstance(number(cells[words]), Wrong)
+        )
+        if long and words is not None and not cells[words].strip() and len(cells) > most:
+            long = not any(c.strip() for c in cells[words + 1 :])  # else cells that a script appended
 
         def at(column, cells=cells):
             return number(cells[column], decimal) if column < len(cells) else math.nan
@@ -164,7 +182,7 @@ def fill(table, lines, closed, first, last, delimiter, columns, time, *, least, 
             if isinstance(at(column), Wrong):
                 numbers[key] = Wrong(math.nan)
         times = tuple(time(at))
-        row = Row(i + 1, times, numbers, len(cells) >= least, i == len(lines) - 1 and not closed)
+        row = Row(i + 1, times, numbers, whole and not long, i == len(lines) - 1 and not closed)
         table.rows.append(row)
 
 

@@ -55,7 +55,7 @@ def only(cells, names):
     return found[0] if found else None
 
 
-def by_name(data, quantities, command, clock, *, surplus, stale, plain_seconds=False):
+def by_name(data, quantities, command, clock, *, message=None, stale, plain_seconds=False):
     """Return the table of a log whose first line names columns: channel -> (names, quantity)."""
     lines, closed = lines_of(data)
     first, delimiter, cells = header_of(lines)
@@ -77,9 +77,13 @@ def by_name(data, quantities, command, clock, *, surplus, stale, plain_seconds=F
     columns = {key: (column, math.inf if f is None else f) for key, (column, f) in columns.items()}
     table = Table(stale=stale)
     wanted = [time, *(column for column, _ in columns.values())]
-    least = max(wanted) + 1 if surplus else len(cells)
+    # Words may hold delimiters, and rows may end behind them.
+    words = only(cells, message or ())
+    words = None if words is None or words < max(wanted) else words
+    raw = len(cells_of(lines[first], delimiter))
+    least = len(cells) if words is None else words + 1 + (raw > len(cells))
     fill(table, lines, closed, first + 1, len(lines), delimiter, columns, lambda at: (at(time) * seconds,),
-         least=least, skip=(time,))  # fmt: skip
+         least=least, most=raw, words=words, skip=(time,))  # fmt: skip
     return table
 
 
@@ -93,7 +97,8 @@ STAND = {
 
 
 def rcbenchmark_csv(data, recording):
-    table = by_name(data, STAND, {"esc signal", "esc"}, {"time"}, surplus=True, stale=2, plain_seconds=True)
+    table = by_name(data, STAND, {"esc signal", "esc"}, {"time"}, message={"app message"}, stale=2,
+                    plain_seconds=True)  # fmt: skip
     if recording.kind == "static-map":
         table.widths["log_time"] = 1
         for row in table.rows:
@@ -125,7 +130,7 @@ CELL_TIME = {"time", "t", "timestamp", "time stamp"}
 
 
 def load_cell_csv(data, recording):
-    return [by_name(data, CELL, CELL_COMMAND, CELL_TIME, surplus=False, stale=0)]
+    return [by_name(data, CELL, CELL_COMMAND, CELL_TIME, stale=0)]
 
 
 def pose_table(data, recording):
@@ -146,7 +151,7 @@ def pose_table(data, recording):
     seconds = need(1.0 if unit is None else factor_of(unit, "time"), "a unit of time")
     table = Table(turns={"body/orientation": quaternion})
     fill(table, lines, closed, first + 1, len(lines), delimiter, columns, lambda at: (at(time) * seconds,),
-         least=len(cells), skip=(time,))  # fmt: skip
+         least=len(cells), most=len(cells_of(lines[first], delimiter)), skip=(time,))  # fmt: skip
     return [table]
 
 
@@ -164,7 +169,7 @@ def ros_csv(data, recording):
     stamp = need(only(cells, {"field header stamp"}), "the stamp")
     table = Table(turns={"body/orientation": quaternion})
     fill(table, lines, closed, first + 1, len(lines), delimiter, columns, lambda at: (at(stamp) * 1e-9,),
-         least=len(cells), skip=(stamp,))  # fmt: skip
+         least=len(cells), most=len(cells_of(lines[first], delimiter)), skip=(stamp,))  # fmt: skip
     return [table]
 
 
@@ -216,7 +221,7 @@ def motive_csv(data, recording):
     wanted = [*places.values(), *(column for column, _ in columns.values())]
     fill(
         table, lines, closed, last + 1, len(lines), delimiter, columns, time, least=max(wanted) + 1,
-        skip=tuple(places.values()),
+        most=len(axes), skip=tuple(places.values()),
     )  # fmt: skip
     return [table]
 
@@ -266,7 +271,7 @@ def vicon_csv(data, recording):
             for key, (k, unit) in columns.items()
         }
         fill(table, lines, closed, i + 5, end, delimiter, columns, lambda at, r=rate: (at(0) / r, at(1)),
-             least=len(fields), skip=(0, 1))  # fmt: skip
+             least=len(fields), most=len(fields), skip=(0, 1))  # fmt: skip
         for row in table.rows:
             # One row per frame and no sub frames: another number than 0 there is a damaged one.
             row.times = row.times[:1] if row.times[1] == 0 or not math.isfinite(row.times[1]) else ()
@@ -304,7 +309,7 @@ def qualisys_tsv(data, recording):
         return ((at(0) - 1) / rate,) if lead else (next(count) / rate,)
 
     fill(table, lines, closed, need(first, "rows"), len(lines), "\t", columns, time,
-         least=lead + 16 * len(names), skip=(0, 1) if lead else ())  # fmt: skip
+         least=lead + 16 * len(names), most=lead + 16 * len(names), skip=(0, 1) if lead else ())  # fmt: skip
     for row in table.rows:
         for name in names:
             matrix = [row.numbers[f"{name}/orientation", k] for k in range(9)]
@@ -383,7 +388,7 @@ def net_ft_csv(data, recording):
     table = Table()
     wanted = [counter, *(column for column, _ in columns.values())]
     fill(table, lines, closed, first, len(lines), ",", columns, lambda at: (at(counter),),
-         least=max(wanted) + 1)  # fmt: skip
+         least=max(wanted) + 1, most=len(names))  # fmt: skip
     need(None if "rdt sequence" not in names else 0, "the counter")
     zero = next(row.times[0] for row in table.rows if row.whole and math.isfinite(row.times[0]))
     for row in table.rows:
@@ -416,7 +421,7 @@ def ati_text(data, recording):
     count = iter(range(10**6))
     table = Table(counted=True)
     fill(table, lines, closed, first, len(lines), delimiter, columns, lambda at: (next(count) / rate,),
-         least=6)  # fmt: skip
+         least=6, most=6)  # fmt: skip
     return [table]
 
 
@@ -470,7 +475,8 @@ def lvm(data, recording):
     decimal = settings.get("decimal_separator") or None
     table = Table()
     fill(table, lines, closed, k + 1, end, delimiter, columns, lambda at: (at(0),),
-         least=max(column for column, _ in columns.values()) + 1, decimal=decimal, skip=(0,))  # fmt: skip
+         least=max(column for column, _ in columns.values()) + 1, most=len(names),
+         words=len(names) - 1 if names[-1] == "Comment" else None, decimal=decimal, skip=(0,))  # fmt: skip
     return [table]
 
 

@@ -1,0 +1,89 @@
+"""Rows whose numbers are not below their names: a delimiter too many or one lost, in a row or the header."""
+
+import numpy as np
+import pytest
+
+from sysid.errors import LogError
+from sysid.loaders import load
+
+NAMES = "Time (s),ESC signal (µs),Torque (N·m),Thrust (N),Voltage (V),App message,"
+ROWS = [f"{0.01 * i:.2f},{1000 + i},0.5,{2 + i},16," for i in range(20)]
+
+
+@pytest.fixture
+def stand(tmp_path):
+    def stand(rows, names=NAMES):
+        path = tmp_path / "log.csv"
+        path.write_text("\n".join([names, *rows, ""]), encoding="utf-8")
+        return path
+
+    return stand
+
+
+def changed(**rows):
+    """Return the rows, some of them (`line_7` is that of line 7) replaced."""
+    out = [row + "," for row in ROWS]
+    for name, row in rows.items():
+        out[int(name.removeprefix("line_")) - 2] = row
+    return out
+
+
+@pytest.mark.parametrize("place", [1, 2, 3, 4])
+def test_a_delimiter_too_many_leaves_the_row_out(stand, place):
+    cells = (ROWS[5] + ",").split(",")
+    row = ",".join([*cells[:place], "", *cells[place:]])
+    log = load(stand(changed(line_7=row)))
+    assert any("cell too many" in note and "line 7" in note for note in log.provenance.notes)
+    # 5: the time is not below its name either, so the row has no place in the log.
+    np.testing.assert_array_equal(log["thrust"].values, np.delete(2.0 + np.arange(20), 5))
+    np.testing.assert_array_equal(log["thrust"].time, np.delete(np.arange(20) / 100, 5))
+
+
+def test_a_delimiter_lost_leaves_the_row_out(stand):
+    row = "0.05,10050.5,7,16,,"
+    log = load(stand(changed(line_7=row)))
+    assert any("fewer than 7 cells" in note and "line 7" in note for note in log.provenance.notes)
+    np.testing.assert_array_equal(log["thrust"].values, np.delete(2.0 + np.arange(20), 5))
+
+
+def test_words_may_hold_delimiters_and_scripts_append_cells(stand):
+    names = NAMES + "90% settling time (s),Max acceleration (RPM/s),"
+    rows = changed(
+        line_3="0.01,1001,0.5,3,16,cut off, motor hot, stopped,,,,", line_9="0.07,1007,0.5,9,16,,0.2,900,"
+    )
+    log = load(stand(rows, names))
+    np.testing.assert_array_equal(log["thrust"].values, 2.0 + np.arange(20))
+    assert not any("cell" in note for note in log.provenance.notes)
+
+
+def test_a_header_that_lost_a_name_is_refused(stand):
+    with pytest.raises(LogError, match=r"log\.csv, line 2: 7 cells where the header has 6, as in most rows"):
+        load(stand(changed(), NAMES.replace("Torque (N·m),", "")))
+
+
+def test_rows_that_lost_a_column_are_refused(stand):
+    rows = [row.replace(",0.5", "").rstrip(",") for row in changed()]
+    with pytest.raises(LogError, match=r"line 2: 4 cells where 7 are expected, as in most rows"):
+        load(stand(rows))
+
+
+def test_a_table_without_words_of_its_own(tmp_path):
+    path = tmp_path / "log.csv"
+    rows = [f"{1e-3 * i:.3f},{i},0.5," for i in range(20)]
+    rows[4] = "0.004,,4,,"  # blank at the end: nothing stands beyond the header, and yet 4 is no torque
+    path.write_text("\n".join(["t (s),Fz (N),Mz (N·m),", *rows, ""]), encoding="utf-8")
+    log = load(path)
+    assert log["torque"].values.size == 19
+    assert np.all(log["torque"].values == 0.5)
+
+
+def test_a_number_among_the_remarks_of_labview(tmp_path):
+    head = ["LabVIEW Measurement", "Separator\tTab", "X_Columns\tOne", "***End_of_Header***", ""]
+    head += ["Channels\t2\t", "Y_Unit_Label\tN\tN*m\t", "***End_of_Header***\t\t", "X_Value\tFz\tMz\tComment"]
+    rows = [f"{0.001 * i:.3f}\t{i}\t0.5" for i in range(20)]
+    rows[4] = "0.004\t\t4\t0.5"  # shifted
+    rows[6] += "\t2"  # a remark: all its numbers are there
+    path = tmp_path / "log.lvm"
+    path.write_text("\n".join([*head, *rows, ""]), encoding="utf-8")
+    log = load(path)
+    np.testing.assert_array_equal(log["thrust"].values, np.delete(np.arange(20.0), 4))
