@@ -29,6 +29,8 @@ _NAME = "c3d"
 _BLOCK = 512
 # Processor types: who wrote the numbers decides their byte order.
 _INTEL, _DEC, _MIPS = 84, 85, 86
+# Frames per second: what lies beyond is a number in another byte order than the file says.
+_RATES = (0.1, 1e5)
 _ANALOG_UNITS = {"nt": "N", "ntmm": "N*mm", "nmm": "N*mm", "nm": "N*m"}
 # What ezc3d raises on a damaged file; it has no exception of its own.
 _DAMAGE = (OSError, RuntimeError, ValueError, KeyError, IndexError, TypeError, OverflowError, MemoryError)
@@ -90,10 +92,17 @@ def _open(source: Source) -> Any:
         )
     ezc3d = library(path, "ezc3d", "ezc3d")
     try:
-        return ezc3d.c3d(path)
+        file = ezc3d.c3d(path)
+        rate = float(file["header"]["points"]["frame_rate"])
     except _DAMAGE as error:
         said = " ".join(str(error).split())
         raise LogError(f"{path}: C3D file is damaged or cut ({said}); export it again") from error
+    if rate and not _RATES[0] <= rate <= _RATES[1]:
+        raise LogError(
+            f"{path}: states {rate:.3g} frames per second, which no camera takes: its mark of the processor "
+            f"({processor}) is not that of its numbers, or it is damaged; export it again"
+        )
+    return file
 
 
 def _marker_channels(path: str, file: Any, length_unit: str | None, notes: list[str]) -> dict[str, Channel]:

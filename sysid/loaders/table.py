@@ -309,18 +309,19 @@ def _shifted(
     width, fields = len(head.names), body.fields
     if head.delimiter == SPACES:
         return np.empty(0, dtype=np.int64)
-    usual = int(np.bincount(fields).argmax())
-    # Many programs end each row, but not the header, with a delimiter.
+    # Many programs end each row, but not the header, with a delimiter; a lost body may leave short rows.
+    full = fields[fields >= width]
+    usual = int(np.bincount(full).argmax()) if full.size else width
     most = max(width + head.trailing, min(usual, width + 1) if surplus else usual)
-    found = [
-        row for row in np.flatnonzero(fields > most).tolist() if not _appended(body.cells(row), free_text)
-    ]
-    if len(found) * 2 > fields.size:
+    long = [(row, body.cells(row)) for row in np.flatnonzero(fields > most).tolist()]
+    if sum(not _is_words(cells, free_text) for _, cells in long) * 2 > fields.size:
+        row, cells = long[0]
         raise LogError(
-            f"{path}, line {body.lines[found[0]]}: {fields[found[0]]} cells where the header has "
+            f"{path}, line {body.lines[row]}: {len(cells)} cells where the header has "
             f"{width + head.trailing}, as in most rows; check the header for a name that is lost"
         )
-    if free_text is not None and usual < width == free_text + 1:
+    found = [row for row, cells in long if not _appended(cells, free_text)]
+    if free_text is not None and width == free_text + 1 and full.size * 2 < fields.size:
         # Most rows end before the words; in some a number stands there and a blank in front of it.
         for row in np.flatnonzero(fields == width).tolist():
             cells = body.cells(row)

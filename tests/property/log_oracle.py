@@ -139,14 +139,14 @@ class Table:
 
 
 def fill(
-    table, lines, closed, first, last, delimiter, columns, time, *, least, most=0, words=None, decimal=None,
-    skip=(),
+    table, lines, closed, first, last, delimiter, columns, time, *, least, most=0, words=None, width=None,
+    decimal=None, skip=(),
 ):  # fmt: skip
     """Add the rows of lines `first` to `last`.
 
     `columns` is (channel, component) -> (column, factor); `time` a function of the row's numbers by column.
     A row of more cells than `most`, and than most rows have, is told by none of them; but the words of column
-    `words` may hold delimiters.
+    `words` may hold delimiters. `width`: columns with a name, where rows may have filled cells behind them.
     """
     wanted = sorted({column for column, _ in columns.values()})
     for channel, component in columns:
@@ -161,11 +161,14 @@ def fill(
         comma = any("," in cell for cell in cells) and not any("." in cell for cell in cells)
         decimal = "," if delimiter != "," and comma else "."
     counts = Counter(len(cells) for _, cells in body)
-    usual = min((n for n in counts if counts[n] == max(counts.values())), default=0)
+    full = {n: count for n, count in counts.items() if n >= most}
+    usual = min((n for n in full if full[n] == max(full.values())), default=0)
     for i, cells in body:
-        long = most and delimiter != " " and len(cells) > max(most, usual)
-        if words is not None and usual < words + 1 == most == len(cells):
-            long = any(not cells[c].strip() for c in wanted)  # a number where words should be, a gap before
+        limit = max(most, usual if width is None else min(usual, width + 1))
+        long = most and delimiter != " " and len(cells) > limit
+        if words is not None and words + 1 == most == len(cells) and sum(full.values()) * 2 < len(body):
+            # A number where words should be, and a gap before it.
+            long = bool(cells[words].strip()) and any(not cells[c].strip() for c in wanted)
         if words is not None and words < len(cells) and isinstance(number(cells[words]), Wrong):
             long = False  # words with delimiters in them
         whole = len(cells) >= least or (

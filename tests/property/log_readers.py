@@ -83,7 +83,7 @@ def by_name(data, quantities, command, clock, *, message=None, stale, plain_seco
     raw = len(cells_of(lines[first], delimiter))
     least = len(cells) if words is None else words + 1 + (raw > len(cells))
     fill(table, lines, closed, first + 1, len(lines), delimiter, columns, lambda at: (at(time) * seconds,),
-         least=least, most=raw, words=words, skip=(time,))  # fmt: skip
+         least=least, most=raw, words=words, width=len(cells) if message else None, skip=(time,))  # fmt: skip
     return table
 
 
@@ -476,7 +476,8 @@ def lvm(data, recording):
     table = Table()
     fill(table, lines, closed, k + 1, end, delimiter, columns, lambda at: (at(0),),
          least=max(column for column, _ in columns.values()) + 1, most=len(names),
-         words=len(names) - 1 if names[-1] == "Comment" else None, decimal=decimal, skip=(0,))  # fmt: skip
+         width=len(names), words=len(names) - 1 if names[-1] == "Comment" else None, decimal=decimal,
+         skip=(0,))  # fmt: skip
     return [table]
 
 

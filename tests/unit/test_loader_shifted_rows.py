@@ -87,3 +87,16 @@ def test_a_number_among_the_remarks_of_labview(tmp_path):
     path.write_text("\n".join([*head, *rows, ""]), encoding="utf-8")
     log = load(path)
     np.testing.assert_array_equal(log["thrust"].values, np.delete(np.arange(20.0), 4))
+
+
+def test_short_rows_of_a_lost_body_do_not_make_the_whole_ones_long(tmp_path):
+    head = ["Objects", "100", ",,Global Angle (Quaternion) quad:quad,,,,,,,"]
+    head += ["Frame,Sub Frame,RX,RY,RZ,RW,TX,TY,TZ,", ",,,,,,mm,mm,mm,"]
+    rows = [f"{i + 1},0," + ("0.6,0,0,0.8,1,2,3," if i < 15 else "") for i in range(20)]
+    rows[6:15] = [f"{i + 1},0," for i in range(6, 15)]
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "\n".join([*head, *(row + ",,,,,," * (i > 14) for i, row in enumerate(rows)), ""]), encoding="utf-8"
+    )
+    # 9 rows of 3 cells are the most usual ones; 6 have 10 cells and 5, blank ones, 9.
+    assert load(path)["quad/position"].valid.sum() == 6
