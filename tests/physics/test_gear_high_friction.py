@@ -159,6 +159,7 @@ def test_switches_are_consistent(slope, speed):
     failed_to_stick = 0
     instants = trajectory.switches[:, 0]
     kept = 0
+    loaded = [0, 0]
     # The same drop sampled at the switches themselves: its normal forces say which coefficient was meant.
     sampled = run(slope, speed, np.concatenate([[0.0], np.unique(instants)]))
     mu_k = P["kinetic_friction"]
@@ -173,15 +174,27 @@ def test_switches_are_consistent(slope, speed):
             # that time. A slipping foot that fails to stick lacks kinetic friction, not static one.
             assert available[foot] < required[foot] + 0.01
             failed_to_stick += not held[foot]
+        before = held[foot]
         held[foot] = bool(sticks)
         if np.count_nonzero(instants == time) == 1:
             normal = sampled.normal_force[np.searchsorted(sampled.time, time)]
+            # The foot itself is judged by the mode that it has just lost: mu_k where a slip came to zero,
+            # whatever follows, and mu_s where it is released.
+            mu = mu_s if before else mu_k
+            assert available[foot] == pytest.approx(mu * normal[foot], rel=0.03, abs=0.05)
+            # A release that nothing else brought about is where the required force crosses the cone, not
+            # somewhere beyond it; what it gains within 1e-7 s is as above.
+            if before:
+                assert required[foot] == pytest.approx(available[foot], abs=0.01)
+            loaded[before] += normal[foot] > 5.0
             # A foot that keeps its mode is judged by that mode's coefficient; the two differ by 9 %, sampling
             # between two steps of the integrator costs up to 2 %.
             mu = mu_s if held[other] else mu_k
             assert available[other] == pytest.approx(mu * normal[other], rel=0.03, abs=0.05)
             kept += held[other] and normal[other] > 5.0
     assert kept > 0
+    # At 5 N the two coefficients are 0.4 N apart, beyond the tolerance: both kinds of switch were seen there.
+    assert min(loaded) > 0
     # On the flattest board a foot comes to zero slip too lightly loaded to stick.
     assert failed_to_stick == (slope == 5)
     assert (np.diff(instants) >= 0).all()

@@ -205,6 +205,60 @@ def test_a_thrown_body_is_ballistic():
     )
 
 
+def _long_hold(moved_at=None, turned_at=None, noise_deg=0.0, seconds=4.0):
+    """A hold of nearly `seconds` before the fall; moved by 5 mm or turned by 3 deg up to an instant."""
+    time = RELEASE + 0.2 - seconds + np.arange(int(seconds * 200)) / 200
+    position = np.column_stack([np.full(time.size, X), np.zeros(time.size), _fall(time)])
+    if moved_at is not None:
+        position[time < moved_at, 1] += 5e-3
+    angle = np.random.default_rng(4).normal(scale=np.radians(noise_deg), size=time.size)
+    if turned_at is not None:
+        angle[time < turned_at] += np.radians(3.0)
+    quaternion = np.column_stack(
+        [np.cos(angle / 2), 0 * angle, np.sin(angle / 2) * np.ones(time.size), 0 * angle]
+    )
+    channels = {
+        "F450/position": Channel("F450/position", "m", time, position),
+        "F450/orientation": Channel("F450/orientation", "1", time, quaternion),
+    }
+    return Recording("motion-capture", channels, Provenance("drop.csv", "", "made"))
+
+
+@pytest.mark.parametrize(
+    ("change", "begin"),
+    [
+        # The fall is seen to begin within some samples of the release; what counts ends half a window
+        # (5 samples) before, at the earliest 2 s before that.
+        ({}, RELEASE - 2.0),
+        ({"moved_at": RELEASE - 1.2}, RELEASE - 1.2),
+        ({"turned_at": RELEASE - 0.9}, RELEASE - 0.9),
+        # What is shorter than the 0.3 s that show a hold changes nothing before them.
+        ({"seconds": 1.0}, RELEASE - 0.8),
+    ],
+)
+def test_a_hold_counts_back_to_its_last_movement_for_two_seconds(change, begin):
+    motion = spatial_motion(_long_hold(**change), None, CaptureFrame("+z", "+x"))
+    held = find_fall(motion, G, "drop.csv")
+    assert motion.time[held.start] == pytest.approx(begin, abs=0.03)
+    assert RELEASE - 0.06 < motion.time[held.stop] <= RELEASE + 0.03
+
+
+def test_a_level_release_has_exactly_no_pitch():
+    """A hold that defines level starts a drop at no pitch, not at the mean of another set of samples."""
+    frame = CaptureFrame("+z", "+x")
+    motion = spatial_motion(_long_hold(noise_deg=0.2), None, frame)
+    held = find_fall(motion, G, "drop.csv")
+    planar = planar_motion(motion, np.zeros(3), held_level(motion, held))
+    states = [
+        fit_flight(planar, SlopedPlane(SLOPE), FEET, held, G, "drop.csv", level)[0].state
+        for level in (True, False)
+    ]
+    assert states[0][2] == 0.0
+    assert states[0][5] == 0.0
+    # Without that word it is the mean of the fall's samples too: 0.2 deg over the root of 400 samples.
+    assert 0 < abs(states[1][2]) < np.radians(0.04)
+
+
 def test_refusals_name_the_cause():
     frame = CaptureFrame("+y", "+x")
     recording = _recording(frame)

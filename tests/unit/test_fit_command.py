@@ -177,6 +177,17 @@ def test_another_parameter_table_is_not_continued(cut, monkeypatch, capsys):
     assert "cannot be continued because the parameter table differs" in err
 
 
+def test_another_accuracy_is_not_continued(cut, monkeypatch, capsys):
+    """The accuracy counts by itself, not only as a line of the campaign file."""
+    from sysid.pipelines import gear
+
+    own = gear.fit_tolerance
+    monkeypatch.setattr(gear, "fit_tolerance", lambda campaign: own(campaign) / 3)
+    code, _, err = run(monkeypatch, capsys, *cut, "--resume")
+    assert code == 2
+    assert "cannot be continued because the accuracy of a simulation differs (now 0.0001, then 0.0003)" in err
+
+
 def test_another_processor_is_noted(cut, monkeypatch, capsys):
     from sysid.pipelines import search
 

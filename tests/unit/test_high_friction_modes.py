@@ -1,0 +1,68 @@
+"""One decision of the high-friction law at a time: who sticks, who is released, and where it slips then."""
+
+import numpy as np
+import pytest
+
+from sysid.gear.rows import INNER, LAW, MARGIN, NORMAL, REQUIRED, ROWS, SLIP, STUCK, SWITCH, WAY
+from sysid.gear.surfaces.high_friction import after_step
+from sysid.integrate.tableau import STAGES
+
+# At a load of 10 N: 8 N of kinetic, 9 N of static friction.
+MU_K, EXCESS, LOAD = 0.8, 0.1, 10.0
+
+
+def decided(foot, *, stuck, way, slip, required, margin, load=LOAD, length=1e-8):
+    """State of a foot (stuck, way, switched) behind a step in which nothing befalls the other, and the step."""
+    work = np.zeros(ROWS)
+    work[LAW : LAW + 2] = MU_K, EXCESS
+    # The other foot slips on far from a switch.
+    for row, value in ((WAY, 1.0), (SLIP, 0.5), (NORMAL, LOAD), (REQUIRED, 5.0), (MARGIN, 0.5)):
+        work[row : row + 2] = value
+    rows = {STUCK: stuck, WAY: way, SLIP: slip, NORMAL: load, REQUIRED: required, MARGIN: margin}
+    for row, value in rows.items():
+        work[row + foot] = value
+    for stage in range(STAGES - 1):
+        # Normal forces, slips and required forces of both feet at the stage: those of the end.
+        for n, row in enumerate((NORMAL, SLIP, REQUIRED)):
+            work[INNER + 6 * stage + 2 * n : INNER + 6 * stage + 2 * n + 2] = work[row : row + 2]
+    step = after_step(work, 0, 1, length, 1.0, 1e-4)
+    other = 1 - foot
+    assert (work[STUCK + other], work[WAY + other], work[SWITCH + other]) == (0.0, 1.0, 0.0)
+    return (work[STUCK + foot], work[WAY + foot], work[SWITCH + foot]), step
+
+
+@pytest.mark.parametrize("foot", [0, 1])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_foot_whose_slip_ends_sticks_within_kinetic_friction(foot, sign):
+    ends = {"stuck": 0.0, "way": sign, "slip": -1e-9 * sign, "margin": 1e-6}
+    found, (taken, step) = decided(foot, **ends, required=7.9 * sign)
+    assert found[0] == 1.0
+    assert found[2] == 1.0
+    assert (taken, step) == (1.0, 0.0)
+    # Between kinetic and static friction it slips back: against the force that it lacks.
+    assert decided(foot, **ends, required=8.1 * sign)[0] == (0.0, -sign, 1.0)
+    assert decided(foot, **ends, required=-8.1 * sign)[0] == (0.0, sign, 1.0)
+    # A slip that does not end changes nothing.
+    slips = {"stuck": 0.0, "way": sign, "slip": 0.4 * sign, "margin": 0.5}
+    assert decided(foot, **slips, required=0.0)[0] == (0.0, sign, 0.0)
+
+
+@pytest.mark.parametrize("foot", [0, 1])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_stuck_foot_is_released_beyond_static_friction(foot, sign):
+    held = {"stuck": 1.0, "way": 1.0, "slip": 0.0, "margin": 1e-3}
+    assert decided(foot, **held, required=8.9 * sign)[0] == (1.0, 1.0, 0.0)
+    # Friction mu_k F_n sign(f_req) acts on it then: it slips the other way.
+    assert decided(foot, **held, required=9.1 * sign)[0] == (0.0, -sign, 2.0)
+    # In the air nothing holds it.
+    assert decided(foot, **held, required=1e-3 * sign, load=0.0)[0][0] == 0.0
+
+
+@pytest.mark.parametrize("foot", [0, 1])
+def test_a_loss_within_a_step_repeats_it(foot):
+    held = {"stuck": 1.0, "way": 1.0, "slip": 0.0}
+    # Left over 1 N at the start, -1 N at the end: the first stage of the step saw -1 N already.
+    found, (taken, step) = decided(foot, **held, required=10.0, margin=1.0, length=1e-4)
+    assert found == (1.0, 1.0, 0.0)
+    assert taken == 0.0
+    assert 0.0 < step <= 0.5e-4 + 1e-7
