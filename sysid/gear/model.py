@@ -268,7 +268,9 @@ def simulate_population(
     rows = _checked(np.atleast_2d(np.asarray(parameters, dtype=np.float64)))
     bodies = None
     if body_states is not None:
-        bodies = np.ascontiguousarray(body_states, dtype=np.float64)
+        bodies = np.ascontiguousarray(body_states, dtype=np.float64).view()
+        # Locked like the drops' own starts: numba compiles a second driver for an array that is not.
+        bodies.flags.writeable = False
         if bodies.shape != (len(rows), len(drops.slope), 6):
             raise CampaignError(
                 f"body_states: found {bodies.shape}, expected ({len(rows)}, {len(drops.slope)}, 6); give one "

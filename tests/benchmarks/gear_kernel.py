@@ -1,10 +1,12 @@
 """Time and error of the gear's kernel beside scipy, SUNDIALS and MuJoCo, the latter two where installed.
 
-Run ``python tests/benchmarks/gear_kernel.py [--json PATH] [--population N] [--lanes]``. Six drops of 0.7 s
-sampled every 5 ms; error is the mean NRMSE over x, z, q, vx, vz against a converged run. Each method of
+Run ``python tests/benchmarks/gear_kernel.py [--json PATH] [--population N] [--lanes] [--cold]``. Six drops of
+0.7 s sampled every 5 ms; error is the mean NRMSE over x, z, q, vx, vz against a converged run. Each method of
 another library gets, per drop, its loosest relative tolerance that keeps 0.1 % there; MuJoCo, whose contact
 law is another one, steps of 1 ms. Times are CPU time of the calling thread, best of several, so that other
-work on the machine disturbs the ratios little; drops/s over all threads is wall-clock time.
+work on the machine disturbs the ratios little; drops/s over all threads is wall-clock time. A library's ratio
+is the geometric mean over the drops. ``--cold`` compiles each surface in a process of its own with an empty
+cache and prints the processor time and the peak memory of that.
 """
 
 import argparse
@@ -12,6 +14,9 @@ import json
 import math
 import os
 import platform
+import subprocess
+import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -90,12 +95,63 @@ def throughput(surface, free, drops, population):
     return out
 
 
+GOALS = {"LSODA": 200, "MuJoCo": 30}
+COLD = """
+import json, sys, time
+from pathlib import Path
+sys.path.insert(0, {folder!r})
+from gear_kernel import peak_memory
+from sysid.gear.model import prepare
+before, start = peak_memory(), time.process_time()
+prepare({surface!r}, single=False)
+print(json.dumps([time.process_time() - start, before, peak_memory()]))
+"""
+
+
+def peak_memory():
+    """Peak resident memory of this program [MB], NaN where the system does not tell."""
+    status = Path("/proc/self/status")
+    if status.exists():
+        # Not getrusage, whose peak begins with that of the process that started this one.
+        lines = status.read_text(encoding="utf-8").splitlines()
+        return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
+    try:
+        import psutil
+    except ImportError:
+        return math.nan
+    return getattr(psutil.Process().memory_info(), "peak_wset", math.nan * 1024**2) / 1024**2
+
+
+def cold_compile(surface):
+    """Processor time [s] and peak memory [MB] of the first start of a surface's population driver."""
+    with tempfile.TemporaryDirectory() as cache:
+        code = COLD.format(folder=str(Path(__file__).parent), surface=surface)
+        own = {**os.environ, "NUMBA_CACHE_DIR": cache}
+        command = [sys.executable, "-c", code]
+        run = subprocess.run(command, env=own, capture_output=True, text=True, encoding="utf-8", check=True)
+    seconds, before, peak = json.loads(run.stdout.splitlines()[-1])
+    return {"cpu_seconds": seconds, "imported_mb": before, "peak_mb": peak}
+
+
+def mean_ratios(table):
+    """Geometric mean over the drops of each library's time over ours, by library: lanes, scalar."""
+    out = {}
+    for name in list(table[0])[2:]:
+        if "ratio_lanes" in table[0][name]:
+            out[name] = {
+                kind: float(np.exp(np.mean([math.log(entry[name][f"ratio_{kind}"]) for entry in table])))
+                for kind in ("lanes", "scalar")
+            }
+    return out
+
+
 def main():
     """Measure, print the table, write the JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--population", type=int, default=400)
     parser.add_argument("--lanes", action="store_true", help="also other numbers of lanes (compiles each)")
+    parser.add_argument("--cold", action="store_true", help="also the first compilation (a minute or two)")
     arguments = parser.parse_args()
     drops, row = make_drops(), pack({})
     rows = np.repeat(row[None], arguments.population, axis=0)
@@ -160,6 +216,18 @@ def main():
             if "ratio_lanes" in part:
                 line += f" {part['ratio_lanes']:8.0f} {part['ratio_scalar']:8.0f}"
             print(line)
+    ratios = mean_ratios(table)
+    for name, part in ratios.items():
+        goal = f", goal {GOALS[name]}" if name in GOALS else ""
+        print(f"{name}: {part['lanes']:.0f} x lanes{goal}; {part['scalar']:.1f} x scalar (geometric mean)")
+    peak = peak_memory()
+    print(f"peak memory of this run: {peak:.0f} MB")
+    cold = {surface: cold_compile(surface) for surface in SURFACES} if arguments.cold else {}
+    for surface, part in cold.items():
+        print(
+            f"{surface} cold: {part['cpu_seconds']:.1f} s of processor time, peak {part['peak_mb']:.0f} MB "
+            f"({part['imported_mb']:.0f} MB of it imports)"
+        )
     for surface, kinds in rates.items():
         for kind, part in kinds.items():
             walls = ", ".join(f"{rate:.0f} on {n} thread(s)" for n, rate in part["drops_per_second"].items())
@@ -177,6 +245,9 @@ def main():
             "limit": LIMIT,
             "drops": table,
             "throughput": rates,
+            "mean_ratios": ratios,
+            "peak_mb": peak,
+            "cold": cold,
             "drops_per_cpu_second_by_lanes": widths,
         }
         arguments.json.write_text(json.dumps(result, indent=1), encoding="utf-8")

@@ -51,6 +51,14 @@ def test_truth_scores_nothing_but_quantization(clean):
     assert scored.by_channel.mean(axis=2).max() < 2e-3
 
 
+def test_level_at_release_is_told_to_the_flight(tmp_path):
+    folder = synthesize_gear(tmp_path / "noisy", seed=3, drops=LF_DROPS[:2])
+    campaign, drops = _prepared(folder)
+    assert campaign.capture.level == "release"
+    # The hold says what level is: a drop starts exactly there, not at the mean of the noise of its fall.
+    assert [drop.initial_state[2] for drop in drops] == [0.0, 0.0]
+
+
 def test_the_cost_sees_every_parameter_but_ground_damping(clean):
     campaign, drops = _prepared(clean)
     fitted = tuple(drop for drop in drops if drop.use == "fit")

@@ -8,7 +8,7 @@ import pytest
 from sysid import exact_json
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError
-from sysid.fit.cost import FAILED_NRMSE
+from sysid.fit.cost import FAILED_NRMSE, FilteredNrmse
 from sysid.fit.store import read_fit
 from sysid.gear.model import FIT_TOLERANCE, pack, simulate_population
 from sysid.pipelines.drops import prepare_drops
@@ -69,6 +69,11 @@ def test_a_drop_that_never_touches_is_penalized_by_its_height(problem):
     assert [why for _, why in found] == ["never touched"] * 2
     # Finite, above what any simulation that touches scores, and graded.
     assert FAILED_NRMSE < found[0][0] < found[1][0]
+    # What is missing, the whole window, is paid on top of how far away it is.
+    high = lifted(objective, 5.0)
+    samples, result = high.simulate(row[None])
+    raw = high.cost(samples, result.reached).cost[0]
+    assert found[0][0] == pytest.approx(raw + FAILED_NRMSE, rel=1e-12)
     low, why = cause(lifted(objective, 0.2), row)
     assert why == "fine"
     assert low < FAILED_NRMSE
@@ -113,6 +118,31 @@ def test_every_way_to_be_lost_is_told_apart(problem):
     assert FAILED_NRMSE / 2 < later < sooner < 2 * FAILED_NRMSE
 
 
+def test_a_lost_candidate_pays_once(problem):
+    """A simulation that is lost before the first touchdown pays for what it did not reach, and no more."""
+    objective, row = problem
+    cost, why = cause(objective, changed(row, 15, 0.0))
+    assert why == "step collapsed"
+    assert FAILED_NRMSE < cost <= 2 * FAILED_NRMSE
+
+
+def test_a_candidate_with_several_causes_is_counted_by_the_first(problem):
+    objective, row = problem
+    # The flat drop starts far too high, the steep one leaves a short board.
+    high = objective.drops[0]
+    up = np.array([0.0, 5.0, 0.0, 0.0, 0.0, 0.0])
+    drops = (replace(high, initial_state=high.initial_state + up), objective.drops[1])
+    for order in (drops, drops[::-1]):
+        both = GearObjective(
+            objective.space,
+            order,
+            FilteredNrmse([drop.target for drop in order], objective.cost.channels),
+            objective.surface,
+            board_length=0.05,
+        )
+        assert cause(both, row)[1] == "never touched"
+
+
 def test_none_costs_more_than_five_ordinary_candidates(problem):
     objective, row = problem
     jobs = objective._jobs
@@ -145,6 +175,8 @@ def test_a_fit_counts_them_by_cause(folder, tmp_path):
     counts = result.runs[0].failures
     assert {"blew up", "left the board"} <= set(counts) <= set(CAUSES)
     assert sum(counts.values()) == result.runs[0].failed.sum()
+    # The accuracy is kept beside what it led to.
+    assert read_fit(out).settings["tolerance"] == FIT_TOLERANCE
     # In text, numbers and JSON.
     assert read_fit(out).runs[0].failures == counts
     for cause_text, count in counts.items():

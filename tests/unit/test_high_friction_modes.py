@@ -11,8 +11,8 @@ from sysid.integrate.tableau import STAGES
 MU_K, EXCESS, LOAD = 0.8, 0.1, 10.0
 
 
-def decided(foot, *, stuck, way, slip, required, margin, load=LOAD, length=1e-8):
-    """State of a foot (stuck, way, switched) behind a step in which nothing befalls the other, and the step."""
+def decided(foot, *, stuck, way, slip, required, margin, load=LOAD, length=1e-8, seen=None):
+    """State of a foot (stuck, way, switched) after a step in which nothing befalls the other; the step."""
     work = np.zeros(ROWS)
     work[LAW : LAW + 2] = MU_K, EXCESS
     # The other foot slips on far from a switch.
@@ -25,6 +25,8 @@ def decided(foot, *, stuck, way, slip, required, margin, load=LOAD, length=1e-8)
         # Normal forces, slips and required forces of both feet at the stage: those of the end.
         for n, row in enumerate((NORMAL, SLIP, REQUIRED)):
             work[INNER + 6 * stage + 2 * n : INNER + 6 * stage + 2 * n + 2] = work[row : row + 2]
+        if seen is not None:
+            work[INNER + 6 * stage + 4 + foot] = seen
     step = after_step(work, 0, 1, length, 1.0, 1e-4)
     other = 1 - foot
     assert (work[STUCK + other], work[WAY + other], work[SWITCH + other]) == (0.0, 1.0, 0.0)
@@ -66,3 +68,9 @@ def test_a_loss_within_a_step_repeats_it(foot):
     assert found == (1.0, 1.0, 0.0)
     assert taken == 0.0
     assert 0.0 < step <= 0.5e-4 + 1e-7
+    # A loss that heals before the end, which only the stages saw.
+    healed = {"required": 8.0, "margin": 1.0, "seen": 10.0}
+    assert decided(foot, **held, **healed, length=1e-4)[1][0] == 0.0
+    # Such a step is cut, to no less than a tenth; below 1 us its end alone decides.
+    assert decided(foot, **held, **healed, length=1e-4)[1][1] >= 1e-5
+    assert decided(foot, **held, **healed, length=1e-7) == ((1.0, 1.0, 0.0), (1.0, 1e-4))
