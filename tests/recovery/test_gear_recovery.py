@@ -150,8 +150,8 @@ def errors(objective, truth, seed):
 def test_parameters_are_found_within_what_the_data_fix(surface, tmp_path):
     """Median over five draws of noise, from the true start, as in the study that the bounds are from.
 
-    The start that the pipeline estimates from a hold errs, and some parameters pay for it; linearized medians:
-    low friction k_s 16 % and b_h 2.7 %, high friction m_leg 16 % and mu_k 2.2 %, all beyond these bounds.
+    The start that the pipeline estimates from a hold errs, and some parameters pay; linearized medians: low
+    friction k_s 16 % and b_h 2.7 %, high friction m_leg 16 % and mu_k 2.2 %, all beyond these bounds.
     """
     found = []
     for seed in SEEDS:
