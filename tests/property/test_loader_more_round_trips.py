@@ -16,10 +16,12 @@ SETTINGS = settings(
 SEEDS = st.integers(0, 2**32 - 1)
 # One pound-force and one pound-force-inch as the transducer's maker states them.
 UNITS = st.sampled_from([("N", "Nm", 1.0, 1.0), ("lbf", "lbf-in", 4.4482216152605, 0.1129848290276167)])
-ENDS = st.sampled_from(["\n", "\r\n", "\r"])
+# How the lines of a text log end, and its encoding.
+ENDS = st.tuples(st.sampled_from(["\n", "\r\n", "\r"]), st.sampled_from(["utf-8", "utf-8-sig", "utf-16"]))
 
 
-def write(tmp_path, lines, end, encoding="utf-8"):
+def write(tmp_path, lines, dress):
+    end, encoding = dress
     path = tmp_path / "log.txt"
     path.write_bytes((end.join([*lines, ""])).encode(encoding))
     return path
@@ -269,6 +271,7 @@ def test_ati_text(tmp_path, seed, end, form):
     load_6 = random.normal(size=(count, 6))
     time = 19.2 + np.cumsum(random.uniform(0.009, 0.011, count))
     lines, options = [], {"units": {"force": "lbf", "torque": "lbf-in"}}
+    mark = str(random.choice([",", ";", "\t", " "])) if form == "time" else ","
     if form == "stated":
         lines = ["First line indicates sampling freq [Hz], samples per channel, QTimer [ms] ,,,"]
         lines += ["Fx, Fy, Fz, Mz, My, Mz ", "150,75,500,0,0,"]
@@ -280,7 +283,7 @@ def test_ati_text(tmp_path, seed, end, form):
         cells = [repr(float(x)) for x in load_6[i]]
         if form in ("time", "numbered"):
             cells.insert(0, repr(float(time[i])))
-        lines.append("[ " + "  ".join(cells) + "]" if form == "printed" else ",".join(cells))
+        lines.append("[ " + "  ".join(cells) + "]" if form == "printed" else mark.join(cells))
     log = load(write(tmp_path, lines, end), format="ati-text", **options)
     wanted = time if form in ("time", "numbered") else np.arange(count) / 150
     np.testing.assert_allclose(log["thrust"].time, wanted, rtol=1e-14)
@@ -300,7 +303,7 @@ def test_tables_parted_by_spaces(tmp_path, seed, gap, led):
     for i in range(count):
         cells = [time[i], *place[i], *turns[i].as_quat()]
         lines.append((gap if led else "") + gap.join(repr(float(x)) for x in cells))
-    log = load(write(tmp_path, lines, "\n"), length_unit="m")
+    log = load(write(tmp_path, lines, ("\n", "utf-8")), length_unit="m")
     np.testing.assert_array_equal(log["body/position"].values, place)
     np.testing.assert_array_equal(log["body/position"].time, time)
     assert_turn(log["body/orientation"], turns, np.zeros(count, dtype=bool), 1e-14)

@@ -45,11 +45,11 @@ def columns(draw, count, number=NUMBER, gaps=True):
 
 @st.composite
 def dress(draw, names, table, sure=()):
-    """Write a table with a random delimiter, line end, mark, blank rendering, comments and "
+    """Write a table with a random delimiter, line end, encoding, blank rendering, comments and "
     "trailing commas."""
     delimiter = draw(st.sampled_from([",", ";", "\t"]))
     line_end = draw(st.sampled_from(["\n", "\r\n", "\r"]))
-    mark = draw(st.sampled_from(["", "\ufeff"]))
+    encoding = draw(st.sampled_from(["utf-8", "utf-8-sig", "cp1252", "utf-16"]))
     blank = draw(st.sampled_from(["", " ", "nan", "NaN"]))
     trailing = draw(st.sampled_from(["", delimiter]))
     closed = draw(st.booleans())
@@ -67,7 +67,7 @@ def dress(draw, names, table, sure=()):
         lines.insert(draw(st.integers(1, len(lines))), "# a note; with, delimiters")
     if draw(st.booleans()):
         lines.insert(draw(st.integers(1, len(lines))), "")
-    return mark + line_end.join(lines) + (line_end if closed else "")
+    return (line_end.join(lines) + (line_end if closed else "")).encode(encoding)
 
 
 @st.composite
@@ -103,7 +103,7 @@ def assert_same(channel, time, values, rtol=ULPS):
 def test_thrust_stand(tmp_path, case):
     time, values, unit, text = case
     path = tmp_path / "stand.csv"
-    path.write_bytes(text.encode("utf-8"))
+    path.write_bytes(text)
     log = load(path, static=False)
     factor = {"N": 1.0, "gf": 9.80665e-3, "kgf": 9.80665, "RPM": RPM, "rad/s": 1.0}
     assert log["command"].unit == ("us" if unit["ESC signal"] else "dshot")
@@ -145,7 +145,7 @@ def cells(draw):
 def test_load_cell_csv(tmp_path, case):
     time, values, text = case
     path = tmp_path / "cell.csv"
-    path.write_bytes(text.encode("utf-8"))
+    path.write_bytes(text)
     log = load(path, format="load-cell-csv")
     for name, expected in values.items():
         if not np.isnan(expected).all():
@@ -268,13 +268,14 @@ def takes(draw):
         f"Format Version,{version},Take Name,a, b,Capture Frame Rate,{rate:.6f},Export Frame Rate,{rate:.6f},"
     )
     head += f"Capture Start Time,2023-03-29 06.23.40.520 下午,Rotation Type,{rotation},Length Units,{unit}"
-    out.write(draw(st.sampled_from(["", "\ufeff"])) + head + ",Coordinate Space,Global" + end + end)
+    out.write(head + ",Coordinate Space,Global" + end + end)
     for label, row in [*upper, ("", parts)]:
         out.write(",".join([*(lead or ["", label]), *row]) + end)
     out.write(",".join(["Frame", "Time" if lead else "Time (Seconds)", *labels]) + end)
     for row in zip(*cells, strict=True):
         out.write(",".join(row) + end)
-    return frames / rate, bodies, digits, scale, out.getvalue()
+    encoding = draw(st.sampled_from(["utf-8", "utf-8-sig", "utf-16"]))
+    return frames / rate, bodies, digits, scale, out.getvalue().encode(encoding)
 
 
 @SETTINGS
@@ -282,7 +283,7 @@ def takes(draw):
 def test_motive(tmp_path, case):
     time, bodies, digits, scale, text = case
     path = tmp_path / "take.csv"
-    path.write_bytes(text.encode("utf-8"))
+    path.write_bytes(text)
     log = load(path)
     assert log.rigid_bodies == tuple(bodies)
     for name, (position, continuous, _, lost) in bodies.items():
@@ -324,7 +325,7 @@ def pose_tables(draw):
 def test_pose_table(tmp_path, case):
     time, position, continuous, lost, options, text = case
     path = tmp_path / "poses.csv"
-    path.write_bytes(text.encode("utf-8"))
+    path.write_bytes(text)
     log = load(path, **options)
     np.testing.assert_array_equal(log["body/position"].time, time)
     np.testing.assert_allclose(log["body/position"].values, position, rtol=ULPS)
