@@ -23,8 +23,9 @@ from sysid.loaders.text import SPACES, shortened, split_line
 from sysid.recording import FloatArray
 
 _MISSING = frozenset({"", "nan", "-nan", "+nan"})
-# Bytes that are searched, or parsed, at once: what is made of them is small beside the numbers.
-_SEARCHED, _PARSED = 1 << 20, 1 << 20
+# Bytes that are searched, or parsed, at once: what is made of them is small beside the numbers. Of a small
+# table the pieces are smaller, as the engine holds several times a piece.
+_SEARCHED, _PARSED = 1 << 18, (1 << 18, 1 << 20)
 # Rows that are parted at once.
 _BATCH = 4096
 # More blank cells than this behind the last column of a row is no trailing delimiter.
@@ -101,8 +102,9 @@ class Body:
     def parts(self) -> Iterator[slice]:
         """Yield the rows in runs of some megabytes."""
         start = 0
+        piece = min(max(int(self.begins[-1] - self.begins[0]) // 32, _PARSED[0]), _PARSED[1])
         while start < self.lines.size:
-            stop = int(np.searchsorted(self.begins, self.begins[start] + _PARSED))
+            stop = int(np.searchsorted(self.begins, self.begins[start] + piece))
             yield slice(start, max(stop, start + 1))
             start = max(stop, start + 1)
 
