@@ -100,3 +100,11 @@ def test_short_rows_of_a_lost_body_do_not_make_the_whole_ones_long(tmp_path):
     )
     # 9 rows of 3 cells are the most usual ones; 6 have 10 cells and 5, blank ones, 9.
     assert load(path)["quad/position"].valid.sum() == 6
+
+
+def test_words_among_the_settings_of_ati_are_refused(tmp_path):
+    head = ["First line indicates sampling freq [Hz], samples per channel", "Fx, Fy, Fz, Mx, My, Mz"]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([*head, "150,75,500,x#.2,-0.5,-0.3,-0.5", *["1,2,3,4,5,6"] * 5, ""]), "utf-8")
+    with pytest.raises(LogError, match=r"line 3: 'x#\.2' is no number in the line that states the rate"):
+        load(path, units={"force": "N", "torque": "N*m"})
