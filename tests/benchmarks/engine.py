@@ -37,7 +37,7 @@ from sysid.executor import _LEAST_CHUNK, CHUNK_TIME, DaskCluster
 from sysid.fit.algorithms import breeder
 from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.engine import Hooks, SearchSettings, run_many, run_one
-from sysid.fit.objective import SpreadObjective
+from sysid.fit.objective import SpreadObjective, causes_of
 from sysid.fit.stopping import StopRule
 from sysid.synthetic import read_truth, synthesize_gear
 
@@ -144,7 +144,7 @@ def overhead(arguments, folder):
     simulating, computing = [0.0], [0.0]
 
     class Timed:
-        space = objective.space
+        space, causes = objective.space, causes_of(objective)
 
         def evaluate(self, cube):
             began, clock = time.perf_counter(), time.process_time()
@@ -195,7 +195,7 @@ def workers(arguments, folder):
             where.close()
 
     class Timed:
-        space = objective.space
+        space, causes = objective.space, causes_of(objective)
         alone = 0.0
 
         def evaluate(self, cube):
