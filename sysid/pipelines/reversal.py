@@ -22,6 +22,7 @@ from sysid.pipelines.bench_targets import uniform_filtered
 from sysid.report.figures import save_figure
 from sysid.report.motor_figures import ReversalCurves, figure_reversals
 from sysid.report.printing import print_table
+from sysid.trials.one_clock import on_one_clock
 from sysid.trials.reversal import LEVEL, SLOW, Repetitions, Sense, find_reversals, repetitions
 from sysid.trials.thrust import (
     CommandRange,
@@ -37,6 +38,8 @@ FloatArray = NDArray[np.float64]
 
 # A log is filtered when it has this many samples per period of the stop-band edge.
 _FAST = 10.0
+# The clock of a log whose channels have their own: that of the force.
+_NEEDED, _CLOCK_OF = ("command", "speed", "thrust"), ("thrust",)
 # Minimum, neutral and maximum of a protocol where the user says nothing. Bidirectional DShot is no single
 # line over its numbers, so it has no default.
 _PROTOCOLS = {"us": (1000.0, 1500.0, 2000.0), "1": (-1.0, 0.0, 1.0)}
@@ -179,6 +182,7 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
     where = recording.provenance.path
     if recording.kind == "static-map":
         raise LogError(f"{where}: holds averaged points, no transients; a reversal time needs a running log")
+    recording = on_one_clock(recording, _NEEDED, _CLOCK_OF)
     command, thrust = recording["command"], recording["thrust"]
     u = options.range_of(command.unit, where).to_u(command.values, command.unit, where)
     time = command.time
@@ -186,8 +190,7 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
     rate = 1.0 / float(np.median(np.diff(time)))
     fast = rate >= _FAST * options.stop_edge
     speed = recording["speed"] if "speed" in recording.channels else None
-    turning = None if speed is None else np.interp(time, speed.time, np.nan_to_num(speed.values))
-    zero = tare(thrust.values, rows_at_rest(thrust.time, np.interp(thrust.time, time, u), turning))
+    zero = tare(thrust.values, rows_at_rest(time, u, None if speed is None else speed.values))
     notes = [*recording.provenance.notes]
     if zero.rows == 0:
         notes.append("no row at rest: the tare of thrust is taken as 0")

@@ -8,8 +8,10 @@ import pytest
 
 from sysid import cli
 from sysid.errors import LogError
+from sysid.loaders import load
 from sysid.motor.model import simulate
 from sysid.pipelines.reversal import ReversalOptions, log_reversals
+from sysid.recording import Channel, Recording
 from sysid.trials.reversal import find_reversals, repetitions
 from sysid.trials.thrust import CommandSteps
 
@@ -191,6 +193,45 @@ def test_refusals_are_sentences(run, tmp_path, arguments, words):
     assert err.count("\n") == 1
     assert not out
     assert not (tmp_path / "none.png").exists()
+
+
+def _with(monkeypatch, recording, **channels):
+    """Let the next log read be `recording` with other channels."""
+    given = Recording(recording.kind, {**recording.channels, **channels}, recording.provenance)
+    monkeypatch.setattr("sysid.pipelines.reversal.load", lambda *_, **__: given)
+
+
+def _part_of(channel, rows):
+    return Channel(channel.name, channel.unit, channel.time[rows], channel.values[rows])
+
+
+def _slower(channel):
+    """A sensor of a tenth of the rate: each row the mean of ten, so that their noise is not folded down."""
+    rows = channel.time.size // 10 * 10
+    time, values = (a[:rows].reshape(-1, 10).mean(axis=1) for a in (channel.time, channel.values))
+    return Channel(channel.name, channel.unit, time, values)
+
+
+def test_channels_with_their_own_clocks(monkeypatch):
+    path = SAMPLES / "reversal-2.h5"
+    whole, log = log_reversals(path, ReversalOptions(sense="both")), load(path)
+    # Any channel at a tenth of 10 kHz may cost a sample of it, 1 ms, and half of one of the mean of ten. At
+    # 90 % a strong thrust rises by 3 to 7 N/s: 8 mN of noise, filtered otherwise, are 1 to 3 ms.
+    for name in ("speed", "command", "thrust"):
+        slow = _part_of(log[name], slice(None, None, 10)) if name == "command" else _slower(log[name])
+        _with(monkeypatch, log, **{name: slow})
+        found = log_reversals(path, ReversalOptions(sense="both"))
+        assert len(found.groups) == len(whole.groups) == 5
+        for own, reference in zip(found.groups, whole.groups, strict=True):
+            for key in ("zero_crossing", "dead_band"):
+                assert own.median(key) == pytest.approx(reference.median(key), abs=2e-3), (name, key)
+            if abs(reference.reversals[0].final_thrust) > 3.0:
+                times = own.median("to_level"), reference.median("to_level")
+                assert times[0] == pytest.approx(times[1], abs=3e-3), name
+    # A thrust one row short.
+    _with(monkeypatch, log, thrust=_part_of(log["thrust"], slice(0, -1)))
+    (first, *_) = log_reversals(path, ReversalOptions(sense="both")).groups
+    assert first.median("to_level") == pytest.approx(whole.groups[0].median("to_level"), abs=1e-6)
 
 
 def test_unitless_dshot_needs_a_neutral(tmp_path):
