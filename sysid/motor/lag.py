@@ -21,7 +21,7 @@ from sysid.parameters import Parameter, ParameterTable
 
 FloatArray = NDArray[np.float64]
 
-_T_RISE, _T_FALL, _DELAY = 0, 1, 2
+_DELAY = 2
 _STEADY = 6  # Ω_ss(u) = s (p0 + p1 |u| + p2 u²), s = sign u: forward, then reverse
 _TORQUE = 12  # c2, c1 forward; c2, c1 reverse
 

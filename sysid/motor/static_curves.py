@@ -167,6 +167,16 @@ def no_load_speed_of_loaded(
     return omega + drop * (tau + viscous_damping * omega)
 
 
+def soft_weights(columns: FloatArray, y: FloatArray) -> FloatArray:
+    """Return the soft-L1 weights (n,) that a robust fit of y (n,) over columns (n, k) gives the points.
+
+    Weighted least squares with them is that fit: a point far from the others counts with σ/|residual|.
+    """
+    scaled = columns / np.max(np.abs(columns), axis=0)
+    found, sigma = _robust_solution(scaled, y)
+    return np.asarray(1.0 / np.sqrt(1.0 + ((y - scaled @ found) / sigma) ** 2), dtype=np.float64)
+
+
 def _of_direction(direction: Direction, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
     xs, ys = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     keep = np.isfinite(xs) & np.isfinite(ys) & ((xs > 0) if direction == "forward" else (xs < 0))
@@ -191,20 +201,8 @@ def _robust_line(
     # Columns scaled to 1: c2 and c1 differ by the speed itself, which least_squares would feel.
     size = np.max(np.abs(columns), axis=0)
     scaled = columns / size
-    height = float(np.max(np.abs(y))) or 1.0
-    # A start that outliers cannot move far: the absolute residual, then the scale it shows.
-    start = np.linalg.lstsq(scaled, y, rcond=None)[0]
-    floor = 1e-9 * height
-    for _ in range(10):
-        residual = y - scaled @ start
-        sigma = max(float(np.median(np.abs(residual))) / _MAD, floor)
-        found = _soft_line(scaled / sigma, y / sigma, start)
-        done = np.max(np.abs(found - start)) <= 1e-10 * np.max(np.abs(found))
-        start = found
-        if done:
-            break
+    start, sigma = _robust_solution(scaled, y)
     residual = y - scaled @ start
-    sigma = max(float(np.median(np.abs(residual))) / _MAD, floor)
     weight = 1.0 / np.sqrt(1.0 + (residual / sigma) ** 2)
     inlier = np.abs(residual) <= OUTLIER * sigma
     freedom = max(1.0, float(np.sum(weight)) - 2.0)
@@ -228,6 +226,23 @@ def _robust_line(
         int(y.size),
         int(np.sum(~inlier)),
     )
+
+
+def _robust_solution(columns: FloatArray, y: FloatArray) -> tuple[FloatArray, float]:
+    """Return the coefficients (k,) of the soft-L1 fit of y over columns, and the scale of its residuals."""
+    floor = 1e-9 * (float(np.max(np.abs(y))) or 1.0)
+    # A start that outliers cannot move far: the absolute residual, then the scale it shows.
+    start: FloatArray = np.asarray(np.linalg.lstsq(columns, y, rcond=None)[0], dtype=np.float64)
+    for _ in range(10):
+        residual = y - columns @ start
+        sigma = max(float(np.median(np.abs(residual))) / _MAD, floor)
+        found = _soft_line(columns / sigma, y / sigma, start)
+        done = np.max(np.abs(found - start)) <= 1e-10 * np.max(np.abs(found))
+        start = found
+        if done:
+            break
+    residual = y - columns @ start
+    return start, max(float(np.median(np.abs(residual))) / _MAD, floor)
 
 
 def _soft_line(columns: FloatArray, y: FloatArray, start: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ from sysid.campaign import MotorCampaign
 from sysid.campaign.motor import MotorTrial as TrialEntry
 from sysid.campaign.motor import StaticLog
 from sysid.errors import FitError, LogError, SysidWarning
-from sysid.motor.static_curves import OUTLIER, CurveFit, fit_no_load_line, fit_speed_curve
+from sysid.motor.static_curves import OUTLIER, CurveFit, fit_no_load_line, fit_speed_curve, soft_weights
 from sysid.pipelines.bench_logs import STATED_SIGNS, BenchLog, bench_log, command_range, log_points
 from sysid.pipelines.bench_reading import read_log
 from sysid.trials.signs import sign_against_speed
@@ -83,20 +83,42 @@ class NoLoadTie:
         u and sign(u) of the points, times V/V_ref.
     points : (n, 2) array
         Their loaded speed Ω [rad/s] and drag τ [N·m].
+
+    Notes
+    -----
+    A point far from the others (a speed probe that missed a blade, a stand that settled late) loses weight as
+    in the other curves. The soft-L1 weights are found once, about a parabola of Ω over u, so that the line
+    stays linear in R/(k_m k_v) and a candidate of the search costs one product.
     """
 
     columns: FloatArray
     points: FloatArray
 
     @cached_property
+    def weights(self) -> FloatArray:
+        """(n,) soft-L1 weights of the points [1]."""
+        # The drag bends Ω(u) about like u|u|; the drag of a misread speed is itself misread, so it may not judge.
+        u, sign = self.columns.T
+        return soft_weights(np.column_stack([u, sign, u * u / sign]), self.points[:, 0])
+
+    @cached_property
     def speed(self) -> FloatArray:
-        """(2,) slope and intercept of the least-squares line of Ω over u, at V_ref [rad/s]."""
-        return np.asarray(np.linalg.lstsq(self.columns, self.points[:, 0], rcond=None)[0])
+        """(2,) slope and intercept of the weighted least-squares line of Ω over u, at V_ref [rad/s]."""
+        return self._line(self.points[:, 0])
 
     @cached_property
     def torque(self) -> FloatArray:
         """(2,) the same of τ [N·m]."""
-        return np.asarray(np.linalg.lstsq(self.columns, self.points[:, 1], rcond=None)[0])
+        return self._line(self.points[:, 1])
+
+    def _line(self, values: FloatArray) -> FloatArray:
+        root = np.sqrt(self.weights)
+        return np.asarray(np.linalg.lstsq(root[:, None] * self.columns, root * values, rcond=None)[0])
+
+    def _lifted(self, drop: float, damping: float) -> FloatArray:
+        """Return Ω_0 (n,) of the points [rad/s]."""
+        speed, torque = self.points.T
+        return np.asarray(speed + drop * (torque + damping * speed), dtype=np.float64)
 
     def line(self, drop: FloatArray, damping: FloatArray) -> FloatArray:
         """Return slope and intercept (P, 2) of Ω_0 for R/(k_m k_v) (P,) [rad/s per N·m] and k_d (P,)."""
@@ -110,17 +132,21 @@ class NoLoadTie:
         them.
         """
         line = self.line(np.array([drop]), np.array([damping]))[0]
-        lifted = self.points[:, 0] + drop * (self.points[:, 1] + damping * self.points[:, 0])
+        lifted = self._lifted(drop, damping)
         residual = lifted - self.columns @ line
-        total = float(np.sum((lifted - lifted.mean()) ** 2))
-        left = float(residual @ residual)
-        spread = left / max(residual.size - 2, 1)
-        errors = np.sqrt(np.diag(spread * np.linalg.inv(self.columns.T @ self.columns)))
-        sigma = float(np.median(np.abs(residual))) / 0.6745
+        sigma = max(float(np.median(np.abs(residual))) / 0.6745, 1e-9 * float(np.max(np.abs(lifted))))
+        near = np.abs(residual) <= OUTLIER * sigma
+        total = float(np.sum((lifted[near] - lifted[near].mean()) ** 2))
+        # Outliers pull by their weight alone: what the others scatter is the error.
+        weight = np.where(near, self.weights, 0.0)
+        spread = float(weight @ residual**2) / max(float(weight.sum()) - 2.0, 1.0)
+        information = np.linalg.inv(self.columns.T @ (self.weights[:, None] * self.columns))
+        errors = np.sqrt(np.diag(spread * information))
         return CurveFit(
             "no_load", direction, (float(line[0]), float(line[1])), (float(errors[0]), float(errors[1])),
-            ("rad/s", "rad/s"), 1.0 - left / total if total > 0 else float("nan"), residual.size,
-            int(np.count_nonzero(np.abs(residual) > OUTLIER * sigma)),
+            ("rad/s", "rad/s"),
+            1.0 - float(np.sum(residual[near] ** 2)) / total if total > 0 else float("nan"),
+            residual.size, int(np.count_nonzero(~near)),
         )  # fmt: skip
 
 
