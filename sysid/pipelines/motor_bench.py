@@ -13,7 +13,7 @@ from sysid.campaign import MotorCampaign
 from sysid.errors import CampaignError, SysidWarning
 from sysid.motor.model import FREE_DEFAULT, PARAMETERS
 from sysid.parameters import SearchSpace
-from sysid.pipelines.bench_curves import StaticCurves, static_curves
+from sysid.pipelines.bench_curves import StaticCurves, static_curves, static_log_points
 from sysid.pipelines.bench_logs import BenchLog, TorquePerCurrent, bench_log, torque_per_current
 from sysid.pipelines.bench_reading import check_options
 from sysid.pipelines.bench_targets import PreparedTrial, prepare_trial
@@ -96,15 +96,16 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
             "no forward or reverse trial has use = 'fit'; reversals alone cannot serve, because the dead "
             "band would hide in R and L"
         )
-    reference = campaign.motor.reference_voltage or _median_supply(fitted)
+    reference, voltage_source = _reference_voltage(campaign, path, fitted)
     curves = static_curves(campaign, path, fitted, reference)
     if campaign.motor.kv is not None:
         _check_kv(campaign.motor.kv, reference, curves)
     current = torque_per_current(fitted) if campaign.log.current == "motor" else None
-    values, measured, stated = _known_values(campaign, curves, reference, current)
+    values, measured, stated = _known_values(campaign, curves, reference, voltage_source, current)
     chosen = campaign.parameters
     scale_known = campaign.motor.kv is not None or current is not None
-    scale_known |= any(name in chosen.fixed for name in CONSTANTS)
+    # One constant alone says nothing where the other is a guess.
+    scale_known |= all(name in chosen.fixed for name in CONSTANTS)
     # Freed beside R, the constants are arbitrary with it whatever they start from.
     scale_known &= current is not None or not {*CONSTANTS} & {*(chosen.free or ())}
     trials = tuple(
@@ -142,15 +143,30 @@ def _check_kv(kv: float, reference: float, curves: StaticCurves) -> None:
         warnings.warn(f"{found}; check kv and reference_voltage", SysidWarning, stacklevel=3)
 
 
-def _median_supply(logs: list[BenchLog]) -> float:
-    volts = [log.channels["voltage"][1] for log in logs if "voltage" in log.channels]
-    return float(np.median(np.concatenate(volts))) if volts else PARAMETERS.nominal["reference_voltage"]
+def _reference_voltage(
+    campaign: MotorCampaign, path: str | Path, fitted: list[BenchLog]
+) -> tuple[float, str]:
+    """Return V_ref [V] and where it comes from: the campaign, the fitted logs, those of the curves, a guess."""
+    if campaign.motor.reference_voltage is not None:
+        return campaign.motor.reference_voltage, "campaign: motor.reference_voltage"
+    logged = [log.channels["voltage"][1] for log in fitted if "voltage" in log.channels]
+    if logged:
+        return float(np.median(np.concatenate(logged))), "median supply voltage of the fitted logs"
+    # Their speeds are divided by their own volts: another reference would tilt the no-load line.
+    curves = (*campaign.curves.no_load, *campaign.curves.static)
+    volts = np.concatenate([np.zeros(0), *(static_log_points(campaign, path, s).voltage for s in curves)])
+    volts = volts[np.isfinite(volts) & (volts > 0)]
+    if volts.size:
+        source = "median supply voltage of the logs under [curves]: the fitted logs hold none"
+        return float(np.median(volts)), source
+    return PARAMETERS.nominal["reference_voltage"], "guess: no log holds the supply voltage"
 
 
 def _known_values(
     campaign: MotorCampaign,
     curves: StaticCurves,
     reference: float,
+    voltage_source: str,
     current: TorquePerCurrent | None,
 ) -> tuple[dict[str, float], dict[str, str], dict[str, str]]:
     """Return the values that campaign and logs give, and where the measured and the other ones come from."""
@@ -160,9 +176,9 @@ def _known_values(
     stated: dict[str, str] = {}
     constants = CONSTANTS
     if motor.reference_voltage is not None:
-        measured["reference_voltage"] = "campaign: motor.reference_voltage"
+        measured["reference_voltage"] = voltage_source
     else:
-        stated["reference_voltage"] = "median supply voltage of the fitted logs, or the model's default"
+        stated["reference_voltage"] = voltage_source
     if motor.kv is not None:
         values |= dict.fromkeys(constants, 1.0 / motor.kv)
         stated |= dict.fromkeys(constants, "campaign: 1/motor.kv, a rating")

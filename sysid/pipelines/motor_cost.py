@@ -71,7 +71,7 @@ class MotorCost:
     Raises
     ------
     FitError
-        When a weighted channel of a trial has no sample or is constant.
+        When a weighted channel of a trial has no sample or is constant. Without weight its NRMSE is NaN.
     """
 
     def __init__(
@@ -82,12 +82,15 @@ class MotorCost:
         self.denominators = np.ones((len(targets), 2))
         for t, target in enumerate(targets):
             for c in range(2):
-                if self.weights[c] == 0:
-                    continue
                 try:
                     scale = spread(target.measured[:, c], target.valid[:, c], denominator)
                 except FitError as error:
+                    if self.weights[c] == 0:
+                        self.denominators[t, c] = np.nan
+                        continue
                     raise FitError(f"{target.name}, {CHANNELS[c]}: {error}") from None
+                if scale == 0.0 and self.weights[c] == 0:
+                    scale = np.nan
                 if scale == 0.0:
                     raise FitError(
                         f"{target.name}, {CHANNELS[c]}: constant over the window, so its NRMSE is "
@@ -106,7 +109,8 @@ class MotorCost:
 
     def mean(self, by_channel: FloatArray) -> FloatArray:
         """Return the weighted mean over channels, then over trials, of (..., T, 2) NRMSE."""
-        return np.mean(by_channel @ (self.weights / self.weights.sum()), axis=-1)
+        weighted = by_channel[..., self.weights > 0] @ (self.weights[self.weights > 0] / self.weights.sum())
+        return np.mean(weighted, axis=-1)
 
     def __call__(
         self, samples: FloatArray, reached: FloatArray, sensors: FloatArray, threads: int | None = None

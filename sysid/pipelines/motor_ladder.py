@@ -266,7 +266,9 @@ def climb(
         row[:, list(space.table).index(name)] = band[name]
     last = parts.means(replace(every, ideal_reversal=False).score(row)[0][0])
     # A log that starts from rest passes the dead band as well, and a dead band that was not fitted must show.
-    if saturated or any(not np.allclose(last[g], rungs[-1].nrmse[g], rtol=1e-3) for g in last):
+    if saturated or any(
+        not np.allclose(last[g], rungs[-1].nrmse[g], rtol=1e-3, equal_nan=True) for g in last
+    ):
         values = rungs[-1].values | {name: float(band[name]) for name in SATURATION}
         name = "full with saturation" if saturated else "full, saturation as in Table I"
         rungs.append(Rung(name, values, last, rungs[-1].evaluations))

@@ -1,11 +1,19 @@
-"""What a motor fit makes of doubtful input, and says of it: a bad point, a voltage in some logs, half a scale."""
+"""What a motor fit makes of doubtful input, and says of it: a bad point, volts in some logs, half a scale."""
 
 from __future__ import annotations
+
+import re
+import warnings
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sysid.campaign import read_campaign
 from sysid.pipelines.bench_curves import NoLoadTie
+from sysid.pipelines.motor_bench import prepare_bench
+from sysid.synthetic.motor import TrialPlan, synthesize_motor
 
 # R/(k_m k_v) of Table I [rad/s per N·m], its drag curve, and a no-load line.
 DROP, DRAG, SLOPE, INTERCEPT = 0.299 / 0.00995**2, 1.65e-7, 973.0, 20.0
@@ -36,3 +44,27 @@ def test_one_bad_point_does_not_bend_the_no_load_line(bad: int | None, miss: flo
     assert fit.r_squared > 0.999
     # About the 0.9 rad/s of above, more where an end point is lost: it holds most of the slope.
     assert 0.4 < fit.standard_errors[0] < 3.0
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One short forward trial, its static logs at 11.1 V and no words on V_ref."""
+    trials = (TrialPlan("forward-1", "forward", "fit", 0.25, (0.62, 0.35, 0.80), 0.45, "csv"),)
+    path = synthesize_motor(tmp_path_factory.mktemp("doubts") / "motor", seed=3, trials=trials) / "campaign.toml"
+    text = re.sub(r"^reference_voltage = .*\n", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def _changed(path: Path, name: str, *pairs: tuple[str, str]) -> Path:
+    text = path.read_text(encoding="utf-8")
+    for pattern, new in pairs:
+        text, count = re.subn(pattern, new, text, flags=re.MULTILINE)
+        assert count, pattern
+    other = path.with_name(name)
+    other.write_text(text, encoding="utf-8")
+    return other
+
+
+def _bench(path: Path):
+    return prepare_bench(read_campaign(path, "motor"), path)

@@ -103,5 +103,25 @@ def test_channel_without_samples_is_refused_unless_it_has_no_weight() -> None:
     by_channel, failed = cost(np.zeros((1, 1001, 2)), np.ones((1, 1)), np.zeros((1, 3)))
     assert not failed.any()
     assert np.isfinite(cost.mean(by_channel)).all()
+    # No number where nothing was recorded, instead of a perfect one.
+    assert np.isnan(by_channel[0, 0, 0])
     with pytest.raises(FitError, match="speed: constant"):
         MotorCost((_slow(np.ones((50, 2)), time),), (0.0, 1.0), "range")
+
+
+def test_a_channel_without_weight_has_its_nrmse_and_no_say() -> None:
+    time = np.linspace(0.01, 1.9, 50)
+    # Torque of 10 mN·m: its rms error in N·m would be a hundredth of its NRMSE.
+    measured = RNG.normal(size=(50, 2)) * (0.01, 1.0)
+    cost = MotorCost((_slow(measured, time),), (0.0, 1.0), "std")
+    by_channel, _ = cost(np.zeros((1, 1001, 2)), np.ones((1, 1)), np.zeros((1, 3)))
+    for c in range(2):
+        assert by_channel[0, 0, c] == pytest.approx(nrmse(np.zeros(50), measured[:, c]), rel=1e-12)
+    assert cost.mean(by_channel)[0] == by_channel[0, 0, 1]
+    # A constant one has none.
+    flat = np.column_stack([np.full(50, 0.01), measured[:, 1]])
+    by_channel, failed = MotorCost((_slow(flat, time),), (0.0, 1.0), "std")(
+        np.zeros((1, 1001, 2)), np.ones((1, 1)), np.zeros((1, 3))
+    )
+    assert np.isnan(by_channel[0, 0, 0])
+    assert not failed.any()
