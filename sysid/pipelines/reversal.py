@@ -19,14 +19,27 @@ from sysid.errors import LogError
 from sysid.filters import ChebyshevLowpass
 from sysid.loaders import load
 from sysid.pipelines.bench_targets import uniform_filtered
+from sysid.recording import Channel
 from sysid.report.figures import save_figure
 from sysid.report.motor_figures import ReversalCurves, figure_reversals
 from sysid.report.printing import print_table
 from sysid.trials.one_clock import on_one_clock
-from sysid.trials.reversal import LEVEL, SLOW, Repetitions, Sense, find_reversals, repetitions
+from sysid.trials.reversal import (
+    JITTER,
+    LEVEL,
+    SLOW,
+    Repetitions,
+    Sense,
+    find_reversals,
+    held_commands,
+    repetitions,
+)
+from sysid.trials.signs import zero_of_steady
+from sysid.trials.steady import steady_points
 from sysid.trials.thrust import (
     CommandRange,
     CommandSteps,
+    Tare,
     command_steps,
     find_stalls,
     real_samples,
@@ -40,6 +53,7 @@ FloatArray = NDArray[np.float64]
 _FAST = 10.0
 # The clock of a log whose channels have their own: that of the force.
 _NEEDED, _CLOCK_OF = ("command", "speed", "thrust"), ("thrust",)
+_NO_TARE = Tare(0.0, math.nan, 0, "assumed")
 # Minimum, neutral and maximum of a protocol where the user says nothing. Bidirectional DShot is no single
 # line over its numbers, so it has no default.
 _PROTOCOLS = {"us": (1000.0, 1500.0, 2000.0), "1": (-1.0, 0.0, 1.0)}
@@ -59,8 +73,8 @@ class ReversalOptions:
     stop_edge : float
         Of the low-pass of fast logs [Hz].
     slow : float
-        Times the lower quartile beyond which a repetition is an outlier [1].
-    thrust_sign : float
+        Times the quickest of a pair of commands beyond which a repetition is an outlier [1].
+    thrust_sign : {1, -1}
         -1 where the log's thrust is positive in reverse.
     forward_half : {"low", "high"}, optional
         Of bidirectional DShot; in place of the three numbers.
@@ -75,6 +89,17 @@ class ReversalOptions:
     slow: float = SLOW
     thrust_sign: float = 1.0
     forward_half: Literal["low", "high"] | None = None
+
+    def __post_init__(self) -> None:
+        if abs(self.thrust_sign) != 1.0:
+            raise LogError(
+                f"--thrust-sign {self.thrust_sign:g}: it turns thrust and does not scale it; expected 1 or -1"
+            )
+        if not 1.0 < self.slow < math.inf:
+            raise LogError(
+                f"--slow {self.slow:g}: how many times slower than the quickest an outlier is; expected more "
+                "than 1, for example 1.5"
+            )
 
     def range_of(self, unit: str, where: str) -> CommandRange:
         """Return the command range in the log's unit.
@@ -186,15 +211,18 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
     command, thrust = recording["command"], recording["thrust"]
     u = options.range_of(command.unit, where).to_u(command.values, command.unit, where)
     time = command.time
-    steps = command_steps(time, u)
+    # A neutral that jitters is a neutral, for the tare too.
+    u = np.where(np.abs(u) <= JITTER, 0.0, u)
+    steps = held_commands(command_steps(time, u))
     rate = 1.0 / float(np.median(np.diff(time)))
     fast = rate >= _FAST * options.stop_edge
     speed = recording["speed"] if "speed" in recording.channels else None
     zero = tare(thrust.values, rows_at_rest(time, u, None if speed is None else speed.values))
     notes = [*recording.provenance.notes]
-    if zero.rows == 0:
-        notes.append("no row at rest: the tare of thrust is taken as 0")
     keep = thrust.valid if fast else real_samples(thrust.values)
+    if zero.rows == 0:
+        zero, said = _zero_without_rest(steps, thrust, keep, speed)
+        notes.append(f"no row at rest: {said}")
     forces = (thrust.time[keep], options.thrust_sign * (thrust.values[keep] - zero.value))
     turns = None if speed is None else (speed.time[speed.valid], speed.values[speed.valid])
     if fast:
@@ -215,11 +243,38 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
             f"and {len(everything)} reversals were lost to stalls of the logger; check --neutral and "
             "--sense, or record one"
         )
+    groups = repetitions(found)
+    notes += [
+        f"u {group.before:+.2f} → {group.after:+.2f}: no repetition settled while it was held (at most "
+        f"{max(r.hold for r in group.reversals):.2g} s), so its final thrust is not known; hold it longer"
+        for group in groups
+        if group.unsettled
+    ]
     signed = turns is not None and bool(np.any(turns[1] < 0) and np.any(turns[1] > 0))
     return LogReversals(
-        path.name, repetitions(found), forces, "speed" if signed else "thrust",
+        path.name, groups, forces, "speed" if signed else "thrust",
         len(everything) - len(found), tuple(notes),
     )  # fmt: skip
+
+
+def _zero_without_rest(
+    steps: CommandSteps, thrust: Channel, keep: NDArray[np.bool_], speed: Channel | None
+) -> tuple[Tare, str]:
+    """Return the tare [N] of a thrust without a row at rest, and what it rests on, in words."""
+    if speed is None:
+        return _NO_TARE, "the tare of thrust is taken as 0"
+    # Steady stretches turn as they are commanded, whatever an unsigned probe shows.
+    held = np.maximum(np.searchsorted(steps.time, speed.time, side="right") - 1, 0)
+    turning = np.sign(steps.level[held]) * np.abs(speed.values)
+    channels = {"speed": (speed.time, turning), "thrust": (thrust.time[keep], thrust.values[keep])}
+    points = steady_points(thrust.time, steps, channels)
+    found = zero_of_steady(points.thrust, points.speed)
+    if found is None:
+        return _NO_TARE, "too few steady points beside it, so the tare of thrust is taken as 0"
+    return found, (
+        f"the tare of thrust, {1e3 * found.value:.3g} ± {1e3 * found.error:.2g} mN, is what its steady "
+        "points over Ω|Ω| leave at standstill"
+    )
 
 
 def _known(signal: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
@@ -287,6 +342,8 @@ def reversal_times(
     else:
         print_table(_table(found, options.slow))
         for one in found:
+            for note in one.notes:
+                print(f"{one.name}: {note}")
             if one.lost:
                 print(f"{one.name}: {one.lost} reversals left out, the logger stalled around their command")
         if figure is not None:
@@ -298,7 +355,7 @@ def _table(found: Sequence[LogReversals], slow: float) -> Table:
     table = Table(
         title=Text("reversal times from the command, median (quartiles) [ms]"), title_justify="left",
         caption=Text(
-            f"outliers: over {slow:g} times the lower quartile, or 90 % never reached; zero crossing and "
+            f"outliers: over {slow:g} times the quickest, or 90 % not seen to be reached; zero crossing and "
             "dead band of the speed where it is signed, else (T) of the thrust"
         ),
         caption_justify="left", header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0),
@@ -328,7 +385,7 @@ def _table(found: Sequence[LogReversals], slow: float) -> Table:
 def _milliseconds(group: Repetitions, name: str) -> str:
     median = group.median(name)
     if not math.isfinite(median):
-        return "never"
+        return "unsettled" if name == "to_level" and group.unsettled else "never"
     low, high = group.quartiles(name)
     spread = f" ({1e3 * low:.0f}–{1e3 * high:.0f})" if len(group.reversals) > 1 else ""
     return f"{1e3 * median:.0f}{spread}"

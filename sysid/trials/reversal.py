@@ -23,7 +23,7 @@ LEVEL = 0.9
 # Inside the dead band: |speed| (of a signed probe), else |thrust|, below this share of its final value. A
 # thrust of 5 % is a speed of 22 %.
 DEAD_BAND = 0.05
-# A reversal this many times slower than the quick quarter of its repetitions is an outlier.
+# A reversal this many times slower than the quickest of its repetitions is an outlier.
 SLOW = 1.5
 # The final value is taken over this last part of the hold; a hold shorter than this has none [s].
 _LAST, _LEAST_HOLD = 0.25, 0.2
@@ -31,6 +31,13 @@ _LAST, _LEAST_HOLD = 0.25, 0.2
 # value is at least the second share of the largest: a battery that sags by a fifth keeps 0.64 of the thrust,
 # a rotor that has not started has none.
 _DRIFT, _LEAST_FINAL = 0.1, 0.6
+# The outliers' measure: this percentile of the times, low so that a controller that fails four times of five
+# still has its quick repetitions there [%].
+_QUICK = 10.0
+# Commands this close to each other are one [1]: a receiver's pulses jitter by a microsecond either way.
+JITTER = 0.005
+# A neutral this short is on the way from one command to the next, and no rest [s].
+_PASSING = 0.05
 
 
 @dataclass(frozen=True)
@@ -52,7 +59,8 @@ class Reversal:
     to_level : float
         Until the thrust was 90 % of its final value; NaN: never before the next command.
     final_thrust : float
-        What `to_level` refers to: the repetition's own where it settled [N], with the sign of `after`.
+        What `to_level` refers to: the repetition's own where it settled [N], with the sign of `after`; NaN
+        where no repetition did.
     """
 
     time: float
@@ -63,6 +71,44 @@ class Reversal:
     dead_band: float
     to_level: float
     final_thrust: float
+
+
+def held_commands(steps: CommandSteps) -> CommandSteps:
+    """Return the commands that were meant: jitter taken out, a neutral in passing left out.
+
+    Parameters
+    ----------
+    steps : CommandSteps
+        As logged, in u.
+
+    Returns
+    -------
+    CommandSteps
+        Levels within 0.005 of each other are the one of them that was held longest, and 0 when they are that
+        close to it; a neutral of less than 50 ms between two commands belongs to the first.
+    """
+    if steps.time.size < 2:
+        return steps
+    # The last hold has no end here; as long as the one before it will do for a vote.
+    held = np.append(np.diff(steps.time), np.diff(steps.time[-2:]))
+    values, which = np.unique(steps.level, return_inverse=True)
+    weight = np.bincount(which, weights=held)
+    meant = values.copy()
+    first = 0
+    for i in range(1, values.size + 1):
+        if i == values.size or values[i] - values[first] > JITTER:
+            meant[first:i] = values[first:i][np.argmax(weight[first:i])]
+            first = i
+    meant[np.abs(values) <= JITTER] = 0.0
+    merged = _changes(steps.time, meant[which])
+    passing = (merged.level == 0) & (np.append(np.diff(merged.time), np.inf) < _PASSING)
+    passing[0] = False
+    return _changes(merged.time[~passing], merged.level[~passing])
+
+
+def _changes(time: FloatArray, level: FloatArray) -> CommandSteps:
+    keep = np.concatenate([[True], np.diff(level) != 0])
+    return CommandSteps(time[keep], level[keep])
 
 
 def find_reversals(
@@ -100,8 +146,10 @@ def find_reversals(
     The final thrust of a repetition is the mean over the last quarter of its own hold: a supply that sags
     weakens later repetitions and is no failure of theirs. One that has not settled by then (its halves differ
     by over 10 %, or it has less than 60 % of the largest) must not be measured against itself; it takes the
-    final thrust of the nearest repetition in time that has.
+    final thrust of the nearest repetition in time that has. Where none has, final thrust and time to 90 % of
+    it are not known: both are NaN. Commands are read as `held_commands` gives them.
     """
+    steps = held_commands(steps)
     ends = np.append(steps.time[1:], float(time[-1]))
     found: list[tuple[float, float, float, float]] = []
     for i in range(1, steps.time.size):
@@ -157,7 +205,7 @@ def _finals(
         largest = float(np.max(own[same]))
         settled = same[(own[same] >= _LEAST_FINAL * largest) & (drift[same] <= _DRIFT * own[same])]
         if not settled.size:
-            out.append(largest)
+            out.append(float("nan"))
             continue
         out.append(float(own[settled[np.argmin(np.abs(times[settled] - times[i]))]]))
     return out
@@ -204,17 +252,22 @@ class Repetitions:
         return float(low), float(high)
 
     def outliers(self, slow: float = SLOW) -> int:
-        """Return how many took over `slow` times the quick quarter's time to 90 %, or never got there.
+        """Return how many took over `slow` times the quickest's time to 90 %, or were not seen to get there.
 
-        Measured against the lower quartile, not the median: of a controller that fails half of the time the
-        median is a failure.
+        Measured against a low percentile, not the median: of a controller that fails half of the time the
+        median is a failure. One that fails every time is only seen beside others.
         """
         values = np.array([r.to_level for r in self.reversals])
         reached = values[np.isfinite(values)]
         if not reached.size:
             return len(values)
-        quick = float(np.percentile(reached, 25.0))
+        quick = float(np.percentile(reached, _QUICK, method="lower"))
         return int(np.count_nonzero(~(values <= slow * quick)))
+
+    @property
+    def unsettled(self) -> bool:
+        """Whether no repetition settled: their final thrust, and the time to 90 % of it, are not known."""
+        return not any(np.isfinite(r.final_thrust) for r in self.reversals)
 
     def _values(self, name: str) -> FloatArray:
         values = np.array([getattr(r, name) for r in self.reversals], dtype=np.float64)

@@ -13,27 +13,33 @@ from sysid.trials.thrust import Tare
 
 FloatArray = NDArray[np.float64]
 
-# Steady points from which a zero is read: so many different speeds, the fastest so many times the slowest.
+# Steady points from which a zero is read: so many different speeds (one
+# more where both directions turn), in a direction the fastest so many times the slowest.
 _SPEEDS, _SPAN = 3, 1.3
 
 
 def zero_of_steady(values: FloatArray, speed: FloatArray) -> Tare | None:
     """Return the value at standstill of steady values (n,) against their speeds (n,), or None.
 
-    Valid where the values grow with Ω|Ω|; ignores a linear term, whose share passes into the zero. None where
-    the speeds are too few or too close to each other.
+    Valid where the values grow with Ω|Ω|, by a factor of its own in each direction: a propeller thrusts twice
+    as hard forward. Ignores a linear term, whose share passes into the zero. None where the speeds are too
+    few, or in each direction too close to each other.
     """
     known = np.isfinite(values) & np.isfinite(speed) & (speed != 0)
     y, omega = values[known], speed[known]
+    sides = [side for side in (omega > 0, omega < 0) if side.any()]
     size = np.abs(omega)
-    if np.unique(omega).size < _SPEEDS or size.max() < _SPAN * size.min():
+    if np.unique(omega).size < _SPEEDS - 1 + len(sides) or not any(
+        size[side].max() >= _SPAN * size[side].min() for side in sides
+    ):
         return None
-    columns = np.column_stack([omega * size / float(size.max()) ** 2, np.ones(omega.size)])
+    square = omega * size / float(size.max()) ** 2
+    columns = np.column_stack([*(square * side for side in sides), np.ones(omega.size)])
     found = np.linalg.lstsq(columns, y, rcond=None)[0]
     residual = y - columns @ found
-    spread = float(residual @ residual) / max(y.size - 2, 1)
-    error = float(np.sqrt(spread * np.linalg.inv(columns.T @ columns)[1, 1]))
-    return Tare(float(found[1]), error, 0, "steady points over Ω|Ω|")
+    spread = float(residual @ residual) / max(y.size - len(found), 1)
+    error = float(np.sqrt(spread * np.linalg.inv(columns.T @ columns)[-1, -1]))
+    return Tare(float(found[-1]), error, 0, "steady points over Ω|Ω|")
 
 
 def sign_against_speed(values: FloatArray, speed: FloatArray) -> int:

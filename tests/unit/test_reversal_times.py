@@ -13,7 +13,7 @@ from sysid.motor.model import simulate
 from sysid.pipelines.reversal import ReversalOptions, log_reversals
 from sysid.recording import Channel, Recording
 from sysid.trials.reversal import find_reversals, repetitions
-from sysid.trials.thrust import CommandSteps
+from sysid.trials.thrust import CommandSteps, command_steps
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data_samples" / "motor"
 
@@ -56,6 +56,49 @@ def test_a_controller_that_fails_half_of_the_time_has_outliers():
     assert group.outliers() == 1
     assert np.isnan(group.reversals[2].to_level)
     assert group.reversals[2].final_thrust == pytest.approx(-1.0)
+
+
+def test_a_controller_that_fails_four_times_of_five_has_outliers():
+    for count in (5, 20):
+        delays = [0.12 if i % 5 == 3 else 0.65 for i in range(count)]
+        (group,) = repetitions(find_reversals(*_schedule(delays)))
+        assert group.outliers() == 4 * count // 5
+
+
+def test_a_hold_too_short_to_settle_is_not_measured_against_itself():
+    # 0.3 s: it walks from 2 N until 0.25 s, then on; at its end it has just got to -0.4 N.
+    time, steps, (_, thrust) = _schedule([0.22, 0.22], hold=0.3)
+    assert thrust.min() == pytest.approx(-0.37, abs=0.02)
+    (group,) = repetitions(find_reversals(time, steps, (time, thrust)))
+    assert group.unsettled
+    assert group.outliers() == 2
+    assert all(np.isnan([r.to_level, r.final_thrust, r.dead_band]).all() for r in group.reversals)
+    # Where the thrust was zero is known all the same.
+    assert group.median("zero_crossing") == pytest.approx(0.22 + 2 / 30, abs=1e-6)
+
+
+def test_neutral_in_passing_and_jitter_hide_no_reversal():
+    time, steps, thrust = _schedule([0.2, 0.2, 0.2])
+    plain = find_reversals(time, steps, thrust)
+    u = steps.level[np.searchsorted(steps.time, time, side="right") - 1]
+    passing = u.copy()
+    for start in steps.time[1:]:
+        passing[(time >= start - 0.0205) & (time < start - 5e-4)] = 0.0  # 20 rows of 1 ms
+    assert find_reversals(time, command_steps(time, passing), thrust) == plain
+    # One microsecond of 500 either way, in every row.
+    shaken = u + 0.002 * np.random.default_rng(1).integers(-1, 2, u.size)
+    assert command_steps(time, shaken).time.size > 1000
+    found = find_reversals(time, command_steps(time, shaken), thrust)
+    (group,) = repetitions(found)
+    assert len(group.reversals) == 3
+    # Which of the three levels was held longest is chance; when is not.
+    assert (group.before, group.after) == pytest.approx((0.5, -0.5), abs=0.0021)
+    assert [r.to_level for r in found] == pytest.approx([r.to_level for r in plain], abs=1e-9)
+    # A neutral of 0.1 s is a rest: what follows it is a start, and no reversal.
+    rest = u.copy()
+    for start in steps.time[1:]:
+        rest[(time >= start - 0.1) & (time < start - 5e-4)] = 0.0
+    assert find_reversals(time, command_steps(time, rest), thrust) == ()
 
 
 def _sagging(failed=()):
@@ -182,6 +225,9 @@ def test_command_line_compares_logs(run, tmp_path):
         (["reversal-1.h5", "--thrust-sign", "-1"], "turn it with --thrust-sign -1"),
         (["reversal-1.h5", "--neutral", "900"], "minimum 1000, neutral 900, maximum 2000 us are not in"),
         (["reversal-1.h5", "--maximum", "1600"], "outside 1000 to 1600 us"),
+        (["reversal-1.h5", "--thrust-sign", "5"], "--thrust-sign 5: it turns thrust and does not scale it"),
+        (["reversal-1.h5", "--slow", "-1"], "--slow -1: how many times slower"),
+        (["reversal-1.h5", "--slow", "nan"], "--slow nan: how many times slower"),
         (["static-forward.csv"], "holds averaged points"),
         (["no-such.csv"], "no such log"),
     ],
@@ -232,6 +278,31 @@ def test_channels_with_their_own_clocks(monkeypatch):
     _with(monkeypatch, log, thrust=_part_of(log["thrust"], slice(0, -1)))
     (first, *_) = log_reversals(path, ReversalOptions(sense="both")).groups
     assert first.median("to_level") == pytest.approx(whole.groups[0].median("to_level"), abs=1e-6)
+
+
+def test_tare_without_a_row_at_rest_and_notes_on_the_terminal(monkeypatch, run):
+    path = SAMPLES / "reversal-1.h5"
+    log = load(path)
+    rest = log["thrust"].values[: round(0.4 / np.median(np.diff(log["thrust"].time)))]
+    begun = log["speed"].time >= log["speed"].time[0] + 1.0
+    cut = {name: _part_of(channel, begun) for name, channel in log.channels.items()}
+    whole = log_reversals(path, ReversalOptions(sense="both"))
+    _with(monkeypatch, log, **cut)
+    found = log_reversals(path, ReversalOptions(sense="both"))
+    offset = log["thrust"].values[begun].mean() - np.interp(cut["thrust"].time, *whole.thrust).mean()
+    assert abs(offset) > 0.05  # this log has a tare to find
+    finals = [[r.final_thrust for g in one.groups for r in g.reversals] for one in (found, whole)]
+    # Six steady levels leave the zero to within a few mN; weak reversals end at 0.9 N.
+    assert finals[0] == pytest.approx(finals[1], abs=0.02)
+    assert offset == pytest.approx(rest.mean(), abs=5e-3)
+    # An unsigned probe serves as well.
+    cut["speed"] = Channel("speed", "rad/s", cut["speed"].time, np.abs(cut["speed"].values))
+    _with(monkeypatch, log, **cut)
+    alone = log_reversals(path, ReversalOptions(sense="both"))
+    assert [r.final_thrust for g in alone.groups for r in g.reversals] == pytest.approx(finals[0], abs=1e-3)
+    code, out, _ = run(path)
+    assert code == 0
+    assert "reversal-1.h5: no row at rest: the tare of thrust, " in out
 
 
 def test_unitless_dshot_needs_a_neutral(tmp_path):

@@ -65,6 +65,12 @@ def test_sign_and_zero_from_the_log_itself() -> None:
     assert found is not None
     assert found.value == pytest.approx(0.02, abs=1e-12)
     assert found.rows == 0
+    # Both directions, of which one thrusts half as hard: the difference is no zero.
+    turned = np.array([300.0, 600.0, 900.0, -400.0, -700.0])
+    found = zero_of_steady(np.where(turned > 0, 1.2e-5, -0.6e-5) * turned**2 + 0.02, turned)
+    assert found is not None
+    assert found.value == pytest.approx(0.02, abs=1e-12)
+    assert zero_of_steady(np.array([5.0, 3.0, -1.0]), turned[[0, 1, 3]]) is None
     # Two speeds, or speeds within 30 % of each other, say nothing about standstill.
     assert zero_of_steady(np.array([1.0, 2.0]), np.array([300.0, 600.0])) is None
     assert zero_of_steady(np.array([1.0, 1.1, 1.2]), np.array([500.0, 550.0, 600.0])) is None
