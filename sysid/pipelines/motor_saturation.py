@@ -152,7 +152,7 @@ def named(table: ParameterTable, row: FloatArray) -> dict[str, float]:
 
 
 def reversal_delays(bench: Bench, best: Mapping[str, float]) -> list[dict[str, Any]]:
-    """Return, per reversal of every log with thrust, the measured and the simulated time to 90 % [s].
+    """Return, per reversal inside every trial's window, the measured and the simulated time to 90 % [s].
 
     Parameters
     ----------
@@ -173,16 +173,20 @@ def reversal_delays(bench: Bench, best: Mapping[str, float]) -> list[dict[str, A
         parameters = {name: value for name, value in best.items() if name in PARAMETERS}
         parameters["command_delay"] = best.get(delay_name(trial.entry.log), best["command_delay"])
         start = float(trial.simulated.time[0])
-        grid = np.arange(start, float(log.time[-1]), _DELAY_GRID)
+        end = min(float(log.time[-1]), log.window[1])
+        grid = np.arange(start, end, _DELAY_GRID)
         supply = trial.simulated.supply_time, trial.simulated.supply_ratio
         volts = None
         if supply[0] is not None and supply[1] is not None:
             volts = (supply[0], supply[1] * parameters["reference_voltage"])
         found = simulate(parameters, log.steps.time, log.steps.level, grid, initial="steady", voltage=volts)
-        kept = (log.steps.time >= start) | (log.steps.time <= log.steps.time[0])
-        steps = CommandSteps(log.steps.time[kept], log.steps.level[kept])
-        measured = find_reversals(log.time, steps, thrust, skip=log.doubtful, sense="both")
-        model = find_reversals(log.time, steps, (grid, found.thrust), skip=log.doubtful, sense="both")
+        # The command in force when the trial begins is what its first reversal comes from.
+        first = max(int(np.searchsorted(log.steps.time, start, side="right")) - 1, 0)
+        last = int(np.searchsorted(log.steps.time, end))
+        steps = CommandSteps(log.steps.time[first:last], log.steps.level[first:last])
+        rows = log.time[log.time <= end]
+        measured = find_reversals(rows, steps, thrust, skip=log.doubtful, sense="both")
+        model = find_reversals(rows, steps, (grid, found.thrust), skip=log.doubtful, sense="both")
         out += [
             {
                 "trial": trial.entry.name,

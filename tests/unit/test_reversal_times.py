@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ import pytest
 from sysid import cli
 from sysid.errors import LogError
 from sysid.loaders import load
-from sysid.motor.model import simulate
+from sysid.motor.model import PARAMETERS, simulate
+from sysid.pipelines.motor_saturation import reversal_delays
 from sysid.pipelines.reversal import ReversalOptions, log_reversals
 from sysid.recording import Channel, Recording
 from sysid.trials.reversal import find_reversals, repetitions
@@ -182,6 +184,31 @@ def test_thrust_alone_serves():
     assert unsigned == by_thrust
     # 5 % of the thrust is 22 % of the speed: a wider band.
     assert 0.06 < by_thrust.dead_band < 0.12
+
+
+def _bench(levels, window, parameters):
+    """What `reversal_delays` sees of one reversal trial, a step every second, simulated with `parameters`."""
+    time = np.arange(0.0, float(len(levels)), 1e-3)
+    steps = CommandSteps(np.arange(float(len(levels))), np.array(levels))
+    thrust = simulate(parameters, steps.time, steps.level, time, initial="steady").thrust
+    log = SimpleNamespace(
+        time=time, steps=steps, channels={"thrust": (time, thrust)}, fast=False, window=window, doubtful=()
+    )
+    entry = SimpleNamespace(name="turns", log="turns.h5", use="fit", direction="reversal")
+    simulated = SimpleNamespace(time=time[time >= window[0]], supply_time=None, supply_ratio=None)
+    return SimpleNamespace(trials=(SimpleNamespace(log=log, entry=entry, simulated=simulated),))
+
+
+def test_reversal_delays_are_those_of_the_window():
+    best = {**PARAMETERS.nominal, "command_delay": 0.008}
+    # A second at each; the window opens and closes in the middle of holds. Before
+    # it lies a start in reverse, from which nothing inside it comes.
+    levels = [-0.5, 0.62, -1.0, 0.4, -0.6]
+    found = reversal_delays(_bench(levels, (1.4, 3.7), best), best)
+    assert [(d["command before"], d["command after"]) for d in found] == [(0.62, -1.0), (-1.0, 0.4)]
+    for delay in found:
+        # The same motor twice, on grids of 1 and of 0.5 ms, starting at rest of the same command.
+        assert delay["simulated [s]"] == pytest.approx(delay["measured [s]"], abs=2e-4)
 
 
 @pytest.fixture
