@@ -22,8 +22,13 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # takes units in brackets for markup and drops them
 )
-synthesize = typer.Typer(help="Write a campaign with known truth in real log formats.", no_args_is_help=True)
+synthesize = typer.Typer(
+    help="Write a campaign with known truth in real log formats.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
 app.add_typer(synthesize, name="synthesize")
 for name, command in (cli_landing.COMMANDS | cli_design.COMMANDS).items():
     app.command(name)(command)

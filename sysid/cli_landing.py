@@ -178,6 +178,10 @@ def impulse_map(
     horizon: Horizon = 3.0,
     short: Short = 0.45,
     long: Long = 1.0,
+    rest_speed: RestSpeed = 0.05,
+    rest_turn: RestTurn = 0.2,
+    rest_time: RestTime = 0.2,
+    flip_deg: FlipAngle = 80.0,
     no_check: NoCheck = False,
     force: Force = False,
     resume: Resume = False,
@@ -197,7 +201,8 @@ def impulse_map(
     tried = (span(delays, "--delays"), span(durations, "--durations"))
     impulses = ImpulseSettings(*tried, front, rear, idle, after, ideal_reversal, worth=worth, equal=equal)
     cells = (span(slopes, "--slopes"), span(speeds, "--speeds"))
-    settings = MapSettings(*cells, Rules(horizon, short, long), check=not no_check)
+    rules = Rules(horizon, short, long, rest_speed, rest_turn, rest_time, radians(flip_deg))
+    settings = MapSettings(*cells, rules, check=not no_check)
     options = MapOptions(out, figure, None, force, resume, dask, threads, quiet or json, json)
     _end(compute_impulse_maps(sets, sources, settings, impulses, options, None if quiet else _say))
 

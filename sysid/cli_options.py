@@ -9,6 +9,6 @@ import typer
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, no table.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Continue an unfinished fit.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue what was stopped or killed.")]
 Dask = Annotated[str | None, typer.Option(help="Compute on a Dask cluster: tcp://host:8786, or local.")]
 Threads = Annotated[int | None, typer.Option(help="Cores to use; the result is the same.", min=1)]

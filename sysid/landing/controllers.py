@@ -17,18 +17,22 @@ from __future__ import annotations
 import importlib.util
 import inspect
 import math
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from sysid.errors import CampaignError
+from sysid.errors import CampaignError, SysidError
 from sysid.landing.sensing import Sensing
 from sysid.units import parse_quantity
 
 # The paper's impulse: thrust is cut but not reversed, because a reversal takes too long.
 IDLE_COMMAND = 0.1
 IMPULSE_COMMAND = 0.8
+# What a label adds to a controller's name.
+_IDEAL, _SENSING = ", ideal reversal", ", own sensing"
 
 
 @dataclass(frozen=True)
@@ -85,12 +89,31 @@ class Controller:
     @property
     def label(self) -> str:
         """Name with its options, for tables and figures."""
-        more = (", ideal reversal" if self.ideal_reversal else "") + (", own sensing" if self.sensing else "")
-        return self.name + more
+        return self.name + (_IDEAL if self.ideal_reversal else "") + (_SENSING if self.sensing else "")
+
+    def check_within(self, horizon: float) -> None:
+        """Refuse a step that comes when the simulated time [s] is over.
+
+        Raises
+        ------
+        CampaignError
+            When there is one; often milliseconds were meant.
+        """
+        late = [step.after for step in self.steps if step.after >= horizon]
+        if late:
+            raise CampaignError(
+                f"controller {self.name!r}: a step at {late[0]:g} s, but only {horizon:g} s are simulated; a "
+                "number without unit is in seconds: write 50ms for milliseconds, or raise --horizon"
+            )
 
     def document(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
         return asdict(self)
+
+
+def name_of(label: str) -> str:
+    """Return the controller's name in a label of `Controller.label`."""
+    return label.removesuffix(_SENSING).removesuffix(_IDEAL)
 
 
 Recipe = Callable[..., Sequence[Step]]
@@ -183,7 +206,40 @@ def find_controller(text: str, *, ideal_reversal: bool = False, sensing: Sensing
         raise CampaignError(
             f"controller {text!r}: {error}; its options are {wanted}, as in impulse:delay=50ms,duration=0.1"
         ) from None
-    return Controller(text, tuple(recipe(*bound.args, **bound.kwargs)), ideal_reversal, sensing)
+    return Controller(text, _steps(recipe, text, bound), ideal_reversal, sensing)
+
+
+def _steps(recipe: Recipe, text: str, bound: inspect.BoundArguments) -> tuple[Step, ...]:
+    """Return what a recipe, perhaps a user's, says; its faults with file and line."""
+    source = Path(recipe.__code__.co_filename) if inspect.isfunction(recipe) else Path(__file__)
+    try:
+        steps = list(recipe(*bound.args, **bound.kwargs))
+    except SysidError:
+        raise
+    except Exception as error:
+        raise CampaignError(f"controller {text!r}: {_fault(source, error)}; mend the function") from error
+    for step in steps:
+        if not isinstance(step, Step) or not all(
+            isinstance(value, Real) for value in (step.after, step.rear, step.front)
+        ):
+            line = recipe.__code__.co_firstlineno if inspect.isfunction(recipe) else 0
+            raise CampaignError(
+                f"controller {text!r}: {source}, line {line}: the function returned {step!r}; expected a "
+                "list of Step(after, rear, front) of numbers"
+            )
+    return tuple(steps)
+
+
+def _fault(path: Path, error: Exception) -> str:
+    """Say where in a user's file an error came from, and what it is."""
+    if isinstance(error, SyntaxError) and error.filename == str(path):
+        return f"{path}, line {error.lineno}: {error.msg}"
+    lines = [
+        frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)
+    ]
+    first = next(iter(str(error).splitlines()), "")
+    what = f"{type(error).__name__}: {first}" if first else type(error).__name__
+    return f"{path}, line {lines[-1]}: {what}" if lines else f"{path}: {what}"
 
 
 def _number(text: str, value: str) -> float:
@@ -204,14 +260,21 @@ def load_controllers(path: Path) -> None:
     Raises
     ------
     CampaignError
-        When there is no such file or it registers nothing.
+        When there is no such file, it cannot be run, or it registers nothing.
     """
     before = dict(CONTROLLERS)
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if not path.is_file() or spec is None or spec.loader is None:
         raise CampaignError(f"{path}: no Python file; give one that registers a controller")
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    try:
+        spec.loader.exec_module(module)
+    except SysidError:
+        raise
+    except Exception as error:
+        CONTROLLERS.clear()
+        CONTROLLERS.update(before)
+        raise CampaignError(f"{_fault(path, error)}; mend the file of controllers") from error
     if before == CONTROLLERS:
         raise CampaignError(
             f"{path}: registers no controller; decorate a function with sysid.landing.controllers.controller"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import LogError
+from sysid.landing.controllers import name_of
 from sysid.landing.maps import LandingMap
 from sysid.landing.outcomes import OUTCOMES, Outcome
 
@@ -26,6 +28,8 @@ WORDS: dict[str, tuple[Outcome, ...]] = {
     "landed": (Outcome.SHORT,),
     "failed": (Outcome.NEAR, Outcome.FLIPPED, Outcome.OTHER),
 }
+# What a table may call a surface.
+SURFACE_WORDS = {"low friction": "lf", "low": "lf", "high friction": "hf", "high": "hf"}
 
 
 @dataclass(frozen=True)
@@ -35,7 +39,7 @@ class Experiment:
     Parameters
     ----------
     surface, controller : str
-        As the map calls them.
+        As the map calls them; the controller's name is enough, whatever triggers it.
     slope_deg, speed : float
         [deg], vertical touchdown speed [m/s].
     outcome : str
@@ -107,13 +111,39 @@ def read_experiments(path: Path) -> tuple[Experiment, ...]:
                 f"{path}, row {number}: slope {cells['slope [deg]']!r}, speed {cells['speed [m/s]']!r}; "
                 "expected numbers, the speed downward and 0 or more"
             )
-        out.append(Experiment(cells["surface"].lower(), cells["controller"], slope, speed, word))
+        surface = " ".join(cells["surface"].lower().replace("-", " ").replace("_", " ").split())
+        out.append(Experiment(SURFACE_WORDS.get(surface, surface), cells["controller"], slope, speed, word))
     return tuple(out)
 
 
 def of_map(experiments: Sequence[Experiment], one: LandingMap) -> list[Experiment]:
     """Return the experiments that were made on the map's surface under its controller."""
-    return [e for e in experiments if e.surface == one.surface and e.controller == one.controller]
+    return [e for e in experiments if _belongs(e, one.surface, one.controller)]
+
+
+def strangers(
+    experiments: Sequence[Experiment], maps: Sequence[tuple[str, str]]
+) -> dict[tuple[str, str], int]:
+    """Count the experiments that belong to none of the maps, by surface and controller.
+
+    Parameters
+    ----------
+    experiments : sequence of Experiment
+    maps : sequence of (str, str)
+        Surface and controller's label of each map.
+    """
+    left = [e for e in experiments if not any(_belongs(e, *one) for one in maps)]
+    return dict(Counter((e.surface, e.controller) for e in left))
+
+
+def _belongs(experiment: Experiment, surface: str, label: str) -> bool:
+    """Say whether an experiment is one of a map; a real drone names neither its trigger nor its motors."""
+    told = _plain(experiment.controller)
+    return experiment.surface == surface and told in (_plain(label), _plain(name_of(label)))
+
+
+def _plain(name: str) -> str:
+    return "".join(name.lower().split())
 
 
 def confusion(experiments: Sequence[Experiment], one: LandingMap) -> Confusion:

@@ -91,9 +91,34 @@ class ImpulseSettings:
             )
 
     @property
+    def has_none(self) -> bool:
+        """Whether no impulse at all is a pair of the grid; else it is tried besides."""
+        return self.delays[0] == self.durations[0] == 0.0
+
+    @property
     def combinations(self) -> int:
-        """Pairs of the grid."""
-        return len(self.delays) * len(self.durations)
+        """Pairs of the grid, and no impulse at all."""
+        return len(self.delays) * len(self.durations) + (not self.has_none)
+
+    @property
+    def followed_by(self) -> str:
+        """What the motors do after the impulse, as a controller is asked for."""
+        return {-1.0: "reverse", 0.0: "off"}.get(self.after, f"command:{self.after:g}")
+
+    def check_within(self, horizon: float) -> None:
+        """Refuse impulses that end when the simulated time [s] is over.
+
+        Raises
+        ------
+        CampaignError
+            When there is one; often milliseconds were meant.
+        """
+        if self.delays[-1] + self.durations[-1] >= horizon:
+            raise CampaignError(
+                f"impulse: delays up to {self.delays[-1]:g} s and durations up to {self.durations[-1]:g} s, "
+                f"but only {horizon:g} s are simulated; both are in seconds: write 0.05 for 50 ms, or raise "
+                "--horizon"
+            )
 
     def steps(self, delay: float, duration: float) -> Sequence[Step]:
         """Return the controller's steps."""
@@ -115,7 +140,8 @@ class Optimum:
     Parameters
     ----------
     delay, duration : (n,) arrays
-        On the grid [s], 0 where the front foot never touches down: reverse thrust alone.
+        On the grid [s], both 0 where no impulse is worth it or the front foot never touches down: reverse
+        thrust (what follows the impulse) alone.
     turn : (n,) array
         Angular speed at the second impact [rad/s], NaN where there is none.
     attitude : (n,) array
@@ -222,14 +248,18 @@ class Impulses:
         impacts, simulated = self.search(cells, tolerance, threads)
         flat = impacts.reshape(len(cells), -1, 3)
         delay, duration = (axis.ravel() for axis in np.meshgrid(own.delays, own.durations, indexing="ij"))
+        if not own.has_none:
+            none = np.zeros(len(cells))
+            alone = self.second_impacts(cells, none, none, tolerance, threads)
+            flat = np.concatenate([alone[:, None], flat], axis=1)
+            delay, duration = np.insert(delay, 0, 0.0), np.insert(duration, 0, 0.0)
+            simulated = simulated + 1
         best = np.array([best_pair(one, delay, duration, own.equal) for one in flat])
         everyone = np.arange(len(cells))
-        omitted = np.zeros(len(cells), dtype=bool)
-        if delay[0] == duration[0] == 0.0:
-            least = np.maximum(np.abs(flat[everyone, best, 1]), own.equal)
-            # NaN compares as false; where nothing ever touches the first pair is the best already.
-            omitted = (1.0 - own.worth) * np.abs(flat[:, 0, 1]) <= least
-            best[omitted] = 0
+        least = np.maximum(np.abs(flat[everyone, best, 1]), own.equal)
+        # The first pair is no impulse. NaN compares as false; where nothing ever touches, it is the best.
+        omitted = (1.0 - own.worth) * np.abs(flat[:, 0, 1]) <= least
+        best[omitted] = 0
         found = flat[everyone, best]
         grid_delay, grid_duration = delay[best], duration[best]
         refined_delay, refined_duration, refined = grid_delay.copy(), grid_duration.copy(), found.copy()

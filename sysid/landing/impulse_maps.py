@@ -24,9 +24,13 @@ UNITS = {
     "delay": "s", "duration": "s", "turn": "rad/s", "attitude": "rad", "simulated": "1",
     "refined_delay": "s", "refined_duration": "s", "refined_turn": "rad/s", "refined_attitude": "rad",
 }  # fmt: skip
-# What the landings after the search are called: impulse taken from the grid or refined, and what follows it.
-_VARIANTS = ("impulse, then reverse", "refined impulse, then reverse", "impulse alone")
 _LANDING_COLUMNS = 4
+
+
+def variants(impulses: ImpulseSettings) -> tuple[str, ...]:
+    """Name the landings after the search: impulse of the grid or refined, and what follows it."""
+    then = impulses.followed_by
+    return f"impulse, then {then}", f"refined impulse, then {then}", "impulse alone"
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +163,7 @@ def impulse_maps(
     Returns
     -------
     impulse maps, landing maps : tuples
-        One and three per surface: impulse and then reverse thrust, the same refined, the impulse alone (all
+        One and three per surface: impulse and then `impulses.after`, the same refined, the impulse alone (all
         motors off after it). Empty where `stop` said so.
     """
     own, tried = settings or MapSettings(), impulses or ImpulseSettings()
@@ -176,6 +180,7 @@ def impulse_maps(
     if len(found) < len(blocks):
         return (), ()
     ideal = ", ideal reversal" if tried.ideal_reversal else ""
+    names_of_maps = variants(tried)
     axes = (np.array(own.slopes_deg), np.array(own.speeds))
     searched, landed = [], []
     first = 0
@@ -185,11 +190,11 @@ def impulse_maps(
         names = tuple(drone.name for drone in fleet)
         columns = [
             np.array([[found[f"set-{d}-slope-{s + 1}"][k] for s in range(len(axes[0]))] for d in numbers])
-            for k in range(len(OPTIMUM) + _LANDING_COLUMNS * len(_VARIANTS))
+            for k in range(len(OPTIMUM) + _LANDING_COLUMNS * len(names_of_maps))
         ]
         optimum = dict(zip(OPTIMUM, columns, strict=False))
         searched.append(ImpulseMap(fleet[0].surface, f"impulse{ideal}", names, *axes, optimum))
-        for v, variant in enumerate(_VARIANTS):
+        for v, variant in enumerate(names_of_maps):
             start = len(OPTIMUM) + _LANDING_COLUMNS * v
             part = columns[start : start + _LANDING_COLUMNS]
             landed.append(LandingMap(fleet[0].surface, f"{variant}{ideal}", names, *axes, *part))

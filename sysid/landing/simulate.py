@@ -210,6 +210,8 @@ def land(
     down = along_slope(trajectory.state, scenario.slope)
     known = np.isfinite(down)
     distance = float(np.interp(over, clock[known], down[known]) - down[0])
+    if flip < rest:
+        rest = math.nan  # what comes to rest on its back never landed
     lost = np.array(trajectory.status in _FAILED)
     code = own.classes(np.array(distance), np.array(rest), np.array(flip), lost)
     return Landing(
@@ -242,6 +244,7 @@ def _triggers(
 
     Landings begin at touchdown. The drone's own sensing looks at what happens with the motors hovering on.
     """
+    controller.check_within(rules.horizon)
     if controller.sensing is None:
         return np.zeros(len(scenarios))
     sensing = controller.sensing

@@ -114,8 +114,8 @@ def study_designs(
     """
     files.check()
     changes = find_changes(vary)
-    (fleet,) = sources.fleets([gear])
-    (told,) = sources.told()
+    (fleet,), origin = sources.fleets([gear])
+    (told,) = sources.told(settings.maps.rules.horizon)
     points = designs(changes, settings.together)
     fleets = fleets_of(fleet, changes, points)
     grids = settings.grids()
@@ -141,8 +141,7 @@ def study_designs(
                 on_block=progress.on_block, stop=stop,
             )  # fmt: skip
         if study is not None:
-            provenance = sources.sources([gear]) | {"controller": told.document()}
-            write_study(files.out, study, provenance)
+            write_study(files.out, study, origin | {"controller": told.document()})
             save_figure(figure_design_study(study), files.picture)
             for store in stores:
                 store.discard()

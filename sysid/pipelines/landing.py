@@ -77,8 +77,8 @@ def simulate_landings(
         When the sets, the controller or the place to write cannot be used.
     """
     files = _files(out, force)
-    (fleet,) = sources.fleets([gear])
-    told = sources.told()
+    (fleet,), origin = sources.fleets([gear])
+    told = sources.told(rules.horizon)
     if len(told) != 1:
         raise CampaignError(f"--controller: found {len(told)}, give one")
     landings = []
@@ -88,7 +88,7 @@ def simulate_landings(
             way = descend(drone, scenario, height)
             begin, motors = way.touchdown, Motors(drone, told[0].ideal_reversal, way.motors)
         landings.append(land(drone, begin, told[0], rules=rules, rate=rate, motors=motors))
-    _write(files, landings, sources.sources([gear]))
+    _write(files, landings, origin)
     rows = [outcome_row(rank, one) for rank, one in enumerate(landings, start=1)]
     if json:
         events = [event_rows(one) for one in landings]
@@ -142,6 +142,27 @@ def outcome_row(rank: int, landing: Landing) -> dict[str, Any]:
     }
 
 
+def conditions(landing: Landing) -> dict[str, Any]:
+    """Return under what a landing happened: surface, controller, touchdown and rules."""
+    scenario, rules = landing.scenario, landing.rules
+    return {
+        "surface": landing.drone.surface,
+        "controller": landing.controller.label,
+        "slope [deg]": math.degrees(scenario.slope),
+        "touchdown speed [m/s]": scenario.speed,
+        "pitch [deg]": math.degrees(scenario.pitch),
+        "pitch rate [rad/s]": scenario.pitch_rate,
+        "horizontal speed [m/s]": scenario.horizontal_speed,
+        "horizon [s]": rules.horizon,
+        "short [m]": rules.short,
+        "long [m]": rules.long,
+        "rest speed [m/s]": rules.rest_speed,
+        "rest turn [rad/s]": rules.rest_turn,
+        "rest time [s]": rules.rest_time,
+        "flip angle [deg]": math.degrees(rules.flip_angle),
+    }
+
+
 def _write(files: Sequence[Path], landings: Sequence[Landing], sources: dict[str, Any]) -> None:
     if not files:
         return
@@ -155,7 +176,8 @@ def _write(files: Sequence[Path], landings: Sequence[Landing], sources: dict[str
     writer.writerow(("set", *COLUMNS))
     for rank, one in enumerate(landings, start=1):
         writer.writerows((rank, *(repr(value) for value in line)) for line in samples(one).tolist())
-    for path, text in zip(files, (table.getvalue(), _csv(events), _csv(rows)), strict=True):
+    outcomes = [row | conditions(one) for row, one in zip(rows, landings, strict=True)]
+    for path, text in zip(files, (table.getvalue(), _csv(events), _csv(outcomes)), strict=True):
         write_file(path, text.encode("utf-8"), ExportError)
 
 

@@ -20,7 +20,7 @@ from sysid.fit.stopping import stop_on_interrupt
 from sysid.landing.blocks import BlockStore
 from sysid.landing.controllers import Controller
 from sysid.landing.drone import Drone
-from sysid.landing.experiments import Experiment, confusion, of_map, read_experiments
+from sysid.landing.experiments import Experiment, confusion, of_map, read_experiments, strangers
 from sysid.landing.impulse import ImpulseSettings
 from sysid.landing.impulse_maps import impulse_identity, impulse_maps
 from sysid.landing.map_store import MapFile, summary, write_maps
@@ -29,7 +29,7 @@ from sysid.landing.motors import Motors
 from sysid.landing.outcomes import OUTCOMES
 from sysid.landing.static_limits import ramp_limit, rigid_limits
 from sysid.pipelines.landing_sources import BlockProgress, LandingOptions
-from sysid.report.figures import save_figure
+from sysid.report.figures import check_figure_name, save_figure
 from sysid.report.landing_figures import figure_impulse, figure_landing_maps
 
 Say = Callable[[str], None] | None
@@ -74,19 +74,31 @@ class MapOptions:
         """Where the figure goes."""
         return self.figure or self.out.with_suffix(".png")
 
-    def check(self) -> None:
+    @property
+    def impulse_picture(self) -> Path:
+        """Where the figure of the best impulses goes."""
+        return self.picture.with_name(f"{self.picture.stem}-impulse{self.picture.suffix}")
+
+    def check(self, impulses: bool = False) -> None:
         """Refuse what is in the way, before the minutes of a map are spent.
+
+        Parameters
+        ----------
+        impulses : bool
+            Whether the figure of the best impulses is written, too.
 
         Raises
         ------
         ExportError
-            When the result exists, or its folder does not.
+            When a file is of no known format or exists, or its folder does not.
         """
+        files = (self.out, self.picture, *((self.impulse_picture,) if impulses else ()))
         if self.out.suffix.lower() not in (".h5", ".hdf5"):
             raise ExportError(f"{self.out}: a map is written as HDF5; give --out a name that ends in .h5")
-        if self.out.exists() and not self.force:
-            raise ExportError(f"{self.out}: exists already; choose a new name or add --force")
-        for path in (self.out, self.picture):
+        check_figure_name(self.picture)
+        for path in files:
+            if path.exists() and not self.force:
+                raise ExportError(f"{path}: exists already; choose a new name or add --force")
             if not path.resolve().parent.is_dir():
                 raise ExportError(f"{path}: the folder {path.parent} does not exist; make it first")
 
@@ -100,22 +112,26 @@ def compute_landing_maps(
 ) -> MapFile | None:
     """Compute, write, draw and print the maps of every surface under every controller; None if stopped."""
     options.check()
-    fleets, told = sources.fleets(gears), sources.told()
+    fleets, origin = sources.fleets(gears)
+    told = sources.told(settings.rules.horizon)
     real = read_experiments(options.experiments) if options.experiments else ()
+    _warn_of_strangers(options, real, [(f[0].surface, one.label) for f in fleets for one in told], say)
     identity = map_identity(fleets, told, settings)
     blocks = sum(len(fleet) for fleet in fleets) * len(told)
 
     def compute(**how: Any) -> tuple[tuple[LandingMap, ...], tuple[()]]:
         return landing_maps(fleets, told, settings, **how), ()
 
-    found = _computed(compute, identity, blocks, "landings", options, say)
-    if found is None:
-        return None
-    maps, _ = found
-    document = settings.document() | {"controllers": [one.document() for one in told]}
-    content = MapFile(maps, (), document, sources.sources(gears))
-    limits = static_lines(fleets, told)
-    _written(content, options, settings, limits, real, say)
+    def write(maps: tuple[LandingMap, ...], _: Any) -> MapFile:
+        document = settings.document() | {"controllers": [one.document() for one in told]}
+        content = MapFile(maps, (), document, origin)
+        write_maps(options.out, content)
+        _draw_maps(content, options, settings, static_lines(fleets, told), real)
+        return content
+
+    content = _computed(compute, write, identity, blocks, "landings", options, say)
+    if content is not None:
+        _print(content, options, real, say)
     return content
 
 
@@ -128,8 +144,9 @@ def compute_impulse_maps(
     say: Say = None,
 ) -> MapFile | None:
     """Search the best impulse of every cell and set, land with it, write and draw; None if stopped."""
-    options.check()
-    fleets = sources.fleets(gears)
+    options.check(impulses=True)
+    impulses.check_within(settings.rules.horizon)
+    fleets, origin = sources.fleets(gears)
     identity = impulse_identity(fleets, settings, impulses)
     blocks = sum(len(fleet) for fleet in fleets) * len(settings.slopes_deg)
 
@@ -137,34 +154,51 @@ def compute_impulse_maps(
         best, maps = impulse_maps(fleets, settings, impulses, **how)
         return maps, best
 
-    found = _computed(compute, identity, blocks, "cells", options, say)
-    if found is None:
+    def write(maps: Any, best: Any) -> MapFile:
+        content = MapFile(maps, best, settings.document() | {"impulses": impulses.document()}, origin)
+        write_maps(options.out, content)
+        save_figure(figure_impulse(best), options.impulse_picture)
+        _draw_maps(content, options, settings, {}, ())
+        return content
+
+    content = _computed(compute, write, identity, blocks, "cells", options, say)
+    if content is None:
         return None
-    maps, best = found
-    document = settings.document() | {"impulses": impulses.document()}
-    content = MapFile(maps, best, document, sources.sources(gears))
-    tried = sum(one.optimum["delay"].size for one in best) * impulses.combinations
-    simulated = sum(int(one.optimum["simulated"].sum()) for one in best)
+    tried = sum(one.optimum["delay"].size for one in content.impulses) * impulses.combinations
+    simulated = sum(int(one.optimum["simulated"].sum()) for one in content.impulses)
     if say is not None:
         say(
             f"{tried} combinations of delay and duration judged by {simulated} landings to the second "
             "impact; the others equal one of them, their commands differing only after it"
         )
-    picture = options.picture
-    save_figure(figure_impulse(best), picture.with_name(f"{picture.stem}-impulse{picture.suffix}"))
-    _written(content, options, settings, {}, (), say)
+    _print(content, options, (), say)
     return content
+
+
+def _warn_of_strangers(
+    options: MapOptions, real: Sequence[Experiment], maps: Sequence[tuple[str, str]], say: Say
+) -> None:
+    """Name the real landings that no map of surface and controller shows, before the minutes are spent."""
+    lost = strangers(real, maps)
+    if lost and say is not None:
+        names = ", ".join(f"{surface} {told!r} ({count})" for (surface, told), count in lost.items())
+        own = ", ".join(f"{surface} {label!r}" for surface, label in maps)
+        say(
+            f"warning: {options.experiments}: {sum(lost.values())} of {len(real)} real landings belong to no "
+            f"map and are left out: {names}; the maps are {own}"
+        )
 
 
 def _computed(
     compute: Callable[..., tuple[Any, Any]],
+    write: Callable[[Any, Any], MapFile],
     identity: dict[str, Any],
     blocks: int,
     what: str,
     options: MapOptions,
     say: Say,
-) -> tuple[Any, Any] | None:
-    """Compute with progress; Ctrl-C keeps the finished blocks. The blocks go once the result is there."""
+) -> MapFile | None:
+    """Compute with progress and write; Ctrl-C keeps the finished blocks, which go once all is written."""
     store = BlockStore(options.out, identity, resume=options.resume, force=options.force)
     progress = BlockProgress(blocks, what, options.quiet)
     threads = 1 if options.dask is not None else options.threads
@@ -186,8 +220,16 @@ def _computed(
         if say is not None:
             say(f"stopped: the finished blocks are kept in {store.folder}; continue with --resume")
         return None
+    try:
+        content = write(*found)
+    except BaseException:
+        store.close()
+        if say is not None:
+            what = f"the maps are in {options.out}, " if options.out.exists() else ""
+            say(f"{what}the finished blocks are kept in {store.folder}; go on with --resume --force")
+        raise
     store.discard()
-    return found
+    return content
 
 
 def static_lines(
@@ -218,19 +260,16 @@ def final_reverse_thrust(drone: Drone, controller: Controller) -> float:
     return -float(thrust.rear(thrust.rear.knots[-1]) + thrust.front(thrust.front.knots[-1]))
 
 
-def _written(
-    content: MapFile,
-    options: MapOptions,
-    settings: MapSettings,
-    limits: Any,
-    real: Sequence[Experiment],
-    say: Say,
+def _draw_maps(
+    content: MapFile, options: MapOptions, settings: MapSettings, limits: Any, real: Sequence[Experiment]
 ) -> None:
-    write_maps(options.out, content)
     figure = figure_landing_maps(
         content.maps, limits=limits, experiments=real, short=settings.rules.short, long=settings.rules.long
     )
     save_figure(figure, options.picture)
+
+
+def _print(content: MapFile, options: MapOptions, real: Sequence[Experiment], say: Say) -> None:
     counts = summary(content.maps)
     for entry, one in zip(counts, content.maps, strict=True):
         if entry["lost"] and say is not None:

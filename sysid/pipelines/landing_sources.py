@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -52,41 +53,48 @@ class LandingOptions:
     ideal_reversal: bool = False
     own_sensing: bool = False
 
-    def told(self) -> tuple[Controller, ...]:
-        """Return the controllers."""
+    def told(self, horizon: float) -> tuple[Controller, ...]:
+        """Return the controllers.
+
+        Parameters
+        ----------
+        horizon : float
+            Simulated time [s], in which all their steps must come.
+        """
         if self.controller_file is not None:
             load_controllers(self.controller_file)
         sensing = Sensing() if self.own_sensing else None
-        return tuple(
+        found = tuple(
             find_controller(text, ideal_reversal=self.ideal_reversal, sensing=sensing)
             for text in self.controllers
         )
+        for one in found:
+            one.check_within(horizon)
+        return found
 
-    def fleets(self, gears: Sequence[Path]) -> tuple[tuple[Drone, ...], ...]:
-        """Return the drones of every gear file."""
+    def fleets(self, gears: Sequence[Path]) -> tuple[tuple[tuple[Drone, ...], ...], dict[str, Any]]:
+        """Return the drones of every gear file, and where their numbers come from, for the result."""
         if self.pair not in PAIRINGS:
             raise CampaignError(f"--pair {self.pair!r}: expected one of {', '.join(PAIRINGS)}")
         motor = load_sets(self.motor)
-        out = tuple(drones(load_sets(path), motor, self.pair) for path in gears)
+        loaded = [load_sets(path) for path in gears]
+        out = tuple(drones(gear, motor, self.pair) for gear in loaded)
         surfaces = [fleet[0].surface for fleet in out]
         if len(set(surfaces)) < len(surfaces):
             raise ExportError(
                 f"{', '.join(str(path) for path in gears)}: the surfaces are {', '.join(surfaces)}; give one "
                 "gear file per surface"
             )
-        return out
-
-    def sources(self, gears: Sequence[Path]) -> dict[str, Any]:
-        """Return where the numbers come from, for the result."""
-        out: dict[str, Any] = {"sysid": __version__, "pairing": self.pair}
-        for path in (*gears, self.motor):
-            sets = load_sets(path)
-            out[f"{sets.kind} {path.name}"] = _origin(sets)
-        return out
+        origin: dict[str, Any] = {"sysid": __version__, "pairing": self.pair}
+        # By surface: fits of two surfaces may well have folders of one name.
+        for surface, path, sets in zip(surfaces, gears, loaded, strict=True):
+            origin[f"gear {surface}"] = _origin(path, sets)
+        return out, origin | {"motor": _origin(self.motor, motor)}
 
 
-def _origin(sets: ParameterSets) -> dict[str, Any]:
-    return {"name": sets.name, "sets": len(sets), "nrmse": sets.nrmse.tolist(), **dict(sets.provenance)}
+def _origin(path: Path, sets: ParameterSets) -> dict[str, Any]:
+    own = {"file": path.name, "name": sets.name, "sets": len(sets), "nrmse": sets.nrmse.tolist()}
+    return own | dict(sets.provenance)
 
 
 def span(text: str, what: str) -> tuple[float, ...]:
@@ -100,7 +108,8 @@ def span(text: str, what: str) -> tuple[float, ...]:
     try:
         if ":" in text:
             first, last, step = (float(part) for part in text.split(":"))
-            values = first + step * np.arange(round((last - first) / step) + 1)
+            # Never past the last one; the excess keeps 0:2:0.05 whole, whose quotient may fall short of 40.
+            values = first + step * np.arange(math.floor((last - first) / step + 1e-9) + 1)
         else:
             values = np.array([float(part) for part in text.split(",")])
     except (ValueError, ZeroDivisionError, OverflowError):

@@ -112,6 +112,20 @@ def figure_convergence(fit: FitResult) -> Figure:
     return figure
 
 
+def check_figure_name(path: Path) -> None:
+    """Refuse a file that no figure can be written to.
+
+    Raises
+    ------
+    ExportError
+        For another suffix than ``.png``, ``.pdf`` or ``.svg``.
+    """
+    if path.suffix.lower() not in _FORMATS:
+        raise ExportError(
+            f"{path}: unknown figure format {path.suffix!r}; expected one of {', '.join(_FORMATS)}"
+        )
+
+
 def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0) -> Path:
     """Write a figure as PNG, PDF or SVG; an existing file is replaced only by a complete one.
 
@@ -130,9 +144,8 @@ def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0) -> Path
         For another suffix or a file that cannot be written.
     """
     path = Path(path)
+    check_figure_name(path)
     suffix = path.suffix.lower()
-    if suffix not in _FORMATS:
-        raise ExportError(f"{path}: unknown figure format {suffix!r}; expected one of {', '.join(_FORMATS)}")
     buffer = io.BytesIO()
     # No date and no random names inside: the same figure gives the same bytes.
     metadata = {".png": {}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}[suffix]

@@ -127,7 +127,7 @@ def test_a_landing_map_of_both_surfaces(run):
     assert found.maps[2].outcome[0, 1, 1] == Outcome.FLIPPED
     assert found.settings["rules"]["horizon"] == 3.0
     assert found.settings["controllers"][1]["steps"][0]["rear"] == -1.0
-    assert found.provenance["gear published-gear-lf.json"]["name"] == "published-gear-lf"
+    assert found.provenance["gear lf"]["name"] == "published-gear-lf"
     assert Path("map.png").stat().st_size > 10_000
     assert not blocks.blocks_folder(Path("map.h5")).exists()
     code, out, err = run(*command)
