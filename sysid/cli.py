@@ -320,12 +320,15 @@ def synthesize_gear(
 def synthesize_motor(
     out: Annotated[Path, typer.Argument(help="Folder to write.", show_default=False)],
     seed: Annotated[int, typer.Option(help="Seed of the noise.", min=0)] = 1,
+    ideal_reversal: Annotated[
+        bool, typer.Option("--ideal-reversal", help="A motor without a dead band, as in Fig. 11.")
+    ] = False,
     force: Force = False,
 ) -> None:
     """Write motor tests with known truth as load-cell and thrust-stand logs."""
     from sysid.synthetic import synthesize_motor as write
 
-    folder = write(out, seed=seed, force=force)
+    folder = write(out, seed=seed, ideal_reversal=ideal_reversal, force=force)
     typer.echo(f"wrote {folder}; next: sysid fit-motor {folder / 'campaign.toml'}")
 
 

@@ -174,6 +174,8 @@ def synthesize_motor(
         {
             "seed": seed,
             "rate [Hz]": rate,
+            # Its I_sat and Ω_min are then no truth.
+            **({"ideal reversal": True} if ideal_reversal else {}),
             "noise": {
                 "force [N]": spread.force,
                 "torque [N·m]": spread.torque,

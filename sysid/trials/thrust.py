@@ -252,8 +252,8 @@ def signed_speed(speed: FloatArray, direction: Direction, where: str) -> FloatAr
     known = speed[np.isfinite(speed)]
     if known.size == 0 or not np.any(known):
         raise LogError(
-            f"{where}: the speed is zero in all of its {known.size} samples; switch the probe on, or choose "
-            "the other speed channel"
+            f"{where}: the speed is zero in all of its {known.size} samples; switch the probe on, or name "
+            "another signal as speed (log.columns of a table, log.datasets of HDF5, MAT, TDMS and LVM)"
         )
     top = float(np.max(np.abs(known)))
     forward, reverse = bool(np.any(known > 0.05 * top)), bool(np.any(known < -0.05 * top))

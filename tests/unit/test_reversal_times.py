@@ -14,6 +14,7 @@ from sysid.motor.model import PARAMETERS, simulate
 from sysid.pipelines.motor_saturation import reversal_delays
 from sysid.pipelines.reversal import ReversalOptions, log_reversals
 from sysid.recording import Channel, Recording
+from sysid.synthetic.motor import TRIALS, synthesize_motor
 from sysid.trials.reversal import find_reversals, repetitions
 from sysid.trials.thrust import CommandSteps, command_steps
 
@@ -283,6 +284,22 @@ def _slower(channel):
     rows = channel.time.size // 10 * 10
     time, values = (a[:rows].reshape(-1, 10).mean(axis=1) for a in (channel.time, channel.values))
     return Channel(channel.name, channel.unit, time, values)
+
+
+def test_synthesized_motor_without_a_dead_band(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(
+        "sysid.synthetic.motor.synthesize_motor.__kwdefaults__",
+        {**synthesize_motor.__kwdefaults__, "trials": TRIALS[-1:]},
+    )
+    monkeypatch.setattr("sys.argv", ["sysid", "synthesize", "motor", str(tmp_path / "m"), "--ideal-reversal"])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert not stop.value.code, capsys.readouterr().err
+    (group,) = log_reversals(tmp_path / "m" / "reversal-2.h5").groups[:1]
+    # 54 ms with a dead band; the filter of 100 Hz alone makes some of a sharp crossing.
+    assert group.median("dead_band") < 0.015
+    truth = json.loads((tmp_path / "m" / "truth.json").read_text(encoding="utf-8"))
+    assert "ideal reversal" in json.dumps(truth)
 
 
 def test_channels_with_their_own_clocks(monkeypatch):
