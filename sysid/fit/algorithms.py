@@ -88,6 +88,8 @@ class Breeder:
         self._algorithm = algorithm
         algorithm.setup(self._problem, termination=NoTermination(), verbose=False)
         self._asked: Any = None
+        # Candidates of every generation, where fewer mean that the algorithm has given up.
+        self._whole: int | None = None
 
     def ask(self) -> FloatArray | None:
         """Return the candidates (P, n_free) to score next, or None when no new one can be bred."""
@@ -95,6 +97,8 @@ class Breeder:
             return None
         self._asked = self._algorithm.ask()
         if self._asked is None or len(self._asked) == 0:
+            return None
+        if self._whole is not None and len(self._asked) != self._whole:
             return None
         return np.asarray(self._asked.get("X"), dtype=np.float64)
 
@@ -211,4 +215,6 @@ def _cmaes(n_free: int, population: int, seed: int, start: Start | None) -> Bree
     # pymoo scores the starting point, whose cost cma never sees: no simulation is spent on it.
     out.ask()
     out.tell(np.full(1, np.inf))
+    # On a flat cost cma stops by itself, and pymoo then hands out its best point alone as a generation.
+    out._whole = population
     return out

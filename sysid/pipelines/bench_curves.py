@@ -97,7 +97,7 @@ class NoLoadTie:
     @cached_property
     def weights(self) -> FloatArray:
         """(n,) soft-L1 weights of the points [1]."""
-        # The drag bends Ω(u) about like u|u|; the drag of a misread speed is itself misread, so it may not judge.
+        # The drag bends Ω(u) about like u|u|. A misread speed has a misread drag, which may not judge it.
         u, sign = self.columns.T
         return soft_weights(np.column_stack([u, sign, u * u / sign]), self.points[:, 0])
 

@@ -146,7 +146,7 @@ def _check_kv(kv: float, reference: float, curves: StaticCurves) -> None:
 def _reference_voltage(
     campaign: MotorCampaign, path: str | Path, fitted: list[BenchLog]
 ) -> tuple[float, str]:
-    """Return V_ref [V] and where it comes from: the campaign, the fitted logs, those of the curves, a guess."""
+    """Return V_ref [V] and its source: the campaign, the fitted logs, those of the curves, a guess."""
     if campaign.motor.reference_voltage is not None:
         return campaign.motor.reference_voltage, "campaign: motor.reference_voltage"
     logged = [log.channels["voltage"][1] for log in fitted if "voltage" in log.channels]
@@ -225,12 +225,29 @@ def untested_rows(campaign: MotorCampaign, bench: Bench) -> tuple[str, ...]:
     )
 
 
+def _band_of_starts(campaign: MotorCampaign, bench: Bench) -> tuple[str, ...]:
+    """Return what of the dead band the dynamic fit must free: a fitted trial is little but a start."""
+    given = {*campaign.parameters.fixed, *bench.measured}
+    unknown = tuple(name for name in SATURATION if name not in given)
+    starts = [trial.entry.name for trial in bench.fitted if trial.only_starts]
+    if not starts or not unknown:
+        return ()
+    warnings.warn(
+        f"trial {', '.join(starts)}: little but a start from rest, so {' and '.join(unknown)} are searched "
+        "together with R, L and the delay, which rest on them; add steps between running speeds, or state "
+        "motor.saturation_current and motor.saturation_speed",
+        SysidWarning,
+        stacklevel=3,
+    )
+    return unknown
+
+
 def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
     """Return what the dynamic fit frees: the campaign's, or R, L and k_d, and what its logs need beside them.
 
     The rotor's inertia is free where it was not measured; the command delay always, one per log where there
     are several, and the torque sensor's delay and lag where a trial is a slow log, unless the campaign fixes
-    them. k_d is free by default only
+    them; the dead band only where a fitted trial is little but a start from rest. k_d is free by default only
     where a log without propeller gives Ω_0: with Ω_0 from loaded points,
     (k²/R, k_d, Ω_0) → (k²/R + c, k_d − c, Ω_0 (k²/R)/(k²/R + c)) changes nothing as L → 0.
 
@@ -249,7 +266,10 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
     if campaign.motor.rotor_inertia is None and choices.free is None:
         needed.append("rotor_inertia")
     free += [name for name in needed if name not in free]
-    free = [name for name in free if name not in SATURATION]
+    # Otherwise fitted after everything else, so that it cannot hide in R and L; a trial that is little but a
+    # start from rest is felt through it alone, and another motor's band would bias R, L and the delay.
+    band = _band_of_starts(campaign, bench)
+    free = [*(name for name in free if name not in SATURATION), *band]
     # A name that the campaign both frees and fixes stays in the list, to be refused.
     asked = set(choices.free or ())
     chosen = tuple(name for name in free if name not in choices.fixed or name in asked)
@@ -277,7 +297,7 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
             stacklevel=2,
         )
     # Bounds of the dead band belong to the second stage.
-    bounds = {name: pair for name, pair in choices.bounds.items() if name not in SATURATION}
+    bounds = {name: pair for name, pair in choices.bounds.items() if name in band or name not in SATURATION}
     choices = choices.model_copy(update={"free": chosen, "bounds": bounds})
     # A guess need not lie between the bounds of what is freed; a measurement must.
     values = {n: value for n, value in bench.values.items() if n not in chosen or n in bench.measured}

@@ -30,6 +30,8 @@ _GRID = 1e-3
 _MEMORY = 3.0
 # Up- and down-steps that differ by more do not show one inertia.
 AGREEMENT = 0.15
+# Steps of each kind below which they show nothing.
+_FEWEST = 2
 
 
 @dataclass(frozen=True)
@@ -61,9 +63,12 @@ class SpikeInertia:
 
     @property
     def sentence(self) -> str | None:
-        """What a result says where the two kinds contradict each other; None where they agree, or lack."""
-        if min(self.steps.values()) < 2:
-            return None
+        """What a result says where the two kinds are too few or contradict each other; else None."""
+        if min(self.steps.values()) < _FEWEST:
+            return (
+                f"torque spikes of {self.steps['up']} up-steps and {self.steps['down']} down-steps are too "
+                f"few to check the rotor inertia: record {_FEWEST} of each, whole for {_SPIKE:g} s"
+            )
         up, down = self.value["up"], self.value["down"]
         if abs(up - down) <= AGREEMENT * 0.5 * (up + down):
             return None

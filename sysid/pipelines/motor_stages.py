@@ -13,6 +13,7 @@ from sysid.campaign import MotorCampaign
 from sysid.fit.engine import SearchSettings
 from sysid.fit.result import RankedSets
 from sysid.motor.model import PARAMETERS, unpack
+from sysid.motor.static_curves import CurveFit
 from sysid.parameter_sets import COMBINATIONS, NOT_ALONE
 from sysid.parameters import SearchSpace
 from sysid.pipelines.motor_bench import CONSTANTS, SATURATION, Bench, untested_rows
@@ -80,7 +81,13 @@ def after_the_search(
         why = "the fit was interrupted"
         out: dict[str, Any] = {"saturation": {"stage": "not fitted", "why": why}}
         sets, rows, nrmse, _ = _ranked(sets, rows, None, whole)
-        return After(sets, rows, nrmse, None, out, ())
+        given = set(SATURATION) <= {*bench.measured, *campaign.parameters.fixed}
+        unfinished = _unfinished(bench, space)
+        for sentence in unfinished:
+            tell(f"warning: {sentence}")
+        if not bench.scale_known:
+            out |= _scale_free(given)
+        return After(sets, rows, nrmse, None, out, unfinished)
     warned: list[str] = []
     saturation = fit_saturation(campaign, bench, space.table, rows, settings, sets.seed, threads)
     rows = with_saturation(space.table, rows, saturation)
@@ -115,6 +122,14 @@ def after_the_search(
     for sentence in warned:
         tell(f"warning: {sentence}")
     return After(sets, rows, nrmse, saturation, out, tuple(warned))
+
+
+def _unfinished(bench: Bench, space: SearchSpace) -> tuple[str, ...]:
+    """Return what an interrupted fit has not looked at, in sentences for its warnings."""
+    missing = ["the dead band was not fitted", "the ladder of simpler models was not climbed"]
+    if "viscous_damping" in space.names:
+        missing.append("viscous_damping was not profiled, so its digits may mean nothing")
+    return (f"the fit was interrupted: {'; '.join(missing)}; continue it with --resume",)
 
 
 def _scale_free(banded: bool) -> dict[str, Any]:
@@ -216,6 +231,20 @@ def tied_curves(bench: Bench, objective: MotorObjective, best: Mapping[str, floa
     return [fit.document() for fit in fits]
 
 
+def curve_sentence(fit: CurveFit) -> str:
+    """Return a static curve in a sentence: coefficients, standard errors, how well the points lie on it."""
+    names = ("a", "b") if fit.quantity == "no_load" else ("c2", "c1")
+    numbers = ", ".join(
+        f"{name} = {value:.5g} ± {error:.2g} {unit}"
+        for name, value, error, unit in zip(
+            names, fit.coefficients, fit.standard_errors, fit.units, strict=True
+        )
+    )
+    outliers = f", {fit.outliers} of them outliers" if fit.outliers else ""
+    quality = f"R² {fit.r_squared:.5f} over {fit.points} points{outliers}"
+    return f"{fit.quantity}, {fit.direction}: {numbers}; {quality}"
+
+
 def say_what_is_fitted(
     campaign: MotorCampaign, bench: Bench, space: SearchSpace, tell: Callable[[str], None]
 ) -> None:
@@ -223,10 +252,7 @@ def say_what_is_fitted(
     scored = len(bench.trials) - len(bench.fitted)
     tell(f"{len(bench.fitted)} trials to fit, {scored} to validate; free: {', '.join(space.names)}")
     for fit in bench.curves.fits:
-        tell(
-            f"{fit.quantity}, {fit.direction}: R² {fit.r_squared:.5f} over {fit.points} points"
-            + (f", {fit.outliers} of them outliers" if fit.outliers else "")
-        )
+        tell(curve_sentence(fit))
     for trial in bench.trials:
         tares = ", ".join(
             f"{name} {1e3 * tare.value:.3g} m{unit}"
@@ -234,10 +260,12 @@ def say_what_is_fitted(
             if (tare := trial.log.tares.get(name)) is not None and tare.source != "assumed"
         )
         if tares:
-            signs = (("torque", trial.log.torque_sign), ("thrust", trial.log.thrust_sign))
-            turned = "".join(f", {name} sign turned" for name, sign in signs if sign < 0)
             source = trial.log.tares["torque" if "torque" in trial.log.tares else "thrust"].source
-            tell(f"trial {trial.entry.name}: tare from its {source}: {tares}{turned}")
+            tell(f"trial {trial.entry.name}: tare from its {source}: {tares}")
+        signs = (("torque", trial.log.torque_sign), ("thrust", trial.log.thrust_sign))
+        turned = " and ".join(name for name, sign in signs if sign < 0 and name in trial.log.channels)
+        if turned:
+            tell(f"trial {trial.entry.name}: sign of {turned} turned")
         lost = sum(end - start for start, end in trial.log.doubtful)
         if lost:
             tell(

@@ -6,13 +6,21 @@ import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from sysid.campaign import read_campaign
+from sysid.fit.engine import SearchSettings, run_one
+from sysid.fit.result import ranked_sets
+from sysid.fit.stopping import StopRule
+from sysid.parameter_sets import NOT_ALONE
 from sysid.pipelines.bench_curves import NoLoadTie
-from sysid.pipelines.motor_bench import prepare_bench
+from sysid.pipelines.motor_bench import prepare_bench, search_space
+from sysid.pipelines.motor_inertia import SpikeInertia
+from sysid.pipelines.motor_objective import MotorObjective
+from sysid.pipelines.motor_stages import after_the_search, curve_sentence
 from sysid.synthetic.motor import TrialPlan, synthesize_motor
 
 # R/(k_m k_v) of Table I [rad/s per N·m], its drag curve, and a no-load line.
@@ -50,7 +58,9 @@ def test_one_bad_point_does_not_bend_the_no_load_line(bad: int | None, miss: flo
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One short forward trial, its static logs at 11.1 V and no words on V_ref."""
     trials = (TrialPlan("forward-1", "forward", "fit", 0.25, (0.62, 0.35, 0.80), 0.45, "csv"),)
-    path = synthesize_motor(tmp_path_factory.mktemp("doubts") / "motor", seed=3, trials=trials) / "campaign.toml"
+    path = (
+        synthesize_motor(tmp_path_factory.mktemp("doubts") / "motor", seed=3, trials=trials) / "campaign.toml"
+    )
     text = re.sub(r"^reference_voltage = .*\n", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
     path.write_text(text, encoding="utf-8")
     return path
@@ -68,3 +78,86 @@ def _changed(path: Path, name: str, *pairs: tuple[str, str]) -> Path:
 
 def _bench(path: Path):
     return prepare_bench(read_campaign(path, "motor"), path)
+
+
+def test_the_voltage_of_the_curves_serves_where_the_fitted_logs_hold_none(tmp_path: Path) -> None:
+    trials = (TrialPlan("forward-1", "forward", "fit", 0.25, (0.62, 0.35, 0.80), 0.45, "csv"),)
+    path = synthesize_motor(
+        tmp_path / "14.8 V", seed=3, trials=trials, parameters={"reference_voltage": 14.8}
+    )
+    path = _changed(path / "campaign.toml", "silent.toml", (r"^reference_voltage = .*\n", ""))
+    bench = _bench(path)
+    # The stand's supply begins 0.05 V above 14.8 V and sags by the current of full thrust, under 1 V.
+    assert bench.values["reference_voltage"] == pytest.approx(14.8, rel=0.05)
+    assert "logs under [curves]" in bench.stated["reference_voltage"]
+    # The fitted log ran at V_ref, so its no-load line must be the true one; 25 % low beside 11.1 V.
+    assert bench.values["no_load_slope_forward"] == pytest.approx(1030.0, rel=0.05)
+
+
+def test_one_motor_constant_is_half_a_scale(campaign: Path) -> None:
+    half = '[parameters.fixed]\ntorque_constant = "0.00995 N·m/A"\n'
+    both = half + 'back_emf_constant = "0.00995 V·s/rad"\n'
+    for name, fixed, known in (("half.toml", half, False), ("both.toml", both, True)):
+        path = _changed(campaign, name, (r"^kv = .*\n", ""), (r"^\[fit\]", f"{fixed}\n[fit]"))
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            bench = _bench(path)
+        assert bench.scale_known is known
+        assert any("fix only k²/R" in str(one.message) for one in said) is not known
+
+
+def test_a_trial_that_is_little_but_a_start_frees_the_dead_band(campaign: Path) -> None:
+    bench = _bench(campaign)
+    trial = bench.fitted[0]
+    (begin, end) = trial.target.time[[0, -1]]
+    short = replace(bench, trials=(replace(trial, starts=((begin, begin + 0.9 * (end - begin)),)),))
+    assert short.fitted[0].only_starts
+    read = read_campaign(campaign, "motor")
+    assert not {"saturation_current", "saturation_speed"} & {*search_space(read, bench).names}
+    with pytest.warns(UserWarning, match="trial forward-1: little but a start from rest, so saturation_curr"):
+        space = search_space(read, short)
+    assert {"saturation_current", "saturation_speed"} <= {*space.names}
+    # A dead band that the campaign states is held, and nothing is to be said.
+    given = {"saturation_current": "campaign", "saturation_speed": "campaign"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        held = search_space(read, replace(short, measured={**short.measured, **given}))
+    assert "saturation_speed" not in held.names
+
+
+def test_an_interrupted_fit_says_what_it_has_not_looked_at(campaign: Path) -> None:
+    path = _changed(campaign, "guess.toml", (r"^kv = .*\n", ""))
+    read = read_campaign(path, "motor")
+    with pytest.warns(UserWarning, match="fix only k²/R"):
+        bench = prepare_bench(read, path)
+    space = search_space(read, bench)
+    objective = MotorObjective.build(read, space, bench, bench.fitted, dynamic=True)
+    run = run_one(objective, SearchSettings(8, 1, 1, StopRule(max_generations=1), "cmaes", "none"))
+    runs = (replace(run, stages=(replace(run.stages[-1], stop_reason="interrupted"),)),)
+    sets = ranked_sets(runs, space)
+    told: list[str] = []
+    found = SimpleNamespace(runs=runs)
+    after = after_the_search(read, bench, objective, sets, found, SearchSettings(8, 1, 1), told.append)
+    # Torque and speed fix no R, L or I_sat of their own, interrupted or not.
+    assert {"winding_resistance", "winding_inductance", "saturation_current"} <= {*after.settings[NOT_ALONE]}
+    (sentence,) = after.warnings
+    assert "viscous_damping was not profiled" in sentence
+    assert told == [f"warning: {sentence}"]
+
+
+def test_a_static_curve_is_told_with_its_errors() -> None:
+    sentence = curve_sentence(_tie(6, 0.5).fit("forward", DROP, 0.0))
+    number = r"-?\d[\d.e+-]*"
+    assert re.fullmatch(
+        rf"no_load, forward: a = {number} ± {number} rad/s, b = {number} ± {number} rad/s; "
+        r"R² 0\.99\d* over 12 points, 1 of them outliers",
+        sentence,
+    )
+
+
+def test_too_few_torque_spikes_are_said() -> None:
+    found = SpikeInertia(
+        {"up": 2.7e-5, "down": float("nan")}, {"up": 1e-7, "down": 0.0}, {"up": 4, "down": 1}
+    )
+    assert found.sentence is not None
+    assert "4 up-steps and 1 down-steps are too few" in found.sentence

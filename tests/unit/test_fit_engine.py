@@ -362,6 +362,12 @@ def test_a_flat_cost_ends():
 
     run = run_genetic(Flat(), population=20, seed=1, stop=StopRule())
     assert (run.stop_reason, len(run.best)) == ("converged", 5)
+    # cma gives up after three generations, before this rule does; what it bred is kept.
+    patient = StopRule(window=30)
+    for algorithm, finish in (("cmaes", "none"), ("ga", "cmaes")):
+        run = run_genetic(Flat(), population=20, seed=1, stop=patient, algorithm=algorithm, finish=finish)
+        assert run.best[-1] == 0.5
+        assert run.best_point.shape == (3,)
 
 
 def test_refusals():
