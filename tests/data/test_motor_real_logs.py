@@ -136,5 +136,6 @@ def test_second_half_of_a_real_log_is_predicted(tmp_path: Path, motor: str) -> N
     # The equations predict the torque of a step, a lag of the speed does not; L buys nothing at these rates.
     assert ladder["first-order lag"]["stator_torque"] > 1.5 * ladder["without L"]["stator_torque"]
     assert any("do not believe the fitted L" in sentence for sentence in result.warnings)
-    # Reached: 3.8 and 6.2 %. The halves hold other commands: SOV5's second half stops and starts the rotor.
-    assert held_out < 0.08
+    # Required: 5 %; reached 3.8 % for IM. SOV5's second half stops and starts the rotor, unlike its
+    # first: reached 6.2 %.
+    assert held_out < {"IM": 0.05, "SOV5": 0.08}[motor]
