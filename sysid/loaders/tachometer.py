@@ -15,6 +15,8 @@ from sysid.recording import Channel, FloatArray
 
 # Width of the band around the middle level that noise must not cross twice, as a share of the pulse's height.
 _HYSTERESIS = 0.25
+# A step between samples beyond this many medians has lost at least one sample; jitter alone stays below.
+_HOLE = 2.5
 
 
 def check_tachometer(path: str, channels: Collection[str], pulses_per_revolution: object) -> None:
@@ -71,7 +73,7 @@ def pulse_speed(
     """Return the channel ``speed`` [rad/s, never negative] of a pulse train, and notes.
 
     One sample per period, at its middle: 2π / (pulses per revolution · period). Between pulses nothing is
-    known and nothing is filled in; a period that holds a lost sample is NaN.
+    known and nothing is filled in; a period that holds a lost sample or a hole in the clock is NaN.
 
     Parameters
     ----------
@@ -100,7 +102,8 @@ def pulse_speed(
             "check which channel it is"
         )
     periods = np.diff(edges)
-    step = float(np.median(np.diff(time)))
+    steps = np.diff(time)
+    step = float(np.median(steps))
     shortest = float(np.percentile(periods, 5))
     if shortest < 3.0 * step:
         raise LogError(
@@ -110,9 +113,19 @@ def pulse_speed(
     speed = 2.0 * np.pi / (pulses_per_revolution * periods)
     lost = time[~seen]
     holes = np.searchsorted(lost, edges[1:]) > np.searchsorted(lost, edges[:-1])
-    speed = np.where(holes, np.nan, speed)
+    missing = np.flatnonzero(steps > _HOLE * step)
+    # An edge inside a hole is only interpolated, so both of its periods are unknown.
+    begun = np.searchsorted(time[missing], edges[1:], side="left")
+    ended = np.searchsorted(time[missing + 1], edges[:-1], side="right")
+    torn = begun > ended
+    speed = np.where(holes | torn, np.nan, speed)
     notes = [
         f"speed from {edges.size} pulses at {pulses_per_revolution:g} per revolution, one value per period "
         f"(edges resolve {100 * step / float(np.median(periods)):.2g} % of a period at worst)"
     ]
+    if torn.any():
+        notes.append(
+            f"holes in the clock of the tachometer: {missing.size} (the longest {float(steps.max()):.3g} s); "
+            f"the {int(torn.sum())} periods across them have no speed"
+        )
     return Channel("speed", "rad/s", 0.5 * (edges[1:] + edges[:-1]), speed), notes

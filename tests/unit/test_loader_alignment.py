@@ -115,6 +115,19 @@ def test_pulses_with_a_lost_stretch_and_without_any():
         pulse_speed("log", time, np.arange(time.size) % 2.0, 1)
 
 
+@pytest.mark.parametrize("shift", [0.0, 0.013])
+def test_a_period_across_missing_rows_has_no_speed(shift):
+    # Rows that were never written leave no NaN behind, only a longer step of the clock.
+    time = np.arange(0, 1, 1e-3)
+    values = np.where((50 * time) % 1 < 0.5, 1.0, 0.0)
+    kept = (time < 0.402 + shift) | (time > 0.7015 + shift)
+    found, notes = pulse_speed("log", time[kept], values[kept], 1)
+    assert 1 <= np.isnan(found.values).sum() <= 2
+    # Between samples of 1 ms an edge of a 20 ms period is known to 5 %, far from the 0.3 s of the hole.
+    np.testing.assert_allclose(found.values[found.valid], 100 * np.pi, rtol=0.05)
+    assert "holes in the clock of the tachometer: 1 (the longest 0.3" in notes[-1]
+
+
 def test_tachometer_column_of_a_load_cell(tmp_path):
     path = tmp_path / "cell.csv"
     rows = "".join(f"{i * 1e-3:.3f},{i},{5 * (i % 20 < 10)}\n" for i in range(200))
