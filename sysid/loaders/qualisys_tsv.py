@@ -34,6 +34,8 @@ _HEADER_LINES = 40
 _BODY_WIDTH, _MATRIX = 16, 7
 # Rows print the matrix to six decimals or fewer; more than this off is a wrong column or a damaged number.
 _ORTHOGONAL = 0.02
+# Times are printed to five decimals, and by some versions to three [s].
+_TIME_ROUNDING = 5.5e-4
 
 
 def _recognize(source: Source) -> int:
@@ -108,6 +110,26 @@ def _position(numbers: Numbers, first: int, scale: float) -> FloatArray:
     return position
 
 
+def _checked_clock(path: str, numbers: Numbers, rate: float) -> tuple[FloatArray, str]:
+    """Return the times [s] of frame numbers and a note; refuse a rate that the Time column contradicts."""
+    counted, written = numbers.columns[0], numbers.columns[1]
+    time = (counted - 1.0) / rate
+    seen = np.isfinite(written)
+    offset = float(np.median((written - time)[seen])) if seen.any() else 0.0
+    offset = 0.0 if abs(offset) <= _TIME_ROUNDING else offset
+    time = time + offset
+    error = np.where(seen, np.abs(written - time), 0.0)
+    if error.max() > _TIME_ROUNDING:
+        row = int(error.argmax())
+        raise LogError(
+            f"{path}, line {numbers.lines[row]}: frame {counted[row]:.0f} at FREQUENCY {rate:g} Hz is at "
+            f"{time[row]:.6g} s but the Time column says {written[row]:.6g} s; correct the one that is wrong "
+            "or export again"
+        )
+    said = f"time rebuilt from frame numbers at {rate:g} Hz"
+    return time, said + (f", beginning {offset:.6g} s later" if offset else "")
+
+
 def read(
     source: Source,
     *,
@@ -163,8 +185,8 @@ def read(
     notes = numbers.notes
     if lead:
         _, said = order_rows(path, numbers, 0, 1.0 / rate)
-        time = (numbers.columns[0] - 1.0) / rate
-        notes += [*said, f"time rebuilt from frame numbers at {rate:g} Hz"]
+        time, checked = _checked_clock(path, numbers, rate)
+        notes += [*said, checked]
     else:
         time = rate_clock(path, rate, numbers.lines.size)
         notes.append(f"no Frame column: rows are taken as frames without a hole at {rate:g} Hz")

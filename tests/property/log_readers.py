@@ -302,11 +302,14 @@ def qualisys_tsv(data, recording):
         columns[f"{name}/residual", 0] = (start + 6, 1e-3)
         columns |= {(f"{name}/orientation", k): (start + 7 + k, 1.0) for k in range(9)}
         turns[f"{name}/orientation"] = turned
-    table = Table(turns=turns)
+    table = Table(turns=turns, offset=bool(lead))
     count = iter(range(10**6))
 
     def time(at):
-        return ((at(0) - 1) / rate,) if lead else (next(count) / rate,)
+        if not lead:
+            return (next(count) / rate,)
+        counted, written = (at(0) - 1) / rate, at(1)
+        return (counted, written) if math.isfinite(written) else (counted,)
 
     fill(table, lines, closed, need(first, "rows"), len(lines), "\t", columns, time,
          least=lead + 16 * len(names), most=lead + 16 * len(names), skip=(0, 1) if lead else ())  # fmt: skip

@@ -192,6 +192,21 @@ def test_qualisys_refusals(write, content, message):
         load(write(content))
 
 
+def test_qualisys_frequency_is_checked_against_the_time_column(write):
+    head = "NO_OF_FRAMES\t50\nFREQUENCY\t{rate}\nDATA_INCLUDED\t3D\nMARKER_NAMES\tm1\nFrame\tTime\tX\tY\tZ\n"
+    rows = "".join(f"{i + 1}\t{i / 100:.5f}\t{i}\t2\t3\n" for i in range(50))
+    time = load(write(head.format(rate=100) + rows))["m1/position"].time
+    np.testing.assert_array_equal(time, np.arange(50) / 100)
+    for rate in (800, 102):
+        with pytest.raises(LogError, match=f"at FREQUENCY {rate} Hz is at .* but the Time column says"):
+            load(write(head.format(rate=rate) + rows))
+    # Times that count from another event keep their zero, which the frame numbers do not know.
+    later = "".join(f"{i + 1}\t{2 + i / 100:.5f}\t{i}\t2\t3\n" for i in range(50))
+    log = load(write(head.format(rate=100) + later))
+    np.testing.assert_allclose(log["m1/position"].time, 2 + np.arange(50) / 100, atol=1e-9)  # double rounding
+    assert "time rebuilt from frame numbers at 100 Hz, beginning 2 s later" in log.provenance.notes
+
+
 def test_legacy_motive_refusals_and_names(write):
     text = 'comment,x\nrighthanded\ninfo,version,1.1\nrigidbody,"quad",7,4\n'
     row = "frame,{},{},1,7,1,2,3,0,0,0,1,0,0,0,1,4,5,6,1,M1\n"
