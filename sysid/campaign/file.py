@@ -34,6 +34,8 @@ def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
         When the file is missing, is no TOML, is of another kind, or breaks the schema.
     """
     path = Path(path)
+    if path.is_dir():
+        raise CampaignError(f"{path}: is a folder; name the campaign in it, such as {path / 'campaign.toml'}")
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
@@ -103,11 +104,26 @@ class Window(Table):
     max_gap: PositiveTime = 0.05
 
 
+_LARGEST_OFFSET = 0.020
+
+
+def _small(thousandth: str) -> Callable[[float], float]:
+    def check(value: float) -> float:
+        if value > _LARGEST_OFFSET:
+            raise ValueError(
+                f"{1e3 * value:g} {thousandth} is more than {1e3 * _LARGEST_OFFSET:g} {thousandth}, no "
+                "error of a measurement any more; correct the surface's place or the trial's start instead"
+            )
+        return value
+
+    return check
+
+
 class Nuisance(Table):
     """`[nuisance]`: offsets of each fitted drop that the search may choose, up to these; none by default."""
 
-    height: PositiveLength | None = None
-    start_time: PositiveTime | None = None
+    height: Annotated[PositiveLength, AfterValidator(_small("mm"))] | None = None
+    start_time: Annotated[PositiveTime, AfterValidator(_small("ms"))] | None = None
 
 
 class KaiserFilter(Table):

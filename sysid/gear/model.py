@@ -104,8 +104,9 @@ FIT_TOLERANCE = 3e-4
 TIGHT_TOLERANCE = 1e-6
 
 # Right-hand sides that a drop may spend per second of its length at FIT_TOLERANCE: 3.7 times (low friction)
-# and 4.4 times (high) what the tests' six drops take on average. Of random candidates within the bounds 1 %
-# need more.
+# and 4.4 times (high) what the tests' six drops take on average. At random points within
+# the high-friction bounds 1 % of the drops need more, and 3.5 % of the candidates on one drop at least: too
+# many bounces and mode switches rather than stiffness.
 _COST = 3.8e4
 _LONGEST_STEP = 5e-3
 # Room for events of a single simulation at first; where there are more it is repeated with more room.
@@ -285,8 +286,8 @@ def simulate_population(
 def prepare(surface: str | Surface = "lf", *, single: bool = True) -> None:
     """Compile a surface's driver of populations, or load it from the disk cache.
 
-    The first call after an installation compiles for some 15 s; say so before. Every simulation does it on
-    demand.
+    The first call after an installation compiles for some 40 s of processor time per surface, both drivers;
+    say so before. Every simulation does it on demand.
 
     Parameters
     ----------

@@ -35,7 +35,10 @@ class Status(IntEnum):
         return {
             Status.OK: "integrated to the end",
             Status.STEP_COLLAPSED: "the step shrank below 1 ns: the parameters or the state are not physical",
-            Status.TOO_EXPENSIVE: "needed many times an ordinary drop's work: the parameters are too stiff",
+            Status.TOO_EXPENSIVE: (
+                "needed many times an ordinary drop's work: a contact or leg too stiff, or too many bounces "
+                "and mode switches"
+            ),
             Status.BLEW_UP: "a leg was pushed through its own joint: the legs are too soft for this impact",
             Status.CAME_TO_REST: "ended at rest, as asked",
             Status.FLIPPED_OVER: "ended when it had flipped, as asked",

@@ -33,7 +33,7 @@ from sysid.gear.model import (
 from sysid.parameter_sets import ParameterRecord, parameter_records
 from sysid.parameters import SearchSpace
 from sysid.pipelines.drops import PreparedDrop, cost_channels, prepare_drops
-from sysid.pipelines.gear_causes import CAUSES, judged
+from sysid.pipelines.gear_causes import CAUSES, first_cause, judged_drops
 from sysid.pipelines.nuisance import offsets, shifted_before, shifted_starts, with_nuisance
 from sysid.pipelines.search import (
     FitOptions,
@@ -54,7 +54,8 @@ def search_space(campaign: GearCampaign) -> SearchSpace:
     Raises
     ------
     CampaignError
-        For an unknown parameter, a wrong unit, crossed bounds, bounds that exclude a measured value.
+        For an unknown parameter, a wrong unit, crossed bounds, bounds that exclude a measured value, and a
+        free parameter that the drops do not depend on.
     """
     law = campaign.surface.law
     if law not in SURFACES:
@@ -62,6 +63,13 @@ def search_space(campaign: GearCampaign) -> SearchSpace:
     space = campaign.parameters.search_space(
         parameters_on(law), SURFACES[law].free, measured_values(campaign)
     )
+    unread = {*_NEVER_IN_DROPS, *(name for own in SURFACES.values() for name in own.reads)}
+    for name in space.names:
+        if name in unread.difference(SURFACES[law].reads):
+            raise CampaignError(
+                f"parameters.free: nothing in a drop on surface.law {law!r} depends on {name}; remove it "
+                "from the list"
+            )
     return with_nuisance(space, campaign)
 
 
@@ -174,14 +182,15 @@ class GearObjective:
 
     def judge(self, rows: FloatArray) -> tuple[PopulationCost, NDArray[np.int8]]:
         """Score rows, and tell of each why it failed: the number (from 1) among `causes`, 0 for none."""
-        return self.judge_samples(*self.simulate(rows))
+        scored, causes = self.judge_samples(*self.simulate(rows))
+        return scored, first_cause(causes)
 
     def judge_samples(
         self, samples: FloatArray, result: PopulationSamples
     ) -> tuple[PopulationCost, NDArray[np.int8]]:
-        """Score what `simulate` returned."""
+        """Score what `simulate` returned, and tell of each drop (P, D) why it is lost."""
         scored = self.cost(samples, result.reached)
-        return judged(self.cost, self.drops, self.board_length, result, samples, scored)
+        return judged_drops(self.cost, self.drops, self.board_length, result, samples, scored)
 
     def simulate(self, rows: FloatArray) -> tuple[FloatArray, PopulationSamples]:
         """Return samples (P, n_total, 6) with every drop's margins, and all that the simulation found."""
@@ -279,7 +288,8 @@ def fit_gear(
         stated={name: "campaign" for name in {*measured_values(campaign), *campaign.parameters.fixed}},
     )
     at_bound = np.pad(sets.at_bound, ((0, 0), (0, len(_DERIVED))))
-    after = (*bound_warnings(records, at_bound), *loose_warnings(found.runs, space))
+    trials, lost = trial_results(GearObjective.build(campaign, space, drops, options.threads), sets.values)
+    after = (*bound_warnings(records, at_bound), *loose_warnings(found.runs, space), *lost)
     for sentence in after:
         tell(f"warning: {sentence}")
     result = FitResult(
@@ -294,7 +304,7 @@ def fit_gear(
         values=np.hstack([sets.values, _derived(sets.values)]),
         at_bound=at_bound,
         nrmse=sets.cost,
-        trials=_trial_results(GearObjective.build(campaign, space, drops, options.threads), sets.values),
+        trials=trials,
         channels=tuple(channel.name for channel in objective.cost.channels),
         channel_units=tuple(channel.unit for channel in objective.cost.channels),
         channel_weights=tuple(channel.weight for channel in objective.cost.channels),
@@ -325,9 +335,21 @@ _CONSTANTS = (
 _OF_LAW = {"slip_regularization": "lf", "static_friction_excess": "hf"}
 
 
+# Motors do not run in a drop.
+_NEVER_IN_DROPS = ("thrust_point_dx",)
+
+
 def _say_defaults(campaign: GearCampaign, space: SearchSpace) -> None:
-    """Warn of values that the campaign leaves to the paper's drone, which another drone does not share."""
+    """Warn of values left to the paper's drone, which another does not share, and of stated ones not used."""
     law = campaign.surface.law
+    for name in space.names:
+        if name in measured_values(campaign):
+            warnings.warn(
+                f"{name} is stated in the campaign and free on {law}: the search chooses it, the stated "
+                f"value is not used; fix it under [parameters.fixed] to keep it",
+                SysidWarning,
+                stacklevel=2,
+            )
     given = {*measured_values(campaign), *campaign.parameters.fixed, *_CONSTANTS, *LF_FREE}
     left = [
         f"{name} {value:.4g} {PARAMETERS[name].unit}".removesuffix(" 1")
@@ -343,9 +365,20 @@ def _say_defaults(campaign: GearCampaign, space: SearchSpace) -> None:
         )
 
 
-def _trial_results(objective: GearObjective, rows: FloatArray) -> tuple[TrialResult, ...]:
+def trial_results(
+    objective: GearObjective, rows: FloatArray
+) -> tuple[tuple[TrialResult, ...], tuple[str, ...]]:
+    """Score the ranked sets (S, n_par) on every drop, and say of each lost one why.
+
+    Returns
+    -------
+    trials : tuple of TrialResult
+        One per drop.
+    lost : tuple of str
+        A sentence per drop and set whose simulation is no drop that can be compared.
+    """
     samples, result = objective.simulate(rows)
-    scored, _ = objective.judge_samples(samples, result)
+    scored, causes = objective.judge_samples(samples, result)
     simulated = objective.cost.prepared(samples)
     out = []
     for d, drop in enumerate(objective.drops):
@@ -364,7 +397,11 @@ def _trial_results(objective: GearObjective, rows: FloatArray) -> tuple[TrialRes
                 nrmse=scored.by_channel[:, d],
             )
         )
-    return tuple(out)
+    lost = tuple(
+        f"{objective.drops[d].name}, set {s + 1}: {CAUSES[causes[s, d] - 1]}; its NRMSE is a penalty"
+        for d, s in np.argwhere(causes.T > 0)
+    )
+    return tuple(out), lost
 
 
 def _settings(campaign: GearCampaign, drops: tuple[PreparedDrop, ...]) -> dict[str, Any]:

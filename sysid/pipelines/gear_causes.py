@@ -20,8 +20,9 @@ from sysid.pipelines.drops import PreparedDrop
 
 FloatArray = NDArray[np.float64]
 
-# In the order in which a candidate with several of them is counted.
-CAUSES = ("blew up", "too stiff", "step collapsed", "never touched", "left the board")
+# In the order in which a candidate with several of them is counted. Too expensive: a contact or leg that is
+# too stiff, or (on high friction mostly) too many bounces and mode switches.
+CAUSES = ("blew up", "too expensive", "step collapsed", "never touched", "left the board")
 _OF_STATUS = {Status.BLEW_UP: 1, Status.TOO_EXPENSIVE: 2, Status.STEP_COLLAPSED: 3}
 _NEVER_TOUCHED, _LEFT_BOARD = 4, 5
 
@@ -30,7 +31,7 @@ _NEVER_TOUCHED, _LEFT_BOARD = 4, 5
 BEYOND_BOARD = 1.05
 
 
-def judged(
+def judged_drops(
     cost: FilteredNrmse,
     drops: Sequence[PreparedDrop],
     board_length: float | None,
@@ -38,7 +39,7 @@ def judged(
     samples: FloatArray,
     scored: PopulationCost,
 ) -> tuple[PopulationCost, NDArray[np.int8]]:
-    """Return the scores with all penalties, and the cause (from 1) of every candidate's failure, 0 for none.
+    """Return the scores with all penalties, and why (from 1) each drop (P, D) is lost, 0 where it is not.
 
     Parameters
     ----------
@@ -72,9 +73,13 @@ def judged(
             cause[left, d] = _LEFT_BOARD
     missing[scored.failed] = 0.0
     by_channel = scored.by_channel + FAILED_NRMSE * missing[:, :, None]
-    codes = np.where(cause > 0, cause, len(CAUSES) + 1).min(axis=1)
-    codes = np.where(codes > len(CAUSES), 0, codes).astype(np.int8)
-    return PopulationCost(cost.mean(by_channel), by_channel, cause > 0), codes
+    return PopulationCost(cost.mean(by_channel), by_channel, cause > 0), cause
+
+
+def first_cause(causes: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Return the cause (P,) that a candidate is counted by, of those (P, D) of its drops."""
+    codes = np.where(causes > 0, causes, len(CAUSES) + 1).min(axis=1)
+    return np.where(codes > len(CAUSES), 0, codes).astype(np.int8)
 
 
 def _share_on_board(

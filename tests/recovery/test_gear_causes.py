@@ -12,7 +12,7 @@ from sysid.fit.cost import FAILED_NRMSE, FilteredNrmse
 from sysid.fit.store import read_fit
 from sysid.gear.model import FIT_TOLERANCE, pack, simulate_population
 from sysid.pipelines.drops import prepare_drops
-from sysid.pipelines.gear import GearObjective, fit_gear, search_space
+from sysid.pipelines.gear import GearObjective, fit_gear, search_space, trial_results
 from sysid.pipelines.gear_causes import CAUSES
 from sysid.pipelines.search import FitOptions
 from sysid.synthetic import LF_DROPS, read_truth, synthesize_gear
@@ -111,7 +111,7 @@ def test_the_penalty_of_leaving_begins_at_nothing(problem):
 def test_every_way_to_be_lost_is_told_apart(problem):
     objective, row = problem
     assert cause(objective, changed(row, 8, 5.0))[1] == "blew up"
-    assert cause(objective, changed(row, 12, 1e13))[1] == "too stiff"
+    assert cause(objective, changed(row, 12, 1e13))[1] == "too expensive"
     assert cause(objective, changed(row, 15, 0.0))[1] == "step collapsed"
     later, sooner = (cause(objective, changed(row, 8, k_h))[0] for k_h in (50.0, 5.0))
     # Both are lost, the softer legs earlier.
@@ -141,6 +141,23 @@ def test_a_candidate_with_several_causes_is_counted_by_the_first(problem):
             board_length=0.05,
         )
         assert cause(both, row)[1] == "never touched"
+
+
+def test_a_ranked_set_that_is_lost_on_a_drop_says_why(problem):
+    objective, row = problem
+    # The third set's legs are pushed through their joints; on a short board every set leaves it.
+    rows = np.stack([row, row, changed(row, 8, 5.0)])
+    trials, lost = trial_results(objective, rows)
+    assert [text.split(";")[0] for text in lost] == [f"{t.name}, set 3: blew up" for t in trials]
+    short = replace(objective, board_length=0.05)
+    trials, lost = trial_results(short, rows)
+    for trial in trials:
+        assert [text.split(";")[0] for text in lost if text.startswith(f"{trial.name},")] == [
+            f"{trial.name}, set 1: left the board",
+            f"{trial.name}, set 2: left the board",
+            f"{trial.name}, set 3: blew up",
+        ]
+    assert trial_results(objective, rows[:2])[1] == ()
 
 
 def test_none_costs_more_than_five_ordinary_candidates(problem):

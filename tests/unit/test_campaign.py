@@ -78,6 +78,14 @@ def test_quantities_become_si(tmp_path):
         ("gear", 'name = "my-drops"', "name = 'a b'", "name: String should match pattern"),
         ("gear", 'kind = "gear"', 'kind = "glider"', "kind is 'glider'; expected 'motor' or 'gear'"),
         ("gear", "[fit]", "[fit", "not valid TOML"),
+        ("gear", '# height = "1 mm"', 'height = "2 m"', "nuisance.height: 2000 mm is more than 20 mm"),
+        ("gear", '# height = "1 mm"', 'height = "20.1 mm"', "nuisance.height: 20.1 mm is more than 20 mm"),
+        (
+            "gear",
+            '# start_time = "1 ms"',
+            'start_time = "1 s"',
+            "start_time: 1000 ms is more than 20 ms",
+        ),
         ("motor", "maximum = 2000", "maximum = 900", "are not in order"),
         ("motor", "maximum = 2000", "", "maximum is missing; state the logged numbers"),
         ("motor", "maximum = 2000", 'forward_half = "low"', "forward_half belongs to unit = 'dshot'"),
@@ -115,6 +123,8 @@ def test_wrong_kind_and_missing_files(tmp_path):
         read_campaign(path, "motor")
     with pytest.raises(CampaignError, match="no such campaign file"):
         read_campaign(tmp_path / "nowhere.toml")
+    with pytest.raises(CampaignError, match=r"is a folder; name the campaign in it, such as .*toml"):
+        read_campaign(tmp_path)
     with pytest.raises(CampaignError, match=r"log 'drop-1.csv' does not exist"):
         resolve_log(path, "drop-1.csv")
 

@@ -171,7 +171,8 @@ def test_lanes_become_packed_instructions(surface):
     reads = np.array([17, 19], dtype=np.int64)
     start = (drops.slope, drops.body_state[None], np.empty(0), drops.clock, drops.offset)
     thrust = (drops.segments, drops.plans)
-    drive(pack({})[None], reads, *start, *thrust, np.zeros(1, np.int64), 1e-3, 5e-3, 1e6, False, *out)
+    ending = (0.0, 0.05, 0.2, 0.2, 1.4)  # to the clock's end; rest and flip as by default
+    drive(pack({})[None], reads, *start, *thrust, np.zeros(1, np.int64), 1e-3, 5e-3, 1e6, ending, *out)
     (text,) = drive.inspect_asm().values()
     packed = len(re.findall(r"\bv?mulpd\b", text))
     single = len(re.findall(r"\bv?mulsd\b", text))
