@@ -127,16 +127,17 @@ class ParameterChoices(Table):
             space = SearchSpace.build(table, free, values, bounds)
         ranges = self.measured_ranges(table)
         for row in space.free:
+            unit = "" if row.unit == "1" else f" {row.unit}"
             low, high = ranges.get(row.name, (row.lower, row.upper))
             if high < row.lower or low > row.upper:
                 raise CampaignError(
-                    f"parameters.bounds.{row.name}: {row.lower:g} to {row.upper:g} {row.unit} exclude the "
+                    f"parameters.bounds.{row.name}: {row.lower:g} to {row.upper:g}{unit} exclude the "
                     f"measured {low:g} to {high:g}; widen the bounds or correct the measurement"
                 )
             value = campaign_values.get(row.name)
             if value is not None and not row.lower <= value <= row.upper:
                 raise CampaignError(
-                    f"parameters.bounds.{row.name}: {row.lower:g} to {row.upper:g} {row.unit} exclude the "
+                    f"parameters.bounds.{row.name}: {row.lower:g} to {row.upper:g}{unit} exclude the "
                     f"measured value {value:g}; widen the bounds or correct the measurement"
                 )
         return space

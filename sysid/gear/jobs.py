@@ -69,6 +69,32 @@ def _derive(parameters, reads, slope, work, lane, lanes):
 
 
 @njit(error_model="numpy")
+def _first_way(work, lane, lanes, foot):
+    """Direction of slip of a foot at its start: that of its motion where it touches, +1 in the air."""
+    y = START * lanes + lane
+    base = COEFFICIENTS * lanes + lane
+    joints = pose(
+        work[y + 2 * lanes],
+        work[y + 4 * lanes],
+        work[y + 6 * lanes],
+        work[base + 8 * lanes],
+        work[base + 9 * lanes],
+    )
+    rates = (
+        work[y + 7 * lanes],
+        work[y + 8 * lanes],
+        work[y + 9 * lanes],
+        work[y + 10 * lanes],
+        work[y + 11 * lanes],
+        work[y + 12 * lanes],
+        work[y + 13 * lanes],
+    )
+    length = work[LENGTH * lanes + lane]
+    found = feet(joints, work[y + lanes], work[y + 3 * lanes], work[y + 5 * lanes], rates, length)
+    return -1.0 if found[3 * foot] > 0.0 and found[3 * foot + 2] < 0.0 else 1.0
+
+
+@njit(error_model="numpy")
 def begin(parameters, reads, slope, body, legs, work, lane, lanes):
     """Load a job into a lane: coefficients, state in the slope's frame, a first step of length 0."""
     _derive(parameters, reads, slope, work, lane, lanes)
@@ -106,7 +132,7 @@ def begin(parameters, reads, slope, body, legs, work, lane, lanes):
         work[(RATES + i) * lanes + lane] = 0.0
     for foot in range(2):
         work[(STUCK + foot) * lanes + lane] = 0.0
-        work[(WAY + foot) * lanes + lane] = 1.0
+        work[(WAY + foot) * lanes + lane] = _first_way(work, lane, lanes, foot)
         work[(MARGIN + foot) * lanes + lane] = -1e30
         work[(SWITCH + foot) * lanes + lane] = 0.0
         work[(FRICTION_0 + foot) * lanes + lane] = 0.0

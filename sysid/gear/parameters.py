@@ -120,11 +120,12 @@ PARAMETERS = ParameterTable(
 
 
 def parameters_on(surface: str | Surface) -> ParameterTable:
-    """Return the table with the default values of a surface, for example Table II's high-friction means."""
+    """Return the table with a surface's own defaults and bounds, such as Table II's high-friction means."""
     own = find_surface(surface)
-    return ParameterTable(
-        replace(row, nominal=own.nominal[name], source=f"{own.source}; bounds guessed")
-        if name in own.nominal
-        else row
-        for name, row in PARAMETERS.items()
-    )
+    rows = []
+    for name, row in PARAMETERS.items():
+        if name in own.nominal:
+            row = replace(row, nominal=own.nominal[name], source=f"{own.source}; bounds guessed")
+        lower, upper = own.bounds.get(name, (row.lower, row.upper))
+        rows.append(replace(row, lower=lower, upper=upper))
+    return ParameterTable(rows)

@@ -74,6 +74,6 @@ def test_a_stated_value_that_is_free_is_said_to_be_unused(tmp_path, recwarn):
 
 def test_a_stated_value_outside_the_surfaces_bounds_is_refused(tmp_path):
     with pytest.raises(
-        CampaignError, match=r"kinetic_friction: 0\.5 to 1\.2 1 exclude the measured value 0\.44"
+        CampaignError, match=r"kinetic_friction: 0\.5 to 1\.2 exclude the measured value 0\.44"
     ):
         search_space(opened(tmp_path, "hf", stated="kinetic_friction = 0.44"))

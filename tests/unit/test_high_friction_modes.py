@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from sysid.gear.model import PARAMETERS, EventKind, pack, simulate
 from sysid.gear.rows import INNER, LAW, MARGIN, NORMAL, REQUIRED, ROWS, SLIP, STUCK, SWITCH, WAY
 from sysid.gear.surfaces.high_friction import after_step
 from sysid.integrate.tableau import STAGES
@@ -74,3 +75,46 @@ def test_a_loss_within_a_step_repeats_it(foot):
     # Such a step is cut, to no less than a tenth; below 1 us its end alone decides.
     assert decided(foot, **held, **healed, length=1e-4)[1][1] >= 1e-5
     assert decided(foot, **held, **healed, length=1e-7) == ((1.0, 1.0, 0.0), (1.0, 1e-4))
+
+
+def started(way, touching):
+    """The first 1 ms of a drop of symmetric legs whose one foot (0 rear, 1 front) starts 0.1 mm deep.
+
+    `way` +1: the slope falls toward +x and the drone moves up-slope at 0.5 m/s; -1: the mirror image.
+    """
+    slope, turn = np.radians(10.0), np.radians(3.0)
+    row = pack({}, "hf")
+    index = list(PARAMETERS).index
+    dx, dz = row[index("foot_dx")], row[index("foot_dz")]
+    # The deeper foot of the body turned by 3 deg from the slope: rear up, or front up.
+    phi = turn if touching == 1 else -turn
+    side = 1.0 if touching == 1 else -1.0
+    normal = side * dx * np.sin(phi) + dz * np.cos(phi) - 1e-4
+    body = [normal * np.sin(slope), normal * np.cos(slope), slope + phi, -0.5, -0.3, 0.0]
+    signs = np.array([way, 1.0, way, way, 1.0, way])
+    time = np.arange(0.0, 1.01e-3, 1e-4)
+    run = simulate(row, way * slope, signs * body, time, surface="hf", tolerance=1e-6)
+    return run, signs, row[index("kinetic_friction")]
+
+
+@pytest.mark.parametrize("touching", [0, 1])
+def test_a_foot_that_starts_in_contact_slips_the_way_it_moves(touching):
+    down, _, mu_k = started(1.0, touching)
+    up, signs, _ = started(-1.0, touching)
+    for run, foot, force in ((down, touching, 1.0), (up, 1 - touching, -1.0)):
+        assert run.normal_force[0, foot] == pytest.approx(11.0, rel=0.5)  # ground_stiffness x 0.1 mm, 15 N
+        assert run.normal_force[0, 1 - foot] == 0.0
+        # Moving along -x friction pulls to +x at once. It stops the light leg's foot after 0.4 ms, not
+        # at once; between steps the log's friction is linear, which a curved normal force leaves by 2e-4.
+        early = slice(1, 4)
+        np.testing.assert_allclose(
+            run.friction_force[early, foot], force * mu_k * run.normal_force[early, foot], rtol=1e-3
+        )
+        modes = [event.time for event in run.events if event.kind in (EventKind.STICK, EventKind.SLIP)]
+        assert min(modes) > 3e-4
+    # The mirror image, to rounding; legs change places.
+    np.testing.assert_allclose(
+        up.state[:, [0, 1, 2, 7, 8, 9]] * signs, down.state[:, [0, 1, 2, 7, 8, 9]], atol=1e-10
+    )
+    np.testing.assert_allclose(up.normal_force[:, ::-1], down.normal_force, atol=1e-6)
+    np.testing.assert_allclose(-up.friction_force[:, ::-1], down.friction_force, atol=1e-6)

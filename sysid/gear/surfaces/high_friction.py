@@ -266,5 +266,6 @@ SURFACE = Surface(
         "kinetic_friction": 0.87,
         "static_friction_excess": 0.08,
     },
+    bounds={"kinetic_friction": (0.5, 1.2)},
     source="Table II, high friction, mean of five fits",
 )

@@ -48,6 +48,8 @@ class Surface:
         ``(force_c, force_d, slip_c, slip_d, law) -> (friction_c, friction_d)`` of a law without memory.
     nominal : mapping
         Default values on this surface where they differ from the table's [SI].
+    bounds : mapping
+        Search bounds on this surface where they differ from the table's, (lower, upper) [SI].
     source : str
         Where `nominal` comes from.
     """
@@ -60,6 +62,7 @@ class Surface:
     after_step: Any = None
     friction: Any = None
     nominal: Mapping[str, float] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     source: str = ""
 
     def __post_init__(self) -> None:
