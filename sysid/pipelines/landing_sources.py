@@ -108,7 +108,7 @@ def span(text: str, what: str) -> tuple[float, ...]:
     try:
         if ":" in text:
             first, last, step = (float(part) for part in text.split(":"))
-            # Never past the last one; the excess keeps 0:2:0.05 whole, whose quotient may fall short of 40.
+            # Never past the last one; the excess keeps 0:0.3:0.1 whole, whose quotient falls short of 3.
             values = first + step * np.arange(math.floor((last - first) / step + 1e-9) + 1)
         else:
             values = np.array([float(part) for part in text.split(",")])
