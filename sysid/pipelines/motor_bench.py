@@ -225,21 +225,21 @@ def untested_rows(campaign: MotorCampaign, bench: Bench) -> tuple[str, ...]:
     )
 
 
-def _band_of_starts(campaign: MotorCampaign, bench: Bench) -> tuple[str, ...]:
-    """Return what of the dead band the dynamic fit must free: a fitted trial is little but a start."""
+def _warn_of_starts(campaign: MotorCampaign, bench: Bench) -> None:
+    """Warn of fitted trials that are little but a start from rest, where the dead band is not known.
+
+    To free it beside R, L and the delay does not help: they hide in one another.
+    """
     given = {*campaign.parameters.fixed, *bench.measured}
-    unknown = tuple(name for name in SATURATION if name not in given)
     starts = [trial.entry.name for trial in bench.fitted if trial.only_starts]
-    if not starts or not unknown:
-        return ()
-    warnings.warn(
-        f"trial {', '.join(starts)}: little but a start from rest, so {' and '.join(unknown)} are searched "
-        "together with R, L and the delay, which rest on them; add steps between running speeds, or state "
-        "motor.saturation_current and motor.saturation_speed",
-        SysidWarning,
-        stacklevel=3,
-    )
-    return unknown
+    if starts and not set(SATURATION) <= given:
+        warnings.warn(
+            f"trial {', '.join(starts)}: little but a start from rest, so R, L and the delay rest on Table I's "
+            "dead band; add steps between running speeds, or state motor.saturation_current and "
+            "motor.saturation_speed",
+            SysidWarning,
+            stacklevel=3,
+        )
 
 
 def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
@@ -247,7 +247,7 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
 
     The rotor's inertia is free where it was not measured; the command delay always, one per log where there
     are several, and the torque sensor's delay and lag where a trial is a slow log, unless the campaign fixes
-    them; the dead band only where a fitted trial is little but a start from rest. k_d is free by default only
+    them. k_d is free by default only
     where a log without propeller gives Ω_0: with Ω_0 from loaded points,
     (k²/R, k_d, Ω_0) → (k²/R + c, k_d − c, Ω_0 (k²/R)/(k²/R + c)) changes nothing as L → 0.
 
@@ -266,10 +266,8 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
     if campaign.motor.rotor_inertia is None and choices.free is None:
         needed.append("rotor_inertia")
     free += [name for name in needed if name not in free]
-    # Otherwise fitted after everything else, so that it cannot hide in R and L; a trial that is little but a
-    # start from rest is felt through it alone, and another motor's band would bias R, L and the delay.
-    band = _band_of_starts(campaign, bench)
-    free = [*(name for name in free if name not in SATURATION), *band]
+    _warn_of_starts(campaign, bench)
+    free = [name for name in free if name not in SATURATION]
     # A name that the campaign both frees and fixes stays in the list, to be refused.
     asked = set(choices.free or ())
     chosen = tuple(name for name in free if name not in choices.fixed or name in asked)
@@ -297,7 +295,7 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
             stacklevel=2,
         )
     # Bounds of the dead band belong to the second stage.
-    bounds = {name: pair for name, pair in choices.bounds.items() if name in band or name not in SATURATION}
+    bounds = {name: pair for name, pair in choices.bounds.items() if name not in SATURATION}
     choices = choices.model_copy(update={"free": chosen, "bounds": bounds})
     # A guess need not lie between the bounds of what is freed; a measurement must.
     values = {n: value for n, value in bench.values.items() if n not in chosen or n in bench.measured}
