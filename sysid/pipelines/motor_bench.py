@@ -234,8 +234,8 @@ def _warn_of_starts(campaign: MotorCampaign, bench: Bench) -> None:
     starts = [trial.entry.name for trial in bench.fitted if trial.only_starts]
     if starts and not set(SATURATION) <= given:
         warnings.warn(
-            f"trial {', '.join(starts)}: little but a start from rest, so R, L and the delay rest on Table I's "
-            "dead band; add steps between running speeds, or state motor.saturation_current and "
+            f"trial {', '.join(starts)}: little but a start from rest, so R, L and the delay rest on "
+            "Table I's dead band; add steps between running speeds, or state motor.saturation_current and "
             "motor.saturation_speed",
             SysidWarning,
             stacklevel=3,
