@@ -31,6 +31,8 @@ _CHANNELS = ("force_x", "force_y", "thrust", "torque_x", "torque_y", "torque")
 _STATES_RATE = "sampling freq"
 _HEADER_LINES = 20
 _UNIT_KEYS = ("force", "torque")
+# No force/torque log is sampled this slowly [s]: its first column counts rows or is not in seconds.
+_SLOWEST_STEP = 0.5
 _NO_BRACKETS = bytes.maketrans(b"[]", b"  ")
 
 
@@ -139,6 +141,32 @@ def _factors(path: str, units: Mapping[str, str] | None) -> FloatArray:
         raise UnitError(f"{path}: {error}") from error
 
 
+def _time_factor(path: str, units: Mapping[str, str] | None) -> tuple[Mapping[str, str] | None, float | None]:
+    """Return the units without that of the time column, and its factor to seconds where it is declared."""
+    if not isinstance(units, Mapping) or "time" not in units:
+        return units, None
+    try:
+        factor = factor_to_si(str(units["time"]), "s")
+    except UnitError as error:
+        raise UnitError(f"{path}: time: {error}") from error
+    return {name: unit for name, unit in units.items() if name != "time"} or None, factor
+
+
+def _counts_rows(column: FloatArray) -> bool:
+    seen = np.flatnonzero(np.isfinite(column))
+    return bool(seen.size > 1 and np.ptp(column[seen] - seen) == 0)
+
+
+def _check_steps(path: str, time: FloatArray) -> None:
+    step = float(np.median(np.diff(time))) if time.size > 1 else 0.0
+    if step >= _SLOWEST_STEP:
+        raise LogError(
+            f"{path}: the first of seven columns, read as seconds, steps by {step:.6g}, too slow for "
+            'a force log; declare its unit, for example units = {time = "ms"}, or the sample rate with '
+            "rate = ... where it counts rows"
+        )
+
+
 def read(
     source: Source,
     *,
@@ -158,7 +186,8 @@ def read(
     rate : float, optional
         Sample rate [Hz], for a log without times that does not state it.
     units : mapping, optional
-        ``{"force": ..., "torque": ...}``; not with `calibration`, which states its own.
+        ``{"force": ..., "torque": ...}``, with `calibration` (which states its own) neither; and ``"time"``
+        for a first column of seven that is not in seconds.
     calibration : str, optional
         Path of the transducer's ``.cal`` file: the six channels are gauge voltages.
     transform : mapping, optional
@@ -182,22 +211,31 @@ def read(
     path = source.path
     if rate is not None:
         rate = positive_rate(path, rate)
-    if calibration is not None and units is not None:
+    loads, seconds = _time_factor(path, units)
+    if calibration is not None and loads is not None:
         raise UnitError(f"{path}: units and calibration exclude each other: the calibration states its own")
     turn = motor_transform(path, transform)
     known = read_calibration(Path(path).parent / calibration) if calibration is not None else None
-    factors = np.ones(6) if known is not None else _factors(path, units)
+    factors = np.ones(6) if known is not None else _factors(path, loads)
     text, table, stated = _table(read_text(source), path)
     lead = len(table.names) - 6
     numbers = read_numbers(text, table, range(len(table.names)), surplus=False)
     del text  # the file's bytes are not needed any more
     notes = numbers.notes
     rate = stated if rate is None else rate
+    if seconds is not None and not lead:
+        raise UnitError(f"{path}: units names a time, but rows hold six numbers and no time; leave it out")
     if lead and rate is None:
-        time, said = order_rows(path, numbers, 0, 1.0, time_back=time_back)
+        time, said = order_rows(path, numbers, 0, seconds or 1.0, time_back=time_back)
+        if seconds is None:
+            _check_steps(path, time)
+            notes.append("the first of seven columns is taken as the time in seconds, which no label says")
         notes += [*said, *jitter_note(time)]
     elif rate is not None:
-        time = rate_clock(path, rate, numbers.lines.size, numbers.columns[0] if lead else None)
+        counted = lead and seconds is None and _counts_rows(numbers.columns[0])
+        written = numbers.columns[0] * (seconds or 1.0) if lead and not counted else None
+        time = rate_clock(path, rate, numbers.lines.size, written)
+        notes += ["the first of seven columns counts rows and was left out"] if counted else []
         notes.append(f"time rebuilt from the rate of {rate:g} Hz")
     else:
         raise LogError(f"{path}: no time column and no rate in the header; declare it [Hz] with rate = ...")

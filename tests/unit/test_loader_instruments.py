@@ -64,6 +64,36 @@ def test_ati_voltages_with_calibration_tare_and_transform(write):
     np.testing.assert_allclose(turned["thrust"].values, 0, atol=1e-14)
 
 
+def test_ati_time_column_without_a_unit_is_noted_declared_or_refused(write):
+    def log(step, **options):
+        rows = "".join(f"{step * i:.6g},1,0,5,0,0,0.1\n" for i in range(200))
+        units = {"force": "N", "torque": "N*m"} | options.pop("units", {})
+        return load(write(rows), format="ati-text", units=units, **options)
+
+    assert any("taken as the time in seconds" in note for note in log(1e-3).provenance.notes)
+    with pytest.raises(
+        LogError, match=r'steps by 1, too slow .* units = \{time = "ms"\}, or the sample rate'
+    ):
+        log(1)
+    declared = log(1, units={"time": "ms"})
+    np.testing.assert_allclose(declared["thrust"].time, 1e-3 * np.arange(200), rtol=1e-12)
+    assert not any("taken as the time" in note for note in declared.provenance.notes)
+    counted = log(1, rate=1000)
+    np.testing.assert_allclose(counted["thrust"].time, 1e-3 * np.arange(200), rtol=1e-12)
+    assert "the first of seven columns counts rows and was left out" in counted.provenance.notes
+    with pytest.raises(SysidError, match=r"rate = 500 makes the log .* but its time column spans 0.199 s"):
+        log(1e-3, rate=500)
+    with pytest.raises(UnitError, match=r"time: .*dimension"):
+        log(1, units={"time": "V"})
+    with pytest.raises(UnitError, match="rows hold six numbers and no time"):
+        load(
+            write("1,0,5,0,0,0.1\n" * 5),
+            format="ati-text",
+            rate=100,
+            units={"force": "N", "torque": "N*m", "time": "s"},
+        )
+
+
 def test_ati_loads_beyond_the_calibration_are_said(write):
     write(CAL, "cell.cal")
     log = load(write("0,0,30,0,0,0\n" * 3), format="ati-text", calibration="cell.cal", rate=100)
