@@ -40,6 +40,7 @@ _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _DAMAGE = (OSError, RuntimeError, ValueError, KeyError, TypeError, OverflowError, MemoryError, AttributeError)
 # Compression gains less than this on measured signals: a dataset that claims more is damaged.
 _LARGEST_GAIN = 1000
+_RATES = ("rate", "sample_rate", "sampling_rate")
 
 
 def is_hdf5(source: Source) -> bool:
@@ -171,8 +172,9 @@ def _signal(path: str, name: str, dataset: Any, file_bytes: int) -> Signal:
         name,
         None if unit is None else str(unit),
         lambda: _values(path, name, dataset, file_bytes),
-        _attribute(dataset, ("rate", "sample_rate", "sampling_rate")),
+        _attribute(dataset, _RATES),
         float(start or 0.0),
+        inherited=not any(key in dataset.attrs for key in _RATES),
     )
 
 

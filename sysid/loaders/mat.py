@@ -93,14 +93,18 @@ def _walk(branch: Tree, where: str, rate: float | None) -> Iterator[Signal]:
                     (value[key] for key in ("unit", "units") if isinstance(value.get(key), str)), None
                 )
                 inner_rate = _rate_in(value)
-                yield from _arrays(full, inner, unit, rate if inner_rate is None else inner_rate)
+                yield from _arrays(
+                    full, inner, unit, rate if inner_rate is None else inner_rate, inner_rate is None
+                )
             else:
                 yield from _walk(value, full, rate)
         elif isinstance(value, np.ndarray):
-            yield from _arrays(full, value, None, rate)
+            yield from _arrays(full, value, None, rate, True)
 
 
-def _arrays(name: str, array: np.ndarray[Any, Any], unit: str | None, rate: float | None) -> Iterator[Signal]:
+def _arrays(
+    name: str, array: np.ndarray[Any, Any], unit: str | None, rate: float | None, inherited: bool
+) -> Iterator[Signal]:
     if array.dtype.kind not in "iuf" or array.size < 2:
         return
     if sum(size != 1 for size in array.shape) == 1:
@@ -114,7 +118,7 @@ def _arrays(name: str, array: np.ndarray[Any, Any], unit: str | None, rate: floa
         def read(values: np.ndarray[Any, Any] = values) -> FloatArray:
             return np.asarray(values, dtype=np.float64)
 
-        yield Signal(label, written_unit(unit), read, rate)
+        yield Signal(label, written_unit(unit), read, rate, inherited=inherited)
 
 
 def read(

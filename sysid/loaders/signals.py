@@ -29,6 +29,9 @@ _OTHER_UNITS = {
     "V": "V", "A": "A", "W": "W", "N": "N", "N*m": "N·m", "Pa": "Pa", "m/s^2": "m/s²", "m/s": "m/s",
     "rad/s": "rad/s", "rad": "rad", "m": "m", "s": "s", "Hz": "Hz", "1": "1",
 }  # fmt: skip
+# Lengths of signals on one rate that differ by this share were not recorded over one span, and a stated rate
+# that differs by this from that of the times is another rate: no clock drifts by as much.
+_LENGTHS, _RATES = 0.02, 0.1
 _SPECIAL = {"time": TIME, "command": COMMAND, "tachometer": TACHOMETER}
 
 
@@ -50,6 +53,8 @@ class Signal:
         Time of the first sample [s]; counts with `rate` only.
     time : (n,) array, optional
         The signal's own times [s].
+    inherited : bool
+        The rate is that of the whole file, which other signals take too.
     label : str
         Name without its group; by default what follows the last ``/``.
     """
@@ -61,6 +66,7 @@ class Signal:
     start: float = 0.0
     time: FloatArray | None = None
     label: str = ""
+    inherited: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "label", self.label or self.name.rsplit("/", 1)[-1])
@@ -151,6 +157,8 @@ class _Clocks:
     seconds: Callable[[str], float]
 
     def __post_init__(self) -> None:
+        self.notes: list[str] = []
+        self.shared: dict[float, tuple[str, int]] = {}
         self.numbers: dict[object, Numbers] = {}
         self.members: dict[object, list[str]] = {}
 
@@ -160,15 +168,19 @@ class _Clocks:
         if not values.size:
             raise LogError(f"{self.path}: dataset {name} is empty; the log has no samples")
         values = np.where(np.isinf(values), np.nan, values)
-        key, time = self._clock(name, signal, values.size)
+        # Beside the quantities a file may hold short rows of settings, whose clock nobody looks at.
+        key, time = self._clock(name, signal, values.size, known=channel != name)
         group = self.numbers.setdefault(
             key, Numbers({0: time}, np.arange(1, time.size + 1), row_word="sample")
         )
         self.members.setdefault(key, []).append(channel)
         group.columns[len(self.members[key])] = values
 
-    def _clock(self, name: str, signal: Signal, size: int) -> tuple[object, FloatArray]:
+    def _clock(self, name: str, signal: Signal, size: int, *, known: bool) -> tuple[object, FloatArray]:
         if self.rate is None and signal.time is not None:
+            said = self._off_rate(name, signal, signal.time, "its column of times")
+            # A program that paces itself writes a Delta_X without meaning; the times are what it saw.
+            self.notes += [f"{said}; the times were taken"] if said else []
             return id(signal.time), signal.time
         beside = [
             other
@@ -183,6 +195,10 @@ class _Clocks:
                     f"{self.path}: dataset {name} has {size} samples but its clock {clock} has "
                     f"{time.size}; they must be of one length"
                 )
+            if said := self._off_rate(name, signal, time, f"its clock {clock}"):
+                raise LogError(
+                    f"{self.path}: {said}; declare the true one with rate = ..., or correct the file"
+                )
             return clock, time
         stated = signal.rate if self.rate is None else self.rate
         if stated is None:
@@ -191,7 +207,28 @@ class _Clocks:
                 "declare the sample rate [Hz] with rate = ..."
             )
         own = positive_rate(self.path, stated)
+        if known and (signal.inherited or self.rate is not None):
+            first, length = self.shared.setdefault(own, (name, size))
+            if abs(size - length) > max(1.0, _LENGTHS * length):
+                raise LogError(
+                    f"{self.path}: {first} has {length} samples and {name} has {size}, but both take "
+                    f"one rate of {own:g} Hz, so one would last {max(size, length) / min(size, length):.3g} times as "
+                    "long as the other; give each dataset its own rate or time, or choose those of one rate "
+                    "with datasets = {...}"
+                )
         return (own, signal.start, size), rate_clock(self.path, own, size) + signal.start
+
+    @staticmethod
+    def _off_rate(name: str, signal: Signal, time: FloatArray, what: str) -> str:
+        """Return what contradicts where the rate of the file is not that of its times, else nothing."""
+        steps = np.diff(time[np.isfinite(time)])
+        rate = signal.rate
+        if isinstance(rate, bool) or not isinstance(rate, int | float) or not steps.size:
+            return ""
+        step = float(np.median(steps))
+        if step <= 0 or abs(step * rate - 1.0) <= _RATES:
+            return ""
+        return f"{name} states {rate:g} Hz but {what} steps by {step:.6g} s"
 
 
 def signal_channels(
@@ -252,7 +289,7 @@ def signal_channels(
         for name in others:
             clocks.add(name, name)
 
-    notes: list[str] = []
+    notes = clocks.notes
     channels: dict[str, Channel] = {}
     unknown: list[str] = []
     for key, names in clocks.members.items():

@@ -184,3 +184,46 @@ def test_a_time_column_of_another_language_is_named(write):
         load(path)
     log = load(path, columns={"time": "Zeit", "command": "Befehl"})
     assert (log["command"].unit, log["thrust"].time[1]) == ("us", 0.01)
+
+
+def test_one_rate_for_datasets_of_other_lengths_and_a_rate_against_times_are_refused(tmp_path):
+    import h5py
+
+    path = tmp_path / "log.h5"
+
+    def log(lengths, rate=None, time=None, own=None, **options):
+        with h5py.File(path, "w") as file:
+            for name, length in lengths.items():
+                file[name] = np.arange(float(length))
+                file[name].attrs["unit"] = {"Fz": "N", "Speed": "rad/s"}[name]
+            if rate is not None:
+                file.attrs["rate"] = rate
+            if own is not None:
+                file["Speed"].attrs["rate"] = own
+            if time is not None:
+                file["time"] = time
+                file["time"].attrs["unit"] = "s"
+        return load(path, **options)
+
+    other = {"Fz": 10000, "Speed": 1000}
+    with pytest.raises(LogError, match=r"/Speed has 1000 samples and /Fz has 10000, but both take one rate"):
+        log(other, rate=10000)
+    with pytest.raises(LogError, match=r"both take one rate of 5000 Hz"):
+        load(path, rate=5000)
+    log(other, rate=10000, own=1000)
+    assert load(path)["speed"].time[-1] == pytest.approx(0.999, rel=1e-12)
+    # A sample more or less is how two devices stop.
+    assert log({"Fz": 1000, "Speed": 999}, rate=1000)["speed"].time.size == 999
+    times = np.arange(1000) / 500
+    with pytest.raises(LogError, match=r"/Fz states 1000 Hz but its clock /time steps by 0\.002 s"):
+        log({"Fz": 1000}, rate=1000, time=times)
+    assert log({"Fz": 1000}, rate=500, time=times)["thrust"].time[-1] == pytest.approx(1.998, rel=1e-12)
+    assert load(path, rate=1000)["thrust"].time[-1] == pytest.approx(0.999, rel=1e-12)
+
+
+def test_a_delta_x_that_the_times_contradict_is_said(write):
+    for step, said in ((0.5, False), (0.001, True)):
+        rows_ = "".join(f"{step * i if said is False else i}\t{i}\n" for i in range(5))
+        text = LVM.format(columns="One", axis="").replace("Delta_X\t0.5", f"Delta_X\t{step}")
+        notes = load(write(text + rows_)).provenance.notes
+        assert any("states 1000 Hz but its column of times steps by 1 s" in note for note in notes) is said
