@@ -172,7 +172,7 @@ def read(
     del text  # the file's bytes are not needed any more
 
     time = np.arange(numbers.lines.size, dtype=np.float64)
-    seconds = declared.factor(clock, "time", "s", "s") if clock else 1.0
+    seconds = declared.factor(clock, "time", "s") if clock else 1.0
     if static is None:
         static = clock is not None and is_static(numbers.columns[clock.index] * seconds)
     log_time = numbers.columns[clock.index] * seconds if clock else None

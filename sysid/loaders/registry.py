@@ -13,7 +13,7 @@ from __future__ import annotations
 import difflib
 import inspect
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -179,4 +179,22 @@ def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording
             f'{source.path}: format {chosen.name} has no option "{unknown[0]}"; '
             f"it has {', '.join(chosen.options) or 'none'}{hint}"
         )
+    _check_kinds(source.path, given)
     return chosen.read(source, **given)
+
+
+def _check_kinds(path: str, given: Mapping[str, Any]) -> None:
+    """Refuse an option of another kind than any reader means by it: a text "no" would count as true."""
+    if not isinstance(static := given.get("static", False), bool):
+        raise LogError(f"{path}: static = {static!r} is neither true nor false; write static = true")
+    if not isinstance(calibration := given.get("calibration", ""), str | Path):
+        raise LogError(
+            f'{path}: calibration = {calibration!r} is no path; expected for example calibration = "FT1.cal"'
+        )
+    bodies = given.get("bodies", {})
+    for name, markers in bodies.items() if isinstance(bodies, Mapping) else ():
+        if not isinstance(markers, str | list | tuple):
+            raise LogError(
+                f"{path}: bodies gives {name} as {markers!r}, which is no list of markers; expected for "
+                f'example {{{name} = ["q1", "q2", "q3"]}}'
+            )

@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 import pytest
 
-from sysid.errors import LogError, SysidError, SysidWarning
+from sysid.errors import LogError, SysidError, SysidWarning, UnitError
 from sysid.loaders import detect, formats, load
 
 STAND = (
@@ -288,3 +288,30 @@ def test_hdf5_layouts_and_refusals(tmp_path):
     log = load(path, datasets={"thrust": "/a/Fz", "speed": "/raw/volts"})
     np.testing.assert_array_equal(log["speed"].time, [0, 0.5, 1, 1.5])
     np.testing.assert_array_equal(log["thrust"].time, [0, 0.1, 0.2, 0.3])
+
+
+def test_a_time_of_a_stand_without_unit_is_asked_for(write):
+    rows = "".join(f"{10 * i},1000,{0.1 * i:.1f}\n" for i in range(20))
+    path = write("Time,ESC signal (µs),Thrust (N)\n" + rows)
+    with pytest.raises(UnitError, match=r'column "Time" states no unit; .* units = \{time = "s"\}'):
+        load(path)
+    assert load(path, units={"time": "ms"})["thrust"].time[-1] == pytest.approx(0.19, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"static": "no"}, "static = 'no' is neither true nor false"),
+        ({"static": "False"}, "static = 'False' is neither true nor false"),
+        ({"static": 1}, "static = 1 is neither true nor false"),
+    ],
+)
+def test_an_option_of_another_kind_is_refused(write, options, message):
+    path = write("Time (s),ESC signal (µs),Thrust (N)\n0,1000,0\n0.1,1000,1\n")
+    with pytest.raises(LogError, match=message):
+        load(path, **options)
+    with pytest.raises(LogError, match="calibration = 5 is no path"):
+        load(write("1,0,5,0,0,0.1\n" * 5), format="ati-text", calibration=5)
+    capture = "NO_OF_FRAMES\t2\nFREQUENCY\t100\nDATA_INCLUDED\t3D\nMARKER_NAMES\ta\n1\t2\t3\n1\t2\t3\n"
+    with pytest.raises(LogError, match="bodies gives q as 5, which is no list of markers"):
+        load(write(capture), bodies={"q": 5})
