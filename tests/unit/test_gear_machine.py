@@ -12,7 +12,7 @@ import pytest
 from sysid.gear.model import Drops, pack, prepare, simulate_population
 
 ROOT = Path(__file__).resolve().parents[2]
-SAMPLES = ROOT / "data_samples" / "gear-lf" / "campaign.toml"
+SAMPLES = ROOT / "data_samples"
 
 
 def child(code, **environment):
@@ -91,12 +91,15 @@ print(json.dumps(peak))
 """
 
 
-def test_a_fit_takes_little_memory(tmp_path):
-    prepare("lf", single=False)
-    places = f"OUT, CAMPAIGN = {str(tmp_path / 'fit')!r}, {str(SAMPLES)!r}\n"
+@pytest.mark.parametrize("surface", ["lf", "hf"])
+def test_a_fit_takes_little_memory(surface, tmp_path):
+    prepare(surface, single=False)
+    campaign = str(SAMPLES / f"gear-{surface}" / "campaign.toml")
+    places = f"OUT, CAMPAIGN = {str(tmp_path / 'fit')!r}, {campaign!r}\n"
     peak = child(places + MEMORY)
     print(f"peak memory of a fit of population 400: {peak:.0f} MB")
-    # Promised: 500 MB. With compiling (once per version) it is up to 460 MB, measured by hand.
+    # Promised: 500 MB of a fit that loads its kernel (measured: 340 to 426 MB). The first fit of a version,
+    # which compiles it, took 582 MB (lf) and 598 MB (hf), measured by hand.
     assert peak < 500
 
 
@@ -113,7 +116,6 @@ for name in ("lf", "hf"):
     out[name] = [found.samples.tolist(), found.rhs_evaluations.tolist()]
     (code,) = driver.inspect_asm().values() if not driver.stats.cache_hits else ("",)
     out[name + " wide registers"] = sum(code.count(register) for register in ("ymm", "zmm"))
-    out[name + " packed"] = code.count("mulpd")
 print(json.dumps(out))
 """
 
