@@ -212,9 +212,9 @@ class _Clocks:
             if abs(size - length) > max(1.0, _LENGTHS * length):
                 raise LogError(
                     f"{self.path}: {first} has {length} samples and {name} has {size}, but both take "
-                    f"one rate of {own:g} Hz, so one would last {max(size, length) / min(size, length):.3g} times as "
-                    "long as the other; give each dataset its own rate or time, or choose those of one rate "
-                    "with datasets = {...}"
+                    f"one rate of {own:g} Hz, so one would last "
+                    f"{max(size, length) / min(size, length):.3g} times as long as the other; give each "
+                    "dataset its own rate or time, or choose those of one rate with datasets = {...}"
                 )
         return (own, signal.start, size), rate_clock(self.path, own, size) + signal.start
 
