@@ -217,7 +217,7 @@ def read_numbers(
     free_text : int, optional
         Column of words, which may hold delimiters.
     decimal : str, optional
-        Decimal mark; judged from the first rows by default.
+        Decimal mark; judged from the first cells that hold one by default.
 
     Raises
     ------
@@ -236,8 +236,7 @@ def read_numbers(
         raise empty
     notes = list(text.notes)
     if decimal is None:
-        first_rows = [body.cells(row) for row in range(min(body.lines.size, 200))]
-        decimal = decimal_mark(first_rows, wanted, head.delimiter)
+        decimal = decimal_mark(body, wanted)
     open_end = not closed
     if open_end and not _is_whole(body.cells(-1), wanted, least, decimal):
         notes.append(f"line {body.lines[-1]}, the last, is cut and was left out")

@@ -13,6 +13,7 @@ import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -168,12 +169,22 @@ def measure(data: bytes, start: int, end: int, delimiter: str, first_line: int) 
     return rows if filled.all() else rows.part(filled)
 
 
-def decimal_mark(rows: Sequence[Sequence[str]], wanted: Sequence[int], delimiter: str) -> str:
-    """Return the decimal mark of a table: a comma where wanted cells hold commas and none holds a point."""
-    if delimiter == ",":
+def decimal_mark(body: Body, wanted: Sequence[int]) -> str:
+    """Return the decimal mark of a table: a comma where wanted cells hold commas and none holds a point.
+
+    Judged from the first rows, or where those hold whole numbers alone (a stand at rest) from the first row
+    with a mark.
+    """
+    first = int(body.begins[0])
+    if body.delimiter == "," or body.data.find(b",", first) < 0:
         return "."
-    cells = [row[index] for row in rows for index in wanted if index < len(row)]
-    return "," if any("," in cell for cell in cells) and not any("." in cell for cell in cells) else "."
+    rows: Iterator[list[str]] = body.all_cells()
+    start = [row[index] for row in islice(rows, 200) for index in wanted if index < len(row)]
+    for cells in chain([start], ([row[i] for i in wanted if i < len(row)] for row in rows)):
+        commas, points = any("," in cell for cell in cells), any("." in cell for cell in cells)
+        if commas or points:
+            return "." if points else ","
+    return "."
 
 
 def _read_fast(body: Body, wanted: Sequence[int], decimal: str) -> dict[int, FloatArray] | None:
