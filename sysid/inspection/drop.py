@@ -27,7 +27,22 @@ _LONG_FALL = 0.06
 # Tolerance on |a|/g, and the shortest flight [s] of a body in motion and of one that hung still.
 _NEAR, _SHORTEST, _SHORTEST_FALL = 0.25, 0.05, 0.03
 # Units that a length may have been read in: its factor on g, and what it means.
-_SCALES = {1.0: "", 1e3: "mm", 1e2: "cm", 1 / 0.0254: "inches", 1e-3: "metres, read as mm"}
+_SCALES = {
+    1.0: "",
+    1e3: "mm",
+    1e2: "cm",
+    1 / 0.0254: "inches",
+    1 / 0.3048: "feet",
+    1e-3: "metres, read as mm",
+}
+# A unit is told apart from a wrong rate only by how well g fits; two readings of one long fall lie so near.
+_NEAR_UNIT = 0.1
+# What a wrong rate or scale may make of g, the nearest first, in steps that leave a fall of 60 ms within the
+# half millimetre by which its end is told; and how long such a fall must be [s].
+_ODD_GRAVITIES = tuple(1.06 ** (sign * power) for power in range(2, 26) for sign in (1, -1))
+_LONG_ODD_FALL = 0.1
+# Behind a touchdown no body gets so much faster within that time [s]: else the fall goes on.
+_FASTER, _SOON = 1.5, 0.1
 _STILL = 0.004
 # Legs yield softly: a body leaves its flight visibly so long after the feet touch [s].
 _YIELDING = 0.010
@@ -323,14 +338,38 @@ def _inspect_body(recording: Recording, body: str, channel: Channel, gravity: fl
     if step > 0.02 or time.size < 4 * half + 4:
         return None
     acceleration = signal.savgol_filter(position, 2 * half + 1, 2, deriv=2, delta=step, axis=0)
-    found = None
     for scale, unit in _SCALES.items():
-        found = _held_fall(time, position / scale, acceleration / scale, sure, gravity)
+        place = position / scale
+        found = _held_fall(time, place, acceleration / scale, sure, gravity)
         if found is None and scale == 1.0:  # a slow motion in a wrong unit looks like a throw
-            found = _thrown(time, position, acceleration, sure, gravity)
-        if found is not None:
-            return _report(recording, body, channel, time, position / scale, *found, unit)
+            found = _thrown(time, place, acceleration, sure, gravity)
+        if found is None or not _lands(time, place, *found):
+            continue
+        own = float(np.linalg.norm(found[0].acceleration))
+        if not unit or abs(own / gravity - 1.0) < _NEAR_UNIT:
+            return _report(recording, body, channel, time, place, *found, unit)
+    # A wrong rate changes g by its square: the fall is reported with the g that it has.
+    for share in _ODD_GRAVITIES:
+        found = _held_fall(time, position, acceleration, sure, share * gravity)
+        if found is None or time[found[1]] - found[0].start < _LONG_ODD_FALL:
+            continue
+        if _lands(time, position, *found, stops=True):
+            return _report(recording, body, channel, time, position, *found, "")
     return None
+
+
+def _lands(time: FloatArray, position: FloatArray, flight: _Flight, end: int, stops: bool = False) -> bool:
+    """Return whether a body stops falling (or comes to half its speed) where its flight is said to end."""
+    step = float(time[1] - time[0])
+    size = float(np.linalg.norm(flight.acceleration))
+    depth = position @ (flight.acceleration / size)
+    impact = float(flight.velocity(float(time[end])) @ flight.acceleration) / size
+    window = max(2, round(_HALF_WINDOW / step))
+    after = depth[end : min(time.size, end + max(2 * window, round(_SOON / step)) + 1)]
+    if after.size <= window:
+        return not stops  # the log ends there
+    speeds = (after[window:] - after[:-window]) / (window * step)
+    return bool(speeds.min() < 0.5 * impact) if stops else bool(speeds.max() < _FASTER * max(impact, 0.1))
 
 
 def _report(

@@ -121,7 +121,7 @@ def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: 
         if name.endswith("/position") and channel.valid.any()
     ]
     name, distance = max(far, key=lambda one: one[1], default=("", 0.0))
-    if distance > _FARTHEST:
+    if distance > _FARTHEST and (drop is None or not drop.length_unit):  # one unit is suspected, not two
         found.append(f'{name} reaches {distance:.4g} m: lengths are probably mm; declare length_unit = "mm"')
     if drop is None:
         return found

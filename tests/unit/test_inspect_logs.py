@@ -164,7 +164,9 @@ def test_throw_has_no_release():
     assert report.drop.gravity == pytest.approx(9.80665, rel=0.05)
 
 
-@pytest.mark.parametrize(("scale", "unit"), [(1000.0, "mm"), (100.0, "cm"), (1e-3, "metres, read as mm")])
+@pytest.mark.parametrize(
+    ("scale", "unit"), [(1000.0, "mm"), (100.0, "cm"), (1 / 0.3048, "feet"), (1e-3, "metres, read as mm")]
+)
 def test_lengths_in_a_wrong_unit_are_suspected(scale, unit):
     log, release, _ = drop(scale=scale)
     report = inspect_recording(log)
@@ -179,6 +181,25 @@ def test_a_wrong_rate_shows_in_gravity():
     report = inspect_recording(recording("motion-capture", *slow))
     assert report.drop.gravity == pytest.approx(9.80665 / 1.21, rel=0.03)
     assert any("check the rate" in said for said in report.suspicions)
+
+
+@pytest.mark.parametrize("stretch", [0.5, 0.8, 1.2, 1.5])
+def test_no_small_drop_is_invented_where_times_are_stretched(stretch):
+    log, release, _ = drop(height=0.8, noise=5e-5)
+    slow = [Channel(c.name, c.unit, stretch * c.time, c.values) for c in log.channels.values()]
+    report = inspect_recording(recording("motion-capture", *slow))
+    assert report.drop.length_unit == ""
+    assert report.drop.gravity == pytest.approx(9.80665 / stretch**2, rel=0.03)  # a few sample errors
+    assert report.drop.fall_height == pytest.approx(0.8, rel=0.05)  # touchdown is found to a sample or two
+    assert report.drop.release == pytest.approx(stretch * release, abs=0.01)
+    assert any("check the rate" in said for said in report.suspicions)
+
+
+def test_far_centimetres_have_one_suspicion():
+    log, *_ = drop(scale=100.0, height=1.2)
+    said = [one for one in inspect_recording(log).suspicions if "length" in one]
+    assert len(said) == 1
+    assert "in cm" in said[0]
 
 
 def test_hover_is_no_drop():
