@@ -64,7 +64,8 @@ def order_rows(
     stale_start : bool
         Drop one or two rows at the start whose time is beyond that of the next.
     time_back : str
-        ``"drop"`` leaves out rows whose time is not beyond the latest; else a falling time is refused.
+        ``"drop"`` leaves out rows whose time is not beyond the latest; ``"refuse"`` (and the empty text, of a
+        format without that option) refuses a falling time.
 
     Raises
     ------
@@ -96,7 +97,7 @@ def order_rows(
         raise LogError(
             f"{path}, {numbers.row_word} {numbers.lines[row + 1]}: time goes back from "
             f"{time[row]:.12g} s to {time[row + 1]:.12g} s; "
-            'split the log there or set time_back = "drop"'
+            "split the log there" + (' or set time_back = "drop"' if time_back else "")
         )
     if back.size:
         later = np.append(True, time[1:] > np.maximum.accumulate(time)[:-1])

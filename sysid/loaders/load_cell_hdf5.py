@@ -164,6 +164,7 @@ def read(
 def _signal(path: str, name: str, dataset: Any, file_bytes: int) -> Signal:
     """Return a dataset as a signal; what it holds is read and checked only when it is asked for."""
     unit = dataset.attrs.get("unit", dataset.attrs.get("units"))
+    unit = unit.item() if isinstance(unit, np.ndarray) and unit.size == 1 else unit
     unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
     start = _attribute(dataset, ("start",))
     if start is not None and not (isinstance(start, int | float) and np.isfinite(start)):

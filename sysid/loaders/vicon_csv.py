@@ -11,6 +11,7 @@ depends on the pipeline and is not in the file: declare ``angles``.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -41,6 +42,7 @@ _NAME = "vicon-csv"
 _TITLES = ("trajectories", "segments", "objects", "devices", "model outputs", "joints")
 _ANGLES = ("helical", *EULER_ORDERS)
 _HEADER_LINES = 5
+_BLANK_LINE = re.compile(rb"\n[,; \t]*\n")
 # No device samples this often within a frame.
 _MOST_SUBS = 1e6
 # The fields of which a marker or a body must have all.
@@ -130,8 +132,9 @@ def _section(text: Text, number: int, offset: int) -> _Section | None:
     units = [*units, *[""] * width][:width]
     labels = [f"{name} {cell}".strip() for name, cell in zip(filled, fields, strict=True)]
     line_number, behind, _ = rows[-1]
-    end = text.data.find(b"\n\n", behind - 1)
-    end = len(text.data) if end < 0 else end + 1
+    # A program that saved the file again may leave delimiters or spaces on the blank line.
+    blank = _BLANK_LINE.search(text.data, behind - 1)
+    end = len(text.data) if blank is None else blank.start() + 1
     table = TableHead(tuple(labels), delimiter, line_number, behind)
     return _Section(_title(title), rate, table, end, tuple(filled), tuple(fields), tuple(units))
 
