@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sysid.errors import LogError
 from sysid.landing.controllers import name_of
-from sysid.landing.maps import LandingMap
+from sysid.landing.maps import LandingMap, nearest_cell
 from sysid.landing.outcomes import OUTCOMES, Outcome
 
 COLUMNS = ("surface", "controller", "slope [deg]", "speed [m/s]", "outcome")
@@ -63,14 +63,16 @@ class Confusion:
         Observed outcomes, rows of `counts`.
     counts : (n, 4) array
         Landings by the likeliest simulated class, in the order of `OUTCOMES`.
-    agreeing, outside : int
-        Landings whose cell agrees with what was observed; landings outside the map, counted nowhere else.
+    agreeing, outside, lost : int
+        Landings whose cell agrees with what was observed; landings outside the map, and in cells that could
+        not be simulated, both counted nowhere else.
     """
 
     words: tuple[str, ...]
     counts: NDArray[np.int64]
     agreeing: int
     outside: int
+    lost: int = 0
 
 
 def read_experiments(path: Path) -> tuple[Experiment, ...]:
@@ -150,22 +152,18 @@ def confusion(experiments: Sequence[Experiment], one: LandingMap) -> Confusion:
     """Count what was observed against the likeliest class of the nearest cell of a map."""
     words = tuple(word for word in WORDS if any(e.outcome == word for e in experiments))
     counts = np.zeros((len(words), len(OUTCOMES)), dtype=np.int64)
-    agreeing = outside = 0
+    agreeing = outside = lost = 0
     likeliest = one.likeliest
     for experiment in experiments:
-        row = _nearest(one.slopes_deg, experiment.slope_deg)
-        column = _nearest(one.speeds, experiment.speed)
+        row = nearest_cell(one.slopes_deg, experiment.slope_deg)
+        column = nearest_cell(one.speeds, experiment.speed)
         if row is None or column is None:
             outside += 1
             continue
         code = Outcome(int(likeliest[row, column]))
+        if code == Outcome.LOST:
+            lost += 1
+            continue
         counts[words.index(experiment.outcome), OUTCOMES.index(code)] += 1
         agreeing += code in WORDS[experiment.outcome]
-    return Confusion(words, counts, agreeing, outside)
-
-
-def _nearest(axis: NDArray[np.float64], value: float) -> int | None:
-    """Index of the nearest cell, None beyond half a cell outside."""
-    index = int(np.argmin(np.abs(axis - value)))
-    reach = 0.5 * float(np.max(np.diff(axis))) if len(axis) > 1 else np.inf
-    return index if abs(axis[index] - value) <= reach + 1e-12 else None
+    return Confusion(words, counts, agreeing, outside, lost)

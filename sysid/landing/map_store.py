@@ -14,12 +14,14 @@ import numpy as np
 from sysid import exact_json
 from sysid.errors import ExportError
 from sysid.landing.impulse_maps import UNITS, ImpulseMap
-from sysid.landing.maps import LandingMap
+from sysid.landing.maps import LandingMap, nearest_cell
 from sysid.landing.outcomes import OUTCOMES, Outcome
 from sysid.writing import write_file
 
 SCHEMA = "sysid-landing-maps"
 VERSION = 1
+# Touchdown speeds of a summary [m/s].
+_USUAL_SPEEDS = (0.3, 0.6, 1.0, 1.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,9 +144,14 @@ def _read_impulse(group: Any) -> ImpulseMap:
 
 
 def summary(maps: Sequence[LandingMap]) -> list[dict[str, Any]]:
-    """Return per map what a table or JSON shows: cells by likeliest class, steepest slopes, doubts."""
+    """Return per map what a table or JSON shows: cells by likeliest class, steepest slopes, doubts.
+
+    A steepest slope is told for speeds that the map has; where it is the map's own steepest one, landings may
+    go on beyond it, and it is told as a lower bound.
+    """
     out = []
     for one in maps:
+        slopes = {f"{speed:g} m/s": one.steepest(speed) for speed in _told_speeds(one)}
         found, counts = np.unique(one.likeliest, return_counts=True)
         cells = {Outcome(int(code)).name.lower(): int(n) for code, n in zip(found, counts, strict=True)}
         out.append(
@@ -153,9 +160,10 @@ def summary(maps: Sequence[LandingMap]) -> list[dict[str, Any]]:
                 "controller": one.controller,
                 "sets": len(one.sets),
                 "cells": cells,
-                "steepest slope that half of the sets land on [deg]": {
-                    f"{speed:g} m/s": one.steepest(speed) for speed in (0.3, 0.6, 1.0, 1.5)
-                },
+                "steepest slope that half of the sets land on [deg]": slopes,
+                "lower bounds, at the map's edge": [
+                    name for name, slope in slopes.items() if slope == one.slopes_deg[-1]
+                ],
                 "mean time to rest where landed [s]": _where_landed(one, one.mean_time),
                 "mean distance where landed [m]": _where_landed(one, one.mean_distance),
                 "uncertain [%]": 100.0 * float(one.uncertain.mean()),
@@ -163,6 +171,15 @@ def summary(maps: Sequence[LandingMap]) -> list[dict[str, Any]]:
             }
         )
     return out
+
+
+def _told_speeds(one: LandingMap) -> list[float]:
+    """Speeds [m/s] whose steepest slope is told: usual ones that the map has, else up to four of its own."""
+    usual = [speed for speed in _USUAL_SPEEDS if nearest_cell(one.speeds, speed) is not None]
+    if usual:
+        return usual
+    chosen = np.unique(np.linspace(0, len(one.speeds) - 1, 4).round().astype(int))
+    return [float(one.speeds[k]) for k in chosen]
 
 
 def _where_landed(one: LandingMap, values: Any) -> float:

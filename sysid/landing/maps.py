@@ -130,9 +130,11 @@ class LandingMap:
 
     @property
     def likeliest(self) -> NDArray[np.int8]:
-        """Most frequent class of each cell (n, m); the better one where two are equal."""
-        shares = np.array([np.nan_to_num(self.share(one)) for one in OUTCOMES])
-        return np.argmax(shares, axis=0).astype(np.int8)
+        """Most frequent class of each cell (n, m), the better one of equals; LOST where every set is lost."""
+        shares = np.array([self.share(one) for one in OUTCOMES])
+        lost = np.isnan(shares).all(axis=0)
+        found = np.argmax(np.nan_to_num(shares), axis=0)
+        return np.where(lost, int(Outcome.LOST), found).astype(np.int8)
 
     @property
     def mean_distance(self) -> FloatArray:
@@ -150,14 +152,46 @@ class LandingMap:
         Parameters
         ----------
         speed : float
-            Touchdown speed [m/s]; the nearest column counts.
+            Touchdown speed [m/s]; its cell's column counts.
         share : float
             [1].
+
+        Returns
+        -------
+        float
+            NaN also where the map has no cell at that speed. The map's steepest slope is a lower bound: the
+            map does not show where landings end.
         """
-        column = self.landed[:, int(np.argmin(np.abs(self.speeds - speed)))]
+        nearest = nearest_cell(self.speeds, speed)
+        if nearest is None:
+            return float("nan")
+        column = self.landed[:, nearest]
         fails = np.flatnonzero(~(column >= share))
         last = (fails[0] if len(fails) else len(column)) - 1
         return float(self.slopes_deg[last]) if last >= 0 else float("nan")
+
+
+def cell_edges(centres: FloatArray) -> FloatArray:
+    """Return the edges (n + 1,) of cells around their centres (n,): half-way, also on an uneven grid.
+
+    The outermost cells are as wide outward as inward; a single cell is 1 wide.
+    """
+    centres = np.asarray(centres, dtype=float)
+    if len(centres) < 2:
+        return np.array([centres[0] - 0.5, centres[0] + 0.5])
+    half = 0.5 * np.diff(centres)
+    return np.concatenate([[centres[0] - half[0]], centres[:-1] + half, [centres[-1] + half[-1]]])
+
+
+def nearest_cell(centres: FloatArray, value: float) -> int | None:
+    """Return the cell that holds a value; None outside. On an edge the lower cell does."""
+    edges = cell_edges(centres)
+    if len(centres) < 2:
+        return 0 if value == centres[0] else None
+    slack = 1e-9 * (edges[-1] - edges[0])
+    if not edges[0] - slack <= value <= edges[-1] + slack:
+        return None
+    return int(np.clip(np.searchsorted(edges, value - slack) - 1, 0, len(centres) - 1))
 
 
 def _mean(values: FloatArray) -> FloatArray:

@@ -300,17 +300,23 @@ def _summary_table(counts: Sequence[dict[str, Any]]) -> Table:
         table.add_column(Text(name), justify="right")
     for entry in counts:
         slopes = entry["steepest slope that half of the sets land on [deg]"]
+        edge = entry["lower bounds, at the map's edge"]
         means = (
             entry[f"mean {name} where landed {unit}"]
             for name, unit in (("time to rest", "[s]"), ("distance", "[m]"))
         )
         table.add_row(
             f"{entry['surface'].upper()}, {entry['controller']}",
-            *(f"{slopes[speed]:.0f}" for speed in speeds),
+            *(_slope(slopes[speed], speed in edge) for speed in speeds),
             *(f"{value:.2f}" for value in means),
             f"{entry['uncertain [%]']:.2f}",
         )
     return table
+
+
+def _slope(value: float, at_edge: bool) -> str:
+    """A slope [deg] for the table; at the map's upper edge it is a lower bound."""
+    return f"{'≥ ' if at_edge else ''}{value:g}" if np.isfinite(value) else "–"
 
 
 def _confusion_table(one: LandingMap, chosen: Sequence[Experiment]) -> Table:
@@ -319,9 +325,9 @@ def _confusion_table(one: LandingMap, chosen: Sequence[Experiment]) -> Table:
     title = (
         f"{one.title}: {found.agreeing} of {total} real landings agree with the likeliest class of their cell"
     )
-    table = Table(
-        box=box.SIMPLE_HEAD, title=title + (f", {found.outside} outside the map" if found.outside else "")
-    )
+    title += f", {found.outside} outside the map" if found.outside else ""
+    title += f", {found.lost} in cells that could not be simulated" if found.lost else ""
+    table = Table(box=box.SIMPLE_HEAD, title=title)
     table.add_column("observed")
     for outcome in OUTCOMES:
         table.add_column(f"simulated {outcome.name.lower()}", justify="right")

@@ -1,7 +1,11 @@
 """Maps in blocks: resume, damage, stops, files, experiments, figures."""
 
+from dataclasses import replace
+from io import StringIO
+
 import numpy as np
 import pytest
+from rich.console import Console
 
 from sysid.errors import CampaignError, ExportError, LogError
 from sysid.executor import LocalThreads
@@ -10,8 +14,9 @@ from sysid.landing.experiments import Experiment, confusion, of_map, read_experi
 from sysid.landing.impulse import ImpulseSettings
 from sysid.landing.impulse_maps import OPTIMUM, UNITS, ImpulseMap
 from sysid.landing.map_store import MapFile, read_maps, summary, write_maps
-from sysid.landing.maps import SLOPES_DEG, SPEEDS, LandingMap, MapSettings
+from sysid.landing.maps import SLOPES_DEG, SPEEDS, LandingMap, MapSettings, cell_edges, nearest_cell
 from sysid.landing.outcomes import Outcome
+from sysid.pipelines.landing_maps import _summary_table
 from sysid.pipelines.landing_sources import span
 from sysid.report.figures import save_figure
 from sysid.report.landing_figures import figure_impulse, figure_landing_maps
@@ -165,9 +170,51 @@ def test_shares_means_and_borders():
     lost = some_map()
     lost.outcome[0] = Outcome.LOST
     np.testing.assert_array_equal(lost.landed, np.mean(one.outcome[1:] <= 1, axis=0))
+    # Cells in which every set is lost are of no class, least of all the best one.
+    lost.outcome[:, 0, 0] = Outcome.LOST
+    assert lost.likeliest[0, 0] == Outcome.LOST
+    assert lost.likeliest[0, 1] == Outcome.SHORT
+    found = confusion([Experiment("lf", "off", 0.0, 0.0, "landed")], lost)
+    assert (found.counts.sum(), found.agreeing, found.outside, found.lost) == (0, 0, 0, 1)
+    lost.outcome[:] = some_map().outcome
+    lost.outcome[0] = Outcome.LOST
     entry = summary([lost])[0]
     assert entry["lost"] == lost.outcome[0].size
     assert entry["sets"] == 4
+
+
+def test_the_summary_tells_no_speed_that_the_map_lacks():
+    slow = replace_grid(some_map(), speeds=np.linspace(0.0, 0.4, 9))
+    assert np.isnan(slow.steepest(0.6))
+    assert np.isnan(slow.steepest(0.43))
+    assert slow.steepest(0.42) == slow.steepest(0.4)  # half a cell beyond the last one
+    key = "steepest slope that half of the sets land on [deg]"
+    assert list(summary([slow])[0][key]) == ["0.3 m/s"]
+    single = replace_grid(some_map(), speeds=np.array([0.45]), columns=1)
+    assert list(summary([single])[0][key]) == ["0.45 m/s"]
+    # Uneven cells end half-way; the outer ones reach as far outward as inward, not half the widest step.
+    uneven = np.array([0.1, 0.2, 0.8, 1.6])
+    np.testing.assert_allclose(cell_edges(uneven), [0.05, 0.15, 0.5, 1.2, 2.0], rtol=1e-12)
+    assert [nearest_cell(uneven, v) for v in (0.04, 0.05, 0.49, 0.51, 1.3, 2.01)] == [None, 0, 1, 2, 3, None]
+
+
+def test_a_slope_at_the_edge_of_the_map_is_a_lower_bound():
+    easy = some_map()
+    easy.outcome[:, :, :4] = Outcome.SHORT  # up to 0.75 m/s every slope is landed on
+    easy.outcome[:, :, 6] = Outcome.FLIPPED  # at 1.5 m/s none
+    entry = summary([easy])[0]
+    assert entry["lower bounds, at the map's edge"] == ["0.3 m/s", "0.6 m/s"]
+    with StringIO() as stream:
+        Console(file=stream, width=200).print(_summary_table([entry]))
+        row = stream.getvalue().splitlines()[-2]
+    assert "≥ 45   ≥ 45" in row
+    assert "–" in row
+
+
+def replace_grid(one, speeds, columns=None):
+    """The same map over other speeds."""
+    cut = {name: getattr(one, name)[..., :columns] for name in ("outcome", "distance", "time", "uncertain")}
+    return replace(one, speeds=speeds, **cut)
 
 
 CSV = """surface,controller,slope [deg],speed [m/s],outcome
