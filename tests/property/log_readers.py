@@ -239,7 +239,7 @@ def vicon_csv(data, recording):
             [c.strip() for c in cells_of(x, delimiter)] for x in lines[i + 1 : i + 5]
         )
         rate = number(rate[0].replace(",", "."))
-        end = next((k for k in range(i + 5, len(lines)) if not lines[k]), len(lines))
+        end = next((k for k in range(i + 5, len(lines)) if not lines[k].strip(",;\t ")), len(lines))
         while fields and not fields[-1]:
             fields.pop()
         table, columns = Table(), {}
