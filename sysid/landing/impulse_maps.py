@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sysid.executor import Columns, Executor, LocalThreads
 from sysid.landing.blocks import BlockStore, compute_blocks
+from sysid.landing.controllers import Controller, Step
 from sysid.landing.drone import Drone
 from sysid.landing.impulse import Impulses, ImpulseSettings, Optimum
 from sysid.landing.maps import LandingMap, MapSettings, map_identity
@@ -31,6 +32,15 @@ def variants(impulses: ImpulseSettings) -> tuple[str, ...]:
     """Name the landings after the search: impulse of the grid or refined, and what follows it."""
     then = impulses.followed_by
     return f"impulse, then {then}", f"refined impulse, then {then}", "impulse alone"
+
+
+def after_impulses(impulses: ImpulseSettings) -> tuple[Controller, ...]:
+    """Return what each of `variants` ends with, under the name of its map: a static limit needs no more."""
+    levels = (impulses.after, impulses.after, 0.0)
+    return tuple(
+        Controller(name, (Step(0.0, level, level),), impulses.ideal_reversal)
+        for name, level in zip(variants(impulses), levels, strict=True)
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from sysid.landing.controllers import Controller
 from sysid.landing.drone import Drone
 from sysid.landing.experiments import Experiment, confusion, of_map, read_experiments, strangers
 from sysid.landing.impulse import ImpulseSettings
-from sysid.landing.impulse_maps import impulse_identity, impulse_maps
+from sysid.landing.impulse_maps import after_impulses, impulse_identity, impulse_maps
 from sysid.landing.map_store import MapFile, summary, write_maps
 from sysid.landing.maps import LandingMap, MapSettings, landing_maps, map_identity
 from sysid.landing.motors import Motors
@@ -30,7 +30,7 @@ from sysid.landing.outcomes import OUTCOMES
 from sysid.landing.static_limits import ramp_limit, rigid_limits
 from sysid.pipelines.landing_sources import BlockProgress, LandingOptions
 from sysid.report.figures import check_figure_name, save_figure
-from sysid.report.landing_figures import figure_impulse, figure_landing_maps
+from sysid.report.landing_figures import DrawnLimits, figure_impulse, figure_landing_maps
 
 Say = Callable[[str], None] | None
 # Blocks that share a cluster at the same time.
@@ -158,7 +158,7 @@ def compute_impulse_maps(
         content = MapFile(maps, best, settings.document() | {"impulses": impulses.document()}, origin)
         write_maps(options.out, content)
         save_figure(figure_impulse(best), options.impulse_picture)
-        _draw_maps(content, options, settings, {}, ())
+        _draw_maps(content, options, settings, static_lines(fleets, after_impulses(impulses)), ())
         return content
 
     content = _computed(compute, write, identity, blocks, "cells", options, say)
@@ -234,11 +234,8 @@ def _computed(
 
 def static_lines(
     fleets: Sequence[Sequence[Drone]], controllers: Sequence[Controller]
-) -> dict[tuple[str, str], list[tuple[float, str]]]:
-    """Return the static limits of each surface's best set under each controller's last command.
-
-    Slope [deg] and line style: dashed for rigid legs, dotted for its own, bending ones.
-    """
+) -> dict[tuple[str, str], DrawnLimits]:
+    """Return the static limits of each surface's first set under each controller's last command."""
     out = {}
     for fleet in fleets:
         drone = fleet[0]
@@ -248,9 +245,9 @@ def static_lines(
                 continue  # held up by its motors: no static limit
             rigid = rigid_limits(drone.gear, drone.surface, push).first.slope
             bending = ramp_limit(drone.gear, drone.surface, push).slope
-            out[(drone.surface, told.label)] = [
-                (float(np.degrees(rigid)), "dashed"), (float(np.degrees(bending)), "dotted")
-            ]  # fmt: skip
+            out[(drone.surface, told.label)] = DrawnLimits(
+                push, float(np.degrees(rigid)), float(np.degrees(bending))
+            )
     return out
 
 

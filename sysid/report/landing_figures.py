@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,11 +11,12 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.patheffects import Normal, withStroke
 from numpy.typing import NDArray
 
 from sysid.landing.experiments import Experiment, of_map
 from sysid.landing.impulse_maps import ImpulseMap
-from sysid.landing.maps import LandingMap
+from sysid.landing.maps import LandingMap, cell_edges
 from sysid.landing.outcomes import OUTCOMES, Outcome
 
 FloatArray = NDArray[np.float64]
@@ -29,10 +31,58 @@ COLOURS: dict[Outcome, str] = {
 _DISTANCES = (0.1, 0.2, 0.45, 1.0)
 _TIMES = (0.5, 1.0, 2.0)
 _DISTANCE_COLOUR, _TIME_COLOUR, _LIMIT_COLOUR = "#000000", "#00224E", "#D55E00"
+_TIME_STYLE = (0, (4, 2))
+# Every set lost; and slopes above the map.
+_LOST_COLOUR, _BEYOND_COLOUR = "#CC79A7", "#F2F2F2"
 # Room above the steepest slope of a map, for static limits that lie a little higher [deg].
 _ROOM = 6.0
+# Least distance of a contour's label from other labels, and from the edges, in widths of the axes.
+_APART, _INSIDE = 0.11, 0.05
+# What a table may say of a real landing: words, marker, colour, what the legend calls it.
+_MARKERS = (
+    (("short",), "o", COLOURS[Outcome.SHORT], "at rest nearby"),
+    (("landed",), "o", "#56B4E9", "landed"),
+    (("near",), "s", COLOURS[Outcome.NEAR], "at rest further off"),
+    (("flipped",), "^", COLOURS[Outcome.FLIPPED], "flipped"),
+    (("other",), "D", COLOURS[Outcome.OTHER], "neither"),
+    (("failed",), "X", "#D55E00", "failed"),
+)
+# White within black: seen on every colour of a map.
+_OUTLINE = (withStroke(linewidth=2.8, foreground="black"), Normal())
 
-Limits = Mapping[tuple[str, str], Sequence[tuple[float, str]]]
+
+@dataclass(frozen=True)
+class DrawnLimits:
+    """Static limits of a map.
+
+    Parameters
+    ----------
+    thrust : float
+        That presses the drone to the ground once the motors have settled [N].
+    rigid, bending : float
+        Steepest slope with stiff legs and with the set's own, bending ones [deg].
+    """
+
+    thrust: float
+    rigid: float
+    bending: float
+
+
+Limits = Mapping[tuple[str, str], DrawnLimits]
+
+
+@dataclass
+class _Legend:
+    """What was drawn, by its words; the legend lists that and nothing else."""
+
+    handles: dict[str, Patch | Line2D] = field(default_factory=dict)
+
+    def line(self, label: str, **look: object) -> None:
+        self.handles.setdefault(label, Line2D([], [], label=label, **look))  # type: ignore[arg-type]
+
+    def patch(self, label: str, **look: object) -> None:
+        look = {"edgecolor": "black", "linewidth": 0.5} | look
+        self.handles.setdefault(label, Patch(label=label, **look))  # type: ignore[arg-type]
 
 
 def figure_landing_maps(
@@ -50,7 +100,7 @@ def figure_landing_maps(
     ----------
     maps : sequence of LandingMap
     limits : mapping, optional
-        Static limits by surface and controller: slope [deg] and line style of each.
+        Static limits of the surface's first set by surface and controller.
     experiments : sequence of Experiment
         Real landings, drawn where surface and controller agree.
     lines : bool
@@ -60,100 +110,226 @@ def figure_landing_maps(
 
     Notes
     -----
-    The colour is the mean of the classes' colours, weighted with the share of the sets.
+    The colour is the mean of the classes' colours, weighted with the share of the sets. Dots mark cells in
+    which half the tolerance changes the class of a set. Slopes above a map, for limits a little higher, are
+    hatched.
     """
     surfaces = list(dict.fromkeys(one.surface for one in maps))
     columns = list(dict.fromkeys(one.controller for one in maps))
-    size = (1.2 + 4.1 * len(columns), 1.7 + 3.5 * len(surfaces))
-    figure = Figure(figsize=size, layout="constrained")
+    figure = Figure(layout="constrained")
     grid = figure.subplots(len(surfaces), len(columns), sharex=True, squeeze=False)
     for axes in grid.ravel():
         axes.set_visible(False)
+    own = limits or {}
+    highest = max(_top(one, own.get((one.surface, one.controller))) for one in maps)
+    legend = _Legend()
+    _name_colours(legend, maps, short, long)
     for one in maps:
         axes = grid[surfaces.index(one.surface), columns.index(one.controller)]
         axes.set_visible(True)
-        _draw_map(axes, one, lines)
-        _draw_limits(axes, one, (limits or {}).get((one.surface, one.controller), ()))
-        _draw_experiments(axes, of_map(experiments, one))
         axes.set_title(one.title, fontsize=10)
-    highest = max(axes.get_ylim()[1] for axes in grid.ravel() if axes.get_visible())
-    for axes in grid.ravel():
-        axes.set_ylim(top=highest)
+        bounds = _mesh(axes, one, _blend(one))
+        axes.set_ylim(bounds[0], highest)
+        _draw_beyond(axes, bounds[1], highest, legend)
+        _draw_uncertain(axes, one, legend)
+        taken = _draw_letters(axes, one)
+        told = own.get((one.surface, one.controller))
+        if told is not None:
+            taken += _draw_limits(axes, told, bounds[1], legend)
+        if lines and min(one.landed.shape) > 1:
+            _draw_contours(axes, one, taken, legend)
+        _draw_experiments(axes, of_map(experiments, one), legend)
+    if own:
+        _name_limits(legend, maps, own)
     for axes in grid[-1]:
         axes.set_xlabel("touchdown speed [m/s]")
     for axes in grid[:, 0]:
         axes.set_ylabel("slope [deg]")
-    handles = _handles(maps, short, long, lines, bool(limits), bool(experiments))
+    ncols = min(len(columns), 3)
+    rows = -(-len(legend.handles) // ncols)
+    figure.set_size_inches(1.2 + 4.1 * len(columns), 0.8 + 3.5 * len(surfaces) + 0.18 * rows)
     figure.legend(
-        handles=handles,
+        handles=list(legend.handles.values()),
         loc="outside lower center",
-        ncols=2 if len(columns) < 3 else 3,
+        ncols=ncols,
         fontsize=8,
         frameon=False,
+        title=_caption(maps),
+        title_fontsize=8,
     )
     return figure
 
 
-def _extent(one: LandingMap | ImpulseMap) -> tuple[float, float, float, float]:
-    """Edges of the cells: speed, slope."""
-    edges = []
-    for axis in (one.speeds, one.slopes_deg):
-        half = 0.5 * (axis[1] - axis[0]) if len(axis) > 1 else 0.5
-        edges += [float(axis[0] - half), float(axis[-1] + half)]
-    return edges[0], edges[1], edges[2], edges[3]
+def _caption(maps: Sequence[LandingMap]) -> str:
+    counts = sorted({len(one.sets) for one in maps})
+    if counts == [1]:
+        return "one set per map"
+    many = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    return f"{many} sets per map; blended colours are shares of the sets"
 
 
-def _draw_map(axes: Axes, one: LandingMap, lines: bool) -> None:
-    image = np.zeros((len(one.slopes_deg), len(one.speeds), 3))
+def _top(one: LandingMap, limits: DrawnLimits | None) -> float:
+    """Upper end of a map's axis [deg]: its own, or a little above a limit that lies not far beyond."""
+    edge = float(cell_edges(one.slopes_deg)[-1])
+    reach = [s + 1.0 for s in ((limits.rigid, limits.bending) if limits else ()) if s <= edge + _ROOM]
+    return max([edge, *reach])
+
+
+def _name_colours(legend: _Legend, maps: Sequence[LandingMap], short: float, long: float) -> None:
+    names = {
+        Outcome.SHORT: f"at rest within {100 * short:g} cm",
+        Outcome.NEAR: f"at rest within {long:g} m",
+        Outcome.FLIPPED: f"A: flipped within {long:g} m",
+        Outcome.OTHER: "B: neither",
+    }
+    for outcome, name in names.items():
+        if any(np.any(one.outcome == outcome) for one in maps):
+            legend.patch(name, facecolor=COLOURS[outcome])
+    if any(np.any(one.likeliest == Outcome.LOST) for one in maps):
+        legend.patch("every simulation failed", facecolor=_LOST_COLOUR)
+
+
+def _blend(one: LandingMap) -> FloatArray:
+    image = np.zeros((*one.landed.shape, 3))
     for outcome in OUTCOMES:
         image += np.nan_to_num(one.share(outcome))[..., None] * np.array(to_rgb(COLOURS[outcome]))
-    axes.imshow(image, origin="lower", aspect="auto", extent=_extent(one), interpolation="nearest")
+    image[one.likeliest == Outcome.LOST] = to_rgb(_LOST_COLOUR)
+    return np.clip(image, 0.0, 1.0)
+
+
+def _mesh(
+    axes: Axes, one: LandingMap | ImpulseMap, values: FloatArray, **look: object
+) -> tuple[float, float]:
+    """Draw the cells between their edges, which need not be even; return the outer slopes [deg]."""
+    across, up = cell_edges(one.speeds), cell_edges(one.slopes_deg)
+    drawn = axes.pcolormesh(across, up, values, rasterized=True, **look)  # type: ignore[arg-type]
+    if values.ndim == 2:
+        beyond = "max" if np.nanmax(values, initial=0.0) > float(look["vmax"]) else "neither"  # type: ignore[arg-type]
+        axes.figure.colorbar(drawn, ax=axes, extend=beyond)
+    axes.set_xlim(across[0], across[-1])
+    axes.set_ylim(up[0], up[-1])
+    return float(up[0]), float(up[-1])
+
+
+def _draw_beyond(axes: Axes, edge: float, top: float, legend: _Legend) -> None:
+    if top > edge + 1e-9:
+        look = {"facecolor": _BEYOND_COLOUR, "hatch": "////", "edgecolor": "#BBBBBB", "linewidth": 0.0}
+        axes.axhspan(edge, top, **look)  # type: ignore[arg-type]
+        legend.patch("not simulated", **look)
+
+
+def _draw_uncertain(axes: Axes, one: LandingMap, legend: _Legend) -> None:
+    rows, columns = np.nonzero(one.uncertain.any(axis=0))
+    if len(rows):
+        label = "class of a set changes with half the tolerance"
+        axes.scatter(
+            one.speeds[columns], one.slopes_deg[rows], s=5, color="black", edgecolors="white",
+            linewidths=0.4, zorder=3, label=label,
+        )  # fmt: skip
+        legend.line(label, color="black", marker=".", linestyle="none")
+
+
+def _draw_letters(axes: Axes, one: LandingMap) -> list[FloatArray]:
+    """Name the zones A and B; return where, in widths of the axes."""
+    taken = []
     for outcome, letter in ((Outcome.FLIPPED, "A"), (Outcome.OTHER, "B")):
         place = _middle(one.likeliest == outcome)
         if place is not None:
+            spot = np.array([one.speeds[place[1]], one.slopes_deg[place[0]]])
+            around = [withStroke(linewidth=5, foreground=COLOURS[outcome])]
             axes.text(
-                one.speeds[place[1]], one.slopes_deg[place[0]], letter, fontsize=13, ha="center", va="center"
-            )
-    if not lines or min(image.shape[:2]) < 2:
-        return
-    shown = one.landed >= 0.5
-    for values, levels, colour, style, unit in (
-        (one.mean_distance, _DISTANCES, _DISTANCE_COLOUR, "solid", "m"),
-        (one.mean_time, _TIMES, _TIME_COLOUR, (0, (4, 2)), "s"),
+                spot[0], spot[1], letter, fontsize=13, ha="center", va="center", zorder=5,
+                path_effects=around,
+            )  # fmt: skip
+            taken.append(_relative(axes, spot[None])[0])
+    return taken
+
+
+def _relative(axes: Axes, points: FloatArray) -> FloatArray:
+    """Points (n, 2) in widths of the axes."""
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    return np.asarray((points - [left, low]) / [right - left, high - low])
+
+
+def _draw_contours(axes: Axes, one: LandingMap, taken: list[FloatArray], legend: _Legend) -> None:
+    """Draw mean distance and time; one label per level, where it is clear of all others, or none."""
+    landed = one.landed >= 0.5
+    for values, levels, colour, style, unit, name in (
+        (one.mean_distance, _DISTANCES, _DISTANCE_COLOUR, "solid", "m", "mean distance to rest"),
+        (one.mean_time, _TIMES, _TIME_COLOUR, _TIME_STYLE, "s", "mean time to rest"),
     ):
         # Where hardly anything lands a mean says little, and its contours are a tangle.
-        known = np.where(shown & np.isfinite(values), values, np.nan)
-        inside = [
-            level
-            for level in levels
-            if np.nanmin(known, initial=np.inf) < level < np.nanmax(known, initial=0)
-        ]
+        known = np.where(landed & np.isfinite(values), values, np.nan)
+        low, high = np.nanmin(known, initial=np.inf), np.nanmax(known, initial=0.0)
+        inside = [level for level in levels if low < level < high]
         if not inside:
             continue
         drawn = axes.contour(
             one.speeds, one.slopes_deg, np.ma.masked_invalid(known), levels=inside,
             colors=colour, linestyles=[style], linewidths=1.1,
         )  # fmt: skip
-        axes.clabel(drawn, fmt=lambda level, unit=unit: f"{level:g} {unit}", fontsize=7)
+        drawn.set_label(name)
+        legend.line(name, color=colour, linestyle=style)
+        for level, pieces in zip(inside, drawn.allsegs, strict=True):
+            spot = _clear_spot(axes, pieces, taken)
+            if spot is not None:
+                taken.append(_relative(axes, spot[None])[0])
+                axes.text(
+                    spot[0], spot[1], f"{level:g} {unit}", fontsize=7, color=colour, zorder=5,
+                    ha="center", va="center",
+                    bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.6},
+                )  # fmt: skip
 
 
-def _draw_limits(axes: Axes, one: LandingMap, limits: Sequence[tuple[float, str]]) -> None:
-    """Draw the limits within reach as lines; name those above at the upper edge."""
-    low, high = _extent(one)[2:]
-    axes.set_ylim(low, high)
+def _clear_spot(axes: Axes, pieces: Sequence[FloatArray], taken: Sequence[FloatArray]) -> FloatArray | None:
+    """Return the point of a level's longest piece that is furthest from other labels; None if too near."""
+    if not pieces:
+        return None
+    piece = max(pieces, key=len)
+    spots = _relative(axes, piece)
+    clear = np.min([spots[:, 0], 1 - spots[:, 0], spots[:, 1], 1 - spots[:, 1]], axis=0) >= _INSIDE
+    away = np.full(len(spots), np.inf)
+    for other in taken:
+        away = np.minimum(away, np.hypot(*(spots - other).T))
+    if not taken:
+        away = -np.hypot(*(spots - 0.5).T) + 1.0
+    away = np.where(clear, away, -np.inf)
+    best = int(np.argmax(away))
+    return np.asarray(piece[best]) if away[best] >= _APART else None
+
+
+def _draw_limits(axes: Axes, told: DrawnLimits, edge: float, legend: _Legend) -> list[FloatArray]:
+    """Draw the limits within reach as lines; name those above. Return which places the lines take."""
+    taken: list[FloatArray] = []
     above = []
-    for slope, style in limits:
-        if slope <= high + _ROOM:
+    for slope, style, legs in ((told.rigid, "dashed", "rigid"), (told.bending, "dotted", "bending")):
+        if slope <= edge + _ROOM:
             axes.axhline(slope, color=_LIMIT_COLOUR, linestyle=style, linewidth=1.6)
-            axes.set_ylim(low, max(axes.get_ylim()[1], slope + 1.0))
         else:
-            above.append(f"{slope:.0f}° ({'rigid' if style == 'dashed' else 'bending'} legs)")
+            above.append(f"{slope:.0f}° ({legs} legs)")
     if above:
         axes.text(
-            0.98, 0.91, f"static limit above: {', '.join(above)}", transform=axes.transAxes,
+            0.98, 0.87, f"static limit above: {', '.join(above)}", transform=axes.transAxes,
             ha="right", va="top", fontsize=8, color=_LIMIT_COLOUR,
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8},
         )  # fmt: skip
+        taken += [np.array([x, 0.85]) for x in (0.5, 0.6, 0.7, 0.8, 0.9)]
+    return taken
+
+
+def _name_limits(legend: _Legend, maps: Sequence[LandingMap], limits: Limits) -> None:
+    """Say which thrust the drawn limits are for: it differs between controllers, hardly between surfaces."""
+    words: dict[str, None] = {}
+    for one in maps:
+        told = limits.get((one.surface, one.controller))
+        if told is not None:
+            # Idle motors leave some -1e-12 N, which is 0, not -0.
+            words[f"{one.controller}: {round(told.thrust, 1) + 0.0:g} N"] = None
+    thrust = "; ".join(words)
+    for style, legs in (("dashed", "rigid"), ("dotted", "own, bending")):
+        legend.line(
+            f"static limit of the first set, {legs} legs ({thrust})", color=_LIMIT_COLOUR, linestyle=style
+        )
 
 
 def _middle(cells: NDArray[np.bool_]) -> tuple[int, int] | None:
@@ -167,53 +343,19 @@ def _middle(cells: NDArray[np.bool_]) -> tuple[int, int] | None:
     return int(row), int(column)
 
 
-def _draw_experiments(axes: Axes, chosen: Sequence[Experiment]) -> None:
-    for words, marker, colour in (
-        (("short", "landed"), "o", COLOURS[Outcome.SHORT]),
-        (("near",), "s", COLOURS[Outcome.NEAR]),
-        (("flipped",), "^", COLOURS[Outcome.FLIPPED]),
-        (("other",), "D", COLOURS[Outcome.OTHER]),
-        (("failed",), "X", "#D55E00"),
-    ):
+def _draw_experiments(axes: Axes, chosen: Sequence[Experiment], legend: _Legend) -> None:
+    for words, marker, colour, name in _MARKERS:
         points = np.array([(e.speed, e.slope_deg) for e in chosen if e.outcome in words]).reshape(-1, 2)
+        if not len(points):
+            continue
         axes.scatter(
-            points[:, 0], points[:, 1], marker=marker, color=colour, edgecolors="black", linewidths=0.8, s=28,
-            zorder=4,
+            points[:, 0], points[:, 1], marker=marker, color=colour, edgecolors="white", linewidths=1.2, s=46,
+            zorder=6, path_effects=list(_OUTLINE), label=f"real landing: {name}",
         )  # fmt: skip
-
-
-def _handles(
-    maps: Sequence[LandingMap], short: float, long: float, lines: bool, limits: bool, experiments: bool
-) -> list[Patch | Line2D]:
-    names = {
-        Outcome.SHORT: f"at rest within {100 * short:g} cm",
-        Outcome.NEAR: f"at rest within {long:g} m",
-        Outcome.FLIPPED: f"A: flipped within {long:g} m",
-        Outcome.OTHER: "B: neither",
-    }
-    handles: list[Patch | Line2D] = [
-        Patch(facecolor=COLOURS[outcome], edgecolor="black", linewidth=0.5, label=name)
-        for outcome, name in names.items()
-    ]
-    if lines:
-        handles.append(Line2D([], [], color=_DISTANCE_COLOUR, label="mean distance to rest"))
-        handles.append(Line2D([], [], color=_TIME_COLOUR, linestyle=(0, (4, 2)), label="mean time to rest"))
-    if limits:
-        handles.append(
-            Line2D([], [], color=_LIMIT_COLOUR, linestyle="dashed", label="static limit, rigid legs")
-        )
-        handles.append(
-            Line2D([], [], color=_LIMIT_COLOUR, linestyle="dotted", label="static limit, bending legs")
-        )
-    if experiments:
-        handles.append(
-            Line2D(
-                [], [], color="white", marker="o", markeredgecolor="black", label="real landings, by outcome"
-            )
-        )
-    count = max((len(one.sets) for one in maps), default=0)
-    handles.append(Line2D([], [], linestyle="none", label=f"{count} set{'s' if count != 1 else ''} per map"))
-    return handles
+        legend.line(
+            f"real landing: {name}", color=colour, marker=marker, linestyle="none", markeredgecolor="white",
+            path_effects=list(_OUTLINE),
+        )  # fmt: skip
 
 
 def figure_impulse(best: Sequence[ImpulseMap], *, refined: bool = False) -> Figure:
@@ -227,12 +369,7 @@ def figure_impulse(best: Sequence[ImpulseMap], *, refined: bool = False) -> Figu
             full = f"refined_{name}" if refined else name
             values = 1e3 * (one.mean(full) if which == "mean" else one.sigma(full))
             top = (260.0 if name == "delay" else 160.0) if which == "mean" else 100.0
-            drawn = axes.imshow(
-                values, origin="lower", aspect="auto", extent=_extent(one), interpolation="nearest",
-                cmap="viridis", vmin=0.0, vmax=top,
-            )  # fmt: skip
-            beyond = "max" if values.max() > top else "neither"
-            axes.figure.colorbar(drawn, ax=axes, extend=beyond)
+            _mesh(axes, one, values, cmap="viridis", vmin=0.0, vmax=top)
             what = f"{name}, {'mean' if which == 'mean' else 'σ'} [ms]"
             axes.set_title(f"{one.surface.upper()}: {what}", fontsize=10)
             axes.set_xlabel("touchdown speed [m/s]")

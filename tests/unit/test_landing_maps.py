@@ -5,6 +5,7 @@ from io import StringIO
 
 import numpy as np
 import pytest
+from matplotlib.collections import QuadMesh
 from rich.console import Console
 
 from sysid.errors import CampaignError, ExportError, LogError
@@ -19,7 +20,7 @@ from sysid.landing.outcomes import Outcome
 from sysid.pipelines.landing_maps import _summary_table
 from sysid.pipelines.landing_sources import span
 from sysid.report.figures import save_figure
-from sysid.report.landing_figures import figure_impulse, figure_landing_maps
+from sysid.report.landing_figures import DrawnLimits, figure_impulse, figure_landing_maps
 
 
 class Squares:
@@ -258,7 +259,10 @@ def test_experiments_that_make_no_sense(tmp_path, old, new, says):
 
 def test_figures_show_every_map(tmp_path):
     maps = [some_map(), some_map("reverse")]
-    limits = {("lf", "off"): [(23.7, "dashed"), (22.0, "dotted")]}
+    limits = {
+        ("lf", "off"): DrawnLimits(-9e-13, 23.7, 22.0),
+        ("lf", "reverse"): DrawnLimits(13.76, 49.9, 70.0),
+    }
     figure = figure_landing_maps(
         maps, limits=limits, experiments=[Experiment("lf", "off", 5.0, 0.3, "landed")]
     )
@@ -267,19 +271,86 @@ def test_figures_show_every_map(tmp_path):
     lines = [line.get_ydata()[0] for line in shown[0].lines]
     assert lines == [23.7, 22.0]
     # The colour of a cell is that of its classes: green where every set lands close by, white for B.
-    image = shown[0].images[0].get_array()
+    (mesh,) = (one for one in shown[0].collections if isinstance(one, QuadMesh))
+    image = mesh.get_array()
     np.testing.assert_allclose(image[0, 0], np.array([0, 158, 115]) / 255)
     np.testing.assert_allclose(image[-1, -1], 1.0)
-    assert len(shown[0].collections) > 0
+    drawn = {one.get_label(): one for one in shown[0].collections}
+    assert {"mean distance to rest", "mean time to rest", "real landing: landed"} <= set(drawn)
+    # The marker stands at its speed and slope, the other map has none.
+    np.testing.assert_array_equal(drawn["real landing: landed"].get_offsets(), [[0.3, 5.0]])
+    assert "real landing: landed" not in {one.get_label() for one in shown[1].collections}
+    # The mean time is 0.2 s + (slope + 10 deg per m/s + what the sets add) / 30, so 0.5 s is a straight line.
+    added = 40 * maps[0].distance[:, 0, 0].mean()
+    places = drawn["mean time to rest"].get_paths()[0].vertices
+    assert len(places) > 3
+    np.testing.assert_allclose(places[:, 1] + 10 * places[:, 0], 9.0 - added, rtol=1e-6)
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "static limit of the first set, rigid legs (off: 0 N; reverse: 13.8 N)" in words
+    assert "not simulated" in words  # between the map's 47.5 deg and the limit of 49.9 deg
+    assert shown[0].get_ylim() == (-2.5, 50.9)
+    assert any("70° (bending legs)" in text.get_text() for text in shown[1].texts)
+    assert figure.legends[0].get_title().get_text() == (
+        "4 sets per map; blended colours are shares of the sets"
+    )
     assert save_figure(figure, tmp_path / "map.png").stat().st_size > 10_000
     best = figure_impulse([some_impulse()])
-    assert len([axes for axes in best.axes if axes.images]) == 4
+    assert len([axes for axes in best.axes if axes.get_title()]) == 4
     # A single set has no spread to draw.
     one = some_impulse()
     single = ImpulseMap(
         "lf", "impulse", one.sets[:1], one.slopes_deg, one.speeds, {n: v[:1] for n, v in one.optimum.items()}
     )
-    assert len([axes for axes in figure_impulse([single]).axes if axes.images]) == 2
+    assert len([axes for axes in figure_impulse([single]).axes if axes.get_title()]) == 2
+
+
+def test_the_legend_lists_what_is_drawn_and_nothing_else():
+    one = some_map()
+    (legend,) = figure_landing_maps([one]).legends
+    assert [text.get_text() for text in legend.get_texts()] == [
+        "at rest within 45 cm", "at rest within 1 m", "A: flipped within 1 m", "B: neither",
+        "mean distance to rest", "mean time to rest",
+    ]  # fmt: skip
+    one.uncertain[2, 3, 4] = True
+    far = replace(one, outcome=np.minimum(one.outcome, 1))
+    figure = figure_landing_maps([far], lines=False)
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
+        "at rest within 45 cm", "at rest within 1 m", "class of a set changes with half the tolerance",
+    ]  # fmt: skip
+    (dots,) = (c for c in figure.axes[0].collections if "tolerance" in c.get_label())
+    np.testing.assert_array_equal(dots.get_offsets(), [[one.speeds[4], one.slopes_deg[3]]])
+
+
+def test_every_set_lost_is_drawn_as_such():
+    one = some_map()
+    one.outcome[:, 9, 8] = Outcome.LOST
+    figure = figure_landing_maps([one])
+    (mesh,) = (c for c in figure.axes[0].collections if isinstance(c, QuadMesh))
+    assert not np.allclose(mesh.get_array()[9, 8], 1.0)  # not the white of B
+    assert "every simulation failed" in [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def test_uneven_cells_are_drawn_between_their_edges():
+    speeds = np.array([0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.2, 1.6, 2.0])
+    edges = [0.05, 0.15, 0.25, 0.4, 0.6, 0.85, 1.1, 1.4, 1.8, 2.2]
+    best = replace(some_impulse(), speeds=speeds)
+    for figure in (figure_landing_maps([replace_grid(some_map(), speeds)]), figure_impulse([best])):
+        for axes in (axes for axes in figure.axes if axes.get_title()):
+            (mesh,) = (c for c in axes.collections if isinstance(c, QuadMesh))
+            corners = mesh.get_coordinates()
+            np.testing.assert_allclose(corners[0, :, 0], edges, rtol=1e-12)
+            np.testing.assert_allclose(corners[:, 0, 1], np.arange(-2.5, 48.0, 5.0), rtol=1e-12)
+            assert axes.get_xlim() == pytest.approx((0.05, 2.2))
+
+
+def test_labels_of_contours_keep_apart():
+    figure = figure_landing_maps([some_map()], limits={("lf", "off"): DrawnLimits(0.0, 23.7, 22.0)})
+    figure.canvas.draw()
+    axes = figure.axes[0]
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert {text.get_text() for text in axes.texts} >= {"A", "B", "0.2 m", "0.5 s"}
+    for k, box in enumerate(boxes):
+        assert not any(box.overlaps(other) for other in boxes[:k])
 
 
 @pytest.mark.parametrize("text", ["0:45", "a", "1,1", "5:0:1", "0:1:0", ""])
