@@ -76,8 +76,8 @@ class Torn(Bowl):
 
 
 def test_failures_are_counted_by_cause():
-    torn = run_genetic(Torn(), population=40, seed=3, stop=SHORT)
-    plain = run_genetic(Bowl(), population=40, seed=3, stop=SHORT)
+    torn = run_genetic(Torn(), population=40, seed=1, stop=SHORT)
+    plain = run_genetic(Bowl(), population=40, seed=1, stop=SHORT)
     np.testing.assert_array_equal(torn.failed, plain.failed)
     assert set(torn.failures) == {"fell over", "ran away"}
     assert sum(torn.failures.values()) == torn.failed.sum()
