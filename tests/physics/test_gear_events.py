@@ -153,6 +153,7 @@ def viscous_damping(force, slip, law):
     return law[0] * force
 
 
+@pytest.mark.slow  # compiles a law of its own
 def test_a_third_law_is_one_declaration():
     wet = Surface(
         name="wet",
