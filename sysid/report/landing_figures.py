@@ -283,9 +283,10 @@ def _draw_contours(axes: Axes, one: LandingMap, taken: list[FloatArray], legend:
 
 def _clear_spot(axes: Axes, pieces: Sequence[FloatArray], taken: Sequence[FloatArray]) -> FloatArray | None:
     """Return the point of a level's longest piece that is furthest from other labels; None if too near."""
-    if not pieces:
+    # A level that only masked cells cross leaves no piece, or an empty one.
+    piece = max(pieces, key=len, default=np.empty((0, 2)))
+    if not len(piece):
         return None
-    piece = max(pieces, key=len)
     spots = _relative(axes, piece)
     clear = np.min([spots[:, 0], 1 - spots[:, 0], spots[:, 1], 1 - spots[:, 1]], axis=0) >= _INSIDE
     away = np.full(len(spots), np.inf)
