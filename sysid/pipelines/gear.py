@@ -192,16 +192,23 @@ class GearObjective:
         scored = self.cost(samples, result.reached)
         return judged_drops(self.cost, self.drops, self.board_length, result, samples, scored)
 
-    def simulate(self, rows: FloatArray) -> tuple[FloatArray, PopulationSamples]:
-        """Return samples (P, n_total, 6) with every drop's margins, and all that the simulation found."""
+    def simulate(
+        self, rows: FloatArray, body_states: FloatArray | None = None
+    ) -> tuple[FloatArray, PopulationSamples]:
+        """Return samples (P, n_total, 6) with every drop's margins, and all that the simulation found.
+
+        `body_states` (P, D, 6) are starts of each candidate's own, instead of the measured ones.
+        """
         own = offsets(self.space.table, rows, self.drops)
+        if body_states is None and own is not None:
+            body_states = shifted_starts(self.drops, *own)
         result = simulate_population(
             rows[:, : len(PARAMETERS)],
             self._jobs,
             surface=self.surface,
             tolerance=self.tolerance,
             threads=self.threads,
-            body_states=None if own is None else shifted_starts(self.drops, *own),
+            body_states=body_states,
         )
         first, ends = self.cost.offsets, self._jobs.offset
         samples = np.empty((len(rows), self.cost.n_total, 6))

@@ -1,0 +1,111 @@
+"""Derivatives of the residuals by central differences whose step is checked by halving it.
+
+Contact makes the cost rough: a foot that touches a sample earlier, or slips where it stuck, makes residuals
+jump. A derivative that changes with the step describes the step, not the model; such parameters are named.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.trust.problem import Problem
+
+FloatArray = NDArray[np.float64]
+
+# Of the unit cube: the first guess, and what a step may become.
+_FIRST, _LEAST, _LARGEST = 2e-3, 2e-4, 0.03
+# A step is this share of what the residuals alone would leave open of the parameter.
+_SHARE = 0.5
+# A derivative whose two steps differ by more than this share of it is not trustworthy [1].
+TRUSTED = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Jacobian:
+    """Derivatives of weighted residuals at one point.
+
+    Parameters
+    ----------
+    values : (m, n) array
+        By the unit cube's coordinates, extrapolated to step 0 (Richardson) where both steps agree.
+    residuals : (m,) array
+        At the point itself.
+    steps : (n,) array
+        The larger step [unit cube].
+    doubt : (n,) array
+        Share by which the derivative changes when the step is halved [1].
+    by_trial : (n, T) array
+        The same for each trial's own residuals, as a share of the whole derivative [1].
+    """
+
+    values: FloatArray
+    residuals: FloatArray
+    steps: FloatArray
+    doubt: FloatArray
+    by_trial: FloatArray
+
+    @property
+    def trusted(self) -> NDArray[np.bool_]:
+        """(n,) True where halving the step changes the derivative by less than a tenth."""
+        return np.asarray(self.doubt < TRUSTED, dtype=np.bool_)
+
+
+def jacobian(problem: Problem, point: FloatArray, scale: FloatArray, noise: float = 1.0) -> Jacobian:
+    """Return the derivatives at a point of the unit cube.
+
+    Parameters
+    ----------
+    problem : Problem
+    point : (n,) array
+    scale : (m,) array
+        What weights the residuals, see `sysid.trust.problem.scales`.
+    noise : float
+        Standard deviation that a sum of squares of weighted residuals is judged by, to choose the steps [1].
+
+    Notes
+    -----
+    ``J = (4 J(h/2) - J(h))/3``. The step is half of the standard deviation that the parameter would have if
+    all others were known, because smaller differences are lost in the integration's own error.
+    """
+    n = len(point)
+    steps = np.full(n, _FIRST)
+    _, first = _differences(problem, point, scale, steps)
+    steps = np.clip(_SHARE * noise / np.maximum(np.linalg.norm(first, axis=0), 1e-30), _LEAST, _LARGEST)
+    residuals, coarse = _differences(problem, point, scale, steps)
+    _, fine = _differences(problem, point, scale, steps / 2)
+    size = np.maximum(np.linalg.norm(fine, axis=0), 1e-30)
+    changed = fine - coarse
+    # The error of a central difference goes with h²: halving the step takes three quarters of it away.
+    doubt = np.linalg.norm(changed, axis=0) / size
+    values = np.where(doubt < 3 * TRUSTED, (4 * fine - coarse) / 3, fine)
+    by_trial = np.zeros((n, len(problem.trials)))
+    for block in problem.blocks:
+        part = changed[block.start : block.stop]
+        by_trial[:, block.trial] += np.sum(part**2, axis=0)
+    return Jacobian(values, residuals, steps, doubt, np.sqrt(by_trial) / size[:, None])
+
+
+def _differences(
+    problem: Problem, point: FloatArray, scale: FloatArray, steps: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return residuals (m,) and central differences (m, n); one-sided at the cube's faces."""
+    n = len(point)
+    up = np.minimum(point + steps, 1.0)
+    down = np.maximum(point - steps, 0.0)
+    points = np.tile(point, (2 * n + 1, 1))
+    points[1 : n + 1][np.diag_indices(n)] = up
+    points[n + 1 :][np.diag_indices(n)] = down
+    values, failed = problem.residuals(points)
+    values = values * scale
+    out = np.zeros((values.shape[1], n))
+    for i in range(n):
+        high, low = 1 + i, 1 + n + i
+        # A point that cannot be simulated lends no difference; the point itself takes its place.
+        high, low = (0 if failed[high] else high), (0 if failed[low] else low)
+        width = points[high, i] - points[low, i]
+        if width > 0:
+            out[:, i] = (values[high] - values[low]) / width
+    return values[0], out

@@ -1,0 +1,272 @@
+"""Profile likelihood: hold one parameter beside its best value, fit all others anew, see what it costs.
+
+The deviance of a held value is the rise of the least sum of squares over the best one, divided by the
+inflation of that parameter (`sysid.trust.fisher`): then it follows chi-square with one degree of freedom
+(Kent 1982). Values below 0.99 lie in the 68 % interval, below 3.84 in the 95 % one. An interval whose
+deviance stays below the limit up to a bound of the search is open there: the data do not end it.
+
+All parameters walk outward at the same time, both sides of each a front; every point starts where the last
+one ended, moved along the tangent of the valley.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.parameters import SearchSpace
+from sysid.trust.fisher import CHI2, Information
+from sysid.trust.least_squares import search_around, solve
+from sysid.trust.problem import Problem
+
+FloatArray = NDArray[np.float64]
+
+# Square roots of the deviance that the points of a profile aim at.
+_AIMS = (0.5, 1.0, 1.5, 1.96, 2.5)
+# A profile ends when its deviance exceeds this, or at a bound.
+_ENOUGH = 4.6
+_MOST_POINTS = 14
+# From one point to the next, at most [unit cube]; how much farther than the last step a flat valley is
+# walked.
+_FARTHEST, _STRETCH = 0.15, 2.0
+# A point this much above both of its neighbours is a bump of a rough cost, not a valley's wall [deviance].
+_BUMP = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Deviance over one parameter, all others fitted anew.
+
+    Parameters
+    ----------
+    name, unit : str
+    values : (k,) array
+        Held values, ascending [SI].
+    deviance : (k,) array
+        Follows chi-square with one degree of freedom where the value is true [1].
+    others : (k, n) array
+        All free parameters at each point, in the order of the space [SI].
+    best : float
+        Where the deviance is 0 [SI].
+    low_68, high_68, low_95, high_95 : float
+        Ends of the intervals [SI]; a bound of the search where open.
+    open_68, open_95 : (bool, bool)
+        Whether the lower and the upper end are open: the data do not end the interval inside the bounds.
+    rough : int
+        Points of which the least cost was found by CMA-ES, because derivatives led nowhere.
+    """
+
+    name: str
+    unit: str
+    values: FloatArray
+    deviance: FloatArray
+    others: FloatArray
+    best: float
+    interval_68: tuple[float, float]
+    interval_95: tuple[float, float]
+    open_68: tuple[bool, bool]
+    open_95: tuple[bool, bool]
+    rough: int
+
+    @property
+    def half_width(self) -> float:
+        """Half of the 95 % interval over the best value [1]; infinite where an end is open."""
+        if any(self.open_95) or self.best == 0.0:
+            return float("inf")
+        return (self.interval_95[1] - self.interval_95[0]) / 2 / abs(self.best)
+
+
+@dataclass(frozen=True, eq=False)
+class Profiles:
+    """All profiles, and the best point that they found.
+
+    Parameters
+    ----------
+    profiles : tuple of Profile
+        In the order of the space.
+    best : (n,) array
+        Lowest point [unit cube].
+    lowered : float
+        By how much a profile's point lies below the start, as deviance [1]; 0 where none does.
+    evaluations : int
+        Points simulated.
+    """
+
+    profiles: tuple[Profile, ...]
+    best: FloatArray
+    lowered: float
+    evaluations: int
+
+
+@dataclass(eq=False)
+class _Side:
+    """One parameter walking one way."""
+
+    parameter: int
+    sign: float
+    points: list[FloatArray]
+    squares: list[float]
+    aims: list[float]
+    done: bool = False
+    rough: int = 0
+
+
+def walk_profiles(
+    problem: Problem,
+    best: FloatArray,
+    scale: FloatArray,
+    steps: FloatArray,
+    info: Information,
+    *,
+    seed: int = 0,
+) -> Profiles:
+    """Walk every free parameter through what the data leave open of it.
+
+    Parameters
+    ----------
+    problem : Problem
+    best : (n,) array
+        The minimum of the sum of squares [unit cube].
+    scale : (m,) array
+        Weights of the residuals.
+    steps : (n,) array
+        Of difference Jacobians [unit cube].
+    info : Information
+        At the minimum.
+    seed : int
+        Of the CMA-ES that takes over where the cost is rough.
+    """
+    n = len(best)
+    values, _ = problem.residuals(best[None])
+    lowest = float(np.sum((values[0] * scale) ** 2))
+    sides = [_Side(i, sign, [best], [lowest], list(_AIMS)) for i in range(n) for sign in (-1.0, 1.0)]
+    curvature = info.curvature + 1e-12 * np.trace(info.curvature) * np.eye(n)
+    inverse = np.linalg.inv(curvature)
+    tangent = inverse / np.diag(inverse)
+    # Deviance 1 lies here where the cost is quadratic.
+    unit = np.sqrt(np.diag(inverse) * info.inflation)
+    evaluations = 1
+    for side in sides:
+        i = side.parameter
+        if best[i] <= 0.0 if side.sign < 0 else best[i] >= 1.0:
+            side.done = True
+    for _ in range(_MOST_POINTS):
+        moving = [side for side in sides if not side.done]
+        if not moving:
+            break
+        starts = np.empty((len(moving), n))
+        held = np.zeros((len(moving), n), dtype=np.bool_)
+        for f, side in enumerate(moving):
+            starts[f] = _next(side, best, unit, tangent, info, lowest)
+            held[f, side.parameter] = True
+        tolerance = 0.02 * float(np.min(info.inflation))
+        found = solve(problem, starts, scale, steps, held=held, tolerance=tolerance, iterations=6)
+        evaluations += found.evaluations
+        for f, side in enumerate(moving):
+            i = side.parameter
+            point, squares = found.points[f], float(found.squares[f])
+            last = side.squares[-1]
+            aimed = (abs(point[i] - best[i]) / unit[i]) ** 2
+            bumped = (squares - last) / info.inflation[i] > max(_BUMP, 2.0 * aimed)
+            if not np.isfinite(squares) or (bumped and not found.converged[f]):
+                around = np.clip(3 * steps, 1e-3, 0.05)
+                again, lower, spent = search_around(
+                    problem, starts[f], around, scale, held[f], seed + 2 * i + (side.sign > 0)
+                )
+                evaluations += spent
+                if lower < squares:
+                    point, squares = again, lower
+                side.rough += 1
+            side.points.append(point)
+            side.squares.append(squares)
+            deviance = (squares - lowest) / info.inflation[i]
+            # A jump far beyond the limit leaves its crossing unknown: one more point half way.
+            if point[i] in (0.0, 1.0) or deviance > _ENOUGH:
+                side.done = True
+    least = min(min(side.squares) for side in sides)
+    lowered = 0.0
+    if least < lowest:
+        winner = min(sides, key=lambda side: min(side.squares))
+        best = winner.points[int(np.argmin(winner.squares))]
+        lowered = (lowest - least) / float(info.inflation[winner.parameter])
+    out = []
+    for i in range(n):
+        both = [side for side in sides if side.parameter == i]
+        out.append(_profile(problem.space, i, both, least, float(info.inflation[i])))
+    return Profiles(tuple(out), best, lowered, evaluations)
+
+
+def _next(
+    side: _Side, best: FloatArray, unit: FloatArray, tangent: FloatArray, info: Information, lowest: float
+) -> FloatArray:
+    """Return the start of a side's next point: a little farther out, the others along the valley."""
+    i = side.parameter
+    here = side.points[-1]
+    reached = np.sqrt(max((side.squares[-1] - lowest) / info.inflation[i], 0.0))
+    gone = abs(here[i] - best[i])
+    while side.aims and side.aims[0] <= 1.05 * reached:
+        side.aims.pop(0)
+    aim = side.aims[0] if side.aims else np.sqrt(_ENOUGH) * 1.1
+    # How far the deviance has come so far says how far the next one lies.
+    slope = unit[i] if gone == 0.0 or reached < 0.1 else gone / reached
+    step = (aim - reached) * slope
+    step = min(step, _FARTHEST, max(_STRETCH * gone, unit[i]))
+    place = np.clip(here[i] + side.sign * max(step, 1e-4), 0.0, 1.0)
+    moved = place - here[i]
+    if len(side.points) > 1:
+        before = side.points[-2]
+        direction = (here - before) / (here[i] - before[i])
+    else:
+        direction = tangent[:, i]
+    start = np.clip(here + np.clip(moved * direction, -0.2, 0.2), 0.0, 1.0)
+    start[i] = place
+    return start
+
+
+def _profile(space: SearchSpace, i: int, sides: list[_Side], least: float, inflation: float) -> Profile:
+    points = np.array([*sides[0].points[:0:-1], *sides[1].points])
+    squares = np.array([*sides[0].squares[:0:-1], *sides[1].squares])
+    order = np.argsort(points[:, i], kind="stable")
+    points, squares = points[order], squares[order]
+    deviance = np.maximum((squares - least) / inflation, 0.0)
+    centre = int(np.argmin(deviance))
+    ends: dict[float, list[float]] = {}
+    opened: dict[float, list[bool]] = {}
+    for level, limit in CHI2.items():
+        ends[level], opened[level] = [], []
+        for outward in (range(centre, -1, -1), range(centre, len(points))):
+            end = _crossing(points[:, i], deviance, list(outward), limit)
+            opened[level].append(end is None)
+            bound = 0.0 if outward.step < 0 else 1.0
+            ends[level].append(bound if end is None else end)
+    row = space.free[i]
+
+    def value(place: float) -> float:
+        cube = np.full(len(space.free), 0.5)
+        cube[i] = place
+        return float(space.decode(cube)[i])
+
+    decoded = space.decode(points)
+    return Profile(
+        row.name, row.unit, decoded[:, i], deviance, decoded, float(decoded[centre, i]),
+        (value(ends[0.68][0]), value(ends[0.68][1])), (value(ends[0.95][0]), value(ends[0.95][1])),
+        (opened[0.68][0], opened[0.68][1]), (opened[0.95][0], opened[0.95][1]),
+        sum(side.rough for side in sides),
+    )  # fmt: skip
+
+
+def _crossing(place: FloatArray, deviance: FloatArray, outward: list[int], limit: float) -> float | None:
+    """Return where the deviance exceeds a limit for good, between points by its square root."""
+    above = [deviance[k] > limit for k in outward]
+    if not any(above):
+        return None
+    # The outermost point below the limit: a bump inside does not end an interval.
+    inside = max((j for j, high in enumerate(above) if not high), default=0)
+    if inside + 1 >= len(outward):
+        return None
+    a, b = outward[inside], outward[inside + 1]
+    low, high = np.sqrt(deviance[a]), np.sqrt(deviance[b])
+    share = (np.sqrt(limit) - low) / (high - low)
+    return float(place[a] + share * (place[b] - place[a]))
