@@ -96,13 +96,14 @@ def information(jacobian: FloatArray, gradient_noise: FloatArray) -> Information
     # Directions that the data do not see at all would make the inverse infinite.
     inverse = np.linalg.pinv(hessian + 1e-12 * np.eye(n), hermitian=True)
     sandwich = inverse @ noise @ inverse
-    inflation = np.maximum(np.diag(sandwich), 1e-300) / np.maximum(np.diag(inverse), 1e-300)
-    return Information(curvature, gradient_noise, covariance, inflation)
+    rise = np.maximum(np.diag(sandwich), 1e-300) / np.maximum(np.diag(inverse), 1e-300)
+    return Information(curvature, gradient_noise, np.asarray(covariance, dtype=np.float64), rise)
 
 
 def _positive(matrix: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
-    return (vectors * np.maximum(values, 1e-12 * max(float(values.max()), 1e-300))) @ vectors.T
+    floor = 1e-12 * max(float(values.max()), 1e-300)
+    return np.asarray((vectors * np.maximum(values, floor)) @ vectors.T, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)

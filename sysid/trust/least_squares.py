@@ -57,7 +57,7 @@ def solve(
     scale: FloatArray,
     steps: FloatArray,
     *,
-    held: FloatArray | None = None,
+    held: BoolArray | None = None,
     weights: Callable[[slice], FloatArray] | None = None,
     tolerance: float = 1e-3,
     iterations: int = 12,

@@ -143,10 +143,10 @@ def write_part(
             dataset = file.create_dataset(path, data=data, **packed)
             dataset.attrs["axes"], dataset.attrs["unit"] = axes, unit
     text = exact_json.dumps(whole) + "\n"
-    path = folder / f"{part}.json"
+    target = folder / f"{part}.json"
     write_file(folder / f"{part}.h5", numbers.getvalue(), FitError)
-    write_file(path, text.encode("utf-8"), FitError)
-    return path
+    write_file(target, text.encode("utf-8"), FitError)
+    return target
 
 
 def read_part(folder: Path, part: str) -> dict[str, Any] | None:
