@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sysid.inspection.advice import unit_advice
 from sysid.recording import Channel, FloatArray, Recording
 from sysid.trials.thrust import Stall, command_steps, find_stalls
 
@@ -99,16 +100,18 @@ def _suspicions(recording: Recording, report: BenchReport) -> list[str]:
     found = []
     if report.top_speed > _FASTEST:
         found.append(
-            f"speed reaches {report.top_speed:.4g} rad/s, faster than any such motor: probably rpm; declare "
-            'units = {speed = "rpm"}'
+            f"speed reaches {report.top_speed:.4g} rad/s, faster than any such motor: probably rpm; "
+            + unit_advice(recording, "speed", "rpm")
         )
     elif report.top_speed == 0.0:
         found.append("speed is zero throughout: the probe was off or saw no mark")
     largest = _largest(channels.get("thrust"))
     if largest > _STRONGEST:
-        found.append(f'thrust reaches {largest:.4g} N: probably grams; declare units = {{thrust = "gf"}}')
+        found.append(
+            f"thrust reaches {largest:.4g} N: probably grams; {unit_advice(recording, 'thrust', 'gf')}"
+        )
     if _largest(channels.get("torque")) > _LARGEST_TORQUE:
-        found.append("torque exceeds 100 N·m: probably mN·m; declare its unit")
+        found.append(f"torque exceeds 100 N·m: probably mN·m; {unit_advice(recording, 'torque', 'mN*m')}")
     for name, rest, unit in (
         ("thrust", report.rest_thrust, "N"), ("torque", report.rest_torque, "N·m"),
     ):  # fmt: skip

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sysid.inspection.advice import length_advice
 from sysid.inspection.bench import BenchReport, inspect_bench
 from sysid.inspection.channels import ChannelReport, inspect_channel, without_clock
 from sysid.inspection.drop import STANDARD_GRAVITY, DropReport, inspect_drop
@@ -17,6 +18,8 @@ from sysid.recording import Recording
 _FARTHEST = 100.0
 _WRONG_GRAVITY = 0.03
 _CROOKED = np.radians(5.0)
+# Units of a drop's report as an option says them.
+_WRITTEN = {"inches": "inch", "feet": "foot", "metres, read as mm": "m"}
 
 
 @dataclass(frozen=True)
@@ -122,11 +125,16 @@ def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: 
     ]
     name, distance = max(far, key=lambda one: one[1], default=("", 0.0))
     if distance > _FARTHEST and (drop is None or not drop.length_unit):  # one unit is suspected, not two
-        found.append(f'{name} reaches {distance:.4g} m: lengths are probably mm; declare length_unit = "mm"')
+        found.append(
+            f"{name} reaches {distance:.4g} m: lengths are probably mm; {length_advice(recording, 'mm')}"
+        )
     if drop is None:
         return found
     if drop.length_unit:
-        found.append(f"{drop.body} falls as if lengths were in {drop.length_unit}; declare length_unit")
+        unit = _WRITTEN.get(drop.length_unit, drop.length_unit)
+        found.append(
+            f"{drop.body} falls as if lengths were in {drop.length_unit}; {length_advice(recording, unit)}"
+        )
         return found
     # 3 % over a flight of 0.2 s is a few sample errors; shorter flights tell g worse.
     flight = drop.touchdown - (drop.release if drop.release is not None else drop.touchdown - 0.1)

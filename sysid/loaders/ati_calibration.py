@@ -159,7 +159,10 @@ def tare_offset(path: str, values: FloatArray, time: FloatArray, tare: object) -
         When `tare` is no positive time or holds no sample.
     """
     if isinstance(tare, bool) or not isinstance(tare, int | float) or not np.isfinite(tare) or tare <= 0:
-        raise LogError(f"{path}: tare = {tare!r}; expected seconds at the start of the log without load")
+        raise LogError(
+            f"{path}: tare = {tare!r}; expected seconds at the start of the log without load, or with their "
+            'unit: tare = "1 s"'
+        )
     first = time < time[0] + float(tare)
     seen = np.isfinite(values[first])
     if not seen.any(axis=0).all():

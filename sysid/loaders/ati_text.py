@@ -16,7 +16,7 @@ import numpy as np
 
 from sysid.errors import LogError, UnitError
 from sysid.loaders.ati_calibration import AXES, motor_transform, read_calibration, tare_offset
-from sysid.loaders.clock import jitter_note, order_rows, positive_rate, rate_clock
+from sysid.loaders.clock import DECLARE_RATE, jitter_note, order_rows, positive_rate, rate_clock
 from sysid.loaders.load_cell import quantity_channel
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE, LogFormat
 from sysid.loaders.source import Source
@@ -226,7 +226,7 @@ def read(
     if seconds is not None and not lead:
         raise UnitError(f"{path}: units names a time, but rows hold six numbers and no time; leave it out")
     if lead and rate is None:
-        time, said = order_rows(path, numbers, 0, seconds or 1.0, time_back=time_back)
+        time, said = order_rows(path, numbers, 0, seconds or 1.0, time_back=time_back, coarse=DECLARE_RATE)
         if seconds is None:
             _check_steps(path, time)
             notes.append("the first of seven columns is taken as the time in seconds, which no label says")

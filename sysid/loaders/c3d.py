@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import LogError, UnitError
-from sysid.loaders.clock import positive_rate
+from sysid.loaders.clock import known_rate
 from sysid.loaders.columns import listing
 from sysid.loaders.motion_capture import body_channels, continuous_quaternions, wanted_bodies
 from sysid.loaders.optional import library
@@ -105,12 +105,19 @@ def _open(source: Source) -> Any:
     return file
 
 
+def _rate(path: str, stated: Any) -> float:
+    try:
+        return known_rate(float(stated))
+    except ValueError:
+        raise LogError(f"{path}: states {stated!r} frames per second; export it again") from None
+
+
 def _marker_channels(path: str, file: Any, length_unit: str | None, notes: list[str]) -> dict[str, Channel]:
     parameters, points = file["parameters"], file["data"]["points"]
     count, frames = points.shape[1], points.shape[2]
     if not count or not frames:
         return {}
-    rate = positive_rate(path, float(file["header"]["points"]["frame_rate"]))
+    rate = _rate(path, file["header"]["points"]["frame_rate"])
     scale = _length_factor(path, _values(parameters, "POINT", "UNITS"), length_unit)
     residual = file["data"]["meta_points"]["residuals"][0]
     time = (float(file["header"]["points"]["first_frame"]) + np.arange(frames)) / rate
@@ -137,7 +144,7 @@ def _rotation_channels(path: str, file: Any, length_unit: str | None, notes: lis
         return {}
     parameters = file["parameters"]
     rates = _values(parameters, "ROTATION", "RATE") or [file["header"]["points"]["frame_rate"]]
-    rate = positive_rate(path, float(rates[0]))
+    rate = _rate(path, rates[0])
     units = _values(parameters, "POINT", "UNITS")
     scale = _length_factor(path, units, length_unit)
     first = float(file["header"]["points"]["first_frame"]) / float(
@@ -238,7 +245,10 @@ def read(
     if not channels:
         raise LogError(f"{path}: holds neither points nor rotations nor analog samples; the capture is empty")
     maker = [str(one) for one in _values(file["parameters"], "MANUFACTURER", "COMPANY")]
-    options = {"rigid_body": rigid_body, "bodies": bodies, "length_unit": length_unit}
+    stated_unit = any(str(unit).strip() for unit in _values(file["parameters"], "POINT", "UNITS"))
+    options = {
+        "rigid_body": rigid_body, "bodies": bodies, "length_unit": None if stated_unit else length_unit,
+    }  # fmt: skip
     return Recording(
         "motion-capture",
         channels,

@@ -11,8 +11,18 @@ from sysid.recording import BoolArray, FloatArray
 
 # A logger leaves at most this many samples of an earlier run at the start of a file.
 _STALE_ROWS = 2
+# What to do about times that repeat: in general, and where the format takes a rate.
+EXPORT_FINER = "export the log again with finer times"
+DECLARE_RATE = "declare the sample rate with rate = ..."
 # Rows that a line through times and frame numbers needs, and the median delay that it may leave [s].
 _FEWEST_FRAMES, _LONGEST_DELAY = 10, 0.1
+
+
+def known_rate(rate: object) -> float:
+    """Return a sample rate [Hz] that a file states; ValueError when it is not a positive, finite number."""
+    if isinstance(rate, bool) or not isinstance(rate, int | float) or not np.isfinite(rate) or rate <= 0:
+        raise ValueError(f"{rate!r} is no sample rate")
+    return float(rate)
 
 
 def positive_rate(path: str, rate: object) -> float:
@@ -23,11 +33,12 @@ def positive_rate(path: str, rate: object) -> float:
     LogError
         When it is not a positive, finite number.
     """
-    if isinstance(rate, bool) or not isinstance(rate, int | float) or not np.isfinite(rate) or rate <= 0:
+    try:
+        return known_rate(rate)
+    except ValueError:
         raise LogError(
             f"{path}: rate = {rate!r} is no sample rate; expected samples per second, e.g. rate = 10000"
-        )
-    return float(rate)
+        ) from None
 
 
 def _stale_start(time: FloatArray) -> int:
@@ -46,6 +57,7 @@ def order_rows(
     *,
     stale_start: bool = False,
     time_back: str = "",
+    coarse: str = EXPORT_FINER,
 ) -> tuple[FloatArray, list[str]]:
     """Return strictly increasing times [s] and notes; `numbers` keeps only the rows they belong to.
 
@@ -66,6 +78,8 @@ def order_rows(
     time_back : str
         ``"drop"`` leaves out rows whose time is not beyond the latest; ``"refuse"`` (and the empty text, of a
         format without that option) refuses a falling time.
+    coarse : str
+        What to do about a clock that repeats its times: a format with an option for it names that.
 
     Raises
     ------
@@ -111,7 +125,7 @@ def order_rows(
             raise LogError(
                 f"{path}, {numbers.row_word} {numbers.lines[row + 1]}: {int(repeats.sum())} of "
                 f"{time.size} rows repeat the time of the row before, "
-                "so the clock is too coarse; declare the sample rate with rate = ..."
+                f"so the clock is too coarse; {coarse}"
             )
         last: BoolArray = np.append(~repeats, True)
         notes.append(
@@ -124,7 +138,14 @@ def order_rows(
 
 
 def frame_clock(
-    path: str, numbers: Numbers, frame_column: int, time_column: int, factor: float, *, time_back: str = ""
+    path: str,
+    numbers: Numbers,
+    frame_column: int,
+    time_column: int,
+    factor: float,
+    *,
+    other_clock: str = "time",
+    time_back: str = "",
 ) -> tuple[FloatArray, list[str]]:
     """Return times [s] rebuilt from frame numbers, and notes, where the written ones are times of arrival.
 
@@ -141,6 +162,8 @@ def frame_clock(
         Columns of the frame numbers and of the written times.
     factor : float
         From the time column's unit to seconds.
+    other_clock : str
+        The clock of the format to choose where the frame numbers are of no use.
     time_back : str
         As for `order_rows`, of the frame numbers.
 
@@ -164,7 +187,7 @@ def frame_clock(
         raise LogError(
             f"{path}, {numbers.row_word} {numbers.lines[row]}: frame {frames[row]:.0f} should be at "
             f"{time[row]:.6g} s but the time column says {written[row]:.6g} s; the two columns do not belong "
-            'together, so choose clock = "time"'
+            f'together, so choose clock = "{other_clock}"'
         )
     notes.append(
         f"time rebuilt from frame numbers at {1 / period:.6g} Hz: the written times lie "

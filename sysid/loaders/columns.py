@@ -85,6 +85,13 @@ def listing(names: Iterable[str]) -> str:
     return (f"{shown} and {len(names) - 12} more" if len(names) > 12 else shown) or "none"
 
 
+def unread_note(columns: Iterable[Column], read: Iterable[Column]) -> list[str]:
+    """Return a note that names the columns of a header that are not read, so that none is missed."""
+    known = {column.index for column in read}
+    left = [column.label for column in columns if column.index not in known and column.label.strip()]
+    return [f"columns not read: {listing(left)}"] if left else []
+
+
 def find_column(path: str, columns: Sequence[Column], stems: Collection[str]) -> Column | None:
     """Return the column whose stem is one of `stems`, or None.
 

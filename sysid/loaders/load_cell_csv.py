@@ -16,8 +16,15 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import LogError
-from sysid.loaders.clock import jitter_note, order_rows, positive_rate, rate_clock
-from sysid.loaders.columns import DeclaredUnits, find_column, listing, missing_column, parse_header
+from sysid.loaders.clock import DECLARE_RATE, jitter_note, order_rows, positive_rate, rate_clock
+from sysid.loaders.columns import (
+    DeclaredUnits,
+    find_column,
+    listing,
+    missing_column,
+    parse_header,
+    unread_note,
+)  # fmt: skip
 from sysid.loaders.load_cell import (
     BESIDE,
     CELL_AXES,
@@ -130,7 +137,7 @@ def read(
         notes.append(f"time rebuilt from the declared rate of {rate:g} Hz")
     else:
         assert clock is not None
-        time, said = order_rows(path, numbers, clock.index, seconds, time_back=time_back)
+        time, said = order_rows(path, numbers, clock.index, seconds, time_back=time_back, coarse=DECLARE_RATE)
         notes += [*said, *jitter_note(time)]
     channels = {}
     if command:
@@ -152,6 +159,7 @@ def read(
             f"column {pulses.label!r} looks like the pulses of a tachometer and was left out; "
             "declare pulses_per_revolution to get the speed"
         )
+    notes += unread_note(header, [*wanted, *([pulses] if pulses is not None else [])])
     options: dict[str, Any] = {
         "rate": rate, "units": units, "columns": columns, "pulses_per_revolution": pulses_per_revolution,
     }  # fmt: skip

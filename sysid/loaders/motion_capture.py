@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sysid.errors import LogError
+from sysid.errors import LogError, UnitError
 from sysid.loaders.columns import listing
 from sysid.loaders.table import Numbers
 from sysid.recording import Channel, FloatArray
+from sysid.units import factor_to_si
 
 EULER_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
 # Logs print quaternions to two decimals or more; a length further from 1 means wrong columns or a damaged
@@ -101,6 +102,20 @@ def body_channels(
         f"{name}/position": Channel(f"{name}/position", "m", time, position),
         f"{name}/orientation": Channel(f"{name}/orientation", "1", time, orientation),
     }
+
+
+def declared_length(path: str, declared: str | None, default: str = "m") -> float:
+    """Return the factor to metres of a declared length unit, or of the one that the format means.
+
+    Raises
+    ------
+    UnitError
+        When it is no unit of length.
+    """
+    try:
+        return factor_to_si(default if declared is None else str(declared), "m")
+    except UnitError as error:
+        raise UnitError(f"{path}: length_unit: {error}") from error
 
 
 def wanted_bodies(path: str, names: Sequence[str], wanted: str | Sequence[str] | None) -> tuple[str, ...]:

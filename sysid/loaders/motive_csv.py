@@ -21,7 +21,7 @@ import numpy as np
 
 from sysid.errors import LogError, UnitError
 from sysid.loaders.clock import jitter_note, order_rows
-from sysid.loaders.columns import listing
+from sysid.loaders.columns import listing, parse_header, unread_note
 from sysid.loaders.motion_capture import (
     EULER_ORDERS,
     body_channels,
@@ -301,7 +301,9 @@ def read(
     del text  # the file's bytes are not needed any more
     notes = numbers.notes
     time, said = _clock(path, header, numbers, clock)
-    notes += said
+    own = {index for asset in header.assets for part in asset.parts.values() for index in part.values()}
+    named = parse_header(header.table.names)
+    notes += [*said, *unread_note(named, [one for one in named if one.index in own | wanted])]
 
     channels: dict[str, Channel] = {}
 
@@ -348,7 +350,7 @@ def read(
     options = {
         "rigid_body": rigid_body,
         "euler_order": euler_order,
-        "length_unit": length_unit,
+        "length_unit": None if header.settings.get("Length Units") else length_unit,
         "clock": clock,
     }
     return Recording(

@@ -3,8 +3,8 @@
     info,version,1.1
     frame,INDEX,TIME,BODIES,(ID,x,y,z,qx,qy,qz,qw,yaw,pitch,roll)...,MARKERS,(x,y,z,ID,NAME)...
 
-Lengths are metres, axes right-handed as the file must say; a missing point is written ``NAN`` or left out.
-Ignores yaw, pitch and roll, which repeat the quaternion.
+Lengths are metres unless declared, axes right-handed as the file must say; a missing point is written
+``NAN`` or left out. Ignores yaw, pitch and roll, which repeat the quaternion.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from sysid.errors import LogError
 from sysid.loaders.clock import order_rows
 from sysid.loaders.columns import listing
-from sysid.loaders.motion_capture import body_channels, unit_quaternions, wanted_bodies
+from sysid.loaders.motion_capture import body_channels, declared_length, unit_quaternions, wanted_bodies
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers
@@ -130,7 +130,12 @@ def _frames(text: Text, notes: list[str]) -> _Frames:
     return frames
 
 
-def read(source: Source, *, rigid_body: str | Sequence[str] | None = None) -> Recording:
+def read(
+    source: Source,
+    *,
+    rigid_body: str | Sequence[str] | None = None,
+    length_unit: str | None = None,
+) -> Recording:
     """Read a CSV of version 1.1.
 
     Parameters
@@ -139,6 +144,8 @@ def read(source: Source, *, rigid_body: str | Sequence[str] | None = None) -> Re
         The log.
     rigid_body : str or sequence of str, optional
         Bodies to keep, which must be there; markers stay. All by default.
+    length_unit : str, optional
+        Where lengths are not in metres.
 
     Returns
     -------
@@ -151,6 +158,7 @@ def read(source: Source, *, rigid_body: str | Sequence[str] | None = None) -> Re
         One sentence with file, line and cause.
     """
     path = source.path
+    scale = declared_length(path, length_unit)
     text = read_text(source)
     notes = list(text.notes)
     if not _recognize(source):
@@ -177,12 +185,12 @@ def read(source: Source, *, rigid_body: str | Sequence[str] | None = None) -> Re
             if not np.isfinite(values).all(axis=1).any():
                 blank.append(name)
             elif f"{name}/position" not in channels:
-                channels[f"{name}/position"] = Channel(f"{name}/position", "m", time, values)
+                channels[f"{name}/position"] = Channel(f"{name}/position", "m", time, values * scale)
         elif name in kept:
             orientation, said = unit_quaternions(path, name, numbers, values[:, [6, 3, 4, 5]])
             lost = int(np.isnan(orientation[:, 0]).sum())
             notes += [*said, *([f"{name} is lost in {lost} of {time.size} frames"] if lost else [])]
-            channels |= body_channels(name, time, values[:, :3], orientation)
+            channels |= body_channels(name, time, values[:, :3] * scale, orientation)
     if blank:
         notes.append(f"markers never seen, left out: {listing(blank)}")
     if not channels:
@@ -191,7 +199,10 @@ def read(source: Source, *, rigid_body: str | Sequence[str] | None = None) -> Re
         "motion-capture",
         channels,
         source.provenance(
-            _NAME, device="OptiTrack Motive CSV 1.1", options={"rigid_body": rigid_body}, notes=notes
+            _NAME,
+            device="OptiTrack Motive CSV 1.1",
+            options={"rigid_body": rigid_body, "length_unit": length_unit},
+            notes=notes,
         ),
     )
 

@@ -14,20 +14,21 @@ the PC's clock at arrival and is not read.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 import numpy as np
 
 from sysid.errors import LogError, UnitError
 from sysid.loaders.ati_calibration import AXES, motor_transform, tare_offset
-from sysid.loaders.clock import order_rows, positive_rate
+from sysid.loaders.clock import known_rate, order_rows
 from sysid.loaders.columns import listing
 from sysid.loaders.load_cell import quantity_channel
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
 from sysid.loaders.table import TableHead, read_numbers
 from sysid.loaders.table_rows import parse_number
-from sysid.loaders.text import Text, read_text, split_line
+from sysid.loaders.text import Text, read_text, shortened, split_line
 from sysid.recording import Recording
 from sysid.units import factor_to_si
 
@@ -58,8 +59,8 @@ def _header(text: Text) -> tuple[dict[str, str], TableHead]:
 
 def _positive(path: str, stated: Mapping[str, str], key: str) -> float:
     try:
-        return positive_rate(path, parse_number(stated[key]))
-    except (KeyError, ValueError, LogError):
+        return known_rate(parse_number(stated[key]))
+    except (KeyError, ValueError):
         found = f"is {stated[key][:40]!r}" if key in stated else "is missing"
         raise LogError(f'{path}: "{key}" in the header {found}; expected a positive number') from None
 
@@ -71,6 +72,28 @@ def _unit(path: str, stated: Mapping[str, str], key: str, expected: str) -> floa
         return factor_to_si(stated[key], expected)
     except UnitError as error:
         raise UnitError(f"{path}: {key}: {error}") from error
+
+
+def _status_note(text: Text, table: TableHead, known: list[str]) -> list[str]:
+    """Return a note of the rows whose status is not 0: the transducer doubts them (saturated, off its range).
+
+    The word is hexadecimal. What each bit means differs between boxes, so the values are told, not explained.
+    """
+    place = next((index for index, name in enumerate(known) if name.startswith("status")), None)
+    if place is None:
+        return []
+    wrong = re.compile(
+        rb"^(?:[^,\n]*,){%d}[ \t\"]*((?:0[xX])?0*[1-9A-Fa-f][0-9A-Fa-f]*)" % place, re.MULTILINE
+    )
+    found = list(wrong.finditer(text.data, table.offset))
+    if not found:
+        return []
+    first = text.data.count(b"\n", 0, found[0].start()) + 1
+    words = listing(dict.fromkeys(shortened(one[1].decode(), 20) for one in found))
+    return [
+        f"rows with a status other than 0: {len(found)} (first: line {first}; {words}); the "
+        "transducer reports an error or an overload there, so check them"
+    ]
 
 
 def read(
@@ -121,8 +144,8 @@ def read(
     places = [known.index(axis.casefold()) for axis in AXES]
     sequence = known.index(_SEQUENCE)
     numbers = read_numbers(text, table, [sequence, *places], least=max(sequence, *places) + 1)
+    notes = [*numbers.notes, *_status_note(text, table, known)]
     del text  # the file's bytes are not needed any more
-    notes = numbers.notes
     counted = numbers.columns[sequence]
     first = counted[np.isfinite(counted)][:1]
     if not first.size:

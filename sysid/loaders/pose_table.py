@@ -19,8 +19,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sysid.errors import LogError, UnitError
-from sysid.loaders.clock import frame_clock, jitter_note, order_rows
-from sysid.loaders.columns import Column, DeclaredUnits, find_column, listing, missing_column, parse_header
+from sysid.loaders.clock import EXPORT_FINER, frame_clock, jitter_note, order_rows
+from sysid.loaders.columns import (
+    Column,
+    DeclaredUnits,
+    find_column,
+    listing,
+    missing_column,
+    parse_header,
+    unread_note,
+)  # fmt: skip
 from sysid.loaders.motion_capture import body_channels, unit_quaternions
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE, LogFormat
 from sysid.loaders.source import Source
@@ -187,9 +195,10 @@ def read(
             factor_to_si(length_unit, "m")
         except UnitError as error:
             raise UnitError(f"{path}: length_unit: {error}") from error
-    scale = []
+    scale, lengths_stated = [], True
     for axis in "xyz":
         stated = declared.unit_of(position[axis], axis)
+        lengths_stated = lengths_stated and stated is not None
         if stated is None and length_unit is None:
             raise UnitError(
                 f"{path}: position columns {listing(position[a].label for a in 'xyz')} state no unit; "
@@ -222,8 +231,9 @@ def read(
     if frame is not None and clock == "frame":
         time, said = frame_clock(path, numbers, frame.index, stamp.index, seconds, time_back=time_back)
     else:
-        time, said = order_rows(path, numbers, stamp.index, seconds, time_back=time_back)
-    notes += said
+        coarse = EXPORT_FINER if frame is None else 'choose clock = "frame"'
+        time, said = order_rows(path, numbers, stamp.index, seconds, time_back=time_back, coarse=coarse)
+    notes += [*said, *unread_note(header, wanted)]
     if stated_time is None:
         step = float(np.median(np.diff(time))) if time.size > 1 else 0.0
         if step > _LONGEST_STEP:
@@ -249,7 +259,7 @@ def read(
         notes.append("angular velocity as written: the file does not say in which frame")
     options = {
         "quaternion_order": quaternion_order,
-        "length_unit": length_unit,
+        "length_unit": None if lengths_stated else length_unit,
         "units": units,
         "columns": columns,
         "rigid_body": None if rigid_body == "body" else rigid_body,

@@ -14,10 +14,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sysid.errors import LogError, UnitError
-from sysid.loaders.clock import order_rows, positive_rate, rate_clock
+from sysid.errors import LogError
+from sysid.loaders.clock import known_rate, order_rows, rate_clock
 from sysid.loaders.columns import listing
-from sysid.loaders.motion_capture import body_channels, continuous_quaternions, wanted_bodies
+from sysid.loaders.motion_capture import (
+    body_channels,
+    continuous_quaternions,
+    declared_length,
+    wanted_bodies,
+)
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.rigid_pose import marker_bodies, pose_from_markers
 from sysid.loaders.source import Source
@@ -25,7 +30,6 @@ from sysid.loaders.table import Numbers, TableHead, read_numbers
 from sysid.loaders.table_rows import parse_number
 from sysid.loaders.text import Text, read_text
 from sysid.recording import Channel, FloatArray, Recording
-from sysid.units import factor_to_si
 
 _NAME = "qualisys-tsv"
 _FIRST = "NO_OF_FRAMES"
@@ -66,8 +70,8 @@ def _header(text: Text) -> tuple[dict[str, list[str]], int, int, bool]:
 
 def _stated(path: str, keys: Mapping[str, list[str]], key: str) -> float:
     try:
-        return positive_rate(path, float(keys[key][0]))
-    except (KeyError, IndexError, ValueError, LogError):
+        return known_rate(parse_number(keys[key][0].replace(",", ".")))
+    except (KeyError, IndexError, ValueError):
         raise LogError(f"{path}: the header states no {key}; export it with the header") from None
 
 
@@ -171,10 +175,7 @@ def read(
     included = (keys.get("DATA_INCLUDED") or [""])[0].upper()
     if included not in ("3D", "6D"):
         raise LogError(f"{path}: DATA_INCLUDED is {included[:40]!r}; export 3D or 6D data")
-    try:
-        scale = factor_to_si(str(length_unit or "mm"), "m")
-    except UnitError as error:
-        raise UnitError(f"{path}: length_unit: {error}") from error
+    scale = declared_length(path, length_unit, "mm")
     names = _names(path, keys, "MARKER_NAMES" if included == "3D" else "BODY_NAMES")
     width = 3 if included == "3D" else _BODY_WIDTH
     lead = 2 if clocked else _lead(text, offset, width * len(names))

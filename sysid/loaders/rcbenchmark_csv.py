@@ -17,7 +17,14 @@ import numpy as np
 
 from sysid.errors import LogError, UnitError
 from sysid.loaders.clock import order_rows
-from sysid.loaders.columns import Column, DeclaredUnits, find_column, missing_column, parse_header
+from sysid.loaders.columns import (
+    Column,
+    DeclaredUnits,
+    find_column,
+    missing_column,
+    parse_header,
+    unread_note,
+)
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
 from sysid.loaders.table import TableHead, find_header, read_numbers, table_head
@@ -43,6 +50,7 @@ _QUANTITIES = {
     "vibration": ("vibration", "m/s^2"),
 }
 _MEASURED = ("torque", "thrust", "speed_electrical", "speed_optical")
+_SPEEDS = (_QUANTITIES["speed_optical"][0], _QUANTITIES["speed_electrical"][0])
 _UNIT_NAMES = {"N*m": "N·m", "m/s^2": "m/s²"}
 _MOST_MESSAGES = 5
 _LARGEST_DSHOT = 2047.0
@@ -91,6 +99,15 @@ def _command_unit(
     return "dshot"
 
 
+def _both_speeds(units: Mapping[str, str] | None, columns: tuple[Column, ...]) -> Mapping[str, str] | None:
+    """Return declared units in which that of ``speed`` is said of both probes, which it is chosen from."""
+    if not isinstance(units, Mapping) or "speed" not in units:
+        return units
+    probes = {stem for stem in _SPEEDS if any(column.stem == stem for column in columns)}
+    others = {name: unit for name, unit in units.items() if name != "speed"}
+    return {**dict.fromkeys(sorted(probes), units["speed"]), **others} if probes else units
+
+
 def _messages(text: Text, head: TableHead, column: Column) -> list[str]:
     """Return a note with what the stand's program said during the log, each message once with its line."""
     said: dict[str, int] = {}
@@ -120,7 +137,8 @@ def read(
     source : Source
         The log.
     units : mapping of str to str, optional
-        Units by channel or column name where the header states none or a wrong one.
+        Units by channel or column name where the header states none or a wrong one; ``speed`` is that of both
+        probes.
     static : bool, optional
         True: rows are averaged points; False: they must be a running log. By default the row spacing decides.
     time_back : str
@@ -140,9 +158,9 @@ def read(
     """
     path = source.path
     text = read_text(source)
-    head = table_head(text)
+    head = table_head(text, renames=False)
     columns = parse_header(head.names)
-    declared = DeclaredUnits(path, units)
+    declared = DeclaredUnits(path, _both_speeds(units, columns))
     command = find_column(path, columns, _COMMAND)
     if command is None:
         raise missing_column(path, '"ESC signal" or "ESC"', columns)
@@ -204,7 +222,7 @@ def read(
         name = f"temperature/{column.stem}"
         channels[name] = Channel(name, "K", time, numbers.columns[column.index] + 273.15)
     declared.check_used(columns)
-    notes += declared.notes
+    notes += [*declared.notes, *unread_note(columns, [*wanted, *([message] if message else [])])]
     if blank:
         notes.append(f"columns without a single value: {', '.join(blank)}")
     if static:

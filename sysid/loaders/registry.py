@@ -20,13 +20,16 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from sysid.errors import LogError, SysidWarning
+from sysid.errors import LogError, SysidWarning, UnitError
 from sysid.loaders.source import Source
 from sysid.recording import Recording
+from sysid.units import parse_quantity
 
 ENTRY_POINT_GROUP = "sysid.loaders"
 
 NO, POSSIBLE, CERTAIN = 0, 1, 2
+# Options that are a number in the unit here, or a text that says its own.
+_QUANTITIES = {"rate": "Hz", "tare": "s"}
 
 
 @dataclass(frozen=True)
@@ -145,7 +148,8 @@ def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording
     format : str
         Name of the format, or ``"auto"`` to judge by content.
     **options
-        What the log itself does not say; each format's ``read`` documents its own, for example ``rate`` [Hz],
+        What the log itself does not say; each format's ``read`` documents its own, for example ``rate`` [Hz]
+        (or a text, ``"10 kHz"``),
         ``units``, ``quaternion_order``, ``euler_order``, ``length_unit``, ``rigid_body``, ``datasets``.
         An option that is None counts as not given.
 
@@ -180,7 +184,18 @@ def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording
             f"it has {', '.join(chosen.options) or 'none'}{hint}"
         )
     _check_kinds(source.path, given)
+    _as_numbers(source.path, given)
     return chosen.read(source, **given)
+
+
+def _as_numbers(path: str, given: dict[str, Any]) -> None:
+    """Replace a rate or a tare that is said with its unit, as in a campaign, by hertz or seconds."""
+    for name, unit in _QUANTITIES.items():
+        if isinstance(given.get(name), str):
+            try:
+                given[name] = parse_quantity(given[name], unit)
+            except UnitError as error:
+                raise UnitError(f"{path}: {name} = {given[name]!r}: {error}") from error
 
 
 def _check_kinds(path: str, given: Mapping[str, Any]) -> None:

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import LogError
-from sysid.loaders.clock import jitter_note, order_rows
+from sysid.loaders.clock import EXPORT_FINER, jitter_note, order_rows
 from sysid.loaders.columns import listing
-from sysid.loaders.motion_capture import body_channels, unit_quaternions, wanted_bodies
+from sysid.loaders.motion_capture import body_channels, declared_length, unit_quaternions, wanted_bodies
 from sysid.loaders.optional import library
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
@@ -121,6 +121,7 @@ def read(
     *,
     topic: str | None = None,
     rigid_body: str | Sequence[str] | None = None,
+    length_unit: str | None = None,
     clock: str = "header",
     time_back: str = "refuse",
 ) -> Recording:
@@ -134,6 +135,8 @@ def read(
         Read this topic only.
     rigid_body : str or sequence of str, optional
         Bodies to keep, named by topic without its first slash or by child frame.
+    length_unit : str, optional
+        Where the sender wrote another unit than the metres that the messages define.
     clock : str
         ``"header"``: the stamp of the message; ``"arrival"``: when the recorder received it.
     time_back : str
@@ -152,6 +155,7 @@ def read(
     path = source.path
     if clock not in _CLOCKS:
         raise LogError(f'{path}: clock = {clock!r} is unknown; expected "header" or "arrival"')
+    scale = declared_length(path, length_unit)
     errors = library(path, "rosbags.rosbag2", "rosbags").ReaderError
     errors_1 = library(path, "rosbags.rosbag1", "rosbags").ReaderError
     types = library(path, "rosbags.typesys", "rosbags").TypesysError
@@ -180,13 +184,14 @@ def read(
         numbers = Numbers(
             {0: np.array(track.stamps), **columns}, np.arange(1, len(table) + 1), row_word=f"{name} message"
         )
-        time, ordered = order_rows(path, numbers, 0, 1.0, time_back=time_back)
+        coarse = 'choose clock = "arrival"' if clock == "header" else EXPORT_FINER
+        time, ordered = order_rows(path, numbers, 0, 1.0, time_back=time_back, coarse=coarse)
         raw = np.column_stack([numbers.columns[i] for i in (4, 5, 6, 7)])
         orientation, turned = unit_quaternions(path, name, numbers, raw)
         notes += [f"{name}: {note}" for note in (*ordered, *jitter_note(time))] + turned
-        position = np.column_stack([numbers.columns[i] for i in (1, 2, 3)])
+        position = np.column_stack([numbers.columns[i] for i in (1, 2, 3)]) * scale
         channels |= body_channels(name, time, position, orientation)
-    options = {"topic": topic, "rigid_body": rigid_body, "clock": clock}
+    options = {"topic": topic, "rigid_body": rigid_body, "length_unit": length_unit, "clock": clock}
     return Recording(
         "motion-capture", channels, source.provenance(_NAME, device="ROS", options=options, notes=notes)
     )

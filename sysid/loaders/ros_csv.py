@@ -2,8 +2,9 @@
 
     %time,field.header.seq,field.header.stamp,field.header.frame_id,field.pose.position.x,...
 
-Stamps are integer nanoseconds; the header's stamp is that of the sender and is used where it runs, ``%time``
-is that of arrival. Lengths are metres and quaternions x, y, z, w by the definition of the messages.
+Stamps are integer nanoseconds (seconds where they have fractions, with a note); the header's stamp is that
+of the sender and is used where it runs, ``%time`` is that of arrival. Lengths are metres and quaternions
+x, y, z, w by the definition of the messages.
 """
 
 from __future__ import annotations
@@ -13,18 +14,20 @@ from collections.abc import Sequence
 import numpy as np
 
 from sysid.errors import LogError
-from sysid.loaders.clock import frame_clock, jitter_note, order_rows
-from sysid.loaders.columns import Column, listing, parse_header
-from sysid.loaders.motion_capture import body_channels, unit_quaternions
+from sysid.loaders.clock import EXPORT_FINER, frame_clock, jitter_note, order_rows
+from sysid.loaders.columns import Column, listing, parse_header, unread_note
+from sysid.loaders.motion_capture import body_channels, declared_length, unit_quaternions
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
-from sysid.loaders.table import find_header, read_numbers, table_head
+from sysid.loaders.table import Numbers, find_header, read_numbers, table_head
 from sysid.loaders.text import read_text
 from sysid.recording import Recording
 
 _NAME = "ros-csv"
 _ARRIVAL, _STAMP = "%time", "field header stamp"
 _SEQUENCE = "field header seq"
+# No topic of poses is faster than a megahertz [ns].
+_FEWEST_NANOSECONDS = 1000.0
 _CLOCKS = ("header", "arrival", "frame")
 _POSITION = ("position", "translation")
 _TURN = ("orientation", "rotation")
@@ -55,8 +58,33 @@ def _axes(path: str, columns: Sequence[Column], words: Sequence[str], axes: str)
     return [found[axis] for axis in axes]
 
 
+def _stamp_unit(path: str, numbers: Numbers, column: Column) -> tuple[float, list[str]]:
+    """Return the factor from stamps to seconds, and a note where they are not the nanoseconds of the format.
+
+    A program that saved the file again may have written seconds; then most of them have a fraction, which a
+    count of nanoseconds has not.
+    """
+    stamps = numbers.columns[column.index]
+    known = stamps[np.isfinite(stamps)]
+    if known.size and np.count_nonzero(known % 1.0) * 2 > known.size:
+        return 1.0, [f"{column.label} has fractions: read as seconds, not as nanoseconds"]
+    steps = np.abs(np.diff(known))
+    step = float(np.median(steps)) if steps.size else 0.0
+    if 0.0 < step < _FEWEST_NANOSECONDS:
+        raise LogError(
+            f"{path}, line {numbers.lines[0]}: {column.label} steps by {step:g}, too little for "
+            "nanoseconds; echo the topic again, or write nanoseconds, or seconds with their fractions"
+        )
+    return 1e-9, []
+
+
 def read(
-    source: Source, *, rigid_body: str = "body", clock: str = "header", time_back: str = "refuse"
+    source: Source,
+    *,
+    rigid_body: str = "body",
+    length_unit: str | None = None,
+    clock: str = "header",
+    time_back: str = "refuse",
 ) -> Recording:
     """Read a pose topic as CSV.
 
@@ -66,6 +94,8 @@ def read(
         The log.
     rigid_body : str
         The name that the body is given.
+    length_unit : str, optional
+        Where the sender wrote another unit than the metres that the messages define.
     clock : str
         ``"header"``: the stamp of the message; ``"arrival"``: when it was received; ``"frame"``: rebuilt from
         the sequence numbers of the headers, where their stamps are times of arrival too.
@@ -88,8 +118,9 @@ def read(
         raise LogError(f'{path}: clock = {clock!r} is unknown; expected "header", "arrival" or "frame"')
     if not isinstance(rigid_body, str) or not rigid_body:
         raise LogError(f"{path}: rigid_body = {rigid_body!r} is no name; a pose topic holds one body")
+    scale = declared_length(path, length_unit)
     text = read_text(source)
-    head = table_head(text)
+    head = table_head(text, renames=False)
     columns = parse_header(head.names)
     place = _axes(path, columns, _POSITION, "xyz")
     turn = _axes(path, columns, _TURN, "wxyz")
@@ -104,24 +135,34 @@ def read(
     if clock == "frame" and sequence is None:
         raise LogError(f'{path}: no column field.header.seq; choose clock = "header" or "arrival"')
     counted = [sequence.index] if sequence is not None and clock == "frame" else []
-    numbers = read_numbers(
-        text, head, [clocks[wanted].index, *counted, *(one.index for one in (*place, *turn))]
-    )
+    read = [clocks[wanted], *([sequence] if sequence is not None and counted else []), *place, *turn]
+    numbers = read_numbers(text, head, [one.index for one in read])
     del text  # the file's bytes are not needed any more
     notes = numbers.notes
     stamps = numbers.columns[clocks[wanted].index]
     if clock == "header" and not np.nan_to_num(stamps).any():
         raise LogError(f'{path}: every header stamp is 0; choose clock = "arrival"')
+    unit, said = _stamp_unit(path, numbers, clocks[wanted])
+    notes += said
     if counted:
-        time, said = frame_clock(path, numbers, counted[0], clocks[wanted].index, 1e-9, time_back=time_back)
+        other = "header" if wanted == _STAMP else "arrival"
+        time, said = frame_clock(
+            path, numbers, counted[0], clocks[wanted].index, unit, time_back=time_back, other_clock=other
+        )
     else:
-        time, said = order_rows(path, numbers, clocks[wanted].index, 1e-9, time_back=time_back)
-    notes += [*said, *jitter_note(time)]
+        arrival = wanted == _STAMP and _ARRIVAL in clocks
+        coarse = 'choose clock = "arrival"' if arrival else EXPORT_FINER
+        time, said = order_rows(path, numbers, clocks[wanted].index, unit, time_back=time_back, coarse=coarse)
+    notes += [*said, *jitter_note(time), *unread_note(columns, read)]
     raw = np.column_stack([numbers.columns[one.index] for one in turn])
     orientation, said = unit_quaternions(path, rigid_body, numbers, raw)
     notes += said
-    position = np.column_stack([numbers.columns[one.index] for one in place])
-    options = {"rigid_body": None if rigid_body == "body" else rigid_body, "clock": clock}
+    position = np.column_stack([numbers.columns[one.index] for one in place]) * scale
+    options = {
+        "rigid_body": None if rigid_body == "body" else rigid_body,
+        "length_unit": length_unit,
+        "clock": clock,
+    }
     return Recording(
         "motion-capture",
         body_channels(rigid_body, time, position, orientation),

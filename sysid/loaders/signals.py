@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sysid.errors import LogError, UnitError
-from sysid.loaders.clock import order_rows, positive_rate, rate_clock
+from sysid.loaders.clock import DECLARE_RATE, order_rows, positive_rate, rate_clock
 from sysid.loaders.columns import Column, DeclaredUnits, listing, split_label, suffix_unit
 from sysid.loaders.load_cell import COMMAND, MEASURED, QUANTITIES, TACHOMETER, TIME, quantity_channel
 from sysid.loaders.table import Numbers
@@ -290,10 +290,12 @@ def signal_channels(
             clocks.add(name, name)
 
     notes = clocks.notes
+    left = [name for name in by_name if name not in chosen.values()] if measured and datasets is None else []
+    notes += [f"datasets not read: {listing(left)}"] if left else []
     channels: dict[str, Channel] = {}
     unknown: list[str] = []
     for key, names in clocks.members.items():
-        time, said = order_rows(path, clocks.numbers[key], 0, 1.0, time_back=time_back)
+        time, said = order_rows(path, clocks.numbers[key], 0, 1.0, time_back=time_back, coarse=DECLARE_RATE)
         notes += [note for note in said if note not in notes]
         for index, channel in enumerate(names, start=1):
             values = clocks.numbers[key].columns[index]

@@ -101,7 +101,9 @@ def _renamed(path: str, names: Sequence[str], columns: Mapping[str, object]) -> 
     return out
 
 
-def table_head(text: Text, columns: Sequence[str] | Mapping[str, object] | None = None) -> TableHead:
+def table_head(
+    text: Text, columns: Sequence[str] | Mapping[str, object] | None = None, *, renames: bool = True
+) -> TableHead:
     """Return the header of a table.
 
     Parameters
@@ -111,6 +113,8 @@ def table_head(text: Text, columns: Sequence[str] | Mapping[str, object] | None 
     columns : sequence of str or mapping, optional
         Names that the user declares, for a log without header or with a wrong one: all of them in order, or
         new name -> name in the header (or its number from 1).
+    renames : bool
+        The format has an option for `columns`, which a message may advise.
 
     Raises
     ------
@@ -147,7 +151,8 @@ def table_head(text: Text, columns: Sequence[str] | Mapping[str, object] | None 
     elif headless:
         raise LogError(
             f"{text.path}, line {lines[index][0]}: found numbers where the header line should name "
-            "the columns; declare them with columns = [...]"
+            "the columns; "
+            + ("declare them with columns = [...]" if renames else "put the instrument's header line back")
         )
     trailing = 0 if delimiter == SPACES else len(split_line(lines[index][2], delimiter)) - len(names)
     return TableHead(tuple(names), delimiter, number, offset, trailing)

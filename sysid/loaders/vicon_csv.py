@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError, UnitError
-from sysid.loaders.clock import order_rows, positive_rate
+from sysid.loaders.clock import known_rate, order_rows
 from sysid.loaders.columns import listing
 from sysid.loaders.motion_capture import (
     EULER_ORDERS,
@@ -106,8 +106,8 @@ def _section(text: Text, number: int, offset: int) -> _Section | None:
         [cell.strip() for cell in split_line(line, delimiter)] for _, _, line in rows[1:]
     )
     try:
-        rate = positive_rate(path, parse_number(stated[0].replace(",", ".")))
-    except (ValueError, LogError):
+        rate = known_rate(parse_number(stated[0].replace(",", ".")))
+    except ValueError:
         raise LogError(
             f"{path}, line {rows[1][0]}: {stated[0][:40]!r} is no sample rate; it stands below the title"
         ) from None
@@ -165,6 +165,15 @@ def _length(path: str, section: _Section, columns: Sequence[int], declared: str 
     return factors.pop()
 
 
+def _states_length(section: _Section) -> bool:
+    """Return whether a section of markers or bodies states their length unit."""
+    lengths = (*_PLACE, *_BODY[3:])
+    tracks = section.title in ("trajectories", "segments", "objects")
+    return tracks and any(
+        unit for field, unit in zip(section.fields, section.units, strict=True) if field.upper() in lengths
+    )
+
+
 def _clock(path: str, section: _Section, numbers: Numbers) -> tuple[FloatArray, list[str]]:
     """Return times [s]: frame numbers over the capture's rate, sub frames between them."""
     sub = numbers.columns[1]
@@ -202,7 +211,13 @@ def _rotation(
                 f'declare angles = "helical" or an Euler order such as "XYZ"'
             )
         chosen = "helical"
-    unit = section.units[fields["RX"]] or "rad"
+    stated_units = {section.units[fields[f"R{axis}"]] for axis in "XYZ"}
+    if len(stated_units) > 1:
+        raise UnitError(
+            f'{path}, line {section.table.line}: the angles of "{name}" are in '
+            f"{' and '.join(sorted(one or 'no unit' for one in stated_units))}; correct the row of units"
+        )
+    unit = stated_units.pop() or "rad"
     try:
         factor = factor_to_si(unit, "rad")
     except UnitError as error:
@@ -357,7 +372,10 @@ def read(
     if not channels:
         raise LogError(f"{path}: no marker, object or signal holds a value; the capture is empty")
     tracked = any(name.endswith("/position") for name in channels)
-    options = {"rigid_body": rigid_body, "bodies": bodies, "length_unit": length_unit, "angles": angles}
+    options = {
+        "rigid_body": rigid_body, "bodies": bodies, "angles": angles,
+        "length_unit": None if any(map(_states_length, sections)) else length_unit,
+    }  # fmt: skip
     device = "Vicon " + ", ".join(section.title.title() for section in sections)
     return Recording(
         "motion-capture" if tracked else "signals",

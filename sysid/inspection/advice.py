@@ -1,0 +1,58 @@
+"""What to do about a wrong unit: only an option that the log's own format takes, else the place to mend."""
+
+from __future__ import annotations
+
+from sysid.loaders.registry import formats
+from sysid.recording import Recording
+
+# Formats whose files state a length unit, which a declared one must not contradict.
+_STATES_LENGTHS = frozenset({"motive-csv", "pose-table", "vicon-csv", "c3d"})
+
+
+def _mend(recording: Recording, option: str) -> str:
+    """Return where to mend what this recording's file cannot be told by `option`; empty if it can."""
+    said = recording.provenance
+    if said.notes and said.notes[-1].startswith("converted from "):
+        return "convert the original log again with its true unit"
+    known = formats().get(said.format)
+    if known is None or option not in known.options:
+        return "correct it where the log was written, or in its header"
+    return ""
+
+
+def unit_advice(recording: Recording, channel: str, unit: str) -> str:
+    """Return how to say the unit of a bench log's channel.
+
+    Parameters
+    ----------
+    recording : Recording
+        As loaded; its format and options decide.
+    channel : str
+        ``speed``, ``thrust`` or ``torque``.
+    unit : str
+        What the values probably are in.
+    """
+    mend = _mend(recording, "units")
+    if mend:
+        return mend
+    said = recording.provenance
+    if channel == "speed" and "pulses_per_revolution" in said.options:
+        return "check pulses_per_revolution"
+    if said.format == "ati-text":  # six channels by place share two units
+        if "calibration" in said.options:
+            return "check that calibration is that of this transducer"
+        return f'correct {"torque" if channel == "torque" else "force"} = "{unit}" in units'
+    return f'declare units = {{{channel} = "{unit}"}}'
+
+
+def length_advice(recording: Recording, unit: str) -> str:
+    """Return how to say the length unit of a capture, as `unit_advice`."""
+    mend = _mend(recording, "length_unit")
+    if mend:
+        return mend
+    said = recording.provenance
+    if said.format in _STATES_LENGTHS and "length_unit" not in said.options:
+        if said.format == "pose-table":
+            return f'declare units = {{x = "{unit}", y = "{unit}", z = "{unit}"}}'
+        return "the file states its length unit, so correct it there or export again"
+    return f'declare length_unit = "{unit}"'
