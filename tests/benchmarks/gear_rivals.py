@@ -44,8 +44,23 @@ def best(call, repeats):
 
 
 @njit(error_model="numpy")
-def derivative(y, coefficients, k_s, b_s, mu_k, eps_v):
-    """Rates of the state in the slope's frame, for an integrator of somebody else."""
+def thrust_at(t, segments):
+    """Thrust of the rear and front pair [N] from the kernel's own segments (`Propulsion.segments`)."""
+    own = segments[np.searchsorted(segments[1:, 0], t, side="right")]
+    s = t - own[0]
+    rear = own[2] + s * (own[3] + s * (own[4] + s * own[5]))
+    front = own[6] + s * (own[7] + s * (own[8] + s * own[9]))
+    return rear, front
+
+
+@njit(error_model="numpy")
+def derivative(t, y, coefficients, k_s, b_s, mu_k, eps_v, segments, lever):
+    """Rates of the state in the slope's frame, for an integrator of somebody else.
+
+    Without segments the motors are off; lever: distance of the thrust points from the centre of mass [m].
+    """
+    rear, front = thrust_at(t, segments) if len(segments) else (0.0, 0.0)
+    push = ((rear + front) * coefficients[14], (rear - front) * lever * coefficients[15])
     joints = pose(y[2], y[4], y[6], coefficients[8], coefficients[9])
     rates = (y[7], y[8], y[9], y[10], y[11], y[12], y[13])
     p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, y[1], y[3], y[5], rates, coefficients[10])
@@ -53,7 +68,7 @@ def derivative(y, coefficients, k_s, b_s, mu_k, eps_v):
     n_d = normal_force(p_d, dp_d, k_s, b_s)
     f_c, f_d = low_friction(n_c, n_d, v_c, v_d, (mu_k, eps_v))
     angles = (y[2], y[3], y[4], y[5], y[6])
-    a = accelerations(joints, angles, rates, (0.0, 0.0), (n_c, n_d), f_c, f_d, coefficients)
+    a = accelerations(joints, angles, rates, push, (n_c, n_d), f_c, f_d, coefficients)
     out = np.empty(14)
     out[:7] = y[7:]
     for i in range(7):
@@ -61,8 +76,8 @@ def derivative(y, coefficients, k_s, b_s, mu_k, eps_v):
     return out
 
 
-def problem(slope, body):
-    """Right-hand side and start (14,) in the slope's frame, and the way back to x, z, q, vx, vz."""
+def problem(slope, body, propulsion=None):
+    """Right-hand side of t and y, start (14,) in the slope's frame, and the way back to x, z, q, vx, vz."""
     p = PARAMETERS.nominal
     span, depth = p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"]
     length, rest = math.hypot(span, depth), math.atan2(span, depth)
@@ -81,8 +96,10 @@ def problem(slope, body):
     start = [c * x - s * z, s * x + c * z, phi, 0, phi + rest, 0, phi - rest]
     start = np.array([*start, c * dx - s * dz, s * dx + c * dz, dq, 0, dq, 0, dq], dtype=float)
 
-    def right_hand_side(y):
-        return derivative(y, coefficients, *surface)
+    segments = np.zeros((0, 10)) if propulsion is None else propulsion.segments
+
+    def right_hand_side(t, y):
+        return derivative(t, y, coefficients, *surface, segments, p["thrust_point_dx"])
 
     def back(y):
         return np.column_stack(
@@ -95,7 +112,7 @@ def problem(slope, body):
             ]
         )
 
-    right_hand_side(start)
+    right_hand_side(0.0, start)
     return right_hand_side, start, back
 
 
@@ -119,7 +136,7 @@ def scipy_drop(method, slope, body, clock, exact):
 
     def attempt(rtol):
         found = solve_ivp(
-            lambda _, y: right_hand_side(y), (0, clock[-1]), start,
+            right_hand_side, (0, clock[-1]), start,
             method=method, t_eval=clock, rtol=rtol, atol=rtol * 1e-2,
         )  # fmt: skip
         return (back(found.y.T), int(found.nfev)) if found.y.shape[1] == len(clock) else None
@@ -134,9 +151,9 @@ def sundials_drop(slope, body, clock, exact):
     right_hand_side, start, back = problem(slope, body)
     count = [0]
 
-    def rates(_, y, out):
+    def rates(t, y, out):
         count[0] += 1
-        out[:] = right_hand_side(y)
+        out[:] = right_hand_side(t, y)
 
     def attempt(rtol):
         count[0] = 0
@@ -176,10 +193,36 @@ def mujoco_model(slope):
     <body name="drone">
       <joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/><joint type="hinge" axis="0 1 0"/>
       <inertial pos="0 0 0" mass="{p["body_mass"]}" diaginertia="0.0137 0.0137 0.0137"/>{legs}
+      <site name="rear" pos="-{p["thrust_point_dx"]} 0 0"/>
+      <site name="front" pos="{p["thrust_point_dx"]} 0 0"/>
     </body>
   </worldbody>
+  <actuator>
+    <motor site="rear" gear="0 0 1 0 0 0"/><motor site="front" gear="0 0 1 0 0 0"/>
+  </actuator>
 </mujoco>"""
     return mujoco.MjModel.from_xml_string(text)
+
+
+def mujoco_landing(slope, body, propulsion, horizon):
+    """Processor time [s] of a powered landing in MuJoCo at steps of 1 ms, the thrust told at every step."""
+    import mujoco
+
+    model = mujoco_model(slope)
+    data = mujoco.MjData(model)
+    clock = np.arange(round(horizon / 1e-3)) * 1e-3
+    told = np.column_stack([propulsion.rear(clock), propulsion.front(clock)])
+
+    def run():
+        mujoco.mj_resetData(model, data)
+        data.qpos[:3] = body[:3]
+        data.qvel[:3] = body[3:]
+        command = data.ctrl
+        for now in told:
+            command[:] = now
+            mujoco.mj_step(model, data)
+
+    return best(run, 3)[0]
 
 
 def mujoco_drop(slope, body, clock, exact):
