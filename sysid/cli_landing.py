@@ -164,7 +164,13 @@ def impulse_map(
     delays: Annotated[str, typer.Option(help="Delays of the impulse [s].")] = "0:0.26:0.01",
     durations: Annotated[str, typer.Option(help="Durations of the impulse [s].")] = "0:0.16:0.01",
     front: Annotated[float, typer.Option(help="Command of the front pair in the impulse.")] = 0.8,
-    rear: Annotated[float, typer.Option(help="Command of the rear pair in the impulse.")] = 0.1,
+    rear: Annotated[
+        float | None,
+        typer.Option(
+            help="Command of the rear pair in the impulse.",
+            show_default="0.1; with --ideal-reversal the opposite of the front pair's",
+        ),
+    ] = None,
     idle: Annotated[float, typer.Option(help="Command of all motors until the impulse.")] = 0.1,
     after: Annotated[float, typer.Option(help="Command of all motors after it.")] = -1.0,
     worth: Annotated[
@@ -191,7 +197,7 @@ def impulse_map(
     json: Json = False,
 ) -> None:
     """Find for every slope and speed the impulse that stops the pitching at the second impact, and land."""
-    from sysid.landing.impulse import ImpulseSettings
+    from sysid.landing.impulse import ImpulseSettings, rear_command
     from sysid.landing.maps import MapSettings
     from sysid.landing.outcomes import Rules
     from sysid.pipelines.landing_maps import MapOptions, compute_impulse_maps
@@ -199,7 +205,8 @@ def impulse_map(
 
     sources = LandingOptions(motor, pair.value, ideal_reversal=ideal_reversal)
     tried = (span(delays, "--delays"), span(durations, "--durations"))
-    impulses = ImpulseSettings(*tried, front, rear, idle, after, ideal_reversal, worth=worth, equal=equal)
+    behind = rear_command(front, ideal_reversal=ideal_reversal) if rear is None else rear
+    impulses = ImpulseSettings(*tried, front, behind, idle, after, ideal_reversal, worth=worth, equal=equal)
     cells = (span(slopes, "--slopes"), span(speeds, "--speeds"))
     rules = Rules(horizon, short, long, rest_speed, rest_turn, rest_time, radians(flip_deg))
     settings = MapSettings(*cells, rules, check=not no_check)

@@ -40,15 +40,14 @@ _EQUAL_TURN = 0.02
 
 @dataclass(frozen=True)
 class ImpulseSettings:
-    """Which impulses are tried.
+    """Which impulses are tried, by default those of Figs. 9 and 10.
 
     Parameters
     ----------
     delays, durations : tuple of float
         The grid [s]; the paper's by default.
     front, rear : float
-        Commands during the impulse [1]. The paper idles the rear pair, because a reversal takes too long;
-        with ideal reversal a rear pair at -0.8 makes the "pure angular impulse" of its Fig. 11.
+        Commands during the impulse [1]; see `rear_command`.
     idle : float
         Command of all motors until the impulse [1].
     after : float
@@ -131,6 +130,27 @@ class ImpulseSettings:
     def document(self) -> dict[str, Any]:
         """Return the settings by name, ready for JSON [SI]."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+
+def rear_command(front: float = IMPULSE_COMMAND, *, ideal_reversal: bool = False) -> float:
+    """Return what the rear pair is told while the front pair pushes [1]: the paper's two ways.
+
+    Parameters
+    ----------
+    front : float
+        Command of the front pair [1].
+    ideal_reversal : bool
+        Motors without saturation.
+
+    Notes
+    -----
+    A reversal takes too long for an impulse, so the rear pair idles (Figs. 9, 10), and the push of the front
+    pair also drives the drone off the slope. Motors that reverse at once can pull behind as they push in
+    front, "a pure angular impulse" (Fig. 11). The difference is what Fig. 11 shows: with Table II's high
+    friction, on every third degree at eight speeds, faster motors land 65 -> 70 cells and flip in 35 -> 39
+    with the rear pair idle, but 65 -> 83 and 35 -> 23 with it at -0.8.
+    """
+    return -front if ideal_reversal else IDLE_COMMAND
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,17 @@ is no closed form: the gear's own kernel is taken up a slow ramp. Both legs bend
 along the slope about equally, while the rear one carries ever less weight: its feet slip first. Without
 thrust the drone then settles further until the rear feet lift, whatever the friction; pressed on by thrust it
 goes over as soon as they slip, so there friction decides as well.
+
+A drone that is set down on the slope at once swings through its equilibrium and tips earlier still. With
+Table II's high friction, deg::
+
+    reverse thrust   rigid   slow ramp   ramp, feet that creep (8)   set down at once
+    0                35.2    28.6        28.6                        25.5
+    12 N             68.3    44.8        42.0                        39.5
+
+So the "about 38" that a drone with bending legs was said to hold under 12 N is no equilibrium: no friction
+makes a slow ramp end below 42 deg, and another simulator's ramp (MuJoCo) ends where this one does. It is
+about what a drone holds that is set down at once.
 """
 
 from __future__ import annotations
@@ -37,10 +48,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import CampaignError
-from sysid.gear.model import PARAMETERS, Status, pack, simulate
+from sysid.gear.model import PARAMETERS, Status, pack, simulate, simulate_population
 from sysid.gear.propulsion import Propulsion
 from sysid.gear.surfaces import Surface, find_surface
+from sysid.gear.trajectories import Drops
 from sysid.integrate.piecewise import PiecewiseCubic
+from sysid.landing.outcomes import Rules
+from sysid.landing.simulate import LANDING_TOLERANCE
 
 FloatArray = NDArray[np.float64]
 How = Literal["slides", "tips", "stays"]
@@ -64,6 +78,8 @@ _FULL_SLIP = 500.0
 _RUNS = 0.5
 # The kernel's bound per step: stiff legs ring, and near the limit a small force decides.
 _TOLERANCE = 1e-6
+# Between the slopes on which a drone is set down at once [rad].
+_PUT = math.radians(0.5)
 
 
 @dataclass(frozen=True)
@@ -197,9 +213,9 @@ def ramp_limit(gear: Mapping[str, float], surface: str | Surface, reverse_thrust
     The ramp climbs in stairs of 1 deg; on each the drone settles, and the stair on which it leaves is halved
     down to 0.02 deg. Dampers do not move an equilibrium, so they are raised to about critical: the drone
     settles within a fraction of a second instead of ringing. Feet are slipping when a stair begins, so the
-    kinetic coefficient decides whether they hold. A drone that is put on a slope at once, or lands on it,
-    overshoots and tips earlier. On a surface that never sticks the drone creeps
-    on every stair; there the slide limit is the slope on which a drone that slides, fast enough for the whole
+    kinetic coefficient decides whether they hold. A drone that is put on a slope at once (`set_down_limit`),
+    or lands on it, overshoots and tips earlier. On a surface that never sticks the drone creeps on every
+    stair; there the slide limit is the slope on which a drone that slides, fast enough for the whole
     friction, no longer slows down.
     """
     ramp = _Ramp(gear, find_surface(surface), reverse_thrust)
@@ -212,6 +228,53 @@ def ramp_limit(gear: Mapping[str, float], surface: str | Surface, reverse_thrust
     if how == "stays":
         return StaticLimit(VERTICAL, "stays")
     return StaticLimit(0.5 * (below + above), how)
+
+
+def set_down_limit(
+    gear: Mapping[str, float],
+    surface: str | Surface,
+    reverse_thrust: float = 0.0,
+    *,
+    rules: Rules | None = None,
+) -> StaticLimit:
+    """Put a drone with its own, bending legs on slopes at once and see on which it comes to rest.
+
+    Parameters
+    ----------
+    gear, surface, reverse_thrust : as in `rigid_limits`
+    rules : Rules, optional
+        When it is at rest or has flipped.
+
+    Returns
+    -------
+    StaticLimit
+        Within 0.25 deg: half-way to the first slope of whole and half degrees on which it does not rest.
+
+    Notes
+    -----
+    It starts at rest, level with the slope, the legs unloaded and the thrust settled, and swings as its own
+    dampers let it. With legs as lightly damped as the paper's the limit lies below the one of `ramp_limit`.
+    """
+    own, how = find_surface(surface), rules or Rules()
+    rig = _Rig.of(gear, own, reverse_thrust)
+    slopes = np.arange(0.0, VERTICAL, _PUT)
+    starts = np.zeros((len(slopes), 6))
+    starts[:, 0], starts[:, 1] = (
+        rig.values["foot_dz"] * np.sin(slopes),
+        rig.values["foot_dz"] * np.cos(slopes),
+    )
+    starts[:, 2] = slopes
+    half = PiecewiseCubic.constant(-0.5 * reverse_thrust)
+    drops = Drops(slopes, starts, [np.array([0.0, how.horizon])] * len(slopes), Propulsion(half, half))
+    found = simulate_population(
+        pack(rig.values, own), drops, surface=own, tolerance=LANDING_TOLERANCE, ending=how.ending("rest")
+    )
+    rests = np.isfinite(found.rest[0]) & ~(found.flip[0] < found.rest[0])
+    if rests.all():
+        return StaticLimit(VERTICAL, "stays")
+    first = int(np.argmin(rests))
+    leaves: How = "tips" if np.isfinite(found.flip[0][first]) else "slides"
+    return StaticLimit(max(float(slopes[first]) - 0.5 * _PUT, 0.0), leaves)
 
 
 def _friction(values: Mapping[str, float], surface: Surface) -> tuple[float, float]:

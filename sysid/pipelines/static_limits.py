@@ -12,7 +12,7 @@ from rich.console import Console
 from sysid import exact_json
 from sysid.errors import ExportError
 from sysid.gear.surfaces import find_surface
-from sysid.landing.static_limits import RigidLimits, StaticLimit, ramp_limit, rigid_limits
+from sysid.landing.static_limits import RigidLimits, StaticLimit, ramp_limit, rigid_limits, set_down_limit
 from sysid.pipelines.results import load_sets
 from sysid.report.landing_tables import limits_table
 
@@ -28,14 +28,15 @@ class SetLimits:
     reverse_thrust : float
         Over all motors [N].
     rigid : RigidLimits
-    bending : StaticLimit
-        Of the set's own legs.
+    bending, set_down : StaticLimit
+        Of the set's own legs, on a slow ramp and put on the slope at once.
     """
 
     rank: int
     reverse_thrust: float
     rigid: RigidLimits
     bending: StaticLimit
+    set_down: StaticLimit
 
     def document(self) -> dict[str, object]:
         """Return the numbers ready for JSON, slopes in degrees."""
@@ -47,6 +48,7 @@ class SetLimits:
             "rigid creep limit [deg]": math.degrees(self.rigid.creep),
             "own legs [deg]": math.degrees(self.bending.slope),
             "own legs": self.bending.how,
+            "own legs, set down at once [deg]": math.degrees(self.set_down.slope),
         }
 
 
@@ -67,7 +69,8 @@ def static_limits(source: str | Path, thrusts: Sequence[float]) -> tuple[str, li
         values = sets.set_values(rank)
         for thrust in thrusts:
             rigid = rigid_limits(values, surface, thrust)
-            rows.append(SetLimits(rank, thrust, rigid, ramp_limit(values, surface, thrust)))
+            own = ramp_limit(values, surface, thrust), set_down_limit(values, surface, thrust)
+            rows.append(SetLimits(rank, thrust, rigid, *own))
     return sets.name, rows
 
 

@@ -11,6 +11,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.path import Path
 from matplotlib.patheffects import Normal, withStroke
 from numpy.typing import NDArray
 
@@ -38,6 +39,8 @@ _LOST_COLOUR, _BEYOND_COLOUR = "#CC79A7", "#F2F2F2"
 _ROOM = 6.0
 # Least distance of a contour's label from other labels, and from the edges, in widths of the axes.
 _APART, _INSIDE = 0.11, 0.05
+# Longest list of controllers and their thrusts in the legend [characters].
+_LONGEST = 40
 # What a table may say of a real landing: words, marker, colour, what the legend calls it.
 _MARKERS = (
     (("short",), "o", COLOURS[Outcome.SHORT], "at rest nearby"),
@@ -132,13 +135,16 @@ def figure_landing_maps(
         axes.set_ylim(bounds[0], highest)
         _draw_beyond(axes, bounds[1], highest, legend)
         _draw_uncertain(axes, one, legend)
-        taken = _draw_letters(axes, one)
         told = own.get((one.surface, one.controller))
+        taken = _draw_letters(axes, one, (told.rigid, told.bending) if told else ())
         if told is not None:
-            taken += _draw_limits(axes, told, bounds[1], legend)
+            taken += _draw_limits(axes, told)
+        real = of_map(experiments, one)
+        if real:
+            taken += list(_relative(axes, np.array([(e.speed, e.slope_deg) for e in real])))
         if lines and min(one.landed.shape) > 1:
             _draw_contours(axes, one, taken, legend)
-        _draw_experiments(axes, of_map(experiments, one), legend)
+        _draw_experiments(axes, real, legend)
     if own:
         _name_limits(legend, maps, own)
     for axes in grid[-1]:
@@ -208,6 +214,11 @@ def _mesh(
         axes.figure.colorbar(drawn, ax=axes, extend=beyond)
     axes.set_xlim(across[0], across[-1])
     axes.set_ylim(up[0], up[-1])
+    # A single cell's width and height mean nothing; only its middle does.
+    if len(one.speeds) == 1:
+        axes.set_xticks(one.speeds)
+    if len(one.slopes_deg) == 1:
+        axes.set_yticks(one.slopes_deg)
     return float(up[0]), float(up[-1])
 
 
@@ -229,11 +240,13 @@ def _draw_uncertain(axes: Axes, one: LandingMap, legend: _Legend) -> None:
         legend.line(label, color="black", marker=".", linestyle="none")
 
 
-def _draw_letters(axes: Axes, one: LandingMap) -> list[FloatArray]:
-    """Name the zones A and B; return where, in widths of the axes."""
+def _draw_letters(axes: Axes, one: LandingMap, lines: Sequence[float]) -> list[FloatArray]:
+    """Name the zones A and B, clear of level lines [deg]; return where, in widths of the axes."""
     taken = []
+    low, high = axes.get_ylim()
+    clear = np.all([np.abs(one.slopes_deg - line) > _APART * (high - low) / 2 for line in lines], axis=0)
     for outcome, letter in ((Outcome.FLIPPED, "A"), (Outcome.OTHER, "B")):
-        place = _middle(one.likeliest == outcome)
+        place = _middle(one.likeliest == outcome, np.broadcast_to(clear, one.slopes_deg.shape))
         if place is not None:
             spot = np.array([one.speeds[place[1]], one.slopes_deg[place[0]]])
             around = [withStroke(linewidth=5, foreground=COLOURS[outcome])]
@@ -270,7 +283,9 @@ def _draw_contours(axes: Axes, one: LandingMap, taken: list[FloatArray], legend:
         )  # fmt: skip
         drawn.set_label(name)
         legend.line(name, color=colour, linestyle=style)
-        for level, pieces in zip(inside, drawn.allsegs, strict=True):
+        levels_pieces = [[one for one in pieces if _is_long(axes, one)] for pieces in drawn.allsegs]
+        drawn.set_paths([Path.make_compound_path(*(Path(one) for one in pieces)) for pieces in levels_pieces])
+        for level, pieces in zip(inside, levels_pieces, strict=True):
             spot = _clear_spot(axes, pieces, taken)
             if spot is not None:
                 taken.append(_relative(axes, spot[None])[0])
@@ -279,6 +294,11 @@ def _draw_contours(axes: Axes, one: LandingMap, taken: list[FloatArray], legend:
                     ha="center", va="center",
                     bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.6},
                 )  # fmt: skip
+
+
+def _is_long(axes: Axes, piece: FloatArray) -> bool:
+    """Whether a piece of a contour spans enough to be read; loops around single cells are noise."""
+    return len(piece) > 1 and bool(np.max(np.ptp(_relative(axes, piece), axis=0)) >= _INSIDE)
 
 
 def _clear_spot(axes: Axes, pieces: Sequence[FloatArray], taken: Sequence[FloatArray]) -> FloatArray | None:
@@ -299,47 +319,53 @@ def _clear_spot(axes: Axes, pieces: Sequence[FloatArray], taken: Sequence[FloatA
     return np.asarray(piece[best]) if away[best] >= _APART else None
 
 
-def _draw_limits(axes: Axes, told: DrawnLimits, edge: float, legend: _Legend) -> list[FloatArray]:
-    """Draw the limits within reach as lines; name those above. Return which places the lines take."""
-    taken: list[FloatArray] = []
-    above = []
+def _draw_limits(axes: Axes, told: DrawnLimits) -> list[FloatArray]:
+    """Draw the limits within the axes as lines; name the others. Return which places the words take."""
+    low, high = axes.get_ylim()
+    outside: dict[str, list[str]] = {}
     for slope, style, legs in ((told.rigid, "dashed", "rigid"), (told.bending, "dotted", "bending")):
-        if slope <= edge + _ROOM:
+        if low <= slope <= high:
             axes.axhline(slope, color=_LIMIT_COLOUR, linestyle=style, linewidth=1.6)
         else:
-            above.append(f"{slope:.0f}° ({legs} legs)")
-    if above:
-        axes.text(
-            0.98, 0.87, f"static limit above: {', '.join(above)}", transform=axes.transAxes,
-            ha="right", va="top", fontsize=8, color=_LIMIT_COLOUR,
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8},
-        )  # fmt: skip
-        taken += [np.array([x, 0.85]) for x in (0.5, 0.6, 0.7, 0.8, 0.9)]
-    return taken
+            outside.setdefault("above" if slope > high else "below", []).append(f"{slope:.0f}° ({legs} legs)")
+    if not outside:
+        return []
+    words = "; ".join(f"{where}: {', '.join(names)}" for where, names in outside.items())
+    axes.text(
+        0.98, 0.87, f"static limit {words}", transform=axes.transAxes,
+        ha="right", va="top", fontsize=8, color=_LIMIT_COLOUR,
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+    )  # fmt: skip
+    return [np.array([x, 0.85]) for x in (0.5, 0.6, 0.7, 0.8, 0.9)]
 
 
 def _name_limits(legend: _Legend, maps: Sequence[LandingMap], limits: Limits) -> None:
     """Say which thrust the drawn limits are for: it differs between controllers, hardly between surfaces."""
-    words: dict[str, None] = {}
+    thrusts: dict[str, dict[str, None]] = {}
     for one in maps:
         told = limits.get((one.surface, one.controller))
         if told is not None:
             # Idle motors leave some -1e-12 N, which is 0, not -0.
-            words[f"{one.controller}: {round(told.thrust, 1) + 0.0:g} N"] = None
-    thrust = "; ".join(words)
+            thrusts.setdefault(f"{round(told.thrust, 1) + 0.0:g} N", {})[one.controller] = None
+    names = [f"{' / '.join(controllers)}: {thrust}" for thrust, controllers in thrusts.items()]
+    together = "; ".join(names)
+    # Three long names of one thrust would make the legend wider than the figure.
+    thrust = together if len(together) <= _LONGEST else " or ".join(thrusts)
     for style, legs in (("dashed", "rigid"), ("dotted", "own, bending")):
         legend.line(
             f"static limit of the first set, {legs} legs ({thrust})", color=_LIMIT_COLOUR, linestyle=style
         )
 
 
-def _middle(cells: NDArray[np.bool_]) -> tuple[int, int] | None:
-    """The cell of a zone that lies deepest in it, None where the zone is too small for a letter."""
+def _middle(cells: NDArray[np.bool_], rows: NDArray[np.bool_]) -> tuple[int, int] | None:
+    """The cell of a zone that lies deepest in it and in one of the rows, None where the zone is too small."""
     from scipy.ndimage import distance_transform_edt
 
     if cells.sum() < 0.02 * cells.size:
         return None
     depth = distance_transform_edt(np.pad(cells, 1))[1:-1, 1:-1]
+    if (depth[rows] > 0).any():
+        depth = np.where(rows[:, None], depth, 0.0)
     row, column = np.unravel_index(int(np.argmax(depth)), cells.shape)
     return int(row), int(column)
 
@@ -373,6 +399,7 @@ def figure_impulse(best: Sequence[ImpulseMap], *, refined: bool = False) -> Figu
             _mesh(axes, one, values, cmap="viridis", vmin=0.0, vmax=top)
             what = f"{name}, {'mean' if which == 'mean' else 'σ'} [ms]"
             axes.set_title(f"{one.surface.upper()}: {what}", fontsize=10)
-            axes.set_xlabel("touchdown speed [m/s]")
         row[0].set_ylabel("slope [deg]")
+    for axes in grid[-1]:
+        axes.set_xlabel("touchdown speed [m/s]")
     return figure

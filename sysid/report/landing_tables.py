@@ -26,9 +26,9 @@ def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
         f"{name}: steepest slope that holds the drone [deg]",
         "rigid: closed forms for stiff legs"
         + (" (creeps: at 0.05 m/s)" if creeps else "")
-        + "; own legs: as fitted, on a slow ramp",
+        + "; own legs: as fitted, on a slow ramp; set down: the same, put on the slope at once",
     )
-    heads = ["set", "thrust [N]", "rigid: slides", "rigid: tips", "own legs", ""]
+    heads = ["set", "thrust [N]", "rigid: slides", "rigid: tips", "own legs", "", "set down"]
     for head in heads[:4] + (["rigid: creeps"] if creeps else []) + heads[4:]:
         table.add_column(Text(head), justify="left" if not head else "right")
     for row in rows:
@@ -40,7 +40,9 @@ def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
         ]
         if creeps:
             cells.append(f"{row['rigid creep limit [deg]']:.1f}")
-        table.add_row(*(Text(cell) for cell in (*cells, f"{row['own legs [deg]']:.1f}", row["own legs"])))
+        cells += [f"{row['own legs [deg]']:.1f}", row["own legs"]]
+        cells.append(f"{row['own legs, set down at once [deg]']:.1f}")
+        table.add_row(*(Text(cell) for cell in cells))
     return table
 
 

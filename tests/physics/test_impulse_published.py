@@ -8,7 +8,7 @@ import pytest
 
 from sysid.landing.controllers import find_controller
 from sysid.landing.drone import drones
-from sysid.landing.impulse import ImpulseSettings
+from sysid.landing.impulse import ImpulseSettings, rear_command
 from sysid.landing.impulse_maps import impulse_maps
 from sysid.landing.maps import MapSettings, landing_maps
 from sysid.landing.outcomes import Outcome
@@ -27,7 +27,9 @@ def maps():
     out = {(one.surface, one.controller): one for one in landing_maps(fleets, told, GRID)}
     for ideal in (False, True):
         # Motors that reverse at once can push and pull: "a pure angular impulse" (Fig. 11).
-        tried = ImpulseSettings(rear=-0.8 if ideal else 0.1, finest=0.0, ideal_reversal=ideal)
+        rear = rear_command(ideal_reversal=ideal)
+        assert rear == (-0.8 if ideal else 0.1)
+        tried = ImpulseSettings(rear=rear, finest=0.0, ideal_reversal=ideal)
         found = impulse_maps(fleets, GRID, tried)
         out |= {(one.surface, one.controller): one for one in found[1]}
         out |= {(one.surface, f"best{', ideal' if ideal else ''}"): one for one in found[0]}
@@ -63,9 +65,10 @@ def test_the_impulse_alone_lands_about_as_the_baseline(maps):
     for surface in ("lf", "hf"):
         alone, off = (landings(maps[surface, name]) for name in ("impulse alone", "off"))
         reverse = landings(maps[surface, "reverse"])
-        # 1.1 (LF) and 1.2 times as many cells; reverse thrust lands 2.2 times as many.
-        assert 0.8 * off <= alone <= 1.4 * off
-        assert alone < 0.75 * reverse
+        # 43 against 41 cells (LF), 32 against 26 (HF); reverse thrust lands 95 and 63. The cells at stake lie
+        # along a border of eight speeds, so one cell up or down at each is what "about as" can mean here.
+        assert abs(alone - off) <= len(GRID.speeds)
+        assert reverse - alone > 3 * abs(alone - off)
 
 
 def test_low_and_fast_the_impulse_is_omitted(maps):
@@ -87,26 +90,29 @@ def test_the_delay_grows_as_the_touchdown_slows(maps):
 
 
 def test_faster_motors_widen_the_landings_on_high_friction(maps):
-    """Fig. 11: landed cells 75, 82 (ideal reversal, rear motors idle in the impulse), 93 (rear at -80 %).
+    """Fig. 11: landed cells 65 and 83, zone A 35 and 23 cells; reverse thrust alone 63 and 66, 40 and 31.
 
-    Zone A: 72, 69, 56 cells, on every third degree and every 0.2 m/s.
+    The rear pair idle in the impulse, faster motors would land 70 cells and flip in 39.
     """
     for name in ("reverse", "impulse, then reverse"):
         slow, fast = maps["hf", name], maps["hf", f"{name}, ideal reversal"]
         assert landings(fast) > landings(slow)
-        assert flips(fast) <= flips(slow)
+        assert flips(fast) < 0.85 * flips(slow)
         assert fast.steepest(0.3) >= slow.steepest(0.3)
     pure = maps["hf", "impulse, then reverse, ideal reversal"]
-    assert landings(pure) > 1.1 * landings(maps["hf", "impulse, then reverse"])
+    # "Considerably more than what the impulse with regular motors was able to achieve": that gains 2 cells.
+    gained = landings(maps["hf", "impulse, then reverse"]) - landings(maps["hf", "reverse"])
+    assert landings(pure) - landings(maps["hf", "impulse, then reverse"]) > 3 * max(gained, 2)
 
 
 def test_faster_motors_shorten_the_landing(maps):
-    """The time decreases "most notably for the HF surface"."""
+    """The time decreases, "most notably for the HF surface": 0.93 to 0.81 s; LF 0.58 to 0.51 s."""
     saved = {}
     for surface in ("lf", "hf"):
         slow, fast = mean_time(
             maps, surface, "impulse, then reverse", "impulse, then reverse, ideal reversal"
         )
         saved[surface] = slow - fast
-    assert saved["hf"] > 0.0
-    assert saved["hf"] > saved["lf"]
+    # Half of what was measured: the mean is over some 60 to 90 cells.
+    assert saved["lf"] > 0.04
+    assert saved["hf"] > max(0.06, saved["lf"])

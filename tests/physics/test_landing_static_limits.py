@@ -11,7 +11,14 @@ from sysid import cli
 from sysid.errors import CampaignError
 from sysid.gear.model import PARAMETERS, pack
 from sysid.landing import static_limits
-from sysid.landing.static_limits import StaticLimit, ramp_limit, rigid_limits, slide_limit, tip_limit
+from sysid.landing.static_limits import (
+    StaticLimit,
+    ramp_limit,
+    rigid_limits,
+    set_down_limit,
+    slide_limit,
+    tip_limit,
+)
 from sysid.published import table_2
 
 REVERSE = 12.0
@@ -181,6 +188,34 @@ def test_the_ramp_does_not_depend_on_its_stairs(monkeypatch):
     assert again == pytest.approx(found, abs=0.06)
 
 
+@pytest.mark.parametrize(("thrust", "about"), [(0.0, 25.5), (REVERSE, 39.5)])
+def test_set_down_at_once_the_drone_tips_earlier(thrust, about):
+    """An independent study of these legs gave about 38 deg under 12 N, less than any equilibrium leaves."""
+    found, ramp = set_down_limit(HF, "hf", thrust), ramp_limit(HF, "hf", thrust)
+    assert found.how == "tips"
+    # Judged every half degree.
+    assert deg(found.slope) == pytest.approx(about, abs=0.5)
+    # It swings through the equilibrium, so what it lacks goes with the swing: dampers that are critical give
+    # back at least half of it (all and two degrees more under thrust, for the feet slide into better places).
+    damped = set_down_limit(static_limits._settling(HF), "hf", thrust)
+    assert damped.slope > 0.5 * (found.slope + ramp.slope)
+
+
+def test_feet_that_creep_share_the_load_and_tip_at_42_degrees_whatever_the_friction():
+    """The lowest slow ramp under 12 N: both feet at the same share of their friction."""
+    found = [ramp_limit(HF | {"kinetic_friction": mu}, "lf", REVERSE) for mu in (0.87, 0.95)]
+    assert [one.how for one in found] == ["tips", "tips"]
+    # A tenth more friction moves the slope at which feet that creep tip by 0.1 deg; HF tips at 44.8.
+    assert [deg(one.slope) for one in found] == pytest.approx([42.0, 42.1], abs=0.15)
+
+
+def test_a_creeping_drone_set_down_rests_up_to_the_creep_limit():
+    # LF: it rests while it creeps slower than 0.05 m/s, which is what `creep` says; half-degree steps.
+    found = set_down_limit(LF, "lf")
+    assert found.how == "slides"
+    assert deg(found.slope) == pytest.approx(deg(rigid_limits(LF, "lf").creep), abs=0.5)
+
+
 def test_stiffer_legs_and_wider_feet_hold_better():
     def limit(**factors):
         return ramp_limit(HF | {name: HF[name] * f for name, f in factors.items()}, "hf").slope
@@ -203,6 +238,7 @@ def test_command(monkeypatch, capsys, tmp_path):
     (row,) = json.loads(capsys.readouterr().out)["limits"]
     assert row["rigid tip limit [deg]"] == pytest.approx(35.17, abs=0.01)
     assert row["own legs"] == "tips"
+    assert row["own legs, set down at once [deg]"] == pytest.approx(25.5, abs=0.5)
     monkeypatch.setattr("sys.argv", ["sysid", "static-limits", str(file), "--thrust", "-20"])
     with pytest.raises(SystemExit) as stop:
         cli.main()

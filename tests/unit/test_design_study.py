@@ -216,6 +216,7 @@ def test_command_threads_and_resume(files, monkeypatch, capsys):
         (("--vary", "k_t=1:2:3", "--slopes", "5"), "two or more"),
         (("--vary", "k_t=1:2:3", "--resume"), "nothing unfinished"),
         (("--vary", "k_t=1:2:3", "--controller", "fly"), "no controller"),
+        (("--vary", "k_t=1:2:3", "--controller", "impulse:50,100"), "only 3 s are simulated"),
         (("--vary", "reversal_delay=-1s:0s:2"), "pause for"),
     ],
 )

@@ -192,11 +192,65 @@ def test_an_impulse_map(run):
         "impulse, then reverse", "refined impulse, then reverse", "impulse alone"
     ]  # fmt: skip
     assert found.settings["impulses"]["delays"] == [0.0, 0.04, 0.08, 0.12]
+    assert found.settings["impulses"]["rear"] == 0.1
     assert Path("i.png").exists()
     assert Path("i-impulse.png").exists()
     code, _, err = run(*command, "--durations", "0:1")
     assert code == 2
     assert "--durations" in err
+
+
+IMPULSE = (
+    "impulse-map",
+    LF,
+    "--motor",
+    MOTOR,
+    "--slopes",
+    "0,20",
+    "--speeds",
+    "0.4,0.8",
+    "--quiet",
+    "--no-check",
+)
+
+
+@pytest.mark.parametrize(
+    ("options", "rear"), [((), -0.8), (("--front", "0.5"), -0.5), (("--rear", "0.1"), 0.1)]
+)
+def test_motors_without_delay_pull_behind_as_they_push_in_front(run, options, rear):
+    tried = ("--delays", "0,0.04", "--durations", "0,0.05")
+    code, _, err = run(*IMPULSE, *tried, "--ideal-reversal", *options, "--out", "i.h5")
+    assert code == 0, err
+    assert read_maps("i.h5").settings["impulses"]["rear"] == rear
+
+
+def test_an_impulse_map_goes_on_where_it_was_stopped_on_another_number_of_threads(run, monkeypatch):
+    command = (*IMPULSE, "--delays", "0:0.08:0.04", "--durations", "0,0.05")
+    code, _, err = run(*command, "--out", "whole.h5", "--threads", "1")
+    assert code == 0, err
+    save = blocks.BlockStore.save
+
+    def save_and_die(store, name, columns):
+        save(store, name, columns)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(blocks.BlockStore, "save", save_and_die)
+        code, _, _ = run(*command, "--out", "i.h5", "--threads", "1")
+    assert code == 130
+    kept = list(blocks.blocks_folder(Path("i.h5")).glob("*.npz"))
+    assert len(kept) == 1  # of two slopes
+    code, _, err = run(*command, "--out", "i.h5", "--resume", "--delays", "0,0.04")
+    assert code == 2
+    assert "the tried impulses differs" in err
+    code, _, err = run(*command, "--out", "i.h5", "--resume", "--threads", "2")
+    assert code == 0, err
+    one, two = read_maps("whole.h5"), read_maps("i.h5")
+    for name, values in one.impulses[0].optimum.items():
+        np.testing.assert_array_equal(values, two.impulses[0].optimum[name])
+    for a, b in zip(one.maps, two.maps, strict=True):
+        np.testing.assert_array_equal(a.outcome, b.outcome)
+        np.testing.assert_array_equal(a.time, b.time)
 
 
 @pytest.mark.parametrize(

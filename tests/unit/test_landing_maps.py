@@ -353,6 +353,99 @@ def test_labels_of_contours_keep_apart():
         assert not any(box.overlaps(other) for other in boxes[:k])
 
 
+def cut(one, rows, columns):
+    """Some rows and columns of a map."""
+    names = ("outcome", "distance", "time", "uncertain")
+    parts = {name: getattr(one, name)[:, rows][:, :, columns] for name in names}
+    return replace(one, slopes_deg=one.slopes_deg[rows], speeds=one.speeds[columns], **parts)
+
+
+ALL = slice(None)
+
+
+@pytest.mark.parametrize(("rows", "columns"), [([3], ALL), (ALL, [2]), ([2], [2]), ([0, 1, 4, 9], [0, 1, 8])])
+def test_odd_grids_are_drawn(rows, columns):
+    one = cut(some_map(), rows, columns)
+    limits = {("lf", "off"): DrawnLimits(0.0, 23.7, 22.0)}
+    real = [Experiment("lf", "off", 12.0, 0.5, "landed")]
+    figure = figure_landing_maps([one], limits=limits, experiments=real)
+    figure.canvas.draw()
+    axes = figure.axes[0]
+    (mesh,) = (c for c in axes.collections if isinstance(c, QuadMesh))
+    assert mesh.get_array().shape[:2] == one.landed.shape
+    # A single cell has no width: its middle is the only tick.
+    if len(one.slopes_deg) == 1:
+        np.testing.assert_array_equal(axes.get_yticks(), one.slopes_deg)
+    if len(one.speeds) == 1:
+        np.testing.assert_array_equal(axes.get_xticks(), one.speeds)
+    best = replace(some_impulse(), slopes_deg=one.slopes_deg, speeds=one.speeds)
+    best.optimum.update({name: v[:, rows][:, :, columns] for name, v in best.optimum.items()})
+    panels = [axes for axes in figure_impulse([best]).axes if axes.get_title()]
+    for panel, name in zip(panels, ("delay", "delay", "duration", "duration"), strict=True):
+        (mesh,) = (c for c in panel.collections if isinstance(c, QuadMesh))
+        values = 1e3 * (best.mean(name) if "mean" in panel.get_title() else best.sigma(name))
+        np.testing.assert_allclose(mesh.get_array(), values, rtol=1e-12)
+
+
+def test_limits_are_lines_within_the_axes_and_words_outside():
+    limits = {("lf", "off"): DrawnLimits(0.0, 23.7, 22.0)}
+    drawn = {}
+    for rows in ([0, 1], [4, 5], [8, 9]):
+        axes = figure_landing_maps([cut(some_map(), rows, ALL)], limits=limits).axes[0]
+        words = [text.get_text() for text in axes.texts if "limit" in text.get_text()]
+        drawn[rows[0]] = ([line.get_ydata()[0] for line in axes.lines], words)
+    assert drawn == {
+        0: ([], ["static limit above: 24° (rigid legs), 22° (bending legs)"]),
+        4: ([23.7, 22.0], []),
+        8: ([], ["static limit below: 24° (rigid legs), 22° (bending legs)"]),
+    }
+
+
+def test_letters_and_labels_keep_off_lines_and_real_landings():
+    one = some_map()
+    limits = {("lf", "off"): DrawnLimits(0.0, 35.0, 33.0)}  # through the middle of B
+    (letter,) = (t for t in figure_landing_maps([one]).axes[0].texts if t.get_text() == "B")
+    x, middle = letter.get_position()
+    assert 30.0 <= middle <= 40.0
+    real = [Experiment("lf", "off", 2.5, 0.3, "landed")]
+    figure = figure_landing_maps([one], limits=limits, experiments=real)
+    axes = figure.axes[0]
+    (letter,) = (t for t in axes.texts if t.get_text() == "B")
+    assert min(abs(letter.get_position()[1] - line) for line in (35.0, 33.0)) > 2.0
+    (low, high), (left, right) = axes.get_ylim(), axes.get_xlim()
+    labels = [text for text in axes.texts if text.get_text().endswith((" m", " s"))]
+    assert labels
+    for text in labels:
+        x, y = text.get_position()
+        assert np.hypot((x - 0.3) / (right - left), (y - 2.5) / (high - low)) > 0.1
+
+
+def test_loops_around_single_cells_are_no_contours():
+    slopes, speeds = np.arange(46.0), 0.05 * np.arange(41)
+    distance = np.broadcast_to(slopes[:, None] / 60, (1, 46, 41)).copy()
+    distance[0, 10, [5, 20, 30]] = 0.9  # as single bounces make it, among 0.17 m
+    shape = distance.shape
+    one = LandingMap(
+        "lf", "off", ("set 1",), slopes, speeds, np.zeros(shape, np.int8), distance, np.full(shape, 0.3),
+        np.zeros(shape, bool),
+    )  # fmt: skip
+    axes = figure_landing_maps([one]).axes[0]
+    (contour,) = (c for c in axes.collections if c.get_label() == "mean distance to rest")
+    # 0.1, 0.2 and 0.45 m, a straight line each at 60 deg/m times that; the loops are gone.
+    pieces = [path.to_polygons(closed_only=False) for path in contour.get_paths()]
+    assert [len(one) for one in pieces] == [1, 1, 1]
+    for (line,), level in zip(pieces, (0.1, 0.2, 0.45), strict=True):
+        np.testing.assert_allclose(line[[0, -1], 1], 60 * level, rtol=1e-9)
+
+
+def test_long_names_of_one_thrust_do_not_stretch_the_legend():
+    names = ("impulse, then reverse", "refined impulse, then reverse", "impulse alone")
+    limits = {("lf", name): DrawnLimits(0.0 if "alone" in name else 13.76, 30.0, 25.0) for name in names}
+    figure = figure_landing_maps([some_map(name) for name in names], limits=limits)
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "static limit of the first set, rigid legs (13.8 N or 0 N)" in words
+
+
 @pytest.mark.parametrize("text", ["0:45", "a", "1,1", "5:0:1", "0:1:0", ""])
 def test_spans_that_make_no_sense(text):
     with pytest.raises(CampaignError, match="--slopes"):
