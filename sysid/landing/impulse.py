@@ -83,6 +83,11 @@ class ImpulseSettings:
             rising = all(b > a for a, b in pairwise(values))
             if not values or not rising or values[0] < 0:
                 raise CampaignError(f"impulse: {name} {list(values)} s; give increasing times from 0 on")
+        for name in ("front", "rear", "idle", "after"):
+            if not abs(getattr(self, name)) <= 1.0:
+                raise CampaignError(
+                    f"impulse: the command {name!r} is {getattr(self, name):g}; give -1 to 1, 1 being full forward"
+                )
         if not (self.horizon > 0 and self.finest >= 0 and 0 <= self.worth < 1 and self.equal >= 0):
             raise CampaignError(
                 f"impulse: horizon {self.horizon:g} s, finest step {self.finest:g} s, worth {self.worth:g}, "

@@ -45,6 +45,8 @@ class Outcome(IntEnum):
 # The classes that a landing can have; LOST is the simulator's own failure.
 OUTCOMES = (Outcome.SHORT, Outcome.NEAR, Outcome.FLIPPED, Outcome.OTHER)
 LANDED = (Outcome.SHORT, Outcome.NEAR)
+# Simulated time of a landing [s]; more is a slip of the pen.
+LONGEST_HORIZON = 100.0
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,11 @@ class Rules:
         wrong = [name for name, value in numbers.items() if not 0 < value < math.inf]
         if wrong:
             raise CampaignError(f"landing rules: {wrong[0]} is {numbers[wrong[0]]:g}; give a number above 0")
+        if self.horizon > LONGEST_HORIZON:
+            raise CampaignError(
+                f"landing rules: a horizon of {self.horizon:g} s; landings are over within seconds, so give "
+                f"at most {LONGEST_HORIZON:g} s"
+            )
         if not self.short <= self.long:
             raise CampaignError(
                 f"landing rules: the short distance {self.short:g} m exceeds the long one {self.long:g} m; "

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.errors import CampaignError
 from sysid.gear.model import simulate, simulate_population
 from sysid.gear.propulsion import Propulsion
 from sysid.gear.trajectories import Drops, EventKind, GearTrajectory, Status
@@ -23,6 +24,8 @@ FloatArray = NDArray[np.float64]
 # Bound of the weighted rms error per step. Landings bounce and are chaotic near the borders between classes:
 # `sysid.landing.maps` repeats a map with half of it and marks the cells that change.
 LANDING_TOLERANCE = 1e-4
+# Of one landing's history; 40 columns of them are 300 MB.
+MOST_SAMPLES = 1_000_000
 # An accelerometer averages over its sample.
 _GRAVITY = np.array([0.0, 1.0])
 _FAILED = (Status.STEP_COLLAPSED, Status.TOO_EXPENSIVE, Status.BLEW_UP)
@@ -195,6 +198,11 @@ def land(
         Whose motors do not hover at touchdown.
     """
     own = rules or Rules()
+    if not 0.0 < own.horizon * rate <= MOST_SAMPLES:
+        raise CampaignError(
+            f"landing: a history of {own.horizon:g} s at {rate:g} samples per second; expected a rate above "
+            f"0 and at most {MOST_SAMPLES:g} samples, so lower the rate"
+        )
     source = motors or Motors(drone, controller.ideal_reversal)
     triggers = _triggers(drone, [scenario], controller, source, own, tolerance, 1)
     (thrust,) = _propulsions(source, controller, triggers, own)

@@ -68,8 +68,10 @@ class LandingOptions:
             find_controller(text, ideal_reversal=self.ideal_reversal, sensing=sensing)
             for text in self.controllers
         )
-        for one in found:
+        for number, one in enumerate(found):
             one.check_within(horizon)
+            if one.label in (other.label for other in found[:number]):
+                raise CampaignError(f"controller {one.name!r} is asked for twice; name each once")
         return found
 
     def fleets(self, gears: Sequence[Path]) -> tuple[tuple[tuple[Drone, ...], ...], dict[str, Any]]:

@@ -97,6 +97,8 @@ def test_options_reach_the_landing(run, monkeypatch):
         (("--motor", LF), "expected motor sets"),
         (("--height", "-1"), "give both above 0"),
         (("--short", "2"), "swap them"),
+        (("--horizon", "1e9"), "at most 100 s"),
+        (("--rate", "1e12"), "lower the rate"),
     ],
 )
 def test_refusals_of_simulate(run, tmp_path, arguments, says):
@@ -259,6 +261,9 @@ def test_an_impulse_map_goes_on_where_it_was_stopped_on_another_number_of_thread
         (("--slopes", "45:0:1"), "--slopes"),
         (("--out", "map.csv"), "ends in .h5"),
         (("--resume",), "nothing to continue"),
+        (("--controller", "off", "--controller", "off"), "'off' is asked for twice"),
+        (("--slopes", "0:90:10"), "expected a slope within 85 deg"),
+        (("--speeds=-1:1:1",), "a downward speed of 0 or more"),
         (("--experiments", "missing.csv"), "cannot be read as CSV"),
     ],
 )
@@ -266,6 +271,23 @@ def test_refusals_of_landing_map(run, tmp_path, arguments, says):
     code, _, err = run("landing-map", LF, "--motor", MOTOR, "--out", "map.h5", *arguments)
     assert code == 2
     assert says in err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--front", "3"), "'front' is 3; give -1 to 1"),
+        (("--rear", "nan"), "'rear' is nan"),
+        (("--worth", "2"), "a worth below 1"),
+        (("--delays", "0:0.26"), "--delays"),
+    ],
+)
+def test_refusals_of_impulse_map(run, tmp_path, arguments, says):
+    code, _, err = run("impulse-map", LF, "--motor", MOTOR, "--out", "map.h5", *arguments)
+    assert code == 2
+    assert says in err
+    assert err.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
 
