@@ -86,7 +86,8 @@ class ImpulseSettings:
         for name in ("front", "rear", "idle", "after"):
             if not abs(getattr(self, name)) <= 1.0:
                 raise CampaignError(
-                    f"impulse: the command {name!r} is {getattr(self, name):g}; give -1 to 1, 1 being full forward"
+                    f"impulse: the command {name!r} is {getattr(self, name):g}; give -1 to 1, 1 being full "
+                    "forward"
                 )
         if not (self.horizon > 0 and self.finest >= 0 and 0 <= self.worth < 1 and self.equal >= 0):
             raise CampaignError(
