@@ -36,9 +36,18 @@ _SLOWEST_STEP = 0.5
 _NO_BRACKETS = bytes.maketrans(b"[]", b"  ")
 
 
+def _delimiter(line: str) -> str:
+    """Return what parts a line: where there is a semicolon or a TAB, commas are decimal."""
+    return next((mark for mark in ";\t" if mark in line), "") or sniff_delimiter(line)
+
+
+def _number(cell: str) -> float:
+    return parse_number(cell, "," if "," in cell else ".")
+
+
 def _cells(line: str) -> list[str]:
     line = line.strip("[] ")
-    cells = split_line(line, sniff_delimiter(line))
+    cells = split_line(line, _delimiter(line))
     while cells and not cells[-1].strip():
         cells.pop()
     return [cell.strip() for cell in cells]
@@ -48,7 +57,7 @@ def _is_row(cells: list[str]) -> bool:
     if len(cells) not in (6, 7):
         return False
     try:
-        return all(np.isfinite(parse_number(cell)) for cell in cells)
+        return all(np.isfinite(_number(cell)) for cell in cells)
     except ValueError:
         return False
 
@@ -58,7 +67,7 @@ def _is_words(cells: list[str]) -> bool:
     numbers = 0
     for cell in cells:
         try:
-            numbers += bool(np.isfinite(parse_number(cell)))
+            numbers += bool(np.isfinite(_number(cell)))
         except ValueError:
             continue
     return bool(cells) and not numbers
@@ -82,7 +91,7 @@ def _check_settings(path: str, line: int, cells: list[str]) -> None:
     """Refuse a line of settings with words in it: damaged, it may have swallowed the first row."""
     for cell in cells:
         try:
-            parse_number(cell)
+            _number(cell)
         except ValueError:
             raise LogError(
                 f"{path}, line {line}: {cell[:40]!r} is no number in the line that states the rate; "
@@ -108,10 +117,10 @@ def _table(text: Text, path: str) -> tuple[Text, TableHead, float | None]:
             # A row with a damaged or blank cell above this one is not passed over: its line is read too.
             names = ("t", *AXES) if len(cells) == 7 else AXES
             before, start = begin or (number - 1, offset - len(line.encode("utf-8")) - 1)
-            return text, TableHead(names, sniff_delimiter(line), before, max(start, 0)), rate
+            return text, TableHead(names, _delimiter(line), before, max(start, 0)), rate
         elif states and rate is None:
             try:
-                rate = positive_rate(path, parse_number(cells[0])) if len(cells) > 1 else None
+                rate = positive_rate(path, _number(cells[0])) if len(cells) > 1 else None
             except (ValueError, LogError):
                 continue
             _check_settings(path, number, cells)

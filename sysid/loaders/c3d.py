@@ -8,6 +8,7 @@ over the rate, from the first frame that the header names. Axes are those of the
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -22,11 +23,14 @@ from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.rigid_pose import marker_bodies, pose_from_markers
 from sysid.loaders.signals import plain_unit, unique_names
 from sysid.loaders.source import Source
+from sysid.loaders.table import promised_note
 from sysid.recording import Channel, FloatArray, Recording
 from sysid.units import factor_to_si
 
 _NAME = "c3d"
 _BLOCK = 512
+# Where the header counts points and analog samples and names the first and the last frame.
+_COUNTS = 2
 # Processor types: who wrote the numbers decides their byte order.
 _INTEL, _DEC, _MIPS = 84, 85, 86
 # Frames per second: what lies beyond is a number in another byte order than the file says.
@@ -103,6 +107,13 @@ def _open(source: Source) -> Any:
             f"({processor}) is not that of its numbers, or it is damaged; export it again"
         )
     return file
+
+
+def _cut_note(source: Source, file: Any) -> list[str]:
+    """Return a note where the header names more frames than are there; the library reads what is left."""
+    points, _, first, last = struct.unpack_from("<4H", source.head, _COUNTS)
+    frames = file["data"]["points"].shape[2]
+    return promised_note("the header's number of frames", last - first + 1, frames) if points else []
 
 
 def _rate(path: str, stated: Any) -> float:
@@ -244,6 +255,7 @@ def read(
     channels = {**channels, **{name: one for name, one in markers.items() if name not in channels}, **analogs}
     if not channels:
         raise LogError(f"{path}: holds neither points nor rotations nor analog samples; the capture is empty")
+    notes += _cut_note(source, file)
     maker = [str(one) for one in _values(file["parameters"], "MANUFACTURER", "COMPANY")]
     stated_unit = any(str(unit).strip() for unit in _values(file["parameters"], "POINT", "UNITS"))
     options = {

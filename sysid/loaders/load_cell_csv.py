@@ -43,6 +43,8 @@ from sysid.loaders.text import read_text
 from sysid.recording import Channel, Recording
 
 _NAME = "load-cell-csv"
+# What stands above or in the header of ATI's own logs, which have loaders of their own.
+_OTHERS = ("rdt sequence", "sampling freq")
 
 
 def _recognize(source: Source) -> int:
@@ -50,6 +52,8 @@ def _recognize(source: Source) -> int:
     if found is None:
         return NO
     stems = {column.stem for column in parse_header(found[2])}
+    if any(mark in line.casefold() for line in source.head_lines[: found[0] + 1] for mark in _OTHERS):
+        return NO
     if stems & CELL_AXES:
         return CERTAIN
     measured = stems & COMMAND and any(stems & QUANTITIES[name].stems for name in MEASURED)

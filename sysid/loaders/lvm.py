@@ -23,7 +23,7 @@ from sysid.errors import LogError, UnitError
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.signals import Signal, kind_of, signal_channels, unique_names, written_unit
 from sysid.loaders.source import Source
-from sysid.loaders.table import TableHead, read_numbers
+from sysid.loaders.table import TableHead, promised_note, read_numbers
 from sysid.loaders.text import Text, read_text
 from sysid.recording import FloatArray, Recording
 from sysid.units import factor_to_si
@@ -57,6 +57,7 @@ class _Segment:
     units: tuple[str, ...]
     starts: tuple[str, ...]
     steps: tuple[str, ...]
+    samples: tuple[str, ...]
     axes: tuple[str, ...]
     axis_units: tuple[str, ...]
     rows: tuple[int, int]
@@ -122,7 +123,7 @@ def _segment(
         return header.get(key, ())
 
     return _Segment(
-        line, names, row("y_unit_label"), row("x0"), row("delta_x"),
+        line, names, row("y_unit_label"), row("x0"), row("delta_x"), row("samples"),
         row("x_dimension"), row("x_unit_label"), (begin, end),
     )  # fmt: skip
 
@@ -195,6 +196,8 @@ def _segment_signals(
         label = labels[column]
         signals.append(Signal(f"/{label}", written_unit(unit), read, rate, start, time, label))
     notes += numbers.notes
+    counts = [cell for cell in segment.samples if cell.isascii() and cell.isdigit()]
+    notes += promised_note("Samples", max(map(int, counts), default=0), numbers.lines.size)
     timed = any(clock is not None for clock in clocks.values())
     rounded = sorted({cell for cell in segment.steps if cell and not timed and _few_digits(cell)})
     if rounded:

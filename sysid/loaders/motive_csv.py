@@ -31,7 +31,7 @@ from sysid.loaders.motion_capture import (
 )
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
-from sysid.loaders.table import Numbers, TableHead, read_numbers
+from sysid.loaders.table import Numbers, TableHead, promised_note, read_numbers
 from sysid.loaders.text import Text, read_text, sniff_delimiter, split_line
 from sysid.recording import Channel, FloatArray, Recording
 from sysid.units import factor_to_si
@@ -299,7 +299,10 @@ def read(
         wanted |= {index for part in asset.parts.values() for index in part.values()}
     numbers = read_numbers(text, header.table, sorted(wanted), least=max(wanted) + 1)
     del text  # the file's bytes are not needed any more
-    notes = numbers.notes
+    exported = "Total Exported Frames"
+    notes = [
+        *numbers.notes, *promised_note(exported, header.settings.get(exported, ""), numbers.lines.size),
+    ]  # fmt: skip
     time, said = _clock(path, header, numbers, clock)
     own = {index for asset in header.assets for part in asset.parts.values() for index in part.values()}
     named = parse_header(header.table.names)

@@ -20,13 +20,15 @@ from sysid.loaders.columns import listing
 from sysid.loaders.motion_capture import body_channels, declared_length, unit_quaternions, wanted_bodies
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
-from sysid.loaders.table import Numbers
+from sysid.loaders.table import Numbers, promised_note
 from sysid.loaders.table_rows import parse_number
 from sysid.loaders.text import Text, read_text, split_line
 from sysid.recording import Channel, FloatArray, Recording
 
 _NAME = "motive-legacy"
 _BODY_CELLS, _MARKER_CELLS = 11, 5
+# What a line may begin with besides frame.
+_WORDS = frozenset({"comment", "info", "rigidbody", "righthanded", "lefthanded"})
 # More bodies or markers than this in one row is a damaged count.
 _MOST = 10_000
 
@@ -102,7 +104,8 @@ def _add_frame(frames: _Frames, names: dict[str, str], number: int, cells: Seque
 def _frames(text: Text, notes: list[str]) -> _Frames:
     frames = _Frames()
     names: dict[str, str] = {}
-    handed = ""
+    handed = promised = ""
+    strange: list[int] = []
     closed = text.data.endswith(b"\n")
     for number, behind, line in text.lines():
         cells = split_line(line, ",")
@@ -123,6 +126,15 @@ def _frames(text: Text, notes: list[str]) -> _Frames:
                     f"cells of this frame do not agree ({str(error)[:60] or 'the row is cut'}); "
                     "repair or remove the row"
                 ) from None
+        elif word == "info" and len(cells) > 2 and cells[1].strip().casefold() == "framecount":
+            promised = cells[2]
+        elif word and word not in _WORDS and frames.lines:
+            strange.append(number)
+    if strange:
+        notes.append(
+            f"lines that begin with no known word, left out: {len(strange)} (first: line {strange[0]})"
+        )
+    notes += promised_note("framecount", promised, len(frames.lines))
     if handed == "lefthanded":
         raise LogError(f"{text.path}: axes are left-handed; export again with right-handed axes")
     if not frames.lines:

@@ -26,7 +26,7 @@ from sysid.loaders.motion_capture import (
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.rigid_pose import marker_bodies, pose_from_markers
 from sysid.loaders.source import Source
-from sysid.loaders.table import Numbers, TableHead, read_numbers
+from sysid.loaders.table import Numbers, TableHead, promised_note, read_numbers
 from sysid.loaders.table_rows import parse_number
 from sysid.loaders.text import Text, read_text
 from sysid.recording import Channel, FloatArray, Recording
@@ -183,7 +183,8 @@ def read(
     table = TableHead((*["Frame", "Time"][:lead], *labels), "\t", line, offset)
     numbers = read_numbers(text, table, range(len(table.names)))
     del text  # the file's bytes are not needed any more
-    notes = numbers.notes
+    stated = (keys.get(_FIRST) or [""])[0]
+    notes = [*numbers.notes, *promised_note(_FIRST, stated, numbers.lines.size)]
     if lead:
         _, said = order_rows(path, numbers, 0, 1.0 / rate)
         time, checked = _checked_clock(path, numbers, rate)

@@ -73,10 +73,10 @@ class Source:
     @cached_property
     def head_lines(self) -> tuple[str, ...]:
         """Lines of `head` as text without their line ends; none for a binary file."""
-        from sysid.loaders.text import decode
+        from sysid.loaders.text import decode, without_separator
 
         try:
-            text = decode(self.head, self.path, partial=True)
+            text = without_separator(decode(self.head, self.path, partial=True))
         except LogError:
             return ()
         if "\0" in text:

@@ -47,10 +47,11 @@ def find_header(lines: Sequence[str]) -> tuple[int, str, list[str]] | None:
     """Return (index, delimiter, names) of the header line among the first lines of a log, if there is one.
 
     Blank lines are passed over, and lines that begin with ``#`` unless they name as many columns as the row
-    of numbers below them has.
+    of numbers below them has; so are titles, lines of one cell above such a header.
     """
+    begin = _behind_titles(lines[:_HEADER_SEARCH])
     for index, line in enumerate(lines[:_HEADER_SEARCH]):
-        if not line.strip():
+        if index < begin or not line.strip():
             continue
         names = _header_cells(line, delimiter := sniff_delimiter(line))
         if line.lstrip().startswith("#"):
@@ -65,6 +66,23 @@ def find_header(lines: Sequence[str]) -> tuple[int, str, list[str]] | None:
             names.pop()
         return index, delimiter, [name.strip() for name in names]
     return None
+
+
+def _behind_titles(lines: Sequence[str]) -> int:
+    """Return the index of the header below lines of one cell (who recorded the log); 0 without them."""
+    for index, line in enumerate(lines):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        delimiter = sniff_delimiter(line, spaces=False)
+        filled = [cell for cell in split_line(line, delimiter) if cell.strip()]
+        if len(filled) == 1 and not _all_numeric(filled):
+            continue
+        below = next((text for text in lines[index + 1 :] if text.strip()), "")
+        cells, names = split_line(below, delimiter), split_line(line, delimiter)
+        named = len(filled) > 1 and not any(_all_numeric([cell]) for cell in filled)
+        first = cells[0] if delimiter == "," else cells[0].replace(",", ".", 1)
+        return index if named and len(cells) == len(names) and _all_numeric([first]) else 0
+    return 0
 
 
 def _header_cells(line: str, delimiter: str) -> list[str]:
@@ -241,7 +259,7 @@ def read_numbers(
         raise empty
     notes = list(text.notes)
     if decimal is None:
-        decimal = decimal_mark(body, wanted)
+        decimal = decimal_mark(path, body, wanted)
     open_end = not closed
     if open_end and not _is_whole(body.cells(-1), wanted, least, decimal):
         notes.append(f"line {body.lines[-1]}, the last, is cut and was left out")
@@ -290,6 +308,28 @@ def read_numbers(
     if infinite:
         notes.append(f"cells that hold an infinite number: {infinite}; taken as missing")
     return Numbers(columns, lines, notes, open_end=open_end)
+
+
+def promised_note(header: str, stated: object, found: int) -> list[str]:
+    """Return a note where a header promises more rows than there are: a log cut at the end of a row shows no
+    other trace.
+
+    Parameters
+    ----------
+    header : str
+        What the header calls the number, for the reader.
+    stated : object
+        The number as the header writes it; what is no count promises nothing.
+    found : int
+        Rows in the file.
+    """
+    try:
+        promised = int(str(stated).strip())
+    except ValueError:
+        return []
+    if promised <= found:
+        return []
+    return [f"{header} is {promised} but {found} rows are there: the log was cut, or rows were left out"]
 
 
 def _is_words(cells: Sequence[str], column: int | None) -> bool:

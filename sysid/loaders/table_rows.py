@@ -11,6 +11,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
@@ -27,6 +28,8 @@ _MISSING = frozenset({"", "nan", "-nan", "+nan"})
 # Bytes that are searched, or parsed, at once: what is made of them is small beside the numbers. Of a small
 # table the pieces are smaller, as the engine holds several times a piece.
 _SEARCHED, _PARSED = 1 << 18, (1 << 18, 1 << 20)
+# A comma that may part thousands.
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
 # Rows that are parted at once.
 _BATCH = 4096
 # More blank cells than this behind the last column of a row is no trailing delimiter.
@@ -169,21 +172,35 @@ def measure(data: bytes, start: int, end: int, delimiter: str, first_line: int) 
     return rows if filled.all() else rows.part(filled)
 
 
-def decimal_mark(body: Body, wanted: Sequence[int]) -> str:
+def decimal_mark(path: str, body: Body, wanted: Sequence[int]) -> str:
     """Return the decimal mark of a table: a comma where wanted cells hold commas and none holds a point.
 
     Judged from the first rows, or where those hold whole numbers alone (a stand at rest) from the first row
-    with a mark.
+    with a mark. Commas that may all part thousands (``1,000``) tell nothing: the rows behind decide.
+
+    Raises
+    ------
+    LogError
+        When every comma of the table may be either.
     """
     first = int(body.begins[0])
     if body.delimiter == "," or body.data.find(b",", first) < 0:
         return "."
     rows: Iterator[list[str]] = body.all_cells()
     start = [row[index] for row in islice(rows, 200) for index in wanted if index < len(row)]
+    doubtful = ""
     for cells in chain([start], ([row[i] for i in wanted if i < len(row)] for row in rows)):
-        commas, points = any("," in cell for cell in cells), any("." in cell for cell in cells)
-        if commas or points:
-            return "." if points else ","
+        commas = [cell for cell in cells if "," in cell]
+        if any("." in cell for cell in cells):
+            return "."
+        if any(not _THOUSANDS.fullmatch(cell.strip().strip('"')) for cell in commas):
+            return ","
+        doubtful = doubtful or next(iter(commas), "")
+    if doubtful:
+        raise LogError(
+            f"{path}: {shortened(doubtful)!r} may have three decimals or be one of thousands, and no other "
+            "cell tells which; export the log with decimal points and without marks between thousands"
+        )
     return "."
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import codecs
 import csv
 import io
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -20,6 +21,8 @@ SPACES = " "
 # A table of fewer columns than this is not told from prose by its spaces.
 _FEWEST_WORDS = 4
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+# What Excel writes before a table, to itself: which character parts its cells. The line's end stays.
+_SEPARATOR = re.compile(rb'\A[ ]*"?sep=[^\r\n"]?"?[,;\t ]*(?=[\r\n])', re.IGNORECASE)
 # Bytes that are decoded at once.
 _PIECE = 1 << 20
 
@@ -84,6 +87,11 @@ class Text:
             yield number, offset, line
 
 
+def without_separator(text: str) -> str:
+    """Return text whose first line is blank where it only told Excel the separator (``sep=;``)."""
+    return _SEPARATOR.sub(b"", text[:40].encode("utf-8", "surrogatepass")).decode("utf-8") + text[40:]
+
+
 def read_text(source: Source) -> Text:
     """Read a text log whole.
 
@@ -104,7 +112,7 @@ def read_text(source: Source) -> Text:
             f"{source.path}, line {line}: NUL byte at byte {nul}: the file is binary, damaged or "
             "UTF-16 without a mark; export it again as UTF-8 text"
         )
-    data = data.removeprefix(b"\xef\xbb\xbf")
+    data = _SEPARATOR.sub(b"", data.removeprefix(b"\xef\xbb\xbf"))
     if not data.isascii() and not _is_utf8(data):
         data = _as_utf8(data, "cp1252", source.path)
         notes.append("not UTF-8: read as Windows-1252")

@@ -224,7 +224,11 @@ def _drop_lines(drop: DropReport | None) -> list[str]:
 def _bench_lines(bench: BenchReport | None) -> list[str]:
     if bench is None:
         return []
-    lines = [f"top speed {_number(bench.top_speed)} rad/s ({_number(bench.top_speed * 30 / np.pi)} rpm)"]
+    lines = []
+    if np.isfinite(bench.top_speed):
+        lines.append(
+            f"top speed {_number(bench.top_speed)} rad/s ({_number(bench.top_speed * 30 / np.pi)} rpm)"
+        )
     if bench.commands:
         lines.append(
             f"{bench.commands} command levels from {_number(bench.lowest_command)} to "

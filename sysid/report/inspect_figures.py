@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from sysid.inspection import LogReport
-from sysid.recording import Channel, Recording
+from sysid.recording import BoolArray, Channel, FloatArray, Recording
 from sysid.report.figures import BEST, MEASURED, RUNS
 
 # Channels that tell most about a bench log, first; of other logs the first ones.
@@ -34,6 +35,12 @@ def _chosen(recording: Recording, report: LogReport) -> list[Channel]:
     return [channels[name] for name in names if name in channels][:_MOST_ROWS]
 
 
+def _lone(values: FloatArray) -> BoolArray:
+    """Return which samples stand between two blanks."""
+    seen = np.concatenate([[False], np.isfinite(values), [False]])
+    return np.asarray(seen[1:-1] & ~seen[:-2] & ~seen[2:], dtype=np.bool_)
+
+
 def _draw(axes: Axes, channel: Channel, points: bool, change: bool = False) -> None:
     step = max(1, channel.time.size // _MOST_POINTS)
     time = channel.time[::step]
@@ -46,6 +53,11 @@ def _draw(axes: Axes, channel: Channel, points: bool, change: bool = False) -> N
         colour = MEASURED if columns.shape[1] == 1 else RUNS[i]
         label = labels[i] if labels else None
         axes.plot(time, columns[:, i], color=colour, label=label, rasterized=True, **style)
+        lone = _lone(columns[:, i])
+        if lone.any() and not points:  # a line does not show a sample between two blanks
+            axes.plot(time[lone], columns[lone, i], ".", color=colour, markersize=3.0, rasterized=True)
+    if points:
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     if labels:
         axes.legend(
             loc="lower right", bbox_to_anchor=(1.0, 0.98), borderaxespad=0.0, ncols=len(labels),

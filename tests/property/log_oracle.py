@@ -69,6 +69,44 @@ def number(cell, decimal="."):
     return float(text) if text.isascii() and PLAIN.fullmatch(text) else Wrong(math.nan)
 
 
+class SaysNothing(Exception):
+    """The log does not say what the channels would be."""
+
+
+def is_title(lines, i):
+    """Whether a line of one cell stands above names of columns, which stand above a number."""
+    told = [line for line in lines[i:100] if line.strip() and not line.lstrip().startswith("#")]
+    for k, line in enumerate(told[:-1]):
+        mark = delimiter_of(line, spaces=False)
+        words = [cell for cell in cells_of(line, mark) if cell.strip()]
+        if len(words) == 1 and isinstance(number(words[0]), Wrong):
+            continue
+        below = cells_of(told[k + 1], mark)
+        plain = len(words) > 1 and all(isinstance(number(word), Wrong) for word in words)
+        first = number(below[0], "," if mark != "," and "," in below[0] else ".")
+        return bool(
+            k and plain and len(below) == len(cells_of(line, mark)) and not isinstance(first, Wrong)
+            and not math.isnan(first)
+        )  # fmt: skip
+    return False
+
+
+def header_of(lines):
+    """Return (index, delimiter, cells) of the first line that is neither blank nor a comment."""
+    for i, line in enumerate(lines):
+        if line.strip() and not line.lstrip().startswith("#"):
+            if is_title(lines, i):
+                continue
+            delimiter = delimiter_of(line)
+            cells = cells_of(line, delimiter)
+            if delimiter == " ":  # a unit in brackets belongs to the name before it
+                cells = re.sub(r" +(?=[(\[])", "\xa0", " ".join(cells)).split(" ")
+            while cells and not cells[-1].strip():
+                cells.pop()
+            return i, delimiter, cells
+    raise SaysNothing("a header")
+
+
 PREFIXES = {"": 1.0, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "c": 1e-2, "d": 1e-1, "k": 1e3,
             "M": 1e6, "G": 1e9, "h": 1e2}  # fmt: skip
 POUND = 4.4482216152605
@@ -292,13 +330,17 @@ def mismatch(channels, i, time, row, table, points, shift):
             if told is None and not row.open_end:
                 return f"{channel.name} is no unit quaternion in the line"
             told = np.full(len(got), np.nan) if told is None else told
-            tolerance = 1e-12  # of numbers of size 1, normalised once
-            fits = np.allclose(got, told, rtol=0, atol=tolerance, equal_nan=True)
+            fits = len(told) == len(got) and all(map(close_units, got.tolist(), told.tolist()))
         else:
             fits = len(told) == len(got) and all(map(close, got, told))
         if not fits:
             return f"{channel.name} is {got}, the line says {told}"
     return ""
+
+
+def close_units(got, told):
+    # Numbers of size 1, normalised once.
+    return abs(got - told) <= 1e-12 or (math.isnan(got) and math.isnan(told))
 
 
 def close(got, told):

@@ -10,11 +10,13 @@ import re
 from log_oracle import (
     COMMANDS,
     Row,
+    SaysNothing,
     Table,
     cells_of,
     delimiter_of,
     factor_of,
     fill,
+    header_of,
     label_of,
     lines_of,
     number,
@@ -24,28 +26,10 @@ from log_oracle import (
 )
 
 
-class SaysNothing(Exception):
-    """The log does not say what the channels would be."""
-
-
 def need(value, what):
     if value is None:
         raise SaysNothing(what)
     return value
-
-
-def header_of(lines):
-    """Return (index, delimiter, cells) of the first line that is neither blank nor a comment."""
-    for i, line in enumerate(lines):
-        if line.strip() and not line.lstrip().startswith("#"):
-            delimiter = delimiter_of(line)
-            cells = cells_of(line, delimiter)
-            if delimiter == " ":  # a unit in brackets belongs to the name before it
-                cells = re.sub(r" +(?=[(\[])", "\xa0", " ".join(cells)).split(" ")
-            while cells and not cells[-1].strip():
-                cells.pop()
-            return i, delimiter, cells
-    raise SaysNothing("a header")
 
 
 def only(cells, names):
@@ -403,10 +387,14 @@ def ati_text(data, recording):
     lines, closed = lines_of(data)
     if "sampling freq" not in lines[0].casefold():
         raise SaysNothing("a rate")
+
+    def mark_of(line):  # where there is another mark, commas are decimal
+        return ";" if ";" in line else "\t" if "\t" in line else delimiter_of(line)
+
     rate, first = None, 0
     for i in range(1, 20):
-        cells = cells_of(lines[i].strip("[] "), delimiter_of(lines[i]))
-        numbers = [number(cell) for cell in cells]
+        cells = cells_of(lines[i].strip("[] "), mark_of(lines[i]))
+        numbers = [number(cell, "," if "," in cell else ".") for cell in cells]
         filled = [x for x in numbers if not math.isnan(x)]
         if len(filled) in (6, 7):  # six numbers are a row, which states no rate
             need(rate, "a rate")
@@ -419,7 +407,7 @@ def ati_text(data, recording):
         elif lines[i].strip() and (filled or not any(cell.strip() for cell in cells)):
             first = first or i
     need(first or None, "a row")
-    delimiter = delimiter_of(lines[first])
+    delimiter = mark_of(lines[first])
     columns = {(channel, 0): (k, 1.0) for k, channel in enumerate(SIX)}
     count = iter(range(10**6))
     table = Table(counted=True)

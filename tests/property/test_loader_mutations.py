@@ -32,6 +32,12 @@ HANG = 5.0
 STUCK = 300.0
 
 
+@pytest.fixture(autouse=True)
+def no_other_packages(monkeypatch):
+    """Looking through all installed packages for formats takes longer than reading these logs."""
+    monkeypatch.setattr("sysid.loaders.registry.entry_points", lambda group: ())
+
+
 def cell_hdf5():
     stream = io.BytesIO()
     random = np.random.default_rng(5)

@@ -21,6 +21,7 @@ from sysid.loaders import detect, load
 from sysid.loaders.sysid_hdf5 import write_recording
 from sysid.pipelines.inspect import SecondFile, convert_file, parse_options
 from sysid.recording import Channel, Provenance, Recording
+from sysid.report.inspect_figures import figure_logs
 
 
 def recording(kind, *channels):
@@ -410,3 +411,28 @@ def test_blanks_at_the_edges_of_a_log_count(blank, longest):
     one = inspect_channel(Channel("thrust", "N", time, values))
     assert one.blank == pytest.approx(len(blank) / 100)
     assert one.longest_blank == pytest.approx(longest, abs=1e-9)
+
+
+def test_a_sensor_of_every_third_row_is_drawn():
+    """A line joins neighbours only: each sample between two blanks needs a dot, and no other has one."""
+    time = np.arange(60) * 0.01
+    thrust = np.where(np.arange(60) % 3 == 0, time + 1.0, np.nan)
+    thrust[50:55] = 2.0
+    log = recording(
+        "thrust-stand", Channel("command", "us", time, time + 1000), Channel("thrust", "N", time, thrust)
+    )
+    _, axes = figure_logs([log], [inspect_recording(log)]).axes
+    line, dots = axes.get_lines()
+    np.testing.assert_array_equal(line.get_ydata(), thrust)
+    np.testing.assert_array_equal(dots.get_xdata(), time[[i for i in range(0, 60, 3) if not 49 <= i <= 55]])
+    assert dots.get_marker() == "."
+
+
+def test_a_load_cell_without_a_speed_has_no_top_speed(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "Time (s),Fz (N)\n" + "".join(f"{i * 0.01:.2f},{i}\n" for i in range(50)), encoding="utf-8"
+    )
+    shown = CliRunner().invoke(app, ["inspect", str(path)]).output
+    assert "thrust" in shown
+    assert "top speed" not in shown

@@ -1,6 +1,7 @@
 """What a reader must be told: rows that the instrument doubts, columns not read, units of another kind."""
 
 import re
+import struct
 
 import h5py
 import numpy as np
@@ -115,3 +116,113 @@ def test_qualisys_frequency_with_a_decimal_comma(write):
     assert load(write(head.format("99,5") + rows))["m/position"].rate == pytest.approx(99.5)
     with pytest.raises(LogError, match="the header states no FREQUENCY"):
         load(write(head.format("1,000,5") + rows))
+
+
+def test_a_log_cut_at_the_end_of_a_row_is_told_by_its_header(write, tmp_path):
+    lvm = (
+        "LabVIEW Measurement\nX_Columns\tNo\n***End_of_Header***\n\nChannels\t1\nSamples\t60\n"
+        "Y_Unit_Label\tN\nDelta_X\t0.01\n***End_of_Header***\nX_Value\tFz\tComment\n"
+    )
+    qualisys = "NO_OF_FRAMES\t60\nNO_OF_MARKERS\t1\nFREQUENCY\t100\nDATA_INCLUDED\t3D\nMARKER_NAMES\tm\n"
+    motive = (
+        "Format Version,1.23,Export Frame Rate,100,Total Exported Frames,60,Rotation Type,Quaternion,"
+        "Length Units,Meters\n\n,Type,Marker,Marker,Marker\n,Name,a,a,a\n,ID,1,1,1\n"
+        ",,Position,Position,Position\nFrame,Time (Seconds),X,Y,Z\n"
+    )
+    legacy = "righthanded\ninfo,version,1.1\ninfo,framecount,60\n"
+    for head, row, word in [
+        (lvm, "\t{i}\n", "Samples"),
+        (qualisys, "{i}\t2\t3\n", "NO_OF_FRAMES"),
+        (motive, "{i},{t},1,2,3\n", "Total Exported Frames"),
+        (legacy, "frame,{i},{t},0,1,1,2,3,1,a\n", "framecount"),
+    ]:
+        rows = [row.format(i=i, t=f"{i * 0.01:.6f}") for i in range(60)]
+        assert "the log was cut" not in notes(load(write(head + "".join(rows))))
+        said = notes(load(write(head + "".join(rows[:-7]))))
+        assert f"{word} is 60 but 53 rows are there: the log was cut, or rows were left out" in said
+
+
+def test_a_c3d_cut_between_frames(tmp_path):
+    ezc3d = pytest.importorskip("ezc3d", reason="ezc3d comes with the test extra")
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["RATE"]["value"] = [100.0]
+    file["parameters"]["POINT"]["LABELS"]["value"] = ["a", "b"]
+    file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
+    file["data"]["points"] = np.ones((4, 2, 50))
+    path = tmp_path / "log.c3d"
+    file.write(str(path))
+    assert "was cut" not in notes(load(path))
+    data = path.read_bytes()
+    begin = (struct.unpack_from("<H", data, 16)[0] - 1) * 512  # of two points of four floats of four bytes
+    path.write_bytes(data[: begin + 42 * 32])
+    log = load(path)
+    assert len(log["a/position"].values) == 42
+    assert "the header's number of frames is 50 but 42 rows are there: the log was cut" in notes(log)
+
+
+def test_lines_that_are_no_frames_are_named(write):
+    rows = [f"frame,{i},{i * 0.01:.6f},0,1,1,2,3,1,a\n" for i in range(30)]
+    rows[12] = rows[12].replace("frame", "fr4me")
+    log = load(write("righthanded\ninfo,version,1.1\n" + "".join(rows)))
+    assert "lines that begin with no known word, left out: 1 (first: line 15)" in notes(log)
+    assert len(log["a/position"].values) == 29
+
+
+TABLE = "Time (s){0}Speed (rad/s){0}Fz (N)\n" + "".join(f"{i}.5{{0}}{i}.25{{0}}7.125\n" for i in range(12))
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        "sep=;\n",
+        '"sep=;"\r\n',
+        "SEP=;;;\n",
+        "Recorded by Bob\n\n",
+        "thrust stand log of 3 May 2024;;\n",
+        "# a\nRun 7\n",
+    ],
+)
+def test_lines_before_the_header(write, before):
+    text = TABLE.format(";").replace(".", ",")
+    plain, found = load(write(text)), load(write(before + text, "other"))
+    for name, channel in plain.channels.items():
+        np.testing.assert_array_equal(found[name].values, channel.values)
+        np.testing.assert_array_equal(found[name].time, channel.time)
+    with pytest.raises(LogError, match=f"line {before.count(chr(10)) + 4}: 'x' in column"):
+        load(write(before + text.replace("2,5;", "x;")))
+
+
+def test_a_table_of_settings_before_the_header_is_refused(write):
+    with pytest.raises(LogError, match=r"not recognized|no column"):
+        load(write("Operator;Bob\nDate;2024-05-03\n" + TABLE.format(";")))
+
+
+@pytest.mark.parametrize("rate", ["150;75;500", "150,0;75;500"])
+@pytest.mark.parametrize("mark", [";", "\t"])
+def test_ati_text_with_decimal_commas(write, rate, mark):
+    head = f"First line indicates sampling freq [Hz]\nFx;Fy;Fz;Tx;Ty;Tz\n{rate}\n".replace(";", mark)
+    rows = "".join(f"0,125;-0,25;{i},5;1;2;3\n".replace(";", mark) for i in range(20))
+    log = load(write(head + rows), units={"force": "N", "torque": "N*m"})
+    np.testing.assert_array_equal(log["thrust"].values, np.arange(20) + 0.5)
+    np.testing.assert_array_equal(log["force_x"].values, 0.125)
+    assert log["thrust"].rate == pytest.approx(150.0)
+
+
+def test_marks_between_thousands_are_never_decimals(write):
+    def table(cells, time="{i}"):
+        rows = "".join(f"{time.format(i=i)};{cell}\n" for i, cell in enumerate(cells))
+        return "Time (s);Fz (N)\n" + rows
+
+    # One thousand, or one: nothing in the table tells.
+    for cells in (["950", "1,000", "1,050"], ["1,000"] * 3, ["-2,500", "0", "0"], ["1,000,000"] * 3):
+        with pytest.raises(LogError, match="may have three decimals or be one of thousands, and no other"):
+            load(write(table(cells)))
+    for cells in (["1,000.5", "2", "3"], ["1,5", "1,000,000", "2"], ["1.000,5", "1", "2"]):
+        with pytest.raises(LogError, match="is not a number"):
+            load(write(table(cells)))
+    with pytest.raises(LogError, match="is not a number"):
+        load(write('Time (s),Fz (N)\n0,1\n1,"1,000"\n2,3\n'))
+    # A decimal in another cell, however late, tells.
+    for cells, time in ((["1,000", "2,500", "3,250"], "0,{i}"), (["1,000", "2,500", "0,125"], "{i}")):
+        values = load(write(table(cells, time)))["thrust"].values
+        np.testing.assert_array_equal(values, [float(cell.replace(",", ".")) for cell in cells])
