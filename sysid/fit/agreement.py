@@ -27,6 +27,8 @@ SAME_PLACE = 0.02
 # Relative difference of NRMSE within which searches end, three times CMA-ES's tolerance: no further search
 # tells apart what lies within it.
 ENDS_WITHIN = 3e-5
+# Why a run was not ended by its own rule.
+_CUT = ("interrupted", "time", "evaluations", "generations")
 # A parameter that such sets spread over by more is held no tighter than that [1].
 _HELD = 0.01
 
@@ -43,11 +45,15 @@ class Agreement:
         Optimum (from 0, best first) of every run, in the order of the runs.
     cost : (R,) array
         NRMSE of every run, in the order of the runs [1].
+    cut : tuple of str
+        Why every run was cut short, in the order of the runs; empty for one that ended by itself. Where a
+        run was cut is no optimum.
     """
 
     order: tuple[int, ...]
     optimum: NDArray[np.int64]
     cost: FloatArray
+    cut: tuple[str, ...]
 
     @property
     def reached(self) -> int:
@@ -57,11 +63,13 @@ class Agreement:
     @property
     def agrees(self) -> bool:
         """True when every run ended in the best optimum."""
-        return self.reached == len(self.cost)
+        return self.reached == len(self.cost) and not any(self.cut)
 
     def sentence(self) -> str:
         """Return what the runs say about the result, in one sentence."""
         runs, best = len(self.cost), float(self.cost.min())
+        if any(self.cut):
+            return self._unfinished(runs, best)
         if runs == 1:
             return "a single run cannot say whether its optimum is the best one; ask for more with --runs 5"
         if self.agrees:
@@ -83,6 +91,20 @@ class Agreement:
             "local ones; ask for more runs with --runs 20"
         )
 
+    def _unfinished(self, runs: int, best: float) -> str:
+        reasons = ", ".join(dict.fromkeys(reason for reason in self.cut if reason))
+        cut = sum(bool(reason) for reason in self.cut)
+        text = (
+            f"{cut} of {runs} runs {'was' if cut == 1 else 'were'} not finished ({reasons}) and "
+            f"{'says' if cut == 1 else 'say'} nothing about optima yet; best NRMSE so far {100 * best:.3f} %"
+        )
+        ended = self.cost[[not reason for reason in self.cut]]
+        if len(ended):
+            text += f", the finished ones end at {ended.min() / best:.3f} to {ended.max() / best:.3f} × it"
+        if {*self.cut} & {REASONS["time"], REASONS["interrupted"]}:
+            return text + "; continue with --resume"
+        return text + "; start anew with a larger limit"
+
 
 def agreement(runs: Sequence[RunHistory]) -> Agreement:
     """Group runs by the optimum in which they ended."""
@@ -102,7 +124,8 @@ def agreement(runs: Sequence[RunHistory]) -> Agreement:
         else:
             optimum[run] = len(first)
             first.append(int(run))
-    return Agreement(tuple(int(i) for i in order), optimum, cost)
+    cut = tuple(REASONS[run.stop_reason] if run.stop_reason in _CUT else "" for run in runs)
+    return Agreement(tuple(int(i) for i in order), optimum, cost, cut)
 
 
 def _width(run: RunHistory) -> FloatArray:
@@ -151,7 +174,10 @@ def _span(runs: Sequence[RunHistory], space: SearchSpace, within: float) -> tupl
 
 
 def waterfall(runs: Sequence[RunHistory]) -> list[str]:
-    """Return a table of all runs, best first: NRMSE, its ratio to the best, optimum, cost, why it ended."""
+    """Return a table of all runs, best first: NRMSE, its ratio to the best, optimum, cost, why it ended.
+
+    A run that was cut short reached no optimum: a dash.
+    """
     found = agreement(runs)
     best = float(found.cost.min())
     lines = [
@@ -162,7 +188,7 @@ def waterfall(runs: Sequence[RunHistory]) -> list[str]:
         ended = ", ".join(f"{stage.algorithm}: {REASONS[stage.stop_reason]}" for stage in run.stages)
         lines.append(
             f"{rank:>4}  {i + 1:>3}  {100 * found.cost[i]:>7.3f} %  {found.cost[i] / best:>7.4f}  "
-            f"{_letter(int(found.optimum[i])):>7}  {run.evaluations:>10}  {ended}"
+            f"{'-' if found.cut[i] else _letter(int(found.optimum[i])):>7}  {run.evaluations:>10}  {ended}"
         )
     return lines
 

@@ -1,20 +1,18 @@
-"""Every search algorithm behind one adapter; with `matlab_genetic` the only importer of pymoo.
+"""Every search algorithm behind one adapter: pymoo's, and cma's evolution strategy.
 
-A `Breeder` says which candidates to score next and is told their costs; nothing of pymoo's own stop rules,
-histories or evaluation budgets takes part. Its candidates are a pure function of seed and costs, so a run
-that was cut off continues exactly where it was once it has been told the costs that were stored.
+A `Breeder` says which candidates to score next and is told their costs; nothing of the libraries' own stop
+rules, histories or evaluation budgets takes part. Its candidates are a pure function of seed and costs, so a
+run that was cut off continues exactly where it was once it has been told the costs that were stored.
 
-What pymoo 0.6 does with random numbers and how it is kept from mattering:
-
-* default operators are objects shared by every instance: they are built anew here;
-* its CMA-ES wraps the package `cma`, which draws from numpy's global generator unless it is given a
-  function to draw from: each breeder gives its own.
+The two algorithms of the default search breed on whole arrays (`genetic`, `evolution_strategy`); the others
+go through pymoo's own objects (`PymooBreeder`), whose default operators are shared by every instance and are
+therefore built anew here.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +28,7 @@ ALGORITHMS: dict[str, str] = {
         "MATLAB's ga: stochastic uniform selection on ranks, 5 % elites, scattered crossover 0.8, "
         "shrinking Gaussian mutation clipped to the bounds"
     ),
-    "cmaes": "CMA-ES (pymoo, cma)",
+    "cmaes": "CMA-ES (cma)",
     "de": "pymoo differential evolution best/1/bin",
     "pso": "pymoo particle swarm, adaptive",
 }
@@ -69,8 +67,28 @@ class Start:
         return cls(cube.mean(axis=0), np.clip(cube.std(axis=0), _LEAST_SPREAD, _RANDOM_SPREAD))
 
 
-class Breeder:
-    """One algorithm as ask and tell over the unit cube.
+class Breeder(Protocol):
+    """One algorithm as ask and tell over the unit cube."""
+
+    def ask(self) -> FloatArray | None:
+        """Return the candidates (P, n_free) to score next, or None when no new one can be bred."""
+        ...
+
+    def tell(self, cost: FloatArray) -> None:
+        """Take the costs (P,) of the candidates last asked for."""
+        ...
+
+    def population(self) -> tuple[FloatArray, FloatArray]:
+        """Return points (P, n_free) and costs (P,) of the population, best first."""
+        ...
+
+    def close(self) -> None:
+        """Let go of what was taken."""
+        ...
+
+
+class PymooBreeder:
+    """One of pymoo's algorithms as ask and tell over the unit cube.
 
     Parameters
     ----------
@@ -88,8 +106,6 @@ class Breeder:
         self._algorithm = algorithm
         algorithm.setup(self._problem, termination=NoTermination(), verbose=False)
         self._asked: Any = None
-        # Candidates of every generation, where fewer mean that the algorithm has given up.
-        self._whole: int | None = None
 
     def ask(self) -> FloatArray | None:
         """Return the candidates (P, n_free) to score next, or None when no new one can be bred."""
@@ -97,8 +113,6 @@ class Breeder:
             return None
         self._asked = self._algorithm.ask()
         if self._asked is None or len(self._asked) == 0:
-            return None
-        if self._whole is not None and len(self._asked) != self._whole:
             return None
         return np.asarray(self._asked.get("X"), dtype=np.float64)
 
@@ -151,24 +165,11 @@ def breeder(name: str, n_free: int, population: int, seed: int, start: Start | N
     Config.warnings["not_compiled"] = False
     if name == "cmaes":
         return _cmaes(n_free, population, seed, start)
-    return Breeder(_ALGORITHM[name](population, seed), n_free)
+    if name == "ga":
+        from sysid.fit.genetic import GeneticBreeder
 
-
-def _ga(population: int, seed: int) -> Any:
-    from pymoo.algorithms.soo.nonconvex.ga import GA
-    from pymoo.operators.crossover.sbx import SBX
-    from pymoo.operators.mutation.pm import PM
-    from pymoo.operators.sampling.rnd import FloatRandomSampling
-
-    return GA(
-        pop_size=population,
-        sampling=FloatRandomSampling(),
-        crossover=SBX(),
-        mutation=PM(),
-        eliminate_duplicates=True,
-        save_history=False,
-        seed=seed,
-    )
+        return GeneticBreeder(n_free, population, seed)
+    return PymooBreeder(_ALGORITHM[name](population, seed), n_free)
 
 
 def _matlab_ga(population: int, seed: int) -> Any:
@@ -191,30 +192,13 @@ def _pso(population: int, seed: int) -> Any:
     return PSO(pop_size=population, sampling=LHS(), seed=seed)
 
 
-_ALGORITHM = {"ga": _ga, "matlab-ga": _matlab_ga, "de": _de, "pso": _pso}
+_ALGORITHM = {"matlab-ga": _matlab_ga, "de": _de, "pso": _pso}
 
 
 def _cmaes(n_free: int, population: int, seed: int, start: Start | None) -> Breeder:
-    from pymoo.algorithms.soo.nonconvex.cmaes import CMAES
+    from sysid.fit.evolution_strategy import EvolutionStrategy
 
     random = np.random.default_rng(seed)
     if start is None:
         start = Start(random.random(n_free), np.full(n_free, _RANDOM_SPREAD))
-    largest = float(start.spread.max())
-    algorithm = CMAES(
-        x0=start.mean,
-        sigma=largest,
-        pop_size=population,
-        # The search's own rule ends it: cma's tolerances are far below what a cost resolves.
-        tolfun=0.0,
-        tolx=0.0,
-        CMA_stds=start.spread / largest,
-        randn=lambda *shape: random.standard_normal(shape),
-    )
-    out = Breeder(algorithm, n_free)
-    # pymoo scores the starting point, whose cost cma never sees: no simulation is spent on it.
-    out.ask()
-    out.tell(np.full(1, np.inf))
-    # On a flat cost cma stops by itself, and pymoo then hands out its best point alone as a generation.
-    out._whole = population
-    return out
+    return EvolutionStrategy(start.mean, start.spread, population, random)

@@ -7,11 +7,11 @@ Run ``python tests/benchmarks/engine.py PART [--problem lf|hf|motor] [--seeds 5]
     Candidates and processor time (of all threads) until the best NRMSE is within 1.01 × the best that any of
     the runs found, for every algorithm alone and with its finisher; how many seeds get there; where they end.
 ``overhead``
-    Wall time of one LF run of the default search with checkpoints, and the shares of it, and of its processor
-    time, that are spent outside the simulations. A fit overlaps two runs, which hides what one breeds.
+    Wall time of one run of the default search with checkpoints on one thread, and the shares of it, and of
+    its processor time, that are spent outside the simulations.
 ``workers``
-    The same LF candidates on one and on two Dask worker processes: wall times, and the processor time of
-    workers, scheduler and search over that of the candidates alone, which other work moves less.
+    The same search on one core and on two, with Dask worker processes and with threads; everything is pinned
+    to the cores (Linux), so that with one of them breeding and scheduling run nowhere else.
 ``schedule``
     A simulated cluster of 64 workers for five runs of population 800: measured time of a candidate, measured
     time of breeding, 1 ms of scheduler per chunk; no real machines. ``--shared-breeding`` lets all runs breed
@@ -22,6 +22,7 @@ motor logs.
 """
 
 import argparse
+import contextlib
 import heapq
 import json
 import os
@@ -33,7 +34,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.campaign import read_campaign
-from sysid.executor import _LEAST_CHUNK, CHUNK_TIME, DaskCluster
+from sysid.executor import _LEAST_CHUNK, CHUNK_TIME, DaskCluster, LocalThreads
 from sysid.fit.algorithms import breeder
 from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.engine import Hooks, SearchSettings, run_many, run_one
@@ -71,8 +72,8 @@ def motor(threads=None):
     return MotorObjective.build(campaign, space, bench, bench.fitted, threads), None
 
 
-def problem(name, folder):
-    objective, truth = motor() if name == "motor" else gear(folder, name)
+def problem(name, folder, threads=None):
+    objective, truth = motor(threads) if name == "motor" else gear(folder, name, threads)
     objective.evaluate(np.full((8, len(objective.space.free)), 0.5))  # compiles
     return objective, truth
 
@@ -140,7 +141,7 @@ def algorithms(arguments, folder):
 
 def overhead(arguments, folder):
     """Return what a run spends outside its simulations, and what the checkpoints cost of that."""
-    objective, _ = problem("lf", folder)
+    objective, _ = problem(arguments.problem, folder, threads=1)
     simulating, computing = [0.0], [0.0]
 
     class Timed:
@@ -178,43 +179,60 @@ def overhead(arguments, folder):
 
 
 def workers(arguments, folder):
-    """Return the speed of two worker processes against one."""
+    """Return the speed of two cores against one, with worker processes and with threads.
+
+    The search, Dask's scheduler and the workers share the cores: with one, nothing runs elsewhere.
+    """
     import distributed
 
-    objective, _ = gear(folder, "lf", threads=1)
-    settings = SearchSettings(seed=1, stop=StopRule(max_generations=8), finish="none")
-    spent, used = {}, {}
+    settings = SearchSettings(seed=1, stop=StopRule(max_generations=arguments.generations), finish="none")
+    everywhere = os.sched_getaffinity(0)
+    spent = {"processes": {}, "threads": {}}
+    busy = {}
     for count in (1, 2):
-        with distributed.LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None) as pool:
+        objective, _ = gear(Path(folder) / str(count), arguments.problem, threads=1)
+        _pin(sorted(everywhere)[:count])
+        options = {"n_workers": count, "threads_per_worker": 1, "dashboard_address": None}
+        with distributed.LocalCluster(**options) as pool:
             where = DaskCluster(pool.scheduler_address, at_once=5)
             spread = SpreadObjective(objective, where)
             spread.evaluate(np.random.default_rng(0).random((64, len(objective.space.free))))  # compiles
             began, clock = time.perf_counter(), _processor_time(where)
             run_many(spread, settings, at_once=5)
-            spent[count], used[count] = time.perf_counter() - began, _processor_time(where) - clock
+            spent["processes"][count] = time.perf_counter() - began
+            busy[count] = (_processor_time(where) - clock) / (count * spent["processes"][count])
             where.close()
-
-    class Timed:
-        space, causes = objective.space, causes_of(objective)
-        alone = 0.0
-
-        def evaluate(self, cube):
-            clock = time.process_time()
-            scored = objective.evaluate(cube)
-            self.alone += time.process_time() - clock
-            return scored
-
-    timed = Timed()
-    run_many(timed, settings)
+        _pin(everywhere)
+    for count in (1, 2):
+        objective, _ = gear(Path(folder) / f"threads-{count}", arguments.problem, threads=count)
+        objective.evaluate(np.full((8, len(objective.space.free)), 0.5))
+        _pin(sorted(everywhere)[:count])
+        with LocalThreads() as local:
+            spread = SpreadObjective(objective, local)
+            began = time.perf_counter()
+            run_many(spread, settings, at_once=local.at_once)
+            spent["threads"][count] = time.perf_counter() - began
+        _pin(everywhere)
     out = {
-        "1 worker [s]": spent[1],
-        "2 workers [s]": spent[2],
-        "efficiency": spent[1] / (2 * spent[2]),
-        "processor time over that of the candidates, 1 worker": used[1] / timed.alone,
-        "2 workers": used[2] / timed.alone,
+        f"{way}: {what}": value
+        for way, times in spent.items()
+        for what, value in (
+            ("one core [s]", times[1]),
+            ("two cores [s]", times[2]),
+            ("efficiency", times[1] / (2 * times[2])),
+        )
     }
-    print(out, f"on {os.cpu_count()} cores, load {os.getloadavg() if hasattr(os, 'getloadavg') else '?'}")
+    # What other work on the machine took of the cores, a ratio of wall times cannot tell from idling.
+    out["processes: cores got, one"], out["processes: cores got, two"] = busy[1], busy[2]
+    print(out, f"load {os.getloadavg()}")
     return out
+
+
+def _pin(cores):
+    """Keep all threads of this process on some cores; those that it starts inherit them."""
+    for thread in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(ProcessLookupError):  # it has ended
+            os.sched_setaffinity(int(thread.name), set(cores))
 
 
 def _processor_time(where):
@@ -286,6 +304,7 @@ def main():
     parser.add_argument("--first-seed", type=int, default=1)
     parser.add_argument("--best", type=float, help="best NRMSE known; a run ends within 1.01 of it")
     parser.add_argument("--algorithms", type=lambda text: text.split(","), default=DEFAULT.split(","))
+    parser.add_argument("--generations", type=int, default=8, help="of part workers")
     parser.add_argument("--shared-breeding", action="store_true")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()

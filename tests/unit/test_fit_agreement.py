@@ -9,14 +9,14 @@ from sysid.fit.result import SETS_KEPT, ranked_sets
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 
 
-def run(cost, place, width=0.0, seed=1, loose=(0.0, 0.0)):
+def run(cost, place, width=0.0, seed=1, loose=(0.0, 0.0), ended="converged"):
     """A run that closed in on `place`; along `loose` its candidates scored alike."""
     place = np.asarray(place, dtype=float)
     steps = np.array([0.3, 0.1, 0.01, 0.0])
     cube = np.stack([np.clip([place + step, place - step], 0, 1) for step in steps])
     cube[2] = place + np.array([loose, np.negative(loose)])
     costs = cost * (1 + np.stack([[step, step] for step in (0.5, 0.1, 0.001, 0.0)]))
-    stage = StageHistory("ga", cube, costs, np.zeros(4, dtype=np.int64), 8, 48, 1.0, "converged")
+    stage = StageHistory("ga", cube, costs, np.zeros(4, dtype=np.int64), 8, 48, 1.0, ended)
     return RunHistory(seed, (stage,))
 
 
@@ -38,6 +38,31 @@ def test_worse_runs_are_said_to_be_local():
     assert "--runs 20" in text
     alone = agreement(runs[:3]).sentence()
     assert "1 of 3 alone reached" in alone
+
+
+@pytest.mark.parametrize(
+    ("ended", "reason", "advice"),
+    [
+        ("interrupted", "stopped by the user", "continue with --resume"),
+        ("time", "time limit", "continue with --resume"),
+        ("evaluations", "evaluation budget", "start anew with a larger limit"),
+        ("generations", "generation limit", "start anew with a larger limit"),
+    ],
+)
+def test_where_a_run_was_cut_is_no_optimum(ended, reason, advice):
+    best, worse = run(0.08, (0.2, 0.5)), run(0.10, (0.9, 0.5))
+    cut = run(0.12, (0.9, 0.9), ended=ended)
+    found = agreement([best, worse, cut])
+    assert found.sentence() == (
+        f"1 of 3 runs was not finished ({reason}) and says nothing about optima yet; best NRMSE so far "
+        f"8.000 %, the finished ones end at 1.000 to 1.250 × it; {advice}"
+    )
+    assert [line.split()[5] for line in waterfall([best, worse, cut])[1:]] == ["A", "B", "-"]
+    # Neither one that agrees with the others nor one alone is finished.
+    near = agreement([best, run(0.08, (0.2, 0.5), ended=ended)])
+    assert not near.agrees
+    assert agreement([cut]).sentence().startswith(f"1 of 1 runs was not finished ({reason})")
+    assert "2 of 2 runs were not finished" in agreement([cut, cut]).sentence()
 
 
 def test_equal_nrmse_at_another_place_is_said_too():
