@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from sysid.campaign import GearCampaign, read_campaign
 from sysid.errors import CampaignError, SysidWarning
 from sysid.filters import KaiserLowpass
-from sysid.fit.agreement import loose_warnings
 from sysid.fit.cost import FilteredNrmse, PopulationCost
 from sysid.fit.history import summed
 from sysid.fit.objective import Evaluation
-from sysid.fit.result import FitResult, TrialResult, bound_warnings, ranked_sets
+from sysid.fit.result import FitResult, TrialResult, ranked_sets
 from sysid.gear.model import (
     FIT_TOLERANCE,
     LF_FREE,
@@ -33,17 +32,10 @@ from sysid.gear.model import (
 from sysid.parameter_sets import ParameterRecord, parameter_records
 from sysid.parameters import SearchSpace
 from sysid.pipelines.drops import PreparedDrop, cost_channels, prepare_drops
+from sysid.pipelines.fit_walk import FitWalk, Outcome
 from sysid.pipelines.gear_causes import CAUSES, first_cause, judged_drops
 from sysid.pipelines.nuisance import offsets, shifted_before, shifted_starts, with_nuisance
-from sysid.pipelines.search import (
-    FitOptions,
-    check_start,
-    collected_warnings,
-    fit_identity,
-    naming,
-    provenance,
-    search,
-)
+from sysid.pipelines.search import FitOptions
 
 FloatArray = NDArray[np.float64]
 
@@ -260,32 +252,25 @@ def fit_gear(
     if surface is not None:
         changed = campaign.surface.model_copy(update={"law": surface})
         campaign = campaign.model_copy(update={"surface": changed})
-    options = options or FitOptions()
-    tell = say or (lambda sentence: None)
-    folder = options.folder(campaign.name)
-    check_start(folder, options)
-    with naming(path), collected_warnings(lambda text: tell(f"warning: {text}")) as doubts:
+    walk = FitWalk(path, campaign, options, say)
+    threads = walk.options.threads
+    with walk.prepared():
         space = search_space(campaign)
         ranges = campaign.parameters.measured_ranges(PARAMETERS)
-        settings = options.settings(campaign.fit)
         _say_defaults(campaign, space)
         drops = prepare_drops(campaign, path)
         fitted = tuple(drop for drop in drops if drop.use == "fit")
-        objective = GearObjective.build(campaign, space, fitted, options.threads)
-        tell(
+        objective = GearObjective.build(campaign, space, fitted, threads)
+        walk.tell(
             f"{len(fitted)} drops to fit, {len(drops) - len(fitted)} to validate; {len(space.free)} free "
             f"parameters"
         )
         law = campaign.surface.law
-        tell(f"preparing the {law} kernel: compiled once per version (under a minute), then loaded")
+        walk.tell(f"preparing the {law} kernel: compiled once per version (under a minute), then loaded")
         prepare(law, single=False)
         hashes = {drop.name: str(drop.provenance["sha256"]) for drop in drops}
         accuracy = {"the friction law": law, "the accuracy of a simulation": objective.tolerance}
-        identity = fit_identity(path, settings, space, hashes, **accuracy)
-        found = search(
-            objective, settings, folder=folder, options=options, identity=identity,
-            simulated="drops", tell=tell,
-        )  # fmt: skip
+        found = walk.search(objective, hashes, "drops", **accuracy)
     sets = ranked_sets(found.runs, space)
     records = parameter_records(
         space,
@@ -294,41 +279,21 @@ def fit_gear(
         _DERIVED,
         stated={name: "campaign" for name in {*measured_values(campaign), *campaign.parameters.fixed}},
     )
-    at_bound = np.pad(sets.at_bound, ((0, 0), (0, len(_DERIVED))))
-    trials, lost = trial_results(GearObjective.build(campaign, space, drops, options.threads), sets.values)
-    after = (*bound_warnings(records, at_bound), *loose_warnings(found.runs, space), *lost)
-    for sentence in after:
-        tell(f"warning: {sentence}")
-    result = FitResult(
-        kind="gear",
-        name=campaign.name,
-        state=found.state,
-        parameters=records,
-        runs=found.runs,
-        set_runs=sets.run,
-        set_seeds=sets.seed,
-        cube=sets.cube,
+    trials, lost = trial_results(GearObjective.build(campaign, space, drops, threads), sets.values)
+    outcome = Outcome(
+        records=records,
         values=np.hstack([sets.values, _derived(sets.values)]),
-        at_bound=at_bound,
+        at_bound=np.pad(sets.at_bound, ((0, 0), (0, len(_DERIVED)))),
         nrmse=sets.cost,
         trials=trials,
-        channels=tuple(channel.name for channel in objective.cost.channels),
-        channel_units=tuple(channel.unit for channel in objective.cost.channels),
-        channel_weights=tuple(channel.weight for channel in objective.cost.channels),
+        channels=[(channel.name, channel.unit, channel.weight) for channel in objective.cost.channels],
         settings=_settings(campaign, fitted),
-        provenance={
-            **provenance(
-                path,
-                settings,
-                campaign.cost.denominator,
-                _filter_design(campaign, fitted[0]),
-                {drop.name: drop.provenance for drop in drops},
-            ),
-            "failed candidates by cause": summed(run.failures for run in found.runs),
-        },
-        warnings=(*doubts, *found.warnings, *after),
+        filters=_filter_design(campaign, fitted[0]),
+        logs={drop.name: drop.provenance for drop in drops},
+        warnings=lost,
+        more={"failed candidates by cause": summed(run.failures for run in found.runs)},
     )
-    return result, found.write(result, folder, options)
+    return walk.finish(space, found, sets, outcome)
 
 
 # Rows that are choices of the model rather than measurements.

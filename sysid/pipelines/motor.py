@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.campaign import MotorCampaign, read_campaign
-from sysid.fit.agreement import loose_warnings
-from sysid.fit.result import FitResult, TrialResult, bound_warnings, ranked_sets
+from sysid.fit.result import FitResult, TrialResult, ranked_sets
 from sysid.motor.model import PARAMETERS, invariants, unpack
 from sysid.parameter_sets import ParameterRecord, parameter_records
 from sysid.pipelines.bench_logs import command_range
 from sysid.pipelines.bench_targets import filter_design
+from sysid.pipelines.fit_walk import FitWalk, Outcome
 from sysid.pipelines.motor_bench import Bench, prepare_bench, search_space, untested_rows
 from sysid.pipelines.motor_cost import CHANNEL_UNITS, CHANNELS
 from sysid.pipelines.motor_delays import MEAN_SOURCE, own_rows
@@ -26,15 +26,7 @@ from sysid.pipelines.motor_saturation import (
     saturation_space,
 )
 from sysid.pipelines.motor_stages import after_the_search, say_what_is_fitted, unresolved_inductance
-from sysid.pipelines.search import (
-    FitOptions,
-    check_start,
-    collected_warnings,
-    fit_identity,
-    naming,
-    provenance,
-    search,
-)
+from sysid.pipelines.search import FitOptions
 
 FloatArray = NDArray[np.float64]
 
@@ -78,29 +70,22 @@ def fit_motor(
     """
     campaign = read_campaign(path, "motor")
     assert isinstance(campaign, MotorCampaign)
-    options = options or FitOptions()
-    tell = say or (lambda sentence: None)
-    folder = options.folder(campaign.name)
-    check_start(folder, options)
-    with naming(path), collected_warnings(lambda text: tell(f"warning: {text}")) as doubts:
+    walk = FitWalk(path, campaign, options, say)
+    threads = walk.options.threads
+    with walk.prepared():
         ranges = campaign.parameters.measured_ranges(PARAMETERS)
-        settings = options.settings(campaign.fit)
         bench = prepare_bench(campaign, path)
         space = search_space(campaign, bench)
         # Refused before the search, not after it.
         saturation_space(campaign, bench, space.table, PARAMETERS.nominal)
-        objective = MotorObjective.build(campaign, space, bench, bench.fitted, options.threads, dynamic=True)
-        say_what_is_fitted(campaign, bench, space, tell)
+        objective = MotorObjective.build(campaign, space, bench, bench.fitted, threads, dynamic=True)
+        say_what_is_fitted(campaign, bench, space, walk.tell)
         hashes = {trial.entry.name: trial.hashes for trial in bench.trials}
-        identity = fit_identity(path, settings, space, hashes)
-        found = search(
-            objective, settings, folder=folder, options=options, identity=identity,
-            simulated="trials", tell=tell,
-        )  # fmt: skip
+        found = walk.search(objective, hashes, "trials")
         sets = ranked_sets(found.runs, space)
-        after = after_the_search(campaign, bench, objective, sets, found, settings, tell)
+        after = after_the_search(campaign, bench, objective, sets, found, walk.settings, walk.tell)
     sets = after.sets
-    every = MotorObjective.build(campaign, space, bench, bench.trials, options.threads)
+    every = MotorObjective.build(campaign, space, bench, bench.trials, threads)
     rows = after.rows
     tied = [f"no_load_{what}_{d}" for d in every.ties for what in ("slope", "intercept")]
     unknown = untested_rows(campaign, bench)
@@ -120,45 +105,21 @@ def fit_motor(
         index = {name: i for i, name in enumerate(space.table)}
         columns = [index[row.name] for row in after.saturation.free]
         at_bound[:, columns] = after.saturation.at_bound
-    closing = (
-        *bound_warnings(records, at_bound),
-        *loose_warnings(found.runs, space),
-        *unresolved_inductance(bench, rows[0]),
-    )
-    for sentence in closing:
-        tell(f"warning: {sentence}")
-    result = FitResult(
-        kind="motor",
-        name=campaign.name,
-        state=found.state,
-        parameters=records,
-        runs=found.runs,
-        set_runs=sets.run,
-        set_seeds=sets.seed,
-        cube=sets.cube,
+    weights = campaign.cost.weights
+    outcome = Outcome(
+        records=records,
         values=np.hstack([exported, derived]),
         at_bound=at_bound,
         nrmse=after.nrmse,
         trials=_trial_results(every, rows),
-        channels=CHANNELS,
-        channel_units=CHANNEL_UNITS,
-        channel_weights=(campaign.cost.weights.torque, campaign.cost.weights.speed),
+        channels=list(zip(CHANNELS, CHANNEL_UNITS, (weights.torque, weights.speed), strict=True)),
         settings={**_settings(campaign, bench), **after.settings},
-        provenance=provenance(
-            path,
-            settings,
-            campaign.cost.denominator,
-            filter_design(campaign, [trial.log for trial in bench.trials]),
-            {trial.entry.name: trial.provenance for trial in bench.trials},
-        ),
-        warnings=(
-            *doubts,
-            *found.warnings,
-            *closing,
-            *after.warnings,
-        ),
+        filters=filter_design(campaign, [trial.log for trial in bench.trials]),
+        logs={trial.entry.name: trial.provenance for trial in bench.trials},
+        warnings=unresolved_inductance(bench, rows[0]),
+        told=after.warnings,
     )
-    return result, found.write(result, folder, options)
+    return walk.finish(space, found, sets, outcome)
 
 
 def _records(
