@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -319,7 +320,9 @@ class FilteredNrmse:
             )
         return samples
 
-    def __call__(self, samples: FloatArray, reached: FloatArray | None = None) -> PopulationCost:
+    def __call__(
+        self, samples: FloatArray, reached: FloatArray | None = None, threads: int | None = None
+    ) -> PopulationCost:
         """Score a population.
 
         Parameters
@@ -329,6 +332,8 @@ class FilteredNrmse:
         reached : (P, T) array, optional
             Share of the trial that was simulated, 1 = complete [1]; below 1 the trial failed. Default: 1.
             A trial whose samples are not finite failed too, where they stop being so.
+        threads : int, optional
+            Cores to use; all by default. The numbers do not depend on it.
 
         Notes
         -----
@@ -341,11 +346,17 @@ class FilteredNrmse:
             raise ValueError(f"reached {share.shape}, expected ({n_candidates}, {n_trials})")
         by_channel = np.empty((n_candidates, n_trials, len(self.channels)))
         failed = np.zeros((n_candidates, n_trials), dtype=np.bool_)
-        score_population(
-            samples, share, self.offsets, self._window, self._half, self._reach, self._taps, self._rate,
-            self._left, self._right, self._share, self._column, self._is_rate,
-            self._measured, self._valid, self.denominators, self.weights, by_channel, failed,
-        )  # fmt: skip
+        before = numba.get_num_threads()
+        # A cluster's worker has one core: more threads would spin beside each other on it.
+        numba.set_num_threads(before if threads is None else max(1, min(threads, before)))
+        try:
+            score_population(
+                samples, share, self.offsets, self._window, self._half, self._reach, self._taps, self._rate,
+                self._left, self._right, self._share, self._column, self._is_rate,
+                self._measured, self._valid, self.denominators, self.weights, by_channel, failed,
+            )  # fmt: skip
+        finally:
+            numba.set_num_threads(before)
         return PopulationCost(self.mean(by_channel), by_channel, failed)
 
     def mean(self, by_channel: FloatArray) -> FloatArray:

@@ -181,7 +181,7 @@ class GearObjective:
         self, samples: FloatArray, result: PopulationSamples
     ) -> tuple[PopulationCost, NDArray[np.int8]]:
         """Score what `simulate` returned, and tell of each drop (P, D) why it is lost."""
-        scored = self.cost(samples, result.reached)
+        scored = self.cost(samples, result.reached, self.threads)
         return judged_drops(self.cost, self.drops, self.board_length, result, samples, scored)
 
     def simulate(

@@ -227,3 +227,18 @@ def test_refusals_name_trial_and_channel():
     # A constant channel of weight 0 does not count.
     unweighted = FilteredNrmse([TrialTarget("drop-1", measured)], free)
     assert np.isfinite(unweighted(np.zeros((1, 20, 2))).cost).all()
+
+
+def test_scoring_keeps_to_the_threads_that_it_is_given(monkeypatch):
+    from sysid.fit import cost as module
+
+    trial = TrialTarget("a", np.arange(6.0)[:, None])
+    scorer = FilteredNrmse([trial], [CostChannel("x", "m", 0)])
+    samples, before = np.ones((2, scorer.n_total, 1)), numba.get_num_threads()
+    asked, inside = [], []
+    monkeypatch.setattr(module.numba, "set_num_threads", asked.append)
+    monkeypatch.setattr(module, "score_population", lambda *arguments: inside.append(list(asked)))
+    scorer(samples, threads=1)
+    assert inside == [[1]]
+    # Whoever calls next finds what was there before.
+    assert asked == [1, before]
