@@ -32,12 +32,12 @@ NET = (
 
 
 def test_net_ft_rows_with_a_status_are_counted(write):
-    status = ["0", "0x0", "00000000", "80010000", "0", "0x8", "80010000", "0"]
+    status = ["0", "0x0", "00000000", "80010000", "0", "0000000A", "80010000", "0"]
     rows = "".join(f"{s}, {i}, {i}, 1, 2, 3, 4, 5, 6, 0:0:{i}\n" for i, s in enumerate(status))
     log = load(write(NET + rows))
-    assert 'rows with a status other than 0: 3 (first: line 10; "80010000", "0x8")' in notes(log)
+    assert 'rows with a status other than 0: 3 (first: line 10; "80010000", "0000000A")' in notes(log)
     np.testing.assert_array_equal(log["thrust"].values, 3 * 0.1)  # told, not thrown away
-    assert "status" not in notes(load(write(NET + rows.replace("80010000", "0").replace("0x8", "0x0"))))
+    assert "status" not in notes(load(write(NET + rows.replace("80010000", "0").replace("0000000A", "0x0"))))
 
 
 STAND = "Time (s),ESC signal (µs),Servo 1 (µs),Thrust (N),Motor Optical Speed (RPM),App message,Mark,\n"
@@ -190,6 +190,15 @@ def test_lines_before_the_header(write, before):
         np.testing.assert_array_equal(found[name].time, channel.time)
     with pytest.raises(LogError, match=f"line {before.count(chr(10)) + 4}: 'x' in column"):
         load(write(before + text.replace("2,5;", "x;")))
+
+
+def test_the_separator_line_of_excel_before_a_capture(write):
+    vicon = "Trajectories\n100\n;;a;;\nFrame;Sub Frame;X;Y;Z\n;;mm;mm;mm\n"
+    rows = "".join(f"{i + 1};0;{i};2;3\n" for i in range(9))
+    log = load(write("sep=;\n" + vicon + rows))
+    np.testing.assert_array_equal(log["a/position"].values[:, 0], np.arange(9) * 1e-3)
+    with pytest.raises(LogError, match="line 8: 'x' in column"):
+        load(write("sep=;\n" + vicon + rows.replace("2;0;1;", "2;0;x;")))
 
 
 def test_a_table_of_settings_before_the_header_is_refused(write):
