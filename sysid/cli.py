@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from sysid import cli_design, cli_landing
+from sysid import cli_design, cli_landing, cli_trust
 from sysid.cli_options import Dask, Force, Json, Quiet, Resume, Threads
 from sysid.errors import SysidError
 
@@ -30,7 +30,7 @@ synthesize = typer.Typer(
     rich_markup_mode=None,
 )
 app.add_typer(synthesize, name="synthesize")
-for name, command in (cli_landing.COMMANDS | cli_design.COMMANDS).items():
+for name, command in (cli_landing.COMMANDS | cli_design.COMMANDS | cli_trust.COMMANDS).items():
     app.command(name)(command)
 
 
@@ -95,6 +95,9 @@ Algo = Annotated[
 Finisher = Annotated[
     Finish | None, typer.Option("--finish", help="CMA-ES after every run, or none: the paper's method.")
 ]
+Check = Annotated[
+    bool, typer.Option("--check/--no-check", help="Say first what the trials are expected to fix.")
+]
 Evaluations = Annotated[int | None, typer.Option(help="Candidates that the whole fit may score.", min=1)]
 
 
@@ -119,6 +122,7 @@ def fit_motor(
     max_evaluations: Evaluations = None,
     resume: Resume = False,
     dask: Dask = None,
+    check: Check = True,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -128,7 +132,7 @@ def fit_motor(
 
     options = FitOptions(
         out, force, population, runs, seed, max_generations, _seconds(time_limit), threads, quiet or json,
-        algorithm and algorithm.value, finish and finish.value, max_evaluations, resume, dask,
+        algorithm and algorithm.value, finish and finish.value, max_evaluations, resume, dask, check,
     )  # fmt: skip
     _print_fit(*fit(campaign, options, say=None if quiet else say), quiet, json)
 
@@ -150,6 +154,7 @@ def fit_gear(
     max_evaluations: Evaluations = None,
     resume: Resume = False,
     dask: Dask = None,
+    check: Check = True,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -159,7 +164,7 @@ def fit_gear(
 
     options = FitOptions(
         out, force, population, runs, seed, max_generations, _seconds(time_limit), threads, quiet or json,
-        algorithm and algorithm.value, finish and finish.value, max_evaluations, resume, dask,
+        algorithm and algorithm.value, finish and finish.value, max_evaluations, resume, dask, check,
     )  # fmt: skip
     law = surface.value if surface is not None else None
     _print_fit(*fit(campaign, options, surface=law, say=None if quiet else say), quiet, json)

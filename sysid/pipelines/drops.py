@@ -124,7 +124,7 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
         For what makes a drop doubtful: rotation out of the plane, an unlikely g, a doubtful touchdown.
     """
     # Several drops may lie in one long take: keep the last files read.
-    read = lru_cache(maxsize=2)(partial(_read, campaign))
+    read = lru_cache(maxsize=2)(partial(read_drop_log, campaign))
 
     for trial in campaign.trials:  # every file must exist before the first is read
         resolve_log(path, trial.log)
@@ -148,7 +148,7 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
     )
 
 
-def _read(campaign: GearCampaign, path: Path, body: str | None, options: str) -> Recording:
+def read_drop_log(campaign: GearCampaign, path: Path, body: str | None, options: str) -> Recording:
     """Read a log with the campaign's options, a drop's body and its own options (JSON, to be hashable)."""
     own = CaptureLogOptions.model_validate_json(options)
     capture = campaign.capture

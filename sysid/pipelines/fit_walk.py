@@ -156,8 +156,13 @@ class FitWalk:
             settings=outcome.settings,
             provenance={
                 **provenance(
-                    self.path, self.settings, self.campaign.cost.denominator, outcome.filters, outcome.logs
-                ),
+                    self.path,
+                    self.settings,
+                    self.campaign.cost.denominator,
+                    outcome.filters,
+                    outcome.logs,
+                    self.folder,
+                ),  # fmt: skip
                 **outcome.more,
             },
             warnings=(*self._doubts, *found.warnings, *closing, *outcome.told),

@@ -268,6 +268,8 @@ def fit_gear(
         law = campaign.surface.law
         walk.tell(f"preparing the {law} kernel: compiled once per version (under a minute), then loaded")
         prepare(law, single=False)
+        if walk.options.check:
+            _say_verdicts(objective, walk.tell)
         hashes = {drop.name: str(drop.provenance["sha256"]) for drop in drops}
         accuracy = {"the friction law": law, "the accuracy of a simulation": objective.tolerance}
         found = walk.search(objective, hashes, "drops", **accuracy)
@@ -294,6 +296,17 @@ def fit_gear(
         more={"failed candidates by cause": summed(run.failures for run in found.runs)},
     )
     return walk.finish(space, found, sets, outcome)
+
+
+def _say_verdicts(objective: GearObjective, tell: Callable[[str], None]) -> None:
+    """Say what the drops are expected to fix."""
+    # What judges an objective stands above it.
+    from sysid.pipelines.check import quick_gear
+    from sysid.pipelines.trust_gear import GearProblem
+    from sysid.trust.verdicts import sentences
+
+    for sentence in sentences(quick_gear(GearProblem(objective))):
+        tell(f"expected: {sentence}")
 
 
 # Rows that are choices of the model rather than measurements.

@@ -80,6 +80,8 @@ def fit_motor(
         saturation_space(campaign, bench, space.table, PARAMETERS.nominal)
         objective = MotorObjective.build(campaign, space, bench, bench.fitted, threads, dynamic=True)
         say_what_is_fitted(campaign, bench, space, walk.tell)
+        if walk.options.check:
+            _say_verdicts(objective, bench, walk.tell)
         hashes = {trial.entry.name: trial.hashes for trial in bench.trials}
         found = walk.search(objective, hashes, "trials")
         sets = ranked_sets(found.runs, space)
@@ -111,7 +113,7 @@ def fit_motor(
         values=np.hstack([exported, derived]),
         at_bound=at_bound,
         nrmse=after.nrmse,
-        trials=_trial_results(every, rows),
+        trials=motor_trial_results(every, rows),
         channels=list(zip(CHANNELS, CHANNEL_UNITS, (weights.torque, weights.speed), strict=True)),
         settings={**_settings(campaign, bench), **after.settings},
         filters=filter_design(campaign, [trial.log for trial in bench.trials]),
@@ -120,6 +122,17 @@ def fit_motor(
         told=after.warnings,
     )
     return walk.finish(space, found, sets, outcome)
+
+
+def _say_verdicts(objective: MotorObjective, bench: Bench, tell: Callable[[str], None]) -> None:
+    """Say what the trials are expected to fix."""
+    # What judges an objective stands above it.
+    from sysid.pipelines.check import quick_motor
+    from sysid.pipelines.trust_motor import MotorProblem
+    from sysid.trust.verdicts import sentences
+
+    for sentence in sentences(quick_motor(MotorProblem(objective, tuple(bench.curves.fits)))):
+        tell(f"expected: {sentence}")
 
 
 def _records(
@@ -157,7 +170,8 @@ def _records(
     return (*table, *scale)
 
 
-def _trial_results(objective: MotorObjective, rows: FloatArray) -> tuple[TrialResult, ...]:
+def motor_trial_results(objective: MotorObjective, rows: FloatArray) -> tuple[TrialResult, ...]:
+    """Return every trial of an objective, measured and simulated with full rows (S, n_table) [SI]."""
     samples, reached = objective.simulate(rows)
     sensors = objective.sensors(rows)
     by_channel, _ = objective.cost(samples, reached, sensors, objective.threads)

@@ -48,6 +48,8 @@ _RUNS_AT_ONCE = 8
 _FED_BY_ONE = 16
 # Candidates that are scored to recognise an objective.
 _PROBES = 4
+# Key of a fit's provenance: where its campaign lies, seen from the fit folder.
+FROM_FOLDER = "from the fit folder"
 _LIBRARIES = ("numpy", "scipy", "numba", "pymoo", "cma", "pandas", "h5py")
 
 
@@ -79,6 +81,8 @@ class FitOptions:
         Continue an unfinished fit.
     dask : str, optional
         Address of a Dask scheduler, or ``local``; every worker process then uses one core.
+    check : bool
+        Say before the search what the trials are expected to fix.
     """
 
     out: Path | None = None
@@ -95,6 +99,7 @@ class FitOptions:
     max_evaluations: int | None = None
     resume: bool = False
     dask: str | None = None
+    check: bool = True
 
     def __post_init__(self) -> None:
         if self.dask is not None:
@@ -337,6 +342,7 @@ def provenance(
     denominator: str,
     filters: Mapping[str, Any],
     logs: Mapping[str, Any],
+    folder: Path,
 ) -> dict[str, Any]:
     """Return what a reader needs to repeat or doubt a fit.
 
@@ -352,6 +358,8 @@ def provenance(
         Filter design.
     logs : mapping
         Per trial: file, hash, what was noticed.
+    folder : Path
+        Of the fit: where the campaign lies is stored as seen from there.
     """
     path = Path(campaign_path)
     return {
@@ -363,7 +371,11 @@ def provenance(
         "processor": _processor(),
         "cores": os.cpu_count(),
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
-        "campaign": {"file": path.name, "sha256": file_sha256(path)},
+        "campaign": {
+            "file": path.name,
+            "sha256": file_sha256(path),
+            FROM_FOLDER: _seen_from(folder, path),
+        },
         "logs": dict(logs),
         "filter": dict(filters),
         "nrmse_denominator": denominator,
@@ -384,6 +396,14 @@ def provenance(
             "time_limit [s]": settings.stop.time_limit,
         },
     }
+
+
+def _seen_from(folder: Path, path: Path) -> str:
+    """Return where a file lies, seen from a folder; absolute where they share no drive."""
+    try:
+        return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+    except ValueError:
+        return path.resolve().as_posix()
 
 
 def _processor() -> str:

@@ -29,6 +29,8 @@ CHANNELS = ("x_B", "z_B", "x_B_rate", "z_B_rate", "q_B")
 _COLUMN, _IS_RATE = (0, 1, 0, 1, 2), (False, False, True, True, False)
 # Samples of the noise that walks through the filter to tell what it looks like then.
 _NOISE_SAMPLES = 20_000
+# The fit of the flight looks back so far into a hold at most [s].
+_HOLD = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +157,10 @@ class GearProblem:
             states[kinds:, d] -= root
         values, _ = self.compared(np.repeat(rows, 2 * kinds, axis=0), states)
         change = (values[:kinds] - values[kinds:]) / 2
+        for block in self.blocks:
+            if self.channels[block.channel] == "q_B":
+                valid = self._valid[block.trial][:, block.channel]
+                change[-1, block.start : block.stop] = valid * level_error(drops[block.trial]) / block.spread
         out = np.zeros((kinds * len(drops), values.shape[1]))
         for block in self.blocks:
             where = slice(block.start, block.stop)
@@ -163,20 +169,20 @@ class GearProblem:
 
 
 def start_roots(drop: PreparedDrop) -> FloatArray:
-    """Return a square root (5, 6) of the covariance of a drop's state at the start of its window [SI].
+    """Return a square root (6, 6) of the covariance of a drop's state at the start of its window [SI].
 
     Rows are independent changes of one standard deviation: height, instant of the release (or downward speed
-    of a body that was thrown), place along x, pitch, and pitch rate. From the noise of the flight and the
-    samples that its fit saw; a body that was held has no speed of its own.
+    of a body that was thrown), place along x, pitch, and pitch rate; the last row is empty, kept for the
+    error of the measured level (`level_error`). From the noise of the flight and the samples that its fit
+    saw; a body that was held has no speed of its own, and one that was held level has exactly no pitch.
     """
     flight, motion = drop.flight, drop.motion
     before = motion.valid & (motion.time < drop.touchdown) & np.isfinite(motion.z)
-    out = np.zeros((5, 6))
+    out = np.zeros((6, 6))
     noise_x, noise_z, noise_q = flight.noise
     elapsed_start = float(drop.time[0] - flight.start)
     if flight.held:
-        # The hold reaches back to two seconds at most; so does the fit of the flight.
-        seen = motion.time[before & (motion.time > flight.start - 2.0)]
+        seen = motion.time[before & (motion.time > flight.start - _HOLD)]
         still = max(1, int(np.count_nonzero(seen < flight.start)))
         fall = np.maximum(0.0, seen - flight.start)
         design = np.column_stack([np.ones_like(fall), flight.gravity * fall])
@@ -188,7 +194,8 @@ def start_roots(drop: PreparedDrop) -> FloatArray:
             out[k, 1] = height + late * flight.gravity * falling
             out[k, 4] = late * flight.gravity
         out[2, 0] = noise_x / np.sqrt(len(seen))
-        out[3, 2] = noise_q / np.sqrt(still)
+        if drop.initial_state[2] != 0.0:
+            out[3, 2] = noise_q / np.sqrt(still)
         return out
     seen = motion.time[before & (motion.time >= flight.start - 1e-9)] - flight.start
     design = np.column_stack([np.ones_like(seen), seen])
@@ -199,6 +206,15 @@ def start_roots(drop: PreparedDrop) -> FloatArray:
     out[3, [2, 5]] = noise_q * root[0]
     out[4, [2, 5]] = noise_q * root[1]
     return out
+
+
+def level_error(drop: PreparedDrop) -> float:
+    """Return how far off the level may be that the pitch is measured from [rad]: as the mean of the hold."""
+    motion, flight = drop.motion, drop.flight
+    if not flight.held or drop.initial_state[2] != 0.0:
+        return 0.0
+    hold = motion.valid & (motion.time < flight.start) & (motion.time > flight.start - _HOLD)
+    return float(flight.noise[2] / np.sqrt(max(1, np.count_nonzero(hold))))
 
 
 def compared_noise(drop: PreparedDrop) -> FloatArray:

@@ -16,9 +16,9 @@ from sysid.trust.problem import Problem
 FloatArray = NDArray[np.float64]
 
 # Of the unit cube: the first guess, and what a step may become.
-_FIRST, _LEAST, _LARGEST = 2e-3, 2e-4, 0.03
-# A step is this share of what the residuals alone would leave open of the parameter.
-_SHARE = 0.5
+_FIRST, _LEAST, _LARGEST = 2e-3, 5e-4, 0.05
+# A step is this multiple of what is left open of a parameter when all others are known.
+_SHARE = 2.0
 # A derivative whose two steps differ by more than this share of it is not trustworthy [1].
 TRUSTED = 0.1
 
@@ -67,7 +67,7 @@ def jacobian(problem: Problem, point: FloatArray, scale: FloatArray, noise: floa
 
     Notes
     -----
-    ``J = (4 J(h/2) - J(h))/3``. The step is half of the standard deviation that the parameter would have if
+    ``J = (4 J(h/2) - J(h))/3``. The step is twice the standard deviation that the parameter would have if
     all others were known, because smaller differences are lost in the integration's own error.
     """
     n = len(point)

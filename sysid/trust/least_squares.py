@@ -24,7 +24,7 @@ BoolArray = NDArray[np.bool_]
 _FACTORS = (0.1, 1.0, 10.0)
 _DAMPING = (1e-8, 1e-3, 1e6)
 # Residuals that are held at once [bytes].
-_MEMORY = 128e6
+_MEMORY = 256e6
 # A front in CMA-ES: population, generations.
 _POPULATION, _GENERATIONS = 12, 16
 
@@ -84,7 +84,7 @@ def solve(
     """
     n_fronts, n = starts.shape
     fixed = np.zeros(starts.shape, dtype=np.bool_) if held is None else np.asarray(held, dtype=np.bool_)
-    share = max(1, int(_MEMORY / (8 * len(scale) * (n + 1 + len(_FACTORS)))))
+    share = max(1, int(_MEMORY / (8 * len(scale) * (4 * n + 1 + len(_FACTORS)))))
     points, squares = np.array(starts, dtype=np.float64), np.empty(n_fronts)
     converged = np.zeros(n_fronts, dtype=np.bool_)
     evaluations = 0
@@ -116,6 +116,7 @@ def _walk(
     root = np.sqrt(factor) * scale
     damping = np.full(len(points), _DAMPING[1])
     active = np.ones(len(points), dtype=np.bool_)
+    little = np.zeros(len(points), dtype=np.int64)
     here, failed = problem.residuals(points)
     here = here * root
     squares[:] = np.where(failed, np.inf, np.sum(here**2, axis=1))
@@ -124,21 +125,10 @@ def _walk(
         fronts = np.flatnonzero(active & np.isfinite(squares))
         if not len(fronts):
             break
+        columns, usable = _columns(problem, points[fronts], fixed[fronts], steps)
+        evaluations += 2 * int(np.count_nonzero(~fixed[fronts]))
         at = points[fronts]
-        side = np.where(at + steps > 1.0, -1.0, 1.0) * steps
-        ahead = np.repeat(at[:, None], n, axis=1)
-        ahead[:, np.arange(n), np.arange(n)] += side
-        moving = ~fixed[fronts]
-        which = np.flatnonzero(moving.ravel())
-        values, lost = problem.residuals(ahead.reshape(-1, n)[which])
-        evaluations += len(which)
-        columns = np.zeros((len(fronts) * n, len(scale)))
-        columns[which] = np.where(lost[:, None], 0.0, 1.0) * values
-        columns = columns.reshape(len(fronts), n, -1) * root[fronts if len(root) > 1 else [0]][:, None]
-        usable = np.zeros(len(fronts) * n, dtype=np.bool_)
-        usable[which] = ~lost
-        usable = usable.reshape(len(fronts), n)
-        columns = np.where(usable[:, :, None], columns - here[fronts][:, None], 0.0) / side[:, :, None]
+        columns *= root[fronts if len(root) > 1 else [0]][:, None]
         trials = np.empty((len(fronts), len(_FACTORS), n))
         for f in range(len(fronts)):
             gradient = columns[f] @ here[fronts[f]]
@@ -150,7 +140,9 @@ def _walk(
                 trials[f, k] = at[f]
                 if len(free):
                     inner = hessian[np.ix_(free, free)]
-                    own = damping[fronts[f]] * times * np.diag(inner) + 1e-12 * (np.trace(inner) + 1e-300)
+                    # What the data hardly see must not be thrown across the cube by the noise of its
+                    # derivative: a way of half the cube costs the tolerance.
+                    own = damping[fronts[f]] * times * np.diag(inner) + 4 * tolerance
                     step = np.linalg.solve(inner + np.diag(own), -gradient[free])
                     trials[f, k, free] = np.clip(at[f, free] + step, 0.0, 1.0)
         values, lost = problem.residuals(trials.reshape(-1, n))
@@ -170,9 +162,33 @@ def _walk(
                 damping[front] = np.clip(damping[front] * _FACTORS[best[f]], _DAMPING[0], _DAMPING[2])
             else:
                 damping[front] = np.clip(damping[front] * 100.0, _DAMPING[0], _DAMPING[2])
-            if gain < tolerance and (gain > 0 or damping[front] >= 10.0):
+            little[front] = little[front] + 1 if gain < tolerance else 0
+            if little[front] == 2:
                 active[front], converged[front] = False, True
     return evaluations
+
+
+def _columns(
+    problem: Problem, at: FloatArray, fixed: BoolArray, steps: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Return central differences (F, n, m) of the residuals, and which coordinates (F, n) have one."""
+    n_fronts, n = at.shape
+    which = np.flatnonzero(~fixed.ravel())
+    pair = []
+    widths = np.zeros((n_fronts, n))
+    for sign in (1.0, -1.0):
+        moved = np.repeat(at[:, None], n, axis=1)
+        moved[:, np.arange(n), np.arange(n)] = np.clip(at + sign * steps, 0.0, 1.0)
+        widths += sign * moved[:, np.arange(n), np.arange(n)]
+        pair.append(moved.reshape(-1, n)[which])
+    values, lost = problem.residuals(np.concatenate(pair))
+    half = len(which)
+    out = np.zeros((n_fronts * n, values.shape[1]))
+    usable = np.zeros(n_fronts * n, dtype=np.bool_)
+    usable[which] = ~(lost[:half] | lost[half:])
+    width = np.maximum(widths.ravel()[which, None], 1e-12)
+    out[which] = np.where(usable[which, None], values[:half] - values[half:], 0.0) / width
+    return out.reshape(n_fronts, n, -1), usable.reshape(n_fronts, n)
 
 
 def search_around(

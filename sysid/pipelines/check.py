@@ -1,0 +1,256 @@
+"""`sysid check CAMPAIGN`: are the logs good, do they excite the model, and what will they fix?"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.campaign import GearCampaign, MotorCampaign, read_campaign
+from sysid.campaign.file import resolve_log
+from sysid.inspection import LogReport, inspect_recording
+from sysid.parameters import SearchSpace
+from sysid.pipelines.check_drops import capture_noise, excitation, suggest_drops, warn_of_centre_of_mass
+from sysid.pipelines.drops import PreparedDrop, prepare_drops, read_drop_log
+from sysid.pipelines.motor_bench import Bench, prepare_bench
+from sysid.pipelines.search import collected_warnings, naming
+from sysid.pipelines.trust_gear import GearProblem
+from sysid.pipelines.trust_motor import MotorProblem
+from sysid.pipelines.trust_setup import gear_problem, law_of, motor_problem
+from sysid.recording import file_sha256
+from sysid.trust.fisher import NoiseModel
+from sysid.trust.problem import Block
+from sysid.trust.sensitivity import Candidate, Outlook, expectations, information_by_channel, placed
+from sysid.trust.verdicts import WEAKLY, WELL, Expected, percent, sentences, verdict
+
+FloatArray = NDArray[np.float64]
+
+# Candidates that are named.
+_NAMED = 3
+# NRMSE of noise where a log shows none.
+_ASSUMED = 0.02
+
+
+def check_campaign(
+    path: Path,
+    *,
+    surface: str | None = None,
+    threads: int | None = None,
+    say: Callable[[str], None] | None = None,
+) -> dict[str, Any]:
+    """Judge a campaign before it is fitted.
+
+    Parameters
+    ----------
+    path : Path
+        Campaign file.
+    surface : {"lf", "hf"}, optional
+        Overrides a gear campaign's friction law.
+    threads : int, optional
+    say : callable, optional
+
+    Returns
+    -------
+    dict
+        ``quality`` (per log), ``excitation``, ``parameters`` (verdicts), ``channels`` (share of what each
+        tells), ``candidates`` (recordings, the best first), ``sentences``, ``warnings``.
+
+    Raises
+    ------
+    SysidError
+        When an input cannot be used.
+    """
+    began = time.perf_counter()
+    with naming(path), collected_warnings(say and (lambda text: say(f"warning: {text}"))) as doubts:
+        campaign = read_campaign(path)
+        if isinstance(campaign, GearCampaign):
+            found = _check_gear(campaign if surface is None else law_of(campaign, surface), path, threads)
+        else:
+            assert isinstance(campaign, MotorCampaign)
+            found = _check_motor(campaign, path, threads)
+    return {
+        "campaign": {"file": path.name, "sha256": file_sha256(path), "name": campaign.name},
+        "kind": campaign.kind,
+        **found,
+        "warnings": list(doubts),
+        "seconds": time.perf_counter() - began,
+    }
+
+
+def nominal_point(space: SearchSpace) -> FloatArray:
+    """Return the model's default values (n,) in the unit cube: what is known before a fit."""
+    return placed(space, np.array([space.table[name].nominal for name in space.names]))
+
+
+def quick_gear(problem: GearProblem) -> tuple[Expected, ...]:
+    """Return what drops are expected to fix at the default values; takes a second."""
+    noise = capture_noise(problem)
+    return expectations(problem, nominal_point(problem.space), noise, over_bounds=False)[1]
+
+
+def quick_motor(problem: MotorProblem) -> tuple[Expected, ...]:
+    """Return what bench trials are expected to fix at the default values."""
+    known = with_noise(problem)
+    return expectations(known, nominal_point(problem.space), white(known), over_bounds=False)[1]
+
+
+def with_noise(problem: MotorProblem) -> MotorProblem:
+    """Return the problem with a noise of 2 % where a log shows none."""
+    blocks = tuple(b if math.isfinite(b.noise) else replace(b, noise=_ASSUMED) for b in problem.blocks)
+    known = MotorProblem(problem.objective, problem.curves)
+    object.__setattr__(known, "blocks", blocks)
+    return known
+
+
+def white(problem: MotorProblem) -> NoiseModel:
+    """Return noise without correlation: bench logs are compared no finer than their filter passes."""
+    channels = tuple(sorted({block.channel for block in problem.blocks}))
+    return NoiseModel(channels, np.eye(len(channels))[:, :, None])
+
+
+def _check_gear(campaign: GearCampaign, path: Path, threads: int | None) -> dict[str, Any]:
+    drops = prepare_drops(campaign, path)
+    problem = gear_problem(campaign, drops, threads)
+    warn_of_centre_of_mass(drops, campaign)
+    noise = capture_noise(problem)
+    here, expected = expectations(problem, nominal_point(problem.space), noise)
+    weak = np.array([one.verdict != "well" for one in expected])
+    candidates: tuple[Candidate, ...] = ()
+    if weak.any():
+        candidates = suggest_drops(campaign, problem, here, noise, weak)
+    out = _verdicts(problem, problem.blocks, here, expected, candidates)
+    out["quality"] = [_drop_quality(campaign, path, drop) for drop in drops]
+    out["excitation"] = excitation(problem)
+    return out
+
+
+def _check_motor(campaign: MotorCampaign, path: Path, threads: int | None) -> dict[str, Any]:
+    bench = prepare_bench(campaign, path)
+    problem = with_noise(motor_problem(campaign, bench, threads))
+    here, expected = expectations(problem, nominal_point(problem.space), white(problem))
+    out = _verdicts(problem, problem.blocks, here, expected, ())
+    out["sentences"] += _motor_advice(bench, expected)
+    out["quality"] = [
+        _log_quality(trial.entry.name, trial.entry.use, inspect_recording(trial.log.recording))
+        | {"second log": trial.log.second}
+        for trial in bench.trials
+    ]
+    commands = [trial.log.steps.level for trial in bench.trials]
+    speeds = [trial.target.measured[:, 1][trial.target.valid[:, 1]] for trial in bench.fitted]
+    out["excitation"] = {
+        "command": [float(min(c.min() for c in commands)), float(max(c.max() for c in commands))],
+        "commands": int(sum(len(c) for c in commands)),
+        "speed": [float(min(s.min() for s in speeds)), float(max(s.max() for s in speeds))],
+        "reversals": sum(trial.entry.direction == "reversal" for trial in bench.trials),
+    }
+    return out
+
+
+def _motor_advice(bench: Bench, expected: tuple[Expected, ...]) -> list[str]:
+    """Return what to record next for the parameters that bench trials do not fix well."""
+    names = {one.name for one in expected if one.verdict != "well"}
+    out = []
+    if "viscous_damping" in names:
+        out.append(
+            "to fix k_d: a log without propeller in which the unpowered rotor coasts down; beside a "
+            "propeller its drag is lost in the error of the torque curve"
+        )
+    if "winding_inductance" in names:
+        out.append("to fix L: a load cell at 1 kHz or more and large steps of the command from a steady idle")
+    if "winding_resistance" in names:
+        out.append("to fix R: larger steps of the command, up and down, in both directions")
+    if not any(trial.entry.direction == "reversal" for trial in bench.trials):
+        out.append("no reversal was recorded: nothing fixes I_sat and Ω_min, which decide its delay")
+    return out
+
+
+def _verdicts(
+    problem: GearProblem | MotorProblem,
+    blocks: tuple[Block, ...],
+    here: Outlook,
+    expected: tuple[Expected, ...],
+    candidates: tuple[Candidate, ...],
+) -> dict[str, Any]:
+    shares = information_by_channel(problem, here)
+    said = list(sentences(expected))
+    names = problem.space.names
+    # Derivatives that depend on the step make a verdict a guess.
+    rough = [name for name, good in zip(names, here.jacobian.trusted, strict=True) if not good]
+    if rough:
+        said.append(f"derivatives of {', '.join(rough)} change with the step: their verdicts are rough")
+    for i, one in enumerate(expected):
+        better = [c for c in candidates if verdict(float(c.half_widths[i])) != one.verdict]
+        if one.verdict == "well" or not candidates:
+            continue
+        best = min(candidates, key=lambda c, i=i: float(c.half_widths[i]))  # type: ignore[misc]
+        after = float(best.half_widths[i])
+        if better and after < one.half_width:
+            said.append(
+                f"to fix {one.symbol}: {best.title} ({percent(one.half_width)} now, {percent(after)} with it)"
+            )
+        else:
+            said.append(f"no single drop within the lab's reach fixes {one.symbol}")
+    if candidates:
+        said.append(
+            "record next: " + ", else ".join(candidate.title for candidate in candidates[:_NAMED])
+        )  # fmt: skip
+    return {
+        "parameters": [
+            one.document() | {"channels": dict(zip(problem.channels, share.tolist(), strict=True))}
+            for one, share in zip(expected, shares, strict=True)
+        ],
+        "limits": {"well": WELL, "weakly": WEAKLY},
+        "candidates": [
+            {
+                "title": c.title,
+                "gain": c.gain,
+                "half_widths": dict(zip(names, c.half_widths.tolist(), strict=True)),
+                "verdicts": {n: verdict(float(w)) for n, w in zip(names, c.half_widths, strict=True)},
+            }
+            for c in candidates
+        ],
+        "sentences": said,
+    }
+
+
+def _drop_quality(campaign: GearCampaign, path: Path, drop: PreparedDrop) -> dict[str, Any]:
+    trial = next(one for one in campaign.trials if one.name == drop.name)
+    log = resolve_log(path, trial.log)
+    recording = read_drop_log(campaign, log, trial.rigid_body, trial.log_options.model_dump_json())
+    report = inspect_recording(recording, campaign.vehicle.gravity)
+    window = (drop.motion.time >= drop.time[0]) & (drop.motion.time <= drop.time[-1])
+    noise = drop.flight.noise
+    return _log_quality(drop.name, drop.use, report) | {
+        "slope_deg": float(np.degrees(drop.slope)),
+        "noise": {"x [m]": float(noise[0]), "z [m]": float(noise[1]), "pitch [rad]": float(noise[2])},
+        "gravity": drop.flight.measured_gravity,
+        "held": drop.flight.held,
+        "release": drop.flight.start,
+        "touchdown": drop.touchdown,
+        "impact_speed": drop.impact_speed,
+        "lost_in_window": int(np.sum(~drop.motion.valid[window])),
+        "out_of_plane_deg": float(
+            np.degrees(np.nanmax(np.abs([drop.motion.roll[window], drop.motion.yaw[window]])))
+        ),
+        "notes": list(drop.provenance["notes"]),
+    }
+
+
+def _log_quality(name: str, use: str, report: LogReport) -> dict[str, Any]:
+    channels = report.channels
+    return {
+        "name": name,
+        "use": use,
+        "log": Path(report.path).name,
+        "rate": max((c.rate for c in channels), default=math.nan),
+        "jitter": max((c.jitter for c in channels), default=math.nan),
+        "holes": max((c.holes for c in channels), default=0),
+        "saturated": max((c.saturated for c in channels), default=0.0),
+        "suspicions": list(report.suspicions),
+    }

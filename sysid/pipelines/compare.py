@@ -1,0 +1,139 @@
+"""`sysid compare FIT FIT...`: do two fits differ by more than they may, and which predicts what best?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid.campaign import GearCampaign, MotorCampaign
+from sysid.errors import FitError
+from sysid.gear.model import PARAMETERS
+from sysid.parameter_sets import ParameterSets
+from sysid.pipelines.gear import GearObjective
+from sysid.pipelines.motor_objective import MotorObjective
+from sysid.pipelines.search import collected_warnings
+from sysid.pipelines.trust_setup import OpenedFit, open_fit, table_rows
+from sysid.pipelines.validate import campaign_row, fit_rows
+from sysid.trust.comparison import compare_values
+from sysid.trust.store import TRUST, read_part
+
+
+def compare_fits(
+    folders: Sequence[Path],
+    *,
+    cross: bool = True,
+    threads: int | None = None,
+    say: Callable[[str], None] | None = None,
+) -> tuple[dict[str, Any], tuple[ParameterSets, ...]]:
+    """Compare fits of one kind.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        Fit folders, two or more.
+    cross : bool
+        Predict every fit's trials with every other fit's best set; needs their campaigns.
+    threads : int, optional
+    say : callable, optional
+
+    Returns
+    -------
+    document : dict
+        ``fits`` (names), ``differences`` (per parameter and pair), ``cross`` (NRMSE of the fits' best sets by
+        the campaigns' trials) or None, ``sentences``, ``warnings``.
+    sets : tuple of ParameterSets
+
+    Raises
+    ------
+    FitError
+        For fewer than two fits, or fits of several kinds.
+    """
+    if len(folders) < 2:
+        raise FitError("one fit compares with nothing; name two or more")
+    tell = say or (lambda sentence: None)
+    with collected_warnings(lambda text: tell(f"warning: {text}")) as doubts:
+        opened = [_open(folder, cross, threads) for folder in folders]
+        kinds = sorted({fit.result.kind for fit in opened})
+        if len(kinds) > 1:
+            raise FitError(f"a {kinds[0]} and a {kinds[1]} fit share no parameters; compare fits of one kind")
+        names = _labels(folders)
+        documents = [read_part(fit.folder, TRUST) for fit in opened]
+        sets = tuple(fit.result.parameter_sets() for fit in opened)
+        missing = [label for label, found in zip(names, documents, strict=True) if found is None]
+        if missing:
+            tell(
+                f"{', '.join(missing)}: no profile intervals, so the spread of the sets is compared; "
+                "sysid trust FIT makes them"
+            )
+        differences = compare_values(names, sets, documents)
+        table = _cross(opened) if cross else None
+    said = [one["sentence"] for one in differences if one["differs"]]
+    if table is not None:
+        for j, label in enumerate(names):
+            best = int(np.argmin(table[:, j]))
+            said.append(
+                f"the trials of {label} are predicted best by {names[best]} ({100 * table[best, j]:.2f} %)"
+            )
+    document = {
+        "fits": list(names),
+        "kind": kinds[0],
+        "differences": differences,
+        "cross": None if table is None else table,
+        "sentences": said,
+        "warnings": list(doubts),
+    }
+    return document, sets
+
+
+def _open(folder: Path, cross: bool, threads: int | None) -> OpenedFit:
+    return open_fit(folder, None, threads)
+
+
+def _labels(folders: Sequence[Path]) -> tuple[str, ...]:
+    short = [folder.name for folder in folders]
+    return tuple(short if len(set(short)) == len(short) else [folder.as_posix() for folder in folders])
+
+
+def _cross(opened: Sequence[OpenedFit]) -> np.ndarray:
+    """Return the NRMSE (F, F) of the best set of each fit (row) on the fitted trials of each (column).
+
+    A set brings its free parameters; vehicle, surface, clocks and whatever else is held are the campaign's
+    own.
+    """
+    out = np.full((len(opened), len(opened)), np.nan)
+    for j, home in enumerate(opened):
+        for i, guest in enumerate(opened):
+            if isinstance(home.campaign, GearCampaign):
+                rows = fit_rows(guest.result, tuple(PARAMETERS), campaign_row(home.campaign))[:1]
+                if i == j:
+                    rows = table_rows(home)[:1]
+                out[i, j] = float(_gear_objective(home).score(rows).cost[0])
+            else:
+                assert isinstance(home.campaign, MotorCampaign)
+                own = tuple(home.space.table)
+                base = table_rows(home)[0]
+                rows = base[None] if i == j else _motor_rows(guest, own, base)
+                objective = home.problem.objective
+                assert isinstance(objective, MotorObjective)
+                out[i, j] = float(objective.cost.mean(objective.score(rows)[0])[0])
+    return out
+
+
+def _gear_objective(opened: OpenedFit) -> GearObjective:
+    objective = opened.problem.objective
+    assert isinstance(objective, GearObjective)
+    return objective
+
+
+def _motor_rows(guest: OpenedFit, names: tuple[str, ...], base: np.ndarray) -> np.ndarray:
+    """Return a row of a guest's physical parameters; delays and lags of instruments stay the campaign's."""
+    instruments = ("command_delay", "torque_sensor", "speed_sensor")
+    row = base.copy()
+    for i, record in enumerate(guest.result.parameters):
+        physical = record.status == "free" and not record.name.startswith(instruments)
+        if physical and record.name in names:
+            row[names.index(record.name)] = guest.result.values[0, i]
+    return row[None]

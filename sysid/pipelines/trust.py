@@ -1,0 +1,229 @@
+"""`sysid trust FIT`: profiles, linearized uncertainty, bootstrap and spread of a fit, stored beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.errors import FitError
+from sysid.executor import executor
+from sysid.fit.result import FitResult
+from sysid.parameters import SearchSpace
+from sysid.pipelines.search import collected_warnings
+from sysid.pipelines.trust_setup import OpenedFit, open_fit
+from sysid.recording import file_sha256
+from sysid.trust.assessment import Assessment, assess
+from sysid.trust.problem import Problem, SpreadProblem
+from sysid.trust.store import TRUST, write_part
+from sysid.trust.verdicts import verdict
+
+FloatArray = NDArray[np.float64]
+
+_STATEMENT = (
+    "the mean NRMSE is minimized by a weighted sum of squares, one noise level per trial and channel "
+    "(its NRMSE); the rise of that sum along a profile is divided by the parameter's inflation, which holds "
+    "the "
+    "correlation of the residuals in time and between channels and the uncertainty of what the fit takes as "
+    "known, so that it follows chi-square with one degree of freedom"
+)
+# Relative to the standard deviation of the linearization: farther apart is worth a word.
+_MOVED = 2.0
+
+
+@dataclass(frozen=True)
+class TrustOptions:
+    """What the command line may say.
+
+    Parameters
+    ----------
+    campaign : Path, optional
+        Where the campaign lies now.
+    resamples : int
+        Of the bootstrap.
+    seed : int
+    threads : int, optional
+    dask : str, optional
+    """
+
+    campaign: Path | None = None
+    resamples: int = 100
+    seed: int = 1
+    threads: int | None = None
+    dask: str | None = None
+
+
+def assess_fit(
+    folder: Path, options: TrustOptions | None = None, say: Callable[[str], None] | None = None
+) -> dict[str, Any]:
+    """Assess a fit and store what was found in its folder; return the document of `sysid.trust.store`.
+
+    Raises
+    ------
+    SysidError
+        When the fit or its campaign cannot be used; nothing has been written then.
+    """
+    options = options or TrustOptions()
+    tell = say or (lambda sentence: None)
+    with collected_warnings(None) as doubts:
+        opened = open_fit(folder, options.campaign, 1 if options.dask else options.threads)
+        if not len(opened.space.free):
+            raise FitError(f"{folder}: nothing is free")
+        with executor(options.dask, 2) as where:
+            problem: Problem = SpreadProblem(opened.problem, where)
+            found = assess(
+                problem, opened.result.cube[0], resamples=options.resamples, seed=options.seed, say=tell
+            )
+    document, arrays = _document(opened, found, doubts)
+    for sentence in document["warnings"]:
+        tell(f"warning: {sentence}")
+    write_part(opened.folder, TRUST, document, arrays, fit=opened.result.name, kind=opened.result.kind)
+    return document
+
+
+def _document(
+    opened: OpenedFit, found: Assessment, doubts: list[str]
+) -> tuple[dict[str, Any], dict[str, tuple[Any, str, str]]]:
+    result, space, linear = opened.result, opened.space, found.linear
+    rows = _parameters(result, space, found)
+    warned = [*doubts]
+    for row, jump in zip(rows, _moves(result, found), strict=True):
+        if not row["derivative_trusted"]:
+            warned.append(
+                f"{row['name']}: its derivative changes by {100 * row['derivative_doubt']:.0f} % when the "
+                f"step is halved (contact makes the cost rough): read its profile, not its linearized sigma"
+            )
+        if jump > _MOVED:
+            warned.append(
+                f"{row['name']}: the best set lies {jump:.1f} standard deviations from where the sum of "
+                "squares is least; the search has not converged, or its simulations are too inexact "
+                "(fit.tolerance)"
+            )
+    if found.profiles.lowered > 1.0:
+        warned.append("a profile found a better set than the profiles' start: the fit has not converged")
+    boot = found.resampled
+    arrays: dict[str, tuple[Any, str, str]] = {
+        "correlation": (linear.information.correlation, "parameter, parameter", "1"),
+        "covariance": (linear.information.covariance, "parameter, parameter", "1, unit cube"),
+    }
+    for profile in found.profiles.profiles:
+        root = f"profiles/{profile.name}"
+        arrays[f"{root}/value"] = (profile.values, "point", profile.unit)
+        arrays[f"{root}/deviance"] = (profile.deviance, "point", "1")
+        arrays[f"{root}/others"] = (profile.others, "point, free parameter", "SI")
+    if boot is not None:
+        arrays["bootstrap/values"] = (space.decode(boot.points), "resample, free parameter", "SI")
+    document = {
+        "campaign": {"file": opened.path.name, "sha256": file_sha256(opened.path)},
+        "parameters": rows,
+        "correlation": linear.information.correlation,
+        "noise": {"statement": _STATEMENT, "channels": _channels(opened, found)},
+        "spread": _spread(result),
+        "bootstrap": None
+        if boot is None
+        else {"resamples": len(boot.points), "failed": int(np.count_nonzero(~boot.converged))},
+        "evaluations": found.profiles.evaluations + (0 if boot is None else boot.evaluations),
+        "seconds": found.seconds,
+        "warnings": warned,
+    }
+    return document, arrays
+
+
+def _moves(result: FitResult, found: Assessment) -> FloatArray:
+    return np.abs(found.linear.point - result.cube[0]) / np.maximum(found.linear.information.sigma, 1e-12)
+
+
+def _parameters(result: FitResult, space: SearchSpace, found: Assessment) -> list[dict[str, Any]]:
+    linear = found.linear
+    index = {record.name: i for i, record in enumerate(result.parameters)}
+    sets = result.parameter_sets()
+    refined, best = space.decode(linear.point), space.decode(result.cube[0])
+    sigma = linear.information.sigma
+    up = space.decode(np.minimum(linear.point + sigma, 1.0)) - refined
+    down = refined - space.decode(np.maximum(linear.point - sigma, 0.0))
+    partners = linear.information.partners(space.names)
+    boot = None
+    if found.resampled is not None:
+        boot = space.decode(found.resampled.points[found.resampled.converged])
+    out = []
+    for i, (row, profile) in enumerate(zip(space.free, found.profiles.profiles, strict=True)):
+        record = result.parameters[index[row.name]]
+        quantiles = None
+        if boot is not None and len(boot) >= 10:
+            quantiles = np.quantile(boot[:, i], [0.025, 0.975]).tolist()
+        out.append(
+            {
+                "name": row.name,
+                "symbol": row.symbol,
+                "unit": row.unit,
+                "lower": row.lower,
+                "upper": row.upper,
+                "scale": row.scale,
+                "value": float(best[i]),
+                "refined": float(refined[i]),
+                "mean": float(sets.mean[index[row.name]]),
+                "sigma": float(sets.sigma[index[row.name]]),
+                "fisher_sigma": float(max(up[i], down[i])),
+                "derivative_doubt": float(linear.jacobian.doubt[i]),
+                "derivative_trusted": bool(linear.jacobian.trusted[i]),
+                "interval_68": list(profile.interval_68),
+                "interval_95": list(profile.interval_95),
+                "open_68": list(profile.open_68),
+                "open_95": list(profile.open_95),
+                "half_width": profile.half_width,
+                "verdict": verdict(profile.half_width),
+                "expected_half_width": float(found.expected[i]),
+                "partners": [{"name": name, "correlation": rho} for name, rho in partners[i]],
+                "at_bound": int(result.at_bound[0, index[row.name]]),
+                "measured": None if record.measured_range is None else list(record.measured_range),
+                "bootstrap_95": quantiles,
+                "rough_points": profile.rough,
+            }
+        )
+    return out
+
+
+def _channels(opened: OpenedFit, found: Assessment) -> list[dict[str, Any]]:
+    """Return, per channel over all trials, rms residual, noise floor and independent samples."""
+    result, linear = opened.result, found.linear
+    out = []
+    for c, name in enumerate(result.channels):
+        pairs = zip(opened.problem.blocks, linear.levels, strict=True)
+        mine = [(block, level) for block, level in pairs if block.channel == c]
+        if not mine:
+            continue
+        count = sum(block.count for block, _ in mine)
+        residual = np.sqrt(sum(block.count * (level * block.spread) ** 2 for block, level in mine) / count)
+        floor = np.sqrt(sum(block.count * (block.noise * block.spread) ** 2 for block, _ in mine) / count)
+        inflation = linear.noise.inflation[linear.noise.channels.index(c)]
+        out.append(
+            {
+                "name": name,
+                "unit": result.channel_units[c],
+                "residual": float(residual),
+                "floor": float(floor),
+                "samples": count,
+                "independent_samples": float(count / inflation),
+            }
+        )
+    return out
+
+
+def _spread(result: FitResult) -> dict[str, Any]:
+    """Return how far the predictions of the sets lie apart, per trial and channel [channel units]."""
+    trials = []
+    for trial in result.trials:
+        apart = trial.simulated - trial.simulated.mean(axis=0)
+        trials.append(
+            {
+                "name": trial.name,
+                "use": trial.use,
+                "rms": np.sqrt(np.mean(apart**2, axis=(0, 1))),
+                "largest": np.max(np.abs(apart), axis=(0, 1)),
+            }
+        )
+    return {"channels": list(result.channels), "units": list(result.channel_units), "trials": trials}

@@ -1,0 +1,237 @@
+"""What a campaign is expected to fix, before anything is fitted: at one point, and over the bounds.
+
+At a point: the linearized half-widths of `sysid.trust.fisher` with the noise that the instrument shows while
+nothing happens, walked through the filter. Over the bounds: Morris' elementary effects of the mean NRMSE
+(Morris 1991, by SALib), which say what moves the cost at all and what acts together with others, and the
+half-widths at points drawn from the bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.parameters import SearchSpace
+from sysid.trust.fisher import Information, NoiseModel, gradient_noise, half_widths, information
+from sysid.trust.jacobian import Jacobian, jacobian
+from sysid.trust.problem import Block, Problem, nrmse_of, scales
+from sysid.trust.verdicts import Expected
+
+FloatArray = NDArray[np.float64]
+
+# Trajectories of elementary effects, and levels of their grid.
+_TRAJECTORIES, _LEVELS = 10, 4
+# Points drawn from the bounds.
+ELSEWHERE = 8
+# Of the cube, so that a difference does not leave it.
+_INSIDE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """What noise would leave open at one point.
+
+    Parameters
+    ----------
+    point : (n,) array
+    jacobian : Jacobian
+    scale : (m,) array
+    levels : (B,) array
+        NRMSE of noise alone in every block [1].
+    information : Information
+    half_widths : (n,) array
+        Relative, 95 % [1].
+    """
+
+    point: FloatArray
+    jacobian: Jacobian
+    scale: FloatArray
+    levels: FloatArray
+    information: Information
+    half_widths: FloatArray
+
+
+def outlook(
+    problem: Problem, point: FloatArray, noise: NoiseModel, levels: FloatArray | None = None
+) -> Outlook:
+    """Return what noise would leave open at a point.
+
+    Parameters
+    ----------
+    problem : Problem
+    point : (n,) array
+        In the unit cube.
+    noise : NoiseModel
+        Correlations of the noise as compared.
+    levels : (B,) array, optional
+        NRMSE of noise; default: what the blocks say.
+    """
+    own = np.array([block.noise for block in problem.blocks]) if levels is None else levels
+    scale = scales(problem.blocks, own, problem.blocks[-1].stop)
+    samples = sum(block.count for block in problem.blocks)
+    weight = sum(block.weight * level for block, level in zip(problem.blocks, own, strict=True))
+    derived = jacobian(problem, point, scale, float(np.sqrt(weight / samples)))
+    spread = gradient_noise(
+        problem.blocks, derived.values, scale, own, noise, problem.disturbances(point)
+    )  # fmt: skip
+    found = information(derived.values, spread)
+    widths = half_widths(problem.space, point, found.sigma)
+    return Outlook(point, derived, scale, own, found, widths)
+
+
+def expectations(
+    problem: Problem, point: FloatArray, noise: NoiseModel, *, over_bounds: bool = True, seed: int = 0
+) -> tuple[Outlook, tuple[Expected, ...]]:
+    """Return what the trials are expected to fix of every free parameter.
+
+    Parameters
+    ----------
+    problem : Problem
+    point : (n,) array
+        Where it is judged, in the unit cube.
+    noise : NoiseModel
+    over_bounds : bool
+        Look at points drawn from the bounds too, and at elementary effects.
+    seed : int
+    """
+    here = outlook(problem, point, noise)
+    n = len(point)
+    elsewhere, effect, interaction = (np.full(n, np.nan) for _ in range(3))
+    if over_bounds:
+        source = np.random.default_rng(seed)
+        drawn = _INSIDE + (1 - 2 * _INSIDE) * source.random((ELSEWHERE, n))
+        _, failed = problem.residuals(drawn)
+        widths = [outlook(problem, other, noise).half_widths for other in drawn[~failed]]
+        if widths:
+            elsewhere = np.median(widths, axis=0)
+        effect, interaction = morris(problem, seed)
+    partners = here.information.partners(problem.space.names)
+    value = problem.space.decode(point)
+    return here, tuple(
+        Expected(
+            row.name, row.symbol, row.unit, float(value[i]), float(here.half_widths[i]),
+            float(elsewhere[i]), float(effect[i]), float(interaction[i]), partners[i],
+        )
+        for i, row in enumerate(problem.space.free)
+    )  # fmt: skip
+
+
+def morris(problem: Problem, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+    """Return mean size and standard deviation of the elementary effects on the mean NRMSE (n,), (n,) [1].
+
+    Over the whole range of each parameter. Points that cannot be simulated take the largest NRMSE that was
+    seen.
+    """
+    from SALib.analyze import morris as analysis
+    from SALib.sample import morris as sampling
+
+    n = len(problem.space.free)
+    names = list(problem.space.names)
+    frame = {"num_vars": n, "names": names, "bounds": [[0.0, 1.0]] * n}
+    points = sampling.sample(frame, _TRAJECTORIES, num_levels=_LEVELS, seed=seed)
+    values, failed = problem.residuals(np.ascontiguousarray(points))
+    weights = np.array([block.weight for block in problem.blocks])
+    cost = nrmse_of(problem.blocks, values) @ weights
+    if failed.all():
+        return np.full(n, np.nan), np.full(n, np.nan)
+    cost[failed] = cost[~failed].max()
+    found = analysis.analyze(frame, points, cost, num_levels=_LEVELS, seed=seed)
+    return np.asarray(found["mu_star"], dtype=np.float64), np.asarray(found["sigma"], dtype=np.float64)
+
+
+def information_by_channel(problem: Problem, here: Outlook) -> FloatArray:
+    """Return which share of what is known about each parameter comes from each channel (n, C) [1].
+
+    From the curvature of the weighted sum of squares along the parameter, all others held.
+    """
+    out = np.zeros((len(here.point), len(problem.channels)))
+    for block in problem.blocks:
+        part = here.jacobian.values[block.start : block.stop]
+        out[:, block.channel] += np.sum(part**2, axis=0)
+    return out / np.maximum(out.sum(axis=1, keepdims=True), 1e-300)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A recording that could be made next.
+
+    Parameters
+    ----------
+    title : str
+        Such as ``a drop on 25 deg at 0.8 m/s``.
+    half_widths : (n,) array
+        Of every parameter with it [1].
+    gain : float
+        Sum over the parameters that are not well fixed of the logarithm by which their half-width falls [1].
+    """
+
+    title: str
+    half_widths: FloatArray
+    gain: float
+
+
+def rank_candidates(
+    problem: Problem,
+    here: Outlook,
+    noise: NoiseModel,
+    others: Problem,
+    titles: tuple[str, ...],
+    weak: NDArray[np.bool_],
+    say: Callable[[str], None] | None = None,
+) -> tuple[Candidate, ...]:
+    """Rank recordings by what they would add, the best first.
+
+    Parameters
+    ----------
+    problem : Problem
+        What is there.
+    here : Outlook
+        On it.
+    noise : NoiseModel
+    others : Problem
+        One trial per candidate, of the same free parameters.
+    titles : tuple of str
+    weak : (n,) bool array
+        Parameters that need more.
+    """
+    _, failed = others.residuals(here.point[None])
+    if failed.any():
+        return ()
+    levels = np.array([block.noise for block in others.blocks])
+    # Weighted as trials of the campaign are: one more among as many.
+    share = 1.0 / len(problem.trials)
+    blocks = [
+        Block(b.trial, b.channel, b.start, b.stop, b.count, b.weight * len(titles) * share, b.spread, b.noise)
+        for b in others.blocks
+    ]
+    scale = scales(blocks, levels, blocks[-1].stop)
+    derived = jacobian_at(others, here, scale)
+    changes = others.disturbances(here.point)
+    out = []
+    for t, title in enumerate(titles):
+        mine = [b for b, block in enumerate(blocks) if block.trial == t]
+        own = np.zeros_like(derived)
+        for b in mine:
+            own[blocks[b].start : blocks[b].stop] = derived[blocks[b].start : blocks[b].stop]
+        spread = gradient_noise([blocks[b] for b in mine], own, scale, levels[mine], noise, changes)
+        both = np.concatenate([here.jacobian.values, own])
+        found = information(both, here.information.gradient_noise + spread)
+        widths = half_widths(problem.space, here.point, found.sigma)
+        lowered = np.log(np.maximum(here.half_widths, 1e-12) / np.maximum(widths, 1e-12))
+        out.append(Candidate(title, widths, float(np.sum(lowered[weak]))))
+    return tuple(sorted(out, key=lambda one: -one.gain))
+
+
+def jacobian_at(problem: Problem, here: Outlook, scale: FloatArray) -> FloatArray:
+    """Return the derivatives (m, n) of another problem's weighted residuals at the same point."""
+    samples = sum(block.count for block in problem.blocks)
+    weight = sum(block.weight * max(block.noise, 1e-9) for block in problem.blocks)
+    return jacobian(problem, here.point, scale, float(np.sqrt(weight / samples))).values
+
+
+def placed(space: SearchSpace, values: FloatArray) -> FloatArray:
+    """Return values (n,) [SI] in the unit cube, a little inside it."""
+    return np.clip(space.encode(values), 0.02, 0.98)

@@ -1,0 +1,171 @@
+"""A prediction against a trial that was not fitted: how far off, from when on, and is that more than noise.
+
+Bouncing is chaotic: a difference grows from contact to contact until nothing is predicted any more, even by
+the true model. So the score is also taken up to the third touchdown, and the end of a landing is compared as
+a distribution. A prediction is judged by the ratio of its NRMSE to what noise alone would cost: 1 for the
+true model, more by what the parameters' own uncertainty adds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+# Of the NRMSE over its noise floor, mean over trials: whole windows, and up to the third touchdown.
+RATIO, RATIO_EARLY = 2.0, 1.5
+# A sample so many noise deviations away does not belong to the prediction, so many in a row are no outliers.
+LEAVES, IN_A_ROW = 5.0, 3
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """One trial against the prediction of the best set.
+
+    Parameters
+    ----------
+    name : str
+    nrmse : (S,) array
+        Weighted mean over channels of every set [1].
+    by_channel : (C,) array
+        Of the best set [1].
+    floor : float
+        Weighted mean of what noise alone costs [1]; NaN where not known.
+    early : (nrmse, floor), or None
+        The same up to `early_until`.
+    early_until : float or None
+        Third touchdown since the first one [s].
+    leaves : dict or None
+        Time, channel, contacts before; see `sysid.trust.store`.
+    """
+
+    name: str
+    nrmse: FloatArray
+    by_channel: FloatArray
+    floor: float
+    early: tuple[float, float] | None
+    early_until: float | None
+    leaves: dict[str, Any] | None
+
+    @property
+    def ratio(self) -> float:
+        """NRMSE of the best set over the floor [1]."""
+        return float(self.nrmse[0] / self.floor)
+
+    @property
+    def early_ratio(self) -> float:
+        """The same up to the third touchdown [1]; NaN where it was not scored."""
+        return float("nan") if self.early is None else self.early[0] / self.early[1]
+
+
+def judge(
+    name: str,
+    time: FloatArray,
+    measured: FloatArray,
+    valid: BoolArray,
+    simulated: FloatArray,
+    *,
+    spread: FloatArray,
+    noise: FloatArray,
+    weights: FloatArray,
+    channels: Sequence[str],
+    zero: float,
+    contacts: FloatArray | None = None,
+) -> Judged:
+    """Compare a trial with the predictions of all sets.
+
+    Parameters
+    ----------
+    name : str
+    time : (n,) array
+        [s]
+    measured, valid : (n, C) arrays
+        As compared [channel units], and which samples count.
+    simulated : (S, n, C) array
+        Best set first.
+    spread : (C,) array
+        What NRMSE divides by [channel units].
+    noise : (C,) array
+        Standard deviation of the noise as compared [channel units]; NaN where not known.
+    weights : (C,) array
+        Of the channels.
+    channels : sequence of str
+    zero : float
+        First touchdown, or the window's start [s].
+    contacts : (k,) array, optional
+        Touchdowns of the best set's prediction on the trial's clock [s]; of a trial without contacts: none.
+    """
+    used = weights > 0
+    share = np.where(used, weights, 0.0) / weights[used].sum()
+    safe = np.where(spread > 0, spread, 1.0)
+    error = np.where(valid, simulated - measured, 0.0) / safe
+    count = np.maximum(valid.sum(axis=0), 1)
+    by_channel = np.sqrt(np.sum(error**2, axis=1) / count)
+    floor = float(np.sum((share * noise / safe)[used]))
+    early, until = None, None
+    if contacts is not None:
+        end = float(contacts[2]) if len(contacts) > 2 else float(time[-1])
+        first = valid & (time <= end)[:, None]
+        some = np.maximum(first.sum(axis=0), 1)
+        rms = np.sqrt(np.sum(np.where(first, error[0], 0.0) ** 2, axis=0) / some)
+        early, until = (float(np.sum(share * rms)), floor), end - zero
+    away = np.abs(error[0]) > LEAVES * noise / safe
+    away &= valid & used & np.isfinite(noise)
+    leaves = None
+    row = np.ones(IN_A_ROW, dtype=np.int64)
+    for c in range(len(channels)):
+        if len(time) < IN_A_ROW:
+            break
+        runs = np.flatnonzero(np.convolve(away[:, c].astype(np.int64), row, "valid") == IN_A_ROW)
+        if len(runs) and (leaves is None or time[runs[0]] - zero < leaves["time"]):
+            at = float(time[runs[0]])
+            before = 0 if contacts is None else int(np.count_nonzero(contacts <= at))
+            leaves = {"time": at - zero, "channel": channels[c], "after_contacts": before}
+    return Judged(
+        name, np.sum(by_channel * share, axis=1), by_channel[0], floor, early, until, leaves
+    )  # fmt: skip
+
+
+def reasons(trials: Sequence[Judged]) -> tuple[str, ...]:
+    """Return why a prediction is flagged, one sentence per number; none where noise explains it."""
+    out = []
+    whole = np.array([one.ratio for one in trials])
+    early = np.array([one.early_ratio for one in trials])
+    if np.isfinite(whole).any() and np.nanmean(whole) > RATIO:
+        worst = trials[int(np.nanargmax(whole))]
+        out.append(
+            f"NRMSE is {np.nanmean(whole):.2f} × what noise alone costs, mean over {len(trials)} trials "
+            f"(limit "
+            f"{RATIO:g}; worst {worst.name}, {worst.ratio:.2f} ×): the model or its held values are wrong "
+            f"for "
+            "these trials"
+        )
+    if np.isfinite(early).any() and np.nanmean(early) > RATIO_EARLY:
+        worst = trials[int(np.nanargmax(early))]
+        out.append(
+            f"NRMSE up to the third touchdown is {np.nanmean(early):.2f} × what noise alone costs, mean over "
+            f"{len(trials)} trials (limit {RATIO_EARLY:g}; worst {worst.name}, {worst.early_ratio:.2f} ×): "
+            "chaos does not explain it"
+        )
+    return tuple(out)
+
+
+def document(one: Judged, channels: Sequence[str]) -> dict[str, Any]:
+    """Return a judged trial for JSON."""
+    return {
+        "name": one.name,
+        "nrmse": one.nrmse,
+        "by_channel": dict(zip(channels, one.by_channel.tolist(), strict=True)),
+        "floor": one.floor,
+        "ratio": one.ratio,
+        "nrmse_third_contact": None if one.early is None else one.early[0],
+        "ratio_third_contact": None if one.early is None else one.early_ratio,
+        "third_contact": one.early_until,
+        "leaves": one.leaves,
+    }

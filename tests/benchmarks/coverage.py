@@ -1,0 +1,102 @@
+"""Do the intervals hold the truth? Twenty synthetic campaigns, each fitted and profiled.
+
+    python tests/benchmarks/coverage.py [--replications 20] [--surface lf]
+
+Prints how many of the 95 % profile intervals of each parameter hold the true value, over all replications,
+how often each was called well, weakly or not identifiable, and how far outside the worst one lies.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sysid.campaign import GearCampaign, read_campaign
+from sysid.pipelines.drops import prepare_drops
+from sysid.pipelines.gear import GearObjective, search_space
+from sysid.pipelines.trust_gear import TRUST_TOLERANCE, GearProblem
+from sysid.synthetic import synthesize_gear
+from sysid.trust.assessment import assess
+from sysid.trust.verdicts import verdict
+
+
+@dataclass(frozen=True)
+class Covered:
+    """One parameter of one replication."""
+
+    name: str
+    truth: float
+    best: float
+    low: float
+    high: float
+    half_width: float
+    verdict: str
+
+    @property
+    def inside(self) -> bool:
+        return self.low <= self.truth <= self.high
+
+    @property
+    def beyond(self) -> float:
+        """How far outside its interval the truth lies, in half-widths [1]."""
+        return max(self.low - self.truth, self.truth - self.high, 0.0) / ((self.high - self.low) / 2)
+
+
+def replicate(seed: int, surface: str, folder: Path) -> list[Covered]:
+    """Synthesize drops, fit from the truth (no search: a fit's best set lies there), profile."""
+    out = synthesize_gear(folder / f"{surface}-{seed}", seed=seed, surface=surface)
+    path = out / "campaign.toml"
+    campaign = read_campaign(path, "gear")
+    assert isinstance(campaign, GearCampaign)
+    space = search_space(campaign)
+    drops = tuple(drop for drop in prepare_drops(campaign, path) if drop.use == "fit")
+    problem = GearProblem(GearObjective.build(campaign, space, drops, None, TRUST_TOLERANCE))
+    true = json.loads((out / "truth.json").read_text(encoding="utf-8"))["parameters"]
+    truth = np.array([true[name] for name in space.names])
+    found = assess(problem, space.encode(truth), resamples=0)
+    return [
+        Covered(p.name, t, p.best, *p.interval_95, p.half_width, verdict(p.half_width))
+        for p, t in zip(found.profiles.profiles, truth, strict=True)
+    ]
+
+
+def main() -> None:
+    """Print the coverage."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--replications", type=int, default=20)
+    options.add_argument("--first-seed", type=int, default=1001)
+    options.add_argument("--surface", choices=("lf", "hf"), default="lf")
+    chosen = options.parse_args()
+    rows: dict[str, list[Covered]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in range(chosen.first_seed, chosen.first_seed + chosen.replications):
+            began = time.perf_counter()
+            for one in replicate(seed, chosen.surface, Path(folder)):
+                rows.setdefault(one.name, []).append(one)
+            print(f"seed {seed}: {time.perf_counter() - began:.0f} s", flush=True)
+    inside = total = 0
+    print(f"{'parameter':<26}{'covered':>9}{'worst':>7}{'half':>8}{'rms z':>7}  verdicts")
+    for name, found in rows.items():
+        held = [one.inside for one in found]
+        names = [one.verdict for one in found]
+        counts = ", ".join(f"{names.count(word)} {word}" for word in dict.fromkeys(names))
+        scatter = [1.96 * (one.best - one.truth) / max(one.half_width * one.best, 1e-300) for one in found]
+        print(
+            f"{name:<26}{sum(held):>4}/{len(held):<4}{max(one.beyond for one in found):>7.2f}"
+            f"{100 * float(np.median([one.half_width for one in found])):>7.1f}%"
+            f"{float(np.sqrt(np.mean(np.square(scatter)))):>7.2f}  {counts}"
+        )
+        if names.count("not identifiable") < len(names):
+            inside, total = inside + sum(held), total + len(held)
+    share = 100 * inside / total
+    print(f"identifiable parameters: {inside} of {total} intervals hold the truth ({share:.0f} %)")
+
+
+if __name__ == "__main__":
+    main()
