@@ -56,13 +56,18 @@ def stopping(objective: GearObjective, rows: FloatArray, drop: PreparedDrop, see
     roots = start_roots(drop)
     starts = drop.initial_state + source.standard_normal((len(rows) * _STARTS, len(roots))) @ roots
     many = np.repeat(rows[:, : len(PARAMETERS)], _STARTS, axis=0)
-    jobs = Drops(np.array([drop.slope]), drop.initial_state[None], (after,))
+    # Rest is seen once it has lasted: simulated on, it shows up to the end of the log.
+    beyond = after[-1] + np.arange(1, round(1.5 * _REST.rest_time * motion.rate) + 1) / motion.rate
+    clock = np.concatenate([after, beyond])
+    jobs = Drops(np.array([drop.slope]), drop.initial_state[None], (clock,))
     found = simulate_population(
         many, jobs, surface=objective.surface, tolerance=objective.tolerance,
         threads=objective.threads, body_states=starts[:, None],
     )  # fmt: skip
     good = found.status[:, 0] == 0
-    end = np.where(np.isfinite(found.rest[:, 0]), found.rest[:, 0], after[-1] - after[0])
+    length = float(after[-1] - after[0])
+    rests = np.nan_to_num(found.rest[:, 0], nan=np.inf) < length
+    end = np.where(rests, found.rest[:, 0], length)
     since = drop.touchdown - after[0]
     index = np.minimum(np.searchsorted(after - after[0], end), len(after) - 1)
     at = found.samples[np.arange(len(many)), index, :2] @ tangent
@@ -72,7 +77,7 @@ def stopping(objective: GearObjective, rows: FloatArray, drop: PreparedDrop, see
         "place": _three(measured_place - touch, place),
         "time": _three(measured_time - drop.touchdown, moment),
         "measured_stops": stops,
-        "share_stops": float(np.mean(np.isfinite(found.rest[good, 0]))) if good.any() else float("nan"),
+        "share_stops": float(np.mean(rests[good])) if good.any() else float("nan"),
     }
 
 

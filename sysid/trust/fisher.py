@@ -87,7 +87,9 @@ def information(jacobian: FloatArray, gradient_noise: FloatArray) -> Information
     """Return the uncertainty from derivatives (m, n) of weighted residuals and the gradient's noise."""
     n = jacobian.shape[1]
     curvature = jacobian.T @ jacobian
-    size = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+    size = np.sqrt(np.diag(curvature))
+    seen = size > 1e-9 * max(float(size.max()), 1e-300)
+    size = np.maximum(size, 1e-9 * max(float(size.max()), 1e-300))
     hessian = curvature / np.outer(size, size)
     noise = _positive(gradient_noise / np.outer(size, size))
     # What the data say, H V⁻¹ H, and what the bounds say, add up as information.
@@ -97,6 +99,8 @@ def information(jacobian: FloatArray, gradient_noise: FloatArray) -> Information
     inverse = np.linalg.pinv(hessian + 1e-12 * np.eye(n), hermitian=True)
     sandwich = inverse @ noise @ inverse
     rise = np.maximum(np.diag(sandwich), 1e-300) / np.maximum(np.diag(inverse), 1e-300)
+    # What the residuals do not see has a flat profile whatever it is divided by.
+    rise = np.where(seen, rise, np.median(rise[seen]) if seen.any() else 1.0)
     return Information(curvature, gradient_noise, np.asarray(covariance, dtype=np.float64), rise)
 
 

@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 # Of the NRMSE over its noise floor, mean over trials: whole windows, and up to the third touchdown.
-RATIO, RATIO_EARLY = 2.0, 1.5
+RATIO, RATIO_EARLY = 1.5, 1.25
 # A sample so many noise deviations away does not belong to the prediction, so many in a row are no outliers.
 LEAVES, IN_A_ROW = 5.0, 3
 
