@@ -214,7 +214,7 @@ def level_error(drop: PreparedDrop) -> float:
     if not flight.held or drop.initial_state[2] != 0.0:
         return 0.0
     hold = motion.valid & (motion.time < flight.start) & (motion.time > flight.start - _HOLD)
-    return float(flight.noise[2] / np.sqrt(max(1, np.count_nonzero(hold))))
+    return float(flight.noise[2]) / float(np.sqrt(max(1, int(np.count_nonzero(hold)))))
 
 
 def compared_noise(drop: PreparedDrop) -> FloatArray:

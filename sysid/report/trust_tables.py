@@ -93,7 +93,7 @@ def uncertainty_table(document: Mapping[str, Any]) -> Table:
             Text(_heading(row)),
             Text(number(row["value"]) + ("*" if row["at_bound"] else "")),
             Text(f"{number(row['mean'])} ± {number(row['sigma'], 2)}"),
-            Text(interval(*row["interval_95"], row["open_95"])),
+            Text(interval(row["interval_95"][0], row["interval_95"][1], row["open_95"])),
             Text(half_width(row["half_width"])),
             verdict_text(row["verdict"]),
             Text(_partners(row)),
@@ -153,7 +153,8 @@ def quality_table(document: Mapping[str, Any]) -> Table:
         columns += [("at its limit [%]", True)]
     out = table(f"{document['campaign']['name']}: logs", None, columns)
     for row in document["quality"]:
-        cells = [Text(row["name"]), Text(row["use"]), number(row["rate"]), percent(row["jitter"], 1)]
+        cells: list[str | Text] = [Text(row["name"]), Text(row["use"]), number(row["rate"])]
+        cells.append(percent(row["jitter"], 1))
         cells += [str(row["holes"])]
         if drops:
             noise = row["noise"]
