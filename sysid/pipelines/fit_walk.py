@@ -162,7 +162,7 @@ class FitWalk:
                     outcome.filters,
                     outcome.logs,
                     self.folder,
-                ),  # fmt: skip
+                ),
                 **outcome.more,
             },
             warnings=(*self._doubts, *found.warnings, *closing, *outcome.told),
