@@ -305,6 +305,16 @@ def test_a_cluster_gives_the_same_map(run):
     assert code == 0, err
     code, _, err = run(*command, "--out", "there.h5", "--dask", "local")
     assert code == 0, err
-    for one, other in zip(read_maps("here.h5").maps, read_maps("there.h5").maps, strict=True):
-        for name in ("outcome", "distance", "time", "uncertain"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    tried = (*IMPULSE, "--delays", "0:0.08:0.04", "--durations", "0,0.05")
+    for where in ((), ("--dask", "local")):
+        code, _, err = run(*tried, *where, "--out", f"impulse-{len(where)}.h5")
+        assert code == 0, err
+    for here, there in (("here.h5", "there.h5"), ("impulse-0.h5", "impulse-2.h5")):
+        one, two = read_maps(here), read_maps(there)
+        for own, other in zip(one.maps, two.maps, strict=True):
+            for name in ("outcome", "distance", "time", "uncertain"):
+                np.testing.assert_array_equal(getattr(own, name), getattr(other, name))
+        for own, other in zip(one.impulses, two.impulses, strict=True):
+            for name, values in own.optimum.items():
+                np.testing.assert_array_equal(values, other.optimum[name])
+    assert len(one.impulses) == 1
