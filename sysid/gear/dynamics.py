@@ -19,6 +19,7 @@ where ``p = ex.r'``, ``n = ez.r'`` and ``r' = (r_w, -r_s)`` is the joint's offse
 Eliminating all but the two ``lam`` leaves one symmetric, positive definite 2 x 2 system: a single division.
 """
 
+import numpy as np
 from numba import njit
 
 from sysid.gear.geometry import foot_motion, joint_position, sine_cosine
@@ -68,6 +69,31 @@ def foot_looseness(joints, h_c, h_d, coefficients):
 
 
 @njit(error_model="numpy", forceinline=True)
+def ringing(joints, h_c, h_d, normals, k_s, coefficients):
+    """Fastest frequency at which a leg rings between body and ground [rad/s], and its damping ratio.
+
+    Estimated from above, like `foot_looseness`: along the slope's normal, the ground's and the leg's spring
+    in parallel. Zero while no foot touches.
+    """
+    cos_c, sin_c, cos_d, sin_d, c_s, _, d_s, _, _, _ = joints
+    l, _, _, rho_0, per_m, per_i, per_mc, per_ic, per_md, per_id = coefficients[10:20]  # noqa: E741
+    rho_c = rho_0 + h_c
+    rho_d = rho_0 + h_d
+    lever_c = sin_c * (l + h_c)
+    lever_d = sin_d * (l + h_d)
+    loose_c = per_m + c_s * c_s * per_i + cos_c * cos_c * per_mc
+    loose_c = loose_c + lever_c * lever_c * per_ic * per_mc / (per_mc + rho_c * rho_c * per_ic)
+    loose_d = per_m + d_s * d_s * per_i + cos_d * cos_d * per_md
+    loose_d = loose_d + lever_d * lever_d * per_id * per_md / (per_md + rho_d * rho_d * per_id)
+    square_c = (k_s + coefficients[0]) * loose_c if normals[0] > 0.0 else 0.0
+    square_d = (k_s + coefficients[4]) * loose_d if normals[1] > 0.0 else 0.0
+    rear = square_c > square_d
+    rate = np.sqrt(square_c if rear else square_d)
+    decay = coefficients[1] * per_mc if rear else coefficients[5] * per_md
+    return rate, 0.5 * decay / (rate + 1e-3)
+
+
+@njit(error_model="numpy", forceinline=True)
 def accelerations(joints, angles, rates, thrust, normals, friction_c, friction_d, coefficients):
     """Second time derivatives of (s, w, phi, h_C, theta_C, h_D, theta_D) under given forces on the feet.
 
@@ -99,11 +125,7 @@ def accelerations(joints, angles, rates, thrust, normals, friction_c, friction_d
     spin = omega * omega
     rho_c = rho_0 + h_c
     rho_d = rho_0 + h_d
-    # Joint's quarter-turned offset r' = (r_w, -r_s) in each leg's axes.
-    p_c = cos_c * c_w + sin_c * c_s
-    n_c = sin_c * c_w - cos_c * c_s
-    p_d = cos_d * d_w + sin_d * d_s
-    n_d = sin_d * d_w - cos_d * d_s
+    p_c, n_c, p_d, n_d = _quarter_turned(cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w)
     # Axial joint forces (5) and joint moments on the legs (6).
     axial_c = kh_c * h_c + bh_c * h_c_rate
     axial_d = kh_d * h_d + bh_d * h_d_rate
@@ -118,15 +140,60 @@ def accelerations(joints, angles, rates, thrust, normals, friction_c, friction_d
     a_s = lift * sin_phi - (axial_c * sin_c + axial_d * sin_d) * per_m
     a_w = lift * cos_phi - (axial_c * cos_c + axial_d * cos_d) * per_m
     alpha = tilt - (moment_c + moment_d + axial_c * n_c + axial_d * n_d) * per_i
-    # 2 x 2 system of the constraint forces.
-    turn_c = (moment_c - arm * across_c) * per_ic
-    turn_d = (moment_d - arm * across_d) * per_id
+    turns = ((moment_c - arm * across_c) * per_ic, (moment_d - arm * across_d) * per_id)
+    # Across each leg at its joint, and along its axis.
+    gap_c = spin * n_c - 2.0 * h_c_rate * theta_c_rate - across_c * per_mc
+    gap_d = spin * n_d - 2.0 * h_d_rate * theta_d_rate - across_d * per_md
+    slide_c = rho_c * theta_c_rate * theta_c_rate - spin * p_c - (along_c + axial_c) * per_mc
+    slide_d = rho_d * theta_d_rate * theta_d_rate - spin * p_d - (along_d + axial_d) * per_md
+    known = (a_s, a_w, alpha)
+    found = _joined(joints, h_c, h_d, coefficients, known, turns, (gap_c, gap_d), (slide_c, slide_d))
+    return found[0] + g_s, found[1] + g_w, found[2], found[3], found[4], found[5], found[6]
+
+
+@njit(error_model="numpy", forceinline=True)
+def friction_responses(joints, h_c, h_d, coefficients):
+    """Accelerations per newton of friction on the rear foot, and per newton on the front foot [1/kg, ...].
+
+    The motion is linear in the forces on the feet: these are its derivatives, `accelerations` with nothing
+    but that newton.
+    """
+    cos_c, sin_c, cos_d, sin_d = joints[:4]
+    arm = coefficients[12]
+    per_mc, per_ic, per_md, per_id = coefficients[16:20]
+    still = (0.0, 0.0, 0.0)
+    turns = (-arm * cos_c * per_ic, 0.0)
+    gaps, slides = (-cos_c * per_mc, 0.0), (-sin_c * per_mc, 0.0)
+    rear = _joined(joints, h_c, h_d, coefficients, still, turns, gaps, slides)
+    turns = (0.0, -arm * cos_d * per_id)
+    gaps, slides = (0.0, -cos_d * per_md), (0.0, -sin_d * per_md)
+    front = _joined(joints, h_c, h_d, coefficients, still, turns, gaps, slides)
+    return rear, front
+
+
+@njit(error_model="numpy", forceinline=True)
+def _joined(joints, h_c, h_d, coefficients, known, turns, gaps, slides):
+    """Accelerations when the joints hold body and legs together, gravity apart.
+
+    Parameters
+    ----------
+    known : tuple of 3 float
+        Body's accelerations before the constraint forces.
+    turns, gaps, slides : tuples of 2 float
+        What each leg does before them: angular acceleration, acceleration across the leg at its joint beyond
+        what body and turn give, second derivative of its extension beyond what the body gives.
+    """
+    cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w, _, _ = joints
+    a_s, a_w, alpha = known
+    _, rho_0, per_m, per_i, per_mc, per_ic, per_md, per_id = coefficients[12:20]
+    rho_c = rho_0 + h_c
+    rho_d = rho_0 + h_d
+    p_c, n_c, p_d, n_d = _quarter_turned(cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w)
     ratio_c = rho_c * per_ic
     ratio_d = rho_d * per_id
-    right_c = a_s * cos_c - a_w * sin_c + alpha * p_c + spin * n_c
-    right_c = right_c - 2.0 * h_c_rate * theta_c_rate - across_c * per_mc - rho_c * turn_c
-    right_d = a_s * cos_d - a_w * sin_d + alpha * p_d + spin * n_d
-    right_d = right_d - 2.0 * h_d_rate * theta_d_rate - across_d * per_md - rho_d * turn_d
+    right_c = a_s * cos_c - a_w * sin_c + alpha * p_c + gaps[0] - rho_c * turns[0]
+    right_d = a_s * cos_d - a_w * sin_d + alpha * p_d + gaps[1] - rho_d * turns[1]
+    # 2 x 2 system of the constraint forces.
     m_cc = per_mc + rho_c * ratio_c + per_m + p_c * p_c * per_i
     m_dd = per_md + rho_d * ratio_d + per_m + p_d * p_d * per_i
     m_cd = (cos_c * cos_d + sin_c * sin_d) * per_m + p_c * p_d * per_i
@@ -136,10 +203,18 @@ def accelerations(joints, angles, rates, thrust, normals, friction_c, friction_d
     a_s = a_s - (lam_c * cos_c + lam_d * cos_d) * per_m
     a_w = a_w + (lam_c * sin_c + lam_d * sin_d) * per_m
     alpha = alpha - (lam_c * p_c + lam_d * p_d) * per_i
-    theta_c_acc = turn_c + ratio_c * lam_c
-    theta_d_acc = turn_d + ratio_d * lam_d
-    h_c_acc = a_s * sin_c + a_w * cos_c + alpha * n_c - spin * p_c
-    h_c_acc = h_c_acc + rho_c * theta_c_rate * theta_c_rate - (along_c + axial_c) * per_mc
-    h_d_acc = a_s * sin_d + a_w * cos_d + alpha * n_d - spin * p_d
-    h_d_acc = h_d_acc + rho_d * theta_d_rate * theta_d_rate - (along_d + axial_d) * per_md
-    return a_s + g_s, a_w + g_w, alpha, h_c_acc, theta_c_acc, h_d_acc, theta_d_acc
+    theta_c_acc = turns[0] + ratio_c * lam_c
+    theta_d_acc = turns[1] + ratio_d * lam_d
+    h_c_acc = a_s * sin_c + a_w * cos_c + alpha * n_c + slides[0]
+    h_d_acc = a_s * sin_d + a_w * cos_d + alpha * n_d + slides[1]
+    return a_s, a_w, alpha, h_c_acc, theta_c_acc, h_d_acc, theta_d_acc
+
+
+@njit(error_model="numpy", forceinline=True)
+def _quarter_turned(cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w):
+    """Each joint's quarter-turned offset r' = (r_w, -r_s) in its leg's axes: across, along."""
+    p_c = cos_c * c_w + sin_c * c_s
+    n_c = sin_c * c_w - cos_c * c_s
+    p_d = cos_d * d_w + sin_d * d_s
+    n_d = sin_d * d_w - cos_d * d_s
+    return p_c, n_c, p_d, n_d

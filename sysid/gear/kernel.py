@@ -8,9 +8,10 @@ alone.
 
 The method is the explicit pair of `sysid.integrate.tableau`; samples between steps come from the cubic
 Hermite polynomial of the step (order 3), and so do the times of touchdown, lift-off, flip and rest. A step
-never exceeds what the method's real stability allows for the slip of a creeping foot; on a surface with modes
-it ends where a foot loses its mode (`sysid.gear.surfaces.high_friction`); under thrust it ends where a
-segment of the thrust's history does.
+does not exceed what the method's stability allows for the slip of a creeping foot and for a leg that rings on
+the ground (else every fourth step there grows unstable and is repeated); on a surface with modes it ends
+where a foot loses its mode (`sysid.gear.surfaces.high_friction`); under thrust it ends where a segment of the
+thrust's history does.
 
 Status codes of a job: see `OK` ... `BOTH_TOUCHED`.
 """
@@ -63,7 +64,7 @@ from sysid.gear.rows import (
     TOUCHED,
 )
 from sysid.gear.surfaces.surface import Surface, specialized
-from sysid.integrate.tableau import REAL_LIMIT, STAGES, E
+from sysid.integrate.tableau import STAGES, E
 
 # Bound to a surface's own when a driver is made.
 evaluate: Any = None
@@ -92,10 +93,6 @@ WEIGHTS = np.array([30.0, 30.0, 6.0, 1.0, 0.1, 1.0, 0.1])
 FIRST_STEP = 6e-5
 # Two instants closer than this are one [s].
 _SAME = 1e-10
-
-# Part of the method's real stability limit that a step may use: the slip's decay rate can grow within the
-# step.
-STABLE = 0.9 * REAL_LIMIT
 
 
 def fingerprint(surface: Surface) -> int:
@@ -239,7 +236,7 @@ def drop_driver(lanes: int, surface: Surface):
                 taken = 1.0 if total <= 1.0 else 0.0
                 new_h = h * factor
                 new_h = new_h if new_h < h_max else h_max
-                stable_h = STABLE / (work[STIFF * lanes + lane] + 1e-3)
+                stable_h = 1.0 / (work[STIFF * lanes + lane] + 1e-3)
                 stable_h = stable_h if taken > 0.0 else new_h
                 new_h = new_h if new_h < stable_h else stable_h
                 fresh = work[FRESH * lanes + lane]
@@ -374,7 +371,7 @@ def drop_driver(lanes: int, surface: Surface):
                                     marked += 1
                             code = CAME_TO_REST if ends and code == OK else code
                         while cursor[lane] < end and clock[cursor[lane]] <= t + h:
-                            share = (clock[cursor[lane]] - t) / h if h > 0.0 else 0.0
+                            share = (clock[cursor[lane]] - t) / h if h > 0.0 else 1.0
                             row = samples[candidate, cursor[lane]]
                             sample(work, lane, lanes, share, slope[drop], row)
                             cursor[lane] += 1

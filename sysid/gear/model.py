@@ -69,7 +69,6 @@ from sysid.gear.trajectories import (
 
 __all__ = [
     "COORDINATES",
-    "FIT_TOLERANCE",
     "HF_FREE",
     "LF_FREE",
     "PARAMETERS",
@@ -96,18 +95,10 @@ LF_FREE = SURFACES["lf"].free
 HF_FREE = SURFACES["hf"].free
 COORDINATES = ("x_B", "z_B", "q_B", "h_C", "q_C", "h_D", "q_D")
 
-# Bound of the weighted rms error of the seven rates per step. FIT keeps the mean NRMSE of a drop (5-35 deg,
-# 0.4-1 m/s, 0.7 s) below 0.1 % near the true parameters: tested on sixty drops scattered around six such
-# cases; a random candidate whose bounces are chaotic may be off by more. TIGHT keeps every channel of the
-# converged references within 1e-4 of its deviation.
-FIT_TOLERANCE = 3e-4
+# Bound of the weighted rms error of the seven rates per step that keeps every channel of the converged
+# references within 1e-4 of its deviation. What a fit needs is the surface's own.
 TIGHT_TOLERANCE = 1e-6
 
-# Right-hand sides that a drop may spend per second of its length at FIT_TOLERANCE: 3.7 times (low friction)
-# and 4.4 times (high) what the tests' six drops take on average. At random points within
-# the high-friction bounds 1 % of the drops need more, and 3.5 % of the candidates on one drop at least: too
-# many bounces and mode switches rather than stiffness.
-_COST = 3.8e4
 _LONGEST_STEP = 5e-3
 # Room for events of a single simulation at first; where there are more it is repeated with more room.
 _MARKS = 1000
@@ -144,7 +135,7 @@ def simulate(
     *,
     state: ArrayLike | None = None,
     surface: str | Surface = "lf",
-    tolerance: float = FIT_TOLERANCE,
+    tolerance: float | None = None,
     propulsion: Propulsion | None = None,
     ending: Ending = TO_THE_CLOCK,
 ) -> GearTrajectory:
@@ -164,8 +155,8 @@ def simulate(
         All coordinates and rates at time[0] instead of `body_state`.
     surface : {"lf", "hf"} or Surface
         Friction law: continuous (8), the hybrid of slipping and sticking feet (9, 10), or one's own.
-    tolerance : float
-        Bound of the weighted rms error of the rates per step.
+    tolerance : float, optional
+        Bound of the weighted rms error of the rates per step; by default what a fit on the surface needs.
     propulsion : Propulsion, optional
         Thrust; none by default.
     ending : Ending
@@ -239,7 +230,7 @@ def simulate_population(
     drops: Drops,
     *,
     surface: str | Surface = "lf",
-    tolerance: float = FIT_TOLERANCE,
+    tolerance: float | None = None,
     threads: int | None = None,
     body_states: ArrayLike | None = None,
     ending: Ending = TO_THE_CLOCK,
@@ -257,8 +248,8 @@ def simulate_population(
         What each candidate is dropped on.
     surface : {"lf", "hf"} or Surface
         Friction law: continuous (8), the hybrid of slipping and sticking feet (9, 10), or one's own.
-    tolerance : float
-        Bound of the weighted rms error of the rates per step.
+    tolerance : float, optional
+        Bound of the weighted rms error of the rates per step; by default what a fit on the surface needs.
     threads : int, optional
         Number of threads; all cores by default.
     body_states : (P, D, 6) array, optional
@@ -323,7 +314,7 @@ def _run(
     drops: Drops,
     legs: FloatArray,
     surface: Surface,
-    tolerance: float,
+    tolerance: float | None,
     *,
     lanes: int,
     columns: int,
@@ -332,8 +323,13 @@ def _run(
     ending: Ending = TO_THE_CLOCK,
     room: int = 0,
 ) -> PopulationSamples:
+    if tolerance is None:
+        tolerance = surface.tolerance
     if not 0 < tolerance < 1:
-        raise CampaignError(f"tolerance: found {tolerance:g}, expected between 0 and 1; use FIT_TOLERANCE")
+        raise CampaignError(
+            f"tolerance: found {tolerance:g}, expected between 0 and 1; leave it out for "
+            f"{surface.tolerance:g}"
+        )
     count, width = len(rows), len(drops.slope)
     samples = np.full((count, len(drops.clock), columns), np.nan)
     reached = np.zeros((count, width))
@@ -347,7 +343,7 @@ def _run(
     reads = _reads(surface)
     drive = _driver(lanes, surface)
     # A method of order 3 takes tolerance**(-1/3) more steps.
-    cost = _COST * max(1.0, FIT_TOLERANCE / tolerance) ** (1 / 3)
+    cost = surface.budget * max(1.0, surface.tolerance / tolerance) ** (1 / 3)
     workers = max(1, min(threads or os.cpu_count() or 1, count * width))
     # Four shares per thread, dealt out drop by drop so that all cost alike; idle cores take the rest.
     shares = 1 if workers == 1 else 4 * workers

@@ -18,7 +18,7 @@ NEXT = TIME + 4  # time of the lane's next sample
 FRESH = TIME + 5  # 1 before a new job's first accelerations (a step of length 0), 2 in an idle lane
 COUNT = TIME + 6  # right-hand sides spent
 LIMIT = TIME + 7  # right-hand sides that the job may spend
-STIFF = TIME + 8  # fastest decay rate of a foot's slip at the step's end [1/s]
+STIFF = TIME + 8  # inverse of the longest stable step, judged at the step's end [1/s]
 # Contact at the step's end, two rows each: rear, front.
 NORMAL = TIME + 9
 SLIP = TIME + 11

@@ -5,7 +5,7 @@ from typing import Any
 from numba import njit
 
 from sysid.gear.contact import normal_force
-from sysid.gear.dynamics import feet, pose
+from sysid.gear.dynamics import feet, pose, ringing
 from sysid.gear.rows import (
     COEFFICIENTS,
     END,
@@ -27,7 +27,11 @@ from sysid.gear.rows import (
     TIME,
     WAY,
 )
-from sysid.integrate.tableau import A_TWICE, STAGES, A, C
+from sysid.integrate.tableau import A_TWICE, REAL_LIMIT, RING_GAIN, RING_LIMIT, RING_MOST, STAGES, A, C
+
+# Part of the method's real stability limit that a step may use: the slip's decay rate can grow within the
+# step.
+STABLE = 0.9
 
 # Bound to a surface's own when a driver is made.
 solve: Any = None
@@ -135,7 +139,11 @@ def evaluate(work, stage, lane, lanes):
         joints, angles, rates, thrust, (n_c, n_d), (v_c, v_d), mode, law, coefficients
     )
     if stage == STAGES:
-        work[STIFF * lanes + lane] = stiff
+        rate, damping = ringing(joints, h_c, h_d, (n_c, n_d), k_s, coefficients)
+        reach = RING_LIMIT + RING_GAIN * damping
+        rate = rate / (reach if reach < RING_MOST else RING_MOST)
+        stiff = stiff * (1.0 / (STABLE * REAL_LIMIT))
+        work[STIFF * lanes + lane] = stiff if stiff > rate else rate
         work[NORMAL * lanes + lane] = n_c
         work[(NORMAL + 1) * lanes + lane] = n_d
         work[SLIP * lanes + lane] = v_c

@@ -19,7 +19,6 @@ from sysid.fit.history import summed
 from sysid.fit.objective import Evaluation
 from sysid.fit.result import FitResult, TrialResult, ranked_sets
 from sysid.gear.model import (
-    FIT_TOLERANCE,
     LF_FREE,
     PARAMETERS,
     SURFACES,
@@ -68,7 +67,7 @@ def search_space(campaign: GearCampaign) -> SearchSpace:
 def fit_tolerance(campaign: GearCampaign) -> float:
     """Return the bound of the simulations' error per step that a campaign asks for."""
     own = campaign.fit.tolerance
-    return FIT_TOLERANCE if own is None else own
+    return SURFACES[campaign.surface.law].tolerance if own is None else own
 
 
 def measured_values(campaign: GearCampaign) -> dict[str, float]:
@@ -119,8 +118,9 @@ class GearObjective:
         Friction law.
     threads : int, optional
         Cores to use; all by default. The numbers do not depend on it.
-    tolerance : float
-        Bound of the simulation's error per step, see `sysid.gear.model.simulate`.
+    tolerance : float, optional
+        Bound of the simulation's error per step, the surface's own by default, see
+        `sysid.gear.model.simulate`.
     board_length : float, optional
         Way down-slope from the touchdown to the board's end [m].
     """
@@ -130,7 +130,7 @@ class GearObjective:
     cost: FilteredNrmse
     surface: str
     threads: int | None = None
-    tolerance: float = FIT_TOLERANCE
+    tolerance: float | None = None
     board_length: float | None = None
     _jobs: Drops = field(init=False, repr=False)
 

@@ -26,7 +26,6 @@ from gear_rivals import LIMIT, best, installed, mujoco_drop, nrmse, scipy_drop, 
 from sysid.gear import model
 from sysid.gear.kernel import drop_driver
 from sysid.gear.model import (
-    FIT_TOLERANCE,
     HF_FREE,
     LF_FREE,
     SURFACES,
@@ -241,7 +240,7 @@ def main():
     if arguments.json:
         result = {
             "machine": platform.platform(),
-            "tolerance": FIT_TOLERANCE,
+            "tolerance": {name: own.tolerance for name, own in SURFACES.items()},
             "limit": LIMIT,
             "drops": table,
             "throughput": rates,

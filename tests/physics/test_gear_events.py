@@ -98,6 +98,23 @@ def test_flip_and_rest():
     assert runs.max() < 201
 
 
+@pytest.mark.parametrize(
+    ("kind", "slope_deg", "speed", "horizon"), [(EventKind.FLIP, 40, 1.2, 2.0), (EventKind.REST, 5, 0.2, 3.0)]
+)
+def test_flip_and_rest_are_located_to_a_microsecond(kind, slope_deg, speed, horizon):
+    p, slope = parameters_on("hf").nominal, math.radians(slope_deg)
+    body = start(p, slope, speed)
+    clock = np.array([0.0, horizon])
+    (event,) = [e for e in simulate(p, slope, body, clock, surface="hf").events if e.kind is kind]
+    around = np.array([0.0, event.time - 1e-6, event.time + 1e-6, horizon])
+    # The same steps, sampled beside the event: what defines it changes sign within 1 us on either side.
+    state = simulate(p, slope, body, around, surface="hf").state
+    turn = np.abs(state[:, 2] - slope) - math.radians(80)
+    motion = np.maximum(np.hypot(state[:, 7], state[:, 8]) / 0.05, np.abs(state[:, 9]) / 0.2) - 1
+    before, after = (turn if kind is EventKind.FLIP else -motion)[1:3]
+    assert before < 0 < after
+
+
 def test_slide_limit_is_the_friction_angle():
     p = PARAMETERS.nominal
     limit = math.degrees(math.atan(p["kinetic_friction"]))

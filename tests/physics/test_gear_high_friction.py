@@ -9,7 +9,6 @@ from test_gear_physics import legs
 
 from sysid.gear import model
 from sysid.gear.model import (
-    FIT_TOLERANCE,
     HF_FREE,
     PARAMETERS,
     TIGHT_TOLERANCE,
@@ -47,7 +46,7 @@ def start(slope, speed):
     return [0.0, z, 0.0, 0.0, -speed, 0.0]
 
 
-def run(slope_deg, speed, time, tolerance=FIT_TOLERANCE, **changes):
+def run(slope_deg, speed, time, tolerance=None, **changes):
     slope = math.radians(slope_deg)
     return simulate(P | changes, slope, start(slope, speed), time, surface="hf", tolerance=tolerance)
 
@@ -140,14 +139,15 @@ def test_forces_respect_the_modes(slope_deg):
     _, speed = feet(math.radians(slope_deg), trajectory.state)
     normal, friction = trajectory.normal_force, trajectory.friction_force
     mu_s = P["kinetic_friction"] + P["static_friction_excess"]
-    # Forces between step ends are interpolated linearly: 0.5 N beside contact forces of 100 N.
-    assert (np.abs(friction) <= mu_s * normal + 0.5).all()
+    # Between step ends friction is interpolated linearly, the normal force is not: 0.02 N here, 0.002 N at a
+    # tenth of the tolerance, beside contact forces of 100 N.
+    assert (np.abs(friction) <= mu_s * normal + 0.05).all()
     slipping = (normal > 5.0) & ~stuck & (np.abs(speed) > 0.05)
     assert slipping.sum() > 10
     # Right direction of slip: friction opposes it at every sliding sample.
     assert (friction[slipping] * speed[slipping] < 0).all()
     np.testing.assert_allclose(
-        np.abs(friction[slipping]), P["kinetic_friction"] * normal[slipping], rtol=0.05, atol=0.5
+        np.abs(friction[slipping]), P["kinetic_friction"] * normal[slipping], rtol=1e-3, atol=0.05
     )
 
 
@@ -204,9 +204,10 @@ def test_switches_are_consistent(slope, speed):
 
 @pytest.mark.parametrize(("slope", "speed"), [(8, 0.3), (15, 0.6)])
 def test_a_short_release_is_not_stepped_over(slope, speed):
-    """A foot that is released and sticks again within one step of the fit's setting is still seen."""
+    """A foot that is released and sticks again within one step is still seen."""
     time = np.arange(0, 0.5, 5e-3)
-    fit = run(slope, speed, time)
+    # Steps of the fit's setting are longer: what it misses is the next test's.
+    fit = run(slope, speed, time, tolerance=3e-4)
     exact = run(slope, speed, time, tolerance=1e-7)
     assert len(exact.switches) >= 15
     # The inner stages of a step are looked at as well; by the ends of steps alone the slow drop loses two.
@@ -214,22 +215,24 @@ def test_a_short_release_is_not_stepped_over(slope, speed):
     np.testing.assert_allclose(fit.switches[:8, 0], exact.switches[:8, 0], atol=1e-4)
 
 
-def test_what_the_fit_setting_adds_is_a_release_within_a_hair():
-    """Looking at inner stages invents no switch: a step's end decides, and what it adds nearly happens."""
-    time = np.concatenate([np.arange(0, 0.46, 5e-3), np.arange(0.46, 0.49, 2e-4)])
-    fit, exact = run(5, 0.4, time), run(5, 0.4, time, tolerance=1e-6)
-    # 22 at every tolerance from 2.5e-4 to 1e-6.
+@pytest.mark.parametrize(("slope", "speed"), [(8, 0.3), (5, 0.5)])
+def test_releases_that_the_fit_setting_misses_do_not_matter(slope, speed):
+    time = np.arange(0, 0.5, 5e-3)
+    fit, exact = run(slope, speed, time), run(slope, speed, time, tolerance=1e-7)
+    # It misses some, all late and short, ...
+    assert 0 < len(exact.switches) - len(fit.switches) <= 4
+    error = np.sqrt(np.mean((fit.state - exact.state) ** 2, axis=0)) / exact.state.std(axis=0)
+    # ... and the body's motion over all 0.5 s stays within what is allowed up to the third contact.
+    assert error[[0, 1, 2, 7, 8]].mean() < 3e-3
+
+
+def test_looking_at_inner_stages_invents_no_switch():
+    time = np.arange(0, 0.5, 5e-3)
+    exact = run(5, 0.4, time, tolerance=1e-6)
     assert len(exact.switches) == 22
-    np.testing.assert_array_equal(fit.switches[:22, 1:3], exact.switches[:, 1:3])
-    mu_s = P["kinetic_friction"] + P["static_friction_excess"]
-    left = mu_s * exact.normal_force - np.abs(exact.friction_force)
-    extra = fit.switches[22:]
-    for at, foot, *_ in extra[::2]:
-        # The exact motion comes within 0.01 N of a release there, at a load of 0.77 N on the foot.
-        near = np.abs(time - at) < 1e-3
-        assert left[near, int(foot)].min() < 0.02
-    # A release that was made up would be over at once; this one lasts for 2.6 ms.
-    assert (np.diff(extra[:, 0])[::2] > 1e-3).all()
+    for tolerance in (None, 3e-4, 1e-4):
+        found = run(5, 0.4, time, tolerance=tolerance)
+        np.testing.assert_array_equal(found.switches[:, 1:3], exact.switches[:, 1:3])
 
 
 def test_every_event_is_kept(monkeypatch):

@@ -10,7 +10,7 @@ from sysid.campaign import read_campaign
 from sysid.errors import CampaignError
 from sysid.fit.cost import FAILED_NRMSE, FilteredNrmse
 from sysid.fit.store import read_fit
-from sysid.gear.model import FIT_TOLERANCE, pack, simulate_population
+from sysid.gear.model import SURFACES, pack, simulate_population
 from sysid.pipelines.drops import prepare_drops
 from sysid.pipelines.gear import GearObjective, fit_gear, search_space, trial_results
 from sysid.pipelines.gear_causes import CAUSES
@@ -193,7 +193,7 @@ def test_a_fit_counts_them_by_cause(folder, tmp_path):
     assert {"blew up", "left the board"} <= set(counts) <= set(CAUSES)
     assert sum(counts.values()) == result.runs[0].failed.sum()
     # The accuracy is kept beside what it led to.
-    assert read_fit(out).settings["tolerance"] == FIT_TOLERANCE
+    assert read_fit(out).settings["tolerance"] == SURFACES["lf"].tolerance
     # In text, numbers and JSON.
     assert read_fit(out).runs[0].failures == counts
     for cause_text, count in counts.items():
@@ -204,7 +204,7 @@ def test_a_fit_counts_them_by_cause(folder, tmp_path):
 
 def test_the_accuracy_of_a_simulation_is_the_campaigns(folder, problem):
     objective, row = problem
-    assert objective.tolerance == FIT_TOLERANCE
+    assert objective.tolerance == SURFACES["lf"].tolerance
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
     path = folder / "exact.toml"
     path.write_text(text.replace("[fit]\n", "[fit]\ntolerance = 1e-5\n"), encoding="utf-8")

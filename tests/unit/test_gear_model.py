@@ -11,7 +11,6 @@ from numba.core.caching import NullCache
 from sysid.errors import CampaignError
 from sysid.gear import kernel
 from sysid.gear.model import (
-    FIT_TOLERANCE,
     HF_FREE,
     LF_FREE,
     PARAMETERS,
@@ -219,7 +218,7 @@ def test_refusals(change, message):
         "slope": 0.1,
         "body_state": [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
         "time": np.linspace(0, 0.1, 3),
-        "tolerance": FIT_TOLERANCE,
+        "tolerance": None,
     } | change
     with pytest.raises(CampaignError, match=message):
         simulate(call.pop("parameters"), call.pop("slope"), call.pop("body_state"), call.pop("time"), **call)

@@ -77,6 +77,37 @@ def test_a_loss_within_a_step_repeats_it(foot):
     assert decided(foot, **held, **healed, length=1e-7) == ((1.0, 1.0, 0.0), (1.0, 1e-4))
 
 
+@pytest.mark.parametrize("shares", [(1.0, 1.0), (0.25, 0.75), (0.75, 0.25)])
+def test_both_stuck_feet_may_be_released(shares):
+    """At one instant both are, each against its own force; else the step ends at the earlier release."""
+    work = np.zeros(ROWS)
+    work[LAW : LAW + 2] = MU_K, EXCESS
+    work[STUCK : STUCK + 2] = 1.0
+    work[WAY : WAY + 2] = 1.0
+    work[NORMAL : NORMAL + 2] = LOAD
+    # Static friction of 9 N; what is left of it falls to -0.1 N within the step, through zero at the shares.
+    work[REQUIRED : REQUIRED + 2] = 9.1, -9.1
+    for foot, share in enumerate(shares):
+        work[MARGIN + foot] = 0.1 * share / (1.0 - share) if share < 1.0 else 1e-12
+    together = shares == (1.0, 1.0)
+    for stage in range(STAGES - 1):
+        # The stages within the step saw no loss.
+        work[INNER + 6 * stage : INNER + 6 * stage + 2] = LOAD
+    length = 1e-8 if together else 1e-4
+    taken, step = after_step(work, 0, 1, length, 1.0, 1e-4)
+    if together:
+        assert (taken, step) == (1.0, 0.0)
+        assert work[STUCK : STUCK + 2].tolist() == [0.0, 0.0]
+        assert work[SWITCH : SWITCH + 2].tolist() == [2.0, 2.0]
+        assert work[WAY : WAY + 2].tolist() == [-1.0, 1.0]
+    else:
+        # A quarter of the step and the 0.05 us by which it ends behind the event; nothing has switched yet.
+        assert taken == 0.0
+        assert step == pytest.approx(0.25e-4 + 0.5e-7, rel=1e-9)
+        assert work[STUCK : STUCK + 2].tolist() == [1.0, 1.0]
+        assert work[SWITCH : SWITCH + 2].tolist() == [0.0, 0.0]
+
+
 def started(way, touching):
     """The first 1 ms of a drop of symmetric legs whose one foot (0 rear, 1 front) starts 0.1 mm deep.
 
@@ -106,7 +137,7 @@ def test_a_foot_that_starts_in_contact_slips_the_way_it_moves(touching):
         assert run.normal_force[0, 1 - foot] == 0.0
         # Moving along -x friction pulls to +x at once. It stops the light leg's foot after 0.4 ms, not
         # at once; between steps the log's friction is linear, which a curved normal force leaves by 2e-4.
-        early = slice(1, 4)
+        early = slice(0, 4)
         np.testing.assert_allclose(
             run.friction_force[early, foot], force * mu_k * run.normal_force[early, foot], rtol=1e-3
         )

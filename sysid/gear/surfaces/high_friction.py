@@ -12,13 +12,14 @@ so no speed below which a foot may stick has to be chosen. Sticking ends where `
 ``|f_req|``; the foot then slips against that force. A foot in the air slips with ``F_n = 0``.
 
 A loss of a mode shows at the step's end, or, where it heals before that, at one of the step's inner stages:
-such a step is repeated to end there. A loss that falls between two stages is missed: at the fit's setting 2
-of the 20 switches in 0.5 s of a drop at 5 deg and 0.5 m/s, none in eleven others (8 to 25 switches each).
+such a step is repeated to end there. A loss that falls between two stages is missed: at the fit's setting 4
+of the 20 switches in 0.5 s of a drop at 5 deg and 0.5 m/s and 4 of 25 at 8 deg and 0.3 m/s, none in eight
+others (8 to 24 switches each); at a tolerance of 3e-4 none of the 25.
 """
 
 from numba import njit
 
-from sysid.gear.dynamics import accelerations
+from sysid.gear.dynamics import accelerations, friction_responses
 from sysid.gear.rows import INNER, LAW, MARGIN, NORMAL, REQUIRED, SLIP, STUCK, SWITCH, WAY
 from sysid.gear.surfaces.surface import Surface
 from sysid.integrate.tableau import STAGES, C
@@ -34,16 +35,26 @@ _INNER_SHARE = 0.1
 
 
 @njit(error_model="numpy", forceinline=True)
+def along_slope(joints, h_c, h_d, l, acceleration):  # noqa: E741
+    """Acceleration of both feet along the slope as far as it is linear in those of the coordinates."""
+    cos_c, sin_c, cos_d, sin_d, _, c_w, _, d_w, _, _ = joints
+    a_s, _, alpha, h_c_acc, theta_c_acc, h_d_acc, theta_d_acc = acceleration
+    rear = a_s + alpha * c_w - h_c_acc * sin_c - (l + h_c) * theta_c_acc * cos_c
+    front = a_s + alpha * d_w - h_d_acc * sin_d - (l + h_d) * theta_d_acc * cos_d
+    return rear, front
+
+
+@njit(error_model="numpy", forceinline=True)
 def foot_accelerations(joints, h_c, h_d, l, rates, acceleration):  # noqa: E741
     """Acceleration of the rear and front foot along the slope [m/s²]."""
-    cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w, _, _ = joints
+    cos_c, sin_c, cos_d, sin_d, c_s, _, d_s, _, _, _ = joints
     _, _, omega, h_c_rate, theta_c_rate, h_d_rate, theta_d_rate = rates
-    a_s, _, alpha, h_c_acc, theta_c_acc, h_d_acc, theta_d_acc = acceleration
+    rear, front = along_slope(joints, h_c, h_d, l, acceleration)
     spin = omega * omega
-    rear = a_s + alpha * c_w - spin * c_s - h_c_acc * sin_c - 2.0 * h_c_rate * theta_c_rate * cos_c
-    rear = rear + (l + h_c) * (theta_c_rate * theta_c_rate * sin_c - theta_c_acc * cos_c)
-    front = a_s + alpha * d_w - spin * d_s - h_d_acc * sin_d - 2.0 * h_d_rate * theta_d_rate * cos_d
-    front = front + (l + h_d) * (theta_d_rate * theta_d_rate * sin_d - theta_d_acc * cos_d)
+    rear = rear - spin * c_s - 2.0 * h_c_rate * theta_c_rate * cos_c
+    rear = rear + (l + h_c) * theta_c_rate * theta_c_rate * sin_c
+    front = front - spin * d_s - 2.0 * h_d_rate * theta_d_rate * cos_d
+    front = front + (l + h_d) * theta_d_rate * theta_d_rate * sin_d
     return rear, front
 
 
@@ -166,29 +177,27 @@ def next_mode(switch, stuck, way, normal, slip, required, margin, now, taken, mu
 def solve(joints, angles, rates, thrust, normals, slips, modes, law, coefficients):
     """Accelerations, friction and required friction with every foot in its mode.
 
-    The motion is linear in the friction forces: three evaluations give the multipliers exactly.
+    The motion is linear in the friction forces: with its derivatives the multipliers are exact.
     """
     h_c = angles[1]
     h_d = angles[3]
     l = coefficients[10]  # noqa: E741
     free = accelerations(joints, angles, rates, thrust, normals, 0.0, 0.0, coefficients)
-    rear = accelerations(joints, angles, rates, thrust, normals, 1.0, 0.0, coefficients)
-    front = accelerations(joints, angles, rates, thrust, normals, 0.0, 1.0, coefficients)
+    rear, front = friction_responses(joints, h_c, h_d, coefficients)
     t_free = foot_accelerations(joints, h_c, h_d, l, rates, free)
-    t_rear = foot_accelerations(joints, h_c, h_d, l, rates, rear)
-    t_front = foot_accelerations(joints, h_c, h_d, l, rates, front)
-    response = (t_rear[0] - t_free[0], t_front[0] - t_free[0], t_front[1] - t_free[1])
+    g_cc, g_cd = along_slope(joints, h_c, h_d, l, rear)
+    _, g_dd = along_slope(joints, h_c, h_d, l, front)
     f_c, f_d, r_c, r_d = high_friction(
-        t_free, response, normals, slips, modes[0], modes[1], modes[2], modes[3], law[0]
+        t_free, (g_cc, g_cd, g_dd), normals, slips, modes[0], modes[1], modes[2], modes[3], law[0]
     )
     acceleration = (
-        free[0] + f_c * (rear[0] - free[0]) + f_d * (front[0] - free[0]),
-        free[1] + f_c * (rear[1] - free[1]) + f_d * (front[1] - free[1]),
-        free[2] + f_c * (rear[2] - free[2]) + f_d * (front[2] - free[2]),
-        free[3] + f_c * (rear[3] - free[3]) + f_d * (front[3] - free[3]),
-        free[4] + f_c * (rear[4] - free[4]) + f_d * (front[4] - free[4]),
-        free[5] + f_c * (rear[5] - free[5]) + f_d * (front[5] - free[5]),
-        free[6] + f_c * (rear[6] - free[6]) + f_d * (front[6] - free[6]),
+        free[0] + f_c * rear[0] + f_d * front[0],
+        free[1] + f_c * rear[1] + f_d * front[1],
+        free[2] + f_c * rear[2] + f_d * front[2],
+        free[3] + f_c * rear[3] + f_d * front[3],
+        free[4] + f_c * rear[4] + f_d * front[4],
+        free[5] + f_c * rear[5] + f_d * front[5],
+        free[6] + f_c * rear[6] + f_d * front[6],
     )
     return acceleration, (f_c, f_d), (r_c, r_d), 0.0
 
@@ -267,5 +276,11 @@ SURFACE = Surface(
         "static_friction_excess": 0.08,
     },
     bounds={"kinetic_friction": (0.5, 1.2)},
+    # Up to the third contact of such drops an error of at most 0.01 % NRMSE where 0.3 % is allowed: what sets
+    # it is the noise that it brings to the cost. It moves the fitted k_s by 0.6 % (at most 1 %), m_leg and
+    # all others but b_s and mu_s - mu_k by less than 0.5 %.
+    tolerance=1e-3,
+    # 4.8 times what a drop at random points within the bounds takes on average; none of 2400 needs more.
+    budget=4.8e4,
     source="Table II, high friction, mean of five fits",
 )

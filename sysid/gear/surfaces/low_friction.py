@@ -43,5 +43,11 @@ SURFACE = Surface(
     ),
     solve=continuous_law(low_friction, low_friction_damping),
     friction=low_friction,
+    # Keeps the mean NRMSE of a drop (5-35 deg, 0.4-1 m/s, 0.7 s) below 0.1 % near the true parameters: tested
+    # on sixty drops scattered around six such cases; a random candidate whose bounces are chaotic may be off
+    # by more.
+    tolerance=3e-4,
+    # 3.4 times what a drop at random points within the bounds takes on average; none of 2400 needs more.
+    budget=4.5e4,
     source="Table II, low friction, mean of five fits",
 )

@@ -50,6 +50,10 @@ class Surface:
         Default values on this surface where they differ from the table's [SI].
     bounds : mapping
         Search bounds on this surface where they differ from the table's, (lower, upper) [SI].
+    tolerance : float
+        Bound of the weighted rms error of the seven rates per step that a fit needs on this surface.
+    budget : float
+        Right-hand sides that a drop may spend per second of its length at that tolerance.
     source : str
         Where `nominal` comes from.
     """
@@ -63,6 +67,8 @@ class Surface:
     friction: Any = None
     nominal: Mapping[str, float] = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    tolerance: float = 3e-4
+    budget: float = 4.5e4
     source: str = ""
 
     def __post_init__(self) -> None:
