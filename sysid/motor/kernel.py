@@ -30,6 +30,8 @@ from math import inf, sqrt
 import numpy as np
 from numba import njit, prange
 
+from sysid.motor.dense_output import between, integral, write_charge, write_speed, write_states
+
 R, L, K_D, K_V, K_M, INERTIA, I_SAT, OMEGA_MIN, V_REF = 0, 1, 2, 3, 4, 5, 6, 7, 8
 NO_LOAD = 9  # slope, intercept forward; slope, intercept reverse
 THRUST = 13  # c2, c1 forward; c2, c1 reverse
@@ -174,20 +176,6 @@ def _step(h, current, speed, volt, volt_rate, res, ind, k_v, k_eff, clipped, qua
 
 
 @njit(cache=True, error_model="numpy")
-def _between(s, start, end, c3, c4):
-    """Continuous extension at the share s of a step."""
-    return (1.0 - s) * start + s * (end + (1.0 - s) * (c3 + s * c4))
-
-
-@njit(cache=True, error_model="numpy")
-def _integral(s, start, end, c3, c4):
-    """Integral of `_between` from 0 to s."""
-    q = s * s
-    mean = start * (s - 0.5 * q) + 0.5 * end * q
-    return mean + c3 * q * (0.5 - s / 3.0) + c4 * q * s * (1.0 / 3.0 - 0.25 * s)
-
-
-@njit(cache=True, error_model="numpy")
 def _violation(current, speed, side, in_band, over, rising, i_sat, omega_min, k_m, quad, lin):
     """Return which event function left its declared side (0: none), the first of them by number.
 
@@ -212,34 +200,37 @@ def _violation(current, speed, side, in_band, over, rising, i_sat, omega_min, k_
 
 @njit(cache=True, error_model="numpy")
 def integrate(
-    row, command_time, command, supply_time, supply_ratio, times, start, current, speed, tolerance, ideal, out
-):
-    """Simulate one trial into `out`.
+    row, command_time, command, supply_time, supply_ratio, begin, end, start, current, speed, tolerance,
+    ideal, times, out, samples, speeds, edges, charges,
+):  # fmt: skip
+    """Simulate one trial from `begin` to `end` [s] and write what is asked of it; empty arrays ask nothing.
 
     Parameters
     ----------
     row : (25,) parameter row
     command_time, command : (m,) instants [s], not yet delayed, and u in [-1, 1] from each instant on
     supply_time, supply_ratio : (k,) knots [s] of V/V_ref, linear between them, held outside
-    times : (n,) output times [s], not decreasing; the trial starts at the first
+    begin, end : first and last time of the trial [s]
     start : AS_GIVEN or STEADY; the former takes `current` [A] and `speed` [rad/s]
     tolerance : relative local error
     ideal : no saturation (I_sat = inf)
-    out : (n, 4) receives current, effective current [A], speed [rad/s], and the charge since the first
-        time, that is the integral of the effective current [A·s]; NaN after a failure
+    times : (n,) times [s] from `begin` to `end`, not decreasing
+    out : (n, 4) receives current, effective current [A], speed [rad/s], and the charge since `begin`,
+        that is the integral of the effective current [A·s]; NaN after a failure
+    samples, speeds : (m,) times alike [s], receives the speed there alone
+    edges, charges : (k,) times alike [s], receives the charge there alone
 
     Returns
     -------
     status, share of the time span that was reached, number of steps tried
     """
-    n = times.size
     n_command = command_time.size
     n_supply = supply_time.size
     res, ind, k_v, k_m, inertia = row[R], row[L], row[K_V], row[K_M], row[INERTIA]
     i_sat = inf if ideal else row[I_SAT]
     omega_min = row[OMEGA_MIN]
-    t = times[0]
-    t_end = times[n - 1]
+    t = begin
+    t_end = end
     span = max(t_end - t, 1e-300)
 
     at_command = 0
@@ -257,7 +248,7 @@ def integrate(
     current_floor = 0.1 * min(torque_scale / k_m, k_v * speed_scale / res)
 
     charge = 0.0
-    done = 0
+    done = at_sample = at_edge = 0
     tried = 0
     idle = 0
     status = DONE
@@ -292,12 +283,10 @@ def integrate(
                     break
             fresh = False
             in_band = abs(speed) < omega_min
-            while done < n and times[done] <= t:
-                out[done, 0] = current
-                out[done, 1] = current
-                out[done, 2] = speed
-                out[done, 3] = 0.0
-                done += 1
+            still_current, still = (current, current, 0.0, 0.0), (speed, speed, 0.0, 0.0)
+            done = write_states(times, 0, t, t, 0.0, 0.0, 0.0, False, still_current, still, out)
+            at_sample = write_speed(samples, 0, t, t, 0.0, still, speeds)
+            at_edge = write_charge(edges, 0, t, t, 0.0, 0.0, 0.0, False, still_current, charges)
         if speed == 0.0:
             push = current if current != 0.0 else volt_segment
             side = -1.0 if push < 0.0 else 1.0
@@ -346,15 +335,15 @@ def integrate(
             event = 0
             edge = 0.5
             while edge <= 1.0 and event == 0:
-                xs, ys = _between(edge, current, x, x3, x4), _between(edge, speed, y, y3, y4)
+                xs, ys = between(edge, current, x, x3, x4), between(edge, speed, y, y3, y4)
                 event = _violation(xs, ys, side, in_band, over, rising, i_sat, omega_min, k_m, quad, lin)
                 edge += 0.5
             if event > 0:
                 low, high = 0.0, edge - 0.5
                 for _ in range(60):
                     middle = 0.5 * (low + high)
-                    xs = _between(middle, current, x, x3, x4)
-                    ys = _between(middle, speed, y, y3, y4)
+                    xs = between(middle, current, x, x3, x4)
+                    ys = between(middle, speed, y, y3, y4)
                     found = _violation(xs, ys, side, in_band, over, rising, i_sat, omega_min, k_m, quad, lin)
                     if found > 0:
                         high = middle
@@ -399,14 +388,11 @@ def integrate(
                 h = step * grow if not last else max(h, step * grow)
 
             t_next = t_break if last else t + step
-            while done < n and times[done] <= t_next:
-                s = (times[done] - t) / step if t_next > t else 1.0
-                out[done, 0] = _between(s, current, x, x3, x4)
-                out[done, 1] = limit if clip else out[done, 0]
-                out[done, 2] = _between(s, speed, y, y3, y4)
-                out[done, 3] = charge + step * (limit * s if clip else _integral(s, current, x, x3, x4))
-                done += 1
-            charge += step * (limit if clip else _integral(1.0, current, x, x3, x4))
+            flow, turn = (current, x, x3, x4), (speed, y, y3, y4)
+            done = write_states(times, done, t, t_next, step, charge, limit, clip, flow, turn, out)
+            at_sample = write_speed(samples, at_sample, t, t_next, step, turn, speeds)
+            at_edge = write_charge(edges, at_edge, t, t_next, step, charge, limit, clip, flow, charges)
+            charge += step * (limit if clip else integral(1.0, current, x, x3, x4))
             t, current, speed = t_next, x, y
 
             if event == 1:
@@ -434,22 +420,23 @@ def integrate(
         while at_supply + 1 < n_supply and supply_time[at_supply + 1] <= t:
             at_supply += 1
 
-    for i in range(done, n):
-        out[i, :] = np.nan
-    return status, (t - times[0]) / span, tried
+    out[done:, :] = np.nan
+    speeds[at_sample:] = np.nan
+    charges[at_edge:] = np.nan
+    return status, (t - begin) / span, tried
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
 def integrate_population(
     rows, delays, command_time, command, command_first, supply_time, supply_ratio, supply_first,
-    times, time_first, starts, initial, tolerance, ideal, out, status, reached,
+    samples, edges, first, starts, initial, tolerance, ideal, out, status, reached,
 ):  # fmt: skip
     """Simulate every candidate on every trial: stator torque averaged over each cell, speed at its sample.
 
-    Ragged trials lie end to end; trial j owns ``x[first[j]:first[j + 1]]``. `times` holds the cell edges
-    and samples of a trial in turn (edge, sample, edge, ..., edge), so that a trial of n samples owns 2n + 1
-    of them and `out`, (P, n_total, 2), owns n. One job per candidate and trial, each on its own: the
-    number of threads changes no bit of the result.
+    Ragged trials lie end to end; trial j owns ``x[first[j]:first[j + 1]]`` of the samples and of `out`,
+    (P, n_total, 2). A trial of n samples has n + 1 `edges`, of which sample i owns the cell from edge i to
+    edge i + 1. One job per candidate and trial, each on its own: the number of threads changes no bit of
+    the result.
     """
     n_trials = starts.size
     for job in prange(rows.shape[0] * n_trials):
@@ -457,29 +444,34 @@ def integrate_population(
         j = job % n_trials
         row = rows[i].copy()
         row[DELAY] += delays[i, j]
-        t = times[time_first[j] : time_first[j + 1]]
-        n = (t.size - 1) // 2
-        first = (time_first[j] - j) // 2
-        trace = np.empty((t.size, 4))
+        time = samples[first[j] : first[j + 1]]
+        edge = edges[first[j] + j : first[j + 1] + j + 1]
+        speeds, charges = np.empty(time.size), np.empty(edge.size)
         code, share, _ = integrate(
             row,
             command_time[command_first[j] : command_first[j + 1]],
             command[command_first[j] : command_first[j + 1]],
             supply_time[supply_first[j] : supply_first[j + 1]],
             supply_ratio[supply_first[j] : supply_first[j + 1]],
-            t,
+            time[0],
+            time[time.size - 1],
             starts[j],
             initial[j, 0],
             initial[j, 1],
             tolerance,
             ideal,
-            trace,
+            speeds[:0],
+            np.empty((0, 4)),
+            time,
+            speeds,
+            edge,
+            charges,
         )
         status[i, j] = code
         reached[i, j] = share
-        for m in range(n):
-            width = t[2 * m + 2] - t[2 * m]
-            mean_current = (trace[2 * m + 2, 3] - trace[2 * m, 3]) / width
-            speed = trace[2 * m + 1, 2]
-            out[i, first + m, 0] = row[K_M] * mean_current - row[K_D] * speed
-            out[i, first + m, 1] = speed
+        k_m, k_d = row[K_M], row[K_D]
+        of_trial = out[i, first[j] : first[j + 1]]
+        for m in range(time.size):
+            mean_current = (charges[m + 1] - charges[m]) / (edge[m + 1] - edge[m])
+            of_trial[m, 0] = k_m * mean_current - k_d * speeds[m]
+            of_trial[m, 1] = speeds[m]

@@ -239,13 +239,16 @@ def simulate(
         levels,
         knots,
         ratio,
-        t,
+        t[0],
+        t[-1],
         kernel.STEADY if steady else kernel.AS_GIVEN,
         current,
         speed,
         tolerance,
         ideal_reversal,
+        t,
         out,
+        *(np.empty(0),) * 4,
     )
     if status != kernel.DONE:
         raise FitError(

@@ -60,7 +60,7 @@ class MotorTrials:
         self.supply_time, self.supply_first = _end_to_end([s[0] for s in supplies])
         self.supply_ratio, _ = _end_to_end([s[1] for s in supplies])
         self.time, self.first = _end_to_end([trial.time for trial in trials])
-        self.cell_times, self.cell_first = _end_to_end([_cells(trial.time) for trial in trials])
+        self.edges, _ = _end_to_end([_edges(trial.time) for trial in trials])
         self.starts = np.array(
             [kernel.STEADY if isinstance(t.initial, str) else kernel.AS_GIVEN for t in trials], dtype=np.int64
         )
@@ -76,16 +76,12 @@ def _end_to_end(parts: Sequence[ArrayLike]) -> tuple[FloatArray, NDArray[np.int6
     return np.ascontiguousarray(np.concatenate(arrays)), first
 
 
-def _cells(time: ArrayLike) -> FloatArray:
-    """Return edge, sample, edge, ..., edge: a sample's cell reaches half-way to its neighbours."""
+def _edges(time: ArrayLike) -> FloatArray:
+    """Return the edges (n + 1,) of the samples' cells, each half-way to its neighbours."""
     t = np.asarray(time, dtype=np.float64)
     if t.size < 2 or np.any(np.diff(t) <= 0):
         raise FitError(f"a motor trial has {t.size} samples; expected at least 2 in the order of time")
-    cells = np.empty(2 * t.size + 1)
-    cells[1::2] = t
-    cells[2:-1:2] = 0.5 * (t[1:] + t[:-1])
-    cells[0], cells[-1] = t[0], t[-1]
-    return cells
+    return np.concatenate([t[:1], 0.5 * (t[1:] + t[:-1]), t[-1:]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,8 +154,9 @@ def simulate_population(
             trials.supply_time,
             trials.supply_ratio,
             trials.supply_first,
-            trials.cell_times,
-            trials.cell_first,
+            trials.time,
+            trials.edges,
+            trials.first,
             trials.starts,
             trials.initial,
             tolerance,

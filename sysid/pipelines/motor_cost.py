@@ -178,8 +178,9 @@ def _compared(part, sensors, taps, time, start, step, out):
         sorted_samples = np.empty((stride, n_grid // stride + 1))
         total = np.empty(time.size)
         for c in range(2):
-            for m in range(n_grid):
-                sorted_samples[m % stride, m // stride] = part[m, c]
+            for r in range(stride):
+                for q in range((n_grid - r + stride - 1) // stride):
+                    sorted_samples[r, q] = part[q * stride + r, c]
             total[:] = 0.0
             for k in range(taps.size):
                 tap = taps[k] if k > 0 else 0.5 * taps[0]

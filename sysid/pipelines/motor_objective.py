@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,8 +24,9 @@ FloatArray = NDArray[np.float64]
 
 # Local error of the simulations of a search: 1e-5 keeps the worst candidate within 0.01 % NRMSE.
 FIT_TOLERANCE = 1e-5
-# Simulated samples that are held at once [bytes].
-_MEMORY = 64e6
+# Simulated samples that are held at once, per thread [bytes]: the allocator keeps blocks of this size, while
+# for larger ones it asks the system for fresh pages every time, which cost more than the simulation.
+_MEMORY = 4e6
 _INDEX = {name: i for i, name in enumerate(PARAMETERS)}
 
 
@@ -95,7 +97,8 @@ class MotorObjective:
     def score(self, rows: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Return NRMSE (P, T, 2) and failures (P, T) of rows (P, n_table) [SI]; 25 columns: one delay."""
         rows = self.complete(rows)
-        share = max(1, int(_MEMORY / (16 * self.jobs.time.size)))
+        threads = min(self.threads or numba.get_num_threads(), numba.get_num_threads())
+        share = max(1, threads, int(threads * _MEMORY / (16 * self.jobs.time.size)))
         scored = [self._score(rows[first : first + share]) for first in range(0, len(rows), share)]
         return np.concatenate([s[0] for s in scored]), np.concatenate([s[1] for s in scored])
 
