@@ -205,8 +205,9 @@ def _robust_line(
     residual = y - scaled @ start
     weight = 1.0 / np.sqrt(1.0 + (residual / sigma) ** 2)
     inlier = np.abs(residual) <= OUTLIER * sigma
-    freedom = max(1.0, float(np.sum(weight)) - 2.0)
-    spread = float(np.sum(weight * residual**2)) / freedom
+    # Outliers pull by their weight, like any other point; what the others scatter is the error.
+    freedom = max(1.0, float(np.sum(weight[inlier])) - 2.0)
+    spread = float(np.sum((weight * residual**2)[inlier])) / freedom
     information = np.linalg.inv(scaled.T @ (weight[:, None] * scaled))
     covariance = spread * information
     if zero_rows:

@@ -167,27 +167,43 @@ def _first(sizes: list[int]) -> NDArray[np.int64]:
 
 
 @njit(cache=True, error_model="numpy")
+def _place(sample, stride, width):
+    """Return where a sample lies after sorting by its remainder."""
+    whole = sample // stride
+    return (sample - whole * stride) * width + whole
+
+
+@njit(cache=True, error_model="numpy")
 def _compared(part, sensors, taps, time, start, step, out):
     """Fill out (n, 2) with the simulated signals at the compared times."""
     n_grid = part.shape[0]
     if taps.size > 0:
         # Compared instants are every stride-th sample. Sorted by their remainder, the samples that one tap
-        # touches lie side by side, and the sum over instants runs in vector registers.
+        # touches lie side by side, and the sum over instants runs in vector registers, two taps at a time.
         first = int((time[0] - start) / step + 0.5)
         stride = int((time[1] - time[0]) / step + 0.5)
-        sorted_samples = np.empty((stride, n_grid // stride + 1))
+        width = n_grid // stride + 1
+        sorted_samples = np.zeros(stride * width)
         total = np.empty(time.size)
         for c in range(2):
             for r in range(stride):
                 for q in range((n_grid - r + stride - 1) // stride):
-                    sorted_samples[r, q] = part[q * stride + r, c]
-            total[:] = 0.0
-            for k in range(taps.size):
-                tap = taps[k] if k > 0 else 0.5 * taps[0]
-                before = sorted_samples[(first - k) % stride, (first - k) // stride :]
-                after = sorted_samples[(first + k) % stride, (first + k) // stride :]
+                    sorted_samples[r * width + q] = part[q * stride + r, c]
+            at = _place(first, stride, width)
+            centre = sorted_samples[at : at + time.size]
+            for i in range(time.size):
+                total[i] = taps[0] * centre[i]
+            for k in range(1, taps.size, 2):
+                tap, other = taps[k], taps[k + 1] if k + 1 < taps.size else 0.0
+                # Without a second tap its place is that of the first, which is there.
+                further = k + 1 if k + 1 < taps.size else k
+                places = (first - k, first + k, first - further, first + further)
+                one = sorted_samples[_place(places[0], stride, width) :]
+                two = sorted_samples[_place(places[1], stride, width) :]
+                three = sorted_samples[_place(places[2], stride, width) :]
+                four = sorted_samples[_place(places[3], stride, width) :]
                 for i in range(time.size):
-                    total[i] += tap * (before[i] + after[i])
+                    total[i] += tap * (one[i] + two[i]) + other * (three[i] + four[i])
             out[:, c] = total
         return
     for c in range(2):

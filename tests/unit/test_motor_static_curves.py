@@ -41,16 +41,20 @@ def test_plain_least_squares_would_be_bent() -> None:
     assert robust_miss < 0.2 * plain_miss
 
 
-def test_standard_error_is_the_scatter_of_repeated_fits() -> None:
+@pytest.mark.parametrize("outliers", [0, 3])
+def test_standard_error_is_the_scatter_of_repeated_fits(outliers: int) -> None:
     rng = np.random.default_rng(5)
     speed = np.linspace(80.0, 750.0, 40)
-    fits = [
-        fit_speed_curve("torque", "forward", speed, 1.65e-7 * speed**2 + rng.normal(0.0, 1e-3, 40))
-        for _ in range(200)
-    ]
+    fits = []
+    for _ in range(200):
+        torque = 1.65e-7 * speed**2 + rng.normal(0.0, 1e-3, 40)
+        # 100 σ off, either way: a misread point, which has no say in what the others scatter.
+        torque[rng.choice(40, outliers, replace=False)] += 0.1 * rng.choice([-1.0, 1.0], outliers)
+        fits.append(fit_speed_curve("torque", "forward", speed, torque))
     scatter = np.std([fit.coefficients[0] for fit in fits])
     stated = np.median([fit.standard_errors[0] for fit in fits])
-    # 200 draws fix a standard deviation to 5 %; soft-L1 weights of normal noise understate it a little.
+    # 200 draws fix a standard deviation to 5 %; soft-L1 weights of normal noise understate it a little, and
+    # three outliers of 40 take their points away.
     assert stated == pytest.approx(scatter, rel=0.25)
 
 
