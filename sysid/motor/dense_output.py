@@ -36,25 +36,22 @@ def write_states(times, first, t, t_next, step, charge, limit, clip, current, sp
 
     `current` and `speed` are (start, end, c3, c4) of the step.
     """
-    last = past(times, first, t_next)
+    last = write_cubic(times, first, t, t_next, step, current, out[:, 0])
+    write_cubic(times, first, t, t_next, step, speed, out[:, 2])
+    write_charge(times, first, t, t_next, step, charge, limit, clip, current, out[:, 3])
     for i in range(first, last):
-        s = (times[i] - t) / step if t_next > t else 1.0
-        out[i, 0] = between(s, current[0], current[1], current[2], current[3])
         out[i, 1] = limit if clip else out[i, 0]
-        out[i, 2] = between(s, speed[0], speed[1], speed[2], speed[3])
-        felt = limit * s if clip else integral(s, current[0], current[1], current[2], current[3])
-        out[i, 3] = charge + step * felt
     return last
 
 
 @njit(cache=True, error_model="numpy")
-def write_speed(times, first, t, t_next, step, speed, out):
-    """Fill `out` (n,) with the speed at the times of one step; return the index of the next time."""
+def write_cubic(times, first, t, t_next, step, state, out):
+    """Fill `out` (n,) with one state at the times of one step; return the index of the next time."""
     last = past(times, first, t_next)
-    a = speed[0]
-    b = speed[1] - speed[0] + speed[2]
-    c = speed[3] - speed[2]
-    d = -speed[3]
+    a = state[0]
+    b = state[1] - state[0] + state[2]
+    c = state[3] - state[2]
+    d = -state[3]
     inverse, shift = (1.0 / step, 0.0) if t_next > t else (0.0, 1.0)
     for i in range(first, last):
         s = (times[i] - t) * inverse + shift

@@ -30,7 +30,7 @@ from math import inf, sqrt
 import numpy as np
 from numba import njit, prange
 
-from sysid.motor.dense_output import between, integral, write_charge, write_speed, write_states
+from sysid.motor.dense_output import between, integral, write_charge, write_cubic, write_states
 
 R, L, K_D, K_V, K_M, INERTIA, I_SAT, OMEGA_MIN, V_REF = 0, 1, 2, 3, 4, 5, 6, 7, 8
 NO_LOAD = 9  # slope, intercept forward; slope, intercept reverse
@@ -285,7 +285,7 @@ def integrate(
             in_band = abs(speed) < omega_min
             still_current, still = (current, current, 0.0, 0.0), (speed, speed, 0.0, 0.0)
             done = write_states(times, 0, t, t, 0.0, 0.0, 0.0, False, still_current, still, out)
-            at_sample = write_speed(samples, 0, t, t, 0.0, still, speeds)
+            at_sample = write_cubic(samples, 0, t, t, 0.0, still, speeds)
             at_edge = write_charge(edges, 0, t, t, 0.0, 0.0, 0.0, False, still_current, charges)
         if speed == 0.0:
             push = current if current != 0.0 else volt_segment
@@ -390,7 +390,7 @@ def integrate(
             t_next = t_break if last else t + step
             flow, turn = (current, x, x3, x4), (speed, y, y3, y4)
             done = write_states(times, done, t, t_next, step, charge, limit, clip, flow, turn, out)
-            at_sample = write_speed(samples, at_sample, t, t_next, step, turn, speeds)
+            at_sample = write_cubic(samples, at_sample, t, t_next, step, turn, speeds)
             at_edge = write_charge(edges, at_edge, t, t_next, step, charge, limit, clip, flow, charges)
             charge += step * (limit if clip else integral(1.0, current, x, x3, x4))
             t, current, speed = t_next, x, y
