@@ -236,6 +236,50 @@ def bridge_gaps(values: FloatArray, valid: BoolArray) -> FloatArray:
     return out.reshape(values.shape)
 
 
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """How a signal is spread over frequency, in few enough points to be kept with a result.
+
+    Parameters
+    ----------
+    frequency : (F,) array
+        Increasing, logarithmically spaced where the signal is long enough [Hz].
+    density : (F, C) array
+        Amplitude spectral density of each channel [unit/√Hz].
+    """
+
+    frequency: FloatArray
+    density: FloatArray
+
+
+# Points of a spectrum, and the longest stretch that one estimate covers [s].
+_SPECTRUM_POINTS, _SPECTRUM_STRETCH = 80, 4.0
+
+
+def amplitude_spectrum(values: FloatArray, rate: float) -> Spectrum:
+    """Return the amplitude spectral density of (n, C) samples on a uniform clock, gaps bridged.
+
+    A channel that is not finite throughout has none (NaN).
+
+    Notes
+    -----
+    Welch's estimate (Hann window, linear trend removed), its power averaged in bands of equal ratio. White
+    noise of standard deviation s has the density s sqrt(2/rate) at every frequency.
+    """
+    values = np.asarray(values, dtype=np.float64)
+    length = min(len(values), max(256, int(_SPECTRUM_STRETCH * rate)))
+    known = np.isfinite(values).all(axis=0)
+    level = signal.detrend(np.where(known, values, 0.0), axis=0)
+    frequency, power = signal.welch(level, rate, "hann", nperseg=length, axis=0)
+    power[:, ~known] = np.nan
+    frequency, power = frequency[1:], power[1:]
+    edges = np.geomspace(frequency[0], frequency[-1] * (1 + 1e-9), _SPECTRUM_POINTS + 1)
+    band = np.searchsorted(edges, frequency, side="right") - 1
+    _, index, count = np.unique(band, return_inverse=True, return_counts=True)
+    mean = np.column_stack([np.bincount(index, column) / count for column in power.T])
+    return Spectrum(np.bincount(index, frequency) / count, np.sqrt(mean))
+
+
 def differentiate(values: FloatArray, rate: float) -> FloatArray:
     """Return the central difference of (n,) or (n, k) samples on a uniform clock [unit/s].
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sysid import exact_json
 from sysid.errors import FitError
+from sysid.filters import Spectrum
 from sysid.fit.history import RunHistory
 from sysid.parameter_sets import ParameterRecord, ParameterSets
 from sysid.parameters import SearchSpace
@@ -38,6 +39,12 @@ class TrialResult:
         The same with every set, best first [channel units].
     nrmse : (S, C) array
         [1].
+    spectrum : Spectrum, optional
+        Of the measured channels before the filter; None where nothing was filtered.
+    thrust : (n,) array, optional
+        Measured thrust of a motor [N], prepared like the channels; shown, never compared.
+    commands : (m, 2) array, optional
+        Instants [s] of a motor's commands and the level u in [-1, 1] from each on.
     """
 
     name: str
@@ -47,6 +54,9 @@ class TrialResult:
     valid: NDArray[np.bool_]
     simulated: FloatArray
     nrmse: FloatArray
+    spectrum: Spectrum | None = None
+    thrust: FloatArray | None = None
+    commands: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)

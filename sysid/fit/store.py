@@ -16,6 +16,7 @@ import numpy as np
 
 from sysid import exact_json
 from sysid.errors import ExportError, FitError
+from sysid.filters import Spectrum
 from sysid.fit.agreement import agreement, waterfall
 from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.record import failures, record_lines, run_record
@@ -122,6 +123,13 @@ def _write_numbers(file: Any, result: FitResult, sets: ParameterSets) -> None:
         _array(group, "valid", trial.valid, "sample, channel")
         _array(group, "simulated", trial.simulated, "set, sample, channel", units)
         _array(group, "nrmse", trial.nrmse, "set, channel")
+        if trial.spectrum is not None:
+            _array(group, "spectrum/frequency", trial.spectrum.frequency, "point", "Hz")
+            _array(group, "spectrum/density", trial.spectrum.density, "point, channel", f"({units})/√Hz")
+        if trial.thrust is not None:
+            _array(group, "thrust", trial.thrust, "sample", "N")
+        if trial.commands is not None:
+            _array(group, "commands", trial.commands, "command, (time, level)", "s, 1")
 
 
 def read_fit(path: str | Path) -> FitResult:
@@ -219,7 +227,16 @@ def _read_trial(group: Any) -> TrialResult:
         valid=group["valid"][()],
         simulated=group["simulated"][()],
         nrmse=group["nrmse"][()],
+        spectrum=_read_spectrum(group),
+        thrust=group["thrust"][()] if "thrust" in group else None,
+        commands=group["commands"][()] if "commands" in group else None,
     )
+
+
+def _read_spectrum(group: Any) -> Spectrum | None:
+    if "spectrum" not in group:
+        return None
+    return Spectrum(group["spectrum/frequency"][()], group["spectrum/density"][()])
 
 
 def summary(result: FitResult) -> str:

@@ -138,6 +138,7 @@ def simulate(
     tolerance: float | None = None,
     propulsion: Propulsion | None = None,
     ending: Ending = TO_THE_CLOCK,
+    events: bool = True,
 ) -> GearTrajectory:
     """Simulate one drop or landing and log its events.
 
@@ -161,6 +162,9 @@ def simulate(
         Thrust; none by default.
     ending : Ending
         When it is over, and what counts as rest and as a flip.
+    events : bool
+        False: log no events and switches. The driver of populations does the work then, which a fit has
+        compiled already.
 
     Raises
     ------
@@ -186,12 +190,13 @@ def simulate(
     clock = np.asarray(time, dtype=np.float64)
     start = np.atleast_2d(np.asarray(body_state, dtype=np.float64))
     drops = Drops(np.array([slope]), start, (clock,), propulsion)
-    checked, room = _checked(row[None]), _MARKS
+    checked, room = _checked(row[None]), _MARKS if events else 0
     while True:
         result = _run(
-            checked, drops, legs, own, tolerance, lanes=1, columns=16, threads=1, ending=ending, room=room
-        )
-        if len(result.marks) < room:
+            checked, drops, legs, own, tolerance,
+            lanes=1 if events else _LANES, columns=16, threads=1, ending=ending, room=room,
+        )  # fmt: skip
+        if not events or len(result.marks) < room:
             break
         room *= 8
     states = result.samples[0, :, :14]

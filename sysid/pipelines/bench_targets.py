@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sysid.campaign import MotorCampaign
 from sysid.campaign.motor import MotorTrial as TrialEntry
 from sysid.errors import LogError
-from sysid.filters import ChebyshevLowpass
+from sysid.filters import ChebyshevLowpass, Spectrum, amplitude_spectrum
 from sysid.motor.parameters import PARAMETERS
 from sysid.motor.population import MotorTrial
 from sysid.pipelines.bench_logs import BenchLog
@@ -53,6 +53,8 @@ class PreparedTrial:
     target : MotorTarget
     starts : tuple of (start, end)
         Spin-ups from rest inside the window [s], as far as the filter carries them.
+    thrust : (n,) array or None
+        Measured, at the compared instants and filtered like the rest [N]; None where none was recorded.
     provenance : dict
     """
 
@@ -61,6 +63,7 @@ class PreparedTrial:
     simulated: MotorTrial
     target: MotorTarget
     starts: tuple[tuple[float, float], ...]
+    thrust: FloatArray | None
     provenance: dict[str, Any]
 
     @property
@@ -114,7 +117,7 @@ def prepare_trial(
     simulated = MotorTrial(log.steps.time, log.steps.level, grid, "steady", supply_time, supply_ratio)
     p = log.recording.provenance
     return PreparedTrial(
-        entry, log, simulated, target, starts,
+        entry, log, simulated, target, starts, measured_thrust(campaign, log, target.time),
         {
             "log": Path(p.path).name,
             "sha256": p.sha256,
@@ -203,6 +206,34 @@ def _fast(campaign: MotorCampaign, log: BenchLog) -> Any:
         return MotorTarget(name, grid[rows], measured, valid, start, step, grid.size, taps), grid
 
     return taps, target
+
+
+def measured_spectrum(log: BenchLog, time: FloatArray) -> Spectrum | None:
+    """Return the spectrum of torque and speed before the filter, over the span of `time`; None if too short.
+
+    A channel that was not recorded is NaN.
+    """
+    interval = float(np.median(np.diff(log.time)))
+    clock = np.arange(time[0], time[-1], interval)
+    if clock.size < 16:
+        return None
+    raw = np.full((clock.size, 2), np.nan)
+    for c, channel in enumerate(("torque", "speed")):
+        if channel in log.channels:
+            t, values = log.channels[channel]
+            known = np.isfinite(values)
+            raw[:, c] = np.interp(clock, t[known], values[known])
+    return amplitude_spectrum(raw, 1.0 / interval)
+
+
+def measured_thrust(campaign: MotorCampaign, log: BenchLog, time: FloatArray) -> FloatArray | None:
+    """Return the thrust at the compared instants [N], filtered where the log is; None where none was recorded."""
+    if "thrust" not in log.channels:
+        return None
+    own, values = log.channels["thrust"]
+    if log.fast:
+        own, values = uniform_filtered(own, values, _lowpass(campaign, log), f"{log.where}, thrust")
+    return np.interp(time, own, values)
 
 
 def uniform_filtered(

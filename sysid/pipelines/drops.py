@@ -15,7 +15,7 @@ from sysid.campaign import GearCampaign, GearTrial
 from sysid.campaign.file import resolve_log
 from sysid.campaign.logs import CaptureLogOptions
 from sysid.errors import LogError, SysidWarning
-from sysid.filters import KaiserLowpass, bridge_gaps, differentiate
+from sysid.filters import KaiserLowpass, Spectrum, amplitude_spectrum, bridge_gaps, differentiate
 from sysid.fit.cost import CostChannel, TrialTarget
 from sysid.pipelines.logs import load_stated, warn_of_idle_options
 from sysid.recording import Recording
@@ -70,6 +70,8 @@ class PreparedDrop:
         x, z, pitch at the samples before the window, equal for every candidate.
     target : TrialTarget
         What the cost compares with.
+    spectrum : Spectrum or None
+        Of the five channels in the window and its margins before the filter; None without a filter.
     provenance : dict
         Log file, hash, loader, what was noticed.
     """
@@ -86,6 +88,7 @@ class PreparedDrop:
     simulated_time: FloatArray
     before: FloatArray
     target: TrialTarget
+    spectrum: Spectrum | None
     provenance: dict[str, Any]
 
 
@@ -184,7 +187,7 @@ def _prepare(
         settings = campaign.filter
         lowpass = KaiserLowpass(planar.rate, settings.cutoff, settings.attenuation_db, settings.transition)
     window = _window(campaign, planar, plane, flight, touchdown, lowpass, where, notes)
-    target, before_time, after = _target(campaign, trial, planar, window, lowpass)
+    target, spectrum, before_time, after = _target(campaign, trial, planar, window, lowpass)
     initial_state = flight.at(planar.time[window.start : window.start + 1])[0]
     impact_speed = float(-flight.at(np.array([touchdown]))[0, 4])
     _doubts(trial, planar, window, flight, touchdown, gravity)
@@ -201,6 +204,7 @@ def _prepare(
         simulated_time=planar.time[window.start : window.stop + after],
         before=flight.at(before_time)[:, :3],
         target=target,
+        spectrum=spectrum,
         provenance={
             "log": Path(recording.provenance.path).name,
             "sha256": recording.provenance.sha256,
@@ -212,6 +216,7 @@ def _prepare(
             "release [s]": flight.start,
             "touchdown [s]": touchdown,
             "impact speed [m/s]": impact_speed,
+            "state at the window's start [SI]": [float(value) for value in initial_state],
             "free-fall g [m/s²]": flight.measured_gravity,
             "lost frames in window": int(np.sum(~planar.valid[window])),
             "notes": notes,
@@ -370,10 +375,10 @@ def _target(
     motion: PlanarMotion,
     window: slice,
     lowpass: KaiserLowpass | None,
-) -> tuple[TrialTarget, FloatArray, int]:
+) -> tuple[TrialTarget, Spectrum | None, FloatArray, int]:
     """Filter and differentiate the measured window with its margins.
 
-    Returns the target, the sample times of the margin before the window and the samples of the one after.
+    Returns the target, the spectrum before the filter, the sample times of the margin before the window and the samples of the one after.
     """
     margin = _margin(lowpass)
     wide = slice(window.start - margin, window.stop + margin)
@@ -381,7 +386,9 @@ def _target(
     filled = bridge_gaps(motion.coordinates()[wide], seen)
     smooth = filled if lowpass is None else lowpass.apply(filled)
     rates = differentiate(smooth, motion.rate)
-    measured = np.column_stack([smooth[:, 0], smooth[:, 1], rates[:, 0], rates[:, 1], smooth[:, 2]])
+    measured = _channels(smooth, rates)
+    raw = _channels(filled, differentiate(filled, motion.rate))[1:-1]
+    spectrum = None if lowpass is None else amplitude_spectrum(raw, motion.rate)
     same_way = campaign.filter.kind == "none" or campaign.filter.filter_simulation
     target = TrialTarget(
         name=trial.name,
@@ -392,7 +399,12 @@ def _target(
         delivered=seen if same_way else None,
     )
     simulated_margin = margin if same_way else 0
-    return target, motion.time[window.start - simulated_margin : window.start], simulated_margin
+    return target, spectrum, motion.time[window.start - simulated_margin : window.start], simulated_margin
+
+
+def _channels(coordinates: FloatArray, rates: FloatArray) -> FloatArray:
+    """Return the compared channels (n, 5) of x, z, pitch and their rates, as `cost_channels` orders them."""
+    return np.column_stack([coordinates[:, :2], rates[:, :2], coordinates[:, 2]])
 
 
 def _doubts(

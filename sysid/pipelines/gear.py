@@ -380,6 +380,7 @@ def trial_results(
                 valid=valid,
                 simulated=simulated[d],
                 nrmse=scored.by_channel[:, d],
+                spectrum=drop.spectrum,
             )
         )
     lost = tuple(

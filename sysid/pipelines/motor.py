@@ -15,7 +15,7 @@ from sysid.fit.result import FitResult, TrialResult, ranked_sets
 from sysid.motor.model import PARAMETERS, invariants, unpack
 from sysid.parameter_sets import ParameterRecord, parameter_records
 from sysid.pipelines.bench_logs import command_range
-from sysid.pipelines.bench_targets import filter_design
+from sysid.pipelines.bench_targets import filter_design, measured_spectrum
 from sysid.pipelines.fit_walk import FitWalk, Outcome
 from sysid.pipelines.motor_bench import Bench, prepare_bench, search_space, untested_rows
 from sysid.pipelines.motor_cost import CHANNEL_UNITS, CHANNELS
@@ -185,6 +185,9 @@ def motor_trial_results(objective: MotorObjective, rows: FloatArray) -> tuple[Tr
             valid=trial.target.valid,
             simulated=simulated[t],
             nrmse=by_channel[:, t],
+            spectrum=measured_spectrum(trial.log, trial.target.time) if trial.log.fast else None,
+            thrust=trial.thrust,
+            commands=np.column_stack([trial.log.steps.time, trial.log.steps.level]),
         )
         for t, trial in enumerate(objective.trials)
     )

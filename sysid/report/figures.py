@@ -96,10 +96,10 @@ def figure_convergence(fit: FitResult) -> Figure:
     for number, run in enumerate(fit.runs, start=1):
         colour = RUNS[(number - 1) % len(RUNS)]
         generations = np.arange(1, len(run.best) + 1)
-        label = f"run {number}: {_percent(float(run.best[-1]))} after {len(run.best)}"
+        label = f"run {number}: {percent_text(float(run.best[-1]))} after {len(run.best)}"
         axes.plot(generations, run.best, color=colour, linewidth=1.6, label=label)
         axes.plot(generations[-1:], run.best[-1:], marker="o", color=colour)
-    _percent_axis(axes, np.concatenate([run.best for run in fit.runs]) if fit.runs else np.ones(1))
+    percent_axis(axes, np.concatenate([run.best for run in fit.runs]) if fit.runs else np.ones(1))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel("generation")
     axes.set_ylabel("best NRMSE [%]")
@@ -166,7 +166,7 @@ def _one_trial(fit: FitResult, trial: TrialResult, contacts: Sequence[float]) ->
         for axes in (signal, residual):
             for time in contacts:
                 axes.axvline(time - trial.time[0], color="#009E73", linewidth=0.8, linestyle=":", zorder=1)
-        residual.set_title(f"NRMSE {_percent(_best_nrmse(trial, c))}", fontsize="medium")
+        residual.set_title(f"NRMSE {percent_text(_best_nrmse(trial, c))}", fontsize="medium")
     grid[0, 0].set_title("signals", fontsize="medium")
     for axes in grid[-1]:
         axes.set_xlabel("time in the window [s]")
@@ -206,7 +206,7 @@ def _all_trials(fit: FitResult) -> Figure:
             _draw_residual(residual, fit, trial, c, label=t == 0)
             signal.tick_params(labelbottom=False)
             residual.tick_params(labelbottom=c == rows - 1)
-            signal.set_title(f"NRMSE {_percent(_best_nrmse(trial, c))}", fontsize="small", loc="right")
+            signal.set_title(f"NRMSE {percent_text(_best_nrmse(trial, c))}", fontsize="small", loc="right")
             if c == 0:
                 use = "fitted" if trial.use == "fit" else "validation"
                 name = (
@@ -224,7 +224,7 @@ def _all_trials(fit: FitResult) -> Figure:
 
 
 def _draw_signals(axes: Axes, fit: FitResult, trial: TrialResult, c: int, *, label: bool = True) -> None:
-    name, unit, factor = _display(fit, c)
+    name, unit, factor = display_of(fit, c)
     time = trial.time - trial.time[0]
     raster = len(time) > _RASTER
     valid = trial.valid[:, c]
@@ -255,8 +255,8 @@ def _draw_signals(axes: Axes, fit: FitResult, trial: TrialResult, c: int, *, lab
 
 
 def _draw_residual(axes: Axes, fit: FitResult, trial: TrialResult, c: int, *, label: bool = True) -> None:
-    _, unit, factor = _display(fit, c)
-    unit, finer = _FINER.get(unit, (unit, 1.0))
+    _, unit, factor = display_of(fit, c)
+    unit, finer = finer_unit(unit)
     time = trial.time - trial.time[0]
     _shade(axes, trial)
     axes.axhline(0.0, color="0.6", linewidth=0.8)
@@ -284,13 +284,13 @@ def _tidy(axes: Axes, time: FloatArray) -> None:
 def _shade(axes: Axes, trial: TrialResult) -> None:
     """Shade the intervals in which no channel counts."""
     time = trial.time - trial.time[0]
-    for first, last in _masked_runs(trial):
+    for first, last in masked_runs(trial):
         left = time[max(first - 1, 0)]
         right = time[min(last + 1, len(time) - 1)]
         axes.axvspan(float(left), float(right), color=MASKED, linewidth=0, zorder=0)
 
 
-def _masked_runs(trial: TrialResult) -> list[tuple[int, int]]:
+def masked_runs(trial: TrialResult) -> list[tuple[int, int]]:
     """Return (first, last) sample of every run that counts for no channel."""
     lost = np.concatenate([[False], ~trial.valid.any(axis=1), [False]])
     edges = np.flatnonzero(np.diff(lost.astype(np.int8)))
@@ -309,7 +309,7 @@ def _legend(fit: FitResult, trials: Sequence[TrialResult], contacts: bool) -> li
         handles.append(
             Line2D([], [], color=OTHERS, linewidth=0.8, label=f"the other {len(fit.nrmse) - 1} sets")
         )
-    if any(_masked_runs(trial) for trial in trials):
+    if any(masked_runs(trial) for trial in trials):
         handles.append(Patch(color=MASKED, label="no sample counts"))
     if contacts:
         handles.append(Line2D([], [], color="#009E73", linewidth=0.8, linestyle=":", label="foot contact"))
@@ -324,18 +324,30 @@ def _title(fit: FitResult, trial: TrialResult) -> str:
     text = f"{fit.name}, {trial.name} ({use})"
     if not len(means):
         return text
-    text += f": NRMSE {_percent(float(means[0]))}"
+    text += f": NRMSE {percent_text(float(means[0]))}"
     if len(means) > 1:
-        text += f", all {len(means)} sets {_percent(float(means.min()))} to {_percent(float(means.max()))}"
+        least, most = float(means.min()), float(means.max())
+        text += f", all {len(means)} sets {percent_text(least)} to {percent_text(most)}"
     return text
 
 
-def _display(fit: FitResult, c: int) -> tuple[str, str, float]:
+def axis_label(name: str, unit: str) -> str:
+    """Return ``name [unit]``; a number without unit is ``name [1]``."""
+    return f"{name} [{unit or '1'}]"
+
+
+def finer_unit(unit: str) -> tuple[str, float]:
+    """Return the unit in which residuals are read, and its factor."""
+    return _FINER.get(unit, (unit, 1.0))
+
+
+def display_of(fit: FitResult, c: int) -> tuple[str, str, float]:
+    """Return how channel number `c` is shown: label, unit, factor from SI."""
     known = _DISPLAY.get(fit.channels[c])
     return known if known else (fit.channels[c], fit.channel_units[c], 1.0)
 
 
-def _percent_axis(axes: Axes, values: FloatArray) -> None:
+def percent_axis(axes: Axes, values: FloatArray) -> None:
     """Label an axis of shares in percent: logarithmic where they span a factor of three or more."""
     if np.max(values) >= 3 * np.min(values) > 0:
         axes.set_yscale("log")
@@ -348,7 +360,8 @@ def _best_nrmse(trial: TrialResult, c: int) -> float:
     return float(trial.nrmse[0, c]) if len(trial.nrmse) else float("nan")
 
 
-def _percent(share: float) -> str:
+def percent_text(share: float) -> str:
+    """Return a share [1] in percent; a dash where it is unknown."""
     if not np.isfinite(share):
         return "—"
     return f"{100 * share:.{1 if share >= 0.1 else 2}f} %"
