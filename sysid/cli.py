@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from sysid import cli_design, cli_landing, cli_trust
+from sysid import cli_design, cli_landing, cli_report, cli_trust
 from sysid.cli_options import Dask, Force, Json, Quiet, Resume, Threads
 from sysid.errors import SysidError
 
@@ -30,7 +30,8 @@ synthesize = typer.Typer(
     rich_markup_mode=None,
 )
 app.add_typer(synthesize, name="synthesize")
-for name, command in (cli_landing.COMMANDS | cli_design.COMMANDS | cli_trust.COMMANDS).items():
+OWN = cli_landing.COMMANDS | cli_design.COMMANDS | cli_trust.COMMANDS | cli_report.COMMANDS
+for name, command in OWN.items():
     app.command(name)(command)
 
 

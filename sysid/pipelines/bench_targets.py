@@ -227,7 +227,7 @@ def measured_spectrum(log: BenchLog, time: FloatArray) -> Spectrum | None:
 
 
 def measured_thrust(campaign: MotorCampaign, log: BenchLog, time: FloatArray) -> FloatArray | None:
-    """Return the thrust at the compared instants [N], filtered where the log is; None where none was recorded."""
+    """Return the thrust at the compared instants [N], filtered where the log is; None if not recorded."""
     if "thrust" not in log.channels:
         return None
     own, values = log.channels["thrust"]

@@ -378,7 +378,8 @@ def _target(
 ) -> tuple[TrialTarget, Spectrum | None, FloatArray, int]:
     """Filter and differentiate the measured window with its margins.
 
-    Returns the target, the spectrum before the filter, the sample times of the margin before the window and the samples of the one after.
+    Returns the target, the spectrum before the filter, the sample times of the margin before the window and
+    the samples of the one after.
     """
     margin = _margin(lowpass)
     wide = slice(window.start - margin, window.stop + margin)

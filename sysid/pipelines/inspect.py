@@ -86,7 +86,7 @@ def inspect_files(
         return
     console = Console(soft_wrap=True)
     for report in reports:
-        _print_report(console, report)
+        print_report(console, report)
     if plot is not None:
         console.print(Text(f"wrote {plot}"))
 
@@ -165,7 +165,8 @@ def _value_words(one: ChannelReport) -> str:
     return "; ".join(words)
 
 
-def _print_report(console: Console, report: LogReport) -> None:
+def print_report(console: Console, report: LogReport) -> None:
+    """Print what a log holds."""
     described = formats()[report.format].describes if report.format in formats() else report.format
     console.print(Text(report.path, style="bold"))
     console.print(

@@ -5,6 +5,7 @@ The larger figures of `sysid.report.figures` put many panels side by side for pa
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -42,6 +43,7 @@ _POINTS = 900
 FOOT_COLOURS = ("#009E73", "#CC79A7")
 # Markers of optima, best first.
 _MARKERS = "osD^vP*X"
+_INDEXED = re.compile(r"(\w[^\W_]*)_([^\W_]+)")
 
 
 def panel(height: float = 3.0, width: float = WIDTH) -> Figure:
@@ -241,11 +243,11 @@ def figure_spread(fit: FitResult) -> Figure:
             zorder=3,
         )
         axes.plot(place[:1], [row], linestyle="none", marker="D", markersize=6, color=BEST, zorder=4)
-        axes.text(-0.02, row, f"{low:.3g}", ha="right", va="center", fontsize=7.5)
-        axes.text(1.02, row, f"{high:.3g}", ha="left", va="center", fontsize=7.5)
+        axes.text(-0.02, row, f"{low:g}", ha="right", va="center", fontsize=7.5)
+        axes.text(1.02, row, f"{high:g}", ha="left", va="center", fontsize=7.5)
     axes.set_yticks(range(len(free)))
     axes.set_yticklabels(
-        [axis_label(fit.parameters[i].symbol, fit.parameters[i].unit) for i in free], fontsize=8
+        [axis_label(as_math(fit.parameters[i].symbol), fit.parameters[i].unit) for i in free], fontsize=8
     )
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(free) - 0.4, -0.6)
@@ -299,6 +301,11 @@ def figure_spectrum(
         axes.legend(handles=handles, frameon=False, fontsize=8, loc="lower left")
         axes.set_zorder(0)
     return figure
+
+
+def as_math(symbol: str) -> str:
+    """Return a symbol of the tables, as ``k_h``, for a figure, its indices set lower."""
+    return _INDEXED.sub(r"$\1_{\2}$", symbol)
 
 
 def thinned(time: FloatArray, values: FloatArray, points: int = _POINTS) -> tuple[FloatArray, FloatArray]:

@@ -212,6 +212,7 @@ def animation_data(replays: list[DropReplay], every: int = 2) -> dict[str, Any]:
     out = []
     for drop in replays:
         kept = slice(None, None, every)
+        # The script draws no ghost that is 9 m away.
         measured = np.where(np.isfinite(drop.measured), drop.measured, 9.0)[kept]
         points = np.concatenate([drop.joints, drop.feet], axis=1)[kept].reshape(-1, 8)
         frames = np.column_stack(
@@ -232,6 +233,8 @@ def animation_data(replays: list[DropReplay], every: int = 2) -> dict[str, Any]:
                 "frames": np.rint(np.nan_to_num(frames)).astype(int).tolist(),
                 "snapshots": [[round(t, 4), what] for t, what in drop.first_contacts()],
                 "arm": round(1e4 * drop.values["thrust_point_dx"]),
+                "joint": [round(1e4 * drop.values[name]) for name in ("joint_dx", "joint_dz")],
+                "foot": [round(1e4 * drop.values[name]) for name in ("foot_dx", "foot_dz")],
             }
         )
     return {"drops": out}

@@ -1,0 +1,354 @@
+"""Diagrams of the model: what a lab must measure (Fig. 2), how feet stick and slip (Fig. 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Arc, FancyBboxPatch, Polygon
+from numpy.typing import NDArray
+
+from sysid.gear.surfaces import high_friction
+from sysid.report.replay import DropReplay
+from sysid.report.snapshots import BODY, FRICTION, GROUND, NORMAL
+
+FloatArray = NDArray[np.float64]
+
+_DIMENSION, _WEIGHT, _THRUST, _AXES = "#009E73", "#7A5195", "#E69F00", "#555555"
+# Below this share of mu_k F_n a foot's friction is that of a sticking one.
+_STICKS = 0.98
+# The foot that changes its mode, by the edges of the diagram: upper left, upper right, lower ones.
+_BY_EDGE = ("rear", "front", "front", "rear")
+MODES = ("both slip", "rear sticks", "front sticks", "both stick")
+
+
+def figure_geometry(values: Mapping[str, float], slope: float) -> Figure:
+    """Draw frames, lengths and forces of the planar model (Fig. 2), to scale.
+
+    Parameters
+    ----------
+    values : mapping
+        Of a gear, by name [SI].
+    slope : float
+        [rad]
+    """
+    v = {
+        name: 1e3 * values[f"{name}"]
+        for name in ("joint_dx", "joint_dz", "foot_dx", "foot_dz", "thrust_point_dx")
+    }
+    figure = Figure(figsize=(5.4, 4.9), layout="constrained")
+    axes = figure.add_subplot()
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    slope = float(np.clip(slope, np.radians(8.0), np.radians(22.0)))
+    unit = v["foot_dz"]
+    along, normal = np.array([np.cos(slope), -np.sin(slope)]), np.array([np.sin(slope), np.cos(slope)])
+    rear_foot = np.array([-v["foot_dx"], -v["foot_dz"]])
+    far = 4 * unit
+    ground = [rear_foot + a * along + b * normal for a, b in ((-far, 0), (far, 0), (far, -far), (-far, -far))]
+    axes.add_patch(Polygon(ground, facecolor="#E9E2D3", edgecolor=GROUND, linewidth=1.2))
+    for side in (-1, 1):
+        joint = np.array([side * v["joint_dx"], -v["joint_dz"]])
+        foot = np.array([side * v["foot_dx"], -v["foot_dz"]])
+        axes.plot(*np.stack([joint, foot]).T, color=BODY, linewidth=3.2, solid_capstyle="round", zorder=3)
+        axes.plot(*joint, marker="o", markersize=6, color="white", markeredgecolor=BODY, zorder=4)
+        axes.plot(*foot, marker="o", markersize=5, color=BODY, zorder=4)
+        motor = np.array([side * v["thrust_point_dx"], 0.0])
+        axes.plot([motor[0], motor[0]], [0, 0.14 * unit], color=BODY, linewidth=2)
+        axes.plot(
+            [motor[0] - 0.42 * unit, motor[0] + 0.42 * unit], [0.14 * unit] * 2, color=BODY, linewidth=2
+        )
+        _arrow(axes, (motor[0], 0.14 * unit), (0, 0.42 * unit), _THRUST)
+        name = r"$T_r$" if side < 0 else r"$T_f$"
+        axes.text(
+            motor[0] + side * 8,
+            0.5 * unit,
+            name,
+            color=_THRUST,
+            fontsize=9,
+            ha="left" if side > 0 else "right",
+        )
+    axes.plot([-v["thrust_point_dx"], v["thrust_point_dx"]], [0, 0], color=BODY, linewidth=3, zorder=3)
+    hull = [
+        (-v["joint_dx"], -v["joint_dz"]),
+        (v["joint_dx"], -v["joint_dz"]),
+        (0.3 * unit, 0.09 * unit),
+        (-0.3 * unit, 0.09 * unit),
+    ]
+    axes.add_patch(Polygon(hull, facecolor="#DDDDDD", edgecolor=BODY, linewidth=1.2, zorder=2))
+    axes.plot(0, 0, marker="o", markersize=6, color="black", zorder=5)
+    _lengths(axes, v, unit)
+    _forces(axes, v, unit, along, normal)
+    _frames(axes, v, unit, along, normal)
+    axes.set_xlim(-v["thrust_point_dx"] - 0.62 * unit, v["thrust_point_dx"] + 0.75 * unit)
+    axes.set_ylim(-v["foot_dz"] - 0.75 * unit, 1.35 * unit)
+    return figure
+
+
+def _lengths(axes: Axes, v: Mapping[str, float], unit: float) -> None:
+    look = {"fontsize": 8, "color": _DIMENSION, "va": "center"}
+    axes.plot([0, 0], [0.1 * unit, 1.17 * unit], color=_DIMENSION, linewidth=0.6)
+    for level, name, symbol, foot in (
+        (0.72, "joint_dx", "dx_j", -v["joint_dz"]),
+        (0.92, "foot_dx", "dx_f", -v["foot_dz"]),
+        (1.12, "thrust_point_dx", "dx_m", 0.0),
+    ):
+        x, z = v[name], level * unit
+        axes.plot([x, x], [foot, z + 0.05 * unit], color=_DIMENSION, linewidth=0.6, zorder=1)
+        _dimension(axes, (0, z), (x, z))
+        axes.text(-6, z, f"${symbol}$ = {x:.0f} mm", ha="right", **look)
+    # The feet's depth on the left, the joints' on the right.
+    left, right = -v["thrust_point_dx"] - 0.3 * unit, v["thrust_point_dx"] + 0.12 * unit
+    for x, start, name, symbol in (
+        (left, -v["foot_dx"], "foot_dz", "dz_f"),
+        (right, v["joint_dx"], "joint_dz", "dz_j"),
+    ):
+        z = -v[name]
+        inner = np.sign(x) * v["thrust_point_dx"]
+        axes.plot([x, inner], [0, 0], color=_DIMENSION, linewidth=0.6, zorder=1)
+        axes.plot([x, start], [z, z], color=_DIMENSION, linewidth=0.6, zorder=1)
+        _dimension(axes, (x, 0), (x, z))
+        words = f"${symbol}$ = {v[name]:.0f} mm"
+        if x < 0:
+            axes.text(x - 5, 0.42 * z, words, ha="right", rotation=90, **look)
+        else:
+            axes.text(x + 5, 0.5 * z, words, ha="left", **look)
+
+
+def _forces(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, normal: FloatArray) -> None:
+    _arrow(axes, np.zeros(2), np.array([0, -0.5 * unit]), _WEIGHT)
+    axes.text(6, -0.5 * unit, r"$m_B\,g$", color=_WEIGHT, fontsize=9, va="center")
+    joint, foot = np.array([v["joint_dx"], -v["joint_dz"]]), np.array([v["foot_dx"], -v["foot_dz"]])
+    middle = 0.5 * (joint + foot)
+    _arrow(axes, middle, np.array([0, -0.34 * unit]), _WEIGHT)
+    axes.text(
+        middle[0] - 5,
+        middle[1] - 0.32 * unit,
+        r"$m_{leg}\,g$",
+        color=_WEIGHT,
+        fontsize=9,
+        ha="right",
+        va="center",
+    )
+    rear = np.array([-v["foot_dx"], -v["foot_dz"]])
+    _arrow(axes, rear, 0.5 * unit * normal, NORMAL)
+    axes.text(
+        *(rear + 0.52 * unit * normal + [2, 0]), r"$F_n$", color=NORMAL, fontsize=9, ha="left", va="center"
+    )
+    _arrow(axes, rear, -0.42 * unit * along, FRICTION)
+    axes.text(
+        *(rear - 0.46 * unit * along + [0, 0.07 * unit]),
+        r"$F_t$",
+        color=FRICTION,
+        fontsize=9,
+        ha="right",
+        va="bottom",
+    )
+    spot = np.array([v["thrust_point_dx"] + 0.12 * unit, -0.42 * unit])
+    axes.annotate(
+        "axial: $k_h$, $b_h$\nbending: $k_t$, $b_t$", joint, spot, fontsize=8, va="center", ha="left",
+        arrowprops={"arrowstyle": "-", "color": "0.5", "linewidth": 0.7, "shrinkB": 4},
+    )  # fmt: skip
+    axes.annotate(
+        "ground: $k_s$, $b_s$, $\\mu$", rear, rear + np.array([0.3, -0.55]) * unit, fontsize=8, va="center",
+        arrowprops={"arrowstyle": "-", "color": "0.5", "linewidth": 0.7, "shrinkB": 4},
+    )  # fmt: skip
+
+
+def _frames(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, normal: FloatArray) -> None:
+    size = 0.3 * unit
+    rear = np.array([-v["foot_dx"], -v["foot_dz"]])
+    origin = rear + (2 * v["foot_dx"] + 0.02 * unit) * along
+    up, right = np.array([0.0, 1.0]), np.array([1.0, 0.0])
+    _axes(axes, origin, along, normal, size, "A")
+    _axes(
+        axes, np.array([-v["thrust_point_dx"] - 0.5 * unit, -v["foot_dz"] - 0.6 * unit]), right, up, size, "N"
+    )
+    axes.text(-6, 0.03 * unit, "B", fontsize=10, fontweight="bold", ha="right", va="bottom", zorder=6)
+    joint, foot = np.array([v["joint_dx"], -v["joint_dz"]]), np.array([v["foot_dx"], -v["foot_dz"]])
+    for side, name in ((-1, "C"), (1, "D")):
+        at = np.array([side, 1]) * (0.45 * joint + 0.55 * foot)
+        axes.text(
+            at[0] + (7 if side < 0 else 8),
+            at[1],
+            name,
+            fontsize=10,
+            fontweight="bold",
+            va="center",
+            ha="left",
+        )
+    # The angle at rest, from straight down to the leg, at the front joint.
+    angle = float(np.degrees(np.arctan2(foot[0] - joint[0], joint[1] - foot[1])))
+    axes.plot(
+        [joint[0]] * 2, [joint[1], joint[1] - 0.5 * unit], color=_DIMENSION, linewidth=0.6, linestyle="--"
+    )
+    axes.add_patch(
+        Arc(
+            (float(joint[0]), float(joint[1])),
+            0.8 * unit,
+            0.8 * unit,
+            theta1=-90,
+            theta2=-90 + angle,
+            color=_DIMENSION,
+        )
+    )
+    axes.text(
+        joint[0] - 3,
+        joint[1] - 0.3 * unit,
+        f"$q_n$ = {angle:.0f}°",
+        fontsize=8,
+        color=_DIMENSION,
+        ha="right",
+        va="center",
+    )
+
+
+def _axes(axes: Axes, origin: FloatArray, x: FloatArray, z: FloatArray, size: float, name: str) -> None:
+    for way, symbol in ((x, "x"), (z, "z")):
+        _arrow(axes, origin, size * way, _AXES, width=1.2)
+        axes.text(
+            *(origin + 1.22 * size * way),
+            rf"$\hat{{{symbol}}}_{name}$",
+            fontsize=8.5,
+            ha="center",
+            va="center",
+            color=_AXES,
+        )
+
+
+def _arrow(axes: Axes, start: Any, step: Any, colour: str, *, width: float = 2.0) -> None:
+    start, step = np.asarray(start, dtype=float), np.asarray(step, dtype=float)
+    axes.annotate(
+        "", start + step, start, zorder=6,
+        arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": width, "shrinkA": 0, "shrinkB": 0},
+    )  # fmt: skip
+
+
+def _dimension(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
+    look = {"arrowstyle": "<|-|>", "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}
+    axes.annotate("", end, start, zorder=5, arrowprops={**look, "color": _DIMENSION})
+
+
+def foot_transitions() -> tuple[tuple[str, str, str], ...]:
+    """Ask the compiled law what a foot does at its events: (mode before, condition, mode after).
+
+    The functions that switch modes in every simulation are called with a foot in each situation.
+    """
+    mu_k, mu_s, normal = 0.8, 0.9, 10.0
+    # slip just through zero; the friction that sticking would need below and above what is available.
+    slipping = dict(stuck=0.0, way=1.0, slip=-1e-3, margin=0.1)
+    sticking = dict(stuck=1.0, way=1.0, slip=0.0, margin=0.5)
+    cases = (
+        (slipping, 0.5 * mu_k * normal, r"$v_t \to 0$ and $\mu_k F_n > |f_{req}|$"),
+        (slipping, 1.5 * mu_k * normal, r"$v_t \to 0$ but $\mu_k F_n \leq |f_{req}|$"),
+        (sticking, 1.1 * mu_s * normal, r"$\mu_s F_n < |f_{req}|$"),
+        (sticking, 0.9 * mu_s * normal, r"$\mu_s F_n \geq |f_{req}|$"),
+    )
+    names = ("slips", "sticks")
+    out = []
+    for foot, required, condition in cases:
+        now, lost, _ = high_friction.event(
+            foot["stuck"], foot["way"], normal, foot["slip"], required, foot["margin"], mu_s
+        )
+        after, _, _ = high_friction.next_mode(
+            lost, foot["stuck"], foot["way"], normal, foot["slip"], required, foot["margin"], now, 1.0, mu_k
+        )
+        out.append((names[int(foot["stuck"])], condition, names[int(after)]))
+    return tuple(out)
+
+
+def mode_shares(drops: Sequence[DropReplay]) -> dict[str, float]:
+    """Return the share of time in each mode while at least one foot is down, from samples of a millisecond.
+
+    A foot sticks where its friction stays below what slipping would give, ``mu_k F_n``.
+    """
+    counts = dict.fromkeys(MODES, 0)
+    for drop in drops:
+        down = np.nan_to_num(drop.normal_force) > 0.0
+        limit = _STICKS * drop.values["kinetic_friction"] * drop.normal_force
+        sticks = down & (np.abs(drop.friction_force) < limit)
+        for mode, chosen in zip(MODES, ((0, 0), (1, 0), (0, 1), (1, 1)), strict=True):
+            counts[mode] += int(
+                np.sum(down.any(axis=1) & (sticks == np.array(chosen, dtype=bool)).all(axis=1))
+            )
+    total = sum(counts.values())
+    return {mode: count / total for mode, count in counts.items()} if total else {}
+
+
+def figure_modes(shares: Mapping[str, float] | None = None) -> Figure:
+    """Draw the four modes of a pair of feet and the transitions that the code makes (Fig. 5).
+
+    Parameters
+    ----------
+    shares : mapping, optional
+        Share of time in each mode, to be written into it.
+    """
+    figure = Figure(figsize=(4.9, 4.4), layout="constrained")
+    axes = figure.add_subplot()
+    axes.set_axis_off()
+    places = {
+        "both slip": (0.0, 0.0),
+        "rear sticks": (1.0, 1.0),
+        "front sticks": (1.0, -1.0),
+        "both stick": (2.0, 0.0),
+    }
+    feet = {
+        "both slip": ("slips", "slips"),
+        "rear sticks": ("sticks", "slips"),
+        "front sticks": ("slips", "sticks"),
+        "both stick": ("sticks", "sticks"),
+    }
+    for mode, (x, y) in places.items():
+        box = FancyBboxPatch(
+            (x - 0.36, y - 0.2),
+            0.72,
+            0.4,
+            boxstyle="round,pad=0.02,rounding_size=0.1",
+            facecolor="white",
+            edgecolor=BODY,
+            linewidth=1.4,
+            zorder=3,
+        )
+        axes.add_patch(box)
+        flight = "\n(also in flight)" if mode == "both slip" else ""
+        share = f"\n{100 * shares[mode]:.0f} % of the time" if shares else ""
+        axes.text(x, y, f"{mode}{flight}{share}", ha="center", va="center", fontsize=8, zorder=4)
+    colours = {("slips", "sticks"): NORMAL, ("sticks", "slips"): FRICTION}
+    told: dict[str, str] = {}
+    for before, condition, after in foot_transitions():
+        if before == after:
+            continue
+        colour = colours[before, after]
+        told[colour] = f"{before} to {after}: {condition}"
+        for start, own in feet.items():
+            for foot in (0, 1):
+                if own[foot] != before:
+                    continue
+                changed = tuple(after if k == foot else own[k] for k in (0, 1))
+                end = next(mode for mode, other in feet.items() if other == changed)
+                _edge(axes, places[start], places[end], colour)
+    for row, (colour, text) in enumerate(told.items()):
+        axes.text(1.0, -1.55 - 0.2 * row, text, color=colour, fontsize=8.5, ha="center", va="center")
+    for x, y, foot in (
+        (0.22, 0.74, "rear"),
+        (1.78, 0.74, "front"),
+        (0.22, -0.74, "front"),
+        (1.78, -0.74, "rear"),
+    ):
+        axes.text(x, y, f"{foot} foot", fontsize=8, color="0.35", ha="center", va="center")
+    axes.set_xlim(-0.5, 2.5)
+    axes.set_ylim(-1.95, 1.3)
+    return figure
+
+
+def _edge(axes: Axes, start: tuple[float, float], end: tuple[float, float], colour: str) -> None:
+    a, b = np.array(start), np.array(end)
+    way = (b - a) / np.hypot(*(b - a))
+    aside = 0.07 * np.array([-way[1], way[0]])
+    axes.annotate(
+        "", b - 0.42 * way + aside, a + 0.42 * way + aside, zorder=2,
+        arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.6, "shrinkA": 0, "shrinkB": 0},
+    )  # fmt: skip

@@ -1,0 +1,142 @@
+"""The model in numbers: where the paper's print cannot be meant, and what shows it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from rich.table import Table
+from rich.text import Text
+
+from sysid.gear.surfaces.low_friction import low_friction
+from sysid.landing.static_limits import slide_limit, tip_limit
+from sysid.motor.model import no_load_speed, simulate
+from sysid.parameter_sets import ParameterSets
+from sysid.report.diagrams import figure_geometry, figure_modes
+from sysid.report.markup import Html, markup_table, picture
+
+# Table I as printed, and the rating it contradicts.
+_PRINTED_CONSTANT, _RATING_RPM_PER_VOLT = 0.099, 960.0
+_REVERSE_THRUST = 12.0
+
+
+def misprints(motor: ParameterSets, gear: ParameterSets) -> Html:
+    """Return what the paper prints, what must be meant, and the number that decides, computed here and now.
+
+    Parameters
+    ----------
+    motor, gear : ParameterSets
+        Such as the published Tables I and II (low friction).
+    """
+    table = Table(title=Text("where the print cannot be meant, and what is missing"))
+    for head in ("printed", "meant", "the number that decides"):
+        table.add_column(head)
+    for row in (*_motor_rows(motor), *_gear_rows(gear)):
+        table.add_row(*map(Text, row))
+    return markup_table(table)
+
+
+def checks(motor: ParameterSets, gear: ParameterSets) -> Html:
+    """Return numbers of the paper beside those of this code."""
+    values = gear.set_values(1)
+    weight = (values["body_mass"] + 2 * values["leg_mass"]) * values["gravity"]
+    ratio = _REVERSE_THRUST / weight
+    table = Table(title=Text("numbers of the paper, and of this code"))
+    table.add_column("what")
+    table.add_column("paper", justify="right")
+    table.add_column("here", justify="right")
+    slide = math.degrees(slide_limit(values["kinetic_friction"]))
+    pressed = math.degrees(slide_limit(values["kinetic_friction"], ratio))
+    tip = math.degrees(tip_limit(values["foot_dx"], values["foot_dz"]))
+    held = math.degrees(tip_limit(values["foot_dx"], values["foot_dz"], ratio))
+    for row in (
+        ("slides from rest, low friction", "22°", f"{slide:.1f}°"),
+        (f"the same with {_REVERSE_THRUST:g} N of reverse thrust", "48°", f"{pressed:.1f}°"),
+        ("tips over, stiff legs", "35°", f"{tip:.1f}°"),
+        (f"the same with {_REVERSE_THRUST:g} N of reverse thrust", "67°", f"{held:.1f}°"),
+        ("reversal, to 90 % of the thrust", "250 ms", f"{1e3 * reversal_delay(motor):.0f} ms"),
+    ):
+        table.add_row(*map(Text, row))
+    return markup_table(table)
+
+
+def reversal_delay(motor: ParameterSets, before: float = 0.62, after: float = -1.0) -> float:
+    """Return the time from a reversal command to 90 % of the final thrust [s]."""
+    time = np.linspace(0.0, 1.5, 3001)
+    run = simulate(motor.set_values(1), [-1.0, 0.0], [before, after], time, initial="steady")
+    final = float(run.thrust[-1])
+    reached = np.flatnonzero(run.thrust * np.sign(final) >= 0.9 * abs(final))
+    return float(time[reached[0]])
+
+
+def diagram(gear: ParameterSets) -> Html:
+    """Return the labelled diagram of a set's drone (Fig. 2)."""
+    figure = figure_geometry(gear.set_values(1), math.radians(18.0))
+    words = "side view of the drone on a slope with frames, lengths and forces, drawn to scale"
+    return picture(figure, words, f"Frames, lengths and forces (Fig. 2), drawn from {gear.name}.")
+
+
+def modes() -> Html:
+    """Return the modes of the high-friction hybrid (Fig. 5), as the code switches them."""
+    words = "four modes of two feet that slip or stick, arrows between them with their conditions"
+    return picture(figure_modes(), words, "Modes of the hybrid (Fig. 5), asked of the code itself.")
+
+
+def _motor_rows(sets: ParameterSets) -> list[tuple[str, str, str]]:
+    v = sets.set_values(1)
+    rating = 60.0 / (2 * math.pi * _RATING_RPM_PER_VOLT)
+
+    def settles(constant: float) -> float:
+        return 1e3 * v["rotor_inertia"] * v["winding_resistance"] / constant**2
+
+    full = float(no_load_speed(1.0, v))
+    return [
+        (
+            f"k_v = k_t = {_PRINTED_CONSTANT:g} (Table I)",
+            f"{rating:.5f} V·s/rad, from the rating of {_RATING_RPM_PER_VOLT:g} rpm/V",
+            f"time constant I^r R/k²: {settles(_PRINTED_CONSTANT):.1f} ms as printed, "
+            f"{settles(rating):.0f} ms as meant; the paper reports about 100 ms",
+        ),
+        (
+            "V_c = Ω_0(u)/K_v (4)",
+            "V_c = k_v Ω_0(u)",
+            f"at full command {full / v['back_emf_constant']:.0f} V as printed with the constant of (1), "
+            f"{full * v['back_emf_constant']:.1f} V as meant",
+        ),
+        (
+            "L in kg (Table I)",
+            "henry",
+            f"L/R = {1e3 * v['winding_inductance'] / v['winding_resistance']:.1f} ms, a time",
+        ),
+    ]
+
+
+def _gear_rows(sets: ParameterSets) -> list[tuple[str, str, str]]:
+    v = sets.set_values(1)
+    mu, regular, gravity = v["kinetic_friction"], v["slip_regularization"], v["gravity"]
+    law = (mu, regular, 0.0, 0.0, 0.0, 0.0)
+    force = float(low_friction(gravity, 0.0, 1.0, 0.0, law)[0])
+    ratio = math.tan(math.radians(15.0)) / mu
+    return [
+        (
+            "friction along the slip (8)",
+            "against it",
+            f"a body that slides level with 1 m/s changes its speed by {force:+.2f} m/s per second; as "
+            f"printed by {-force:+.2f}",
+        ),
+        (
+            "ε_v not printed (8)",
+            f"{regular:g} m/s, a parameter of the surface",
+            f"the law never sticks: at 15° it creeps with {1e3 * regular * ratio / (1 - ratio):.0f} mm/s",
+        ),
+        (
+            "e_v not printed (9)",
+            "its limit 0: the end of the slip is located",
+            "no speed below which a foot may stick has to be chosen",
+        ),
+        (
+            "k_t twice: Tables I and II",
+            "torque constant and bending stiffness",
+            f"{v['leg_bending_stiffness']:g} N·m/rad here",
+        ),
+    ]

@@ -1,0 +1,171 @@
+"""Notebooks: find them, run them with parameters, and turn what they show into one page.
+
+Papermill runs a notebook, nbconvert fills our own template with what its cells return: prose, tables and
+figures, none of the code. Formulas become MathML, so that no script has to draw them.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sysconfig
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import sysid
+from sysid.errors import ExportError, SysidError
+
+_BLOCK, _INLINE = re.compile(r"\$\$(.+?)\$\$", re.DOTALL), re.compile(r"(?<!\\)\$([^$\n]+?)\$")
+_LIBRARIES = ("papermill", "nbconvert", "ipykernel", "latex2mathml")
+_NEEDED = 'the report needs papermill and nbconvert; install them with: pip install "sysid[report]"'
+
+
+def check_notebook_tools() -> None:
+    """Refuse where the libraries that run notebooks are missing.
+
+    Raises
+    ------
+    SysidError
+        With the command that installs them.
+    """
+    missing = [name for name in _LIBRARIES if find_spec(name) is None]
+    if missing:
+        raise SysidError(f"{_NEEDED} (missing: {', '.join(missing)})")
+
+
+def find_notebook(name: str) -> Path:
+    """Return a notebook by name: of the working directory, of the sources, or as installed.
+
+    Raises
+    ------
+    SysidError
+        When it is nowhere.
+    """
+    sources = Path(sysid.__file__).resolve().parents[1] / "notebooks"
+    installed = Path(sysconfig.get_path("data")) / "share" / "sysid" / "notebooks"
+    for folder in (sources, installed, Path("notebooks")):
+        path = folder / f"{name}.ipynb"
+        if path.is_file():
+            return path
+    raise SysidError(f"no notebook {name}.ipynb in {sources}, {installed} or notebooks; install sysid again")
+
+
+def run_notebook(path: Path, parameters: Mapping[str, Any], *, cwd: Path | None = None) -> Any:
+    """Run a notebook with parameters and return it with what its cells gave (nbformat).
+
+    Parameters
+    ----------
+    path : Path
+        Notebook with a cell tagged ``parameters``.
+    parameters : mapping
+        Numbers, texts, None; paths are best absolute.
+    cwd : Path, optional
+        Where it runs; the notebook's folder by default.
+
+    Raises
+    ------
+    ExportError
+        When a cell fails.
+    """
+    check_notebook_tools()
+    import papermill
+    from papermill.exceptions import PapermillException
+
+    with _quiet_kernel() as folder:
+        done = folder / "done.ipynb"
+        try:
+            return papermill.execute_notebook(
+                str(path), str(done), dict(parameters), kernel_name="python3", progress_bar=False,
+                cwd=str(cwd or path.parent), extra_arguments=["--log-level=ERROR"], config=_local_only(),
+            )  # fmt: skip
+        except PapermillException as error:
+            what = getattr(error, "evalue", "") or str(error)
+            raise ExportError(f"{path.name}: {' '.join(str(what).split())}") from error
+
+
+def _local_only() -> Any:
+    """Let kernel and caller speak through files where the system has such sockets, not through the network."""
+    from traitlets.config import Config
+
+    return Config({"KernelManager": {"transport": "ipc"}} if os.name == "posix" else {})
+
+
+@contextmanager
+def _quiet_kernel() -> Iterator[Path]:
+    """Let kernels keep their history and connection files in a folder that goes away with them."""
+    names = ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "PYDEVD_DISABLE_FILE_VALIDATION")
+    before = {name: os.environ.get(name) for name in names}
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        os.environ.update(dict(zip(names, (f"{folder}/ipython", f"{folder}/runtime", "1"), strict=True)))
+        try:
+            yield Path(folder)
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    os.environ.pop(name, None)
+                else:
+                    os.environ[name] = value
+
+
+def page(notebook: Any, title: str) -> str:
+    """Return the page of a notebook that has run: one file of HTML, everything inside.
+
+    Parameters
+    ----------
+    notebook : nbformat notebook
+    title : str
+        Of the page.
+    """
+    from nbconvert import HTMLExporter
+    from nbconvert.filters.markdown import markdown2html
+
+    here = Path(__file__).parent
+    parts = []
+    for cell in notebook.cells:
+        if cell.cell_type == "markdown":
+            cell.metadata["sysid_html"] = _headed(markdown2html(with_mathml(cell.source)))
+            parts += [
+                {"id": _identity(text), "title": text}
+                for text in re.findall(r"^## (.+)$", cell.source, flags=re.MULTILINE)
+            ]
+    exporter = HTMLExporter(template_name="page", extra_template_basedirs=[str(here)])
+    own = {
+        "style": (here / "page" / "page.css").read_text(encoding="utf-8"),
+        "title": title,
+        "version": sysid.__version__,
+        "parts": parts,
+    }
+    text, _ = exporter.from_notebook_node(notebook, resources={"sysid": own})
+    return str(text)
+
+
+def with_mathml(source: str) -> str:
+    """Return Markdown with its formulas, between dollars, as MathML."""
+    from latex2mathml.converter import convert
+
+    def block(match: re.Match[str]) -> str:
+        return "\n\n" + convert(" ".join(match.group(1).split()), display="block") + "\n\n"
+
+    def inline(match: re.Match[str]) -> str:
+        return str(convert(match.group(1).strip(), display="inline"))
+
+    return _INLINE.sub(inline, _BLOCK.sub(block, source))
+
+
+def _identity(text: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
+
+
+def _headed(markup: str) -> str:
+    """Give headings an identity that a link can name."""
+
+    def named(match: re.Match[str]) -> str:
+        level, text = match.group(1), match.group(2)
+        plain = re.sub(r"<a class=\"anchor-link\".*?</a>", "", text)
+        return f'<h{level} id="{_identity(re.sub("<[^>]*>", "", plain))}">{plain}</h{level}>'
+
+    return re.sub(r"<h([1-6])[^>]*>(.*?)</h\1>", named, markup, flags=re.DOTALL)

@@ -1,0 +1,179 @@
+"""A drone drawn to scale at an instant of a drop: snapshots as in Fig. 7, and films (GIF, MP4)."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+from numpy.typing import NDArray
+
+from sysid.errors import ExportError
+from sysid.report.panels import WIDTH
+from sysid.report.replay import DropReplay
+from sysid.writing import write_file
+
+FloatArray = NDArray[np.float64]
+
+NORMAL, FRICTION = "#0072B2", "#D55E00"
+GROUND, BODY, LEG, GHOST = "#8C7A5B", "#333333", "#555555", "#B0B0B0"
+# Longest arrow of a force [m].
+_LONGEST = 0.22
+# Half height of the body and of the hub, radius of a propeller [m]; only the looks.
+_HUB, _HUB_HEIGHT, _PROPELLER, _MAST = 0.055, 0.022, 0.075, 0.022
+# Frames per second of a film, and how much slower than life it is.
+FILM_RATE, SLOW = 20, 10.0
+
+
+def figure_snapshots(drop: DropReplay) -> Figure:
+    """Draw the instants (1) to (4) of Fig. 7 of a drop, two by two."""
+    instants = drop.first_contacts()
+    rows = -(-max(1, len(instants)) // 2)
+    figure = Figure(figsize=(WIDTH, 0.1 + 1.95 * rows), layout="constrained")
+    panels = figure.subplots(rows, 2, squeeze=False).ravel()
+    for axes in panels[len(instants) :]:
+        axes.set_visible(False)
+    scale = force_scale(drop)
+    for number, ((time, _), axes) in enumerate(zip(instants, panels, strict=False), start=1):
+        i = drop.index(time)
+        # A touch has no force yet: the sample of its largest one within 8 ms says more.
+        near = slice(i, min(i + 8, len(drop.time)))
+        i += int(np.argmax(drop.normal_force[near].sum(axis=1)))
+        x, z, _ = drop.body[i]
+        draw_drone(axes, drop, i, scale, ghost=True)
+        axes.set_xlim(x - 0.28, x + 0.28)
+        axes.set_ylim(z - 0.25, z + 0.2)
+        axes.set_title(f"({number}) {1e3 * drop.time[i]:.0f} ms", fontsize=9, loc="left")
+    return figure
+
+
+def force_scale(drop: DropReplay) -> float:
+    """Return metres of arrow per newton."""
+    largest = float(np.nanmax(np.abs(drop.normal_force), initial=0.0))
+    return _LONGEST / largest if largest > 0 else 0.0
+
+
+def draw_drone(axes: Axes, drop: DropReplay, i: int, scale: float, *, ghost: bool) -> None:
+    """Draw slope, drone, forces and the measured ghost at sample `i`; lengths in metres, equal scales."""
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    along = np.array([np.cos(drop.slope), -np.sin(drop.slope)])
+    normal = np.array([np.sin(drop.slope), np.cos(drop.slope)])
+    corners = [-5 * along, 5 * along, 5 * along - normal, -5 * along - normal]
+    axes.add_patch(Polygon(corners, facecolor="#E9E2D3", edgecolor=GROUND, linewidth=1.2, zorder=1))
+    if ghost and np.isfinite(drop.measured[i]).all():
+        v = drop.values
+        x, z, q = drop.measured[i]
+        ex, ez = np.array([np.cos(q), -np.sin(q)]), np.array([np.sin(q), np.cos(q)])
+        centre = np.array([x, z])
+        joints = [centre + s * v["joint_dx"] * ex - v["joint_dz"] * ez for s in (-1, 1)]
+        feet = [centre + s * v["foot_dx"] * ex - v["foot_dz"] * ez for s in (-1, 1)]
+        _draw_body(axes, centre, q, v["thrust_point_dx"], np.array([joints, feet]), GHOST, zorder=2)
+    x, z, q = drop.body[i]
+    legs = np.stack([drop.joints[i], drop.feet[i]])
+    _draw_body(axes, np.array([x, z]), q, drop.values["thrust_point_dx"], legs, BODY, zorder=4)
+    for foot in (0, 1):
+        start = drop.feet[i, foot]
+        for force, way, colour in (
+            (drop.normal_force[i, foot], normal, NORMAL),
+            (drop.friction_force[i, foot], along, FRICTION),
+        ):
+            if abs(force) * scale > 2e-3:
+                look = {"arrowstyle": "-|>", "linewidth": 1.8, "shrinkA": 0, "shrinkB": 0, "color": colour}
+                axes.annotate("", start + scale * force * way, start, zorder=6, arrowprops=look)
+
+
+def _draw_body(
+    axes: Axes, centre: FloatArray, q: float, arm: float, legs: FloatArray, colour: str, *, zorder: int
+) -> None:
+    ex, ez = np.array([np.cos(q), -np.sin(q)]), np.array([np.sin(q), np.cos(q)])
+    width = 1.0 if colour == GHOST else 2.0
+    for joint, foot in zip(legs[0], legs[1], strict=True):
+        axes.plot(
+            *np.stack([joint, foot]).T,
+            color=colour,
+            linewidth=width + 0.6,
+            zorder=zorder,
+            solid_capstyle="round",
+        )
+        axes.plot(*foot, marker="o", markersize=3 + width, color=colour, zorder=zorder)
+    axes.plot(
+        *np.stack([centre - arm * ex, centre + arm * ex]).T,
+        color=colour,
+        linewidth=width + 0.6,
+        zorder=zorder,
+    )
+    hub = [centre + a * _HUB * ex + b * _HUB_HEIGHT * ez for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    face = "none" if colour == GHOST else "#DDDDDD"
+    axes.add_patch(Polygon(hub, facecolor=face, edgecolor=colour, linewidth=width, zorder=zorder))
+    for side in (-1, 1):
+        mast = centre + side * arm * ex
+        top = mast + _MAST * ez
+        axes.plot(*np.stack([mast, top]).T, color=colour, linewidth=width, zorder=zorder)
+        blade = np.stack([top - _PROPELLER * ex, top + _PROPELLER * ex])
+        axes.plot(*blade.T, color=colour, linewidth=width, zorder=zorder)
+
+
+def check_film(path: Path, force: bool) -> None:
+    """Refuse a film that cannot be written, before anything is drawn.
+
+    Raises
+    ------
+    ExportError
+        When the file exists and `force` is off, its suffix is unknown, or ffmpeg is missing.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in (".gif", ".mp4"):
+        raise ExportError(f"{path}: unknown film format {suffix!r}; expected .gif or .mp4")
+    if path.exists() and not force:
+        raise ExportError(f"{path}: exists already; choose a new name or add --force")
+    if not path.parent.is_dir():
+        raise ExportError(f"{path}: the folder {path.parent} does not exist; make it first")
+    if suffix == ".mp4" and shutil.which("ffmpeg") is None:
+        raise ExportError(f"{path}: ffmpeg was not found, and MP4 needs it; install ffmpeg, or write a .gif")
+
+
+def write_film(drop: DropReplay, path: Path, *, force: bool = False) -> Path:
+    """Write a drop as a film, ten times slower than life: ``.gif``, or ``.mp4`` where ffmpeg is installed.
+
+    Raises
+    ------
+    ExportError
+        When the file exists and `force` is off, its suffix is unknown, or ffmpeg is missing.
+    """
+    from matplotlib.animation import FFMpegWriter, FuncAnimation, PillowWriter
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    check_film(path, force)
+    suffix = path.suffix.lower()
+    figure = Figure(figsize=(6.4, 4.4), dpi=100)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 0.92))
+    scale = force_scale(drop)
+    low, high = np.nanmin(drop.body[:, :2], axis=0) - 0.25, np.nanmax(drop.body[:, :2], axis=0) + 0.25
+    duration = float(drop.time[-1])
+    shots = np.arange(0.0, duration, 1.0 / (SLOW * FILM_RATE))
+
+    def draw(time: float) -> list[object]:
+        axes.clear()
+        draw_drone(axes, drop, drop.index(time), scale, ghost=True)
+        axes.set_xlim(low[0], high[0])
+        axes.set_ylim(low[1], high[1])
+        figure.suptitle(
+            f"{drop.name}, {np.degrees(drop.slope):.0f}°, {1e3 * time:4.0f} ms, {SLOW:g} × slow motion\n"
+            "normal force blue, friction red, measured grey",
+            fontsize=10, y=0.98,
+        )  # fmt: skip
+        return []
+
+    FigureCanvasAgg(figure)
+    film = FuncAnimation(figure, draw, frames=list(shots), blit=False, cache_frame_data=False)  # type: ignore[arg-type]
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / f"film{suffix}"
+        writer = PillowWriter(fps=FILM_RATE) if suffix == ".gif" else FFMpegWriter(fps=FILM_RATE)
+        film.save(made, writer=writer)
+        write_file(path, made.read_bytes(), ExportError)
+    return path

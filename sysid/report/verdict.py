@@ -1,0 +1,160 @@
+"""The verdict on a fit in a few sentences: how well it fits and predicts, and what the data fix."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from sysid.fit.agreement import SAME_NRMSE, agreement
+from sysid.fit.result import FitResult
+from sysid.parameter_sets import in_place_of_digits
+from sysid.report.figures import percent_text
+
+# A candidate's range over which it scores as well as the best calls a parameter open, as in
+# `sysid.fit.agreement.loose_warnings`.
+_FACTOR, _SHARE = 3.0, 1 / 3
+_COUNTS = (
+    "no",
+    "one",
+    "two",
+    "three",
+    "four",
+    "five",
+    "six",
+    "seven",
+    "eight",
+    "nine",
+    "ten",
+    "eleven",
+    "twelve",
+)
+_SURFACES = {"lf": "the low-friction law", "hf": "the high-friction law"}
+
+
+def verdict_sentences(
+    fit: FitResult,
+    against: FitResult | None,
+    trust: Mapping[str, Any] | None,
+    validated: Mapping[str, Mapping[str, Any]],
+) -> list[str]:
+    """Return the verdict on a fit, a sentence each.
+
+    Parameters
+    ----------
+    fit : FitResult
+    against : FitResult, optional
+        The same sets on trials of another campaign.
+    trust : mapping, optional
+        The document of intervals and verdicts.
+    validated : mapping
+        Documents of validations, by name.
+    """
+    out = [_fitted(fit), *_predicted(fit, against, validated), *_fixed(fit, trust), _runs(fit)]
+    if fit.state != "done":
+        out.append("The search was stopped early: this is what was found until then.")
+    count = len(fit.warnings)
+    if count:
+        out.append(f"{_count(count).capitalize()} warning{'s stand' if count > 1 else ' stands'} below.")
+    return out
+
+
+def open_parameters(fit: FitResult) -> tuple[str, ...]:
+    """Return the free parameters of which values far apart score within 0.2 % of the best NRMSE.
+
+    A lower bound on what is open: a search does not explore what does not pay. Parameters below a bound of
+    their own profile count as well.
+    """
+    free = [r for r in fit.parameters if r.status == "free" and not r.source.startswith("second stage")]
+    out = [r.name for r in free if in_place_of_digits(fit.settings, r.name) is not None]
+    stages = [stage for run in fit.runs for stage in run.stages]
+    if not stages or stages[0].cube.shape[2] != len(free):
+        return tuple(out)
+    limit = min(float(run.best[-1]) for run in fit.runs) * (1 + SAME_NRMSE)
+    good = np.concatenate([stage.cube[stage.cost <= limit] for stage in stages])
+    for record, width in zip(free, np.ptp(good, axis=0), strict=True):
+        if record.lower is None or record.upper is None or record.name in out:
+            continue
+        log = record.scale == "log"
+        wide = width * math.log(record.upper / record.lower) > math.log(_FACTOR) if log else width > _SHARE
+        if wide:
+            out.append(record.name)
+    return tuple(out)
+
+
+def _fitted(fit: FitResult) -> str:
+    what = "motor" if fit.kind == "motor" else "landing gear"
+    law = _SURFACES.get(str(fit.settings.get("surface", "")), "")
+    trials = sum(trial.use == "fit" for trial in fit.trials)
+    word = ("trial" if fit.kind == "motor" else "drop") + ("" if trials == 1 else "s")
+    denominator = fit.provenance.get("nrmse_denominator", "std")
+    low, high = percent_text(float(fit.nrmse.min())), percent_text(float(fit.nrmse.max()))
+    span = low if low == high else f"{low} to {high}"
+    sets = f"{_count(len(fit.nrmse))} set{'' if len(fit.nrmse) == 1 else 's'}"
+    verb = "s" if len(fit.nrmse) == 1 else ""
+    model = f"{what} with {law}" if law else what
+    return (
+        f"{fit.name}, {model}: the {sets} fit{verb} {_count(trials)} {word} with an NRMSE of {span} "
+        f"(rms error over {denominator} of the measurement)."
+    )
+
+
+def _predicted(
+    fit: FitResult, against: FitResult | None, validated: Mapping[str, Mapping[str, Any]]
+) -> list[str]:
+    out = []
+    for one in (fit, against):
+        trials = sum(trial.use == "validate" for trial in one.trials) if one is not None else 0
+        if one is not None and trials:
+            mean = percent_text(float(one.mean_nrmse("validate")[0]))
+            where = "" if one is fit else f" of {one.name}"
+            word = "trial" if trials == 1 else "trials"
+            out.append(f"It predicts {_count(trials)} {word}{where} that it never saw with {mean}.")
+    for name, document in validated.items():
+        word = "is doubtful" if document.get("flagged") else "holds"
+        mean = percent_text(float(document.get("nrmse", float("nan"))))
+        out.append(f"The validation on {name} {word} ({mean}).")
+    if not out:
+        out.append("Nothing is known about trials that were not fitted: none was held back.")
+    return out
+
+
+def _fixed(fit: FitResult, trust: Mapping[str, Any] | None) -> list[str]:
+    if trust is not None:
+        groups: dict[str, list[str]] = {}
+        for row in trust["parameters"]:
+            groups.setdefault(row["verdict"], []).append(_words(row["name"]))
+        said = [f"{verdict}: {', '.join(names)}" for verdict, names in groups.items()]
+        return [f"What the data fix, by profile: {'; '.join(said)}."]
+    opened = open_parameters(fit)
+    free = [record.name for record in fit.parameters if record.status == "free"]
+    held = [_words(name) for name in free if name not in opened]
+    out = [f"The data hold {', '.join(held)}."] if held else []
+    if opened:
+        out.append(f"They do not fix {', '.join(_words(name) for name in opened)}: read no digits into that.")
+    flagged = sorted({fit.parameters[i].name for i in np.flatnonzero((fit.at_bound != 0).any(axis=0))})
+    if flagged:
+        out.append(f"Sets end at a bound in {', '.join(_words(name) for name in flagged)}.")
+    out.append("Intervals have not been computed: this judges by the spread of the search alone.")
+    return out
+
+
+def _runs(fit: FitResult) -> str:
+    if not fit.runs:
+        return "The fit holds no runs."
+    found = agreement(fit.runs)
+    total = len(fit.runs)
+    if total == 1:
+        return "A single run cannot say whether its optimum is the best one."
+    return f"{found.reached} of {total} independent runs ended in the best optimum."
+
+
+def _words(name: str) -> str:
+    head, bracket, rest = name.partition("[")
+    return head.replace("_", " ") + (f" of {rest.removesuffix(']')}" if bracket else "")
+
+
+def _count(number: int) -> str:
+    return _COUNTS[number] if number < len(_COUNTS) else str(number)
