@@ -143,11 +143,8 @@ class FitReport:
         vector = len(self.trials) * len(self.fit.channels) <= _MOST_VECTORS
         for fit in (self.fit, self.against):
             for trial in fit.trials if fit else ():
-                panels = [
-                    self._channel(fit, trial, c, vector)
-                    for c in range(len(fit.channels))
-                    if self._shown(trial, c)
-                ]
+                shown = [c for c in range(len(fit.channels)) if trial.valid[:, c].any()]
+                panels = [self._channel(fit, trial, c, vector) for c in shown]
                 if trial.thrust is not None and np.isfinite(trial.thrust).any():
                     panels.append(self._thrust(fit, trial))
                 opened = trial.use not in seen
@@ -419,10 +416,6 @@ class FitReport:
                 for s in range(len(fit.values))
             ]
         )
-
-    @staticmethod
-    def _shown(trial: TrialResult, c: int) -> bool:
-        return bool(trial.valid[:, c].any())
 
     def _title(self, fit: FitResult, trial: TrialResult) -> str:
         use = "fitted" if trial.use == "fit" else "not fitted"

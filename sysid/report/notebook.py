@@ -88,7 +88,7 @@ def run_notebook(path: Path, parameters: Mapping[str, Any], *, cwd: Path | None 
 
 
 def _local_only() -> Any:
-    """Let kernel and caller speak through files where the system has such sockets, not through the network."""
+    """Let kernel and caller speak through files, where the system has such sockets, not by network."""
     from traitlets.config import Config
 
     return Config({"KernelManager": {"transport": "ipc"}} if os.name == "posix" else {})
