@@ -84,7 +84,7 @@ def figure_geometry(values: Mapping[str, float], slope: float) -> Figure:
     _forces(axes, v, unit, along, normal)
     _frames(axes, v, unit, along, normal)
     axes.set_xlim(-v["thrust_point_dx"] - 0.62 * unit, v["thrust_point_dx"] + 0.75 * unit)
-    axes.set_ylim(-v["foot_dz"] - 0.75 * unit, 1.35 * unit)
+    axes.set_ylim(-v["foot_dz"] - 0.85 * unit, 1.35 * unit)
     return figure
 
 
@@ -161,7 +161,7 @@ def _forces(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, 
 def _frames(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, normal: FloatArray) -> None:
     size = 0.3 * unit
     rear = np.array([-v["foot_dx"], -v["foot_dz"]])
-    origin = rear + (2 * v["foot_dx"] + 0.02 * unit) * along
+    origin = rear + (2 * v["foot_dx"] - 0.2 * unit) * along
     up, right = np.array([0.0, 1.0]), np.array([1.0, 0.0])
     _axes(axes, origin, along, normal, size, "A")
     _axes(
@@ -169,17 +169,9 @@ def _frames(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, 
     )
     axes.text(-6, 0.03 * unit, "B", fontsize=10, fontweight="bold", ha="right", va="bottom", zorder=6)
     joint, foot = np.array([v["joint_dx"], -v["joint_dz"]]), np.array([v["foot_dx"], -v["foot_dz"]])
-    for side, name in ((-1, "C"), (1, "D")):
-        at = np.array([side, 1]) * (0.45 * joint + 0.55 * foot)
-        axes.text(
-            at[0] + (7 if side < 0 else 8),
-            at[1],
-            name,
-            fontsize=10,
-            fontweight="bold",
-            va="center",
-            ha="left",
-        )
+    for side, name, way in ((-1, "C", "right"), (1, "D", "left")):
+        at = np.array([side, 1]) * (0.75 * joint + 0.25 * foot)
+        axes.text(at[0] + side * 8, at[1], name, fontsize=10, fontweight="bold", va="center", ha=way)
     # The angle at rest, from straight down to the leg, at the front joint.
     angle = float(np.degrees(np.arctan2(foot[0] - joint[0], joint[1] - foot[1])))
     axes.plot(

@@ -120,7 +120,7 @@ def page(notebook: Any, title: str) -> str:
     title : str
         Of the page.
     """
-    from nbconvert import HTMLExporter
+    from nbconvert.exporters.templateexporter import TemplateExporter
     from nbconvert.filters.markdown import markdown2html
 
     here = Path(__file__).parent
@@ -132,7 +132,9 @@ def page(notebook: Any, title: str) -> str:
                 {"id": _identity(text), "title": text}
                 for text in re.findall(r"^## (.+)$", cell.source, flags=re.MULTILINE)
             ]
-    exporter = HTMLExporter(template_name="page", extra_template_basedirs=[str(here)])
+    exporter = TemplateExporter(
+        template_name="page", extra_template_basedirs=[str(here)], template_file="index.html.j2"
+    )
     own = {
         "style": (here / "page" / "page.css").read_text(encoding="utf-8"),
         "title": title,
