@@ -179,12 +179,16 @@ def export_fit(
     slope_deg: Annotated[float, typer.Option(help=".xml: slope of the ground in degrees.")] = 0.0,
     per_leg: Annotated[bool, typer.Option("--per-leg", help=".xml: four single legs in space.")] = False,
     force: Force = False,
+    json: Json = False,
 ) -> None:
     """Write the ranked sets for a simulator, or each as a MuJoCo (.xml) or Gazebo motor (.sdf) model."""
     from sysid.pipelines.results import export_sets
 
-    for file in export_sets(fit, to, force, rank=set, slope_deg=slope_deg, per_leg=per_leg):
+    files = export_sets(fit, to, force, rank=set, slope_deg=slope_deg, per_leg=per_leg)
+    for file in () if json else files:
         typer.echo(f"wrote {file}")
+    if json:
+        _print_json({"written": [str(file) for file in files]})
 
 
 @app.command("show")
@@ -225,11 +229,12 @@ def reversal_time(
 @app.command("fits")
 def fits(
     folder: Annotated[Path, typer.Argument(help="Folder of fits.")] = Path("fits"),
+    json: Json = False,
 ) -> None:
     """List the fits of a folder: running, stopped or done, NRMSE, age."""
     from sysid.pipelines.fits import print_fits
 
-    print_fits(folder)
+    print_fits(folder, json)
 
 
 LoaderFormat = Annotated[
@@ -241,11 +246,11 @@ LoaderOptions = Annotated[
 
 
 @app.command("formats")
-def list_formats() -> None:
+def list_formats(json: Json = False) -> None:
     """List the log formats that are read, with the options of each."""
     from sysid.pipelines.inspect import print_formats
 
-    print_formats()
+    print_formats(json)
 
 
 @app.command("inspect")
@@ -277,13 +282,15 @@ def convert(
     ] = None,
     align_by: Annotated[str, typer.Option(help="Channel that both show, or FIRST:SECOND.")] = "speed",
     force: Force = False,
+    json: Json = False,
 ) -> None:
     """Write a log in SI as HDF5, joined with a second one if asked."""
     from sysid.pipelines.inspect import SecondFile, convert_file, parse_options
 
     second = SecondFile(add, add_format, parse_options(add_option or []), align_by) if add else None
     options = parse_options(option or [])
-    typer.echo(convert_file(file, to, format_name=format, options=options, second=second, force=force))
+    said = convert_file(file, to, format_name=format, options=options, second=second, force=force)
+    _print_json({"written": [str(to)], "said": said}) if json else typer.echo(said)
 
 
 @app.command("new-campaign")
@@ -291,13 +298,12 @@ def new_campaign(
     kind: Annotated[Kind, typer.Argument(help="What was recorded.")],
     path: Annotated[Path, typer.Argument(help="File to write.")] = Path("campaign.toml"),
     force: Force = False,
+    json: Json = False,
 ) -> None:
     """Write a commented campaign file that says how each value is measured."""
     from sysid.pipelines.results import write_template
 
-    typer.echo(
-        f"wrote {write_template(kind.value, path, force)}; edit it, then: sysid fit-{kind.value} {path}"
-    )
+    _wrote(write_template(kind.value, path, force), f"edit it, then: sysid fit-{kind.value} {path}", json)
 
 
 @synthesize.command("gear")
@@ -309,6 +315,7 @@ def synthesize_gear(
     noise_deg: Annotated[float, typer.Option(help="Angle noise [deg].", min=0)] = 0.2,
     rate: Annotated[float, typer.Option(help="Capture rate [Hz].", min=140)] = 200.0,
     force: Force = False,
+    json: Json = False,
 ) -> None:
     """Write drops with known truth as motion-capture logs."""
     from math import radians
@@ -319,7 +326,7 @@ def synthesize_gear(
         out, seed=seed, surface=surface.value, noise_position=noise_mm / 1000,
         noise_angle=radians(noise_deg), rate=rate, force=force,
     )  # fmt: skip
-    typer.echo(f"wrote {folder}; next: sysid fit-gear {folder / 'campaign.toml'}")
+    _wrote(folder, f"next: sysid fit-gear {folder / 'campaign.toml'}", json)
 
 
 @synthesize.command("motor")
@@ -330,12 +337,13 @@ def synthesize_motor(
         bool, typer.Option("--ideal-reversal", help="A motor without a dead band, as in Fig. 11.")
     ] = False,
     force: Force = False,
+    json: Json = False,
 ) -> None:
     """Write motor tests with known truth as load-cell and thrust-stand logs."""
     from sysid.synthetic import synthesize_motor as write
 
     folder = write(out, seed=seed, ideal_reversal=ideal_reversal, force=force)
-    typer.echo(f"wrote {folder}; next: sysid fit-motor {folder / 'campaign.toml'}")
+    _wrote(folder, f"next: sysid fit-motor {folder / 'campaign.toml'}", json)
 
 
 @app.command("demo")
@@ -343,11 +351,12 @@ def demo(
     data: Annotated[Path | None, typer.Option(help="The data_samples folder.", show_default="found")] = None,
     out: Annotated[Path, typer.Option(help="Where the results go.")] = Path("fits") / "demo",
     quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
-    """Run the whole job on data_samples: load, filter, fits, exports, figures."""
+    """Run the whole job on data_samples: load, filter, fits, exports, figures, reports."""
     from sysid.pipelines.demo import run_demo
 
-    run_demo(data, out, quiet, None if quiet else say)
+    run_demo(data, out, quiet, None if quiet else say, json)
 
 
 def _version(value: bool) -> None:
@@ -377,6 +386,19 @@ def _seconds(text: str | None) -> float | None:
     if not seconds > 0:
         raise SysidError(f"--time-limit {text}: expected a time above 0, for example 20min")
     return seconds
+
+
+def _print_json(document: object) -> None:
+    from sysid import exact_json
+
+    typer.echo(exact_json.dumps(document))
+
+
+def _wrote(path: Path, next_step: str, json: bool) -> None:
+    if json:
+        _print_json({"written": [str(path)], "next": next_step.removeprefix("next: ")})
+    else:
+        typer.echo(f"wrote {path}; {next_step}")
 
 
 def _print_fit(result: object, folder: Path, quiet: bool, json: bool) -> None:

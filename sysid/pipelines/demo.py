@@ -7,11 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import sysid
+from sysid import exact_json
 from sysid.errors import SysidError
 from sysid.fit.result import FitResult
+from sysid.pipelines.report import write_report
 from sysid.pipelines.results import export_sets
 from sysid.pipelines.search import FitOptions
 from sysid.report.figures import figure_convergence, figure_measured_against_simulated, save_figure
+from sysid.report.notebook import NEEDED, missing_notebook_tools
 
 
 def find_samples(given: Path | None) -> Path:
@@ -37,9 +40,13 @@ def find_samples(given: Path | None) -> Path:
 
 
 def run_demo(
-    data: Path | None, out: Path, quiet: bool = False, say: Callable[[str], None] | None = None
+    data: Path | None,
+    out: Path,
+    quiet: bool = False,
+    say: Callable[[str], None] | None = None,
+    json: bool = False,
 ) -> dict[str, Path]:
-    """Fit motor and LF gear of the samples, export the sets, draw the figures; return what was written.
+    """Fit motor and LF gear of the samples, export the sets, draw the figures, write the reports.
 
     Parameters
     ----------
@@ -51,6 +58,13 @@ def run_demo(
         No progress and no table.
     say : callable, optional
         Told what is going on.
+    json : bool
+        Print what was written as JSON.
+
+    Returns
+    -------
+    dict
+        What was written, by what it is.
     """
     from sysid.pipelines.gear import fit_gear
     from sysid.pipelines.motor import fit_motor
@@ -73,13 +87,18 @@ def run_demo(
         for title, figure in figures.items():
             target = save_figure(figure, folder / f"{title.replace(' ', '-')}.png")
             written[f"{name}, {title}"] = target
+        if missing_notebook_tools():
+            tell(f"no report of the {name}: {NEEDED}")
+            return
+        tell(f"report of the {name}")
+        written[f"{name}, report to read in a browser"] = write_report(folder)["report"]
 
     tell("1/2 motor: load-cell logs of forward and reverse commands")
     keep(
         "motor",
         *fit_motor(
             samples / "motor" / "campaign.toml",
-            FitOptions(out / "motor", force=True, quiet=quiet),
+            FitOptions(out / "motor", force=True, quiet=quiet or json),
             say=say,
         ),
     )
@@ -88,13 +107,20 @@ def run_demo(
         "gear",
         *fit_gear(
             samples / "gear-lf" / "campaign.toml",
-            FitOptions(out / "gear-lf", force=True, quiet=quiet),
+            FitOptions(out / "gear-lf", force=True, quiet=quiet or json),
             say=say,
         ),
     )
-    if not quiet:
+    if json:
+        spent = time.perf_counter() - started
+        paths = {what: str(path) for what, path in written.items()}
+        print(exact_json.dumps({"written": paths, "seconds": spent}))
+    elif not quiet:
         # Plain lines: a path that a table folds cannot be copied.
         for what, path in written.items():
             print(f"{path}  {what}")
+        reports = [path for what, path in written.items() if "report" in what]
         print(f"done in {time.perf_counter() - started:.0f} s")
+        if reports:
+            print(f"look: open {reports[-1].resolve()} in a browser")
     return written

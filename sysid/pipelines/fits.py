@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import h5py
 from filelock import Timeout
 from rich.table import Table
 
+from sysid import exact_json
 from sysid.errors import FitError
 from sysid.fit.checkpoint import lock, read_state, run_numbers, state_files
 from sysid.fit.store import FIT_SCHEMA
@@ -101,9 +102,12 @@ def _held(path: Path) -> bool:
     return False
 
 
-def print_fits(folder: Path) -> None:
+def print_fits(folder: Path, json: bool = False) -> None:
     """Print the fits of a folder: state, NRMSE, runs, age."""
     entries = list_fits(folder)
+    if json:
+        print(exact_json.dumps([asdict(entry) for entry in entries]))
+        return
     if not entries:
         print(f"no fits in {folder}; sysid fit-motor and sysid fit-gear write there")
         return

@@ -132,8 +132,15 @@ def convert_file(
     return f"wrote {to}: {len(recording.channels)} channels of {path.name}{said}"
 
 
-def print_formats() -> None:
+def print_formats(as_json: bool = False) -> None:
     """Print the formats that are read, those of installed packages included, with the options of each."""
+    if as_json:
+        rows = [
+            {"format": name, "reads": one.describes, "options": list(one.options)}
+            for name, one in formats().items()
+        ]
+        print(json.dumps(rows, ensure_ascii=False, indent=2))
+        return
     table = Table(box=None, pad_edge=True)
     for title in ("format", "reads", "options"):
         table.add_column(title, no_wrap=title == "format")

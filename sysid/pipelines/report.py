@@ -221,10 +221,11 @@ def _check_targets(fit: FitResult, options: ReportOptions, out: Path) -> None:
 
 def _write_figures(folder: Path, against: str | None, target: Path) -> dict[str, Path]:
     from sysid.report.fit_report import open_fit
+    from sysid.report.paper_figures import paper_figures
 
     target.mkdir(parents=True, exist_ok=True)
     report = open_fit(folder, against)
     return {
         f"figure {name}": save_figure(figure, target / f"{name}.pdf")
-        for name, figure in report.paper_figures().items()
+        for name, figure in paper_figures(report).items()
     }

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import html
 import math
-import re
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from sysid.errors import ExportError
@@ -29,8 +27,6 @@ from sysid.report.animation import animation
 from sysid.report.diagrams import figure_geometry, figure_modes, mode_shares
 from sysid.report.figures import (
     display_of,
-    figure_convergence,
-    figure_measured_against_simulated,
     percent_text,
 )
 from sysid.report.markup import (
@@ -135,7 +131,7 @@ class FitReport:
 
     def measured_against_simulated(self) -> Html:
         """Return every trial's channels, folded but for the first of each use."""
-        gear = self.fit.kind == "gear" and bool(self._drops())
+        gear = self.fit.kind == "gear" and bool(self.drops())
         out = box(
             picture(figure_legend(self.fit, contacts=gear), "legend of the following figures"), "legend"
         )
@@ -160,7 +156,7 @@ class FitReport:
                 continue
             for time, before, after in _reversals(trial):
                 window = (time - _BEFORE, time + _AFTER)
-                figure = figure_thrust(trial, self._simulated_thrust(self.fit, trial), window=window)
+                figure = figure_thrust(trial, self.simulated_thrust(self.fit, trial), window=window)
                 what = f"{trial.name}: from {100 * before:+.0f} % to {100 * after:+.0f} %"
                 words = f"thrust after a reversal command, measured and simulated; {what}"
                 pieces.append(picture(figure, words, what))
@@ -189,8 +185,8 @@ class FitReport:
 
     def diagram(self) -> Html:
         """Return the labelled diagram of frames, lengths and forces (Fig. 2), from the best set's values."""
-        values = self._values()
-        slope = max((drop.slope for drop in self._drops()), default=math.radians(15.0))
+        values = self.values()
+        slope = max((drop.slope for drop in self.drops()), default=math.radians(15.0))
         figure = figure_geometry(values, slope)
         words = (
             "side view of the drone on a slope: body, two legs, frames N, A, B, C and D, the lengths "
@@ -213,11 +209,11 @@ class FitReport:
             "Modes of the hybrid (Fig. 5) as the code switches them; percentages: time in each mode while a "
             "foot is down, over all drops."
         )
-        return picture(figure_modes(mode_shares(self._drops())), words, caption)
+        return picture(figure_modes(mode_shares(self.drops())), words, caption)
 
     def animation(self) -> Html:
         """Return the drops in motion, slowed down, with forces, ghost and the instants of Fig. 7."""
-        drops = self._drops()
+        drops = self.drops()
         if not drops:
             return paragraph(
                 "No animation: the fit does not hold the states in which its drops start; fit again.", "note"
@@ -226,7 +222,7 @@ class FitReport:
 
     def snapshots(self, name: str | None = None) -> Html:
         """Return the instants (1) to (4) of Fig. 7 of one drop, of the steepest one by default."""
-        drops = self._drops()
+        drops = self.drops()
         chosen = [drop for drop in drops if drop.name == name] if name else drops
         chosen = [drop for drop in chosen if len(drop.first_contacts()) == 4] or chosen
         if not chosen:
@@ -320,7 +316,9 @@ class FitReport:
         spectra = [(t.name, t.spectrum) for t in self.trials if t.spectrum is not None]
         if not spectra:
             return paragraph("The signals were not filtered, or the fit does not hold their spectra.", "note")
-        gain = _gain(self.fit.provenance.get("filter", {}), max(float(s.frequency[-1]) for _, s in spectra))
+        gain = filter_gain(
+            self.fit.provenance.get("filter", {}), max(float(s.frequency[-1]) for _, s in spectra)
+        )
         kind = str(self.fit.provenance.get("filter", {}).get("kind", "none"))
         pieces = []
         for c in range(len(self.fit.channels)):
@@ -350,45 +348,8 @@ class FitReport:
         lines = "\n".join(record_lines(record))
         return brief + folded("the whole record", Html(f'<pre tabindex="0">{html.escape(lines)}</pre>'))
 
-    def paper_figures(self) -> dict[str, Figure]:
-        """Return the figures for a paper by file name: vectors, the larger layouts."""
-        fit, drops = self.fit, self._drops()
-        out = {"measured-against-simulated": figure_measured_against_simulated(fit)}
-        for one in (fit, self.against):
-            for trial in one.trials if one else ():
-                drop = next((drop for drop in drops if drop.name == trial.name), None)
-                down = [trial.time[0] + contact.start for contact in drop.contacts] if drop else ()
-                assert one is not None
-                name = _file_name(trial.name if one is fit else f"{one.name}-{trial.name}")
-                out[f"trial-{name}"] = figure_measured_against_simulated(one, trial.name, contacts=down)
-                if trial.thrust is not None:
-                    out[f"thrust-{name}"] = figure_thrust(trial, self._simulated_thrust(one, trial))
-        if fit.runs:
-            out |= {"convergence": figure_convergence(fit), "waterfall": figure_waterfall(fit)}
-        out["spread"] = figure_spread(fit)
-        if fit.kind == "gear":
-            steepest = max((drop.slope for drop in drops), default=math.radians(15.0))
-            out["geometry"] = figure_geometry(self._values(), steepest)
-        for drop in drops:
-            out[f"snapshots-{_file_name(drop.name)}"] = figure_snapshots(drop)
-        if fit.settings.get("surface") == "hf":
-            out["modes"] = figure_modes(mode_shares(drops))
-        spectra = [(t.name, t.spectrum) for t in self.trials if t.spectrum is not None]
-        if spectra:
-            gain = _gain(fit.provenance.get("filter", {}), max(float(s.frequency[-1]) for _, s in spectra))
-            for c, channel in enumerate(fit.channels):
-                out[f"spectrum-{channel}"] = figure_spectrum(fit, spectra, c, gain)
-        if self.trust is not None:
-            out["correlation"] = figure_correlation(self.trust)
-            curves = read_profiles(self.folder)
-            for row in self.trust["parameters"]:
-                if row["name"] in curves:
-                    name = _file_name(f"profile-{row['name']}")
-                    out[name] = figure_profile(row, *curves[row["name"]])
-        return out
-
     def _channel(self, fit: FitResult, trial: TrialResult, c: int, vector: bool) -> Html:
-        drop = next((drop for drop in self._drops() if drop.name == trial.name), None)
+        drop = next((drop for drop in self.drops() if drop.name == trial.name), None)
         figure = figure_channel(fit, trial, c, contacts=drop.contacts if drop else ())
         name, unit, _ = display_of(fit, c)
         own = percent_text(float(trial.nrmse[0, c])) if len(trial.nrmse) else "unknown"
@@ -399,12 +360,13 @@ class FitReport:
         return picture(figure, words, vector=vector)
 
     def _thrust(self, fit: FitResult, trial: TrialResult) -> Html:
-        figure = figure_thrust(trial, self._simulated_thrust(fit, trial))
+        figure = figure_thrust(trial, self.simulated_thrust(fit, trial))
         words = f"{trial.name}: thrust in newton, measured and simulated, and the command over time"
         return picture(figure, words, "Thrust (Fig. 4); it is not compared in the fit.")
 
     @staticmethod
-    def _simulated_thrust(fit: FitResult, trial: TrialResult) -> FloatArray:
+    def simulated_thrust(fit: FitResult, trial: TrialResult) -> FloatArray:
+        """Return the thrust (S, n) of every set of a motor on a trial [N]."""
         names = [record.name for record in fit.parameters]
         c = fit.channels.index("speed")
         keep = [name for name in names if name.startswith("thrust_")]
@@ -426,7 +388,8 @@ class FitReport:
         speed = f", {log['impact speed [m/s]']:.2f} m/s" if "impact speed [m/s]" in log else ""
         return f"{trial.name} ({use}{slope}{speed}): NRMSE {percent_text(mean)}"
 
-    def _drops(self) -> list[DropReplay]:
+    def drops(self) -> list[DropReplay]:
+        """Return the replays of all drops that can be repeated, with the best set."""
         if self.fit.kind != "gear":
             return []
         out = []
@@ -441,7 +404,8 @@ class FitReport:
                 out.append(self._replays[key])
         return out
 
-    def _values(self) -> dict[str, float]:
+    def values(self) -> dict[str, float]:
+        """Return the best set by name [SI]."""
         names = (record.name for record in self.fit.parameters)
         return dict(zip(names, map(float, self.fit.values[0]), strict=True))
 
@@ -474,7 +438,7 @@ def _missing(what: str, command: str, folder: Path, more: str = "") -> Html:
     return paragraph(f"{what[:1].upper()}{what[1:]}: not computed; run {command} {folder.name}{more}", "note")
 
 
-def _gain(design: dict[str, Any], highest: float) -> tuple[FloatArray, FloatArray] | None:
+def filter_gain(design: dict[str, Any], highest: float) -> tuple[FloatArray, FloatArray] | None:
     """Return the gain of a filter as it stands in a result: frequency [Hz] and gain [dB]."""
     kind = str(design.get("kind", "none"))
     frequency = np.geomspace(1.0, highest, 400)
@@ -506,10 +470,6 @@ def _reversals(trial: TrialResult) -> list[tuple[float, float, float]]:
         if inside and level[k] * level[k - 1] < 0:
             out.append((float(time[k]), float(level[k - 1]), float(level[k])))
     return out
-
-
-def _file_name(text: str) -> str:
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", text)
 
 
 def _milliseconds(value: float | None) -> str:

@@ -21,7 +21,7 @@ from sysid.errors import ExportError, SysidError
 
 _BLOCK, _INLINE = re.compile(r"\$\$(.+?)\$\$", re.DOTALL), re.compile(r"(?<!\\)\$([^$\n]+?)\$")
 _LIBRARIES = ("papermill", "nbconvert", "ipykernel", "latex2mathml")
-_NEEDED = 'the report needs papermill and nbconvert; install them with: pip install "sysid[report]"'
+NEEDED = 'the report needs papermill and nbconvert; install them with: pip install "sysid[report]"'
 
 
 def check_notebook_tools() -> None:
@@ -32,9 +32,14 @@ def check_notebook_tools() -> None:
     SysidError
         With the command that installs them.
     """
-    missing = [name for name in _LIBRARIES if find_spec(name) is None]
+    missing = missing_notebook_tools()
     if missing:
-        raise SysidError(f"{_NEEDED} (missing: {', '.join(missing)})")
+        raise SysidError(f"{NEEDED} (missing: {', '.join(missing)})")
+
+
+def missing_notebook_tools() -> list[str]:
+    """Return which of the libraries that run notebooks are not installed."""
+    return [name for name in _LIBRARIES if find_spec(name) is None]
 
 
 def find_notebook(name: str) -> Path:

@@ -6,26 +6,23 @@ and the HDF5 files beside them); where one is missing the page says which comman
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.table import Table
 from rich.text import Text
 
-from sysid import exact_json
 from sysid.report.figures import BEST, MEASURED, OTHERS, axis_label
 from sysid.report.panels import as_math, panel
+from sysid.trust import store
 
 FloatArray = NDArray[np.float64]
 
-SCHEMA = "sysid-trust"
 # Deviance beyond which a value lies outside the 68 % and the 95 % interval (chi-square, one freedom).
 LIMITS = ((0.988946, "68 %"), (3.841459, "95 %"))
 _NONE = "—"
@@ -33,45 +30,29 @@ _NONE = "—"
 
 def read_document(folder: Path, part: str) -> dict[str, Any] | None:
     """Return a document of a fit folder; None where there is none that speaks of this very fit."""
-    path = folder / f"{part}.json"
-    if not path.is_file():
-        return None
-    try:
-        document: dict[str, Any] = exact_json.loads(path.read_text(encoding="utf-8"))
-        if document.get("schema") != SCHEMA:
-            return None
-        fit = hashlib.sha256((folder / "fit.h5").read_bytes()).hexdigest()
-    except (OSError, ValueError):
-        return None
-    return document if document.get("fit_sha256") == fit else None
+    return store.read_part(folder, part) if folder.is_dir() else None
 
 
 def validations(folder: Path) -> dict[str, dict[str, Any]]:
     """Return the validations of a fit folder, and its cross-validation, by name."""
     found = {}
-    for path in sorted(folder.glob("validation-*.json")):
-        document = read_document(folder, path.stem)
+    for part in store.parts(folder) if folder.is_dir() else ():
+        if part == store.TRUST:
+            continue
+        document = store.read_part(folder, part)
         if document is not None:
-            found[path.stem.removeprefix("validation-")] = document
-    cross = read_document(folder, "cross-validation")
-    if cross is not None:
-        found["leave-one-trial-out"] = cross
+            cross = part == store.CROSS_VALIDATION
+            found["leave-one-trial-out" if cross else part.removeprefix(store.VALIDATION)] = document
     return found
 
 
 def read_profiles(folder: Path) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Return (values [SI], deviance [1]) of every profile of a fit folder."""
-    path = folder / "trust.h5"
-    if not path.is_file():
-        return {}
-    try:
-        with h5py.File(path, "r") as file:
-            return {
-                str(name): (group["value"][()], group["deviance"][()])
-                for name, group in file.get("profiles", {}).items()
-            }
-    except (OSError, KeyError, RuntimeError):
-        return {}
+    arrays = store.read_arrays(folder, store.TRUST)
+    names = [
+        path.split("/")[1] for path in arrays if path.startswith("profiles/") and path.endswith("/value")
+    ]
+    return {name: (arrays[f"profiles/{name}/value"], arrays[f"profiles/{name}/deviance"]) for name in names}
 
 
 def interval_table(document: Mapping[str, Any]) -> Table:

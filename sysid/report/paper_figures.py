@@ -1,0 +1,57 @@
+"""The figures of a fit for a paper: vectors in the larger layouts, by file name."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from matplotlib.figure import Figure
+
+from sysid.report.diagrams import figure_geometry, figure_modes, mode_shares
+from sysid.report.figures import figure_convergence, figure_measured_against_simulated
+from sysid.report.fit_report import FitReport, filter_gain
+from sysid.report.panels import figure_spectrum, figure_spread, figure_thrust, figure_waterfall
+from sysid.report.snapshots import figure_snapshots
+from sysid.report.trust_panels import figure_correlation, figure_profile, read_profiles
+
+
+def paper_figures(report: FitReport) -> dict[str, Figure]:
+    """Return the figures of a fit by file name."""
+    fit, drops = report.fit, report.drops()
+    out = {"measured-against-simulated": figure_measured_against_simulated(fit)}
+    for one in (fit, report.against):
+        for trial in one.trials if one else ():
+            drop = next((drop for drop in drops if drop.name == trial.name), None)
+            down = [trial.time[0] + contact.start for contact in drop.contacts] if drop else ()
+            assert one is not None
+            name = _file_name(trial.name if one is fit else f"{one.name}-{trial.name}")
+            out[f"trial-{name}"] = figure_measured_against_simulated(one, trial.name, contacts=down)
+            if trial.thrust is not None:
+                out[f"thrust-{name}"] = figure_thrust(trial, report.simulated_thrust(one, trial))
+    if fit.runs:
+        out |= {"convergence": figure_convergence(fit), "waterfall": figure_waterfall(fit)}
+    out["spread"] = figure_spread(fit)
+    if fit.kind == "gear":
+        steepest = max((drop.slope for drop in drops), default=math.radians(15.0))
+        out["geometry"] = figure_geometry(report.values(), steepest)
+    for drop in drops:
+        out[f"snapshots-{_file_name(drop.name)}"] = figure_snapshots(drop)
+    if fit.settings.get("surface") == "hf":
+        out["modes"] = figure_modes(mode_shares(drops))
+    spectra = [(t.name, t.spectrum) for t in report.trials if t.spectrum is not None]
+    if spectra:
+        gain = filter_gain(fit.provenance.get("filter", {}), max(float(s.frequency[-1]) for _, s in spectra))
+        for c, channel in enumerate(fit.channels):
+            out[f"spectrum-{channel}"] = figure_spectrum(fit, spectra, c, gain)
+    if report.trust is not None:
+        out["correlation"] = figure_correlation(report.trust)
+        curves = read_profiles(report.folder)
+        for row in report.trust["parameters"]:
+            if row["name"] in curves:
+                name = _file_name(f"profile-{row['name']}")
+                out[name] = figure_profile(row, *curves[row["name"]])
+    return out
+
+
+def _file_name(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", text)

@@ -1,0 +1,223 @@
+"""Reports in headless Chromium: nothing is fetched, nothing overflows, keys reach everything, drops move.
+
+Run with ``pytest -m browser``; it needs Chromium, its driver (Debian: ``chromium chromium-driver``) and
+selenium, and fails where they are missing.
+"""
+
+import json
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.browser
+ROOT = Path(__file__).resolve().parents[2]
+SAMPLES = ROOT / "data_samples"
+WIDTHS = (1280, 400)
+FLAGS = (
+    "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync", "--hide-scrollbars",
+)  # fmt: skip
+
+
+def browser(folder, *flags):
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    driver = shutil.which("chromedriver")
+    missing = [name for name, path in (("chromium", chromium), ("chromedriver", driver)) if path is None]
+    try:
+        from selenium import webdriver
+        from selenium.webdriver.chrome.options import Options
+        from selenium.webdriver.chrome.service import Service
+    except ImportError:
+        missing.append("selenium")
+    if missing:
+        pytest.fail(
+            f"missing: {', '.join(missing)}; install them (apt-get install chromium chromium-driver; "
+            'pip install -e ".[dev]")'
+        )
+    options = Options()
+    options.binary_location = chromium
+    for flag in (*FLAGS, f"--user-data-dir={folder}", *flags):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    return webdriver.Chrome(options=options, service=Service(driver))
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """The page of each report notebook, of short fits of the samples."""
+    from sysid.pipelines.gear import fit_gear
+    from sysid.pipelines.motor import fit_motor
+    from sysid.pipelines.report import write_report
+    from sysid.pipelines.search import FitOptions
+    from sysid.report.notebook import find_notebook, page, run_notebook
+
+    folder = tmp_path_factory.mktemp("fits")
+    out = {}
+    for name, fit in (("gear-lf", fit_gear), ("motor", fit_motor)):
+        options = FitOptions(
+            folder / name, quiet=True, runs=2, population=16, max_generations=3, finish="none"
+        )
+        _, path = fit(SAMPLES / name / "campaign.toml", options)
+        out[name] = write_report(path)["report"]
+    model = folder / "the-model.html"
+    model.write_text(page(run_notebook(find_notebook("the-model"), {}), "the model"), encoding="utf-8")
+    return {**out, "the-model": model}
+
+
+@pytest.fixture(params=WIDTHS)
+def opened(request, tmp_path, pages):
+    """Return a function that opens a page at a width."""
+    driver = browser(tmp_path / "profile")
+    width = request.param
+    metrics = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 600}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+
+    def show(name):
+        driver.get(pages[name].as_uri())
+        return driver
+
+    yield show
+    driver.quit()
+
+
+def requests(driver):
+    """Return the addresses that the page asked for, data inside it aside."""
+    found = []
+    for entry in driver.get_log("performance"):
+        message = json.loads(entry["message"])["message"]
+        if message["method"] == "Network.requestWillBeSent":
+            found.append(message["params"]["request"]["url"])
+    return [url for url in found if not url.startswith("data:")]
+
+
+@pytest.mark.parametrize("name", ["gear-lf", "motor", "the-model"])
+def test_a_report_stands_alone_and_fits_the_window(opened, pages, name):
+    driver = opened(name)
+    assert pages[name].stat().st_size < 5_000_000
+    assert [entry for entry in driver.get_log("browser") if entry["level"] != "INFO"] == []
+    assert requests(driver) == [pages[name].as_uri()]
+    widths = driver.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
+    assert widths[0] <= widths[1], f"{name} overflows: {widths}"
+    broken = driver.execute_script(
+        "return [...document.images].filter(i => i.alt.trim() === '' || i.naturalWidth === 0).length"
+    )
+    assert broken == 0
+    assert (
+        driver.execute_script("return document.images.length + document.querySelectorAll('math').length") > 5
+    )
+    nameless = driver.execute_script(
+        "return [...document.querySelectorAll('canvas')].filter(c => !c.getAttribute('aria-label')).length"
+    )
+    assert nameless == 0
+    lost = driver.execute_script(
+        "return [...document.querySelectorAll('nav a')]"
+        ".filter(a => !document.getElementById(decodeURIComponent(a.hash.slice(1)))).map(a => a.hash)"
+    )
+    assert lost == []
+
+
+def test_letters_of_figures_stay_readable(opened):
+    driver = opened("gear-lf")
+    # Figures are drawn with 8 to 10 point letters; shrunk to less than two thirds they cannot be read.
+    small = driver.execute_script(
+        "document.querySelectorAll('details').forEach(d => d.open = true);"
+        "return [...document.images].filter(i => i.width < 0.66 * i.getAttribute('width')).map(i => i.alt)"
+    )
+    assert small == []
+
+
+def test_keys_reach_every_control(opened):
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+
+    driver = opened("gear-lf")
+    controls = driver.execute_script(
+        "return [...document.querySelectorAll('a, button, select, input, summary, [tabindex]')]"
+        ".filter(e => e.checkVisibility()).length"
+    )
+    body = driver.find_element(By.TAG_NAME, "body")
+    seen = set()
+    for _ in range(controls + 5):
+        body.send_keys(Keys.TAB) if not seen else driver.switch_to.active_element.send_keys(Keys.TAB)
+        reached = driver.execute_script(
+            "const e = document.activeElement; e.dataset.reached = '1';"
+            "return document.querySelectorAll('[data-reached]').length"
+        )
+        seen.add(reached)
+    missed = driver.execute_script(
+        "return [...document.querySelectorAll('a, button, select, input, summary, [tabindex]')]"
+        ".filter(e => e.checkVisibility() && !e.dataset.reached).map(e => e.outerHTML.slice(0, 90))"
+    )
+    assert missed == []
+
+
+def test_the_animation_plays_pauses_and_goes_to_an_instant(opened):
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+
+    driver = opened("gear-lf")
+    root = driver.find_element(By.CSS_SELECTOR, ".animation")
+    play = root.find_element(By.CSS_SELECTOR, '[data-do="play"]')
+    canvas = root.find_element(By.TAG_NAME, "canvas")
+
+    def picture():
+        return driver.execute_script("return arguments[0].toDataURL()", canvas)
+
+    def instant():
+        return float(root.get_attribute("data-time"))
+
+    assert root.get_attribute("data-playing") == "no"
+    first = picture()
+    play.send_keys(Keys.ENTER)
+    time.sleep(1.5)
+    moved = instant()
+    # Ten times slower than life: 1.5 s show 0.15 s; a busy machine shows fewer frames, not a faster drop.
+    assert 0.01 < moved < 0.4
+    assert picture() != first
+    assert play.text == "Pause"
+    play.send_keys(Keys.ENTER)
+    held = instant()
+    time.sleep(0.3)
+    assert instant() == held
+    buttons = root.find_elements(By.CSS_SELECTOR, '[data-do="instants"] button')
+    assert len(buttons) >= 2
+    assert all(button.get_attribute("aria-label") for button in buttons)
+    buttons[1].send_keys(Keys.ENTER)
+    assert instant() != held
+    seek = root.find_element(By.CSS_SELECTOR, '[data-do="seek"]')
+    seek.send_keys(Keys.HOME)
+    assert instant() == 0.0
+    assert picture() == first
+
+
+def test_reduced_motion_steps_instead_of_moving(tmp_path, pages):
+    from selenium.webdriver.common.by import By
+
+    driver = browser(tmp_path / "profile", "--force-prefers-reduced-motion")
+    try:
+        driver.get(pages["gear-lf"].as_uri())
+        root = driver.find_element(By.CSS_SELECTOR, ".animation")
+        root.find_element(By.CSS_SELECTOR, '[data-do="play"]').click()
+        instants = set()
+        for _ in range(10):
+            instants.add(root.get_attribute("data-time"))
+            time.sleep(0.1)
+        # One instant is held for a second and a half.
+        assert len(instants) == 1
+        assert float(instants.pop()) > 0
+    finally:
+        driver.quit()
+
+
+def test_printing_shows_what_is_folded(tmp_path, pages):
+    driver = browser(tmp_path / "profile")
+    try:
+        driver.get(pages["gear-lf"].as_uri())
+        driver.execute_script("dispatchEvent(new Event('beforeprint'))")
+        assert driver.execute_script("return document.querySelectorAll('details:not([open])').length") == 0
+        driver.execute_script("dispatchEvent(new Event('afterprint'))")
+        assert driver.execute_script("return document.querySelectorAll('details:not([open])').length") > 0
+    finally:
+        driver.quit()
