@@ -297,9 +297,10 @@ def test_the_shares_of_modes_follow_friction():
     def drop(friction):
         n = 4
         zero = np.zeros((n, 2))
+        normal = zero + np.array([10.0, 0.0])
         return DropReplay(
             "a", "fit", 0.0, np.arange(n) / 1e3, np.zeros((n, 3)), np.zeros((n, 2, 2)), np.zeros((n, 2, 2)),
-            zero + np.array([10.0, 0.0]), zero + np.array(friction)[:, None] * [1.0, 0.0], np.zeros((n, 3)), (),
+            normal, zero + np.array(friction)[:, None] * [1.0, 0.0], np.zeros((n, 3)), (),
             {"kinetic_friction": 0.8},
         )  # fmt: skip
 
