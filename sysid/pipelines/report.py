@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
+from rich.text import Text
 
 from sysid import exact_json
 from sysid.campaign import GearCampaign, MotorCampaign, read_campaign
@@ -105,7 +107,12 @@ def print_report(
 ) -> None:
     """Write a report and print where it lies."""
     started = time.perf_counter()
-    written = write_report(folder, options, say)
+    console = Console(stderr=True)
+    if say is not None and console.is_terminal:
+        with console.status("writing the report") as status:
+            written = write_report(folder, options, lambda sentence: status.update(Text(sentence)))
+    else:
+        written = write_report(folder, options, say)
     if json:
         sizes = {what: {"path": str(path), "bytes": path.stat().st_size} for what, path in written.items()}
         print(exact_json.dumps({"written": sizes, "seconds": time.perf_counter() - started}))

@@ -202,7 +202,8 @@ def _axes(axes: Axes, origin: FloatArray, x: FloatArray, z: FloatArray, size: fl
     for way, symbol in ((x, "x"), (z, "z")):
         _arrow(axes, origin, size * way, _AXES, width=1.2)
         axes.text(
-            *(origin + 1.22 * size * way),
+            # Beside the slope's line, not on it.
+            *(origin + 1.22 * size * way - (0.3 * size * z if way is x and name == "A" else 0.0)),
             rf"$\hat{{{symbol}}}_{name}$",
             fontsize=8.5,
             ha="center",

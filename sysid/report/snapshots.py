@@ -29,12 +29,12 @@ _HUB, _HUB_HEIGHT, _PROPELLER, _MAST = 0.055, 0.022, 0.075, 0.022
 FILM_RATE, SLOW = 20, 10.0
 
 
-def figure_snapshots(drop: DropReplay) -> Figure:
-    """Draw the instants (1) to (4) of Fig. 7 of a drop, two by two."""
+def figure_snapshots(drop: DropReplay, *, columns: int = 2) -> Figure:
+    """Draw the instants (1) to (4) of Fig. 7 of a drop, so many beside each other."""
     instants = drop.first_contacts()
-    rows = -(-max(1, len(instants)) // 2)
-    figure = Figure(figsize=(WIDTH, 0.1 + 1.95 * rows), layout="constrained")
-    panels = figure.subplots(rows, 2, squeeze=False).ravel()
+    rows = -(-max(1, len(instants)) // columns)
+    figure = Figure(figsize=(0.5 * WIDTH * columns, 0.1 + 1.95 * rows), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in panels[len(instants) :]:
         axes.set_visible(False)
     scale = force_scale(drop)
@@ -93,6 +93,9 @@ def _draw_body(
     ex, ez = np.array([np.cos(q), -np.sin(q)]), np.array([np.sin(q), np.cos(q)])
     width = 1.0 if colour == GHOST else 2.0
     for joint, foot in zip(legs[0], legs[1], strict=True):
+        # The joint hangs below the arm.
+        hang = centre + float((joint - centre) @ ex) * ex
+        axes.plot(*np.stack([hang, joint]).T, color=colour, linewidth=width, zorder=zorder)
         axes.plot(
             *np.stack([joint, foot]).T,
             color=colour,

@@ -107,6 +107,8 @@
       c.strokeStyle = colour; c.lineWidth = width; c.lineCap = "round";
       for (const leg of legs(P)) {
         line(leg[0], leg[1], leg[2], leg[3]);
+        const out = (leg[0] - x) * o - (leg[1] - z) * s;
+        line(...P(out, 0), leg[0], leg[1]);
         c.beginPath(); c.arc(X(leg[2]), Z(leg[3]), width + 0.8, 0, 7); c.fillStyle = colour; c.fill();
       }
       line(...P(-drop.arm, 0), ...P(drop.arm, 0));
