@@ -325,13 +325,13 @@ def figure_modes(shares: Mapping[str, float] | None = None) -> Figure:
                 _edge(axes, places[start], places[end], colour)
     for row, (colour, text) in enumerate(told.items()):
         axes.text(1.0, -1.55 - 0.2 * row, text, color=colour, fontsize=8.5, ha="center", va="center")
-    for x, y, foot in (
+    for x, y, mover in (
         (0.22, 0.74, "rear"),
         (1.78, 0.74, "front"),
         (0.22, -0.74, "front"),
         (1.78, -0.74, "rear"),
     ):
-        axes.text(x, y, f"{foot} foot", fontsize=8, color="0.35", ha="center", va="center")
+        axes.text(x, y, f"{mover} foot", fontsize=8, color="0.35", ha="center", va="center")
     axes.set_xlim(-0.5, 2.5)
     axes.set_ylim(-1.95, 1.3)
     return figure

@@ -103,6 +103,11 @@ class FitReport:
         """All trials: of the fit, then those of another campaign."""
         return (*self.fit.trials, *(self.against.trials if self.against else ()))
 
+    @property
+    def fits(self) -> tuple[FitResult, ...]:
+        """The fit, and its sets on another campaign."""
+        return (self.fit, self.against) if self.against is not None else (self.fit,)
+
     def verdict(self) -> Html:
         """Return the verdict in one paragraph, and the warnings."""
         sentences = verdict_sentences(self.fit, self.against, self.trust, validations(self.folder))
@@ -124,8 +129,8 @@ class FitReport:
     def trial_errors(self) -> Html:
         """Return NRMSE per trial and channel."""
         out = NOTHING
-        for fit in (self.fit, self.against):
-            if fit is not None and fit.trials:
+        for fit in self.fits:
+            if fit.trials:
                 out += markup_table(trial_table(fit.parameter_sets()))
         return out
 
@@ -137,8 +142,8 @@ class FitReport:
         )
         seen = set()
         vector = len(self.trials) * len(self.fit.channels) <= _MOST_VECTORS
-        for fit in (self.fit, self.against):
-            for trial in fit.trials if fit else ():
+        for fit in self.fits:
+            for trial in fit.trials:
                 shown = [c for c in range(len(fit.channels)) if trial.valid[:, c].any()]
                 panels = [self._channel(fit, trial, c, vector) for c in shown]
                 if trial.thrust is not None and np.isfinite(trial.thrust).any():
@@ -393,8 +398,8 @@ class FitReport:
         if self.fit.kind != "gear":
             return []
         out = []
-        for fit in (self.fit, self.against):
-            for trial in fit.trials if fit else ():
+        for fit in self.fits:
+            for trial in fit.trials:
                 key = f"{fit.name}/{trial.name}"
                 if key not in self._replays:
                     try:

@@ -12,6 +12,7 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from urllib.parse import quote
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
@@ -20,7 +21,10 @@ from rich.text import Text
 
 # A vector figure with more bytes than this goes into the page as pixels [bytes].
 _LARGEST_VECTOR = 160_000
-_PATH, _DECIMALS = re.compile(rb' d="[^"]*"'), re.compile(rb"(\d+\.\d\d)\d+")
+_PATH, _STEPS = re.compile(r' d="[^"]*"'), re.compile(r"\s*([MLHVCQZz])\s*")
+_NUMBERS, _DECIMALS = re.compile(r' (?:d|x|y)="[^"]*"|translate\([^)]*\)'), re.compile(r"(\d+\.\d\d)\d+")
+# What stands for itself in an address inside double quotes.
+_SAFE = " =:;,/()'-."
 
 
 @dataclass(frozen=True)
@@ -104,22 +108,26 @@ def picture(
     if not alternative.strip():
         raise ValueError("a figure needs a text alternative")
     width, height = (float(side) for side in figure.get_size_inches())
-    data, kind = (_brief(_drawn(figure, "svg", dpi)), "svg+xml") if vector else (b"", "")
-    if not vector or len(data) > _LARGEST_VECTOR:
-        data, kind = _few_colours(_drawn(figure, "png", dpi)), "png"
-    source = f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
+    svg = _brief(_drawn(figure, "svg", dpi)) if vector else ""
+    if vector and len(svg) <= _LARGEST_VECTOR:
+        source = f"data:image/svg+xml,{quote(svg, safe=_SAFE)}"
+    else:
+        pixels = base64.b64encode(_few_colours(_drawn(figure, "png", dpi))).decode("ascii")
+        source = f"data:image/png;base64,{pixels}"
     below = f"<figcaption>{html.escape(caption)}</figcaption>" if caption else ""
     size = f'width="{96 * width:.0f}" height="{96 * height:.0f}"'
     return Html(f'<figure><img src="{source}" alt="{html.escape(alternative)}" {size}>{below}</figure>')
 
 
-def _brief(svg: bytes) -> bytes:
-    """Cut the coordinates of an SVG's paths to a hundredth of a point, which nobody sees."""
-
-    def cut(match: re.Match[bytes]) -> bytes:
-        return _DECIMALS.sub(rb"\1", match.group(0))
-
-    return _PATH.sub(cut, svg)
+def _brief(svg: bytes) -> str:
+    """Return an SVG without what nobody sees: digits below a hundredth of a point, comments, white space."""
+    text = svg.decode("utf-8")
+    text = _NUMBERS.sub(lambda match: _DECIMALS.sub(r"\1", match.group(0)), text)
+    text = _PATH.sub(lambda match: _STEPS.sub(r"\1", match.group(0)), text)
+    text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r">\s+<", "><", text)
+    return text[text.index("<svg") :].strip().replace('"', "'")
 
 
 def _few_colours(png: bytes) -> bytes:

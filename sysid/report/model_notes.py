@@ -62,7 +62,8 @@ def checks(motor: ParameterSets, gear: ParameterSets) -> Html:
 
 def reversal_delay(motor: ParameterSets, before: float = 0.62, after: float = -1.0) -> float:
     """Return the time from a reversal command to 90 % of the final thrust [s]."""
-    time = np.linspace(0.0, 1.5, 3001)
+    # From before the command on: a steady start is one under the command that holds there.
+    time = np.linspace(-0.1, 1.5, 3201)
     run = simulate(motor.set_values(1), [-1.0, 0.0], [before, after], time, initial="steady")
     final = float(run.thrust[-1])
     reached = np.flatnonzero(run.thrust * np.sign(final) >= 0.9 * abs(final))

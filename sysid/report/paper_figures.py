@@ -19,11 +19,10 @@ def paper_figures(report: FitReport) -> dict[str, Figure]:
     """Return the figures of a fit by file name."""
     fit, drops = report.fit, report.drops()
     out = {"measured-against-simulated": figure_measured_against_simulated(fit)}
-    for one in (fit, report.against):
-        for trial in one.trials if one else ():
+    for one in report.fits:
+        for trial in one.trials:
             drop = next((drop for drop in drops if drop.name == trial.name), None)
             down = [trial.time[0] + contact.start for contact in drop.contacts] if drop else ()
-            assert one is not None
             name = _file_name(trial.name if one is fit else f"{one.name}-{trial.name}")
             out[f"trial-{name}"] = figure_measured_against_simulated(one, trial.name, contacts=down)
             if trial.thrust is not None:
