@@ -20,8 +20,6 @@ FloatArray = NDArray[np.float64]
 _DIMENSION, _WEIGHT, _THRUST, _AXES = "#009E73", "#7A5195", "#E69F00", "#555555"
 # Below this share of mu_k F_n a foot's friction is that of a sticking one.
 _STICKS = 0.98
-# The foot that changes its mode, by the edges of the diagram: upper left, upper right, lower ones.
-_BY_EDGE = ("rear", "front", "front", "rear")
 MODES = ("both slip", "rear sticks", "front sticks", "both stick")
 
 

@@ -156,7 +156,10 @@ def figure_thrust(
         )
     top.set_ylabel("thrust [N]")
     if trial.commands is not None:
-        bottom.step(trial.commands[:, 0] - origin, 100 * trial.commands[:, 1], where="post", color="#0072B2")
+        # The last command holds to the end.
+        instants = np.append(trial.commands[:, 0] - origin, max(time[-1], trial.commands[-1, 0] - origin))
+        levels = 100 * np.append(trial.commands[:, 1], trial.commands[-1, 1])
+        bottom.step(instants, levels, where="post", color="#0072B2")
     bottom.set_ylim(-115, 115)
     bottom.set_ylabel("command\n[%]")
     bottom.set_xlabel("time [s]")
