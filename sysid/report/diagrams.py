@@ -87,7 +87,7 @@ def figure_geometry(values: Mapping[str, float], slope: float) -> Figure:
 
 
 def _lengths(axes: Axes, v: Mapping[str, float], unit: float) -> None:
-    look = {"fontsize": 8, "color": _DIMENSION, "va": "center"}
+    look: dict[str, Any] = {"fontsize": 8, "color": _DIMENSION, "va": "center"}
     axes.plot([0, 0], [0.1 * unit, 1.17 * unit], color=_DIMENSION, linewidth=0.6)
     for level, name, symbol, foot in (
         (0.72, "joint_dx", "dx_j", -v["joint_dz"]),
@@ -133,27 +133,25 @@ def _forces(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, 
     )
     rear = np.array([-v["foot_dx"], -v["foot_dz"]])
     _arrow(axes, rear, 0.5 * unit * normal, NORMAL)
-    axes.text(
-        *(rear + 0.52 * unit * normal + [2, 0]), r"$F_n$", color=NORMAL, fontsize=9, ha="left", va="center"
-    )
+    tip = rear + 0.52 * unit * normal
+    axes.text(tip[0] + 2, tip[1], r"$F_n$", color=NORMAL, fontsize=9, ha="left", va="center")
     _arrow(axes, rear, -0.42 * unit * along, FRICTION)
-    axes.text(
-        *(rear - 0.46 * unit * along + [0, 0.07 * unit]),
-        r"$F_t$",
-        color=FRICTION,
-        fontsize=9,
-        ha="right",
-        va="bottom",
+    tip = rear - 0.46 * unit * along
+    axes.text(tip[0], tip[1] + 0.07 * unit, r"$F_t$", color=FRICTION, fontsize=9, ha="right", va="bottom")
+    _named(
+        axes,
+        "axial: $k_h$, $b_h$\nbending: $k_t$, $b_t$",
+        joint,
+        (v["thrust_point_dx"] + 0.12 * unit, -0.42 * unit),
     )
-    spot = np.array([v["thrust_point_dx"] + 0.12 * unit, -0.42 * unit])
-    axes.annotate(
-        "axial: $k_h$, $b_h$\nbending: $k_t$, $b_t$", joint, spot, fontsize=8, va="center", ha="left",
-        arrowprops={"arrowstyle": "-", "color": "0.5", "linewidth": 0.7, "shrinkB": 4},
-    )  # fmt: skip
-    axes.annotate(
-        "ground: $k_s$, $b_s$, $\\mu$", rear, rear + np.array([0.3, -0.55]) * unit, fontsize=8, va="center",
-        arrowprops={"arrowstyle": "-", "color": "0.5", "linewidth": 0.7, "shrinkB": 4},
-    )  # fmt: skip
+    _named(axes, "ground: $k_s$, $b_s$, $\\mu$", rear, (rear[0] + 0.3 * unit, rear[1] - 0.55 * unit))
+
+
+def _named(axes: Axes, words: str, what: FloatArray, place: tuple[float, float]) -> None:
+    """Write words at a place, with a thin line to what they name."""
+    look = {"arrowstyle": "-", "color": "0.5", "linewidth": 0.7, "shrinkB": 4}
+    spot = (float(what[0]), float(what[1]))
+    axes.annotate(words, spot, place, fontsize=8, va="center", ha="left", arrowprops=look)
 
 
 def _frames(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, normal: FloatArray) -> None:
@@ -199,15 +197,11 @@ def _frames(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, 
 def _axes(axes: Axes, origin: FloatArray, x: FloatArray, z: FloatArray, size: float, name: str) -> None:
     for way, symbol in ((x, "x"), (z, "z")):
         _arrow(axes, origin, size * way, _AXES, width=1.2)
-        axes.text(
-            # Beside the slope's line, not on it.
-            *(origin + 1.22 * size * way - (0.3 * size * z if way is x and name == "A" else 0.0)),
-            rf"$\hat{{{symbol}}}_{name}$",
-            fontsize=8.5,
-            ha="center",
-            va="center",
-            color=_AXES,
-        )
+        place = origin + 1.22 * size * way
+        if way is x and name == "A":  # beside the slope's line, not on it
+            place = place - 0.3 * size * z
+        words = rf"$\hat{{{symbol}}}_{name}$"
+        axes.text(place[0], place[1], words, fontsize=8.5, ha="center", va="center", color=_AXES)
 
 
 def _arrow(axes: Axes, start: Any, step: Any, colour: str, *, width: float = 2.0) -> None:
@@ -322,7 +316,7 @@ def figure_modes(shares: Mapping[str, float] | None = None) -> Figure:
                 end = next(mode for mode, other in feet.items() if other == changed)
                 _edge(axes, places[start], places[end], colour)
     for row, (colour, text) in enumerate(told.items()):
-        axes.text(1.0, -1.55 - 0.2 * row, text, color=colour, fontsize=8.5, ha="center", va="center")
+        axes.text(1.0, -1.55 - 0.22 * row, text, color=colour, fontsize=9.5, ha="center", va="center")
     for x, y, mover in (
         (0.22, 0.74, "rear"),
         (1.78, 0.74, "front"),
@@ -331,7 +325,7 @@ def figure_modes(shares: Mapping[str, float] | None = None) -> Figure:
     ):
         axes.text(x, y, f"{mover} foot", fontsize=8, color="0.35", ha="center", va="center")
     axes.set_xlim(-0.5, 2.5)
-    axes.set_ylim(-1.95, 1.3)
+    axes.set_ylim(-2.0, 1.3)
     return figure
 
 

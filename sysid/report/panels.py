@@ -246,15 +246,15 @@ def figure_spread(fit: FitResult) -> Figure:
             zorder=3,
         )
         axes.plot(place[:1], [row], linestyle="none", marker="D", markersize=6, color=BEST, zorder=4)
-        axes.text(-0.02, row, f"{low:g}", ha="right", va="center", fontsize=7.5)
-        axes.text(1.02, row, f"{high:g}", ha="left", va="center", fontsize=7.5)
+        axes.text(-0.05, row, f"{low:g}", ha="right", va="center", fontsize=7.5)
+        axes.text(1.05, row, f"{high:g}", ha="left", va="center", fontsize=7.5)
     axes.set_yticks(range(len(free)))
     axes.set_yticklabels(
         [axis_label(as_math(fit.parameters[i].symbol), fit.parameters[i].unit) for i in free], fontsize=8
     )
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(free) - 0.4, -0.6)
-    axes.set_xlim(-0.22, 1.22)
+    axes.set_xlim(-0.26, 1.26)
     axes.set_xticks([0, 0.5, 1])
     axes.set_xlabel("place between the bounds of the search [1]")
     for side in ("top", "right", "left"):
