@@ -108,7 +108,7 @@ def figure_legend(fit: FitResult, *, contacts: bool) -> Figure:
     figure = Figure(figsize=(WIDTH, 0.72))
     dense = all(len(trial.time) > 400 for trial in fit.trials)
     look = {"linewidth": 2.0} if dense else {"linestyle": "none", "marker": "."}
-    handles: list[Line2D | Patch] = [Line2D([], [], color=MEASURED, label="measured", **look)]  # type: ignore[arg-type]
+    handles: list[Line2D | Patch] = [Line2D([], [], color=MEASURED, label="measured", **look)]
     handles.append(Line2D([], [], color=BEST, linewidth=1.3, label="best set, residual"))
     if len(fit.nrmse) > 1:
         handles.append(Line2D([], [], color=OTHERS, linewidth=0.8, label=f"other {len(fit.nrmse) - 1} sets"))
