@@ -169,7 +169,7 @@ def _gear_trials(
 def _motor_trials(
     fit: FitResult, campaign: MotorCampaign, path: Path
 ) -> tuple[tuple[TrialResult, ...], dict[str, Any]]:
-    from sysid.pipelines.motor import trial_results
+    from sysid.pipelines.motor import motor_trial_results
     from sysid.pipelines.motor_bench import prepare_bench, search_space
     from sysid.pipelines.motor_objective import MotorObjective
 
@@ -184,7 +184,7 @@ def _motor_trials(
         # A log that was not fitted has the mean delay.
         source = name if name in names else name.partition("[")[0]
         rows[:, column] = fit.values[:, names.index(source)]
-    return trial_results(campaign, objective, rows), {t.entry.name: t.provenance for t in bench.trials}
+    return motor_trial_results(objective, rows), {t.entry.name: t.provenance for t in bench.trials}
 
 
 def chosen_drop(fit: FitResult, name: str | None) -> Any:
