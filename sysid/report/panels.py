@@ -66,7 +66,7 @@ def figure_channel(
     """
     # Fixed margins: a page has dozens of these, and laying one out takes longer than drawing it.
     figure = Figure(figsize=(WIDTH, 3.1))
-    rows = {"left": 0.185, "right": 0.965, "top": 0.92, "bottom": 0.15, "hspace": 0.12}
+    rows = {"left": 0.235, "right": 0.965, "top": 0.92, "bottom": 0.15, "hspace": 0.12}
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.4, 1.0), gridspec_kw=rows)
     name, unit, factor = display_of(fit, channel)
     time = trial.time - trial.time[0]
