@@ -75,6 +75,8 @@ def opened(request, tmp_path, pages):
     driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
 
     def show(name):
+        driver.get("about:blank")
+        driver.get_log("performance")  # what the browser's own start page asked for
         driver.get(pages[name].as_uri())
         return driver
 
@@ -83,13 +85,13 @@ def opened(request, tmp_path, pages):
 
 
 def requests(driver):
-    """Return the addresses that the page asked for, data inside it aside."""
+    """Return the addresses that the page asked for: data inside it and the browser's own pages aside."""
     found = []
     for entry in driver.get_log("performance"):
         message = json.loads(entry["message"])["message"]
         if message["method"] == "Network.requestWillBeSent":
             found.append(message["params"]["request"]["url"])
-    return [url for url in found if not url.startswith("data:")]
+    return [url for url in found if not url.startswith(("data:", "chrome:", "chrome-untrusted:"))]
 
 
 @pytest.mark.parametrize("name", ["gear-lf", "motor", "the-model"])
