@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from rich.table import Table
 from rich.text import Text
@@ -143,6 +144,8 @@ def figure_profile(row: Mapping[str, Any], values: FloatArray, deviance: FloatAr
     axes.axvline(float(row["value"]), color=MEASURED, linewidth=0.8)
     if row.get("scale") == "log" and np.max(values) > 3 * np.min(values) > 0:
         axes.set_xscale("log")
+    else:
+        axes.xaxis.set_major_locator(MaxNLocator(4))
     axes.set_ylim(-0.2, 6.0)
     axes.set_title(f"{as_math(row['symbol'])}: {row['verdict']}", fontsize=9.5, loc="left")
     axes.set_xlabel(axis_label(as_math(row["symbol"]), row["unit"]))
