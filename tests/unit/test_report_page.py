@@ -241,6 +241,7 @@ def test_contacts_of_a_replay_are_the_events_of_the_simulation(drop_fit):
     assert len(drop.first_contacts()) == 4
 
 
+@pytest.mark.slow  # four drivers to compile where nothing is cached
 def test_simulating_without_events_gives_the_same_numbers():
     time = np.linspace(0.0, 0.5, 101)
     for surface in ("lf", "hf"):
