@@ -1,6 +1,6 @@
 """Do the intervals hold the truth? Twenty synthetic campaigns, each fitted and profiled.
 
-    python tests/benchmarks/coverage.py [--replications 20] [--surface lf]
+    python tests/benchmarks/interval_coverage.py [--replications 20] [--surface lf]
 
 Prints how many of the 95 % profile intervals of each parameter hold the true value, over all replications,
 how often each was called well, weakly or not identifiable, and how far outside the worst one lies.
