@@ -268,8 +268,7 @@ def fit_gear(
         law = campaign.surface.law
         walk.tell(f"preparing the {law} kernel: compiled once per version (under a minute), then loaded")
         prepare(law, single=False)
-        if walk.options.check:
-            _say_verdicts(objective, walk.tell)
+        expected = _expected(objective, walk.tell) if walk.options.check else {}
         hashes = {drop.name: str(drop.provenance["sha256"]) for drop in drops}
         accuracy = {"the friction law": law, "the accuracy of a simulation": objective.tolerance}
         found = walk.search(objective, hashes, "drops", **accuracy)
@@ -293,20 +292,22 @@ def fit_gear(
         filters=_filter_design(campaign, fitted[0]),
         logs={drop.name: drop.provenance for drop in drops},
         warnings=lost,
-        more={"failed candidates by cause": summed(run.failures for run in found.runs)},
+        more={"failed candidates by cause": summed(run.failures for run in found.runs), **expected},
     )
     return walk.finish(space, found, sets, outcome)
 
 
-def _say_verdicts(objective: GearObjective, tell: Callable[[str], None]) -> None:
-    """Say what the drops are expected to fix."""
+def _expected(objective: GearObjective, tell: Callable[[str], None]) -> dict[str, Any]:
+    """Say what the drops are expected to fix, and return it for the provenance."""
     # What judges an objective stands above it.
     from sysid.pipelines.check import quick_gear
     from sysid.pipelines.trust_gear import GearProblem
-    from sysid.trust.verdicts import sentences
+    from sysid.trust.verdicts import EXPECTED, sentences
 
-    for sentence in sentences(quick_gear(GearProblem(objective))):
+    found = quick_gear(GearProblem(objective))
+    for sentence in sentences(found):
         tell(f"expected: {sentence}")
+    return {EXPECTED: [one.document() for one in found]}
 
 
 # Rows that are choices of the model rather than measurements.

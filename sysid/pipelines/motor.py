@@ -80,8 +80,7 @@ def fit_motor(
         saturation_space(campaign, bench, space.table, PARAMETERS.nominal)
         objective = MotorObjective.build(campaign, space, bench, bench.fitted, threads, dynamic=True)
         say_what_is_fitted(campaign, bench, space, walk.tell)
-        if walk.options.check:
-            _say_verdicts(objective, bench, walk.tell)
+        expected = _expected(objective, bench, walk.tell) if walk.options.check else {}
         hashes = {trial.entry.name: trial.hashes for trial in bench.trials}
         found = walk.search(objective, hashes, "trials")
         sets = ranked_sets(found.runs, space)
@@ -120,19 +119,22 @@ def fit_motor(
         logs={trial.entry.name: trial.provenance for trial in bench.trials},
         warnings=unresolved_inductance(bench, rows[0]),
         told=after.warnings,
+        more=expected,
     )
     return walk.finish(space, found, sets, outcome)
 
 
-def _say_verdicts(objective: MotorObjective, bench: Bench, tell: Callable[[str], None]) -> None:
-    """Say what the trials are expected to fix."""
+def _expected(objective: MotorObjective, bench: Bench, tell: Callable[[str], None]) -> dict[str, Any]:
+    """Say what the trials are expected to fix, and return it for the provenance."""
     # What judges an objective stands above it.
     from sysid.pipelines.check import quick_motor
     from sysid.pipelines.trust_motor import MotorProblem
-    from sysid.trust.verdicts import sentences
+    from sysid.trust.verdicts import EXPECTED, sentences
 
-    for sentence in sentences(quick_motor(MotorProblem(objective, tuple(bench.curves.fits)))):
+    found = quick_motor(MotorProblem(objective, tuple(bench.curves.fits)))
+    for sentence in sentences(found):
         tell(f"expected: {sentence}")
+    return {EXPECTED: [one.document() for one in found]}
 
 
 def _records(

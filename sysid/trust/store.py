@@ -44,8 +44,8 @@ names lie in the HDF5 file, every dataset with the attributes ``axes`` and ``uni
 
 ``validation-CAMPAIGN`` (one per campaign) and ``cross-validation``
     ``flagged``: true where the prediction is off by more than the limit; ``reasons``: sentences that name the
-    number. ``limits``: {number: limit}. ``nrmse``: mean of the best set over all trials; ``nrmse_fitted``: of
-    the fit. ``trials``: list of
+    number. ``ratio``, ``ratio_third_contact``: means over the trials. ``limits``: {number: limit}. ``nrmse``:
+    mean of the best set over all trials; ``nrmse_fitted``: of the fit. ``trials``: list of
 
     ====================  ====================================================================================
     name, slope_deg       slope only of drops
@@ -65,8 +65,8 @@ names lie in the HDF5 file, every dataset with the attributes ``axes`` and ``uni
     refit                 cross-validation: {parameter: value without this trial}
     ====================  ====================================================================================
 
-    HDF5: ``trials/NAME/{time, measured, valid, simulated}`` as in ``fit.h5``; for cross-validation ``values``
-    (T, n).
+    HDF5: ``trials/NUMBER/{time, measured, valid, simulated}`` (in order, from 1) as in ``fit.h5``; for
+    cross-validation ``values`` (T, n).
 """
 
 from __future__ import annotations
