@@ -16,12 +16,13 @@ from sysid.campaign import GearCampaign, MotorCampaign, read_campaign
 from sysid.campaign.file import resolve_log
 from sysid.inspection import LogReport, inspect_recording
 from sysid.parameters import SearchSpace
-from sysid.pipelines.check_drops import capture_noise, excitation, suggest_drops, warn_of_centre_of_mass
+from sysid.pipelines.bench_targets import PreparedTrial
+from sysid.pipelines.check_drops import capture_noise, centre_of_mass, excitation, suggest_drops
 from sysid.pipelines.drops import PreparedDrop, prepare_drops, read_drop_log
 from sysid.pipelines.motor_bench import Bench, prepare_bench
 from sysid.pipelines.search import collected_warnings, naming
 from sysid.pipelines.trust_gear import GearProblem
-from sysid.pipelines.trust_motor import MotorProblem
+from sysid.pipelines.trust_motor import MotorProblem, sensor_noise
 from sysid.pipelines.trust_setup import gear_problem, law_of, motor_problem
 from sysid.recording import file_sha256
 from sysid.trust.fisher import NoiseModel
@@ -101,10 +102,15 @@ def quick_motor(problem: MotorProblem) -> tuple[Expected, ...]:
 
 
 def with_noise(problem: MotorProblem) -> MotorProblem:
-    """Return the problem with a noise of 2 % where a log shows none."""
-    blocks = tuple(b if math.isfinite(b.noise) else replace(b, noise=_ASSUMED) for b in problem.blocks)
+    """Return the problem with the noise that its logs show; 2 % where one shows none."""
+    blocks = []
+    for block in problem.blocks:
+        target = problem.objective.cost.targets[block.trial]
+        values, valid = target.measured[:, block.channel], target.valid[:, block.channel]
+        noise = sensor_noise(values, valid) / block.spread
+        blocks.append(replace(block, noise=noise if math.isfinite(noise) else _ASSUMED))
     known = MotorProblem(problem.objective, problem.curves)
-    object.__setattr__(known, "blocks", blocks)
+    object.__setattr__(known, "blocks", tuple(blocks))
     return known
 
 
@@ -117,7 +123,6 @@ def white(problem: MotorProblem) -> NoiseModel:
 def _check_gear(campaign: GearCampaign, path: Path, threads: int | None) -> dict[str, Any]:
     drops = prepare_drops(campaign, path)
     problem = gear_problem(campaign, drops, threads)
-    warn_of_centre_of_mass(drops, campaign)
     noise = capture_noise(problem)
     here, expected = expectations(problem, nominal_point(problem.space), noise)
     weak = np.array([one.verdict != "well" for one in expected])
@@ -127,6 +132,7 @@ def _check_gear(campaign: GearCampaign, path: Path, threads: int | None) -> dict
     out = _verdicts(problem, problem.blocks, here, expected, candidates)
     out["quality"] = [_drop_quality(campaign, path, drop) for drop in drops]
     out["excitation"] = excitation(problem)
+    out["centre_of_mass"] = centre_of_mass(drops, campaign)
     return out
 
 
@@ -136,11 +142,7 @@ def _check_motor(campaign: MotorCampaign, path: Path, threads: int | None) -> di
     here, expected = expectations(problem, nominal_point(problem.space), white(problem))
     out = _verdicts(problem, problem.blocks, here, expected, ())
     out["sentences"] += _motor_advice(bench, expected)
-    out["quality"] = [
-        _log_quality(trial.entry.name, trial.entry.use, inspect_recording(trial.log.recording))
-        | {"second log": trial.log.second}
-        for trial in bench.trials
-    ]
+    out["quality"] = [_bench_quality(trial) for trial in bench.trials]
     commands = [trial.log.steps.level for trial in bench.trials]
     speeds = [trial.target.measured[:, 1][trial.target.valid[:, 1]] for trial in bench.fitted]
     out["excitation"] = {
@@ -150,6 +152,14 @@ def _check_motor(campaign: MotorCampaign, path: Path, threads: int | None) -> di
         "reversals": sum(trial.entry.direction == "reversal" for trial in bench.trials),
     }
     return out
+
+
+def _bench_quality(trial: PreparedTrial) -> dict[str, Any]:
+    """Return the quality of a log of commands, without what reading it has put right: tare and signs."""
+    found = _log_quality(trial.entry.name, trial.entry.use, inspect_recording(trial.log.recording))
+    handled = ["no tare"] * bool(trial.log.tares) + ["thrust falls"] * (trial.entry.direction != "forward")
+    kept = [one for one in found["suspicions"] if not any(word in one for word in handled)]
+    return found | {"suspicions": kept, "second log": trial.log.second}
 
 
 def _motor_advice(bench: Bench, expected: tuple[Expected, ...]) -> list[str]:

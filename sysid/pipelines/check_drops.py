@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -105,48 +106,76 @@ def _candidate(
     return replace(drop, target=replace(blank, measured=clean + noise))
 
 
-def warn_of_centre_of_mass(drops: tuple[PreparedDrop, ...], campaign: GearCampaign) -> None:
-    """Warn where the free flights between contacts say that the body turns about another point.
+FlightPhase = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
-    In flight the centre of mass moves on a parabola; a point beside it circles it while the body turns.
+
+def centre_of_mass(drops: tuple[PreparedDrop, ...], campaign: GearCampaign) -> dict[str, float] | None:
+    """Return how far from the stated centre of mass the body turns in flight [m], with errors; warn where
+    sure.
+
+    Down-slope and up in the body while it hangs level. None where it flew too little after a contact. Flights
+    of some 50 ms tell it to centimetres only: what they look like is then mostly a start's velocity.
     """
-    rows, values, weights = [], [], []
     feet = Feet(campaign.vehicle.foot_dx, campaign.vehicle.foot_dz)
-    for drop in drops:
-        for part in _flights(drop, feet):
-            time, x, z, q = part
-            polynomial = np.vander(time - time.mean(), 2, increasing=True)
-            fall = campaign.vehicle.gravity * (time - time.mean()) ** 2 / 2
-            # A point at (dx, dz) in the body is at dx ex(q) + dz ez(q).
-            for signal, columns, sigma in (
-                (x, np.column_stack([np.cos(q), np.sin(q)]), drop.flight.noise[0]),
-                (z + fall, np.column_stack([-np.sin(q), np.cos(q)]), drop.flight.noise[1]),
-            ):
-                both = np.column_stack([columns, signal])
-                basis, _ = np.linalg.qr(polynomial)
-                left = both - basis @ (basis.T @ both)
-                rows.append(left[:, :2] / sigma)
-                values.append(left[:, 2] / sigma)
-                weights.append(len(time))
-    if not rows or sum(weights) < 4 * _LEAST_FLIGHT:
-        return
-    design, target = np.concatenate(rows), np.concatenate(values)
-    offset, *_ = np.linalg.lstsq(design, target, rcond=None)
-    rest = target - design @ offset
-    inverse = np.linalg.pinv(design.T @ design)
-    error = np.sqrt(np.diag(inverse) * max(1.0, float(np.mean(rest**2))))
+    flights = [part for drop in drops for part in _flights(drop, feet)]
+    noise = max(float(np.max(drop.flight.noise[:2])) for drop in drops)
+    if sum(len(part[0]) for part in flights) < 4 * _LEAST_FLIGHT:
+        return None
+    offset, error = turning_point(flights, campaign.vehicle.gravity, noise)
     for name, value, sigma in zip(("down-slope", "up"), offset, error, strict=True):
         if abs(value) > max(_SURE * sigma, _FAR):
             warnings.warn(
-                f"in free flight the body turns about a point {1000 * value:.1f} ± {1000 * sigma:.1f} mm "
-                f"off the "
-                f"stated centre of mass ({name}); check capture.centre_of_mass_offset",
+                f"in free flight the body turns about a point {1000 * value:.1f} ± {1000 * sigma:.1f} mm off "
+                f"the stated centre of mass ({name}); check capture.centre_of_mass_offset",
                 SysidWarning,
                 stacklevel=2,
             )
+    return {
+        "down_slope [m]": float(offset[0]), "down_slope error [m]": float(error[0]),
+        "up [m]": float(offset[1]), "up error [m]": float(error[1]),
+    }  # fmt: skip
 
 
-def _flights(drop: PreparedDrop, feet: Feet) -> list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
+def turning_point(
+    flights: Sequence[FlightPhase], gravity: float, noise: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return where in the body the point lies that moves on parabolas (2,), and the standard errors (2,) [m].
+
+    Parameters
+    ----------
+    flights : sequence of (time, x, z, pitch)
+        Of a point of the body [s, m, m, rad].
+    gravity : float
+        [m/s²]
+    noise : float
+        Standard deviation of the positions [m].
+
+    Notes
+    -----
+    A point at d from the centre of mass moves as ``c(t) + d_x ex(q) + d_z ez(q)``; c is linear in time but
+    for the fall. What is linear in time is taken out of both sides first. The result points from the tracked
+    point to the centre of mass.
+    """
+    rows, values = [], []
+    for time, x, z, q in flights:
+        since = time - time.mean()
+        basis, _ = np.linalg.qr(np.vander(since, 2, increasing=True))
+        for signal, columns in (
+            (x, np.column_stack([np.cos(q), np.sin(q)])),
+            (z + gravity * since**2 / 2, np.column_stack([-np.sin(q), np.cos(q)])),
+        ):
+            both = np.column_stack([columns, signal])
+            left = both - basis @ (basis.T @ both)
+            rows.append(left[:, :2])
+            values.append(left[:, 2])
+    design, target = np.concatenate(rows), np.concatenate(values)
+    found, *_ = np.linalg.lstsq(design, target, rcond=None)
+    rest = float(np.sqrt(np.mean((target - design @ found) ** 2)))
+    error = max(noise, rest) * np.sqrt(np.diag(np.linalg.pinv(design.T @ design)))
+    return -found, np.asarray(error)
+
+
+def _flights(drop: PreparedDrop, feet: Feet) -> list[FlightPhase]:
     """Return (time, x, z, pitch) of the flights after the first contact in which the body turns."""
     motion = drop.motion
     inside = (motion.time > drop.touchdown + 0.02) & (motion.time < drop.time[-1]) & motion.valid

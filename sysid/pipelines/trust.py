@@ -95,7 +95,8 @@ def _document(
         if not row["derivative_trusted"]:
             warned.append(
                 f"{row['name']}: its derivative changes by {100 * row['derivative_doubt']:.0f} % when the "
-                f"step is halved (contact makes the cost rough): read its profile, not its linearized sigma"
+                f"step is halved (the cost is rough there, or hardly depends on it): read its profile, not "
+                f"its linearized sigma"
             )
         if jump > _MOVED:
             warned.append(

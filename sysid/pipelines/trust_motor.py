@@ -83,8 +83,7 @@ class MotorProblem:
                 stop = start + len(target.time)
                 count = int(np.count_nonzero(target.valid[:, c]))
                 spread = float(cost.denominators[t, c])
-                noise = sensor_noise(target.measured[:, c], target.valid[:, c]) / spread
-                out.append(Block(t, c, start, stop, count, float(weights[c]), spread, noise))
+                out.append(Block(t, c, start, stop, count, float(weights[c]), spread, float("nan")))
                 start = stop
         return tuple(out)
 

@@ -104,9 +104,11 @@ def _linearized(problem: Problem, point: FloatArray) -> Linearized:
     changes = problem.disturbances(point)
     noise = noise_model(problem.blocks, undisturbed(problem.blocks, residuals, changes))
     spread = gradient_noise(problem.blocks, derived.values, scale, levels, noise, changes)
-    return Linearized(
-        point, scale, residuals, levels, derived, noise, information(derived.values, spread)
-    )  # fmt: skip
+    found = information(derived.values, spread)
+    # An inflation that rests on a derivative which depends on the step is worth nothing: the largest serves.
+    rise = np.where(derived.trusted, found.inflation, found.inflation.max())
+    found = replace(found, inflation=rise)
+    return Linearized(point, scale, residuals, levels, derived, noise, found)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

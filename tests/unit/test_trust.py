@@ -11,6 +11,7 @@ from sysid.trust.fisher import NORMAL_95, NoiseModel, half_widths, noise_model
 from sysid.trust.jacobian import jacobian
 from sysid.trust.least_squares import search_around, solve
 from sysid.trust.problem import Block, nrmse_of, scales
+from sysid.trust.profiles import _crossing
 from sysid.trust.resampling import bootstrap, leave_one_out
 from sysid.trust.sensitivity import expectations, morris, rank_candidates
 from sysid.trust.verdicts import sentences, verdict
@@ -156,6 +157,15 @@ def test_two_parameters_that_trade_name_each_other_and_widen_each_other():
     assert partners[0][0][0] == "p1"
     assert partners[0][0][1] < -0.99
     assert linear.information.sigma[0] > 5 * alone.information.sigma[0]
+
+
+def test_a_bump_inside_does_not_end_an_interval():
+    place = np.linspace(0.5, 1.0, 5)
+    outward = list(range(5))
+    assert _crossing(place, np.array([0.0, 1.0, 5.0, 1.0, 2.0]), outward, 3.84) is None
+    end = _crossing(place, np.array([0.0, 4.5, 1.0, 9.0, 16.0]), outward, 4.0)
+    # Between 1 and 3 on the scale of the square root, in the middle.
+    assert end == pytest.approx(0.8125)
 
 
 def test_an_interval_that_a_bound_cuts_is_open_on_that_side_alone():
