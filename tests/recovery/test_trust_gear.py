@@ -153,7 +153,7 @@ def test_a_tumbling_body_tells_its_centre_of_mass(lf):
 
 def test_trust_is_stored_and_holds_the_truth(fit, lf):
     problem = lf[2]
-    document = assess_fit(fit, TrustOptions(resamples=12))
+    document = assess_fit(fit, TrustOptions(resamples=10))
     rows = {row["name"]: row for row in document["parameters"]}
     assert parts(fit) == (TRUST,)
     again = read_part(fit, TRUST)
@@ -173,7 +173,7 @@ def test_trust_is_stored_and_holds_the_truth(fit, lf):
     assert deviance.min() == 0.0
     assert deviance[0] > 3.84 < deviance[-1]
     assert np.all(np.diff(arrays["profiles/joint_dx/value"]) > 0)
-    assert arrays["bootstrap/values"].shape == (12, 8)
+    assert arrays["bootstrap/values"].shape == (10, 8)
     assert len(document["spread"]["trials"]) == 4
     # A new fit, and what was known of the old one is not taken for it.
     changed = fit / "fit.h5"
@@ -211,6 +211,7 @@ def test_a_missing_campaign_is_asked_for(fit, tmp_path):
         open_fit(fit, tmp_path / "gone.toml")
 
 
+@pytest.mark.slow
 def test_leaving_drops_out_predicts_them(fit):
     found = cross_validate(fit)
     assert [one["name"] for one in found["trials"]] == ["drop-1", "drop-3", "drop-5"]
@@ -230,6 +231,7 @@ def test_a_fit_does_not_differ_from_itself(fit):
         compare_fits([fit])
 
 
+@pytest.mark.slow
 def test_check_as_a_command_prints_json(three):
     run = CliRunner().invoke(app, ["check", str(three), "--json"])
     assert run.exit_code == 0, run.output
