@@ -100,8 +100,12 @@ def _steady(u, row):
 
 
 @njit(cache=True, error_model="numpy")
-def _advance(speed, target, duration, rise, fall):
-    """Return the speed after `duration` under a constant target, exactly, through zero if need be."""
+def _advance(speed, target, duration, rise, fall, step, rise_kept, fall_kept):
+    """Return the speed after `duration` under a constant target, exactly, through zero if need be.
+
+    `rise_kept`, `fall_kept`: what is left of a distance to the target after one `step` of a uniform grid. A
+    grid's differences are rounded, so a duration within 1e-9 of the step is the step.
+    """
     if speed * target < 0.0:
         # The fall ends where the speed passes zero.
         until = fall * log((speed - target) / (-target))
@@ -109,8 +113,12 @@ def _advance(speed, target, duration, rise, fall):
             return target + (speed - target) * exp(-duration / fall)
         duration -= until
         speed = 0.0
-    constant = rise if abs(target) > abs(speed) else fall
-    return target + (speed - target) * exp(-duration / constant)
+    rising = abs(target) > abs(speed)
+    if abs(duration - step) <= 1e-9 * step:
+        kept = rise_kept if rising else fall_kept
+    else:
+        kept = exp(-duration / (rise if rising else fall))
+    return target + (speed - target) * kept
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
@@ -130,6 +138,8 @@ def _population(
         ratios = supply_ratio[supply_first[j] : supply_first[j + 1]]
         at, near = 0, 0
         t = time[first[j]]
+        step = time[min(first[j] + 1, first[j + 1] - 1)] - t
+        rise_kept, fall_kept = exp(-step / row[0]), exp(-step / row[1])
         speed = 0.0
         for m in range(first[j], first[j + 1]):
             end = time[m]
@@ -139,12 +149,18 @@ def _population(
             while at + 1 < instants.size and instants[at + 1] + delay <= end:
                 turn = max(t, instants[at + 1] + delay)
                 if m > first[j]:
-                    speed = _advance(speed, _steady(levels[at], row) * ratio, turn - t, row[0], row[1])
+                    speed = _advance(
+                        speed, _steady(levels[at], row) * ratio, turn - t, row[0], row[1], step, rise_kept,
+                        fall_kept,
+                    )  # fmt: skip
                     t = turn
                 at += 1
             target = _steady(levels[at], row) * ratio
-            # The trial begins at a steady state, like that of the motor's equations.
-            speed = target if m == first[j] else _advance(speed, target, end - t, row[0], row[1])
+            if m == first[j]:
+                # The trial begins at a steady state, like that of the motor's equations.
+                speed = target
+            else:
+                speed = _advance(speed, target, end - t, row[0], row[1], step, rise_kept, fall_kept)
             t = end
             k = _TORQUE if speed >= 0.0 else _TORQUE + 2
             out[i, m, 0] = (row[k] * abs(speed) + row[k + 1]) * speed

@@ -37,6 +37,8 @@ DIRECTIONS: tuple[Direction, Direction] = ("forward", "reverse")
 
 # A log is fast, and filtered, when it has this many samples per period of the stop-band edge.
 _FAST = 10.0
+# Standard errors by which a friction must differ from none before a torque constant makes room for it.
+_SHOWN = 3.0
 # What a campaign may say of a channel's sign; "auto" leaves it to the log.
 STATED_SIGNS = {"+": 1, "-": -1}
 
@@ -282,17 +284,23 @@ class TorquePerCurrent:
         k_m and its standard error [N·m/A].
     points : int
         Steady points behind it.
+    friction : float
+        Torque of bearings and iron that the current pays for and the load cell does not feel [N·m]; 0 where
+        the points do not show it.
     """
 
     value: float
     error: float
     points: int
+    friction: float = 0.0
 
 
 def torque_per_current(logs: Sequence[BenchLog]) -> TorquePerCurrent:
     """Return k_m from the steady points of logs that hold the winding's current.
 
-    At a steady speed the stator feels k_m I, bearing drag aside, which the current pays for as well.
+    At a steady speed the load cell feels k_m I − τ_f, with τ_f the constant friction of bearings and iron,
+    which the current pays for as well. Without τ_f k_m would come out too small; it is left out where the
+    points do not show it, by three of its standard errors.
 
     Raises
     ------
@@ -322,7 +330,21 @@ def torque_per_current(logs: Sequence[BenchLog]) -> TorquePerCurrent:
             "current; expected at least 3: hold more commands for over "
             f"{SETTLE:g} s, or leave log.current out"
         )
-    value = float(current @ torque / (current @ current))
-    residual = torque - value * current
-    spread = float(residual @ residual) / (current.size - 1)
-    return TorquePerCurrent(value, float(np.sqrt(spread / (current @ current))), int(current.size))
+    plain = _torque_line(current[:, None], torque)
+    friction = _torque_line(np.column_stack([current, -np.ones(current.size)]), torque)
+    if friction is not None and friction[0][1] > _SHOWN * friction[1][1]:
+        value, error = friction
+        return TorquePerCurrent(float(value[0]), float(error[0]), int(current.size), float(value[1]))
+    assert plain is not None
+    return TorquePerCurrent(float(plain[0][0]), float(plain[1][0]), int(current.size))
+
+
+def _torque_line(columns: FloatArray, torque: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return coefficients and their standard errors; None where the points leave nothing to judge them by."""
+    freedom = len(torque) - columns.shape[1]
+    if freedom < (1 if columns.shape[1] == 1 else 3) or np.linalg.matrix_rank(columns) < columns.shape[1]:
+        return None
+    value = np.linalg.lstsq(columns, torque, rcond=None)[0]
+    residual = torque - columns @ value
+    covariance = np.linalg.inv(columns.T @ columns) * float(residual @ residual) / freedom
+    return value, np.asarray(np.sqrt(np.diag(covariance)), dtype=np.float64)

@@ -193,6 +193,8 @@ def _known_values(
     elif current is not None:
         values |= dict.fromkeys(constants, current.value)
         source = f"torque over the logged motor current, {current.points} steady points"
+        if current.friction > 0:
+            source += f" less {1e3 * current.friction:.2g} mN·m of friction"
         measured |= dict.fromkeys(constants, f"{source}, ± {current.error:.2g} N·m/A; k_v = k_m")
     elif curves.ties:
         top = max(float(np.sum(tie.speed)) for tie in curves.ties.values())

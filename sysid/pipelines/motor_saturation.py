@@ -35,6 +35,11 @@ FloatArray = NDArray[np.float64]
 _POPULATION = 40
 # A dead band that moves the cost of so many random candidates by less than this share is not felt.
 _PROBES, _FELT = 32, 1e-6
+# Edges Ω_min that are tried beside the fitted one, currents beside each, and the share of the NRMSE below
+# which two dead bands cannot be told apart.
+_EDGES, _CURRENTS, _LIMIT = 25, 31, 0.01
+# A range of edges that serve as well is said from this ratio of its ends on.
+_WIDE = 1.5
 # Of the thrust whose reversal is timed [s].
 _DELAY_GRID = 5e-4
 
@@ -144,6 +149,57 @@ def fit_saturation(
         first.free, tuple(t.entry.name for t in trials), "reversals" if turned else "starts from rest",
         np.array(found), np.array(flags, dtype=np.int8), np.array(costs), np.array(without), count,
     )  # fmt: skip
+
+
+def edges_that_serve(
+    campaign: MotorCampaign,
+    bench: Bench,
+    table: ParameterTable,
+    row: FloatArray,
+    fit: SaturationFit,
+    threads: int | None = None,
+) -> tuple[float, float] | None:
+    """Return the range of Ω_min [rad/s] that the trials cannot tell apart, the best I_sat beside each.
+
+    Parameters
+    ----------
+    campaign : MotorCampaign
+    bench : Bench
+    table : ParameterTable
+    row : (n_table,) array
+        A set with its dead band [SI].
+    fit : SaturationFit
+    threads : int, optional
+
+    Returns
+    -------
+    (lowest, highest) or None
+        None where the stage did not free both numbers, or holds Ω_min within a factor of 1.5.
+
+    Notes
+    -----
+    The currents that are tried lie around the fitted ratio Ω_min/I_sat, which a reversal holds best, and over
+    all bounds of I_sat, for edges so low that no current matters.
+    """
+    own = {parameter.name: parameter for parameter in fit.free}
+    if not {*SATURATION} <= {*own}:
+        return None
+    current, edge = (own[name] for name in SATURATION)
+    column = {name: i for i, name in enumerate(table)}
+    ratio = row[column[current.name]] / row[column[edge.name]]
+    edges = np.append(np.geomspace(edge.lower, edge.upper, _EDGES), row[column[edge.name]])
+    around = np.append(np.geomspace(0.5, 2.0, _CURRENTS), 1.0) * ratio * edges[:, None]
+    over = np.broadcast_to(np.geomspace(current.lower, current.upper, _CURRENTS), (edges.size, _CURRENTS))
+    currents = np.clip(np.hstack([around, over]), current.lower, current.upper)
+    rows = np.repeat(row[None], currents.size, axis=0)
+    rows[:, column[edge.name]] = np.repeat(edges, currents.shape[1])
+    rows[:, column[current.name]] = currents.ravel()
+    space = SearchSpace(table, (), dict(zip(table, row.tolist(), strict=True)))
+    objective = MotorObjective.build(campaign, space, bench, bench.banded, threads)
+    cost = objective.cost.mean(objective.score(rows)[0]).reshape(currents.shape).min(axis=1)
+    serve = edges[cost <= (1.0 + _LIMIT) * cost.min()]
+    lowest, highest = float(serve.min()), float(serve.max())
+    return (lowest, highest) if highest > _WIDE * lowest else None
 
 
 def named(table: ParameterTable, row: FloatArray) -> dict[str, float]:

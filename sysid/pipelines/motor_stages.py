@@ -24,6 +24,7 @@ from sysid.pipelines.motor_objective import MotorObjective
 from sysid.pipelines.motor_profile import profile
 from sysid.pipelines.motor_saturation import (
     SaturationFit,
+    edges_that_serve,
     fit_saturation,
     named,
     reversal_delays,
@@ -99,6 +100,15 @@ def after_the_search(
         "command delays": log_delays(campaign, bench, whole, rows[0]),
     }
     stage, doubts = _about_saturation(bench, saturation, best, given, tell)
+    if saturation is not None:
+        edges = edges_that_serve(campaign, bench, space.table, rows[0], saturation, threads)
+        stage["saturation_speed that serves as well [rad/s]"] = edges
+        if edges is not None:
+            doubts.append(
+                f"{', '.join(saturation.trials)} do not fix saturation_speed: from {edges[0]:.2g} to "
+                f"{edges[1]:.2g} rad/s, with the saturation_current that fits best beside each, the NRMSE is "
+                "within 1 % of the lowest; its digits mean nothing"
+            )
     out["saturation"] = stage
     warned += doubts
     out["static curves of the best set"] = tied_curves(bench, objective, best)

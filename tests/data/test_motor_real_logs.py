@@ -51,6 +51,26 @@ maximum = 2047
     return path
 
 
+def spike_peaks(bench, result) -> np.ndarray:
+    """Return measured and simulated peaks (n, 2) of the torque above where it settles, step by step [N·m]."""
+    (prepared,), (trial,) = bench.trials, result.trials
+    known = trial.valid[:, 0]
+    time, torque = trial.time[known], np.column_stack([trial.measured, trial.simulated[0]])[known][:, [0, 2]]
+    steps = prepared.log.steps
+    peaks = []
+    for i in range(1, steps.time.size - 1):
+        start, end = steps.time[i], steps.time[i + 1]
+        spike = (time >= start) & (time < start + 0.4)
+        settled = (time >= start + 0.4) & (time < end)
+        lost = any(a < start + 0.4 and b > start for a, b in prepared.log.doubtful)
+        # A rotor that stops is told by a probe that still waits for its next mark.
+        if lost or end - start < 0.6 or not settled.any() or steps.level[i] == 0:
+            continue
+        extreme = np.max if steps.level[i] > steps.level[i - 1] else np.min
+        peaks.append([extreme(torque[spike, c]) - np.median(torque[settled, c]) for c in range(2)])
+    return np.array(peaks)
+
+
 def values_of(result) -> dict[str, float]:
     return result.parameter_sets().set_values(1)
 
@@ -79,12 +99,20 @@ def test_real_motor_is_fitted_and_carries_over(
     tmp_path: Path, motor: str, speed: float, torque: float
 ) -> None:
     path = _campaign(tmp_path, motor, split=False)
-    # CMA-ES alone ends in another valley for two of three seeds: a late command against a late torque.
+    # CMA-ES alone ends in another valley for two of three seeds; in one of them the command comes late
+    # instead of the torque.
     options = FitOptions(out=tmp_path / "fit", runs=1, population=60, seed=1, quiet=True)
     result, _ = fit_motor(path, options)
     by_channel = result.trials[0].nrmse[0]
     assert by_channel[0] < torque
     assert by_channel[1] < speed
+    peaks = spike_peaks(prepare_bench(read_campaign(path, "motor"), path), result)
+    assert len(peaks) >= (15 if motor == "IM" else 8)
+    ratio = peaks[:, 1] / peaks[:, 0]
+    # Real torque rows come every 15 to 40 ms, and a spike lasts 50: single peaks fall between two rows (found
+    # 0.68 to 1.33, SOV5's start from rest 1.5), their median does not (0.87 and 0.9).
+    assert np.all((ratio > 0.55) & (ratio < 1.7))
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.2)
     # Rows of 9 to 12 ms cannot show a current that rises in microseconds; the result must say so.
     assert any("not how small" in sentence for sentence in result.warnings)
     assert any("fix only k²/R" in sentence for sentence in result.warnings)
