@@ -344,7 +344,7 @@ def _torque_line(columns: FloatArray, torque: FloatArray) -> tuple[FloatArray, F
     freedom = len(torque) - columns.shape[1]
     if freedom < (1 if columns.shape[1] == 1 else 3) or np.linalg.matrix_rank(columns) < columns.shape[1]:
         return None
-    value = np.linalg.lstsq(columns, torque, rcond=None)[0]
+    value: FloatArray = np.linalg.lstsq(columns, torque, rcond=None)[0].astype(np.float64)
     residual = torque - columns @ value
     covariance = np.linalg.inv(columns.T @ columns) * float(residual @ residual) / freedom
     return value, np.asarray(np.sqrt(np.diag(covariance)), dtype=np.float64)
