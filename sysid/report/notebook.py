@@ -85,7 +85,7 @@ def run_notebook(path: Path, parameters: Mapping[str, Any], *, cwd: Path | None 
         try:
             return papermill.execute_notebook(
                 str(path), str(done), dict(parameters), kernel_name="python3", progress_bar=False,
-                cwd=str(cwd or path.parent), extra_arguments=["--log-level=ERROR"], config=_local_only(),
+                cwd=str(cwd or path.parent), extra_arguments=["--log-level=CRITICAL"], config=_local_only(),
             )  # fmt: skip
         except PapermillException as error:
             what = getattr(error, "evalue", "") or str(error)
