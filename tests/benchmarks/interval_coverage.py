@@ -77,9 +77,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(chosen.first_seed, chosen.first_seed + chosen.replications):
             began = time.perf_counter()
-            for one in replicate(seed, chosen.surface, Path(folder)):
+            found = replicate(seed, chosen.surface, Path(folder))
+            for one in found:
                 rows.setdefault(one.name, []).append(one)
-            print(f"seed {seed}: {time.perf_counter() - began:.0f} s", flush=True)
+            missed = [one.name for one in found if not one.inside]
+            words = f"{len(found) - len(missed)} of {len(found)} hold the truth {missed or ''}"
+            print(f"seed {seed}: {words}, {time.perf_counter() - began:.0f} s", flush=True)
     inside = total = 0
     print(f"{'parameter':<26}{'covered':>9}{'worst':>7}{'half':>8}{'rms z':>7}  verdicts")
     for name, found in rows.items():
