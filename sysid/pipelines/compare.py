@@ -33,9 +33,9 @@ def compare_fits(
     Parameters
     ----------
     folders : sequence of Path
-        Fit folders, two or more.
+        Fit folders, two or more; their campaigns must lie where they lay.
     cross : bool
-        Predict every fit's trials with every other fit's best set; needs their campaigns.
+        Predict every fit's trials with every other fit's best set.
     threads : int, optional
     say : callable, optional
 
@@ -55,7 +55,7 @@ def compare_fits(
         raise FitError("one fit compares with nothing; name two or more")
     tell = say or (lambda sentence: None)
     with collected_warnings(lambda text: tell(f"warning: {text}")) as doubts:
-        opened = [_open(folder, cross, threads) for folder in folders]
+        opened = [open_fit(folder, None, threads) for folder in folders]
         kinds = sorted({fit.result.kind for fit in opened})
         if len(kinds) > 1:
             raise FitError(f"a {kinds[0]} and a {kinds[1]} fit share no parameters; compare fits of one kind")
@@ -86,10 +86,6 @@ def compare_fits(
         "warnings": list(doubts),
     }
     return document, sets
-
-
-def _open(folder: Path, cross: bool, threads: int | None) -> OpenedFit:
-    return open_fit(folder, None, threads)
 
 
 def _labels(folders: Sequence[Path]) -> tuple[str, ...]:
