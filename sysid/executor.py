@@ -28,6 +28,9 @@ Columns = tuple[NDArray[Any], ...]
 CHUNK_TIME = 0.06
 # Kernels compute several rows in the lanes of one core; fewer leave lanes empty.
 _LEAST_CHUNK = 8
+_FIRST_CHUNK = 16  # before any was measured
+# Of all that is computed at the moment: one would leave workers idle that end early.
+_CHUNKS_PER_WORKER = 2
 # A chunk is submitted anew this often before the cluster is given up.
 ATTEMPTS = 6
 # Without any worker [s]; they may be on their way from a queue.
@@ -174,6 +177,33 @@ class DaskCluster:
         return str(self._client.status) == "running"
 
 
+def chunk_size(rows: int, callers: int, workers: int, per_row: float | None) -> int:
+    """Return how many of a caller's rows make a chunk.
+
+    Parameters
+    ----------
+    rows : int
+        Of this caller [1].
+    callers : int
+        That share the workers at the moment, this one included [1].
+    workers : int
+        Of the cluster [1].
+    per_row : float or None
+        Computing time of a row as measured [s]; None before the first chunk.
+
+    Returns
+    -------
+    int
+        At least `CHUNK_TIME` of work and, where workers are few, half of a worker's share, so that a few
+        workers are not kept busy with messages; never more than a worker's share.
+    """
+    share = ceil(rows * callers / workers)
+    if per_row is None:
+        return max(1, min(share, _FIRST_CHUNK))
+    wished = max(_LEAST_CHUNK, round(CHUNK_TIME / max(per_row, 1e-9)), ceil(share / _CHUNKS_PER_WORKER))
+    return max(1, min(share, wished, rows))
+
+
 class _Shared:
     """Work whose data lie on the workers."""
 
@@ -181,6 +211,7 @@ class _Shared:
         self._cluster = cluster
         self._work = work
         self._lock = threading.Lock()
+        self._callers = 0  # that wait for their rows
         self._data: Any = None
         self._per_row = 0.0  # computing time [s], mean of what was measured
         self._rows = 0
@@ -195,13 +226,18 @@ class _Shared:
 
     def _chunk(self, rows: int) -> int:
         """Return how many rows make a chunk."""
-        fair = ceil(rows * self._cluster.at_once / self._cluster.workers)
-        if not self._rows:
-            return max(1, min(fair, 16))
-        wished = max(_LEAST_CHUNK, round(CHUNK_TIME / max(self._per_row, 1e-9)))
-        return max(1, min(fair, wished, rows))
+        return chunk_size(rows, self._callers, self._cluster.workers, self._per_row if self._rows else None)
 
     def __call__(self, rows: FloatArray) -> Columns:
+        with self._lock:
+            self._callers += 1
+        try:
+            return self._computed(rows)
+        finally:
+            with self._lock:
+                self._callers -= 1
+
+    def _computed(self, rows: FloatArray) -> Columns:
         client = self._cluster._client
         size = self._chunk(len(rows))
         pending = {first: rows[first : first + size] for first in range(0, len(rows), size)}

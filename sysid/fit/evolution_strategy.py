@@ -7,15 +7,65 @@ for bit, those of `pymoo.algorithms.soo.nonconvex.cmaes.CMAES` with the same opt
 
 from __future__ import annotations
 
-import cma
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
 import numpy as np
-from cma.transformations import BoxConstraintsLinQuadTransformation
 from numpy.typing import NDArray
+
+_PYPLOT = "matplotlib.pyplot"
+
+
+@contextmanager
+def _without_pyplot() -> Iterator[None]:
+    """Keep cma from loading pyplot for its plots, which takes longer than a motor's finisher."""
+    if _PYPLOT in sys.modules:
+        yield
+        return
+    sys.modules[_PYPLOT] = None  # type: ignore[assignment]  # how Python is told that it cannot be imported
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Could not import matplotlib")
+            yield
+    finally:
+        sys.modules.pop(_PYPLOT, None)
+
+
+with _without_pyplot():
+    import cma
+    from cma.transformations import BoxConstraintsLinQuadTransformation
 
 FloatArray = NDArray[np.float64]
 
 # Largest standard deviation [1], cma's own share of a bounded range.
 _LARGEST_STD = 1 / 3
+
+
+class _Drawn:
+    """In the place of cma's archive of what it has drawn, which takes a third of its time.
+
+    cma looks up how a candidate was drawn, in case its user has moved it; here it is told what it drew.
+    """
+
+    last_iteration = 0
+
+    def __getitem__(self, point: FloatArray) -> dict[str, Any]:
+        return {"geno": point, "iteration": self.last_iteration}
+
+    def get(self, point: FloatArray, default: Any = None) -> dict[str, Any]:
+        return self[point]
+
+    def insert(self, point: FloatArray, **facts: Any) -> None:
+        """Remember nothing."""
+
+    def pop(self, point: FloatArray, default: Any = None) -> Any:
+        return default
+
+    def truncate_to(self, size: int) -> None:
+        """Forget nothing."""
 
 
 class EvolutionStrategy:
@@ -47,8 +97,11 @@ class EvolutionStrategy:
             "seed": np.nan,
             "verbose": -9,
             "verb_log": 0,
+            # No file of the working folder takes part.
+            "signals_filename": "",
         }
         self._strategy = cma.CMAEvolutionStrategy(self._box.inverse(mean), largest, options)
+        self._strategy.sent_solutions = _Drawn()
         self._drawn: list[FloatArray] = []
         self._points = np.empty((0, len(mean)))
         self._cost = np.empty(0)

@@ -28,13 +28,12 @@ import json
 import os
 import tempfile
 import time
-from math import ceil
 from pathlib import Path
 
 import numpy as np
 
 from sysid.campaign import read_campaign
-from sysid.executor import _LEAST_CHUNK, CHUNK_TIME, DaskCluster, LocalThreads
+from sysid.executor import DaskCluster, LocalThreads, chunk_size
 from sysid.fit.algorithms import breeder
 from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.engine import Hooks, SearchSettings, run_many, run_one
@@ -269,8 +268,7 @@ def schedule(arguments, folder):
 
 
 def _simulated(n_workers, runs, population, candidate, spread, breed, shared, rng, generations=30):
-    wished = max(_LEAST_CHUNK, round(CHUNK_TIME / candidate))
-    size = max(1, min(ceil(population * runs / n_workers), wished))
+    size = chunk_size(population, runs, n_workers, candidate)
     free = [0.0] * n_workers
     heapq.heapify(free)
     scheduler = client = worked = end = 0.0
