@@ -23,9 +23,11 @@ from sysid.errors import SysidError
 FloatArray = NDArray[np.float64]
 Columns = tuple[NDArray[Any], ...]
 
-# Computing time of a chunk [s]: long beside the millisecond that a scheduler spends on it, short beside a
-# generation.
+# Least computing time of a chunk [s]: long beside the millisecond that a scheduler spends on it, short beside
+# a generation.
 CHUNK_TIME = 0.06
+# Where few workers have much to do [s]; longer chunks save nothing more, and a lost worker loses more.
+LONGEST_CHUNK_TIME = 0.25
 # Kernels compute several rows in the lanes of one core; fewer leave lanes empty.
 _LEAST_CHUNK = 8
 _FIRST_CHUNK = 16  # before any was measured
@@ -194,13 +196,14 @@ def chunk_size(rows: int, callers: int, workers: int, per_row: float | None) -> 
     Returns
     -------
     int
-        At least `CHUNK_TIME` of work and, where workers are few, half of a worker's share, so that a few
-        workers are not kept busy with messages; never more than a worker's share.
+        `CHUNK_TIME` of work; where workers are few, half of a worker's share up to `LONGEST_CHUNK_TIME`, so
+        that they are not kept busy with messages; never more than a worker's share.
     """
     share = ceil(rows * callers / workers)
     if per_row is None:
         return max(1, min(share, _FIRST_CHUNK))
-    wished = max(_LEAST_CHUNK, round(CHUNK_TIME / max(per_row, 1e-9)), ceil(share / _CHUNKS_PER_WORKER))
+    least, longest = (round(wished / max(per_row, 1e-9)) for wished in (CHUNK_TIME, LONGEST_CHUNK_TIME))
+    wished = max(_LEAST_CHUNK, least, min(longest, ceil(share / _CHUNKS_PER_WORKER)))
     return max(1, min(share, wished, rows))
 
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
 
 import sysid
@@ -92,6 +93,7 @@ def test_fit_gear_show_export_and_read_back(drops, monkeypatch, capsys, tmp_path
         assert sysid.load_parameter_sets(f"sets.{suffix}") == first
 
     # The same seed gives the same numbers, on one core as on all.
+    assert numba.config.NUMBA_NUM_THREADS >= 2
     code, *_ = run(monkeypatch, capsys, "fit-gear", campaign, *SMALL, "--threads", "1", "--out", "again")
     assert code == 0
     again = sysid.load_parameter_sets(Path("again") / "fit.json")

@@ -6,6 +6,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,10 @@ from test_fit_engine import Bowl, assert_same_run
 
 from sysid.campaign import read_campaign
 from sysid.errors import SysidError
-from sysid.executor import ClusterError, DaskCluster, LocalThreads, executor
+from sysid.executor import ClusterError, DaskCluster, LocalThreads, chunk_size, executor
+from sysid.fit import checkpoint
+from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.engine import Hooks, SearchSettings, run_many
-from sysid.fit.memory import RunMemory
 from sysid.fit.objective import SpreadObjective
 from sysid.fit.stopping import StopRule
 from sysid.pipelines.drops import prepare_drops
@@ -120,6 +122,24 @@ def test_local_work_is_entered_by_one_caller_at_a_time():
     assert [float(column[0]) for (column,) in out] == list(range(8))
 
 
+@pytest.mark.parametrize(
+    ("rows", "callers", "workers", "per_row", "expected"),
+    [
+        (800, 5, 64, 1e-3, 60),  # many workers: 0.06 s
+        (800, 5, 64, 1e-2, 25),  # half of a worker's 63 would take 0.3 s
+        (800, 1, 64, 1e-3, 13),  # the last run: all workers get some
+        (100, 5, 2, 1e-3, 100),  # two workers, five runs: a generation is one chunk
+        (100, 1, 2, 1e-3, 50),  # the last run is shared between both
+        (100, 5, 2, 1.0, 8),  # slow: the lanes of a core are full
+        (100, 5, 2, None, 16),
+        (3, 1, 2, 1e-3, 2),
+        (1, 1, 64, 0.0, 1),
+    ],
+)
+def test_chunks_are_sized_by_measured_time(rows, callers, workers, per_row, expected):
+    assert chunk_size(rows, callers, workers, per_row) == expected
+
+
 def test_nothing_answers():
     pytest.importorskip("distributed", reason="Dask comes with the extra 'cluster'")
     with pytest.raises(ClusterError, match=r"no Dask scheduler answers at 'nonsense://x'"):
@@ -128,40 +148,55 @@ def test_nothing_answers():
 
 @pytest.mark.slow
 def test_three_workers_give_the_local_numbers_and_one_may_be_killed(tmp_path, gear):
-    local = run_many(gear, SETTINGS)
+    short = replace(SETTINGS, stop=StopRule(max_generations=5))
+    local = run_many(gear, short)
     with cluster(tmp_path, 3) as (where, processes):
         spread = SpreadObjective(gear, where)
-        for a, b in zip(run_many(spread, SETTINGS, at_once=3), local, strict=True):
+        for a, b in zip(run_many(spread, short, at_once=3), local, strict=True):
             assert_same_run(a, b)
-        slow = SpreadObjective(Slow(), where)
-        victims = [processes[1]]
+        victims, begun = [processes[1]], where.alive
 
         def kill(run, generation):
-            if victims and generation.number == 4:
+            # The two other runs are in the middle of a generation.
+            if victims and generation.number == 3:
                 victims.pop().kill()
 
-        killed = run_many(slow, SETTINGS, at_once=3, hooks=Hooks(on_generation=kill))
+        killed = run_many(spread, short, at_once=3, hooks=Hooks(on_generation=kill))
         assert victims == []
         assert processes[1].wait(10) != 0
-        for a, b in zip(killed, run_many(Bowl(), SETTINGS), strict=True):
+        assert (begun, where.alive) == (3, 2)
+        for a, b in zip(killed, local, strict=True):
             assert_same_run(a, b)
 
 
 @pytest.mark.slow
-def test_a_lost_scheduler_leaves_what_was_scored(tmp_path):
-    memories = {}
+def test_a_lost_scheduler_leaves_a_checkpoint_to_continue_from(tmp_path, monkeypatch):
+    # A state is written at every chance: the search is over before a second has passed.
+    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
+    monkeypatch.setattr(checkpoint, "_LONGEST_INTERVAL", 0.0)
+    identity = {"the seed": SETTINGS.seed}
+    hold = Checkpoint(tmp_path / "fit", identity)
 
     with cluster(tmp_path, 2) as (where, processes):
         spread = SpreadObjective(Slow(), where)
 
         def keep(run, memory, ended):
-            memories[run] = memory
+            hold.keep(run, memory, ended)
             if run == 0 and len(memory.stages[0].cost) == 4:
                 processes[0].kill()
 
         with pytest.raises(SysidError, match=r"lost the work .*--resume"):
             run_many(spread, SETTINGS, at_once=3, hooks=Hooks(keep=keep))
-    assert all(isinstance(memory, RunMemory) for memory in memories.values())
-    again = run_many(Bowl(), SETTINGS, memories=list(memories.values()))
-    for a, b in zip(again, run_many(Bowl(), SETTINGS), strict=True):
+    hold.close()
+
+    again = Checkpoint(tmp_path / "fit", identity, resume=True)
+    assert again.notes == []
+    paid = sum(len(cost) for memory in again.memories for stage in memory.stages for cost in stage.cost)
+    assert paid >= 4 * SETTINGS.population
+    bowl = Bowl()
+    found, whole = run_many(bowl, SETTINGS, memories=again.memories), run_many(Bowl(), SETTINGS)
+    again.discard()
+    for a, b in zip(found, whole, strict=True):
         assert_same_run(a, b)
+    # What was paid for on the cluster is not computed again.
+    assert bowl.calls < sum(len(run.best) for run in whole)
