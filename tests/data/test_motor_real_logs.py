@@ -51,13 +51,16 @@ maximum = 2047
     return path
 
 
-def spike_peaks(bench, result) -> np.ndarray:
-    """Return measured and simulated peaks (n, 2) of the torque above where it settles, step by step [N·m]."""
+def torque_spikes(bench, result) -> np.ndarray:
+    """Return peak and mean (n, 2, 2) of the torque above where it settles, measured and simulated [N·m].
+
+    The mean over the spike is the rotor's inertia times what the speed gains, over the spike's length.
+    """
     (prepared,), (trial,) = bench.trials, result.trials
     known = trial.valid[:, 0]
     time, torque = trial.time[known], np.column_stack([trial.measured, trial.simulated[0]])[known][:, [0, 2]]
     steps = prepared.log.steps
-    peaks = []
+    spikes = []
     for i in range(1, steps.time.size - 1):
         start, end = steps.time[i], steps.time[i + 1]
         spike = (time >= start) & (time < start + 0.4)
@@ -67,8 +70,9 @@ def spike_peaks(bench, result) -> np.ndarray:
         if lost or end - start < 0.6 or not settled.any() or steps.level[i] == 0:
             continue
         extreme = np.max if steps.level[i] > steps.level[i - 1] else np.min
-        peaks.append([extreme(torque[spike, c]) - np.median(torque[settled, c]) for c in range(2)])
-    return np.array(peaks)
+        level = np.median(torque[settled], axis=0)
+        spikes.append([extreme(torque[spike], axis=0) - level, np.mean(torque[spike], axis=0) - level])
+    return np.array(spikes)
 
 
 def values_of(result) -> dict[str, float]:
@@ -106,16 +110,20 @@ def test_real_motor_is_fitted_and_carries_over(
     by_channel = result.trials[0].nrmse[0]
     assert by_channel[0] < torque
     assert by_channel[1] < speed
-    peaks = spike_peaks(prepare_bench(read_campaign(path, "motor"), path), result)
-    assert len(peaks) >= (15 if motor == "IM" else 8)
-    ratio = peaks[:, 1] / peaks[:, 0]
+    spikes = torque_spikes(prepare_bench(read_campaign(path, "motor"), path), result)
+    assert len(spikes) >= (15 if motor == "IM" else 8)
+    peaks, means = (spikes[:, k, 1] / spikes[:, k, 0] for k in range(2))
     # Real torque rows come every 15 to 40 ms, and a spike lasts 50: single peaks fall between two rows (found
-    # 0.68 to 1.33, SOV5's start from rest 1.5), their median does not (0.87 and 0.9).
-    assert np.all((ratio > 0.55) & (ratio < 1.7))
-    assert np.median(ratio) == pytest.approx(1.0, abs=0.2)
+    # 0.68 to 1.33, SOV5's start from rest 1.5).
+    assert np.all((peaks > 0.55) & (peaks < 1.7))
+    # Over a whole spike that is the rotor's inertia, whose 15 % are the requirement (found: 1.06 and 1.07; with
+    # 1.5 times the inertia 1.39 and 1.49).
+    assert np.median(means) == pytest.approx(1.0, abs=0.15)
     # Rows of 9 to 12 ms cannot show a current that rises in microseconds; the result must say so.
     assert any("not how small" in sentence for sentence in result.warnings)
     assert any("fix only k²/R" in sentence for sentence in result.warnings)
+    # Starts from rest in such rows leave Ω_min open: from 0.5 and from 17 up to 100 rad/s.
+    assert any("do not fix saturation_speed" in sentence for sentence in result.warnings)
     # No inductance is worth believing in rows of 9 to 12 ms; without a held-out trial the result says that.
     assert any("the ladder cannot say" in sentence for sentence in result.warnings)
     spikes = result.settings["rotor inertia from torque spikes"]
