@@ -116,8 +116,8 @@ def test_real_motor_is_fitted_and_carries_over(
     # Real torque rows come every 15 to 40 ms, and a spike lasts 50: single peaks fall between two rows (found
     # 0.68 to 1.33, SOV5's start from rest 1.5).
     assert np.all((peaks > 0.55) & (peaks < 1.7))
-    # Over a whole spike that is the rotor's inertia, whose 15 % are the requirement (found: 1.06 and 1.07; with
-    # 1.5 times the inertia 1.39 and 1.49).
+    # Over a whole spike that is the rotor's inertia, whose 15 % are the requirement. Found: 1.06 and
+    # 1.07; with 1.5 times the inertia 1.39 and 1.49.
     assert np.median(means) == pytest.approx(1.0, abs=0.15)
     # Rows of 9 to 12 ms cannot show a current that rises in microseconds; the result must say so.
     assert any("not how small" in sentence for sentence in result.warnings)
