@@ -18,6 +18,10 @@ from sysid.errors import SysidError
 
 
 def _sentence(path: Path, error: BaseException) -> str:
+    folder = path.parent
+    if not folder.is_dir():
+        what = "is not a folder" if folder.exists() else "does not exist"
+        return f"{path}: cannot be written: the folder {folder} {what}; make it first or choose another place"
     why = getattr(error, "strerror", None) or str(error).splitlines()[0]
     return (
         f"{path}: cannot be written ({why}); what was there before is unchanged: "

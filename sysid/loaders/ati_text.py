@@ -20,7 +20,7 @@ from sysid.loaders.clock import DECLARE_RATE, jitter_note, order_rows, positive_
 from sysid.loaders.load_cell import quantity_channel
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE, LogFormat
 from sysid.loaders.source import Source
-from sysid.loaders.table import TableHead, read_numbers
+from sysid.loaders.table import Numbers, TableHead, read_numbers
 from sysid.loaders.table_rows import parse_number
 from sysid.loaders.text import Text, read_text, sniff_delimiter, split_line
 from sysid.recording import FloatArray, Recording
@@ -33,6 +33,9 @@ _HEADER_LINES = 20
 _UNIT_KEYS = ("force", "torque")
 # No force/torque log is sampled this slowly [s]: its first column counts rows or is not in seconds.
 _SLOWEST_STEP = 0.5
+# So many equal steps in a row no load takes.
+_FEW_STEPS = 20
+_STEADY = 0.5
 _NO_BRACKETS = bytes.maketrans(b"[]", b"  ")
 
 
@@ -166,6 +169,28 @@ def _counts_rows(column: FloatArray) -> bool:
     return bool(seen.size > 1 and np.ptp(column[seen] - seen) == 0)
 
 
+def _is_steady(column: FloatArray) -> bool:
+    """Return whether a column rises by about one step all the way, as a clock does and no load."""
+    steps = np.diff(column[np.isfinite(column)])
+    return bool(
+        steps.size > _FEW_STEPS and steps.min() > 0 and np.ptp(steps) <= _STEADY * float(np.median(steps))
+    )
+
+
+def _check_last(path: str, numbers: Numbers) -> None:
+    """Refuse rows of seven whose last number is, or may be, the time."""
+    if not _is_steady(numbers.columns[6]):
+        return
+    if _is_steady(numbers.columns[0]):
+        found = "the first and the last of seven columns rise steadily, so either may be the time"
+    else:
+        found = "the last of seven columns rises steadily, as a time does, and the first does not"
+    raise LogError(
+        f"{path}: {found}; expected the time and then Fx Fy Fz Tx Ty Tz: move or remove the column that is "
+        'no load, or, where the first is the time, say so with units = {time = "s"}'
+    )
+
+
 def _check_steps(path: str, time: FloatArray) -> None:
     step = float(np.median(np.diff(time))) if time.size > 1 else 0.0
     if step >= _SLOWEST_STEP:
@@ -230,6 +255,8 @@ def read(
     lead = len(table.names) - 6
     numbers = read_numbers(text, table, range(len(table.names)), surplus=False)
     del text  # the file's bytes are not needed any more
+    if lead and seconds is None:
+        _check_last(path, numbers)
     notes = numbers.notes
     rate = stated if rate is None else rate
     if seconds is not None and not lead:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from sysid.loaders.motion_capture import body_channels, continuous_quaternions, 
 from sysid.loaders.optional import library
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.rigid_pose import marker_bodies, pose_from_markers
-from sysid.loaders.signals import plain_unit, unique_names
+from sysid.loaders.signals import plain_unit, unique_names, unknown_units_note
 from sysid.loaders.source import Source
 from sysid.loaders.table import promised_note
 from sysid.recording import Channel, FloatArray, Recording
@@ -31,6 +32,8 @@ _NAME = "c3d"
 _BLOCK = 512
 # Where the header counts points and analog samples and names the first and the last frame.
 _COUNTS = 2
+# Where it says which block the data begin in, and the last frame that it can name.
+_DATA_START, _LAST_FRAME = 16, 0xFFFF
 # Processor types: who wrote the numbers decides their byte order.
 _INTEL, _DEC, _MIPS = 84, 85, 86
 # Frames per second: what lies beyond is a number in another byte order than the file says.
@@ -116,6 +119,24 @@ def _cut_note(source: Source, file: Any) -> list[str]:
     return promised_note("the header's number of frames", last - first + 1, frames) if points else []
 
 
+def _overflow_note(source: Source, file: Any) -> list[str]:
+    """Return a note where the file goes on behind frame 65535, the last that its header can name."""
+    points, analogs, first, last = struct.unpack_from("<4H", source.head, _COUNTS)
+    if last != _LAST_FRAME:
+        return []
+    scale = _values(file["parameters"], "POINT", "SCALE")
+    frame = (4 * points + analogs) * (2 if scale and float(scale[0]) > 0 else 4)
+    (begin,) = struct.unpack_from("<H", source.head, _DATA_START)
+    there = (Path(source.path).stat().st_size - (begin - 1) * _BLOCK - (_BLOCK - 1)) / max(frame, 1)
+    frames = last - first + 1
+    if there <= frames:
+        return []
+    return [
+        f"only the first {frames} frames were read: a C3D header counts to {_LAST_FRAME}, and the file holds "
+        f"{np.ceil(there):.0f} or more; export the capture in shorter pieces"
+    ]
+
+
 def _rate(path: str, stated: Any) -> float:
     try:
         return known_rate(float(stated))
@@ -180,7 +201,7 @@ def _rotation_channels(path: str, file: Any, length_unit: str | None, notes: lis
     return channels
 
 
-def _analog_channels(path: str, file: Any) -> dict[str, Channel]:
+def _analog_channels(path: str, file: Any, notes: list[str]) -> dict[str, Channel]:
     values = file["data"]["analogs"]
     count, samples = values.shape[1], values.shape[2]
     rate = float(file["header"]["analogs"]["frame_rate"])
@@ -192,12 +213,14 @@ def _analog_channels(path: str, file: Any) -> dict[str, Channel]:
     units = [str(one).strip() for one in _values(parameters, "ANALOG", "UNITS")]
     frame_rate = float(file["header"]["points"]["frame_rate"]) or rate
     time = float(file["header"]["points"]["first_frame"]) / frame_rate + np.arange(samples) / rate
-    channels = {}
+    channels, unknown = {}, []
     for i, label in enumerate(labels):
         stated = units[i] if i < len(units) else ""
         unit, factor = plain_unit(_ANALOG_UNITS.get(stated.casefold(), stated))
         name = f"analog/{label}"
+        unknown += [] if unit else [f"{name} [{stated}]" if stated else name]
         channels[name] = Channel(name, unit, time, np.asarray(values[0, i], dtype=np.float64) * factor)
+    notes += unknown_units_note(unknown)
     return channels
 
 
@@ -240,7 +263,7 @@ def read(
         channels = _rotation_channels(path, file, length_unit, notes)
         stated = [name.removesuffix("/orientation") for name in channels if name.endswith("/orientation")]
         markers = _marker_channels(path, file, length_unit, notes)
-        analogs = _analog_channels(path, file)
+        analogs = _analog_channels(path, file, notes)
     except _DAMAGE as error:
         raise LogError(f"{path}: C3D file is damaged ({error}); export it again") from error
     if stated and rigid_body is not None and bodies is None:
@@ -255,7 +278,7 @@ def read(
     channels = {**channels, **{name: one for name, one in markers.items() if name not in channels}, **analogs}
     if not channels:
         raise LogError(f"{path}: holds neither points nor rotations nor analog samples; the capture is empty")
-    notes += _cut_note(source, file)
+    notes += [*_cut_note(source, file), *_overflow_note(source, file)]
     maker = [str(one) for one in _values(file["parameters"], "MANUFACTURER", "COMPANY")]
     stated_unit = any(str(unit).strip() for unit in _values(file["parameters"], "POINT", "UNITS"))
     options = {

@@ -187,7 +187,10 @@ class DeclaredUnits:
         try:
             return factor_to_si(unit, expected)
         except UnitError as error:
-            raise UnitError(f'{self.path}: column "{column.label}": {error}') from error
+            turns = ""
+            if expected == "rad/s" and unit.casefold() in ("hz", "1/s"):
+                turns = f'; if these are revolutions per second, declare units = {{{channel} = "rev/s"}}'
+            raise UnitError(f'{self.path}: column "{column.label}": {error}{turns}') from error
 
     def command(self, column: Column, default: str | None = None) -> str:
         """Return the protocol unit of a command column: ``us``, ``dshot`` or ``1`` (a fraction).

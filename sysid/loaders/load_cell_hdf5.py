@@ -8,6 +8,7 @@ There is no common layout, so this one is ours; everything but Fz or Mz may be m
     /Fx ... /Fz  (n,)  attribute unit = "N"
     /Mx ... /Mz  (n,)  attribute unit = "N·m"
     /time        (n,)  attribute unit = "s"; in place of rate
+    /FT        (n, k)  is k datasets /FT[1] ... /FT[k], named with the option ``datasets``
 
 Datasets may lie in a group; ``rate`` and ``start`` may be attributes of the dataset, of its group or of the
 file, the nearest wins, and a dataset of its own rate has its own clock. NaN marks a sample that was not
@@ -40,6 +41,8 @@ _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _DAMAGE = (OSError, RuntimeError, ValueError, KeyError, TypeError, OverflowError, MemoryError, AttributeError)
 # Compression gains less than this on measured signals: a dataset that claims more is damaged.
 _LARGEST_GAIN = 1000
+# A matrix with more columns than this is no set of signals.
+_MOST_COLUMNS = 64
 _RATES = ("rate", "sample_rate", "sampling_rate")
 
 
@@ -98,10 +101,11 @@ def _attribute(dataset: Any, names: tuple[str, ...]) -> Any:
         node = node.parent
 
 
-def _values(path: str, name: str, dataset: Any, file_bytes: int) -> FloatArray:
-    """Return a dataset as one row of numbers."""
+def _values(path: str, name: str, dataset: Any, file_bytes: int, column: int | None = None) -> FloatArray:
+    """Return a dataset, or a column of it, as one row of numbers."""
     shape = dataset.shape or ()
-    if dataset.dtype.kind not in "iuf" or sum(size != 1 for size in shape) > 1 or dataset.size is None:
+    wide = column is None and sum(size != 1 for size in shape) > 1
+    if dataset.dtype.kind not in "iuf" or wide or dataset.size is None:
         raise LogError(
             f"{path}: dataset {name} is {dataset.dtype} of shape {shape}; expected one row of numbers"
         )
@@ -109,7 +113,8 @@ def _values(path: str, name: str, dataset: Any, file_bytes: int) -> FloatArray:
         raise LogError(
             f"{path}: dataset {name} claims {dataset.size} samples, more than the file holds; it is damaged"
         )
-    return np.asarray(dataset[()], dtype=np.float64).reshape(-1)
+    found = dataset[()] if column is None else dataset[:, column]
+    return np.asarray(found, dtype=np.float64).reshape(-1)
 
 
 def read(
@@ -161,7 +166,20 @@ def read(
         raise LogError(f"{path}: HDF5 file is damaged or cut ({error}); copy or export it again") from error
 
 
-def _signal(path: str, name: str, dataset: Any, file_bytes: int) -> Signal:
+def _signals(path: str, name: str, dataset: Any, file_bytes: int) -> list[Signal]:
+    """Return a dataset as signals, a matrix as one by column."""
+    shape: tuple[int, ...] = dataset.shape or ()
+    if (
+        len(shape) != 2
+        or not 1 < shape[1] <= _MOST_COLUMNS
+        or shape[0] < 2
+        or dataset.dtype.kind not in "iuf"
+    ):
+        return [_signal(path, name, dataset, file_bytes, None)]
+    return [_signal(path, name, dataset, file_bytes, column) for column in range(shape[1])]
+
+
+def _signal(path: str, name: str, dataset: Any, file_bytes: int, column: int | None) -> Signal:
     """Return a dataset as a signal; what it holds is read and checked only when it is asked for."""
     unit = dataset.attrs.get("unit", dataset.attrs.get("units"))
     unit = unit.item() if isinstance(unit, np.ndarray) and unit.size == 1 else unit
@@ -170,12 +188,13 @@ def _signal(path: str, name: str, dataset: Any, file_bytes: int) -> Signal:
     if start is not None and not (isinstance(start, int | float) and np.isfinite(start)):
         raise LogError(f"{path}: attribute start of {name} is {start!r}; expected seconds")
     return Signal(
-        name,
+        name if column is None else f"{name}[{column + 1}]",
         None if unit is None else str(unit),
-        lambda: _values(path, name, dataset, file_bytes),
+        lambda: _values(path, name, dataset, file_bytes, column),
         _attribute(dataset, _RATES),
         float(start or 0.0),
         inherited=not any(key in dataset.attrs for key in _RATES),
+        numbered=column is not None,
     )
 
 
@@ -191,7 +210,11 @@ def _read_open(
     path, file_bytes = source.path, Path(source.path).stat().st_size
     channels, notes = signal_channels(
         path,
-        [_signal(path, name, dataset, file_bytes) for name, dataset in _datasets(file).items()],
+        [
+            signal
+            for name, dataset in _datasets(file).items()
+            for signal in _signals(path, name, dataset, file_bytes)
+        ],
         rate=rate,
         units=units,
         datasets=datasets,

@@ -81,7 +81,17 @@ def _rate_in(branch: Tree) -> float | None:
     return next((_scalar(value) for name, value in branch.items() if name.casefold() in _RATES), None)
 
 
-def _walk(branch: Tree, where: str, rate: float | None) -> Iterator[Signal]:
+def _described(name: str, value: object) -> str:
+    """Return a variable that is no signal with its shape, for messages: ``FT (6 × 2000 matrix)``."""
+    if isinstance(value, list):
+        return f"{name.lstrip('/')} (array of {len(value)} structs)"
+    array = np.asarray(value)
+    shape = " × ".join(str(size) for size in array.shape)
+    kind = {"O": "cells or structs", "c": "complex numbers", "b": "logicals"}.get(array.dtype.kind, "")
+    return f"{name.lstrip('/')} ({shape} {kind or ('matrix' if array.ndim == 2 else 'array')})"
+
+
+def _walk(branch: Tree, where: str, rate: float | None, passed_over: list[str]) -> Iterator[Signal]:
     own = _rate_in(branch)
     rate = rate if own is None else own
     for name, value in branch.items():
@@ -93,32 +103,42 @@ def _walk(branch: Tree, where: str, rate: float | None) -> Iterator[Signal]:
                     (value[key] for key in ("unit", "units") if isinstance(value.get(key), str)), None
                 )
                 inner_rate = _rate_in(value)
-                yield from _arrays(
-                    full, inner, unit, rate if inner_rate is None else inner_rate, inner_rate is None
-                )
+                own_rate = rate if inner_rate is None else inner_rate
+                yield from _arrays(full, inner, unit, own_rate, inner_rate is None, passed_over)
             else:
-                yield from _walk(value, full, rate)
+                yield from _walk(value, full, rate, passed_over)
         elif isinstance(value, np.ndarray):
-            yield from _arrays(full, value, None, rate, True)
+            yield from _arrays(full, value, None, rate, True, passed_over)
+        elif isinstance(value, list):
+            passed_over.append(_described(full, value))
 
 
 def _arrays(
-    name: str, array: np.ndarray[Any, Any], unit: str | None, rate: float | None, inherited: bool
+    name: str,
+    array: np.ndarray[Any, Any],
+    unit: str | None,
+    rate: float | None,
+    inherited: bool,
+    passed_over: list[str],
 ) -> Iterator[Signal]:
-    if array.dtype.kind not in "iuf" or array.size < 2:
+    if array.size < 2 or array.dtype.kind in "USV":  # settings and words
+        return
+    if array.dtype.kind not in "iuf":
+        passed_over.append(_described(name, array))
         return
     if sum(size != 1 for size in array.shape) == 1:
         columns = {name: array.reshape(-1)}
     elif array.ndim == 2 and array.shape[1] <= _MOST_COLUMNS:
         columns = {f"{name}[{k + 1}]": array[:, k] for k in range(array.shape[1])}
     else:
+        passed_over.append(_described(name, array))
         return
     for label, values in columns.items():
 
         def read(values: np.ndarray[Any, Any] = values) -> FloatArray:
             return np.asarray(values, dtype=np.float64)
 
-        yield Signal(label, written_unit(unit), read, rate, inherited=inherited)
+        yield Signal(label, written_unit(unit), read, rate, inherited=inherited, numbered=label != name)
 
 
 def read(
@@ -163,17 +183,19 @@ def read(
             f"{path}: not a MATLAB file of version 5 or 7.3 (its first line does not say so); "
             "save it again, for example with save(name, '-v7')"
         )
+    passed_over: list[str] = []
     try:
         tree = _tree_v5(path) if source.head.startswith(_V5) else _tree_v73(path)
         channels, notes = signal_channels(
             path,
-            _walk(tree, "", None),
+            _walk(tree, "", None, passed_over),
             rate=rate,
             units=units,
             datasets=datasets,
             pulses_per_revolution=pulses_per_revolution,
             time_back=time_back,
             measured=True,
+            passed_over=passed_over,
         )
     except _DAMAGE as error:
         raise LogError(f"{path}: MATLAB file is damaged or cut ({error}); save it again") from error

@@ -36,6 +36,7 @@ _FIRST = "NO_OF_FRAMES"
 _HEADER_LINES = 40
 # X Y Z, three angles, residual, nine of the matrix.
 _BODY_WIDTH, _MATRIX = 16, 7
+_BODY_PARTS = ("X", "Y", "Z", "Roll", "Pitch", "Yaw", "Residual", *(f"Rot[{i}]" for i in range(9)))
 # Rows print the matrix to six decimals or fewer; more than this off is a wrong column or a damaged number.
 _ORTHOGONAL = 0.02
 # Times are printed to five decimals, and by some versions to three [s].
@@ -179,7 +180,7 @@ def read(
     names = _names(path, keys, "MARKER_NAMES" if included == "3D" else "BODY_NAMES")
     width = 3 if included == "3D" else _BODY_WIDTH
     lead = 2 if clocked else _lead(text, offset, width * len(names))
-    labels = [f"{name} {part + 1}" for name in names for part in range(width)]
+    labels = [f"{name} {part}" for name in names for part in _BODY_PARTS[:width]]
     table = TableHead((*["Frame", "Time"][:lead], *labels), "\t", line, offset)
     numbers = read_numbers(text, table, range(len(table.names)))
     del text  # the file's bytes are not needed any more

@@ -55,6 +55,8 @@ class Signal:
         The signal's own times [s].
     inherited : bool
         The rate is that of the whole file, which other signals take too.
+    numbered : bool
+        The label ends in the number of a matrix's column, ``FT[1]``, which is no unit.
     label : str
         Name without its group; by default what follows the last ``/``.
     """
@@ -67,6 +69,7 @@ class Signal:
     time: FloatArray | None = None
     label: str = ""
     inherited: bool = False
+    numbered: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "label", self.label or self.name.rsplit("/", 1)[-1])
@@ -81,8 +84,31 @@ class Signal:
         """Lower-case label without its unit."""
         return split_label(self.label)[0]
 
+    @property
+    def stated_unit(self) -> str | None:
+        """Unit that the file states beside the signal or in its label."""
+        return self.unit if self.unit is not None or self.numbered else split_label(self.label)[1]
 
-def _named(path: str, signals: Mapping[str, Signal], datasets: object) -> dict[str, str]:
+    @property
+    def is_time(self) -> bool:
+        """Whether it is a clock by its name; a ``T`` in degrees is a temperature."""
+        if self.stem != "t" or self.stated_unit is None:
+            return self.stem in TIME
+        try:
+            return factor_to_si(self.stated_unit, "s") > 0.0
+        except UnitError:
+            return False
+
+
+def _found(signals: Mapping[str, Signal], passed_over: Sequence[str]) -> str:
+    """Return what a file holds, for a message."""
+    passed = f"; passed over: {listing(passed_over)}" if passed_over else ""
+    return f"found {listing(signals)}{passed}"
+
+
+def _named(
+    path: str, signals: Mapping[str, Signal], datasets: object, passed_over: Sequence[str]
+) -> dict[str, str]:
     known = {**_SPECIAL, **QUANTITIES}
     if not isinstance(datasets, Mapping):
         raise LogError(
@@ -97,14 +123,19 @@ def _named(path: str, signals: Mapping[str, Signal], datasets: object) -> dict[s
         if full is None:
             same = [name for name, signal in signals.items() if signal.label == given]
             if len(same) != 1:
-                raise LogError(f"{path}: no dataset /{given.strip('/')}; found {listing(signals)}")
+                raise LogError(f"{path}: no dataset /{given.strip('/')}; {_found(signals, passed_over)}")
             full = same[0]
         chosen[str(channel)] = full
     return chosen
 
 
 def choose_signals(
-    path: str, signals: Mapping[str, Signal], datasets: Mapping[str, str] | None, *, measured: bool
+    path: str,
+    signals: Mapping[str, Signal],
+    datasets: Mapping[str, str] | None,
+    *,
+    measured: bool,
+    passed_over: Sequence[str] = (),
 ) -> dict[str, str]:
     """Return channel -> signal name, ``time``, ``command`` and ``tachometer`` included.
 
@@ -118,6 +149,8 @@ def choose_signals(
         What the user names; exactly these are chosen.
     measured : bool
         Thrust or torque must be among them.
+    passed_over : sequence of str
+        What the file holds besides signals, and its shape; for messages.
 
     Raises
     ------
@@ -125,12 +158,16 @@ def choose_signals(
         When a named signal is not there, two fit one channel, or what must be measured is not.
     """
     if datasets is not None:
-        chosen = _named(path, signals, datasets)
+        chosen = _named(path, signals, datasets, passed_over)
     else:
         chosen = {}
         stems = {**_SPECIAL, **{name: quantity.stems for name, quantity in QUANTITIES.items()}}
         for channel, known in stems.items():
-            matches = [name for name, signal in signals.items() if signal.stem in known]
+            matches = [
+                name
+                for name, signal in signals.items()
+                if (signal.is_time if channel == "time" else signal.stem in known)
+            ]
             if len(matches) > 1 and channel != "time":
                 raise LogError(
                     f"{path}: datasets {matches[0]} and {matches[1]} both look like {channel}; "
@@ -140,7 +177,7 @@ def choose_signals(
                 chosen[channel] = matches[0]
     if measured and not any(channel in chosen for channel in MEASURED):
         raise LogError(
-            f'{path}: no dataset "Fz" or "Mz"; found {listing(signals)}; '
+            f'{path}: no dataset "Fz" or "Mz"; {_found(signals, passed_over)}; '
             'name them with datasets = {thrust = "...", torque = "..."}'
         )
     return chosen
@@ -185,7 +222,7 @@ class _Clocks:
         beside = [
             other
             for other, one in self.signals.items()
-            if one.group == signal.group and one.stem in TIME and other != name
+            if one.group == signal.group and one.is_time and other != name
         ]
         clock = beside[0] if len(beside) == 1 else self.time
         if self.rate is None and clock is not None:
@@ -241,6 +278,7 @@ def signal_channels(
     pulses_per_revolution: float | None,
     time_back: str,
     measured: bool,
+    passed_over: Sequence[str] = (),
 ) -> tuple[dict[str, Channel], list[str]]:
     """Return the channels of a file's signals and notes.
 
@@ -257,6 +295,8 @@ def signal_channels(
     measured : bool
         True: only known quantities are read and thrust or torque must be among them; False: signals of other
         names are kept too, in SI where their unit is known and as recorded (unit ``""``) where not.
+    passed_over : sequence of str
+        What the file holds besides signals, complete once `signals` are all taken.
 
     Raises
     ------
@@ -266,16 +306,13 @@ def signal_channels(
     if rate is not None:
         rate = positive_rate(path, rate)
     by_name = {signal.name: signal for signal in signals}
-    chosen = choose_signals(path, by_name, datasets, measured=measured)
+    chosen = choose_signals(path, by_name, datasets, measured=measured, passed_over=passed_over)
     check_tachometer(path, chosen, pulses_per_revolution)
     declared = DeclaredUnits(path, units)
     columns = {}
     for index, (name, signal) in enumerate(by_name.items()):
-        stem, unit = split_label(signal.label)
         guessed = signal.unit is None and suffix_unit(signal.label) is not None
-        columns[name] = Column(
-            index, signal.label, stem, unit if signal.unit is None else signal.unit, guessed
-        )
+        columns[name] = Column(index, signal.label, signal.stem, signal.stated_unit, guessed)
     clocks = _Clocks(
         path, by_name, rate, chosen.get("time"), lambda name: declared.factor(columns[name], "time", "s")
     )
@@ -284,7 +321,7 @@ def signal_channels(
         if channel != "time":
             clocks.add(channel, name)
     if not measured and datasets is None:
-        times = {name for name, signal in by_name.items() if signal.stem in TIME}
+        times = {name for name, signal in by_name.items() if signal.is_time}
         others = [name for name in by_name if name not in chosen.values() and name not in times]
         for name in others:
             clocks.add(name, name)
@@ -323,10 +360,15 @@ def signal_channels(
                 default = "rpm" if column.stem == "rpm" else None
                 scale = declared.factor(column, channel, QUANTITIES[channel].unit, default)
                 channels[channel] = quantity_channel(channel, time, values * scale)
-    if unknown:
-        notes.append(f"signals without a known unit, kept as recorded: {listing(unknown)}")
+    notes += unknown_units_note(unknown)
+    notes += [f"passed over, as no rows of numbers: {listing(passed_over)}"] if passed_over else []
     declared.check_used(tuple(columns.values()))
     return channels, [*notes, *declared.notes]
+
+
+def unknown_units_note(names: Sequence[str]) -> list[str]:
+    """Return a note that names the signals whose unit is not known."""
+    return [f"signals without a known unit, kept as recorded: {listing(names)}"] if names else []
 
 
 def plain_unit(stated: str | None) -> tuple[str, float]:

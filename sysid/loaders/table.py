@@ -217,6 +217,7 @@ def read_numbers(
     surplus: bool = False,
     free_text: int | None = None,
     decimal: str | None = None,
+    ends: Sequence[int] = (),
 ) -> Numbers:
     """Parse the wanted columns of a table.
 
@@ -241,6 +242,8 @@ def read_numbers(
         Column of words, which may hold delimiters.
     decimal : str, optional
         Decimal mark; judged from the first cells that hold one by default.
+    ends : sequence of int
+        Numbers of cells after which a row may end, with a delimiter: what it holds is trusted.
 
     Raises
     ------
@@ -279,6 +282,9 @@ def read_numbers(
     if free_text is not None:
         for row in np.flatnonzero(short & (fields == free_text + 1)).tolist():
             short[row] = not _is_words(body.cells(row), free_text)
+    for row in np.flatnonzero(short & np.isin(fields - 1, np.asarray(ends, dtype=np.int64))).tolist():
+        cells = body.cells(row)
+        short[row] = bool(cells[-1].strip()) or not all(cell.strip() for cell in cells[:-1])
     if short.any():
         if short.sum() * 2 > short.size:
             row = int(np.argmax(short))

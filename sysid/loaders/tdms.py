@@ -2,10 +2,11 @@
 
 Valid for waveform channels: time = ``wf_start_offset`` + i · ``wf_increment``, counted from the earliest
 ``wf_start_time`` of the file, of which 1904-01-01 means not set. The number of samples is that of the data:
-``wf_samples`` is the size of one block. Both count in ``wf_xunit_string``, seconds where it is not set; a
-channel over another axis (a spectrum) is left out. Channels without ``wf_increment`` take a time channel
-beside them or the declared rate. The thinned copies that SignalExpress adds (``Decimated Data_Level1``) are
-left out.
+``wf_samples`` is the size of one block. Segments that begin anew after a pause are refused (`tdms_segments`),
+because the samples of a channel are on one clock. Both count in ``wf_xunit_string``, seconds where it is not
+set; a channel over another axis (a spectrum) is left out. Channels without ``wf_increment`` take a time
+channel beside them or the declared rate. The thinned copies that SignalExpress adds
+(``Decimated Data_Level1``) are left out.
 """
 
 from __future__ import annotations
@@ -23,11 +24,14 @@ from sysid.loaders.optional import library
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.signals import Signal, kind_of, signal_channels, written_unit
 from sysid.loaders.source import Source
+from sysid.loaders.tdms_segments import Starts, samples_before, waveform_starts
 from sysid.recording import FloatArray, Recording
 from sysid.units import factor_to_si
 
 _NAME = "tdms"
 _THINNED = re.compile(r"Decimated Data_Level\d+$")
+# Clocks of a computer and a device drift apart by less than this.
+_DRIFT = 1e-4
 # What npTDMS raises on a damaged file; it has no exception of its own.
 _DAMAGE = (
     OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, RuntimeError, OverflowError,
@@ -60,10 +64,41 @@ def _samples(channel: Any) -> FloatArray:
     return np.asarray(values, dtype=np.float64)
 
 
-def _signals(file: Any, notes: list[str]) -> list[Signal]:
+def _check_segments(
+    path: str, name: str, channel: str, stated: Starts, step: float, declared: float | None
+) -> str:
+    """Refuse a channel whose segments begin anew after a pause; return a note where `declared` joins them."""
+    lasted = samples_before(path, stated.offset, channel) * step
+    began = float((stated.last - stated.first) / np.timedelta64(1, "ns")) * 1e-9
+    if abs(began - lasted) <= max(1.5 * step, _DRIFT * lasted):
+        return ""
+    said = (
+        f"{name} was recorded in parts: its last part began {began:.6g} s after the first, but the samples "
+        f"before it last {lasted:.6g} s"
+    )
+    if declared is None:
+        raise LogError(
+            f"{path}: {said}; save each recording in a file of its own, or take all samples as consecutive "
+            f"with rate = {1.0 / step:g}"
+        )
+    return f"{said}; all samples taken as consecutive, as declared by rate"
+
+
+def _number(value: object) -> float | None:
+    """Return a property that is a number, whole or not."""
+    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return float(value) if number else None  # type: ignore[arg-type]
+
+
+def _signals(path: str, file: Any, notes: list[str], declared: float | None) -> list[Signal]:
+    restarts = waveform_starts(path)
     found, thinned, other, spectra = [], [], [], []
     waves = [(group, channel) for group in file.groups() for channel in group.channels()]
-    starts = [start for _, channel in waves if (start := _start(channel.properties)) is not None]
+    begins = {}
+    for _, channel in waves:
+        stated = restarts.get(channel.path)
+        begins[channel.path] = _start(channel.properties) if stated is None else stated.first
+    starts = [start for start in begins.values() if start is not None]
     first = min(starts) if starts else None
     for group, channel in waves:
         name = f"/{group.name}/{channel.name}"
@@ -82,16 +117,20 @@ def _signals(file: Any, notes: list[str]) -> list[Signal]:
         )
         if np.dtype(channel.dtype).kind == "M":
             unit = "s"  # what `_samples` makes of time stamps
-        step = properties.get("wf_increment")
+        step = _number(properties.get("wf_increment"))
         seconds = _seconds(str(properties.get("wf_xunit_string") or "s").strip())
         if seconds is None:
             spectra.append(name)
             continue
-        start = _start(properties)
+        start = begins[channel.path]
         begin = float(properties.get("wf_start_offset", 0.0) or 0.0) * seconds
         if start is not None and first is not None:
             begin += float((start - first) / np.timedelta64(1, "ns")) * 1e-9
-        rate = 1.0 / (float(step) * seconds) if isinstance(step, float) and step > 0 else None
+        rate = 1.0 / (step * seconds) if step is not None and step > 0 else None
+        stated = restarts.get(channel.path)
+        if rate is not None and stated is not None and stated.last != stated.first:
+            said = _check_segments(path, name, channel.path, stated, 1.0 / rate, declared)
+            notes += [said] if said else []
 
         def read(channel: Any = channel) -> FloatArray:
             return _samples(channel)
@@ -156,7 +195,7 @@ def read(
             device = str(file.properties.get("name", ""))
             channels, said = signal_channels(
                 path,
-                _signals(file, notes),
+                _signals(path, file, notes, rate),
                 rate=rate,
                 units=units,
                 datasets=datasets,

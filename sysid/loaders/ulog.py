@@ -3,7 +3,8 @@
 Frames are those of PX4: positions north, east, down from the point of take-off; body axes front, right, down;
 quaternions w first, body to world. A body ``vehicle`` needs position and attitude on one clock, which
 ``vehicle_odometry`` or ``vehicle_visual_odometry`` has; the estimates of ``vehicle_attitude`` and
-``vehicle_local_position`` are channels of their own.
+``vehicle_local_position`` are channels of their own. Of a topic that several sensors publish the lowest
+instance is read. What PX4 writes for unknown (current -1 A, 0 V) or marks as not valid is missing.
 """
 
 from __future__ import annotations
@@ -27,6 +28,16 @@ from sysid.recording import Channel, FloatArray, Recording
 _NAME = "ulog"
 _MAGIC = b"ULog\x01\x12\x35"
 _ODOMETRY = {"vehicle_odometry": "vehicle", "vehicle_visual_odometry": "visual"}
+# vehicle_odometry's pose_frame, PX4 1.13 and later: x and y of FRD are turned by an unknown heading.
+_FRAMES = {0: "unknown", 1: "NED", 2: "FRD"}
+# What PX4 writes for unknown, by topic and field.
+_UNKNOWN = {("battery_status", "current_a"): -1.0, ("battery_status", "voltage_v"): 0.0}
+# Fields of flags, by topic, and the fields that count only where the flag is set.
+_VALID = {
+    "vehicle_local_position": {
+        "xy_valid": ("x", "y"), "z_valid": ("z",), "v_xy_valid": ("vx", "vy"), "v_z_valid": ("vz",),
+    },
+}  # fmt: skip
 _RPM = 2.0 * np.pi / 60.0
 # topic: (channel, fields, unit, factor); {} in a channel is the number of the topic's instance
 _PLAIN: tuple[tuple[str, str, tuple[str, ...], str, float], ...] = (
@@ -58,6 +69,42 @@ def _rows(topic: Any, fields: Sequence[str], word: str) -> Numbers:
         values = np.asarray(topic.data[name], dtype=np.float64)
         columns[i] = np.where(np.isinf(values), np.nan, values)
     return Numbers(columns, np.arange(1, columns[0].size + 1), row_word=f"{word} message")
+
+
+def _mask_unknown(topic: Any, fields: Sequence[str], numbers: Numbers) -> list[str]:
+    """Blank what PX4 marks as unknown or not valid; return notes."""
+    notes = []
+    for i, name in enumerate(fields, start=1):
+        unknown = numbers.columns[i] == _UNKNOWN.get((topic.name, name), np.nan)
+        why = f"{_UNKNOWN.get((topic.name, name), 0.0):g}, which PX4 writes for unknown"
+        for flag, flagged in _VALID.get(topic.name, {}).items():
+            if name in flagged and flag in topic.data:
+                unknown, why = np.asarray(topic.data[flag]) == 0, f"not valid by {flag}"
+        if unknown.any():
+            numbers.columns[i] = np.where(unknown, np.nan, numbers.columns[i])
+            notes.append(f"{topic.name}.{name} is {why}, in {int(unknown.sum())} messages; taken as missing")
+    return notes
+
+
+def _instance_note(topic: Any) -> list[str]:
+    return [f"{topic.name} is of instance {topic.multi_id}, the lowest in the log"] if topic.multi_id else []
+
+
+def _frame_notes(topic: Any, body: str) -> tuple[bool, list[str]]:
+    """Return whether the poses of an odometry topic are in one frame, and notes."""
+    if "pose_frame" not in topic.data:
+        return True, []
+    found = np.unique(topic.data["pose_frame"]).tolist()
+    words = " and ".join(_FRAMES.get(int(one), f"number {int(one)}") for one in found)
+    if len(found) > 1:
+        return False, [f"{body} was left out: its pose_frame changes between {words}"]
+    if found == [1]:
+        return True, []
+    turned = "z is down, but x and y are turned from north and east by an unknown heading"
+    return True, [
+        f"pose_frame of {body} is {words}, not NED: "
+        + (turned if found == [2] else "its axes are not known; check them before use")
+    ]
 
 
 def _stack(numbers: Numbers, first: int, width: int) -> FloatArray:
@@ -103,7 +150,7 @@ def read(source: Source, *, time_back: str = "drop") -> Recording:
     """
     path = source.path
     log, _ = _load(source)
-    topics = {topic.name: topic for topic in reversed(log.data_list) if topic.multi_id == 0}
+    topics = {topic.name: topic for topic in sorted(log.data_list, key=lambda one: -one.multi_id)}
     notes: list[str] = []
     channels: dict[str, Channel] = {}
 
@@ -123,6 +170,10 @@ def read(source: Source, *, time_back: str = "drop") -> Recording:
             or any(name not in topic.data for name in fields)
             or not len(topic.data["timestamp"])
         ):
+            continue
+        one_frame, said = _frame_notes(topic, body)
+        notes += said
+        if not one_frame:
             continue
         numbers = _rows(topic, fields, topic_name)
         time = clocked(numbers)
@@ -147,10 +198,12 @@ def read(source: Source, *, time_back: str = "drop") -> Recording:
         ):
             continue
         numbers = _rows(topic, wanted, topic_name)
+        said = _mask_unknown(topic, wanted, numbers)
         time = clocked(numbers)
         values = numbers.columns[1] if len(wanted) == 1 else _stack(numbers, 1, len(wanted))
         if np.isfinite(values).any() and (np.nan_to_num(values).any() or not channel[-1].isdigit()):
             channels[channel] = Channel(channel, unit, time, values * factor)
+            notes += [*said, *_instance_note(topic)]
     if not channels:
         raise LogError(
             f"{path}: none of the topics that sysid reads is in this log; found {listing(sorted(topics))}"
@@ -160,6 +213,7 @@ def read(source: Source, *, time_back: str = "drop") -> Recording:
             "actuator outputs as recorded: µs where the speed controllers take PWM, levels of DShot or CAN "
             "where they do not"
         )
+    notes = list(dict.fromkeys(notes))
     if log.dropouts:
         lost = 1e-3 * sum(one.duration for one in log.dropouts)
         notes.append(f"the logger dropped out {len(log.dropouts)} times, {lost:.3g} s in all")

@@ -30,7 +30,7 @@ from sysid.loaders.motion_capture import (
 )
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.rigid_pose import marker_bodies, pose_from_markers
-from sysid.loaders.signals import plain_unit, unique_names
+from sysid.loaders.signals import plain_unit, unique_names, unknown_units_note
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers, TableHead, read_numbers
 from sysid.loaders.table_rows import parse_number
@@ -266,11 +266,14 @@ def _read_section(
     path = text.path
     groups = section.groups()
     columns = sorted({0, 1, *(column for group in groups.values() for column in group)})
-    numbers = read_numbers(text.up_to(section.end), section.table, columns, least=columns[-1] + 1)
+    # A lost object behind the others leaves a row that ends at one of them, with a delimiter.
+    ends = [max(group) + 1 for group in groups.values()] if section.title == "objects" else []
+    numbers = read_numbers(text.up_to(section.end), section.table, columns, least=columns[-1] + 1, ends=ends)
     time, said = _clock(path, section, numbers)
     notes += [*numbers.notes, *said]
     channels: dict[str, Channel] = {}
-    blank = []
+    blank: list[str] = []
+    unknown: list[str] = []
     for name, group in groups.items():
         fields = {section.fields[column].upper(): column for column in group}
         _check_whole(path, section, name, group)
@@ -289,6 +292,11 @@ def _read_section(
             place = [fields[f"T{axis}"] for axis in "XYZ"]
             position = np.column_stack([numbers.columns[column] for column in place])
             raw = _rotation(path, section, body, fields, numbers, angles)
+            # Tracker writes a lost object as zeros; none stands exactly at the origin without any turn.
+            zeros = ~np.column_stack([numbers.columns[column] for column in group]).any(axis=1)
+            if section.title == "objects" and zeros.any():
+                position[zeros], raw[zeros] = np.nan, np.nan
+                notes.append(f"frames of {body} that are all zeros, taken as lost: {int(zeros.sum())}")
             orientation, said = unit_quaternions(path, body, numbers, raw)
             scale = _length(path, section, place, length_unit)
             channels |= body_channels(body, time, position * scale, orientation)
@@ -298,9 +306,11 @@ def _read_section(
             labels = unique_names([f"{name}/{section.fields[column]}" for column in group])
             for label, column in zip(labels, group, strict=True):
                 unit, factor = plain_unit(section.units[column])
+                unknown += [] if unit else [f"{label} [{section.units[column]}]".removesuffix(" []")]
                 channels[label] = Channel(label, unit, time, numbers.columns[column] * factor)
     if blank:
         notes.append(f"markers never seen, left out: {listing(blank)}")
+    notes += unknown_units_note(unknown)
     return channels
 
 

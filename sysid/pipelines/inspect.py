@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from sysid.errors import CampaignError, LogError
+from sysid.errors import CampaignError, LogError, SysidError
 from sysid.inspection import BenchReport, ChannelReport, DropReport, LogReport, inspect_recording
 from sysid.loaders import formats, load
 from sysid.loaders.alignment import join_recordings
@@ -61,6 +61,8 @@ def inspect_files(
 ) -> None:
     """Print what logs hold, as tables or JSON, and draw them.
 
+    A log that is refused does not hide the others: its refusal stands in its place, and the last word.
+
     Parameters
     ----------
     paths : sequence of Path
@@ -72,23 +74,58 @@ def inspect_files(
     plot : Path, optional
         Figure to write; of several logs, one under the other.
     as_json : bool
-        Print JSON and nothing else.
+        Print JSON and nothing else; of a log that is refused an object with the keys ``path`` and ``error``.
+
+    Raises
+    ------
+    SysidError
+        When a log is refused, behind what the others hold.
     """
-    recordings = [load_log(path, format_name, options or {}) for path in paths]
-    reports = [inspect_recording(recording) for recording in recordings]
+    recordings: list[Recording] = []
+    found: list[LogReport | tuple[Path, SysidError]] = []
+    for path in paths:
+        try:
+            recording = load_log(path, format_name, options or {})
+            found.append(inspect_recording(recording))
+            recordings.append(recording)
+        except SysidError as error:
+            if len(paths) == 1:
+                raise
+            found.append((path, error))
+    reports = [one for one in found if isinstance(one, LogReport)]
+    refusals = [one for one in found if not isinstance(one, LogReport)]
+    if plot is not None and refusals:
+        plot = None
     if plot is not None:
         from sysid.report.figures import save_figure
         from sysid.report.inspect_figures import figure_logs
 
         save_figure(figure_logs(recordings, reports), plot)
     if as_json:
-        print(json.dumps([report.as_json() for report in reports], ensure_ascii=False, indent=2))
-        return
-    console = Console(soft_wrap=True)
-    for report in reports:
-        print_report(console, report)
-    if plot is not None:
-        console.print(Text(f"wrote {plot}"))
+        rows = [
+            one.as_json() if isinstance(one, LogReport) else {"path": str(one[0]), "error": str(one[1])}
+            for one in found
+        ]
+        print(json.dumps(rows, ensure_ascii=False, indent=2))
+    else:
+        console = Console(soft_wrap=True)
+        for one in found:
+            if isinstance(one, LogReport):
+                print_report(console, one)
+            else:
+                console.print(Text(str(one[0]), style="bold"))
+                console.print(Text(f"  refused: {one[1]}", style="bold red"))
+        if plot is not None:
+            console.print(Text(f"wrote {plot}"))
+    if refusals:
+        raise type(refusals[0][1])(_refused(refusals, len(paths)))
+
+
+def _refused(refusals: Sequence[tuple[Path, SysidError]], total: int) -> str:
+    if len(refusals) == 1:
+        return f"{refusals[0][1]} (1 of {total} logs refused)"
+    names = ", ".join(str(path) for path, _ in refusals)
+    return f"{len(refusals)} of {total} logs refused: {names}; what is wrong with each stands in its place"
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,77 @@
+"""When each waveform of a TDMS file began, segment by segment.
+
+A program that appends to a TDMS file states ``wf_start_time`` anew in each segment; npTDMS keeps the last one
+and joins the samples. Here the first and the last statement are read off the segments, so that a pause
+between two recordings is seen. Lead-in of a segment: ``TDSm``, 32 flags, version, offset of the next segment,
+offset of the raw data (National Instruments, TDMS File Format Internal Structure).
+"""
+
+from __future__ import annotations
+
+import mmap
+import re
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+_LEAD_IN = 28
+_BIG_ENDIAN = 1 << 6
+# The path of a channel, or the name, type and value of its property.
+_SAID = re.compile(
+    rb"(?P<path>/'(?:[^']|'')*'/'(?:[^']|'')*')|wf_start_time(?:\x44\0\0\0|\0\0\0\x44)(?P<time>.{16})",
+    re.DOTALL,
+)
+_EPOCH = np.datetime64("1904-01-01T00:00:00", "ns")
+_NANOSECONDS = 1_000_000_000
+
+
+@dataclass
+class Starts:
+    """First and last start that a file states of one channel, and where the segment of the last one is."""
+
+    first: np.datetime64
+    last: np.datetime64
+    offset: int = 0
+
+
+def _time(raw: bytes, big: bool) -> np.datetime64:
+    seconds, fraction = struct.unpack(">qQ", raw) if big else struct.unpack("<Qq", raw)[::-1]
+    return _EPOCH + np.timedelta64(seconds * _NANOSECONDS + (fraction * _NANOSECONDS >> 64), "ns")
+
+
+def waveform_starts(path: str) -> dict[str, Starts]:
+    """Return the starts of the channels that state one, by their path in the file, ``/'group'/'channel'``."""
+    found: dict[str, Starts] = {}
+    with Path(path).open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        at = 0
+        while data[at : at + 4] == b"TDSm" and at + _LEAD_IN <= len(data):
+            (flags,) = struct.unpack_from("<I", data, at + 4)
+            big = bool(flags & _BIG_ENDIAN)
+            behind, raw = struct.unpack_from(">QQ" if big else "<QQ", data, at + 12)
+            channel = ""
+            for said in _SAID.finditer(data[at + _LEAD_IN : at + _LEAD_IN + raw]):
+                if said["path"] is not None:
+                    channel = said["path"].decode("utf-8", "replace")
+                    continue
+                seconds = struct.unpack(">q" if big else "<q", said["time"][:8] if big else said["time"][8:])
+                if seconds[0] <= 0 or seconds[0] > 1 << 33:  # not set, or no time
+                    continue
+                start = _time(said["time"], big)
+                known = found.setdefault(channel, Starts(start, start, at))
+                if start != known.last:
+                    known.last, known.offset = start, at
+            at += _LEAD_IN + behind
+    return found
+
+
+def samples_before(path: str, offset: int, channel: str) -> int:
+    """Return how many samples of a channel stand in the segments before `offset`."""
+    from nptdms import TdmsFile
+
+    with Path(path).open("rb") as stream, mmap.mmap(stream.fileno(), offset, access=mmap.ACCESS_READ) as data:
+        file = TdmsFile.read_metadata(data)
+        return next(
+            (len(one) for group in file.groups() for one in group.channels() if one.path == channel), 0
+        )

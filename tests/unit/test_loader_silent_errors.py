@@ -1,0 +1,277 @@
+"""Files that load without complaint and would mean something else: each is refused, noted or read right."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+
+from sysid.errors import LogError, UnitError
+from sysid.loaders import load
+from sysid.pipelines.inspect import inspect_files
+from sysid.units import factor_to_si
+from sysid.writing import write_file
+
+COUNT = 300
+RAMP = np.linspace(0.0, 6.0, COUNT)
+
+
+def said(log):
+    return " | ".join(log.provenance.notes)
+
+
+def test_the_number_of_a_matrix_column_is_no_unit(tmp_path):
+    io = pytest.importorskip("scipy.io")
+    path = tmp_path / "log.mat"
+    io.savemat(path, {"Fs": 1000.0, "D": np.column_stack([1000 + RAMP, 2 * RAMP])})
+    chosen = {"command": "D[1]", "thrust": "D[2]"}
+    with pytest.raises(UnitError, match=r'"D\[1\]" states no unit; expected us, dshot or 1'):
+        load(path, datasets=chosen, units={"thrust": "N"})
+    log = load(path, datasets=chosen, units={"thrust": "N", "command": "us"})
+    assert log["command"].unit == "us"
+    np.testing.assert_array_equal(log["thrust"].values, 2 * RAMP)
+
+
+def test_what_a_matlab_file_holds_besides_signals_is_named(tmp_path):
+    io = pytest.importorskip("scipy.io")
+    path = tmp_path / "log.mat"
+    cells = np.empty((1, 2), object)
+    cells[0, 0] = cells[0, 1] = RAMP
+    io.savemat(path, {"Fs": 1.0, "FT": np.tile(RAMP, (6, 1)), "c": cells, "z": RAMP + 1j})
+    with pytest.raises(LogError) as refusal:
+        load(path)
+    # 300 columns are more than any sensor has: the matrix lies on its side.
+    for words in ("passed over", "FT (6 × 300 matrix)", "c (2 cells", "z (300 complex numbers)"):
+        assert words in str(refusal.value)
+
+
+def test_a_column_of_an_hdf5_matrix_is_a_dataset(tmp_path):
+    import h5py
+
+    path = tmp_path / "log.h5"
+    with h5py.File(path, "w") as file:
+        file.attrs["rate"] = 1000
+        file.create_dataset("FT", data=np.column_stack([k * RAMP for k in range(6)])).attrs["unit"] = "N"
+    log = load(path, datasets={"thrust": "/FT[3]"})
+    np.testing.assert_array_equal(log["thrust"].values, 2 * RAMP)
+    with pytest.raises(LogError, match=r'found "/FT\[1\]"'):
+        load(path)
+
+
+def segments(path, starts, *, increment=1e-3):
+    nptdms = pytest.importorskip("nptdms", reason="npTDMS comes with the test extra")
+    first = np.datetime64("2024-05-01T10:00:00", "us")
+    with nptdms.TdmsWriter(str(path)) as writer:
+        for start in starts:
+            said = {
+                "wf_increment": increment, "wf_start_offset": 0.0, "wf_samples": 100, "unit_string": "N",
+                "wf_start_time": first + np.timedelta64(round(1e6 * start), "us"),
+            }  # fmt: skip
+            writer.write_segment([nptdms.ChannelObject("g", "Fz", RAMP[:100], said)])
+    return path
+
+
+def test_recordings_appended_to_one_tdms_after_a_pause_are_refused(tmp_path):
+    path = segments(tmp_path / "a.tdms", [0, 10, 20])
+    with pytest.raises(LogError, match=r"began 20 s after the first, but .* last 0\.2 s.* rate = 1000"):
+        load(path)
+    glued = load(path, rate=1000)
+    assert glued["thrust"].values.size == 300
+    assert "all samples taken as consecutive" in said(glued)
+    # One recording written in blocks states the start of each block; its clock begins at the first.
+    whole = load(segments(tmp_path / "b.tdms", [0, 0.1, 0.2]))
+    np.testing.assert_allclose(whole["thrust"].time, 1e-3 * np.arange(300), atol=1e-12)
+    assert "began at 2024-05-01T10:00:00.0" in said(whole)
+
+
+def test_a_whole_wf_increment_is_a_clock_and_a_temperature_is_none(tmp_path):
+    log = load(segments(tmp_path / "a.tdms", [0], increment=1))
+    np.testing.assert_allclose(log["thrust"].time, np.arange(100), atol=1e-12)
+    nptdms = pytest.importorskip("nptdms", reason="npTDMS comes with the test extra")
+    wave = {"wf_increment": 1e-2}
+    with nptdms.TdmsWriter(str(tmp_path / "b.tdms")) as writer:
+        force = nptdms.ChannelObject("g", "Fz", RAMP, {**wave, "unit_string": "N"})
+        warm = nptdms.ChannelObject("g", "T_deg", 20 + RAMP, {**wave, "unit_string": "°C"})
+        writer.write_segment([force, warm])
+    log = load(tmp_path / "b.tdms")
+    np.testing.assert_allclose(log["thrust"].time, 1e-2 * np.arange(COUNT), atol=1e-12)
+    np.testing.assert_array_equal(log["T_deg"].values, 20 + RAMP)
+
+
+def ulog(path, *topics):
+    """Write a ULog of topics (name, format, rows of bytes, instance)."""
+
+    def message(kind, body):
+        return struct.pack("<HB", len(body), ord(kind)) + body
+
+    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000) + message("B", bytes(40))
+    for name, fields, _, _ in topics:
+        out += message("F", f"{name}:{fields}".encode())
+    for number, (name, _, _, instance) in enumerate(topics):
+        out += message("A", bytes([instance]) + struct.pack("<H", number) + name.encode())
+    for number, (_, _, rows, _) in enumerate(topics):
+        out += b"".join(message("D", struct.pack("<H", number) + row) for row in rows)
+    path.write_bytes(out)
+    return path
+
+
+def test_what_px4_marks_as_unknown_is_missing(tmp_path):
+    pytest.importorskip("pyulog", reason="pyulog comes with the test extra")
+    stamps = [10**6 + 10**4 * i for i in range(50)]
+    battery = [struct.pack("<Qff", t, 16.0 if i > 9 else 0.0, 3.0 if i > 4 else -1.0)
+               for i, t in enumerate(stamps)]  # fmt: skip
+    place = [struct.pack("<Qfff??", t, i, 2, -3, i > 19, i > 29) for i, t in enumerate(stamps)]
+    log = load(
+        ulog(
+            tmp_path / "a.ulg",
+            ("battery_status", "uint64_t timestamp;float voltage_v;float current_a;", battery, 1),
+            (
+                "vehicle_local_position",
+                "uint64_t timestamp;float x;float y;float z;bool xy_valid;bool z_valid;",
+                place,
+                0,
+            ),
+        )
+    )
+    assert np.isnan(log["current"].values).sum() == 5
+    assert np.isnan(log["voltage"].values).sum() == 10
+    assert np.isnan(log["local_position"].values).sum(axis=0).tolist() == [20, 20, 30]
+    np.testing.assert_array_equal(log["local_position"].values[30:, 0], np.arange(30, 50))
+    for words in ("current_a is -1, which PX4 writes for unknown, in 5", "not valid by xy_valid, in 20",
+                  "battery_status is of instance 1"):  # fmt: skip
+        assert words in said(log)
+
+
+@pytest.mark.parametrize(
+    ("frames", "words"),
+    [((2, 2), "pose_frame of vehicle is FRD, not NED"), ((0, 0), "is unknown, not NED"), ((1, 1), "")],
+)
+def test_the_frame_of_px4_odometry_is_said(tmp_path, frames, words):
+    pytest.importorskip("pyulog", reason="pyulog comes with the test extra")
+    fields = "uint64_t timestamp;float[3] position;float[4] q;uint8_t pose_frame;uint8_t[3] _padding0;"
+    rows = [struct.pack("<Q3f4fB", 10**6 + 10**4 * i, i, 2, -3, 1, 0, 0, 0, frames[i % 2]) for i in range(9)]
+    log = load(ulog(tmp_path / "a.ulg", ("vehicle_odometry", fields, rows, 0)))
+    assert log["vehicle/position"].values.shape == (9, 3)
+    assert words in said(log)
+    assert bool(words) == ("pose_frame" in said(log))
+
+
+def tracker(rows):
+    head = [
+        "Objects", "100", ",,Global Angle d:d,,,,,,Global Angle e:e,,,,,,",
+        "Frame,Sub Frame,RX,RY,RZ,TX,TY,TZ,RX,RY,RZ,TX,TY,TZ,",
+        ",,rad,rad,rad,mm,mm,mm,rad,rad,rad,mm,mm,mm,",
+    ]  # fmt: skip
+    return "\n".join([*head, *rows]) + "\n"
+
+
+def test_a_lost_tracker_object_is_missing_and_takes_no_other_with_it(tmp_path):
+    rows = []
+    for i in range(40):
+        first = "0,0,0,0,0,0," if 10 <= i < 15 else f"0,0,0.1,1,2,{i},"
+        rows.append(f"{i + 1},0,{first}" + ("" if i in (20, 21) else "0,0,0.2,5,6,7,"))
+    path = tmp_path / "tracker.csv"
+    path.write_text(tracker(rows), encoding="utf-8")
+    log = load(path)
+    assert log["d/position"].values[20, 2] == pytest.approx(0.020, rel=1e-12)
+    lost = np.isnan(log["d/position"].values).any(axis=1)
+    assert np.flatnonzero(lost).tolist() == [10, 11, 12, 13, 14]
+    assert np.array_equal(lost, np.isnan(log["d/orientation"].values).any(axis=1))
+    assert np.flatnonzero(np.isnan(log["e/position"].values).any(axis=1)).tolist() == [20, 21]
+    assert "frames of d that are all zeros, taken as lost: 5" in said(log)
+    # A row cut inside a number has no delimiter behind it and is not trusted.
+    rows[20] = rows[20].rstrip(",")
+    path.write_text(tracker(rows), encoding="utf-8")
+    assert 0.020 not in load(path)["d/position"].values[:, 2]
+
+
+def c3d(path, frames, units=("N",), *, analog=True):
+    ezc3d = pytest.importorskip("ezc3d", reason="ezc3d comes with the test extra")
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["RATE"]["value"] = [100.0]
+    file["parameters"]["POINT"]["LABELS"]["value"] = ["A"]
+    file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
+    file["data"]["points"] = np.ones((4, 1, frames))
+    if analog:
+        file["parameters"]["ANALOG"]["RATE"]["value"] = [100.0]
+        file["parameters"]["ANALOG"]["LABELS"]["value"] = [f"a{i}" for i in range(len(units))]
+        file["parameters"]["ANALOG"]["UNITS"]["value"] = list(units)
+        file["data"]["analogs"] = np.ones((1, len(units), frames))
+    file.write(str(path))
+    return path
+
+
+def test_a_c3d_longer_than_its_header_counts_is_noted(tmp_path):
+    log = load(c3d(tmp_path / "long.c3d", 66000, analog=False))
+    assert "only the first 65535 frames were read" in said(log)
+    assert "only the first" not in said(load(c3d(tmp_path / "full.c3d", 65535, analog=False)))
+
+
+def test_signals_of_unknown_unit_are_named(tmp_path):
+    log = load(c3d(tmp_path / "a.c3d", 50, ("in-lb", "quux")))
+    # 1 lbf-in as the maker of the transducers states it.
+    np.testing.assert_allclose(log["analog/a0"].values, 0.1129848290276167, rtol=1e-12)
+    assert 'kept as recorded: "analog/a1 [quux]"' in said(log)
+    for unit, factor in (("in-lbs", 1 / 12), ("ft-lb", 1.0), ("ft-lbs", 1.0)):
+        assert factor_to_si(unit, "N*m") == pytest.approx(1.3558179483314004 * factor, rel=1e-12)
+    device = "Devices\n100\n,,Load\nFrame,Sub Frame,Pin 1\n,,quux\n"
+    path = tmp_path / "vicon.csv"
+    path.write_text(device + "".join(f"{i + 1},0,{i}\n" for i in range(30)), encoding="utf-8")
+    assert 'kept as recorded: "Load/Pin 1 [quux]"' in said(load(path))
+
+
+def test_an_ati_time_in_the_last_column_is_refused(tmp_path):
+    path = tmp_path / "ati.csv"
+    units = {"force": "N", "torque": "N*m"}
+    loads = [f"{np.sin(i):.6f},1,2,0.1,0.2,0.3" for i in range(60)]
+    path.write_text("".join(f"{row},{0.01 * i:.2f}\n" for i, row in enumerate(loads)), encoding="utf-8")
+    with pytest.raises(LogError, match="the last of seven columns rises steadily"):
+        load(path, format="ati-text", units=units, rate=100)
+    both = "".join(f"{0.1 * i:.1f},1,2,3,4,5,{0.01 * i:.2f}\n" for i in range(60))
+    path.write_text(both, encoding="utf-8")
+    with pytest.raises(LogError, match="either may be the time"):
+        load(path, format="ati-text", units=units)
+    assert load(path, format="ati-text", units={**units, "time": "s"})["thrust"].values[0] == 3.0
+
+
+def test_speed_in_hertz_is_advised_to_be_revolutions(tmp_path):
+    path = tmp_path / "cell.csv"
+    rows = "".join(f"{0.01 * i:.2f},{i},{i}\n" for i in range(30))
+    path.write_text("Time (s),Speed (Hz),Fz (N)\n" + rows, encoding="utf-8")
+    with pytest.raises(UnitError, match=r'declare units = \{speed = "rev/s"\}'):
+        load(path)
+    log = load(path, units={"speed": "rev/s"})
+    np.testing.assert_allclose(log["speed"].values, 2 * np.pi * np.arange(30), rtol=1e-12)
+
+
+def test_inspect_reports_each_log_and_refuses_at_the_end(tmp_path, capsys):
+    good, bad = tmp_path / "good.csv", tmp_path / "bad.csv"
+    rows = "".join(f"{0.01 * i:.2f},{i}\n" for i in range(30))
+    good.write_text("Time (s),Fz (N)\n" + rows, encoding="utf-8")
+    bad.write_text("Time (s),Fz (N)\n", encoding="utf-8")
+    with pytest.raises(LogError, match="bad.csv.*1 of 3 logs refused"):
+        inspect_files([good, bad, good], as_json=True)
+    found = json.loads(capsys.readouterr().out)
+    assert [("error" in one) for one in found] == [False, True, False]
+    with pytest.raises(LogError):
+        inspect_files([good, bad, good])
+    shown = capsys.readouterr().out
+    assert shown.count("thrust") >= 2
+    assert "refused:" in shown
+
+
+def test_a_missing_folder_is_not_a_full_disk(tmp_path):
+    with pytest.raises(LogError, match="the folder .*nowhere does not exist"):
+        write_file(tmp_path / "nowhere" / "x.h5", b"1", LogError)
+
+
+def test_a_qualisys_cell_is_named_as_the_file_names_it(tmp_path):
+    path = tmp_path / "q.tsv"
+    head = ("NO_OF_FRAMES\t2\nNO_OF_BODIES\t1\nFREQUENCY\t100\nDATA_INCLUDED\t6D\nBODY_NAMES\tB2\n"
+            "Frame\tTime\tB2 X\tY\tZ\tRoll\tPitch\tYaw\tResidual\t")  # fmt: skip
+    matrix = "1\t0\t0\t0\t1\t0\t0\t0\t1"
+    head += "\t".join(f"Rot[{i}]" for i in range(9)) + "\n"
+    rows = f"1\t0.00\tx9\t1\t1\t0\t0\t0\t0\t{matrix}\n2\t0.01\t1\t1\t1\t0\t0\t0\t0\t{matrix}\n"
+    path.write_text(head + rows, encoding="utf-8")
+    with pytest.raises(LogError, match="'x9' in column 'B2 X'"):
+        load(path)
