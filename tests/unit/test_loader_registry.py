@@ -273,10 +273,10 @@ def test_hdf5_layouts_and_refusals(tmp_path):
     assert log.provenance.device == "cell 7"
     for options, message in [
         ({"datasets": {"thrust": "/b/Fz"}}, "has no clock"),
-        ({"datasets": {"thrust": "/c/Fz"}}, 'no dataset /c/Fz; found "/Mz", "/a/Fz"'),
+        ({"datasets": {"thrust": "/c/Fz"}}, r'no dataset /c/Fz; found "/Mz\[1\]", "/Mz\[2\]", "/a/Fz"'),
         ({"datasets": {"push": "/a/Fz"}}, 'datasets names "push"; it can name time, command'),
         ({"datasets": {"torque": "/words"}, "rate": 1.0}, "expected one row of numbers"),
-        ({"datasets": {"torque": "/Mz"}, "rate": 1.0}, r"shape \(2, 2\)"),
+        ({"datasets": {"torque": "/Mz"}, "rate": 1.0}, r'no dataset /Mz; found "/Mz\[1\]"'),
         ({"datasets": {"torque": "/raw/volts"}, "rate": 1.0}, 'column "volts" states no unit'),
         ({"datasets": {"speed": "/raw/volts"}, "rate": 1.0}, 'no dataset "Fz" or "Mz"'),
     ]:

@@ -249,7 +249,7 @@ def test_inspect_reports_each_log_and_refuses_at_the_end(tmp_path, capsys):
     rows = "".join(f"{0.01 * i:.2f},{i}\n" for i in range(30))
     good.write_text("Time (s),Fz (N)\n" + rows, encoding="utf-8")
     bad.write_text("Time (s),Fz (N)\n", encoding="utf-8")
-    with pytest.raises(LogError, match="bad.csv.*1 of 3 logs refused"):
+    with pytest.raises(LogError, match=r"bad\.csv.*1 of 3 logs refused"):
         inspect_files([good, bad, good], as_json=True)
     found = json.loads(capsys.readouterr().out)
     assert [("error" in one) for one in found] == [False, True, False]
@@ -261,7 +261,7 @@ def test_inspect_reports_each_log_and_refuses_at_the_end(tmp_path, capsys):
 
 
 def test_a_missing_folder_is_not_a_full_disk(tmp_path):
-    with pytest.raises(LogError, match="the folder .*nowhere does not exist"):
+    with pytest.raises(LogError, match=r"the folder .*nowhere does not exist"):
         write_file(tmp_path / "nowhere" / "x.h5", b"1", LogError)
 
 
