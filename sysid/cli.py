@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from sysid import cli_design, cli_landing, cli_report, cli_trust
-from sysid.cli_options import Dask, Force, Json, Quiet, Resume, Threads
+from sysid.cli_options import Dask, Force, Json, Quiet, Resume, Surface, Threads
 from sysid.errors import SysidError
 
 app = typer.Typer(
@@ -57,13 +57,6 @@ class Finish(StrEnum):
 
     cmaes = "cmaes"
     none = "none"
-
-
-class Law(StrEnum):
-    """Friction laws."""
-
-    lf = "lf"
-    hf = "hf"
 
 
 class Sense(StrEnum):
@@ -141,7 +134,7 @@ def fit_motor(
 @app.command("fit-gear")
 def fit_gear(
     campaign: CampaignFile,
-    surface: Annotated[Law | None, typer.Option(help="Friction law; overrides the campaign.")] = None,
+    surface: Surface = None,
     out: Out = None,
     force: Force = False,
     population: Population = None,
@@ -167,8 +160,7 @@ def fit_gear(
         out, force, population, runs, seed, max_generations, _seconds(time_limit), threads, quiet or json,
         algorithm and algorithm.value, finish and finish.value, max_evaluations, resume, dask, check,
     )  # fmt: skip
-    law = surface.value if surface is not None else None
-    _print_fit(*fit(campaign, options, surface=law, say=None if quiet else say), quiet, json)
+    _print_fit(*fit(campaign, options, surface=surface, say=None if quiet else say), quiet, json)
 
 
 @app.command("export")
@@ -309,7 +301,7 @@ def new_campaign(
 @synthesize.command("gear")
 def synthesize_gear(
     out: Annotated[Path, typer.Argument(help="Folder to write.", show_default=False)],
-    surface: Annotated[Law, typer.Option(help="Friction law.")] = Law.lf,
+    surface: Annotated[str, typer.Option(help="Friction law, such as lf or hf.")] = "lf",
     seed: Annotated[int, typer.Option(help="Seed of the noise.", min=0)] = 1,
     noise_mm: Annotated[float, typer.Option(help="Position noise [mm].", min=0)] = 0.3,
     noise_deg: Annotated[float, typer.Option(help="Angle noise [deg].", min=0)] = 0.2,
@@ -323,7 +315,7 @@ def synthesize_gear(
     from sysid.synthetic import synthesize_gear as write
 
     folder = write(
-        out, seed=seed, surface=surface.value, noise_position=noise_mm / 1000,
+        out, seed=seed, surface=surface, noise_position=noise_mm / 1000,
         noise_angle=radians(noise_deg), rate=rate, force=force,
     )  # fmt: skip
     _wrote(folder, f"next: sysid fit-gear {folder / 'campaign.toml'}", json)

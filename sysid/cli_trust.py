@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from sysid.cli_options import Dask, Json, Quiet, Threads
+from sysid.cli_options import Dask, Json, Quiet, Surface, Threads
 
 Fit = Annotated[Path, typer.Argument(help="Fit folder.", show_default=False)]
 Campaign = Annotated[Path, typer.Argument(help="Campaign file (TOML).", show_default=False)]
@@ -18,20 +17,13 @@ OwnCampaign = Annotated[
 ]
 
 
-class Law(StrEnum):
-    """Friction laws."""
-
-    lf = "lf"
-    hf = "hf"
-
-
 def _say(quiet: bool) -> Callable[[str], None] | None:
     return None if quiet else lambda sentence: typer.echo(sentence, err=True)
 
 
 def check(
     campaign: Campaign,
-    surface: Annotated[Law | None, typer.Option(help="Friction law; overrides the campaign.")] = None,
+    surface: Surface = None,
     threads: Threads = None,
     quiet: Quiet = False,
     json: Json = False,
@@ -40,8 +32,7 @@ def check(
     from sysid.pipelines.check import check_campaign
     from sysid.pipelines.trust_printing import print_check
 
-    law = surface.value if surface else None
-    print_check(check_campaign(campaign, surface=law, threads=threads, say=_say(quiet or json)), json)
+    print_check(check_campaign(campaign, surface=surface, threads=threads, say=_say(quiet or json)), json)
 
 
 def trust(

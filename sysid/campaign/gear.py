@@ -76,7 +76,7 @@ class Capture(CaptureLogOptions):
 class Surface(Table):
     """`[surface]`: the friction law and where the plane lies in the capture frame (one way of three)."""
 
-    law: Literal["lf", "hf"] = "lf"
+    law: str = "lf"  # a declared friction law, resolved where the model is known
     kinetic_friction: float | None = Field(default=None, gt=0, lt=5)
     static_friction_excess: float | None = Field(default=None, ge=0, lt=5)
     slip_regularization: Speed | None = None

@@ -17,7 +17,6 @@ Status codes of a job: see `OK` ... `BOTH_TOUCHED`.
 """
 
 import hashlib
-import inspect
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +62,7 @@ from sysid.gear.rows import (
     TIME,
     TOUCHED,
 )
-from sysid.gear.surfaces.surface import Surface, specialized
+from sysid.gear.surfaces.surface import Surface, law_text, specialized
 from sysid.integrate.tableau import STAGES, E
 
 # Bound to a surface's own when a driver is made.
@@ -80,11 +79,6 @@ BOTH_TOUCHED = 6
 
 # What a row of `marks` tells.
 TOUCHDOWN, LIFT_OFF, SLIP, STICK, FLIP, REST = 0, 1, 2, 3, 4, 5
-# Columns of `plans`: first segment (it holds until the history begins), one past the last, start of the
-# history [s], 1 if that start counts from the first contact instead of from the drop's start, and when on
-# the history's clock a drop may begin to count as at rest [s], negative: at any time.
-PLAN_COLUMNS = 5
-
 # Error weights of the rates (s, w, phi, h_C, theta_C, h_D, theta_D): 1 / scale, scales 1 m/s and 10 rad/s for
 # the legs; a light leg may err 30 times more than the body, whose motion is what is measured.
 WEIGHTS = np.array([30.0, 30.0, 6.0, 1.0, 0.1, 1.0, 0.1])
@@ -101,9 +95,7 @@ def fingerprint(surface: Surface) -> int:
     names = ("geometry", "contact", "dynamics", "rows", "stages", "jobs", "kernel")
     sources = [here / f"{name}.py" for name in names]
     sources += [here / "surfaces" / "surface.py", here.parent / "integrate" / "tableau.py"]
-    law = surface.friction if surface.friction is not None else surface.solve
-    sources.append(Path(inspect.getfile(law.py_func)))
-    text = surface.name.encode() + b"".join(source.read_bytes() for source in sources)
+    text = surface.name.encode() + b"".join(source.read_bytes() for source in sources) + law_text(surface)
     return int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
 
 

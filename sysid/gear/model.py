@@ -99,6 +99,9 @@ COORDINATES = ("x_B", "z_B", "q_B", "h_C", "q_C", "h_D", "q_D")
 # references within 1e-4 of its deviation. What a fit needs is the surface's own.
 TIGHT_TOLERANCE = 1e-6
 
+# Of a single drop on a law with modes whose switches are logged: what a fit needs steps over short releases.
+_LOGGED_TOLERANCE = 3e-5
+
 _LONGEST_STEP = 5e-3
 # Room for events of a single simulation at first; where there are more it is repeated with more room.
 _MARKS = 1000
@@ -154,10 +157,11 @@ def simulate(
         Sample times [s].
     state : (14,) array, optional
         All coordinates and rates at time[0] instead of `body_state`.
-    surface : {"lf", "hf"} or Surface
-        Friction law: continuous (8), the hybrid of slipping and sticking feet (9, 10), or one's own.
+    surface : str or Surface
+        Friction law: ``lf``, continuous (8), ``hf``, slipping and sticking feet (9, 10), or one's own.
     tolerance : float, optional
-        Bound of the weighted rms error of the rates per step; by default what a fit on the surface needs.
+        Bound of the weighted rms error of the rates per step; by default what a fit on the surface needs,
+        and at most 3e-5 where switches of modes are logged: a fit's setting misses short releases.
     propulsion : Propulsion, optional
         Thrust; none by default.
     ending : Ending
@@ -172,6 +176,8 @@ def simulate(
         If the input cannot be used; a simulation that fails returns its status instead.
     """
     own = find_surface(surface)
+    if tolerance is None and events and own.switching:
+        tolerance = min(own.tolerance, _LOGGED_TOLERANCE)
     if isinstance(parameters, Mapping):
         row = pack(parameters, own)
     else:
@@ -251,8 +257,8 @@ def simulate_population(
         Rows as from `pack`.
     drops : Drops
         What each candidate is dropped on.
-    surface : {"lf", "hf"} or Surface
-        Friction law: continuous (8), the hybrid of slipping and sticking feet (9, 10), or one's own.
+    surface : str or Surface
+        Friction law: ``lf``, continuous (8), ``hf``, slipping and sticking feet (9, 10), or one's own.
     tolerance : float, optional
         Bound of the weighted rms error of the rates per step; by default what a fit on the surface needs.
     threads : int, optional

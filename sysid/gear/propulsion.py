@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import CampaignError
-from sysid.gear.rows import SEGMENT_COLUMNS
+from sysid.gear.rows import PLAN_COLUMNS, SEGMENT_COLUMNS
 from sysid.integrate.piecewise import PiecewiseCubic
 
 FloatArray = NDArray[np.float64]
@@ -99,4 +99,4 @@ def plans(propulsion: Sequence[Propulsion | None]) -> tuple[FloatArray, FloatArr
         rows.append(
             [first, stop, start, float(one.waits_for_contact), -1.0 if one.settled is None else one.settled]
         )
-    return np.concatenate(tables), np.array(rows, dtype=np.float64)
+    return np.concatenate(tables), np.array(rows, dtype=np.float64).reshape(-1, PLAN_COLUMNS)

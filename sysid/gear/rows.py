@@ -49,3 +49,7 @@ ROWS = INNER + 6 * (STAGES - 1)
 # Columns of the thrust segments that a driver reads: start and end on the history's own clock [s], then the
 # coefficients of rear and front thrust [N, N/s, ...].
 SEGMENT_COLUMNS = 10
+# Columns of `plans`: first segment (it holds until the history begins), one past the last, start of the
+# history [s], 1 if that start counts from the first contact instead of from the drop's start, and when on
+# the history's clock a drop may begin to count as at rest [s], negative: at any time.
+PLAN_COLUMNS = 5

@@ -19,11 +19,12 @@ from sysid.parameters import SearchSpace
 from sysid.pipelines.bench_targets import PreparedTrial
 from sysid.pipelines.check_drops import capture_noise, centre_of_mass, excitation, suggest_drops
 from sysid.pipelines.drops import PreparedDrop, prepare_drops, read_drop_log
+from sysid.pipelines.gear import on_surface, say_dropped
 from sysid.pipelines.motor_bench import Bench, prepare_bench
 from sysid.pipelines.search import collected_warnings, naming
 from sysid.pipelines.trust_gear import GearProblem
 from sysid.pipelines.trust_motor import MotorProblem, sensor_noise
-from sysid.pipelines.trust_setup import gear_problem, law_of, motor_problem
+from sysid.pipelines.trust_setup import gear_problem, motor_problem
 from sysid.recording import file_sha256
 from sysid.trust.fisher import NoiseModel
 from sysid.trust.problem import Block
@@ -51,7 +52,7 @@ def check_campaign(
     ----------
     path : Path
         Campaign file.
-    surface : {"lf", "hf"}, optional
+    surface : str, optional
         Overrides a gear campaign's friction law.
     threads : int, optional
     say : callable, optional
@@ -71,7 +72,11 @@ def check_campaign(
     with naming(path), collected_warnings(say and (lambda text: say(f"warning: {text}"))) as doubts:
         campaign = read_campaign(path)
         if isinstance(campaign, GearCampaign):
-            found = _check_gear(campaign if surface is None else law_of(campaign, surface), path, threads)
+            dropped: tuple[str, ...] = ()
+            if surface is not None:
+                campaign, dropped = on_surface(campaign, surface)
+            say_dropped(campaign, dropped)
+            found = _check_gear(campaign, path, threads)
         else:
             assert isinstance(campaign, MotorCampaign)
             found = _check_motor(campaign, path, threads)

@@ -24,6 +24,7 @@ from sysid.gear.model import (
     SURFACES,
     Drops,
     PopulationSamples,
+    find_surface,
     parameters_on,
     prepare,
     simulate_population,
@@ -48,13 +49,11 @@ def search_space(campaign: GearCampaign) -> SearchSpace:
         For an unknown parameter, a wrong unit, crossed bounds, bounds that exclude a measured value, and a
         free parameter that the drops do not depend on.
     """
-    law = campaign.surface.law
-    if law not in SURFACES:
-        raise CampaignError(f"surface.law is {law!r}; this version knows {', '.join(SURFACES)}")
+    law = find_surface(campaign.surface.law).name
     space = campaign.parameters.search_space(
         parameters_on(law), SURFACES[law].free, measured_values(campaign)
     )
-    unread = {*_NEVER_IN_DROPS, *(name for own in SURFACES.values() for name in own.reads)}
+    unread = {*_NEVER_IN_DROPS, *_read_by_laws()}
     for name in space.names:
         if name in unread.difference(SURFACES[law].reads):
             raise CampaignError(
@@ -62,6 +61,51 @@ def search_space(campaign: GearCampaign) -> SearchSpace:
                 "from the list"
             )
     return with_nuisance(space, campaign)
+
+
+def _read_by_laws() -> set[str]:
+    """Return the rows that friction laws read, whichever; a law does not depend on those of another."""
+    return {name for own in SURFACES.values() for name in own.reads}
+
+
+def on_surface(campaign: GearCampaign, law: str) -> tuple[GearCampaign, tuple[str, ...]]:
+    """Return a campaign on another friction law, and the names of what it states of its own surface only.
+
+    Friction that was measured or bounded on one surface says nothing of another: stated values, fixed ones,
+    bounds and measured ranges of it are left out where the law differs from the campaign's.
+
+    Raises
+    ------
+    CampaignError
+        When there is no such law.
+    """
+    find_surface(law)
+    if law == campaign.surface.law:
+        return campaign, ()
+    of_surface = {name for name in type(campaign.surface).model_fields if name in PARAMETERS}
+    own = campaign.parameters
+    tables = {
+        table: {name: value for name, value in getattr(own, table).items() if name not in of_surface}
+        for table in ("bounds", "fixed", "measured")
+    }
+    said = {name for table in tables for name in getattr(own, table)} | set(measured_values(campaign))
+    nothing = dict.fromkeys(of_surface)
+    surface = campaign.surface.model_copy(update={**nothing, "law": law})
+    changed = {"surface": surface, "parameters": own.model_copy(update=tables)}
+    return campaign.model_copy(update=changed), tuple(
+        name for name in PARAMETERS if name in said & of_surface
+    )
+
+
+def say_dropped(campaign: GearCampaign, dropped: tuple[str, ...]) -> None:
+    """Warn of what `on_surface` left out."""
+    if dropped:
+        warnings.warn(
+            f"surface.law {campaign.surface.law} instead of the campaign's own: {', '.join(dropped)} stated "
+            f"there {'is' if len(dropped) == 1 else 'are'} of the other surface and not used",
+            SysidWarning,
+            stacklevel=2,
+        )
 
 
 def fit_tolerance(campaign: GearCampaign) -> float:
@@ -230,8 +274,8 @@ def fit_gear(
         Campaign file of kind ``gear``.
     options : FitOptions
         Overrides of the command line.
-    surface : {"lf", "hf"}, optional
-        Overrides the campaign's friction law.
+    surface : str, optional
+        Overrides the campaign's friction law, as `on_surface` does.
     say : callable, optional
         Told, one sentence at a time, what is going on and what is doubtful.
 
@@ -249,12 +293,13 @@ def fit_gear(
     """
     campaign = read_campaign(path, "gear")
     assert isinstance(campaign, GearCampaign)
+    dropped: tuple[str, ...] = ()
     if surface is not None:
-        changed = campaign.surface.model_copy(update={"law": surface})
-        campaign = campaign.model_copy(update={"surface": changed})
+        campaign, dropped = on_surface(campaign, surface)
     walk = FitWalk(path, campaign, options, say)
     threads = walk.options.threads
     with walk.prepared():
+        say_dropped(campaign, dropped)
         space = search_space(campaign)
         ranges = campaign.parameters.measured_ranges(PARAMETERS)
         _say_defaults(campaign, space)
@@ -317,10 +362,6 @@ _CONSTANTS = (
     "slip_regularization",
     *(name for name in PARAMETERS if name.startswith("front_")),
 )
-# Rows that belong to one friction law only.
-_OF_LAW = {"slip_regularization": "lf", "static_friction_excess": "hf"}
-
-
 # Motors do not run in a drop.
 _NEVER_IN_DROPS = ("thrust_point_dx",)
 
@@ -328,6 +369,7 @@ _NEVER_IN_DROPS = ("thrust_point_dx",)
 def _say_defaults(campaign: GearCampaign, space: SearchSpace) -> None:
     """Warn of values left to the paper's drone, which another does not share, and of stated ones not used."""
     law = campaign.surface.law
+    reads = find_surface(law).reads
     for name in space.names:
         if name in measured_values(campaign):
             warnings.warn(
@@ -340,7 +382,7 @@ def _say_defaults(campaign: GearCampaign, space: SearchSpace) -> None:
     left = [
         f"{name} {value:.4g} {PARAMETERS[name].unit}".removesuffix(" 1")
         for name, value in space.fixed.items()
-        if name not in given and _OF_LAW.get(name, law) == law
+        if name not in given and (name in reads or name not in _read_by_laws())
     ]
     if left:
         warnings.warn(

@@ -151,10 +151,9 @@ def _gear_trials(
 ) -> tuple[tuple[TrialResult, ...], dict[str, Any]]:
     from sysid.gear.model import PARAMETERS
     from sysid.pipelines.drops import prepare_drops
-    from sysid.pipelines.gear import GearObjective, search_space, trial_results
+    from sysid.pipelines.gear import GearObjective, on_surface, search_space, trial_results
 
-    surface = campaign.surface.model_copy(update={"law": str(fit.settings["surface"])})
-    campaign = campaign.model_copy(update={"surface": surface})
+    campaign, _ = on_surface(campaign, str(fit.settings["surface"]))
     drops = prepare_drops(campaign, path)
     objective = GearObjective.build(campaign, search_space(campaign), drops)
     names = [record.name for record in fit.parameters]

@@ -119,8 +119,8 @@ def open_fit(folder: Path, campaign: Path | None = None, threads: int | None = N
 
 
 def law_of(campaign: GearCampaign, law: str) -> GearCampaign:
-    """Return a campaign with another friction law."""
-    return campaign.model_copy(update={"surface": campaign.surface.model_copy(update={"law": law})})
+    """Return a campaign on the friction law of a fit, without what it states of another surface."""
+    return gear.on_surface(campaign, law)[0]
 
 
 def gear_problem(

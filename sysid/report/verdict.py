@@ -10,6 +10,7 @@ import numpy as np
 
 from sysid.fit.agreement import SAME_NRMSE, agreement
 from sysid.fit.result import FitResult
+from sysid.gear.surfaces import SURFACES
 from sysid.parameter_sets import in_place_of_digits
 from sysid.report.figures import percent_text
 
@@ -31,7 +32,6 @@ _COUNTS = (
     "eleven",
     "twelve",
 )
-_SURFACES = {"lf": "the low-friction law", "hf": "the high-friction law"}
 
 
 def verdict_sentences(
@@ -86,7 +86,11 @@ def open_parameters(fit: FitResult) -> tuple[str, ...]:
 
 def _fitted(fit: FitResult) -> str:
     what = "motor" if fit.kind == "motor" else "landing gear"
-    law = _SURFACES.get(str(fit.settings.get("surface", "")), "")
+    surface = str(fit.settings.get("surface", ""))
+    declared = SURFACES.get(surface)
+    # A law that this installation does not have keeps its name.
+    title = (declared.title if declared else "") or surface
+    law = f"the {title} law" if title else ""
     trials = sum(trial.use == "fit" for trial in fit.trials)
     word = ("trial" if fit.kind == "motor" else "drop") + ("" if trials == 1 else "s")
     denominator = fit.provenance.get("nrmse_denominator", "std")

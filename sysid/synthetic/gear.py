@@ -151,7 +151,7 @@ def synthesize_gear(
         `force`.
     seed : int
         Same seed, same arguments: the same files, to the last byte on one platform.
-    surface : {"lf", "hf"}
+    surface : str
         Friction law; true values are its means of Table II.
     drops : sequence of DropPlan, optional
         What to drop; at least one with ``use = "fit"``. Default: `LF_DROPS` or `HF_DROPS`.
@@ -186,6 +186,7 @@ def synthesize_gear(
     ExportError
         When the folder exists or cannot be written.
     """
+    model.find_surface(surface)
     refuse_existing(folder, force=force)
     drops = tuple(drops if drops is not None else HF_DROPS if surface == "hf" else LF_DROPS)
     names = [drop.name for drop in drops]

@@ -5,8 +5,11 @@ import math
 import numpy as np
 import pytest
 from numba import njit
+from typer.testing import CliRunner
 
+from sysid.cli import app
 from sysid.errors import CampaignError
+from sysid.fit.store import read_fit
 from sysid.gear.model import (
     PARAMETERS,
     SURFACES,
@@ -18,6 +21,9 @@ from sysid.gear.model import (
     simulate,
 )
 from sysid.gear.surfaces import continuous_law
+from sysid.report.verdict import verdict_sentences
+from sysid.synthetic import synthesize_gear
+from sysid.synthetic.gear import LF_DROPS
 
 
 def start(p, slope, speed, height=1e-3):
@@ -171,7 +177,7 @@ def viscous_damping(force, slip, law):
 
 
 @pytest.mark.slow  # compiles a law of its own
-def test_a_third_law_is_one_declaration():
+def test_a_third_law_is_one_declaration(monkeypatch, tmp_path):
     wet = Surface(
         name="wet",
         meaning="Viscous: F_t = -c F_n v with c in the place of the kinetic friction [s/m].",
@@ -186,10 +192,22 @@ def test_a_third_law_is_one_declaration():
     # Terminal speed tan(slope)/c.
     assert along[-1] == pytest.approx(math.tan(slope), rel=0.02)
     np.testing.assert_allclose(run.friction_force[-1], -run.normal_force[-1] * along[-1], rtol=0.05)
+    # In the table, where a file of its own puts it, it can be named wherever a law is.
+    monkeypatch.setitem(SURFACES, "wet", wet)
+    folder = synthesize_gear(tmp_path / "drops", surface="wet", drops=LF_DROPS[:2])
+    campaign = folder / "campaign.toml"
+    assert 'law = "wet"' in campaign.read_text(encoding="utf-8")
+    fit = ["fit-gear", campaign, "--out", tmp_path / "fit", "--population", 16, "--runs", 1]
+    fit += ["--max-generations", 2, "--finish", "none", "--surface", "wet", "--quiet"]
+    done = CliRunner().invoke(app, [str(word) for word in fit])
+    assert done.exit_code == 0, done.output
+    result = read_fit(tmp_path / "fit")
+    assert result.settings["surface"] == "wet"
+    assert "landing gear with the wet law" in verdict_sentences(result, None, None, {})[0]
 
 
 def test_surfaces_are_declared():
-    assert tuple(SURFACES) == ("lf", "hf")
+    assert {"lf", "hf"} <= set(SURFACES)
     for name, surface in SURFACES.items():
         assert find_surface(name) is surface
         assert set(surface.reads) <= set(PARAMETERS)

@@ -11,6 +11,7 @@ from sysid.gear import model
 from sysid.gear.model import (
     HF_FREE,
     PARAMETERS,
+    SURFACES,
     TIGHT_TOLERANCE,
     Drops,
     Status,
@@ -37,6 +38,8 @@ PAPER = {
     "static_friction_excess": 0.08,
 }
 P = PARAMETERS.nominal | PAPER
+# What a fit simulates with; a single drop takes a tighter one by default.
+FIT = SURFACES["hf"].tolerance
 SIX = [(5, 0.5), (10, 0.8), (15, 0.6), (20, 1.0), (27, 0.7), (35, 0.45)]
 
 
@@ -109,12 +112,13 @@ def test_fit_setting_up_to_the_third_contact(slope_deg, speed):
     dense = run(slope_deg, speed, np.arange(0, 0.5, 2e-4), tolerance=1e-7)
     until = [*touchdowns(dense), 0.5, 0.5, 0.5][2]
     last = max(4, int(until / 5e-3))
-    ours = run(slope_deg, speed, np.arange(0, 0.5, 5e-3))
+    ours = run(slope_deg, speed, np.arange(0, 0.5, 5e-3), tolerance=FIT)
     exact, fit = dense.state[::25][:last], ours.state[:last]
     channels = [0, 1, 2, 7, 8]
     error = np.sqrt(np.mean((fit - exact) ** 2, axis=0))[channels] / exact.std(axis=0)[channels]
-    # 0.3 % mean NRMSE, what a fit on such drops may carry; the bounces after that are chaotic.
-    assert error.mean() < 3e-3
+    # 0.3 % mean NRMSE is what a fit may carry; 0.01 % at most is what the surface's setting claims, tested
+    # here with room for another machine's rounding. The bounces after the third contact are chaotic.
+    assert error.mean() < 2e-4
 
 
 @pytest.mark.parametrize("slope_deg", [5, 20, 35])
@@ -218,19 +222,34 @@ def test_a_short_release_is_not_stepped_over(slope, speed):
 @pytest.mark.parametrize(("slope", "speed"), [(8, 0.3), (5, 0.5)])
 def test_releases_that_the_fit_setting_misses_do_not_matter(slope, speed):
     time = np.arange(0, 0.5, 5e-3)
-    fit, exact = run(slope, speed, time), run(slope, speed, time, tolerance=1e-7)
-    # It misses some, all late and short, ...
-    assert 0 < len(exact.switches) - len(fit.switches) <= 4
+    fit, exact = (run(slope, speed, time, tolerance=tolerance) for tolerance in (FIT, 1e-7))
+    missed = len(exact.switches) - len(fit.switches)
+    # It may miss some, at most 4 as was measured, ...
+    assert 0 <= missed <= 4
+    # ... all late, after the first ten switches, ...
+    np.testing.assert_array_equal(fit.switches[:10, 1:3], exact.switches[:10, 1:3])
+    # ... and short: feet stick for as long as in the exact drop, but for 5 ms in all of 0.5 s.
+    clock = np.arange(0.0, 0.5, 1e-5)
+    apart = stuck_feet(clock, fit.switches) != stuck_feet(clock, exact.switches)
+    assert 1e-5 * apart.sum() < 5e-3
     error = np.sqrt(np.mean((fit.state - exact.state) ** 2, axis=0)) / exact.state.std(axis=0)
     # ... and the body's motion over all 0.5 s stays within what is allowed up to the third contact.
     assert error[[0, 1, 2, 7, 8]].mean() < 3e-3
+
+
+@pytest.mark.parametrize(("slope", "speed"), [(8, 0.3), (5, 0.5), (15, 0.6)])
+def test_a_single_drop_logs_every_switch_by_default(slope, speed):
+    time = np.arange(0, 0.5, 5e-3)
+    found, exact = run(slope, speed, time), run(slope, speed, time, tolerance=1e-7)
+    # The fit's setting misses 4 on the first two of these; a single drop is not simulated with it.
+    np.testing.assert_array_equal(found.switches[:, 1:3], exact.switches[:, 1:3])
 
 
 def test_looking_at_inner_stages_invents_no_switch():
     time = np.arange(0, 0.5, 5e-3)
     exact = run(5, 0.4, time, tolerance=1e-6)
     assert len(exact.switches) == 22
-    for tolerance in (None, 3e-4, 1e-4):
+    for tolerance in (FIT, 3e-4, 1e-4, None):
         found = run(5, 0.4, time, tolerance=tolerance)
         np.testing.assert_array_equal(found.switches[:, 1:3], exact.switches[:, 1:3])
 
@@ -304,7 +323,9 @@ def test_population_equals_single_drops_for_any_threads():
     np.testing.assert_array_equal(one.samples, two.samples[::-1])
     np.testing.assert_array_equal(one.switches, two.switches[::-1])
     for d in (1, 4):
-        single = simulate(rows[0], drops.slope[d], drops.body_state[d], drops.time[d], surface="hf")
+        single = simulate(
+            rows[0], drops.slope[d], drops.body_state[d], drops.time[d], surface="hf", tolerance=FIT
+        )
         own = one.samples[0, drops.offset[d] : drops.offset[d + 1]]
         # One source of the physics in two widths.
         np.testing.assert_allclose(single.state[:, [0, 1, 2, 7, 8, 9]], own, rtol=0, atol=1e-12)

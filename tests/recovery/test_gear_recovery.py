@@ -11,8 +11,9 @@ import pytest
 from sysid.campaign import read_campaign
 from sysid.fit.engine import SearchSettings, run_one
 from sysid.gear.model import EventKind, simulate
+from sysid.parameters import SearchSpace
 from sysid.pipelines.drops import prepare_drops
-from sysid.pipelines.gear import GearObjective, fit_gear, score_values, search_space
+from sysid.pipelines.gear import GearObjective, fit_gear, measured_values, score_values, search_space
 from sysid.pipelines.search import FitOptions
 from sysid.synthetic import read_truth, synthesize_gear
 
@@ -169,6 +170,27 @@ def test_parameters_are_found_within_what_the_data_fix(surface, tmp_path):
         print(f"{name:>24} median {100 * middle:6.2f}, bound {limit:>4}: {each}")
     for name, bound in BOUNDS[surface].items():
         assert median[name] <= bound, name
+
+
+@pytest.mark.slow
+def test_two_accuracies_find_the_same_high_friction_parameters(tmp_path):
+    """From near the truth, which spares the search: what moves is where the cost is least."""
+    folder = synthesize_gear(tmp_path / "drops", seed=1, surface="hf")
+    campaign, drops, truth = opened(folder)
+    wide = search_space(campaign)
+    near = {r.name: (max(r.lower, 0.7 * truth[r.name]), min(r.upper, 1.4 * truth[r.name])) for r in wide.free}
+    space = SearchSpace.build(wide.table, wide.names, measured_values(campaign), near)
+    found = [
+        errors(GearObjective.build(campaign, space, used(drops, "fit"), tolerance=tolerance), truth, seed=1)
+        for tolerance in (1e-3, 1e-4)
+    ]
+    moved = {name: (1 + found[0][name]) / (1 + found[1][name]) - 1 for name in space.names}
+    print("\n10 times the accuracy moves [%]", {name: round(100 * m, 3) for name, m in moved.items()})
+    # Not fixed by such data at either accuracy.
+    loose = ("ground_damping", "static_friction_excess")
+    for name in space.names:
+        # What is claimed beside the surface's tolerance is 0.6 %, at most 1 %, of k_s and 0.5 % of others.
+        assert name in loose or abs(moved[name]) < (0.015 if name == "ground_stiffness" else 0.01), name
 
 
 @pytest.mark.slow

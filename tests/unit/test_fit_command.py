@@ -155,17 +155,26 @@ def test_another_search_is_not_continued(more, words, cut, monkeypatch, capsys):
 
 
 def test_another_surface_is_not_continued(campaign, monkeypatch, capsys):
-    text = campaign.read_text(encoding="utf-8")
-    # Stated, it lies outside the bounds of high friction, where it is free: refused for that already.
-    kept = [line for line in text.splitlines() if not line.startswith("kinetic_friction")]
-    assert len(kept) == len(text.splitlines()) - 1
-    campaign.write_text("\n".join(kept), encoding="utf-8", newline="\n")
+    # Its low friction lies outside the bounds of high friction; it is left out there.
+    assert "kinetic_friction = 0.44" in campaign.read_text(encoding="utf-8")
     fit = ("fit-gear", campaign, *SMALL)
     assert run(monkeypatch, capsys, *fit, "--time-limit", "0.001 s")[0] == 0
     code, _, err = run(monkeypatch, capsys, *fit, "--resume", "--surface", "hf")
     assert code == 2
     assert "the parameter table differs" in err
     assert "restore it, or start anew with --force" in err
+
+
+def test_low_friction_drops_are_fitted_on_the_high_friction_law(campaign, monkeypatch, capsys):
+    """The stated friction, outside the bounds that high friction has, is of the other surface."""
+    fit = ("fit-gear", campaign, *SMALL[:-1], "--surface", "hf", "--max-generations", "1", "--finish", "none")
+    code, _, err = run(monkeypatch, capsys, *fit)
+    assert code == 0, err
+    said = "kinetic_friction, slip_regularization stated there are of the other surface and not used"
+    assert " ".join(err.split()).count(said) == 1
+    code, _, err = run(monkeypatch, capsys, "fit-gear", campaign, "--surface", "ice", "--force")
+    assert code == 2
+    assert "no friction law 'ice'; known are lf, hf" in err
 
 
 def test_an_edited_campaign_is_not_continued(cut, monkeypatch, capsys):

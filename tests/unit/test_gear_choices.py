@@ -7,7 +7,7 @@ import pytest
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError, SysidWarning
 from sysid.gear.model import HF_FREE, PARAMETERS, SURFACES, parameters_on
-from sysid.pipelines.gear import _say_defaults, search_space
+from sysid.pipelines.gear import _say_defaults, on_surface, say_dropped, search_space
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
 
@@ -77,3 +77,46 @@ def test_a_stated_value_outside_the_surfaces_bounds_is_refused(tmp_path):
         CampaignError, match=r"kinetic_friction: 0\.5 to 1\.2 exclude the measured value 0\.44"
     ):
         search_space(opened(tmp_path, "hf", stated="kinetic_friction = 0.44"))
+
+
+@pytest.mark.parametrize(
+    ("surface", "other", "stated", "fixed", "names"),
+    [
+        ("lf", "hf", "", "", ("kinetic_friction", "slip_regularization")),
+        (
+            "hf",
+            "lf",
+            "kinetic_friction = 0.87",
+            '[parameters.fixed]\nstatic_friction_excess = "0.1"\n'
+            '[parameters.bounds]\nleg_mass = ["10 g", "30 g"]\n',
+            ("kinetic_friction", "static_friction_excess"),
+        ),
+    ],
+)
+def test_friction_of_another_surface_is_dropped_and_said(surface, other, stated, fixed, names, tmp_path):
+    campaign = opened(tmp_path, surface, fixed, stated=stated)
+    moved, dropped = on_surface(campaign, other)
+    assert dropped == names
+    with pytest.warns(SysidWarning, match=f"law {other} instead.*{', '.join(names)} stated there are of the"):
+        say_dropped(moved, dropped)
+    # What is not of the surface is kept.
+    assert moved.vehicle == campaign.vehicle
+    assert moved.parameters.bounds == campaign.parameters.bounds
+    assert moved.surface.point == campaign.surface.point
+    space = search_space(
+        moved.model_copy(update={"parameters": moved.parameters.model_copy(update={"bounds": {}})})
+    )
+    assert space.names == SURFACES[other].free
+    default = parameters_on(other)
+    assert all(space.fixed.get(name, default[name].nominal) == default[name].nominal for name in names)
+    # The campaign's own law drops nothing.
+    assert on_surface(campaign, surface) == (campaign, ())
+
+
+def test_an_unknown_law_is_refused_with_the_known_ones(tmp_path):
+    campaign = opened(tmp_path, "lf")
+    with pytest.raises(CampaignError, match="no friction law 'ice'; known are lf, hf"):
+        on_surface(campaign, "ice")
+    written = campaign.model_copy(update={"surface": campaign.surface.model_copy(update={"law": "ice"})})
+    with pytest.raises(CampaignError, match="no friction law 'ice'; known are lf, hf"):
+        search_space(written)

@@ -67,6 +67,39 @@ def test_a_changed_source_is_never_served_from_the_cache(monkeypatch):
     monkeypatch.undo()
 
 
+TYPED = """
+@njit
+def drag(slip, law):
+    return {power} * law[0] * slip
+
+@njit
+def friction(force_c, force_d, slip_c, slip_d, law):
+    return -force_c * drag(slip_c, law), -force_d * drag(slip_d, law)
+
+@njit
+def damping(force, slip, law):
+    return law[0] * force
+"""
+
+
+def test_a_law_typed_in_a_session_has_a_fingerprint():
+    """It has no file: its code stands for it, with that of what it calls."""
+    from numba import njit
+
+    from sysid.gear import kernel
+    from sysid.gear.surfaces import SURFACES, Surface, continuous_law
+
+    found = []
+    for power in (1.0, 2.0, 1.0):
+        typed = {"njit": njit, "__name__": "__main__"}
+        exec(compile(TYPED.format(power=power), "<stdin>", "exec"), typed)
+        solve = continuous_law(typed["friction"], typed["damping"])
+        reads, free = ("kinetic_friction",), SURFACES["lf"].free
+        found.append(kernel.fingerprint(Surface("wet", "", reads, free, solve, friction=typed["friction"])))
+    # The same text gives the same driver; another constant in a function that the law calls, another one.
+    assert found[0] == found[2] != found[1]
+
+
 MEMORY = """
 import json, sys
 from pathlib import Path

@@ -108,6 +108,28 @@ def test_both_stuck_feet_may_be_released(shares):
         assert work[SWITCH : SWITCH + 2].tolist() == [0.0, 0.0]
 
 
+@pytest.mark.parametrize("sticks", [0, 1])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_one_foot_may_stick_as_the_other_is_released(sticks, sign):
+    """At one instant: each by its own force, as it was with both feet in their modes before."""
+    work = np.zeros(ROWS)
+    releases = 1 - sticks
+    work[LAW : LAW + 2] = MU_K, EXCESS
+    work[NORMAL : NORMAL + 2] = LOAD
+    work[WAY : WAY + 2] = 1.0
+    work[STUCK + releases] = 1.0
+    work[REQUIRED + releases], work[MARGIN + releases] = 9.1 * sign, 1e-3
+    work[REQUIRED + sticks], work[MARGIN + sticks], work[SLIP + sticks] = 7.9 * sign, 1e-6, -1e-9
+    for stage in range(STAGES - 1):
+        for n, row in enumerate((NORMAL, SLIP, REQUIRED)):
+            work[INNER + 6 * stage + 2 * n : INNER + 6 * stage + 2 * n + 2] = work[row : row + 2]
+    assert after_step(work, 0, 1, 1e-8, 1.0, 1e-4) == (1.0, 0.0)
+    assert (work[STUCK + sticks], work[SWITCH + sticks]) == (1.0, 1.0)
+    assert (work[STUCK + releases], work[SWITCH + releases]) == (0.0, 2.0)
+    # The released foot slips against the force that it lacks.
+    assert work[WAY + releases] == -sign
+
+
 def started(way, touching):
     """The first 1 ms of a drop of symmetric legs whose one foot (0 rear, 1 front) starts 0.1 mm deep.
 

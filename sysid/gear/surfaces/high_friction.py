@@ -13,8 +13,9 @@ so no speed below which a foot may stick has to be chosen. Sticking ends where `
 
 A loss of a mode shows at the step's end, or, where it heals before that, at one of the step's inner stages:
 such a step is repeated to end there. A loss that falls between two stages is missed: at the fit's setting 4
-of the 20 switches in 0.5 s of a drop at 5 deg and 0.5 m/s and 4 of 25 at 8 deg and 0.3 m/s, none in eight
-others (8 to 24 switches each); at a tolerance of 3e-4 none of the 25.
+of the 20 switches in 0.5 s of a drop at 5 deg and 0.5 m/s and 4 of 25 at 8 deg and 0.3 m/s, none in ten
+others (8 to 22 switches each); at a tolerance of 3e-4 still 4 of the 20, at 1e-4 2 of them, and at 3e-5, that
+of a single drop whose switches are logged, none in all twelve.
 """
 
 from numba import njit
@@ -243,6 +244,7 @@ def after_step(work, lane, lanes, h, taken, new_h):
 
 SURFACE = Surface(
     name="hf",
+    title="high-friction",
     meaning="High friction, equations (9, 10) and Fig. 5: each foot slips or sticks.",
     reads=("kinetic_friction", "static_friction_excess"),
     free=(

@@ -29,6 +29,7 @@ def low_friction_damping(force, slip, law):
 
 SURFACE = Surface(
     name="lf",
+    title="low-friction",
     meaning="Low friction, equation (8): sliding and creeping, never sticking.",
     reads=("kinetic_friction", "slip_regularization"),
     free=(

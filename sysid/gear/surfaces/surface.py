@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import types
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from numba import njit
@@ -56,6 +58,8 @@ class Surface:
         Right-hand sides that a drop may spend per second of its length at that tolerance.
     source : str
         Where `nominal` comes from.
+    title : str
+        What a report calls it, in "the ... law"; its name by default.
     """
 
     name: str
@@ -70,6 +74,7 @@ class Surface:
     tolerance: float = 3e-4
     budget: float = 4.5e4
     source: str = ""
+    title: str = ""
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.reads) <= LAW_SLOTS:
@@ -100,6 +105,39 @@ def specialized(function: Callable[..., Any], **bindings: Any) -> Callable[..., 
     copy.__qualname__ = function.__qualname__
     copy.__module__ = function.__module__
     return copy
+
+
+def law_text(surface: Surface) -> bytes:
+    """Return bytes that change with a law: its file, or its code where it was typed in a session."""
+    law = surface.friction if surface.friction is not None else surface.solve
+    file = Path(inspect.getfile(law.py_func))
+    if file.is_file():
+        return file.read_bytes()
+    found: dict[Any, bytes] = {}
+    for function in (surface.friction, surface.solve, surface.after_step):
+        if function is not None:
+            _collect(function.py_func, found)
+    return b"".join(found.values())
+
+
+def _collect(function: Any, found: dict[Any, bytes]) -> None:
+    """Add the code, constants and called functions of a Python function, each once."""
+    if function in found:
+        return
+    found[function] = b""
+    code, text = [function.__code__], b""
+    seen = {**function.__globals__, **inspect.getclosurevars(function).nonlocals}
+    for one in code:
+        code += [inner for inner in one.co_consts if isinstance(inner, types.CodeType)]
+        plain = [repr(value) for value in one.co_consts if not isinstance(value, types.CodeType)]
+        text += one.co_code + repr((plain, one.co_names, one.co_varnames, one.co_freevars)).encode()
+        for name in (*one.co_names, *one.co_freevars):
+            value = seen.get(name)
+            if hasattr(value, "py_func"):
+                _collect(value.py_func, found)
+            elif isinstance(value, bool | int | float | tuple):
+                text += f"{name}={value!r}".encode()
+    found[function] = text
 
 
 def continuous_law(friction: Any, damping: Any) -> Any:
