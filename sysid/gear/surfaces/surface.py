@@ -132,7 +132,7 @@ def _collect(function: Any, found: dict[Any, bytes]) -> None:
         plain = [repr(value) for value in one.co_consts if not isinstance(value, types.CodeType)]
         text += one.co_code + repr((plain, one.co_names, one.co_varnames, one.co_freevars)).encode()
         for name in (*one.co_names, *one.co_freevars):
-            value = seen.get(name)
+            value: Any = seen.get(name)
             if hasattr(value, "py_func"):
                 _collect(value.py_func, found)
             elif isinstance(value, bool | int | float | tuple):
