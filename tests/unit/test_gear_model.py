@@ -233,8 +233,10 @@ def test_no_candidate_costs_more_than_five_ordinary_ones(surface, free):
     found = simulate_population(rows, drops, surface=surface)
     ordinary = found.rhs_evaluations[found.status == Status.OK].mean()
     # A lane looks at the limit once per step of five right-hand sides.
-    assert found.rhs_evaluations.max() <= find_surface(surface).budget * 0.7 + 5
+    limit = find_surface(surface).budget * 0.7 + 5
+    assert found.rhs_evaluations.max() <= limit
     one = simulate_population(pack({}, surface), drops, surface=surface)
-    assert found.rhs_evaluations.max() <= 5 * one.rhs_evaluations.mean()
+    # Of any candidate, not of these hundred only.
+    assert limit <= 5 * one.rhs_evaluations.mean()
     assert found.rhs_evaluations.max() <= 5 * ordinary
     assert (found.status == Status.OK).mean() > 0.95
