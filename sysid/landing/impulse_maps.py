@@ -174,7 +174,8 @@ def impulse_maps(
     -------
     impulse maps, landing maps : tuples
         One and three per surface: impulse and then `impulses.after`, the same refined, the impulse alone (all
-        motors off after it). Empty where `stop` said so.
+        motors off after it, at the delay and duration found with `impulses.after` following).
+        Empty where `stop` said so.
     """
     own, tried = settings or MapSettings(), impulses or ImpulseSettings()
     all_drones = tuple(drone for fleet in fleets for drone in fleet)
@@ -207,5 +208,7 @@ def impulse_maps(
         for v, variant in enumerate(names_of_maps):
             start = len(OPTIMUM) + _LANDING_COLUMNS * v
             part = columns[start : start + _LANDING_COLUMNS]
-            landed.append(LandingMap(fleet[0].surface, f"{variant}{ideal}", names, *axes, *part))
+            landed.append(
+                LandingMap(fleet[0].surface, f"{variant}{ideal}", names, *axes, *part, checked=own.check)
+            )
     return tuple(searched), tuple(landed)

@@ -14,7 +14,7 @@ import numpy as np
 from sysid import exact_json
 from sysid.errors import ExportError
 from sysid.landing.impulse_maps import UNITS, ImpulseMap
-from sysid.landing.maps import LandingMap, nearest_cell
+from sysid.landing.maps import LandingMap
 from sysid.landing.outcomes import OUTCOMES, Outcome
 from sysid.writing import write_file
 
@@ -57,7 +57,9 @@ def map_bytes(content: MapFile) -> bytes:
             _array(group, "outcome", one.outcome, codes, "set, slope, speed")
             _array(group, "distance", one.distance, "m", "set, slope, speed")
             _array(group, "time", one.time, "s", "set, slope, speed")
-            _array(group, "uncertain", one.uncertain, "1", "set, slope, speed")
+            group.attrs["checked"] = one.checked
+            if one.checked:
+                _array(group, "uncertain", one.uncertain, "1", "set, slope, speed")
             shares = np.array([one.share(outcome) for outcome in OUTCOMES])
             _array(group, "probability", shares, "1", "outcome 0 to 3, slope, speed")
             _array(group, "mean_distance", one.mean_distance, "m", "slope, speed")
@@ -135,8 +137,10 @@ def _head(group: Any) -> tuple[str, str, tuple[str, ...], Any, Any]:
 
 
 def _read_map(group: Any) -> LandingMap:
-    arrays = [group[name][()] for name in ("outcome", "distance", "time", "uncertain")]
-    return LandingMap(*_head(group), *arrays)
+    arrays = [group[name][()] for name in ("outcome", "distance", "time")]
+    checked = bool(group.attrs["checked"])
+    uncertain = group["uncertain"][()] if checked else np.zeros(arrays[0].shape, dtype=bool)
+    return LandingMap(*_head(group), *arrays, uncertain, checked=checked)
 
 
 def _read_impulse(group: Any) -> ImpulseMap:
@@ -147,7 +151,7 @@ def summary(maps: Sequence[LandingMap]) -> list[dict[str, Any]]:
     """Return per map what a table or JSON shows: cells by likeliest class, steepest slopes, doubts.
 
     A steepest slope is told for speeds that the map has; where it is the map's own steepest one, landings may
-    go on beyond it, and it is told as a lower bound.
+    go on beyond it, and it is told as a lower bound. Doubts are None where they were not looked for.
     """
     out = []
     for one in maps:
@@ -166,7 +170,7 @@ def summary(maps: Sequence[LandingMap]) -> list[dict[str, Any]]:
                 ],
                 "mean time to rest where landed [s]": _where_landed(one, one.mean_time),
                 "mean distance where landed [m]": _where_landed(one, one.mean_distance),
-                "uncertain [%]": 100.0 * float(one.uncertain.mean()),
+                "uncertain [%]": 100.0 * float(one.uncertain.mean()) if one.checked else None,
                 "lost": int(np.sum(one.outcome == Outcome.LOST)),
             }
         )
@@ -174,8 +178,10 @@ def summary(maps: Sequence[LandingMap]) -> list[dict[str, Any]]:
 
 
 def _told_speeds(one: LandingMap) -> list[float]:
-    """Speeds [m/s] whose steepest slope is told: usual ones that the map has, else up to four of its own."""
-    usual = [speed for speed in _USUAL_SPEEDS if nearest_cell(one.speeds, speed) is not None]
+    """Speeds [m/s] whose steepest slope is told: all of up to four, else the usual ones it has, else four."""
+    if len(one.speeds) <= 4:
+        return [float(speed) for speed in one.speeds]
+    usual = [speed for speed in _USUAL_SPEEDS if (abs(one.speeds - speed) < 1e-9).any()]
     if usual:
         return usual
     chosen = np.unique(np.linspace(0, len(one.speeds) - 1, 4).round().astype(int))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -100,6 +100,8 @@ class LandingMap:
         Displacement down the slope [m] and time to rest [s], NaN where it did not come to rest.
     uncertain : (S, n, m) bool array
         Whether half the tolerance changes the class.
+    checked : bool
+        Whether that was tried; `uncertain` says nothing otherwise.
     """
 
     surface: str
@@ -111,6 +113,7 @@ class LandingMap:
     distance: FloatArray
     time: FloatArray
     uncertain: NDArray[np.bool_]
+    checked: bool = True
 
     @property
     def title(self) -> str:
@@ -314,13 +317,8 @@ def landing_maps(
             out.append(
                 LandingMap(
                     fleet[0].surface, told.label, tuple(drone.name for drone in fleet),
-                    np.array(own.slopes_deg), np.array(own.speeds), *columns,
+                    np.array(own.slopes_deg), np.array(own.speeds), *columns, checked=own.check,
                 )
             )  # fmt: skip
         first += len(fleet)
     return tuple(out)
-
-
-def with_reversal(controllers: Sequence[Controller], ideal: bool) -> tuple[Controller, ...]:
-    """Return controllers with or without ideal reversal."""
-    return tuple(replace(one, ideal_reversal=ideal) for one in controllers)

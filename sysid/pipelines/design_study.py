@@ -119,6 +119,8 @@ def study_designs(
     points = designs(changes, settings.together)
     fleets = fleets_of(fleet, changes, points)
     grids = settings.grids()
+    for grid in grids:
+        grid.cells()  # refuses an attitude that cannot touch down before any map is computed
     parts = files.parts(len(grids))
     if files.resume and not any(blocks_folder(part).is_dir() for part in parts):
         raise ExportError(f"{files.out}: nothing unfinished to continue is there; start without --resume")

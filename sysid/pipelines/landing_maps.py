@@ -306,7 +306,7 @@ def _summary_table(counts: Sequence[dict[str, Any]]) -> Table:
             f"{entry['surface'].upper()}, {entry['controller']}",
             *(_slope(slopes[speed], speed in edge) for speed in speeds),
             *(f"{value:.2f}" for value in means),
-            f"{entry['uncertain [%]']:.2f}",
+            "–" if entry["uncertain [%]"] is None else f"{entry['uncertain [%]']:.2f}",
         )
     return table
 

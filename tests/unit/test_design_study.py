@@ -218,6 +218,10 @@ def test_command_threads_and_resume(files, monkeypatch, capsys):
         (("--vary", "k_t=1:2:3", "--controller", "fly"), "no controller"),
         (("--vary", "k_t=1:2:3", "--controller", "impulse:50,100"), "only 3 s are simulated"),
         (("--vary", "reversal_delay=-1s:0s:2"), "pause for"),
+        (
+            ("--vary", "k_t=1:1:1", "--slopes", "50:60:10", "--speeds", "0.3", "--spread-deg", "15"),
+            "within 74 deg",
+        ),
     ],
 )
 def test_command_refusals(files, monkeypatch, capsys, arguments, words):

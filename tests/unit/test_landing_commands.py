@@ -138,6 +138,8 @@ def test_a_landing_map_of_both_surfaces(run):
     code, out, err = run(*command, "--force", "--json", "--no-check", "--threads", "1")
     assert code == 0, err
     again = read_maps("map.h5")
+    assert not any(one.checked for one in again.maps)
+    assert [entry["uncertain [%]"] for entry in json.loads(out)["maps"]] == [None] * 4
     for one, other in zip(found.maps, again.maps, strict=True):
         np.testing.assert_array_equal(one.outcome, other.outcome)
         np.testing.assert_array_equal(one.distance, other.distance)

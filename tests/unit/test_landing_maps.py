@@ -3,6 +3,7 @@
 from dataclasses import replace
 from io import StringIO
 
+import h5py
 import numpy as np
 import pytest
 from matplotlib.collections import QuadMesh
@@ -191,6 +192,11 @@ def test_the_summary_tells_no_speed_that_the_map_lacks():
     assert slow.steepest(0.42) == slow.steepest(0.4)  # half a cell beyond the last one
     key = "steepest slope that half of the sets land on [deg]"
     assert list(summary([slow])[0][key]) == ["0.3 m/s"]
+    # Nothing was computed at 0.6, 1 and 1.5 m/s, though the two wide cells reach there.
+    two = replace_grid(some_map(), speeds=np.array([0.3, 1.2]), columns=2)
+    assert list(summary([two])[0][key]) == ["0.3 m/s", "1.2 m/s"]
+    five = replace_grid(some_map(), speeds=np.array([0.1, 0.3, 0.7, 1.2, 1.7]), columns=5)
+    assert list(summary([five])[0][key]) == ["0.3 m/s"]
     single = replace_grid(some_map(), speeds=np.array([0.45]), columns=1)
     assert list(summary([single])[0][key]) == ["0.45 m/s"]
     # Uneven cells end half-way; the outer ones reach as far outward as inward, not half the widest step.
@@ -200,7 +206,7 @@ def test_the_summary_tells_no_speed_that_the_map_lacks():
 
 
 def test_a_slope_at_the_edge_of_the_map_is_a_lower_bound():
-    easy = some_map()
+    easy = replace(some_map(), speeds=np.array([0.0, 0.3, 0.6, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0]))
     easy.outcome[:, :, :4] = Outcome.SHORT  # up to 0.75 m/s every slope is landed on
     easy.outcome[:, :, 6] = Outcome.FLIPPED  # at 1.5 m/s none
     entry = summary([easy])[0]
@@ -210,6 +216,18 @@ def test_a_slope_at_the_edge_of_the_map_is_a_lower_bound():
         row = stream.getvalue().splitlines()[-2]
     assert "≥ 45   ≥ 45" in row
     assert "–" in row
+
+
+def test_doubts_that_were_not_looked_for_are_not_told(tmp_path):
+    entry = summary([replace(some_map(), checked=False)])[0]
+    assert entry["uncertain [%]"] is None
+    with StringIO() as stream:
+        Console(file=stream, width=200).print(_summary_table([entry]))
+        assert stream.getvalue().splitlines()[-2].rstrip().endswith("–")
+    write_maps(tmp_path / "m.h5", MapFile((replace(some_map(), checked=False), some_map()), (), {}, {}))
+    assert [one.checked for one in read_maps(tmp_path / "m.h5").maps] == [False, True]
+    with h5py.File(tmp_path / "m.h5") as file:
+        assert ["uncertain" in file[f"maps/{k}"] for k in (1, 2)] == [False, True]
 
 
 def replace_grid(one, speeds, columns=None):
