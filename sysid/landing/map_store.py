@@ -140,7 +140,7 @@ def _read_map(group: Any) -> LandingMap:
     arrays = [group[name][()] for name in ("outcome", "distance", "time")]
     checked = bool(group.attrs["checked"])
     uncertain = group["uncertain"][()] if checked else np.zeros(arrays[0].shape, dtype=bool)
-    return LandingMap(*_head(group), *arrays, uncertain, checked=checked)
+    return LandingMap(*_head(group), *[*arrays, uncertain], checked=checked)
 
 
 def _read_impulse(group: Any) -> ImpulseMap:

@@ -113,7 +113,7 @@ class LandingMap:
     distance: FloatArray
     time: FloatArray
     uncertain: NDArray[np.bool_]
-    checked: bool = True
+    checked: bool = field(default=True, kw_only=True)
 
     @property
     def title(self) -> str:
