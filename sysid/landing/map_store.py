@@ -138,7 +138,7 @@ def _head(group: Any) -> tuple[str, str, tuple[str, ...], Any, Any]:
 
 def _read_map(group: Any) -> LandingMap:
     arrays = [group[name][()] for name in ("outcome", "distance", "time")]
-    checked = bool(group.attrs["checked"])
+    checked = bool(group.attrs.get("checked", True))
     uncertain = group["uncertain"][()] if checked else np.zeros(arrays[0].shape, dtype=bool)
     return LandingMap(*_head(group), *[*arrays, uncertain], checked=checked)
 
