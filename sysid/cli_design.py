@@ -3,11 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import radians
 from typing import Annotated
 
 import typer
 
-from sysid.cli_landing import ControllerFile, Gear, Ideal, MapOut, Motor, Pair, Pairing
+from sysid.cli_landing import (
+    ControllerFile,
+    FlipAngle,
+    Gear,
+    Horizon,
+    Ideal,
+    Long,
+    MapOut,
+    Motor,
+    Pair,
+    Pairing,
+    RestSpeed,
+    RestTime,
+    RestTurn,
+    Short,
+)
 from sysid.cli_options import Dask, Force, Json, Quiet, Resume, Threads
 
 Speeds = Annotated[str, typer.Option(help="Touchdown speeds in m/s: a list, or first:last:step.")]
@@ -41,7 +57,7 @@ def design_study(
     controller: Annotated[str, typer.Option(help="As for landing-map.")] = "reverse",
     slopes: Slopes = "0:60:1",
     speeds: Speeds = "0.3,0.6,0.9,1.2",
-    share: Annotated[float, typer.Option(help="Share of landings within 1 m that makes a slope safe.")] = 0.5,
+    share: Annotated[float, typer.Option(help="Share at rest within --long that makes a slope safe.")] = 0.5,
     spread_deg: Annotated[
         float, typer.Option(help="Each set lands with its nose so far up and down, too.")
     ] = 0,
@@ -49,6 +65,13 @@ def design_study(
     pair: Pairing = Pair.best,
     controllers: ControllerFile = None,
     ideal_reversal: Ideal = False,
+    horizon: Horizon = 3.0,
+    short: Short = 0.45,
+    long: Long = 1.0,
+    rest_speed: RestSpeed = 0.05,
+    rest_turn: RestTurn = 0.2,
+    rest_time: RestTime = 0.2,
+    flip_deg: FlipAngle = 80.0,
     force: Force = False,
     resume: Resume = False,
     dask: Dask = None,
@@ -58,12 +81,15 @@ def design_study(
 ) -> None:
     """Vary legs, feet and motors: the steepest slope that the drone lands on, and which change buys most."""
     from sysid.landing.design_study import StudySettings
+    from sysid.landing.maps import MapSettings
+    from sysid.landing.outcomes import Rules
     from sysid.pipelines.design_study import StudyFiles, study_designs
     from sysid.pipelines.landing_sources import LandingOptions, span
 
     sources = LandingOptions(motor, pair.value, (controller,), controllers, ideal_reversal)
     grid = (span(slopes, "--slopes"), span(speeds, "--speeds"))
-    settings = StudySettings(*grid, share, spread_deg, together)
+    rules = Rules(horizon, short, long, rest_speed, rest_turn, rest_time, radians(flip_deg))
+    settings = StudySettings(*grid, share, spread_deg, together, MapSettings(rules=rules, check=False))
     files = StudyFiles(out, force, resume, dask, threads, quiet, json)
     if study_designs(sets, sources, vary, settings, files) is None:
         raise typer.Exit(130)

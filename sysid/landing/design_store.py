@@ -48,6 +48,8 @@ def study_bytes(study: DesignStudy, provenance: Mapping[str, Any]) -> bytes:
             ("landed", study.landed, "1", "design, slope, speed"),
             ("largest_safe_slope", study.steepest, "deg", "design, speed"),
             ("landable", study.landable, "deg", "design, speed"),
+            ("at_edge", study.at_edge, "1", "design, speed"),
+            ("lost", study.lost, "landings", "design"),
         ):
             data = file.create_dataset(name, data=values)
             data.attrs["unit"], data.attrs["axes"] = unit, axes
@@ -88,6 +90,7 @@ def read_study(path: str | Path) -> tuple[DesignStudy, dict[str, Any]]:
                 exact_json.loads(file[f"{name}_json"].asstr()[()]) for name in ("settings", "provenance")
             )
             arrays = {name: file[name][()] for name in ("slope", "speed", "designs", "landed")}
+            lost = file["lost"][()] if "lost" in file else np.zeros(len(arrays["designs"]), dtype=np.int64)
             name, controller = str(file.attrs["name"]), str(file.attrs["controller"])
         rules = Rules.of(settings["rules"])
         own = StudySettings(
@@ -102,4 +105,4 @@ def read_study(path: str | Path) -> tuple[DesignStudy, dict[str, Any]]:
     except (OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
         first = next(iter(str(error).splitlines()), type(error).__name__)
         raise ExportError(f"{path}: cannot be read ({first}); compute the study again") from error
-    return DesignStudy(name, controller, changes, own, arrays["designs"], arrays["landed"]), provenance
+    return DesignStudy(name, controller, changes, own, arrays["designs"], arrays["landed"], lost), provenance

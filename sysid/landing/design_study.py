@@ -26,6 +26,7 @@ from sysid.landing.blocks import BlockStore
 from sysid.landing.controllers import Controller
 from sysid.landing.drone import Drone
 from sysid.landing.maps import LandingMap, MapSettings, landing_maps
+from sysid.landing.outcomes import LANDED, Outcome
 from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.units import parse_quantity
 
@@ -36,6 +37,8 @@ REVERSAL = "reversal_delay"
 SLOPES_DEG = tuple(float(slope) for slope in range(0, 61))
 SPEEDS = (0.3, 0.6, 0.9, 1.2)
 _MOST = 41
+# Names in a row of gains the touchdown speeds whose largest safe slope the grid cuts off.
+LOWER_BOUNDS = "lower bounds, at the grid's edge"
 
 
 @dataclass(frozen=True)
@@ -244,7 +247,10 @@ class DesignStudy:
     points : (p, c) array
         Value of each change in every design; the first is the sets as they are.
     landed : (p, n, m) array
-        Share of the landings at rest within the long distance, over slopes and speeds [1].
+        Share of the landings at rest within the long distance, of those that could be simulated, over slopes
+        and speeds [1]; 0 where none could.
+    lost : (p,) int64 array
+        Landings of each design that could not be simulated.
     """
 
     name: str
@@ -253,14 +259,28 @@ class DesignStudy:
     settings: StudySettings
     points: FloatArray
     landed: FloatArray
+    lost: NDArray[np.int64]
 
     @property
     def steepest(self) -> FloatArray:
-        """Slope (p, m) [deg] up to which every one is safe; NaN where not even the first is."""
+        """Slope (p, m) [deg] up to which every one is safe; NaN where not even the first is.
+
+        The grid's last slope is a lower bound, see `at_edge`.
+        """
         safe = self.landed >= self.settings.share - 1e-9
         count = np.where(safe.all(axis=1), safe.shape[1], np.argmin(safe, axis=1))
         slopes = np.array([math.nan, *self.settings.slopes_deg])
         return np.asarray(slopes[count])
+
+    @property
+    def at_edge(self) -> NDArray[np.bool_]:
+        """Whether every slope (p, m) of the grid is safe, so that steeper ones may be, too."""
+        return np.asarray(self.steepest == self.settings.slopes_deg[-1])
+
+    def bounds(self, design: int) -> list[str]:
+        """Return the touchdown speeds, in words, at which a design's largest safe slope is a lower bound."""
+        told = zip(self.settings.speeds, self.at_edge[design].tolist(), strict=True)
+        return [f"{speed:g} m/s" for speed, edge in told if edge]
 
     @property
     def landable(self) -> FloatArray:
@@ -284,6 +304,7 @@ class DesignStudy:
         """Return per change its best value and what it buys, most first.
 
         Gains are in landable degrees, mean over the speeds; designs with several changes count as they are.
+        Slopes beyond the grid count nowhere, so a design that is safe up to the grid's edge may gain more.
         """
         base = self.landable[0]
         gained = (self.landable - base).mean(axis=1)
@@ -307,6 +328,7 @@ class DesignStudy:
                         f"{speed:g} m/s": float(slope)
                         for speed, slope in zip(self.settings.speeds, self.steepest[best], strict=True)
                     },
+                    LOWER_BOUNDS: self.bounds(int(best)),
                 }
             )
         return sorted(rows, key=lambda row: -row["gain [deg]"])
@@ -383,7 +405,7 @@ def design_study(
     points = designs(changes, own.together)
     fleets = fleets_of(drones, changes, points)
     grids = own.grids()
-    shares = []
+    outcomes = []
     for number, grid in enumerate(grids):
         found: tuple[LandingMap, ...] = landing_maps(
             fleets,
@@ -397,5 +419,25 @@ def design_study(
         )
         if not found:
             return None
-        shares.append(np.array([np.nan_to_num(one.landed) for one in found]))
-    return DesignStudy(name, controller.label, tuple(changes), own, points, np.mean(shares, axis=0))
+        outcomes.append(np.array([one.outcome for one in found]))
+    landed, lost = shares_of(np.concatenate(outcomes, axis=1))
+    return DesignStudy(name, controller.label, tuple(changes), own, points, landed, lost)
+
+
+def shares_of(outcome: NDArray[np.int8]) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Return the share that landed, of what could be simulated, and how many could not.
+
+    Parameters
+    ----------
+    outcome : (p, S, n, m) int8 array
+        `sysid.landing.outcomes.Outcome` codes of p designs, S sets and attitudes, n slopes and m speeds.
+
+    Returns
+    -------
+    landed : (p, n, m) array
+        [1]; 0 where nothing could be simulated: what is not known to be safe is none.
+    lost : (p,) int64 array
+    """
+    lost = outcome == Outcome.LOST
+    sound = np.sum(~lost, axis=1)
+    return np.isin(outcome, LANDED).sum(axis=1) / np.maximum(sound, 1), lost.sum(axis=(1, 2, 3))

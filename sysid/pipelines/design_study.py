@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 from sysid import exact_json
@@ -15,6 +16,7 @@ from sysid.fit.stopping import stop_on_interrupt
 from sysid.landing.blocks import BlockStore, blocks_folder
 from sysid.landing.design_store import write_study
 from sysid.landing.design_study import (
+    LOWER_BOUNDS,
     DesignStudy,
     StudySettings,
     design_study,
@@ -162,13 +164,21 @@ def _print(study: DesignStudy | None, files: StudyFiles) -> None:
                 f"stopped: what is finished is kept beside {files.out}; continue with --resume"
             )
         return
+    lost = int(study.lost.sum())
+    if lost and not files.quiet:
+        Console(stderr=True).print(
+            f"warning: {lost} landings of {np.count_nonzero(study.lost)} of {len(study.points)} designs "
+            "could not be simulated and count nowhere; a slope on which none could counts as not safe",
+            soft_wrap=True,
+        )
     gains = study.gains()
     speeds = [f"{speed:g} m/s" for speed in study.settings.speeds]
     base = dict(zip(speeds, study.steepest[0].tolist(), strict=True))
     if files.json:
         document: dict[str, Any] = {"name": study.name, "controller": study.controller}
-        document |= {"as it is, largest safe slope [deg]": base, "changes": gains, "file": str(files.out)}
+        document |= {"as it is, largest safe slope [deg]": base, LOWER_BOUNDS: study.bounds(0)}
+        document |= {"changes": gains, "lost": lost, "file": str(files.out)}
         print(exact_json.dumps(document))
     elif not files.quiet:
-        Console().print(gains_table(study.name, base, gains))
+        Console().print(gains_table(study.name, base, gains, study.bounds(0)))
         print(f"wrote {files.out} and {files.picture}")

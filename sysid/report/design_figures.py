@@ -29,7 +29,8 @@ def figure_design_study(study: DesignStudy) -> Figure:
     Notes
     -----
     Lines (colours) show the width of the slopes that the sets land on, dots (numbers) the steepest slope up
-    to which all are safe; where a dot lies below its line, a flatter slope is unsafe.
+    to which all are safe; where a dot lies below its line, a flatter slope is unsafe. A triangle (≥) is a
+    lower bound: all slopes tried are safe.
     """
     return _map(study) if study.settings.together else _curves(study)
 
@@ -49,7 +50,11 @@ def _curves(study: DesignStudy) -> Figure:
         for m, _ in enumerate(study.settings.speeds):
             colour = _COLOURS[m % len(_COLOURS)]
             panel.plot(values, landable[chosen, m], color=colour, linewidth=1.6)
-            panel.plot(values, steepest[chosen, m], color=colour, marker="o", markersize=4, linestyle="none")
+            edge = study.at_edge[chosen, m]
+            for which, marker in ((~edge, "o"), (edge, "^")):
+                if which.any():
+                    x, y = values[which], steepest[chosen, m][which]
+                    panel.plot(x, y, color=colour, marker=marker, markersize=4, linestyle="none")
         _axis(panel, change, values)
         if c % columns == 0:
             panel.set_ylabel("slope [deg]")
@@ -66,6 +71,9 @@ def _curves(study: DesignStudy) -> Figure:
         Line2D([], [], color="0.3", label="width of slopes\nlanded on"),
         Line2D([], [], color="0.3", marker="o", markersize=4, linestyle="none", label=_STEEPEST),
     ]
+    if study.at_edge.any():
+        words = "or more: no\nsteeper one tried"
+        handles.append(Line2D([], [], color="0.3", marker="^", markersize=4, linestyle="none", label=words))
     figure.legend(handles=handles, loc="outside right upper", frameon=False, title="touchdown at")
     figure.suptitle(_title(study), fontsize="medium")
     return figure
@@ -90,7 +98,8 @@ def _map(study: DesignStudy) -> Figure:
         )
         for i in range(len(y)):
             for j in range(len(x)):
-                text = f"{safe[i, j]:.0f}" if np.isfinite(safe[i, j]) else "–"
+                more = "≥" if study.at_edge[grid[i, j], m] else ""
+                text = f"{more}{safe[i, j]:.0f}" if np.isfinite(safe[i, j]) else "–"
                 colour = "white" if values[i, j] < 0.6 * top else "black"
                 panel.text(j, i, text, ha="center", va="center", color=colour, fontsize="small")
         at = (int(np.searchsorted(x, first.neutral)), int(np.searchsorted(y, second.neutral)))

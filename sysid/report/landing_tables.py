@@ -10,6 +10,8 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from sysid.landing.design_study import LOWER_BOUNDS
+
 
 def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return static limits as a table, one row per set and thrust.
@@ -60,7 +62,12 @@ def plain_table(title: str, caption: str) -> Table:
     )
 
 
-def gains_table(name: str, base: Mapping[str, float], gains: Sequence[Mapping[str, Any]]) -> Table:
+def gains_table(
+    name: str,
+    base: Mapping[str, float],
+    gains: Sequence[Mapping[str, Any]],
+    bounds: Sequence[str],
+) -> Table:
     """Return what each change of a design buys, most first.
 
     Parameters
@@ -71,15 +78,24 @@ def gains_table(name: str, base: Mapping[str, float], gains: Sequence[Mapping[st
         Largest safe slope of the sets as they are [deg], by touchdown speed.
     gains : sequence of mapping
         As `sysid.landing.design_study.DesignStudy.gains` returns them.
+    bounds : sequence of str
+        Speeds at which the sets as they are are safe up to the grid's edge.
     """
+    cut = bool(bounds) or any(row[LOWER_BOUNDS] for row in gains)
     table = plain_table(
         f"{name}: degrees of slope that a change buys",
         "gain: in width of slopes landed on, mean over the speeds; columns of speeds: the largest safe slope "
-        "[deg] at the best value",
+        "[deg] at the best value"
+        + (
+            "; ≥: safe up to the steepest slope tried, so gains are lower bounds; raise --slopes"
+            if cut
+            else ""
+        ),
     )
     for head in ("change", "best", "gain [deg]", "worst", "loss [deg]", *base):
         table.add_column(Text(head), justify="left" if head == "change" else "right")
-    table.add_row(*(Text(cell) for cell in ("as it is", "", "", "", "", *(_slope(v) for v in base.values()))))
+    first = ("as it is", "", "", "", "", *(_slope(v, speed in bounds) for speed, v in base.items()))
+    table.add_row(*(Text(cell) for cell in first))
     table.add_section()
     for row in gains:
         cells = (
@@ -88,7 +104,7 @@ def gains_table(name: str, base: Mapping[str, float], gains: Sequence[Mapping[st
             f"{row['gain [deg]']:+.1f}",
             _values(row["worst value"]),
             f"{row['loss [deg]']:+.1f}",
-            *(_slope(v) for v in row["largest safe slope [deg]"].values()),
+            *(_slope(v, at in row[LOWER_BOUNDS]) for at, v in row["largest safe slope [deg]"].items()),
         )
         table.add_row(*(Text(cell) for cell in cells))
     return table
@@ -98,5 +114,5 @@ def _values(values: Sequence[float]) -> str:
     return ", ".join(f"{value:.3g}" for value in values)
 
 
-def _slope(value: float) -> str:
-    return f"{value:.0f}" if math.isfinite(value) else "–"
+def _slope(value: float, at_edge: bool) -> str:
+    return f"{'≥ ' if at_edge else ''}{value:.0f}" if math.isfinite(value) else "–"

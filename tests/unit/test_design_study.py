@@ -2,21 +2,34 @@
 
 import json
 import math
+from io import StringIO
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from sysid import cli
 from sysid.errors import CampaignError, ExportError
 from sysid.export import export
 from sysid.landing import blocks
 from sysid.landing.design_store import read_study, write_study
-from sysid.landing.design_study import Change, DesignStudy, StudySettings, designs, find_changes, fleets_of
+from sysid.landing.design_study import (
+    Change,
+    DesignStudy,
+    StudySettings,
+    designs,
+    find_changes,
+    fleets_of,
+    shares_of,
+)
 from sysid.landing.drone import drones
+from sysid.landing.maps import LandingWork
+from sysid.landing.outcomes import Outcome, Rules
 from sysid.motor.thrust import thrust_history
 from sysid.published import table_1, table_2
 from sysid.report.design_figures import figure_design_study
 from sysid.report.figures import save_figure
+from sysid.report.landing_tables import gains_table
 
 FLEET = drones(table_2("hf"), table_1())
 
@@ -81,12 +94,15 @@ def test_an_added_reversal_delay_is_what_the_thrust_shows():
         later.apply(FLEET[0], -0.05)
 
 
-def study(landed, *, share=0.5, slopes=(0.0, 10.0, 20.0, 30.0), changes=None, points=None, together=False):
+def study(
+    landed, *, share=0.5, slopes=(0.0, 10.0, 20.0, 30.0), changes=None, points=None, together=False, lost=None
+):
     landed = np.asarray(landed, dtype=float)
     settings = StudySettings(slopes, (0.5,) * 0 + (0.5, 1.0)[: landed.shape[2]], share, together=together)
     changes = changes or (Change("leg_bending_stiffness", "k_t", "gear", (0.5, 2.0)),)
     points = np.array([[1.0], [0.5], [2.0]][: len(landed)]) if points is None else np.array(points)
-    return DesignStudy("sets", "reverse", changes, settings, points, landed)
+    lost = np.zeros(len(landed), dtype=np.int64) if lost is None else np.array(lost)
+    return DesignStudy("sets", "reverse", changes, settings, points, landed, lost)
 
 
 def test_largest_safe_slope_and_landable_width():
@@ -116,18 +132,68 @@ def test_the_change_that_buys_most_comes_first():
     assert rows[0]["largest safe slope [deg]"] == {"0.5 m/s": 30.0}
 
 
+def test_the_grids_edge_is_a_lower_bound():
+    changes = find_changes("k_t=2:2:1,b_t=2:2:1")
+    points = designs(changes)
+    landed = np.zeros((3, 4, 2))
+    landed[:, 0] = 1.0
+    landed[1, :, 0] = 1.0  # safe up to the last slope, at 0.5 m/s alone
+    one = study(landed, changes=changes, points=points)
+    np.testing.assert_array_equal(one.at_edge, [[False, False], [True, False], [False, False]])
+    stiff, damped = one.gains()
+    assert stiff["lower bounds, at the grid's edge"] == ["0.5 m/s"]
+    assert damped["lower bounds, at the grid's edge"] == []
+    shown = printed(gains_table("sets", {"0.5 m/s": 0.0, "1 m/s": 0.0}, [stiff, damped], one.bounds(0)))
+    assert shown.count("≥ 30") == 1
+    assert "gains are lower bounds" in shown
+    within = study(landed[:1].repeat(3, axis=0), changes=changes, points=points)
+    shown = printed(gains_table("sets", {"0.5 m/s": 0.0, "1 m/s": 0.0}, within.gains(), within.bounds(0)))
+    assert "≥" not in shown
+    # The sets as they are may be cut off, too, where no change buys anything.
+    base = study(np.ones((3, 4, 2)), changes=changes, points=points)
+    assert base.bounds(0) == ["0.5 m/s", "1 m/s"]
+    assert "gains are lower bounds" in printed(
+        gains_table("sets", {"0.5 m/s": 30.0, "1 m/s": 30.0}, [], base.bounds(0))
+    )
+    (triangles,) = (line for line in figure_design_study(one).axes[0].lines if line.get_marker() == "^")
+    np.testing.assert_array_equal(triangles.get_xydata(), [[2.0, 30.0]])
+    pair = find_changes("k_t=2:2:1,b_t=2:2:1")
+    both = designs(pair, together=True)
+    cut = np.zeros((4, 4, 1))
+    cut[0] = 1.0
+    panel = figure_design_study(study(cut, changes=pair, points=both, together=True)).axes[0]
+    assert sorted(text.get_text() for text in panel.texts) == ["–", "–", "–", "≥30"]
+
+
+def printed(table):
+    stream = StringIO()
+    Console(file=stream, width=200).print(table)
+    return " ".join(stream.getvalue().split())
+
+
+def test_what_could_not_be_simulated_counts_nowhere():
+    outcome = np.full((2, 4, 2, 1), Outcome.SHORT, dtype=np.int8)
+    outcome[0, :2, 0, 0] = Outcome.LOST, Outcome.FLIPPED
+    outcome[1, :, 1] = Outcome.LOST
+    landed, lost = shares_of(outcome)
+    # Of four landings one is lost, one flips and two land; where all are lost nothing is known to be safe.
+    np.testing.assert_allclose(landed[:, :, 0], [[2 / 3, 1.0], [1.0, 0.0]], rtol=1e-12)
+    assert lost.tolist() == [1, 4]
+
+
 def test_the_file_reads_back(tmp_path):
     changes = find_changes("k_t=0.5:2:2,reversal_delay=0:0.1:2")
     points = designs(changes, together=True)
     assert [1.0, 0.0] in points.tolist()
     random = np.random.default_rng(1).random((len(points), 4, 2))
-    one = study(random, changes=changes, points=points, together=True)
+    one = study(random, changes=changes, points=points, together=True, lost=np.arange(len(points)))
     found, provenance = read_study(write_study(tmp_path / "s.h5", one, {"motor": "x"}))
     assert provenance == {"motor": "x"}
     assert (found.name, found.controller, found.changes) == (one.name, one.controller, one.changes)
     assert found.settings == one.settings
     np.testing.assert_array_equal(found.landed, one.landed)
     np.testing.assert_array_equal(found.steepest, one.steepest)
+    np.testing.assert_array_equal(found.lost, one.lost)
     (tmp_path / "cut.h5").write_bytes((tmp_path / "s.h5").read_bytes()[:900])
     with pytest.raises(ExportError, match="compute the study again"):
         read_study(tmp_path / "cut.h5")
@@ -206,6 +272,43 @@ def test_command_threads_and_resume(files, monkeypatch, capsys):
     second, _ = read_study(files / "s.h5")
     np.testing.assert_array_equal(first.landed, second.landed)
     assert not list(files.glob("*.blocks"))
+
+
+def test_rules_are_options_of_a_study(files, monkeypatch, capsys):
+    late = ("--vary", "k_t=1:1:1", "--slopes", "10,20", "--speeds", "0.4", "--controller", "impulse:3,0.1")
+    code, _, err = run(monkeypatch, capsys, *late)
+    assert (code, "only 3 s are simulated" in err, "--horizon" in err) == (2, True, True), err
+    rules = (
+        "--short",
+        "0.1",
+        "--long",
+        "2",
+        "--rest-speed",
+        "0.06",
+        "--rest-turn",
+        "0.3",
+        "--rest-time",
+        "0.1",
+    )
+    code, _, err = run(monkeypatch, capsys, *late, "--horizon", "3.5", *rules, "--flip-deg", "70", "--quiet")
+    assert code == 0, err
+    found, _ = read_study(files / "s.h5")
+    assert found.settings.maps.rules == Rules(3.5, 0.1, 2.0, 0.06, 0.3, 0.1, math.radians(70.0))
+
+
+def test_a_study_warns_of_lost_landings(files, monkeypatch, capsys):
+    land = LandingWork.__call__
+
+    def lose_the_first(work, rows):
+        outcome, *others = land(work, rows)
+        outcome[0] = Outcome.LOST
+        return outcome, *others
+
+    monkeypatch.setattr(LandingWork, "__call__", lose_the_first)
+    code, out, err = run(monkeypatch, capsys, *SMALL, "--json")
+    assert code == 0
+    assert "warning: 2 landings of 2 of 2 designs could not be simulated" in err
+    assert json.loads(out)["lost"] == 2
 
 
 @pytest.mark.parametrize(
