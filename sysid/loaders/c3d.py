@@ -120,7 +120,7 @@ def _cut_note(source: Source, file: Any) -> list[str]:
 
 
 def _overflow_note(source: Source, file: Any) -> list[str]:
-    """Return a note where the file goes on behind frame 65535, the last that its header can name."""
+    """Return a note where the capture goes, or may go, on behind the last frame that a header can name."""
     points, analogs, first, last = struct.unpack_from("<4H", source.head, _COUNTS)
     if last != _LAST_FRAME:
         return []
@@ -128,13 +128,33 @@ def _overflow_note(source: Source, file: Any) -> list[str]:
     frame = (4 * points + analogs) * (2 if scale and float(scale[0]) > 0 else 4)
     (begin,) = struct.unpack_from("<H", source.head, _DATA_START)
     there = (Path(source.path).stat().st_size - (begin - 1) * _BLOCK - (_BLOCK - 1)) / max(frame, 1)
-    frames = last - first + 1
-    if there <= frames:
+    frames = file["data"]["points"].shape[2] or last - first + 1
+    stated = _actual_frames(file)
+    if max(there, stated or 0) > frames:
+        held = f"{np.ceil(there):.0f} or more" if stated is None or there > stated else f"{stated}"
+        return [
+            f"only the first {frames} frames were read: a C3D header counts to {_LAST_FRAME}, and the "
+            f"capture has {held}; export it in shorter pieces"
+        ]
+    if stated is not None:
         return []
     return [
-        f"only the first {frames} frames were read: a C3D header counts to {_LAST_FRAME}, and the file holds "
-        f"{np.ceil(there):.0f} or more; export the capture in shorter pieces"
+        f"the last frame is number {_LAST_FRAME}, the last that a C3D header can name: the capture may have "
+        "gone on, so check its duration"
     ]
+
+
+def _actual_frames(file: Any) -> int | None:
+    """Return the number of frames that the group TRIAL states, None where it does not."""
+    ends = []
+    for key in ("ACTUAL_START_FIELD", "ACTUAL_END_FIELD"):
+        words = _values(file["parameters"], "TRIAL", key)
+        if len(words) != 2:
+            return None
+        # Two words of 16 bits, low and high, which readers may take as signed.
+        low, high = (int(word) & 0xFFFF for word in words)
+        ends.append(low + (high << 16))
+    return ends[1] - ends[0] + 1
 
 
 def _rate(path: str, stated: Any) -> float:

@@ -28,8 +28,12 @@ from sysid.recording import Channel, FloatArray, Recording
 _NAME = "ulog"
 _MAGIC = b"ULog\x01\x12\x35"
 _ODOMETRY = {"vehicle_odometry": "vehicle", "vehicle_visual_odometry": "visual"}
-# vehicle_odometry's pose_frame, PX4 1.13 and later: x and y of FRD are turned by an unknown heading.
-_FRAMES = {0: "unknown", 1: "NED", 2: "FRD"}
+# The field of vehicle_odometry that names the frame of the poses, and its numbers; PX4 1.14 renamed and
+# renumbered it. x and y of FRD are turned by an unknown heading.
+_FRAMES = {
+    "pose_frame": {0: "unknown", 1: "NED", 2: "FRD"},
+    "local_frame": {0: "NED", 1: "FRD", 2: "unknown", 3: "FRD of the body"},
+}
 # What PX4 writes for unknown, by topic and field.
 _UNKNOWN = {("battery_status", "current_a"): -1.0, ("battery_status", "voltage_v"): 0.0}
 # Fields of flags, by topic, and the fields that count only where the flag is set.
@@ -90,21 +94,32 @@ def _instance_note(topic: Any) -> list[str]:
     return [f"{topic.name} is of instance {topic.multi_id}, the lowest in the log"] if topic.multi_id else []
 
 
-def _frame_notes(topic: Any, body: str) -> tuple[bool, list[str]]:
-    """Return whether the poses of an odometry topic are in one frame, and notes."""
-    if "pose_frame" not in topic.data:
-        return True, []
-    found = np.unique(topic.data["pose_frame"]).tolist()
-    words = " and ".join(_FRAMES.get(int(one), f"number {int(one)}") for one in found)
-    if len(found) > 1:
-        return False, [f"{body} was left out: its pose_frame changes between {words}"]
-    if found == [1]:
-        return True, []
-    turned = "z is down, but x and y are turned from north and east by an unknown heading"
-    return True, [
-        f"pose_frame of {body} is {words}, not NED: "
-        + (turned if found == [2] else "its axes are not known; check them before use")
+def _frame(topic: Any, body: str) -> tuple[str, list[str]]:
+    """Return the frame of the poses of an odometry topic (empty where it changes), and notes."""
+    field = next((name for name in _FRAMES if name in topic.data), "")
+    if not field:
+        return "NED", []  # all that PX4 knew then
+    found = [
+        _FRAMES[field].get(int(one), f"number {int(one)}") for one in np.unique(topic.data[field]).tolist()
     ]
+    if len(found) > 1:
+        return "", [f"{body} was left out: its {field} changes between {' and '.join(found)}"]
+    if found == ["NED"]:
+        return "NED", []
+    turned = "z is down, but x and y are turned from north and east by an unknown heading"
+    return found[0], [
+        f"{field} of {body} is {found[0]}, not NED: "
+        + (turned if found == ["FRD"] else "its axes are not known; check them before use")
+    ]
+
+
+def _axes_note(channels: Sequence[str], others: Sequence[str]) -> str:
+    """Return a note on the axes of the channels, but not of the bodies `others` in frames of their own."""
+    placed = [one for one in channels if one.endswith("position") or one in ("local_velocity", "attitude")]
+    known = [name for name in placed if name.rpartition("/")[0] not in others]
+    whose = f" of {' and '.join(known)}" if others else ""
+    north = f"axes{whose}: north, east, down; " if known else "axes: "
+    return f"{north}body front, right, down, as PX4 defines them"
 
 
 def _stack(numbers: Numbers, first: int, width: int) -> FloatArray:
@@ -153,6 +168,7 @@ def read(source: Source, *, time_back: str = "drop") -> Recording:
     topics = {topic.name: topic for topic in sorted(log.data_list, key=lambda one: -one.multi_id)}
     notes: list[str] = []
     channels: dict[str, Channel] = {}
+    others: list[str] = []
 
     def clocked(numbers: Numbers) -> FloatArray:
         time, said = order_rows(path, numbers, 0, 1.0, time_back=time_back)
@@ -171,10 +187,11 @@ def read(source: Source, *, time_back: str = "drop") -> Recording:
             or not len(topic.data["timestamp"])
         ):
             continue
-        one_frame, said = _frame_notes(topic, body)
+        frame, said = _frame(topic, body)
         notes += said
-        if not one_frame:
+        if not frame:
             continue
+        others += [body] if frame != "NED" else []
         numbers = _rows(topic, fields, topic_name)
         time = clocked(numbers)
         orientation, said = unit_quaternions(path, body, numbers, _stack(numbers, 4, 4))
@@ -204,6 +221,10 @@ def read(source: Source, *, time_back: str = "drop") -> Recording:
         if np.isfinite(values).any() and (np.nan_to_num(values).any() or not channel[-1].isdigit()):
             channels[channel] = Channel(channel, unit, time, values * factor)
             notes += [*said, *_instance_note(topic)]
+        elif said and np.isnan(values).all():
+            notes += [*said, f"{channel} was left out: no message holds a value that PX4 marks as known"]
+    if not channels and notes:
+        raise LogError(f"{path}: nothing is left to read: {'; '.join(dict.fromkeys(notes))}")
     if not channels:
         raise LogError(
             f"{path}: none of the topics that sysid reads is in this log; found {listing(sorted(topics))}"
@@ -221,7 +242,7 @@ def read(source: Source, *, time_back: str = "drop") -> Recording:
         notes.append("parts of the file are damaged and were passed over")
     device = str(log.msg_info_dict.get("sys_name", "PX4"))
     version = str(log.msg_info_dict.get("ver_hw", "")).strip()
-    notes.append("axes: north, east, down; body front, right, down, as PX4 defines them")
+    notes.append(_axes_note(list(channels), others))
     return Recording(
         "onboard",
         channels,

@@ -72,7 +72,7 @@ def inspect_files(
     options : mapping, optional
         Loader options for all of them.
     plot : Path, optional
-        Figure to write; of several logs, one under the other.
+        Figure to write; of several logs, one under the other, without those that are refused.
     as_json : bool
         Print JSON and nothing else; of a log that is refused an object with the keys ``path`` and ``error``.
 
@@ -94,7 +94,7 @@ def inspect_files(
             found.append((path, error))
     reports = [one for one in found if isinstance(one, LogReport)]
     refusals = [one for one in found if not isinstance(one, LogReport)]
-    if plot is not None and refusals:
+    if not recordings:
         plot = None
     if plot is not None:
         from sysid.report.figures import save_figure

@@ -1,11 +1,16 @@
 """Files that load without complaint and would mean something else: each is refused, noted or read right."""
 
 import json
+import re
 import struct
+import subprocess
+import sys
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from sysid.cli import app
 from sysid.errors import LogError, UnitError
 from sysid.loaders import load
 from sysid.pipelines.inspect import inspect_files
@@ -142,18 +147,75 @@ def test_what_px4_marks_as_unknown_is_missing(tmp_path):
         assert words in said(log)
 
 
+BATTERY = "uint64_t timestamp;float voltage_v;float current_a;"
+
+
+def test_a_px4_channel_without_any_known_value_is_named(tmp_path):
+    pytest.importorskip("pyulog", reason="pyulog comes with the test extra")
+    rows = [struct.pack("<Qff", 10**6 + 10**4 * i, 16.0, -1.0) for i in range(9)]
+    log = load(ulog(tmp_path / "a.ulg", ("battery_status", BATTERY, rows, 0)))
+    assert list(log.channels) == ["voltage"]
+    assert "current_a is -1, which PX4 writes for unknown, in 9 messages" in said(log)
+    assert "current was left out: no message holds a value that PX4 marks as known" in said(log)
+    rows = [struct.pack("<Qff", 10**6 + 10**4 * i, 0.0, -1.0) for i in range(9)]
+    with pytest.raises(LogError, match=r"nothing is left to read: .*current was left out"):
+        load(ulog(tmp_path / "b.ulg", ("battery_status", BATTERY, rows, 0)))
+
+
+def test_px4_velocities_count_only_where_their_own_flags_are_set(tmp_path):
+    pytest.importorskip("pyulog", reason="pyulog comes with the test extra")
+    fields = ("uint64_t timestamp;float x;float y;float z;float vx;float vy;float vz;"
+              "bool xy_valid;bool z_valid;bool v_xy_valid;bool v_z_valid;")  # fmt: skip
+    rows = [struct.pack("<Q6f4?", 10**6 + 10**4 * i, 1, 2, 3, 4, 5, 6, True, i > 1, i > 3, i > 6)
+            for i in range(50)]  # fmt: skip
+    log = load(ulog(tmp_path / "a.ulg", ("vehicle_local_position", fields, rows, 0)))
+    assert np.isnan(log["local_position"].values).sum(axis=0).tolist() == [0, 0, 2]
+    assert np.isnan(log["local_velocity"].values).sum(axis=0).tolist() == [4, 4, 7]
+    np.testing.assert_array_equal(log["local_velocity"].values[7:], np.tile([4.0, 5.0, 6.0], (43, 1)))
+    for words in ("vy is not valid by v_xy_valid, in 4", "vz is not valid by v_z_valid, in 7"):
+        assert words in said(log)
+
+
+# The numbers of the frames as PX4 declares them: POSE_FRAME_ of 1.14, LOCAL_FRAME_ before.
 @pytest.mark.parametrize(
-    ("frames", "words"),
-    [((2, 2), "pose_frame of vehicle is FRD, not NED"), ((0, 0), "is unknown, not NED"), ((1, 1), "")],
+    ("field", "frames", "words"),
+    [
+        ("pose_frame", (2, 2), "pose_frame of vehicle is FRD, not NED"),
+        ("pose_frame", (0, 0), "is unknown, not NED"),
+        ("pose_frame", (1, 1), ""),
+        ("local_frame", (0, 0), ""),
+        ("local_frame", (1, 1), "local_frame of vehicle is FRD, not NED"),
+        ("local_frame", (3, 3), "local_frame of vehicle is FRD of the body, not NED: its axes are not known"),
+        ("pose_frame", (1, 2), "vehicle was left out: its pose_frame changes between NED and FRD"),
+    ],
 )
-def test_the_frame_of_px4_odometry_is_said(tmp_path, frames, words):
+def test_the_frame_of_px4_odometry_is_said(tmp_path, field, frames, words):
+    pytest.importorskip("pyulog", reason="pyulog comes with the test extra")
+    fields = f"uint64_t timestamp;float[3] position;float[4] q;uint8_t {field};uint8_t[3] _padding0;"
+    rows = [struct.pack("<Q3f4fB", 10**6 + 10**4 * i, i, 2, -3, 1, 0, 0, 0, frames[i % 2]) for i in range(9)]
+    battery = [struct.pack("<Qff", 10**6 + 10**4 * i, 16.0, 1.0) for i in range(9)]
+    odometry = "vehicle_odometry", fields, rows, 0
+    log = load(ulog(tmp_path / "a.ulg", odometry, ("battery_status", BATTERY, battery, 0)))
+    one = frames[0] == frames[1]
+    assert ("vehicle/position" in log.channels) == one
+    assert words in said(log)
+    assert bool(words) == (field in said(log))
+    # Axes that the frame is not are not claimed.
+    assert ("axes: north, east, down" in said(log)) == (not words)
+    assert "body front, right, down" in said(log)
+    if not one:
+        with pytest.raises(LogError, match="nothing is left to read: vehicle was left out"):
+            load(ulog(tmp_path / "b.ulg", odometry))
+
+
+def test_px4_axes_are_claimed_of_the_channels_that_have_them(tmp_path):
     pytest.importorskip("pyulog", reason="pyulog comes with the test extra")
     fields = "uint64_t timestamp;float[3] position;float[4] q;uint8_t pose_frame;uint8_t[3] _padding0;"
-    rows = [struct.pack("<Q3f4fB", 10**6 + 10**4 * i, i, 2, -3, 1, 0, 0, 0, frames[i % 2]) for i in range(9)]
-    log = load(ulog(tmp_path / "a.ulg", ("vehicle_odometry", fields, rows, 0)))
-    assert log["vehicle/position"].values.shape == (9, 3)
-    assert words in said(log)
-    assert bool(words) == ("pose_frame" in said(log))
+    rows = [struct.pack("<Q3f4fB", 10**6 + 10**4 * i, i, 2, -3, 1, 0, 0, 0, 2) for i in range(9)]
+    place = [struct.pack("<Q3f", 10**6 + 10**4 * i, i, 2, -3) for i in range(9)]
+    local = "vehicle_local_position", "uint64_t timestamp;float x;float y;float z;", place, 0
+    log = load(ulog(tmp_path / "a.ulg", ("vehicle_odometry", fields, rows, 0), local))
+    assert "axes of local_position: north, east, down; body front" in said(log)
 
 
 def tracker(rows):
@@ -185,13 +247,15 @@ def test_a_lost_tracker_object_is_missing_and_takes_no_other_with_it(tmp_path):
     assert 0.020 not in load(path)["d/position"].values[:, 2]
 
 
-def c3d(path, frames, units=("N",), *, analog=True):
+def c3d(path, frames, units=("N",), *, analog=True, trial=None):
     ezc3d = pytest.importorskip("ezc3d", reason="ezc3d comes with the test extra")
     file = ezc3d.c3d()
     file["parameters"]["POINT"]["RATE"]["value"] = [100.0]
     file["parameters"]["POINT"]["LABELS"]["value"] = ["A"]
     file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
     file["data"]["points"] = np.ones((4, 1, frames))
+    for key, number in zip(("ACTUAL_START_FIELD", "ACTUAL_END_FIELD"), trial or (), strict=False):
+        file.add_parameter("TRIAL", key, [number & 0xFFFF, number >> 16])
     if analog:
         file["parameters"]["ANALOG"]["RATE"]["value"] = [100.0]
         file["parameters"]["ANALOG"]["LABELS"]["value"] = [f"a{i}" for i in range(len(units))]
@@ -204,7 +268,20 @@ def c3d(path, frames, units=("N",), *, analog=True):
 def test_a_c3d_longer_than_its_header_counts_is_noted(tmp_path):
     log = load(c3d(tmp_path / "long.c3d", 66000, analog=False))
     assert "only the first 65535 frames were read" in said(log)
-    assert "only the first" not in said(load(c3d(tmp_path / "full.c3d", 65535, analog=False)))
+    full = said(load(c3d(tmp_path / "full.c3d", 65535, analog=False)))
+    assert "only the first" not in full
+    assert "the capture may have gone on, so check its duration" in full
+
+
+@pytest.mark.parametrize(
+    ("trial", "words"),
+    [((1, 65535), ""), ((1, 70000), "and the capture has 70000;"), ((4466, 70000), "")],
+)
+def test_a_c3d_says_in_its_trial_how_long_the_capture_is(tmp_path, trial, words):
+    log = load(c3d(tmp_path / "a.c3d", 65535, analog=False, trial=trial))
+    assert words in said(log)
+    assert ("only the first 65535 frames were read" in said(log)) == bool(words)
+    assert "may have gone on" not in said(log)
 
 
 def test_signals_of_unknown_unit_are_named(tmp_path):
@@ -234,6 +311,27 @@ def test_an_ati_time_in_the_last_column_is_refused(tmp_path):
     assert load(path, format="ati-text", units={**units, "time": "s"})["thrust"].values[0] == 3.0
 
 
+@pytest.mark.parametrize("fault", ["pause", "repeated", "damaged", "none"])
+def test_an_unsteady_ati_time_in_the_last_column_is_refused_too(tmp_path, fault):
+    time = 0.01 * np.arange(300)
+    time[150:] += 2.0 * (fault == "pause")
+    time = np.floor(time / 0.03) * 0.03 if fault == "repeated" else time
+    time[77] += 50.0 * (fault == "damaged")
+    load_x = np.sin(7.0 * np.arange(300))
+    path = tmp_path / "ati.csv"
+    rows = [f"{x:.6f},1,2,0.1,0.2,0.3,{t:.3f}" for x, t in zip(load_x, time, strict=True)]
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    units = {"force": "N", "torque": "N*m"}
+    how = "rises steadily" if fault == "none" else "hardly ever falls"
+    with pytest.raises(LogError, match=f"the last of seven columns {how}, as a time does, and the first"):
+        load(path, format="ati-text", units=units, rate=100)
+    # The time in front and, behind it, a torque that drifts up in steps of the converter's last bit.
+    drift = np.round(np.linspace(0, 0.03, 300) + 2e-3 * np.sin(7.0 * np.arange(300)), 3)
+    rows = [f"{t:.3f},1,2,3,4,5,{z:.3f}" for t, z in zip(0.01 * np.arange(300), drift, strict=True)]
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    np.testing.assert_allclose(load(path, format="ati-text", units=units)["torque"].values, drift)
+
+
 def test_speed_in_hertz_is_advised_to_be_revolutions(tmp_path):
     path = tmp_path / "cell.csv"
     rows = "".join(f"{0.01 * i:.2f},{i},{i}\n" for i in range(30))
@@ -242,6 +340,21 @@ def test_speed_in_hertz_is_advised_to_be_revolutions(tmp_path):
         load(path)
     log = load(path, units={"speed": "rev/s"})
     np.testing.assert_allclose(log["speed"].values, 2 * np.pi * np.arange(30), rtol=1e-12)
+
+
+@pytest.mark.parametrize("probe", ["speed_electrical", "speed_optical"])
+def test_the_advice_for_a_stand_that_writes_hertz_works(tmp_path, probe):
+    label = f"Motor {probe.removeprefix('speed_').title()} Speed (Hz)"
+    path = tmp_path / "stand.csv"
+    rows = "".join(f"{0.1 * i:.1f},{1000 + i},{i},{i}\n" for i in range(30))
+    path.write_text(f"Time (s),ESC signal (µs),Thrust (N),{label}\n" + rows, encoding="utf-8")
+    with pytest.raises(UnitError) as refusal:
+        load(path)
+    assert f'declare units = {{{probe} = "rev/s"}}' in str(refusal.value)
+    log = load(path, units={probe: "rev/s"})
+    for name in (probe, "speed"):
+        np.testing.assert_allclose(log[name].values, 2 * np.pi * np.arange(30), rtol=1e-12)
+    assert "read in the declared unit 'rev/s'" in said(log)
 
 
 def test_inspect_reports_each_log_and_refuses_at_the_end(tmp_path, capsys):
@@ -258,6 +371,36 @@ def test_inspect_reports_each_log_and_refuses_at_the_end(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert shown.count("thrust") >= 2
     assert "refused:" in shown
+
+
+def test_the_command_inspect_shows_and_draws_the_logs_around_a_bad_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    time = np.arange(0, 3, 0.01)
+    for name, level in (("a.csv", 3.0), ("c.csv", 7.0)):
+        rows = "".join(f"{t:.2f},{level + np.sin(t):.4f}\n" for t in time)
+        (tmp_path / name).write_text("Time (s),Fz (N)\n" + rows, encoding="utf-8")
+    (tmp_path / "bad.csv").write_text("Time (s),Fz (N)\n", encoding="utf-8")
+    found = CliRunner().invoke(app, ["inspect", "a.csv", "bad.csv", "c.csv", "--plot", "look.png"])
+    assert isinstance(found.exception, LogError)
+    assert re.search(r"bad\.csv.*1 of 3 logs refused", str(found.exception))
+    for words in ("a.csv", "c.csv", "refused: bad.csv", "wrote look.png"):
+        assert words in found.stdout
+    drawn = (tmp_path / "look.png").read_bytes()
+    assert drawn.startswith(b"\x89PNG")
+    # It is the figure of the good ones alone.
+    assert CliRunner().invoke(app, ["inspect", "a.csv", "c.csv", "--plot", "two.png"]).exit_code == 0
+    assert struct.unpack_from(">2I", drawn, 16) == struct.unpack_from(
+        ">2I", (tmp_path / "two.png").read_bytes(), 16
+    )
+    # Nothing good, nothing drawn; the process itself leaves with 2 and one sentence.
+    ended = subprocess.run(
+        [sys.executable, "-m", "sysid.cli", "inspect", "bad.csv", "bad.csv", "--plot", "none.png"],
+        capture_output=True, text=True, encoding="utf-8", check=False,
+    )  # fmt: skip
+    assert ended.returncode == 2
+    assert "2 of 2 logs refused" in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert not (tmp_path / "none.png").exists()
 
 
 def test_a_missing_folder_is_not_a_full_disk(tmp_path):
