@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -55,7 +55,7 @@ class ImpulseSettings:
     ideal_reversal : bool
         Motors without saturation.
     horizon : float
-        A second impact is looked for so long after the first [s].
+        A second impact is looked for so long after the first [s], or as long as landings are simulated.
     finest : float
         The optimum is refined to this step [s]; 0 keeps the grid's.
     worth : float
@@ -129,10 +129,6 @@ class ImpulseSettings:
         """Return the controller's steps."""
         return impulse(delay, duration, self.after, self.front, self.rear, self.idle)
 
-    def name(self, delay: float, duration: float) -> str:
-        """Return how the controller is asked for."""
-        return f"impulse:delay={delay:g},duration={duration:g},after={self.after:g}"
-
     def document(self) -> dict[str, Any]:
         """Return the settings by name, ready for JSON [SI]."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
@@ -190,11 +186,22 @@ class Optimum:
 
 
 class Impulses:
-    """Impulses of one drone, with their thrust histories."""
+    """Impulses of one drone, with their thrust histories.
 
-    def __init__(self, drone: Drone, settings: ImpulseSettings) -> None:
+    Parameters
+    ----------
+    drone : Drone
+    settings : ImpulseSettings
+    rules : Rules, optional
+        Those of the landings: a drone that has flipped by them has no second impact, and none is looked for
+        after their horizon.
+    """
+
+    def __init__(self, drone: Drone, settings: ImpulseSettings, rules: Rules | None = None) -> None:
+        own = rules or Rules()
         self._drone = drone
         self._settings = settings
+        self._rules = replace(own, horizon=min(settings.horizon, own.horizon))
         self._motors = Motors(drone, settings.ideal_reversal)
         self._thrust: dict[tuple[float, float], Propulsion] = {}
 
@@ -218,15 +225,14 @@ class Impulses:
     ) -> FloatArray:
         """Return time [s], turn rate [rad/s] and pitch minus slope [rad] (n, 3) at each second impact.
 
-        NaN where the front foot does not touch down within the horizon.
+        NaN where the front foot does not touch down within the horizon, or not before the drone has flipped.
         """
         out = np.empty((len(cells), 3))
-        rules = Rules(horizon=self._settings.horizon)
         for first in range(0, len(cells), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
             pairs = zip(delay[part].tolist(), duration[part].tolist(), strict=True)
             thrust = [self.thrust(*pair) for pair in pairs]
-            out[part] = second_impacts(self._drone, cells[part], thrust, rules, tolerance, threads)
+            out[part] = second_impacts(self._drone, cells[part], thrust, self._rules, tolerance, threads)
         return out
 
     def search(

@@ -135,7 +135,8 @@ class ImpulseWork:
             # A drone's thousands of thrust histories are hundreds of megabytes: keep those of one.
             for other in [known for known in self._known if known[0] != drone]:
                 del self._known[other]
-            self._known[key] = Impulses(self.drones[drone], replace(self.impulses, after=after))
+            own = replace(self.impulses, after=after)
+            self._known[key] = Impulses(self.drones[drone], own, self.settings.rules)
         return self._known[key]
 
 

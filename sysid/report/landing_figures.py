@@ -385,16 +385,15 @@ def _draw_experiments(axes: Axes, chosen: Sequence[Experiment], legend: _Legend)
         )  # fmt: skip
 
 
-def figure_impulse(best: Sequence[ImpulseMap], *, refined: bool = False) -> Figure:
-    """Draw the best impulse: a row per surface; mean and σ over the sets of delay and duration."""
+def figure_impulse(best: Sequence[ImpulseMap]) -> Figure:
+    """Draw the best impulse: a row per surface; mean, σ over the sets of delay and duration on the grid."""
     shown = ("mean", "sigma") if any(len(one.sets) > 1 for one in best) else ("mean",)
     columns = [(which, name) for name in ("delay", "duration") for which in shown]
     figure = Figure(figsize=(0.5 + 3.5 * len(columns), 0.9 + 3.1 * len(best)), layout="constrained")
     grid = figure.subplots(len(best), len(columns), sharex=True, sharey=True, squeeze=False)
     for row, one in zip(grid, best, strict=True):
         for axes, (which, name) in zip(row, columns, strict=True):
-            full = f"refined_{name}" if refined else name
-            values = 1e3 * (one.mean(full) if which == "mean" else one.sigma(full))
+            values = 1e3 * (one.mean(name) if which == "mean" else one.sigma(name))
             top = (260.0 if name == "delay" else 160.0) if which == "mean" else 100.0
             _mesh(axes, one, values, cmap="viridis", vmin=0.0, vmax=top)
             what = f"{name}, {'mean' if which == 'mean' else 'σ'} [ms]"

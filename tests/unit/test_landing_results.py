@@ -19,7 +19,7 @@ from sysid.landing.experiments import Experiment, read_experiments, strangers
 from sysid.landing.impulse import Impulses, ImpulseSettings
 from sysid.landing.impulse_maps import variants
 from sysid.landing.map_store import read_maps
-from sysid.landing.outcomes import Outcome
+from sysid.landing.outcomes import Outcome, Rules
 from sysid.landing.scenario import Scenario
 from sysid.landing.simulate import land, land_many
 from sysid.pipelines import landing_maps
@@ -237,6 +237,28 @@ def test_no_impulse_is_always_tried():
     # Where an impulse is worth it, the grid still decides: 3 rad/s without one.
     worth = Impulses(drone, grid).optimize([Scenario(math.radians(20.0), 0.4)], 1e-4)
     assert worth.duration[0] == 0.04
+
+
+def test_the_search_for_an_impulse_keeps_the_rules_of_landings():
+    (drone,) = drones(table_2("lf"), table_1())
+    grid = ImpulseSettings(delays=(0.0, 0.02), durations=(0.0, 0.04), finest=0.0)
+    # The front foot comes down after some 0.1 s; a level drone stands 20 deg from this slope to begin with.
+    cell = [Scenario(math.radians(20.0), 0.4)]
+    found = Impulses(drone, grid, Rules(horizon=0.5)).optimize(cell, 1e-4)
+    assert math.isfinite(found.turn[0])
+    for rules in (Rules(horizon=0.02), Rules(flip_angle=math.radians(10.0))):
+        assert math.isnan(Impulses(drone, grid, rules).optimize(cell, 1e-4).turn[0])
+
+
+def test_the_horizon_and_the_flip_angle_reach_the_search_of_an_impulse_map(run):
+    command = (*IMPULSE, "--slopes", "20", "--speeds", "0.4", "--delays", "0,0.02", "--durations", "0,0.04")
+    seen = {}
+    for rules in ((), ("--flip-deg", "10"), ("--horizon", "0.07")):
+        code, _, err = run(*command, *rules, "--quiet", "--force")
+        assert code == 0, err
+        (best,) = read_maps("map.h5").impulses
+        seen[rules] = bool(np.isfinite(best.optimum["turn"]).all())
+    assert list(seen.values()) == [True, False, False]
 
 
 def test_origins_of_two_fits_of_one_name_are_both_kept(run):
