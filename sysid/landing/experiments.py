@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +74,16 @@ class Confusion:
     agreeing: int
     outside: int
     lost: int = 0
+
+    def document(self) -> dict[str, Any]:
+        """Return the counts by observed outcome and simulated class, and the rest, ready for JSON."""
+        names = [outcome.name.lower() for outcome in OUTCOMES]
+        counts = {
+            word: dict(zip(names, row, strict=True))
+            for word, row in zip(self.words, self.counts.tolist(), strict=True)
+        }
+        told = {"agreeing": self.agreeing, "outside": self.outside, "lost": self.lost}
+        return {"counts, observed by simulated": counts, **told}
 
 
 def read_experiments(path: Path) -> tuple[Experiment, ...]:

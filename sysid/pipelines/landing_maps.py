@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -124,6 +124,8 @@ def compute_landing_maps(
 
     def write(maps: tuple[LandingMap, ...], _: Any) -> MapFile:
         document = settings.document() | {"controllers": [one.document() for one in told]}
+        if options.experiments:
+            document["real landings"] = [asdict(one) for one in real]
         content = MapFile(maps, (), document, origin)
         write_maps(options.out, content)
         _draw_maps(content, options, settings, static_lines(fleets, told), real)
@@ -272,6 +274,8 @@ def _print(content: MapFile, options: MapOptions, real: Sequence[Experiment], sa
         if entry["lost"] and say is not None:
             say(f"warning: {one.title}: {entry['lost']} landings could not be simulated and count nowhere")
     if options.json:
+        for entry, one in zip(counts, content.maps, strict=True) if options.experiments else ():
+            entry["real landings"] = confusion(of_map(real, one), one).document()
         print(exact_json.dumps({"file": str(options.out), "figure": str(options.picture), "maps": counts}))
         return
     if not options.quiet:
@@ -280,7 +284,7 @@ def _print(content: MapFile, options: MapOptions, real: Sequence[Experiment], sa
         for one in content.maps:
             chosen = of_map(real, one)
             if chosen:
-                console.print(_confusion_table(one, chosen))
+                _print_confusion(console, one, chosen)
         print(f"wrote {options.out} and {options.picture}")
 
 
@@ -316,7 +320,7 @@ def _slope(value: float, at_edge: bool) -> str:
     return f"{'≥ ' if at_edge else ''}{value:g}" if np.isfinite(value) else "–"
 
 
-def _confusion_table(one: LandingMap, chosen: Sequence[Experiment]) -> Table:
+def _print_confusion(console: Console, one: LandingMap, chosen: Sequence[Experiment]) -> None:
     found = confusion(chosen, one)
     total = int(found.counts.sum())
     title = (
@@ -324,10 +328,11 @@ def _confusion_table(one: LandingMap, chosen: Sequence[Experiment]) -> Table:
     )
     title += f", {found.outside} outside the map" if found.outside else ""
     title += f", {found.lost} in cells that could not be simulated" if found.lost else ""
-    table = Table(box=box.SIMPLE_HEAD, title=title)
-    table.add_column("observed")
-    for outcome in OUTCOMES:
-        table.add_column(f"simulated {outcome.name.lower()}", justify="right")
+    # Above the table, not its title: that would be folded to the width of the few short columns.
+    console.print(Text(title))
+    table = Table(box=box.SIMPLE_HEAD)
+    for head in ("observed", "simulated:", *(outcome.name.lower() for outcome in OUTCOMES)):
+        table.add_column(head, justify="left" if head == "observed" else "right")
     for word, row in zip(found.words, found.counts, strict=True):
-        table.add_row(word, *(str(int(count)) for count in row))
-    return table
+        table.add_row(word, "", *(str(int(count)) for count in row))
+    console.print(table)

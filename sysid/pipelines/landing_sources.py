@@ -163,9 +163,11 @@ class BlockProgress:
     def line(self) -> str:
         """Return the progress line."""
         spent = time.monotonic() - self._started
-        speed = self._rows / spent if spent > 0 else 0.0
+        # Before anything is computed no speed is known; a small map's is a fraction, as compilation counts.
+        rate = self._rows / spent if spent > 0 else 0.0
+        speed = "-" if not rate else f"{rate:.0f}" if rate >= 10 else f"{rate:.2g}"
         left = "-"
         if self._now:
             seconds = round(spent / self._now * (self._blocks - self._done))
             left = f"~ {seconds // 60}:{seconds % 60:02d}"
-        return f"block {self._done}/{self._blocks}  {speed:.0f} {self._what}/s  left {left}"
+        return f"block {self._done}/{self._blocks}  {speed} {self._what}/s  left {left}"

@@ -14,6 +14,7 @@ from sysid import cli
 from sysid.landing import blocks, controllers
 from sysid.landing.map_store import read_maps
 from sysid.landing.outcomes import Outcome
+from sysid.pipelines import landing_sources
 from sysid.pipelines.landing import COLUMNS
 from sysid.pipelines.landing_sources import BlockProgress
 
@@ -120,6 +121,9 @@ def test_a_landing_map_of_both_surfaces(run):
     code, out, err = run(*command, "--experiments", "real.csv")
     assert code == 0, err
     assert "1 of 1 real landings agree" in out
+    # One line of headings on a terminal of 80 columns.
+    heads = [line.split() for line in out.splitlines() if "observed" in line]
+    assert heads == 2 * [["observed", "simulated:", "short", "near", "flipped", "other"]]
     found = read_maps("map.h5")
     assert [one.title for one in found.maps] == ["LF, off", "LF, reverse", "HF, off", "HF, reverse"]
     for one in found.maps:
@@ -135,8 +139,20 @@ def test_a_landing_map_of_both_surfaces(run):
     code, out, err = run(*command)
     assert code == 2
     assert "exists already" in err
-    code, out, err = run(*command, "--force", "--json", "--no-check", "--threads", "1")
+    assert found.settings["real landings"][1] == {
+        "surface": "hf", "controller": "off", "slope_deg": 40.0, "speed": 1.5, "outcome": "failed"
+    }  # fmt: skip
+    code, out, err = run(
+        *command, "--force", "--json", "--no-check", "--threads", "1", "--experiments", "real.csv"
+    )
     assert code == 0, err
+    told = [entry["real landings"] for entry in json.loads(out)["maps"]]
+    assert told[0] == {
+        "counts, observed by simulated": {"landed": {"short": 1, "near": 0, "flipped": 0, "other": 0}},
+        "agreeing": 1, "outside": 0, "lost": 0,
+    }  # fmt: skip
+    assert told[2]["counts, observed by simulated"]["failed"]["flipped"] == 1
+    assert told[1]["counts, observed by simulated"] == told[3]["counts, observed by simulated"] == {}
     again = read_maps("map.h5")
     assert not any(one.checked for one in again.maps)
     assert [entry["uncertain [%]"] for entry in json.loads(out)["maps"]] == [None] * 4
@@ -146,6 +162,17 @@ def test_a_landing_map_of_both_surfaces(run):
     entry = json.loads(out)["maps"][0]
     assert sum(entry["cells"].values()) == 4
     assert entry["lost"] == 0
+
+
+def test_progress_of_few_landings_is_a_fraction(monkeypatch):
+    clock = iter([0.0, 20.0, 20.0, 20.0])
+    monkeypatch.setattr(landing_sources.time, "monotonic", lambda: next(clock))
+    progress = BlockProgress(3, "landings", quiet=True)
+    assert "- landings/s" in progress.line()
+    progress.on_block(4, computed=True)
+    assert "0.2 landings/s" in progress.line()  # 4 in 20 s
+    progress.on_block(796, computed=True)
+    assert " 40 landings/s" in progress.line()
 
 
 def test_ctrl_c_keeps_the_finished_blocks(run, monkeypatch):
