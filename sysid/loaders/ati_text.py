@@ -203,6 +203,17 @@ def _check_last(path: str, numbers: Numbers) -> None:
     )
 
 
+def _check_first(path: str, column: FloatArray) -> None:
+    """Refuse rows of seven whose first number is no time, where the clock is not made of it."""
+    steps = np.diff(column[np.isfinite(column)])
+    rises, falls = np.count_nonzero(steps > 0), np.count_nonzero(steps < 0)
+    if falls > max(1.0, _FALLS * rises):
+        raise LogError(
+            f"{path}: the first of seven columns falls in {falls} steps, so it is no time; expected the time "
+            "and then Fx Fy Fz Tx Ty Tz: remove the column that is no load"
+        )
+
+
 def _check_steps(path: str, time: FloatArray) -> None:
     step = float(np.median(np.diff(time))) if time.size > 1 else 0.0
     if step >= _SLOWEST_STEP:
@@ -269,6 +280,8 @@ def read(
     del text  # the file's bytes are not needed any more
     if lead and seconds is None:
         _check_last(path, numbers)
+        if rate is not None or time_back == "drop":
+            _check_first(path, numbers.columns[0])
     notes = numbers.notes
     rate = stated if rate is None else rate
     if seconds is not None and not lead:

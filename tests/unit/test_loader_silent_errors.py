@@ -330,6 +330,19 @@ def test_an_unsteady_ati_time_in_the_last_column_is_refused_too(tmp_path, fault)
     rows = [f"{t:.3f},1,2,3,4,5,{z:.3f}" for t, z in zip(0.01 * np.arange(300), drift, strict=True)]
     path.write_text("\n".join(rows) + "\n", encoding="utf-8")
     np.testing.assert_allclose(load(path, format="ati-text", units=units)["torque"].values, drift)
+    # The same with a time in whole seconds, which hardly rises.
+    rows = [f"{i // 100},1,2,3,4,5,{z:.3f}" for i, z in enumerate(drift)]
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    coarse = load(path, format="ati-text", units=units, rate=100)
+    np.testing.assert_allclose(coarse["torque"].values, drift)
+
+
+@pytest.mark.parametrize("options", [{"rate": 100}, {"time_back": "drop"}])
+def test_six_ati_loads_and_a_status_are_not_read_as_a_time_and_six_loads(tmp_path, options):
+    path = tmp_path / "ati.csv"
+    path.write_text("".join(f"{np.sin(7 * i):.6f},1,2,3,4,5,0\n" for i in range(300)), encoding="utf-8")
+    with pytest.raises(LogError, match=r"the first of seven columns falls in \d+ steps, so it is no time"):
+        load(path, format="ati-text", units={"force": "N", "torque": "N*m"}, **options)
 
 
 def test_speed_in_hertz_is_advised_to_be_revolutions(tmp_path):
