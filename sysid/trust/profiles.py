@@ -194,7 +194,7 @@ def walk_profiles(
     out = []
     for i in range(n):
         both = [side for side in sides if side.parameter == i]
-        out.append(_profile(problem.space, i, both, least, float(info.inflation[i])))
+        out.append(_profile(problem.space, i, both, best, least, float(info.inflation[i])))
     return Profiles(tuple(out), best, lowered, evaluations)
 
 
@@ -225,9 +225,14 @@ def _next(
     return start
 
 
-def _profile(space: SearchSpace, i: int, sides: list[_Side], least: float, inflation: float) -> Profile:
+def _profile(
+    space: SearchSpace, i: int, sides: list[_Side], best: FloatArray, least: float, inflation: float
+) -> Profile:
     points = np.array([*sides[0].points[:0:-1], *sides[1].points])
     squares = np.array([*sides[0].squares[:0:-1], *sides[1].squares])
+    # The lowest point of any parameter's walk is the best one at its own value of this parameter, too.
+    if not np.any(np.all(points == best, axis=1)):
+        points, squares = np.vstack([points, best]), np.append(squares, least)
     order = np.argsort(points[:, i], kind="stable")
     points, squares = points[order], squares[order]
     deviance = np.maximum((squares - least) / inflation, 0.0)
