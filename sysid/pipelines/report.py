@@ -122,12 +122,12 @@ def print_report(
 
 
 def predicted(fit: FitResult, campaign_path: Path, say: Callable[[str], None]) -> FitResult:
-    """Return the sets of a fit on all trials of another campaign, as trials that were not fitted.
+    """Return the sets of a fit on the trials of a campaign whose logs the fit has not seen.
 
     Raises
     ------
     SysidError
-        When the campaign is of the other kind or cannot be used.
+        When the campaign is of the other kind, cannot be used, or holds nothing but fitted trials.
     """
     campaign = read_campaign(campaign_path, fit.kind)
     with naming(campaign_path), collected_warnings(lambda text: say(f"warning: {text}")) as doubts:
@@ -152,9 +152,12 @@ def _gear_trials(
     from sysid.gear.model import PARAMETERS
     from sysid.pipelines.drops import prepare_drops
     from sysid.pipelines.gear import GearObjective, on_surface, search_space, trial_results
+    from sysid.pipelines.validate import unseen
 
     campaign, _ = on_surface(campaign, str(fit.settings["surface"]))
     drops = prepare_drops(campaign, path)
+    names = unseen(fit, {drop.name: str(drop.provenance["sha256"]) for drop in drops}, path)
+    drops = tuple(drop for drop in drops if drop.name in names)
     objective = GearObjective.build(campaign, search_space(campaign), drops)
     names = [record.name for record in fit.parameters]
     rows = fit.values[:, [names.index(name) for name in PARAMETERS]]
@@ -171,19 +174,22 @@ def _motor_trials(
     from sysid.pipelines.motor import motor_trial_results
     from sysid.pipelines.motor_bench import prepare_bench, search_space
     from sysid.pipelines.motor_objective import MotorObjective
+    from sysid.pipelines.validate import unseen
 
     bench = prepare_bench(campaign, path)
+    left = unseen(fit, {trial.entry.name: trial.hashes.split()[0] for trial in bench.trials}, path)
+    chosen = tuple(trial for trial in bench.trials if trial.entry.name in left)
     space = search_space(campaign, bench)
-    own = MotorObjective.build(campaign, space, bench, bench.trials)
+    own = MotorObjective.build(campaign, space, bench, chosen)
     # The no-load lines are those of the fit, not tied to the other campaign's curves.
-    objective = MotorObjective(space, bench.trials, {}, own.cost, own.jobs)
+    objective = MotorObjective(space, chosen, {}, own.cost, own.jobs)
     names = [record.name for record in fit.parameters]
     rows = np.empty((len(fit.values), len(space.table)))
     for column, name in enumerate(space.table):
         # A log that was not fitted has the mean delay.
         source = name if name in names else name.partition("[")[0]
         rows[:, column] = fit.values[:, names.index(source)]
-    return motor_trial_results(objective, rows), {t.entry.name: t.provenance for t in bench.trials}
+    return motor_trial_results(objective, rows), {t.entry.name: t.provenance for t in chosen}
 
 
 def chosen_drop(fit: FitResult, name: str | None) -> Any:

@@ -91,7 +91,7 @@ class FitReport:
     folder: Path
     fit: FitResult
     against: FitResult | None = None
-    _replays: dict[str, DropReplay] = field(default_factory=dict, repr=False)
+    _replays: dict[tuple[bool, str], DropReplay] = field(default_factory=dict, repr=False)
 
     @cached_property
     def trust(self) -> dict[str, Any] | None:
@@ -354,7 +354,7 @@ class FitReport:
         return brief + folded("the whole record", Html(f'<pre tabindex="0">{html.escape(lines)}</pre>'))
 
     def _channel(self, fit: FitResult, trial: TrialResult, c: int, vector: bool) -> Html:
-        drop = next((drop for drop in self.drops() if drop.name == trial.name), None)
+        drop = self.replay(fit, trial)
         figure = figure_channel(fit, trial, c, contacts=drop.contacts if drop else ())
         name, unit, _ = display_of(fit, c)
         own = percent_text(float(trial.nrmse[0, c])) if len(trial.nrmse) else "unknown"
@@ -395,19 +395,19 @@ class FitReport:
 
     def drops(self) -> list[DropReplay]:
         """Return the replays of all drops that can be repeated, with the best set."""
-        if self.fit.kind != "gear":
-            return []
-        out = []
-        for fit in self.fits:
-            for trial in fit.trials:
-                key = f"{fit.name}/{trial.name}"
-                if key not in self._replays:
-                    try:
-                        self._replays[key] = replay_drop(fit, trial)
-                    except ExportError:
-                        continue
-                out.append(self._replays[key])
-        return out
+        found = (self.replay(fit, trial) for fit in self.fits for trial in fit.trials)
+        return [drop for drop in found if drop is not None]
+
+    def replay(self, fit: FitResult, trial: TrialResult) -> DropReplay | None:
+        """Return the replay of a drop with the best set; None where it cannot be repeated."""
+        # Two campaigns may bear one name, and so may their drops.
+        key = (fit is self.against, trial.name)
+        if key not in self._replays:
+            try:
+                self._replays[key] = replay_drop(fit, trial)
+            except ExportError:
+                return None
+        return self._replays[key]
 
     def values(self) -> dict[str, float]:
         """Return the best set by name [SI]."""

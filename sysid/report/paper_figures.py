@@ -21,20 +21,20 @@ def paper_figures(report: FitReport) -> dict[str, Figure]:
     out = {"measured-against-simulated": figure_measured_against_simulated(fit)}
     for one in report.fits:
         for trial in one.trials:
-            drop = next((drop for drop in drops if drop.name == trial.name), None)
+            drop = report.replay(one, trial)
             down = [trial.time[0] + contact.start for contact in drop.contacts] if drop else ()
-            name = _file_name(trial.name if one is fit else f"{one.name}-{trial.name}")
+            name = _file_name(trial.name if one is fit else f"against-{one.name}-{trial.name}")
             out[f"trial-{name}"] = figure_measured_against_simulated(one, trial.name, contacts=down)
             if trial.thrust is not None:
                 out[f"thrust-{name}"] = figure_thrust(trial, report.simulated_thrust(one, trial))
+            if drop is not None:
+                out[f"snapshots-{name}"] = figure_snapshots(drop)
     if fit.runs:
         out |= {"convergence": figure_convergence(fit), "waterfall": figure_waterfall(fit)}
     out["spread"] = figure_spread(fit)
     if fit.kind == "gear":
         steepest = max((drop.slope for drop in drops), default=math.radians(15.0))
         out["geometry"] = figure_geometry(report.values(), steepest)
-    for drop in drops:
-        out[f"snapshots-{_file_name(drop.name)}"] = figure_snapshots(drop)
     if fit.settings.get("surface") == "hf":
         out["modes"] = figure_modes(mode_shares(drops))
     spectra = [(t.name, t.spectrum) for t in report.trials if t.spectrum is not None]

@@ -91,7 +91,8 @@ def test_the_report_of_a_single_drop_against_the_others(fits, tmp_path):
     )
     written = write_report(fit, options)
     page_text = checked(written["report"].read_text(encoding="utf-8"), 45)
-    assert "It predicts eight trials of synthetic-lf that it never saw" in page_text
+    # Eight drops lie there, and the fit was made from one of them.
+    assert "It predicts seven trials of synthetic-lf that it never saw" in page_text
     figures = sorted(path.name for path in (tmp_path / "pdf").iterdir())
     assert {"convergence.pdf", "geometry.pdf", "spread.pdf", "waterfall.pdf"} <= set(figures)
     assert all((tmp_path / "pdf" / name).read_bytes().startswith(b"%PDF") for name in figures)

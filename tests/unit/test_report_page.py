@@ -16,9 +16,9 @@ from sysid.export import load_parameter_sets
 from sysid.filters import Spectrum, amplitude_spectrum
 from sysid.fit.store import read_fit, write_fit
 from sysid.gear.model import EventKind, pack, simulate
-from sysid.report import diagrams, model_notes
+from sysid.report import diagrams, fit_report, model_notes, paper_figures
 from sysid.report.animation import animation
-from sysid.report.fit_report import open_fit
+from sysid.report.fit_report import FitReport, open_fit
 from sysid.report.markup import box, bullets, folded, markup_table, paragraph, picture
 from sysid.report.panels import as_math, figure_channel, figure_spread, thinned
 from sysid.report.replay import START, DropReplay, animation_data, leg_points, replay_drop
@@ -263,6 +263,40 @@ def test_legs_at_rest_end_in_the_feet():
     longer = leg_points(state, values)[1][0] - feet[0]
     assert np.allclose(longer[0], 0)
     assert np.hypot(*longer[1]) == pytest.approx(0.01)
+
+
+def test_drops_of_one_name_keep_to_their_own_campaign(drop_fit, tmp_path, monkeypatch):
+    from dataclasses import replace
+
+    # The same name of campaign and drop, but let go 5 cm higher: the feet touch later.
+    log = drop_fit.provenance["logs"]["drop-1"] | {START: [BODY[0], BODY[1] + 0.05, *BODY[2:]]}
+    other = replace(drop_fit, provenance={"logs": {"drop-1": log}})
+    report = FitReport(tmp_path, drop_fit, other)
+    own, theirs = report.drops()
+    assert theirs.contacts[0].start > own.contacts[0].start + 0.01
+
+    seen = []
+
+    def watched(fit, trial, c, contacts=()):
+        seen.append((fit is other, contacts[0].start))
+        return small_figure()
+
+    monkeypatch.setattr(fit_report, "figure_channel", watched)
+    report.measured_against_simulated()
+    assert set(seen) == {(False, own.contacts[0].start), (True, theirs.contacts[0].start)}
+
+    drawn = []
+
+    def marked(fit, name=None, contacts=()):
+        drawn.append([round(c - 100.0, 9) for c in contacts[:1]])
+        return small_figure()
+
+    monkeypatch.setattr(paper_figures, "figure_measured_against_simulated", marked)
+    monkeypatch.setattr(paper_figures, "figure_snapshots", lambda drop: drop)
+    names = paper_figures.paper_figures(report)
+    assert drawn == [[], [round(own.contacts[0].start, 9)], [round(theirs.contacts[0].start, 9)]]
+    assert names["snapshots-drop-1"] is own
+    assert names["snapshots-against-bench-drop-1"] is theirs
 
 
 def test_a_fit_without_starts_has_no_animation_and_says_so(tmp_path):
