@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -21,7 +22,16 @@ from sysid.campaign.logs import BenchLogOptions, SecondLog, Unit
 
 Current = Annotated[float, BeforeValidator(_quantity("A")), Field(gt=0)]
 AngularSpeed = Annotated[float, BeforeValidator(_quantity("rad/s")), Field(gt=0)]
-SpeedPerVolt = Annotated[float, BeforeValidator(_quantity("rad/s/V")), Field(gt=0)]
+
+
+def _speed_per_volt(value: Any) -> float:
+    text = str(value).strip()
+    if not isinstance(value, bool) and re.fullmatch(r"\+?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", text, re.IGNORECASE):
+        raise ValueError(f'{text!r} has no unit; write kv = "{text} rpm/V", as motors are sold')
+    return _quantity("rad/s/V")(value)
+
+
+SpeedPerVolt = Annotated[float, BeforeValidator(_speed_per_volt), Field(gt=0)]
 Direction = Literal["forward", "reverse", "reversal"]
 
 

@@ -55,7 +55,9 @@ def static_log_points(campaign: MotorCampaign, path: str | Path, static: StaticL
         for name in ("thrust", "torque", "voltage"):
             values = recording[name].values if name in recording.channels else np.full(u.size, np.nan)
             zero = tare(values, rest)
-            columns[name] = values if name == "voltage" else values - zero.value
+            # A supply that reads 0 was not measured.
+            volts = np.where(np.nan_to_num(values) > 0, values, np.nan)
+            columns[name] = volts if name == "voltage" else values - zero.value
             zeros[name] = np.full(int(turning.sum()), zero.rows, dtype=np.int64)
         for name, stated in (("thrust", campaign.log.thrust_sign), ("torque", campaign.log.torque_sign)):
             seen = sign_against_speed(columns[name][turning], speed[turning]) or 1

@@ -150,7 +150,13 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> B
         channel = recording[name]
         keep = channel.valid if fast or name in ("voltage", "current") else real_samples(channel.values)
         values = channel.values
-        if name != "voltage":
+        if name == "voltage":
+            # A probe that is not connected reads 0; no supply that turns a motor does.
+            keep = keep & (np.nan_to_num(values) > 0)
+            if not keep.any():
+                notes.append("the voltage is nowhere above 0: left out, the supply counts as constant")
+                continue
+        else:
             row = np.minimum(np.searchsorted(time, channel.time), time.size - 1)
             tares[name] = tare(values, rest[row])
             values = values - tares[name].value
