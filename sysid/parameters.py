@@ -186,3 +186,15 @@ class SearchSpace:
         """Return -1 within 1 % of the lower bound, +1 of the upper, else 0, per point and free parameter."""
         cube = np.asarray(cube)
         return np.where(cube < AT_BOUND, -1, np.where(cube > 1 - AT_BOUND, 1, 0)).astype(np.int8)
+
+
+def in_words(name: str, symbol: str) -> str:
+    """Return a parameter as a sentence names it: ``ground damping (b_s)``."""
+    head, bracket, rest = name.partition("[")
+    words = head.replace("_", " ") + (f" of {rest.removesuffix(']')}" if bracket else "")
+    return words if symbol in ("", words) else f"{words} ({symbol})"
+
+
+def with_unit(text: str, unit: str) -> str:
+    """Return a number with its unit; alone where that is 1."""
+    return text if unit in ("", "1") else f"{text} {unit}"

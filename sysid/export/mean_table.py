@@ -88,7 +88,10 @@ def format_mean_table(rows: Sequence[MeanRow], titles: Sequence[str]) -> str:
 
 
 def mean_sigma(cell: tuple[float, float] | None) -> str:
-    """Return `mean ± σ` as text, σ with two digits and the mean to the same place; a dash for None."""
+    """Return `mean ± σ` as text, σ with two digits and the mean to the same place; a dash for None.
+
+    The mean has decimals up to its fourth significant digit; a σ beyond them is printed with one digit.
+    """
     if cell is None:
         return "—"
     mean, sigma = cell
@@ -97,6 +100,11 @@ def mean_sigma(cell: tuple[float, float] | None) -> str:
     exponent = math.floor(math.log10(max(abs(mean), sigma)))
     scale = 10.0**exponent if exponent < -3 or exponent > 4 else 1.0
     digits = max(0, 1 - math.floor(math.log10(sigma / scale)))
-    digits = min(digits, 6)
+    places = max(0, 3 - math.floor(math.log10(abs(mean / scale)))) if mean else digits
+    if digits > places and sigma < abs(mean):
+        # Runs that agree to six digits do not make the mean known to as many.
+        spread = f"{sigma / scale:.1g}" if sigma / scale >= 1e-6 else "< 1e-6"
+        text = f"{mean / scale:.{places}f} ± {spread}"
+        return text if scale == 1.0 else f"({text})e{exponent}"
     text = f"{mean / scale:.{digits}f} ± {sigma / scale:.{digits}f}"
     return text if scale == 1.0 else f"({text})e{exponent}"

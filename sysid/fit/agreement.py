@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sysid.fit.history import RunHistory
 from sysid.fit.stopping import REASONS
-from sysid.parameters import SearchSpace
+from sysid.parameters import SearchSpace, in_words, with_unit
 
 FloatArray = NDArray[np.float64]
 
@@ -152,11 +152,12 @@ def loose_warnings(runs: Sequence[RunHistory], space: SearchSpace) -> tuple[str,
         wide = high[i] > 3 * low[i] if row.scale == "log" else high[i] - low[i] > (row.upper - row.lower) / 3
         if wide:
             out.append(
-                f"{row.name} is not fixed by the data: sets from {low[i]:.2g} to {high[i]:.2g} {row.unit} "
+                f"{in_words(row.name, row.symbol)} is not fixed by the data: sets from {low[i]:.2g} to "
+                f"{with_unit(f'{high[i]:.2g}', row.unit)} "
                 f"score within {100 * SAME_NRMSE:g} % of the best NRMSE; do not read digits into it"
             )
         elif len(runs) > 1 and spread[i] > _HELD:
-            held.append(f"{row.name} {100 * spread[i]:.2g} %")
+            held.append(f"{in_words(row.name, row.symbol)} {100 * spread[i]:.2g} %")
     if held:
         out.append(
             f"held no tighter than this, over sets that score within {100 * ENDS_WITHIN:g} % of the best "

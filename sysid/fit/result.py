@@ -14,7 +14,7 @@ from sysid.errors import FitError
 from sysid.filters import Spectrum
 from sysid.fit.history import RunHistory
 from sysid.parameter_sets import ParameterRecord, ParameterSets
-from sysid.parameters import SearchSpace
+from sysid.parameters import SearchSpace, in_words, with_unit
 
 FloatArray = NDArray[np.float64]
 
@@ -130,10 +130,12 @@ def bound_warnings(parameters: Sequence[ParameterRecord], at_bound: NDArray[np.i
         for side, bound, word in ((-1, record.lower, "lower"), (1, record.upper, "upper")):
             count = int(np.count_nonzero(flags == side))
             if count and bound is not None:
+                words = in_words(record.name, record.symbol)
+                edge = with_unit(f"{bound:g}", record.unit)
                 verb = "ends" if count == 1 else "end"
                 out.append(
-                    f"{count} of {len(flags)} sets {verb} at the {word} bound of {record.name} "
-                    f"({bound:g} {record.unit}): the data do not constrain it there, or the bound cuts it off"
+                    f"{count} of {len(flags)} sets {verb} at the {word} bound of "
+                    f"{words}, {edge}: the data do not constrain it there, or the bound cuts it off"
                 )
     return tuple(out)
 

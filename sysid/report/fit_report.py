@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import ExportError
-from sysid.filters import ChebyshevLowpass, KaiserLowpass
 from sysid.fit.agreement import agreement
 from sysid.fit.record import record_lines, run_record
 from sysid.fit.result import FitResult, TrialResult
@@ -25,10 +24,7 @@ from sysid.fit.store import read_fit
 from sysid.motor.model import thrust as static_thrust
 from sysid.report.animation import animation
 from sysid.report.diagrams import figure_geometry, figure_modes, mode_shares
-from sysid.report.figures import (
-    display_of,
-    percent_text,
-)
+from sysid.report.figures import display_of, percent_text
 from sysid.report.markup import (
     NOTHING,
     Html,
@@ -49,6 +45,7 @@ from sysid.report.panels import (
     figure_spread,
     figure_thrust,
     figure_waterfall,
+    filter_gain,
 )
 from sysid.report.replay import DropReplay, replay_drop
 from sysid.report.snapshots import figure_snapshots
@@ -63,6 +60,7 @@ from sysid.report.trust_panels import (
     stop_table,
     validation_table,
     validations,
+    verdict_words,
 )
 from sysid.report.verdict import verdict_sentences
 
@@ -110,13 +108,21 @@ class FitReport:
 
     def verdict(self) -> Html:
         """Return the verdict in one paragraph, and the warnings."""
-        sentences = verdict_sentences(self.fit, self.against, self.trust, validations(self.folder))
+        warnings = self.warnings()
+        sentences = verdict_sentences(
+            self.fit, self.against, self.trust, validations(self.folder), len(warnings)
+        )
         out = box(paragraph(" ".join(sentences)), "verdict")
-        warnings = list(dict.fromkeys([*self.fit.warnings, *((self.trust or {}).get("warnings") or ())]))
         if warnings:
             count = f"{len(warnings)} warning{'s' if len(warnings) > 1 else ''}"
             out += folded(count, bullets(warnings, "warnings"), opened=len(warnings) <= 4)
         return out
+
+    def warnings(self) -> list[str]:
+        """Return the sentences to be read before the digits: of the fit, its intervals, other trials."""
+        trust = (self.trust or {}).get("warnings") or ()
+        against = self.against.warnings if self.against is not None else ()
+        return list(dict.fromkeys([*self.fit.warnings, *trust, *against]))
 
     def parameters(self) -> Html:
         """Return the tables of parameters: sets, the layout of Tables I and II, intervals."""
@@ -162,15 +168,15 @@ class FitReport:
             for time, before, after in _reversals(trial):
                 window = (time - _BEFORE, time + _AFTER)
                 figure = figure_thrust(trial, self.simulated_thrust(self.fit, trial), window=window)
-                what = f"{trial.name}: from {100 * before:+.0f} % to {100 * after:+.0f} %"
+                what = f"{trial.name}: from {signed(before)} % to {signed(after)} %"
                 words = f"thrust after a reversal command, measured and simulated; {what}"
                 pieces.append(picture(figure, words, what))
                 if len(pieces) == _MOST_REVERSALS:
                     break
         rows = [
             (
-                f"{one['trial']} ({one['use']}): {100 * one['command before']:+.0f} % to "
-                f"{100 * one['command after']:+.0f} %",
+                f"{one['trial']} ({one['use']}): {signed(one['command before'])} % to "
+                f"{signed(one['command after'])} %",
                 f"{_milliseconds(one['measured [s]'])} measured, "
                 f"{_milliseconds(one['simulated [s]'])} simulated",
             )
@@ -236,7 +242,8 @@ class FitReport:
         said = [f"({k}) at {1e3 * t:.0f} ms {what}" for k, (t, what) in enumerate(drop.first_contacts(), 1)]
         words = f"simulated snapshots of {drop.name}: {'; '.join(said)}"
         where = f"{drop.name}, {math.degrees(drop.slope):.0f}°"
-        caption = f"{where}: {'; '.join(said)}. Normal force blue, friction red."
+        caption = f"{where}: {'; '.join(said)}. Normal force blue, friction red "
+        caption += "(drawn at the largest force within 8 ms)."
         return picture(figure_snapshots(drop), words, caption)
 
     def convergence(self) -> Html:
@@ -284,7 +291,9 @@ class FitReport:
         curves = read_profiles(self.folder)
         for row in self.trust["parameters"]:
             if row["name"] in curves:
-                words = f"deviance over {row['name']}, all others fitted anew: {row['verdict']}"
+                words = (
+                    f"deviance over {row['name']}, all others fitted anew: {verdict_words(row['verdict'])}"
+                )
                 pieces.append(picture(figure_profile(row, *curves[row["name"]]), words))
         return grid(pieces)
 
@@ -313,6 +322,11 @@ class FitReport:
         if self.against is not None:
             out += markup_table(trial_table(self.against.parameter_sets()))
         if not found:
+            held = float(self.fit.mean_nrmse("validate")[0])
+            if math.isfinite(held):
+                out += paragraph(
+                    f"The best set predicts the trials held back with an NRMSE of {percent_text(held)}."
+                )
             out += _missing("validation on other trials", "sysid validate", self.folder, " CAMPAIGN")
         return out
 
@@ -337,7 +351,10 @@ class FitReport:
         record = run_record(self.fit)
         brief = definitions(
             [
-                ("sysid", f"{record.get('sysid')}, revision {record.get('git revision') or 'unknown'}"),
+                (
+                    "sysid",
+                    f"{record.get('sysid')}, revision {(record.get('git revision') or 'unknown')[:12]}",
+                ),
                 ("written", str(record.get("written"))),
                 ("campaign", f"{record.get('campaign', {}).get('file')}"),
                 ("search", f"{record.get('search', {}).get('algorithm')}, {len(self.fit.runs)} runs"),
@@ -440,29 +457,7 @@ def open_fit(fit: str | Path, against: str | Path | None = None) -> FitReport:
 
 
 def _missing(what: str, command: str, folder: Path, more: str = "") -> Html:
-    return paragraph(f"{what[:1].upper()}{what[1:]}: not computed; run {command} {folder.name}{more}", "note")
-
-
-def filter_gain(design: dict[str, Any], highest: float) -> tuple[FloatArray, FloatArray] | None:
-    """Return the gain of a filter as it stands in a result: frequency [Hz] and gain [dB]."""
-    kind = str(design.get("kind", "none"))
-    frequency = np.geomspace(1.0, highest, 400)
-    if kind.startswith("kaiser"):
-        kaiser = KaiserLowpass(
-            design["rate [Hz]"], design["cut-off [Hz]"], design["attenuation [dB]"], design["transition [Hz]"]
-        )
-        gain = np.abs(kaiser.gain(frequency))
-    elif kind.startswith("chebyshev"):
-        cheby = ChebyshevLowpass(
-            design["rate [Hz]"],
-            design["stop-band edge [Hz]"],
-            design["order of one pass"],
-            design["attenuation of one pass [dB]"],
-        )
-        gain = cheby.gain(frequency)
-    else:
-        return None
-    return frequency, 20 * np.log10(np.maximum(gain, 1e-6))
+    return paragraph(f"{what[:1].upper()}{what[1:]}: not computed; run {command} {folder}{more}", "note")
 
 
 def _reversals(trial: TrialResult) -> list[tuple[float, float, float]]:
@@ -475,6 +470,11 @@ def _reversals(trial: TrialResult) -> list[tuple[float, float, float]]:
         if inside and level[k] * level[k - 1] < 0:
             out.append((float(time[k]), float(level[k - 1]), float(level[k])))
     return out
+
+
+def signed(share: float) -> str:
+    """Return a share in percent with its sign, a minus in print."""
+    return f"{100 * share:+.0f}".replace("-", "−")
 
 
 def _milliseconds(value: float | None) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,7 +18,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from sysid.filters import Spectrum
+from sysid.filters import ChebyshevLowpass, KaiserLowpass, Spectrum
 from sysid.fit.agreement import agreement
 from sysid.fit.result import FitResult, TrialResult
 from sysid.report.figures import (
@@ -225,7 +226,7 @@ def figure_waterfall(fit: FitResult) -> Figure:
 
 def figure_spread(fit: FitResult) -> Figure:
     """Draw where the sets lie between the bounds of every free parameter, scaled as the search walked."""
-    free = [i for i, r in enumerate(fit.parameters) if r.status == "free" and r.lower is not None and r.upper]
+    free = [i for i, r in enumerate(fit.parameters) if r.status == "free" and None not in (r.lower, r.upper)]
     figure = panel(0.9 + 0.36 * max(1, len(free)), WIDTH)
     axes = figure.add_subplot()
     for row, i in enumerate(free):
@@ -248,11 +249,16 @@ def figure_spread(fit: FitResult) -> Figure:
             zorder=3,
         )
         axes.plot(place[:1], [row], linestyle="none", marker="D", markersize=6, color=BEST, zorder=4)
-        axes.text(-0.05, row, f"{low:g}", ha="right", va="center", fontsize=7.5)
+        axes.text(-0.08, row, f"{low:g}", ha="right", va="center", fontsize=7.5)
         axes.text(1.05, row, f"{high:g}", ha="left", va="center", fontsize=7.5)
     axes.set_yticks(range(len(free)))
     axes.set_yticklabels(
-        [axis_label(as_math(fit.parameters[i].symbol), fit.parameters[i].unit) for i in free], fontsize=8
+        [
+            axis_label(as_math(fit.parameters[i].symbol), fit.parameters[i].unit)
+            + (" (log)" if fit.parameters[i].scale == "log" else "")
+            for i in free
+        ],
+        fontsize=8,
     )
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(free) - 0.4, -0.6)
@@ -306,6 +312,28 @@ def figure_spectrum(
         axes.legend(handles=handles, frameon=False, fontsize=8, loc="lower left")
         axes.set_zorder(0)
     return figure
+
+
+def filter_gain(design: dict[str, Any], highest: float) -> tuple[FloatArray, FloatArray] | None:
+    """Return the gain of a filter as it stands in a result: frequency [Hz] and gain [dB]."""
+    kind = str(design.get("kind", "none"))
+    frequency = np.geomspace(1.0, highest, 400)
+    if kind.startswith("kaiser"):
+        kaiser = KaiserLowpass(
+            design["rate [Hz]"], design["cut-off [Hz]"], design["attenuation [dB]"], design["transition [Hz]"]
+        )
+        gain = np.abs(kaiser.gain(frequency))
+    elif kind.startswith("chebyshev"):
+        cheby = ChebyshevLowpass(
+            design["rate [Hz]"],
+            design["stop-band edge [Hz]"],
+            design["order of one pass"],
+            design["attenuation of one pass [dB]"],
+        )
+        gain = cheby.gain(frequency)
+    else:
+        return None
+    return frequency, 20 * np.log10(np.maximum(gain, 1e-6))
 
 
 def as_math(symbol: str) -> str:

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 from sysid.report.diagrams import figure_geometry, figure_modes, mode_shares
 from sysid.report.figures import figure_convergence, figure_measured_against_simulated
-from sysid.report.fit_report import FitReport, filter_gain
-from sysid.report.panels import figure_spectrum, figure_spread, figure_thrust, figure_waterfall
+from sysid.report.fit_report import FitReport
+from sysid.report.panels import figure_spectrum, figure_spread, figure_thrust, figure_waterfall, filter_gain
 from sysid.report.snapshots import figure_snapshots
 from sysid.report.trust_panels import figure_correlation, figure_profile, read_profiles
 

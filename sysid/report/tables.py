@@ -18,6 +18,8 @@ from sysid.parameter_sets import COMBINATIONS, ParameterRecord, ParameterSets, i
 _AT_BOUND = "*"
 _FLAG = "* ends within 1 % of a bound of the search"
 _NONE = "—"
+_SPREAD = "σ is the spread of the runs, not the accuracy; it includes runs that ended elsewhere"
+_NOISE = "the NRMSE of a velocity (…_rate) is mostly noise: velocities are differentiated positions"
 
 
 def ranked_table(sets: ParameterSets) -> Table:
@@ -67,12 +69,14 @@ def mean_sigma_table(*fits: ParameterSets) -> Table:
     σ is divided by S − 1. A parameter of which any set ends at a bound is flagged.
     """
     flags = [_flagged(sets) for sets in fits]
-    caption = _FLAG + " in at least one set" if any(flags) else None
+    caption = _SPREAD + (f"\n{_FLAG} in at least one set" if any(flags) else "")
     table = _table("measured and identified parameters (mean ± σ of the sets)", caption)
-    for title in ("parameter", "measured", "bounds"):
-        table.add_column(title)
+    table.add_column("parameter")
+    # The fits first: a phone shows the left of a table.
     for sets in fits:
         table.add_column(_cell(sets.name), justify="right")
+    for title in ("measured", "bounds"):
+        table.add_column(title)
     for row in mean_table(*fits):
         record = next(r for sets in fits for r in sets.parameters if r.name == row.name)
         bounds = _NONE
@@ -90,7 +94,7 @@ def mean_sigma_table(*fits: ParameterSets) -> Table:
             )
             for own, cell, flag in zip(fits, row.fitted, flags, strict=True)
         ]
-        table.add_row(_cell(_heading(record)), _cell(measured), _cell(bounds), *cells)
+        table.add_row(_cell(_heading(record)), *cells, _cell(measured), _cell(bounds))
     return table
 
 
@@ -102,13 +106,14 @@ def trial_table(sets: ParameterSets) -> Table:
     sets : ParameterSets
         With trials; a row per trial.
     """
-    table = _table(f"{sets.name}: NRMSE of the best set [%]", None)
+    velocities = any(channel.endswith("_rate") for channel in sets.channels)
+    table = _table(f"{sets.name}: NRMSE of the best set [%]", _NOISE if velocities else None)
     table.add_column("trial")
     table.add_column("use")
     for channel in sets.channels:
         table.add_column(_cell(channel), justify="right")
     table.add_column("mean", justify="right")
-    table.add_column("worst", justify="right")
+    table.add_column("worst set, mean", justify="right")
     means = _trial_means(sets)
     for t, (trial, use) in enumerate(zip(sets.trials, sets.uses, strict=True)):
         if t and use != sets.uses[t - 1]:

@@ -76,7 +76,7 @@ def interval_table(document: Mapping[str, Any]) -> Table:
             Text(f"{row['mean']:.4g} ± {row['sigma']:.2g}"),
             Text(_interval(row["interval_68"], row["open_68"])),
             Text(_interval(row["interval_95"], row["open_95"])),
-            Text(f"{row['verdict']}{flag}"),
+            Text(f"{verdict_words(row['verdict'])}{flag}"),
             Text(" to ".join(f"{value:.4g}" for value in measured) if measured else _NONE),
         )
     return table
@@ -131,6 +131,11 @@ def stop_table(name: str, document: Mapping[str, Any]) -> Table | None:
     return table
 
 
+def verdict_words(verdict: str) -> str:
+    """Return a verdict of `sysid.trust.verdicts` as it reads after a parameter."""
+    return {"well": "well determined", "weakly": "weakly determined"}.get(verdict, verdict)
+
+
 def figure_profile(row: Mapping[str, Any], values: FloatArray, deviance: FloatArray) -> Figure:
     """Draw the deviance over one parameter, all others fitted anew, with its 68 % and 95 % limits."""
     figure = panel(2.8)
@@ -139,15 +144,17 @@ def figure_profile(row: Mapping[str, Any], values: FloatArray, deviance: FloatAr
     for limit, word in LIMITS:
         axes.axhline(limit, color="0.5", linewidth=0.8, linestyle="--")
         axes.text(
-            0.99, limit, word, ha="right", va="bottom", fontsize=7.5, transform=axes.get_yaxis_transform()
-        )
+            0.99, limit, word, ha="right", va="bottom", fontsize=7.5, transform=axes.get_yaxis_transform(),
+            # The curve passes behind the word.
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5},
+        )  # fmt: skip
     axes.axvline(float(row["value"]), color=MEASURED, linewidth=0.8)
     if row.get("scale") == "log" and np.max(values) > 3 * np.min(values) > 0:
         axes.set_xscale("log")
     else:
         axes.xaxis.set_major_locator(MaxNLocator(4))
     axes.set_ylim(-0.2, 6.0)
-    axes.set_title(f"{as_math(row['symbol'])}: {row['verdict']}", fontsize=9.5, loc="left")
+    axes.set_title(f"{as_math(row['symbol'])}: {verdict_words(row['verdict'])}", fontsize=9.5, loc="left")
     axes.set_xlabel(axis_label(as_math(row["symbol"]), row["unit"]))
     axes.set_ylabel("deviance [1]")
     axes.grid(True, color="0.92")

@@ -12,7 +12,9 @@ from sysid.fit.agreement import SAME_NRMSE, agreement
 from sysid.fit.result import FitResult
 from sysid.gear.surfaces import SURFACES
 from sysid.parameter_sets import in_place_of_digits
+from sysid.parameters import in_words
 from sysid.report.figures import percent_text
+from sysid.report.trust_panels import verdict_words
 
 # A candidate's range over which it scores as well as the best calls a parameter open, as in
 # `sysid.fit.agreement.loose_warnings`.
@@ -39,6 +41,7 @@ def verdict_sentences(
     against: FitResult | None,
     trust: Mapping[str, Any] | None,
     validated: Mapping[str, Mapping[str, Any]],
+    warnings: int,
 ) -> list[str]:
     """Return the verdict on a fit, a sentence each.
 
@@ -51,13 +54,15 @@ def verdict_sentences(
         The document of intervals and verdicts.
     validated : mapping
         Documents of validations, by name.
+    warnings : int
+        How many stand below the verdict.
     """
     out = [_fitted(fit), *_predicted(fit, against, validated), *_fixed(fit, trust), _runs(fit)]
     if fit.state != "done":
         out.append("The search was stopped early: this is what was found until then.")
-    count = len(fit.warnings)
-    if count:
-        out.append(f"{_count(count).capitalize()} warning{'s stand' if count > 1 else ' stands'} below.")
+    if warnings:
+        verb = "s stand" if warnings > 1 else " stands"
+        out.append(f"{_count(warnings).capitalize()} warning{verb} below.")
     return out
 
 
@@ -129,18 +134,21 @@ def _fixed(fit: FitResult, trust: Mapping[str, Any] | None) -> list[str]:
     if trust is not None:
         groups: dict[str, list[str]] = {}
         for row in trust["parameters"]:
-            groups.setdefault(row["verdict"], []).append(_words(row["name"]))
-        said = [f"{verdict}: {', '.join(names)}" for verdict, names in groups.items()]
+            groups.setdefault(row["verdict"], []).append(in_words(row["name"], row["symbol"]))
+        said = [f"{verdict_words(verdict)}: {', '.join(names)}" for verdict, names in groups.items()]
         return [f"What the data fix, by profile: {'; '.join(said)}."]
+    symbols = {record.name: record.symbol for record in fit.parameters}
     opened = open_parameters(fit)
     free = [record.name for record in fit.parameters if record.status == "free"]
-    held = [_words(name) for name in free if name not in opened]
+    held = [in_words(name, symbols[name]) for name in free if name not in opened]
     out = [f"The data hold {', '.join(held)}."] if held else []
     if opened:
-        out.append(f"They do not fix {', '.join(_words(name) for name in opened)}: read no digits into that.")
+        names = ", ".join(in_words(name, symbols[name]) for name in opened)
+        out.append(f"They do not fix {names}: read no digits into that.")
     flagged = sorted({fit.parameters[i].name for i in np.flatnonzero((fit.at_bound != 0).any(axis=0))})
     if flagged:
-        out.append(f"Sets end at a bound in {', '.join(_words(name) for name in flagged)}.")
+        names = ", ".join(in_words(name, symbols[name]) for name in flagged)
+        out.append(f"Sets end at a bound in {names}.")
     out.append("Intervals have not been computed: this judges by the spread of the search alone.")
     return out
 
@@ -153,11 +161,6 @@ def _runs(fit: FitResult) -> str:
     if total == 1:
         return "A single run cannot say whether its optimum is the best one."
     return f"{found.reached} of {total} independent runs ended in the best optimum."
-
-
-def _words(name: str) -> str:
-    head, bracket, rest = name.partition("[")
-    return head.replace("_", " ") + (f" of {rest.removesuffix(']')}" if bracket else "")
 
 
 def _count(number: int) -> str:

@@ -203,7 +203,7 @@ def test_a_third_law_is_one_declaration(monkeypatch, tmp_path):
     assert done.exit_code == 0, done.output
     result = read_fit(tmp_path / "fit")
     assert result.settings["surface"] == "wet"
-    assert "landing gear with the wet law" in verdict_sentences(result, None, None, {})[0]
+    assert "landing gear with the wet law" in verdict_sentences(result, None, None, {}, 0)[0]
 
 
 def test_surfaces_are_declared():

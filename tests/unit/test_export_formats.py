@@ -17,6 +17,7 @@ import sysid
 from sysid import exact_json
 from sysid.errors import ExportError
 from sysid.export import export, format_mean_table, load_parameter_sets, mean_table
+from sysid.export.mean_table import mean_sigma
 from sysid.parameter_sets import ParameterRecord, ParameterSets
 
 SUFFIXES = ["json", "csv", "h5", "mat"]
@@ -252,6 +253,14 @@ def test_mean_table_rounds_to_two_digits_of_sigma():
     tiny = [[value * 1e-7 for value in row] for row in values]
     line = format_mean_table(mean_table(made_sets(values=tiny)), ["lf"]).splitlines()[1]
     assert "(5.2 ± 4.0)e-9" in line
+
+
+def test_runs_that_agree_do_not_make_digits():
+    assert mean_sigma((0.298783, 2e-7)) == "0.2988 ± < 1e-6"
+    assert mean_sigma((0.298783, 2e-5)) == "0.2988 ± 2e-05"
+    assert mean_sigma((0.298783, 0.0012)) == "0.2988 ± 0.0012"
+    assert mean_sigma((12345.0, 2.0)) == "12345 ± 2"
+    assert mean_sigma((0.0, 2e-3)) == "0.0000 ± 0.0020"
 
 
 def test_infinite_values_have_no_spread():

@@ -388,10 +388,21 @@ def test_the_numbers_beside_the_misprints_are_those_of_the_design_notes(sets):
 
 def test_the_verdict_says_what_is_open_and_what_is_not_known():
     fit = made_fit(uses=("fit", "fit"))
-    said = " ".join(verdict_sentences(fit, None, None, {}))
+    said = " ".join(verdict_sentences(fit, None, None, {}, 0))
     assert "five sets fit two drops" in said
     assert "none was held back" in said
     assert "Intervals have not been computed" in said
+    assert "leg axial stiffness (k_h)" in said
+
+
+def test_every_warning_that_is_listed_is_counted(tmp_path):
+    from dataclasses import replace
+
+    fit = replace(made_fit(), warnings=("one", "both"))
+    other = replace(fit, name="other", warnings=("both", "of the other campaign"))
+    text = FitReport(tmp_path, fit, other).verdict().text
+    assert "Three warnings stand below." in text
+    assert "of the other campaign" in text
 
 
 def test_a_parameter_that_scores_equally_far_apart_is_open():

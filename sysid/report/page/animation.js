@@ -139,8 +139,10 @@
       arrow(x, z, along, f[13 + foot], red);
     }
     c.fillStyle = "#222"; c.font = "13px sans-serif"; c.textBaseline = "top";
-    c.fillText(drop.name + " (" + drop.use + ")", 8, 8);
-    c.fillText("rear " + Math.round(f[11]) + " N, front " + Math.round(f[12]) + " N", 8, 26);
+    // The slope rises to the left: the right upper corner is free.
+    c.textAlign = "right";
+    c.fillText(drop.name + " (" + drop.use + ")", width - 8, 8);
+    c.fillText("rear " + Math.round(f[11]) + " N, front " + Math.round(f[12]) + " N", width - 8, 26);
 
     function arrow(x, z, way, newton, colour) {
       const size = 2200 * newton / force;
