@@ -111,7 +111,7 @@ def _lengths(axes: Axes, v: Mapping[str, float], unit: float) -> None:
         _dimension(axes, (x, 0), (x, z))
         words = f"${symbol}$ = {v[name]:.0f} mm"
         if x < 0:
-            axes.text(x - 5, 0.42 * z, words, ha="right", rotation=90, **look)
+            axes.text(x - 5, 0.3 * z, words, ha="right", rotation=90, **look)
         else:
             axes.text(x + 5, 0.5 * z, words, ha="left", **look)
 
@@ -157,17 +157,20 @@ def _named(axes: Axes, words: str, what: FloatArray, place: tuple[float, float])
 def _frames(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, normal: FloatArray) -> None:
     size = 0.3 * unit
     rear = np.array([-v["foot_dx"], -v["foot_dz"]])
-    origin = rear + (2 * v["foot_dx"] - 0.2 * unit) * along
+    origin = rear + (2 * v["foot_dx"] + 0.12 * unit) * along
     up, right = np.array([0.0, 1.0]), np.array([1.0, 0.0])
     _axes(axes, origin, along, normal, size, "A")
     _axes(
         axes, np.array([-v["thrust_point_dx"] - 0.5 * unit, -v["foot_dz"] - 0.6 * unit]), right, up, size, "N"
     )
-    axes.text(-6, 0.03 * unit, "B", fontsize=10, fontweight="bold", ha="right", va="bottom", zorder=6)
+    inside = {"fontsize": 10, "fontweight": "bold", "ha": "center", "va": "center", "zorder": 6}
+    axes.text(-0.2 * unit, -0.55 * v["joint_dz"], "B", **inside)
     joint, foot = np.array([v["joint_dx"], -v["joint_dz"]]), np.array([v["foot_dx"], -v["foot_dz"]])
     for side, name, way in ((-1, "C", "right"), (1, "D", "left")):
         at = np.array([side, 1]) * (0.75 * joint + 0.25 * foot)
-        axes.text(at[0] + side * 8, at[1], name, fontsize=10, fontweight="bold", va="center", ha=way)
+        # D stands beyond the line of the foot's length.
+        x = at[0] - 8 if side < 0 else max(at[0], foot[0]) + 5
+        axes.text(x, at[1], name, fontsize=10, fontweight="bold", va="center", ha=way)
     # The angle at rest, from straight down to the leg, at the front joint.
     angle = float(np.degrees(np.arctan2(foot[0] - joint[0], joint[1] - foot[1])))
     axes.plot(

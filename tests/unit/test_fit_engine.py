@@ -351,8 +351,8 @@ def test_ranked_sets_are_the_best_of_each_last_generation():
     assert ranked.at_bound.tolist() == [[-1, 0, 1, 0]] * 3
     warnings = bound_warnings(parameter_records(objective.space), ranked.at_bound)
     assert len(warnings) == 2
-    assert warnings[0].startswith("3 of 3 sets end at the lower bound of p0, 1 N/m")
-    assert "upper bound of p2, 100 N/m" in warnings[1]
+    assert warnings[0].startswith("3 of 3 sets end at the lower bound of p0 (p_0), 1 N/m")
+    assert "upper bound of p2 (p_2), 100 N/m" in warnings[1]
 
 
 def test_a_flat_cost_ends():
