@@ -16,6 +16,7 @@ from sysid.campaign.motor import MotorTrial as TrialEntry
 from sysid.errors import LogError, SysidWarning
 from sysid.pipelines.bench_reading import read_log
 from sysid.recording import Recording
+from sysid.trials.reversal import JITTER
 from sysid.trials.signs import sign_against_speed, sign_of_log, zero_of_steady
 from sysid.trials.steady import SETTLE, SteadyPoints, ramp_points, steady_points
 from sysid.trials.thrust import (
@@ -118,6 +119,8 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> B
     u = command_range(campaign).to_u(command.values, command.unit, where)
     if not np.isfinite(u).any():
         raise LogError(f"{where}: holds no command; a motor fit needs the command beside the speed")
+    # A neutral that jitters is a neutral, for the tare too.
+    u = np.where(np.abs(u) <= JITTER, 0.0, u)
     steps = command_steps(time, u)
     raw = recording["speed"]
     begin = float(time[0]) if entry.start is None else entry.start
@@ -162,7 +165,10 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> B
             values = values - tares[name].value
         channels[name] = (channel.time[keep], values[keep])
     if "torque" not in channels and campaign.cost.weights.torque > 0:
-        raise LogError(f"{where}: no torque; set cost.weights.torque = 0 or record it")
+        raise LogError(
+            f"{where}: no torque; record it, or set cost.weights.torque = 0 and name a log "
+            "with torque in curves.static"
+        )
     _zeros_from_steady(campaign, where, channels, tares, notes, (time, steps, (begin, end), doubtful))
     points = _points_in(time, steps, channels, (begin, end), doubtful, tares)
     signs = {"torque": 1, "thrust": 1}

@@ -150,7 +150,7 @@ def filter_design(campaign: MotorCampaign, logs: Sequence[BenchLog]) -> dict[str
     """Return the filter of the fast logs as it goes into a result, and which logs went without."""
     fast = [log for log in logs if log.fast]
     slow = [log.name for log in logs if not log.fast]
-    design: dict[str, Any] = _lowpass(campaign, fast[0]).describe() if fast else {"kind": "none"}
+    design: dict[str, Any] = lowpass_of(campaign, fast[0]).describe() if fast else {"kind": "none"}
     if slow:
         why = "switched off" if campaign.filter.kind == "none" else "too slow for it"
         design["unfiltered"] = {"trials": slow, "why": why}
@@ -161,7 +161,8 @@ def _fast_step(campaign: MotorCampaign) -> float:
     return 1.0 / (_SIMULATED * campaign.filter.stop_edge)
 
 
-def _lowpass(campaign: MotorCampaign, log: BenchLog) -> ChebyshevLowpass:
+def lowpass_of(campaign: MotorCampaign, log: BenchLog) -> ChebyshevLowpass:
+    """Return the campaign's filter at the rate of a log."""
     settings = campaign.filter
     rate = 1.0 / float(np.median(np.diff(log.time)))
     return ChebyshevLowpass(rate, settings.stop_edge, settings.order, settings.attenuation_db)
@@ -169,7 +170,7 @@ def _lowpass(campaign: MotorCampaign, log: BenchLog) -> ChebyshevLowpass:
 
 def _fast(campaign: MotorCampaign, log: BenchLog) -> Any:
     """Return the filter's taps on the simulation's grid, and a function that makes the target."""
-    lowpass = _lowpass(campaign, log)
+    lowpass = lowpass_of(campaign, log)
     step = _fast_step(campaign)
     size = 4 * lowpass.edge_samples + lowpass.minimum_samples
     pulse = np.zeros(2 * size + 1)
@@ -232,7 +233,7 @@ def measured_thrust(campaign: MotorCampaign, log: BenchLog, time: FloatArray) ->
         return None
     own, values = log.channels["thrust"]
     if log.fast:
-        own, values = uniform_filtered(own, values, _lowpass(campaign, log), f"{log.where}, thrust")
+        own, values = uniform_filtered(own, values, lowpass_of(campaign, log), f"{log.where}, thrust")
     return np.interp(time, own, values)
 
 

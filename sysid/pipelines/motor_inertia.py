@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.signal import lfilter
 
-from sysid.filters import ChebyshevLowpass
+from sysid.campaign import MotorCampaign
 from sysid.motor.model import aerodynamic_torque
 from sysid.pipelines.bench_logs import BenchLog
-from sysid.pipelines.bench_targets import uniform_filtered
+from sysid.pipelines.bench_targets import lowpass_of, uniform_filtered
 
 FloatArray = NDArray[np.float64]
 
@@ -79,11 +79,15 @@ class SpikeInertia:
         )
 
 
-def spike_inertia(logs: Sequence[BenchLog], parameters: Mapping[str, float]) -> SpikeInertia:
+def spike_inertia(
+    campaign: MotorCampaign, logs: Sequence[BenchLog], parameters: Mapping[str, float]
+) -> SpikeInertia:
     """Return the inertia that the torque spikes of some logs of one direction each show.
 
     Parameters
     ----------
+    campaign : MotorCampaign
+        Its filter serves the fast logs.
     logs : sequence of BenchLog
         Forward or reverse ones; those without torque are passed over.
     parameters : mapping
@@ -94,7 +98,9 @@ def spike_inertia(logs: Sequence[BenchLog], parameters: Mapping[str, float]) -> 
     for log in logs:
         if "torque" not in log.channels:
             continue
-        time, acceleration, excess, whole = (_fast if log.fast else _slow)(log, parameters)
+        time, acceleration, excess, whole = (
+            _fast(campaign, log, parameters) if log.fast else _slow(log, parameters)
+        )
         levels = log.steps.level
         ends = np.append(log.steps.time[1:], np.inf)
         for i in range(1, levels.size):
@@ -119,10 +125,10 @@ def spike_inertia(logs: Sequence[BenchLog], parameters: Mapping[str, float]) -> 
 
 
 def _fast(
-    log: BenchLog, parameters: Mapping[str, float]
+    campaign: MotorCampaign, log: BenchLog, parameters: Mapping[str, float]
 ) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]:
     """Return time, dΩ/dt, torque above the static one, and where the log is whole: both filtered alike."""
-    lowpass = ChebyshevLowpass(1.0 / float(np.median(np.diff(log.time))))
+    lowpass = lowpass_of(campaign, log)
     time, speed = uniform_filtered(*log.channels["speed"], lowpass, f"trial {log.name!r}, speed")
     own, torque = uniform_filtered(*log.channels["torque"], lowpass, f"trial {log.name!r}, torque")
     torque = np.interp(time, own, torque)

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from sysid.campaign import MotorCampaign
 from sysid.errors import CampaignError
-from sysid.filters import ChebyshevLowpass
 from sysid.fit.engine import SearchSettings, run_one
 from sysid.motor.model import PARAMETERS, simulate
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
-from sysid.pipelines.bench_targets import uniform_filtered
+from sysid.pipelines.bench_targets import lowpass_of, uniform_filtered
 from sysid.pipelines.motor_bench import SATURATION, Bench
 from sysid.pipelines.motor_delays import delay_name
 from sysid.pipelines.motor_objective import MotorObjective
@@ -207,11 +206,13 @@ def named(table: ParameterTable, row: FloatArray) -> dict[str, float]:
     return dict(zip(table, (float(value) for value in row), strict=True))
 
 
-def reversal_delays(bench: Bench, best: Mapping[str, float]) -> list[dict[str, Any]]:
+def reversal_delays(campaign: MotorCampaign, bench: Bench, best: Mapping[str, float]) -> list[dict[str, Any]]:
     """Return, per reversal inside every trial's window, the measured and the simulated time to 90 % [s].
 
     Parameters
     ----------
+    campaign : MotorCampaign
+        Its filter serves the fast logs.
     bench : Bench
     best : mapping
         The best set with the delays of logs, by name [SI].
@@ -223,7 +224,7 @@ def reversal_delays(bench: Bench, best: Mapping[str, float]) -> list[dict[str, A
             continue
         thrust = log.channels["thrust"]
         if log.fast:
-            lowpass = ChebyshevLowpass(1.0 / float(np.median(np.diff(log.time))))
+            lowpass = lowpass_of(campaign, log)
             time, values = uniform_filtered(*thrust, lowpass, f"trial {trial.entry.name!r}, thrust")
             thrust = (time[np.isfinite(values)], values[np.isfinite(values)])
         parameters = {name: value for name, value in best.items() if name in PARAMETERS}

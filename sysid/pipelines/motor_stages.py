@@ -96,7 +96,7 @@ def after_the_search(
     best = named(space.table, rows[0])
     given = set(SATURATION) <= {*bench.measured, *campaign.parameters.fixed}
     out = {
-        "reversal delays": reversal_delays(bench, best),
+        "reversal delays": reversal_delays(campaign, bench, best),
         "command delays": log_delays(campaign, bench, whole, rows[0]),
     }
     stage, doubts = _about_saturation(bench, saturation, best, given, tell)
@@ -124,7 +124,9 @@ def after_the_search(
         out["profiles"] = {damping.name: damping.document()}
         if damping.sentence is not None:
             warned.append(damping.sentence)
-    spikes = spike_inertia([trial.log for trial in bench.fitted], unpack(rows[0, : len(PARAMETERS)]))
+    spikes = spike_inertia(
+        campaign, [trial.log for trial in bench.fitted], unpack(rows[0, : len(PARAMETERS)])
+    )
     out["rotor inertia from torque spikes"] = spikes.document()
     warned += [] if spikes.sentence is None else [spikes.sentence]
     if not bench.scale_known:

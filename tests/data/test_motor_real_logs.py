@@ -157,7 +157,7 @@ def test_wrong_pole_count_is_said(tmp_path: Path) -> None:
         ),
         encoding="utf-8",
     )
-    # Twelve poles entered for fourteen: 12/14 = 0.857.
+    # Fourteen poles entered for twelve: 12/14 = 0.857.
     with pytest.warns(UserWarning, match=r"electrical speed is 0\.857"):
         bench = prepare_bench(read_campaign(path, "motor"), path)
     assert all(fit.r_squared > 0.99 for fit in bench.curves.fits)  # required: 0.99

@@ -435,8 +435,8 @@ def test_pulse_widths_without_a_unit_are_refused(campaign_file: Path) -> None:
 
 
 def test_torque_spikes_show_the_inertia(prepared) -> None:
-    _, bench = prepared
-    found = spike_inertia([t.log for t in bench.fitted], {**PARAMETERS.nominal, **bench.values})
+    campaign, bench = prepared
+    found = spike_inertia(campaign, [t.log for t in bench.fitted], {**PARAMETERS.nominal, **bench.values})
     assert min(found.steps.values()) >= 6
     for kind in ("up", "down"):
         # Both sides pass one filter; the curve's error of up to 1 % of 40 mN·m remains.

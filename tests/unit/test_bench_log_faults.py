@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from sysid.campaign import read_campaign
-from sysid.errors import CampaignError
+from sysid.errors import CampaignError, LogError
+from sysid.motor.model import PARAMETERS
 from sysid.pipelines.motor_bench import prepare_bench
+from sysid.pipelines.motor_inertia import spike_inertia
 
 pytestmark = pytest.mark.filterwarnings("ignore:no Kv in the campaign", "ignore:no thrust")
 
@@ -85,3 +87,35 @@ def test_kv_without_unit_is_told_the_unit_of_the_shops(tmp_path: Path, kv: str) 
     path = _write(tmp_path, kv=f"kv = {kv}")
     with pytest.raises(CampaignError, match=r'has no unit; write kv = "9[0-9.e]+ rpm/V", as motors are sold'):
         read_campaign(path, "motor")
+
+
+def test_jitter_of_the_neutral_keeps_the_rows_at_rest(tmp_path: Path) -> None:
+    (calm,) = _bench(_write(tmp_path)).trials
+    (shaken,) = _bench(_write(tmp_path, jitter=1.0)).trials
+    assert shaken.log.tares["torque"].rows == calm.log.tares["torque"].rows > 90
+    np.testing.assert_array_equal(shaken.log.steps.level, calm.log.steps.level)
+
+
+def test_torque_spikes_pass_the_filter_of_the_campaign(tmp_path: Path) -> None:
+    # 50 rows a second bear a stop band from 4 Hz on; the default's 100 Hz they do not.
+    path = _write(tmp_path, extra='[filter]\nstop_edge = "4 Hz"')
+    bench = _bench(path)
+    (trial,) = bench.trials
+    assert trial.log.fast
+    parameters = {**PARAMETERS.nominal, **bench.curves.parameters}
+    found = spike_inertia(read_campaign(path, "motor"), [trial.log], parameters)
+    assert found.steps["up"] >= 2
+    assert np.isfinite(found.value["up"])
+
+
+def test_log_without_torque_is_told_where_the_curves_come_from(tmp_path: Path) -> None:
+    path = _write(tmp_path)
+    log = tmp_path / "log.csv"
+    rows = [line.split(",") for line in log.read_text(encoding="utf-8").splitlines()]
+    text = "\n".join(",".join(row[:2] + row[3:]) for row in rows)
+    log.write_text(text + "\n", encoding="utf-8", newline="\n")
+    words = (
+        r"no torque; record it, or set cost\.weights\.torque = 0 and name a log with torque in curves\.static"
+    )
+    with pytest.raises(LogError, match=words):
+        _bench(path)

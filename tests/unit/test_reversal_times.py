@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sysid import cli
+from sysid.campaign.motor import ChebyshevFilter
 from sysid.errors import LogError
 from sysid.loaders import load
 from sysid.motor.model import PARAMETERS, simulate
@@ -18,6 +19,7 @@ from sysid.synthetic.motor import TRIALS, synthesize_motor
 from sysid.trials.reversal import find_reversals, repetitions
 from sysid.trials.thrust import CommandSteps, command_steps
 
+CAMPAIGN = SimpleNamespace(filter=ChebyshevFilter())
 SAMPLES = Path(__file__).resolve().parents[2] / "data_samples" / "motor"
 
 
@@ -187,13 +189,13 @@ def test_thrust_alone_serves():
     assert 0.06 < by_thrust.dead_band < 0.12
 
 
-def _bench(levels, window, parameters):
+def _bench(levels, window, parameters, rate=1000.0, fast=False):
     """What `reversal_delays` sees of one reversal trial, a step every second, simulated with `parameters`."""
-    time = np.arange(0.0, float(len(levels)), 1e-3)
+    time = np.arange(0.0, float(len(levels)), 1.0 / rate)
     steps = CommandSteps(np.arange(float(len(levels))), np.array(levels))
     thrust = simulate(parameters, steps.time, steps.level, time, initial="steady").thrust
     log = SimpleNamespace(
-        time=time, steps=steps, channels={"thrust": (time, thrust)}, fast=False, window=window, doubtful=()
+        time=time, steps=steps, channels={"thrust": (time, thrust)}, fast=fast, window=window, doubtful=()
     )
     entry = SimpleNamespace(name="turns", log="turns.h5", use="fit", direction="reversal")
     simulated = SimpleNamespace(time=time[time >= window[0]], supply_time=None, supply_ratio=None)
@@ -205,11 +207,22 @@ def test_reversal_delays_are_those_of_the_window():
     # A second at each; the window opens and closes in the middle of holds. Before
     # it lies a start in reverse, from which nothing inside it comes.
     levels = [-0.5, 0.62, -1.0, 0.4, -0.6]
-    found = reversal_delays(_bench(levels, (1.4, 3.7), best), best)
+    found = reversal_delays(CAMPAIGN, _bench(levels, (1.4, 3.7), best), best)
     assert [(d["command before"], d["command after"]) for d in found] == [(0.62, -1.0), (-1.0, 0.4)]
     for delay in found:
         # The same motor twice, on grids of 1 and of 0.5 ms, starting at rest of the same command.
         assert delay["simulated [s]"] == pytest.approx(delay["measured [s]"], abs=2e-4)
+
+
+def test_reversal_delays_pass_the_filter_of_the_campaign():
+    best = {**PARAMETERS.nominal, "command_delay": 0.008}
+    # 156 rows a second bear a stop band from 15 Hz on, not one from 100 Hz.
+    slow = SimpleNamespace(filter=ChebyshevFilter(stop_edge="15 Hz"))
+    found = reversal_delays(slow, _bench([0.5, 0.62, -1.0, 0.4, -0.6], (1.4, 3.7), best, 156.0, True), best)
+    for delay in found:
+        # A stop band from 15 Hz on rings for some 0.05 s.
+        assert delay["simulated [s]"] == pytest.approx(delay["measured [s]"], abs=0.05)
+    assert len(found) == 2
 
 
 @pytest.fixture

@@ -197,7 +197,12 @@ def test_commands_against_the_direction_are_refused(u: list[float], direction: s
 
 @pytest.mark.parametrize(
     ("ratio", "words"),
-    [(12 / 14, "0.8571 times .* likely 14 entered for a motor of 12"), (2.0, "likely 4 entered .* of 8")],
+    [
+        (12 / 14, "0.8571 times .* likely 14 entered for a motor of 12"),
+        (7.0, "likely 2 entered for a motor of 14;"),
+        (2.0, "likely 6 entered for a motor of 12, or the optical probe counts the wrong number of marks"),
+        (0.5, "for a motor of 12, or the optical probe"),
+    ],
 )
 def test_wrong_pole_count_names_the_poles(ratio: float, words: str) -> None:
     assert re.search(words, wrong_poles(ratio))
