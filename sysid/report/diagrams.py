@@ -163,8 +163,8 @@ def _frames(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, 
     _axes(
         axes, np.array([-v["thrust_point_dx"] - 0.5 * unit, -v["foot_dz"] - 0.6 * unit]), right, up, size, "N"
     )
-    inside = {"fontsize": 10, "fontweight": "bold", "ha": "center", "va": "center", "zorder": 6}
-    axes.text(-0.2 * unit, -0.55 * v["joint_dz"], "B", **inside)
+    look: dict[str, Any] = {"fontsize": 10, "fontweight": "bold", "ha": "center", "va": "center", "zorder": 6}
+    axes.text(-0.2 * unit, -0.55 * v["joint_dz"], "B", **look)
     joint, foot = np.array([v["joint_dx"], -v["joint_dz"]]), np.array([v["foot_dx"], -v["foot_dz"]])
     for side, name, way in ((-1, "C", "right"), (1, "D", "left")):
         at = np.array([side, 1]) * (0.75 * joint + 0.25 * foot)

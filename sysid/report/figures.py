@@ -327,7 +327,9 @@ def _title(fit: FitResult, trial: TrialResult) -> str:
     text += f": NRMSE {percent_text(float(means[0]))}"
     if len(means) > 1:
         least, most = float(means.min()), float(means.max())
-        text += f", all {len(means)} sets {percent_text(least)} to {percent_text(most)}"
+        low, high = percent_text(least), percent_text(most)
+        # Sets that score alike to the printed digits need no span.
+        text += f", all {len(means)} sets {low} to {high}" if low != high else ""
     return text
 
 
