@@ -10,6 +10,7 @@ from sysid.campaign import read_campaign
 from sysid.errors import LogError, SysidWarning
 from sysid.fit.agreement import SAME_NRMSE
 from sysid.gear.model import LF_FREE
+from sysid.parameters import in_words
 from sysid.pipelines.drops import prepare_drops
 from sysid.pipelines.gear import GearObjective, fit_gear, score_values, search_space
 from sysid.pipelines.search import FitOptions
@@ -181,7 +182,7 @@ def assert_sets_agree(result):
     held = {
         record.name: column
         for record, column in zip(result.parameters, result.values[best].T, strict=True)
-        if record.status == "free" and record.name not in doubts
+        if record.status == "free" and in_words(record.name, record.symbol) not in doubts
     }
     for name, column in held.items():
         assert np.ptp(column) <= 0.01 * abs(column.mean()), name
