@@ -42,8 +42,9 @@ POPULATION = {"ga": 100, "matlab-ga": 400, "cmaes": 64, "de": 100, "pso": 100}
 _SCORED = ("F", "G", "H")
 # Of a CMA-ES that starts anywhere: 0.3 of the cube's edge is cma's own advice for a bounded search.
 _RANDOM_SPREAD = 0.3
-# A converged population spans almost nothing in some directions; CMA-ES needs room to measure them.
-_LEAST_SPREAD = 0.01
+# A converged population spans almost nothing in some directions; CMA-ES needs room to measure them, and to
+# leave a valley that the population has settled in too soon.
+_LEAST_SPREAD = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,7 @@ class Start:
 
     @classmethod
     def of_population(cls, cube: FloatArray) -> Start:
-        """Return mean and spread of a population (P, n_free); the spread is kept between 0.01 and 0.3."""
+        """Return mean and spread of a population (P, n_free); the spread is kept between 0.05 and 0.3."""
         return cls(cube.mean(axis=0), np.clip(cube.std(axis=0), _LEAST_SPREAD, _RANDOM_SPREAD))
 
 

@@ -35,6 +35,8 @@ FloatArray = NDArray[np.float64]
 # CMA-ES is not elitist and learns its shape over tens of generations, so its best cost stands still longer
 # than a GA's: its window is cma's own 10 + 30 n/P generations, its tolerance a tenth of the paper's.
 CMAES_TOLERANCE = 1e-5
+# Of half a generation; at the bottom of a valley it is 1e-5 to 1e-4, of a start anywhere 0.1 and above.
+CMAES_SPREAD = 0.01
 # Of a finisher; chosen by tests/benchmarks/engine.py.
 FINISH_POPULATION = 64
 # What the first stage may use of a budget when a finisher follows.
@@ -208,7 +210,9 @@ class _Run:
             rule = replace(rule, time_limit=share * self.time_limit)
         if name == "cmaes":
             window = 10 + ceil(30 * len(self.objective.space.free) / population)
-            rule = replace(rule, reading="relative", window=window, tolerance=CMAES_TOLERANCE)
+            rule = replace(
+                rule, reading="relative", window=window, tolerance=CMAES_TOLERANCE, spread=CMAES_SPREAD
+            )
         return rule
 
     def _stage(self, number: int, name: str, start: Start | None, last: bool) -> StageHistory:
@@ -247,7 +251,8 @@ class _Run:
             best.append(min([*best[-1:], float(generation.cost.min())]))
             if new and self.hooks.on_generation is not None:
                 self.hooks.on_generation(self.run, generation)
-            reason = self._reason(rule, best, len(points), new or len(generations) == remembered)
+            spread = _spread(memory.cost[len(generations) - 1])
+            reason = self._reason(rule, best, len(points), spread, new or len(generations) == remembered)
             if new and self.hooks.keep is not None and reason is None:
                 self.hooks.keep(self.run, self.memory, False)
         if not generations:
@@ -286,12 +291,20 @@ class _Run:
             lowest=self.lowest,
         )
 
-    def _reason(self, rule: StopRule, best: list[float], next_size: int, live: bool) -> StopReason | None:
+    def _reason(
+        self, rule: StopRule, best: list[float], next_size: int, spread: float, live: bool
+    ) -> StopReason | None:
         """Return why the stage ends; what was remembered was not ended by clock or user then."""
         if live and self.hooks.should_stop is not None and self.hooks.should_stop():
             return "interrupted"
         elapsed = time.perf_counter() - self.started if live else 0.0
-        return rule.reason(best, self.evaluations, next_size, elapsed)
+        return rule.reason(best, self.evaluations, next_size, elapsed, spread)
+
+
+def _spread(cost: FloatArray) -> float:
+    """Return how far the median lies above the lowest, as a share of that [1]."""
+    low, middle = float(cost.min()), float(np.median(cost))
+    return (middle - low) / low if low > 0 else float("inf") if middle > low else 0.0
 
 
 def _child_seed(seed: int, stage: int) -> int:

@@ -13,6 +13,7 @@ several runs. The rule is a pure function of what happened; `sysid.fit.engine` a
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
 import time
@@ -53,6 +54,10 @@ class StopRule:
         Generations over which the change is taken [1].
     tolerance : float
         Change below which the run has converged [1]; 0 never converges.
+    spread : float
+        Half of a generation must lie within this share of its best, too [1]; any spread by default. A search
+        that has not found its valley yet stands still as one that has reached the bottom does. Three windows
+        without a change end it anyhow.
     max_generations : int
         Generation limit [1].
     max_evaluations : int or None
@@ -65,6 +70,7 @@ class StopRule:
     reading: Reading = "relative"
     window: int = 4
     tolerance: float = 1e-4
+    spread: float = math.inf
     max_generations: int = 1000
     max_evaluations: int | None = None
     time_limit: float | None = None
@@ -77,28 +83,38 @@ class StopRule:
                 f"stop rule: window {self.window} and generation limit {self.max_generations} "
                 "must be at least 1"
             )
-        if not self.tolerance >= 0:
-            raise FitError(f"stop rule: tolerance {self.tolerance:g} must be 0 or above")
+        if not (self.tolerance >= 0 and self.spread >= 0):
+            raise FitError(
+                f"stop rule: tolerance {self.tolerance:g} and spread {self.spread:g} must be 0 or above"
+            )
 
-    def change(self, best: Sequence[float]) -> float:
+    def change(self, best: Sequence[float], windows: int = 1) -> float:
         """Return the change over the last `window` generations [1]; inf while there are too few.
 
         Parameters
         ----------
         best : sequence of float
             Best cost of every generation so far [1].
+        windows : int
+            Take so many windows for one.
         """
-        if len(best) <= self.window:
+        window = windows * self.window
+        if len(best) <= window:
             return float("inf")
-        first, last = best[-1 - self.window], best[-1]
+        first, last = best[-1 - window], best[-1]
         if first == last:
             return 0.0
         if self.reading == "matlab":
-            return abs(first - last) / (self.window * max(1.0, abs(last)))
+            return abs(first - last) / (window * max(1.0, abs(last)))
         return abs(first - last) / abs(last) if last != 0 else float("inf")
 
     def reason(
-        self, best: Sequence[float], evaluations: int, next_evaluations: int, elapsed: float
+        self,
+        best: Sequence[float],
+        evaluations: int,
+        next_evaluations: int,
+        elapsed: float,
+        spread: float = 0.0,
     ) -> StopReason | None:
         """Return why the run ends after this generation, or None.
 
@@ -110,8 +126,12 @@ class StopRule:
             Candidates scored so far, and those that another generation would score [1].
         elapsed : float
             Wall time of the run [s].
+        spread : float
+            How far the median of the last generation lies above its best, as a share of that [1].
         """
-        if self.change(best) < self.tolerance:
+        if self.change(best) < self.tolerance and (
+            spread <= self.spread or self.change(best, 3) < self.tolerance
+        ):
             return "converged"
         if len(best) >= self.max_generations:
             return "generations"

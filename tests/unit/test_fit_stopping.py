@@ -51,6 +51,15 @@ def test_tolerance_is_not_included_and_zero_never_converges():
     assert StopRule(tolerance=0.0).reason([0.1] * 9, 0, 1, 0.0) is None
 
 
+def test_a_search_that_has_found_no_valley_goes_on():
+    rule = StopRule(spread=0.01)
+    assert rule.reason([0.1] * 5, 0, 1, 0.0, spread=0.5) is None
+    assert rule.reason([0.1] * 5, 0, 1, 0.0, spread=0.01) == "converged"
+    # Three windows of 4: a cost that is too rough for half a generation to agree ends as well.
+    assert rule.reason([0.1] * 12, 0, 1, 0.0, spread=0.5) is None
+    assert rule.reason([0.1] * 13, 0, 1, 0.0, spread=0.5) == "converged"
+
+
 def test_budgets():
     assert StopRule(max_generations=3).reason([3.0, 2.0, 1.0], 0, 1, 0.0) == "generations"
     rule = StopRule(max_evaluations=1000)
@@ -62,7 +71,14 @@ def test_budgets():
 
 
 @pytest.mark.parametrize(
-    "kwargs", [{"reading": "both"}, {"window": 0}, {"tolerance": float("nan")}, {"max_generations": 0}]
+    "kwargs",
+    [
+        {"reading": "both"},
+        {"window": 0},
+        {"tolerance": float("nan")},
+        {"max_generations": 0},
+        {"spread": -1.0},
+    ],
 )
 def test_refusals(kwargs):
     with pytest.raises(FitError, match="stop rule"):
