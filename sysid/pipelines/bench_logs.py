@@ -15,7 +15,7 @@ from sysid.campaign import MotorCampaign
 from sysid.campaign.motor import MotorTrial as TrialEntry
 from sysid.errors import LogError, SysidWarning
 from sysid.pipelines.bench_reading import read_log
-from sysid.recording import Recording
+from sysid.recording import Channel, Recording
 from sysid.trials.reversal import JITTER
 from sysid.trials.signs import sign_against_speed, sign_of_log, zero_of_steady
 from sysid.trials.steady import SETTLE, SteadyPoints, ramp_points, steady_points
@@ -29,6 +29,7 @@ from sysid.trials.thrust import (
     real_samples,
     rows_at_rest,
     signed_speed,
+    standing_command,
     tare,
 )
 
@@ -134,6 +135,7 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> B
     signed_speed(known, entry.direction, where)
     check_command_direction(u[(time >= begin) & (time <= end)], entry.direction, where)
     speed = raw.values if entry.direction == "reversal" else signed_speed(raw.values, entry.direction, where)
+    _warn_of_standing(raw.time[inside], known, steps, (begin, end), command, u, where)
     rate = 1.0 / float(np.median(np.diff(time)))
     fast = campaign.filter.kind != "none" and rate >= _FAST * campaign.filter.stop_edge
     if campaign.filter.kind == "chebyshev2" and not fast:
@@ -189,6 +191,28 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> B
         entry.name, recording, steps, time, channels, (begin, end), doubtful, fast, tares,
         signs["torque"], signs["thrust"], notes, file.second,
     )  # fmt: skip
+
+
+def _warn_of_standing(
+    time: FloatArray,
+    speed: FloatArray,
+    steps: CommandSteps,
+    window: tuple[float, float],
+    command: Channel,
+    u: FloatArray,
+    where: str,
+) -> None:
+    """Warn where the rotor stands under a command that should turn it: its unit or neutral is another."""
+    seen = np.isfinite(speed)
+    level = standing_command(time[seen], speed[seen], steps, window)
+    if level is not None:
+        logged = float(command.values[np.flatnonzero(u == level)[0]])
+        warnings.warn(
+            f"{where}: the rotor stands under command {logged:g} (u = {level:.2g}); correct command.unit or "
+            "command.neutral",
+            SysidWarning,
+            stacklevel=3,
+        )
 
 
 def _zeros_from_steady(

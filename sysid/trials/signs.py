@@ -43,7 +43,7 @@ def zero_of_steady(values: FloatArray, speed: FloatArray) -> Tare | None:
 
 
 def sign_against_speed(values: FloatArray, speed: FloatArray) -> int:
-    """Return -1 where values (n,) oppose their speeds (n,) throughout, else +1; 0 where nothing tells.
+    """Return -1 where values (n,) oppose their speeds (n,) on balance, else +1; 0: nothing tells.
 
     A propeller's drag has the sign of its speed, so the torque of a stand that reads it otherwise is flipped.
     """

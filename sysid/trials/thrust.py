@@ -33,6 +33,8 @@ _RINGING = 0.5
 _DSHOT_STOP, _DSHOT_HALF, _DSHOT_LAST = 47, 1000, 2047
 # u below this is no command [1]; beyond this it commands a direction.
 AT_REST = 1e-9
+# A rotor that stands this long [s] under a command beyond this [1] got another one than the log says.
+_STANDING, _DRIVEN = 0.5, 0.1
 _COMMANDED = 0.02
 
 
@@ -296,6 +298,34 @@ def check_command_direction(u: FloatArray, direction: Direction, where: str) -> 
             f"{where}: a {direction} trial whose commands run from u = {low:.3g} to {high:.3g}; set "
             'direction = "reversal", cut the trial with start and end, or correct command.neutral'
         )
+
+
+def standing_command(
+    time: FloatArray, speed: FloatArray, steps: CommandSteps, window: tuple[float, float]
+) -> float | None:
+    """Return the first u under which a rotor stands for over 0.5 s although u is beyond 0.1; None: it turns.
+
+    Parameters
+    ----------
+    time, speed : (n,) arrays
+        Known samples of the speed [s], [rad/s]; zero where the probe sees nothing pass.
+    steps : CommandSteps
+    window : (start, end)
+        Part of the log that counts [s].
+    """
+    ends = np.append(steps.time[1:], np.inf)
+    for start, end, level in zip(steps.time, ends, steps.level, strict=True):
+        inside = (time >= max(start, window[0])) & (time < min(end, window[1]))
+        if abs(level) <= _DRIVEN or np.count_nonzero(inside) < 2:
+            continue
+        own, zero = time[inside], speed[inside] == 0
+        turning = np.flatnonzero(~zero)
+        # The longest run of zeros between samples that turn.
+        edges = np.concatenate([[-1], turning, [own.size]])
+        for a, b in zip(edges[:-1] + 1, edges[1:] - 1, strict=True):
+            if b > a and own[b] - own[a] > _STANDING:
+                return float(level)
+    return None
 
 
 def wrong_poles(ratio: float) -> str:

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from sysid.campaign import read_campaign
-from sysid.errors import CampaignError, LogError
+from sysid.errors import CampaignError, LogError, SysidWarning
 from sysid.motor.model import PARAMETERS
 from sysid.pipelines.motor_bench import prepare_bench
 from sysid.pipelines.motor_inertia import spike_inertia
+from sysid.trials.thrust import CommandSteps, standing_command
 
 pytestmark = pytest.mark.filterwarnings("ignore:no Kv in the campaign", "ignore:no thrust")
 
@@ -119,3 +120,21 @@ def test_log_without_torque_is_told_where_the_curves_come_from(tmp_path: Path) -
     )
     with pytest.raises(LogError, match=words):
         _bench(path)
+
+
+def test_rotor_that_stands_under_a_command_is_told(tmp_path: Path) -> None:
+    # Pulses of 1000 to 2000 µs read as numbers of 0 to 2047: rest is u = 0.49.
+    pulses = 'unit = "us"\nminimum = 0\nmaximum = 2047'
+    words = r"the rotor stands under command 1000 \(u = 0\.49\); correct command\.unit or command\.neutral"
+    with pytest.warns(SysidWarning, match=words):
+        _bench(_write(tmp_path, command=pulses))
+
+
+def test_rotor_that_waits_and_then_turns_is_not_standing() -> None:
+    time = np.arange(0.0, 4.0, 0.01)
+    steps = CommandSteps(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.5, 0.05]))
+    turns = np.where((time >= 1.4) & (time < 2.0), 300.0, 0.0)
+    # It waits for 0.4 s, and stands under 0.05, which many controllers do not follow.
+    assert standing_command(time, turns, steps, (0.0, 4.0)) is None
+    assert standing_command(time, np.where(time < 1.6, 0.0, turns), steps, (0.0, 4.0)) == 0.5
+    assert standing_command(time, np.where(time < 1.6, 0.0, turns), steps, (1.4, 4.0)) is None
