@@ -209,7 +209,7 @@ def _warn_of_standing(
         logged = float(command.values[np.flatnonzero(u == level)[0]])
         warnings.warn(
             f"{where}: the rotor stands under command {logged:g} (u = {level:.2g}); correct command.unit or "
-            "command.neutral",
+            "command.neutral, or shorten the window where the controller did not start",
             SysidWarning,
             stacklevel=3,
         )

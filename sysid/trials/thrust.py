@@ -33,8 +33,10 @@ _RINGING = 0.5
 _DSHOT_STOP, _DSHOT_HALF, _DSHOT_LAST = 47, 1000, 2047
 # u below this is no command [1]; beyond this it commands a direction.
 AT_REST = 1e-9
-# A rotor that stands this long [s] under a command beyond this [1] got another one than the log says.
+# A rotor that stands this long [s] under a command beyond this [1] may have got another one than logged.
 _STANDING, _DRIVEN = 0.5, 0.1
+# A rotor stands below the first share of its top speed [1] and turns above the second.
+_STANDS, _TURNS = 0.02, 0.1
 _COMMANDED = 0.02
 
 
@@ -303,28 +305,36 @@ def check_command_direction(u: FloatArray, direction: Direction, where: str) -> 
 def standing_command(
     time: FloatArray, speed: FloatArray, steps: CommandSteps, window: tuple[float, float]
 ) -> float | None:
-    """Return the first u under which a rotor stands for over 0.5 s although u is beyond 0.1; None: it turns.
+    """Return the u under which a rotor stands that a wrong unit or neutral explains; None: there is none.
+
+    It stands throughout a hold of over 0.5 s, and either turns under a smaller |u| elsewhere, or the log
+    never commands less. A late start, one above some throttle and a stand's safety cut are neither.
 
     Parameters
     ----------
     time, speed : (n,) arrays
-        Known samples of the speed [s], [rad/s]; zero where the probe sees nothing pass.
+        Known samples of the speed [s], [rad/s].
     steps : CommandSteps
     window : (start, end)
         Part of the log that counts [s].
     """
-    ends = np.append(steps.time[1:], np.inf)
-    for start, end, level in zip(steps.time, ends, steps.level, strict=True):
-        inside = (time >= max(start, window[0])) & (time < min(end, window[1]))
-        if abs(level) <= _DRIVEN or np.count_nonzero(inside) < 2:
-            continue
-        own, zero = time[inside], speed[inside] == 0
-        turning = np.flatnonzero(~zero)
-        # The longest run of zeros between samples that turn.
-        edges = np.concatenate([[-1], turning, [own.size]])
-        for a, b in zip(edges[:-1] + 1, edges[1:] - 1, strict=True):
-            if b > a and own[b] - own[a] > _STANDING:
-                return float(level)
+    if not speed.size or not (top := float(np.abs(speed).max())) > 0.0:
+        return None
+    starts = np.maximum(steps.time, window[0])
+    ends = np.minimum(np.append(steps.time[1:], np.inf), window[1])
+    held, stands, turns = [], [], []
+    for start, end, level in zip(starts, ends, steps.level, strict=True):
+        inside = (time >= start) & (time < end)
+        if np.count_nonzero(inside) >= 2 and time[inside][-1] - time[inside][0] > _STANDING:
+            share = np.abs(speed[inside]) / top
+            held.append(float(level))
+            stands.append(bool(share.max() < _STANDS))
+            turns.append(bool(np.median(share) > _TURNS))
+    least = min(map(abs, held), default=0.0)
+    least_turning = min((abs(u) for u, runs in zip(held, turns, strict=True) if runs), default=np.inf)
+    for level, still in zip(held, stands, strict=True):
+        if still and abs(level) > _DRIVEN and (abs(level) > least_turning or abs(level) <= least):
+            return level
     return None
 
 

@@ -130,11 +130,29 @@ def test_rotor_that_stands_under_a_command_is_told(tmp_path: Path) -> None:
         _bench(_write(tmp_path, command=pulses))
 
 
-def test_rotor_that_waits_and_then_turns_is_not_standing() -> None:
+def _made(*holds: tuple[float, float]) -> float | None:
+    """What is said of holds of 1 s, each (u, speed [rad/s])."""
+    time = np.arange(0.0, len(holds), 0.01)
+    speed = np.repeat([own for _, own in holds], 100).astype(float)
+    steps = CommandSteps(np.arange(float(len(holds))), np.array([u for u, _ in holds]))
+    return standing_command(time, speed, steps, (0.0, float(len(holds))))
+
+
+def test_only_a_wrong_unit_or_neutral_explains_a_standing_rotor() -> None:
+    # A neutral that is off: it stands under more than it turns under. 0.2 rad/s is noise.
+    assert _made((-1.0, 0.2), (0.0, 300.0), (0.5, 600.0)) == -1.0
+    # A unit that is off: it stands, and the log never commands less.
+    assert _made((0.49, 0.0), (0.6, 300.0)) == 0.49
+    # A throttle that begins above 12 %, idling, a stair in steps of 5 %.
+    assert _made((0.0, 0.0), (0.12, 0.0), (0.5, 300.0)) is None
+    assert _made((0.0, 0.0), (0.05, 0.0), (0.10, 0.0), (0.15, 0.0), (0.2, 200.0)) is None
+    assert _made((0.0, 0.0), (0.0, 0.0)) is None
+
+
+def test_a_late_start_and_a_cut_are_not_standing() -> None:
     time = np.arange(0.0, 4.0, 0.01)
-    steps = CommandSteps(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.5, 0.05]))
-    turns = np.where((time >= 1.4) & (time < 2.0), 300.0, 0.0)
-    # It waits for 0.4 s, and stands under 0.05, which many controllers do not follow.
-    assert standing_command(time, turns, steps, (0.0, 4.0)) is None
-    assert standing_command(time, np.where(time < 1.6, 0.0, turns), steps, (0.0, 4.0)) == 0.5
-    assert standing_command(time, np.where(time < 1.6, 0.0, turns), steps, (1.4, 4.0)) is None
+    steps = CommandSteps(np.array([0.0, 1.0, 3.0]), np.array([0.0, 0.5, 0.6]))
+    late = np.where(time > 1.7, 300.0, 0.0)
+    assert standing_command(time, late, steps, (0.0, 4.0)) is None
+    cut = np.where((time > 1.1) & (time < 1.5), 300.0, 0.0)
+    assert standing_command(time, cut, steps, (0.0, 4.0)) is None
