@@ -233,7 +233,7 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
         notes.append(f"rows every {1e3 / rate:.1f} ms: timed between its own real samples, unfiltered")
     stalls = find_stalls(time, steps)
     doubtful = tuple(s.doubtful for s in stalls if s.doubtful is not None)
-    _check_sense(steps, forces, where)
+    _check_sense(steps, forces, options.thrust_sign < 0, where)
     everything = find_reversals(time, steps, forces, turns, sense=options.sense)
     found = find_reversals(time, steps, forces, turns, skip=doubtful, sense=options.sense)
     if not found:
@@ -282,7 +282,9 @@ def _known(signal: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArra
     return signal[0][keep], signal[1][keep]
 
 
-def _check_sense(steps: CommandSteps, forces: tuple[FloatArray, FloatArray], where: str) -> None:
+def _check_sense(
+    steps: CommandSteps, forces: tuple[FloatArray, FloatArray], turned: bool, where: str
+) -> None:
     """Refuse a log whose thrust opposes its commands, or never reverses."""
     ends = np.append(steps.time[1:], np.inf)
     means: dict[bool, list[float]] = {True: [], False: []}
@@ -295,8 +297,8 @@ def _check_sense(steps: CommandSteps, forces: tuple[FloatArray, FloatArray], whe
     ahead, back = float(np.median(means[True])), float(np.median(means[False]))
     if ahead < 0 < back:
         raise LogError(
-            f"{where}: thrust is {ahead:.3g} N under forward and {back:.3g} N under reverse commands; turn "
-            "it with --thrust-sign -1"
+            f"{where}: thrust is {ahead:.3g} N under forward and {back:.3g} N under reverse commands; "
+            + ("leave out --thrust-sign -1" if turned else "turn it with --thrust-sign -1")
         )
     if ahead * back > 0:
         raise LogError(
@@ -377,7 +379,8 @@ def _table(found: Sequence[LogReversals], slow: float) -> Table:
                 _milliseconds(group, "to_level"),
                 _milliseconds(group, "zero_crossing") + mark,
                 _milliseconds(group, "dead_band") + mark,
-                f"{100 * group.outliers(slow) / count:.0f} %",
+                # One alone is its own quickest.
+                f"{100 * group.outliers(slow) / count:.0f} %" if count > 1 else "–",
             )
     return table
 

@@ -169,8 +169,9 @@ def find_reversals(
         reached = _first(t, sign * values, level * final) if final > 0 else float("nan")
         t, values = _part(signal, start, start + hold)
         band = dead_band * scale
-        zero = _first(t, sign * values, 0.0)
-        entered, left = _first(t, sign * values, -band), _first(t, sign * values, band)
+        entered, zero, left = (
+            _passed(t, sign * values, threshold, 0.5 * scale) for threshold in (-band, 0.0, band)
+        )
         out.append(
             Reversal(start, before, after, hold, zero - start, left - entered, reached - start, sign * final)
         )
@@ -221,6 +222,25 @@ def _first(time: FloatArray, values: FloatArray, threshold: float) -> float:
         return float(time[0])
     share = (threshold - values[i - 1]) / (values[i] - values[i - 1])
     return float(time[i - 1] + share * (time[i] - time[i - 1]))
+
+
+def _passed(time: FloatArray, values: FloatArray, threshold: float, beyond: float) -> float:
+    """Return when rising `values` pass `threshold` on their way to `beyond`; NaN when they never do.
+
+    It is as long after the first sample as they lie below the threshold: noise, which makes a slow signal
+    cross it many times, lengthens that as often as it shortens it.
+    """
+    if not np.isfinite(threshold) or values.size == 0 or not np.any(values >= threshold):
+        return float("nan")
+    on_the_way = np.flatnonzero(values >= beyond)
+    last = int(on_the_way[0]) + 1 if np.isfinite(beyond) and on_the_way.size else values.size
+    above = values[:last] - threshold
+    step, rise = np.diff(time[:last]), np.diff(above)
+    crossed = (above[:-1] < 0) != (above[1:] < 0)
+    share = np.where(above[:-1] < 0, 1.0, 0.0)
+    below = np.where(above[:-1] < 0, -above[:-1], -above[1:])
+    share[crossed] = below[crossed] / np.abs(rise[crossed])
+    return float(time[0] + np.sum(share * step))
 
 
 @dataclass(frozen=True)

@@ -178,6 +178,18 @@ def test_dead_band_of_a_simulated_motor():
     assert 0.035 < one.to_level - ideal.to_level < 0.06
 
 
+def test_noise_leaves_the_dead_band_as_long_as_it_is():
+    time = np.arange(0.0, 1.5, 1e-3)
+    found = simulate({}, [0.0, 0.5], [0.62, -1.0], time, initial="steady")
+    steps = CommandSteps(np.array([0.0, 0.5]), np.array([0.62, -1.0]))
+    (quiet,) = find_reversals(time, steps, (time, found.thrust))
+    # 3 % of the final thrust: a first crossing of either edge comes by noise alone.
+    noise = 0.03 * abs(quiet.final_thrust) * np.random.default_rng(3).standard_normal(time.size)
+    (noisy,) = find_reversals(time, steps, (time, found.thrust + noise))
+    assert noisy.dead_band == pytest.approx(quiet.dead_band, abs=0.02)
+    assert noisy.to_level == pytest.approx(quiet.to_level, abs=0.02)
+
+
 def test_thrust_alone_serves():
     time = np.arange(0.0, 1.5, 1e-3)
     found = simulate({}, [0.0, 0.5], [0.62, -1.0], time, initial="steady")
@@ -263,7 +275,7 @@ def test_command_line_compares_logs(run, tmp_path):
     ("arguments", "words"),
     [
         (["forward-1.csv"], "no reversal that can be timed: commands run from u = 0 to 0.95"),
-        (["reversal-1.h5", "--thrust-sign", "-1"], "turn it with --thrust-sign -1"),
+        (["reversal-1.h5", "--thrust-sign", "-1"], "leave out --thrust-sign -1"),
         (["reversal-1.h5", "--neutral", "900"], "minimum 1000, neutral 900, maximum 2000 us are not in"),
         (["reversal-1.h5", "--maximum", "1600"], "outside 1000 to 1600 us"),
         (["reversal-1.h5", "--thrust-sign", "5"], "--thrust-sign 5: it turns thrust and does not scale it"),
