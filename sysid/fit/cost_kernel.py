@@ -51,7 +51,7 @@ def prepare_trial(
                 out[i, c] = filtered[i + reach]
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
 def score_population(
     samples, reached, offsets, window, half, reach, taps, rate, left, right, share, column, is_rate,
     measured, valid, denominators, weights, by_channel, failed,

@@ -426,7 +426,7 @@ def integrate(
     return status, (t - begin) / span, tried
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
 def integrate_population(
     rows, delays, command_time, command, command_first, supply_time, supply_ratio, supply_first,
     samples, edges, first, starts, initial, tolerance, ideal, out, status, reached,

@@ -121,7 +121,7 @@ def _advance(speed, target, duration, rise, fall, step, rise_kept, fall_kept):
     return target + (speed - target) * kept
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
 def _population(
     rows, delays, command_time, command, command_first, supply_time, supply_ratio, supply_first, time, first,
     out,

@@ -223,7 +223,7 @@ def _compared(part, sensors, taps, time, start, step, out):
             out[i, c] = signal[m] + share * (signal[m + 1] - signal[m])
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
 def _score(
     samples, reached, sensors, rows, grid, tap_first, taps, time, measured, valid, start, step, denominators,
     weights, by_channel, failed,

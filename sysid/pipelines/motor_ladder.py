@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.campaign import MotorCampaign
+from sysid.executor import LocalThreads
 from sysid.fit.algorithms import Breeder, Start, breeder
-from sysid.fit.engine import SearchSettings, run_one
+from sysid.fit.engine import SearchSettings, run_many
 from sysid.fit.history import RunHistory
-from sysid.fit.objective import Evaluation, Objective
+from sysid.fit.objective import Evaluation, Objective, SpreadObjective
 from sysid.motor import lag
 from sysid.motor.population import MotorTrials
 from sysid.parameters import ParameterTable, SearchSpace
@@ -137,13 +138,13 @@ def _scorable(whole: MotorTarget, part: MotorTarget, channel: int) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Near:
-    """Breeds a rung's search around a point of the unit cube."""
+    """Breeds a rung's searches around a point of the unit cube, each with the spread of its seed."""
 
     mean: FloatArray
-    spread: float
+    spread: Mapping[int, float]
 
     def __call__(self, name: str, n_free: int, population: int, seed: int, start: Start | None) -> Breeder:
-        own = Start(self.mean, np.full(n_free, self.spread)) if start is None else start
+        own = Start(self.mean, np.full(n_free, self.spread[seed])) if start is None else start
         return breeder(name, n_free, population, seed, own)
 
 
@@ -246,10 +247,9 @@ def climb(
     def found(objective: Objective) -> tuple[FloatArray, dict[str, float], int]:
         own = objective.space
         begin = own.encode(np.array([best.get(row.name, row.nominal) for row in own.free])).clip(0.0, 1.0)
-        runs = [
-            run_one(objective, budget, number, breeds=_Near(begin, spread))
-            for number, spread in enumerate(_SPREADS)
-        ]
+        near = _Near(begin, dict(zip(budget.run_seeds(), _SPREADS, strict=True)))
+        with LocalThreads() as where:
+            runs = run_many(SpreadObjective(objective, where), budget, at_once=where.at_once, breeds=near)
         run: RunHistory = min(runs, key=lambda one: float(one.best[-1]))
         values = own.decode(run.best_point)
         row = averaged(own, own.full(run.best_point))
