@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from sysid.campaign.motor import StaticLog
 from sysid.errors import FitError, LogError, SysidWarning
 from sysid.motor.static_curves import OUTLIER, CurveFit, fit_no_load_line, fit_speed_curve, soft_weights
 from sysid.pipelines.bench_logs import STATED_SIGNS, BenchLog, bench_log, command_range, log_points
-from sysid.pipelines.bench_reading import read_log
+from sysid.pipelines.bench_reading import log_hashes, read_log
 from sysid.trials.signs import sign_against_speed
 from sysid.trials.steady import SETTLE, SteadyPoints
 from sysid.trials.thrust import signed_speed, tare
@@ -29,15 +29,59 @@ Direction = Literal["forward", "reverse"]
 DIRECTIONS: tuple[Direction, Direction] = ("forward", "reverse")
 
 
-def static_log_points(campaign: MotorCampaign, path: str | Path, static: StaticLog) -> SteadyPoints:
-    """Return the points of a log under `[curves]`: rows of averaged points, or steady stretches of steps.
+@dataclass(frozen=True, eq=False)
+class CurveLog:
+    """A log under `[curves]` after it was read.
+
+    Parameters
+    ----------
+    entry : StaticLog
+        Of the campaign.
+    table : {"static", "no_load"}
+        Where it stands there.
+    points : SteadyPoints
+        Rows of averaged points, or steady stretches of steps.
+    provenance : dict
+        Its file, hash, format and what was noticed.
+    """
+
+    entry: StaticLog
+    table: Literal["static", "no_load"]
+    points: SteadyPoints
+    provenance: dict[str, Any]
+
+    @property
+    def name(self) -> str:
+        """How a result calls it; no trial is called so."""
+        return f"{self.entry.log} (curves.{self.table}, {self.entry.direction})"
+
+    @property
+    def hashes(self) -> str:
+        """SHA-256 of its file, and of the second one where there is one."""
+        return log_hashes(self.provenance)
+
+
+def read_curve_logs(campaign: MotorCampaign, path: str | Path) -> tuple[CurveLog, ...]:
+    """Read every log that the campaign names under `[curves]`.
 
     Raises
     ------
-    LogError
-        When the log holds no steady point.
+    SysidError
+        For the first one that cannot be read, or holds no steady point.
     """
-    recording, direction = read_log(campaign, path, static).recording, static.direction
+    curves = campaign.curves
+    return (
+        *(_curve_log(campaign, path, entry, "static") for entry in curves.static),
+        *(_curve_log(campaign, path, entry, "no_load") for entry in curves.no_load),
+    )
+
+
+def _curve_log(
+    campaign: MotorCampaign, path: str | Path, static: StaticLog, table: Literal["static", "no_load"]
+) -> CurveLog:
+    """Return a log with its points: rows of averaged points, or steady stretches of steps."""
+    file, direction = read_log(campaign, path, static), static.direction
+    recording = file.recording
     if recording.kind != "static-map":
         entry = TrialEntry(
             name=Path(static.log).name, log=static.log, direction=direction,
@@ -72,7 +116,18 @@ def static_log_points(campaign: MotorCampaign, path: str | Path, static: StaticL
             f"{recording.provenance.path}: no steady segment; hold each command for over {SETTLE:g} s, "
             "or ramp from rest to full in 20 s or more"
         )
-    return points
+    said = recording.provenance
+    provenance = {
+        "log": Path(said.path).name,
+        "sha256": said.sha256,
+        "format": said.format,
+        "device": said.device,
+        "direction": direction,
+        "steady points": len(points),
+        **({} if file.second is None else {"second log": file.second}),
+        "notes": list(said.notes),
+    }
+    return CurveLog(static, table, points, provenance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,12 +220,15 @@ class StaticCurves:
         V_ref [V].
     loaded : dict of direction to SteadyPoints
         What thrust, torque and loaded speed were read from.
+    logs : tuple of CurveLog
+        Those that the campaign names under `[curves]`.
     """
 
     fits: tuple[CurveFit, ...]
     ties: dict[Direction, NoLoadTie]
     reference_voltage: float
     loaded: dict[str, SteadyPoints]
+    logs: tuple[CurveLog, ...] = ()
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -179,7 +237,10 @@ class StaticCurves:
 
 
 def static_curves(
-    campaign: MotorCampaign, path: str | Path, logs: Sequence[BenchLog], reference_voltage: float
+    campaign: MotorCampaign,
+    curve_logs: Sequence[CurveLog],
+    logs: Sequence[BenchLog],
+    reference_voltage: float,
 ) -> StaticCurves:
     """Fit the curves of every direction that the campaign's trials turn.
 
@@ -193,16 +254,16 @@ def static_curves(
     ties: dict[Direction, NoLoadTie] = {}
     loaded: dict[str, SteadyPoints] = {}
     for direction in wanted:
-        parts = [
-            static_log_points(campaign, path, s) for s in campaign.curves.static if s.direction == direction
-        ]
-        points = SteadyPoints.join(parts) if parts else own
+        named, bare = (
+            [log for log in curve_logs if log.table == table and log.entry.direction == direction]
+            for table in ("static", "no_load")
+        )
+        points = SteadyPoints.join([log.points for log in named]) if named else own
         if points is None:
             raise FitError(
                 f"no log with steady points in the {direction} direction; name one in curves.static"
             )
-        names = [s.log for s in campaign.curves.static if s.direction == direction]
-        source = ", ".join(names or [f"{log.where}" for log in logs])
+        source = ", ".join([log.entry.log for log in named] or [f"{log.where}" for log in logs])
         turns = (points.speed > 0) if direction == "forward" else (points.speed < 0)
         if not turns.any():
             raise LogError(
@@ -224,18 +285,15 @@ def static_curves(
                 SysidWarning,
                 stacklevel=2,
             )
-        bare = [
-            static_log_points(campaign, path, s) for s in campaign.curves.no_load if s.direction == direction
-        ]
         if bare:
-            free = SteadyPoints.join(bare)
+            free = SteadyPoints.join([log.points for log in bare])
             ratio = np.where(np.isfinite(free.voltage), free.voltage / reference_voltage, 1.0)
-            with _of_logs(", ".join(s.log for s in campaign.curves.no_load if s.direction == direction)):
+            with _of_logs(", ".join(log.entry.log for log in bare)):
                 fits.append(fit_no_load_line(direction, free.u, free.speed, supply_ratio=ratio))
         else:
             with _of_logs(source):
                 ties[direction] = _tie(direction, points, torque, reference_voltage)
-    return StaticCurves(tuple(fits), ties, reference_voltage, loaded)
+    return StaticCurves(tuple(fits), ties, reference_voltage, loaded, tuple(curve_logs))
 
 
 @contextmanager

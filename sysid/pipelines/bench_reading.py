@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -85,6 +86,12 @@ def read_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial | Stat
             "notes": list(said.notes),
         }
     return BenchFile(on_one_clock(recording, _NEEDED, _CLOCK_OF), second)
+
+
+def log_hashes(provenance: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a log as its provenance states it, and of its second file where it has one."""
+    second = provenance.get("second log", {})
+    return " ".join(str(one["sha256"]) for one in (provenance, second) if one)
 
 
 def check_options(campaign: MotorCampaign, path: str | Path) -> None:

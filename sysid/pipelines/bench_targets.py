@@ -17,6 +17,7 @@ from sysid.filters import ChebyshevLowpass, Spectrum, amplitude_spectrum
 from sysid.motor.parameters import PARAMETERS
 from sysid.motor.population import MotorTrial
 from sysid.pipelines.bench_logs import BenchLog
+from sysid.pipelines.bench_reading import log_hashes
 from sysid.pipelines.motor_cost import MotorTarget
 from sysid.trials.start import find_starts
 from sysid.trials.steady import SETTLE
@@ -69,8 +70,7 @@ class PreparedTrial:
     @property
     def hashes(self) -> str:
         """SHA-256 of its log, and of the second one where there is one."""
-        second = self.provenance.get("second log", {})
-        return " ".join(str(one["sha256"]) for one in (self.provenance, second) if one)
+        return log_hashes(self.provenance)
 
     @property
     def started(self) -> NDArray[np.bool_]:

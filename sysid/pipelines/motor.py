@@ -81,8 +81,7 @@ def fit_motor(
         objective = MotorObjective.build(campaign, space, bench, bench.fitted, threads, dynamic=True)
         say_what_is_fitted(campaign, bench, space, walk.tell)
         expected = _expected(objective, bench, walk.tell) if walk.options.check else {}
-        hashes = {trial.entry.name: trial.hashes for trial in bench.trials}
-        found = walk.search(objective, hashes, "trials")
+        found = walk.search(objective, bench.hashes, "trials")
         sets = ranked_sets(found.runs, space)
         after = after_the_search(campaign, bench, objective, sets, found, walk.settings, walk.tell)
     sets = after.sets
@@ -116,7 +115,7 @@ def fit_motor(
         channels=list(zip(CHANNELS, CHANNEL_UNITS, (weights.torque, weights.speed), strict=True)),
         settings={**_settings(campaign, bench), **after.settings},
         filters=filter_design(campaign, [trial.log for trial in bench.trials]),
-        logs={trial.entry.name: trial.provenance for trial in bench.trials},
+        logs=bench.log_provenance,
         warnings=unresolved_inductance(bench, rows[0]),
         told=after.warnings,
         more=expected,

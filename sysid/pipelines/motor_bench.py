@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from sysid.campaign import MotorCampaign
 from sysid.errors import CampaignError, SysidWarning
 from sysid.motor.model import FREE_DEFAULT, PARAMETERS
 from sysid.parameters import SearchSpace
-from sysid.pipelines.bench_curves import StaticCurves, static_curves, static_log_points
+from sysid.pipelines.bench_curves import CurveLog, StaticCurves, read_curve_logs, static_curves
 from sysid.pipelines.bench_logs import BenchLog, TorquePerCurrent, bench_log, torque_per_current
 from sysid.pipelines.bench_reading import check_options
 from sysid.pipelines.bench_targets import PreparedTrial, prepare_trial
@@ -60,6 +61,20 @@ class Bench:
     scale_known: bool
 
     @property
+    def hashes(self) -> dict[str, str]:
+        """SHA-256 of every log, those under `[curves]` included, by name."""
+        return {trial.entry.name: trial.hashes for trial in self.trials} | {
+            log.name: log.hashes for log in self.curves.logs
+        }
+
+    @property
+    def log_provenance(self) -> dict[str, dict[str, Any]]:
+        """What a result states of every log, those under `[curves]` included, by name."""
+        return {trial.entry.name: trial.provenance for trial in self.trials} | {
+            log.name: log.provenance for log in self.curves.logs
+        }
+
+    @property
     def fitted(self) -> tuple[PreparedTrial, ...]:
         """Trials of the dynamic fit: use "fit", and no reversal."""
         return tuple(t for t in self.trials if in_search(t))
@@ -96,8 +111,9 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
             "no forward or reverse trial has use = 'fit'; reversals alone cannot serve, because the dead "
             "band would hide in R and L"
         )
-    reference, voltage_source = _reference_voltage(campaign, path, fitted)
-    curves = static_curves(campaign, path, fitted, reference)
+    curve_logs = read_curve_logs(campaign, path)
+    reference, voltage_source = _reference_voltage(campaign, curve_logs, fitted)
+    curves = static_curves(campaign, curve_logs, fitted, reference)
     if campaign.motor.kv is not None:
         _check_kv(campaign.motor.kv, reference, curves)
     current = torque_per_current(fitted) if campaign.log.current == "motor" else None
@@ -144,7 +160,7 @@ def _check_kv(kv: float, reference: float, curves: StaticCurves) -> None:
 
 
 def _reference_voltage(
-    campaign: MotorCampaign, path: str | Path, fitted: list[BenchLog]
+    campaign: MotorCampaign, curve_logs: Sequence[CurveLog], fitted: list[BenchLog]
 ) -> tuple[float, str]:
     """Return V_ref [V] and its source: the campaign, the fitted logs, those of the curves, a guess."""
     if campaign.motor.reference_voltage is not None:
@@ -153,8 +169,7 @@ def _reference_voltage(
     if logged:
         return float(np.median(np.concatenate(logged))), "median supply voltage of the fitted logs"
     # Their speeds are divided by their own volts: another reference would tilt the no-load line.
-    curves = (*campaign.curves.no_load, *campaign.curves.static)
-    volts = np.concatenate([np.zeros(0), *(static_log_points(campaign, path, s).voltage for s in curves)])
+    volts = np.concatenate([np.zeros(0), *(log.points.voltage for log in curve_logs)])
     volts = volts[np.isfinite(volts) & (volts > 0)]
     if volts.size:
         source = "median supply voltage of the logs under [curves]: the fitted logs hold none"

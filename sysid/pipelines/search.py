@@ -222,7 +222,7 @@ def search(
     # What no hash of a log or a table covers (a static log, a kernel) shows in the costs of some candidates.
     points = np.random.default_rng(0).random((_PROBES, len(objective.space.free)))
     costs = [float(cost).hex() for cost in objective.evaluate(points).cost]
-    identity = {**identity, PROBES: costs, PROCESSOR: _processor()}
+    identity = {**identity, PROBES: costs, PROCESSOR: processor()}
     checkpoint = Checkpoint(folder, identity, resume=options.resume, force=options.force)
     try:
         for note in checkpoint.notes:
@@ -368,7 +368,7 @@ def provenance(
         "python": platform.python_version(),
         "libraries": {name: _version(name) for name in _LIBRARIES},
         "system": f"{platform.system()} {platform.machine()}",
-        "processor": _processor(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
         "campaign": {
@@ -406,7 +406,7 @@ def _seen_from(folder: Path, path: Path) -> str:
         return path.resolve().as_posix()
 
 
-def _processor() -> str:
+def processor() -> str:
     """Return the processor's model: equal bits are promised on equal processors only."""
     try:
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():

@@ -16,6 +16,8 @@ Run ``python tests/benchmarks/engine.py PART [--problem lf|hf|motor] [--seeds 5]
     A simulated cluster of 64 workers for five runs of population 800: measured time of a candidate, measured
     time of breeding, 1 ms of scheduler per chunk; no real machines. ``--shared-breeding`` lets all runs breed
     in one process, which `sysid.fit.apart` avoids.
+``table``
+    ``--from A.json B.json`` (what ``--json`` has written) as the tables of ``tests/benchmarks/engine.md``.
 
 The problems are synthetic campaigns of seed 1 (six drops with 0.3 mm and 0.2° of noise) and the sample
 motor logs.
@@ -26,8 +28,12 @@ import contextlib
 import heapq
 import json
 import os
+import platform
+import sys
 import tempfile
 import time
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -39,12 +45,28 @@ from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.engine import Hooks, SearchSettings, run_many, run_one
 from sysid.fit.objective import SpreadObjective, causes_of
 from sysid.fit.stopping import StopRule
+from sysid.pipelines.search import processor
 from sysid.synthetic import read_truth, synthesize_gear
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
 # Algorithm and population: the paper's 400 (200 for a motor), a quarter of it, CMA-ES of 64 as in a
 # feasibility study.
 DEFAULT = "ga:400,ga:100,matlab-ga:400,matlab-ga:100,cmaes:64,de:100,pso:100"
+PROBLEMS = {
+    "lf": "Six synthetic drops on the low-friction board.",
+    "hf": "Six synthetic drops on the high-friction board.",
+    "motor": "The sample motor logs.",
+}
+NUMBERS = {
+    "overhead": "One run of the default search on one thread: what is spent outside its simulations.",
+    "workers": "Two cores against one.",
+}
+TITLE = """# The search engine, measured
+
+Rendered by `tests/benchmarks/engine.py table`, which says what the parts are; not written by hand. Medians
+over the seeds; processor time is that of all threads. "alone" is the first stage by itself (for `matlab-ga`
+the paper's way); "with finisher" counts the candidates of both stages.
+"""
 
 
 def gear(folder, surface, threads=None):
@@ -78,64 +100,122 @@ def problem(name, folder, threads=None):
 
 
 def algorithms(arguments, folder):
-    """Return a row per algorithm: how soon and how often it comes within 1.01 × the best known."""
+    """Return every run of every algorithm, generation by generation; `rows` makes the table of it."""
     objective, truth = problem(arguments.problem, folder)
-    found = {}
-    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    runs = []
     for name in arguments.algorithms:
         algorithm, _, population = name.partition(":")
-        for seed in seeds:
+        for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
             settings = SearchSettings(int(population or 100), 1, seed, StopRule(), algorithm)
-            clock, spent, lowest = time.process_time(), [], [np.inf]
+            clock, spent = time.process_time(), []
 
-            def mark(run, generation, clock=clock, spent=spent, lowest=lowest):
+            def mark(run, generation, clock=clock, spent=spent):
                 spent.append((generation.evaluations, time.process_time() - clock))
-                lowest[0] = generation.best
 
-            def enough(lowest=lowest):
-                return arguments.best is not None and lowest[0] <= 1.01 * arguments.best
-
-            run = run_one(objective, settings, hooks=Hooks(on_generation=mark, should_stop=enough))
-            found[name, seed] = run, np.array(spent)
+            run = run_one(objective, settings, hooks=Hooks(on_generation=mark))
+            runs.append(
+                {
+                    "algorithm": name,
+                    "seed": seed,
+                    "generations": [len(stage.cost) for stage in run.stages],
+                    # Of the end of every generation: candidates, processor time [s], best NRMSE.
+                    "curve": [
+                        [count, round(spent_s, 4), float(best)]
+                        for (count, spent_s), best in zip(spent, run.best, strict=True)
+                    ],
+                }
+            )
             print(
                 f"{name} seed {seed}: "
                 + ", ".join(f"{s.algorithm} {s.evaluations} -> {s.cost.min():.6f}" for s in run.stages),
                 flush=True,
             )
-    best = arguments.best or min(float(run.best[-1]) for run, _ in found.values())
-    rows = []
-    for name in arguments.algorithms:
-        runs = [found[name, seed] for seed in seeds]
-        ways = ["alone"] if len(runs[0][0].stages) == 1 else ["alone", "with finisher"]
-        for way in ways:
-            reached, ends, total = [], [], []
-            for run, spent in runs:
-                count = len(run.stages[0].cost) if way == "alone" else len(run.best)
-                curve = run.best[:count]
-                ends.append(float(curve[-1]) / (truth or best))
-                total.append(int(spent[count - 1, 0]))
-                hits = np.flatnonzero(curve <= 1.01 * best)
-                if len(hits):
-                    reached.append(spent[hits[0]])
-            rows.append(
-                {
-                    "algorithm": f"{name} {way}",
-                    "reached": f"{len(reached)}/{len(runs)}",
-                    "candidates to 1.01": float(np.median([r[0] for r in reached])) if reached else None,
-                    "processor time to 1.01 [s]": float(np.median([r[1] for r in reached]))
-                    if reached
-                    else None,
-                    "candidates in all": float(np.median(total)),
-                    # Of the truth's NRMSE where there is a truth.
-                    "ends at x": [round(end, 4) for end in sorted(ends)],
-                }
+    out = {"problem": arguments.problem, "truth": truth, "runs": runs}
+    print("\n".join(["", *algorithm_lines([out])]))
+    return out
+
+
+def algorithm_lines(documents):
+    """Return the table of one problem: how soon and how often each comes within 1.01 x the best known."""
+    name, truth = documents[0]["problem"], documents[0]["truth"]
+    runs = [run for document in documents for run in document["runs"]]
+    best = min(run["curve"][-1][2] for run in runs)
+    against = f", {best / truth:.4f} × the truth's" if truth else ""
+    lines = [
+        f"**{PROBLEMS[name]}** Lowest NRMSE known: {100 * best:.4f} %{against}.",
+        "",
+        "| algorithm:population | | reached | candidates to 1.01 | processor time to 1.01 [s] | candidates "
+        "in all | ends at × the lowest, seed by seed |",
+        "|---|---|---:|---:|---:|---:|---|",
+    ]
+    for algorithm in dict.fromkeys(run["algorithm"] for run in runs):
+        own = sorted((run for run in runs if run["algorithm"] == algorithm), key=lambda run: run["seed"])
+        finished = len(own[0]["generations"]) > 1
+        for way in ("alone", "with finisher") if finished else ("alone",):
+            curves = [
+                np.array(run["curve"][: run["generations"][0] if way == "alone" else None]) for run in own
+            ]
+            hits = [curve[curve[:, 2] <= 1.01 * best] for curve in curves]
+            first = np.array([hit[0] for hit in hits if len(hit)])
+            count, spent = np.median(first[:, :2], axis=0) if len(first) else (np.nan, np.nan)
+            total = np.median([curve[-1, 0] for curve in curves])
+            ends = ", ".join(f"{curve[-1, 2] / best:.3f}" for curve in curves)
+            cells = (
+                algorithm,
+                way,
+                f"{len(first)}/{len(own)}",
+                f"{count:.0f}",
+                f"{spent:.2g}",
+                f"{total:.0f}",
+                ends,
             )
-    print(
-        f"\n{arguments.problem}: best known {best:.6f}" + (f", {best / truth:.4f} x truth's" if truth else "")
+            lines.append(f"| {' | '.join(cells).replace('nan', '–')} |")
+    return lines
+
+
+def table(arguments, folder):
+    """Write the tables of what was measured (`--from`) into a file of the project (`--write`)."""
+    documents = [json.loads(path.read_text(encoding="utf-8")) for path in arguments.sources]
+    lines = [TITLE]
+    for name in PROBLEMS:
+        own = [d for d in documents if d["part"] == "algorithms" and d["problem"] == name]
+        if own:
+            lines += [*algorithm_lines(own), ""]
+    for part, words in NUMBERS.items():
+        own = [d for d in documents if d["part"] == part]
+        if own:
+            lines += [f"{words} (`{part}`)", ""]
+            names = [key for key in own[0] if key not in ("part", "problem", "measured")]
+            lines += ["| | " + " | ".join(d["problem"] for d in own) + " |", "|---|" + "---:|" * len(own)]
+            lines += [f"| {name} | " + " | ".join(f"{d[name]:.3g}" for d in own) + " |" for name in names]
+            lines.append("")
+    lines += ["Measured:", ""]
+    lines += list(dict.fromkeys(f"- {_when(document)}" for document in documents))
+    arguments.write.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    print(f"wrote {arguments.write}")
+
+
+def _when(document):
+    measured = document["measured"]
+    versions = ", ".join(f"{name} {version}" for name, version in measured["versions"].items())
+    return (
+        f"{measured['date']}, {measured['processor']}, {measured['cores']} cores, {versions}: "
+        f"`python tests/benchmarks/engine.py {measured['command']}`"
     )
-    for row in rows:
-        print("  ".join(f"{value}" for value in row.values()))
-    return {"problem": arguments.problem, "best": best, "truth": truth, "rows": rows}
+
+
+def measured(words):
+    """Return when, on what and by which command something was measured."""
+    # Where the numbers lie is nobody's business but of who measures.
+    kept = [word for i, word in enumerate(words) if "--json" not in (word, *words[max(i - 1, 0) : i])]
+    return {
+        "date": datetime.now(UTC).date().isoformat(),
+        "processor": processor(),
+        "cores": os.cpu_count(),
+        "versions": {"python": platform.python_version()}
+        | {name: version(name) for name in ("sysid", "numpy", "numba", "pymoo", "cma")},
+        "command": " ".join(kept),
+    }
 
 
 def overhead(arguments, folder):
@@ -296,20 +376,29 @@ def _simulated(n_workers, runs, population, candidate, spread, breed, shared, rn
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("part", choices=["algorithms", "overhead", "workers", "schedule"])
-    parser.add_argument("--problem", choices=["lf", "hf", "motor"], default="lf")
+    parser.add_argument("part", choices=["algorithms", "overhead", "workers", "schedule", "table"])
+    parser.add_argument("--problem", choices=list(PROBLEMS), default="lf")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--first-seed", type=int, default=1)
-    parser.add_argument("--best", type=float, help="best NRMSE known; a run ends within 1.01 of it")
     parser.add_argument("--algorithms", type=lambda text: text.split(","), default=DEFAULT.split(","))
     parser.add_argument("--generations", type=int, default=8, help="of part workers")
     parser.add_argument("--shared-breeding", action="store_true")
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--json", type=Path, help="where the numbers go")
+    parser.add_argument("--from", dest="sources", type=Path, nargs="+", help="of part table: such numbers")
+    parser.add_argument("--write", type=Path, default=Path(__file__).with_suffix(".md"))
     arguments = parser.parse_args()
+    if arguments.part == "table" and not arguments.sources:
+        parser.error("table needs --from and the files that --json has written")
     with tempfile.TemporaryDirectory() as folder:
         out = globals()[arguments.part](arguments, folder)
-    if arguments.json:
-        arguments.json.write_text(json.dumps(out, indent=2), encoding="utf-8")
+    if arguments.json and out is not None:
+        out = {
+            "part": arguments.part,
+            "problem": arguments.problem,
+            **out,
+            "measured": measured(sys.argv[1:]),
+        }
+        arguments.json.write_text(json.dumps(out), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -212,7 +212,7 @@ def test_another_accuracy_is_not_continued(cut, monkeypatch, capsys):
 def test_another_processor_is_noted(cut, monkeypatch, capsys):
     from sysid.pipelines import search
 
-    monkeypatch.setattr(search, "_processor", lambda: "Abacus 2")
+    monkeypatch.setattr(search, "processor", lambda: "Abacus 2")
     code, _, err = run(monkeypatch, capsys, *cut, "--resume")
     assert code == 0, err
     fit = read_fit(Path("fits") / "synthetic-lf")
