@@ -1,12 +1,14 @@
 """Time and error of the gear's kernel beside scipy, SUNDIALS and MuJoCo, the latter two where installed.
 
-Run ``python tests/benchmarks/gear_kernel.py [--json PATH] [--population N] [--lanes] [--cold]``. Six drops of
-0.7 s sampled every 5 ms; error is the mean NRMSE over x, z, q, vx, vz against a converged run. Each method of
-another library gets, per drop, its loosest relative tolerance that keeps 0.1 % there; MuJoCo, whose contact
-law is another one, steps of 1 ms. Times are CPU time of the calling thread, best of several, so that other
-work on the machine disturbs the ratios little; drops/s over all threads is wall-clock time. A library's ratio
-is the geometric mean over the drops, beside the least. ``--cold`` compiles each surface in a process of its
-own with an empty cache and prints the processor time and the peak memory of that.
+Run ``python tests/benchmarks/gear_kernel.py [--json PATH] [--population N] [--lanes] [--cold] [--fits]``. Six
+drops of 0.7 s sampled every 5 ms; error is the mean NRMSE over x, z, q, vx, vz against a converged run. Each
+method of another library gets, per drop, its loosest relative tolerance that keeps 0.1 % there; MuJoCo, whose
+contact law is another one, steps of 1 ms. Times are CPU time of the calling thread, best of several, so that
+other work on the machine disturbs the ratios little; drops/s over all threads is wall-clock time. A library's
+ratio is the geometric mean over the drops, beside the least. ``--cold`` compiles each surface in a process of
+its own with an empty cache and prints the processor time and the peak memory of that. ``--fits`` measures
+nothing but whole fits of both sample campaigns, from logs to the written folder, at the default settings and
+with the paper's population of 400.
 """
 
 import argparse
@@ -132,6 +134,54 @@ def cold_compile(surface):
     return {"cpu_seconds": seconds, "imported_mb": before, "peak_mb": peak}
 
 
+def high_friction(drops, population):
+    """The same drops on high friction: our time in lanes and its error, and MuJoCo's time over ours."""
+    row, out = pack({}, "hf"), []
+    rows = np.repeat(row[None], population, axis=0)
+    exact = simulate_population(row, drops, surface="hf", tolerance=1e-8).samples[0]
+    for d, (slope_deg, speed) in enumerate(CASES):
+        own = exact[drops.offset[d] : drops.offset[d + 1]]
+        only = Drops(drops.slope[d : d + 1], drops.body_state[d : d + 1], drops.time[d : d + 1])
+        spent, many = best(lambda only=only: simulate_population(rows, only, surface="hf", threads=1), 3)
+        entry = {"slope_deg": slope_deg, "speed": speed, "seconds": spent / population}
+        entry["error"] = nrmse(many.samples[0], own)
+        if installed("mujoco"):
+            found = mujoco_drop(drops.slope[d], drops.body_state[d], drops.time[d], own, "hf")
+            entry["mujoco_ratio"] = found["seconds"] / entry["seconds"]
+        out.append(entry)
+    return out
+
+
+def whole_fits():
+    """Wall-clock and processor time [s] of fits of each sample campaign."""
+    from sysid.pipelines.gear import fit_gear
+    from sysid.pipelines.search import FitOptions
+
+    samples, out = Path(__file__).parents[2] / "data_samples", {}
+    for surface in SURFACES:
+        model.prepare(surface, single=False)
+        for population in (None, 400):
+            with tempfile.TemporaryDirectory() as folder:
+                wall, spent = time.perf_counter(), time.process_time()
+                options = FitOptions(out=Path(folder) / "fit", population=population, quiet=True)
+                result, _ = fit_gear(samples / f"gear-{surface}" / "campaign.toml", options)
+                part = {
+                    "wall_seconds": time.perf_counter() - wall,
+                    "cpu_seconds": time.process_time() - spent,
+                    "drops": sum(run.simulations for run in result.runs),
+                    "nrmse": result.nrmse.tolist(),
+                }
+            title = f"{surface}, population {population or 'by default'}"
+            out[title] = part
+            scores = ", ".join(f"{100 * value:.3f}" for value in part["nrmse"])
+            print(
+                f"{title}: {part['wall_seconds']:.1f} s ({part['cpu_seconds']:.1f} s of processor time) for "
+                f"{part['drops']} drops; NRMSE of its sets {scores} %",
+                flush=True,
+            )
+    return out
+
+
 def mean_ratios(table):
     """Each library's time over ours, by library: geometric mean over the drops and the least."""
     out = {}
@@ -152,7 +202,13 @@ def main():
     parser.add_argument("--population", type=int, default=400)
     parser.add_argument("--lanes", action="store_true", help="also other numbers of lanes (compiles each)")
     parser.add_argument("--cold", action="store_true", help="also the first compilation (a minute or two)")
+    parser.add_argument("--fits", action="store_true", help="only whole fits of the sample campaigns")
     arguments = parser.parse_args()
+    if arguments.fits:
+        fits = {"machine": platform.platform(), "cores": os.cpu_count(), "fits": whole_fits()}
+        if arguments.json:
+            arguments.json.write_text(json.dumps(fits, indent=1), encoding="utf-8")
+        return
     drops, row = make_drops(), pack({})
     rows = np.repeat(row[None], arguments.population, axis=0)
     start = time.perf_counter()
@@ -223,6 +279,16 @@ def main():
             f"{name}: {part['lanes']:.0f} x lanes (least {part['least lanes']:.0f}){goal}; "
             f"{part['scalar']:.1f} x scalar (least {part['least scalar']:.1f}); geometric means"
         )
+    high = high_friction(drops, arguments.population)
+    for entry in high:
+        beside = f", MuJoCo {entry['mujoco_ratio']:.0f} x" if "mujoco_ratio" in entry else ""
+        print(
+            f"hf {entry['slope_deg']} deg {entry['speed']} m/s: {1e3 * entry['seconds']:.4f} ms in lanes, "
+            f"error {100 * entry['error']:.3f} %{beside}"
+        )
+    if "mujoco_ratio" in high[0]:
+        ratio = float(np.exp(np.mean([math.log(entry["mujoco_ratio"]) for entry in high])))
+        print(f"hf MuJoCo: {ratio:.0f} x lanes, goal {GOALS['MuJoCo']} (geometric mean)")
     peak = peak_memory()
     print(f"peak memory of this run: {peak:.0f} MB")
     cold = {surface: cold_compile(surface) for surface in SURFACES} if arguments.cold else {}
@@ -249,6 +315,7 @@ def main():
             "drops": table,
             "throughput": rates,
             "mean_ratios": ratios,
+            "high_friction": high,
             "peak_mb": peak,
             "cold": cold,
             "drops_per_cpu_second_by_lanes": widths,

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 
 from sysid.gear.contact import normal_force
 from sysid.gear.dynamics import accelerations, feet, pose
-from sysid.gear.model import PARAMETERS
+from sysid.gear.model import PARAMETERS, parameters_on
 from sysid.gear.surfaces.low_friction import low_friction
 
 # Mean NRMSE that a method must keep on a drop.
@@ -164,11 +164,11 @@ def sundials_drop(slope, body, clock, exact):
     return _loosest(attempt, exact)
 
 
-def mujoco_model(slope):
+def mujoco_model(slope, surface="lf"):
     """MuJoCo's model of the planar drone on two sprung legs, step of 1 ms."""
     import mujoco
 
-    p = PARAMETERS.nominal
+    p = parameters_on(surface).nominal
     span, depth = p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"]
     length, rest = math.hypot(span, depth), math.atan2(span, depth)
     bend = f'stiffness="{p["leg_bending_stiffness"]}" damping="{p["leg_bending_damping"]}"'
@@ -225,11 +225,11 @@ def mujoco_landing(slope, body, propulsion, horizon):
     return best(run, 3)[0]
 
 
-def mujoco_drop(slope, body, clock, exact):
+def mujoco_drop(slope, body, clock, exact, surface="lf"):
     """Measure MuJoCo at steps of 1 ms on a drop; its error is the distance of its contact law from ours."""
     import mujoco
 
-    model = mujoco_model(slope)
+    model = mujoco_model(slope, surface)
     data = mujoco.MjData(model)
     steps = round(clock[-1] / 1e-3)
     every = round((clock[1] - clock[0]) / 1e-3)
