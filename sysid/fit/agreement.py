@@ -48,12 +48,20 @@ class Agreement:
     cut : tuple of str
         Why every run was cut short, in the order of the runs; empty for one that ended by itself. Where a
         run was cut is no optimum.
+    asked : int
+        Runs that the fit was to have; those that were not begun are missing above [1].
     """
 
     order: tuple[int, ...]
     optimum: NDArray[np.int64]
     cost: FloatArray
     cut: tuple[str, ...]
+    asked: int
+
+    @property
+    def unfinished(self) -> bool:
+        """True when a run was cut short, or never begun."""
+        return any(self.cut) or len(self.cost) < self.asked
 
     @property
     def reached(self) -> int:
@@ -63,12 +71,12 @@ class Agreement:
     @property
     def agrees(self) -> bool:
         """True when every run ended in the best optimum."""
-        return self.reached == len(self.cost) and not any(self.cut)
+        return self.reached == len(self.cost) and not self.unfinished
 
     def sentence(self) -> str:
         """Return what the runs say about the result, in one sentence."""
         runs, best = len(self.cost), float(self.cost.min())
-        if any(self.cut):
+        if self.unfinished:
             return self._unfinished(runs, best)
         if runs == 1:
             return "a single run cannot say whether its optimum is the best one; ask for more with --runs 5"
@@ -94,20 +102,29 @@ class Agreement:
     def _unfinished(self, runs: int, best: float) -> str:
         reasons = ", ".join(dict.fromkeys(reason for reason in self.cut if reason))
         cut = sum(bool(reason) for reason in self.cut)
-        text = (
-            f"{cut} of {runs} runs {'was' if cut == 1 else 'were'} not finished ({reasons}) and "
-            f"{'says' if cut == 1 else 'say'} nothing about optima yet; best NRMSE so far {100 * best:.3f} %"
-        )
+        why = f" ({reasons})" if reasons else ""
+        if runs < self.asked:
+            whole = "none" if cut == runs else "all" if not cut else str(runs - cut)
+            text = (
+                f"{runs} of {self.asked} runs {'was' if runs == 1 else 'were'} begun, {whole} of them "
+                f"finished{why}, which says nothing about optima yet; best NRMSE so far {100 * best:.3f} %"
+            )
+        else:
+            text = (
+                f"{cut} of {runs} runs {'was' if cut == 1 else 'were'} not finished{why} and "
+                f"{'says' if cut == 1 else 'say'} nothing about optima yet; best NRMSE so far "
+                f"{100 * best:.3f} %"
+            )
         ended = self.cost[[not reason for reason in self.cut]]
         if len(ended):
             text += f", the finished ones end at {ended.min() / best:.3f} to {ended.max() / best:.3f} × it"
-        if {*self.cut} & {REASONS["time"], REASONS["interrupted"]}:
+        if {*self.cut} & {REASONS["time"], REASONS["interrupted"]} or runs < self.asked:
             return text + "; continue with --resume"
         return text + "; start anew with a larger limit"
 
 
-def agreement(runs: Sequence[RunHistory]) -> Agreement:
-    """Group runs by the optimum in which they ended."""
+def agreement(runs: Sequence[RunHistory], asked: int | None = None) -> Agreement:
+    """Group runs by the optimum in which they ended; `asked` of them were to be (all, by default)."""
     cost = np.array([run.best[-1] for run in runs])
     place = np.stack([run.best_point for run in runs])
     width = np.stack([_width(run) for run in runs])
@@ -125,7 +142,7 @@ def agreement(runs: Sequence[RunHistory]) -> Agreement:
             optimum[run] = len(first)
             first.append(int(run))
     cut = tuple(REASONS[run.stop_reason] if run.stop_reason in _CUT else "" for run in runs)
-    return Agreement(tuple(int(i) for i in order), optimum, cost, cut)
+    return Agreement(tuple(int(i) for i in order), optimum, cost, cut, asked or len(runs))
 
 
 def _width(run: RunHistory) -> FloatArray:

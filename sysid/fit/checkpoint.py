@@ -105,10 +105,7 @@ class Checkpoint:
             self._lock = lock(self.folder)
             self._lock.acquire(timeout=_PATIENCE)
         except Timeout:
-            raise FitError(
-                f"{self.fit_folder}: another process is working on this fit; wait for it, or choose another "
-                "folder with --out"
-            ) from None
+            raise FitError(running(self.fit_folder)) from None
         except OSError as error:
             raise FitError(
                 f"{self.folder}: cannot be made ({error.strerror or error}); choose another folder with --out"
@@ -231,6 +228,33 @@ class Checkpoint:
 def lock(folder: Path) -> FileLock:
     """Return the lock of a checkpoint folder: the system's own, which a crash releases."""
     return FileLock(folder / "lock")
+
+
+def held(folder: Path) -> bool | None:
+    """Return whether a process holds the lock of a checkpoint folder; None where that cannot be told.
+
+    A folder without a lock is held by nobody, and stays without one. A lock that may not be opened (of
+    another user, on a read-only disk) tells nothing.
+    """
+    if not (folder / "lock").exists():
+        return False
+    hold = lock(folder)
+    try:
+        hold.acquire(timeout=0)
+    except Timeout:
+        return True
+    except OSError:
+        return None
+    hold.release()
+    return False
+
+
+def running(fit_folder: Path) -> str:
+    """Return the sentence that refuses a fit on which a process works."""
+    return (
+        f"{fit_folder}: another process is working on this fit; wait for it, or choose another folder with "
+        "--out"
+    )
 
 
 def unfinished(fit_folder: Path) -> str:

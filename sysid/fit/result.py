@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sysid import exact_json
 from sysid.errors import FitError
 from sysid.filters import Spectrum
+from sysid.fit.agreement import Agreement, agreement
 from sysid.fit.history import RunHistory
 from sysid.parameter_sets import ParameterRecord, ParameterSets
 from sysid.parameters import SearchSpace, in_words, with_unit
@@ -211,6 +212,11 @@ class FitResult:
                     f"trial {trial.name}: simulated {trial.simulated.shape}, measured "
                     f"{trial.measured.shape}, expected {shape} and {shape[1:]}"
                 )
+
+    @property
+    def agreement(self) -> Agreement:
+        """What the runs say about each other, those that were to be and never begun included."""
+        return agreement(self.runs, self.provenance.get("search", {}).get("runs"))
 
     @property
     def nrmse_by_trial(self) -> FloatArray:

@@ -17,7 +17,7 @@ import numpy as np
 from sysid import exact_json
 from sysid.errors import ExportError, FitError
 from sysid.filters import Spectrum
-from sysid.fit.agreement import agreement, waterfall
+from sysid.fit.agreement import waterfall
 from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.record import failures, record_lines, run_record
 from sysid.fit.result import FitResult, TrialResult
@@ -281,7 +281,7 @@ def summary(result: FitResult) -> str:
         lines.append(f"{trial.name:<{width}}  {trial.use:<10}{cells}")
     if result.runs:
         lines += ["", "runs, best first (runs of one letter ended in the same optimum)", ""]
-        lines += [*waterfall(result.runs), "", agreement(result.runs).sentence()]
+        lines += [*waterfall(result.runs), "", result.agreement.sentence()]
     lines += ["", "stages", ""]
     for number, run in enumerate(result.runs, start=1):
         lines.append(

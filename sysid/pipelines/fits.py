@@ -7,12 +7,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import h5py
-from filelock import Timeout
 from rich.table import Table
 
 from sysid import exact_json
 from sysid.errors import FitError
-from sysid.fit.checkpoint import lock, read_state, run_numbers, state_files
+from sysid.fit.checkpoint import held, read_state, run_numbers, state_files
 from sysid.fit.store import FIT_SCHEMA
 from sysid.report.printing import print_table
 
@@ -28,7 +27,8 @@ class FitEntry:
     name : str
         Of its folder.
     state : str
-        ``running`` (a process holds it), ``stopped`` (can be continued), ``done``, or ``damaged``.
+        ``running`` (a process holds it), ``stopped`` (can be continued), ``unfinished`` (either of the two:
+        its lock may not be opened), ``done``, or ``damaged``.
     nrmse : float or None
         Best found so far [1].
     runs : int
@@ -88,18 +88,8 @@ def _unfinished(path: Path) -> FitEntry:
             lowest = min([*costs, *([] if lowest is None else [lowest])], default=None)
             changed = max(changed, file.stat().st_mtime)
             break
-    state = "running" if _held(path) else "stopped"
+    state = {True: "running", False: "stopped", None: "unfinished"}[held(path)]
     return FitEntry(path.name.removesuffix(_SUFFIX), state, lowest, len(runs), changed)
-
-
-def _held(path: Path) -> bool:
-    hold = lock(path)
-    try:
-        hold.acquire(timeout=0)
-    except Timeout:
-        return True
-    hold.release()
-    return False
 
 
 def print_fits(folder: Path, json: bool = False) -> None:

@@ -29,7 +29,9 @@ from sysid.fit.checkpoint import (
     PROCESSOR,
     Checkpoint,
     checkpoint_folder,
+    held,
     run_numbers,
+    running,
     unfinished,
 )
 from sysid.fit.engine import FINISH_POPULATION, Hooks, SearchSettings, run_many
@@ -169,10 +171,12 @@ def check_start(folder: Path, options: FitOptions) -> None:
     Raises
     ------
     FitError
-        When the folder holds a fit and neither `force` nor `resume` is on; when an unfinished fit is there;
-        when there is nothing to resume.
+        When another process works on the fit; when the folder holds a fit and neither `force` nor `resume`
+        is on; when an unfinished fit is there; when there is nothing to resume.
     """
     unfinished_runs = run_numbers(checkpoint_folder(folder))
+    if held(checkpoint_folder(folder)):
+        raise FitError(running(folder))
     if options.resume:
         if options.force:
             raise FitError("--resume continues a fit and --force discards it; choose one")
@@ -248,8 +252,10 @@ def search(
     except BaseException:
         checkpoint.close()
         raise
-    cut = any(stage.stop_reason in ("interrupted", "time") for run in runs for stage in run.stages)
-    found = agreement(runs)
+    cut = len(runs) < settings.runs or any(
+        stage.stop_reason in ("interrupted", "time") for run in runs for stage in run.stages
+    )
+    found = agreement(runs, settings.runs)
     if len(runs) > 1:
         for line in waterfall(runs):
             tell(line)

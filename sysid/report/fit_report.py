@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import ExportError
-from sysid.fit.agreement import agreement
 from sysid.fit.record import record_lines, run_record
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.store import read_fit
@@ -248,7 +247,7 @@ class FitReport:
 
     def convergence(self) -> Html:
         """Return how the runs went, and where they ended."""
-        found = agreement(self.fit.runs)
+        found = self.fit.agreement
         runs = len(self.fit.runs)
         return grid(
             [

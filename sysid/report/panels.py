@@ -19,7 +19,6 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from sysid.filters import ChebyshevLowpass, KaiserLowpass, Spectrum
-from sysid.fit.agreement import agreement
 from sysid.fit.result import FitResult, TrialResult
 from sysid.report.figures import (
     BEST,
@@ -202,7 +201,7 @@ def figure_waterfall(fit: FitResult) -> Figure:
     """Draw the final NRMSE of every run, best first; runs that ended in the same optimum share a colour."""
     figure = panel(3.2)
     axes = figure.add_subplot()
-    found = agreement(fit.runs)
+    found = fit.agreement
     best = float(found.cost.min())
     for optimum in range(int(found.optimum.max()) + 1):
         ranks = [rank for rank, run in enumerate(found.order, start=1) if found.optimum[run] == optimum]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.fit.agreement import SAME_NRMSE, agreement
+from sysid.fit.agreement import SAME_NRMSE
 from sysid.fit.result import FitResult
 from sysid.gear.surfaces import SURFACES
 from sysid.parameter_sets import in_place_of_digits
@@ -156,8 +156,10 @@ def _fixed(fit: FitResult, trust: Mapping[str, Any] | None) -> list[str]:
 def _runs(fit: FitResult) -> str:
     if not fit.runs:
         return "The fit holds no runs."
-    found = agreement(fit.runs)
+    found = fit.agreement
     total = len(fit.runs)
+    if found.unfinished:
+        return f"{found.sentence()}."
     if total == 1:
         return "A single run cannot say whether its optimum is the best one."
     return f"{found.reached} of {total} independent runs ended in the best optimum."

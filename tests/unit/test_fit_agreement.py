@@ -65,6 +65,24 @@ def test_where_a_run_was_cut_is_no_optimum(ended, reason, advice):
     assert "2 of 2 runs were not finished" in agreement([cut, cut]).sentence()
 
 
+def test_runs_that_were_not_begun_are_missed():
+    best, cut = run(0.08, (0.2, 0.5)), run(0.12, (0.9, 0.9), ended="interrupted")
+    ends = "which says nothing about optima yet; best NRMSE so far"
+    stop, go_on = "(stopped by the user)", "; continue with --resume"
+    assert agreement([cut, cut], 5).sentence() == (
+        f"2 of 5 runs were begun, none of them finished {stop}, {ends} 12.000 %{go_on}"
+    )
+    tail = ", the finished ones end at 1.000 to 1.000 × it"
+    assert agreement([best, cut], 5).sentence() == (
+        f"2 of 5 runs were begun, 1 of them finished {stop}, {ends} 8.000 %{tail}{go_on}"
+    )
+    # Stopped between two runs: what was begun was finished, and the fit still is not.
+    between = agreement([best, best], 5)
+    assert between.sentence() == f"2 of 5 runs were begun, all of them finished, {ends} 8.000 %{tail}{go_on}"
+    assert not between.agrees
+    assert agreement([best, best], 2).agrees
+
+
 def test_equal_nrmse_at_another_place_is_said_too():
     text = agreement([run(0.08, (0.2, 0.5)), run(0.08, (0.8, 0.5))]).sentence()
     assert "the data do not tell these sets apart" in text

@@ -89,12 +89,40 @@ def test_fits_lists_states(campaign, monkeypatch, capsys):
     }  # fmt: skip
     assert found["whole"].nrmse == read_fit("fits/whole").nrmse[0]
     assert found["cut"].nrmse == read_fit("fits/cut").nrmse[0]
+    # A fit of the same name is not to be continued or thrown away while it runs.
     with lock(checkpoint_folder("fits/cut")):
         assert {entry.name: entry.state for entry in list_fits("fits")}["cut"] == "running"
+        for more in ((), ("--resume",), ("--force",)):
+            code, _, err = run(monkeypatch, capsys, *cut, *more)
+            assert code == 2
+            assert "another process is working on this fit; wait for it" in err
     code, out, _ = run(monkeypatch, capsys, "fits")
     assert code == 0
     assert "whole" in out
     assert "--resume" in out
+
+
+def test_fits_of_a_lock_that_cannot_be_opened(cut, monkeypatch, capsys):
+    """A folder in the lock's place, and a lock of somebody else: neither ends the list in a traceback."""
+    from sysid.fit import checkpoint
+    from sysid.pipelines.fits import list_fits
+
+    folder = checkpoint.checkpoint_folder(Path("fits") / "synthetic-lf")
+    (folder / "lock").unlink(missing_ok=True)
+    assert [entry.state for entry in list_fits("fits")] == ["stopped"]
+    assert not (folder / "lock").exists()
+    (folder / "lock").mkdir()
+    code, out, err = run(monkeypatch, capsys, "fits")
+    assert (code, err) == (0, "")
+    assert "unfinished" in out
+    (folder / "lock").rmdir()
+
+    def refused(*arguments, **options):
+        raise PermissionError(13, "Permission denied")
+
+    (folder / "lock").touch()
+    monkeypatch.setattr(checkpoint.FileLock, "acquire", refused)
+    assert [entry.state for entry in list_fits("fits")] == ["unfinished"]
 
 
 def test_the_record_says_what_was_run(campaign, monkeypatch, capsys):
