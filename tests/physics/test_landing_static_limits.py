@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq, root
 
-from sysid import cli
 from sysid.errors import CampaignError
 from sysid.gear.model import PARAMETERS, pack
 from sysid.landing import static_limits
@@ -227,20 +226,16 @@ def test_stiffer_legs_and_wider_feet_hold_better():
     assert limit(foot_dx=1.2) > bends[1] + math.radians(3)
 
 
-def test_command(monkeypatch, capsys, tmp_path):
+def test_command(run, tmp_path):
     from sysid.export import export
 
     file = export(table_2("hf"), tmp_path / "hf.json")
-    monkeypatch.setattr("sys.argv", ["sysid", "static-limits", str(file), "--thrust", "0", "--json"])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    assert not stop.value.code
-    (row,) = json.loads(capsys.readouterr().out)["limits"]
+    code, out, err = run("static-limits", file, "--thrust", "0", "--json")
+    assert code == 0, err
+    (row,) = json.loads(out)["limits"]
     assert row["rigid tip limit [deg]"] == pytest.approx(35.17, abs=0.01)
     assert row["own legs"] == "tips"
     assert row["own legs, set down at once [deg]"] == pytest.approx(25.5, abs=0.5)
-    monkeypatch.setattr("sys.argv", ["sysid", "static-limits", str(file), "--thrust", "-20"])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    assert stop.value.code == 2
-    assert "lift" in capsys.readouterr().err
+    code, _, err = run("static-limits", file, "--thrust", "-20")
+    assert code == 2
+    assert "lift" in err

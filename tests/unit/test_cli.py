@@ -11,21 +11,8 @@ import numba
 import pytest
 
 import sysid
-from sysid import cli
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
-
-
-def run(monkeypatch, capsys, *arguments):
-    """Run the command line in this process; return exit code, standard output and standard error."""
-    monkeypatch.setattr("sys.argv", ["sysid", *map(str, arguments)])
-    code = 0
-    try:
-        cli.main()
-    except SystemExit as stop:
-        code = int(stop.code or 0)
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
 
 
 @pytest.fixture
@@ -71,48 +58,48 @@ def refused(result, *words):
 SMALL = ("--population", "16", "--runs", "2", "--max-generations", "2", "--quiet")
 
 
-def test_fit_gear_show_export_and_read_back(drops, monkeypatch, capsys, tmp_path):
+def test_fit_gear_show_export_and_read_back(drops, run, tmp_path):
     campaign = drops / "campaign.toml"
-    code, out, err = run(monkeypatch, capsys, "fit-gear", campaign, *SMALL)
+    code, out, err = run("fit-gear", campaign, *SMALL)
     assert (code, out) == (0, ""), err
     folder = Path("fits") / "synthetic-lf"
     assert {p.name for p in folder.iterdir()} == {"fit.h5", "fit.json", "summary.txt"}
 
-    code, out, _ = run(monkeypatch, capsys, "show", folder)
+    code, out, _ = run("show", folder)
     assert code == 0
     assert "k_h" in out
-    code, out, _ = run(monkeypatch, capsys, "show", folder, "--json")
+    code, out, _ = run("show", folder, "--json")
     shown = json.loads(out)
     assert len(shown["sets"]) == 2
     assert shown["sets"][0]["nrmse"] <= shown["sets"][1]["nrmse"]
 
     first = sysid.load_parameter_sets(folder / "fit.json")
     for suffix in ("json", "csv", "h5", "mat"):
-        code, out, err = run(monkeypatch, capsys, "export", folder, "--to", f"sets.{suffix}")
+        code, out, err = run("export", folder, "--to", f"sets.{suffix}")
         assert code == 0, err
         assert sysid.load_parameter_sets(f"sets.{suffix}") == first
 
     # The same seed gives the same numbers, on one core as on all.
     assert numba.config.NUMBA_NUM_THREADS >= 2
-    code, *_ = run(monkeypatch, capsys, "fit-gear", campaign, *SMALL, "--threads", "1", "--out", "again")
+    code, *_ = run("fit-gear", campaign, *SMALL, "--threads", "1", "--out", "again")
     assert code == 0
     again = sysid.load_parameter_sets(Path("again") / "fit.json")
     assert (again.values == first.values).all()
     assert (again.nrmse == first.nrmse).all()
 
     # A fit that exists is not overwritten unless asked.
-    refused(run(monkeypatch, capsys, "fit-gear", campaign, *SMALL), "exists", "--force")
-    refused(run(monkeypatch, capsys, "export", folder, "--to", "sets.json"), "exists already")
-    assert run(monkeypatch, capsys, "fit-gear", campaign, *SMALL, "--force")[0] == 0
+    refused(run("fit-gear", campaign, *SMALL), "exists", "--force")
+    refused(run("export", folder, "--to", "sets.json"), "exists already")
+    assert run("fit-gear", campaign, *SMALL, "--force")[0] == 0
 
 
-def test_new_campaign_writes_a_template(tmp_path, monkeypatch, capsys):
+def test_new_campaign_writes_a_template(tmp_path, run):
     target = tmp_path / "mine.toml"
-    code, out, _ = run(monkeypatch, capsys, "new-campaign", "motor", target)
+    code, out, _ = run("new-campaign", "motor", target)
     assert code == 0
     assert "fit-motor" in out
     assert "datasheet" in target.read_text(encoding="utf-8")
-    refused(run(monkeypatch, capsys, "new-campaign", "motor", target), "exists already")
+    refused(run("new-campaign", "motor", target), "exists already")
 
 
 FIRST = "drop-1-5deg-0.50mps.csv"
@@ -131,9 +118,9 @@ FIRST = "drop-1-5deg-0.50mps.csv"
         ("[fit]", "[fit]\npopulation = 2", ("fit.population",)),
     ],
 )
-def test_typing_mistakes_in_the_campaign(old, new, words, drops, monkeypatch, capsys):
+def test_typing_mistakes_in_the_campaign(old, new, words, drops, run):
     edit(drops / "campaign.toml", old, new)
-    refused(run(monkeypatch, capsys, "fit-gear", drops / "campaign.toml", *SMALL), *words)
+    refused(run("fit-gear", drops / "campaign.toml", *SMALL), *words)
     assert not Path("fits").exists()
 
 
@@ -149,9 +136,9 @@ def test_typing_mistakes_in_the_campaign(old, new, words, drops, monkeypatch, ca
         ),
     ],
 )
-def test_bounds_that_cannot_be(table, words, drops, monkeypatch, capsys):
+def test_bounds_that_cannot_be(table, words, drops, run):
     edit(drops / "campaign.toml", "[fit]\n", f"{table}[fit]\n")
-    refused(run(monkeypatch, capsys, "fit-gear", drops / "campaign.toml", *SMALL), "campaign.toml", *words)
+    refused(run("fit-gear", drops / "campaign.toml", *SMALL), "campaign.toml", *words)
     assert not Path("fits").exists()
 
 
@@ -215,20 +202,20 @@ def _lose_column(path):
         (_lose_column, ("W",)),
     ],
 )
-def test_broken_logs(spoil, words, drops, monkeypatch, capsys):
+def test_broken_logs(spoil, words, drops, run):
     spoil(drops / FIRST)
-    refused(run(monkeypatch, capsys, "fit-gear", drops / "campaign.toml", *SMALL), FIRST, *words)
+    refused(run("fit-gear", drops / "campaign.toml", *SMALL), FIRST, *words)
     assert not Path("fits").exists()
 
 
-def test_a_long_occlusion_inside_a_drop_is_refused(drops, monkeypatch, capsys):
+def test_a_long_occlusion_inside_a_drop_is_refused(drops, run):
     truth = json.loads((drops / "truth.json").read_text(encoding="utf-8"))["drops"][0]
     _lose_body(drops / FIRST, truth)
-    result = run(monkeypatch, capsys, "fit-gear", drops / "campaign.toml", *SMALL)
+    result = run("fit-gear", drops / "campaign.toml", *SMALL)
     refused(result, FIRST, "'drop-1'", "lost for 65 ms", "50 ms")
 
 
-def test_rotation_out_of_the_plane_is_a_warning_with_the_trials_name(drops, monkeypatch, capsys):
+def test_rotation_out_of_the_plane_is_a_warning_with_the_trials_name(drops, run):
     """A drone that rolls by 15 degrees after release breaks the planar assumption: said, not refused."""
     import numpy as np
     from scipy.spatial.transform import Rotation
@@ -247,35 +234,35 @@ def test_rotation_out_of_the_plane_is_a_warning_with_the_trials_name(drops, monk
         lines[i] = ",".join(cells) + "\r\n"
     path.write_text("".join(lines), encoding="utf-8", newline="")
     arguments = [a for a in SMALL if a != "--quiet"]
-    code, _, err = run(monkeypatch, capsys, "fit-gear", drops / "campaign.toml", *arguments)
+    code, _, err = run("fit-gear", drops / "campaign.toml", *arguments)
     assert code == 0
     assert re.search(r"warning: trial 'drop-1': roll reaches 1[4-6] deg", err)
 
 
-def test_a_full_disk_during_export_leaves_the_old_file(drops, monkeypatch, capsys):
+def test_a_full_disk_during_export_leaves_the_old_file(drops, monkeypatch, run):
     import errno
     import os
 
-    assert run(monkeypatch, capsys, "fit-gear", drops / "campaign.toml", *SMALL)[0] == 0
+    assert run("fit-gear", drops / "campaign.toml", *SMALL)[0] == 0
     folder = Path("fits") / "synthetic-lf"
-    assert run(monkeypatch, capsys, "export", folder, "--to", "sets.json")[0] == 0
+    assert run("export", folder, "--to", "sets.json")[0] == 0
     before = Path("sets.json").read_bytes()
 
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    refused(run(monkeypatch, capsys, "export", folder, "--to", "sets.json", "--force"), "sets.json", "space")
+    refused(run("export", folder, "--to", "sets.json", "--force"), "sets.json", "space")
     assert Path("sets.json").read_bytes() == before
     assert [p.name for p in Path().iterdir() if p.name.startswith("sets")] == ["sets.json"]
 
 
-def test_foreign_and_missing_fits(tmp_path, monkeypatch, capsys):
-    refused(run(monkeypatch, capsys, "show", tmp_path / "nowhere"), "nowhere")
+def test_foreign_and_missing_fits(tmp_path, run):
+    refused(run("show", tmp_path / "nowhere"), "nowhere")
     foreign = tmp_path / "foreign.json"
     foreign.write_text("{}", encoding="utf-8")
-    refused(run(monkeypatch, capsys, "show", foreign), "foreign.json")
-    refused(run(monkeypatch, capsys, "export", tmp_path, "--to", tmp_path / "x.json"), "fit.h5")
+    refused(run("show", foreign), "foreign.json")
+    refused(run("export", tmp_path, "--to", tmp_path / "x.json"), "fit.h5")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs a file system of its own size: Linux with root")

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from sysid import cli
 from sysid.errors import CampaignError, ExportError
 from sysid.export import export
 from sysid.landing import blocks
@@ -228,29 +227,18 @@ def files(tmp_path, monkeypatch):
     return tmp_path
 
 
-def run(monkeypatch, capsys, *arguments):
-    base = ["sysid", "design-study", "gear.json", "--motor", "motor.json", "--out", "s.h5"]
-    monkeypatch.setattr("sys.argv", [*base, *map(str, arguments)])
-    code = 0
-    try:
-        cli.main()
-    except SystemExit as stop:
-        code = int(stop.code or 0)
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
+BASE = ("design-study", "gear.json", "--motor", "motor.json", "--out", "s.h5")
+SMALL = (*BASE, "--slopes", "10:30:10", "--speeds", "0.4,0.8", "--vary", "dx_f=1.3:1.3:1")
 
 
-SMALL = ("--slopes", "10:30:10", "--speeds", "0.4,0.8", "--vary", "dx_f=1.3:1.3:1")
-
-
-def test_command_threads_and_resume(files, monkeypatch, capsys):
-    code, out, err = run(monkeypatch, capsys, *SMALL, "--json", "--threads", "1")
+def test_command_threads_and_resume(files, monkeypatch, run):
+    code, out, err = run(*SMALL, "--json", "--threads", "1")
     assert code == 0, err
     document = json.loads(out)
     assert document["changes"][0]["change"] == "dx_f ×"
     first, _ = read_study(files / "s.h5")
     assert sorted(p.name for p in files.iterdir()) == ["gear.json", "motor.json", "s.h5", "s.png"]
-    code, _, err = run(monkeypatch, capsys, *SMALL)
+    code, _, err = run(*SMALL)
     assert (code, "exists already" in err) == (2, True)
     # Ctrl-C after the first block, then on, with another number of threads.
     (files / "s.h5").unlink()
@@ -263,10 +251,10 @@ def test_command_threads_and_resume(files, monkeypatch, capsys):
 
     with monkeypatch.context() as patch:
         patch.setattr(blocks.BlockStore, "save", save_and_die)
-        code, _, _ = run(patch, capsys, *SMALL, "--quiet")
+        code, _, _ = run(*SMALL, "--quiet")
     assert code == 130
     assert not (files / "s.h5").exists()
-    code, out, err = run(monkeypatch, capsys, *SMALL, "--resume", "--threads", "2")
+    code, out, err = run(*SMALL, "--resume", "--threads", "2")
     assert code == 0, err
     assert "dx_f" in out
     second, _ = read_study(files / "s.h5")
@@ -274,9 +262,19 @@ def test_command_threads_and_resume(files, monkeypatch, capsys):
     assert not list(files.glob("*.blocks"))
 
 
-def test_rules_are_options_of_a_study(files, monkeypatch, capsys):
-    late = ("--vary", "k_t=1:1:1", "--slopes", "10,20", "--speeds", "0.4", "--controller", "impulse:3,0.1")
-    code, _, err = run(monkeypatch, capsys, *late)
+def test_rules_are_options_of_a_study(files, run):
+    late = (
+        *BASE,
+        "--vary",
+        "k_t=1:1:1",
+        "--slopes",
+        "10,20",
+        "--speeds",
+        "0.4",
+        "--controller",
+        "impulse:3,0.1",
+    )
+    code, _, err = run(*late)
     assert (code, "only 3 s are simulated" in err, "--horizon" in err) == (2, True, True), err
     rules = (
         "--short",
@@ -290,13 +288,13 @@ def test_rules_are_options_of_a_study(files, monkeypatch, capsys):
         "--rest-time",
         "0.1",
     )
-    code, _, err = run(monkeypatch, capsys, *late, "--horizon", "3.5", *rules, "--flip-deg", "70", "--quiet")
+    code, _, err = run(*late, "--horizon", "3.5", *rules, "--flip-deg", "70", "--quiet")
     assert code == 0, err
     found, _ = read_study(files / "s.h5")
     assert found.settings.maps.rules == Rules(3.5, 0.1, 2.0, 0.06, 0.3, 0.1, math.radians(70.0))
 
 
-def test_a_study_warns_of_lost_landings(files, monkeypatch, capsys):
+def test_a_study_warns_of_lost_landings(files, monkeypatch, run):
     land = LandingWork.__call__
 
     def lose_the_first(work, rows):
@@ -305,7 +303,7 @@ def test_a_study_warns_of_lost_landings(files, monkeypatch, capsys):
         return outcome, *others
 
     monkeypatch.setattr(LandingWork, "__call__", lose_the_first)
-    code, out, err = run(monkeypatch, capsys, *SMALL, "--json")
+    code, out, err = run(*SMALL, "--json")
     assert code == 0
     assert "warning: 2 landings of 2 of 2 designs could not be simulated" in err
     assert json.loads(out)["lost"] == 2
@@ -327,8 +325,8 @@ def test_a_study_warns_of_lost_landings(files, monkeypatch, capsys):
         ),
     ],
 )
-def test_command_refusals(files, monkeypatch, capsys, arguments, words):
-    code, _, err = run(monkeypatch, capsys, *arguments)
+def test_command_refusals(files, run, arguments, words):
+    code, _, err = run(*BASE, *arguments)
     assert (code, err.startswith("error: ")) == (2, True), err
     assert words in err
     assert sorted(p.name for p in files.iterdir()) == ["gear.json", "motor.json"]

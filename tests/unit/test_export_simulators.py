@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid import cli
 from sysid.errors import ExportError
 from sysid.export import export
 from sysid.export.gazebo import MotorPlugin, from_sdf, to_sdf
@@ -90,37 +89,26 @@ def test_sdf_reads_back():
         from_sdf(document.replace(b"maxRotVelocity", b"speed"))
 
 
-def run(monkeypatch, capsys, *arguments):
-    monkeypatch.setattr("sys.argv", ["sysid", *map(str, arguments)])
-    code = 0
-    try:
-        cli.main()
-    except SystemExit as stop:
-        code = int(stop.code or 0)
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
-
-
-def test_one_file_per_set_or_one_alone(tmp_path, monkeypatch, capsys):
+def test_one_file_per_set_or_one_alone(tmp_path, run):
     sets = several(table_2("hf"))
     gear = export(sets, tmp_path / "hf.json")
-    code, out, err = run(monkeypatch, capsys, "export", gear, "--to", tmp_path / "quad.xml")
+    code, out, err = run("export", gear, "--to", tmp_path / "quad.xml")
     assert code == 0, err
     assert len(out.splitlines()) == 3
     for rank in (1, 2, 3):
         found = from_mjcf((tmp_path / f"quad-{rank}.xml").read_bytes())
         assert found == sets.set_values(rank)
-    code, _, err = run(monkeypatch, capsys, "export", gear, "--to", tmp_path / "quad.xml")
+    code, _, err = run("export", gear, "--to", tmp_path / "quad.xml")
     assert (code, "exists already" in err) == (2, True)
     target = tmp_path / "one.xml"
-    run(monkeypatch, capsys, "export", gear, "--to", target, "--set", "2", "--slope-deg", "20", "--per-leg")
+    run("export", gear, "--to", target, "--set", "2", "--slope-deg", "20", "--per-leg")
     root = ElementTree.fromstring(target.read_bytes())
     assert from_mjcf(target.read_bytes()) == sets.set_values(2)
     slope = root.find("worldbody/geom[@name='slope']").get("euler").split()
     assert float(slope[1]) == np.radians(20.0)
     assert len(list(root.iter("key"))) == 1
     motor = export(table_1(), tmp_path / "motor.json")
-    code, out, err = run(monkeypatch, capsys, "export", motor, "--to", tmp_path / "motor.sdf")
+    code, out, err = run("export", motor, "--to", tmp_path / "motor.sdf")
     assert code == 0, err
     rotor = first_order_rotor(table_1().set_values(1))
     assert from_sdf((tmp_path / "motor.sdf").read_bytes()) == MotorPlugin(
@@ -140,10 +128,10 @@ def test_one_file_per_set_or_one_alone(tmp_path, monkeypatch, capsys):
         ("gear", ("--to", "no/x.xml"), "does not exist"),
     ],
 )
-def test_refusals_write_nothing(kind, arguments, words, tmp_path, monkeypatch, capsys):
+def test_refusals_write_nothing(kind, arguments, words, tmp_path, monkeypatch, run):
     source = export(table_1() if kind == "motor" else table_2("lf"), tmp_path / "sets.json")
     monkeypatch.chdir(tmp_path)
-    code, _, err = run(monkeypatch, capsys, "export", source, *arguments)
+    code, _, err = run("export", source, *arguments)
     assert (code, err.startswith("error: ")) == (2, True)
     assert words in err
     assert [path.name for path in tmp_path.iterdir()] == ["sets.json"]

@@ -3,14 +3,12 @@
 import csv
 import json
 import signal
-import sys
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
-from sysid import cli
 from sysid.landing import blocks, controllers
 from sysid.landing.map_store import read_maps
 from sysid.landing.outcomes import Outcome
@@ -24,20 +22,9 @@ GRID = ("--slopes", "4,40", "--speeds", "0.3,1.5")
 
 
 @pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
+def run(run, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["sysid", *map(str, arguments)])
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return call
+    return run
 
 
 def test_one_landing_per_set_as_csv_and_hdf5(run, tmp_path):

@@ -3,13 +3,11 @@
 import csv
 import math
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sysid import cli
 from sysid.errors import CampaignError, ExportError
 from sysid.landing import controllers
 from sysid.landing.blocks import blocks_folder
@@ -46,21 +44,10 @@ IMPULSE = (
 
 
 @pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
+def run(run, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(controllers, "CONTROLLERS", dict(controllers.CONTROLLERS))
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["sysid", *map(str, arguments)])
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return call
+    return run
 
 
 @pytest.mark.parametrize("command", [MAP, IMPULSE])

@@ -2,7 +2,6 @@
 
 import pytest
 
-from sysid import cli
 from sysid.loaders.signals import plain_unit
 
 
@@ -22,13 +21,11 @@ def test_plain_units(stated, unit, factor):
     assert plain_unit(stated) == (unit, pytest.approx(factor))
 
 
-def test_a_log_is_never_replaced_by_its_conversion(tmp_path, monkeypatch, capsys):
+def test_a_log_is_never_replaced_by_its_conversion(tmp_path, run):
     log = tmp_path / "log.csv"
     log.write_text("Time (s),Speed (rad/s)\n0,1\n0.01,2\n0.02,3\n", encoding="utf-8")
     before = log.read_bytes()
-    monkeypatch.setattr("sys.argv", ["sysid", "convert", str(log), str(log), "--force"])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    assert stop.value.code == 2
-    assert "is the log itself" in capsys.readouterr().err
+    code, _, err = run("convert", log, log, "--force")
+    assert code == 2
+    assert "is the log itself" in err
     assert log.read_bytes() == before

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sysid import cli
 from sysid.campaign.motor import ChebyshevFilter
 from sysid.errors import LogError
 from sysid.loaders import load
@@ -237,30 +236,15 @@ def test_reversal_delays_pass_the_filter_of_the_campaign():
     assert len(found) == 2
 
 
-@pytest.fixture
-def run(monkeypatch, capsys):
-    def call(*arguments):
-        monkeypatch.setattr("sys.argv", ["sysid", "reversal-time", *map(str, arguments)])
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return call
-
-
 def test_command_line_compares_logs(run, tmp_path):
     logs = [SAMPLES / "reversal-1.h5", SAMPLES / "reversal-2.h5"]
     figure = tmp_path / "reversal.png"
-    code, out, err = run(*logs, "--figure", figure)
+    code, out, err = run("reversal-time", *logs, "--figure", figure)
     assert code == 0, err
     assert "reversal-1.h5" in out
     assert "+0.62 → -1.00" in out
     assert figure.stat().st_size > 10_000
-    code, out, _ = run(*logs, "--json", "--sense", "both")
+    code, out, _ = run("reversal-time", *logs, "--json", "--sense", "both")
     assert code == 0
     document = json.loads(out)
     first = document["logs"][0]["repetitions"][0]
@@ -286,7 +270,9 @@ def test_command_line_compares_logs(run, tmp_path):
     ],
 )
 def test_refusals_are_sentences(run, tmp_path, arguments, words):
-    code, out, err = run(SAMPLES / arguments[0], *arguments[1:], "--figure", tmp_path / "none.png")
+    code, out, err = run(
+        "reversal-time", SAMPLES / arguments[0], *arguments[1:], "--figure", tmp_path / "none.png"
+    )
     assert code == 2
     assert words in " ".join(err.split())
     assert err.count("\n") == 1
@@ -311,15 +297,13 @@ def _slower(channel):
     return Channel(channel.name, channel.unit, time, values)
 
 
-def test_synthesized_motor_without_a_dead_band(monkeypatch, tmp_path, capsys):
+def test_synthesized_motor_without_a_dead_band(monkeypatch, tmp_path, run):
     monkeypatch.setattr(
         "sysid.synthetic.motor.synthesize_motor.__kwdefaults__",
         {**synthesize_motor.__kwdefaults__, "trials": TRIALS[-1:]},
     )
-    monkeypatch.setattr("sys.argv", ["sysid", "synthesize", "motor", str(tmp_path / "m"), "--ideal-reversal"])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    assert not stop.value.code, capsys.readouterr().err
+    code, _, err = run("synthesize", "motor", tmp_path / "m", "--ideal-reversal")
+    assert code == 0, err
     (group,) = log_reversals(tmp_path / "m" / "reversal-2.h5").groups[:1]
     # 54 ms with a dead band; the filter of 100 Hz alone makes some of a sharp crossing.
     assert group.median("dead_band") < 0.015
@@ -369,7 +353,7 @@ def test_tare_without_a_row_at_rest_and_notes_on_the_terminal(monkeypatch, run):
     _with(monkeypatch, log, **cut)
     alone = log_reversals(path, ReversalOptions(sense="both"))
     assert [r.final_thrust for g in alone.groups for r in g.reversals] == pytest.approx(finals[0], abs=1e-3)
-    code, out, _ = run(path)
+    code, out, _ = run("reversal-time", path)
     assert code == 0
     assert "reversal-1.h5: no row at rest: the tare of thrust, " in out
 
