@@ -44,6 +44,8 @@ class CurveFit:
         1 − Σr²/Σ(y − ȳ)² over the points that are no outliers.
     points, outliers : int
         How many points there were, and how many of them lie beyond 5 robust standard deviations.
+    correlation : float
+        Of the errors of the two coefficients [1].
     """
 
     quantity: str
@@ -54,6 +56,7 @@ class CurveFit:
     r_squared: float
     points: int
     outliers: int
+    correlation: float
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -71,6 +74,7 @@ class CurveFit:
             "direction": self.direction,
             "coefficients": list(self.coefficients),
             "standard errors": list(self.standard_errors),
+            "correlation": self.correlation,
             "units": list(self.units),
             "R²": self.r_squared,
             "points": self.points,
@@ -205,15 +209,16 @@ def _robust_line(
     residual = y - scaled @ start
     weight = 1.0 / np.sqrt(1.0 + (residual / sigma) ** 2)
     inlier = np.abs(residual) <= OUTLIER * sigma
-    # Outliers pull by their weight, like any other point; what the others scatter is the error.
-    freedom = max(1.0, float(np.sum(weight[inlier])) - 2.0)
-    spread = float(np.sum((weight * residual**2)[inlier])) / freedom
-    information = np.linalg.inv(scaled.T @ (weight[:, None] * scaled))
-    covariance = spread * information
+    # Huber's covariance of an M-estimator (Robust Statistics, 1981, §7.6), from what a point pulls and holds.
+    # Weighted least squares' own formula states a fifth too little.
+    pull, hold = (residual / sigma) * weight, weight**3
+    small = 1.0 + 2.0 / y.size * float(np.var(hold)) / float(np.mean(hold)) ** 2
+    spread = (small * sigma / float(np.mean(hold))) ** 2 * float(np.sum(pull**2)) / max(1.0, y.size - 2.0)
+    covariance = spread * np.linalg.inv(scaled.T @ scaled)
     if zero_rows:
         # A tare from a few points of the same noise shifts all others together.
-        shift = information @ (scaled.T @ weight)
-        covariance = covariance + sigma**2 / zero_rows * np.outer(shift, shift)
+        shift = np.linalg.solve(scaled.T @ (hold[:, None] * scaled), scaled.T @ hold)
+        covariance = covariance + spread / zero_rows * np.outer(shift, shift)
     total = float(np.sum((y[inlier] - y[inlier].mean()) ** 2))
     coefficients = start / size
     errors = np.sqrt(np.diag(covariance)) / size
@@ -226,7 +231,14 @@ def _robust_line(
         1.0 - float(np.sum(residual[inlier] ** 2)) / total if total > 0 else float("nan"),
         int(y.size),
         int(np.sum(~inlier)),
+        coefficient_correlation(covariance),
     )
+
+
+def coefficient_correlation(covariance: FloatArray) -> float:
+    """Return that of two coefficients from their covariance (2, 2) [1]."""
+    sizes = np.sqrt(np.diag(covariance))
+    return float(covariance[0, 1] / (sizes[0] * sizes[1])) if np.all(sizes > 0) else 0.0
 
 
 def _robust_solution(columns: FloatArray, y: FloatArray) -> tuple[FloatArray, float]:
@@ -266,4 +278,5 @@ def _with_units(fit: CurveFit, units: tuple[str, str]) -> CurveFit:
         fit.r_squared,
         fit.points,
         fit.outliers,
+        fit.correlation,
     )

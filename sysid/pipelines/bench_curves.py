@@ -17,7 +17,14 @@ from sysid.campaign import MotorCampaign
 from sysid.campaign.motor import MotorTrial as TrialEntry
 from sysid.campaign.motor import StaticLog
 from sysid.errors import FitError, LogError, SysidWarning
-from sysid.motor.static_curves import OUTLIER, CurveFit, fit_no_load_line, fit_speed_curve, soft_weights
+from sysid.motor.static_curves import (
+    OUTLIER,
+    CurveFit,
+    coefficient_correlation,
+    fit_no_load_line,
+    fit_speed_curve,
+    soft_weights,
+)
 from sysid.pipelines.bench_logs import STATED_SIGNS, BenchLog, bench_log, command_range, log_points
 from sysid.pipelines.bench_reading import log_hashes, read_log
 from sysid.trials.signs import sign_against_speed
@@ -197,13 +204,15 @@ class NoLoadTie:
         # Outliers pull by their weight alone: what the others scatter is the error.
         weight = np.where(near, self.weights, 0.0)
         spread = float(weight @ residual**2) / max(float(weight.sum()) - 2.0, 1.0)
-        information = np.linalg.inv(self.columns.T @ (self.weights[:, None] * self.columns))
+        information = np.asarray(
+            np.linalg.inv(self.columns.T @ (self.weights[:, None] * self.columns)), dtype=np.float64
+        )
         errors = np.sqrt(np.diag(spread * information))
         return CurveFit(
             "no_load", direction, (float(line[0]), float(line[1])), (float(errors[0]), float(errors[1])),
             ("rad/s", "rad/s"),
             1.0 - float(np.sum(residual[near] ** 2)) / total if total > 0 else float("nan"),
-            residual.size, int(np.count_nonzero(~near)),
+            residual.size, int(np.count_nonzero(~near)), coefficient_correlation(information),
         )  # fmt: skip
 
 

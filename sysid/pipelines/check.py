@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +22,9 @@ from sysid.pipelines.gear import on_surface, say_dropped
 from sysid.pipelines.motor_bench import Bench, prepare_bench
 from sysid.pipelines.search import collected_warnings, naming
 from sysid.pipelines.trust_gear import GearProblem
-from sysid.pipelines.trust_motor import MotorProblem, sensor_noise
+from sysid.pipelines.trust_motor import MotorProblem, noise_correlation
 from sysid.pipelines.trust_setup import gear_problem, motor_problem
 from sysid.recording import file_sha256
-from sysid.trust.fisher import NoiseModel
 from sysid.trust.problem import Block
 from sysid.trust.sensitivity import Candidate, Outlook, expectations, information_by_channel, placed
 from sysid.trust.verdicts import WEAKLY, WELL, Expected, percent, sentences, verdict
@@ -35,8 +33,6 @@ FloatArray = NDArray[np.float64]
 
 # Candidates that are named.
 _NAMED = 3
-# NRMSE of noise where a log shows none.
-_ASSUMED = 0.02
 
 
 def check_campaign(
@@ -102,27 +98,8 @@ def quick_gear(problem: GearProblem) -> tuple[Expected, ...]:
 
 def quick_motor(problem: MotorProblem) -> tuple[Expected, ...]:
     """Return what bench trials are expected to fix at the default values."""
-    known = with_noise(problem)
-    return expectations(known, nominal_point(problem.space), white(known), over_bounds=False)[1]
-
-
-def with_noise(problem: MotorProblem) -> MotorProblem:
-    """Return the problem with the noise that its logs show; 2 % where one shows none."""
-    blocks = []
-    for block in problem.blocks:
-        target = problem.objective.cost.targets[block.trial]
-        values, valid = target.measured[:, block.channel], target.valid[:, block.channel]
-        noise = sensor_noise(values, valid) / block.spread
-        blocks.append(replace(block, noise=noise if math.isfinite(noise) else _ASSUMED))
-    known = MotorProblem(problem.objective, problem.curves)
-    object.__setattr__(known, "blocks", tuple(blocks))
-    return known
-
-
-def white(problem: MotorProblem) -> NoiseModel:
-    """Return noise without correlation: bench logs are compared no finer than their filter passes."""
-    channels = tuple(sorted({block.channel for block in problem.blocks}))
-    return NoiseModel(channels, np.eye(len(channels))[:, :, None])
+    noise = noise_correlation(problem)
+    return expectations(problem, nominal_point(problem.space), noise, over_bounds=False)[1]
 
 
 def _check_gear(campaign: GearCampaign, path: Path, threads: int | None) -> dict[str, Any]:
@@ -143,8 +120,9 @@ def _check_gear(campaign: GearCampaign, path: Path, threads: int | None) -> dict
 
 def _check_motor(campaign: MotorCampaign, path: Path, threads: int | None) -> dict[str, Any]:
     bench = prepare_bench(campaign, path)
-    problem = with_noise(motor_problem(campaign, bench, threads))
-    here, expected = expectations(problem, nominal_point(problem.space), white(problem))
+    problem = motor_problem(campaign, bench, threads)
+    noise = noise_correlation(problem)
+    here, expected = expectations(problem, nominal_point(problem.space), noise)
     out = _verdicts(problem, problem.blocks, here, expected, ())
     out["sentences"] += _motor_advice(bench, expected)
     out["quality"] = [_bench_quality(trial) for trial in bench.trials]

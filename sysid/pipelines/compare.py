@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +11,12 @@ import numpy as np
 
 from sysid.campaign import GearCampaign, MotorCampaign
 from sysid.errors import FitError
-from sysid.gear.model import PARAMETERS
 from sysid.parameter_sets import ParameterSets
 from sysid.pipelines.gear import GearObjective
 from sysid.pipelines.motor_objective import MotorObjective
+from sysid.pipelines.predicted_rows import INSTRUMENTS, gear_rows, motor_rows
 from sysid.pipelines.search import collected_warnings
 from sysid.pipelines.trust_setup import OpenedFit, open_fit, table_rows
-from sysid.pipelines.validate import campaign_row, fit_rows
 from sysid.trust.comparison import compare_values
 from sysid.trust.store import TRUST, read_part
 
@@ -61,16 +61,21 @@ def compare_fits(
             raise FitError(f"a {kinds[0]} and a {kinds[1]} fit share no parameters; compare fits of one kind")
         names = _labels(folders)
         documents = [read_part(fit.folder, TRUST) for fit in opened]
-        sets = tuple(fit.result.parameter_sets() for fit in opened)
+        # Two fits of one campaign share its name; a table's columns must not.
+        sets = tuple(
+            replace(fit.result.parameter_sets(), name=label) for fit, label in zip(opened, names, strict=True)
+        )
         missing = [label for label, found in zip(names, documents, strict=True) if found is None]
         if missing:
             tell(
-                f"{', '.join(missing)}: no profile intervals, so the spread of the sets is compared; "
-                "sysid trust FIT makes them"
+                f"{', '.join(missing)}: no profile intervals, so no difference is judged (runs that reach "
+                "one optimum agree whatever the data leave open); run sysid trust on each"
             )
         differences = compare_values(names, sets, documents)
         table = _cross(opened) if cross else None
     said = [one["sentence"] for one in differences if one["differs"]]
+    # One reason may hold for all parameters.
+    said += [f"not judged: {why}" for why in dict.fromkeys(one["doubt"] for one in differences) if why]
     if table is not None:
         for j, label in enumerate(names):
             best = int(np.argmin(table[:, j]))
@@ -96,22 +101,22 @@ def _labels(folders: Sequence[Path]) -> tuple[str, ...]:
 def _cross(opened: Sequence[OpenedFit]) -> np.ndarray:
     """Return the NRMSE (F, F) of the best set of each fit (row) on the fitted trials of each (column).
 
-    A set brings its free parameters; vehicle, surface, clocks and whatever else is held are the campaign's
-    own.
+    A set brings what it has found, and what it held where the campaign states nothing of it; what that
+    campaign fixes or measures (vehicle, surface, rotor) and its clocks are its own.
     """
     out = np.full((len(opened), len(opened)), np.nan)
     for j, home in enumerate(opened):
         for i, guest in enumerate(opened):
             if isinstance(home.campaign, GearCampaign):
-                rows = fit_rows(guest.result, tuple(PARAMETERS), campaign_row(home.campaign))[:1]
+                rows = gear_rows(guest.result, home.campaign)[:1]
                 if i == j:
                     rows = table_rows(home)[:1]
                 out[i, j] = float(_gear_objective(home).score(rows).cost[0])
             else:
                 assert isinstance(home.campaign, MotorCampaign)
-                own = tuple(home.space.table)
-                base = table_rows(home)[0]
-                rows = base[None] if i == j else _motor_rows(guest, own, base)
+                rows = table_rows(home)[:1]
+                if i != j:
+                    rows = _motor_rows(guest, home, rows[0])
                 objective = home.problem.objective
                 assert isinstance(objective, MotorObjective)
                 out[i, j] = float(objective.cost.mean(objective.score(rows)[0])[0])
@@ -124,12 +129,12 @@ def _gear_objective(opened: OpenedFit) -> GearObjective:
     return objective
 
 
-def _motor_rows(guest: OpenedFit, names: tuple[str, ...], base: np.ndarray) -> np.ndarray:
-    """Return a row of a guest's physical parameters; delays and lags of instruments stay the campaign's."""
-    instruments = ("command_delay", "torque_sensor", "speed_sensor")
-    row = base.copy()
-    for i, record in enumerate(guest.result.parameters):
-        physical = record.status == "free" and not record.name.startswith(instruments)
-        if physical and record.name in names:
-            row[names.index(record.name)] = guest.result.values[0, i]
-    return row[None]
+def _motor_rows(guest: OpenedFit, home: OpenedFit, base: np.ndarray) -> np.ndarray:
+    """Return a row of a guest's motor; delays and lags of instruments stay the campaign's own."""
+    assert isinstance(home.campaign, MotorCampaign)
+    assert home.bench is not None
+    rows = motor_rows(guest.result, home.campaign, home.bench, home.space, base)[:1]
+    for k, name in enumerate(home.space.table):
+        if name.startswith(INSTRUMENTS):
+            rows[:, k] = base[k]
+    return rows

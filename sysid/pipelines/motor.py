@@ -80,7 +80,7 @@ def fit_motor(
         saturation_space(campaign, bench, space.table, PARAMETERS.nominal)
         objective = MotorObjective.build(campaign, space, bench, bench.fitted, threads, dynamic=True)
         say_what_is_fitted(campaign, bench, space, walk.tell)
-        expected = _expected(objective, bench, walk.tell) if walk.options.check else {}
+        expected = _expected(campaign, bench, objective, walk.tell) if walk.options.check else {}
         found = walk.search(objective, bench.hashes, "trials")
         sets = ranked_sets(found.runs, space)
         after = after_the_search(campaign, bench, objective, sets, found, walk.settings, walk.tell)
@@ -123,14 +123,16 @@ def fit_motor(
     return walk.finish(space, found, sets, outcome)
 
 
-def _expected(objective: MotorObjective, bench: Bench, tell: Callable[[str], None]) -> dict[str, Any]:
+def _expected(
+    campaign: MotorCampaign, bench: Bench, objective: MotorObjective, tell: Callable[[str], None]
+) -> dict[str, Any]:
     """Say what the trials are expected to fix, and return it for the provenance."""
     # What judges an objective stands above it.
     from sysid.pipelines.check import quick_motor
-    from sysid.pipelines.trust_motor import MotorProblem
+    from sysid.pipelines.trust_setup import bench_problem
     from sysid.trust.verdicts import EXPECTED, sentences
 
-    found = quick_motor(MotorProblem(objective, tuple(bench.curves.fits)))
+    found = quick_motor(bench_problem(campaign, bench, objective))
     for sentence in sentences(found):
         tell(f"expected: {sentence}")
     return {EXPECTED: [one.document() for one in found]}

@@ -14,11 +14,15 @@ from sysid.errors import FitError
 from sysid.executor import executor
 from sysid.fit.result import FitResult
 from sysid.parameters import SearchSpace
+from sysid.pipelines.motor_bench import CONSTANTS
 from sysid.pipelines.search import collected_warnings
-from sysid.pipelines.trust_setup import OpenedFit, open_fit
+from sysid.pipelines.trust_motor import MotorProblem
+from sysid.pipelines.trust_setup import OpenedFit, noise_floors, open_fit
 from sysid.recording import file_sha256
 from sysid.trust.assessment import Assessment, assess
+from sysid.trust.influence import Influence, influence
 from sysid.trust.problem import Problem, SpreadProblem
+from sysid.trust.resampling import Resampled
 from sysid.trust.store import TRUST, write_part
 from sysid.trust.verdicts import verdict
 
@@ -78,7 +82,10 @@ def assess_fit(
             found = assess(
                 problem, opened.result.cube[0], resamples=options.resamples, seed=options.seed, say=tell
             )
-    document, arrays = _document(opened, found, doubts)
+            tell("fits without one trial")
+            floors = noise_floors(opened, found.linear.point)
+            trials = influence(problem, found.linear, floors)
+    document, arrays = _document(opened, found, trials, floors, doubts)
     for sentence in document["warnings"]:
         tell(f"warning: {sentence}")
     write_part(opened.folder, TRUST, document, arrays, fit=opened.result.name, kind=opened.result.kind)
@@ -86,11 +93,11 @@ def assess_fit(
 
 
 def _document(
-    opened: OpenedFit, found: Assessment, doubts: list[str]
+    opened: OpenedFit, found: Assessment, trials: Influence, floors: FloatArray, doubts: list[str]
 ) -> tuple[dict[str, Any], dict[str, tuple[Any, str, str]]]:
     result, space, linear = opened.result, opened.space, found.linear
     rows = _parameters(result, space, found)
-    warned = [*doubts]
+    warned = [*doubts, *_trial_doubts(opened, found, trials, rows)]
     for row, jump in zip(rows, _moves(result, found), strict=True):
         if not row["derivative_trusted"]:
             warned.append(
@@ -104,9 +111,11 @@ def _document(
                 "squares is least; the search has not converged, or its simulations are too inexact "
                 "(fit.tolerance)"
             )
+            _doubt(row, "the best set is not where the sum of squares is least")
     if found.profiles.lowered > 1.0:
         warned.append("a profile found a better set than the profiles' start: the fit has not converged")
     boot = found.resampled
+    without = space.decode(trials.without)
     arrays: dict[str, tuple[Any, str, str]] = {
         "correlation": (linear.information.correlation, "parameter, parameter", "1"),
         "covariance": (linear.information.covariance, "parameter, parameter", "1, unit cube"),
@@ -122,7 +131,17 @@ def _document(
         "campaign": {"file": opened.path.name, "sha256": file_sha256(opened.path)},
         "parameters": rows,
         "correlation": linear.information.correlation,
-        "noise": {"statement": _STATEMENT, "channels": _channels(opened, found)},
+        "noise": {"statement": _statement(opened), "channels": _channels(opened, found, floors)},
+        "trials": [
+            {
+                "name": name,
+                "ratio": float(trials.ratio[t]),
+                "without": dict(zip(space.names, without[t].tolist(), strict=True)),
+                "shift": dict(zip(space.names, trials.shift[t].tolist(), strict=True)),
+            }
+            for t, name in enumerate(opened.problem.trials)
+        ],
+        "notes": _notes(opened, boot),
         "spread": _spread(result),
         "bootstrap": None
         if boot is None
@@ -132,6 +151,84 @@ def _document(
         "warnings": warned,
     }
     return document, arrays
+
+
+def _doubt(row: dict[str, Any], why: str) -> None:
+    """Note why a row's interval may not hold the truth; such a parameter is not called well known."""
+    row["doubt"] = f"{row['doubt']}; {why}" if row["doubt"] else why
+    if row["verdict"] == "well":
+        row["verdict"] = "weakly"
+
+
+def _trial_doubts(
+    opened: OpenedFit, found: Assessment, trials: Influence, rows: list[dict[str, Any]]
+) -> list[str]:
+    """Return what is to be said of trials that stand out or hold the fit alone; mark the rows they touch."""
+    names = opened.problem.trials
+    out = []
+    advice = 'look at it, and fit without it (use = "validate")'
+    for t in trials.outliers:
+        others = float(np.median(np.delete(trials.ratio, t)))
+        out.append(
+            f"{names[t]}: {trials.ratio[t]:.1f} × what noise alone costs where the others have {others:.1f}; "
+            f"it bends every parameter: {advice} or free its start ([nuisance] start_time, height)"
+        )
+        for row in rows:
+            _doubt(row, f"{names[t]} fits unlike the other trials")
+    values = opened.space.decode(trials.without)
+    for t, far in trials.held_by:
+        moved = ", ".join(
+            f"{rows[i]['symbol']} {values[t, i]:.4g} instead of {rows[i]['refined']:.4g}" for i in far[:3]
+        )
+        out.append(
+            f"the fit hangs on {names[t]} alone: without it {moved}, {abs(trials.shift[t, far[0]]):.0f} × "
+            f"what one trial less explains (standard deviations); a bounce beside a bifurcation does that: "
+            f"{advice}"
+        )
+        for i in far:
+            _doubt(rows[i], f"it goes elsewhere without {names[t]}")
+    return out
+
+
+def _statement(opened: OpenedFit) -> str:
+    """Return what the intervals rest on."""
+    if not isinstance(opened.problem, MotorProblem):
+        return _STATEMENT
+    stated = [name for name in ("rotor_inertia", *CONSTANTS) if name not in opened.space.names]
+    open_ones = [name for name in stated if name not in opened.problem.ranges]
+    ranged = [name for name in stated if name in opened.problem.ranges]
+    words = []
+    constants = {*CONSTANTS} & {*stated}
+    if constants and not {*CONSTANTS} & {*ranged}:
+        words.append("Kv")
+    if "rotor_inertia" in open_ones:
+        words.append("I^r")
+    given = f"; given {' and '.join(words)} as stated (R and L go as k²)" if words else ""
+    return _STATEMENT + " (static curves and tares; ranges under parameters.measured)" + given
+
+
+def _notes(opened: OpenedFit, boot: Resampled | None) -> list[str]:
+    """Return what the numbers leave out, one sentence each."""
+    out = []
+    if boot is None and len(opened.problem.trials) < 3:
+        count = {1: "a single trial", 2: "two trials"}[len(opened.problem.trials)]
+        out.append(
+            f"no bootstrap and no fits without one trial: of {count} whole ones cannot be drawn or left out"
+        )
+    elif boot is not None and not boot.converged.all():
+        lost = int(np.count_nonzero(~boot.converged))
+        out.append(
+            f"bootstrap: {lost} of {len(boot.points)} fits of resampled trials did not come to an end and "
+            "are left out of its intervals, which may be too narrow for that"
+        )
+    if isinstance(opened.problem, MotorProblem):
+        given = _statement(opened).partition("; given ")[2]
+        if given:
+            out.append(
+                f"all intervals: given {given}; a range under parameters.measured "
+                "(back_emf_constant, rotor_inertia) would count"
+            )
+    return out
 
 
 def _moves(result: FitResult, found: Assessment) -> FloatArray:
@@ -177,6 +274,7 @@ def _parameters(result: FitResult, space: SearchSpace, found: Assessment) -> lis
                 "open_95": list(profile.open_95),
                 "half_width": profile.half_width,
                 "verdict": verdict(profile.half_width),
+                "doubt": None,
                 "expected_half_width": float(found.expected[i]),
                 "partners": [{"name": name, "correlation": rho} for name, rho in partners[i]],
                 "at_bound": int(result.at_bound[0, index[row.name]]),
@@ -188,18 +286,18 @@ def _parameters(result: FitResult, space: SearchSpace, found: Assessment) -> lis
     return out
 
 
-def _channels(opened: OpenedFit, found: Assessment) -> list[dict[str, Any]]:
+def _channels(opened: OpenedFit, found: Assessment, floors: FloatArray) -> list[dict[str, Any]]:
     """Return, per channel over all trials, rms residual, noise floor and independent samples."""
     result, linear = opened.result, found.linear
     out = []
     for c, name in enumerate(result.channels):
-        pairs = zip(opened.problem.blocks, linear.levels, strict=True)
-        mine = [(block, level) for block, level in pairs if block.channel == c]
+        pairs = zip(opened.problem.blocks, linear.levels, floors, strict=True)
+        mine = [(block, level, least) for block, level, least in pairs if block.channel == c]
         if not mine:
             continue
-        count = sum(block.count for block, _ in mine)
-        residual = np.sqrt(sum(block.count * (level * block.spread) ** 2 for block, level in mine) / count)
-        floor = np.sqrt(sum(block.count * (block.noise * block.spread) ** 2 for block, _ in mine) / count)
+        count = sum(block.count for block, *_ in mine)
+        residual = np.sqrt(sum(block.count * (level * block.spread) ** 2 for block, level, _ in mine) / count)
+        floor = np.sqrt(sum(block.count * (least * block.spread) ** 2 for block, _, least in mine) / count)
         inflation = linear.noise.inflation[linear.noise.channels.index(c)]
         out.append(
             {

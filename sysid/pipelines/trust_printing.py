@@ -11,6 +11,7 @@ from rich.text import Text
 
 from sysid import exact_json
 from sysid.parameter_sets import ParameterSets
+from sysid.pipelines.trust_setup import fit_folder
 from sysid.report.printing import print_table
 from sysid.report.tables import mean_sigma_table
 from sysid.report.trust_tables import (
@@ -52,10 +53,18 @@ def print_trust(document: Mapping[str, Any], folder: Path, json: bool) -> None:
     if json:
         print(exact_json.dumps(document))
         return
+    folder = fit_folder(folder)
     named = {**document, "fit": folder.name}
     print_table(uncertainty_table(named))
     print_table(noise_table(named))
+    _lines([trials_line(document), *document["notes"]])
     _lines([f"written to {folder / 'trust.json'} and .h5 in {document['seconds']:.0f} s"])
+
+
+def trials_line(document: Mapping[str, Any]) -> str:
+    """Return what every fitted trial scores, in one line."""
+    scores = ", ".join(f"{one['name']} {one['ratio']:.2f}" for one in document["trials"])
+    return f"residual over noise by trial: {scores}"
 
 
 def print_validation(document: Mapping[str, Any], folder: Path, json: bool) -> None:
@@ -63,7 +72,7 @@ def print_validation(document: Mapping[str, Any], folder: Path, json: bool) -> N
     if json:
         print(exact_json.dumps(document))
         return
-    print_table(validation_table({"fit": folder.name, "part": "prediction", **document}))
+    print_table(validation_table({"fit": fit_folder(folder).name, "part": "prediction", **document}))
     said = list(document["reasons"]) or ["not flagged: the predictions are within what noise explains"]
     _lines(said)
 

@@ -13,6 +13,7 @@ from sysid.campaign import GearCampaign, MotorCampaign, read_campaign
 from sysid.errors import FitError, SysidWarning
 from sysid.fit.result import FitResult
 from sysid.fit.store import read_fit
+from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.parameters import SearchSpace
 from sysid.pipelines import gear, motor_bench
 from sysid.pipelines.drops import PreparedDrop, prepare_drops
@@ -20,8 +21,13 @@ from sysid.pipelines.motor_bench import Bench, prepare_bench
 from sysid.pipelines.motor_objective import MotorObjective
 from sysid.pipelines.search import FROM_FOLDER, naming
 from sysid.pipelines.trust_gear import TRUST_TOLERANCE, GearProblem
-from sysid.pipelines.trust_motor import MotorProblem
+from sysid.pipelines.trust_motor import MotorProblem, bench_floors
 from sysid.recording import file_sha256
+
+
+def fit_folder(path: Path) -> Path:
+    """Return a fit's folder, also of the file in it that holds the sets."""
+    return path.parent if path.name == "fit.h5" else path
 
 
 def campaign_of(result: FitResult, folder: Path, given: Path | None) -> Path:
@@ -98,8 +104,7 @@ def open_fit(folder: Path, campaign: Path | None = None, threads: int | None = N
     SysidError
         When the fit or its campaign cannot be read, or the campaign frees other parameters than the fit.
     """
-    folder = Path(folder)
-    folder = folder.parent if folder.name == "fit.h5" else folder
+    folder = fit_folder(Path(folder))
     result = read_fit(folder)
     if not len(result.nrmse):
         raise FitError(f"{folder}: holds no set; run the fit again")
@@ -137,7 +142,15 @@ def motor_problem(campaign: MotorCampaign, bench: Bench, threads: int | None = N
     """Return the trials of a motor's dynamic fit as residuals."""
     space = motor_bench.search_space(campaign, bench)
     objective = MotorObjective.build(campaign, space, bench, bench.fitted, threads, dynamic=True)
-    return MotorProblem(objective, tuple(bench.curves.fits))
+    return bench_problem(campaign, bench, objective)
+
+
+def bench_problem(campaign: MotorCampaign, bench: Bench, objective: MotorObjective) -> MotorProblem:
+    """Return the trials of an objective as residuals, with what its campaign says of the known values."""
+    ranges = campaign.parameters.measured_ranges(MOTOR)
+    # A curve that the campaign states is no fit to points.
+    fits = tuple(f for f in bench.curves.fits if not {*f.parameters} & {*campaign.parameters.fixed})
+    return MotorProblem(objective, fits, ranges)
 
 
 def _open_gear(folder: Path, result: FitResult, path: Path, threads: int | None) -> OpenedFit:
@@ -163,3 +176,14 @@ def table_rows(opened: OpenedFit, values: Any = None) -> np.ndarray:
     index = {record.name: i for i, record in enumerate(result.parameters)}
     found = np.asarray(result.values if values is None else values)
     return np.ascontiguousarray(found[:, [index[name] for name in opened.space.table]])
+
+
+def noise_floors(opened: OpenedFit, cube: np.ndarray) -> np.ndarray:
+    """Return what noise alone costs, NRMSE of every block of a fit's trials (B,) [1].
+
+    Of a bench with what the errors of the static curves and tares cost at a point of the unit cube (n,).
+    """
+    problem = opened.problem
+    if isinstance(problem, MotorProblem):
+        return bench_floors(problem, problem.space.full(np.atleast_2d(cube))[0])
+    return np.array([block.noise for block in problem.blocks])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,26 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.campaign import GearCampaign, MotorCampaign, read_campaign
-from sysid.errors import FitError
+from sysid.errors import FitError, SysidWarning
 from sysid.executor import executor
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.store import read_fit
-from sysid.gear.model import PARAMETERS, EventKind, parameters_on, simulate
+from sysid.gear.model import PARAMETERS, EventKind, simulate
 from sysid.pipelines import gear, motor_bench
 from sysid.pipelines.drops import PreparedDrop, prepare_drops
 from sysid.pipelines.gear import GearObjective, trial_results
 from sysid.pipelines.motor import motor_trial_results
 from sysid.pipelines.motor_bench import prepare_bench
 from sysid.pipelines.motor_objective import MotorObjective
+from sysid.pipelines.predicted_rows import gear_rows, motor_rows
 from sysid.pipelines.search import collected_warnings, naming
 from sysid.pipelines.stopping_place import stopping
 from sysid.pipelines.trust_gear import TRUST_TOLERANCE, compared_noise
-from sysid.pipelines.trust_setup import law_of, open_fit
+from sysid.pipelines.trust_motor import ASSUMED_NOISE, MotorProblem, bench_floors, without_noise
+from sysid.pipelines.trust_setup import OpenedFit, bench_problem, fit_folder, law_of, noise_floors, open_fit
 from sysid.recording import file_sha256
 from sysid.trust.assessment import linearize
-from sysid.trust.problem import SpreadProblem, nrmse_of
+from sysid.trust.problem import Problem, SpreadProblem, nrmse_of
 from sysid.trust.resampling import leave_one_out
-from sysid.trust.store import CROSS_VALIDATION, validation_part, write_part
+from sysid.trust.store import CROSS_VALIDATION, free_part, validation_part, write_part
 from sysid.trust.validation import LEAVES, RATIO, RATIO_EARLY, Judged, document, judge, reasons
 
 FloatArray = NDArray[np.float64]
@@ -63,7 +66,7 @@ def validate_fit(
         When nothing is left to validate with, or an input cannot be used; nothing has been written then.
     """
     tell = say or (lambda sentence: None)
-    folder = folder.parent if folder.name == "fit.h5" else folder
+    folder = fit_folder(folder)
     result = read_fit(folder)
     with naming(campaign_path), collected_warnings(None) as doubts:
         campaign = read_campaign(campaign_path, result.kind)
@@ -74,8 +77,9 @@ def validate_fit(
             assert isinstance(campaign, MotorCampaign)
             judged, extra, trials = _motor(result, campaign, campaign_path, threads)
     why = reasons(judged)
+    digest = file_sha256(campaign_path)
     out = {
-        "campaign": {"file": campaign_path.name, "sha256": file_sha256(campaign_path)},
+        "campaign": {"file": campaign_path.name, "sha256": digest},
         "flagged": bool(why),
         "reasons": list(why),
         "limits": LIMITS,
@@ -98,9 +102,8 @@ def validate_fit(
         arrays[f"{root}/measured"] = (trial.measured, "sample, channel", units)
         arrays[f"{root}/valid"] = (trial.valid, "sample, channel", "1")
         arrays[f"{root}/simulated"] = (trial.simulated, "set, sample, channel", units)
-    write_part(
-        folder, validation_part(campaign.name), out, arrays, fit=result.name, kind=result.kind
-    )  # fmt: skip
+    part = free_part(folder, validation_part(campaign.name), digest)
+    write_part(folder, part, out, arrays, fit=result.name, kind=result.kind)
     return out
 
 
@@ -125,29 +128,13 @@ def unseen(result: FitResult, hashes: dict[str, str], path: Path) -> list[str]:
     return left
 
 
-def fit_rows(result: FitResult, names: tuple[str, ...], base: FloatArray) -> FloatArray:
-    """Return rows (S, n) of a campaign's table [SI]: the fit's free parameters, all else the campaign's."""
-    rows = np.repeat(base[None], len(result.nrmse), axis=0)
-    for i, record in enumerate(result.parameters):
-        if record.status == "free" and record.name in names:
-            rows[:, names.index(record.name)] = result.values[:, i]
-    return rows
-
-
-def campaign_row(campaign: GearCampaign) -> FloatArray:
-    """Return the row (n_par,) of the gear's table that a campaign states [SI]; else the law's defaults."""
-    space = gear.search_space(campaign)
-    known = {**parameters_on(campaign.surface.law).nominal, **gear.measured_values(campaign), **space.fixed}
-    return np.array([known[name] for name in PARAMETERS])
-
-
 def _gear(
     result: FitResult, campaign: GearCampaign, path: Path, threads: int | None
 ) -> tuple[list[Judged], list[dict[str, Any]], list[TrialResult]]:
     drops = prepare_drops(campaign, path)
     names = unseen(result, {drop.name: str(drop.provenance["sha256"]) for drop in drops}, path)
     chosen = tuple(drop for drop in drops if drop.name in names)
-    rows = fit_rows(result, tuple(PARAMETERS), campaign_row(campaign))
+    rows = gear_rows(result, campaign)
     objective = GearObjective.build(campaign, gear.search_space(campaign), chosen, threads, TRUST_TOLERANCE)
     trials, _ = trial_results(objective, rows)
     weights = objective.cost.weights
@@ -189,8 +176,8 @@ def _motor(
     space = motor_bench.search_space(campaign, bench)
     objective = MotorObjective.build(campaign, space, bench, chosen, threads)
     own = tuple(space.table)
-    base = space.full(np.full((1, len(space.free)), 0.5))[0]
-    rows = fit_rows(result, own, base)
+    base = np.array([space.fixed.get(name, row.nominal) for name, row in space.table.items()])
+    rows = motor_rows(result, campaign, bench, space, base)
     index = {record.name: i for i, record in enumerate(result.parameters)}
     # Delays of logs that the fit has not seen: its mean delay; the dead band was fitted as well.
     for name in own:
@@ -199,11 +186,15 @@ def _motor(
             rows[:, own.index(name)] = result.values[:, index[source]]
     rows = objective.complete(rows)
     trials = motor_trial_results(objective, rows)
-    floor = _fitted_levels(result)
+    problem = bench_problem(campaign, bench, objective)
+    _say_assumed(problem)
+    floors = np.full((len(trials), len(result.channels)), np.nan)
+    for block, level in zip(problem.blocks, bench_floors(problem, rows[0]), strict=True):
+        floors[block.trial, block.channel] = level
     judged = [
         judge(
             trial.name, trial.time, trial.measured, trial.valid, trial.simulated,
-            spread=objective.cost.denominators[t], noise=floor * objective.cost.denominators[t],
+            spread=objective.cost.denominators[t], noise=floors[t] * objective.cost.denominators[t],
             weights=objective.cost.weights, channels=result.channels, zero=float(trial.time[0]),
         )
         for t, trial in enumerate(trials)
@@ -211,9 +202,15 @@ def _motor(
     return judged, [{"slope_deg": None, "stop": None} for _ in judged], list(trials)
 
 
-def _fitted_levels(result: FitResult) -> FloatArray:
-    """Return the mean NRMSE of the fitted trials by channel: the floor where the noise is not known."""
-    return np.mean([trial.nrmse[0] for trial in result.trials if trial.use == "fit"], axis=0)
+def _say_assumed(problem: MotorProblem) -> None:
+    silent = without_noise(problem)
+    if silent:
+        warnings.warn(
+            f"{', '.join(silent)}: the log shows no noise at its resolution, so {100 * ASSUMED_NOISE:g} % "
+            "NRMSE is taken for it: what follows judges it no finer than that",
+            SysidWarning,
+            stacklevel=2,
+        )
 
 
 def cross_validate(
@@ -236,16 +233,19 @@ def cross_validate(
     with collected_warnings(None) as doubts:
         opened = open_fit(folder, campaign, 1 if dask else threads)
         result = opened.result
+        if isinstance(opened.problem, MotorProblem):
+            _say_assumed(opened.problem)
         if len(opened.problem.trials) < 2:
             raise FitError(f"{folder}: a single trial was fitted; leaving it out leaves nothing")
         with executor(dask, 2) as where:
-            problem = SpreadProblem(opened.problem, where)
+            problem: Problem = SpreadProblem(opened.problem, where)
             linear = linearize(problem, result.cube[0])
             tell(f"{len(problem.trials)} fits, each without one trial")
             found = leave_one_out(
                 problem, linear.point, linear.scale, linear.jacobian.steps, linear.tolerance
             )  # fmt: skip
             values, _ = problem.residuals(found.points)
+    floors = noise_floors(opened, linear.point)
     levels = nrmse_of(problem.blocks, values)
     decoded = opened.space.decode(found.points)
     judged: list[Judged] = []
@@ -256,11 +256,10 @@ def cross_validate(
         by_channel = np.full(len(result.channels), np.nan)
         for b in mine:
             by_channel[problem.blocks[b].channel] = levels[t, b]
-        noise = np.array([problem.blocks[b].noise for b in mine])
-        fitted = np.array([linear.levels[b] for b in mine])
-        floor = float(weight @ np.where(np.isfinite(noise), noise, fitted))
+        floor = float(weight @ floors[mine])
         nrmse = np.array([float(weight @ levels[t, mine])])
-        judged.append(Judged(name, nrmse, by_channel, floor, None, None, None))
+        early, until = _left_out_early(opened, t, found.points[t], problem, values[t], floors)
+        judged.append(Judged(name, nrmse, by_channel, floor, early, until, None))
     why = reasons(judged)
     out = {
         "campaign": {"file": opened.path.name, "sha256": file_sha256(opened.path)},
@@ -270,6 +269,7 @@ def cross_validate(
         "nrmse": float(np.mean([one.nrmse[0] for one in judged])),
         "nrmse_fitted": float(result.nrmse[0]),
         "ratio": float(np.mean([one.ratio for one in judged])),
+        "ratio_third_contact": float(np.mean([one.early_ratio for one in judged])),
         "trials": [
             {
                 **document(one, result.channels),
@@ -284,3 +284,24 @@ def cross_validate(
     arrays = {"values": (decoded, "trial left out, free parameter", "SI")}
     write_part(opened.folder, CROSS_VALIDATION, out, arrays, fit=result.name, kind=result.kind)
     return out
+
+
+def _left_out_early(
+    opened: OpenedFit, t: int, point: FloatArray, problem: Problem, values: FloatArray, floors: FloatArray
+) -> tuple[tuple[float, float] | None, float | None]:
+    """Return (NRMSE, floor) of a drop up to its third touchdown, and when that is [s]; None of a bench."""
+    if not isinstance(opened.campaign, GearCampaign):
+        return None, None
+    drop = next(one for one in opened.drops if one.name == problem.trials[t])
+    row = opened.space.full(point[None])[0][: len(PARAMETERS)]
+    contacts = touchdowns(drop, row, opened.campaign)
+    end = float(contacts[2]) if len(contacts) > 2 else float(drop.time[-1])
+    first = drop.time <= end
+    mine = [b for b, block in enumerate(problem.blocks) if block.trial == t]
+    weight = np.array([problem.blocks[b].weight for b in mine])
+    weight /= weight.sum()
+    # A sample that does not count has the residual 0 and is no sample.
+    parts = [values[problem.blocks[b].start : problem.blocks[b].stop][first] for b in mine]
+    count = [max(1, int(np.count_nonzero(part))) for part in parts]
+    rms = np.sqrt(np.array([float(np.sum(part**2)) for part in parts]) / count)
+    return (float(weight @ rms), float(weight @ floors[mine])), end - drop.touchdown

@@ -179,7 +179,11 @@ def validation_table(document: Mapping[str, Any]) -> Table:
     stops = any(row.get("stop") for row in document["trials"])
     columns = [("trial", False), ("NRMSE [%]", True), ("noise alone", True), ("ratio", True)]
     if early:
-        columns += [("to 3rd contact [%]", True), ("ratio there", True), ("leaves at [s]", True)]
+        columns += [("to 3rd contact [%]", True), ("ratio there", True)]
+    # Cross-validation keeps no samples of the trial that it leaves out.
+    leaving = not any("refit" in row for row in document["trials"])
+    if leaving:
+        columns += [("leaves at [s]", True)]
     if stops:
         columns += [("place: measured", True), ("predicted [m]", True), ("time: measured", True)]
         columns += [("predicted [s]", True)]
@@ -188,9 +192,10 @@ def validation_table(document: Mapping[str, Any]) -> Table:
     for row in document["trials"]:
         cells = [row["name"], percent(row["nrmse"][0]), percent(row["floor"]), number(row["ratio"], 3)]
         if early:
+            cells += [percent(row["nrmse_third_contact"]), number(row["ratio_third_contact"], 3)]
+        if leaving:
             leaves = row["leaves"]
-            left = _NONE if leaves is None else f"{leaves['time']:.3f} ({leaves['channel']})"
-            cells += [percent(row["nrmse_third_contact"]), number(row["ratio_third_contact"], 3), left]
+            cells.append(_NONE if leaves is None else f"{leaves['time']:.3f} ({leaves['channel']})")
         if stops:
             for key in ("place", "time"):
                 one = row["stop"][key]
@@ -222,7 +227,7 @@ def cross_table(document: Mapping[str, Any]) -> Table:
     names = document["fits"]
     out = table(
         "NRMSE [%] of the best set of a fit (row) on the fitted trials of another (column)",
-        "a set brings its free parameters; vehicle, surface and clocks are the campaign's own",
+        "a set brings what it found, and what it held where the campaign is silent; clocks stay its own",
         [("best set of", False), *((name, True) for name in names)],
     )
     for name, row in zip(names, document["cross"], strict=True):

@@ -34,7 +34,6 @@ FloatArray = NDArray[np.float64]
 Direction = Literal["forward", "reverse", "reversal"]
 
 MINIMUM, NEUTRAL, MAXIMUM = 1000.0, 1500.0, 2000.0
-KV_RPM_PER_VOLT = 960.0
 _REST, _IDLE = 0.5, 1.0
 # The window of a trial starts this long before the first step, at a steady idle.
 _STEADY = 0.2
@@ -282,7 +281,7 @@ kind = "motor"
 name = "{name}"
 
 [motor]
-kv = "{KV_RPM_PER_VOLT:g} rpm/V"  # datasheet
+kv = "{30.0 / math.pi / true["back_emf_constant"]:.10g} rpm/V"  # measured: a rating is good to percents
 rotor_inertia = "{true["rotor_inertia"]:.10g} kg·m²"  # bell and propeller, trifilar pendulum
 reference_voltage = "{true["reference_voltage"]:.10g} V"  # bench supply of the load-cell trials
 

@@ -26,15 +26,17 @@ def compare_values(
         Of the fits.
     sets : sequence of ParameterSets
     documents : sequence of mapping or None
-        ``trust`` of each (`sysid.trust.store`): intervals; None: the spread of the sets stands in.
+        ``trust`` of each (`sysid.trust.store`): intervals; None: there is only the spread of the sets, which
+        judges nothing (runs that reach one optimum agree whatever the data leave open).
 
     Returns
     -------
     list of dict
-        ``parameter``, ``symbol``, ``unit``, ``fits`` (two names), ``values``, ``difference`` (relative to the
-        first), ``allowed`` (half-width of the difference's 95 % interval [unit]), ``by`` ("profile intervals"
-        or "spread of the sets"), ``differs`` (true, false; null where an interval is open or nothing is
-        known), ``sentence``.
+        ``parameter``, ``symbol``, ``unit``, ``fits`` (two names), ``values`` (where the sum of squares is
+        least, which the intervals lie around; else of the best set), ``difference`` (relative to the first),
+        ``allowed`` (half-width of the difference's 95 % interval [unit]), ``by`` ("profile intervals" or
+        "spread of the sets"), ``differs`` (true, false; null where an interval is open or doubtful, or there
+        is none), ``doubt`` (why null, or null), ``sentence``.
 
     Notes
     -----
@@ -47,16 +49,20 @@ def compare_values(
         second = {r.name: i for i, r in enumerate(sets[b].parameters) if r.status == "free"}
         for name in [name for name in first if name in second and "[" not in name]:
             record = sets[a].parameters[first[name]]
-            pair = (sets[a].values[0, first[name]], sets[b].values[0, second[name]])
+            rows = [_row(documents[k], name) for k in (a, b)]
+            pair = [float(sets[a].values[0, first[name]]), float(sets[b].values[0, second[name]])]
+            by = "spread of the sets"
+            if all(row is not None for row in rows):
+                by = "profile intervals"
+                pair = [float(row["refined"]) for row in rows if row is not None]
             reach = [
-                _reach(sets[k], documents[k], name, facing)
-                for k, facing in ((a, pair[1] > pair[0]), (b, pair[0] > pair[1]))
+                _reach(sets[k], row if by == "profile intervals" else None, name, facing)
+                for k, row, facing in ((a, rows[0], pair[1] > pair[0]), (b, rows[1], pair[0] > pair[1]))
             ]
-            allowed = math.hypot(*(one[0] for one in reach))
-            by = "profile intervals" if all(one[1] for one in reach) else "spread of the sets"
+            allowed = math.hypot(*reach)
             distance = abs(pair[1] - pair[0])
-            known = math.isfinite(allowed)
-            differs = bool(distance > allowed) if known else None
+            doubt = _doubt((names[a], names[b]), rows, allowed)
+            differs = bool(distance > allowed) if doubt is None else None
             share = (pair[1] - pair[0]) / pair[0] if pair[0] else math.nan
             unit = "" if record.unit == "1" else f" {record.unit}"
             sentence = (
@@ -70,27 +76,42 @@ def compare_values(
                     "symbol": record.symbol,
                     "unit": record.unit,
                     "fits": [names[a], names[b]],
-                    "values": [float(pair[0]), float(pair[1])],
+                    "values": pair,
                     "difference": float(share),
                     "allowed": float(allowed),
                     "by": by,
                     "differs": differs,
+                    "doubt": doubt,
                     "sentence": sentence,
                 }
             )
     return out
 
 
-def _reach(
-    sets: ParameterSets, document: Mapping[str, Any] | None, name: str, up: bool
-) -> tuple[float, bool]:
-    """Return how far a value may be off on one side, at 95 %, and whether a profile says so."""
-    if document is not None:
-        row = next((one for one in document["parameters"] if one["name"] == name), None)
-        if row is not None:
-            side = 1 if up else 0
-            if row["open_95"][side]:
-                return math.inf, True
-            return abs(row["interval_95"][side] - row["value"]), True
-    sigma = float(sets.sigma[sets.names.index(name)])
-    return (_NORMAL_95 * sigma if math.isfinite(sigma) else math.inf), False
+def _row(document: Mapping[str, Any] | None, name: str) -> Mapping[str, Any] | None:
+    if document is None:
+        return None
+    return next((one for one in document["parameters"] if one["name"] == name), None)
+
+
+def _doubt(names: Sequence[str], rows: Sequence[Mapping[str, Any] | None], allowed: float) -> str | None:
+    """Return why nothing can be said of a difference; None where it can."""
+    lacking = [name for name, row in zip(names, rows, strict=True) if row is None]
+    if lacking:
+        return f"no intervals: run sysid trust on {' and '.join(dict.fromkeys(lacking))}"
+    for name, row in zip(names, rows, strict=True):
+        if row is not None and row.get("doubt"):
+            return f"{name}: {row['doubt']}"
+    return None if math.isfinite(allowed) else "an interval is open"
+
+
+def _reach(sets: ParameterSets, row: Mapping[str, Any] | None, name: str, up: bool) -> float:
+    """Return how far a value may be off on one side, at 95 %."""
+    if row is None:
+        sigma = float(sets.sigma[sets.names.index(name)])
+        return _NORMAL_95 * sigma if math.isfinite(sigma) else math.inf
+    side = 1 if up else 0
+    if row["open_95"][side]:
+        return math.inf
+    away = row["interval_95"][side] - row["refined"]
+    return max(0.0, away if up else -away)

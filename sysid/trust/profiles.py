@@ -182,7 +182,6 @@ def walk_profiles(
             side.points.append(point)
             side.squares.append(squares)
             deviance = (squares - lowest) / info.inflation[i]
-            # A jump far beyond the limit leaves its crossing unknown: one more point half way.
             if point[i] in (0.0, 1.0) or deviance > _ENOUGH:
                 side.done = True
     least = min(min(side.squares) for side in sides)

@@ -30,12 +30,15 @@ class Resampled:
     weights : (B, T) array
         How often each trial was drawn.
     converged : (B,) bool array
+    squares : (B,) array
+        Sum of squares that each was left with; infinite where it could not be simulated.
     evaluations : int
     """
 
     points: FloatArray
     weights: FloatArray
     converged: NDArray[np.bool_]
+    squares: FloatArray
     evaluations: int
 
 
@@ -92,4 +95,5 @@ def _refit(
         weights=lambda part: trial_rows(problem.blocks, weights[part], len(scale)),
         tolerance=tolerance, iterations=8,
     )  # fmt: skip
-    return Resampled(found.points, weights, found.converged & np.isfinite(found.squares), found.evaluations)
+    good = found.converged & np.isfinite(found.squares)
+    return Resampled(found.points, weights, good, found.squares, found.evaluations)

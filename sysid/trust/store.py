@@ -22,8 +22,11 @@ names lie in the HDF5 file, every dataset with the attributes ``axes`` and ``uni
     derivative_trusted    false from a tenth on
     interval_68/95        [low, high] of the profile; a bound of the search where open
     open_68/95            [low is open, high is open]
-    half_width            half of interval_95 over the value; Infinity where open
-    verdict               "well" below 0.1, "weakly" below 0.5, "not identifiable" beyond
+    half_width            half of interval_95 over the profile's best value; Infinity where open
+    verdict               "well" below 0.1, "weakly" below 0.5, "not identifiable" beyond; never "well" where
+                          there is a doubt
+    doubt                 why the interval may not hold the truth: the best set is elsewhere, or one trial
+                          decides; null: no reason known
     expected_half_width   the same from the linearization (what `sysid check` tells before a fit)
     partners              list of {"name", "correlation"}, the strongest first, from 0.8 on
     at_bound              -1, 0, 1: the best set ends within 1 % of a bound
@@ -36,13 +39,16 @@ names lie in the HDF5 file, every dataset with the attributes ``axes`` and ``uni
     "floor", "samples", "independent_samples"}}: rms of the residuals and of the measurement's own noise
     [unit], or NaN. ``spread``: {"channels", "units", "trials": list of {"name", "use", "rms", "largest"}}: of
     the predictions of all sets around their mean, one number per channel. ``bootstrap``: {"resamples",
-    "failed"} or null. ``campaign``: {"file", "sha256"}. ``evaluations``, ``seconds``.
+    "failed"} or null; the failed ones are not in `bootstrap_95`. ``trials``: list of {"name", "ratio"
+    (residual over what noise alone costs), "without" ({parameter: value of the fit without it}), "shift"
+    ({parameter: how far that is, in standard deviations of what one trial less explains})}. ``notes``:
+    sentences on what the numbers leave out. ``campaign``: {"file", "sha256"}. ``evaluations``, ``seconds``.
 
     HDF5: ``correlation``, ``covariance`` (unit cube), ``profiles/NAME/{value, deviance, others}`` (ascending
     values; deviance is chi-square-like, limits 0.989 and 3.841; others (k, n) are all free parameters),
     ``bootstrap/values`` (B, n).
 
-``validation-CAMPAIGN`` (one per campaign) and ``cross-validation``
+``validation-CAMPAIGN`` (of a second file of that name ``validation-CAMPAIGN-HASH``) and ``cross-validation``
     ``flagged``: true where the prediction is off by more than the limit; ``reasons``: sentences that name the
     number. ``ratio``, ``ratio_third_contact``: means over the trials. ``limits``: {number: limit}. ``nrmse``:
     mean of the best set over all trials; ``nrmse_fitted``: of the fit. ``trials``: list of
@@ -197,6 +203,20 @@ def parts(folder: Path) -> tuple[str, ...]:
     """Return which documents a fit folder holds, whether or not the fit has changed since."""
     found = sorted(path.stem for path in folder.glob("*.json") if (folder / f"{path.stem}.h5").is_file())
     return tuple(name for name in found if name in (TRUST, CROSS_VALIDATION) or name.startswith(VALIDATION))
+
+
+def free_part(folder: Path, part: str, campaign_sha256: str) -> str:
+    """Return the name under which a campaign's validation does not overwrite that of another file.
+
+    Part of the campaign file's hash is added where `part` speaks of another content.
+    """
+    try:
+        there = read_part(folder, part)
+    except FitError:
+        there = None
+    if there is None or there["campaign"]["sha256"] == campaign_sha256:
+        return part
+    return f"{part}-{campaign_sha256[:8]}"
 
 
 def validation_part(campaign: str) -> str:

@@ -10,7 +10,7 @@ from sysid import exact_json
 from sysid.errors import FitError
 from sysid.parameter_sets import ParameterRecord, ParameterSets
 from sysid.trust.comparison import compare_values
-from sysid.trust.store import parts, read_arrays, read_part, validation_part, write_part
+from sysid.trust.store import free_part, parts, read_arrays, read_part, validation_part, write_part
 from sysid.trust.validation import LEAVES, judge, reasons
 
 CHANNELS = ("x_B", "z_B")
@@ -93,8 +93,10 @@ def _sets(name, value, sigma=0.1, status="free"):
     )  # fmt: skip
 
 
-def _document(value, low, high, opened=(False, False)):
-    row = {"name": "leg_mass", "value": value, "interval_95": [low, high], "open_95": list(opened)}
+def _document(value, low, high, opened=(False, False), doubt=None):
+    # The best set lies elsewhere than the minimum that its interval is around.
+    row = {"name": "leg_mass", "value": 5.0, "refined": value, "interval_95": [low, high],
+           "open_95": list(opened), "doubt": doubt}  # fmt: skip
     return {"parameters": [row]}
 
 
@@ -115,11 +117,29 @@ def test_an_open_interval_leaves_a_difference_unknown():
     documents = [_document(1.0, 0.0, 1.3), _document(2.0, 0.1, 9.0, (True, False))]
     found = compare_values(("a", "b"), [_sets("a", 1.0), _sets("b", 2.0)], documents)[0]
     assert found["differs"] is None
+    assert found["doubt"] == "an interval is open"
 
 
-def test_without_profiles_the_spread_of_the_sets_stands_in():
+def test_an_interval_that_does_not_reach_its_value_allows_nothing():
+    # What lies between the ends is 1.2 to 1.3; the side that faces b ends before the value.
+    documents = [_document(1.4, 1.2, 1.3), _document(2.0, 1.6, 9.0)]
+    found = compare_values(("a", "b"), [_sets("a", 1.4), _sets("b", 2.0)], documents)[0]
+    assert found["allowed"] == pytest.approx(0.4)
+
+
+def test_a_doubtful_interval_judges_nothing():
+    documents = [_document(1.0, 0.9, 1.1, doubt="not converged"), _document(2.0, 1.9, 2.1)]
+    found = compare_values(("a", "b"), [_sets("a", 1.0), _sets("b", 2.0)], documents)[0]
+    assert found["differs"] is None
+    assert found["doubt"] == "a: not converged"
+
+
+def test_without_profiles_nothing_is_judged():
     found = compare_values(("a", "b"), [_sets("a", 1.0), _sets("b", 2.0)], [None, None])[0]
     assert found["by"] == "spread of the sets"
+    # Far beyond the spread, which says only that the runs agree.
+    assert found["differs"] is None
+    assert "run sysid trust on a and b" in found["doubt"]
     assert found["allowed"] == pytest.approx(1.959964 * 0.1 * math.sqrt(2), rel=1e-6)
     held = compare_values(("a", "b"), [_sets("a", 1.0, status="fixed"), _sets("b", 2.0)], [None, None])
     assert held == []
@@ -144,6 +164,17 @@ def test_a_part_is_read_back_until_the_fit_changes(folder):
     (folder / "fit.h5").write_bytes(b"another fit")
     assert read_part(folder, part) is None
     assert read_part(folder, "trust") is None
+
+
+def test_two_campaigns_of_one_name_keep_both_validations(folder):
+    part = validation_part("lab")
+    assert free_part(folder, part, "a" * 64) == part
+    write_part(folder, part, {"campaign": {"sha256": "a" * 64}}, {}, fit="f", kind="gear")
+    assert free_part(folder, part, "a" * 64) == part
+    assert free_part(folder, part, "b" * 64) == f"{part}-bbbbbbbb"
+    # What spoke of another fit may go.
+    (folder / "fit.h5").write_bytes(b"another fit")
+    assert free_part(folder, part, "b" * 64) == part
 
 
 def test_damaged_parts_are_refused(folder):
