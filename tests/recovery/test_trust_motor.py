@@ -45,7 +45,7 @@ def _edited(source: Path, target: Path, old: str, new: str) -> Path:
     return target
 
 
-def _fit(path: Path, out: Path, generations: int = 12) -> Path:
+def _fit(path: Path, out: Path, generations: int = 25) -> Path:
     options = FitOptions(out=out, runs=1, population=32, max_generations=generations, quiet=True, check=False)
     return fit_motor(path, options)[1]
 
