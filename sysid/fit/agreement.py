@@ -3,13 +3,15 @@
 Two runs ended in the same optimum when neither their NRMSE nor their place in the unit cube differs by more
 than the search itself could tell: NRMSE by less than 0.2 %, every free parameter by less than 2 % of its
 range plus the widths over which each run's own candidates scored within 0.2 % of its best. A parameter that
-the data do not hold is wide, so it does not tear runs apart that agree in all that can be known.
+the data do not hold is wide, or is left out, so it does not tear runs apart that agree in all that can be
+known.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +33,20 @@ ENDS_WITHIN = 3e-5
 _CUT = ("interrupted", "time", "evaluations", "generations")
 # A parameter that such sets spread over by more is held no tighter than that [1].
 _HELD = 0.01
+# Candidates that score as well as the best over more than this do not fix a parameter: a factor (logarithmic
+# scale), a share of its range (linear scale).
+_FACTOR, _SHARE = 3.0, 1 / 3
+
+
+class Searched(Protocol):
+    """What must be known of a free parameter: the scale and the bounds of its search."""
+
+    @property
+    def scale(self) -> str | None: ...
+    @property
+    def lower(self) -> float | None: ...
+    @property
+    def upper(self) -> float | None: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +139,22 @@ class Agreement:
         return text + "; start anew with a larger limit"
 
 
-def agreement(runs: Sequence[RunHistory], asked: int | None = None) -> Agreement:
-    """Group runs by the optimum in which they ended; `asked` of them were to be (all, by default)."""
+def agreement(
+    runs: Sequence[RunHistory], asked: int | None = None, free: Sequence[Searched] = ()
+) -> Agreement:
+    """Group runs by the optimum in which they ended.
+
+    Parameters
+    ----------
+    runs : sequence of RunHistory
+        At least one.
+    asked : int, optional
+        How many there were to be; all, by default.
+    free : sequence of Searched
+        The parameters along the cube's axes: those that the runs together do not fix (`unfixed`) say nothing
+        about which optimum a run is in. Without it all count.
+    """
+    held = ~unfixed(runs, free) if free else np.ones(runs[0].best_point.shape, dtype=bool)
     cost = np.array([run.best[-1] for run in runs])
     place = np.stack([run.best_point for run in runs])
     width = np.stack([_width(run) for run in runs])
@@ -135,7 +165,7 @@ def agreement(runs: Sequence[RunHistory], asked: int | None = None) -> Agreement
         for number, other in enumerate(first):
             near = abs(cost[run] - cost[other]) <= SAME_NRMSE * cost[other]
             apart = np.abs(place[run] - place[other])
-            if near and np.all(apart <= SAME_PLACE + width[run] + width[other]):
+            if near and np.all((apart <= SAME_PLACE + width[run] + width[other]) | ~held):
                 optimum[run] = number
                 break
         else:
@@ -152,22 +182,42 @@ def _width(run: RunHistory) -> FloatArray:
     return np.asarray(np.ptp(good, axis=0)) / 2
 
 
+def unfixed(runs: Sequence[RunHistory], free: Sequence[Searched]) -> NDArray[np.bool_]:
+    """Return which free parameters (n_free,) the data do not fix, judged from all candidates of the runs.
+
+    Those that score within 0.2 % of the best NRMSE spread over more than a factor of three (logarithmic
+    scale) or a third of the range (linear). It is a lower bound: a search does not explore what does not pay.
+    """
+    limit = min(float(run.best[-1]) for run in runs) * (1 + SAME_NRMSE)
+    stages = [stage for run in runs for stage in run.stages]
+    width = np.ptp(np.concatenate([stage.cube[stage.cost <= limit] for stage in stages]), axis=0)
+    out = np.zeros(len(width), dtype=np.bool_)
+    for i, (row, share) in enumerate(zip(free, width, strict=True)):
+        if row.lower is not None and row.upper is not None:
+            log = row.scale == "log"
+            out[i] = share * np.log(row.upper / row.lower) > np.log(_FACTOR) if log else share > _SHARE
+    return out
+
+
 def loose_warnings(runs: Sequence[RunHistory], space: SearchSpace) -> tuple[str, ...]:
     """Return sentences on the free parameters that the data do not hold, judged from the candidates.
 
-    A parameter is called loose when candidates of the runs in the best optimum that score within 0.2 % of the
-    best NRMSE spread over more than a factor of three (logarithmic scale) or a third of its range (linear).
-    Of the others those are named whose value differs by more than 1 % between candidates that score within
-    0.003 % of the best: no search tells these apart. Both are lower bounds on what the data leave open: a
-    search does not explore what does not pay.
+    Loose ones (`unfixed`) are named with the values over which the candidates score alike. Of the others
+    those are named whose value differs by more than 1 % between candidates that score within 0.003 % of the
+    best: no search tells these apart. Both are lower bounds on what the data leave open: a search does not
+    explore what does not pay. A run that was cut short is not asked: far from an optimum candidates score
+    alike for other reasons.
     """
+    runs = [run for run in runs if run.stop_reason not in _CUT]
+    if not runs:
+        return ()
     low, high = _span(runs, space, SAME_NRMSE)
+    wide = unfixed(runs, space.free)
     out, held = [], []
     least, most = _span(runs, space, ENDS_WITHIN)
     spread = (most - least) / np.maximum(np.abs(most + least) / 2, np.finfo(float).tiny)
     for i, row in enumerate(space.free):
-        wide = high[i] > 3 * low[i] if row.scale == "log" else high[i] - low[i] > (row.upper - row.lower) / 3
-        if wide:
+        if wide[i]:
             out.append(
                 f"{in_words(row.name, row.symbol)} is not fixed by the data: sets from {low[i]:.2g} to "
                 f"{with_unit(f'{high[i]:.2g}', row.unit)} "
@@ -191,12 +241,12 @@ def _span(runs: Sequence[RunHistory], space: SearchSpace, within: float) -> tupl
     return space.decode(good.min(axis=0)), space.decode(good.max(axis=0))
 
 
-def waterfall(runs: Sequence[RunHistory]) -> list[str]:
+def waterfall(runs: Sequence[RunHistory], free: Sequence[Searched] = ()) -> list[str]:
     """Return a table of all runs, best first: NRMSE, its ratio to the best, optimum, cost, why it ended.
 
-    A run that was cut short reached no optimum: a dash.
+    A run that was cut short reached no optimum: a dash. `free` as for `agreement`.
     """
-    found = agreement(runs)
+    found = agreement(runs, free=free)
     best = float(found.cost.min())
     lines = [
         f"{'rank':>4}  {'run':>3}  {'NRMSE':>9}  {'× best':>7}  {'optimum':>7}  {'candidates':>10}  ended"

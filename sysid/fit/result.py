@@ -19,6 +19,9 @@ from sysid.parameters import SearchSpace, in_words, with_unit
 
 FloatArray = NDArray[np.float64]
 
+# How the source of a parameter begins that was fitted after the search, all else held.
+_SECOND_STAGE = "second stage"
+
 
 @dataclass(frozen=True, eq=False)
 class TrialResult:
@@ -216,7 +219,16 @@ class FitResult:
     @property
     def agreement(self) -> Agreement:
         """What the runs say about each other, those that were to be and never begun included."""
-        return agreement(self.runs, self.provenance.get("search", {}).get("runs"))
+        return agreement(self.runs, self.provenance.get("search", {}).get("runs"), self.searched)
+
+    def searched(self) -> tuple[ParameterRecord, ...]:
+        """Records of the parameters along the cube's axes, in their order; none where they do not fit."""
+        found = tuple(
+            one
+            for one in self.parameters
+            if one.status == "free" and not one.source.startswith(_SECOND_STAGE)
+        )
+        return found if len(found) == self.cube.shape[1] else ()
 
     @property
     def nrmse_by_trial(self) -> FloatArray:

@@ -281,7 +281,7 @@ def summary(result: FitResult) -> str:
         lines.append(f"{trial.name:<{width}}  {trial.use:<10}{cells}")
     if result.runs:
         lines += ["", "runs, best first (runs of one letter ended in the same optimum)", ""]
-        lines += [*waterfall(result.runs), "", result.agreement.sentence()]
+        lines += [*waterfall(result.runs, result.searched), "", result.agreement.sentence()]
     lines += ["", "stages", ""]
     for number, run in enumerate(result.runs, start=1):
         lines.append(

@@ -255,9 +255,9 @@ def search(
     cut = len(runs) < settings.runs or any(
         stage.stop_reason in ("interrupted", "time") for run in runs for stage in run.stages
     )
-    found = agreement(runs, settings.runs)
+    found = agreement(runs, settings.runs, objective.space.free)
     if len(runs) > 1:
-        for line in waterfall(runs):
+        for line in waterfall(runs, objective.space.free):
             tell(line)
     tell(found.sentence())
     doubts = () if found.agrees and len(runs) > 1 else (found.sentence(),)

@@ -306,9 +306,8 @@ def _legend(fit: FitResult, trials: Sequence[TrialResult], contacts: bool) -> li
     if len(fit.nrmse):
         handles.append(Line2D([], [], color=BEST, linewidth=1.3, label="best set, and its residual"))
     if len(fit.nrmse) > 1:
-        handles.append(
-            Line2D([], [], color=OTHERS, linewidth=0.8, label=f"the other {len(fit.nrmse) - 1} sets")
-        )
+        others = "the other set" if len(fit.nrmse) == 2 else f"the other {len(fit.nrmse) - 1} sets"
+        handles.append(Line2D([], [], color=OTHERS, linewidth=0.8, label=others))
     if any(masked_runs(trial) for trial in trials):
         handles.append(Patch(color=MASKED, label="no sample counts"))
     if contacts:
@@ -329,7 +328,8 @@ def _title(fit: FitResult, trial: TrialResult) -> str:
         least, most = float(means.min()), float(means.max())
         low, high = percent_text(least), percent_text(most)
         # Sets that score alike to the printed digits need no span.
-        text += f", all {len(means)} sets {low} to {high}" if low != high else ""
+        every = "both" if len(means) == 2 else f"all {len(means)}"
+        text += f", {every} sets {low} to {high}" if low != high else ""
     return text
 
 

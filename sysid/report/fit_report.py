@@ -249,6 +249,11 @@ class FitReport:
         """Return how the runs went, and where they ended."""
         found = self.fit.agreement
         runs = len(self.fit.runs)
+        ended = f"{found.reached} of {runs} share the best optimum"
+        caption = "Waterfall: one colour and marker per optimum."
+        if found.unfinished:
+            ended = "the search was not finished, so no optimum is known"
+            caption = "Waterfall: runs that were not finished (open circles) reached no optimum."
         return grid(
             [
                 picture(
@@ -259,9 +264,8 @@ class FitReport:
                 ),
                 picture(
                     figure_waterfall(self.fit),
-                    f"final NRMSE of {runs} runs over the best one, by rank; {found.reached} of {runs} share "
-                    "the best optimum",
-                    "Waterfall: one colour and marker per optimum.",
+                    f"final NRMSE of {runs} runs over the best one, by rank; {ended}",
+                    caption,
                 ),
             ]
         ) + paragraph(f"{found.sentence()[:1].upper()}{found.sentence()[1:]}.")

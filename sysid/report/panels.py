@@ -19,6 +19,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from sysid.filters import ChebyshevLowpass, KaiserLowpass, Spectrum
+from sysid.fit.agreement import SAME_NRMSE
 from sysid.fit.result import FitResult, TrialResult
 from sysid.report.figures import (
     BEST,
@@ -113,7 +114,8 @@ def figure_legend(fit: FitResult, *, contacts: bool) -> Figure:
     handles: list[Line2D | Patch] = [Line2D([], [], color=MEASURED, label="measured", **look)]
     handles.append(Line2D([], [], color=BEST, linewidth=1.3, label="best set, residual"))
     if len(fit.nrmse) > 1:
-        handles.append(Line2D([], [], color=OTHERS, linewidth=0.8, label=f"other {len(fit.nrmse) - 1} sets"))
+        others = "other set" if len(fit.nrmse) == 2 else f"other {len(fit.nrmse) - 1} sets"
+        handles.append(Line2D([], [], color=OTHERS, linewidth=0.8, label=others))
     if contacts:
         handles += [
             Line2D(
@@ -198,21 +200,30 @@ def figure_runs(fit: FitResult) -> Figure:
 
 
 def figure_waterfall(fit: FitResult) -> Figure:
-    """Draw the final NRMSE of every run, best first; runs that ended in the same optimum share a colour."""
+    """Draw the final NRMSE of every run, best first; runs that ended in the same optimum share a colour.
+
+    A run that was cut short ended in none: an open circle without a letter.
+    """
     figure = panel(3.2)
     axes = figure.add_subplot()
     found = fit.agreement
     best = float(found.cost.min())
-    for optimum in range(int(found.optimum.max()) + 1):
-        ranks = [rank for rank, run in enumerate(found.order, start=1) if found.optimum[run] == optimum]
-        runs = [run for run in found.order if found.optimum[run] == optimum]
-        axes.plot(
-            ranks, found.cost[runs] / best, linestyle="none", markersize=7,
-            marker=_MARKERS[optimum % len(_MARKERS)], color=RUNS[optimum % len(RUNS)],
-            label=f"optimum {chr(ord('A') + optimum % 26)}",
-        )  # fmt: skip
-    worst = float(found.cost.max()) / best
-    axes.set_ylim(1 - 0.08 * max(worst - 1, 1e-3), 1 + 1.25 * max(worst - 1, 1e-3))
+    looks: dict[str, dict[str, Any]] = {}
+    points: dict[str, list[tuple[int, float]]] = {}
+    for rank, run in enumerate(found.order, start=1):
+        optimum = int(found.optimum[run])
+        look = {"marker": _MARKERS[optimum % len(_MARKERS)], "color": RUNS[optimum % len(RUNS)]}
+        name = f"optimum {chr(ord('A') + optimum % 26)}"
+        if found.cut[run]:
+            name, look = "not finished", {"marker": "o", "color": "0.4", "markerfacecolor": "none"}
+        looks[name] = look
+        points.setdefault(name, []).append((rank, float(found.cost[run]) / best))
+    for name in sorted(points):
+        axes.plot(*zip(*points[name], strict=True), linestyle="none", markersize=7, label=name, **looks[name])
+    # Differences that tell no optima apart are not drawn large.
+    span = max(float(found.cost.max()) / best - 1, 5 * SAME_NRMSE)
+    axes.set_ylim(1 - 0.08 * span, 1 + 1.25 * span)
+    axes.yaxis.set_major_locator(MaxNLocator(5))
     axes.ticklabel_format(axis="y", useOffset=False)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlim(0.5, len(fit.runs) + 0.5)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from sysid.fit.agreement import SAME_NRMSE
+from sysid.fit.agreement import unfixed
 from sysid.fit.result import FitResult
 from sysid.gear.surfaces import SURFACES
 from sysid.parameter_sets import in_place_of_digits
@@ -16,9 +15,6 @@ from sysid.parameters import in_words
 from sysid.report.figures import percent_text
 from sysid.report.trust_panels import verdict_words
 
-# A candidate's range over which it scores as well as the best calls a parameter open, as in
-# `sysid.fit.agreement.loose_warnings`.
-_FACTOR, _SHARE = 3.0, 1 / 3
 _COUNTS = (
     "no",
     "one",
@@ -57,9 +53,9 @@ def verdict_sentences(
     warnings : int
         How many stand below the verdict.
     """
-    out = [_fitted(fit), *_predicted(fit, against, validated), *_fixed(fit, trust), _runs(fit)]
+    out = [_fitted(fit), *_predicted(fit, against, validated), *_fixed(fit, trust), *_runs(fit)]
     if fit.state != "done":
-        out.append("The search was stopped early: this is what was found until then.")
+        out.append("It was stopped early: this is what was found until then.")
     if warnings:
         verb = "s stand" if warnings > 1 else " stands"
         out.append(f"{_count(warnings).capitalize()} warning{verb} below.")
@@ -67,26 +63,16 @@ def verdict_sentences(
 
 
 def open_parameters(fit: FitResult) -> tuple[str, ...]:
-    """Return the free parameters of which values far apart score within 0.2 % of the best NRMSE.
+    """Return the free parameters that the data do not fix: by the candidates, or by a profile of their own.
 
-    A lower bound on what is open: a search does not explore what does not pay. Parameters below a bound of
-    their own profile count as well.
+    See `sysid.fit.agreement.unfixed`, a lower bound on what is open.
     """
-    free = [r for r in fit.parameters if r.status == "free" and not r.source.startswith("second stage")]
-    out = [r.name for r in free if in_place_of_digits(fit.settings, r.name) is not None]
-    stages = [stage for run in fit.runs for stage in run.stages]
-    if not stages or stages[0].cube.shape[2] != len(free):
-        return tuple(out)
-    limit = min(float(run.best[-1]) for run in fit.runs) * (1 + SAME_NRMSE)
-    good = np.concatenate([stage.cube[stage.cost <= limit] for stage in stages])
-    for record, width in zip(free, np.ptp(good, axis=0), strict=True):
-        if record.lower is None or record.upper is None or record.name in out:
-            continue
-        log = record.scale == "log"
-        wide = width * math.log(record.upper / record.lower) > math.log(_FACTOR) if log else width > _SHARE
-        if wide:
-            out.append(record.name)
-    return tuple(out)
+    free = [record.name for record in fit.parameters if record.status == "free"]
+    wide: set[str] = set()
+    if fit.runs and fit.searched:
+        flags = unfixed(fit.runs, fit.searched)
+        wide = {record.name for record, flag in zip(fit.searched, flags, strict=True) if flag}
+    return tuple(name for name in free if name in wide or in_place_of_digits(fit.settings, name) is not None)
 
 
 def _fitted(fit: FitResult) -> str:
@@ -131,17 +117,24 @@ def _predicted(
 
 
 def _fixed(fit: FitResult, trust: Mapping[str, Any] | None) -> list[str]:
+    out = []
+    if fit.runs and fit.agreement.unfinished:
+        out.append("The search was not finished: nothing is known about what the data fix.")
+        if trust is None:
+            return out
     if trust is not None:
         groups: dict[str, list[str]] = {}
         for row in trust["parameters"]:
             groups.setdefault(row["verdict"], []).append(in_words(row["name"], row["symbol"]))
         said = [f"{verdict_words(verdict)}: {', '.join(names)}" for verdict, names in groups.items()]
-        return [f"What the data fix, by profile: {'; '.join(said)}."]
+        where = "around the unfinished best set" if out else "by profile"
+        return [*out, f"What the data fix, {where}: {'; '.join(said)}."]
     symbols = {record.name: record.symbol for record in fit.parameters}
     opened = open_parameters(fit)
     free = [record.name for record in fit.parameters if record.status == "free"]
     held = [in_words(name, symbols[name]) for name in free if name not in opened]
-    out = [f"The data hold {', '.join(held)}."] if held else []
+    if held:
+        out.append(f"The data hold {', '.join(held)}.")
     if opened:
         names = ", ".join(in_words(name, symbols[name]) for name in opened)
         out.append(f"They do not fix {names}: read no digits into that.")
@@ -153,16 +146,17 @@ def _fixed(fit: FitResult, trust: Mapping[str, Any] | None) -> list[str]:
     return out
 
 
-def _runs(fit: FitResult) -> str:
+def _runs(fit: FitResult) -> list[str]:
     if not fit.runs:
-        return "The fit holds no runs."
+        return ["The fit holds no runs."]
     found = fit.agreement
-    total = len(fit.runs)
+    # Where a run was cut is no optimum, so none is the best one.
     if found.unfinished:
-        return f"{found.sentence()}."
+        return [f"{found.sentence()}."]
+    total = len(fit.runs)
     if total == 1:
-        return "A single run cannot say whether its optimum is the best one."
-    return f"{found.reached} of {total} independent runs ended in the best optimum."
+        return ["A single run cannot say whether its optimum is the best one."]
+    return [f"{found.reached} of {total} independent runs ended in the best optimum."]
 
 
 def _count(number: int) -> str:

@@ -109,6 +109,23 @@ def test_what_sets_of_one_nrmse_spread_over_is_named():
     # A set that scores worse says nothing, and one run alone does not know.
     assert loose_warnings([near, run(0.08 * (1 + 1e-4), (0.2, 0.51))], space_of_two()) == ()
     assert loose_warnings([near], space_of_two()) == ()
+    # Neither does a run that was cut short.
+    assert loose_warnings([near, run(0.08, (0.2, 0.9), ended="time")], space_of_two()) == ()
+    assert loose_warnings([run(0.08, (0.2, 0.1), ended="generations")] * 2, space_of_two()) == ()
+
+
+def test_runs_that_differ_only_in_what_the_data_do_not_fix_share_an_optimum():
+    # Both searches closed in tightly, far apart along b (0.3 of the edge: a factor of four), at one NRMSE.
+    runs = [run(0.08, (0.2, 0.4)), run(0.08, (0.2, 0.7))]
+    free = space_of_two().free
+    assert not agreement(runs).agrees
+    assert agreement(runs, free=free).agrees
+    assert [line.split()[5] for line in waterfall(runs, free)[1:]] == ["A", "A"]
+    # 0.1 of the edge is a factor of 1.6: the data may fix b, and the runs disagree about it.
+    assert not agreement([run(0.08, (0.2, 0.4)), run(0.08, (0.2, 0.5))], free=free).agrees
+    # What is open along b excuses neither another place along a nor another NRMSE.
+    assert agreement([*runs, run(0.08, (0.3, 0.4))], free=free).optimum.tolist() == [0, 0, 1]
+    assert agreement([*runs, run(0.081, (0.2, 0.4))], free=free).optimum.tolist() == [0, 0, 1]
 
 
 def test_a_single_run_says_so():

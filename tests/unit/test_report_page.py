@@ -20,7 +20,7 @@ from sysid.report import diagrams, fit_report, model_notes, paper_figures
 from sysid.report.animation import animation
 from sysid.report.fit_report import FitReport, open_fit
 from sysid.report.markup import box, bullets, folded, markup_table, paragraph, picture
-from sysid.report.panels import as_math, figure_channel, figure_spread, thinned
+from sysid.report.panels import as_math, figure_channel, figure_spread, figure_waterfall, thinned
 from sysid.report.replay import START, DropReplay, animation_data, leg_points, replay_drop
 from sysid.report.trust_panels import interval_table
 from sysid.report.verdict import open_parameters, verdict_sentences
@@ -395,6 +395,47 @@ def test_the_verdict_says_what_is_open_and_what_is_not_known():
     assert "none was held back" in said
     assert "Intervals have not been computed" in said
     assert "leg axial stiffness (k_h)" in said
+
+
+def cut_fit(cut=1):
+    """A fit of which some runs met the generation limit."""
+    from dataclasses import replace
+
+    fit = made_fit(runs=3)
+    runs = list(fit.runs)
+    for i in range(cut):
+        stage = replace(runs[i].stages[0], stop_reason="generations")
+        runs[i] = replace(runs[i], stages=(stage,))
+    return replace(fit, runs=tuple(runs))
+
+
+@pytest.mark.parametrize("cut", [1, 3])
+def test_an_unfinished_search_is_not_told_as_a_finding(tmp_path, cut):
+    whole, fit = cut_fit(0), cut_fit(cut)
+    said = " ".join(verdict_sentences(whole, None, None, {}, 0))
+    assert "The data hold" in said
+    assert "of 3 independent runs" in said
+    said = " ".join(verdict_sentences(fit, None, None, {}, 0))
+    assert "The search was not finished: nothing is known about what the data fix." in said
+    for claim in ("The data hold", "do not fix", "independent runs", "optimum"):
+        assert claim not in said
+    (axes,) = figure_waterfall(fit).axes
+    names = axes.get_legend_handles_labels()[1]
+    assert names.count("not finished") == 1
+    (marked,) = [line for line in axes.lines if line.get_label() == "not finished"]
+    assert len(marked.get_xdata()) == cut
+    assert sum("optimum" in name for name in names) <= 3 - cut
+    assert sum(len(line.get_xdata()) for line in axes.lines) == 3
+    text = FitReport(tmp_path, fit).convergence().text
+    assert "share the best optimum" not in text
+    assert "no optimum is known" in text
+
+
+def test_equal_runs_are_not_drawn_apart():
+    (axes,) = figure_waterfall(made_fit(runs=1)).axes
+    # Less than 0.2 % tells no optima apart: it takes no more than a fifth of the axis.
+    low, high = axes.get_ylim()
+    assert 0.002 / (high - low) < 0.2
 
 
 def test_every_warning_that_is_listed_is_counted(tmp_path):
