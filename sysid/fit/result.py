@@ -221,6 +221,7 @@ class FitResult:
         """What the runs say about each other, those that were to be and never begun included."""
         return agreement(self.runs, self.provenance.get("search", {}).get("runs"), self.searched)
 
+    @property
     def searched(self) -> tuple[ParameterRecord, ...]:
         """Records of the parameters along the cube's axes, in their order; none where they do not fit."""
         found = tuple(
