@@ -26,8 +26,12 @@ def report(
     json: Json = False,
 ) -> None:
     """Write a fit's report: one HTML page that needs nothing else."""
+    from sysid.errors import ExportError
     from sysid.pipelines.report import ReportOptions, print_report
 
+    for option, path in (("--gif", gif), ("--mp4", mp4)):
+        if path is not None and path.suffix.lower() != f".{option[2:]}":
+            raise ExportError(f"{path}: {option} writes a .{option[2:]} file; name it so")
     films = tuple(path for path in (gif, mp4) if path is not None)
     options = ReportOptions(out, against, pdf_figures, films, drop, force)
     print_report(fit, options, json, None if quiet or json else _say)

@@ -78,7 +78,7 @@ def format_mean_table(rows: Sequence[MeanRow], titles: Sequence[str]) -> str:
     lines = [["parameter", "", "measured", *titles]]
     for row in rows:
         head = row.symbol if row.unit in ("", "1") else f"{row.symbol} [{row.unit}]"
-        measured = "–".join(f"{value:.4g}" for value in row.measured) or "—"
+        measured = "–".join(map(plain, row.measured)) or "—"
         lines.append([head, row.name, measured, *(mean_sigma(cell) for cell in row.fitted)])
     widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
     return "\n".join(
@@ -96,15 +96,24 @@ def mean_sigma(cell: tuple[float, float] | None) -> str:
         return "—"
     mean, sigma = cell
     if not math.isfinite(sigma) or sigma == 0 or not math.isfinite(mean):
-        return f"{mean:.4g}"
+        return plain(mean)
     exponent = math.floor(math.log10(max(abs(mean), sigma)))
-    scale = 10.0**exponent if exponent < -3 or exponent > 4 else 1.0
-    digits = max(0, 1 - math.floor(math.log10(sigma / scale)))
+    scale = 10.0**exponent if exponent < -3 or exponent > 6 else 1.0
+    power = "" if scale == 1.0 else f"e{exponent}"
+    digits = 1 - math.floor(math.log10(sigma / scale))
     places = max(0, 3 - math.floor(math.log10(abs(mean / scale)))) if mean else digits
     if digits > places and sigma < abs(mean):
         # Runs that agree to six digits do not make the mean known to as many.
-        spread = f"{sigma / scale:.1g}" if sigma / scale >= 1e-6 else "< 1e-6"
-        text = f"{mean / scale:.{places}f} ± {spread}"
-        return text if scale == 1.0 else f"({text})e{exponent}"
-    text = f"{mean / scale:.{digits}f} ± {sigma / scale:.{digits}f}"
-    return text if scale == 1.0 else f"({text})e{exponent}"
+        value = f"{mean / scale:.{places}f}"
+        if sigma / scale < 1e-6:
+            return f"{value}{power} (σ < 1e{(exponent if power else 0) - 6})"
+        text = f"{value} ± {sigma / scale:.1g}"
+    else:
+        text = " ± ".join(f"{round(one / scale, digits):.{max(digits, 0)}f}" for one in (mean, sigma))
+    return f"({text}){power}" if power else text
+
+
+def plain(value: float, digits: int = 4) -> str:
+    """Return a number with so many digits; an exponent only below 1e-4 and from 1e7 on."""
+    text = f"{value:.{digits}g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e7 else text

@@ -15,7 +15,7 @@ from rich.text import Text
 
 from sysid import exact_json
 from sysid.campaign import GearCampaign, MotorCampaign, read_campaign
-from sysid.errors import ExportError, SysidError
+from sysid.errors import CampaignError, ExportError, FitError, SysidError
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.store import read_fit, write_fit
 from sysid.pipelines.search import collected_warnings, naming
@@ -122,14 +122,21 @@ def print_report(
 
 
 def predicted(fit: FitResult, campaign_path: Path, say: Callable[[str], None]) -> FitResult:
-    """Return the sets of a fit on the trials of a campaign whose logs the fit has not seen.
+    """Return the sets of a fit on the trials of a campaign whose logs the fit does not hold.
+
+    Those that it held back are in its report already.
 
     Raises
     ------
     SysidError
-        When the campaign is of the other kind, cannot be used, or holds nothing but fitted trials.
+        When the campaign is of the other kind, cannot be used, or holds nothing but trials of the fit.
     """
-    campaign = read_campaign(campaign_path, fit.kind)
+    campaign = read_campaign(campaign_path)
+    if campaign.kind != fit.kind:
+        raise CampaignError(
+            f"{campaign_path}: is a {campaign.kind} campaign, and {fit.name} is a fit of a {fit.kind}; name "
+            f"a {fit.kind} campaign with other trials"
+        )
     with naming(campaign_path), collected_warnings(lambda text: say(f"warning: {text}")) as doubts:
         if isinstance(campaign, GearCampaign):
             trials, logs = _gear_trials(fit, campaign, campaign_path)
@@ -152,11 +159,10 @@ def _gear_trials(
     from sysid.gear.model import PARAMETERS
     from sysid.pipelines.drops import prepare_drops
     from sysid.pipelines.gear import GearObjective, on_surface, search_space, trial_results
-    from sysid.pipelines.validate import unseen
 
     campaign, _ = on_surface(campaign, str(fit.settings["surface"]))
     drops = prepare_drops(campaign, path)
-    names = unseen(fit, {drop.name: str(drop.provenance["sha256"]) for drop in drops}, path)
+    names = _not_in_fit(fit, {drop.name: str(drop.provenance["sha256"]) for drop in drops}, path)
     drops = tuple(drop for drop in drops if drop.name in names)
     objective = GearObjective.build(campaign, search_space(campaign), drops)
     names = [record.name for record in fit.parameters]
@@ -174,10 +180,9 @@ def _motor_trials(
     from sysid.pipelines.motor import motor_trial_results
     from sysid.pipelines.motor_bench import prepare_bench, search_space
     from sysid.pipelines.motor_objective import MotorObjective
-    from sysid.pipelines.validate import unseen
 
     bench = prepare_bench(campaign, path)
-    left = unseen(fit, {trial.entry.name: trial.hashes.split()[0] for trial in bench.trials}, path)
+    left = _not_in_fit(fit, {trial.entry.name: trial.hashes.split()[0] for trial in bench.trials}, path)
     chosen = tuple(trial for trial in bench.trials if trial.entry.name in left)
     space = search_space(campaign, bench)
     own = MotorObjective.build(campaign, space, bench, chosen)
@@ -190,6 +195,27 @@ def _motor_trials(
         source = name if name in names else name.partition("[")[0]
         rows[:, column] = fit.values[:, names.index(source)]
     return motor_trial_results(objective, rows), {t.entry.name: t.provenance for t in chosen}
+
+
+def _not_in_fit(fit: FitResult, hashes: dict[str, str], path: Path) -> list[str]:
+    """Return the names of the trials that the fit neither was made from nor held back.
+
+    Raises
+    ------
+    FitError
+        When there are none.
+    """
+    from sysid.pipelines.validate import unseen
+
+    logs = fit.provenance.get("logs", {})
+    held = {str(logs[t.name].get("sha256")) for t in fit.trials if t.use != "fit" and t.name in logs}
+    left = [name for name in unseen(fit, hashes, path) if hashes[name] not in held]
+    if not left:
+        raise FitError(
+            f"{path}: every trial in it is one of {fit.name}, whose report shows the ones held back anyway; "
+            "leave --against out, or name a campaign with other logs"
+        )
+    return left
 
 
 def chosen_drop(fit: FitResult, name: str | None) -> Any:
@@ -211,6 +237,12 @@ def chosen_drop(fit: FitResult, name: str | None) -> Any:
 
 
 def _check_targets(fit: FitResult, options: ReportOptions, out: Path) -> None:
+    if out.is_dir():
+        raise ExportError(f"{out}: is a folder; name the page in it, such as {out / 'report.html'}")
+    targets = [path.resolve() for path in (out, *options.film)]
+    for path in options.film:
+        if targets.count(path.resolve()) > 1:
+            raise ExportError(f"{path}: is named for two files of one report; give each a name of its own")
     if options.out is not None and out.exists() and not options.force:
         raise ExportError(f"{out}: exists already; choose a new name or add --force")
     if not out.parent.is_dir():

@@ -12,18 +12,26 @@ from sysid.report.markup import Html
 from sysid.report.replay import DropReplay, animation_data
 
 
-def animation(drops: Sequence[DropReplay]) -> Html:
+def animation(drops: Sequence[DropReplay], campaigns: Sequence[str] = ()) -> Html:
     """Return drops to be played, stepped through and slowed down.
 
+    Parameters
+    ----------
+    drops : sequence of DropReplay
+    campaigns : sequence of str
+        Of which each drop is, where they are of several.
+
+    Notes
+    -----
     Nothing moves until a reader asks for it; where a reader's system asks for reduced motion, playing steps
     from one instant of Fig. 7 to the next.
     """
+    words = [f"{drop.name}: {math.degrees(drop.slope):.0f}°, {_use(drop)}" for drop in drops]
+    if campaigns:
+        words = [f"{campaign}, {word}" for campaign, word in zip(campaigns, words, strict=True)]
     # A page ends a script at the first "</script"; JSON may hold "<" as an escape.
     data = json.dumps(animation_data(list(drops)), separators=(",", ":")).replace("<", "\\u003c")
-    choices = "".join(
-        f'<option value="{i}">{html.escape(drop.name)}: {math.degrees(drop.slope):.0f}°</option>'
-        for i, drop in enumerate(drops)
-    )
+    choices = "".join(f'<option value="{i}">{html.escape(word)}</option>' for i, word in enumerate(words))
     steepest = max(range(len(drops)), key=lambda i: drops[i].slope)
     choices = choices.replace(f'value="{steepest}"', f'value="{steepest}" selected')
     names = ", ".join(drop.name for drop in drops)
@@ -49,3 +57,7 @@ def animation(drops: Sequence[DropReplay]) -> Html:
         f"<script>{script}</script>"
         "</div>"
     )
+
+
+def _use(drop: DropReplay) -> str:
+    return "fitted" if drop.use == "fit" else "not fitted"

@@ -18,8 +18,6 @@ from sysid.report.snapshots import BODY, FRICTION, GROUND, NORMAL
 FloatArray = NDArray[np.float64]
 
 _DIMENSION, _WEIGHT, _THRUST, _AXES = "#009E73", "#7A5195", "#E69F00", "#555555"
-# Below this share of mu_k F_n a foot's friction is that of a sticking one.
-_STICKS = 0.98
 MODES = ("both slip", "rear sticks", "front sticks", "both stick")
 
 
@@ -249,18 +247,13 @@ def foot_transitions() -> tuple[tuple[str, str, str], ...]:
 
 
 def mode_shares(drops: Sequence[DropReplay]) -> dict[str, float]:
-    """Return the share of time in each mode while at least one foot is down, from samples of a millisecond.
-
-    A foot sticks where its friction stays below what slipping would give, ``mu_k F_n``.
-    """
+    """Return the share of time in each mode while a foot is down, from samples of a millisecond."""
     counts = dict.fromkeys(MODES, 0)
     for drop in drops:
         down = np.nan_to_num(drop.normal_force) > 0.0
-        limit = _STICKS * drop.values["kinetic_friction"] * drop.normal_force
-        sticks = down & (np.abs(drop.friction_force) < limit)
         for mode, chosen in zip(MODES, ((0, 0), (1, 0), (0, 1), (1, 1)), strict=True):
             counts[mode] += int(
-                np.sum(down.any(axis=1) & (sticks == np.array(chosen, dtype=bool)).all(axis=1))
+                np.sum(down.any(axis=1) & (drop.sticks == np.array(chosen, dtype=bool)).all(axis=1))
             )
     total = sum(counts.values())
     return {mode: count / total for mode, count in counts.items()} if total else {}
@@ -301,8 +294,9 @@ def figure_modes(shares: Mapping[str, float] | None = None) -> Figure:
             zorder=3,
         )
         axes.add_patch(box)
-        flight = "\n(also in flight)" if mode == "both slip" else ""
-        share = f"\n{100 * shares[mode]:.0f} % of the time" if shares else ""
+        # Shares are of the time on the ground.
+        flight = "\n(also in flight)" if mode == "both slip" and not shares else ""
+        share = f"\n{100 * shares[mode]:.0f} % on the ground" if shares else ""
         axes.text(x, y, f"{mode}{flight}{share}", ha="center", va="center", fontsize=8, zorder=4)
     colours = {("slips", "sticks"): NORMAL, ("sticks", "slips"): FRICTION}
     told: dict[str, str] = {}

@@ -32,19 +32,21 @@ from sysid.report.markup import (
     definitions,
     folded,
     grid,
+    legend,
     markup_table,
     paragraph,
     picture,
 )
+from sysid.report.motor_figures import figure_reversal, reversal_commands
 from sysid.report.panels import (
     figure_channel,
-    figure_legend,
     figure_runs,
     figure_spectrum,
     figure_spread,
     figure_thrust,
     figure_waterfall,
     filter_gain,
+    legend_of,
 )
 from sysid.report.replay import DropReplay, replay_drop
 from sysid.report.snapshots import figure_snapshots
@@ -61,12 +63,10 @@ from sysid.report.trust_panels import (
     validations,
     verdict_words,
 )
-from sysid.report.verdict import verdict_sentences
+from sysid.report.verdict import open_parameters, verdict_sentences
 
 FloatArray = NDArray[np.float64]
 
-# Around a command that reverses the motor, in a figure of reversals [s].
-_BEFORE, _AFTER = 0.1, 0.5
 _MOST_REVERSALS = 6
 # Panels of channels beyond which a page holds them as pixels: vectors of 40 take 2 MB.
 _MOST_VECTORS = 60
@@ -126,7 +126,9 @@ class FitReport:
     def parameters(self) -> Html:
         """Return the tables of parameters: sets, the layout of Tables I and II, intervals."""
         sets = self.fit.parameter_sets()
-        out = markup_table(ranked_table(sets)) + markup_table(mean_sigma_table(sets))
+        # Of a search that was not finished it is not known what the data fix.
+        opened = () if self.fit.runs and self.fit.agreement.unfinished else open_parameters(self.fit)
+        out = markup_table(ranked_table(sets, opened)) + markup_table(mean_sigma_table(sets, unfixed=opened))
         if self.trust is None:
             return out + _missing("profile intervals and verdicts", "sysid trust", self.folder)
         return out + markup_table(interval_table(self.trust))
@@ -142,9 +144,7 @@ class FitReport:
     def measured_against_simulated(self) -> Html:
         """Return every trial's channels, folded but for the first of each use."""
         gear = self.fit.kind == "gear" and bool(self.drops())
-        out = box(
-            picture(figure_legend(self.fit, contacts=gear), "legend of the following figures"), "legend"
-        )
+        out = legend(legend_of(self.fit, contacts=gear))
         seen = set()
         vector = len(self.trials) * len(self.fit.channels) <= _MOST_VECTORS
         for fit in self.fits:
@@ -160,18 +160,25 @@ class FitReport:
 
     def reversals(self) -> Html:
         """Return thrust after reversal commands, in the manner of Fig. 3, and the delays; motors only."""
+        found = [(trial, *one) for trial in self.fit.trials for one in reversal_commands(trial)]
+        # Of many those that lie evenly among them: fitted ones and ones held back.
+        shown = np.unique(
+            np.linspace(0, len(found) - 1, min(len(found), _MOST_REVERSALS)).round().astype(int)
+        )
         pieces = []
-        for trial in self.fit.trials:
-            if trial.thrust is None or trial.commands is None:
-                continue
-            for time, before, after in _reversals(trial):
-                window = (time - _BEFORE, time + _AFTER)
-                figure = figure_thrust(trial, self.simulated_thrust(self.fit, trial), window=window)
-                what = f"{trial.name}: from {signed(before)} % to {signed(after)} %"
-                words = f"thrust after a reversal command, measured and simulated; {what}"
-                pieces.append(picture(figure, words, what))
-                if len(pieces) == _MOST_REVERSALS:
-                    break
+        for trial, time, before, after in (found[k] for k in shown):
+            figure = figure_reversal(trial, self.simulated_thrust(self.fit, trial), time)
+            use = "fitted" if trial.use == "fit" else "not fitted"
+            what = f"{trial.name} ({use}): from {signed(before)} % to {signed(after)} %"
+            pieces.append(
+                picture(figure, f"thrust after a reversal command, measured and simulated; {what}", what)
+            )
+        out = grid(pieces)
+        if len(shown) < len(found):
+            out += paragraph(
+                f"{len(shown)} of {len(found)} reversals are drawn; sysid report --pdf-figures draws all.",
+                "note",
+            )
         rows = [
             (
                 f"{one['trial']} ({one['use']}): {signed(one['command before'])} % to "
@@ -181,7 +188,6 @@ class FitReport:
             )
             for one in self.fit.settings.get("reversal delays", ())
         ]
-        out = grid(pieces[:_MOST_REVERSALS])
         if rows:
             out += definitions(rows, "from the command to 90 % of the final thrust")
         return out if out.text else paragraph("No trial reverses the motor.", "note")
@@ -216,8 +222,8 @@ class FitReport:
             "the conditions of slipping and sticking"
         )
         caption = (
-            "Modes of the hybrid (Fig. 5) as the code switches them; percentages: time in each mode while a "
-            "foot is down, over all drops."
+            "Modes of the hybrid (Fig. 5) as the code switches them; percentages: of the time in which a "
+            "foot is down, over all drops. In flight both feet count as slipping; that time is left out."
         )
         return picture(figure_modes(mode_shares(self.drops())), words, caption)
 
@@ -228,7 +234,9 @@ class FitReport:
             return paragraph(
                 "No animation: the fit does not hold the states in which its drops start; fit again.", "note"
             )
-        return animation(drops)
+        if self.against is None:
+            return animation(drops)
+        return animation(drops, [fit.name for fit, _ in self._replayed()])
 
     def snapshots(self, name: str | None = None) -> Html:
         """Return the instants (1) to (4) of Fig. 7 of one drop, of the steepest one by default."""
@@ -286,9 +294,13 @@ class FitReport:
         for name, profile in (self.fit.settings.get("profiles") or {}).items():
             record = known[name]
             words = f"NRMSE over {name}, all others fitted anew"
-            pieces.append(
-                picture(figure_nrmse_profile(record.symbol, record.unit, profile), words, f"{words}.")
-            )
+            more = f"Dashed: {100 * profile['limit']:g} % above the best NRMSE."
+            if not profile["identified"]:
+                more += (
+                    f" Blue: below {profile['below']:.0e} {record.unit} the data tell no value from another."
+                )
+            figure = figure_nrmse_profile(record.symbol, record.unit, profile)
+            pieces.append(picture(figure, words, f"{words}. {more}"))
         if self.trust is None:
             return grid(pieces) + _missing("profiles of the likelihood", "sysid trust", self.folder)
         curves = read_profiles(self.folder)
@@ -360,7 +372,7 @@ class FitReport:
                 ),
                 ("written", str(record.get("written"))),
                 ("campaign", f"{record.get('campaign', {}).get('file')}"),
-                ("search", f"{record.get('search', {}).get('algorithm')}, {len(self.fit.runs)} runs"),
+                ("search", f"{_search_words(record.get('search', {}))}, {len(self.fit.runs)} runs"),
                 ("NRMSE", f"rms error over {record.get('nrmse_denominator')} of the measurement"),
                 (
                     "candidates",
@@ -411,12 +423,16 @@ class FitReport:
         log = fit.provenance.get("logs", {}).get(trial.name, {})
         slope = f", {log['slope [deg]']:.0f}°" if "slope [deg]" in log else ""
         speed = f", {log['impact speed [m/s]']:.2f} m/s" if "impact speed [m/s]" in log else ""
-        return f"{trial.name} ({use}{slope}{speed}): NRMSE {percent_text(mean)}"
+        name = f"{fit.name}, {trial.name}" if fit is self.against else trial.name
+        return f"{name} ({use}{slope}{speed}): NRMSE {percent_text(mean)}"
 
     def drops(self) -> list[DropReplay]:
         """Return the replays of all drops that can be repeated, with the best set."""
-        found = (self.replay(fit, trial) for fit in self.fits for trial in fit.trials)
-        return [drop for drop in found if drop is not None]
+        return [drop for _, drop in self._replayed()]
+
+    def _replayed(self) -> list[tuple[FitResult, DropReplay]]:
+        found = ((fit, self.replay(fit, trial)) for fit in self.fits for trial in fit.trials)
+        return [(fit, drop) for fit, drop in found if drop is not None]
 
     def replay(self, fit: FitResult, trial: TrialResult) -> DropReplay | None:
         """Return the replay of a drop with the best set; None where it cannot be repeated."""
@@ -463,16 +479,9 @@ def _missing(what: str, command: str, folder: Path, more: str = "") -> Html:
     return paragraph(f"{what[:1].upper()}{what[1:]}: not computed; run {command} {folder}{more}", "note")
 
 
-def _reversals(trial: TrialResult) -> list[tuple[float, float, float]]:
-    """Return (time [s], command before, after) of the commands that reverse the motor in a trial."""
-    assert trial.commands is not None
-    time, level = trial.commands.T
-    out = []
-    for k in range(1, len(time)):
-        inside = trial.time[0] + _BEFORE < time[k] < trial.time[-1] - _AFTER
-        if inside and level[k] * level[k - 1] < 0:
-            out.append((float(time[k]), float(level[k - 1]), float(level[k])))
-    return out
+def _search_words(search: dict[str, Any]) -> str:
+    algorithm, finish = str(search.get("algorithm")), str(search.get("finish") or "none")
+    return algorithm if finish in ("none", algorithm) else f"{algorithm}, then {finish}"
 
 
 def signed(share: float) -> str:

@@ -177,6 +177,16 @@ def markup_table(table: Table) -> Html:
     )
 
 
+def legend(entries: Sequence[tuple[str, str, str]]) -> Html:
+    """Return what colours mean: (colour, ``line``, ``thick``, ``dots``, ``bar`` or ``area``, words) each."""
+    items = "".join(
+        f'<li><span class="swatch {html.escape(kind)}" style="color: {html.escape(colour)}"></span>'
+        f"{html.escape(words)}</li>"
+        for colour, kind, words in entries
+    )
+    return Html(f'<ul class="legend" aria-label="legend of the following figures">{items}</ul>')
+
+
 def definitions(rows: Sequence[tuple[str, str]], title: str) -> Html:
     """Return a table of two columns: what, and its value."""
     table = Table(title=title)

@@ -101,7 +101,8 @@ def _motor_rows(sets: ParameterSets) -> list[tuple[str, str, str]]:
         (
             "V_c = Ω_0(u)/K_v (4)",
             "V_c = k_v Ω_0(u)",
-            f"at full command {full / v['back_emf_constant']:.0f} V as printed with the constant of (1), "
+            f"at full command {1e-3 * full / v['back_emf_constant']:.0f} kV as printed, with the constant of "
+            "(1), "
             f"{full * v['back_emf_constant']:.1f} V as meant",
         ),
         (

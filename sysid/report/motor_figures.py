@@ -1,4 +1,7 @@
-"""Figures of motors: thrust after a reversal command, in the manner of the paper's Fig. 3."""
+"""Figures of motors: thrust after a reversal command, in the manner of the paper's Fig. 3.
+
+`reversal_commands` and `figure_reversal` are of a fit's trials, `figure_reversals` of logs by themselves.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,17 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from sysid.fit.result import TrialResult
 from sysid.report.figures import RUNS
+from sysid.report.panels import figure_thrust
 from sysid.trials.reversal import LEVEL, Repetitions
 
 FloatArray = NDArray[np.float64]
 
 # Drawn before the command, and beyond the slowest repetition's 90 % [s].
 _BEFORE, _BEYOND = 0.1, 0.2
+# Drawn after a command of a fit's trial [s].
+_AFTER = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,3 +101,27 @@ def figure_reversals(logs: Sequence[ReversalCurves]) -> Figure:
     figure.suptitle("thrust after a reversal command; dot: 90 % of the final thrust")
     figure.legend(list(handles.values()), list(handles), loc="outside right upper", frameon=False)
     return figure
+
+
+def reversal_commands(trial: TrialResult) -> list[tuple[float, float, float]]:
+    """Return (time [s], command before, after) of the commands that reverse the motor in a trial.
+
+    Only those that a figure of one fits around.
+    """
+    if trial.thrust is None or trial.commands is None:
+        return []
+    time, level = trial.commands.T
+    out = []
+    for k in range(1, len(time)):
+        inside = trial.time[0] + _BEFORE < time[k] < trial.time[-1] - _AFTER
+        if inside and level[k] * level[k - 1] < 0:
+            out.append((float(time[k]), float(level[k - 1]), float(level[k])))
+    return out
+
+
+def figure_reversal(
+    trial: TrialResult, simulated: FloatArray, time: float, *, legend: bool = False
+) -> Figure:
+    """Draw measured and simulated thrust (S, n) [N] around a reversal command at `time` [s]."""
+    window = (time - _BEFORE, time + _AFTER)
+    return figure_thrust(trial, simulated, window=window, zero=time, legend=legend)

@@ -14,7 +14,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
@@ -106,31 +105,27 @@ def figure_channel(
     return figure
 
 
-def figure_legend(fit: FitResult, *, contacts: bool) -> Figure:
-    """Draw what the lines of the channels' panels mean."""
-    figure = Figure(figsize=(WIDTH, 0.72))
+def legend_of(fit: FitResult, *, contacts: bool) -> list[tuple[str, str, str]]:
+    """Return what the lines of the channels' panels mean: (colour, how it is drawn, words) each."""
     dense = all(len(trial.time) > 400 for trial in fit.trials)
-    look = {"linewidth": 2.0} if dense else {"linestyle": "none", "marker": "."}
-    handles: list[Line2D | Patch] = [Line2D([], [], color=MEASURED, label="measured", **look)]
-    handles.append(Line2D([], [], color=BEST, linewidth=1.3, label="best set, residual"))
+    out = [(MEASURED, "thick" if dense else "dots", "measured"), (BEST, "line", "best set, residual")]
     if len(fit.nrmse) > 1:
         others = "other set" if len(fit.nrmse) == 2 else f"other {len(fit.nrmse) - 1} sets"
-        handles.append(Line2D([], [], color=OTHERS, linewidth=0.8, label=others))
+        out.append((OTHERS, "line", others))
     if contacts:
-        handles += [
-            Line2D(
-                [], [], color=FOOT_COLOURS[i], linewidth=4, solid_capstyle="butt", label=f"{foot} foot down"
-            )
-            for i, foot in enumerate(FEET)
-        ]
+        out += [(FOOT_COLOURS[i], "bar", f"{foot} foot down") for i, foot in enumerate(FEET)]
     if any(masked_runs(trial) for trial in fit.trials):
-        handles.append(Patch(color=MASKED, label="no sample counts"))
-    figure.legend(handles=handles, loc="center", ncols=3, frameon=False, fontsize=8, columnspacing=1.2)
-    return figure
+        out.append((MASKED, "area", "no sample counts"))
+    return out
 
 
 def figure_thrust(
-    trial: TrialResult, simulated: FloatArray, *, window: tuple[float, float] | None = None
+    trial: TrialResult,
+    simulated: FloatArray,
+    *,
+    window: tuple[float, float] | None = None,
+    zero: float | None = None,
+    legend: bool = False,
 ) -> Figure:
     """Draw measured thrust and that of every set, in the manner of the paper's Fig. 4; commands as steps.
 
@@ -142,6 +137,10 @@ def figure_thrust(
         Thrust of every set [N].
     window : (float, float), optional
         Only this part of the trial's time [s].
+    zero : float, optional
+        Where the drawn time begins to count, such as a command [s]; the window's start by default.
+    legend : bool
+        Say in the figure what the lines are, for a figure that stands alone.
     """
     assert trial.thrust is not None
     figure = panel(3.4)
@@ -149,7 +148,7 @@ def figure_thrust(
     inside = np.ones(len(trial.time), dtype=bool)
     if window is not None:
         inside = (trial.time >= window[0]) & (trial.time <= window[1])
-    origin = float(trial.time[inside][0])
+    origin = float(trial.time[inside][0]) if zero is None else zero
     time = trial.time[inside] - origin
     top.plot(*thinned(time, trial.thrust[inside]), color=MEASURED, linewidth=2.0)
     for s in range(len(simulated) - 1, -1, -1):
@@ -166,7 +165,16 @@ def figure_thrust(
         bottom.step(instants, levels, where="post", color="#0072B2")
     bottom.set_ylim(-115, 115)
     bottom.set_ylabel("command\n[%]")
-    bottom.set_xlabel("time [s]")
+    bottom.set_xlabel("time [s]" if zero is None else "time after the command [s]")
+    if zero is not None:
+        for axes in (top, bottom):
+            axes.axvline(0.0, color="0.6", linewidth=0.8, linestyle=":")
+    if legend:
+        names = [("measured", MEASURED, 2.0), ("best set", BEST, 1.2)]
+        names += [("other sets", OTHERS, 0.8)] if len(simulated) > 1 else []
+        names += [("command", "#0072B2", 1.5)] if trial.commands is not None else []
+        handles = [Line2D([], [], label=label, color=colour, linewidth=wide) for label, colour, wide in names]
+        figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=8, frameon=False)
     top.set_xlim(float(time[0]), float(time[-1]))
     _finish(top, bottom)
     figure.align_ylabels([top, bottom])

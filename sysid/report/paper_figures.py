@@ -10,9 +10,15 @@ from matplotlib.figure import Figure
 from sysid.report.diagrams import figure_geometry, figure_modes, mode_shares
 from sysid.report.figures import figure_convergence, figure_measured_against_simulated
 from sysid.report.fit_report import FitReport
+from sysid.report.motor_figures import figure_reversal, reversal_commands
 from sysid.report.panels import figure_spectrum, figure_spread, figure_thrust, figure_waterfall, filter_gain
 from sysid.report.snapshots import figure_snapshots
-from sysid.report.trust_panels import figure_correlation, figure_profile, read_profiles
+from sysid.report.trust_panels import (
+    figure_correlation,
+    figure_nrmse_profile,
+    figure_profile,
+    read_profiles,
+)
 
 
 def paper_figures(report: FitReport) -> dict[str, Figure]:
@@ -26,9 +32,13 @@ def paper_figures(report: FitReport) -> dict[str, Figure]:
             name = _file_name(trial.name if one is fit else f"against-{one.name}-{trial.name}")
             out[f"trial-{name}"] = figure_measured_against_simulated(one, trial.name, contacts=down)
             if trial.thrust is not None:
-                out[f"thrust-{name}"] = figure_thrust(trial, report.simulated_thrust(one, trial))
+                thrust = report.simulated_thrust(one, trial)
+                out[f"thrust-{name}"] = figure_thrust(trial, thrust, legend=True)
+                for number, (time, _, _) in enumerate(reversal_commands(trial), start=1):
+                    figure = figure_reversal(trial, thrust, time, legend=True)
+                    out[f"reversal-{name}-{number}"] = figure
             if drop is not None:
-                out[f"snapshots-{name}"] = figure_snapshots(drop)
+                out[f"snapshots-{name}"] = figure_snapshots(drop, legend=True)
     if fit.runs:
         out |= {"convergence": figure_convergence(fit), "waterfall": figure_waterfall(fit)}
     out["spread"] = figure_spread(fit)
@@ -42,6 +52,10 @@ def paper_figures(report: FitReport) -> dict[str, Figure]:
         gain = filter_gain(fit.provenance.get("filter", {}), max(float(s.frequency[-1]) for _, s in spectra))
         for c, channel in enumerate(fit.channels):
             out[f"spectrum-{channel}"] = figure_spectrum(fit, spectra, c, gain)
+    known = {record.name: record for record in fit.parameters}
+    for name, profile in (fit.settings.get("profiles") or {}).items():
+        record = known[name]
+        out[_file_name(f"profile-nrmse-{name}")] = figure_nrmse_profile(record.symbol, record.unit, profile)
     if report.trust is not None:
         out["correlation"] = figure_correlation(report.trust)
         curves = read_profiles(report.folder)

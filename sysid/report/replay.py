@@ -22,6 +22,9 @@ FloatArray = NDArray[np.float64]
 RATE = 1000.0
 # Two touchdowns of one foot less than this apart are one contact [s].
 _ONE_CONTACT = 5e-3
+# Slower than this a foot on high friction sticks [m/s]: what integration leaves of a stuck foot's speed stays
+# below it, and a slip passes it within a millisecond.
+_STICKS = 1e-3
 START = "state at the window's start [SI]"
 FEET = ("rear", "front")
 
@@ -69,6 +72,8 @@ class DropReplay:
         In the order of time.
     values : dict
         Of the simulated set, by name [SI].
+    slip_speed : (n, 2) array
+        Speed of the rear and the front foot along the slope, down-slope positive [m/s].
     """
 
     name: str
@@ -83,6 +88,15 @@ class DropReplay:
     measured: FloatArray
     contacts: tuple[Contact, ...]
     values: dict[str, float]
+    slip_speed: FloatArray
+
+    @property
+    def sticks(self) -> NDArray[np.bool_]:
+        """Which foot (n, 2) is down and does not move along the slope: on high friction it sticks.
+
+        Friction does not tell: a sticking foot may need anything up to mu_s F_n, more than a slipping one.
+        """
+        return np.asarray((np.nan_to_num(self.normal_force) > 0.0) & (np.abs(self.slip_speed) < _STICKS))
 
     def first_contacts(self) -> tuple[tuple[float, str], ...]:
         """Return the instants (1) to (4) of Fig. 7 with what happens there; fewer where they do not come."""
@@ -142,6 +156,7 @@ def replay_drop(fit: FitResult, trial: TrialResult, rank: int = 1) -> DropReplay
         measured=_measured(fit, trial, time),
         contacts=_contacts(time, run.normal_force),
         values=values,
+        slip_speed=_slip_speed(run.state, values, slope),
     )
 
 
@@ -159,6 +174,14 @@ def leg_points(state: FloatArray, values: dict[str, float]) -> tuple[FloatArray,
         joints.append(joint)
         feet.append(joint - (length + h)[:, None] * along)
     return np.stack(joints, 1), np.stack(feet, 1)
+
+
+def _slip_speed(state: FloatArray, values: dict[str, float], slope: float) -> FloatArray:
+    """Return the speed (n, 2) of the feet down the slope of states (n, 14) [m/s]."""
+    # Feet are smooth in the coordinates: what 0.1 us leaves is some 1e-7 m/s.
+    span = 1e-7
+    moved = leg_points(state[:, :7] + span * state[:, 7:], values)[1] - leg_points(state[:, :7], values)[1]
+    return np.asarray(moved @ [np.cos(slope), -np.sin(slope)] / span)
 
 
 def _own_start(values: dict[str, float], name: str, state: FloatArray) -> tuple[float, FloatArray]:

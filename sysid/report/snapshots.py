@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
@@ -25,30 +26,47 @@ GROUND, BODY, LEG, GHOST = "#8C7A5B", "#333333", "#555555", "#B0B0B0"
 _LONGEST = 0.22
 # Half height of the body and of the hub, radius of a propeller [m]; only the looks.
 _HUB, _HUB_HEIGHT, _PROPELLER, _MAST = 0.055, 0.022, 0.075, 0.022
+# Samples to both sides of an instant in which its arrows are looked for.
+_NEAR = 8
 # Frames per second of a film, and how much slower than life it is.
 FILM_RATE, SLOW = 20, 10.0
 
 
-def figure_snapshots(drop: DropReplay, *, columns: int = 2) -> Figure:
-    """Draw the instants (1) to (4) of Fig. 7 of a drop, so many beside each other."""
+def figure_snapshots(drop: DropReplay, *, columns: int = 2, legend: bool = False) -> Figure:
+    """Draw the instants (1) to (4) of Fig. 7 of a drop, so many beside each other.
+
+    At the very instant of a touch or a lift-off the foot's force is zero: arrows are of the sample within
+    8 ms in which the feet bear most.
+    """
     instants = drop.first_contacts()
     rows = -(-max(1, len(instants)) // columns)
-    figure = Figure(figsize=(0.5 * WIDTH * columns, 0.1 + 1.95 * rows), layout="constrained")
+    height = 0.1 + 1.95 * rows + (0.45 if legend else 0.0)
+    figure = Figure(figsize=(0.5 * WIDTH * columns, height), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in panels[len(instants) :]:
         axes.set_visible(False)
     scale = force_scale(drop)
     for number, ((time, _), axes) in enumerate(zip(instants, panels, strict=False), start=1):
         i = drop.index(time)
-        # A touch has no force yet: the sample of its largest one within 8 ms says more.
-        near = slice(i, min(i + 8, len(drop.time)))
-        i += int(np.argmax(drop.normal_force[near].sum(axis=1)))
+        first = max(i - _NEAR, 0)
+        loaded = first + int(np.argmax(drop.normal_force[first : i + _NEAR + 1].sum(axis=1)))
         x, z, _ = drop.body[i]
-        draw_drone(axes, drop, i, scale, ghost=True)
+        draw_drone(axes, drop, i, scale, ghost=True, forces_at=loaded)
         axes.set_xlim(x - 0.28, x + 0.28)
         axes.set_ylim(z - 0.25, z + 0.2)
-        axes.set_title(f"({number}) {1e3 * drop.time[i]:.0f} ms", fontsize=9, loc="left")
+        axes.set_title(f"({number}) {1e3 * time:.0f} ms", fontsize=9, loc="left")
+    if legend:
+        figure.legend(handles=_legend(), loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     return figure
+
+
+def _legend() -> list[Line2D]:
+    return [
+        Line2D([], [], color=NORMAL, linewidth=1.8, label="normal force"),
+        Line2D([], [], color=FRICTION, linewidth=1.8, label="friction"),
+        Line2D([], [], color=BODY, linewidth=2.0, label="simulated, best set"),
+        Line2D([], [], color=GHOST, linewidth=1.0, label="measured body"),
+    ]
 
 
 def force_scale(drop: DropReplay) -> float:
@@ -57,8 +75,14 @@ def force_scale(drop: DropReplay) -> float:
     return _LONGEST / largest if largest > 0 else 0.0
 
 
-def draw_drone(axes: Axes, drop: DropReplay, i: int, scale: float, *, ghost: bool) -> None:
-    """Draw slope, drone, forces and the measured ghost at sample `i`; lengths in metres, equal scales."""
+def draw_drone(
+    axes: Axes, drop: DropReplay, i: int, scale: float, *, ghost: bool, forces_at: int | None = None
+) -> None:
+    """Draw slope, drone, forces and the measured ghost at sample `i`; lengths in metres, equal scales.
+
+    The forces are those of sample `forces_at`, by default of the same.
+    """
+    loaded = i if forces_at is None else forces_at
     axes.set_aspect("equal")
     axes.set_axis_off()
     along = np.array([np.cos(drop.slope), -np.sin(drop.slope)])
@@ -79,8 +103,8 @@ def draw_drone(axes: Axes, drop: DropReplay, i: int, scale: float, *, ghost: boo
     for foot in (0, 1):
         start = drop.feet[i, foot]
         for force, way, colour in (
-            (drop.normal_force[i, foot], normal, NORMAL),
-            (drop.friction_force[i, foot], along, FRICTION),
+            (drop.normal_force[loaded, foot], normal, NORMAL),
+            (drop.friction_force[loaded, foot], along, FRICTION),
         ):
             if abs(force) * scale > 2e-3:
                 look = {"arrowstyle": "-|>", "linewidth": 1.8, "shrinkA": 0, "shrinkB": 0, "color": colour}
@@ -163,6 +187,8 @@ def write_film(drop: DropReplay, path: Path, *, force: bool = False) -> Path:
     def draw(time: float) -> list[object]:
         axes.clear()
         draw_drone(axes, drop, drop.index(time), scale, ghost=True)
+        # The slope reaches both edges of the picture, whatever the shape of the window.
+        axes.set_aspect("equal", adjustable="datalim")
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
         figure.suptitle(

@@ -6,34 +6,43 @@ Every cell is plain text to rich: a unit in brackets is no markup.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from sysid.export.mean_table import mean_sigma, mean_table
+from sysid.export.mean_table import mean_sigma, mean_table, plain
 from sysid.parameter_sets import COMBINATIONS, ParameterRecord, ParameterSets, in_place_of_digits
 
 _AT_BOUND = "*"
 _FLAG = "* ends within 1 % of a bound of the search"
 _NONE = "—"
 _SPREAD = "σ is the spread of the runs, not the accuracy; it includes runs that ended elsewhere"
-_NOISE = "the NRMSE of a velocity (…_rate) is mostly noise: velocities are differentiated positions"
+_NOISE = "the NRMSE of a velocity (ẋ_B, ż_B) is mostly noise: velocities are differentiated positions"
+_UNFIXED = "†"
+# Channels whose symbol is another than their name.
+_SYMBOLS = {"x_B_rate": "ẋ_B", "z_B_rate": "ż_B", "stator_torque": "stator torque"}
 
 
-def ranked_table(sets: ParameterSets) -> Table:
+def ranked_table(sets: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
     """Return the ranked sets side by side: NRMSE, run, and every free parameter [SI].
 
     Parameters
     ----------
     sets : ParameterSets
         Best first.
+    unfixed : sequence of str
+        Parameters that the data do not fix: their values are printed with one digit, and marked.
     """
     shown = _shown(sets)
     flagged = bool(np.any(sets.at_bound[:, shown]))
     count = "one set" if len(sets) == 1 else f"{len(sets)} sets, best first"
-    table = _table(f"{sets.name}: {count}", _FLAG if flagged else None)
+    notes = [_FLAG] if flagged else []
+    if any(sets.names[column] in unfixed for column in shown):
+        notes.append(f"{_UNFIXED} not fixed by the data: no digits")
+    table = _table(f"{sets.name}: {count}", "\n".join(notes) or None)
     table.add_column("parameter")
     for rank in range(1, len(sets) + 1):
         table.add_column(f"set {rank}", justify="right")
@@ -45,24 +54,28 @@ def ranked_table(sets: ParameterSets) -> Table:
         table.add_row(_cell("run"), *(_cell(str(run) if run else _NONE) for run in sets.runs))
     table.add_section()
     for column in shown:
+        loose = sets.names[column] in unfixed
         cells = []
         for s in range(len(sets)):
             bound = bool(sets.at_bound[s, column])
             text = in_place_of_digits(sets.settings, sets.names[column])
             if text is None:
-                text = f"{sets.values[s, column]:.4g}{_AT_BOUND if bound else ''}"
+                text = plain(sets.values[s, column], 1 if loose else 4) + (_AT_BOUND if bound else "")
             cells.append(_cell(text, style="yellow" if bound else ""))
-        table.add_row(_cell(_heading(sets.parameters[column])), *cells)
+        heading = _heading(sets.parameters[column]) + (f" {_UNFIXED}" if loose else "")
+        table.add_row(_cell(heading), *cells)
     return table
 
 
-def mean_sigma_table(*fits: ParameterSets) -> Table:
+def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
     """Return mean ± σ over the sets of one or more fits, in the layout of the paper's Table II.
 
     Parameters
     ----------
     *fits : ParameterSets
         One column each, of one kind; measured values, independent ranges and bounds stand beside them.
+    unfixed : sequence of str
+        Parameters that the data do not fix: said instead of digits.
 
     Notes
     -----
@@ -82,13 +95,14 @@ def mean_sigma_table(*fits: ParameterSets) -> Table:
         bounds = _NONE
         free = [r for sets in fits for r in sets.parameters if r.name == row.name and r.status == "free"]
         if free and free[0].lower is not None and free[0].upper is not None:
-            bounds = f"{free[0].lower:.4g} to {free[0].upper:.4g}"
+            bounds = f"{plain(free[0].lower)} to {plain(free[0].upper)}"
         # A range of no width is one value.
-        ends = dict.fromkeys(f"{value:.4g}" for value in row.measured)
+        ends = dict.fromkeys(map(plain, row.measured))
         measured = " to ".join(ends) or _NONE
         cells = [
             _cell(
                 in_place_of_digits(own.settings, row.name)
+                or ("not fixed" if row.name in unfixed and cell is not None else None)
                 or mean_sigma(cell) + (_AT_BOUND if row.name in flag else ""),
                 style="yellow" if row.name in flag else "",
             )
@@ -111,7 +125,7 @@ def trial_table(sets: ParameterSets) -> Table:
     table.add_column("trial")
     table.add_column("use")
     for channel in sets.channels:
-        table.add_column(_cell(channel), justify="right")
+        table.add_column(_cell(channel_symbol(channel)), justify="right")
     table.add_column("mean", justify="right")
     table.add_column("worst set, mean", justify="right")
     means = _trial_means(sets)
@@ -141,7 +155,8 @@ def ladder_table(sets: ParameterSets) -> Table:
     rungs = sets.settings["ladder"]
     groups = list(dict.fromkeys(group for rung in rungs for group in rung["nrmse"]))
     table = _table(
-        f"{sets.name}: what each step of the model buys, NRMSE [%] of {' / '.join(sets.channels)}",
+        f"{sets.name}: what each step of the model buys, NRMSE [%] of "
+        f"{' / '.join(map(channel_symbol, sets.channels))}",
         "judge by the held-out rows: a parameter is not real because a search returned it",
     )
     table.add_column("trials")
@@ -154,6 +169,11 @@ def ladder_table(sets: ParameterSets) -> Table:
             cells.append(_cell(" / ".join(_number(found[c]) for c in sets.channels) if found else _NONE))
         table.add_row(_cell(group), *cells)
     return table
+
+
+def channel_symbol(channel: str) -> str:
+    """Return how a compared channel is called in tables: ``ẋ_B`` for ``x_B_rate``."""
+    return _SYMBOLS.get(channel, channel)
 
 
 def _table(title: str, caption: str | None) -> Table:

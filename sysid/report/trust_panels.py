@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 from rich.table import Table
 from rich.text import Text
 
+from sysid.export.mean_table import mean_sigma, plain
 from sysid.report.figures import BEST, MEASURED, OTHERS, axis_label
 from sysid.report.panels import as_math, panel
+from sysid.report.tables import channel_symbol
 from sysid.trust import store
 
 FloatArray = NDArray[np.float64]
@@ -72,18 +74,18 @@ def interval_table(document: Mapping[str, Any]) -> Table:
         measured = row.get("measured")
         table.add_row(
             Text(axis_label(row["symbol"], row["unit"])),
-            Text(f"{row['value']:.4g}"),
-            Text(f"{row['mean']:.4g} ± {row['sigma']:.2g}"),
+            Text(plain(row["value"])),
+            Text(mean_sigma((row["mean"], row["sigma"]))),
             Text(_interval(row["interval_68"], row["open_68"])),
             Text(_interval(row["interval_95"], row["open_95"])),
             Text(f"{verdict_words(row['verdict'])}{flag}"),
-            Text(" to ".join(f"{value:.4g}" for value in measured) if measured else _NONE),
+            Text(" to ".join(map(plain, measured)) if measured else _NONE),
         )
     return table
 
 
 def _interval(ends: Any, opened: Any) -> str:
-    low, high = (f"{value:.4g}" for value in ends)
+    low, high = map(plain, ends)
     if all(opened):
         return "open"
     if opened[0]:
@@ -108,7 +110,7 @@ def validation_table(name: str, document: Mapping[str, Any]) -> Table:
             Text(_times(trial.get("ratio"))),
             Text(_percent(trial.get("nrmse_third_contact"))),
             Text(f"{leaves['time']:.3g}" if leaves else "never"),
-            Text(str(leaves.get("channel", _NONE))),
+            Text(channel_symbol(str(leaves.get("channel", _NONE)))),
         )
     return table
 
@@ -190,9 +192,16 @@ def figure_nrmse_profile(symbol: str, unit: str, profile: Mapping[str, Any]) -> 
     best = float(profile["best nrmse"])
     values, cost = np.array(profile["values"]), np.array(profile["nrmse"])
     axes.loglog(values, cost / best, color=BEST, marker="o", markersize=3.5, linewidth=1.3)
-    axes.axhline(1 + float(profile["limit"]), color="0.5", linewidth=0.8, linestyle="--")
+    limit = float(profile["limit"])
+    axes.axhline(
+        1 + limit, color="0.5", linewidth=0.8, linestyle="--", label=f"{100 * limit:g} % above the best"
+    )
     if not profile["identified"]:
-        axes.axvspan(values.min(), float(profile["below"]), color=OTHERS, alpha=0.3, linewidth=0)
+        axes.axvspan(
+            values.min(), float(profile["below"]), color=OTHERS, alpha=0.3, linewidth=0,
+            label="values not told apart",
+        )  # fmt: skip
+    axes.legend(frameon=False, fontsize=8, loc="upper left")
     axes.set_xlabel(axis_label(as_math(symbol), unit))
     axes.set_ylabel("NRMSE / best [1]")
     axes.grid(True, color="0.92")

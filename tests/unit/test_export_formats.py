@@ -17,7 +17,7 @@ import sysid
 from sysid import exact_json
 from sysid.errors import ExportError
 from sysid.export import export, format_mean_table, load_parameter_sets, mean_table
-from sysid.export.mean_table import mean_sigma
+from sysid.export.mean_table import mean_sigma, plain
 from sysid.parameter_sets import ParameterRecord, ParameterSets
 
 SUFFIXES = ["json", "csv", "h5", "mat"]
@@ -243,7 +243,7 @@ def test_mean_table_is_table_two():
     assert rows["body_mass"].measured == (1.242,)
     assert rows["body_mass"].fitted == (None, None)
     text = format_mean_table(mean_table(lf, hf), ["low friction", "high friction"])
-    assert text.splitlines()[1].startswith("k_h [N/m]  leg_axial_stiffness  5600–6600  4967 ± 2570")
+    assert text.splitlines()[1].startswith("k_h [N/m]  leg_axial_stiffness  5600–6600  5000 ± 2600")
 
 
 def test_mean_table_rounds_to_two_digits_of_sigma():
@@ -256,11 +256,20 @@ def test_mean_table_rounds_to_two_digits_of_sigma():
 
 
 def test_runs_that_agree_do_not_make_digits():
-    assert mean_sigma((0.298783, 2e-7)) == "0.2988 ± < 1e-6"
+    assert mean_sigma((0.298783, 2e-7)) == "0.2988 (σ < 1e-6)"
+    assert mean_sigma((9.0123e-9, 2e-16)) == "9.012e-9 (σ < 1e-15)"
     assert mean_sigma((0.298783, 2e-5)) == "0.2988 ± 2e-05"
     assert mean_sigma((0.298783, 0.0012)) == "0.2988 ± 0.0012"
     assert mean_sigma((12345.0, 2.0)) == "12345 ± 2"
     assert mean_sigma((0.0, 2e-3)) == "0.0000 ± 0.0020"
+
+
+def test_large_numbers_have_no_more_digits_than_their_spread_allows():
+    assert mean_sigma((97442.0, 33113.0)) == "97000 ± 33000"
+    assert mean_sigma((113_340.0, 250.0)) == "113340 ± 250"
+    assert [plain(v) for v in (113_340.0, 1.2e4, 2e4, 0.04, 9e-9, 3e8)] == [
+        "113300", "12000", "20000", "0.04", "9e-09", "3e+08",
+    ]  # fmt: skip
 
 
 def test_infinite_values_have_no_spread():

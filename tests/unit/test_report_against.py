@@ -16,7 +16,7 @@ from sysid.pipelines import drops, gear, motor, motor_bench, motor_objective, re
 SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
 # "again" is the fitted log of drop-1 under another name; drop-3 was held back by the fit.
 LOGS = {"again": "aa", "drop-1": "dd", "drop-3": "cc", "new": "ee"}
-UNSEEN = ["drop-1", "drop-3", "new"]
+UNSEEN = ["drop-1", "new"]
 PROVENANCE = {"logs": {f"drop-{k}": {"sha256": sha} for k, sha in enumerate(("aa", "bb", "cc"), start=1)}}
 
 
@@ -75,3 +75,9 @@ def test_what_the_fit_saw_is_not_told_as_unseen(monkeypatch, choice):
 def test_a_campaign_of_fitted_trials_alone_is_refused(monkeypatch, choice):
     with pytest.raises(FitError, match="made from every trial in it, so they validate nothing"):
         choice(monkeypatch, {"again": "aa", "twice": "bb"})
+
+
+@pytest.mark.parametrize("choice", [gear_choice, motor_choice])
+def test_what_the_fit_held_back_is_not_shown_twice(monkeypatch, choice):
+    with pytest.raises(FitError, match="whose report shows the ones held back anyway; leave --against out"):
+        choice(monkeypatch, {"again": "aa", "held": "cc"})

@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 
 import pytest
-from test_cli import run
 from test_report_figures import made_fit
 from typer.main import get_command
 
@@ -51,18 +50,18 @@ def test_every_command_that_prints_a_result_speaks_json():
     assert without == []
 
 
-def test_json_of_the_commands_that_list_and_write(tmp_path, monkeypatch, capsys):
+def test_json_of_the_commands_that_list_and_write(tmp_path, run):
     write_fit(made_fit(), tmp_path / "fits" / "a")
-    code, out, _ = run(monkeypatch, capsys, "fits", tmp_path / "fits", "--json")
+    code, out, _ = run("fits", tmp_path / "fits", "--json")
     assert code == 0
     (entry,) = json.loads(out)
     assert (entry["name"], entry["state"], entry["runs"]) == ("a", "done", 5)
-    code, out, _ = run(monkeypatch, capsys, "formats", "--json")
+    code, out, _ = run("formats", "--json")
     assert "motive-csv" in {row["format"] for row in json.loads(out)}
     target = tmp_path / "sets.json"
-    code, out, _ = run(monkeypatch, capsys, "export", tmp_path / "fits" / "a", "--to", target, "--json")
+    code, out, _ = run("export", tmp_path / "fits" / "a", "--to", target, "--json")
     assert json.loads(out) == {"written": [str(target)]}
-    code, out, _ = run(monkeypatch, capsys, "new-campaign", "gear", tmp_path / "c.toml", "--json")
+    code, out, _ = run("new-campaign", "gear", tmp_path / "c.toml", "--json")
     assert json.loads(out)["written"] == [str(tmp_path / "c.toml")]
 
 
@@ -76,20 +75,26 @@ def refused(result, *words):
         assert word in err
 
 
-def test_what_report_refuses(tmp_path, monkeypatch, capsys):
+def test_what_report_refuses(tmp_path, run):
     fit = write_fit(made_fit(), tmp_path / "fit")
-    refused(run(monkeypatch, capsys, "report", tmp_path / "nothing"), "no fit.h5")
+    refused(run("report", tmp_path / "nothing"), "no fit.h5")
     there = tmp_path / "there.html"
     there.write_text("mine", encoding="utf-8")
-    refused(run(monkeypatch, capsys, "report", fit, "--out", there), "exists already", "--force")
+    refused(run("report", fit, "--out", there), "exists already", "--force")
     assert there.read_text(encoding="utf-8") == "mine"
-    refused(run(monkeypatch, capsys, "report", fit, "--out", tmp_path / "no" / "a.html"), "does not exist")
-    refused(run(monkeypatch, capsys, "report", fit, "--drop", "drop-1"), "--gif")
-    refused(
-        run(monkeypatch, capsys, "report", fit, "--gif", tmp_path / "a.gif", "--drop", "x"), "found drop-1"
-    )
-    refused(run(monkeypatch, capsys, "report", fit, "--gif", tmp_path / "a.gif"), "fit again")
-    refused(run(monkeypatch, capsys, "report", fit, "--pdf-figures", there), "is a file")
+    refused(run("report", fit, "--out", tmp_path / "no" / "a.html"), "does not exist")
+    refused(run("report", fit, "--drop", "drop-1"), "--gif")
+    refused(run("report", fit, "--gif", tmp_path / "a.gif", "--drop", "x"), "found drop-1")
+    refused(run("report", fit, "--gif", tmp_path / "a.gif"), "fit again")
+    refused(run("report", fit, "--pdf-figures", there), "is a file")
+    refused(run("report", fit, "--gif", tmp_path / "x.mp4"), "--gif writes a .gif file")
+    refused(run("report", fit, "--mp4", tmp_path / "x.gif"), "--mp4 writes a .mp4 file")
+    both = tmp_path / "a.gif"
+    refused(run("report", fit, "--out", both, "--gif", both), "named for two files")
+    refused(run("report", fit, "--out", tmp_path, "--force"), "is a folder", "report.html")
+    motor = ROOT / "data_samples" / "motor" / "campaign.toml"
+    code, out, err = run("report", fit, "--against", motor, "--quiet")
+    refused((code, out, err), "is a motor campaign, and bench is a fit of a gear; name a gear campaign")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["fit", "there.html"]
 
 
@@ -104,9 +109,9 @@ def test_a_film_needs_ffmpeg_or_another_name(tmp_path, monkeypatch):
     check_film(tmp_path / "a.gif", False)
 
 
-def test_missing_libraries_are_named_with_the_command_that_installs_them(tmp_path, monkeypatch, capsys):
+def test_missing_libraries_are_named_with_the_command_that_installs_them(tmp_path, monkeypatch, run):
     from sysid.report import notebook
 
     fit = write_fit(made_fit(), tmp_path / "fit")
     monkeypatch.setattr(notebook, "_LIBRARIES", ("papermill", "no_such_library"))
-    refused(run(monkeypatch, capsys, "report", fit), "sysid[report]", "missing: no_such_library")
+    refused(run("report", fit), "sysid[report]", "missing: no_such_library")

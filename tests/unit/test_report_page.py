@@ -22,6 +22,7 @@ from sysid.report.fit_report import FitReport, open_fit
 from sysid.report.markup import box, bullets, folded, markup_table, paragraph, picture
 from sysid.report.panels import as_math, figure_channel, figure_spread, figure_waterfall, thinned
 from sysid.report.replay import START, DropReplay, animation_data, leg_points, replay_drop
+from sysid.report.snapshots import figure_snapshots
 from sysid.report.trust_panels import interval_table
 from sysid.report.verdict import open_parameters, verdict_sentences
 
@@ -241,6 +242,25 @@ def test_contacts_of_a_replay_are_the_events_of_the_simulation(drop_fit):
     assert len(drop.first_contacts()) == 4
 
 
+@pytest.mark.slow  # two drivers to compile where nothing is cached
+def test_a_replay_s_modes_are_those_of_the_located_switches(drop_fit):
+    from dataclasses import replace
+
+    fit = replace(drop_fit, settings={"surface": "hf"}, values=pack({}, "hf")[None])
+    drop = replay_drop(fit, fit.trials[0])
+    run = simulate(pack({}, "hf"), SLOPE, BODY, drop.time, surface="hf")
+    sticks = np.zeros((len(drop.time), 2), dtype=bool)
+    for event in run.events:
+        if event.kind in (EventKind.STICK, EventKind.SLIP):
+            sticks[drop.time >= event.time, ("rear", "front").index(event.foot)] = (
+                event.kind is EventKind.STICK
+            )
+    down = run.normal_force > 0
+    assert np.sum(sticks & down) > 100
+    # The page's simulation is coarser: a switch may fall one sample aside.
+    assert np.sum(drop.sticks != (sticks & down)) <= 3
+
+
 @pytest.mark.slow  # four drivers to compile where nothing is cached
 def test_simulating_without_events_gives_the_same_numbers():
     time = np.linspace(0.0, 0.5, 101)
@@ -294,11 +314,75 @@ def test_drops_of_one_name_keep_to_their_own_campaign(drop_fit, tmp_path, monkey
         return small_figure()
 
     monkeypatch.setattr(paper_figures, "figure_measured_against_simulated", marked)
-    monkeypatch.setattr(paper_figures, "figure_snapshots", lambda drop: drop)
+    monkeypatch.setattr(paper_figures, "figure_snapshots", lambda drop, legend: drop)
     names = paper_figures.paper_figures(report)
     assert drawn == [[], [round(own.contacts[0].start, 9)], [round(theirs.contacts[0].start, 9)]]
     assert names["snapshots-drop-1"] is own
     assert names["snapshots-against-bench-drop-1"] is theirs
+
+
+def motor_fit():
+    """A motor fit of four trials with thrust, each with three reversals far enough from its ends."""
+    from dataclasses import replace
+
+    fit = made_fit(channels=MOTOR, samples=600, uses=("fit", "fit", "fit", "validate"))
+    start = fit.trials[0].time[0]
+    commands = np.array([[0.0, 0.6], [0.5, -1.0], [1.2, 0.6], [2.0, -1.0]])
+    commands[:, 0] += start
+    trials = tuple(replace(t, thrust=np.linspace(0, 3, 600), commands=commands) for t in fit.trials)
+    profile = {"values": [1e-10, 1e-8, 1e-6], "nrmse": [0.1, 0.1, 0.2], "best nrmse": 0.1, "limit": 0.01,
+               "identified": False, "below": 1e-7}  # fmt: skip
+    return replace(fit, trials=trials, settings={"profiles": {"leg_axial_stiffness": profile}})
+
+
+def test_the_figures_of_a_motor_for_a_paper(tmp_path, monkeypatch):
+    monkeypatch.setattr(FitReport, "simulated_thrust", staticmethod(lambda fit, trial: np.ones((5, 600))))
+    report = FitReport(tmp_path, motor_fit())
+    found = paper_figures.paper_figures(report)
+    names = {f"reversal-drop-{t}-{k}" for t in (1, 2, 3, 4) for k in (1, 2, 3)}
+    assert {name for name in found if name.startswith("reversal")} == names
+    assert "profile-nrmse-leg_axial_stiffness" in found
+    for name in ("reversal-drop-1-1", "thrust-drop-1"):
+        (legend,) = found[name].legends
+        told = [text.get_text() for text in legend.get_texts()]
+        assert told == ["measured", "best set", "other sets", "command"]
+    top, bottom = found["reversal-drop-1-1"].axes
+    # 0 is the command.
+    assert top.get_xlim() == pytest.approx((-0.1, 0.5), abs=0.006)
+    assert bottom.get_xlabel() == "time after the command [s]"
+    told = [
+        text.get_text()
+        for text in found["profile-nrmse-leg_axial_stiffness"].axes[0].get_legend().get_texts()
+    ]
+    assert told == ["1 % above the best", "values not told apart"]
+    text = report.reversals().text
+    assert text.count("<img") == 6
+    assert "6 of 12 reversals are drawn" in text
+    # Those held back are among them.
+    assert "drop-4 (not fitted): from +60 % to −100 %" in text
+    assert "Blue: below 1e-07 N/m the data tell no value from another." in report.profiles().text
+
+
+def test_the_options_of_the_animation_tell_the_drops_apart(drop_fit, tmp_path):
+    from dataclasses import replace
+
+    trial = replace(drop_fit.trials[0], use="validate")
+    other = replace(drop_fit, name="other", trials=(trial,))
+    report = FitReport(tmp_path, drop_fit, other)
+    options = re.findall(r"<option [^>]*>([^<]*drop-1[^<]*)</option>", report.animation().text)
+    assert options == ["bench, drop-1: 15°, fitted", "other, drop-1: 15°, not fitted"]
+    text = report.measured_against_simulated().text
+    assert re.findall(r"<summary>(.*?) \(", text) == ["drop-1", "other, drop-1"]
+
+
+def test_snapshots_are_titled_with_the_instants_that_the_caption_names(drop_fit, tmp_path):
+    drop = replay_drop(drop_fit, drop_fit.trials[0])
+    panels = figure_snapshots(drop, legend=True).axes
+    titles = [axes.get_title(loc="left") for axes in panels if axes.get_visible()]
+    assert titles == [f"({k}) {1e3 * t:.0f} ms" for k, (t, _) in enumerate(drop.first_contacts(), 1)]
+    caption = FitReport(tmp_path, drop_fit).snapshots().text
+    for title in titles:
+        assert title.replace(") ", ") at ") in caption
 
 
 def test_a_fit_without_starts_has_no_animation_and_says_so(tmp_path):
@@ -336,18 +420,18 @@ def test_the_diagram_of_modes_asks_the_code():
 
 
 def test_the_shares_of_modes_follow_friction():
-    def drop(friction):
+    def drop(friction, speed):
         n = 4
         zero = np.zeros((n, 2))
         normal = zero + np.array([10.0, 0.0])
         return DropReplay(
             "a", "fit", 0.0, np.arange(n) / 1e3, np.zeros((n, 3)), np.zeros((n, 2, 2)), np.zeros((n, 2, 2)),
             normal, zero + np.array(friction)[:, None] * [1.0, 0.0], np.zeros((n, 3)), (),
-            {"kinetic_friction": 0.8},
+            {"kinetic_friction": 0.8}, zero + np.array(speed)[:, None] * [1.0, 0.0],
         )  # fmt: skip
 
-    # The rear foot bears 10 N: 8 N is a slip, less holds it.
-    shares = diagrams.mode_shares([drop([8.0, -8.0, 3.0, 0.0])])
+    # The rear foot bears 10 N: it moves at 8 N = mu_k F_n, and holds at 3 N as at 8.5 N, below mu_s F_n.
+    shares = diagrams.mode_shares([drop([-8.0, 8.0, 3.0, 8.5], [0.3, -0.02, 1e-5, -3e-5])])
     assert shares == {"both slip": 0.5, "rear sticks": 0.5, "front sticks": 0.0, "both stick": 0.0}
     assert diagrams.mode_shares([]) == {}
 
@@ -436,6 +520,21 @@ def test_equal_runs_are_not_drawn_apart():
     # Less than 0.2 % tells no optima apart: it takes no more than a fifth of the axis.
     low, high = axes.get_ylim()
     assert 0.002 / (high - low) < 0.2
+
+
+def test_what_the_data_do_not_fix_has_no_digits(tmp_path, monkeypatch):
+    fit = made_fit()
+    plain = FitReport(tmp_path, fit).parameters().text
+    assert "not fixed" not in plain
+    monkeypatch.setattr(fit_report, "open_parameters", lambda fit: ("leg_axial_stiffness",))
+    text = FitReport(tmp_path, fit).parameters().text
+    assert '<td class="number">not fixed</td>' in text
+    cells = re.search(r"k_h \[N/m\] †</th>(.*?)</tr>", text).group(1)
+    values = re.findall(r">([^<]+)<", cells)
+    assert len(values) == 5
+    assert all(float(value.rstrip("*")) % 1000 == 0 for value in values)
+    # An unfinished search knows of nothing that it is open.
+    assert "not fixed" not in FitReport(tmp_path, cut_fit()).parameters().text
 
 
 def test_every_warning_that_is_listed_is_counted(tmp_path):

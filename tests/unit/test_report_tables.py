@@ -99,7 +99,7 @@ def test_report_mean_sigma_table_has_the_layout_of_table_two():
     lines = lines_of(mean_sigma_table(made_sets()), width=80)
     assert line_with(lines, "m_B [kg]") == ["m_B [kg]", "—", "1.242", "—"]
     # Mean 6500, sigma 500 (divided by S - 1), two digits of sigma.
-    assert line_with(lines, "k_h [N/m]")[1:] == ["6500 ± 500", "5600 to 6600", "2000 to 1.2e+04"]
+    assert line_with(lines, "k_h [N/m]")[1:] == ["6500 ± 500", "5600 to 6600", "2000 to 12000"]
     assert line_with(lines, "dx_j [m]")[-1] == "0.04 to 0.1"
     assert line_with(lines, "dx_j [m]")[1].endswith("*")
     assert line_with(lines, "μ_k")[2] == "0.44"
