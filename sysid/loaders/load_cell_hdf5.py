@@ -29,7 +29,7 @@ from sysid.loaders.columns import split_label
 from sysid.loaders.hdf5_damage import check_heaps
 from sysid.loaders.load_cell import CELL_AXES
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE, LogFormat
-from sysid.loaders.signals import Signal, signal_channels
+from sysid.loaders.signals import Signal, SignalOptions, signal_channels
 from sysid.loaders.source import Source
 from sysid.recording import FloatArray, Recording
 
@@ -159,9 +159,10 @@ def read(
     if not is_hdf5(source):
         raise LogError(f"{path}: not an HDF5 file (its signature is missing); check the format")
     check_heaps(path)
+    options = SignalOptions(rate, units, datasets, pulses_per_revolution, time_back)
     try:
         with h5py.File(path, "r") as file:
-            return _read_open(source, file, rate, units, datasets, pulses_per_revolution, time_back)
+            return _read_open(source, file, options)
     except _DAMAGE as error:
         raise LogError(f"{path}: HDF5 file is damaged or cut ({error}); copy or export it again") from error
 
@@ -198,15 +199,7 @@ def _signal(path: str, name: str, dataset: Any, file_bytes: int, column: int | N
     )
 
 
-def _read_open(
-    source: Source,
-    file: Any,
-    rate: float | None,
-    units: Mapping[str, str] | None,
-    datasets: Mapping[str, str] | None,
-    pulses_per_revolution: float | None,
-    time_back: str,
-) -> Recording:
+def _read_open(source: Source, file: Any, options: SignalOptions) -> Recording:
     path, file_bytes = source.path, Path(source.path).stat().st_size
     channels, notes = signal_channels(
         path,
@@ -215,23 +208,13 @@ def _read_open(
             for name, dataset in _datasets(file).items()
             for signal in _signals(path, name, dataset, file_bytes)
         ],
-        rate=rate,
-        units=units,
-        datasets=datasets,
-        pulses_per_revolution=pulses_per_revolution,
-        time_back=time_back,
+        options,
         measured=True,
     )
     device = file.attrs.get("device", "")
     device = device.decode("utf-8", "replace") if isinstance(device, bytes) else str(device)
-    options = {
-        "rate": rate,
-        "units": units,
-        "datasets": datasets,
-        "pulses_per_revolution": pulses_per_revolution,
-    }
     return Recording(
-        "load-cell", channels, source.provenance(_NAME, device=device, options=options, notes=notes)
+        "load-cell", channels, source.provenance(_NAME, device=device, options=options.recorded, notes=notes)
     )
 
 

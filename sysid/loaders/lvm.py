@@ -21,7 +21,7 @@ import numpy as np
 
 from sysid.errors import LogError, UnitError
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
-from sysid.loaders.signals import Signal, kind_of, signal_channels, unique_names, written_unit
+from sysid.loaders.signals import Signal, SignalOptions, kind_of, signal_channels, unique_names, written_unit
 from sysid.loaders.source import Source
 from sysid.loaders.table import TableHead, promised_note, read_numbers
 from sysid.loaders.text import Text, read_text
@@ -299,32 +299,19 @@ def read(
         text.up_to(chosen.rows[1]), chosen, delimiter, decimal, rate is not None, notes
     )
     del text  # the file's bytes are not needed any more
-    channels, said = signal_channels(
-        path,
-        signals,
-        rate=rate,
-        units=units,
-        datasets=datasets,
-        pulses_per_revolution=pulses_per_revolution,
-        time_back=time_back,
-        measured=False,
-    )
+    options = SignalOptions(rate, units, datasets, pulses_per_revolution, time_back)
+    channels, said = signal_channels(path, signals, options, measured=False)
     if not channels:
         raise LogError(f"{path}: no channel holds a value; the log is empty")
     began = " ".join(settings.get(key, "") for key in ("date", "time")).strip()
     if began:
         notes.append(f"recording began at {began} by the recording computer's clock")
-    options = {
-        "rate": rate,
-        "units": units,
-        "datasets": datasets,
-        "pulses_per_revolution": pulses_per_revolution,
-        "segment": segment,
-    }
     return Recording(
         kind_of(channels),
         channels,
-        source.provenance(_NAME, device="LabVIEW", options=options, notes=[*notes, *said]),
+        source.provenance(
+            _NAME, device="LabVIEW", options={**options.recorded, "segment": segment}, notes=[*notes, *said]
+        ),
     )
 
 

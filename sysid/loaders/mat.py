@@ -20,7 +20,7 @@ import numpy as np
 from sysid.errors import LogError
 from sysid.loaders.hdf5_damage import check_heaps
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
-from sysid.loaders.signals import Signal, signal_channels, written_unit
+from sysid.loaders.signals import Signal, SignalOptions, signal_channels, written_unit
 from sysid.loaders.source import Source
 from sysid.recording import FloatArray, Recording
 
@@ -183,29 +183,20 @@ def read(
             f"{path}: not a MATLAB file of version 5 or 7.3 (its first line does not say so); "
             "save it again, for example with save(name, '-v7')"
         )
+    options = SignalOptions(rate, units, datasets, pulses_per_revolution, time_back)
     passed_over: list[str] = []
     try:
         tree = _tree_v5(path) if source.head.startswith(_V5) else _tree_v73(path)
         channels, notes = signal_channels(
             path,
             _walk(tree, "", None, passed_over),
-            rate=rate,
-            units=units,
-            datasets=datasets,
-            pulses_per_revolution=pulses_per_revolution,
-            time_back=time_back,
+            options,
             measured=True,
             passed_over=passed_over,
         )
     except _DAMAGE as error:
         raise LogError(f"{path}: MATLAB file is damaged or cut ({error}); save it again") from error
-    options = {
-        "rate": rate,
-        "units": units,
-        "datasets": datasets,
-        "pulses_per_revolution": pulses_per_revolution,
-    }
-    return Recording("load-cell", channels, source.provenance(_NAME, options=options, notes=notes))
+    return Recording("load-cell", channels, source.provenance(_NAME, options=options.recorded, notes=notes))
 
 
 FORMAT = LogFormat(_NAME, "MATLAB file 5 or 7.3 (variables by name, rate)", _recognize, read)

@@ -100,6 +100,36 @@ class Signal:
             return False
 
 
+@dataclass(frozen=True)
+class SignalOptions:
+    """What a user declares of a file's signals.
+
+    Parameters
+    ----------
+    rate : float or None
+        Sample rate [Hz] of every signal; it wins over what the file states.
+    units : mapping of str to str or None
+        Units by channel or signal.
+    datasets : mapping of str to str or None
+        Signals by channel; exactly these are read.
+    pulses_per_revolution : float or None
+        Of the tachometer, where there is one.
+    time_back : str
+        As `sysid.loaders.clock.order_rows` takes it.
+    """
+
+    rate: float | None
+    units: Mapping[str, str] | None
+    datasets: Mapping[str, str] | None
+    pulses_per_revolution: float | None
+    time_back: str
+
+    @property
+    def recorded(self) -> dict[str, object]:
+        """What a recording's provenance names."""
+        return {name: getattr(self, name) for name in ("rate", "units", "datasets", "pulses_per_revolution")}
+
+
 def _found(signals: Mapping[str, Signal], passed_over: Sequence[str]) -> str:
     """Return what a file holds, for a message."""
     passed = f"; passed over: {listing(passed_over)}" if passed_over else ""
@@ -271,12 +301,8 @@ class _Clocks:
 def signal_channels(
     path: str,
     signals: Iterable[Signal],
+    options: SignalOptions,
     *,
-    rate: float | None,
-    units: Mapping[str, str] | None,
-    datasets: Mapping[str, str] | None,
-    pulses_per_revolution: float | None,
-    time_back: str,
     measured: bool,
     passed_over: Sequence[str] = (),
 ) -> tuple[dict[str, Channel], list[str]]:
@@ -288,10 +314,7 @@ def signal_channels(
         Named in messages.
     signals : iterable of Signal
         All that the file holds.
-    rate, units, datasets, time_back
-        As the user declared them.
-    pulses_per_revolution : float, optional
-        Of the tachometer, where there is one.
+    options : SignalOptions
     measured : bool
         True: only known quantities are read and thrust or torque must be among them; False: signals of other
         names are kept too, in SI where their unit is known and as recorded (unit ``""``) where not.
@@ -303,12 +326,12 @@ def signal_channels(
     LogError, UnitError
         One sentence with file, signal and cause.
     """
-    if rate is not None:
-        rate = positive_rate(path, rate)
+    datasets, pulses_per_revolution = options.datasets, options.pulses_per_revolution
+    rate = None if options.rate is None else positive_rate(path, options.rate)
     by_name = {signal.name: signal for signal in signals}
     chosen = choose_signals(path, by_name, datasets, measured=measured, passed_over=passed_over)
     check_tachometer(path, chosen, pulses_per_revolution)
-    declared = DeclaredUnits(path, units)
+    declared = DeclaredUnits(path, options.units)
     columns = {}
     for index, (name, signal) in enumerate(by_name.items()):
         guessed = signal.unit is None and suffix_unit(signal.label) is not None
@@ -332,7 +355,9 @@ def signal_channels(
     channels: dict[str, Channel] = {}
     unknown: list[str] = []
     for key, names in clocks.members.items():
-        time, said = order_rows(path, clocks.numbers[key], 0, 1.0, time_back=time_back, coarse=DECLARE_RATE)
+        time, said = order_rows(
+            path, clocks.numbers[key], 0, 1.0, time_back=options.time_back, coarse=DECLARE_RATE
+        )
         notes += [note for note in said if note not in notes]
         for index, channel in enumerate(names, start=1):
             values = clocks.numbers[key].columns[index]

@@ -22,7 +22,7 @@ from sysid.errors import LogError, UnitError
 from sysid.loaders.columns import listing
 from sysid.loaders.optional import library
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
-from sysid.loaders.signals import Signal, kind_of, signal_channels, written_unit
+from sysid.loaders.signals import Signal, SignalOptions, kind_of, signal_channels, written_unit
 from sysid.loaders.source import Source
 from sysid.loaders.tdms_segments import Starts, samples_before, waveform_starts
 from sysid.recording import FloatArray, Recording
@@ -189,34 +189,22 @@ def read(
     nptdms = library(path, "nptdms", "npTDMS")
     if not source.head.startswith(b"TDSm"):
         raise LogError(f"{path}: not a TDMS file (it does not begin with TDSm); check the format")
+    options = SignalOptions(rate, units, datasets, pulses_per_revolution, time_back)
     notes: list[str] = []
     try:
         with nptdms.TdmsFile.open(path) as file:
             device = str(file.properties.get("name", ""))
-            channels, said = signal_channels(
-                path,
-                _signals(path, file, notes, rate),
-                rate=rate,
-                units=units,
-                datasets=datasets,
-                pulses_per_revolution=pulses_per_revolution,
-                time_back=time_back,
-                measured=False,
-            )
+            channels, said = signal_channels(path, _signals(path, file, notes, rate), options, measured=False)
     except _DAMAGE as error:
         raise LogError(f"{path}: TDMS file is damaged or cut ({error}); copy or export it again") from error
     if not channels:
         raise LogError(f"{path}: holds no channel of numbers; check the export")
-    options = {
-        "rate": rate,
-        "units": units,
-        "datasets": datasets,
-        "pulses_per_revolution": pulses_per_revolution,
-    }
     return Recording(
         kind_of(channels),
         channels,
-        source.provenance(_NAME, device=f"NI TDMS {device}".strip(), options=options, notes=[*notes, *said]),
+        source.provenance(
+            _NAME, device=f"NI TDMS {device}".strip(), options=options.recorded, notes=[*notes, *said]
+        ),
     )
 
 
