@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError, UnitError
-from sysid.recording import FloatArray
+from sysid.loaders.load_cell import quantity_channel
+from sysid.recording import Channel, FloatArray
 from sysid.units import factor_to_si, parse_quantity
 
 AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+_CHANNELS = ("force_x", "force_y", "thrust", "torque_x", "torque_y", "torque")
 _LENGTHS = ("dx", "dy", "dz")
 _ANGLES = ("rx", "ry", "rz")
 _LARGEST = 1 << 20
@@ -150,14 +152,18 @@ def motor_transform(path: str, transform: Mapping[str, Any] | None) -> NDArray[n
     return out
 
 
-def tare_offset(path: str, values: FloatArray, time: FloatArray, tare: object) -> FloatArray:
-    """Return the mean of the first `tare` seconds of each column, to be subtracted.
+def without_tare(
+    path: str, values: FloatArray, time: FloatArray, tare: object
+) -> tuple[FloatArray, list[str]]:
+    """Return values less the mean of the first `tare` seconds of each column, and a note; None takes nothing.
 
     Raises
     ------
     LogError
         When `tare` is no positive time or holds no sample.
     """
+    if tare is None:
+        return values, []
     if isinstance(tare, bool) or not isinstance(tare, int | float) or not np.isfinite(tare) or tare <= 0:
         raise LogError(
             f"{path}: tare = {tare!r}; expected seconds at the start of the log without load, or with their "
@@ -167,4 +173,10 @@ def tare_offset(path: str, values: FloatArray, time: FloatArray, tare: object) -
     seen = np.isfinite(values[first])
     if not seen.any(axis=0).all():
         raise LogError(f"{path}: the first {float(tare):g} s hold no sample to take the tare from")
-    return np.asarray(np.nanmean(values[first], axis=0))
+    offset = np.asarray(np.nanmean(values[first], axis=0))
+    return values - offset, [f"tare: the mean of the first {tare:g} s was subtracted"]
+
+
+def load_channels(time: FloatArray, load: FloatArray) -> dict[str, Channel]:
+    """Return the channels of loads (n, 6) in the order of `AXES` [N, N·m]."""
+    return {name: quantity_channel(name, time, load[:, i].copy()) for i, name in enumerate(_CHANNELS)}

@@ -15,9 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import LogError, UnitError
-from sysid.loaders.ati_calibration import AXES, motor_transform, read_calibration, tare_offset
+from sysid.loaders.ati_calibration import AXES, load_channels, motor_transform, read_calibration, without_tare
 from sysid.loaders.clock import DECLARE_RATE, jitter_note, order_rows, positive_rate, rate_clock
-from sysid.loaders.load_cell import quantity_channel
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE, LogFormat
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers, TableHead, read_numbers
@@ -27,7 +26,6 @@ from sysid.recording import FloatArray, Recording
 from sysid.units import factor_to_si
 
 _NAME = "ati-text"
-_CHANNELS = ("force_x", "force_y", "thrust", "torque_x", "torque_y", "torque")
 _STATES_RATE = "sampling freq"
 _HEADER_LINES = 20
 _UNIT_KEYS = ("force", "torque")
@@ -303,9 +301,8 @@ def read(
     raw = np.column_stack([numbers.columns[lead + i] for i in range(6)])
     blank = int(np.isnan(raw).all(axis=1).sum())
     notes += [f"blank rows, taken as missing: {blank}"] if blank else []
-    if tare is not None:
-        raw = raw - tare_offset(path, raw, time, tare)
-        notes.append(f"tare: the mean of the first {tare:g} s was subtracted")
+    raw, said = without_tare(path, raw, time, tare)
+    notes += said
     load = raw @ known.matrix.T if known is not None else raw * factors
     if known is not None:
         over = np.asarray(np.abs(load) > known.limits)
@@ -315,13 +312,14 @@ def read(
         load = load @ turn.T
         notes.append("loads are at the motor's axes, as declared by transform")
     notes.append("channels by place: Fx Fy Fz Tx Ty Tz")
-    channels = {name: quantity_channel(name, time, load[:, i].copy()) for i, name in enumerate(_CHANNELS)}
     options = {
         "rate": rate, "units": units, "calibration": calibration, "transform": transform, "tare": tare,
     }  # fmt: skip
     device = known.device if known is not None else "ATI"
     return Recording(
-        "load-cell", channels, source.provenance(_NAME, device=device, options=options, notes=notes)
+        "load-cell",
+        load_channels(time, load),
+        source.provenance(_NAME, device=device, options=options, notes=notes),
     )
 
 

@@ -18,10 +18,10 @@ import numpy as np
 from sysid.errors import LogError, UnitError
 from sysid.loaders.clock import known_rate
 from sysid.loaders.columns import listing
-from sysid.loaders.motion_capture import body_channels, continuous_quaternions, wanted_bodies
+from sysid.loaders.motion_capture import body_channels, matrix_quaternions, wanted_bodies
 from sysid.loaders.optional import library
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
-from sysid.loaders.rigid_pose import marker_bodies, pose_from_markers
+from sysid.loaders.rigid_pose import fit_bodies
 from sysid.loaders.signals import plain_unit, unique_names, unknown_units_note
 from sysid.loaders.source import Source
 from sysid.loaders.table import promised_note
@@ -189,8 +189,6 @@ def _marker_channels(path: str, file: Any, length_unit: str | None, notes: list[
 
 
 def _rotation_channels(path: str, file: Any, length_unit: str | None, notes: list[str]) -> dict[str, Channel]:
-    from scipy.spatial.transform import Rotation
-
     poses = file["data"]["rotations"]
     if poses.ndim != 4 or not poses.shape[2] or not poses.shape[3]:
         return {}
@@ -211,12 +209,8 @@ def _rotation_channels(path: str, file: Any, length_unit: str | None, notes: lis
         whole = np.isfinite(matrix).all(axis=(1, 2))
         square = np.einsum("nij,nik->njk", matrix, matrix)
         good = whole & (np.abs(np.nan_to_num(square) - np.eye(3)).max(axis=(1, 2)) < 0.02)
-        quaternion = np.full((len(matrix), 4), np.nan)
-        if good.any():
-            quaternion[good] = np.roll(Rotation.from_matrix(matrix[good]).as_quat(), 1, axis=1)
-        quaternion, _ = continuous_quaternions(quaternion)
         position: FloatArray = np.where(good[:, None], poses[:3, 3, i].T * scale, np.nan)
-        channels |= body_channels(name, time, position, quaternion)
+        channels |= body_channels(name, time, position, matrix_quaternions(matrix, good))
     notes.append("poses from the file's ROTATION group")
     return channels
 
@@ -290,11 +284,9 @@ def read(
         kept = wanted_bodies(path, stated, rigid_body)
         channels = {name: one for name, one in channels.items() if name.rpartition("/")[0] in kept}
     elif rigid_body is not None or bodies is not None:
-        names = [name.removesuffix("/position") for name in markers]
-        for name, listed in marker_bodies(path, names, bodies, rigid_body).items():
-            found, said = pose_from_markers(path, markers, name, listed)
-            channels |= found
-            notes += said
+        found, said = fit_bodies(path, markers, bodies, rigid_body)
+        channels |= found
+        notes += said
     channels = {**channels, **{name: one for name, one in markers.items() if name not in channels}, **analogs}
     if not channels:
         raise LogError(f"{path}: holds neither points nor rotations nor analog samples; the capture is empty")

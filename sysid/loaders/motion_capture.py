@@ -9,7 +9,7 @@ import numpy as np
 from sysid.errors import LogError, UnitError
 from sysid.loaders.columns import listing
 from sysid.loaders.table import Numbers
-from sysid.recording import Channel, FloatArray
+from sysid.recording import BoolArray, Channel, FloatArray
 from sysid.units import factor_to_si
 
 EULER_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
@@ -72,6 +72,16 @@ def continuous_quaternions(unit: FloatArray) -> tuple[FloatArray, int]:
     return unit, int(turned.sum())
 
 
+def matrix_quaternions(matrix: FloatArray, seen: BoolArray) -> FloatArray:
+    """Return quaternions, w first, of continuous sign, of matrices (n, 3, 3); NaN where not `seen`."""
+    from scipy.spatial.transform import Rotation
+
+    result = np.full((len(matrix), 4), np.nan)
+    if seen.any():
+        result[seen] = np.roll(Rotation.from_matrix(matrix[seen]).as_quat(), 1, axis=1)
+    return continuous_quaternions(result)[0]
+
+
 def euler_quaternions(order: str, angles_deg: FloatArray) -> FloatArray:
     """Return quaternions, w first, of Euler angles about the axes of the turning body (intrinsic).
 
@@ -102,6 +112,12 @@ def body_channels(
         f"{name}/position": Channel(f"{name}/position", "m", time, position),
         f"{name}/orientation": Channel(f"{name}/orientation", "1", time, orientation),
     }
+
+
+def lost_note(body: str, orientation: FloatArray) -> list[str]:
+    """Return a note of the frames in which a body has no orientation."""
+    lost = int(np.isnan(orientation[:, 0]).sum())
+    return [f"{body} is lost in {lost} of {len(orientation)} frames"] if lost else []
 
 
 def declared_length(path: str, declared: str | None, default: str = "m") -> float:

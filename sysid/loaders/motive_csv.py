@@ -26,6 +26,7 @@ from sysid.loaders.motion_capture import (
     EULER_ORDERS,
     body_channels,
     euler_quaternions,
+    lost_note,
     unit_quaternions,
     wanted_bodies,
 )
@@ -327,8 +328,7 @@ def read(
         channels |= body_channels(
             body.name, time, stacked(body.columns("Position", "XYZ")) * scale, orientation
         )
-        lost = int(np.isnan(orientation[:, 0]).sum())
-        notes += [*said, *([f"{body.name} is lost in {lost} of {time.size} frames"] if lost else [])]
+        notes += [*said, *lost_note(body.name, orientation)]
     blank = 0
     for marker in markers:
         position = stacked(marker.columns("Position", "XYZ")) * scale

@@ -17,7 +17,13 @@ import numpy as np
 from sysid.errors import LogError
 from sysid.loaders.clock import order_rows
 from sysid.loaders.columns import listing
-from sysid.loaders.motion_capture import body_channels, declared_length, unit_quaternions, wanted_bodies
+from sysid.loaders.motion_capture import (
+    body_channels,
+    declared_length,
+    lost_note,
+    unit_quaternions,
+    wanted_bodies,
+)
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers, promised_note
@@ -200,8 +206,7 @@ def read(
                 channels[f"{name}/position"] = Channel(f"{name}/position", "m", time, values * scale)
         elif name in kept:
             orientation, said = unit_quaternions(path, name, numbers, values[:, [6, 3, 4, 5]])
-            lost = int(np.isnan(orientation[:, 0]).sum())
-            notes += [*said, *([f"{name} is lost in {lost} of {time.size} frames"] if lost else [])]
+            notes += [*said, *lost_note(name, orientation)]
             channels |= body_channels(name, time, values[:, :3] * scale, orientation)
     if blank:
         notes.append(f"markers never seen, left out: {listing(blank)}")

@@ -20,10 +20,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from sysid.errors import LogError, UnitError
-from sysid.loaders.ati_calibration import AXES, motor_transform, tare_offset
+from sysid.loaders.ati_calibration import AXES, load_channels, motor_transform, without_tare
 from sysid.loaders.clock import known_rate, order_rows
 from sysid.loaders.columns import listing
-from sysid.loaders.load_cell import quantity_channel
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
 from sysid.loaders.table import TableHead, read_numbers
@@ -33,7 +32,6 @@ from sysid.recording import Recording
 from sysid.units import factor_to_si
 
 _NAME = "net-ft-csv"
-_CHANNELS = ("force_x", "force_y", "thrust", "torque_x", "torque_y", "torque")
 _SEQUENCE = "rdt sequence"
 _HEADER_LINES = 15
 
@@ -157,18 +155,18 @@ def read(
     notes.append(f"time rebuilt from RDT sequence numbers at {rate:g} Hz")
     scale = np.repeat([force / per_force, torque / per_torque], 3)
     load = np.column_stack([numbers.columns[place] for place in places]) * scale
-    if tare is not None:
-        load = load - tare_offset(path, load, time, tare)
-        notes.append(f"tare: the mean of the first {tare:g} s was subtracted")
+    load, said = without_tare(path, load, time, tare)
+    notes += said
     if transform:
         load = load @ turn.T  # which spreads a blank cell to all channels that it counts in
         notes.append("loads are at the motor's axes, as declared by transform")
-    channels = {name: quantity_channel(name, time, load[:, i].copy()) for i, name in enumerate(_CHANNELS)}
     if stated.get("start time"):
         notes.append(f"recording began at {stated['start time']} by the recording computer's clock")
     options = {"transform": transform, "tare": tare}
     return Recording(
-        "load-cell", channels, source.provenance(_NAME, device="ATI Net F/T", options=options, notes=notes)
+        "load-cell",
+        load_channels(time, load),
+        source.provenance(_NAME, device="ATI Net F/T", options=options, notes=notes),
     )
 
 

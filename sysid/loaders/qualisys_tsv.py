@@ -12,19 +12,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError
 from sysid.loaders.clock import known_rate, order_rows, rate_clock
 from sysid.loaders.columns import listing
 from sysid.loaders.motion_capture import (
     body_channels,
-    continuous_quaternions,
     declared_length,
+    lost_note,
+    matrix_quaternions,
     wanted_bodies,
 )
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
-from sysid.loaders.rigid_pose import marker_bodies, pose_from_markers
+from sysid.loaders.rigid_pose import fit_bodies
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers, TableHead, promised_note, read_numbers
 from sysid.loaders.table_rows import parse_number
@@ -103,10 +103,7 @@ def _orientation(path: str, name: str, numbers: Numbers, columns: Sequence[int])
             f"{path}, line {numbers.lines[row]}: Rot[0] to Rot[8] of {name} are no rotation; check which "
             "columns were exported"
         )
-    quaternion = np.full((len(cells), 4), np.nan)
-    if seen.any():
-        quaternion[seen] = np.roll(Rotation.from_matrix(matrix[seen]).as_quat(), 1, axis=1)
-    return continuous_quaternions(quaternion)[0]
+    return matrix_quaternions(matrix, seen)
 
 
 def _position(numbers: Numbers, first: int, scale: float) -> FloatArray:
@@ -206,8 +203,7 @@ def read(
             channels |= body_channels(name, time, position, quaternion)
             residual = np.where(np.isfinite(quaternion[:, 0]), numbers.columns[first + 6] * scale, np.nan)
             channels[f"{name}/residual"] = Channel(f"{name}/residual", "m", time, residual)
-            lost = int(np.isnan(quaternion[:, 0]).sum())
-            notes += [f"{name} is lost in {lost} of {time.size} frames"] if lost else []
+            notes += lost_note(name, quaternion)
     else:
         markers = {
             f"{name}/position": Channel(
@@ -216,10 +212,8 @@ def read(
             for place, name in enumerate(names)
         }
         if bodies is not None or rigid_body is not None:
-            for name, listed in marker_bodies(path, names, bodies, rigid_body).items():
-                found, said = pose_from_markers(path, markers, name, listed)
-                channels |= found
-                notes += said
+            channels, said = fit_bodies(path, markers, bodies, rigid_body)
+            notes += said
         blank = [name for name, channel in markers.items() if not channel.valid.any()]
         channels |= {name: one for name, one in markers.items() if name not in blank and name not in channels}
         if blank:

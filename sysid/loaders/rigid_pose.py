@@ -14,11 +14,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError
 from sysid.loaders.columns import listing
-from sysid.loaders.motion_capture import body_channels, continuous_quaternions
+from sysid.loaders.motion_capture import body_channels, matrix_quaternions
 from sysid.recording import BoolArray, Channel, FloatArray
 
 # Second singular value of a marker set as a share of its first: below, the markers lie on one line.
@@ -85,16 +84,45 @@ def _mean_shape(points: FloatArray) -> FloatArray:
     return np.asarray(shape)
 
 
-def marker_bodies(
-    path: str, markers: Sequence[str], bodies: Mapping[str, Sequence[str]] | None, rigid_body: object
-) -> dict[str, list[str]]:
-    """Return body name -> its markers, as declared, or all whose name begins with that of the body.
+def fit_bodies(
+    path: str,
+    channels: Mapping[str, Channel],
+    bodies: Mapping[str, Sequence[str]] | None,
+    rigid_body: object,
+) -> tuple[dict[str, Channel], list[str]]:
+    """Return position, orientation and ``NAME/residual`` [m] of bodies fitted to markers, and notes.
+
+    Parameters
+    ----------
+    path : str
+        Named in messages.
+    channels : mapping of str to Channel
+        Among them ``MARKER/position`` of every marker.
+    bodies : mapping of str to sequence of str, optional
+        Markers by body.
+    rigid_body : str or sequence of str, optional
+        Bodies to fit; one that `bodies` does not name is all markers whose name begins with it.
 
     Raises
     ------
     LogError
-        When a body has fewer than three markers in the file; the message names those it has.
+        When a body has fewer than three markers in the file (the message names those it has), or they are
+        never seen together or move against each other.
     """
+    markers = [name.removesuffix("/position") for name in channels if name.endswith("/position")]
+    fitted: dict[str, Channel] = {}
+    notes: list[str] = []
+    for name, listed in _marker_bodies(path, markers, bodies, rigid_body).items():
+        found, said = _pose_from_markers(path, channels, name, listed)
+        fitted |= found
+        notes += said
+    return fitted, notes
+
+
+def _marker_bodies(
+    path: str, markers: Sequence[str], bodies: Mapping[str, Sequence[str]] | None, rigid_body: object
+) -> dict[str, list[str]]:
+    """Return body name -> its markers, as declared, or all whose name begins with that of the body."""
     if bodies is not None and not isinstance(bodies, Mapping):
         raise LogError(
             f'{path}: bodies = {bodies!r} is no table; expected for example {{quad = ["q1", "q2", "q3"]}}'
@@ -125,16 +153,10 @@ def marker_bodies(
     return wanted
 
 
-def pose_from_markers(
+def _pose_from_markers(
     path: str, channels: Mapping[str, Channel], name: str, markers: Sequence[str]
 ) -> tuple[dict[str, Channel], list[str]]:
-    """Return a body's position, orientation and ``NAME/residual`` [m] from the channels of its markers.
-
-    Raises
-    ------
-    LogError
-        When the markers are never seen together or move against each other.
-    """
+    """Return a body's position, orientation and residual from the channels of its markers."""
     first = channels[f"{markers[0]}/position"]
     points = np.stack([channels[f"{marker}/position"].values for marker in markers], axis=1)
     together = np.isfinite(points).all(axis=2).sum(axis=1)
@@ -153,10 +175,7 @@ def pose_from_markers(
             f'{path}: the markers of "{name}" move by {1e3 * rms:.3g} mm against each other, so they are not '
             f"one rigid body ({listing(markers)}); name its markers with bodies = {{{name} = [...]}}"
         )
-    quaternion = np.full((len(origin), 4), np.nan)
-    quaternion[seen] = np.roll(Rotation.from_matrix(rotation[seen]).as_quat(), 1, axis=1)
-    quaternion, _ = continuous_quaternions(quaternion)
-    found = body_channels(name, first.time, origin, quaternion)
+    found = body_channels(name, first.time, origin, matrix_quaternions(rotation, seen))
     found[f"{name}/residual"] = Channel(f"{name}/residual", "m", first.time, residual)
     notes = [
         f"pose of {name} from {int(use.sum())} markers: residual {1e3 * rms:.3g} mm rms, at most "

@@ -25,11 +25,12 @@ from sysid.loaders.motion_capture import (
     EULER_ORDERS,
     body_channels,
     euler_quaternions,
+    lost_note,
     unit_quaternions,
     wanted_bodies,
 )
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
-from sysid.loaders.rigid_pose import marker_bodies, pose_from_markers
+from sysid.loaders.rigid_pose import fit_bodies
 from sysid.loaders.signals import plain_unit, unique_names, unknown_units_note
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers, TableHead, read_numbers
@@ -300,8 +301,7 @@ def _read_section(
             orientation, said = unit_quaternions(path, body, numbers, raw)
             scale = _length(path, section, place, length_unit)
             channels |= body_channels(body, time, position * scale, orientation)
-            lost = int(np.isnan(orientation[:, 0]).sum())
-            notes += [*said, *([f"{body} is lost in {lost} of {time.size} frames"] if lost else [])]
+            notes += [*said, *lost_note(body, orientation)]
         else:
             labels = unique_names([f"{name}/{section.fields[column]}" for column in group])
             for label, column in zip(labels, group, strict=True):
@@ -372,13 +372,9 @@ def read(
                 )
             channels[name] = channel
     if bodies is not None or (rigid_body is not None and kept is None):
-        markers = [name.removesuffix("/position") for name in channels if name.endswith("/position")]
-        own: dict[str, Channel] = {}
-        for name, listed in marker_bodies(path, markers, bodies, None if kept else rigid_body).items():
-            found, said = pose_from_markers(path, channels, name, listed)
-            own |= found
-            notes += said
-        channels = {**own, **channels}
+        fitted, said = fit_bodies(path, channels, bodies, None if kept else rigid_body)
+        notes += said
+        channels = {**fitted, **channels}
     if not channels:
         raise LogError(f"{path}: no marker, object or signal holds a value; the capture is empty")
     tracked = any(name.endswith("/position") for name in channels)
