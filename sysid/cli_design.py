@@ -83,14 +83,14 @@ def design_study(
     from sysid.landing.design_study import StudySettings
     from sysid.landing.maps import MapSettings
     from sysid.landing.outcomes import Rules
-    from sysid.pipelines.design_study import StudyFiles, study_designs
-    from sysid.pipelines.landing_sources import LandingOptions, span
+    from sysid.pipelines.design_study import study_designs
+    from sysid.pipelines.landing_sources import LandingFiles, LandingOptions, span
 
     sources = LandingOptions(motor, pair.value, (controller,), controllers, ideal_reversal)
     grid = (span(slopes, "--slopes"), span(speeds, "--speeds"))
     rules = Rules(horizon, short, long, rest_speed, rest_turn, rest_time, radians(flip_deg))
     settings = StudySettings(*grid, share, spread_deg, together, MapSettings(rules=rules, check=False))
-    files = StudyFiles(out, force, resume, dask, threads, quiet, json)
+    files = LandingFiles(out, force, resume, dask, threads, quiet, json)
     if study_designs(sets, sources, vary, settings, files) is None:
         raise typer.Exit(130)
 

@@ -150,7 +150,7 @@ def landing_map(
     settings = MapSettings(
         *cells, rules, check=not no_check, pitch=radians(pitch_deg), horizontal_speed=horizontal_speed
     )
-    options = MapOptions(out, figure, experiments, force, resume, dask, threads, quiet or json, json)
+    options = MapOptions(out, force, resume, dask, threads, quiet or json, json, figure, experiments)
     _end(compute_landing_maps(sets, sources, settings, options, None if quiet else _say))
 
 
@@ -210,7 +210,7 @@ def impulse_map(
     cells = (span(slopes, "--slopes"), span(speeds, "--speeds"))
     rules = Rules(horizon, short, long, rest_speed, rest_turn, rest_time, radians(flip_deg))
     settings = MapSettings(*cells, rules, check=not no_check)
-    options = MapOptions(out, figure, None, force, resume, dask, threads, quiet or json, json)
+    options = MapOptions(out, force, resume, dask, threads, quiet or json, json, figure)
     _end(compute_impulse_maps(sets, sources, settings, impulses, options, None if quiet else _say))
 
 

@@ -14,7 +14,7 @@ from sysid.landing.blocks import BlockStore, compute_blocks
 from sysid.landing.controllers import Controller, Step
 from sysid.landing.drone import Drone
 from sysid.landing.impulse import Impulses, ImpulseSettings, Optimum
-from sysid.landing.maps import LandingMap, MapSettings, map_identity
+from sysid.landing.maps import CellMap, LandingMap, MapSettings, map_identity
 from sysid.landing.scenario import Scenario
 from sysid.landing.simulate import run
 
@@ -44,34 +44,16 @@ def after_impulses(impulses: ImpulseSettings) -> tuple[Controller, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class ImpulseMap:
-    """The best impulse of every cell and set on one surface.
+class ImpulseMap(CellMap):
+    """The best impulse of every cell of a `CellMap` and set.
 
     Parameters
     ----------
-    surface : str
-        Friction law.
-    controller : str
-        Label.
-    sets : tuple of str
-        Names of the S drones.
-    slopes_deg, speeds : (n,), (m,) arrays
-        Of the cells [deg], [m/s].
     optimum : mapping of str to (S, n, m) array
         The arrays of `sysid.landing.impulse.Optimum` by name.
     """
 
-    surface: str
-    controller: str
-    sets: tuple[str, ...]
-    slopes_deg: FloatArray
-    speeds: FloatArray
     optimum: dict[str, FloatArray]
-
-    @property
-    def title(self) -> str:
-        """Surface and controller in words."""
-        return f"{self.surface.upper()}, {self.controller}"
 
     def mean(self, name: str) -> FloatArray:
         """Mean over the sets (n, m)."""

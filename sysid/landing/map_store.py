@@ -14,7 +14,7 @@ import numpy as np
 from sysid import exact_json
 from sysid.errors import ExportError
 from sysid.landing.impulse_maps import UNITS, ImpulseMap
-from sysid.landing.maps import LandingMap
+from sysid.landing.maps import CellMap, LandingMap
 from sysid.landing.outcomes import OUTCOMES, Outcome
 from sysid.writing import write_file
 
@@ -73,7 +73,7 @@ def map_bytes(content: MapFile) -> bytes:
     return buffer.getvalue()
 
 
-def _group(file: h5py.File, name: str, one: LandingMap | ImpulseMap) -> Any:
+def _group(file: h5py.File, name: str, one: CellMap) -> Any:
     group = file.create_group(name)
     group.attrs["surface"], group.attrs["controller"] = one.surface, one.controller
     group.create_dataset("sets", data=list(one.sets), dtype=h5py.string_dtype())

@@ -81,8 +81,8 @@ class MapSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class LandingMap:
-    """One map: a surface under a controller.
+class CellMap:
+    """What every map over slope and touchdown speed is of: a surface under a controller.
 
     Parameters
     ----------
@@ -94,6 +94,26 @@ class LandingMap:
         Names of the S drones.
     slopes_deg, speeds : (n,), (m,) arrays
         Of the cells [deg], [m/s].
+    """
+
+    surface: str
+    controller: str
+    sets: tuple[str, ...]
+    slopes_deg: FloatArray
+    speeds: FloatArray
+
+    @property
+    def title(self) -> str:
+        """Surface and controller in words."""
+        return f"{self.surface.upper()}, {self.controller}"
+
+
+@dataclass(frozen=True, eq=False)
+class LandingMap(CellMap):
+    """How landings end in every cell of a `CellMap`.
+
+    Parameters
+    ----------
     outcome : (S, n, m) int8 array
         `Outcome` codes.
     distance, time : (S, n, m) arrays
@@ -104,21 +124,11 @@ class LandingMap:
         Whether that was tried; `uncertain` says nothing otherwise.
     """
 
-    surface: str
-    controller: str
-    sets: tuple[str, ...]
-    slopes_deg: FloatArray
-    speeds: FloatArray
     outcome: NDArray[np.int8]
     distance: FloatArray
     time: FloatArray
     uncertain: NDArray[np.bool_]
     checked: bool = field(default=True, kw_only=True)
-
-    @property
-    def title(self) -> str:
-        """Surface and controller in words."""
-        return f"{self.surface.upper()}, {self.controller}"
 
     def share(self, outcome: Outcome) -> FloatArray:
         """Return the share of the sets (n, m) that end so, of those that were not lost; NaN without any."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ from sysid.landing.design_study import (
     fleets_of,
 )
 from sysid.landing.maps import map_identity
-from sysid.pipelines.landing_sources import BlockProgress, LandingOptions
+from sysid.pipelines.landing_sources import BlockProgress, LandingFiles, LandingOptions
 from sysid.report.design_figures import figure_design_study
 from sysid.report.figures import save_figure
 from sysid.report.landing_tables import gains_table
@@ -34,62 +33,8 @@ from sysid.report.landing_tables import gains_table
 _AT_ONCE = 8
 
 
-@dataclass(frozen=True)
-class StudyFiles:
-    """Where a study goes and how it is computed.
-
-    Parameters
-    ----------
-    out : Path
-        HDF5 file; the figure goes beside it.
-    force, resume : bool
-        Replace what is there; continue what is unfinished.
-    dask : str, optional
-        Address of a Dask scheduler, or ``local``.
-    threads : int, optional
-        Cores; the result is the same.
-    quiet, json : bool
-        No progress, no table; print JSON.
-    """
-
-    out: Path
-    force: bool = False
-    resume: bool = False
-    dask: str | None = None
-    threads: int | None = None
-    quiet: bool = False
-    json: bool = False
-
-    @property
-    def picture(self) -> Path:
-        """Where the figure goes."""
-        return self.out.with_suffix(".png")
-
-    def check(self) -> None:
-        """Refuse what is in the way, before anything is computed.
-
-        Raises
-        ------
-        ExportError
-            When a result exists, or its folder does not.
-        """
-        if self.out.suffix.lower() not in (".h5", ".hdf5"):
-            raise ExportError(f"{self.out}: a study is written as HDF5; give --out a name that ends in .h5")
-        if not self.out.resolve().parent.is_dir():
-            raise ExportError(f"{self.out}: the folder {self.out.parent} does not exist; make it first")
-        for path in (self.out, self.picture):
-            if path.exists() and not self.force:
-                raise ExportError(f"{path}: exists already; choose a new name or add --force")
-
-    def parts(self, count: int) -> list[Path]:
-        """Return the name under which the blocks of each of `count` maps are kept."""
-        if count == 1:
-            return [self.out]
-        return [self.out.with_name(f"{self.out.stem}.{n + 1}{self.out.suffix}") for n in range(count)]
-
-
 def study_designs(
-    gear: Path, sources: LandingOptions, vary: str, settings: StudySettings, files: StudyFiles
+    gear: Path, sources: LandingOptions, vary: str, settings: StudySettings, files: LandingFiles
 ) -> DesignStudy | None:
     """Compute a study, write it and its figure, and print what each change buys.
 
@@ -102,7 +47,7 @@ def study_designs(
     vary : str
         As `sysid.landing.design_study.find_changes` reads it.
     settings : StudySettings
-    files : StudyFiles
+    files : LandingFiles
 
     Returns
     -------
@@ -114,7 +59,7 @@ def study_designs(
     SysidError
         Before anything is computed, where an input cannot be used.
     """
-    files.check()
+    files.check("study")
     changes = find_changes(vary)
     (fleet,), origin = sources.fleets([gear])
     (told,) = sources.told(settings.maps.rules.horizon)
@@ -123,7 +68,7 @@ def study_designs(
     grids = settings.grids()
     for grid in grids:
         grid.cells()  # refuses an attitude that cannot touch down before any map is computed
-    parts = files.parts(len(grids))
+    parts = _parts(files.out, len(grids))
     if files.resume and not any(blocks_folder(part).is_dir() for part in parts):
         raise ExportError(f"{files.out}: nothing unfinished to continue is there; start without --resume")
     stores: list[BlockStore] = []
@@ -157,7 +102,14 @@ def study_designs(
     return study
 
 
-def _print(study: DesignStudy | None, files: StudyFiles) -> None:
+def _parts(out: Path, count: int) -> list[Path]:
+    """Return the name under which the blocks of each of `count` maps are kept."""
+    if count == 1:
+        return [out]
+    return [out.with_name(f"{out.stem}.{n + 1}{out.suffix}") for n in range(count)]
+
+
+def _print(study: DesignStudy | None, files: LandingFiles) -> None:
     if study is None:
         if not files.quiet:
             Console(stderr=True).print(

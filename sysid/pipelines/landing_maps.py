@@ -14,7 +14,6 @@ from rich.table import Table
 from rich.text import Text
 
 from sysid import exact_json
-from sysid.errors import ExportError
 from sysid.executor import executor
 from sysid.fit.stopping import stop_on_interrupt
 from sysid.landing.blocks import BlockStore
@@ -28,8 +27,8 @@ from sysid.landing.maps import LandingMap, MapSettings, landing_maps, map_identi
 from sysid.landing.motors import Motors
 from sysid.landing.outcomes import OUTCOMES
 from sysid.landing.static_limits import ramp_limit, rigid_limits
-from sysid.pipelines.landing_sources import BlockProgress, LandingOptions
-from sysid.report.figures import check_figure_name, save_figure
+from sysid.pipelines.landing_sources import BlockProgress, LandingFiles, LandingOptions
+from sysid.report.figures import save_figure
 from sysid.report.landing_figures import DrawnLimits, figure_impulse, figure_landing_maps
 
 Say = Callable[[str], None] | None
@@ -38,69 +37,29 @@ _AT_ONCE = 8
 
 
 @dataclass(frozen=True)
-class MapOptions:
-    """What the command line says of a map.
+class MapOptions(LandingFiles):
+    """What the command line says of a map, besides `LandingFiles`.
 
     Parameters
     ----------
-    out : Path
-        HDF5 file to write; the figure goes beside it.
     figure : Path, optional
         Where else the figure goes.
     experiments : Path, optional
         Real landings (CSV).
-    force, resume : bool
-        Replace what is there; continue what is unfinished.
-    dask : str, optional
-        Address of a Dask scheduler, or ``local``.
-    threads : int, optional
-        Cores; the result is the same.
-    quiet, json : bool
-        No progress; print the summary as JSON.
     """
 
-    out: Path
     figure: Path | None = None
     experiments: Path | None = None
-    force: bool = False
-    resume: bool = False
-    dask: str | None = None
-    threads: int | None = None
-    quiet: bool = False
-    json: bool = False
 
     @property
     def picture(self) -> Path:
         """Where the figure goes."""
-        return self.figure or self.out.with_suffix(".png")
+        return self.figure or super().picture
 
     @property
     def impulse_picture(self) -> Path:
         """Where the figure of the best impulses goes."""
         return self.picture.with_name(f"{self.picture.stem}-impulse{self.picture.suffix}")
-
-    def check(self, impulses: bool = False) -> None:
-        """Refuse what is in the way, before the minutes of a map are spent.
-
-        Parameters
-        ----------
-        impulses : bool
-            Whether the figure of the best impulses is written, too.
-
-        Raises
-        ------
-        ExportError
-            When a file is of no known format or exists, or its folder does not.
-        """
-        files = (self.out, self.picture, *((self.impulse_picture,) if impulses else ()))
-        if self.out.suffix.lower() not in (".h5", ".hdf5"):
-            raise ExportError(f"{self.out}: a map is written as HDF5; give --out a name that ends in .h5")
-        check_figure_name(self.picture)
-        for path in files:
-            if path.exists() and not self.force:
-                raise ExportError(f"{path}: exists already; choose a new name or add --force")
-            if not path.resolve().parent.is_dir():
-                raise ExportError(f"{path}: the folder {path.parent} does not exist; make it first")
 
 
 def compute_landing_maps(
@@ -111,7 +70,7 @@ def compute_landing_maps(
     say: Say = None,
 ) -> MapFile | None:
     """Compute, write, draw and print the maps of every surface under every controller; None if stopped."""
-    options.check()
+    options.check("map")
     fleets, origin = sources.fleets(gears)
     told = sources.told(settings.rules.horizon)
     real = read_experiments(options.experiments) if options.experiments else ()
@@ -146,7 +105,7 @@ def compute_impulse_maps(
     say: Say = None,
 ) -> MapFile | None:
     """Search the best impulse of every cell and set, land with it, write and draw; None if stopped."""
-    options.check(impulses=True)
+    options.check("map", options.impulse_picture)
     impulses.check_within(settings.rules.horizon)
     fleets, origin = sources.fleets(gears)
     identity = impulse_identity(fleets, settings, impulses)

@@ -1,4 +1,4 @@
-"""What every landing command shares: sets to drones, controllers, grids, progress."""
+"""What every landing command shares: sets to drones, controllers, grids, files, progress."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from sysid.landing.drone import PAIRINGS, Drone, drones
 from sysid.landing.sensing import Sensing
 from sysid.parameter_sets import ParameterSets
 from sysid.pipelines.results import load_sets
+from sysid.report.figures import check_figure_name
 
 # Between two plain lines [s].
 _PLAIN = 10.0
@@ -97,6 +98,62 @@ class LandingOptions:
 def _origin(path: Path, sets: ParameterSets) -> dict[str, Any]:
     own = {"file": path.name, "name": sets.name, "sets": len(sets), "nrmse": sets.nrmse.tolist()}
     return own | dict(sets.provenance)
+
+
+@dataclass(frozen=True)
+class LandingFiles:
+    """Where a result goes and how it is computed.
+
+    Parameters
+    ----------
+    out : Path
+        HDF5 file to write; the figure goes beside it.
+    force, resume : bool
+        Replace what is there; continue what is unfinished.
+    dask : str, optional
+        Address of a Dask scheduler, or ``local``.
+    threads : int, optional
+        Cores; the result is the same.
+    quiet, json : bool
+        No progress, no table; print JSON.
+    """
+
+    out: Path
+    force: bool = False
+    resume: bool = False
+    dask: str | None = None
+    threads: int | None = None
+    quiet: bool = False
+    json: bool = False
+
+    @property
+    def picture(self) -> Path:
+        """Where the figure goes."""
+        return self.out.with_suffix(".png")
+
+    def check(self, what: str, *more: Path) -> None:
+        """Refuse what is in the way, before the minutes of a result are spent.
+
+        Parameters
+        ----------
+        what : str
+            The result in a word.
+        *more : Path
+            Files that are written besides.
+
+        Raises
+        ------
+        ExportError
+            When a file is of no known format or exists, or its folder does not.
+        """
+        if self.out.suffix.lower() not in (".h5", ".hdf5"):
+            raise ExportError(f"{self.out}: a {what} is written as HDF5; give --out a name that ends in .h5")
+        check_figure_name(self.picture)
+        for path in (self.out, self.picture, *more):
+            if path.exists() and not self.force:
+                raise ExportError(f"{path}: exists already; choose a new name or add --force")
+            if not path.resolve().parent.is_dir():
+                raise ExportError(f"{path}: the folder {path.parent} does not exist; make it first")
 
 
 def span(text: str, what: str) -> tuple[float, ...]:
