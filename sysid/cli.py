@@ -82,7 +82,9 @@ Population = Annotated[
 Runs = Annotated[int | None, typer.Option(help="Independent runs.", min=1)]
 Seed = Annotated[int | None, typer.Option(help="Seed of the search.", min=0)]
 Generations = Annotated[int | None, typer.Option(help="End a run after so many generations.", min=1)]
-TimeLimit = Annotated[str | None, typer.Option(help="End the whole fit after this time, for example 20min.")]
+TimeLimit = Annotated[
+    str | None, typer.Option(help="End the whole fit after this time (20min); keep what was found.")
+]
 Algo = Annotated[
     Algorithm | None, typer.Option("--algorithm", help="Search algorithm; overrides the campaign.")
 ]
@@ -394,10 +396,12 @@ def _wrote(path: Path, next_step: str, json: bool) -> None:
 
 
 def _print_fit(result: object, folder: Path, quiet: bool, json: bool) -> None:
-    from sysid.pipelines.results import print_fit
+    from sysid.pipelines.results import print_fit, stopped_by_user
 
     if json or not quiet:
         print_fit(result, folder, json)
+    if stopped_by_user(result):
+        raise typer.Exit(130)
 
 
 def main() -> None:

@@ -219,7 +219,9 @@ class Checkpoint:
         self.close()
 
     def close(self) -> None:
-        """Let other processes in; an empty folder is removed."""
+        """Let other processes in, once; an empty folder is removed."""
+        if not self._lock.is_locked:
+            return
         self._lock.release()
         if not run_numbers(self.folder):
             shutil.rmtree(self.folder, ignore_errors=True)

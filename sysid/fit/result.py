@@ -21,6 +21,8 @@ FloatArray = NDArray[np.float64]
 
 # How the source of a parameter begins that was fitted after the search, all else held.
 _SECOND_STAGE = "second stage"
+# Key of a stopped fit's provenance: why, in the words of `sysid.fit.stopping.REASONS`.
+CUT_SHORT = "cut short"
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,6 +27,7 @@ from sysid.errors import FitError
 
 Reading = Literal["relative", "matlab"]
 StopReason = Literal["converged", "generations", "evaluations", "time", "interrupted", "exhausted"]
+CutReason = Literal["time", "interrupted"]
 
 # Launchers pass Ctrl-C on to a child that the terminal has told as well: signals so close [s] are one press.
 ONE_PRESS = 0.5
@@ -161,6 +162,52 @@ class StopFlag:
     def __call__(self) -> bool:
         """Return True once the end was asked for."""
         return self._event.is_set()
+
+
+class CutShort(Exception):
+    """What follows a search was ended by `reason`, a key of `REASONS`: the user, or the time limit."""
+
+    def __init__(self, reason: CutReason) -> None:
+        super().__init__(REASONS[reason])
+        self.reason = reason
+
+
+class Deadline:
+    """When a whole fit must end: at Ctrl-C, or when its time limit has passed since this was made.
+
+    Parameters
+    ----------
+    time_limit : float, optional
+        Wall time from now [s].
+
+    Attributes
+    ----------
+    flag : StopFlag
+        Tells of Ctrl-C.
+    """
+
+    def __init__(self, time_limit: float | None = None) -> None:
+        self.flag = StopFlag()
+        self._end = None if time_limit is None else time.monotonic() + time_limit
+
+    @property
+    def left(self) -> float | None:
+        """Wall time that is left [s], at least 0; None without a limit."""
+        return None if self._end is None else max(0.0, self._end - time.monotonic())
+
+    def check(self) -> bool:
+        """Return False while there is time; the form in which a search asks whether to stop.
+
+        Raises
+        ------
+        CutShort
+            When the fit must end.
+        """
+        if self.flag():
+            raise CutShort("interrupted")
+        if self.left == 0.0:
+            raise CutShort("time")
+        return False
 
 
 @contextmanager

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 from sysid.campaign import GearCampaign, MotorCampaign
 from sysid.fit.agreement import loose_warnings
+from sysid.fit.checkpoint import checkpoint_folder, run_numbers
 from sysid.fit.engine import SearchSettings
 from sysid.fit.objective import Objective
-from sysid.fit.result import FitResult, RankedSets, TrialResult, bound_warnings
+from sysid.fit.progress import FitProgress
+from sysid.fit.result import CUT_SHORT, FitResult, RankedSets, TrialResult, bound_warnings
+from sysid.fit.stopping import REASONS, Deadline, stop_on_interrupt
 from sysid.parameter_sets import ParameterRecord
 from sysid.parameters import SearchSpace
 from sysid.pipelines.search import (
@@ -70,7 +74,7 @@ class Outcome:
 
 
 class FitWalk:
-    """One fit under way.
+    """One fit under way; enter it, and Ctrl-C keeps what was found from the search's begin to the end.
 
     Parameters
     ----------
@@ -100,8 +104,21 @@ class FitWalk:
         self.options = options or FitOptions()
         self.tell = say or (lambda sentence: None)
         self.folder = self.options.folder(campaign.name)
+        self.deadline = Deadline(self.options.time_limit)
         self._doubts: list[str] = []
+        self._open = ExitStack()
         check_start(self.folder, self.options)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._open.close()
+        # Aborted by a second Ctrl-C, or before the first one was listened to.
+        if isinstance(error, KeyboardInterrupt) and run_numbers(checkpoint_folder(self.folder)):
+            self.tell(f"{self.folder}: aborted; what was scored is kept, continue with --resume")
 
     @property
     def settings(self) -> SearchSettings:
@@ -120,10 +137,15 @@ class FitWalk:
     ) -> Search:
         """Search; `hashes` of the logs and `accuracy` must be equal for the fit to be continued."""
         identity = fit_identity(self.path, self.settings, objective.space, hashes, **accuracy)
-        return search(
-            objective, self.settings, folder=self.folder, options=self.options, identity=identity,
-            simulated=simulated, tell=self.tell,
+        settings = replace(self.settings, stop=replace(self.settings.stop, time_limit=self.deadline.left))
+        progress = FitProgress(settings, simulated, self.options.quiet)
+        self.deadline.flag = self._open.enter_context(stop_on_interrupt(progress.on_stop))
+        found = search(
+            objective, settings, folder=self.folder, options=self.options, identity=identity,
+            progress=progress, flag=self.deadline.flag, tell=self.tell,
         )  # fmt: skip
+        self._open.callback(found.close)
+        return found
 
     def finish(
         self, space: SearchSpace, found: Search, sets: RankedSets, outcome: Outcome
@@ -163,6 +185,7 @@ class FitWalk:
                     outcome.logs,
                     self.folder,
                 ),
+                **({} if found.cut is None else {CUT_SHORT: REASONS[found.cut]}),
                 **outcome.more,
             },
             warnings=(*self._doubts, *found.warnings, *closing, *outcome.told),

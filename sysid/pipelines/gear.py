@@ -296,8 +296,13 @@ def fit_gear(
     dropped: tuple[str, ...] = ()
     if surface is not None:
         campaign, dropped = on_surface(campaign, surface)
-    walk = FitWalk(path, campaign, options, say)
-    threads = walk.options.threads
+    with FitWalk(path, campaign, options, say) as walk:
+        return _walked(walk, campaign, dropped)
+
+
+def _walked(walk: FitWalk, campaign: GearCampaign, dropped: tuple[str, ...]) -> tuple[FitResult, Path]:
+    """Walk a fit to its end."""
+    path, threads = walk.path, walk.options.threads
     with walk.prepared():
         say_dropped(campaign, dropped)
         space = search_space(campaign)

@@ -70,8 +70,13 @@ def fit_motor(
     """
     campaign = read_campaign(path, "motor")
     assert isinstance(campaign, MotorCampaign)
-    walk = FitWalk(path, campaign, options, say)
-    threads = walk.options.threads
+    with FitWalk(path, campaign, options, say) as walk:
+        return _walked(walk, campaign)
+
+
+def _walked(walk: FitWalk, campaign: MotorCampaign) -> tuple[FitResult, Path]:
+    """Walk a fit to its end."""
+    path, threads = walk.path, walk.options.threads
     with walk.prepared():
         ranges = campaign.parameters.measured_ranges(PARAMETERS)
         bench = prepare_bench(campaign, path)
@@ -83,7 +88,7 @@ def fit_motor(
         expected = _expected(campaign, bench, objective, walk.tell) if walk.options.check else {}
         found = walk.search(objective, bench.hashes, "trials")
         sets = ranked_sets(found.runs, space)
-        after = after_the_search(campaign, bench, objective, sets, found, walk.settings, walk.tell)
+        after = after_the_search(campaign, bench, objective, sets, found, walk)
     sets = after.sets
     every = MotorObjective.build(campaign, space, bench, bench.trials, threads)
     rows = after.rows

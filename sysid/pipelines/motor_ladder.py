@@ -11,7 +11,7 @@ its held-out columns: an inductance is not real because a search returned one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from sysid.campaign import MotorCampaign
 from sysid.executor import LocalThreads
 from sysid.fit.algorithms import Breeder, Start, breeder
-from sysid.fit.engine import SearchSettings, run_many
+from sysid.fit.engine import Hooks, SearchSettings, run_many
 from sysid.fit.history import RunHistory
 from sysid.fit.objective import Evaluation, Objective, SpreadObjective
 from sysid.motor import lag
@@ -215,6 +215,7 @@ def climb(
     settings: SearchSettings,
     seed: int,
     threads: int | None = None,
+    should_stop: Callable[[], bool] | None = None,
 ) -> tuple[Rung, ...]:
     """Fit every rung to the fitted trials, score it on every trial.
 
@@ -234,6 +235,8 @@ def climb(
         Its stop rule.
     seed : int
     threads : int, optional
+    should_stop : callable, optional
+        Asked after every generation; raises where the fit must end.
     """
     # An eighth of the paper's population may take eight times the generations of a run.
     generations = 8 * settings.stop.max_generations
@@ -249,7 +252,10 @@ def climb(
         begin = own.encode(np.array([best.get(row.name, row.nominal) for row in own.free])).clip(0.0, 1.0)
         near = _Near(begin, dict(zip(budget.run_seeds(), _SPREADS, strict=True)))
         with LocalThreads() as where:
-            runs = run_many(SpreadObjective(objective, where), budget, at_once=where.at_once, breeds=near)
+            runs = run_many(
+                SpreadObjective(objective, where), budget, hooks=Hooks(should_stop=should_stop),
+                at_once=where.at_once, breeds=near,
+            )  # fmt: skip
         run: RunHistory = min(runs, key=lambda one: float(one.best[-1]))
         values = own.decode(run.best_point)
         row = averaged(own, own.full(run.best_point))

@@ -6,6 +6,7 @@ serves, and a result must say so instead of printing three digits.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -95,7 +96,12 @@ class Profile:
 
 
 def profile(
-    objective: MotorObjective, name: str, best: FloatArray, seed: int, resolution: float = 0.0
+    objective: MotorObjective,
+    name: str,
+    best: FloatArray,
+    seed: int,
+    resolution: float = 0.0,
+    should_stop: Callable[[], bool] = lambda: False,
 ) -> Profile:
     """Walk a free parameter through its bounds and refit the others at every step.
 
@@ -110,6 +116,8 @@ def profile(
     seed : int
     resolution : float
         Of the static curves [SI].
+    should_stop : callable
+        Asked before every refit; raises where the fit must end.
     """
     space = objective.space
     column = space.names.index(name)
@@ -124,6 +132,7 @@ def profile(
     for order in (range(nearest, _POINTS), range(nearest - 1, -1, -1)):
         at = np.delete(best, column)
         for i in order:
+            should_stop()
             held = replace(
                 objective, space=SearchSpace(space.table, rest, {**space.fixed, name: float(values[i])})
             )

@@ -8,7 +8,7 @@ Without a reversal to fit, starts from rest serve: they pass the same band once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sysid.campaign import MotorCampaign
 from sysid.errors import CampaignError
-from sysid.fit.engine import SearchSettings, run_one
+from sysid.fit.engine import Hooks, SearchSettings, run_one
 from sysid.motor.model import PARAMETERS, simulate
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 from sysid.pipelines.bench_targets import lowpass_of, uniform_filtered
@@ -95,6 +95,7 @@ def fit_saturation(
     settings: SearchSettings,
     seeds: tuple[int, ...],
     threads: int | None = None,
+    should_stop: Callable[[], bool] | None = None,
 ) -> SaturationFit | None:
     """Fit I_sat and Ω_min of every set to the reversal trials.
 
@@ -112,6 +113,8 @@ def fit_saturation(
     seeds : tuple of int
         One per set.
     threads : int, optional
+    should_stop : callable, optional
+        Asked after every generation; raises where the fit must end.
 
     Returns
     -------
@@ -136,7 +139,8 @@ def fit_saturation(
         probes = objective.evaluate(np.random.default_rng(seed).random((_PROBES, len(space.free)))).cost
         if np.ptp(probes) <= _FELT * probes.min():
             return None
-        run = run_one(objective, replace(settings, population=_POPULATION, runs=1, seed=seed, stop=stop))
+        own = replace(settings, population=_POPULATION, runs=1, seed=seed, stop=stop)
+        run = run_one(objective, own, hooks=Hooks(should_stop=should_stop))
         found.append(space.decode(run.best_point))
         flags.append(space.at_bound(run.best_point))
         costs.append(float(run.best[-1]))

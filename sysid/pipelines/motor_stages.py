@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.campaign import MotorCampaign
-from sysid.fit.engine import SearchSettings
 from sysid.fit.result import RankedSets
+from sysid.fit.stopping import CutReason, CutShort
 from sysid.motor.model import PARAMETERS, unpack
 from sysid.motor.static_curves import CurveFit
 from sysid.parameter_sets import COMBINATIONS, NOT_ALONE
 from sysid.parameters import SearchSpace
+from sysid.pipelines.fit_walk import FitWalk
 from sysid.pipelines.motor_bench import CONSTANTS, SATURATION, Bench, untested_rows
 from sysid.pipelines.motor_delays import averaged, delay_name
 from sysid.pipelines.motor_inertia import spike_inertia
@@ -37,6 +38,11 @@ FloatArray = NDArray[np.float64]
 _INDEX = {name: i for i, name in enumerate(PARAMETERS)}
 # A held-out log's own delay is looked for in these steps [s], so many to either side.
 _DELAY_STEPS, _DELAY_REACH = (4e-3, 4e-4, 1e-4), 20
+_LADDER, _PROFILES, _PROFILED = "ladder", "profiles", "viscous_damping"
+_WHY: dict[CutReason, str] = {
+    "interrupted": "the fit was interrupted",
+    "time": "the time limit ended the fit",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,31 +77,57 @@ def after_the_search(
     objective: MotorObjective,
     sets: RankedSets,
     found: Search,
-    settings: SearchSettings,
-    tell: Callable[[str], None],
+    walk: FitWalk,
 ) -> After:
-    """Fit the dead band, score the final sets, climb the ladder, walk the profile, say what is doubtful."""
-    threads, space = objective.threads, objective.space
+    """Fit the dead band, score the final sets, climb the ladder, walk the profile, say what is doubtful.
+
+    Where the fit is cut short, by now or in one of these steps, what is missing is said and left to
+    ``--resume``, and `found` is marked as cut.
+    """
+    if found.cut is None:
+        try:
+            return _all_that_follows(campaign, bench, objective, sets, found, walk)
+        except CutShort as cut:
+            found.cut = cut.reason
+    space = objective.space
+    rows = averaged(space, objective.complete(sets.values))
+    whole = MotorObjective.build(campaign, space, bench, bench.fitted, objective.threads)
+    why = _WHY[found.cut]
+    out: dict[str, Any] = {"saturation": {"stage": "not fitted", "why": why}}
+    sets, rows, nrmse, _ = _ranked(sets, rows, None, whole)
+    unfinished = f"{why}: {_missing(space, out)}; continue it with --resume"
+    walk.tell(f"warning: {unfinished}")
+    if not bench.scale_known:
+        out |= _scale_free(set(SATURATION) <= {*bench.measured, *campaign.parameters.fixed})
+    return After(sets, rows, nrmse, None, out, (unfinished,))
+
+
+def _all_that_follows(
+    campaign: MotorCampaign,
+    bench: Bench,
+    objective: MotorObjective,
+    sets: RankedSets,
+    found: Search,
+    walk: FitWalk,
+) -> After:
+    """Take every step that follows a search that was not cut short; the last ones may still be.
+
+    Raises
+    ------
+    CutShort
+        When the fit must end before the dead band was fitted.
+    """
+    threads, space, settings, tell = objective.threads, objective.space, walk.settings, walk.tell
+    go_on = walk.deadline.check
     rows = averaged(space, objective.complete(sets.values))
     whole = MotorObjective.build(campaign, space, bench, bench.fitted, threads)
-    if any(run.stop_reason == "interrupted" for run in found.runs):
-        why = "the fit was interrupted"
-        out: dict[str, Any] = {"saturation": {"stage": "not fitted", "why": why}}
-        sets, rows, nrmse, _ = _ranked(sets, rows, None, whole)
-        given = set(SATURATION) <= {*bench.measured, *campaign.parameters.fixed}
-        unfinished = _unfinished(bench, space)
-        for sentence in unfinished:
-            tell(f"warning: {sentence}")
-        if not bench.scale_known:
-            out |= _scale_free(given)
-        return After(sets, rows, nrmse, None, out, unfinished)
     warned: list[str] = []
-    saturation = fit_saturation(campaign, bench, space.table, rows, settings, sets.seed, threads)
+    saturation = fit_saturation(campaign, bench, space.table, rows, settings, sets.seed, threads, go_on)
     rows = with_saturation(space.table, rows, saturation)
     sets, rows, nrmse, saturation = _ranked(sets, rows, saturation, whole)
     best = named(space.table, rows[0])
     given = set(SATURATION) <= {*bench.measured, *campaign.parameters.fixed}
-    out = {
+    out: dict[str, Any] = {
         "reversal delays": reversal_delays(campaign, bench, best),
         "command delays": log_delays(campaign, bench, whole, rows[0]),
     }
@@ -112,18 +144,23 @@ def after_the_search(
     out["saturation"] = stage
     warned += doubts
     out["static curves of the best set"] = tied_curves(bench, objective, best)
-    climbed = climb(
-        campaign, bench, space, best, saturation is not None or given, settings, sets.seed[0], threads
-    )
-    out["ladder"] = [rung.document(below) for rung, below in zip(climbed, (None, *climbed[:-1]), strict=True)]
-    warned += ladder_sentences(out["ladder"])
-    if "viscous_damping" in space.names:
-        # Of the torque curve's linear coefficient, which stands beside k_d in the equation of the rotor.
-        errors = [fit.standard_errors[1] for fit in bench.curves.fits if fit.quantity == "torque"]
-        damping = profile(objective, "viscous_damping", sets.cube[0], sets.seed[0], max(errors))
-        out["profiles"] = {damping.name: damping.document()}
-        if damping.sentence is not None:
-            warned.append(damping.sentence)
+    try:
+        climbed = climb(
+            campaign, bench, space, best, saturation is not None or given, settings, sets.seed[0], threads,
+            go_on,
+        )  # fmt: skip
+        below = (None, *climbed[:-1])
+        out[_LADDER] = [rung.document(other) for rung, other in zip(climbed, below, strict=True)]
+        warned += ladder_sentences(out[_LADDER])
+        if _PROFILED in space.names:
+            # Of the torque curve's linear coefficient, which stands beside k_d in the equation of the rotor.
+            errors = [fit.standard_errors[1] for fit in bench.curves.fits if fit.quantity == "torque"]
+            damping = profile(objective, _PROFILED, sets.cube[0], sets.seed[0], max(errors), go_on)
+            out[_PROFILES] = {damping.name: damping.document()}
+            warned += [] if damping.sentence is None else [damping.sentence]
+    except CutShort as cut:
+        found.cut = cut.reason
+        warned.append(f"{_WHY[cut.reason]}: {_missing(space, out)}; continue it with --resume")
     spikes = spike_inertia(
         campaign, [trial.log for trial in bench.fitted], unpack(rows[0, : len(PARAMETERS)])
     )
@@ -136,12 +173,16 @@ def after_the_search(
     return After(sets, rows, nrmse, saturation, out, tuple(warned))
 
 
-def _unfinished(bench: Bench, space: SearchSpace) -> tuple[str, ...]:
-    """Return what an interrupted fit has not looked at, in sentences for its warnings."""
-    missing = ["the dead band was not fitted", "the ladder of simpler models was not climbed"]
-    if "viscous_damping" in space.names:
-        missing.append("viscous_damping was not profiled, so its digits may mean nothing")
-    return (f"the fit was interrupted: {'; '.join(missing)}; continue it with --resume",)
+def _missing(space: SearchSpace, out: Mapping[str, Any]) -> str:
+    """Return what a fit that was cut short has not looked at."""
+    missing = []
+    if out["saturation"].get("why") in _WHY.values():
+        missing.append("the dead band was not fitted")
+    if _LADDER not in out:
+        missing.append("the ladder of simpler models was not climbed")
+    if _PROFILED in space.names and _PROFILES not in out:
+        missing.append(f"{_PROFILED} was not profiled, so its digits may mean nothing")
+    return "; ".join(missing)
 
 
 def _scale_free(banded: bool) -> dict[str, Any]:

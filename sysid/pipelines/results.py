@@ -10,7 +10,8 @@ from typing import Any
 from sysid import exact_json
 from sysid.errors import CampaignError, ExportError, FitError
 from sysid.export import export, load_parameter_sets
-from sysid.fit.result import FitResult
+from sysid.fit.result import CUT_SHORT, FitResult
+from sysid.fit.stopping import REASONS
 from sysid.fit.store import read_fit
 from sysid.parameter_sets import ParameterSets
 from sysid.report.printing import print_table
@@ -74,6 +75,12 @@ def print_sets(source: str | Path, json: bool) -> None:
         print(exact_json.dumps(sets.document()))
         return
     _print_tables(sets)
+
+
+def stopped_by_user(result: Any) -> bool:
+    """Return whether Ctrl-C cut a fit short, which the shell is told by its exit code."""
+    assert isinstance(result, FitResult)
+    return bool(result.provenance.get(CUT_SHORT) == REASONS["interrupted"])
 
 
 def print_fit(result: Any, folder: Path, json: bool) -> None:

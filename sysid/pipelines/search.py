@@ -39,7 +39,7 @@ from sysid.fit.history import RunHistory
 from sysid.fit.objective import Objective, SpreadObjective
 from sysid.fit.progress import FitProgress
 from sysid.fit.result import FitResult
-from sysid.fit.stopping import StopRule, stop_on_interrupt
+from sysid.fit.stopping import CutReason, StopFlag, StopRule
 from sysid.fit.store import check_new_fit, write_fit
 from sysid.parameters import SearchSpace
 from sysid.recording import file_sha256
@@ -68,7 +68,7 @@ class FitOptions:
     population, runs, seed, max_generations : int, optional
         Override the campaign's `[fit]`.
     time_limit : float, optional
-        Of the whole fit [s].
+        Of the whole fit, from the reading of its campaign on [s].
     threads : int, optional
         Cores; all by default. The result does not depend on it.
     quiet : bool
@@ -144,16 +144,25 @@ class Search:
     ----------
     runs : tuple of RunHistory
         Those that were begun.
-    state : {"done", "stopped"}
-        ``stopped``: cut short by the user or by the time limit; `--resume` goes on.
+    cut : {"interrupted", "time"}, optional
+        What cut the fit short, its runs or what follows them; `--resume` goes on.
     warnings : tuple of str
         What the runs say against each other, and what was noticed of a checkpoint.
     """
 
     runs: tuple[RunHistory, ...]
-    state: Literal["done", "stopped"]
+    cut: CutReason | None
     warnings: tuple[str, ...]
     _checkpoint: Checkpoint = field(repr=False)
+
+    @property
+    def state(self) -> Literal["done", "stopped"]:
+        """What a result says of the fit."""
+        return "done" if self.cut is None else "stopped"
+
+    def close(self) -> None:
+        """Let other processes in."""
+        self._checkpoint.close()
 
     def write(self, result: FitResult, folder: Path, options: FitOptions) -> Path:
         """Write the fit folder; what is done needs no checkpoint any more."""
@@ -196,10 +205,11 @@ def search(
     folder: Path,
     options: FitOptions,
     identity: Mapping[str, Any],
-    simulated: str,
+    progress: FitProgress,
+    flag: StopFlag,
     tell: Callable[[str], None],
 ) -> Search:
-    """Run the search with live progress and checkpoints; Ctrl-C ends it and keeps what was found.
+    """Run the search with live progress and checkpoints; a set flag ends it and keeps what was found.
 
     Parameters
     ----------
@@ -213,8 +223,10 @@ def search(
         Resume, force, quiet.
     identity : mapping
         What must be equal for a fit to be continued; see `fit_identity`.
-    simulated : str
-        What a simulation is called: ``drops``, ``trials``.
+    progress : FitProgress
+        Told of every generation.
+    flag : StopFlag
+        Set by Ctrl-C.
     tell : callable
         Told one sentence at a time.
 
@@ -234,12 +246,7 @@ def search(
         if checkpoint.memories:
             done = sum(len(stage.cost) for memory in checkpoint.memories for stage in memory.stages)
             tell(f"continuing {len(checkpoint.memories)} runs after {done} generations")
-        progress = FitProgress(settings, simulated, options.quiet)
-        with (
-            executor(options.dask, min(settings.runs, _RUNS_AT_ONCE)) as where,
-            stop_on_interrupt(progress.on_stop) as flag,
-            progress,
-        ):
+        with executor(options.dask, min(settings.runs, _RUNS_AT_ONCE)) as where, progress:
             hooks = Hooks(progress.on_generation, progress.on_run, checkpoint.keep, flag)
             runs = run_many(
                 SpreadObjective(objective, where),
@@ -252,16 +259,17 @@ def search(
     except BaseException:
         checkpoint.close()
         raise
-    cut = len(runs) < settings.runs or any(
-        stage.stop_reason in ("interrupted", "time") for run in runs for stage in run.stages
-    )
+    ended = {stage.stop_reason for run in runs for stage in run.stages}
+    # Runs that were not begun have been called off.
+    called_off = "interrupted" in ended or len(runs) < settings.runs
+    cut: CutReason | None = "interrupted" if called_off else "time" if "time" in ended else None
     found = agreement(runs, settings.runs, objective.space.free)
     if len(runs) > 1:
         for line in waterfall(runs, objective.space.free):
             tell(line)
     tell(found.sentence())
     doubts = () if found.agrees and len(runs) > 1 else (found.sentence(),)
-    return Search(runs, "stopped" if cut else "done", (*checkpoint.notes, *doubts), checkpoint)
+    return Search(runs, cut, (*checkpoint.notes, *doubts), checkpoint)
 
 
 def _breeds_apart(dask: str | None) -> bool:

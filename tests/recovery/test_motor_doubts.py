@@ -134,8 +134,9 @@ def test_an_interrupted_fit_says_what_it_has_not_looked_at(campaign: Path) -> No
     runs = (replace(run, stages=(replace(run.stages[-1], stop_reason="interrupted"),)),)
     sets = ranked_sets(runs, space)
     told: list[str] = []
-    found = SimpleNamespace(runs=runs)
-    after = after_the_search(read, bench, objective, sets, found, SearchSettings(8, 1, 1), told.append)
+    found = SimpleNamespace(runs=runs, cut="interrupted")
+    walk = SimpleNamespace(tell=told.append)
+    after = after_the_search(read, bench, objective, sets, found, walk)
     # Torque and speed fix no R, L or I_sat of their own, interrupted or not.
     assert {"winding_resistance", "winding_inductance", "saturation_current"} <= {*after.settings[NOT_ALONE]}
     (sentence,) = after.warnings

@@ -125,6 +125,44 @@ def test_fits_of_a_lock_that_cannot_be_opened(cut, monkeypatch, capsys):
     assert [entry.state for entry in list_fits("fits")] == ["unfinished"]
 
 
+def test_an_aborted_fit_says_how_it_goes_on(campaign, monkeypatch, capsys):
+    """Aborted after its search: nothing is written, nothing is lost, and nobody is kept out."""
+    import signal
+
+    from sysid.pipelines import gear
+
+    def aborted(*arguments):
+        raise KeyboardInterrupt
+
+    before = signal.getsignal(signal.SIGINT)
+    fit = ("fit-gear", campaign, *(word for word in SMALL if word != "--quiet"))
+    with monkeypatch.context() as patched:
+        patched.setattr(gear, "trial_results", aborted)
+        code, _, err = run(patched, capsys, *fit)
+    assert code == 130
+    folder = Path("fits") / "synthetic-lf"
+    assert err.endswith(f"{folder}: aborted; what was scored is kept, continue with --resume\n")
+    assert signal.getsignal(signal.SIGINT) is before
+    assert not folder.exists()
+    assert run(monkeypatch, capsys, *fit, "--resume")[0] == 0
+    assert read_fit(folder).state == "done"
+
+
+def test_a_fit_whose_last_runs_were_not_begun_is_not_done(campaign, monkeypatch, capsys):
+    from sysid.pipelines import search
+
+    real = search.run_many
+    with monkeypatch.context() as patched:
+        patched.setattr(search, "run_many", lambda *a, **more: real(*a, **more)[:1])
+        code, _, _ = run(patched, capsys, "fit-gear", campaign, *SMALL, "--finish", "none")
+    assert code == 130
+    cut = read_fit(Path("fits") / "synthetic-lf")
+    assert cut.state == "stopped"
+    text = (Path("fits") / "synthetic-lf" / "summary.txt").read_text(encoding="utf-8")
+    assert "1 of 2 runs was begun, none of them finished (generation limit)" in text
+    assert any(warning.startswith("1 of 2 runs was begun") for warning in cut.warnings)
+
+
 def test_the_record_says_what_was_run(campaign, monkeypatch, capsys):
     import h5py
 

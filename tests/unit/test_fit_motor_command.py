@@ -2,26 +2,23 @@
 
 import json
 import shutil
+import signal
 from pathlib import Path
 
 import pytest
 from test_fit_command import SAMPLES, run
 
+from sysid.fit.store import read_fit
+from sysid.pipelines import motor_stages
 from sysid.recording import file_sha256
 
-SMALL = (
-    "--population",
-    "8",
-    "--runs",
-    "2",
-    "--max-generations",
-    "2",
-    "--finish",
-    "none",
-    "--no-check",
-    "--quiet",
-)
+SMALL = ("--population", "8", "--runs", "2", "--max-generations", "2", "--finish", "none", "--no-check")
 CURVES = ("static-forward.csv", "static-reverse.csv", "no-load-forward.csv", "no-load-reverse.csv")
+
+LEFT_OUT = (
+    "{}: the dead band was not fitted; the ladder of simpler models was not climbed; viscous_damping was not "
+    "profiled, so its digits may mean nothing; continue it with --resume"
+)
 
 
 @pytest.fixture
@@ -51,9 +48,59 @@ def test_the_record_names_the_logs_of_the_curves_and_a_changed_one_is_not_contin
         assert name in text
         assert by_file[name] in text
 
+    # Of the limit nothing was left for what follows the search.
+    settings = document("cut")["settings"]
+    assert settings["saturation"] == {"stage": "not fitted", "why": "the time limit ended the fit"}
+    assert not {"ladder", "profiles"} & {*settings}
+    assert LEFT_OUT.format("the time limit ended the fit") in document("cut")["warnings"]
+    assert document("cut")["provenance"]["cut short"] == "time limit"
+
     # The points that it holds are the same: only the hash can tell.
     log = campaign.parent / "static-forward.csv"
     log.write_bytes(log.read_bytes() + b"\r\n")
     code, _, err = run(monkeypatch, capsys, *fit, "--resume")
     assert code == 2
     assert "log static-forward.csv (curves.static, forward) differs" in err
+
+
+def interrupting(monkeypatch, step):
+    """Have Ctrl-C pressed when a step after the search begins."""
+    real = getattr(motor_stages, step)
+
+    def begun(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        return real(*arguments)
+
+    monkeypatch.setattr(motor_stages, step, begun)
+
+
+def test_ctrl_c_after_the_search_keeps_it_and_resume_does_the_rest(campaign, monkeypatch, capsys):
+    assert run(monkeypatch, capsys, "fit-motor", campaign, *SMALL, "--out", "whole", "--quiet")[0] == 0
+    before = signal.getsignal(signal.SIGINT)
+
+    fit = ("fit-motor", campaign, *SMALL, "--out", "cut")
+    with monkeypatch.context() as patched:
+        interrupting(patched, "fit_saturation")
+        code, out, err = run(patched, capsys, *fit)
+    assert code == 130
+    assert signal.getsignal(signal.SIGINT) is before
+    assert "fit written to cut (stopped early" in " ".join(out.split())
+    assert LEFT_OUT.format("the fit was interrupted") in err
+    assert read_fit("cut").state == "stopped"
+    assert document("cut")["provenance"]["cut short"] == "stopped by the user"
+
+    # The next step is stopped too: what came before it is kept.
+    with monkeypatch.context() as patched:
+        interrupting(patched, "climb")
+        assert run(patched, capsys, *fit, "--resume", "--quiet")[0] == 130
+    whole, ladder_missing = document("whole")["settings"], document("cut")["settings"]
+    assert ladder_missing["saturation"] == whole["saturation"]
+    assert "ladder" not in ladder_missing
+    assert any("interrupted: the ladder of simpler" in text for text in document("cut")["warnings"])
+
+    assert run(monkeypatch, capsys, *fit, "--resume", "--quiet")[0] == 0
+    assert not Path("cut.checkpoint").exists()
+    done = document("cut")
+    assert done["sets"] == document("whole")["sets"]
+    assert done["settings"] == whole
+    assert "cut short" not in done["provenance"]

@@ -9,7 +9,7 @@ import pytest
 
 from sysid.errors import FitError
 from sysid.fit import stopping
-from sysid.fit.stopping import REASONS, StopFlag, StopRule, stop_on_interrupt
+from sysid.fit.stopping import REASONS, CutShort, Deadline, StopFlag, StopRule, stop_on_interrupt
 
 RELATIVE = StopRule(reading="relative")
 MATLAB = StopRule(reading="matlab")
@@ -139,3 +139,22 @@ def test_flag():
     assert not flag()
     flag.set()
     assert flag()
+
+
+def test_a_deadline_is_over_when_its_time_is_or_the_user_says_so(monkeypatch):
+    now = [50.0]
+    monkeypatch.setattr(stopping.time, "monotonic", lambda: now[0])
+    limited, unlimited = Deadline(20.0), Deadline()
+    now[0] = 69.0
+    assert (limited.left, unlimited.left) == (1.0, None)
+    assert not limited.check()
+    now[0] = 71.0
+    assert limited.left == 0.0
+    with pytest.raises(CutShort, match="time limit") as cut:
+        limited.check()
+    assert cut.value.reason == "time"
+    assert not unlimited.check()
+    unlimited.flag.set()
+    with pytest.raises(CutShort, match="stopped by the user") as cut:
+        unlimited.check()
+    assert cut.value.reason == "interrupted"
