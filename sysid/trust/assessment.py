@@ -17,6 +17,7 @@ from sysid.trust.fisher import (
     information,
     noise_model,
     undisturbed,
+    with_bounds,
 )
 from sysid.trust.jacobian import Jacobian, jacobian
 from sysid.trust.least_squares import solve
@@ -104,7 +105,7 @@ def _linearized(problem: Problem, point: FloatArray) -> Linearized:
     changes = problem.disturbances(point)
     noise = noise_model(problem.blocks, undisturbed(problem.blocks, residuals, changes))
     spread = gradient_noise(problem.blocks, derived.values, scale, levels, noise, changes)
-    found = information(derived.values, spread)
+    found = with_bounds(information(derived.values, spread), derived.values, spread, point)
     # An inflation that rests on a derivative which depends on the step is worth nothing: the largest serves.
     rise = np.where(derived.trusted, found.inflation, found.inflation.max())
     found = replace(found, inflation=rise)

@@ -17,7 +17,7 @@ deviation).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,8 @@ NORMAL_95 = 1.959964
 CHI2 = {0.68: 0.988946, 0.95: 3.841459}
 # A uniform density over the unit cube's edge has the variance 1/12.
 _OF_BOUNDS = 12.0
+# Within this of a bound a parameter is at it; a deviation of this share of the range's is the range's [1].
+_AT_BOUND, _UNSEEN = 0.01, 0.9
 # Partners are named from this correlation on.
 PARTNER = 0.8
 # Correlation that counts as none, in its own standard errors (Politis 2003), over so many lags in a row.
@@ -102,6 +104,28 @@ def information(jacobian: FloatArray, gradient_noise: FloatArray) -> Information
     # What the residuals do not see has a flat profile whatever it is divided by.
     rise = np.where(seen, rise, np.median(rise[seen]) if seen.any() else 1.0)
     return Information(curvature, gradient_noise, np.asarray(covariance, dtype=np.float64), rise)
+
+
+def with_bounds(
+    found: Information, jacobian: FloatArray, gradient_noise: FloatArray, point: FloatArray
+) -> Information:
+    """Return the uncertainty at a point (n,) of the unit cube, where some parameters may not move.
+
+    A parameter at its bound, or one that the data do not see, absorbs nothing: what noise does to the others
+    they bear alone. Freed, it would take a share (a motor's k_d takes the error of the torque curve), which
+    the linearization counts as knowledge. The larger uncertainty of both is taken.
+    """
+    lost = found.sigma > _UNSEEN / np.sqrt(_OF_BOUNDS)
+    held = (point <= _AT_BOUND) | (point >= 1.0 - _AT_BOUND) | lost
+    kept = np.flatnonzero(~held)
+    if len(kept) in (0, len(point)):
+        return found
+    alone = information(jacobian[:, kept], gradient_noise[np.ix_(kept, kept)])
+    rise = np.array(found.inflation)
+    rise[kept] = np.maximum(rise[kept], alone.inflation)
+    wider = np.ones(len(point))
+    wider[kept] = np.maximum(1.0, alone.sigma / found.sigma[kept])
+    return replace(found, inflation=rise, covariance=found.covariance * np.outer(wider, wider))
 
 
 def _positive(matrix: FloatArray) -> FloatArray:

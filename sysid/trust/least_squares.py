@@ -130,6 +130,7 @@ def _walk(
         at = points[fronts]
         columns *= root[fronts if len(root) > 1 else [0]][:, None]
         trials = np.empty((len(fronts), len(_FACTORS), n))
+        promised = np.zeros(len(fronts))
         for f in range(len(fronts)):
             gradient = columns[f] @ here[fronts[f]]
             hessian = columns[f] @ columns[f].T
@@ -143,8 +144,10 @@ def _walk(
                     # What the data hardly see must not be thrown across the cube by the noise of its
                     # derivative: a way of half the cube costs the tolerance.
                     own = damping[fronts[f]] * times * np.diag(inner) + 4 * tolerance
-                    step = np.linalg.solve(inner + np.diag(own), -gradient[free])
-                    trials[f, k, free] = np.clip(at[f, free] + step, 0.0, 1.0)
+                    step = _inside(inner + np.diag(own), gradient[free], at[f, free])
+                    trials[f, k, free] = at[f, free] + step
+                    # Of the last, the most damped one: what the sum of squares should lose.
+                    promised[f] = -(2 * gradient[free] @ step + step @ inner @ step)
         values, lost = problem.residuals(trials.reshape(-1, n))
         evaluations += len(values)
         values = (
@@ -162,10 +165,34 @@ def _walk(
                 damping[front] = np.clip(damping[front] * _FACTORS[best[f]], _DAMPING[0], _DAMPING[2])
             else:
                 damping[front] = np.clip(damping[front] * 100.0, _DAMPING[0], _DAMPING[2])
-            little[front] = little[front] + 1 if gain < tolerance else 0
+            # A step that fails although it promises much was too long: damped more, it is tried again.
+            if gain > 0 or promised[f] < tolerance:
+                little[front] = little[front] + 1 if gain < tolerance else 0
             if little[front] == 2:
                 active[front], converged[front] = False, True
     return evaluations
+
+
+def _inside(matrix: FloatArray, gradient: FloatArray, at: FloatArray) -> FloatArray:
+    """Return the step (k,) that solves ``matrix step = -gradient`` and stays in the cube.
+
+    A coordinate that would leave it goes to its bound, and the others follow: a step that is merely cut
+    there leads correlated parameters uphill, and a fit that ends at a bound would seem to have converged.
+    """
+    step = np.zeros(len(at))
+    free = np.ones(len(at), dtype=np.bool_)
+    for _ in range(len(at)):
+        step[free] = np.linalg.solve(
+            matrix[np.ix_(free, free)], -gradient[free] - matrix[np.ix_(free, ~free)] @ step[~free]
+        )
+        beyond = free & ((at + step < 0.0) | (at + step > 1.0))
+        if not beyond.any():
+            break
+        step[beyond] = np.clip(at[beyond] + step[beyond], 0.0, 1.0) - at[beyond]
+        free &= ~beyond
+        if not free.any():
+            break
+    return np.asarray(np.clip(at + step, 0.0, 1.0) - at)
 
 
 def _columns(

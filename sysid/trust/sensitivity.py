@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.parameters import SearchSpace
-from sysid.trust.fisher import Information, NoiseModel, gradient_noise, half_widths, information
+from sysid.trust.fisher import Information, NoiseModel, gradient_noise, half_widths, information, with_bounds
 from sysid.trust.jacobian import Jacobian, jacobian
 from sysid.trust.problem import Block, Problem, nrmse_of, scales
 from sysid.trust.verdicts import Expected
@@ -77,7 +77,7 @@ def outlook(
     spread = gradient_noise(
         problem.blocks, derived.values, scale, own, noise, problem.disturbances(point)
     )  # fmt: skip
-    found = information(derived.values, spread)
+    found = with_bounds(information(derived.values, spread), derived.values, spread, point)
     widths = half_widths(problem.space, point, found.sigma)
     return Outlook(point, derived, scale, own, found, widths)
 
@@ -218,7 +218,8 @@ def rank_candidates(
             own[blocks[b].start : blocks[b].stop] = derived[blocks[b].start : blocks[b].stop]
         spread = gradient_noise([blocks[b] for b in mine], own, scale, levels[mine], noise, changes)
         both = np.concatenate([here.jacobian.values, own])
-        found = information(both, here.information.gradient_noise + spread)
+        whole = here.information.gradient_noise + spread
+        found = with_bounds(information(both, whole), both, whole, here.point)
         widths = half_widths(problem.space, here.point, found.sigma)
         lowered = np.log(np.maximum(here.half_widths, 1e-12) / np.maximum(widths, 1e-12))
         out.append(Candidate(title, widths, float(np.sum(lowered[weak]))))

@@ -1,6 +1,6 @@
 """Do the intervals hold the truth? Twenty synthetic campaigns, each fitted and profiled.
 
-    python tests/benchmarks/interval_coverage.py [--replications 20] [--surface lf]
+    python tests/benchmarks/interval_coverage.py [--replications 20] [--problem lf]
 
 Prints how many of the 95 % profile intervals of each parameter hold the true value, over all replications,
 how often each was called well, weakly or not identifiable, and how far outside the worst one lies.
@@ -17,12 +17,16 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.campaign import GearCampaign, read_campaign
+from sysid.campaign import GearCampaign, MotorCampaign, read_campaign
 from sysid.pipelines.drops import prepare_drops
 from sysid.pipelines.gear import GearObjective, search_space
+from sysid.pipelines.motor_bench import prepare_bench
 from sysid.pipelines.trust_gear import TRUST_TOLERANCE, GearProblem
-from sysid.synthetic import synthesize_gear
+from sysid.pipelines.trust_setup import motor_problem
+from sysid.synthetic import synthesize_gear, synthesize_motor
+from sysid.synthetic.motor import TRIALS
 from sysid.trust.assessment import assess
+from sysid.trust.problem import Problem
 from sysid.trust.verdicts import verdict
 
 
@@ -50,6 +54,8 @@ class Covered:
 
 def replicate(seed: int, surface: str, folder: Path) -> list[Covered]:
     """Synthesize drops, fit from the truth (no search: a fit's best set lies there), profile."""
+    if surface == "motor":
+        return replicate_motor(seed, folder)
     out = synthesize_gear(folder / f"{surface}-{seed}", seed=seed, surface=surface)
     path = out / "campaign.toml"
     campaign = read_campaign(path, "gear")
@@ -59,7 +65,23 @@ def replicate(seed: int, surface: str, folder: Path) -> list[Covered]:
     problem = GearProblem(GearObjective.build(campaign, space, drops, None, TRUST_TOLERANCE))
     true = json.loads((out / "truth.json").read_text(encoding="utf-8"))["parameters"]
     truth = np.array([true[name] for name in space.names])
-    found = assess(problem, space.encode(truth), resamples=0)
+    return _covered(problem, truth)
+
+
+def replicate_motor(seed: int, folder: Path) -> list[Covered]:
+    """The same of a forward and a reverse bench trial; command delays, of no motor, are left out."""
+    out = synthesize_motor(folder / f"motor-{seed}", seed=seed, trials=TRIALS[:2])
+    path = out / "campaign.toml"
+    campaign = read_campaign(path, "motor")
+    assert isinstance(campaign, MotorCampaign)
+    problem = motor_problem(campaign, prepare_bench(campaign, path))
+    true = json.loads((out / "truth.json").read_text(encoding="utf-8"))["parameters"]
+    truth = np.array([true[name.split("[")[0]] for name in problem.space.names])
+    return [one for one in _covered(problem, truth) if "[" not in one.name]
+
+
+def _covered(problem: Problem, truth: np.ndarray) -> list[Covered]:
+    found = assess(problem, problem.space.encode(truth), resamples=0)
     return [
         Covered(p.name, t, p.best, *p.interval_95, p.half_width, verdict(p.half_width))
         for p, t in zip(found.profiles.profiles, truth, strict=True)
@@ -71,13 +93,13 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--replications", type=int, default=20)
     options.add_argument("--first-seed", type=int, default=1001)
-    options.add_argument("--surface", choices=("lf", "hf"), default="lf")
+    options.add_argument("--problem", choices=("lf", "hf", "motor"), default="lf")
     chosen = options.parse_args()
     rows: dict[str, list[Covered]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(chosen.first_seed, chosen.first_seed + chosen.replications):
             began = time.perf_counter()
-            found = replicate(seed, chosen.surface, Path(folder))
+            found = replicate(seed, chosen.problem, Path(folder))
             for one in found:
                 rows.setdefault(one.name, []).append(one)
             missed = [one.name for one in found if not one.inside]
