@@ -16,6 +16,7 @@ from sysid.campaign.file import resolve_log
 from sysid.inspection import LogReport, inspect_recording
 from sysid.parameters import SearchSpace
 from sysid.pipelines.bench_targets import PreparedTrial
+from sysid.pipelines.check_bench import suggest_trials
 from sysid.pipelines.check_drops import capture_noise, centre_of_mass, excitation, suggest_drops
 from sysid.pipelines.drops import PreparedDrop, prepare_drops, read_drop_log
 from sysid.pipelines.gear import on_surface, say_dropped
@@ -123,7 +124,11 @@ def _check_motor(campaign: MotorCampaign, path: Path, threads: int | None) -> di
     problem = motor_problem(campaign, bench, threads)
     noise = noise_correlation(problem)
     here, expected = expectations(problem, nominal_point(problem.space), noise)
-    out = _verdicts(problem, problem.blocks, here, expected, ())
+    weak = np.array([one.verdict != "well" for one in expected])
+    candidates: tuple[Candidate, ...] = ()
+    if weak.any():
+        candidates = suggest_trials(campaign, bench, problem, here, noise, weak)
+    out = _verdicts(problem, problem.blocks, here, expected, candidates)
     out["sentences"] += _motor_advice(bench, expected)
     out["quality"] = [_bench_quality(trial) for trial in bench.trials]
     commands = [trial.log.steps.level for trial in bench.trials]
@@ -155,9 +160,11 @@ def _motor_advice(bench: Bench, expected: tuple[Expected, ...]) -> list[str]:
             "propeller its drag is lost in the error of the torque curve"
         )
     if "winding_inductance" in names:
-        out.append("to fix L: a load cell at 1 kHz or more and large steps of the command from a steady idle")
+        out.append(
+            "L shows in what follows a step within milliseconds: record with a load cell at 1 kHz or more"
+        )
     if "winding_resistance" in names:
-        out.append("to fix R: larger steps of the command, up and down, in both directions")
+        out.append("R rests on the static curves: record more steady points, with propeller and without")
     if not any(trial.entry.direction == "reversal" for trial in bench.trials):
         out.append("no reversal was recorded: nothing fixes I_sat and Ω_min, which decide its delay")
     return out
@@ -188,11 +195,14 @@ def _verdicts(
                 f"to fix {one.symbol}: {best.title} ({percent(one.half_width)} now, {percent(after)} with it)"
             )
         else:
-            said.append(f"no single drop within the lab's reach fixes {one.symbol}")
-    if candidates:
-        said.append(
-            "record next: " + ", else ".join(candidate.title for candidate in candidates[:_NAMED])
-        )  # fmt: skip
+            what = "drop" if isinstance(problem, GearProblem) else "trial of its kind"
+            said.append(f"no single {what} within the lab's reach fixes {one.symbol}")
+    # Worth recording is what lifts a verdict.
+    lifting = [(c, [e.symbol for e, w in zip(expected, c.half_widths, strict=True) if _lifts(e, w)])
+               for c in candidates]  # fmt: skip
+    worth = [f"{c.title} (lifts {', '.join(symbols)})" for c, symbols in lifting if symbols]
+    if worth:
+        said.append("record next: " + ", else ".join(worth[:_NAMED]))
     return {
         "parameters": [
             one.document() | {"channels": dict(zip(problem.channels, share.tolist(), strict=True))}
@@ -210,6 +220,11 @@ def _verdicts(
         ],
         "sentences": said,
     }
+
+
+def _lifts(one: Expected, half_width: float) -> bool:
+    """Return whether a half-width belongs to a better verdict than what is expected now."""
+    return half_width < one.half_width and verdict(float(half_width)) != one.verdict
 
 
 def _drop_quality(campaign: GearCampaign, path: Path, drop: PreparedDrop) -> dict[str, Any]:

@@ -151,6 +151,11 @@ class MotorProblem:
             out.append((values[: len(changes)] - values[len(changes) :]) / 2)
         return np.concatenate(out)
 
+    @property
+    def common(self) -> int:
+        """How many of the disturbances, the last ones, are of no single trial: curves and stated ranges."""
+        return len(self._changes(self.space.full(np.full((1, len(self.space.free)), 0.5))[0]))
+
     def _changes(self, row: FloatArray) -> FloatArray:
         index = {name: i for i, name in enumerate(self.space.table)}
         changes = []

@@ -8,7 +8,6 @@ half-widths at points drawn from the bounds.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -180,7 +179,8 @@ def rank_candidates(
     others: Problem,
     titles: tuple[str, ...],
     weak: NDArray[np.bool_],
-    say: Callable[[str], None] | None = None,
+    *,
+    common: int = 0,
 ) -> tuple[Candidate, ...]:
     """Rank recordings by what they would add, the best first.
 
@@ -196,6 +196,9 @@ def rank_candidates(
     titles : tuple of str
     weak : (n,) bool array
         Parameters that need more.
+    common : int
+        So many of the last disturbances are the same in both problems (an error of a static curve), so that
+        one more trial does not average them.
     """
     _, failed = others.residuals(here.point[None])
     if failed.any():
@@ -210,15 +213,19 @@ def rank_candidates(
     scale = scales(blocks, levels, blocks[-1].stop)
     derived = jacobian_at(others, here, scale)
     changes = others.disturbances(here.point)
+    first = len(changes) - common
+    shared = problem.disturbances(here.point)[-common:] * here.scale if common else changes[:0]
+    before = here.jacobian.values.T @ shared.T if common else np.zeros((len(here.point), 0))
     out = []
     for t, title in enumerate(titles):
         mine = [b for b, block in enumerate(blocks) if block.trial == t]
         own = np.zeros_like(derived)
         for b in mine:
             own[blocks[b].start : blocks[b].stop] = derived[blocks[b].start : blocks[b].stop]
-        spread = gradient_noise([blocks[b] for b in mine], own, scale, levels[mine], noise, changes)
+        spread = gradient_noise([blocks[b] for b in mine], own, scale, levels[mine], noise, changes[:first])
+        after = before + own.T @ (changes[first:] * scale).T
         both = np.concatenate([here.jacobian.values, own])
-        whole = here.information.gradient_noise + spread
+        whole = here.information.gradient_noise + spread + after @ after.T - before @ before.T
         found = with_bounds(information(both, whole), both, whole, here.point)
         widths = half_widths(problem.space, here.point, found.sigma)
         lowered = np.log(np.maximum(here.half_widths, 1e-12) / np.maximum(widths, 1e-12))

@@ -4,10 +4,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 from sysid.trust.assessment import assess, linearize
-from sysid.trust.fisher import NORMAL_95, NoiseModel, half_widths, noise_model
+from sysid.trust.fisher import NORMAL_95, NoiseModel, half_widths, information, noise_model, with_bounds
+from sysid.trust.influence import influence
 from sysid.trust.jacobian import jacobian
 from sysid.trust.least_squares import search_around, solve
 from sysid.trust.problem import Block, nrmse_of, scales
@@ -326,3 +328,81 @@ def test_the_recording_that_sees_the_blind_parameter_is_ranked_first():
     said = sentences(expected)
     assert said[0] == "well identifiable: p_0"
     assert "p_1 (p1) is not identifiable" in said[1]
+
+
+def test_a_step_that_overshoots_is_no_convergence():
+    # From a hundredth of the range of a logarithm, the linear step leads far beyond 1 and is worse than none.
+    designs, data = _white(n_par=1)
+    problem = Linear(designs, data, scale="log")
+    scale = scales(problem.blocks, np.full(3, 0.1), problem.blocks[-1].stop)
+    start = problem.space.encode(np.array([0.11]))
+    found = solve(problem, start[None], scale, np.full(1, 1e-3), tolerance=1e-6, iterations=30)
+    assert found.converged.all()
+    # 600 samples of noise 0.1 on regressors of size 0.5 fix the factor 1 to under a percent.
+    assert problem.space.decode(found.points[0])[0] == pytest.approx(1.0, abs=0.03)
+
+
+def test_at_a_bound_the_others_find_their_own_minimum():
+    designs, data = _white(seed=4)
+    # Regressors that trade with each other; the first wants to be negative.
+    mixed = [np.concatenate([a[:, :1], 0.9 * a[:, :1] + 0.3 * a[:, 1:]], axis=1) for a in designs]
+    lowered = [y - 1.5 * a[:, 0] for y, a in zip(data, designs, strict=True)]
+    problem = Linear(mixed, lowered)
+    a, y = np.concatenate(mixed)[:, :, 0], np.concatenate(lowered)[:, 0]
+    exact = lsq_linear(a, y, bounds=(0.0, 2.0)).x
+    assert np.min(np.abs(exact)) < 1e-6
+    scale = scales(problem.blocks, np.full(3, 0.1), problem.blocks[-1].stop)
+    found = solve(problem, np.full((1, 2), 0.5), scale, np.full(2, 1e-3), tolerance=1e-9, iterations=6)
+    assert problem.space.decode(found.points[0]) == pytest.approx(exact, abs=1e-4)
+
+
+def test_what_is_at_its_bound_takes_no_share_of_the_others_error():
+    source = np.random.default_rng(2)
+    jacobian_values = source.standard_normal((50, 2)) @ np.array([[30.0, 27.0], [0.0, 13.0]])
+    # What is taken as known errs along the second parameter's direction mostly.
+    change = jacobian_values @ np.array([0.05, 0.3])
+    pushed = jacobian_values.T @ change
+    spread = jacobian_values.T @ jacobian_values * 1e-3 + np.outer(pushed, pushed)
+    free = information(jacobian_values, spread)
+    inside = with_bounds(free, jacobian_values, spread, np.array([0.5, 0.5]))
+    assert inside is free
+    at_bound = with_bounds(free, jacobian_values, spread, np.array([0.5, 0.0]))
+    alone = information(jacobian_values[:, :1], spread[:1, :1])
+    # The second one's error is borne by the first: much more than its own.
+    assert alone.sigma[0] > 2 * free.sigma[0]
+    assert at_bound.sigma[0] == pytest.approx(alone.sigma[0])
+    assert at_bound.inflation[0] == pytest.approx(alone.inflation[0])
+    assert at_bound.sigma[1] == free.sigma[1]
+
+
+def _influence(designs, data):
+    problem = Linear(designs, data)
+    linear = linearize(problem, np.full(2, 0.5))
+    return influence(problem, linear, np.array([block.noise for block in problem.blocks]))
+
+
+def test_the_trial_that_decides_a_fit_is_named():
+    designs, data = _white(n_trials=5, seed=3)
+    quiet = _influence(designs, data)
+    assert quiet.held_by == ()
+    assert quiet.outliers == ()
+    # One trial of five says four times as much as another and has its own truth: the fit follows it.
+    strong = [*designs[:4], 4 * designs[4]]
+    source = np.random.default_rng(5)
+    own = (strong[4][:, :, 0] @ np.array([1.1, 1.0]) + 0.1 * source.standard_normal(200))[:, None]
+    found = _influence(strong, [*data[:4], own])
+    assert (4, (0,)) in found.held_by
+    # Without it the others' own value comes back: p_0 = 1 is 0.5 of the cube, fixed to half a percent by 800
+    # samples of noise 0.1 on regressors of size 0.5.
+    assert found.without[4, 0] == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_trial_that_scores_unlike_the_others_stands_out():
+    designs, data = _white(n_trials=5, seed=3)
+    source = np.random.default_rng(9)
+    loud = [*data[:2], data[2] + 0.3 * source.standard_normal(data[2].shape), *data[3:]]
+    found = _influence(designs, loud)
+    assert found.outliers == (2,)
+    # Noise of 0.1 and 0.3: 3.2 times the floor.
+    assert found.ratio[2] == pytest.approx(np.sqrt(10), rel=0.15)
+    assert np.delete(found.ratio, 2) == pytest.approx(1.0, abs=0.15)
