@@ -14,8 +14,8 @@ from sysid.landing.maps import LandingMap, MapSettings, landing_maps
 from sysid.landing.outcomes import Outcome
 from sysid.pipelines.landing_maps import static_lines
 from sysid.pipelines.landing_sources import LandingOptions, span
-from sysid.report.landing_figures import figure_impulse, figure_landing_maps
-from sysid.report.markup import Html, grid, picture
+from sysid.report.landing_figures import MapLegend, figure_impulse, figure_landing_maps
+from sysid.report.markup import Html, grid, legend, picture
 
 
 def landing_pictures(
@@ -76,18 +76,18 @@ def impulse_pictures(
     best, maps = impulse_maps(fleets, settings, impulses)
     pieces = []
     for one in best:
-        figure = figure_impulse([one])
+        figure = figure_impulse([one], stacked=True)
         words = f"delay and duration of the best impulse over touchdown speed and slope, {one.surface}"
         pieces.append(picture(figure, words))
     return _pictures(maps, static_lines(fleets, after_impulses(impulses))) + grid(pieces)
 
 
 def _pictures(maps: Sequence[LandingMap], limits: Any) -> Html:
-    pieces = []
+    pieces, told = [], MapLegend()
     for one in maps:
-        figure = figure_landing_maps([one], limits=limits)
+        figure = figure_landing_maps([one], limits=limits, legend=told)
         pieces.append(picture(figure, _words(one)))
-    return grid(pieces)
+    return legend(told.entries()) + grid(pieces)
 
 
 def _words(one: LandingMap) -> str:

@@ -17,6 +17,7 @@ from sysid.pipelines.search import FitOptions
 from sysid.report.fit_report import FitReport, open_fit
 from sysid.report.inspect_figures import figure_logs
 from sysid.report.markup import Html, picture
+from sysid.report.panels import WIDTH
 
 _WIDTH = 96
 
@@ -29,8 +30,9 @@ def look_at_log(campaign: str | Path, trial: int = 0) -> Html:
     recording = load_stated(path, own.format, own.loader_options(), {})
     report = inspect_recording(recording)
     text = io.StringIO()
-    print_report(Console(file=text, width=_WIDTH, soft_wrap=True), report)
-    figure = figure_logs([recording], [report])
+    # Inside a notebook rich would show every line by itself instead of writing it.
+    print_report(Console(file=text, width=_WIDTH, soft_wrap=True, force_jupyter=False), report)
+    figure = figure_logs([recording], [report], width=WIDTH)
     words = f"channels of {path.name} over time: {', '.join(one.name for one in report.channels[:8])}"
     return _text(text.getvalue()) + picture(figure, words, f"{path.name}, as recorded.", vector=False)
 

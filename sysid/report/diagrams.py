@@ -12,6 +12,7 @@ from matplotlib.patches import Arc, FancyBboxPatch, Polygon
 from numpy.typing import NDArray
 
 from sysid.gear.surfaces import high_friction
+from sysid.report.panels import WIDTH
 from sysid.report.replay import DropReplay
 from sysid.report.snapshots import BODY, FRICTION, GROUND, NORMAL
 
@@ -35,7 +36,8 @@ def figure_geometry(values: Mapping[str, float], slope: float) -> Figure:
         name: 1e3 * values[f"{name}"]
         for name in ("joint_dx", "joint_dz", "foot_dx", "foot_dz", "thrust_point_dx")
     }
-    figure = Figure(figsize=(5.4, 4.9), layout="constrained")
+    # As wide as a phone shows it: letters keep their size.
+    figure = Figure(figsize=(WIDTH, 4.1), layout="constrained")
     axes = figure.add_subplot()
     axes.set_aspect("equal")
     axes.set_axis_off()
@@ -79,14 +81,14 @@ def figure_geometry(values: Mapping[str, float], slope: float) -> Figure:
     _lengths(axes, v, unit)
     _forces(axes, v, unit, along, normal)
     _frames(axes, v, unit, along, normal)
-    axes.set_xlim(-v["thrust_point_dx"] - 0.62 * unit, v["thrust_point_dx"] + 0.75 * unit)
+    axes.set_xlim(-v["thrust_point_dx"] - 0.62 * unit, v["thrust_point_dx"] + 0.82 * unit)
     axes.set_ylim(-v["foot_dz"] - 0.85 * unit, 1.35 * unit)
     return figure
 
 
 def _lengths(axes: Axes, v: Mapping[str, float], unit: float) -> None:
     look: dict[str, Any] = {"fontsize": 8, "color": _DIMENSION, "va": "center"}
-    axes.plot([0, 0], [0.1 * unit, 1.17 * unit], color=_DIMENSION, linewidth=0.6)
+    axes.plot([0, 0], [0.55 * unit, 1.17 * unit], color=_DIMENSION, linewidth=0.6)
     for level, name, symbol, foot in (
         (0.72, "joint_dx", "dx_j", -v["joint_dz"]),
         (0.92, "foot_dx", "dx_f", -v["foot_dz"]),
@@ -116,7 +118,8 @@ def _lengths(axes: Axes, v: Mapping[str, float], unit: float) -> None:
 
 def _forces(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, normal: FloatArray) -> None:
     _arrow(axes, np.zeros(2), np.array([0, -0.5 * unit]), _WEIGHT)
-    axes.text(6, -0.5 * unit, r"$m_B\,g$", color=_WEIGHT, fontsize=9, va="center")
+    # To the left: the angle of the leg is written to the right.
+    axes.text(-6, -0.5 * unit, r"$m_B\,g$", color=_WEIGHT, fontsize=9, ha="right", va="center")
     joint, foot = np.array([v["joint_dx"], -v["joint_dz"]]), np.array([v["foot_dx"], -v["foot_dz"]])
     middle = 0.5 * (joint + foot)
     _arrow(axes, middle, np.array([0, -0.34 * unit]), _WEIGHT)
@@ -161,14 +164,15 @@ def _frames(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, 
     _axes(
         axes, np.array([-v["thrust_point_dx"] - 0.5 * unit, -v["foot_dz"] - 0.6 * unit]), right, up, size, "N"
     )
-    look: dict[str, Any] = {"fontsize": 10, "fontweight": "bold", "ha": "center", "va": "center", "zorder": 6}
-    axes.text(-0.2 * unit, -0.55 * v["joint_dz"], "B", **look)
+    _axes(axes, np.zeros(2), right, up, size, "B")
     joint, foot = np.array([v["joint_dx"], -v["joint_dz"]]), np.array([v["foot_dx"], -v["foot_dz"]])
-    for side, name, way in ((-1, "C", "right"), (1, "D", "left")):
-        at = np.array([side, 1]) * (0.75 * joint + 0.25 * foot)
-        # D stands beyond the line of the foot's length.
-        x = at[0] - 8 if side < 0 else max(at[0], foot[0]) + 5
-        axes.text(x, at[1], name, fontsize=10, fontweight="bold", va="center", ha=way)
+    for side, name in ((-1, "C"), (1, "D")):
+        # Along the leg and across it, drawn beside it on the outer side.
+        leg = np.array([side, 1.0]) * (joint - foot)
+        z = leg / np.hypot(*leg)
+        outer = 0.62 * unit if side < 0 else 0.3 * unit
+        middle = np.array([side, 1.0]) * (0.5 * joint + 0.5 * foot) + np.array([side * outer, -0.08 * unit])
+        _axes(axes, middle, np.array([z[1], -z[0]]), z, 0.8 * size, name)
     # The angle at rest, from straight down to the leg, at the front joint.
     angle = float(np.degrees(np.arctan2(foot[0] - joint[0], joint[1] - foot[1])))
     axes.plot(
@@ -186,7 +190,7 @@ def _frames(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, 
     )
     axes.text(
         joint[0] - 3,
-        joint[1] - 0.3 * unit,
+        joint[1] - 0.62 * unit,
         f"$q_n$ = {angle:.0f}°",
         fontsize=8,
         color=_DIMENSION,
@@ -199,8 +203,8 @@ def _axes(axes: Axes, origin: FloatArray, x: FloatArray, z: FloatArray, size: fl
     for way, symbol in ((x, "x"), (z, "z")):
         _arrow(axes, origin, size * way, _AXES, width=1.2)
         place = origin + 1.22 * size * way
-        if way is x and name == "A":  # beside the slope's line, not on it
-            place = place - 0.3 * size * z
+        if way is x and name in "AB":  # beside the slope's line and the arms, not on them
+            place = place + (0.35 if name == "B" else -0.3) * size * z
         words = rf"$\hat{{{symbol}}}_{name}$"
         axes.text(place[0], place[1], words, fontsize=8.5, ha="center", va="center", color=_AXES)
 

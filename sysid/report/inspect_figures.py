@@ -63,13 +63,16 @@ def _draw(axes: Axes, channel: Channel, points: bool, change: bool = False) -> N
             loc="lower right", bbox_to_anchor=(1.0, 0.98), borderaxespad=0.0, ncols=len(labels),
             frameon=False, fontsize="small",
         )  # fmt: skip
-    unit = f" [{channel.unit}]" if channel.unit not in ("", "1") else ""
+    # A number without unit is one, such as the parts of a quaternion.
+    unit = f" [{channel.unit or '1'}]"
     name = channel.name.replace("/", "\n") + (" change" if change else "")
     axes.set_ylabel(name + unit, fontsize="small")
     axes.grid(True, color="0.9")
 
 
-def figure_logs(recordings: Sequence[Recording], reports: Sequence[LogReport]) -> Figure:
+def figure_logs(
+    recordings: Sequence[Recording], reports: Sequence[LogReport], *, width: float = 9.5
+) -> Figure:
     """Draw the main channels of logs over time, with the release and touchdown of a drop as thin lines.
 
     Parameters
@@ -78,10 +81,12 @@ def figure_logs(recordings: Sequence[Recording], reports: Sequence[LogReport]) -
         One block of rows each.
     reports : sequence of LogReport
         Of the same logs.
+    width : float
+        [in]
     """
     blocks = [_chosen(recording, report) for recording, report in zip(recordings, reports, strict=True)]
     rows = max(1, sum(len(block) for block in blocks))
-    figure = Figure(figsize=(9.5, 1.2 + 1.5 * rows), layout="constrained")
+    figure = Figure(figsize=(width, 1.2 + 1.5 * rows), layout="constrained")
     all_axes = figure.subplots(rows, 1, squeeze=False)[:, 0]
     row = 0
     for recording, report, block in zip(recordings, reports, blocks, strict=True):

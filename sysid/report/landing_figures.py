@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -22,6 +22,8 @@ from sysid.landing.outcomes import OUTCOMES, Outcome
 
 FloatArray = NDArray[np.float64]
 
+# Of one map on a page [in].
+WIDTH = 4.3
 # Okabe and Ito, as everywhere; B is white as in the paper.
 COLOURS: dict[Outcome, str] = {
     Outcome.SHORT: "#009E73",
@@ -32,6 +34,8 @@ COLOURS: dict[Outcome, str] = {
 _DISTANCES = (0.1, 0.2, 0.45, 1.0)
 _TIMES = (0.5, 1.0, 2.0)
 _DISTANCE_COLOUR, _TIME_COLOUR, _LIMIT_COLOUR = "#000000", "#00224E", "#D55E00"
+# Not those of the contours.
+_LIMIT_STYLES = {"rigid": "dashdot", "bending": "dotted"}
 _TIME_STYLE = (0, (4, 2))
 # Every set lost; and slopes above the map.
 _LOST_COLOUR, _BEYOND_COLOUR = "#CC79A7", "#F2F2F2"
@@ -75,8 +79,14 @@ Limits = Mapping[tuple[str, str], DrawnLimits]
 
 
 @dataclass
-class _Legend:
-    """What was drawn, by its words; the legend lists that and nothing else."""
+class MapLegend:
+    """What was drawn, by its words; the legend lists that and nothing else.
+
+    Parameters
+    ----------
+    handles : dict
+        Of matplotlib, in the order of drawing.
+    """
 
     handles: dict[str, Patch | Line2D] = field(default_factory=dict)
 
@@ -87,6 +97,18 @@ class _Legend:
         look = {"edgecolor": "black", "linewidth": 0.5} | look
         self.handles.setdefault(label, Patch(label=label, **look))  # type: ignore[arg-type]
 
+    def entries(self) -> list[tuple[str, str, str]]:
+        """Return (colour, kind, words) of each, as `sysid.report.markup.legend` takes them."""
+        out = []
+        for words, handle in self.handles.items():
+            if isinstance(handle, Patch):
+                out.append((to_hex(handle.get_facecolor()), "area", words))
+                continue
+            style = handle.get_linestyle()
+            kind = {"-": "line", ":": "dotted", "None": "dots"}.get(str(style), "dashed")
+            out.append((to_hex(handle.get_color()), kind, words))
+        return out
+
 
 def figure_landing_maps(
     maps: Sequence[LandingMap],
@@ -96,6 +118,7 @@ def figure_landing_maps(
     lines: bool = True,
     short: float = 0.45,
     long: float = 1.0,
+    legend: MapLegend | None = None,
 ) -> Figure:
     """Draw maps: a row per surface, a column per controller.
 
@@ -110,6 +133,8 @@ def figure_landing_maps(
         Contours of mean distance and mean time, where at least half of the sets land.
     short, long : float
         Distances of the classes [m], for the legend.
+    legend : MapLegend, optional
+        Takes what is drawn, and the figure bears no legend: a page has one for many figures.
 
     Notes
     -----
@@ -125,20 +150,20 @@ def figure_landing_maps(
         axes.set_visible(False)
     own = limits or {}
     highest = max(_top(one, own.get((one.surface, one.controller))) for one in maps)
-    legend = _Legend()
+    own_legend = legend is None
+    legend = legend or MapLegend()
     _name_colours(legend, maps, short, long)
     for one in maps:
         axes = grid[surfaces.index(one.surface), columns.index(one.controller)]
         axes.set_visible(True)
-        axes.set_title(one.title, fontsize=10)
         bounds = _mesh(axes, one, _blend(one))
         axes.set_ylim(bounds[0], highest)
         _draw_beyond(axes, bounds[1], highest, legend)
         _draw_uncertain(axes, one, legend)
         told = own.get((one.surface, one.controller))
         taken = _draw_letters(axes, one, (told.rigid, told.bending) if told else ())
-        if told is not None:
-            taken += _draw_limits(axes, told)
+        beyond = _draw_limits(axes, told) if told is not None else ""
+        axes.set_title(one.title + (f"\n{beyond}" if beyond else ""), fontsize=10)
         real = of_map(experiments, one)
         if real:
             taken += list(_relative(axes, np.array([(e.speed, e.slope_deg) for e in real])))
@@ -146,11 +171,14 @@ def figure_landing_maps(
             _draw_contours(axes, one, taken, legend)
         _draw_experiments(axes, real, legend)
     if own:
-        _name_limits(legend, maps, own)
+        _name_limits(legend, maps, own, highest)
     for axes in grid[-1]:
         axes.set_xlabel("touchdown speed [m/s]")
     for axes in grid[:, 0]:
         axes.set_ylabel("slope [deg]")
+    if not own_legend:
+        figure.set_size_inches(WIDTH * len(columns), 3.4 * len(surfaces))
+        return figure
     ncols = min(len(columns), 3)
     rows = -(-len(legend.handles) // ncols)
     figure.set_size_inches(1.2 + 4.1 * len(columns), 0.8 + 3.5 * len(surfaces) + 0.18 * rows)
@@ -181,7 +209,7 @@ def _top(one: LandingMap, limits: DrawnLimits | None) -> float:
     return max([edge, *reach])
 
 
-def _name_colours(legend: _Legend, maps: Sequence[LandingMap], short: float, long: float) -> None:
+def _name_colours(legend: MapLegend, maps: Sequence[LandingMap], short: float, long: float) -> None:
     names = {
         Outcome.SHORT: f"at rest within {100 * short:g} cm",
         Outcome.NEAR: f"at rest within {long:g} m",
@@ -222,14 +250,14 @@ def _mesh(
     return float(up[0]), float(up[-1])
 
 
-def _draw_beyond(axes: Axes, edge: float, top: float, legend: _Legend) -> None:
+def _draw_beyond(axes: Axes, edge: float, top: float, legend: MapLegend) -> None:
     if top > edge + 1e-9:
         look = {"facecolor": _BEYOND_COLOUR, "hatch": "////", "edgecolor": "#BBBBBB", "linewidth": 0.0}
         axes.axhspan(edge, top, **look)  # type: ignore[arg-type]
         legend.patch("not simulated", **look)
 
 
-def _draw_uncertain(axes: Axes, one: LandingMap, legend: _Legend) -> None:
+def _draw_uncertain(axes: Axes, one: LandingMap, legend: MapLegend) -> None:
     rows, columns = np.nonzero(one.uncertain.any(axis=0))
     if len(rows):
         label = "class of a set changes with half the tolerance"
@@ -264,7 +292,7 @@ def _relative(axes: Axes, points: FloatArray) -> FloatArray:
     return np.asarray((points - [left, low]) / [right - left, high - low])
 
 
-def _draw_contours(axes: Axes, one: LandingMap, taken: list[FloatArray], legend: _Legend) -> None:
+def _draw_contours(axes: Axes, one: LandingMap, taken: list[FloatArray], legend: MapLegend) -> None:
     """Draw mean distance and time; one label per level, where it is clear of all others, or none."""
     landed = one.landed >= 0.5
     for values, levels, colour, style, unit, name in (
@@ -319,42 +347,41 @@ def _clear_spot(axes: Axes, pieces: Sequence[FloatArray], taken: Sequence[FloatA
     return np.asarray(piece[best]) if away[best] >= _APART else None
 
 
-def _draw_limits(axes: Axes, told: DrawnLimits) -> list[FloatArray]:
-    """Draw the limits within the axes as lines; name the others. Return which places the words take."""
+def _draw_limits(axes: Axes, told: DrawnLimits) -> str:
+    """Draw the limits within the axes as lines; return words on the others."""
     low, high = axes.get_ylim()
     outside: dict[str, list[str]] = {}
-    for slope, style, legs in ((told.rigid, "dashed", "rigid"), (told.bending, "dotted", "bending")):
+    for slope, legs in ((told.rigid, "rigid"), (told.bending, "bending")):
         if low <= slope <= high:
-            axes.axhline(slope, color=_LIMIT_COLOUR, linestyle=style, linewidth=1.6)
+            axes.axhline(slope, color=_LIMIT_COLOUR, linestyle=_LIMIT_STYLES[legs], linewidth=1.6)
         else:
             outside.setdefault("above" if slope > high else "below", []).append(f"{slope:.0f}° ({legs} legs)")
-    if not outside:
-        return []
     words = "; ".join(f"{where}: {', '.join(names)}" for where, names in outside.items())
-    axes.text(
-        0.98, 0.87, f"static limit {words}", transform=axes.transAxes,
-        ha="right", va="top", fontsize=8, color=_LIMIT_COLOUR,
-        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8},
-    )  # fmt: skip
-    return [np.array([x, 0.85]) for x in (0.5, 0.6, 0.7, 0.8, 0.9)]
+    return f"static limit {words}" if words else ""
 
 
-def _name_limits(legend: _Legend, maps: Sequence[LandingMap], limits: Limits) -> None:
+def _name_limits(legend: MapLegend, maps: Sequence[LandingMap], limits: Limits, highest: float) -> None:
     """Say which thrust the drawn limits are for: it differs between controllers, hardly between surfaces."""
+    drawn: set[str] = set()
     thrusts: dict[str, dict[str, None]] = {}
     for one in maps:
         told = limits.get((one.surface, one.controller))
         if told is not None:
+            low = float(cell_edges(one.slopes_deg)[0])
+            here = {"rigid": told.rigid, "bending": told.bending}
+            drawn |= {legs for legs, slope in here.items() if low <= slope <= highest}
             # Idle motors leave some -1e-12 N, which is 0, not -0.
             thrusts.setdefault(f"{round(told.thrust, 1) + 0.0:g} N", {})[one.controller] = None
     names = [f"{' / '.join(controllers)}: {thrust}" for thrust, controllers in thrusts.items()]
     together = "; ".join(names)
     # Three long names of one thrust would make the legend wider than the figure.
     thrust = together if len(together) <= _LONGEST else " or ".join(thrusts)
-    for style, legs in (("dashed", "rigid"), ("dotted", "own, bending")):
-        legend.line(
-            f"static limit of the first set, {legs} legs ({thrust})", color=_LIMIT_COLOUR, linestyle=style
-        )
+    for legs, words in (("rigid", "rigid"), ("bending", "own, bending")):
+        if legs in drawn:
+            legend.line(
+                f"static limit of the first set, {words} legs ({thrust})",
+                color=_LIMIT_COLOUR, linestyle=_LIMIT_STYLES[legs],
+            )  # fmt: skip
 
 
 def _middle(cells: NDArray[np.bool_], rows: NDArray[np.bool_]) -> tuple[int, int] | None:
@@ -370,7 +397,7 @@ def _middle(cells: NDArray[np.bool_], rows: NDArray[np.bool_]) -> tuple[int, int
     return int(row), int(column)
 
 
-def _draw_experiments(axes: Axes, chosen: Sequence[Experiment], legend: _Legend) -> None:
+def _draw_experiments(axes: Axes, chosen: Sequence[Experiment], legend: MapLegend) -> None:
     for words, marker, colour, name in _MARKERS:
         points = np.array([(e.speed, e.slope_deg) for e in chosen if e.outcome in words]).reshape(-1, 2)
         if not len(points):
@@ -385,12 +412,20 @@ def _draw_experiments(axes: Axes, chosen: Sequence[Experiment], legend: _Legend)
         )  # fmt: skip
 
 
-def figure_impulse(best: Sequence[ImpulseMap]) -> Figure:
-    """Draw the best impulse: a row per surface; mean, σ over the sets of delay and duration on the grid."""
+def figure_impulse(
+    best: Sequence[ImpulseMap], names: Sequence[str] = ("delay", "duration"), *, stacked: bool = False
+) -> Figure:
+    """Draw the best impulse: a row per surface; mean, σ over the sets of delay and duration on the grid.
+
+    With `stacked`, for a narrow page, they stand below each other; then `best` is of one surface.
+    """
     shown = ("mean", "sigma") if any(len(one.sets) > 1 for one in best) else ("mean",)
-    columns = [(which, name) for name in ("delay", "duration") for which in shown]
-    figure = Figure(figsize=(0.5 + 3.5 * len(columns), 0.9 + 3.1 * len(best)), layout="constrained")
-    grid = figure.subplots(len(best), len(columns), sharex=True, sharey=True, squeeze=False)
+    columns = [(which, name) for name in names for which in shown]
+    across, down = (1, len(columns)) if stacked else (len(columns), len(best))
+    size = (WIDTH, 0.4 + 2.9 * down) if stacked else (0.5 + 3.5 * across, 0.9 + 3.1 * down)
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
+    grid = grid.reshape(len(best), len(columns))
     for row, one in zip(grid, best, strict=True):
         for axes, (which, name) in zip(row, columns, strict=True):
             values = 1e3 * (one.mean(name) if which == "mean" else one.sigma(name))
@@ -398,7 +433,8 @@ def figure_impulse(best: Sequence[ImpulseMap]) -> Figure:
             _mesh(axes, one, values, cmap="viridis", vmin=0.0, vmax=top)
             what = f"{name}, {'mean' if which == 'mean' else 'σ'} [ms]"
             axes.set_title(f"{one.surface.upper()}: {what}", fontsize=10)
-        row[0].set_ylabel("slope [deg]")
-    for axes in grid[-1]:
+        for axes in row if stacked else row[:1]:
+            axes.set_ylabel("slope [deg]")
+    for axes in grid[-1, -1:] if stacked else grid[-1]:
         axes.set_xlabel("touchdown speed [m/s]")
     return figure

@@ -23,6 +23,8 @@ from rich.text import Text
 _LARGEST_VECTOR = 160_000
 _PATH, _STEPS = re.compile(r' d="[^"]*"'), re.compile(r"\s*([MLHVCQZz])\s*")
 _NUMBERS, _DECIMALS = re.compile(r' (?:d|x|y)="[^"]*"|translate\([^)]*\)'), re.compile(r"(\d+\.\d\d)\d+")
+# A cell with more characters is prose, which may be broken [characters].
+_LONGEST_CELL = 40
 # What stands for itself in an address inside double quotes.
 _SAFE = " =:;,/()'-."
 
@@ -164,16 +166,17 @@ def markup_table(table: Table) -> Html:
     for r in range(len(table.rows)):
         cells = [f'<th scope="row">{html.escape(columns[0][r])}</th>'] if columns else []
         cells += [
-            f"<td{_class('number' if numeric[i] else '')}>{html.escape(columns[i][r])}</td>"
+            f"<td{_class(_kind(columns[i][r], numeric[i]))}>{html.escape(columns[i][r])}</td>"
             for i in range(1, len(columns))
         ]
         rows.append(f"<tr>{''.join(cells)}</tr>")
-    title = f"<caption>{html.escape(_plain(table.title))}</caption>" if table.title else ""
+    # Above the box that scrolls, not in it: a caption is as wide as its table.
+    title = paragraph(_plain(table.title), "caption").text if table.title else ""
     note = f'<p class="note">{html.escape(_plain(table.caption))}</p>' if table.caption else ""
     name = html.escape(_plain(table.title or "table"))
     return Html(
-        f'<div class="wide" tabindex="0" role="region" aria-label="{name}">'
-        f"<table>{title}<thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>{note}"
+        f'{title}<div class="wide" tabindex="0" role="region" aria-label="{name}">'
+        f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>{note}"
     )
 
 
@@ -199,6 +202,12 @@ def definitions(rows: Sequence[tuple[str, str]], title: str) -> Html:
 
 def _plain(cell: object) -> str:
     return cell.plain if isinstance(cell, Text) else str(cell)
+
+
+def _kind(cell: str, numeric: bool) -> str:
+    if numeric:
+        return "number"
+    return "prose" if len(cell) > _LONGEST_CELL else ""
 
 
 def _class(kind: str) -> str:

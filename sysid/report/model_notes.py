@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from rich.table import Table
 from rich.text import Text
 
+from sysid.gear.model import PARAMETERS as GEAR
 from sysid.gear.surfaces.low_friction import low_friction
 from sysid.landing.static_limits import slide_limit, tip_limit
+from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.motor.model import no_load_speed, simulate
 from sysid.parameter_sets import ParameterSets
 from sysid.report.diagrams import figure_geometry, figure_modes
@@ -18,6 +21,25 @@ from sysid.report.markup import Html, markup_table, picture
 # Table I as printed, and the rating it contradicts.
 _PRINTED_CONSTANT, _RATING_RPM_PER_VOLT = 0.099, 960.0
 _REVERSE_THRUST = 12.0
+# Slope on which the paper's drone slides from rest on low friction [deg].
+_PAPER_SLIDES = 22.0
+# Of the equations, what is no parameter: symbol, unit, meaning.
+_VARIABLES = (
+    ("u", "1", "command of a motor, −1 (full reverse) to 1"),
+    ("V_c", "V", "voltage that the command sets"),
+    ("I, I_eff", "A", "current of the winding, and what the controller lets through"),
+    ("Ω, Ω_0", "rad/s", "speed of the rotor, and without load"),
+    ("T, τ_aero", "N, N·m", "thrust and drag torque of the propeller"),
+    ("h", "m", "extension of a leg along itself, 0 at rest"),
+    ("q_C, q_D", "rad", "angle of the rear, front leg from the body's z axis"),
+    ("q_n", "rad", "that angle at rest, from joints and feet"),
+    ("F, M", "N, N·m", "force of a leg on the body along the leg, and moment in its joint"),
+    ("p", "m", "depth of a foot below the surface"),
+    ("v_t", "m/s", "speed of a foot along the surface, down-slope positive"),
+    ("F_n, F_t", "N", "force of the surface on a foot, normal and along it"),
+    ("f_req", "N", "friction that would hold a foot where it is"),
+    ("x_B, z_B, q_B", "m, m, rad", "place and pitch of the body in frame N"),
+)
 
 
 def misprints(motor: ParameterSets, gear: ParameterSets) -> Html:
@@ -45,28 +67,47 @@ def checks(motor: ParameterSets, gear: ParameterSets) -> Html:
     table.add_column("what")
     table.add_column("paper", justify="right")
     table.add_column("here", justify="right")
+    table.add_column("why they differ")
     slide = math.degrees(slide_limit(values["kinetic_friction"]))
     pressed = math.degrees(slide_limit(values["kinetic_friction"], ratio))
     tip = math.degrees(tip_limit(values["foot_dx"], values["foot_dz"]))
     held = math.degrees(tip_limit(values["foot_dx"], values["foot_dz"], ratio))
+    delays = [f"{1e3 * reversal_delay(motor, share=share):.0f} ms" for share in (0.9, 0.95, 0.98)]
+    same = f"{1e3 * reversal_delay(motor, after=-0.62):.0f} ms"
+    creep = 1e3 * _creep(values, _PAPER_SLIDES)
+    thrust = f"the thrust is not printed; {_REVERSE_THRUST:g} N is what both limits imply"
     for row in (
-        ("slides from rest, low friction", "22°", f"{slide:.1f}°"),
-        (f"the same with {_REVERSE_THRUST:g} N of reverse thrust", "48°", f"{pressed:.1f}°"),
-        ("tips over, stiff legs", "35°", f"{tip:.1f}°"),
-        (f"the same with {_REVERSE_THRUST:g} N of reverse thrust", "67°", f"{held:.1f}°"),
-        ("reversal, to 90 % of the thrust", "250 ms", f"{1e3 * reversal_delay(motor):.0f} ms"),
+        (
+            "slides from rest, low friction",
+            f"{_PAPER_SLIDES:g}°",
+            f"{slide:.1f}°",
+            "here the closed form atan μ_k; the law (8) itself never holds a drone, and at "
+            f"{_PAPER_SLIDES:g}° it creeps with {creep:.0f} mm/s, which is no rest",
+        ),
+        (f"the same with {_REVERSE_THRUST:g} N of reverse thrust", "48°", f"{pressed:.1f}°", thrust),
+        ("tips over, stiff legs", "35°", f"{tip:.1f}°", "rounding"),
+        (f"the same with {_REVERSE_THRUST:g} N of reverse thrust", "67°", f"{held:.1f}°", thrust),
+        (
+            "reversal, from 62 % forward to full reverse",
+            "250 ms",
+            delays[0],
+            "here until 90 % of the final thrust; the paper prints neither the commands nor the share: until "
+            f"95 % it is {delays[1]}, until 98 % {delays[2]}, and {same} from 62 % to −62 % until 90 %",
+        ),
     ):
         table.add_row(*map(Text, row))
     return markup_table(table)
 
 
-def reversal_delay(motor: ParameterSets, before: float = 0.62, after: float = -1.0) -> float:
-    """Return the time from a reversal command to 90 % of the final thrust [s]."""
+def reversal_delay(
+    motor: ParameterSets, before: float = 0.62, after: float = -1.0, share: float = 0.9
+) -> float:
+    """Return the time from a reversal command to a share of the final thrust [s]."""
     # From before the command on: a steady start is one under the command that holds there.
     time = np.linspace(-0.1, 1.5, 3201)
     run = simulate(motor.set_values(1), [-1.0, 0.0], [before, after], time, initial="steady")
     final = float(run.thrust[-1])
-    reached = np.flatnonzero(run.thrust * np.sign(final) >= 0.9 * abs(final))
+    reached = np.flatnonzero(run.thrust * np.sign(final) >= share * abs(final))
     return float(time[reached[0]])
 
 
@@ -81,6 +122,31 @@ def modes() -> Html:
     """Return the modes of the high-friction hybrid (Fig. 5), as the code switches them."""
     words = "four modes of two feet that slip or stick, arrows between them with their conditions"
     return picture(figure_modes(), words, "Modes of the hybrid (Fig. 5), asked of the code itself.")
+
+
+def symbols(motor: ParameterSets, gear: ParameterSets) -> Html:
+    """Return every symbol of the equations with its unit and meaning: what moves, then the parameters."""
+    table = Table(title=Text("symbols"))
+    for head in ("symbol", "unit", "meaning"):
+        table.add_column(head)
+    for row in _VARIABLES:
+        table.add_row(*map(Text, row))
+    for title, table_of, sets in (("motor", MOTOR, motor), ("gear", GEAR, gear)):
+        for name in sets.names:
+            # The equations hold neither the delays of instruments nor legs that differ.
+            if name not in table_of:
+                continue
+            one = table_of[name]
+            if one.unit != "s" and "/" not in one.symbol:
+                words = f"{title}: {one.meaning[:1].lower()}{one.meaning[1:].rstrip('.')}"
+                table.add_row(*map(Text, (one.symbol, one.unit or "1", words)))
+    return markup_table(table)
+
+
+def _creep(values: Mapping[str, float], slope_deg: float) -> float:
+    """Return the speed at which the low-friction law (8) creeps down a slope that it holds [m/s]."""
+    ratio = math.tan(math.radians(slope_deg)) / values["kinetic_friction"]
+    return values["slip_regularization"] * ratio / (1 - ratio)
 
 
 def _motor_rows(sets: ParameterSets) -> list[tuple[str, str, str]]:
@@ -115,10 +181,10 @@ def _motor_rows(sets: ParameterSets) -> list[tuple[str, str, str]]:
 
 def _gear_rows(sets: ParameterSets) -> list[tuple[str, str, str]]:
     v = sets.set_values(1)
-    mu, regular, gravity = v["kinetic_friction"], v["slip_regularization"], v["gravity"]
+    mu, gravity = v["kinetic_friction"], v["gravity"]
+    regular = v["slip_regularization"]
     law = (mu, regular, 0.0, 0.0, 0.0, 0.0)
     force = float(low_friction(gravity, 0.0, 1.0, 0.0, law)[0])
-    ratio = math.tan(math.radians(15.0)) / mu
     return [
         (
             "friction along the slip (8)",
@@ -129,12 +195,13 @@ def _gear_rows(sets: ParameterSets) -> list[tuple[str, str, str]]:
         (
             "ε_v not printed (8)",
             f"{regular:g} m/s, a parameter of the surface",
-            f"the law never sticks: at 15° it creeps with {1e3 * regular * ratio / (1 - ratio):.0f} mm/s",
+            f"the law never sticks: at 15° it creeps with {1e3 * _creep(v, 15.0):.0f} mm/s",
         ),
         (
             "e_v not printed (9)",
             "its limit 0: the end of the slip is located",
-            "no speed below which a foot may stick has to be chosen",
+            f"below 1 mm/s friction alone, μ_k g = {mu * gravity:.1f} m/s², stops a level slip within "
+            f"{1.0 / (mu * gravity):.1f} ms: no speed below which a foot may stick has to be chosen",
         ),
         (
             "k_t twice: Tables I and II",

@@ -22,8 +22,8 @@ FloatArray = NDArray[np.float64]
 
 # Drawn before the command, and beyond the slowest repetition's 90 % [s].
 _BEFORE, _BEYOND = 0.1, 0.2
-# Drawn after a command of a fit's trial [s].
-_AFTER = 0.5
+# Drawn after a command of a fit's trial, at least where its end comes earlier [s].
+_AFTER, _LEAST = 0.5, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ def reversal_commands(trial: TrialResult) -> list[tuple[float, float, float]]:
     time, level = trial.commands.T
     out = []
     for k in range(1, len(time)):
-        inside = trial.time[0] + _BEFORE < time[k] < trial.time[-1] - _AFTER
+        inside = trial.time[0] + _BEFORE < time[k] < trial.time[-1] - _LEAST
         if inside and level[k] * level[k - 1] < 0:
             out.append((float(time[k]), float(level[k - 1]), float(level[k])))
     return out

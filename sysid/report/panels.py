@@ -231,7 +231,7 @@ def figure_waterfall(fit: FitResult) -> Figure:
     # Differences that tell no optima apart are not drawn large.
     span = max(float(found.cost.max()) / best - 1, 5 * SAME_NRMSE)
     axes.set_ylim(1 - 0.08 * span, 1 + 1.25 * span)
-    axes.yaxis.set_major_locator(MaxNLocator(5))
+    axes.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     axes.ticklabel_format(axis="y", useOffset=False)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlim(0.5, len(fit.runs) + 0.5)

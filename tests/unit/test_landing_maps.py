@@ -21,7 +21,7 @@ from sysid.landing.outcomes import Outcome
 from sysid.pipelines.landing_maps import _summary_table
 from sysid.pipelines.landing_sources import span
 from sysid.report.figures import save_figure
-from sysid.report.landing_figures import DrawnLimits, figure_impulse, figure_landing_maps
+from sysid.report.landing_figures import DrawnLimits, MapLegend, figure_impulse, figure_landing_maps
 
 
 class Squares:
@@ -285,7 +285,7 @@ def test_figures_show_every_map(tmp_path):
         maps, limits=limits, experiments=[Experiment("lf", "off", 5.0, 0.3, "landed")]
     )
     shown = [axes for axes in figure.axes if axes.get_visible()]
-    assert [axes.get_title() for axes in shown] == ["LF, off", "LF, reverse"]
+    assert [axes.get_title().split("\n")[0] for axes in shown] == ["LF, off", "LF, reverse"]
     lines = [line.get_ydata()[0] for line in shown[0].lines]
     assert lines == [23.7, 22.0]
     # The colour of a cell is that of its classes: green where every set lands close by, white for B.
@@ -307,7 +307,8 @@ def test_figures_show_every_map(tmp_path):
     assert "static limit of the first set, rigid legs (off: 0 N; reverse: 13.8 N)" in words
     assert "not simulated" in words  # between the map's 47.5 deg and the limit of 49.9 deg
     assert shown[0].get_ylim() == (-2.5, 50.9)
-    assert any("70° (bending legs)" in text.get_text() for text in shown[1].texts)
+    # Beside the map, where it hides no cell.
+    assert shown[1].get_title().split("\n")[1] == "static limit above: 70° (bending legs)"
     assert figure.legends[0].get_title().get_text() == (
         "4 sets per map; blended colours are shares of the sets"
     )
@@ -330,6 +331,19 @@ def test_the_legend_lists_what_is_drawn_and_nothing_else():
         "mean distance to rest", "mean time to rest",
     ]  # fmt: skip
     one.uncertain[2, 3, 4] = True
+    # A limit that is told beside the map is no line of the legend.
+    limits = {("lf", "off"): DrawnLimits(0.0, 30.0, 90.0)}
+    words = [
+        t.get_text() for t in figure_landing_maps([some_map("off")], limits=limits).legends[0].get_texts()
+    ]
+    assert [word for word in words if "limit" in word] == [
+        "static limit of the first set, rigid legs (off: 0 N)"
+    ]
+    # A page's one legend takes the entries, and the figure bears none.
+    told = MapLegend()
+    assert figure_landing_maps([some_map("off")], limits=limits, legend=told).legends == []
+    assert [entry[2] for entry in told.entries()] == words
+    assert ("#d55e00", "dashed", words[-1]) in told.entries()
     far = replace(one, outcome=np.minimum(one.outcome, 1))
     figure = figure_landing_maps([far], lines=False)
     assert [text.get_text() for text in figure.legends[0].get_texts()] == [
@@ -410,7 +424,7 @@ def test_limits_are_lines_within_the_axes_and_words_outside():
     drawn = {}
     for rows in ([0, 1], [4, 5], [8, 9]):
         axes = figure_landing_maps([cut(some_map(), rows, ALL)], limits=limits).axes[0]
-        words = [text.get_text() for text in axes.texts if "limit" in text.get_text()]
+        words = axes.get_title().split("\n")[1:]
         drawn[rows[0]] = ([line.get_ydata()[0] for line in axes.lines], words)
     assert drawn == {
         0: ([], ["static limit above: 24° (rigid legs), 22° (bending legs)"]),

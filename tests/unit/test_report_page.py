@@ -448,7 +448,22 @@ def test_the_labelled_diagram_tells_the_lengths(sets):
         "= 8°",
     ):
         assert told in words
-    for symbol in ("T_r", "T_f", "m_B", "m_{leg}", "F_n", "F_t", "k_h", "k_t", "k_s", "_N", "_A"):
+    for symbol in (
+        "T_r",
+        "T_f",
+        "m_B",
+        "m_{leg}",
+        "F_n",
+        "F_t",
+        "k_h",
+        "k_t",
+        "k_s",
+        "_N",
+        "_A",
+        "_B",
+        "_C",
+        "_D",
+    ):
         assert symbol in words
 
 
