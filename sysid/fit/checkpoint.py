@@ -24,14 +24,18 @@ from filelock import FileLock, Timeout
 
 from sysid import exact_json
 from sysid.errors import FitError
-from sysid.fit.memory import RunMemory, StageMemory
+from sysid.fit.memory import Begun, RunMemory, StageMemory
 from sysid.fit.stopping import REASONS
 from sysid.writing import write_file
 
 CHECKPOINT_SCHEMA = "sysid-checkpoint"
-CHECKPOINT_VERSION = 3
-# Between two states of a run [s]: what a kill may cost. Longer only where writing is slow.
+CHECKPOINT_VERSION = 4
+# Between two states of a run [s]; longer only where writing is slow.
 INTERVAL = 1.0
+# What a kill may cost at most [s], less what writing takes.
+_OLDEST = 1.9
+# A generation may take longer than the one before.
+_LONGER = 1.1
 _LONGEST_INTERVAL = 1.5
 _SHARE = 0.03  # of the time may go into writing
 # For another process that only looks whether the fit is running [s].
@@ -96,7 +100,9 @@ class Checkpoint:
         self.folder = checkpoint_folder(fit_folder)
         self.fit_folder = Path(fit_folder)
         self._identity = exact_json.dumps(dict(identity), indent=None)
+        self._begun = time.monotonic()
         self._written: dict[int, float] = {}
+        self._offered: dict[int, float] = {}
         self._interval = INTERVAL
         self.memories: list[RunMemory] = []
         self.notes: list[str] = []
@@ -180,16 +186,17 @@ class Checkpoint:
     def keep(self, run: int, memory: RunMemory, stage_ended: bool) -> None:
         """Write the state of a run (from 0) when it is due: every second, and when a stage has ended.
 
+        It is due, too, where the next state that is offered, after as long as this one, would come too late.
+
         Raises
         ------
         FitError
             When it cannot be written; the state before is intact.
         """
         now = time.monotonic()
-        if run not in self._written:
-            # What is younger than the interval is not worth a file.
-            self._written[run] = now
-        if not stage_ended and now - self._written[run] < self._interval:
+        age, step = (now - times.get(run, self._begun) for times in (self._written, self._offered))
+        self._offered[run] = now
+        if not stage_ended and age < self._interval and age + _LONGER * step < _OLDEST:
             return
         current, previous = state_files(self.folder, run + 1)
         new = current.with_name(f"run-{run + 1}.next")
@@ -301,6 +308,9 @@ def state_bytes(memory: RunMemory, identity: str) -> bytes:
             group["asked"] = np.array(stage.asked, dtype=np.uint64)
             group["sketch"] = np.array(stage.sketch, dtype=np.float64)
             group["elapsed"] = np.array(stage.elapsed, dtype=np.float64)
+            if stage.begun is not None:
+                for name, value in vars(stage.begun).items():
+                    group[f"begun/{name}"] = np.uint64(value) if name == "asked" else value
     content = buffer.getvalue()
     return _header(content) + content
 
@@ -351,6 +361,17 @@ def _read_stage(group: Any) -> StageMemory:
         sketch=list(group["sketch"][()]),
         elapsed=[float(value) for value in group["elapsed"][()]],
         ended=ended if ended in REASONS else None,
+        begun=_read_begun(group["begun"]) if "begun" in group else None,
+    )
+
+
+def _read_begun(group: Any) -> Begun:
+    return Begun(
+        asked=int(group["asked"][()]),
+        cost=group["cost"][()],
+        failed=group["failed"][()],
+        simulations=int(group["simulations"][()]),
+        elapsed=float(group["elapsed"][()]),
     )
 
 

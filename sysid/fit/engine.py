@@ -41,6 +41,8 @@ CMAES_SPREAD = 0.01
 FINISH_POPULATION = 64
 # What the first stage may use of a budget when a finisher follows.
 _SEARCH_SHARE = 0.6
+# A generation that takes longer is scored in parts of about this [s], so that a kill costs no more.
+PART_TIME = 1.0
 # Between two looks at what the user wants [s].
 _HEARING = 0.2
 
@@ -134,6 +136,7 @@ def run_one(
     memory: RunMemory | None = None,
     hooks: Hooks | None = None,
     breeds: _Breeds = breeder,
+    candidate_time: float | None = None,
 ) -> RunHistory:
     """Run one of the independent runs of a fit.
 
@@ -153,6 +156,9 @@ def run_one(
         Who is told what goes on.
     breeds : callable, optional
         `breeder`, or `BreederApart` to breed in a process of its own.
+    candidate_time : float, optional
+        What a candidate takes to score [s], until it was measured; a first generation that would take over
+        a second is then scored in parts.
 
     Raises
     ------
@@ -164,7 +170,8 @@ def run_one(
     seed = settings.run_seeds()[run]
     memory = RunMemory(seed) if memory is None else memory
     memory.reopen()
-    return _Run(objective, settings, run, seed, time_limit, memory, hooks or Hooks(), breeds).history()
+    begun = _Run(objective, settings, run, seed, time_limit, memory, hooks or Hooks(), breeds, candidate_time)
+    return begun.history()
 
 
 class _Run:
@@ -178,8 +185,9 @@ class _Run:
         memory: RunMemory,
         hooks: Hooks,
         breeds: _Breeds,
+        candidate_time: float | None,
     ) -> None:
-        self.breeds = breeds
+        self.breeds, self.candidate_time = breeds, candidate_time
         self.objective, self.settings, self.run, self.seed = objective, settings, run, seed
         self.memory, self.hooks = memory, hooks
         self.started = time.perf_counter()
@@ -226,7 +234,7 @@ class _Run:
     def _bred(
         self, name: str, bred: Breeder | BreederApart, rule: StopRule, memory: StageMemory
     ) -> StageHistory:
-        remembered, already = len(memory.cost), memory.elapsed[-1] if memory.elapsed else 0.0
+        remembered, already = len(memory.cost), memory.spent
         began = time.perf_counter()
         generations: list[Generation] = []
         best: list[float] = []
@@ -242,7 +250,7 @@ class _Run:
                 self.memory.forget_from(memory, len(generations))
                 new, remembered = True, len(generations)
             if new:
-                scored = _scored(self.objective, points)
+                scored = self._scored(points, memory, already - began)
                 elapsed = already + time.perf_counter() - began
                 memory.append(points, scored, elapsed, causes_of(self.objective))
             bred.tell(memory.cost[len(generations)])
@@ -271,6 +279,32 @@ class _Run:
             wall_time=already + time.perf_counter() - began,
             stop_reason=reason,
         )
+
+    def _scored(self, points: FloatArray, memory: StageMemory, offset: float) -> Evaluation:
+        """Score a generation; one that takes long in parts, each of which is kept.
+
+        Rows do not know each other, so the cut changes no bit. `offset` brings the clock to the stage's [s].
+        """
+        done = memory.recalls_begun(points, self.memory.elsewhere)
+        while True:
+            size = self._part(len(points) - done)
+            began = time.perf_counter()
+            scored = _scored(self.objective, points[done : done + size])
+            now = time.perf_counter()
+            self.candidate_time = (now - began) / size
+            if size == len(points):
+                return scored
+            begun = memory.begin(points, scored, offset + now)
+            done += size
+            if done == len(points):
+                return begun.evaluation
+            if self.hooks.keep is not None:
+                self.hooks.keep(self.run, self.memory, False)
+
+    def _part(self, left: int) -> int:
+        """Return how many of the candidates that are left make a part."""
+        parts = 1 if self.candidate_time is None else ceil(left * self.candidate_time / PART_TIME)
+        return ceil(left / max(parts, 1))
 
     def _generation(
         self, memory: StageMemory, index: int, name: str, population: tuple[FloatArray, FloatArray]
@@ -330,6 +364,7 @@ def run_many(
     hooks: Hooks | None = None,
     at_once: int = 1,
     breeds: _Breeds = breeder,
+    candidate_time: float | None = None,
 ) -> tuple[RunHistory, ...]:
     """Run the independent runs of a fit.
 
@@ -348,6 +383,8 @@ def run_many(
         numbers do not depend on it.
     breeds : callable, optional
         `breeder`, or `BreederApart` to breed every run in a process of its own.
+    candidate_time : float, optional
+        As of `run_one`.
 
     Returns
     -------
@@ -382,6 +419,7 @@ def run_many(
             memory=known.get(settings.run_seeds()[run]),
             hooks=replace(hooks, should_stop=stop),
             breeds=breeds,
+            candidate_time=candidate_time,
         )
         if hooks.on_run is not None:
             hooks.on_run(run, history)

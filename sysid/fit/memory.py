@@ -45,6 +45,36 @@ def sketch(cube: FloatArray) -> FloatArray:
 
 
 @dataclass
+class Begun:
+    """The first candidates of a generation that takes long: what of it is paid for.
+
+    Parameters
+    ----------
+    asked : int
+        `fingerprint` of all candidates of the generation.
+    cost : (k,) array
+        Of the first ones [1].
+    failed : (k,) int8 array
+        As `sysid.fit.objective.Evaluation` has it.
+    simulations : int
+        Of them [1].
+    elapsed : float
+        Wall time of the stage until then [s].
+    """
+
+    asked: int
+    cost: FloatArray
+    failed: NDArray[np.int8]
+    simulations: int
+    elapsed: float
+
+    @property
+    def evaluation(self) -> Evaluation:
+        """What was scored."""
+        return Evaluation(self.cost, self.failed, self.simulations)
+
+
+@dataclass
 class StageMemory:
     """What one stage has scored, generation by generation.
 
@@ -66,6 +96,8 @@ class StageMemory:
         Wall time of the stage at the end of every generation [s].
     ended : str, optional
         Why the stage ended, a key of `sysid.fit.stopping.REASONS`; None while it is running.
+    begun : Begun, optional
+        Of the generation after these.
     """
 
     algorithm: str
@@ -77,6 +109,12 @@ class StageMemory:
     sketch: list[FloatArray] = field(default_factory=list)
     elapsed: list[float] = field(default_factory=list)
     ended: StopReason | None = None
+    begun: Begun | None = None
+
+    @property
+    def spent(self) -> float:
+        """Wall time of the stage so far [s]."""
+        return self.begun.elapsed if self.begun is not None else self.elapsed[-1] if self.elapsed else 0.0
 
     def append(
         self,
@@ -93,6 +131,42 @@ class StageMemory:
         self.asked.append(fingerprint(points))
         self.sketch.append(sketch(points))
         self.elapsed.append(elapsed)
+        self.begun = None
+
+    def begin(self, points: FloatArray, scored: Evaluation, elapsed: float) -> Begun:
+        """Remember the next candidates of a generation of which there are more; return all of it."""
+        failed = np.asarray(scored.failed, dtype=np.int8)
+        cost, simulations = np.array(scored.cost, dtype=np.float64), int(scored.simulations)
+        if self.begun is not None:
+            cost = np.concatenate([self.begun.cost, cost])
+            failed = np.concatenate([self.begun.failed, failed])
+            simulations += self.begun.simulations
+        self.begun = Begun(fingerprint(points), cost, failed, simulations, elapsed)
+        return self.begun
+
+    def recalls_begun(self, points: FloatArray, elsewhere: bool) -> int:
+        """Return how many of the candidates asked for were scored before; the arguments of `recalls`.
+
+        Raises
+        ------
+        FitError
+            As `recalls`.
+        """
+        if self.begun is None:
+            return 0
+        if self.begun.asked == fingerprint(points):
+            return len(self.begun.cost)
+        if not elsewhere:
+            raise self._other_candidates(len(self.cost))
+        self.begun = None
+        return 0
+
+    def _other_candidates(self, generation: int) -> FitError:
+        return FitError(
+            f"the checkpoint cannot be continued: generation {generation + 1} of {self.algorithm} asks "
+            "for other candidates than were scored, so a library has changed; continue where the fit was "
+            "begun, or start anew with --force"
+        )
 
     def recalls(self, generation: int, points: FloatArray, elsewhere: bool) -> bool:
         """Return whether the remembered costs of a generation are those of the candidates asked for.
@@ -116,11 +190,7 @@ class StageMemory:
         if self.asked[generation] == fingerprint(points):
             return True
         if not elsewhere:
-            raise FitError(
-                f"the checkpoint cannot be continued: generation {generation + 1} of {self.algorithm} asks "
-                "for other candidates than were scored, so a library has changed; continue where the fit was "
-                "begun, or start anew with --force"
-            )
+            raise self._other_candidates(generation)
         same = len(self.cost[generation]) == len(points)
         if not same or np.max(np.abs(sketch(points) - self.sketch[generation])) > SAME_SKETCH:
             return False
@@ -133,7 +203,7 @@ class StageMemory:
         numbers = (self.cost, self.failed, self.causes, self.simulations)
         for entries in (*numbers, self.asked, self.sketch, self.elapsed):
             del entries[generation:]
-        self.ended = None
+        self.ended = self.begun = None
 
 
 @dataclass

@@ -6,6 +6,7 @@ import hashlib
 import os
 import platform
 import subprocess
+import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -237,7 +238,10 @@ def search(
     """
     # What no hash of a log or a table covers (a static log, a kernel) shows in the costs of some candidates.
     points = np.random.default_rng(0).random((_PROBES, len(objective.space.free)))
+    began = time.perf_counter()
     costs = [float(cost).hex() for cost in objective.evaluate(points).cost]
+    # With what is loaded or compiled on the way rather too long, which only makes the first part shorter.
+    candidate_time = (time.perf_counter() - began) / _PROBES
     identity = {**identity, PROBES: costs, PROCESSOR: processor()}
     checkpoint = Checkpoint(folder, identity, resume=options.resume, force=options.force)
     try:
@@ -255,6 +259,7 @@ def search(
                 hooks=hooks,
                 at_once=where.at_once,
                 breeds=BreederApart if _breeds_apart(options.dask) else breeder,
+                candidate_time=candidate_time,
             )
     except BaseException:
         checkpoint.close()

@@ -186,22 +186,24 @@ def table(arguments, folder):
         if own:
             lines += [f"{words} (`{part}`)", ""]
             names = [key for key in own[0] if key not in ("part", "problem", "measured")]
+            # Wall time is of a quiet machine or of no use.
+            names = [key for key in names if all(d[key] is not None for d in own)]
             lines += ["| | " + " | ".join(d["problem"] for d in own) + " |", "|---|" + "---:|" * len(own)]
             lines += [f"| {name} | " + " | ".join(f"{d[name]:.3g}" for d in own) + " |" for name in names]
             lines.append("")
-    lines += ["Measured:", ""]
-    lines += list(dict.fromkeys(f"- {_when(document)}" for document in documents))
+    for machine in dict.fromkeys(_machine(document) for document in documents):
+        own = [document for document in documents if _machine(document) == machine]
+        lines += [f"Measured {machine}, by", "", "```sh"]
+        lines += [f"python tests/benchmarks/engine.py {d['measured']['command']}" for d in own] + ["```", ""]
+    lines.pop()
     arguments.write.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
     print(f"wrote {arguments.write}")
 
 
-def _when(document):
-    measured = document["measured"]
-    versions = ", ".join(f"{name} {version}" for name, version in measured["versions"].items())
-    return (
-        f"{measured['date']}, {measured['processor']}, {measured['cores']} cores, {versions}: "
-        f"`python tests/benchmarks/engine.py {measured['command']}`"
-    )
+def _machine(document):
+    when = document["measured"]
+    versions = ", ".join(f"{name} {number}" for name, number in when["versions"].items())
+    return f"on {when['date']} with {when['processor']}, {when['cores']} cores, {versions}"
 
 
 def measured(words):
@@ -233,7 +235,7 @@ def overhead(arguments, folder):
             computing[0] += time.process_time() - clock
             return scored
 
-    settings = SearchSettings(runs=1, seed=1)
+    settings, quiet = SearchSettings(runs=1, seed=1), os.getloadavg()[0] < 1.5
     hold = Checkpoint(Path(folder) / "fit", {"benchmark": 1})
     writing = [0.0]
 
@@ -247,9 +249,11 @@ def overhead(arguments, folder):
     wall, processor = time.perf_counter() - began, time.process_time() - clock
     hold.discard()
     out = {
-        "wall [s]": wall,
-        "checkpoints [%]": 100 * writing[0] / wall,
-        "breeding and the rest [%]": 100 * (wall - simulating[0] - writing[0]) / wall,
+        "wall [s]": wall if quiet else None,
+        "of it checkpoints [%]": 100 * writing[0] / wall if quiet else None,
+        "of it breeding and the rest [%]": 100 * (wall - simulating[0] - writing[0]) / wall
+        if quiet
+        else None,
         "processor time [s]": processor,
         "of it outside the simulations [%]": 100 * (processor - computing[0]) / processor,
     }

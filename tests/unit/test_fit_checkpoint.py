@@ -15,6 +15,7 @@ from test_fit_engine import Bowl, assert_same_run
 
 from sysid.errors import FitError
 from sysid.fit import checkpoint as checkpoint_module
+from sysid.fit import engine as engine_module
 from sysid.fit.algorithms import breeder
 from sysid.fit.checkpoint import (
     PROBES,
@@ -308,26 +309,79 @@ if sys.platform != "win32":  # which has no such limit
         assert notes == []
 
 
-def test_written_every_second_and_at_every_stage_end(tmp_path, monkeypatch):
-    monkeypatch.setattr(checkpoint_module, "INTERVAL", 0.05)
-    monkeypatch.setattr(checkpoint_module, "_SHARE", 1.0)
-    written = []
+class Clock:
+    """Time that passes only where a test lets it."""
+
+    def __init__(self):
+        self.now = 100.0
+
+    def perf_counter(self):
+        return self.now
+
+    monotonic = perf_counter
+
+
+@pytest.mark.parametrize("generation", [0.05, 0.3, 0.7, 0.99, 1.2, 1.4, 1.9, 2.5, 7.0])
+def test_no_state_is_older_than_two_seconds(tmp_path, monkeypatch, generation):
+    """From the run's begin on, for generations of any length [s]; every write takes 0.05 s of them."""
+    clock, written = Clock(), []
+    monkeypatch.setattr(checkpoint_module, "time", clock)
+    monkeypatch.setattr(engine_module, "time", clock)
     real = checkpoint_module.write_file
-    monkeypatch.setattr(
-        checkpoint_module, "write_file", lambda *a: (written.append(time.monotonic()), real(*a))
-    )
+
+    def write(*arguments):
+        clock.now += 0.05
+        real(*arguments)
+        written.append(clock.now)
+
+    monkeypatch.setattr(checkpoint_module, "write_file", write)
 
     class Slow(Bowl):
         def evaluate(self, cube):
-            time.sleep(0.01)
+            clock.now += len(cube) * generation / 40
             return super().evaluate(cube)
 
-    started = time.monotonic()
-    run_all(tmp_path / "fit", Slow(), settings=SearchSettings(40, 1, 5, SETTINGS.stop, "ga"))
-    gaps = np.diff([started, *written])
-    assert len(written) >= 5
-    # The interval, a generation, and what a loaded machine adds.
-    assert gaps.max() < 0.5
+    hold, begun = Checkpoint(tmp_path / "fit", IDENTITY), clock.now
+    settings = SearchSettings(40, 1, 5, StopRule(max_generations=9), "ga")
+    (run,) = run_many(Slow(), settings, hooks=Hooks(keep=hold.keep), candidate_time=generation / 40)
+    hold.discard()
+    gaps = np.diff([begun, *written])
+    assert gaps.max() <= 2.0
+    # Both stages' ends are written, and nothing is written without need.
+    assert written[-1] == clock.now
+    assert len(written) <= 2 + (clock.now - begun) / min(0.5, checkpoint_module.INTERVAL)
+    # How a generation is cut changes no bit.
+    assert_same_run(run, run_many(Bowl(), settings)[0])
+
+
+class Killed(Bowl):
+    """Counts its candidates; dies at one of its calls."""
+
+    def __init__(self, last=None):
+        super().__init__()
+        self.last, self.scored = last, 0
+
+    def evaluate(self, cube):
+        if self.calls == self.last:
+            raise KeyboardInterrupt
+        self.scored += len(cube)
+        return super().evaluate(cube)
+
+
+# A run has 14 generations of 40 candidates in 3 parts and 14 of 64 in 5.
+@pytest.mark.parametrize("calls", [1, 2, 5, 44, 111, 335])
+def test_a_generation_under_way_is_continued(tmp_path, monkeypatch, whole, calls):
+    """What was scored of the generation in which a fit was killed is not scored again."""
+    monkeypatch.setattr(checkpoint_module, "INTERVAL", 0.0)
+    monkeypatch.setattr(checkpoint_module, "_LONGEST_INTERVAL", 0.0)
+    monkeypatch.setattr(engine_module._Run, "_part", lambda run, left: min(left, 15))
+    first, again = Killed(calls), Killed()
+    with pytest.raises(KeyboardInterrupt):
+        run_all(tmp_path / "fit", first, done=False)
+    found, notes = run_all(tmp_path / "fit", again, resume=True)
+    assert notes == []
+    assert_same(found, whole)
+    assert first.scored + again.scored == sum(run.evaluations for run in whole)
 
 
 HERE = str(Path(__file__).parent)
@@ -339,15 +393,16 @@ work(sys.argv[2], sys.argv[3] == "resume")
 
 
 class Paced(Bowl):
-    """Slow enough that a kill hits every part of a fit, writing included."""
+    """Slow enough that a kill hits every part of a fit, writing and generations under way included."""
 
     def evaluate(self, cube):
-        time.sleep(0.002)
+        time.sleep(5e-5 * len(cube))
         return super().evaluate(cube)
 
 
 def work(fit, resume, limit=lambda: None):
     checkpoint_module.INTERVAL = 0.0
+    engine_module.PART_TIME = 1e-3
     limit()
     hold = Checkpoint(fit, IDENTITY, resume=resume)
     print("begun", flush=True)
