@@ -20,24 +20,10 @@ from sysid.gear.model import (
     simulate_population,
 )
 from sysid.parameters import SearchSpace
+from sysid.published import table_2
 
 REFERENCES = Path(__file__).resolve().parents[1] / "reference"
-# Table II, high friction, mean of five fits.
-PAPER = {
-    "joint_dx": 0.067,
-    "joint_dz": 0.019,
-    "leg_axial_stiffness": 6670.0,
-    "leg_axial_damping": 20.3,
-    "leg_bending_stiffness": 3.44,
-    "leg_bending_damping": 0.017,
-    "ground_stiffness": 1.49e5,
-    "ground_damping": 0.058,
-    "leg_mass": 0.015,
-    "leg_inertia": 2.1e-4,
-    "kinetic_friction": 0.87,
-    "static_friction_excess": 0.08,
-}
-P = PARAMETERS.nominal | PAPER
+P = table_2("hf").set_values(1)
 # What a fit simulates with; a single drop takes a tighter one by default.
 FIT = SURFACES["hf"].tolerance
 SIX = [(5, 0.5), (10, 0.8), (15, 0.6), (20, 1.0), (27, 0.7), (35, 0.45)]
@@ -317,9 +303,7 @@ def make_drops():
 def test_population_equals_single_drops_for_any_threads():
     drops = make_drops()
     space = SearchSpace.build(PARAMETERS, HF_FREE, {})
-    rows = np.concatenate(
-        [pack(PAPER)[None], space.full(np.random.default_rng(5).random((12, len(HF_FREE))))]
-    )
+    rows = np.concatenate([pack(P)[None], space.full(np.random.default_rng(5).random((12, len(HF_FREE))))])
     one = simulate_population(rows, drops, surface="hf", threads=1)
     two = simulate_population(rows[::-1], drops, surface="hf", threads=2)
     np.testing.assert_array_equal(one.samples, two.samples[::-1])

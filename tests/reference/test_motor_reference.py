@@ -9,25 +9,12 @@ import pytest
 from sysid.motor import kernel
 from sysid.motor.model import PARAMETERS, pack, simulate
 from sysid.motor.population import MotorTrial, MotorTrials, simulate_population
+from sysid.published import table_1
 
 HERE = Path(__file__).parent
 
-REFERENCE = {
-    "winding_resistance": 0.299,
-    "winding_inductance": 0.0038,
-    "viscous_damping": 9.2e-9,
-    "back_emf_constant": 0.00995,
-    "torque_constant": 0.00995,
-    "rotor_inertia": 2.7e-5,
-    "saturation_current": 0.35,
-    "saturation_speed": 6.3,
-    "no_load_slope_forward": 1030.0,
-    "no_load_slope_reverse": 1030.0,
-    "thrust_quadratic_forward": 1.2e-5,
-    "thrust_quadratic_reverse": 0.62e-5,
-    "torque_quadratic_forward": 1.65e-7,
-    "torque_quadratic_reverse": 1.7e-7,
-}
+# The motor that the independent code integrated.
+REFERENCE = table_1().set_values(1)
 
 
 def _reference(name: str) -> tuple[pd.DataFrame, np.ndarray, np.ndarray]:
