@@ -1,11 +1,11 @@
-"""What tests share: the command line, and two threads also on one core, as many compare one with two."""
+"""What tests share: the command line, small logs, and two threads also on one core."""
 
 import os
 
 import pytest
 
 if int(os.environ.get("NUMBA_NUM_THREADS") or os.cpu_count() or 1) < 2:
-    # Numba reads it when it is first imported.
+    # Many compare one thread with two; Numba reads this when it is first imported.
     os.environ["NUMBA_NUM_THREADS"] = "2"
 
 
@@ -23,5 +23,17 @@ def run(monkeypatch, capsys):
             code = int(stop.code or 0)
         captured = capsys.readouterr()
         return code, captured.out, captured.err
+
+    return call
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write a file into the test's folder: ``write("a,b\\n1,2\\n", "log.csv")`` returns its path."""
+
+    def call(content, name="log"):
+        path = tmp_path / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
+        return path
 
     return call

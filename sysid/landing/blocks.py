@@ -10,7 +10,7 @@ import hashlib
 import io
 import shutil
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
@@ -205,9 +205,3 @@ def compute_blocks(
 def digest(value: Any) -> str:
     """Return the SHA-256 of anything that JSON can hold, for an identity."""
     return hashlib.sha256(exact_json.dumps(value, indent=None).encode("utf-8")).hexdigest()
-
-
-def in_order(names: Sequence[str], found: Mapping[str, Columns]) -> Columns:
-    """Return the blocks' columns joined in the order of their names."""
-    parts = [found[name] for name in names]
-    return tuple(np.concatenate(column) for column in zip(*parts, strict=True))

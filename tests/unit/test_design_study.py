@@ -264,16 +264,8 @@ def test_command_threads_and_resume(files, monkeypatch, run):
 
 def test_rules_are_options_of_a_study(files, run):
     late = (
-        *BASE,
-        "--vary",
-        "k_t=1:1:1",
-        "--slopes",
-        "10,20",
-        "--speeds",
-        "0.4",
-        "--controller",
-        "impulse:3,0.1",
-    )
+        *BASE, "--vary", "k_t=1:1:1", "--slopes", "10,20", "--speeds", "0.4", "--controller", "impulse:3,0.1",
+    )  # fmt: skip
     code, _, err = run(*late)
     assert (code, "only 3 s are simulated" in err, "--horizon" in err) == (2, True, True), err
     rules = (

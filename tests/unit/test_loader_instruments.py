@@ -11,17 +11,6 @@ from sysid.errors import LogError, SysidError, UnitError
 from sysid.loaders import detect, load
 from sysid.loaders.rigid_pose import fit_rotations
 
-
-@pytest.fixture
-def write(tmp_path):
-    def write(content, name="log"):
-        path = tmp_path / name
-        path.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
-        return path
-
-    return write
-
-
 # One lbf and one lbf-in as the maker of the transducer states them.
 LBF, LBF_IN = 4.4482216152605, 0.1129848290276167
 CAL = """<?xml version="1.0" encoding="utf-8"?>

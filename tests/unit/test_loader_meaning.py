@@ -8,16 +8,6 @@ from sysid.inspection import inspect_recording
 from sysid.loaders import load
 
 
-@pytest.fixture
-def write(tmp_path):
-    def write(content, name="log"):
-        path = tmp_path / name
-        path.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
-        return path
-
-    return write
-
-
 def rows(count, line):
     return "".join(line.format(t=0.01 * i, i=i) + "\n" for i in range(count))
 

@@ -11,16 +11,6 @@ from sysid.errors import LogError, UnitError
 from sysid.loaders import load
 
 
-@pytest.fixture
-def write(tmp_path):
-    def write(content, name="log"):
-        path = tmp_path / name
-        path.write_text(content, encoding="utf-8")
-        return path
-
-    return write
-
-
 def notes(recording):
     return " | ".join(recording.provenance.notes)
 

@@ -19,16 +19,6 @@ POSE = "t_s,x_m,y_m,z_m,qw,qx,qy,qz\n0,0,0,0,1,0,0,0\n0.01,0,0,0,1,0,0,0\n"
 MOTIVE = "Format Version,1.23,Take Name,a\n\n"
 
 
-@pytest.fixture
-def write(tmp_path):
-    def write(content, name="log"):
-        path = tmp_path / name
-        path.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
-        return path
-
-    return write
-
-
 @pytest.mark.parametrize(
     ("content", "name"),
     [
