@@ -6,23 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid import cli
 from sysid.fit.store import read_fit
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
 SMALL = ("--algorithm", "ga", "--population", "16", "--runs", "2", "--max-generations", "4", "--quiet")
-
-
-def run(monkeypatch, capsys, *arguments):
-    """Run the command line in this process; return exit code, standard output and standard error."""
-    monkeypatch.setattr("sys.argv", ["sysid", *map(str, arguments)])
-    code = 0
-    try:
-        cli.main()
-    except SystemExit as stop:
-        code = int(stop.code or 0)
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
 
 
 @pytest.fixture
@@ -41,46 +28,46 @@ def assert_same_fit(a, b):
             np.testing.assert_array_equal(first.cost, second.cost)
 
 
-def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, monkeypatch, capsys):
-    assert run(monkeypatch, capsys, "fit-gear", campaign, *SMALL, "--out", "whole")[0] == 0
+def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, run):
+    assert run("fit-gear", campaign, *SMALL, "--out", "whole")[0] == 0
     assert not Path("whole.checkpoint").exists()
     whole = read_fit("whole")
     assert whole.state == "done"
     assert [s.algorithm for r in whole.runs for s in r.stages] == ["ga", "cmaes"] * 2
 
     fit = ("fit-gear", campaign, *SMALL, "--out", "cut")
-    assert run(monkeypatch, capsys, *fit, "--time-limit", "0.001 s")[0] == 0
+    assert run(*fit, "--time-limit", "0.001 s")[0] == 0
     cut = read_fit("cut")
     assert cut.state == "stopped"
     assert {s.stop_reason for r in cut.runs for s in r.stages} == {"time"}
     assert len(cut.nrmse) == 2
 
-    code, _, err = run(monkeypatch, capsys, *fit)
+    code, _, err = run(*fit)
     assert code == 2
     assert "unfinished fit is there; continue it with --resume, or discard it with --force" in err
-    code, _, err = run(monkeypatch, capsys, *fit, "--resume", "--seed", "9")
+    code, _, err = run(*fit, "--resume", "--seed", "9")
     assert code == 2
     assert "the seed differs (now 9, then 1)" in err
-    code, _, err = run(monkeypatch, capsys, *fit, "--resume")
+    code, _, err = run(*fit, "--resume")
     assert code == 0, err
     assert read_fit("cut").state == "done"
     assert not Path("cut.checkpoint").exists()
     assert_same_fit("cut", "whole")
-    code, _, err = run(monkeypatch, capsys, *fit, "--resume")
+    code, _, err = run(*fit, "--resume")
     assert code == 2
     assert "no unfinished fit to continue is there" in err
 
 
-def test_fits_lists_states(campaign, monkeypatch, capsys):
+def test_fits_lists_states(campaign, run):
     from sysid.fit.checkpoint import checkpoint_folder, lock
     from sysid.pipelines.fits import list_fits
 
-    code, _, err = run(monkeypatch, capsys, "fits")
+    code, _, err = run("fits")
     assert code == 2
     assert "no such folder" in err
-    assert run(monkeypatch, capsys, "fit-gear", campaign, *SMALL, "--out", "fits/whole")[0] == 0
+    assert run("fit-gear", campaign, *SMALL, "--out", "fits/whole")[0] == 0
     cut = ("fit-gear", campaign, *SMALL, "--out", "fits/cut", "--time-limit", "0.001 s")
-    assert run(monkeypatch, capsys, *cut)[0] == 0
+    assert run(*cut)[0] == 0
     Path("fits/broken").mkdir()
     Path("fits/broken/fit.h5").write_bytes(b"dust")
     found = {entry.name: entry for entry in list_fits("fits")}
@@ -93,16 +80,16 @@ def test_fits_lists_states(campaign, monkeypatch, capsys):
     with lock(checkpoint_folder("fits/cut")):
         assert {entry.name: entry.state for entry in list_fits("fits")}["cut"] == "running"
         for more in ((), ("--resume",), ("--force",)):
-            code, _, err = run(monkeypatch, capsys, *cut, *more)
+            code, _, err = run(*cut, *more)
             assert code == 2
             assert "another process is working on this fit; wait for it" in err
-    code, out, _ = run(monkeypatch, capsys, "fits")
+    code, out, _ = run("fits")
     assert code == 0
     assert "whole" in out
     assert "--resume" in out
 
 
-def test_fits_of_a_lock_that_cannot_be_opened(cut, monkeypatch, capsys):
+def test_fits_of_a_lock_that_cannot_be_opened(cut, monkeypatch, run):
     """A folder in the lock's place, and a lock of somebody else: neither ends the list in a traceback."""
     from sysid.fit import checkpoint
     from sysid.pipelines.fits import list_fits
@@ -112,7 +99,7 @@ def test_fits_of_a_lock_that_cannot_be_opened(cut, monkeypatch, capsys):
     assert [entry.state for entry in list_fits("fits")] == ["stopped"]
     assert not (folder / "lock").exists()
     (folder / "lock").mkdir()
-    code, out, err = run(monkeypatch, capsys, "fits")
+    code, out, err = run("fits")
     assert (code, err) == (0, "")
     assert "unfinished" in out
     (folder / "lock").rmdir()
@@ -125,7 +112,7 @@ def test_fits_of_a_lock_that_cannot_be_opened(cut, monkeypatch, capsys):
     assert [entry.state for entry in list_fits("fits")] == ["unfinished"]
 
 
-def test_an_aborted_fit_says_how_it_goes_on(campaign, monkeypatch, capsys):
+def test_an_aborted_fit_says_how_it_goes_on(campaign, monkeypatch, run):
     """Aborted after its search: nothing is written, nothing is lost, and nobody is kept out."""
     import signal
 
@@ -138,23 +125,23 @@ def test_an_aborted_fit_says_how_it_goes_on(campaign, monkeypatch, capsys):
     fit = ("fit-gear", campaign, *(word for word in SMALL if word != "--quiet"))
     with monkeypatch.context() as patched:
         patched.setattr(gear, "trial_results", aborted)
-        code, _, err = run(patched, capsys, *fit)
+        code, _, err = run(*fit)
     assert code == 130
     folder = Path("fits") / "synthetic-lf"
     assert err.endswith(f"{folder}: aborted; what was scored is kept, continue with --resume\n")
     assert signal.getsignal(signal.SIGINT) is before
     assert not folder.exists()
-    assert run(monkeypatch, capsys, *fit, "--resume")[0] == 0
+    assert run(*fit, "--resume")[0] == 0
     assert read_fit(folder).state == "done"
 
 
-def test_a_fit_whose_last_runs_were_not_begun_is_not_done(campaign, monkeypatch, capsys):
+def test_a_fit_whose_last_runs_were_not_begun_is_not_done(campaign, monkeypatch, run):
     from sysid.pipelines import search
 
     real = search.run_many
     with monkeypatch.context() as patched:
         patched.setattr(search, "run_many", lambda *a, **more: real(*a, **more)[:1])
-        code, _, _ = run(patched, capsys, "fit-gear", campaign, *SMALL, "--finish", "none")
+        code, _, _ = run("fit-gear", campaign, *SMALL, "--finish", "none")
     assert code == 130
     cut = read_fit(Path("fits") / "synthetic-lf")
     assert cut.state == "stopped"
@@ -163,12 +150,12 @@ def test_a_fit_whose_last_runs_were_not_begun_is_not_done(campaign, monkeypatch,
     assert any(warning.startswith("1 of 2 runs was begun") for warning in cut.warnings)
 
 
-def test_the_record_says_what_was_run(campaign, monkeypatch, capsys):
+def test_the_record_says_what_was_run(campaign, run):
     import h5py
 
     from sysid import exact_json
 
-    assert run(monkeypatch, capsys, "fit-gear", campaign, *SMALL)[0] == 0
+    assert run("fit-gear", campaign, *SMALL)[0] == 0
     folder = Path("fits") / "synthetic-lf"
     with h5py.File(folder / "fit.h5", "r") as file:
         record = exact_json.loads(file["record_json"].asstr()[()])
@@ -185,21 +172,21 @@ def test_the_record_says_what_was_run(campaign, monkeypatch, capsys):
         assert words in text
 
 
-def test_a_changed_log_is_not_continued(campaign, monkeypatch, capsys):
+def test_a_changed_log_is_not_continued(campaign, run):
     fit = ("fit-gear", campaign, *SMALL)
-    assert run(monkeypatch, capsys, *fit, "--time-limit", "0.001 s")[0] == 0
+    assert run(*fit, "--time-limit", "0.001 s")[0] == 0
     log = campaign.parent / "drop-2-10deg-0.80mps.csv"
     log.write_bytes(log.read_bytes() + b"\r\n")
-    code, _, err = run(monkeypatch, capsys, *fit, "--resume")
+    code, _, err = run(*fit, "--resume")
     assert code == 2
     assert "log drop-2 differs" in err
 
 
 @pytest.fixture
-def cut(campaign, monkeypatch, capsys):
+def cut(campaign, run):
     """The command of a fit that its time limit has cut, for `--resume`."""
     fit = ("fit-gear", campaign, *SMALL)
-    assert run(monkeypatch, capsys, *fit, "--time-limit", "0.001 s")[0] == 0
+    assert run(*fit, "--time-limit", "0.001 s")[0] == 0
     return fit
 
 
@@ -213,45 +200,45 @@ def cut(campaign, monkeypatch, capsys):
         (("--max-evaluations", "900"), "the evaluation budget of a run differs (now 450, then nothing)"),
     ],
 )
-def test_another_search_is_not_continued(more, words, cut, monkeypatch, capsys):
-    code, _, err = run(monkeypatch, capsys, *cut, "--resume", *more)
+def test_another_search_is_not_continued(more, words, cut, run):
+    code, _, err = run(*cut, "--resume", *more)
     assert code == 2
     assert words in err
     assert "restore it, or start anew with --force" in err
 
 
-def test_another_surface_is_not_continued(campaign, monkeypatch, capsys):
+def test_another_surface_is_not_continued(campaign, run):
     # Its low friction lies outside the bounds of high friction; it is left out there.
     assert "kinetic_friction = 0.44" in campaign.read_text(encoding="utf-8")
     fit = ("fit-gear", campaign, *SMALL)
-    assert run(monkeypatch, capsys, *fit, "--time-limit", "0.001 s")[0] == 0
-    code, _, err = run(monkeypatch, capsys, *fit, "--resume", "--surface", "hf")
+    assert run(*fit, "--time-limit", "0.001 s")[0] == 0
+    code, _, err = run(*fit, "--resume", "--surface", "hf")
     assert code == 2
     assert "the parameter table differs" in err
     assert "restore it, or start anew with --force" in err
 
 
-def test_low_friction_drops_are_fitted_on_the_high_friction_law(campaign, monkeypatch, capsys):
+def test_low_friction_drops_are_fitted_on_the_high_friction_law(campaign, run):
     """The stated friction, outside the bounds that high friction has, is of the other surface."""
     fit = ("fit-gear", campaign, *SMALL[:-1], "--surface", "hf", "--max-generations", "1", "--finish", "none")
-    code, _, err = run(monkeypatch, capsys, *fit)
+    code, _, err = run(*fit)
     assert code == 0, err
     said = "kinetic_friction, slip_regularization stated there are of the other surface and not used"
     assert " ".join(err.split()).count(said) == 1
-    code, _, err = run(monkeypatch, capsys, "fit-gear", campaign, "--surface", "ice", "--force")
+    code, _, err = run("fit-gear", campaign, "--surface", "ice", "--force")
     assert code == 2
     assert "no friction law 'ice'; known are lf, hf" in err
 
 
-def test_an_edited_campaign_is_not_continued(cut, monkeypatch, capsys):
+def test_an_edited_campaign_is_not_continued(cut, run):
     path = cut[1]
     path.write_bytes(path.read_bytes() + b"# measured again in March\n")
-    code, _, err = run(monkeypatch, capsys, *cut, "--resume")
+    code, _, err = run(*cut, "--resume")
     assert code == 2
     assert "cannot be continued because the campaign file differs" in err
 
 
-def test_another_parameter_table_is_not_continued(cut, monkeypatch, capsys):
+def test_another_parameter_table_is_not_continued(cut, monkeypatch, run):
     from dataclasses import replace
 
     from sysid.parameters import ParameterTable
@@ -260,26 +247,26 @@ def test_another_parameter_table_is_not_continued(cut, monkeypatch, capsys):
     rows = gear.parameters_on("lf").values()
     wider = [replace(row, upper=2 * row.upper) if row.name == "ground_stiffness" else row for row in rows]
     monkeypatch.setattr(gear, "parameters_on", lambda law: ParameterTable(wider))
-    code, _, err = run(monkeypatch, capsys, *cut, "--resume")
+    code, _, err = run(*cut, "--resume")
     assert code == 2
     assert "cannot be continued because the parameter table differs" in err
 
 
-def test_another_accuracy_is_not_continued(cut, monkeypatch, capsys):
+def test_another_accuracy_is_not_continued(cut, monkeypatch, run):
     """The accuracy counts by itself, not only as a line of the campaign file."""
     from sysid.pipelines import gear
 
     monkeypatch.setattr(gear, "fit_tolerance", lambda campaign: 1e-4)
-    code, _, err = run(monkeypatch, capsys, *cut, "--resume")
+    code, _, err = run(*cut, "--resume")
     assert code == 2
     assert "cannot be continued because the accuracy of a simulation differs (now 0.0001, then 0.0003)" in err
 
 
-def test_another_processor_is_noted(cut, monkeypatch, capsys):
+def test_another_processor_is_noted(cut, monkeypatch, run):
     from sysid.pipelines import search
 
     monkeypatch.setattr(search, "processor", lambda: "Abacus 2")
-    code, _, err = run(monkeypatch, capsys, *cut, "--resume")
+    code, _, err = run(*cut, "--resume")
     assert code == 0, err
     fit = read_fit(Path("fits") / "synthetic-lf")
     assert fit.state == "done"
@@ -287,9 +274,9 @@ def test_another_processor_is_noted(cut, monkeypatch, capsys):
     assert "this is Abacus 2" in note
 
 
-def test_more_runs_keep_the_best_five(campaign, monkeypatch, capsys):
+def test_more_runs_keep_the_best_five(campaign, run):
     fit = ("fit-gear", campaign, *SMALL, "--runs", "7")
-    code, _, err = run(monkeypatch, capsys, *(word for word in fit if word != "--quiet"))
+    code, _, err = run(*(word for word in fit if word != "--quiet"))
     assert code == 0
     found = read_fit(Path("fits") / "synthetic-lf")
     best = sorted(float(run.best[-1]) for run in found.runs)
@@ -319,9 +306,9 @@ def test_population_follows_the_algorithm_where_none_is_named():
     assert searched({"population": 70}, algorithm="de", population=90) == ("de", 90)
 
 
-def test_algorithm_finish_and_budget(campaign, monkeypatch, capsys):
+def test_algorithm_finish_and_budget(campaign, run):
     fit = ("fit-gear", campaign, *SMALL, "--algorithm", "de", "--finish", "none", "--max-evaluations", "80")
-    assert run(monkeypatch, capsys, *fit)[0] == 0
+    assert run(*fit)[0] == 0
     runs = read_fit(Path("fits") / "synthetic-lf").runs
     assert [[s.algorithm for s in r.stages] for r in runs] == [["de"], ["de"]]
     # 80 candidates are 40 for each run: two generations of 16.
