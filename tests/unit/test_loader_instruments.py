@@ -410,6 +410,29 @@ def test_c3d_pose_follows_the_markers(tmp_path):
         load(c3d_file(tmp_path, points), rigid_body="board")
 
 
+def test_every_wanted_body_is_fitted_to_its_markers(tmp_path):
+    points = np.random.default_rng(7).normal(size=(1, 6, 3)).repeat(5, axis=0) * 100
+    labels = ["a1", "a2", "a3", "b1", "b2", "b3"]
+    log = load(c3d_file(tmp_path, points, labels=labels), bodies={"a": labels[:3]}, rigid_body=["a", "b"])
+    assert log.rigid_bodies == ("a", "b")
+    for place, name in enumerate(log.rigid_bodies):
+        # Single precision in the file: 1e-5 mm in 100 mm.
+        centre = points[:, 3 * place : 3 * place + 3].mean(axis=1) / 1000
+        np.testing.assert_allclose(log[f"{name}/position"].values, centre, atol=1e-6)
+        assert any(note.startswith(f"pose of {name} from 3 markers") for note in log.provenance.notes)
+
+
+def test_what_was_declared_of_signals_is_in_the_record(tmp_path):
+    import h5py
+
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["a"], file["b"] = np.arange(50.0), np.tile(np.repeat([0.0, 1.0], 5), 5)
+    told = {"rate": 100.0, "datasets": {"thrust": "a", "tachometer": "b"}, "units": {"thrust": "N"}}
+    log = load(tmp_path / "log.h5", **told, pulses_per_revolution=2.0)
+    wanted = {name: str(value) for name, value in told.items()} | {"pulses_per_revolution": "2.0"}
+    assert log.provenance.options == wanted
+
+
 def test_c3d_units_and_lines(tmp_path):
     random = np.random.default_rng(5)
     points = random.normal(size=(10, 3, 3))
