@@ -195,7 +195,7 @@ def _verdicts(
                 f"to fix {one.symbol}: {best.title} ({percent(one.half_width)} now, {percent(after)} with it)"
             )
         else:
-            what = "drop" if isinstance(problem, GearProblem) else "trial of its kind"
+            what = "level drop on this surface" if isinstance(problem, GearProblem) else "trial of its kind"
             said.append(f"no single {what} within the lab's reach fixes {one.symbol}")
     # Worth recording is what lifts a verdict.
     lifting = [(c, [e.symbol for e, w in zip(expected, c.half_widths, strict=True) if _lifts(e, w)])
@@ -238,6 +238,7 @@ def _drop_quality(campaign: GearCampaign, path: Path, drop: PreparedDrop) -> dic
         "slope_deg": float(np.degrees(drop.slope)),
         "noise": {"x [m]": float(noise[0]), "z [m]": float(noise[1]), "pitch [rad]": float(noise[2])},
         "gravity": drop.flight.measured_gravity,
+        "gravity_error": _fall_error(drop),
         "held": drop.flight.held,
         "release": drop.flight.start,
         "touchdown": drop.touchdown,
@@ -248,6 +249,16 @@ def _drop_quality(campaign: GearCampaign, path: Path, drop: PreparedDrop) -> dic
         ),
         "notes": list(drop.provenance["notes"]),
     }
+
+
+def _fall_error(drop: PreparedDrop) -> float:
+    """Return the standard error of g as the fall itself tells it [m/s²].
+
+    Of a parabola through n samples of noise σ over a time T: σ sqrt(720/n)/T².
+    """
+    lasts = drop.touchdown - drop.flight.start
+    count = lasts * drop.motion.rate
+    return float(drop.flight.noise[1] * math.sqrt(720.0 / count) / lasts**2) if count > 3 else math.nan
 
 
 def _log_quality(name: str, use: str, report: LogReport) -> dict[str, Any]:

@@ -39,13 +39,56 @@ def print_check(document: Mapping[str, Any], json: bool) -> None:
     print_table(quality_table(document))
     for row in document["quality"]:
         _lines([f"{row['name']}: suspicious: {one}" for one in row["suspicions"]], "bold yellow")
-    spans = [
-        f"{name} {value[0]:.4g} to {value[1]:.4g}" if isinstance(value, list) else f"{name} {value}"
-        for name, value in document["excitation"].items()
-    ]
-    _lines([f"excitation: {', '.join(spans)}", ""])
+    _lines([*check_lines(document), ""])
     print_table(expected_table(document))
+    _lines(channel_lines(document))
     _lines(document["sentences"])
+
+
+# Of what excites a model; the others count.
+_UNITS = {"slope_deg": "deg", "impact_speed": "m/s", "pitch_rate": "rad/s", "speed": "rad/s",
+          "command": "of full"}  # fmt: skip
+# A channel that holds less of what is known of a parameter is not named.
+_TELLS = 0.2
+
+
+def check_lines(document: Mapping[str, Any]) -> list[str]:
+    """Return what the logs' table has no column for: instants, clocks, centre of mass, excitation."""
+    out = []
+    rows = document["quality"]
+    held = [f"{r['name']} {r['release']:.3f} / {r['touchdown']:.3f}" for r in rows if "release" in r]
+    if held:
+        out.append(f"start of the fall / touchdown on the log's clock [s]: {', '.join(held)}")
+    for row in rows:
+        if row.get("second log"):
+            said = ", ".join(
+                f"{name} {value}" for name, value in row["second log"].items() if name != "sha256"
+            )
+            out.append(f"{row['name']}: second log: {said}")
+    mass = document.get("centre_of_mass")
+    if mass is not None:
+        pairs = [
+            f"{1e3 * mass[f'{key} [m]']:.1f} ± {1e3 * mass[f'{key} error [m]']:.1f} mm {word}"
+            for key, word in (("down_slope", "down-slope"), ("up", "up"))
+        ]
+        out.append(f"centre of mass off the stated one, from the turns in flight: {', '.join(pairs)}")
+    spans = []
+    for name, value in document["excitation"].items():
+        word, unit = name.removesuffix("_deg").replace("_", " "), _UNITS.get(name, "")
+        span = f"{value[0]:.3g} to {value[1]:.3g}" if isinstance(value, list) else f"{value}"
+        spans.append(f"{word} {span} {unit}".rstrip())
+    out.append(f"excitation: {', '.join(spans)}")
+    return out
+
+
+def channel_lines(document: Mapping[str, Any]) -> list[str]:
+    """Return which channels tell each parameter, the one that tells most first."""
+    said = []
+    for row in document["parameters"]:
+        order = sorted(row["channels"].items(), key=lambda pair: -pair[1])
+        told = [f"{name} {100 * share:.0f} %" for name, share in order if share >= _TELLS]
+        said.append(f"{row['symbol']}: {', '.join(told)}")
+    return [f"told by: {'; '.join(said)}", ""]
 
 
 def print_trust(document: Mapping[str, Any], folder: Path, json: bool) -> None:

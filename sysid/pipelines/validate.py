@@ -30,6 +30,7 @@ from sysid.pipelines.trust_motor import ASSUMED_NOISE, MotorProblem, bench_floor
 from sysid.pipelines.trust_setup import OpenedFit, bench_problem, fit_folder, law_of, noise_floors, open_fit
 from sysid.recording import file_sha256
 from sysid.trust.assessment import linearize
+from sysid.trust.influence import STANDS_OUT
 from sysid.trust.problem import Problem, SpreadProblem, nrmse_of
 from sysid.trust.resampling import leave_one_out
 from sysid.trust.store import CROSS_VALIDATION, free_part, validation_part, write_part
@@ -92,6 +93,8 @@ def validate_fit(
         ],
         "warnings": doubts,
     }
+    doubts = [*doubts, *_unlike_the_others(judged)]
+    out["warnings"] = doubts
     for sentence in (*doubts, *why):
         tell(f"warning: {sentence}")
     units = ", ".join(result.channel_units)
@@ -105,6 +108,20 @@ def validate_fit(
     part = free_part(folder, validation_part(campaign.name), digest)
     write_part(folder, part, out, arrays, fit=result.name, kind=result.kind)
     return out
+
+
+def _unlike_the_others(judged: list[Judged]) -> list[str]:
+    """Return a sentence on every trial that is predicted far worse than the others are."""
+    ratios = np.array([one.ratio for one in judged])
+    if len(ratios) < 3 or not np.isfinite(ratios).all():
+        return []
+    usual = float(np.median(ratios))
+    return [
+        f"{one.name}: {one.ratio:.1f} × what noise alone costs where the trials have {usual:.1f} (median): a "
+        "start beside a fork of the bounces, or a misread slope, surface or log"
+        for one in judged
+        if one.ratio > max(1.0, STANDS_OUT * usual)
+    ]
 
 
 def unseen(result: FitResult, hashes: dict[str, str], path: Path) -> list[str]:

@@ -162,7 +162,7 @@ def quality_table(document: Mapping[str, Any]) -> Table:
                 str(row["lost_in_window"]),
                 f"{1000 * noise['x [m]']:.2f}, {1000 * noise['z [m]']:.2f}",
                 f"{math.degrees(noise['pitch [rad]']):.2f}",
-                number(row["gravity"], 3),
+                f"{number(row['gravity'], 3)} ± {number(row['gravity_error'], 1)}",
                 number(row["slope_deg"], 3),
                 number(row["impact_speed"], 3),
                 number(row["out_of_plane_deg"], 2),
