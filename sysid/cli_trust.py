@@ -44,13 +44,16 @@ def trust(
     dask: Dask = None,
     quiet: Quiet = False,
     json: Json = False,
+    long: Annotated[
+        bool, typer.Option("--long", help="68 % intervals and the runs' predictions too.")
+    ] = False,
 ) -> None:
     """Profile every free parameter of a fit: intervals, verdicts, bootstrap, spread of the runs."""
     from sysid.pipelines.trust import TrustOptions, assess_fit
     from sysid.pipelines.trust_printing import print_trust
 
     options = TrustOptions(campaign, resamples, seed, threads, dask)
-    print_trust(assess_fit(fit, options, _say(quiet or json)), fit, json)
+    print_trust(assess_fit(fit, options, _say(quiet or json)), fit, json, long=long)
 
 
 def validate(

@@ -18,8 +18,10 @@ from sysid.report.trust_tables import (
     comparison_table,
     cross_table,
     expected_table,
+    narrow_table,
     noise_table,
     quality_table,
+    spread_table,
     uncertainty_table,
     validation_table,
 )
@@ -91,7 +93,7 @@ def channel_lines(document: Mapping[str, Any]) -> list[str]:
     return [f"told by: {'; '.join(said)}", ""]
 
 
-def print_trust(document: Mapping[str, Any], folder: Path, json: bool) -> None:
+def print_trust(document: Mapping[str, Any], folder: Path, json: bool, *, long: bool = False) -> None:
     """Print the intervals and verdicts of a fit, and where they are stored."""
     if json:
         print(exact_json.dumps(document))
@@ -99,6 +101,9 @@ def print_trust(document: Mapping[str, Any], folder: Path, json: bool) -> None:
     folder = fit_folder(folder)
     named = {**document, "fit": folder.name}
     print_table(uncertainty_table(named))
+    if long:
+        print_table(narrow_table(named))
+        print_table(spread_table(named))
     print_table(noise_table(named))
     _lines([trials_line(document), *document["notes"]])
     _lines([f"written to {folder / 'trust.json'} and .h5 in {document['seconds']:.0f} s"])

@@ -106,6 +106,40 @@ def uncertainty_table(document: Mapping[str, Any]) -> Table:
     return out
 
 
+def narrow_table(document: Mapping[str, Any]) -> Table:
+    """Return the 68 % intervals, the linearized deviation, and why an interval is doubtful."""
+    out = table(
+        f"{document['fit']}: 68 % intervals", None,
+        [("parameter", False), ("refined", True), ("68 % interval", True), ("linearized σ", True),
+         ("doubt", False)],
+    )  # fmt: skip
+    for row in document["parameters"]:
+        out.add_row(
+            Text(_heading(row)), number(row["refined"]),
+            Text(interval(row["interval_68"][0], row["interval_68"][1], row["open_68"])),
+            number(row["fisher_sigma"], 2), Text(row["doubt"] or _NONE),
+        )  # fmt: skip
+    return out
+
+
+def spread_table(document: Mapping[str, Any]) -> Table:
+    """Return how far the predictions of the sets lie apart, rms and largest per trial and channel."""
+    spread = document["spread"]
+    heads = [
+        (name if unit in ("", "1") else f"{name} [{unit}]", True)
+        for name, unit in zip(spread["channels"], spread["units"], strict=True)
+    ]
+    out = table(
+        f"{document['fit']}: predictions of the sets around their mean", "rms, largest",
+        [("trial", False), ("use", False), *heads],
+    )  # fmt: skip
+    for row in spread["trials"]:
+        pairs = zip(row["rms"], row["largest"], strict=True)
+        cells = [f"{number(float(a), 2)}, {number(float(b), 2)}" for a, b in pairs]
+        out.add_row(Text(row["name"]), Text(row["use"]), *(Text(cell) for cell in cells))
+    return out
+
+
 def noise_table(document: Mapping[str, Any]) -> Table:
     """Return the residuals per channel beside the noise floor, and how many samples are independent."""
     out = table(

@@ -92,10 +92,12 @@ def test_the_right_motor_is_not_flagged(fit: Path, bench: Path) -> None:
 
 
 @pytest.mark.parametrize("case", ["inertia", "unconverged"])
-def test_a_wrong_motor_is_flagged_however_well_it_fits_itself(case: str, bench: Path, tmp_path: Path) -> None:
+def test_a_wrong_motor_is_flagged_however_well_it_fits_itself(
+    case: str, bench: Path, fit: Path, tmp_path: Path
+) -> None:
     inertia = "5.4e-05 kg" if case == "inertia" else "2.7e-05 kg"
     path = _edited(bench, bench.with_name(f"{case}.toml"), "2.7e-05 kg", inertia)
-    folder = _fit(path, tmp_path / "fit", 2 if case == "unconverged" else 8)
+    folder = _fit(path, tmp_path / "wrong", 2 if case == "unconverged" else 8)
     found = validate_fit(folder, path)
     assert found["flagged"] is True
     # The fit's own residual would be the floor of nothing: it is as wrong.
@@ -103,6 +105,16 @@ def test_a_wrong_motor_is_flagged_however_well_it_fits_itself(case: str, bench: 
     assert found["trials"][0]["nrmse"][0] < 4.0 * found["nrmse_fitted"]
     leaves = found["trials"][0]["leaves"]
     assert leaves is not None
+    if case == "unconverged":
+        # Its best set is not where its own sum of squares is least: no digit of it is well known.
+        rows = {row["name"]: row for row in assess_fit(folder, TrustOptions(resamples=0))["parameters"]}
+        assert "not where the sum of squares is least" in rows["winding_resistance"]["doubt"]
+        assert rows["winding_resistance"]["verdict"] != "well"
+        document, sets = compare_fits([folder, fit])
+        resistance = next(one for one in document["differences"] if one["parameter"] == "winding_resistance")
+        assert resistance["differs"] is None
+        # One campaign's name twice; the columns are told apart by their folders.
+        assert len({one.name for one in sets}) == 2
     table = validation_table({"fit": "fit", "part": "prediction", **found})
     assert "leaves at [s]" in [str(column.header) for column in table.columns]
     if case == "inertia":
