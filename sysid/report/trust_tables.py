@@ -80,7 +80,8 @@ def uncertainty_table(document: Mapping[str, Any]) -> Table:
     measured = any(row["measured"] for row in document["parameters"])
     columns = [("parameter", False), ("value", True), ("sets: mean ± σ", True), ("95 % interval", True)]
     columns += [("half-width", True), ("verdict", False), ("trades with", False)]
-    columns += [("bootstrap 95 %", True)]
+    drawn = any(row["bootstrap_95"] for row in document["parameters"])
+    columns += [("bootstrap 95 %", True)] if drawn else []
     columns += [("measured", True)] if measured else []
     out = table(
         f"{document['fit']}: what the data leave open",
@@ -97,8 +98,9 @@ def uncertainty_table(document: Mapping[str, Any]) -> Table:
             Text(half_width(row["half_width"])),
             verdict_text(row["verdict"]),
             Text(_partners(row)),
-            Text(_NONE if boot is None else f"{boot[0]:.4g} … {boot[1]:.4g}"),
         ]
+        if drawn:
+            cells.append(Text(_NONE if boot is None else f"{boot[0]:.4g} … {boot[1]:.4g}"))
         if measured:
             own = row["measured"]
             cells.append(Text(_NONE if own is None else f"{own[0]:.4g} to {own[1]:.4g}"))

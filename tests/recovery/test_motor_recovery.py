@@ -27,6 +27,10 @@ TRUTH = {**PARAMETERS.nominal, **TRUE_MOTOR}
 PAPER = 0.0267
 
 
+# What synthesized campaigns state: 1/0.00995 V·s/rad.
+KV = 'kv = "959.7283001 rpm/V"'
+
+
 @pytest.fixture(scope="module")
 def campaign_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bench") / "motor"
@@ -251,8 +255,8 @@ def test_freeing_the_dead_band_needs_a_reversal_to_fit(campaign_file: Path) -> N
 def test_a_given_dead_band_is_held(campaign_file: Path) -> None:
     path = _changed(
         campaign_file,
-        'kv = "960 rpm/V"',
-        'kv = "960 rpm/V"\nsaturation_current = "0.35 A"\nsaturation_speed = "6.3 rad/s"',
+        KV,
+        KV + '\nsaturation_current = "0.35 A"\nsaturation_speed = "6.3 rad/s"',
         "given.toml",
     )
     campaign = read_campaign(path, "motor")
@@ -301,7 +305,7 @@ def _prepare(path: Path):
 
 
 def test_without_kv_the_result_lists_what_is_fixed(campaign_file: Path) -> None:
-    path = _changed(campaign_file, 'kv = "960 rpm/V"', "", "no-kv.toml")
+    path = _changed(campaign_file, KV, "", "no-kv.toml")
     with pytest.warns(UserWarning, match="fix only k²/R, R/L and k·I_sat"):
         _prepare(path)
 
@@ -370,7 +374,7 @@ def _unsigned(source: Path, target: Path) -> None:
     ],
 )
 def test_kv_in_the_wrong_unit_is_refused(campaign_file: Path, kv: str, words: str) -> None:
-    path = _changed(campaign_file, 'kv = "960 rpm/V"', f'kv = "{kv}"', "kv.toml")
+    path = _changed(campaign_file, KV, f'kv = "{kv}"', "kv.toml")
     with pytest.raises(CampaignError, match=words):
         _prepare(path)
 
@@ -407,14 +411,14 @@ def test_scale_freedom_of_torque_and_speed(prepared) -> None:
 
 
 def test_odd_kv_is_warned_of(campaign_file: Path) -> None:
-    path = _changed(campaign_file, 'kv = "960 rpm/V"', 'kv = "2300 rpm/V"', "odd.toml")
+    path = _changed(campaign_file, KV, 'kv = "2300 rpm/V"', "odd.toml")
     with pytest.warns(UserWarning, match="check kv and reference_voltage"):
         _prepare(path)
 
 
 def test_kv_in_si_is_the_same_motor(campaign_file: Path) -> None:
-    path = _changed(campaign_file, 'kv = "960 rpm/V"', 'kv = "100.531 rad/s/V"', "si.toml")
-    assert _prepare(path).values["torque_constant"] == pytest.approx(0.0099472, rel=1e-5)
+    path = _changed(campaign_file, KV, 'kv = "100.5025126 rad/s/V"', "si.toml")
+    assert _prepare(path).values["torque_constant"] == pytest.approx(0.00995, rel=1e-8)
 
 
 def test_torque_of_the_wrong_sign_is_refused(campaign_file: Path) -> None:

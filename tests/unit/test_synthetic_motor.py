@@ -47,9 +47,9 @@ def test_synthetic_motor_campaign_is_the_asked_for_one(noisy):
         recording = load(noisy / entry.log)
         assert recording.kind == "static-map"
         assert "1580" in recording.provenance.device
-    # The datasheet's 960 rpm/V is 0.03 % from the true constant, as a rounded rating is.
+    # Stated to ten digits: R goes as its square and is known to 0.1 %.
     true = read_truth(noisy)["parameters"]["back_emf_constant"]
-    assert 1 / campaign.motor.kv == pytest.approx(true, rel=1e-3)
+    assert 1 / campaign.motor.kv == pytest.approx(true, rel=1e-9)
 
 
 def test_synthetic_motor_steady_speeds_are_those_of_the_model(exact):
