@@ -2,8 +2,11 @@
 
 from numba import njit
 
+from sysid.integrate.fused import fused
+
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def normal_force(penetration, penetration_rate, k_s, b_s):
     """Normal force on a foot [N], equation (7): spring always, damper only while the foot goes deeper."""
     damping = b_s * penetration_rate if penetration_rate > 0.0 else 0.0

@@ -23,9 +23,11 @@ import numpy as np
 from numba import njit
 
 from sysid.gear.geometry import foot_motion, joint_position, sine_cosine
+from sysid.integrate.fused import fused
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def pose(phi, theta_c, theta_d, dx_j, dz_j):
     """Cosines and sines of both legs' and the body's angles from the slope, and the joints' offsets [m].
 
@@ -40,6 +42,7 @@ def pose(phi, theta_c, theta_d, dx_j, dz_j):
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def feet(joints, w, h_c, h_d, rates, l):  # noqa: E741
     """Penetration, its rate and slip speed of the rear foot, then of the front foot [m, m/s, m/s]."""
     cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w, _, _ = joints
@@ -50,6 +53,7 @@ def feet(joints, w, h_c, h_d, rates, l):  # noqa: E741
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def foot_looseness(joints, h_c, h_d, coefficients):
     """Tangential acceleration of each foot per newton of friction on it [1/kg], estimated from above.
 
@@ -69,6 +73,7 @@ def foot_looseness(joints, h_c, h_d, coefficients):
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def ringing(joints, h_c, h_d, normals, k_s, coefficients):
     """Fastest frequency at which a leg rings between body and ground [rad/s], and its damping ratio.
 
@@ -94,6 +99,7 @@ def ringing(joints, h_c, h_d, normals, k_s, coefficients):
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def accelerations(joints, angles, rates, thrust, normals, friction_c, friction_d, coefficients):
     """Second time derivatives of (s, w, phi, h_C, theta_C, h_D, theta_D) under given forces on the feet.
 
@@ -152,6 +158,7 @@ def accelerations(joints, angles, rates, thrust, normals, friction_c, friction_d
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def friction_responses(joints, h_c, h_d, coefficients):
     """Accelerations per newton of friction on the rear foot, and per newton on the front foot [1/kg, ...].
 
@@ -172,6 +179,7 @@ def friction_responses(joints, h_c, h_d, coefficients):
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def _joined(joints, h_c, h_d, coefficients, known, turns, gaps, slides):
     """Accelerations when the joints hold body and legs together, gravity apart.
 
@@ -211,6 +219,7 @@ def _joined(joints, h_c, h_d, coefficients, known, turns, gaps, slides):
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def _quarter_turned(cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w):
     """Each joint's quarter-turned offset r' = (r_w, -r_s) in its leg's axes: across, along."""
     p_c = cos_c * c_w + sin_c * c_s

@@ -11,6 +11,8 @@ instructions.
 
 from numba import njit
 
+from sysid.integrate.fused import fused
+
 # Adding and subtracting 1.5 * 2**52 rounds a double to the nearest integer with plain additions, on any CPU.
 _ROUND = 6755399441055744.0
 _INVERSE_PI = 0.3183098861837907
@@ -20,6 +22,7 @@ _PI_LOW = 3.178650954705639e-08
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def sine_cosine(angle):
     """Sine and cosine of an angle [rad], absolute error below 5e-16 for |angle| < 1e4 rad.
 
@@ -50,6 +53,7 @@ def sine_cosine(angle):
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def joint_position(cos_phi, sin_phi, side, dx_j, dz_j):
     """Joint from the body's centre of mass in the slope frame (along, normal) [m].
 
@@ -63,6 +67,7 @@ def joint_position(cos_phi, sin_phi, side, dx_j, dz_j):
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def foot_motion(w, s_rate, w_rate, omega, joint_s, joint_w, length, h_rate, cos_theta, sin_theta, theta_rate):
     """Penetration [m] of a foot into the surface, its rate [m/s] and the foot's slip speed down-slope [m/s].
 

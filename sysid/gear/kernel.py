@@ -63,6 +63,7 @@ from sysid.gear.rows import (
     TOUCHED,
 )
 from sysid.gear.surfaces.surface import Surface, law_text, specialized
+from sysid.integrate.fused import fused
 from sysid.integrate.tableau import STAGES, E
 
 # Bound to a surface's own when a driver is made.
@@ -89,12 +90,27 @@ FIRST_STEP = 6e-5
 _SAME = 1e-10
 
 
+@njit(error_model="numpy", inline="always")
+@fused
+def _error(work, lane, lanes):
+    """Sum of the squared, weighted errors of a step's rates over its length squared."""
+    total = 0.0
+    for i in range(7):
+        gap = 0.0
+        for j in range(STAGES + 1):
+            gap += E[j] * work[(RATES + 7 * j + i) * lanes + lane]
+        gap = gap * WEIGHTS[i]
+        total += gap * gap
+    return total
+
+
 def fingerprint(surface: Surface) -> int:
     """Hash of the sources that are inlined here, so that a cached driver never outlives them."""
     here = Path(__file__).parent
     names = ("geometry", "contact", "dynamics", "rows", "stages", "jobs", "kernel")
     sources = [here / f"{name}.py" for name in names]
-    sources += [here / "surfaces" / "surface.py", here.parent / "integrate" / "tableau.py"]
+    sources += [here / "surfaces" / "surface.py"]
+    sources += [here.parent / "integrate" / f"{name}.py" for name in ("fused", "tableau")]
     text = surface.name.encode() + b"".join(source.read_bytes() for source in sources) + law_text(surface)
     return int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
 
@@ -210,13 +226,7 @@ def drop_driver(lanes: int, surface: Surface):
                 evaluate(work, 5, lane, lanes)
             attention = 0
             for lane in range(lanes):
-                total = 0.0
-                for i in range(7):
-                    gap = 0.0
-                    for j in range(STAGES + 1):
-                        gap += E[j] * work[(RATES + 7 * j + i) * lanes + lane]
-                    gap = gap * WEIGHTS[i]
-                    total = total + gap * gap
+                total = _error(work, lane, lanes)
                 h = work[STEP * lanes + lane]
                 total = total * h * h * per_tolerance
                 # Fourth root of the error (of its square, the eighth): close to the cube root, and packed.

@@ -27,6 +27,7 @@ from sysid.gear.rows import (
     TIME,
     WAY,
 )
+from sysid.integrate.fused import fused
 from sysid.integrate.tableau import A_TWICE, REAL_LIMIT, RING_GAIN, RING_LIMIT, RING_MOST, STAGES, A, C
 
 # Part of the method's real stability limit that a step may use: the slip's decay rate can grow within the
@@ -39,6 +40,7 @@ modes: Any = None
 
 
 @njit(error_model="numpy", inline="always")
+@fused
 def advanced(work, stage, i, lane, lanes):
     """Coordinate `i` of one lane and its rate at the start of a stage.
 
@@ -57,6 +59,7 @@ def advanced(work, stage, i, lane, lanes):
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def cubic(work, row, elapsed, lane, lanes):
     """Value of a cubic whose four coefficients start at `row`."""
     value = work[(row + 3) * lanes + lane]
@@ -66,6 +69,7 @@ def cubic(work, row, elapsed, lane, lanes):
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def _loaded(work, p, n):
     """The 22 coefficients of a lane from place `p` on, `n` apart."""
     return (
@@ -95,11 +99,13 @@ def _loaded(work, p, n):
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def _loaded_law(work, p, n):
     """The 6 numbers of a lane that the friction law reads."""
     return work[p], work[p + n], work[p + 2 * n], work[p + 3 * n], work[p + 4 * n], work[p + 5 * n]
 
 
+@fused
 def evaluate(work, stage, lane, lanes):
     """Accelerations of one lane at a stage; stage 0 is never evaluated (first same as last).
 

@@ -23,6 +23,7 @@ from numba import njit
 from sysid.gear.dynamics import accelerations, friction_responses
 from sysid.gear.rows import INNER, LAW, MARGIN, NORMAL, REQUIRED, SLIP, STUCK, SWITCH, WAY
 from sysid.gear.surfaces.surface import Surface
+from sysid.integrate.fused import fused
 from sysid.integrate.tableau import STAGES, C
 
 # Decay rate of a stuck foot's residual slip [1/s].
@@ -36,6 +37,7 @@ _INNER_SHARE = 0.1
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def along_slope(joints, h_c, h_d, l, acceleration):  # noqa: E741
     """Acceleration of both feet along the slope as far as it is linear in those of the coordinates."""
     cos_c, sin_c, cos_d, sin_d, _, c_w, _, d_w, _, _ = joints
@@ -46,6 +48,7 @@ def along_slope(joints, h_c, h_d, l, acceleration):  # noqa: E741
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def foot_accelerations(joints, h_c, h_d, l, rates, acceleration):  # noqa: E741
     """Acceleration of the rear and front foot along the slope [m/s²]."""
     cos_c, sin_c, cos_d, sin_d, c_s, _, d_s, _, _, _ = joints
@@ -60,6 +63,7 @@ def foot_accelerations(joints, h_c, h_d, l, rates, acceleration):  # noqa: E741
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def high_friction(free, response, forces, slips, stuck_c, stuck_d, way_c, way_d, mu_k):
     """Friction on both feet in their modes, and the force that each would need to stick [N].
 
@@ -99,6 +103,7 @@ def high_friction(free, response, forces, slips, stuck_c, stuck_d, way_c, way_d,
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def event(stuck, way, normal, slip, required, margin, mu_s):
     """Margin of a foot's mode at a step's end, whether it was lost within the step, and at which share of it.
 
@@ -116,6 +121,7 @@ def event(stuck, way, normal, slip, required, margin, mu_s):
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def inner_share(work, foot, lane, lanes, h, stuck, way, margin, mu_s):
     """Share of the step after which an inner stage saw a foot out of its mode, 1 where none did.
 
@@ -139,6 +145,7 @@ def inner_share(work, foot, lane, lanes, h, stuck, way, margin, mu_s):
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def settle(first, second, h, taken, new_h):
     """Decide on a step with events: taken or not, next step, and whether the modes switch at its end.
 
@@ -156,6 +163,7 @@ def settle(first, second, h, taken, new_h):
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def next_mode(switch, stuck, way, normal, slip, required, margin, now, taken, mu_k):
     """Mode, direction of slip and margin of a foot after a step; unchanged where the step is not taken."""
     force = required if required > 0.0 else -required
@@ -175,6 +183,7 @@ def next_mode(switch, stuck, way, normal, slip, required, margin, now, taken, mu
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def solve(joints, angles, rates, thrust, normals, slips, modes, law, coefficients):
     """Accelerations, friction and required friction with every foot in its mode.
 
@@ -204,6 +213,7 @@ def solve(joints, angles, rates, thrust, normals, slips, modes, law, coefficient
 
 
 @njit(error_model="numpy", inline="always")
+@fused
 def after_step(work, lane, lanes, h, taken, new_h):
     """Cut a step at the first loss of a foot's mode and switch modes there; returns taken and next step."""
     mu_k = work[LAW * lanes + lane]

@@ -3,9 +3,11 @@
 from numba import njit
 
 from sysid.gear.surfaces.surface import Surface, continuous_law
+from sysid.integrate.fused import fused
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def low_friction(force_c, force_d, slip_c, slip_d, law):
     """Friction on both feet along the slope [N], equation (8) with the sign that opposes the slip.
 
@@ -21,6 +23,7 @@ def low_friction(force_c, force_d, slip_c, slip_d, law):
 
 
 @njit(error_model="numpy", forceinline=True)
+@fused
 def low_friction_damping(force, slip, law):
     """Slope ``-dF_t/dv`` of the law (8) at a slip speed [N·s/m]."""
     below = (slip if slip > 0.0 else -slip) + law[1]
