@@ -145,7 +145,7 @@ def accelerations(joints, angles, rates, thrust, normals, friction_c, friction_d
     # What is known of the body's accelerations before the constraint forces.
     a_s = lift * sin_phi - (axial_c * sin_c + axial_d * sin_d) * per_m
     a_w = lift * cos_phi - (axial_c * cos_c + axial_d * cos_d) * per_m
-    alpha = tilt - (moment_c + moment_d + axial_c * n_c + axial_d * n_d) * per_i
+    alpha = tilt - (moment_c + moment_d + (axial_c * n_c + axial_d * n_d)) * per_i
     turns = ((moment_c - arm * across_c) * per_ic, (moment_d - arm * across_d) * per_id)
     # Across each leg at its joint, and along its axis.
     gap_c = spin * n_c - 2.0 * h_c_rate * theta_c_rate - across_c * per_mc

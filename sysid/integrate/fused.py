@@ -48,7 +48,7 @@ def fused_multiply_add(typing, a, b, c):
 class _Fusing(ast.NodeTransformer):
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
         left, right = self.visit(node.left), self.visit(node.right)
-        if isinstance(node.op, ast.Add):
+        if isinstance(node.op, ast.Add) and not (_product(left) and _product(right)):
             if _product(left):
                 return _call(node, left.left, left.right, right)
             if _product(right):
@@ -87,7 +87,8 @@ def _call(place: ast.AST, *arguments: ast.expr) -> ast.expr:
 def fused(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function, to be compiled, with every product that is added to something fused into the sum.
 
-    Of two products in a sum the first, in a difference the second is fused.
+    A sum of two products is left: with one of them rounded and the other not, what the rear and the front leg
+    of a level drone do would no longer cancel. In a difference of two products the second is fused.
 
     Parameters
     ----------

@@ -41,8 +41,8 @@ def test_products_are_rounded_with_their_sum():
         ab, cd = (a, b), (c, d)
         want = (
             once(ab, (c, 1.0)), once(ab, (c, 1.0)), once((c, 1.0), (-a, b)), once(ab, (c, -1.0)),
-            # Of two products one is rounded by itself: in a sum the second, in a difference the first.
-            once(ab, (c * d, 1.0)), once((a * b, 1.0), (-c, d)),
+            # Two products that cancel must do so, in either order; in a difference the first is rounded.
+            a * b + c * d, once((a * b, 1.0), (-c, d)),
             once(ab, (c, 1.0)), once((-a, b), (c, -1.0)),
         )  # fmt: skip
         assert formulas(a, b, *cd) == want

@@ -201,13 +201,13 @@ def solve(joints, angles, rates, thrust, normals, slips, modes, law, coefficient
         t_free, (g_cc, g_cd, g_dd), normals, slips, modes[0], modes[1], modes[2], modes[3], law[0]
     )
     acceleration = (
-        free[0] + f_c * rear[0] + f_d * front[0],
-        free[1] + f_c * rear[1] + f_d * front[1],
-        free[2] + f_c * rear[2] + f_d * front[2],
-        free[3] + f_c * rear[3] + f_d * front[3],
-        free[4] + f_c * rear[4] + f_d * front[4],
-        free[5] + f_c * rear[5] + f_d * front[5],
-        free[6] + f_c * rear[6] + f_d * front[6],
+        free[0] + (f_c * rear[0] + f_d * front[0]),
+        free[1] + (f_c * rear[1] + f_d * front[1]),
+        free[2] + (f_c * rear[2] + f_d * front[2]),
+        free[3] + (f_c * rear[3] + f_d * front[3]),
+        free[4] + (f_c * rear[4] + f_d * front[4]),
+        free[5] + (f_c * rear[5] + f_d * front[5]),
+        free[6] + (f_c * rear[6] + f_d * front[6]),
     )
     return acceleration, (f_c, f_d), (r_c, r_d), 0.0
 
