@@ -30,8 +30,11 @@ def look_at_log(campaign: str | Path, trial: int = 0) -> Html:
     recording = load_stated(path, own.format, own.loader_options(), {})
     report = inspect_recording(recording)
     text = io.StringIO()
-    # Inside a notebook rich would show every line by itself instead of writing it.
-    print_report(Console(file=text, width=_WIDTH, soft_wrap=True, force_jupyter=False), report)
+    # Inside a notebook rich would show every line by itself instead of writing it, with codes of colours.
+    console = Console(
+        file=text, width=_WIDTH, soft_wrap=True, force_jupyter=False, force_terminal=False, color_system=None
+    )
+    print_report(console, report)
     figure = figure_logs([recording], [report], width=WIDTH)
     words = f"channels of {path.name} over time: {', '.join(one.name for one in report.channels[:8])}"
     return _text(text.getvalue()) + picture(figure, words, f"{path.name}, as recorded.", vector=False)

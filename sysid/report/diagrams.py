@@ -171,7 +171,9 @@ def _frames(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, 
         leg = np.array([side, 1.0]) * (joint - foot)
         z = leg / np.hypot(*leg)
         outer = 0.62 * unit if side < 0 else 0.3 * unit
-        middle = np.array([side, 1.0]) * (0.5 * joint + 0.5 * foot) + np.array([side * outer, -0.08 * unit])
+        middle = np.array([side, 1.0]) * (0.5 * joint + 0.5 * foot) + np.array(
+            [side * outer, (0.12 if side < 0 else -0.08) * unit]
+        )
         _axes(axes, middle, np.array([z[1], -z[0]]), z, 0.8 * size, name)
     # The angle at rest, from straight down to the leg, at the front joint.
     angle = float(np.degrees(np.arctan2(foot[0] - joint[0], joint[1] - foot[1])))

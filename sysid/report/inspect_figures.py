@@ -19,6 +19,8 @@ _FIRST = ("command", "speed", "thrust", "torque", "voltage", "current")
 _MOST_ROWS = 6
 _MOST_POINTS = 20_000
 _LONGEST_NAME = 60
+# [in]
+_NARROW = 6.0
 
 
 def _chosen(recording: Recording, report: LogReport) -> list[Channel]:
@@ -103,7 +105,9 @@ def figure_logs(
             if place == 0:
                 title = Path(report.path).name
                 title = title if len(title) <= _LONGEST_NAME else title[: _LONGEST_NAME - 1] + "…"
-                axes.set_title(f"{title} ({report.kind})", fontsize="medium", loc="left")
+                # On a narrow figure the name stands above the legend, not beside it.
+                room = {"pad": 20.0} if width < _NARROW else {}
+                axes.set_title(f"{title} ({report.kind})", fontsize="medium", loc="left", **room)
             if report.drop is not None and falls:
                 for word, at in (("release", report.drop.release), ("touchdown", report.drop.touchdown)):
                     if at is not None:

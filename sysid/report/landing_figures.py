@@ -98,7 +98,7 @@ class MapLegend:
         self.handles.setdefault(label, Patch(label=label, **look))  # type: ignore[arg-type]
 
     def entries(self) -> list[tuple[str, str, str]]:
-        """Return (colour, kind, words) of each, as `sysid.report.markup.legend` takes them."""
+        """Return (colour, kind, words) of each, areas first, as `sysid.report.markup.legend` takes them."""
         out = []
         for words, handle in self.handles.items():
             if isinstance(handle, Patch):
@@ -107,7 +107,7 @@ class MapLegend:
             style = handle.get_linestyle()
             kind = {"-": "line", ":": "dotted", "None": "dots"}.get(str(style), "dashed")
             out.append((to_hex(handle.get_color()), kind, words))
-        return out
+        return sorted(out, key=lambda entry: entry[1] != "area")
 
 
 def figure_landing_maps(
