@@ -236,6 +236,8 @@ def overhead(arguments, folder):
             return scored
 
     settings, quiet = SearchSettings(runs=1, seed=1), os.getloadavg()[0] < 1.5
+    for name in settings.stages:  # imports, once per process
+        breeder(name, len(objective.space.free), 16, 1)
     hold = Checkpoint(Path(folder) / "fit", {"benchmark": 1})
     writing = [0.0]
 

@@ -11,6 +11,7 @@ import pytest
 
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError, LogError, UnitError
+from sysid.fit.agreement import SAME_NRMSE
 from sysid.loaders import load
 from sysid.motor.model import PARAMETERS, simulate
 from sysid.pipelines.motor import fit_motor
@@ -201,6 +202,14 @@ def test_full_fit_of_five_runs(
             assert _delay(values, before, after) == pytest.approx(_delay(TRUTH, before, after), abs=5e-3)
     assert not result.settings["profiles"]["viscous_damping"]["identified"]
     assert np.all(result.nrmse[good] < PAPER)
+    # Required: sets of one optimum agree within 1 % in every parameter that no warning doubts.
+    doubts, best = " ".join(result.warnings), result.nrmse <= (1 + SAME_NRMSE) * result.nrmse[0]
+    free = [record.name for record in result.parameters if record.status == "free"]
+    held = {
+        name: np.ptp(found[name][best]) / abs(found[name][best].mean()) for name in free if name not in doubts
+    }
+    assert {"winding_resistance", "winding_inductance"} <= {*held}
+    assert max(held.values()) <= 0.01, held
 
 
 def test_numbers_do_not_depend_on_threads(prepared) -> None:
