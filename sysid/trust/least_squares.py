@@ -185,11 +185,13 @@ def _inside(matrix: FloatArray, gradient: FloatArray, at: FloatArray) -> FloatAr
         step[free] = np.linalg.solve(
             matrix[np.ix_(free, free)], -gradient[free] - matrix[np.ix_(free, ~free)] @ step[~free]
         )
-        beyond = free & ((at + step < 0.0) | (at + step > 1.0))
-        if not beyond.any():
+        # One at a time, the farthest first: with it at its bound another may stay inside.
+        excess = np.where(free, np.maximum(-(at + step), at + step - 1.0), 0.0)
+        worst = int(np.argmax(excess))
+        if excess[worst] <= 0.0:
             break
-        step[beyond] = np.clip(at[beyond] + step[beyond], 0.0, 1.0) - at[beyond]
-        free &= ~beyond
+        step[worst] = np.clip(at[worst] + step[worst], 0.0, 1.0) - at[worst]
+        free[worst] = False
         if not free.any():
             break
     return np.asarray(np.clip(at + step, 0.0, 1.0) - at)

@@ -352,8 +352,9 @@ def test_at_a_bound_the_others_find_their_own_minimum():
     exact = lsq_linear(a, y, bounds=(0.0, 2.0)).x
     assert np.min(np.abs(exact)) < 1e-6
     scale = scales(problem.blocks, np.full(3, 0.1), problem.blocks[-1].stop)
-    found = solve(problem, np.full((1, 2), 0.5), scale, np.full(2, 1e-3), tolerance=1e-9, iterations=6)
-    assert problem.space.decode(found.points[0]) == pytest.approx(exact, abs=1e-4)
+    # One step of a linear model, damped by 1e-4: a step that is merely cut at the bound ends 0.1 away.
+    found = solve(problem, np.full((1, 2), 0.5), scale, np.full(2, 1e-3), tolerance=1e-9, iterations=1)
+    assert problem.space.decode(found.points[0]) == pytest.approx(exact, abs=5e-3)
 
 
 def test_what_is_at_its_bound_takes_no_share_of_the_others_error():
