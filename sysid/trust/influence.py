@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.trust.assessment import Linearized
-from sysid.trust.fisher import gradient_noise, half_widths, information
+from sysid.trust.fisher import gradient_noise, half_widths, information, with_bounds
 from sysid.trust.problem import Block, Problem, trial_rows
 from sysid.trust.resampling import leave_one_out
 from sysid.trust.verdicts import WEAKLY
@@ -104,7 +104,8 @@ def influence(problem: Problem, linear: Linearized, floors: FloatArray) -> Influ
         spread = gradient_noise(
             [blocks[b] for b in kept], values, linear.scale, linear.levels[kept], linear.noise, changes
         )  # fmt: skip
-        less = information(values, spread)
+        # With the same rule of bounds as the fit's own: what one trial less explains is their difference.
+        less = with_bounds(information(values, spread), values, spread, linear.point)
         own = np.diag(less.covariance)
         expected = np.maximum(own - np.diag(linear.information.covariance), _LEAST * own)
         shift[t] = (found.points[t] - linear.point) / np.sqrt(np.maximum(expected, 1e-24))

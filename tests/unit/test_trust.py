@@ -407,3 +407,23 @@ def test_a_trial_that_scores_unlike_the_others_stands_out():
     # Noise of 0.1 and 0.3: 3.2 times the floor.
     assert found.ratio[2] == pytest.approx(np.sqrt(10), rel=0.15)
     assert np.delete(found.ratio, 2) == pytest.approx(1.0, abs=0.15)
+
+
+def test_one_trial_less_is_judged_by_what_a_parameter_at_its_bound_leaves_to_the_others():
+    designs, data = _white(n_trials=5, seed=3)
+    mixed = [np.concatenate([a[:, :1], 0.9 * a[:, :1] + 0.3 * a[:, 1:]], axis=1) for a in designs]
+    source = np.random.default_rng(6)
+    # The second parameter wants to be -0.02 and ends at its bound 0.
+    low = [
+        (a[:, :, 0] @ np.array([1.0, -0.02]) + 0.02 * source.standard_normal(200))[:, None] for a in mixed
+    ]
+    change = np.concatenate(mixed)[:, :, 0] @ np.array([0.02, 0.1])
+    problem = Linear(mixed, low, rows=change[None])
+    linear = linearize(problem, np.full(2, 0.5))
+    assert linear.point[1] < 0.01
+    found = influence(problem, linear, np.array([block.noise for block in problem.blocks]))
+    expected = (found.without[:, 0] - linear.point[0]) / found.shift[:, 0]
+    # All trials share what is taken as known, so the variance without one is that with it, and a fifth of it
+    # counts. With the second parameter held, its error of 0.1 is the first one's by 0.9: 0.11 of a cube that
+    # is 2 wide (noise adds less than a percent). Both free, the first would err by 0.02, a fifth of that.
+    assert expected == pytest.approx(np.full(5, np.sqrt(0.2) * 0.11 / 2), rel=0.1)
