@@ -102,15 +102,16 @@ def _cross(opened: Sequence[OpenedFit]) -> np.ndarray:
     """Return the NRMSE (F, F) of the best set of each fit (row) on the fitted trials of each (column).
 
     A set brings what it has found, and what it held where the campaign states nothing of it; what that
-    campaign fixes or measures (vehicle, surface, rotor) and its clocks are its own.
+    campaign fixes or measures (vehicle, surface, rotor) and its clocks are its own, and so is the friction,
+    a fitted one as well, where the laws differ.
     """
     out = np.full((len(opened), len(opened)), np.nan)
     for j, home in enumerate(opened):
         for i, guest in enumerate(opened):
             if isinstance(home.campaign, GearCampaign):
-                rows = gear_rows(guest.result, home.campaign)[:1]
-                if i == j:
-                    rows = table_rows(home)[:1]
+                rows = table_rows(home)[:1]
+                if i != j:
+                    rows = gear_rows(guest.result, home.campaign, rows[0])[:1]
                 out[i, j] = float(_gear_objective(home).score(rows).cost[0])
             else:
                 assert isinstance(home.campaign, MotorCampaign)

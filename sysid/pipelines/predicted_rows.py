@@ -2,6 +2,7 @@
 
 A fit brings what it has found. What it held (a value that its own campaign fixed or measured) counts as well
 where the other campaign says nothing of that parameter; what the other campaign fixes or measures is its own.
+Two things stay together: a motor's R with its k, and friction with its law.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from sysid.fit.result import FitResult
 from sysid.gear.model import PARAMETERS, parameters_on
 from sysid.parameters import SearchSpace
 from sysid.pipelines import gear
-from sysid.pipelines.motor_bench import Bench
+from sysid.pipelines.motor_bench import CONSTANTS, Bench
 
 FloatArray = NDArray[np.float64]
 
@@ -56,15 +57,26 @@ def campaign_row(campaign: GearCampaign) -> FloatArray:
     return np.array([known[name] for name in PARAMETERS])
 
 
-def gear_rows(result: FitResult, campaign: GearCampaign) -> FloatArray:
+def gear_rows(result: FitResult, campaign: GearCampaign, surface: FloatArray | None = None) -> FloatArray:
     """Return the rows (S, n_par) with which a gear's fit predicts the drops of a campaign [SI].
 
-    The surface is the campaign's own where its friction law is not the fit's.
+    Parameters
+    ----------
+    result : FitResult
+    campaign : GearCampaign
+    surface : (n_par,) array, optional
+        Row whose friction stands where the campaign's friction law is not the fit's: what was found or held
+        under one law says nothing of another. By default what the campaign states, else its law's defaults.
     """
+    base = campaign_row(campaign)
     known = {*gear.measured_values(campaign), *campaign.parameters.fixed}
+    rows = fit_rows(result, tuple(PARAMETERS), base, known)
     if campaign.surface.law != result.settings["surface"]:
-        known |= set(type(campaign.surface).model_fields)
-    return fit_rows(result, tuple(PARAMETERS), campaign_row(campaign), known)
+        own = base if surface is None else surface
+        for i, name in enumerate(PARAMETERS):
+            if name in type(campaign.surface).model_fields:
+                rows[:, i] = own[i]
+    return rows
 
 
 def motor_rows(
@@ -82,7 +94,14 @@ def motor_rows(
         Whose table the rows are of.
     base : (n,) array
         For what neither of them says anything of.
+
+    Notes
+    -----
+    Torque and speed fix k²/R, R/L and k·I_sat: an R that was found keeps the k under which it was found,
+    whatever Kv the campaign states.
     """
     guessed = {name for name, source in bench.stated.items() if source.startswith("guess")}
     known = {*bench.values, *campaign.parameters.fixed} - guessed
+    if any(one.name == "winding_resistance" and one.status == "free" for one in result.parameters):
+        known -= {*CONSTANTS}
     return fit_rows(result, tuple(space.table), base, known)

@@ -410,13 +410,11 @@ def test_a_trial_that_scores_unlike_the_others_stands_out():
 
 
 def test_one_trial_less_is_judged_by_what_a_parameter_at_its_bound_leaves_to_the_others():
-    designs, data = _white(n_trials=5, seed=3)
+    designs, _ = _white(n_trials=5, seed=3)
     mixed = [np.concatenate([a[:, :1], 0.9 * a[:, :1] + 0.3 * a[:, 1:]], axis=1) for a in designs]
     source = np.random.default_rng(6)
     # The second parameter wants to be -0.02 and ends at its bound 0.
-    low = [
-        (a[:, :, 0] @ np.array([1.0, -0.02]) + 0.02 * source.standard_normal(200))[:, None] for a in mixed
-    ]
+    low = [(a[:, :, 0] @ np.array([1.0, -0.02]) + 0.02 * source.standard_normal(200))[:, None] for a in mixed]
     change = np.concatenate(mixed)[:, :, 0] @ np.array([0.02, 0.1])
     problem = Linear(mixed, low, rows=change[None])
     linear = linearize(problem, np.full(2, 0.5))
