@@ -25,6 +25,8 @@ from sysid.fit.stopping import REASONS
 from sysid.parameter_sets import ParameterSets, in_place_of_digits
 from sysid.writing import check_folder, replaced_folder
 
+# Key of the provenance: where the campaign lies, seen from the fit folder.
+FROM_FOLDER = "from the fit folder"
 FIT_SCHEMA = "sysid-fit"
 FIT_VERSION = 3
 _STAGE_FIELDS = ("algorithm", "evaluations", "simulations", "wall_time", "stop_reason")

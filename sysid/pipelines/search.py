@@ -41,7 +41,7 @@ from sysid.fit.objective import Objective, SpreadObjective
 from sysid.fit.progress import FitProgress
 from sysid.fit.result import FitResult
 from sysid.fit.stopping import CutReason, StopFlag, StopRule
-from sysid.fit.store import check_new_fit, write_fit
+from sysid.fit.store import FROM_FOLDER, check_new_fit, write_fit
 from sysid.parameters import SearchSpace
 from sysid.recording import file_sha256
 
@@ -51,8 +51,6 @@ _RUNS_AT_ONCE = 8
 _FED_BY_ONE = 16
 # Candidates that are scored to recognise an objective.
 _PROBES = 4
-# Key of a fit's provenance: where its campaign lies, seen from the fit folder.
-FROM_FOLDER = "from the fit folder"
 _LIBRARIES = ("numpy", "scipy", "numba", "pymoo", "cma", "pandas", "h5py")
 
 
@@ -393,7 +391,7 @@ def provenance(
         "campaign": {
             "file": path.name,
             "sha256": file_sha256(path),
-            FROM_FOLDER: _seen_from(folder, path),
+            FROM_FOLDER: seen_from(folder, path),
         },
         "logs": dict(logs),
         "filter": dict(filters),
@@ -417,7 +415,7 @@ def provenance(
     }
 
 
-def _seen_from(folder: Path, path: Path) -> str:
+def seen_from(folder: Path, path: Path) -> str:
     """Return where a file lies, seen from a folder; absolute where they share no drive."""
     try:
         return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()

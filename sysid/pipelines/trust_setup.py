@@ -12,14 +12,14 @@ import numpy as np
 from sysid.campaign import GearCampaign, MotorCampaign, read_campaign
 from sysid.errors import FitError, SysidWarning
 from sysid.fit.result import FitResult
-from sysid.fit.store import read_fit
+from sysid.fit.store import FROM_FOLDER, read_fit
 from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.parameters import SearchSpace
 from sysid.pipelines import gear, motor_bench
 from sysid.pipelines.drops import PreparedDrop, prepare_drops
 from sysid.pipelines.motor_bench import Bench, prepare_bench
 from sysid.pipelines.motor_objective import MotorObjective
-from sysid.pipelines.search import FROM_FOLDER, naming
+from sysid.pipelines.search import naming
 from sysid.pipelines.trust_gear import TRUST_TOLERANCE, GearProblem
 from sysid.pipelines.trust_motor import MotorProblem, bench_floors
 from sysid.recording import file_sha256

@@ -14,7 +14,7 @@ from sysid.campaign import GearCampaign, MotorCampaign, read_campaign
 from sysid.errors import FitError, SysidWarning
 from sysid.executor import executor
 from sysid.fit.result import FitResult, TrialResult
-from sysid.fit.store import read_fit
+from sysid.fit.store import FROM_FOLDER, read_fit
 from sysid.gear.model import PARAMETERS, EventKind, simulate
 from sysid.pipelines import gear, motor_bench
 from sysid.pipelines.drops import PreparedDrop, prepare_drops
@@ -23,7 +23,7 @@ from sysid.pipelines.motor import motor_trial_results
 from sysid.pipelines.motor_bench import prepare_bench
 from sysid.pipelines.motor_objective import MotorObjective
 from sysid.pipelines.predicted_rows import gear_rows, motor_rows
-from sysid.pipelines.search import collected_warnings, naming
+from sysid.pipelines.search import collected_warnings, naming, seen_from
 from sysid.pipelines.stopping_place import stopping
 from sysid.pipelines.trust_gear import TRUST_TOLERANCE, compared_noise
 from sysid.pipelines.trust_motor import ASSUMED_NOISE, MotorProblem, bench_floors, without_noise
@@ -78,9 +78,13 @@ def validate_fit(
             assert isinstance(campaign, MotorCampaign)
             judged, extra, trials = _motor(result, campaign, campaign_path, threads)
     why = reasons(judged)
-    digest = file_sha256(campaign_path)
+    said = {
+        "file": campaign_path.name,
+        "sha256": file_sha256(campaign_path),
+        FROM_FOLDER: seen_from(folder, campaign_path),
+    }
     out = {
-        "campaign": {"file": campaign_path.name, "sha256": digest},
+        "campaign": said,
         "flagged": bool(why),
         "reasons": list(why),
         "limits": LIMITS,
@@ -105,7 +109,7 @@ def validate_fit(
         arrays[f"{root}/measured"] = (trial.measured, "sample, channel", units)
         arrays[f"{root}/valid"] = (trial.valid, "sample, channel", "1")
         arrays[f"{root}/simulated"] = (trial.simulated, "set, sample, channel", units)
-    part = free_part(folder, validation_part(campaign.name), digest)
+    part = free_part(folder, validation_part(campaign.name), said)
     write_part(folder, part, out, arrays, fit=result.name, kind=result.kind)
     return out
 

@@ -49,8 +49,9 @@ names lie in the HDF5 file, every dataset with the attributes ``axes`` and ``uni
     ``bootstrap/values`` (B, n).
 
 ``validation-CAMPAIGN`` (of a second file of that name ``validation-CAMPAIGN-HASH``) and ``cross-validation``
-    ``flagged``: true where the prediction is off by more than the limit; ``reasons``: sentences that name the
-    number. ``ratio``, ``ratio_third_contact``: means over the trials. ``limits``: {number: limit}. ``nrmse``:
+    ``campaign``: {"file", "sha256"}, of a validation also "from the fit folder" (its path). ``flagged``: true
+    where the prediction is off by more than the limit; ``reasons``: sentences that name the number.
+    ``ratio``, ``ratio_third_contact``: means over the trials. ``limits``: {number: limit}. ``nrmse``:
     mean of the best set over all trials; ``nrmse_fitted``: of the fit. ``trials``: list of
 
     ====================  ====================================================================================
@@ -90,6 +91,7 @@ import numpy as np
 
 from sysid import exact_json
 from sysid.errors import FitError
+from sysid.fit.store import FROM_FOLDER
 from sysid.writing import write_file
 
 SCHEMA, VERSION = "sysid-trust", 1
@@ -205,18 +207,34 @@ def parts(folder: Path) -> tuple[str, ...]:
     return tuple(name for name in found if name in (TRUST, CROSS_VALIDATION) or name.startswith(VALIDATION))
 
 
-def free_part(folder: Path, part: str, campaign_sha256: str) -> str:
-    """Return the name under which a campaign's validation does not overwrite that of another file.
+def free_part(folder: Path, part: str, campaign: Mapping[str, str]) -> str:
+    """Return the name under which a campaign's validation replaces its own and not that of another file.
 
-    Part of the campaign file's hash is added where `part` speaks of another content.
+    Parameters
+    ----------
+    folder : Path
+        Of the fit.
+    part : str
+        `validation_part` of the campaign's name.
+    campaign : mapping
+        ``campaign`` of the document to be written. A file that was edited lies where it lay, one that was
+        moved has the content it had: either is the same campaign. For another one, part of its hash is added.
     """
-    try:
-        there = read_part(folder, part)
-    except FitError:
-        there = None
-    if there is None or there["campaign"]["sha256"] == campaign_sha256:
-        return part
-    return f"{part}-{campaign_sha256[:8]}"
+    hashed = re.compile(re.escape(part) + "-[0-9a-f]{8}")
+    there = {}
+    for name in parts(folder):
+        if name == part or hashed.fullmatch(name):
+            try:
+                found = read_part(folder, name)
+            except FitError:
+                continue
+            if found is not None:
+                there[name] = found["campaign"]
+    for key in (FROM_FOLDER, "sha256"):
+        same = [name for name, one in there.items() if one.get(key, "") == campaign.get(key)]
+        if same:
+            return same[0]
+    return part if part not in there else f"{part}-{campaign['sha256'][:8]}"
 
 
 def validation_part(campaign: str) -> str:

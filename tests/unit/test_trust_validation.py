@@ -8,6 +8,7 @@ import pytest
 
 from sysid import exact_json
 from sysid.errors import FitError
+from sysid.fit.store import FROM_FOLDER
 from sysid.parameter_sets import ParameterRecord, ParameterSets
 from sysid.trust.comparison import compare_values
 from sysid.trust.store import free_part, parts, read_arrays, read_part, validation_part, write_part
@@ -166,15 +167,34 @@ def test_a_part_is_read_back_until_the_fit_changes(folder):
     assert read_part(folder, "trust") is None
 
 
+def _file(path, letter):
+    return {"file": path.rpartition("/")[2], "sha256": 64 * letter, FROM_FOLDER: path}
+
+
 def test_two_campaigns_of_one_name_keep_both_validations(folder):
     part = validation_part("lab")
-    assert free_part(folder, part, "a" * 64) == part
-    write_part(folder, part, {"campaign": {"sha256": "a" * 64}}, {}, fit="f", kind="gear")
-    assert free_part(folder, part, "a" * 64) == part
-    assert free_part(folder, part, "b" * 64) == f"{part}-bbbbbbbb"
+    first, second = _file("../a/lab.toml", "a"), _file("../b/lab.toml", "b")
+    assert free_part(folder, part, first) == part
+    write_part(folder, part, {"campaign": first}, {}, fit="f", kind="gear")
+    assert free_part(folder, part, first) == part
+    assert free_part(folder, part, second) == f"{part}-bbbbbbbb"
     # What spoke of another fit may go.
     (folder / "fit.h5").write_bytes(b"another fit")
-    assert free_part(folder, part, "b" * 64) == part
+    assert free_part(folder, part, second) == part
+
+
+def test_an_edited_or_moved_campaign_replaces_its_own_validation(folder):
+    part = validation_part("lab")
+    second = f"{part}-bbbbbbbb"
+    write_part(folder, part, {"campaign": _file("../a/lab.toml", "a")}, {}, fit="f", kind="gear")
+    write_part(folder, second, {"campaign": _file("../b/lab.toml", "b")}, {}, fit="f", kind="gear")
+    # A slope was mended in either file: nothing of the wrong one may stay beside the right one.
+    assert free_part(folder, part, _file("../a/lab.toml", "c")) == part
+    assert free_part(folder, part, _file("../b/lab.toml", "d")) == second
+    # Even to what the other file says.
+    assert free_part(folder, part, _file("../b/lab.toml", "a")) == second
+    assert free_part(folder, part, _file("../moved/lab.toml", "b")) == second
+    assert free_part(folder, part, _file("../third/lab.toml", "e")) == f"{part}-eeeeeeee"
 
 
 def test_damaged_parts_are_refused(folder):
