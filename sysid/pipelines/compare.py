@@ -17,7 +17,7 @@ from sysid.pipelines.motor_objective import MotorObjective
 from sysid.pipelines.predicted_rows import INSTRUMENTS, gear_rows, motor_rows
 from sysid.pipelines.search import collected_warnings
 from sysid.pipelines.trust_setup import OpenedFit, open_fit, table_rows
-from sysid.trust.comparison import compare_values
+from sysid.trust.comparison import compare_values, unjudged
 from sysid.trust.store import TRUST, read_part
 
 
@@ -74,8 +74,7 @@ def compare_fits(
         differences = compare_values(names, sets, documents)
         table = _cross(opened) if cross else None
     said = [one["sentence"] for one in differences if one["differs"]]
-    # One reason may hold for all parameters.
-    said += [f"not judged: {why}" for why in dict.fromkeys(one["doubt"] for one in differences) if why]
+    said += unjudged(differences)
     if table is not None:
         for j, label in enumerate(names):
             best = int(np.argmin(table[:, j]))

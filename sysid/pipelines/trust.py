@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,13 +15,13 @@ from sysid.errors import FitError
 from sysid.executor import executor
 from sysid.fit.result import FitResult
 from sysid.parameters import SearchSpace
-from sysid.pipelines.motor_bench import CONSTANTS
+from sysid.pipelines.motor_bench import CONSTANTS, Bench
 from sysid.pipelines.search import collected_warnings
 from sysid.pipelines.trust_motor import MotorProblem
 from sysid.pipelines.trust_setup import OpenedFit, noise_floors, open_fit
 from sysid.recording import file_sha256
 from sysid.trust.assessment import Assessment, assess
-from sysid.trust.influence import Influence, influence
+from sysid.trust.influence import FEWEST, Influence, influence
 from sysid.trust.problem import Problem, SpreadProblem
 from sysid.trust.resampling import Resampled
 from sysid.trust.store import TRUST, write_part
@@ -73,6 +74,7 @@ def assess_fit(
     """
     options = options or TrustOptions()
     tell = say or (lambda sentence: None)
+    began = time.perf_counter()
     with collected_warnings(None) as doubts:
         opened = open_fit(folder, options.campaign, 1 if options.dask else options.threads)
         if not len(opened.space.free):
@@ -82,10 +84,12 @@ def assess_fit(
             found = assess(
                 problem, opened.result.cube[0], resamples=options.resamples, seed=options.seed, say=tell
             )
-            tell("fits without one trial")
+            if len(problem.trials) >= FEWEST:
+                tell("fits without one trial")
             floors = noise_floors(opened, found.linear.point)
             trials = influence(problem, found.linear, floors)
     document, arrays = _document(opened, found, trials, floors, doubts)
+    document["seconds"] = time.perf_counter() - began
     for sentence in document["warnings"]:
         tell(f"warning: {sentence}")
     write_part(opened.folder, TRUST, document, arrays, fit=opened.result.name, kind=opened.result.kind)
@@ -146,8 +150,9 @@ def _document(
         "bootstrap": None
         if boot is None
         else {"resamples": len(boot.points), "failed": int(np.count_nonzero(~boot.converged))},
-        "evaluations": found.profiles.evaluations + (0 if boot is None else boot.evaluations),
-        "seconds": found.seconds,
+        "evaluations": found.profiles.evaluations
+        + (0 if boot is None else boot.evaluations)
+        + trials.evaluations,
         "warnings": warned,
     }
     return document, arrays
@@ -167,11 +172,14 @@ def _trial_doubts(
     names = opened.problem.trials
     out = []
     advice = 'look at it, and fit without it (use = "validate")'
+    gear = opened.result.kind == "gear"
+    freed = " or free its start ([nuisance] start_time, height)" if gear else ""
+    cause = "a bounce beside a bifurcation" if gear else "another supply, tare or state of the motor"
     for t in trials.outliers:
         others = float(np.median(np.delete(trials.ratio, t)))
         out.append(
             f"{names[t]}: {trials.ratio[t]:.1f} × what noise alone costs where the others have {others:.1f}; "
-            f"it bends every parameter: {advice} or free its start ([nuisance] start_time, height)"
+            f"it bends every parameter: {advice}{freed}"
         )
         for row in rows:
             _doubt(row, f"{names[t]} fits unlike the other trials")
@@ -182,7 +190,7 @@ def _trial_doubts(
         )
         out.append(
             f"the fit hangs on {names[t]} alone: without it {moved}, {abs(trials.shift[t, far[0]]):.0f} × "
-            f"what one trial less explains (standard deviations); a bounce beside a bifurcation does that: "
+            f"what one trial less explains (standard deviations); {cause} does that: "
             f"{advice}"
         )
         for i in far:
@@ -190,27 +198,58 @@ def _trial_doubts(
     return out
 
 
+def _given(opened: OpenedFit) -> dict[str, str]:
+    """Return what a fit's intervals take as exact; see `taken_as_exact`."""
+    if not isinstance(opened.problem, MotorProblem) or opened.bench is None:
+        return {}
+    fixed = opened.campaign.parameters.fixed
+    return taken_as_exact(opened.space.names, opened.problem.ranges, opened.bench, fixed)
+
+
+def taken_as_exact(
+    free: Collection[str], ranges: Collection[str], bench: Bench, fixed: Collection[str]
+) -> dict[str, str]:
+    """Return what a motor's intervals take as exact, as it is said, by the parameter whose range would count.
+
+    Parameters
+    ----------
+    free, ranges, fixed : collection of str
+        Names that are free, that have a stated range, that the campaign fixes.
+    bench : Bench
+    """
+    out = {}
+    constants = [name for name in CONSTANTS if name not in free]
+    # Either of the pair moves the other.
+    if constants and not {*constants} & {*ranges}:
+        name = constants[0]
+        if name in fixed:
+            said = "k as fixed"
+        elif name in bench.measured:
+            said = "k as torque over the logged current gives it"
+        elif bench.stated.get(name, "guess").startswith("guess"):
+            said = "a guessed k, as the campaign states no Kv"
+        else:
+            said = "Kv as stated"
+        out[name] = f"{said} (R and L go as k²)"
+    if "rotor_inertia" not in {*free, *ranges}:
+        stated = "rotor_inertia" in {*fixed, *bench.measured}
+        out["rotor_inertia"] = "I^r as stated" if stated else "I^r of another motor (Table I)"
+    return out
+
+
 def _statement(opened: OpenedFit) -> str:
     """Return what the intervals rest on."""
     if not isinstance(opened.problem, MotorProblem):
         return _STATEMENT
-    stated = [name for name in ("rotor_inertia", *CONSTANTS) if name not in opened.space.names]
-    open_ones = [name for name in stated if name not in opened.problem.ranges]
-    ranged = [name for name in stated if name in opened.problem.ranges]
-    words = []
-    constants = {*CONSTANTS} & {*stated}
-    if constants and not {*CONSTANTS} & {*ranged}:
-        words.append("Kv")
-    if "rotor_inertia" in open_ones:
-        words.append("I^r")
-    given = f"; given {' and '.join(words)} as stated (R and L go as k²)" if words else ""
+    words = " and ".join(_given(opened).values())
+    given = f"; given {words}" if words else ""
     return _STATEMENT + " (static curves and tares; ranges under parameters.measured)" + given
 
 
 def _notes(opened: OpenedFit, boot: Resampled | None) -> list[str]:
     """Return what the numbers leave out, one sentence each."""
     out = []
-    if boot is None and len(opened.problem.trials) < 3:
+    if boot is None and len(opened.problem.trials) < FEWEST:
         count = {1: "a single trial", 2: "two trials"}[len(opened.problem.trials)]
         out.append(
             f"no bootstrap and no fits without one trial: of {count} whole ones cannot be drawn or left out"
@@ -221,13 +260,12 @@ def _notes(opened: OpenedFit, boot: Resampled | None) -> list[str]:
             f"bootstrap: {lost} of {len(boot.points)} fits of resampled trials did not come to an end and "
             "are left out of its intervals, which may be too narrow for that"
         )
-    if isinstance(opened.problem, MotorProblem):
-        given = _statement(opened).partition("; given ")[2]
-        if given:
-            out.append(
-                f"all intervals: given {given}; a range under parameters.measured "
-                "(back_emf_constant, rotor_inertia) would count"
-            )
+    given = _given(opened)
+    if given:
+        out.append(
+            f"all intervals: given {' and '.join(given.values())}; a range under parameters.measured "
+            f"({', '.join(given)}) would count"
+        )
     return out
 
 

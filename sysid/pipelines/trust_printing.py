@@ -63,10 +63,11 @@ def check_lines(document: Mapping[str, Any]) -> list[str]:
         out.append(f"start of the fall / touchdown on the log's clock [s]: {', '.join(held)}")
     for row in rows:
         if row.get("second log"):
-            said = ", ".join(
-                f"{name} {value}" for name, value in row["second log"].items() if name != "sha256"
+            second = row["second log"]
+            out.append(
+                f"{row['name']}: second log {second['log']}: clock offset {second['offset [s]']:.4g} s, "
+                f"confidence {second['confidence']:.4g}"
             )
-            out.append(f"{row['name']}: second log: {said}")
     mass = document.get("centre_of_mass")
     if mass is not None:
         pairs = [
@@ -89,7 +90,9 @@ def channel_lines(document: Mapping[str, Any]) -> list[str]:
     for row in document["parameters"]:
         order = sorted(row["channels"].items(), key=lambda pair: -pair[1])
         told = [f"{name} {100 * share:.0f} %" for name, share in order if share >= _TELLS]
-        said.append(f"{row['symbol']}: {', '.join(told)}")
+        # Many channels may tell a little each.
+        little = [name for name, share in order[:1] if share > 0]
+        said.append(f"{row['symbol']}: {', '.join(told or little) or 'nothing'}")
     return [f"told by: {'; '.join(said)}", ""]
 
 

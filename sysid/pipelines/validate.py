@@ -97,7 +97,7 @@ def validate_fit(
         ],
         "warnings": doubts,
     }
-    doubts = [*doubts, *_unlike_the_others(judged)]
+    doubts = [*doubts, *_unlike_the_others(judged, result.kind)]
     out["warnings"] = doubts
     for sentence in (*doubts, *why):
         tell(f"warning: {sentence}")
@@ -114,15 +114,18 @@ def validate_fit(
     return out
 
 
-def _unlike_the_others(judged: list[Judged]) -> list[str]:
+def _unlike_the_others(judged: list[Judged], kind: str) -> list[str]:
     """Return a sentence on every trial that is predicted far worse than the others are."""
     ratios = np.array([one.ratio for one in judged])
     if len(ratios) < 3 or not np.isfinite(ratios).all():
         return []
     usual = float(np.median(ratios))
+    cause = "another supply or tare, or a misread unit, clock or log"
+    if kind == "gear":
+        cause = "a start beside a fork of the bounces, or a misread slope, surface or log"
     return [
-        f"{one.name}: {one.ratio:.1f} × what noise alone costs where the trials have {usual:.1f} (median): a "
-        "start beside a fork of the bounces, or a misread slope, surface or log"
+        f"{one.name}: {one.ratio:.1f} × what noise alone costs where the trials have {usual:.1f} (median): "
+        f"{cause}"
         for one in judged
         if one.ratio > max(1.0, STANDS_OUT * usual)
     ]

@@ -243,7 +243,9 @@ def validation_table(document: Mapping[str, Any]) -> Table:
 def comparison_table(document: Mapping[str, Any]) -> Table:
     """Return which parameters differ between fits by more than their intervals allow."""
     out = table(
-        "differences of the best sets", "allowed: 95 % of the difference; open: an interval has no end",
+        "differences between the fits",
+        "values: minima of the profiles (best sets where there are none); allowed: 95 % of the difference; "
+        "open: an interval has no end",
         [("parameter", False), ("fits", False), ("values", True), ("difference [%]", True), ("allowed", True),
          ("by", False), ("differs", False)],
     )  # fmt: skip

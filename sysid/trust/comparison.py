@@ -61,7 +61,7 @@ def compare_values(
             ]
             allowed = math.hypot(*reach)
             distance = abs(pair[1] - pair[0])
-            doubt = _doubt((names[a], names[b]), rows, allowed)
+            doubt = _doubt((names[a], names[b]), rows, reach)
             differs = bool(distance > allowed) if doubt is None else None
             share = (pair[1] - pair[0]) / pair[0] if pair[0] else math.nan
             unit = "" if record.unit == "1" else f" {record.unit}"
@@ -94,7 +94,9 @@ def _row(document: Mapping[str, Any] | None, name: str) -> Mapping[str, Any] | N
     return next((one for one in document["parameters"] if one["name"] == name), None)
 
 
-def _doubt(names: Sequence[str], rows: Sequence[Mapping[str, Any] | None], allowed: float) -> str | None:
+def _doubt(
+    names: Sequence[str], rows: Sequence[Mapping[str, Any] | None], reach: Sequence[float]
+) -> str | None:
     """Return why nothing can be said of a difference; None where it can."""
     lacking = [name for name, row in zip(names, rows, strict=True) if row is None]
     if lacking:
@@ -102,7 +104,17 @@ def _doubt(names: Sequence[str], rows: Sequence[Mapping[str, Any] | None], allow
     for name, row in zip(names, rows, strict=True):
         if row is not None and row.get("doubt"):
             return f"{name}: {row['doubt']}"
-    return None if math.isfinite(allowed) else "an interval is open"
+    opened = [name for name, far in zip(names, reach, strict=True) if not math.isfinite(far)]
+    return f"the interval is open in {' and '.join(opened)}" if opened else None
+
+
+def unjudged(differences: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return one sentence per reason why differences are not judged, with the parameters it holds for."""
+    why: dict[str, list[str]] = {}
+    for one in differences:
+        if one["doubt"]:
+            why.setdefault(one["doubt"], []).append(one["symbol"])
+    return [f"not judged: {', '.join(dict.fromkeys(of))} ({reason})" for reason, of in why.items()]
 
 
 def _reach(sets: ParameterSets, row: Mapping[str, Any] | None, name: str, up: bool) -> float:

@@ -393,6 +393,8 @@ def test_the_trial_that_decides_a_fit_is_named():
     own = (strong[4][:, :, 0] @ np.array([1.1, 1.0]) + 0.1 * source.standard_normal(200))[:, None]
     found = _influence(strong, [*data[:4], own])
     assert (4, (0,)) in found.held_by
+    # Five fits of at least one step, each with two derivatives.
+    assert found.evaluations >= 5 * 3
     # Without it the others' own value comes back: p_0 = 1 is 0.5 of the cube, fixed to half a percent by 800
     # samples of noise 0.1 on regressors of size 0.5.
     assert found.without[4, 0] == pytest.approx(0.5, abs=0.02)

@@ -10,7 +10,7 @@ from sysid import exact_json
 from sysid.errors import FitError
 from sysid.fit.store import FROM_FOLDER
 from sysid.parameter_sets import ParameterRecord, ParameterSets
-from sysid.trust.comparison import compare_values
+from sysid.trust.comparison import compare_values, unjudged
 from sysid.trust.store import free_part, parts, read_arrays, read_part, validation_part, write_part
 from sysid.trust.validation import LEAVES, judge, reasons
 
@@ -118,7 +118,13 @@ def test_an_open_interval_leaves_a_difference_unknown():
     documents = [_document(1.0, 0.0, 1.3), _document(2.0, 0.1, 9.0, (True, False))]
     found = compare_values(("a", "b"), [_sets("a", 1.0), _sets("b", 2.0)], documents)[0]
     assert found["differs"] is None
-    assert found["doubt"] == "an interval is open"
+    assert found["doubt"] == "the interval is open in b"
+    # The same difference of another parameter shares the sentence, another reason has its own.
+    more = [found, {**found, "symbol": "k_h"}, {**found, "symbol": "b_s", "doubt": "a: not converged"}]
+    assert unjudged([*more, {**found, "doubt": None}]) == [
+        "not judged: m_leg, k_h (the interval is open in b)",
+        "not judged: b_s (a: not converged)",
+    ]
 
 
 def test_an_interval_that_does_not_reach_its_value_allows_nothing():
