@@ -4,6 +4,16 @@
 
 Prints how many of the 95 % profile intervals of each parameter hold the true value, over all replications,
 how often each was called well, weakly or not identifiable, and how far outside the worst one lies.
+
+Measured: 126 of 133 intervals held the truth (95 %), of the seeds 1001 to 1019 times the seven parameters
+other than b_s, which is not identifiable in any. Five of the seven misses are seed 1011's, where a single
+bounce misleads the fit. At the true parameters five drops score 0.9 to 1.1 times their noise and drop-5 2.3
+times, because noise has moved its start past a fork of the bounces. The fit bends the rest to it: all six
+score 1.0 to 1.1, b_s ends at its bound, and k_h and b_h 4.1 and 3.6 half-widths from the truth; without that
+drop 0.6 and 0.7. Freeing the starts within 1 ms does not help. `sysid.trust.influence` therefore fits
+without each trial in turn: drop-5 moves k_h by 6.4 times what one trial less explains, where the farthest of
+the nineteen other campaigns (seed 1018) moves by 4.1. Motors, seeds 2001 to 2020: R held in 19 of 20 and L
+in 18, with errors of 0.85 and 1.06 times what is stated; k_d is not identifiable in any.
 """
 
 from __future__ import annotations
