@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -123,14 +122,12 @@ class Assessment:
         Relative 95 % half-widths of the linearization [1].
     profiles : Profiles
     resampled : Resampled or None
-    seconds : float
     """
 
     linear: Linearized
     expected: FloatArray
     profiles: Profiles
     resampled: Resampled | None
-    seconds: float
 
 
 def assess(
@@ -155,7 +152,6 @@ def assess(
         Told what is going on.
     """
     tell = say or (lambda sentence: None)
-    began = time.perf_counter()
     tell("derivatives at the best set")
     linear = linearize(problem, start)
     tell(f"profiles of {len(start)} parameters")
@@ -176,7 +172,7 @@ def assess(
             problem, linear.point, linear.scale, linear.jacobian.steps, resamples, seed, linear.tolerance
         )
     expected = half_widths(problem.space, linear.point, linear.information.sigma)
-    return Assessment(linear, expected, walked, resampled, time.perf_counter() - began)
+    return Assessment(linear, expected, walked, resampled)
 
 
 def floors(blocks: tuple[Block, ...], trial: int) -> FloatArray:
