@@ -44,6 +44,10 @@ class ClusterError(SysidError):
     """The cluster cannot be reached, or lost the work."""
 
 
+class ClosedError(RuntimeError):
+    """Work was asked for after its executor was closed: by a run that has been called off."""
+
+
 class Work(Protocol):
     """A pure function of rows: equal rows give equal numbers whatever their neighbours."""
 
@@ -77,18 +81,25 @@ class LocalThreads:
 
     at_once = 2
 
+    def __init__(self) -> None:
+        self._turn = threading.Lock()
+        self._closed = False
+
     def share(self, work: Work) -> Work:
-        """Return the work, which takes callers one by one."""
-        turn = threading.Lock()
+        """Return the work, which takes callers one by one; closed, it takes none."""
 
         def in_turn(rows: FloatArray) -> Columns:
-            with turn:
+            with self._turn:
+                if self._closed:
+                    raise ClosedError
                 return work(rows)
 
         return in_turn
 
     def close(self) -> None:
-        """Do nothing."""
+        """Wait for whoever computes: compiled code that runs in two threads can end the process."""
+        with self._turn:
+            self._closed = True
 
     def __enter__(self) -> Self:
         return self

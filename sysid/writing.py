@@ -10,11 +10,15 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from sysid.errors import SysidError
+
+# How often a refused replacement is tried again, and how long after [s].
+_TRIES, _PAUSE = 20, 0.05
 
 
 def _sentence(path: Path, error: BaseException) -> str:
@@ -47,7 +51,7 @@ def write_file(path: str | Path, data: bytes, error_type: type[SysidError] = Sys
             stream.flush()
             os.fsync(stream.fileno())
         _open_to_others(temporary)
-        os.replace(temporary, path)
+        replace_file(temporary, path)
         temporary = None
     except OSError as error:
         raise error_type(_sentence(path, error)) from error
@@ -55,6 +59,25 @@ def write_file(path: str | Path, data: bytes, error_type: type[SysidError] = Sys
         if temporary is not None:
             with suppress(OSError):
                 temporary.unlink()
+
+
+def replace_file(new: Path, path: Path) -> None:
+    """Give a complete file the name of another one.
+
+    Windows refuses while a virus scanner or another command reads either: that passes, so it is tried again.
+
+    Raises
+    ------
+    OSError
+        When it is still refused after a second.
+    """
+    for _ in range(_TRIES):
+        try:
+            os.replace(new, path)
+            return
+        except PermissionError:
+            time.sleep(_PAUSE)
+    os.replace(new, path)
 
 
 def _open_to_others(path: Path) -> None:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
 import shutil
 import time
 from collections.abc import Mapping
@@ -26,7 +25,7 @@ from sysid import exact_json
 from sysid.errors import FitError
 from sysid.fit.memory import Begun, RunMemory, StageMemory
 from sysid.fit.stopping import REASONS
-from sysid.writing import write_file
+from sysid.writing import replace_file, write_file
 
 CHECKPOINT_SCHEMA = "sysid-checkpoint"
 CHECKPOINT_VERSION = 4
@@ -203,8 +202,8 @@ class Checkpoint:
         try:
             write_file(new, state_bytes(memory, self._identity), FitError)
             if current.exists():
-                os.replace(current, previous)
-            os.replace(new, current)
+                replace_file(current, previous)
+            replace_file(new, current)
         except FitError as error:
             raise FitError(f"{error}; then continue the fit with --resume") from error
         except OSError as error:

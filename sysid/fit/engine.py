@@ -235,6 +235,9 @@ class _Run:
         self, name: str, bred: Breeder | BreederApart, rule: StopRule, memory: StageMemory
     ) -> StageHistory:
         remembered, already = len(memory.cost), memory.spent
+        # A stage that has ended is not ended anew by whoever asks while it is remembered: a later one hangs
+        # on it.
+        open_end = memory.ended is None
         began = time.perf_counter()
         generations: list[Generation] = []
         best: list[float] = []
@@ -260,7 +263,8 @@ class _Run:
             if new and self.hooks.on_generation is not None:
                 self.hooks.on_generation(self.run, generation)
             spread = _spread(memory.cost[len(generations) - 1])
-            reason = self._reason(rule, best, len(points), spread, new or len(generations) == remembered)
+            live = new or (open_end and len(generations) == remembered)
+            reason = self._reason(rule, best, len(points), spread, live)
             if new and self.hooks.keep is not None and reason is None:
                 self.hooks.keep(self.run, self.memory, False)
         if not generations:

@@ -96,7 +96,7 @@ class FitProgress:
         """Say that Ctrl-C was heard."""
         if not self._quiet:
             self._say(
-                "stopping at the end of this generation and keeping what was found; Ctrl-C again aborts"
+                "stopping when what is under way is done, and keeping what was found; Ctrl-C again aborts"
             )
 
     def _say(self, line: str) -> None:

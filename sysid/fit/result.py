@@ -19,8 +19,6 @@ from sysid.parameters import SearchSpace, in_words, with_unit
 
 FloatArray = NDArray[np.float64]
 
-# How the source of a parameter begins that was fitted after the search, all else held.
-_SECOND_STAGE = "second stage"
 # Key of a stopped fit's provenance: why, in the words of `sysid.fit.stopping.REASONS`.
 CUT_SHORT = "cut short"
 
@@ -225,13 +223,10 @@ class FitResult:
 
     @property
     def searched(self) -> tuple[ParameterRecord, ...]:
-        """Records of the parameters along the cube's axes, in their order; none where they do not fit."""
-        found = tuple(
-            one
-            for one in self.parameters
-            if one.status == "free" and not one.source.startswith(_SECOND_STAGE)
-        )
-        return found if len(found) == self.cube.shape[1] else ()
+        """Records of the parameters along the cube's axes, in their order; none where it is not recorded."""
+        names = self.provenance.get("search", {}).get("axes", ())
+        by_name = {one.name: one for one in self.parameters}
+        return tuple(by_name[name] for name in names) if {*names} <= {*by_name} else ()
 
     @property
     def nrmse_by_trial(self) -> FloatArray:

@@ -184,6 +184,7 @@ class FitWalk:
                     outcome.filters,
                     outcome.logs,
                     self.folder,
+                    space.names,
                 ),
                 **({} if found.cut is None else {CUT_SHORT: REASONS[found.cut]}),
                 **outcome.more,

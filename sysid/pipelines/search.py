@@ -8,7 +8,7 @@ import platform
 import subprocess
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -360,6 +360,7 @@ def provenance(
     filters: Mapping[str, Any],
     logs: Mapping[str, Any],
     folder: Path,
+    axes: Sequence[str],
 ) -> dict[str, Any]:
     """Return what a reader needs to repeat or doubt a fit.
 
@@ -377,6 +378,8 @@ def provenance(
         Per trial: file, hash, what was noticed.
     folder : Path
         Of the fit: where the campaign lies is stored as seen from there.
+    axes : sequence of str
+        Parameters along the axes of the runs' cube, in their order.
     """
     path = Path(campaign_path)
     return {
@@ -403,6 +406,7 @@ def provenance(
             "finish_population": FINISH_POPULATION,
             "population": settings.population,
             "runs": settings.runs,
+            "axes": list(axes),
             "seed": settings.seed,
             "run_seeds": list(settings.run_seeds()),
             "stop_reading": settings.stop.reading,

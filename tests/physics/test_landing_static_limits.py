@@ -183,8 +183,8 @@ def test_the_ramp_does_not_depend_on_its_stairs(monkeypatch):
     found = [deg(ramp_limit(HF, "hf", thrust).slope) for thrust in (4.0, REVERSE)]
     monkeypatch.setattr(static_limits, "_STAIR", math.radians(0.37))
     again = [deg(ramp_limit(HF, "hf", thrust).slope) for thrust in (4.0, REVERSE)]
-    # Twice the width to which the ramp is halved, and what the stairs shake loose.
-    assert again == pytest.approx(found, abs=0.06)
+    # Twice the width to which the ramp is halved (0.02 deg), and as much that the stairs shake loose.
+    assert again == pytest.approx(found, abs=0.08)
 
 
 @pytest.mark.parametrize(("thrust", "about"), [(0.0, 25.5), (REVERSE, 39.5)])

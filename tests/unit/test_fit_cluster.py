@@ -15,7 +15,7 @@ from test_fit_engine import Bowl, assert_same_run
 
 from sysid.campaign import read_campaign
 from sysid.errors import SysidError
-from sysid.executor import ClusterError, DaskCluster, LocalThreads, chunk_size, executor
+from sysid.executor import ClosedError, ClusterError, DaskCluster, LocalThreads, chunk_size, executor
 from sysid.fit import checkpoint
 from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.engine import Hooks, SearchSettings, run_many
@@ -116,10 +116,14 @@ def test_local_work_is_entered_by_one_caller_at_a_time():
         return (rows[:, 0],)
 
     with LocalThreads() as where, ThreadPoolExecutor(4) as pool:
-        shared = where.share(work)
-        out = list(pool.map(lambda i: shared(np.full((2, 1), float(i))), range(8)))
+        shared = (where.share(work), where.share(work))
+        out = list(pool.map(lambda i: shared[i % 2](np.full((2, 1), float(i))), range(8)))
     assert max(most) == 1
     assert [float(column[0]) for (column,) in out] == list(range(8))
+    # A run that has been called off may still ask.
+    with pytest.raises(ClosedError):
+        shared[0](np.zeros((2, 1)))
+    assert len(most) == 8
 
 
 @pytest.mark.parametrize(

@@ -355,6 +355,27 @@ def test_ranked_sets_are_the_best_of_each_last_generation():
     assert "upper bound of p2 (p_2), 100 N/m" in warnings[1]
 
 
+def test_whoever_asks_to_stop_while_a_run_is_remembered_loses_no_finisher():
+    settings = SearchSettings(40, 1, 3, SHORT, "ga", "cmaes")
+    memory = RunMemory(settings.run_seeds()[0])
+    asked = []
+
+    def late():
+        asked.append(1)
+        return len(asked) > 20
+
+    assert (
+        run_one(Bowl(), settings, memory=memory, hooks=Hooks(should_stop=late)).stop_reason == "interrupted"
+    )
+    paid = [len(stage.cost) for stage in memory.stages]
+    assert len(paid) == 2
+    # Ctrl-C at once: what was remembered is all there is, and it is all there.
+    again = run_one(Bowl(), settings, memory=memory, hooks=Hooks(should_stop=lambda: True))
+    assert again.stop_reason == "interrupted"
+    assert [len(stage.cost) for stage in memory.stages] == paid
+    assert [len(stage.cost) for stage in again.stages] == paid
+
+
 def test_a_flat_cost_ends():
     class Flat(Bowl):
         def evaluate(self, cube):

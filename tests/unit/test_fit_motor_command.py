@@ -3,10 +3,11 @@
 import json
 import shutil
 import signal
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from test_fit_command import SAMPLES, run
+from test_fit_command import SAMPLES
 
 from sysid.fit.store import read_fit
 from sysid.pipelines import motor_stages
@@ -33,11 +34,9 @@ def document(folder):
     return json.loads((Path(folder) / "fit.json").read_text(encoding="utf-8"))
 
 
-def test_the_record_names_the_logs_of_the_curves_and_a_changed_one_is_not_continued(
-    campaign, monkeypatch, capsys
-):
+def test_the_record_names_the_logs_of_the_curves_and_a_changed_one_is_not_continued(campaign, run):
     fit = ("fit-motor", campaign, *SMALL, "--out", "cut", "--time-limit", "0.001 s", "--quiet")
-    assert run(monkeypatch, capsys, *fit)[0] == 0
+    assert run(*fit)[0] == 0
     logs = document("cut")["provenance"]["logs"]
     by_file = {one["log"]: one["sha256"] for one in logs.values()}
     assert {*CURVES, "forward-1.csv", "reversal-2.h5"} <= {*by_file}
@@ -58,7 +57,7 @@ def test_the_record_names_the_logs_of_the_curves_and_a_changed_one_is_not_contin
     # The points that it holds are the same: only the hash can tell.
     log = campaign.parent / "static-forward.csv"
     log.write_bytes(log.read_bytes() + b"\r\n")
-    code, _, err = run(monkeypatch, capsys, *fit, "--resume")
+    code, _, err = run(*fit, "--resume")
     assert code == 2
     assert "log static-forward.csv (curves.static, forward) differs" in err
 
@@ -74,14 +73,14 @@ def interrupting(monkeypatch, step):
     monkeypatch.setattr(motor_stages, step, begun)
 
 
-def test_ctrl_c_after_the_search_keeps_it_and_resume_does_the_rest(campaign, monkeypatch, capsys):
-    assert run(monkeypatch, capsys, "fit-motor", campaign, *SMALL, "--out", "whole", "--quiet")[0] == 0
+def test_ctrl_c_after_the_search_keeps_it_and_resume_does_the_rest(campaign, monkeypatch, run):
+    assert run("fit-motor", campaign, *SMALL, "--out", "whole", "--quiet")[0] == 0
     before = signal.getsignal(signal.SIGINT)
 
     fit = ("fit-motor", campaign, *SMALL, "--out", "cut")
     with monkeypatch.context() as patched:
         interrupting(patched, "fit_saturation")
-        code, out, err = run(patched, capsys, *fit)
+        code, out, err = run(*fit)
     assert code == 130
     assert signal.getsignal(signal.SIGINT) is before
     assert "fit written to cut (stopped early" in " ".join(out.split())
@@ -92,15 +91,24 @@ def test_ctrl_c_after_the_search_keeps_it_and_resume_does_the_rest(campaign, mon
     # The next step is stopped too: what came before it is kept.
     with monkeypatch.context() as patched:
         interrupting(patched, "climb")
-        assert run(patched, capsys, *fit, "--resume", "--quiet")[0] == 130
+        assert run(*fit, "--resume", "--quiet")[0] == 130
     whole, ladder_missing = document("whole")["settings"], document("cut")["settings"]
     assert ladder_missing["saturation"] == whole["saturation"]
     assert "ladder" not in ladder_missing
     assert any("interrupted: the ladder of simpler" in text for text in document("cut")["warnings"])
 
-    assert run(monkeypatch, capsys, *fit, "--resume", "--quiet")[0] == 0
+    assert run(*fit, "--resume", "--quiet")[0] == 0
     assert not Path("cut.checkpoint").exists()
     done = document("cut")
     assert done["sets"] == document("whole")["sets"]
     assert done["settings"] == whole
     assert "cut short" not in done["provenance"]
+
+    # The cube's axes are in the search's order, which need not be the table's.
+    fit = read_fit("cut")
+    axes = fit.provenance["search"]["axes"]
+    assert len(axes) == fit.cube.shape[1]
+    assert [one.name for one in fit.searched] == axes
+    turned = replace(fit, provenance={"search": {"axes": axes[::-1]}})
+    assert [one.name for one in turned.searched] == axes[::-1]
+    assert replace(fit, provenance={}).searched == ()

@@ -87,7 +87,7 @@ def made_fit(channels=GEAR, samples=150, lost=slice(40, 44), runs=5, uses=("fit"
         channel_units=tuple(unit for _, unit in channels),
         channel_weights=(1.0,) * len(channels),
         settings={},
-        provenance={},
+        provenance={"search": {"axes": ["leg_axial_stiffness"]}},
     )
 
 
