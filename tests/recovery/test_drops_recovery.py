@@ -191,22 +191,22 @@ def assert_sets_agree(result):
 
 @pytest.mark.slow
 def test_low_noise_fit_finds_stiffnesses_and_joint(tmp_path):
-    """0.05 mm and 0.05 deg: excess of the best run below 4 %, k_h, k_t and dx_j within 10 % of the truth.
+    """0.05 mm and 0.05 deg: excess of the GA's best run below 4 %; finished, k_h, k_t, dx_j within 10 %.
 
-    Population 800, the upper end of the paper's 400 to 800.
+    Population 800, the upper end of the paper's 400 to 800. The GA alone leaves k_t up to a fifth off.
     """
     folder = synthesize_gear(tmp_path / "drops", seed=1, noise_position=0.05e-3, noise_angle=radians(0.05))
     campaign, drops = _prepared(folder)
     truth = read_truth(folder)["parameters"]
     fitted = tuple(drop for drop in drops if drop.use == "fit")
     own = float(score_values(campaign, fitted, truth).cost[0])
-    options = FitOptions(
-        out=Path(tmp_path / "fit"), algorithm="ga", population=800, finish="none", quiet=True
-    )
+    options = FitOptions(out=Path(tmp_path / "fit"), algorithm="ga", population=800, quiet=True)
     result, _ = fit_gear(folder / "campaign.toml", options)
-    print(f"truth {own:.4%}, sets {result.nrmse}, excess {_excess(result.nrmse, own)}")
+    plain = np.array([run.stages[0].cost.min() for run in result.runs])
+    print(f"truth {own:.4%}, sets {result.nrmse}, of the GA alone {plain}, excess {_excess(plain, own)}")
     assert len(result.nrmse) == 5
-    assert _excess(result.nrmse, own)[0] < 0.04
+    assert _excess(plain, own).min() < 0.04
+    assert result.nrmse[0] <= 1.002 * own
     best = result.parameter_sets().set_values(1)
     for name in ("leg_axial_stiffness", "leg_bending_stiffness", "joint_dx"):
         assert best[name] == pytest.approx(truth[name], rel=0.10)

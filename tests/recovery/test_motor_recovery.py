@@ -203,7 +203,11 @@ def test_full_fit_of_five_runs(
     assert not result.settings["profiles"]["viscous_damping"]["identified"]
     assert np.all(result.nrmse[good] < PAPER)
     # Required: sets of one optimum agree within 1 % in every parameter that no warning doubts.
-    doubts, best = " ".join(result.warnings), result.nrmse <= (1 + SAME_NRMSE) * result.nrmse[0]
+    # The dead band is found after the search: an optimum is that of both stages.
+    doubts, banded = " ".join(result.warnings), np.array(result.settings["saturation"]["nrmse"])
+    best = (result.nrmse <= (1 + SAME_NRMSE) * result.nrmse[0]) & (banded <= (1 + SAME_NRMSE) * banded.min())
+    print(f"dead band: {banded}, speeds {found['saturation_speed']}, of one optimum {best}")
+    assert np.count_nonzero(best) >= 2
     free = [record.name for record in result.parameters if record.status == "free"]
     held = {
         name: np.ptp(found[name][best]) / abs(found[name][best].mean()) for name in free if name not in doubts

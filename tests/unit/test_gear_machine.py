@@ -164,7 +164,8 @@ def test_a_processor_without_avx_gives_the_same_numbers(tmp_path):
         ours = simulate_population(pack({}, surface), drops, surface=surface, tolerance=1e-6)
         assert found[f"{surface} wide registers"] == 0
         samples, spent = found[surface]
-        # Fused multiply-adds round elsewhere; 40 ms hold the first contact, not yet the chaos of bounces.
-        np.testing.assert_allclose(samples, ours.samples, rtol=0, atol=1e-9)
+        # Fused multiply-adds round elsewhere, which lengthens a step here and shortens one there; 40 ms hold
+        # the first contact, not yet the chaos of bounces. A tenth of the tolerance.
+        np.testing.assert_allclose(samples, ours.samples, rtol=0, atol=1e-7)
         np.testing.assert_array_equal(spent, ours.rhs_evaluations)
         assert np.isfinite(ours.first_contact).any(axis=2).all()

@@ -173,8 +173,10 @@ def test_lanes_become_packed_instructions(surface):
     ending = (0.0, 0.05, 0.2, 0.2, 1.4)  # to the clock's end; rest and flip as by default
     drive(pack({})[None], reads, *start, *thrust, np.zeros(1, np.int64), 1e-3, 5e-3, 1e6, ending, *out)
     (text,) = drive.inspect_asm().values()
-    packed = len(re.findall(r"\bv?mulpd\b", text))
-    single = len(re.findall(r"\bv?mulsd\b", text))
+    # Products by themselves and those fused into a sum.
+    packed, single = (
+        len(re.findall(rf"\bv?(?:mul|fn?m(?:add|sub)(?:132|213|231)){kind}\b", text)) for kind in ("pd", "sd")
+    )
     # Every stage is one loop over lanes; what stays scalar is sampling and the start of a job.
     assert packed > 500
     assert packed > 3 * single
