@@ -167,5 +167,5 @@ def test_a_processor_without_avx_gives_the_same_numbers(tmp_path):
         # Fused multiply-adds round elsewhere, which lengthens a step here and shortens one there; 40 ms hold
         # the first contact, not yet the chaos of bounces. A tenth of the tolerance.
         np.testing.assert_allclose(samples, ours.samples, rtol=0, atol=1e-7)
-        np.testing.assert_array_equal(spent, ours.rhs_evaluations)
+        np.testing.assert_allclose(spent, ours.rhs_evaluations, rtol=0.01)
         assert np.isfinite(ours.first_contact).any(axis=2).all()
