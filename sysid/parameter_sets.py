@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from sysid import exact_json
 from sysid.errors import ExportError
 from sysid.parameters import Parameter, SearchSpace
+from sysid.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Status = Literal["free", "measured", "fixed", "derived", "unknown"]
 
 SCHEMA = "sysid-parameter-sets"

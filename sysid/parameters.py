@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import CampaignError
+from sysid.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Scale = Literal["linear", "log"]
 
 # A value within this share of the unit-cube edge is said to lie at its bound.

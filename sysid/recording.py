@@ -14,12 +14,9 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.errors import LogError
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from sysid.types import BoolArray, FloatArray
 
 
 def _locked(values: object) -> FloatArray:

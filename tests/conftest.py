@@ -1,8 +1,15 @@
 """What tests share: the command line, small logs, and two threads also on one core."""
 
 import os
+from pathlib import Path
 
 import pytest
+
+# Processes that a test starts find `fakes` and this checkout as the test itself does.
+_TESTS = Path(__file__).resolve().parent
+os.environ["PYTHONPATH"] = os.pathsep.join(
+    [str(_TESTS.parent), str(_TESTS), *filter(None, [os.environ.get("PYTHONPATH")])]
+)
 
 if int(os.environ.get("NUMBA_NUM_THREADS") or os.cpu_count() or 1) < 2:
     # Many compare one thread with two; Numba reads this when it is first imported.

@@ -16,7 +16,7 @@ from sysid.errors import ExportError
 from sysid.export import binary, spreadsheet
 from sysid.export.mean_table import MeanRow, format_mean_table, mean_table
 from sysid.parameter_sets import ParameterSets
-from sysid.writing import write_file
+from sysid.storage import write_file
 
 __all__ = ["MeanRow", "export", "format_mean_table", "load_parameter_sets", "mean_table"]
 

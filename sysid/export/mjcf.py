@@ -30,11 +30,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.errors import ExportError
-
-FloatArray = NDArray[np.float64]
+from sysid.types import FloatArray
 
 # Impedance of the contacts: the share of the free acceleration that leaks into the force.
 _IMPEDANCE = 1e-3

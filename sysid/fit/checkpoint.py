@@ -1,7 +1,7 @@
 """A running fit on disk: lost by no kill, continued to the same bits, by one process at a time.
 
 Beside the result folder ``NAME`` lies ``NAME.checkpoint`` while a fit is unfinished. Each run has its own
-file ``run-3.h5``, which holds the costs it has paid for (see `sysid.fit.memory`). It is an HDF5 file behind
+file ``run-3.h5``, which holds the costs it has paid for (see `sysid.fit.run_log`). It is an HDF5 file behind
 a block of 512 bytes (HDF5's user block, so every reader opens it) that carries the SHA-256 of the rest. A new
 state is written whole to a temporary name and synced; then the last one becomes ``run-3.previous.h5`` and the
 new one takes its place, so that at every byte there is a file that is whole.
@@ -23,9 +23,9 @@ from filelock import FileLock, Timeout
 
 from sysid import exact_json
 from sysid.errors import FitError
-from sysid.fit.memory import Begun, RunMemory, StageMemory
+from sysid.fit.run_log import Begun, RunMemory, StageMemory
 from sysid.fit.stopping import REASONS
-from sysid.writing import replace_file, write_file
+from sysid.storage import replace_file, write_file
 
 CHECKPOINT_SCHEMA = "sysid-checkpoint"
 CHECKPOINT_VERSION = 4

@@ -6,11 +6,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.fit.stopping import StopReason
-
-FloatArray = NDArray[np.float64]
+from sysid.types import FloatArray, IntArray
 
 
 def summed(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
@@ -74,7 +72,7 @@ class StageHistory:
     Parameters
     ----------
     algorithm : str
-        A key of `sysid.fit.algorithms.ALGORITHMS`.
+        A key of `sysid.fit.breeders.algorithms.ALGORITHMS`.
     cube : (G, P, n_free) array
         Population after every generation in the unit cube, best first [1].
     cost : (G, P) array
@@ -94,7 +92,7 @@ class StageHistory:
     algorithm: str
     cube: FloatArray
     cost: FloatArray
-    failed: NDArray[np.int64]
+    failed: IntArray
     evaluations: int
     simulations: int
     wall_time: float
@@ -134,7 +132,7 @@ class RunHistory:
         return np.concatenate([np.median(stage.cost, axis=1) for stage in self.stages])
 
     @property
-    def failed(self) -> NDArray[np.int64]:
+    def failed(self) -> IntArray:
         """(G,) failed candidates of every generation, over all stages [1]."""
         return np.concatenate([stage.failed for stage in self.stages])
 

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.executor import Executor
+from sysid.parallel import Executor
 from sysid.parameters import SearchSpace
 
 

@@ -14,10 +14,10 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from sysid.fit.engine import SearchSettings
 from sysid.fit.history import Generation, RunHistory
-from sysid.fit.record import failures
+from sysid.fit.search import SearchSettings
 from sysid.fit.stopping import REASONS
+from sysid.fit.summary import failures
 
 # Between two plain lines [s].
 PLAIN_INTERVAL = 10.0

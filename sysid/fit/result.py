@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from sysid import exact_json
 from sysid.errors import FitError
 from sysid.filters import Spectrum
-from sysid.fit.agreement import Agreement, agreement
 from sysid.fit.history import RunHistory
+from sysid.fit.optima import Agreement, agreement
 from sysid.parameter_sets import ParameterRecord, ParameterSets
 from sysid.parameters import SearchSpace, in_words, with_unit
-
-FloatArray = NDArray[np.float64]
+from sysid.types import BoolArray, FloatArray
 
 # Key of a stopped fit's provenance: why, in the words of `sysid.fit.stopping.REASONS`.
 CUT_SHORT = "cut short"
@@ -55,7 +54,7 @@ class TrialResult:
     use: Literal["fit", "validate"]
     time: FloatArray
     measured: FloatArray
-    valid: NDArray[np.bool_]
+    valid: BoolArray
     simulated: FloatArray
     nrmse: FloatArray
     spectrum: Spectrum | None = None

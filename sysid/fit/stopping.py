@@ -8,7 +8,7 @@ the best cost of a generation, ``w`` the window of 4 generations and ``ε`` = 1e
   absolute for an NRMSE below 1.
 
 Both are first tested at generation ``w + 1`` and both stop too early on some seeds, which is why a fit is
-several runs. The rule is a pure function of what happened; `sysid.fit.engine` asks it after every generation.
+several runs. The rule is a pure function of what happened; `sysid.fit.search` asks it after every generation.
 """
 
 from __future__ import annotations

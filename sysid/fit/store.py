@@ -17,13 +17,13 @@ import numpy as np
 from sysid import exact_json
 from sysid.errors import ExportError, FitError
 from sysid.filters import Spectrum
-from sysid.fit.agreement import waterfall
 from sysid.fit.history import RunHistory, StageHistory
-from sysid.fit.record import failures, record_lines, run_record
+from sysid.fit.optima import waterfall
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.stopping import REASONS
+from sysid.fit.summary import failures, record_lines, run_record
 from sysid.parameter_sets import ParameterSets, in_place_of_digits
-from sysid.writing import check_folder, replaced_folder
+from sysid.storage import check_folder, replaced_folder
 
 # Key of the provenance: where the campaign lies, seen from the fit folder.
 FROM_FOLDER = "from the fit folder"

@@ -27,7 +27,7 @@ Joint, axial (5): force ``-(k_h h + b_h h')`` on the body along the leg. Joint, 
 body ``k_t (q_C - q_n) + b_t q_C'`` (rear; opposite sign for the front leg). The reaction across the leg is a
 constraint force. Contact (7): ``F_n = k_s p + b_s p'`` while ``p > 0``, the damper only while ``p' > 0``. Low
 friction (8): ``F_t = -mu_k F_n v_t / (|v_t| + eps_v)``. High friction (9, 10, Fig. 5): each foot slips
-or sticks, `sysid.gear.surfaces.high_friction`. Motion (11, 12): `sysid.gear.dynamics`.
+or sticks, `sysid.gear.surfaces.high_friction`. Motion (11, 12): `sysid.gear.kernel.dynamics`.
 
 Where the printed paper cannot be meant literally: (8) lacks the minus sign (friction opposes slip); ``eps_v``
 is not printed (0.01 m/s here); the leg's centre of mass is not given (`leg_mass_fraction` of the length from
@@ -51,7 +51,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sysid.errors import CampaignError
-from sysid.gear import forces, kernel
+from sysid.gear.kernel import driver as kernel
+from sysid.gear.kernel import foot_forces as forces
 from sysid.gear.parameters import PARAMETERS, parameters_on
 from sysid.gear.propulsion import Propulsion
 from sysid.gear.surfaces import SURFACES, Surface, find_surface

@@ -8,13 +8,11 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.errors import CampaignError
-from sysid.gear.rows import PLAN_COLUMNS, SEGMENT_COLUMNS
+from sysid.gear.kernel.work_buffer import PLAN_COLUMNS, SEGMENT_COLUMNS
 from sysid.integrate.piecewise import PiecewiseCubic
-
-FloatArray = NDArray[np.float64]
+from sysid.types import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +23,7 @@ class Propulsion:
     ----------
     rear, front : PiecewiseCubic
         Thrust of each pair against the history's own clock, for example from
-        `sysid.motor.thrust.thrust_history`; held at its first value before the clock starts.
+        `sysid.motor.pair_thrust.thrust_history`; held at its first value before the clock starts.
     begins : float or "first contact"
         When that clock starts: this long after the drop's first sample [s], or when a foot first touches.
     delay : float

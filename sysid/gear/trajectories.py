@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sysid.errors import CampaignError
-from sysid.gear import kernel
+from sysid.gear.kernel import driver as kernel
 from sysid.gear.propulsion import Propulsion, plans
-
-FloatArray = NDArray[np.float64]
+from sysid.types import FloatArray, IntArray
 
 
 class Status(IntEnum):
@@ -180,7 +179,7 @@ class Drops:
     time: Sequence[FloatArray]
     propulsion: Propulsion | Sequence[Propulsion | None] | None = None
     clock: FloatArray = field(init=False)
-    offset: NDArray[np.int64] = field(init=False)
+    offset: IntArray = field(init=False)
     segments: FloatArray = field(init=False)
     plans: FloatArray = field(init=False)
 
@@ -258,8 +257,8 @@ class PopulationSamples:
     samples: FloatArray
     reached: FloatArray
     status: NDArray[np.int8]
-    rhs_evaluations: NDArray[np.int64]
-    switches: NDArray[np.int64]
+    rhs_evaluations: IntArray
+    switches: IntArray
     first_contact: FloatArray
     flip: FloatArray
     rest: FloatArray

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from sysid.types import FloatArray
 
 # No piece gets shorter than this, whatever its error: a jump of the slope stays one [s].
 _SHORTEST = 2e-5

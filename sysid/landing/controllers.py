@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.errors import CampaignError, SysidError
-from sysid.landing.sensing import Sensing
+from sysid.landing.impact_sensor import Sensing
 from sysid.units import parse_quantity
 
 # The paper's impulse: thrust is cut but not reversed, because a reversal takes too long.

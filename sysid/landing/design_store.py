@@ -16,7 +16,7 @@ from sysid.errors import ExportError
 from sysid.landing.design_study import Change, DesignStudy, StudySettings
 from sysid.landing.maps import MapSettings
 from sysid.landing.outcomes import Rules
-from sysid.writing import write_file
+from sysid.storage import write_file
 
 SCHEMA = "sysid-design-study"
 VERSION = 1

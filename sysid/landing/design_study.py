@@ -20,17 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import CampaignError
-from sysid.executor import Executor
 from sysid.gear.model import PARAMETERS as GEAR
-from sysid.landing.blocks import BlockStore
 from sysid.landing.controllers import Controller
 from sysid.landing.drone import Drone
 from sysid.landing.maps import LandingMap, MapSettings, landing_maps
 from sysid.landing.outcomes import LANDED, Outcome
 from sysid.motor.model import PARAMETERS as MOTOR
+from sysid.parallel import Executor
+from sysid.resume import BlockStore
+from sysid.types import BoolArray, FloatArray, IntArray
 from sysid.units import parse_quantity
 
-FloatArray = NDArray[np.float64]
 Kind = Literal["gear", "motor", "reversal"]
 
 REVERSAL = "reversal_delay"
@@ -259,7 +259,7 @@ class DesignStudy:
     settings: StudySettings
     points: FloatArray
     landed: FloatArray
-    lost: NDArray[np.int64]
+    lost: IntArray
 
     @property
     def steepest(self) -> FloatArray:
@@ -273,7 +273,7 @@ class DesignStudy:
         return np.asarray(slopes[count])
 
     @property
-    def at_edge(self) -> NDArray[np.bool_]:
+    def at_edge(self) -> BoolArray:
         """Whether every slope (p, m) of the grid is safe, so that steeper ones may be, too."""
         return np.asarray(self.steepest == self.settings.slopes_deg[-1])
 
@@ -424,7 +424,7 @@ def design_study(
     return DesignStudy(name, controller.label, tuple(changes), own, points, landed, lost)
 
 
-def shares_of(outcome: NDArray[np.int8]) -> tuple[FloatArray, NDArray[np.int64]]:
+def shares_of(outcome: NDArray[np.int8]) -> tuple[FloatArray, IntArray]:
     """Return the share that landed, of what could be simulated, and how many could not.
 
     Parameters

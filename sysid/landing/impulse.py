@@ -18,19 +18,16 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.errors import CampaignError
 from sysid.gear.propulsion import Propulsion
 from sysid.landing.controllers import IDLE_COMMAND, IMPULSE_COMMAND, Step, impulse
 from sysid.landing.drone import Drone
-from sysid.landing.motors import Motors
 from sysid.landing.outcomes import Rules
 from sysid.landing.scenario import Scenario
 from sysid.landing.simulate import second_impacts
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from sysid.landing.thrust import Motors
+from sysid.types import BoolArray, FloatArray, IntArray
 
 # Landings simulated in one call: bounds the memory.
 _AT_ONCE = 20_000
@@ -307,7 +304,7 @@ class Impulses:
     def _refine(
         self,
         cells: Sequence[Scenario],
-        which_cells: NDArray[np.bool_],
+        which_cells: BoolArray,
         step: float,
         delay: FloatArray,
         duration: FloatArray,

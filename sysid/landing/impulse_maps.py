@@ -7,18 +7,16 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sysid.executor import Columns, Executor, LocalThreads
-from sysid.landing.blocks import BlockStore, compute_blocks
 from sysid.landing.controllers import Controller, Step
 from sysid.landing.drone import Drone
 from sysid.landing.impulse import Impulses, ImpulseSettings, Optimum
 from sysid.landing.maps import CellMap, LandingMap, MapSettings, map_identity
 from sysid.landing.scenario import Scenario
 from sysid.landing.simulate import run
-
-FloatArray = NDArray[np.float64]
+from sysid.parallel import Columns, Executor, LocalThreads
+from sysid.resume import BlockStore, compute_blocks
+from sysid.types import FloatArray
 
 OPTIMUM = tuple(Optimum.__dataclass_fields__)
 UNITS = {

@@ -16,7 +16,7 @@ from sysid.errors import ExportError
 from sysid.landing.impulse_maps import UNITS, ImpulseMap
 from sysid.landing.maps import CellMap, LandingMap
 from sysid.landing.outcomes import OUTCOMES, Outcome
-from sysid.writing import write_file
+from sysid.storage import write_file
 
 SCHEMA = "sysid-landing-maps"
 VERSION = 1

@@ -12,16 +12,15 @@ from numpy.typing import NDArray
 
 from sysid import __version__
 from sysid.errors import CampaignError
-from sysid.executor import Columns, Executor, LocalThreads
-from sysid.landing.blocks import BlockStore, compute_blocks, digest
 from sysid.landing.controllers import Controller
 from sysid.landing.drone import Drone
-from sysid.landing.motors import Motors
 from sysid.landing.outcomes import LANDED, OUTCOMES, Outcome, Rules
 from sysid.landing.scenario import Scenario
 from sysid.landing.simulate import LANDING_TOLERANCE, Landings, land_many
-
-FloatArray = NDArray[np.float64]
+from sysid.landing.thrust import Motors
+from sysid.parallel import Columns, Executor, LocalThreads
+from sysid.resume import BlockStore, compute_blocks, digest
+from sysid.types import BoolArray, FloatArray
 
 # The paper's grid.
 SLOPES_DEG = tuple(float(slope) for slope in range(46))
@@ -127,7 +126,7 @@ class LandingMap(CellMap):
     outcome: NDArray[np.int8]
     distance: FloatArray
     time: FloatArray
-    uncertain: NDArray[np.bool_]
+    uncertain: BoolArray
     checked: bool = field(default=True, kw_only=True)
 
     def share(self, outcome: Outcome) -> FloatArray:
@@ -296,7 +295,7 @@ def landing_maps(
     threads : int, optional
         Cores of this process; the result does not depend on it.
     store, on_block, stop
-        As in `sysid.landing.blocks.compute_blocks`.
+        As in `sysid.resume.compute_blocks`.
 
     Returns
     -------

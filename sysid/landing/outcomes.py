@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from sysid.errors import CampaignError
 from sysid.gear.trajectories import Ending
-
-FloatArray = NDArray[np.float64]
+from sysid.types import BoolArray, FloatArray
 
 
 class Outcome(IntEnum):
@@ -112,7 +111,7 @@ class Rules:
         return cls(**{name: float(value) for name, value in document.items()})
 
     def classes(
-        self, distance: FloatArray, rest: FloatArray, flip: FloatArray, lost: NDArray[np.bool_]
+        self, distance: FloatArray, rest: FloatArray, flip: FloatArray, lost: BoolArray
     ) -> NDArray[np.int8]:
         """Return the `Outcome` codes (...).
 

@@ -8,19 +8,18 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sysid.errors import CampaignError
 from sysid.landing.drone import Drone
-
-FloatArray = NDArray[np.float64]
+from sysid.types import FloatArray
 
 
 @dataclass(frozen=True)
 class Scenario:
     """One touchdown: the lowest foot on the surface, legs at rest, motors at the hover command.
 
-    Valid without wind; the approach itself is not simulated (see `sysid.landing.descent`).
+    Valid without wind; the approach itself is not simulated (see `sysid.landing.approach`).
 
     Parameters
     ----------

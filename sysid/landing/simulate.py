@@ -15,11 +15,10 @@ from sysid.gear.propulsion import Propulsion
 from sysid.gear.trajectories import Drops, EventKind, GearTrajectory, Status
 from sysid.landing.controllers import Controller
 from sysid.landing.drone import Drone
-from sysid.landing.motors import Motors
 from sysid.landing.outcomes import Outcome, Rules
 from sysid.landing.scenario import Scenario, along_slope, slopes_of
-
-FloatArray = NDArray[np.float64]
+from sysid.landing.thrust import Motors
+from sysid.types import FloatArray
 
 # Bound of the weighted rms error per step. Landings bounce and are chaotic near the borders between classes:
 # `sysid.landing.maps` repeats a map with half of it and marks the cells that change.

@@ -45,7 +45,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.errors import CampaignError
 from sysid.gear.model import PARAMETERS, Status, pack, simulate, simulate_population
@@ -55,8 +54,8 @@ from sysid.gear.trajectories import Drops
 from sysid.integrate.piecewise import PiecewiseCubic
 from sysid.landing.outcomes import Rules
 from sysid.landing.simulate import LANDING_TOLERANCE
+from sysid.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 How = Literal["slides", "tips", "stays"]
 
 VERTICAL = math.pi / 2

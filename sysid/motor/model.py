@@ -39,11 +39,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sysid.errors import FitError
 from sysid.motor import kernel
 from sysid.motor.parameters import FREE_DEFAULT, INSTRUMENT, PARAMETERS, kv_to_si
+from sysid.types import FloatArray
 
 __all__ = [
     "FREE_DEFAULT",
@@ -63,7 +64,6 @@ __all__ = [
     "unpack",
 ]
 
-FloatArray = NDArray[np.float64]
 
 STATUS_TEXT = {
     kernel.DONE: "done",

@@ -1,7 +1,7 @@
 """Static curves by robust least squares: T(Ω), τ_aero(Ω) and Ω_0(u), one set of coefficients per direction.
 
 Points come from averaged logs (a row is a point) or from the steady segments of a step log; see
-`sysid.trials.thrust.steady_points`. A point far from the curve (a speed probe that missed a blade, a stand
+`sysid.trials.bench_log.steady_points`. A point far from the curve (a speed probe that missed a blade, a stand
 that settled late) loses weight instead of bending it.
 """
 
@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from sysid.errors import FitError
+from sysid.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Direction = Literal["forward", "reverse"]
 
 # MAD of a normal distribution in units of its standard deviation.

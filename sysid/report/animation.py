@@ -8,8 +8,8 @@ import math
 from collections.abc import Sequence
 from importlib import resources
 
-from sysid.report.markup import Html
-from sysid.report.replay import DropReplay, animation_data
+from sysid.report.drop_replay import DropReplay, animation_data
+from sysid.report.html import Html
 
 
 def animation(drops: Sequence[DropReplay], campaigns: Sequence[str] = ()) -> Html:

@@ -9,14 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, FancyBboxPatch, Polygon
-from numpy.typing import NDArray
 
 from sysid.gear.surfaces import high_friction
-from sysid.report.panels import WIDTH
-from sysid.report.replay import DropReplay
+from sysid.report.drop_replay import DropReplay
+from sysid.report.fit_figures import WIDTH
 from sysid.report.snapshots import BODY, FRICTION, GROUND, NORMAL
-
-FloatArray = NDArray[np.float64]
+from sysid.types import FloatArray
 
 _DIMENSION, _WEIGHT, _THRUST, _AXES = "#009E73", "#7A5195", "#E69F00", "#555555"
 MODES = ("both slip", "rear sticks", "front sticks", "both stick")

@@ -14,17 +14,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.errors import ExportError
-from sysid.fit.record import record_lines, run_record
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.store import read_fit
+from sysid.fit.summary import record_lines, run_record
 from sysid.motor.model import thrust as static_thrust
 from sysid.report.animation import animation
 from sysid.report.diagrams import figure_geometry, figure_modes, mode_shares
-from sysid.report.figures import display_of, percent_text
-from sysid.report.markup import (
+from sysid.report.drop_replay import DropReplay, replay_drop
+from sysid.report.fit_figures import (
+    figure_channel,
+    figure_runs,
+    figure_spectrum,
+    figure_spread,
+    figure_thrust,
+    figure_waterfall,
+    filter_gain,
+    legend_of,
+)
+from sysid.report.fit_plots import display_of, percent_text
+from sysid.report.html import (
     NOTHING,
     Html,
     box,
@@ -38,17 +48,6 @@ from sysid.report.markup import (
     picture,
 )
 from sysid.report.motor_figures import figure_reversal, reversal_commands
-from sysid.report.panels import (
-    figure_channel,
-    figure_runs,
-    figure_spectrum,
-    figure_spread,
-    figure_thrust,
-    figure_waterfall,
-    filter_gain,
-    legend_of,
-)
-from sysid.report.replay import DropReplay, replay_drop
 from sysid.report.snapshots import figure_snapshots
 from sysid.report.tables import ladder_table, mean_sigma_table, ranked_table, trial_table
 from sysid.report.trust_panels import (
@@ -64,8 +63,7 @@ from sysid.report.trust_panels import (
     verdict_words,
 )
 from sysid.report.verdict import open_parameters, verdict_sentences
-
-FloatArray = NDArray[np.float64]
+from sysid.types import FloatArray
 
 _MOST_REVERSALS = 6
 # Panels of channels beyond which a page holds them as pixels: vectors of 40 take 2 MB.

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from sysid.inspection import LogReport
 from sysid.recording import BoolArray, Channel, FloatArray, Recording
-from sysid.report.figures import BEST, MEASURED, RUNS
+from sysid.report.fit_plots import BEST, MEASURED, RUNS
+from sysid.trials.look import LogReport
 
 # Channels that tell most about a bench log, first; of other logs the first ones.
 _FIRST = ("command", "speed", "thrust", "torque", "voltage", "current")

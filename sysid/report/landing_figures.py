@@ -13,14 +13,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.path import Path
 from matplotlib.patheffects import Normal, withStroke
-from numpy.typing import NDArray
 
-from sysid.landing.experiments import Experiment, of_map
 from sysid.landing.impulse_maps import ImpulseMap
 from sysid.landing.maps import LandingMap, cell_edges
 from sysid.landing.outcomes import OUTCOMES, Outcome
-
-FloatArray = NDArray[np.float64]
+from sysid.landing.real_landings import Experiment, of_map
+from sysid.types import BoolArray, FloatArray
 
 # Of one map on a page [in].
 WIDTH = 4.3
@@ -98,7 +96,7 @@ class MapLegend:
         self.handles.setdefault(label, Patch(label=label, **look))  # type: ignore[arg-type]
 
     def entries(self) -> list[tuple[str, str, str]]:
-        """Return (colour, kind, words) of each, areas first, as `sysid.report.markup.legend` takes them."""
+        """Return (colour, kind, words) of each, areas first, as `sysid.report.html.legend` takes them."""
         out = []
         for words, handle in self.handles.items():
             if isinstance(handle, Patch):
@@ -384,7 +382,7 @@ def _name_limits(legend: MapLegend, maps: Sequence[LandingMap], limits: Limits, 
             )  # fmt: skip
 
 
-def _middle(cells: NDArray[np.bool_], rows: NDArray[np.bool_]) -> tuple[int, int] | None:
+def _middle(cells: BoolArray, rows: BoolArray) -> tuple[int, int] | None:
     """The cell of a zone that lies deepest in it and in one of the rows, None where the zone is too small."""
     from scipy.ndimage import distance_transform_edt
 

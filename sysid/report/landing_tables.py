@@ -21,7 +21,7 @@ def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
     name : str
         Of the sets.
     rows : sequence of mapping
-        As `sysid.pipelines.static_limits.SetLimits.document` writes them.
+        As `sysid.workflows.static_limits.SetLimits.document` writes them.
     """
     creeps = any(row["rigid creep limit [deg]"] < row["rigid slide limit [deg]"] for row in rows)
     table = plain_table(

@@ -16,7 +16,7 @@ from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.motor.model import no_load_speed, simulate
 from sysid.parameter_sets import ParameterSets
 from sysid.report.diagrams import figure_geometry, figure_modes
-from sysid.report.markup import Html, markup_table, picture
+from sysid.report.html import Html, markup_table, picture
 
 # Table I as printed, and the rating it contradicts.
 _PRINTED_CONSTANT, _RATING_RPM_PER_VOLT = 0.099, 960.0

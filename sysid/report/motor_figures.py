@@ -11,14 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
 from sysid.fit.result import TrialResult
-from sysid.report.figures import RUNS
-from sysid.report.panels import figure_thrust
+from sysid.report.fit_figures import figure_thrust
+from sysid.report.fit_plots import RUNS
 from sysid.trials.reversal import LEVEL, Repetitions
-
-FloatArray = NDArray[np.float64]
+from sysid.types import FloatArray
 
 # Drawn before the command, and beyond the slowest repetition's 90 % [s].
 _BEFORE, _BEYOND = 0.1, 0.2

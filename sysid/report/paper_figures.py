@@ -8,10 +8,16 @@ import re
 from matplotlib.figure import Figure
 
 from sysid.report.diagrams import figure_geometry, figure_modes, mode_shares
-from sysid.report.figures import figure_convergence, figure_measured_against_simulated
+from sysid.report.fit_figures import (
+    figure_spectrum,
+    figure_spread,
+    figure_thrust,
+    figure_waterfall,
+    filter_gain,
+)
+from sysid.report.fit_plots import figure_convergence, figure_measured_against_simulated
 from sysid.report.fit_report import FitReport
 from sysid.report.motor_figures import figure_reversal, reversal_commands
-from sysid.report.panels import figure_spectrum, figure_spread, figure_thrust, figure_waterfall, filter_gain
 from sysid.report.snapshots import figure_snapshots
 from sysid.report.trust_panels import (
     figure_correlation,

@@ -11,14 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
-from numpy.typing import NDArray
 
 from sysid.errors import ExportError
-from sysid.report.panels import WIDTH
-from sysid.report.replay import DropReplay
-from sysid.writing import write_file
-
-FloatArray = NDArray[np.float64]
+from sysid.report.drop_replay import DropReplay
+from sysid.report.fit_figures import WIDTH
+from sysid.storage import write_file
+from sysid.types import FloatArray
 
 NORMAL, FRICTION = "#0072B2", "#D55E00"
 GROUND, BODY, LEG, GHOST = "#8C7A5B", "#333333", "#555555", "#B0B0B0"

@@ -14,17 +14,15 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 from rich.table import Table
 from rich.text import Text
 
 from sysid.export.mean_table import mean_sigma, plain
-from sysid.report.figures import BEST, MEASURED, OTHERS, axis_label
-from sysid.report.panels import as_math, panel
+from sysid.report.fit_figures import as_math, panel
+from sysid.report.fit_plots import BEST, MEASURED, OTHERS, axis_label
 from sysid.report.tables import channel_symbol
-from sysid.trust import store
-
-FloatArray = NDArray[np.float64]
+from sysid.trust import documents as store
+from sysid.types import FloatArray
 
 # Deviance beyond which a value lies outside the 68 % and the 95 % interval (chi-square, one freedom).
 LIMITS = ((0.988946, "68 %"), (3.841459, "95 %"))

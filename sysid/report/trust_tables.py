@@ -75,7 +75,7 @@ def uncertainty_table(document: Mapping[str, Any]) -> Table:
     Parameters
     ----------
     document : mapping
-        ``trust`` of `sysid.trust.store`.
+        ``trust`` of `sysid.trust.documents`.
     """
     measured = any(row["measured"] for row in document["parameters"])
     columns = [("parameter", False), ("value", True), ("sets: mean ± σ", True), ("95 % interval", True)]

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from sysid.fit.agreement import unfixed
+from sysid.fit.optima import unfixed
 from sysid.fit.result import FitResult
 from sysid.gear.surfaces import SURFACES
 from sysid.parameter_sets import in_place_of_digits
 from sysid.parameters import in_words
-from sysid.report.figures import percent_text
+from sysid.report.fit_plots import percent_text
 from sysid.report.trust_panels import verdict_words
 
 _COUNTS = (
@@ -65,7 +65,7 @@ def verdict_sentences(
 def open_parameters(fit: FitResult) -> tuple[str, ...]:
     """Return the free parameters that the data do not fix: by the candidates, or by a profile of their own.
 
-    See `sysid.fit.agreement.unfixed`, a lower bound on what is open.
+    See `sysid.fit.optima.unfixed`, a lower bound on what is open.
     """
     free = [record.name for record in fit.parameters if record.status == "free"]
     wide: set[str] = set()

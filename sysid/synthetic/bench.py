@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sysid.types import FloatArray
 
 _GRAM_FORCE = 9.80665e-3
 _RPM = 2 * np.pi / 60
@@ -84,7 +83,7 @@ def load_cell_hdf5(log: LoadCellLog) -> Callable[[Path], None]:
     """Return a function that writes a load-cell log as HDF5.
 
     One compressed dataset per channel with its unit, and the clock as attributes `rate` [Hz] and `start` [s]:
-    the layout of `sysid.loaders.load_cell_hdf5`.
+    the layout of `sysid.loaders.readers.load_cell_hdf5`.
     """
 
     def write(path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from sysid.errors import ExportError
 from sysid.parameters import ParameterTable
-from sysid.writing import check_folder, replaced_folder
+from sysid.storage import check_folder, replaced_folder
 
 TRUTH_FILE = "truth.json"
 CAMPAIGN_FILE = "campaign.toml"

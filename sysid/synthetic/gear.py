@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sysid.errors import CampaignError
@@ -24,8 +23,8 @@ from sysid.synthetic import gear_campaign
 from sysid.synthetic.folder import CAMPAIGN_FILE, TRUTH_FILE, refuse_existing, truth_text, write_folder
 from sysid.synthetic.motion_capture import CaptureNoise, SeenBody, Take, motive_csv, observe, pose_table_csv
 from sysid.trials.capture import CaptureFrame
+from sysid.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Export = Literal["motive", "motive-mm", "motive-euler", "pose-table"]
 Plane = Literal["point", "markers"]
 Use = Literal["fit", "validate"]

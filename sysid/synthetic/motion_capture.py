@@ -8,11 +8,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from sysid.types import BoolArray, FloatArray, IntArray
 
 # Decimals that Motive writes: micrometres either way, and millionths of a quaternion or degree.
 _DECIMALS = {"Meters": 6, "Millimeters": 3}
@@ -63,7 +61,7 @@ class Take:
     markers: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
-    def frames(self) -> NDArray[np.int64]:
+    def frames(self) -> IntArray:
         """(n,) frame numbers."""
         count = len(next(iter(self.bodies.values())).position)
         return np.arange(self.first_frame, self.first_frame + count, dtype=np.int64)

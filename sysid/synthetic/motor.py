@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.errors import CampaignError
 from sysid.motor import model
@@ -30,7 +29,6 @@ from sysid.synthetic.bench import (
 )
 from sysid.synthetic.folder import CAMPAIGN_FILE, TRUTH_FILE, refuse_existing, truth_text, write_folder
 
-FloatArray = NDArray[np.float64]
 Direction = Literal["forward", "reverse", "reversal"]
 
 MINIMUM, NEUTRAL, MAXIMUM = 1000.0, 1500.0, 2000.0

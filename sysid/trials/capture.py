@@ -9,15 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError
 from sysid.filters import bridge_gaps
 from sysid.recording import Channel, Recording
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from sysid.types import BoolArray, FloatArray
 
 # A frame this close to its slot on the uniform clock (in sample periods) is taken as it is.
 _SNAP = 0.05

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sysid.trials.thrust import CommandSteps, outside
+from sysid.trials.bench_log import CommandSteps, outside
+from sysid.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Sense = Literal["to-reverse", "to-forward", "both"]
 
 # Share of the final thrust at which a reversal is done (Fig. 3 is read so).

@@ -7,11 +7,9 @@ square. Used where an instrument's sign convention is its own and nothing was re
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sysid.trials.thrust import Tare
-
-FloatArray = NDArray[np.float64]
+from sysid.trials.bench_log import Tare
+from sysid.types import FloatArray
 
 # Steady points from which a zero is read: so many different speeds (one
 # more where both directions turn), in a direction the fastest so many times the slowest.

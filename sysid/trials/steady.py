@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sysid.trials.thrust import AT_REST, CommandSteps, outside
-
-FloatArray = NDArray[np.float64]
+from sysid.trials.bench_log import AT_REST, CommandSteps, outside
+from sysid.types import FloatArray, IntArray
 
 # A point is steady this long after a command [s], and when its two halves agree to this share.
 SETTLE = 0.4
@@ -40,9 +38,9 @@ class SteadyPoints:
     thrust: FloatArray
     torque: FloatArray
     voltage: FloatArray
-    samples: NDArray[np.int64]
-    thrust_zero: NDArray[np.int64]
-    torque_zero: NDArray[np.int64]
+    samples: IntArray
+    thrust_zero: IntArray
+    torque_zero: IntArray
 
     def __len__(self) -> int:
         return self.u.size

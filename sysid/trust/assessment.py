@@ -6,9 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sysid.trust.fisher import (
+from sysid.trust.jacobian import Jacobian, jacobian
+from sysid.trust.least_squares import solve
+from sysid.trust.linearized import (
     Information,
     NoiseModel,
     gradient_noise,
@@ -18,13 +19,10 @@ from sysid.trust.fisher import (
     undisturbed,
     with_bounds,
 )
-from sysid.trust.jacobian import Jacobian, jacobian
-from sysid.trust.least_squares import solve
 from sysid.trust.problem import Block, Problem, nrmse_of, scales
 from sysid.trust.profiles import Profiles, walk_profiles
 from sysid.trust.resampling import Resampled, bootstrap
-
-FloatArray = NDArray[np.float64]
+from sysid.types import FloatArray
 
 # Rounds of fitting and weighting anew; the weights follow the NRMSE, which hardly moves.
 _ROUNDS = 3

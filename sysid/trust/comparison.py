@@ -26,8 +26,8 @@ def compare_values(
         Of the fits.
     sets : sequence of ParameterSets
     documents : sequence of mapping or None
-        ``trust`` of each (`sysid.trust.store`): intervals; None: there is only the spread of the sets, which
-        judges nothing (runs that reach one optimum agree whatever the data leave open).
+        ``trust`` of each (`sysid.trust.documents`): intervals; None: only the spread of the sets is known,
+        which judges nothing (runs that reach one optimum agree whatever the data leave open).
 
     Returns
     -------

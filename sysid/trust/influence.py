@@ -12,15 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.trust.assessment import Linearized
-from sysid.trust.fisher import gradient_noise, half_widths, information, with_bounds
+from sysid.trust.linearized import gradient_noise, half_widths, information, with_bounds
 from sysid.trust.problem import Block, Problem, trial_rows
 from sysid.trust.resampling import leave_one_out
 from sysid.trust.verdicts import WEAKLY
-
-FloatArray = NDArray[np.float64]
+from sysid.types import FloatArray
 
 # A trial that scores so many times the median of the trials, over its own noise, does not belong to them.
 STANDS_OUT = 2.0

@@ -9,11 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.trust.problem import Problem
-
-FloatArray = NDArray[np.float64]
+from sysid.types import BoolArray, FloatArray
 
 # Of the unit cube: the first guess, and what a step may become.
 _FIRST, _LEAST, _LARGEST = 2e-3, 5e-4, 0.05
@@ -48,7 +46,7 @@ class Jacobian:
     by_trial: FloatArray
 
     @property
-    def trusted(self) -> NDArray[np.bool_]:
+    def trusted(self) -> BoolArray:
         """(n,) True where halving the step changes the derivative by less than a tenth."""
         return np.asarray(self.doubt < TRUSTED, dtype=np.bool_)
 

@@ -12,13 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sysid.fit.algorithms import Start, breeder
+from sysid.fit.breeders.algorithms import Start, breeder
 from sysid.trust.problem import Problem
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from sysid.types import BoolArray, FloatArray
 
 # Damping that is tried in every step, as multiples of the front's own.
 _FACTORS = (0.1, 1.0, 10.0)

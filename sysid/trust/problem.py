@@ -10,7 +10,7 @@ equal there with equal gradient. So the sum of squares of ``rho_ki = r_ki sqrt(w
 of the best point held has its minimum where C has. That sum is Gaussian with one noise level s_k per block,
 each block weighted by w_k s_k/n_k: it is *not* minus twice a log-likelihood, because blocks are weighted
 unlike independent data, neighbouring samples are correlated and rates are derived from positions.
-`sysid.trust.fisher` corrects for all three.
+`sysid.trust.linearized` corrects for all three.
 """
 
 from __future__ import annotations
@@ -20,13 +20,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sysid.executor import Executor
+from sysid.parallel import Executor
 from sysid.parameters import SearchSpace
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from sysid.types import BoolArray, FloatArray
 
 # A channel that fits better than this is not weighted up any further: noise-free samples have no scale [1].
 LEAST_NRMSE = 1e-5

@@ -1,7 +1,7 @@
 """Profile likelihood: hold one parameter beside its best value, fit all others anew, see what it costs.
 
 The deviance of a held value is the rise of the least sum of squares over the best one, divided by the
-inflation of that parameter (`sysid.trust.fisher`): then it follows chi-square with one degree of freedom
+inflation of that parameter (`sysid.trust.linearized`): then it follows chi-square with one degree of freedom
 (Kent 1982). Values below 0.99 lie in the 68 % interval, below 3.84 in the 95 % one. An interval whose
 deviance stays below the limit up to a bound of the search is open there: the data do not end it.
 
@@ -14,14 +14,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.parameters import SearchSpace
-from sysid.trust.fisher import CHI2, Information
 from sysid.trust.least_squares import search_around, solve
+from sysid.trust.linearized import CHI2, Information
 from sysid.trust.problem import Problem
-
-FloatArray = NDArray[np.float64]
+from sysid.types import FloatArray
 
 # Square roots of the deviance that the points of a profile aim at.
 _AIMS = (0.5, 1.0, 1.5, 1.96, 2.5)

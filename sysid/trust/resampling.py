@@ -11,12 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.trust.least_squares import solve
 from sysid.trust.problem import Problem, trial_rows
-
-FloatArray = NDArray[np.float64]
+from sysid.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +35,7 @@ class Resampled:
 
     points: FloatArray
     weights: FloatArray
-    converged: NDArray[np.bool_]
+    converged: BoolArray
     squares: FloatArray
     evaluations: int
 

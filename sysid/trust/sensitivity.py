@@ -1,9 +1,9 @@
 """What a campaign is expected to fix, before anything is fitted: at one point, and over the bounds.
 
-At a point: the linearized half-widths of `sysid.trust.fisher` with the noise that the instrument shows while
-nothing happens, walked through the filter. Over the bounds: Morris' elementary effects of the mean NRMSE
-(Morris 1991, by SALib), which say what moves the cost at all and what acts together with others, and the
-half-widths at points drawn from the bounds.
+At a point: the linearized half-widths of `sysid.trust.linearized` with the noise that the instrument shows
+while nothing happens, walked through the filter. Over the bounds: Morris' elementary effects of the mean
+NRMSE (Morris 1991, by SALib), which say what moves the cost at all and what acts together with others, and
+the half-widths at points drawn from the bounds.
 """
 
 from __future__ import annotations
@@ -11,15 +11,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.parameters import SearchSpace
-from sysid.trust.fisher import Information, NoiseModel, gradient_noise, half_widths, information, with_bounds
 from sysid.trust.jacobian import Jacobian, jacobian
+from sysid.trust.linearized import (
+    Information,
+    NoiseModel,
+    gradient_noise,
+    half_widths,
+    information,
+    with_bounds,
+)
 from sysid.trust.problem import Block, Problem, nrmse_of, scales
 from sysid.trust.verdicts import Expected
-
-FloatArray = NDArray[np.float64]
+from sysid.types import BoolArray, FloatArray
 
 # Trajectories of elementary effects, and levels of their grid.
 _TRAJECTORIES, _LEVELS = 10, 4
@@ -178,7 +183,7 @@ def rank_candidates(
     noise: NoiseModel,
     others: Problem,
     titles: tuple[str, ...],
-    weak: NDArray[np.bool_],
+    weak: BoolArray,
     *,
     common: int = 0,
 ) -> tuple[Candidate, ...]:

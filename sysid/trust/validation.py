@@ -13,10 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from sysid.types import BoolArray, FloatArray
 
 # Of the NRMSE over its noise floor, mean over trials: whole windows, and up to the third touchdown.
 RATIO, RATIO_EARLY = 1.5, 1.25
@@ -42,7 +40,7 @@ class Judged:
     early_until : float or None
         Third touchdown since the first one [s].
     leaves : dict or None
-        Time, channel, contacts before; see `sysid.trust.store`.
+        Time, channel, contacts before; see `sysid.trust.documents`.
     """
 
     name: str

@@ -15,7 +15,7 @@ Run ``python tests/benchmarks/engine.py PART [--problem lf|hf|motor] [--seeds 5]
 ``schedule``
     A simulated cluster of 64 workers for five runs of population 800: measured time of a candidate, measured
     time of breeding, 1 ms of scheduler per chunk; no real machines. ``--shared-breeding`` lets all runs breed
-    in one process, which `sysid.fit.apart` avoids.
+    in one process, which `sysid.fit.breeders.in_process` avoids.
 ``table``
     ``--from A.json B.json`` (what ``--json`` has written) as the tables of ``tests/benchmarks/engine.md``.
 
@@ -38,17 +38,17 @@ from pathlib import Path
 
 import numpy as np
 
+from fakes.places import SAMPLES
 from sysid.campaign import read_campaign
-from sysid.executor import DaskCluster, LocalThreads, chunk_size
-from sysid.fit.algorithms import breeder
+from sysid.fit.breeders.algorithms import breeder
 from sysid.fit.checkpoint import Checkpoint
-from sysid.fit.engine import Hooks, SearchSettings, run_many, run_one
 from sysid.fit.objective import SpreadObjective, causes_of
+from sysid.fit.search import Hooks, SearchSettings, run_many, run_one
 from sysid.fit.stopping import StopRule
-from sysid.pipelines.search import processor
+from sysid.parallel import DaskCluster, LocalThreads, chunk_size
 from sysid.synthetic import read_truth, synthesize_gear
+from sysid.workflows.search import processor
 
-SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
 # Algorithm and population: the paper's 400 (200 for a motor), a quarter of it, CMA-ES of 64 as in a
 # feasibility study.
 DEFAULT = "ga:400,ga:100,matlab-ga:400,matlab-ga:100,cmaes:64,de:100,pso:100"
@@ -70,8 +70,8 @@ the paper's way); "with finisher" counts the candidates of both stages.
 
 
 def gear(folder, surface, threads=None):
-    from sysid.pipelines.drops import prepare_drops
-    from sysid.pipelines.gear import GearObjective, score_values, search_space
+    from sysid.gear.drops import prepare_drops
+    from sysid.gear.problem import GearObjective, score_values, search_space
 
     source = synthesize_gear(Path(folder) / surface, seed=1, surface=surface)
     path = source / "campaign.toml"
@@ -83,8 +83,8 @@ def gear(folder, surface, threads=None):
 
 
 def motor(threads=None):
-    from sysid.pipelines.motor_bench import prepare_bench, search_space
-    from sysid.pipelines.motor_objective import MotorObjective
+    from sysid.motor.known_values import prepare_bench, search_space
+    from sysid.motor.objective import MotorObjective
 
     path = SAMPLES / "motor" / "campaign.toml"
     campaign = read_campaign(path, "motor")

@@ -23,10 +23,10 @@ import time
 from pathlib import Path
 
 import numpy as np
-from gear_rivals import LIMIT, best, installed, mujoco_drop, nrmse, scipy_drop, sundials_drop
 
+from gear_rivals import LIMIT, best, installed, mujoco_drop, nrmse, scipy_drop, sundials_drop
 from sysid.gear import model
-from sysid.gear.kernel import drop_driver
+from sysid.gear.kernel.driver import drop_driver
 from sysid.gear.model import (
     HF_FREE,
     LF_FREE,
@@ -154,8 +154,8 @@ def high_friction(drops, population):
 
 def whole_fits():
     """Wall-clock and processor time [s] of fits of each sample campaign."""
-    from sysid.pipelines.gear import fit_gear
-    from sysid.pipelines.search import FitOptions
+    from sysid.gear.problem import fit_gear
+    from sysid.workflows.search import FitOptions
 
     samples, out = Path(__file__).parents[2] / "data_samples", {}
     for surface in SURFACES:

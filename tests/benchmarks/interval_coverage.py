@@ -28,16 +28,16 @@ from pathlib import Path
 import numpy as np
 
 from sysid.campaign import GearCampaign, MotorCampaign, read_campaign
-from sysid.pipelines.drops import prepare_drops
-from sysid.pipelines.gear import GearObjective, search_space
-from sysid.pipelines.motor_bench import prepare_bench
-from sysid.pipelines.trust_gear import TRUST_TOLERANCE, GearProblem
-from sysid.pipelines.trust_setup import motor_problem
+from sysid.gear.drops import prepare_drops
+from sysid.gear.problem import GearObjective, search_space
+from sysid.gear.trust import TRUST_TOLERANCE, GearProblem
+from sysid.motor.known_values import prepare_bench
 from sysid.synthetic import synthesize_gear, synthesize_motor
 from sysid.synthetic.motor import TRIALS
 from sysid.trust.assessment import assess
 from sysid.trust.problem import Problem
 from sysid.trust.verdicts import verdict
+from sysid.workflows.reopen import motor_problem
 
 
 @dataclass(frozen=True)

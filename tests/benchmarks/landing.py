@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 
 sys.path.insert(0, str(Path(__file__).parent))
 import gear_rivals
-
+from sysid.export.published import table_1, table_2
 from sysid.gear.model import PARAMETERS, Ending, prepare, simulate, simulate_population
 from sysid.gear.trajectories import Drops
 from sysid.landing.controllers import find_controller
@@ -24,13 +24,12 @@ from sysid.landing.drone import Drone, drones
 from sysid.landing.impulse import ImpulseSettings
 from sysid.landing.impulse_maps import impulse_maps
 from sysid.landing.maps import MapSettings, landing_maps
-from sysid.landing.motors import Motors
 from sysid.landing.scenario import Scenario, grid
 from sysid.landing.simulate import LANDING_TOLERANCE, land_many
-from sysid.pipelines.landing_maps import static_lines
-from sysid.published import table_1, table_2
-from sysid.report.figures import save_figure
+from sysid.landing.thrust import Motors
+from sysid.report.fit_plots import save_figure
 from sysid.report.landing_figures import figure_landing_maps
+from sysid.workflows.landing_maps import static_lines
 
 
 def fleet(surface, sets=5):

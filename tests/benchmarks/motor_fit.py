@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.pipelines.motor import fit_motor
-from sysid.pipelines.search import FitOptions
+from sysid.motor.problem import fit_motor
 from sysid.synthetic.motor import TrialPlan, synthesize_motor
+from sysid.workflows.search import FitOptions
 
 
 def main():

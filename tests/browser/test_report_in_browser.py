@@ -7,12 +7,13 @@ selenium, and fails where they are missing.
 import json
 import shutil
 import time
-from pathlib import Path
 
 import pytest
 
+from fakes.places import ROOT
+
 pytestmark = pytest.mark.browser
-ROOT = Path(__file__).resolve().parents[2]
+
 SAMPLES = ROOT / "data_samples"
 WIDTHS = (1280, 400)
 FLAGS = (
@@ -51,11 +52,11 @@ COARSE = {"slopes": "0:45:15", "speeds": "0.3,1", "impulse_slopes": "10,25", "im
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory):
     """Every kind of page, of searches that end at once."""
-    from sysid.pipelines.gear import fit_gear
-    from sysid.pipelines.motor import fit_motor
-    from sysid.pipelines.report import ReportOptions, write_report
-    from sysid.pipelines.search import FitOptions
+    from sysid.gear.problem import fit_gear
+    from sysid.motor.problem import fit_motor
     from sysid.report.notebook import find_notebook, page, run_notebook
+    from sysid.workflows.report import ReportOptions, write_report
+    from sysid.workflows.search import FitOptions
 
     folder = tmp_path_factory.mktemp("fits")
     out = {}

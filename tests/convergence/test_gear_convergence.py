@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from sysid.gear.geometry import sine_cosine
+from sysid.gear.kernel.geometry import sine_cosine
 from sysid.gear.model import PARAMETERS, simulate
 from sysid.integrate.tableau import A_TWICE, REAL_LIMIT, RING_GAIN, RING_LIMIT, RING_MOST, STAGES, A, C, E
 

@@ -1,15 +1,13 @@
 """Every real recording of our formats loads with the right units; the others are refused in a sentence."""
 
 import csv
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fakes.places import DATA
 from sysid.errors import LogError, SysidError
 from sysid.loaders import load
-
-DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no real recordings beside the project ({DATA})")
 

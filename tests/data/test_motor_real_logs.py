@@ -5,14 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fakes import places
 from sysid.campaign import read_campaign
 from sysid.loaders import load
 from sysid.motor import model
-from sysid.pipelines.motor import fit_motor
-from sysid.pipelines.motor_bench import prepare_bench
-from sysid.pipelines.search import FitOptions
+from sysid.motor.known_values import prepare_bench
+from sysid.motor.problem import fit_motor
+from sysid.workflows.search import FitOptions
 
-DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "rcbenchmark"
+DATA = places.DATA / "rcbenchmark"
 LOGS = {
     "IM": (
         "sar_IM_TimeConstant_Test_2023-12-17_162234.csv",

@@ -1,16 +1,15 @@
 """The sample logs in the repository are those that today's code would write."""
 
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fakes.places import SAMPLES
 from sysid.campaign.file import read_campaign, resolve_log
 from sysid.loaders import detect, load
 from sysid.synthetic import read_truth, synthesize_gear, synthesize_motor
 
-SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
 # Ten times the quantization or a third of the noise, whichever is smaller: rounding on another processor may
 # move a last digit, and a bouncing body multiplies it; a change of physics, seed or format moves far more.
 TOLERANCE = {

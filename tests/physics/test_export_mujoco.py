@@ -8,9 +8,9 @@ import pytest
 
 from sysid.errors import ExportError
 from sysid.export.mjcf import foot_inverse_mass, from_mjcf, to_mjcf
+from sysid.export.published import table_2
 from sysid.gear.model import PARAMETERS, pack, simulate
 from sysid.landing.static_limits import ramp_limit
-from sysid.published import table_2
 
 mujoco = pytest.importorskip("mujoco", reason="the model of another simulator runs with the extra 'dev' only")
 

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_gear_physics import legs
 
+from fakes.gear_energy import legs
+from sysid.export.published import table_2
 from sysid.gear import model
 from sysid.gear.model import (
     HF_FREE,
@@ -20,7 +21,6 @@ from sysid.gear.model import (
     simulate_population,
 )
 from sysid.parameters import SearchSpace
-from sysid.published import table_2
 
 REFERENCES = Path(__file__).resolve().parents[1] / "reference"
 P = table_2("hf").set_values(1)

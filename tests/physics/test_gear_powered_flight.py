@@ -7,8 +7,8 @@ import pytest
 from numba import njit
 
 from sysid.errors import CampaignError
-from sysid.gear.contact import normal_force
-from sysid.gear.dynamics import accelerations, feet, pose
+from sysid.gear.kernel.contact import normal_force
+from sysid.gear.kernel.dynamics import accelerations, feet, pose
 from sysid.gear.model import (
     PARAMETERS,
     Drops,
@@ -23,7 +23,7 @@ from sysid.gear.surfaces.low_friction import low_friction
 from sysid.integrate.piecewise import PiecewiseCubic
 from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.motor.model import simulate as simulate_motor
-from sysid.motor.thrust import thrust_history
+from sysid.motor.pair_thrust import thrust_history
 
 P = PARAMETERS.nominal
 M = MOTOR.nominal | {

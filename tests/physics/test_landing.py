@@ -7,20 +7,20 @@ import pytest
 from scipy.optimize import brentq
 
 from sysid.errors import CampaignError
+from sysid.export.published import table_1, table_2
 from sysid.gear.model import Ending, simulate
 from sysid.gear.trajectories import EventKind
+from sysid.landing.approach import descend
 from sysid.landing.controllers import Controller, Step, find_controller
-from sysid.landing.descent import descend
 from sysid.landing.drone import drones
+from sysid.landing.impact_sensor import Sensing
 from sysid.landing.impulse import Impulses, ImpulseSettings, best_pair
 from sysid.landing.maps import LandingWork, MapSettings
-from sysid.landing.motors import Motors
 from sysid.landing.outcomes import LANDED, Outcome, Rules
 from sysid.landing.scenario import Scenario, grid
-from sysid.landing.sensing import Sensing
 from sysid.landing.simulate import land, land_many, specific_force
 from sysid.landing.static_limits import rigid_limits
-from sysid.published import table_1, table_2
+from sysid.landing.thrust import Motors
 
 SMALL = ImpulseSettings(
     delays=tuple(round(0.02 * k, 2) for k in range(8)), durations=tuple(round(0.04 * k, 2) for k in range(4))

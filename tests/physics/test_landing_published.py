@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from sysid.export.published import table_1, table_2
 from sysid.landing.controllers import find_controller
 from sysid.landing.drone import drones
 from sysid.landing.maps import MapSettings, landing_maps
 from sysid.landing.outcomes import LANDED, Outcome
 from sysid.landing.scenario import Scenario, grid
 from sysid.landing.simulate import land_many
-from sysid.published import table_1, table_2
 
 SLOPES = np.arange(46)
 

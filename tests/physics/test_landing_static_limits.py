@@ -8,6 +8,7 @@ import pytest
 from scipy.optimize import brentq, root
 
 from sysid.errors import CampaignError
+from sysid.export.published import table_2
 from sysid.gear.model import PARAMETERS, pack
 from sysid.landing import static_limits
 from sysid.landing.static_limits import (
@@ -18,7 +19,6 @@ from sysid.landing.static_limits import (
     slide_limit,
     tip_limit,
 )
-from sysid.published import table_2
 
 REVERSE = 12.0
 

@@ -1,13 +1,11 @@
 """Real poses obey mechanics only when units, clock, component order and signs were read right."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from fakes.places import DATA
 from sysid.loaders import load
 
-DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 # Half the space diagonal of the 0.1048 m cube: with its centre higher than this above the table it touches
 # nothing.
 CUBE_REACH = 0.1048 / 2 * np.sqrt(3)

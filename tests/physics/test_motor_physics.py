@@ -5,8 +5,8 @@ import pytest
 
 from sysid.errors import CampaignError, FitError, UnitError
 from sysid.motor import model
+from sysid.motor.batch import MotorTrial, MotorTrials, simulate_population
 from sysid.motor.model import kv_to_si, pack, simulate, unpack
-from sysid.motor.population import MotorTrial, MotorTrials, simulate_population
 
 FREE_OF_DRAG = {
     "torque_quadratic_forward": 0.0,

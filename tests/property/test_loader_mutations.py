@@ -18,10 +18,10 @@ from importlib import import_module
 import h5py
 import numpy as np
 import pytest
-from log_oracle import assert_matches
-from log_readers import READERS
-from log_samples import DAMAGES, LOGS, gigantic_field
 
+from fakes.log_oracle import assert_matches
+from fakes.log_readers import READERS
+from fakes.log_samples import DAMAGES, LOGS, gigantic_field
 from sysid.errors import SysidError
 from sysid.loaders import load
 
@@ -203,7 +203,7 @@ SEEN_BY_THE_LOADER = {
     [(name, f) for name in LOGS for f in FAULTS if (name, f) != ("qualisys-tsv", zero_filled)],
 )
 def test_the_oracle_objects_to_a_planted_fault(tmp_path, monkeypatch, format_name, fault):
-    log, module = LOGS[format_name], import_module(f"sysid.loaders.{format_name.replace('-', '_')}")
+    log, module = LOGS[format_name], import_module(f"sysid.loaders.readers.{format_name.replace('-', '_')}")
 
     def faulty(*arguments, **options):
         numbers = read(*arguments, **options)

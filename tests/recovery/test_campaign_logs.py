@@ -8,15 +8,15 @@ from scipy.spatial.transform import Rotation
 
 from sysid.campaign import read_campaign
 from sysid.fit.store import read_fit
+from sysid.gear.drops import prepare_drops
 from sysid.loaders import load
+from sysid.motor.known_values import prepare_bench
 from sysid.motor.model import PARAMETERS
-from sysid.pipelines.drops import prepare_drops
-from sysid.pipelines.motor import fit_motor
-from sysid.pipelines.motor_bench import prepare_bench
-from sysid.pipelines.motor_objective import score_values
-from sysid.pipelines.search import FitOptions
+from sysid.motor.objective import score_values
+from sysid.motor.problem import fit_motor
 from sysid.synthetic import synthesize_gear
 from sysid.synthetic.motor import TRIALS, TRUE_MOTOR, synthesize_motor
+from sysid.workflows.search import FitOptions
 
 BODY = "F450"
 

@@ -6,15 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fakes.sets import assert_sets_agree
 from sysid.campaign import read_campaign
 from sysid.errors import LogError, SysidWarning
-from sysid.fit.agreement import SAME_NRMSE
+from sysid.gear.drops import prepare_drops
 from sysid.gear.model import LF_FREE
-from sysid.parameters import in_words
-from sysid.pipelines.drops import prepare_drops
-from sysid.pipelines.gear import GearObjective, fit_gear, score_values, search_space
-from sysid.pipelines.search import FitOptions
+from sysid.gear.problem import GearObjective, fit_gear, score_values, search_space
 from sysid.synthetic import LF_DROPS, read_truth, synthesize_gear
+from sysid.workflows.search import FitOptions
 
 
 def _prepared(folder):
@@ -173,20 +172,6 @@ def test_a_log_that_starts_too_late_is_refused(clean, tmp_path):
 
 def _excess(nrmse, truth):
     return np.sqrt(np.maximum(0.0, np.asarray(nrmse) ** 2 - truth**2))
-
-
-def assert_sets_agree(result):
-    """Sets of the best optimum agree within 1 % in every parameter that no warning doubts; return these."""
-    doubts = " ".join(w for w in result.warnings if "not fixed by the data" in w or "held no tighter" in w)
-    best = result.nrmse <= (1 + SAME_NRMSE) * result.nrmse[0]
-    held = {
-        record.name: column
-        for record, column in zip(result.parameters, result.values[best].T, strict=True)
-        if record.status == "free" and in_words(record.name, record.symbol) not in doubts
-    }
-    for name, column in held.items():
-        assert np.ptp(column) <= 0.01 * abs(column.mean()), name
-    return set(held)
 
 
 @pytest.mark.slow

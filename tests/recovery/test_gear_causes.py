@@ -8,14 +8,14 @@ import pytest
 from sysid import exact_json
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError
-from sysid.fit.cost import FAILED_NRMSE, FilteredNrmse
+from sysid.fit.nrmse import FAILED_NRMSE, FilteredNrmse
 from sysid.fit.store import read_fit
+from sysid.gear.drops import prepare_drops
+from sysid.gear.lost_drops import CAUSES
 from sysid.gear.model import SURFACES, pack, simulate_population
-from sysid.pipelines.drops import prepare_drops
-from sysid.pipelines.gear import GearObjective, fit_gear, search_space, trial_results
-from sysid.pipelines.gear_causes import CAUSES
-from sysid.pipelines.search import FitOptions
+from sysid.gear.problem import GearObjective, fit_gear, search_space, trial_results
 from sysid.synthetic import LF_DROPS, read_truth, synthesize_gear
+from sysid.workflows.search import FitOptions
 
 EXACT = {"noise_position": 0.0, "noise_angle": 0.0, "occlusions": False, "wobble": 0.0}
 

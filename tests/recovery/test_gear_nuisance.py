@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from test_drops_recovery import assert_sets_agree
 
+from fakes.sets import assert_sets_agree
 from sysid.campaign import read_campaign
+from sysid.gear.drops import prepare_drops
 from sysid.gear.model import HF_FREE, LF_FREE, PARAMETERS, parameters_on
-from sysid.pipelines.drops import prepare_drops
-from sysid.pipelines.gear import GearObjective, fit_gear, score_values, search_space
-from sysid.pipelines.search import FitOptions
+from sysid.gear.problem import GearObjective, fit_gear, score_values, search_space
 from sysid.synthetic import HF_DROPS, LF_DROPS, read_truth, synthesize_gear
+from sysid.workflows.search import FitOptions
 
 EXACT = {"noise_position": 0.0, "noise_angle": 0.0, "occlusions": False, "wobble": 0.0}
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from sysid.campaign import read_campaign
-from sysid.fit.engine import SearchSettings, run_one
+from sysid.fit.search import SearchSettings, run_one
+from sysid.gear.drops import prepare_drops
 from sysid.gear.model import EventKind, simulate
+from sysid.gear.problem import GearObjective, fit_gear, measured_values, score_values, search_space
 from sysid.parameters import SearchSpace
-from sysid.pipelines.drops import prepare_drops
-from sysid.pipelines.gear import GearObjective, fit_gear, measured_values, score_values, search_space
-from sysid.pipelines.search import FitOptions
 from sysid.synthetic import read_truth, synthesize_gear
+from sysid.workflows.search import FitOptions
 
 # Relative errors that six drops allow [1]; the damper of the ground and, on most campaigns, mu_s - mu_k are
 # not fixed by such data.

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from sysid.campaign import read_campaign
-from sysid.fit.engine import SearchSettings, run_one
 from sysid.fit.result import ranked_sets
+from sysid.fit.search import SearchSettings, run_one
 from sysid.fit.stopping import StopRule
+from sysid.motor.curves import NoLoadTie
+from sysid.motor.follow_up import after_the_search, curve_sentence
+from sysid.motor.inertia import SpikeInertia
+from sysid.motor.known_values import prepare_bench, search_space
+from sysid.motor.objective import MotorObjective
 from sysid.parameter_sets import NOT_ALONE
-from sysid.pipelines.bench_curves import NoLoadTie
-from sysid.pipelines.motor_bench import prepare_bench, search_space
-from sysid.pipelines.motor_inertia import SpikeInertia
-from sysid.pipelines.motor_objective import MotorObjective
-from sysid.pipelines.motor_stages import after_the_search, curve_sentence
 from sysid.synthetic.motor import TrialPlan, synthesize_motor
 
 # R/(k_m k_v) of Table I [rad/s per N·m], its drag curve, and a no-load line.

@@ -12,19 +12,19 @@ import pytest
 
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError, FitError, LogError
-from sysid.fit.engine import SearchSettings, run_one
+from sysid.fit.search import SearchSettings, run_one
 from sysid.fit.stopping import StopRule
+from sysid.motor.dead_band import fit_saturation, named
+from sysid.motor.follow_up import log_delays
+from sysid.motor.known_values import prepare_bench, search_space
+from sysid.motor.ladder import climb, ladder_sentences
+from sysid.motor.log_delays import averaged
 from sysid.motor.model import PARAMETERS, simulate
-from sysid.pipelines.motor import fit_motor
-from sysid.pipelines.motor_bench import prepare_bench, search_space
-from sysid.pipelines.motor_delays import averaged
-from sysid.pipelines.motor_ladder import climb, ladder_sentences
-from sysid.pipelines.motor_objective import MotorObjective
-from sysid.pipelines.motor_saturation import fit_saturation, named
-from sysid.pipelines.motor_stages import log_delays
-from sysid.pipelines.results import print_sets
-from sysid.pipelines.search import FitOptions
+from sysid.motor.objective import MotorObjective
+from sysid.motor.problem import fit_motor
 from sysid.synthetic.motor import TRUE_MOTOR, TrialPlan, synthesize_motor
+from sysid.workflows.search import FitOptions
+from sysid.workflows.show import print_sets
 
 TRUTH = {**PARAMETERS.nominal, **TRUE_MOTOR}
 # CMA-ES ends in the one optimum of these short logs; a default algorithm may change.

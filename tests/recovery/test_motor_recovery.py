@@ -11,17 +11,17 @@ import pytest
 
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError, LogError, UnitError
-from sysid.fit.agreement import SAME_NRMSE
+from sysid.fit.optima import SAME_NRMSE
 from sysid.loaders import load
+from sysid.motor.dead_band import saturation_space
+from sysid.motor.inertia import spike_inertia
+from sysid.motor.known_values import in_search, prepare_bench, search_space
 from sysid.motor.model import PARAMETERS, simulate
-from sysid.pipelines.motor import fit_motor
-from sysid.pipelines.motor_bench import in_search, prepare_bench, search_space
-from sysid.pipelines.motor_inertia import spike_inertia
-from sysid.pipelines.motor_objective import MotorObjective, score_values
-from sysid.pipelines.motor_saturation import saturation_space
-from sysid.pipelines.results import print_sets
-from sysid.pipelines.search import FitOptions
+from sysid.motor.objective import MotorObjective, score_values
+from sysid.motor.problem import fit_motor
 from sysid.synthetic.motor import TRUE_MOTOR, synthesize_motor
+from sysid.workflows.search import FitOptions
+from sysid.workflows.show import print_sets
 
 TRUTH = {**PARAMETERS.nominal, **TRUE_MOTOR}
 # The paper's NRMSE of its motor fit on real logs: a bound that a synthetic fit must beat.

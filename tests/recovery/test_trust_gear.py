@@ -3,42 +3,39 @@
 import json
 import math
 import re
-import sys
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from fakes.places import SAMPLES
 from sysid import exact_json
 from sysid.campaign import read_campaign
 from sysid.cli import app
 from sysid.errors import FitError
+from sysid.gear.candidates import centre_of_mass, turning_point
+from sysid.gear.drops import prepare_drops
 from sysid.gear.model import PARAMETERS
-from sysid.pipelines.check import check_campaign, quick_gear
-from sysid.pipelines.check_drops import centre_of_mass, turning_point
-from sysid.pipelines.compare import compare_fits
-from sysid.pipelines.drops import prepare_drops
-from sysid.pipelines.gear import GearObjective, fit_gear, search_space
-from sysid.pipelines.predicted_rows import gear_rows
-from sysid.pipelines.search import FitOptions
-from sysid.pipelines.trust import TrustOptions, assess_fit
-from sysid.pipelines.trust_gear import TRUST_TOLERANCE, GearProblem, compared_noise, start_roots
-from sysid.pipelines.trust_setup import gear_problem, open_fit
-from sysid.pipelines.validate import cross_validate, validate_fit
+from sysid.gear.problem import GearObjective, fit_gear, search_space
+from sysid.gear.trust import TRUST_TOLERANCE, GearProblem, compared_noise, start_roots
 from sysid.synthetic import synthesize_gear
 from sysid.synthetic.gear import DropPlan
 from sysid.trust.assessment import linearize
+from sysid.trust.documents import TRUST, parts, read_arrays, read_part
 from sysid.trust.influence import influence
 from sysid.trust.problem import nrmse_of
-from sysid.trust.store import TRUST, parts, read_arrays, read_part
 from sysid.trust.verdicts import VERDICTS
+from sysid.workflows.check import check_campaign, quick_gear
+from sysid.workflows.compare import compare_fits
+from sysid.workflows.predicted_rows import gear_rows
+from sysid.workflows.reopen import gear_problem, open_fit
+from sysid.workflows.search import FitOptions
+from sysid.workflows.trust import TrustOptions, assess_fit
+from sysid.workflows.validate import cross_validate, validate_fit
 
-SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
 LF = SAMPLES / "gear-lf" / "campaign.toml"
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,20 +11,18 @@ import pytest
 
 from sysid.campaign import read_campaign
 from sysid.fit.store import read_fit
-from sysid.pipelines.check import check_campaign
-from sysid.pipelines.compare import compare_fits
-from sysid.pipelines.motor import fit_motor
-from sysid.pipelines.motor_bench import prepare_bench, search_space
-from sysid.pipelines.predicted_rows import motor_rows
-from sysid.pipelines.search import FitOptions
-from sysid.pipelines.trust import TrustOptions, assess_fit
-from sysid.pipelines.trust_setup import motor_problem
-from sysid.pipelines.validate import cross_validate, validate_fit
+from sysid.motor.known_values import prepare_bench, search_space
+from sysid.motor.problem import fit_motor
 from sysid.report.trust_tables import validation_table
 from sysid.synthetic.motor import TrialPlan, synthesize_motor
 from sysid.trust.problem import nrmse_of
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+from sysid.workflows.check import check_campaign
+from sysid.workflows.compare import compare_fits
+from sysid.workflows.predicted_rows import motor_rows
+from sysid.workflows.reopen import motor_problem
+from sysid.workflows.search import FitOptions
+from sysid.workflows.trust import TrustOptions, assess_fit
+from sysid.workflows.validate import cross_validate, validate_fit
 
 PLANS = (
     TrialPlan("forward-1", "forward", "fit", 0.25, (0.62, 0.35, 0.80), 0.45, "csv"),

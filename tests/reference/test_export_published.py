@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import sysid
+from fakes.places import ROOT
 from sysid.export import mean_table
+from sysid.export.published import table_1, table_2, write_published
 from sysid.motor.model import simulate
-from sysid.published import table_1, table_2, write_published
 
-ROOT = Path(__file__).resolve().parents[2]
 PUBLISHED = ROOT / "data_samples" / "published"
 NAMES = ["published-gear-hf.json", "published-gear-lf.json", "published-motor.json"]
 
@@ -36,7 +36,7 @@ def test_files_are_current(tmp_path):
     assert sorted(p.name for p in PUBLISHED.glob("*.json")) == NAMES
     for name in NAMES:
         same = (PUBLISHED / name).read_bytes() == (tmp_path / name).read_bytes()
-        assert same, f"{name} is not current: run python -m sysid.published"
+        assert same, f"{name} is not current: run python -m sysid.export.published"
 
 
 def test_files_read_back():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from sysid.gear import contact, dynamics
+from sysid.gear.kernel import contact, dynamics
 from sysid.gear.model import PARAMETERS, pack
 from sysid.gear.surfaces import high_friction, low_friction
 
@@ -94,7 +94,7 @@ def turned(r):
 
 
 def coefficients_of(p, slope):
-    """The 22 coefficients of `sysid.gear.dynamics.accelerations`."""
+    """The 22 coefficients of `sysid.gear.kernel.dynamics.accelerations`."""
     span, depth = p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"]
     length = float(np.hypot(span, depth))
     c, s = np.cos(slope), np.sin(slope)

@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from sysid.export.published import table_1
 from sysid.motor import kernel
+from sysid.motor.batch import MotorTrial, MotorTrials, simulate_population
 from sysid.motor.model import PARAMETERS, pack, simulate
-from sysid.motor.population import MotorTrial, MotorTrials, simulate_population
-from sysid.published import table_1
 
 HERE = Path(__file__).parent
 

@@ -20,8 +20,8 @@ of a single drop whose switches are logged, none in all twelve.
 
 from numba import njit
 
-from sysid.gear.dynamics import accelerations, friction_responses
-from sysid.gear.rows import INNER, LAW, MARGIN, NORMAL, REQUIRED, SLIP, STUCK, SWITCH, WAY
+from sysid.gear.kernel.dynamics import accelerations, friction_responses
+from sysid.gear.kernel.work_buffer import INNER, LAW, MARGIN, NORMAL, REQUIRED, SLIP, STUCK, SWITCH, WAY
 from sysid.gear.surfaces.surface import Surface
 from sysid.integrate.fused import fused
 from sysid.integrate.tableau import STAGES, C

@@ -11,7 +11,7 @@ from typing import Any
 
 from numba import njit
 
-from sysid.gear.dynamics import accelerations, foot_looseness
+from sysid.gear.kernel.dynamics import accelerations, foot_looseness
 
 # Bound to a law's own by `continuous_law`.
 friction: Any = None
@@ -41,7 +41,7 @@ class Surface:
         ``(joints, angles, rates, thrust, normals, slips, modes, law, coefficients) -> (accelerations,
         friction, required, stiff)``: the motion's seven accelerations under the law, friction on the rear and
         front foot [N], the friction that each foot would need to stick [N], and the fastest decay rate of a
-        slip [1/s], which bounds the explicit step. Arguments as in `sysid.gear.dynamics`; ``modes`` is
+        slip [1/s], which bounds the explicit step. Arguments as in `sysid.gear.kernel.dynamics`; ``modes`` is
         (stuck, stuck, way, way) of the rear and front foot. `continuous_law` makes it from two formulas.
     after_step : compiled function, optional
         ``(work, lane, lanes, h, taken, new_h) -> (taken, new_h)``: decide on a step of a law with modes, and

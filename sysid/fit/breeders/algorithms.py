@@ -1,0 +1,203 @@
+"""Every search algorithm behind one adapter: pymoo's, and cma's evolution strategy.
+
+A `Breeder` says which candidates to score next and is told their costs; nothing of the libraries' own stop
+rules, histories or evaluation budgets takes part. Its candidates are a pure function of seed and costs, so a
+run that was cut off continues exactly where it was once it has been told the costs that were stored.
+
+The two algorithms of the default search breed on whole arrays (`genetic`, `evolution_strategy`); the others
+go through pymoo's own objects (`PymooBreeder`), whose default operators are shared by every instance and are
+therefore built anew here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from sysid.errors import FitError
+from sysid.types import FloatArray
+
+# Name in campaigns and on the command line: what it is.
+ALGORITHMS: dict[str, str] = {
+    "ga": "pymoo GA: tournament selection, simulated binary crossover, polynomial mutation",
+    "matlab-ga": (
+        "MATLAB's ga: stochastic uniform selection on ranks, 5 % elites, scattered crossover 0.8, "
+        "shrinking Gaussian mutation clipped to the bounds"
+    ),
+    "cmaes": "CMA-ES (cma)",
+    "de": "pymoo differential evolution best/1/bin",
+    "pso": "pymoo particle swarm, adaptive",
+}
+
+# What a fit uses that names no algorithm, and the population of each where none is named. Chosen by
+# tests/benchmarks/engine.py; the paper's own population is 200 for a motor and 400 to 800 for a gear.
+DEFAULT_ALGORITHM = "ga"
+POPULATION = {"ga": 100, "matlab-ga": 400, "cmaes": 64, "de": 100, "pso": 100}
+
+# What pymoo calls the values of a scored individual.
+_SCORED = ("F", "G", "H")
+# Of a CMA-ES that starts anywhere: 0.3 of the cube's edge is cma's own advice for a bounded search.
+_RANDOM_SPREAD = 0.3
+# A converged population spans almost nothing in some directions; CMA-ES needs room to measure them, and to
+# leave a valley that the population has settled in too soon.
+_LEAST_SPREAD = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where CMA-ES begins.
+
+    Parameters
+    ----------
+    mean : (n_free,) array
+        Centre in the unit cube [1].
+    spread : (n_free,) array
+        Standard deviation along every axis [1].
+    """
+
+    mean: FloatArray
+    spread: FloatArray
+
+    @classmethod
+    def of_population(cls, cube: FloatArray) -> Start:
+        """Return mean and spread of a population (P, n_free); the spread is kept between 0.05 and 0.3."""
+        return cls(cube.mean(axis=0), np.clip(cube.std(axis=0), _LEAST_SPREAD, _RANDOM_SPREAD))
+
+
+class Breeder(Protocol):
+    """One algorithm as ask and tell over the unit cube."""
+
+    def ask(self) -> FloatArray | None:
+        """Return the candidates (P, n_free) to score next, or None when no new one can be bred."""
+        ...
+
+    def tell(self, cost: FloatArray) -> None:
+        """Take the costs (P,) of the candidates last asked for."""
+        ...
+
+    def population(self) -> tuple[FloatArray, FloatArray]:
+        """Return points (P, n_free) and costs (P,) of the population, best first."""
+        ...
+
+    def close(self) -> None:
+        """Let go of what was taken."""
+        ...
+
+
+class PymooBreeder:
+    """One of pymoo's algorithms as ask and tell over the unit cube.
+
+    Parameters
+    ----------
+    algorithm : pymoo.core.algorithm.Algorithm
+        Seeded, not yet set up.
+    n_free : int
+        Dimensions of the cube.
+    """
+
+    def __init__(self, algorithm: Any, n_free: int) -> None:
+        from pymoo.core.problem import Problem
+        from pymoo.core.termination import NoTermination
+
+        self._problem = Problem(n_var=n_free, n_obj=1, xl=np.zeros(n_free), xu=np.ones(n_free))
+        self._algorithm = algorithm
+        algorithm.setup(self._problem, termination=NoTermination(), verbose=False)
+        self._asked: Any = None
+
+    def ask(self) -> FloatArray | None:
+        """Return the candidates (P, n_free) to score next, or None when no new one can be bred."""
+        if not self._algorithm.has_next():
+            return None
+        self._asked = self._algorithm.ask()
+        if self._asked is None or len(self._asked) == 0:
+            return None
+        return np.asarray(self._asked.get("X"), dtype=np.float64)
+
+    def tell(self, cost: FloatArray) -> None:
+        """Take the costs (P,) of the candidates last asked for."""
+        # pymoo's evaluator would ask every individual several times for constraints that there are not.
+        for individual, own in zip(self._asked, cost, strict=True):
+            individual.F = np.array([own])
+            individual.evaluated.update(_SCORED)
+        self._algorithm.tell(infills=self._asked)
+
+    def population(self) -> tuple[FloatArray, FloatArray]:
+        """Return points (P, n_free) and costs (P,) of the population, best first."""
+        population = self._algorithm.pop
+        cost = np.array([individual.F[0] for individual in population], dtype=np.float64)
+        order = np.argsort(cost, kind="stable")
+        return np.array([population[i].X for i in order], dtype=np.float64), cost[order]
+
+    def close(self) -> None:
+        """Let go of what was taken: nothing."""
+
+
+def breeder(name: str, n_free: int, population: int, seed: int, start: Start | None = None) -> Breeder:
+    """Return a seeded breeder.
+
+    Parameters
+    ----------
+    name : str
+        A key of `ALGORITHMS`.
+    n_free : int
+        Free parameters.
+    population : int
+        Individuals per generation [1].
+    seed : int
+        Of this stage.
+    start : Start, optional
+        Where CMA-ES begins; anywhere by default. Other algorithms begin anywhere.
+
+    Raises
+    ------
+    FitError
+        For an unknown name.
+    """
+    if name not in ALGORITHMS:
+        raise FitError(f"unknown algorithm {name!r}; expected one of {', '.join(ALGORITHMS)}")
+    # pymoo takes long to import: commands that do not fit must not pay for it.
+    from pymoo.config import Config
+
+    # It would print a hint about its own compiled modules, which breeding does not use.
+    Config.warnings["not_compiled"] = False
+    if name == "cmaes":
+        return _cmaes(n_free, population, seed, start)
+    if name == "ga":
+        from sysid.fit.breeders.genetic import GeneticBreeder
+
+        return GeneticBreeder(n_free, population, seed)
+    return PymooBreeder(_ALGORITHM[name](population, seed), n_free)
+
+
+def _matlab_ga(population: int, seed: int) -> Any:
+    from sysid.fit.breeders.matlab_genetic import MatlabGA
+
+    return MatlabGA(population, seed=seed)
+
+
+def _de(population: int, seed: int) -> Any:
+    from pymoo.algorithms.soo.nonconvex.de import DE
+    from pymoo.operators.sampling.lhs import LHS
+
+    return DE(pop_size=population, sampling=LHS(), variant="DE/best/1/bin", seed=seed)
+
+
+def _pso(population: int, seed: int) -> Any:
+    from pymoo.algorithms.soo.nonconvex.pso import PSO
+    from pymoo.operators.sampling.lhs import LHS
+
+    return PSO(pop_size=population, sampling=LHS(), seed=seed)
+
+
+_ALGORITHM = {"matlab-ga": _matlab_ga, "de": _de, "pso": _pso}
+
+
+def _cmaes(n_free: int, population: int, seed: int, start: Start | None) -> Breeder:
+    from sysid.fit.breeders.evolution_strategy import EvolutionStrategy
+
+    random = np.random.default_rng(seed)
+    if start is None:
+        start = Start(random.random(n_free), np.full(n_free, _RANDOM_SPREAD))
+    return EvolutionStrategy(start.mean, start.spread, population, random)

@@ -1,0 +1,382 @@
+"""The normalised RMS error, once as an obvious function and once compiled for a whole population.
+
+Both know no model: they see samples. Law (MATLAB's ``goodnessOfFit``; the paper names the measure, not
+its denominator)::
+
+    NRMSE = rms(simulated − measured) / std(measured)        denominator "std", the default
+    NRMSE = rms(simulated − measured) / (max − min)(measured)             denominator "range"
+
+rms, std (divided by n, not n − 1) and range are taken over the valid samples of one channel of one trial.
+The cost of a candidate is the weighted mean over the channels of a trial, then the mean over trials.
+
+The simulated signal walks the way of the measured one: samples inside the log's gaps are replaced by
+linear interpolation, the same symmetric FIR filter runs over it, and rates are central differences of the
+filtered signal. An impact is broadband, so treating one side only biases the fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sysid.errors import FitError
+from sysid.fit.nrmse_kernels import FAILED_NRMSE, prepare_trial, score_population
+from sysid.types import BoolArray, FloatArray
+
+__all__ = [
+    "FAILED_NRMSE",
+    "CostChannel",
+    "Denominator",
+    "FilteredNrmse",
+    "PopulationCost",
+    "TrialTarget",
+    "nrmse",
+    "spread",
+]
+
+Denominator = Literal["std", "range"]
+
+
+def spread(measured: ArrayLike, valid: ArrayLike | None = None, denominator: Denominator = "std") -> float:
+    """Return the NRMSE denominator of one measured channel [unit of the channel].
+
+    Parameters
+    ----------
+    measured : (n,) array
+        Samples [any unit].
+    valid : (n,) bool array, optional
+        False where a sample must not count. Default: all count.
+    denominator : {"std", "range"}
+        Standard deviation (divided by n) or maximum minus minimum.
+
+    Raises
+    ------
+    FitError
+        When no sample is valid, or `denominator` is neither.
+    """
+    values = np.asarray(measured, dtype=np.float64)
+    if valid is not None:
+        values = values[np.asarray(valid, dtype=np.bool_)]
+    if values.size == 0:
+        raise FitError("no valid sample to compare with; widen the window or drop the trial")
+    if denominator == "std":
+        return float(np.std(values))
+    if denominator == "range":
+        return float(np.ptp(values))
+    raise FitError(f"unknown NRMSE denominator {denominator!r}; expected 'std' or 'range'")
+
+
+def nrmse(
+    simulated: ArrayLike,
+    measured: ArrayLike,
+    valid: ArrayLike | None = None,
+    denominator: Denominator = "std",
+) -> float:
+    """Return the normalised RMS error of one channel of one trial [1].
+
+    Parameters
+    ----------
+    simulated, measured : (n,) array
+        Samples on the same clock [same unit].
+    valid : (n,) bool array, optional
+        False where a sample must not count. Default: all count.
+    denominator : {"std", "range"}
+        Of the measured samples.
+
+    Raises
+    ------
+    FitError
+        When no sample is valid or the measured channel is constant.
+
+    Notes
+    -----
+    0 is a perfect fit; the mean of the measurement scores 1 with ``"std"``.
+    """
+    simulated = np.asarray(simulated, dtype=np.float64)
+    measured = np.asarray(measured, dtype=np.float64)
+    mask = np.ones(measured.shape, np.bool_) if valid is None else np.asarray(valid, dtype=np.bool_)
+    scale = spread(measured, mask, denominator)
+    if scale == 0.0:
+        raise FitError("the measured channel is constant, so its NRMSE is undefined; give it weight 0")
+    return float(np.sqrt(np.mean((simulated - measured)[mask] ** 2)) / scale)
+
+
+@dataclass(frozen=True)
+class CostChannel:
+    """One compared channel and where it comes from in the simulated samples.
+
+    Parameters
+    ----------
+    name : str
+        As in tables, e.g. ``horizontal_velocity``.
+    unit : str
+        SI unit.
+    column : int
+        Input column of the simulated samples.
+    rate : bool
+        True: the channel is the time derivative of that column (after the filter).
+    weight : float
+        Weight in the mean over channels, ≥ 0 [1].
+    """
+
+    name: str
+    unit: str
+    column: int
+    rate: bool = False
+    weight: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class TrialTarget:
+    """What one trial measured inside its fit window, and how a simulation must be prepared to compare.
+
+    Parameters
+    ----------
+    name : str
+        Trial name.
+    measured : (n_window, n_channels) array
+        Filtered and differentiated measurement [channel units].
+    valid : (n_window,) or (n_window, n_channels) bool array, optional
+        Samples that count. Default: where `measured` is finite.
+    rate : float
+        Sample rate of the recording's uniform clock [Hz].
+    taps : (2 h + 1,) array, optional
+        Symmetric FIR filter [1]. Default: none, samples are compared as they are.
+    delivered : (n_window + 2 margin,) bool array, optional
+        False inside a gap of the log; there the simulated samples are interpolated linearly between
+        their neighbours, as the log was before its filter (at the array's ends: held). Default: no gap.
+    """
+
+    name: str
+    measured: FloatArray
+    valid: BoolArray | None = None
+    rate: float = 1.0
+    taps: FloatArray | None = None
+    delivered: BoolArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class PopulationCost:
+    """What a population scores.
+
+    Parameters
+    ----------
+    cost : (P,) array
+        Weighted mean over channels, then mean over trials [1]. Finite.
+    by_channel : (P, T, C) array
+        NRMSE per candidate, trial and channel [1]; a penalty in every channel of a failed trial.
+    failed : (P, T) bool array
+        Simulations that failed.
+    """
+
+    cost: FloatArray
+    by_channel: FloatArray
+    failed: BoolArray
+
+
+class FilteredNrmse:
+    """NRMSE of a population against several trials, compiled; parallel over candidates only.
+
+    Simulated samples are laid out trial after trial along one axis: trial ``t`` occupies rows
+    ``offsets[t]:offsets[t + 1]``, which are its ``n_window`` samples and ``margins[t]`` extra samples on
+    either side (half the filter's length, and one more where a rate is compared). Numbers do not depend
+    on the number of threads: each candidate is summed by one thread in a fixed order.
+
+    Parameters
+    ----------
+    trials : sequence of TrialTarget
+        At least one.
+    channels : sequence of CostChannel
+        The columns of every trial's `measured`, in order.
+    denominator : {"std", "range"}
+        Of the measured samples, per trial and channel.
+
+    Attributes
+    ----------
+    margins : (T,) int array
+        Extra samples on either side of each trial's window.
+    offsets : (T + 1,) int array
+        First row of each trial; the last is the number of rows, ``n_total``.
+    denominators : (T, C) array
+        [channel units].
+
+    Raises
+    ------
+    FitError
+        When a weighted channel is constant or has no valid sample in a trial.
+    ValueError
+        When shapes contradict each other or taps are not odd and symmetric.
+    """
+
+    def __init__(
+        self,
+        trials: Sequence[TrialTarget],
+        channels: Sequence[CostChannel],
+        denominator: Denominator = "std",
+    ) -> None:
+        self.trials = tuple(trials)
+        self.channels = tuple(channels)
+        self.denominator: Denominator = denominator
+        self.weights = np.array([channel.weight for channel in self.channels], dtype=np.float64)
+        if not self.trials or not self.channels:
+            raise ValueError("a cost needs at least one trial and one channel")
+        if not np.all(self.weights >= 0) or not np.any(self.weights > 0):
+            raise FitError(
+                f"channel weights are {self.weights.tolist()}; expected none below 0 and at least one above"
+            )
+        self._reach = 1 if any(channel.rate for channel in self.channels) else 0
+        self._column = np.array([channel.column for channel in self.channels], dtype=np.int64)
+        self._is_rate = np.array([channel.rate for channel in self.channels], dtype=np.bool_)
+        self._prepare_filters()
+        self._prepare_measured()
+        self._prepare_gaps()
+
+    def _prepare_filters(self) -> None:
+        taps = [np.ones(1) if t.taps is None else np.asarray(t.taps, dtype=np.float64) for t in self.trials]
+        for trial, h in zip(self.trials, taps, strict=True):
+            if h.ndim != 1 or h.size % 2 == 0 or not np.allclose(h, h[::-1], rtol=1e-12, atol=1e-15):
+                raise ValueError(f"{trial.name}: filter taps must be odd in number and symmetric")
+        self._half = np.array([h.size // 2 for h in taps], dtype=np.int64)
+        # Centre tap first, then outwards: one row per trial.
+        self._taps = np.zeros((len(taps), int(self._half.max()) + 1))
+        for row, h in zip(self._taps, taps, strict=True):
+            row[: h.size // 2 + 1] = h[h.size // 2 :]
+        self._rate = np.array([trial.rate for trial in self.trials], dtype=np.float64)
+        self.margins = self._half + self._reach
+
+    def _prepare_measured(self) -> None:
+        n_channels = len(self.channels)
+        measured, valid = [], []
+        self.denominators = np.empty((len(self.trials), n_channels))
+        for t, trial in enumerate(self.trials):
+            values = np.asarray(trial.measured, dtype=np.float64)
+            if values.ndim != 2 or values.shape[1] != n_channels:
+                raise ValueError(f"{trial.name}: measured {values.shape}, expected (n, {n_channels})")
+            mask = np.isfinite(values)
+            if trial.valid is not None:
+                given = np.asarray(trial.valid, dtype=np.bool_)
+                mask = mask & (given[:, None] if given.ndim == 1 else given)
+            for c, channel in enumerate(self.channels):
+                try:
+                    scale = spread(values[:, c], mask[:, c], self.denominator)
+                except FitError as error:
+                    raise FitError(f"trial {trial.name}, {channel.name}: {error}") from None
+                if scale == 0.0 and channel.weight > 0:
+                    raise FitError(
+                        f"trial {trial.name}, {channel.name}: constant over the window, so its NRMSE is "
+                        "undefined; give the channel weight 0 or drop the trial"
+                    )
+                self.denominators[t, c] = scale
+            measured.append(np.where(mask, values, 0.0))
+            valid.append(mask)
+        lengths = np.array([len(m) for m in measured])
+        self._window = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+        self.offsets = np.concatenate([[0], np.cumsum(lengths + 2 * self.margins)]).astype(np.int64)
+        self._measured = np.concatenate(measured)
+        self._valid = np.concatenate(valid)
+
+    def _prepare_gaps(self) -> None:
+        n_total = int(self.offsets[-1])
+        self._left = np.arange(n_total, dtype=np.int64)
+        self._right = self._left.copy()
+        self._share = np.zeros(n_total)
+        for trial, start, end in zip(self.trials, self.offsets[:-1], self.offsets[1:], strict=True):
+            if trial.delivered is None:
+                continue
+            delivered = np.asarray(trial.delivered, dtype=np.bool_)
+            if delivered.shape != (end - start,):
+                raise ValueError(f"{trial.name}: delivered {delivered.shape}, expected ({end - start},)")
+            known = np.flatnonzero(delivered)
+            if known.size == 0:
+                raise FitError(f"trial {trial.name}: no sample was delivered in its window; drop the trial")
+            lost = np.flatnonzero(~delivered)
+            after = np.searchsorted(known, lost)
+            # Before the first and after the last delivered sample both neighbours are the same one: held.
+            left = known[np.maximum(after - 1, 0)]
+            right = known[np.minimum(after, known.size - 1)]
+            width = np.maximum(right - left, 1)
+            self._left[start + lost] = start + left
+            self._right[start + lost] = start + right
+            self._share[start + lost] = np.where(right > left, (lost - left) / width, 0.0)
+
+    @property
+    def n_total(self) -> int:
+        """Rows that the simulated samples must have."""
+        return int(self.offsets[-1])
+
+    def _checked(self, samples: FloatArray) -> FloatArray:
+        samples = np.ascontiguousarray(samples, dtype=np.float64)
+        n_columns = int(self._column.max()) + 1
+        if samples.ndim != 3 or samples.shape[1] != self.n_total or samples.shape[2] < n_columns:
+            raise ValueError(
+                f"samples {samples.shape}, expected (P, {self.n_total}, at least {n_columns}): "
+                "each trial's window and its margins, one after the other"
+            )
+        return samples
+
+    def __call__(
+        self, samples: FloatArray, reached: FloatArray | None = None, threads: int | None = None
+    ) -> PopulationCost:
+        """Score a population.
+
+        Parameters
+        ----------
+        samples : (P, n_total, n_columns) array
+            Simulated samples on each recording's clock [SI].
+        reached : (P, T) array, optional
+            Share of the trial that was simulated, 1 = complete [1]; below 1 the trial failed. Default: 1.
+            A trial whose samples are not finite failed too, where they stop being so.
+        threads : int, optional
+            Cores to use; all by default. The numbers do not depend on it.
+
+        Notes
+        -----
+        A failed trial scores ``FAILED_NRMSE · (2 − reached)`` in every channel.
+        """
+        samples = self._checked(samples)
+        n_candidates, n_trials = len(samples), len(self.trials)
+        share = np.ones((n_candidates, n_trials)) if reached is None else np.array(reached, dtype=np.float64)
+        if share.shape != (n_candidates, n_trials):
+            raise ValueError(f"reached {share.shape}, expected ({n_candidates}, {n_trials})")
+        by_channel = np.empty((n_candidates, n_trials, len(self.channels)))
+        failed = np.zeros((n_candidates, n_trials), dtype=np.bool_)
+        before = numba.get_num_threads()
+        # A cluster's worker has one core: more threads would spin beside each other on it.
+        numba.set_num_threads(before if threads is None else max(1, min(threads, before)))
+        try:
+            score_population(
+                samples, share, self.offsets, self._window, self._half, self._reach, self._taps, self._rate,
+                self._left, self._right, self._share, self._column, self._is_rate,
+                self._measured, self._valid, self.denominators, self.weights, by_channel, failed,
+            )  # fmt: skip
+        finally:
+            numba.set_num_threads(before)
+        return PopulationCost(self.mean(by_channel), by_channel, failed)
+
+    def mean(self, by_channel: FloatArray) -> FloatArray:
+        """Return the weighted mean over channels, then over trials, of (..., T, C) NRMSE."""
+        used = self.weights > 0
+        weights = self.weights[used] / self.weights[used].sum()
+        return np.mean(np.sum(by_channel[..., used] * weights, axis=-1), axis=-1)
+
+    def prepared(self, samples: FloatArray) -> tuple[FloatArray, ...]:
+        """Return, per trial, the signals that are compared: (P, n_window, C) [channel units]."""
+        samples = self._checked(samples)
+        out = []
+        for t in range(len(self.trials)):
+            n_window = int(self._window[t + 1] - self._window[t])
+            block = np.empty((len(samples), n_window, len(self.channels)))
+            work = np.empty((2, int(self.offsets[t + 1] - self.offsets[t])))
+            for p in range(len(samples)):
+                prepare_trial(
+                    samples[p], self.offsets[t], self.offsets[t + 1], self._half[t], self._reach,
+                    self._taps[t], self._rate[t], self._left, self._right, self._share,
+                    self._column, self._is_rate, work, block[p],
+                )  # fmt: skip
+            out.append(block)
+        return tuple(out)

@@ -1,0 +1,268 @@
+"""What several runs say about each other: which of them ended in the same optimum.
+
+Two runs ended in the same optimum when neither their NRMSE nor their place in the unit cube differs by more
+than the search itself could tell: NRMSE by less than 0.2 %, every free parameter by less than 2 % of its
+range plus the widths over which each run's own candidates scored within 0.2 % of its best. A parameter that
+the data do not hold is wide, or is left out, so it does not tear runs apart that agree in all that can be
+known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from sysid.fit.history import RunHistory
+from sysid.fit.stopping import REASONS
+from sysid.parameters import SearchSpace, in_words, with_unit
+from sysid.types import BoolArray, FloatArray, IntArray
+
+# Relative difference of NRMSE that tells optima apart: twice what adaptive integration leaves uncertain.
+SAME_NRMSE = 2e-3
+# Of the unit cube's edge.
+SAME_PLACE = 0.02
+# Relative difference of NRMSE within which searches end, three times CMA-ES's tolerance: no further search
+# tells apart what lies within it.
+ENDS_WITHIN = 3e-5
+# Why a run was not ended by its own rule.
+_CUT = ("interrupted", "time", "evaluations", "generations")
+# A parameter that such sets spread over by more is held no tighter than that [1].
+_HELD = 0.01
+# Candidates that score as well as the best over more than this do not fix a parameter: a factor (logarithmic
+# scale), a share of its range (linear scale).
+_FACTOR, _SHARE = 3.0, 1 / 3
+
+
+class Searched(Protocol):
+    """What must be known of a free parameter: the scale and the bounds of its search."""
+
+    @property
+    def scale(self) -> str | None: ...
+    @property
+    def lower(self) -> float | None: ...
+    @property
+    def upper(self) -> float | None: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """Runs grouped by the optimum in which they ended.
+
+    Parameters
+    ----------
+    order : tuple of int
+        Runs (from 0), best first.
+    optimum : (R,) int array
+        Optimum (from 0, best first) of every run, in the order of the runs.
+    cost : (R,) array
+        NRMSE of every run, in the order of the runs [1].
+    cut : tuple of str
+        Why every run was cut short, in the order of the runs; empty for one that ended by itself. Where a
+        run was cut is no optimum.
+    asked : int
+        Runs that the fit was to have; those that were not begun are missing above [1].
+    """
+
+    order: tuple[int, ...]
+    optimum: IntArray
+    cost: FloatArray
+    cut: tuple[str, ...]
+    asked: int
+
+    @property
+    def unfinished(self) -> bool:
+        """True when a run was cut short, or never begun."""
+        return any(self.cut) or len(self.cost) < self.asked
+
+    @property
+    def reached(self) -> int:
+        """Runs that ended in the best optimum [1]."""
+        return int(np.count_nonzero(self.optimum == 0))
+
+    @property
+    def agrees(self) -> bool:
+        """True when every run ended in the best optimum."""
+        return self.reached == len(self.cost) and not self.unfinished
+
+    def sentence(self) -> str:
+        """Return what the runs say about the result, in one sentence."""
+        runs, best = len(self.cost), float(self.cost.min())
+        if self.unfinished:
+            return self._unfinished(runs, best)
+        if runs == 1:
+            return "a single run cannot say whether its optimum is the best one; ask for more with --runs 5"
+        if self.agrees:
+            return f"{runs} of {runs} runs reached the same optimum (NRMSE {100 * best:.3f} %)"
+        others = self.cost[self.optimum != 0]
+        places = int(self.optimum.max())
+        word = "place" if places == 1 else "places"
+        if others.max() <= best * (1 + SAME_NRMSE):
+            return (
+                f"{self.reached} of {runs} runs reached the best optimum and the others end as low in "
+                f"{places} other {word}: the data do not tell these sets apart; compare them before one "
+                "is used"
+            )
+        alone = " alone" if self.reached == 1 else ""
+        return (
+            f"the runs disagree: {self.reached} of {runs}{alone} reached the best optimum (NRMSE "
+            f"{100 * best:.3f} %), the others end at {others.min() / best:.3f} to "
+            f"{others.max() / best:.3f} × it in {places} other {word}: sets beyond the best optimum are "
+            "local ones; ask for more runs with --runs 20"
+        )
+
+    def _unfinished(self, runs: int, best: float) -> str:
+        reasons = ", ".join(dict.fromkeys(reason for reason in self.cut if reason))
+        cut = sum(bool(reason) for reason in self.cut)
+        why = f" ({reasons})" if reasons else ""
+        if runs < self.asked:
+            whole = "none" if cut == runs else "all" if not cut else str(runs - cut)
+            text = (
+                f"{runs} of {self.asked} runs {'was' if runs == 1 else 'were'} begun, {whole} of them "
+                f"finished{why}, which says nothing about optima yet; best NRMSE so far {100 * best:.3f} %"
+            )
+        else:
+            text = (
+                f"{cut} of {runs} runs {'was' if cut == 1 else 'were'} not finished{why} and "
+                f"{'says' if cut == 1 else 'say'} nothing about optima yet; best NRMSE so far "
+                f"{100 * best:.3f} %"
+            )
+        ended = self.cost[[not reason for reason in self.cut]]
+        if len(ended):
+            text += f", the finished ones end at {ended.min() / best:.3f} to {ended.max() / best:.3f} × it"
+        if {*self.cut} & {REASONS["time"], REASONS["interrupted"]} or runs < self.asked:
+            return text + "; continue with --resume"
+        return text + "; start anew with a larger limit"
+
+
+def agreement(
+    runs: Sequence[RunHistory], asked: int | None = None, free: Sequence[Searched] = ()
+) -> Agreement:
+    """Group runs by the optimum in which they ended.
+
+    Parameters
+    ----------
+    runs : sequence of RunHistory
+        At least one.
+    asked : int, optional
+        How many there were to be; all, by default.
+    free : sequence of Searched
+        The parameters along the cube's axes: those that the runs together do not fix (`unfixed`) say nothing
+        about which optimum a run is in. Without it all count.
+    """
+    held = ~unfixed(runs, free) if free else np.ones(runs[0].best_point.shape, dtype=bool)
+    cost = np.array([run.best[-1] for run in runs])
+    place = np.stack([run.best_point for run in runs])
+    width = np.stack([_width(run) for run in runs])
+    order = np.argsort(cost, kind="stable")
+    optimum = np.full(len(runs), -1, dtype=np.int64)
+    first: list[int] = []
+    for run in order:
+        for number, other in enumerate(first):
+            near = abs(cost[run] - cost[other]) <= SAME_NRMSE * cost[other]
+            apart = np.abs(place[run] - place[other])
+            if near and np.all((apart <= SAME_PLACE + width[run] + width[other]) | ~held):
+                optimum[run] = number
+                break
+        else:
+            optimum[run] = len(first)
+            first.append(int(run))
+    cut = tuple(REASONS[run.stop_reason] if run.stop_reason in _CUT else "" for run in runs)
+    return Agreement(tuple(int(i) for i in order), optimum, cost, cut, asked or len(runs))
+
+
+def _width(run: RunHistory) -> FloatArray:
+    """Return the half widths (n_free,) over which a run's candidates scored as well as its best [1]."""
+    limit = float(run.best[-1]) * (1 + SAME_NRMSE)
+    good = np.concatenate([stage.cube[stage.cost <= limit] for stage in run.stages])
+    return np.asarray(np.ptp(good, axis=0)) / 2
+
+
+def unfixed(runs: Sequence[RunHistory], free: Sequence[Searched]) -> BoolArray:
+    """Return which free parameters (n_free,) the data do not fix, judged from all candidates of the runs.
+
+    Those that score within 0.2 % of the best NRMSE spread over more than a factor of three (logarithmic
+    scale) or a third of the range (linear). It is a lower bound: a search does not explore what does not pay.
+    """
+    limit = min(float(run.best[-1]) for run in runs) * (1 + SAME_NRMSE)
+    stages = [stage for run in runs for stage in run.stages]
+    width = np.ptp(np.concatenate([stage.cube[stage.cost <= limit] for stage in stages]), axis=0)
+    out = np.zeros(len(width), dtype=np.bool_)
+    for i, (row, share) in enumerate(zip(free, width, strict=True)):
+        if row.lower is not None and row.upper is not None:
+            log = row.scale == "log"
+            out[i] = share * np.log(row.upper / row.lower) > np.log(_FACTOR) if log else share > _SHARE
+    return out
+
+
+def loose_warnings(runs: Sequence[RunHistory], space: SearchSpace) -> tuple[str, ...]:
+    """Return sentences on the free parameters that the data do not hold, judged from the candidates.
+
+    Loose ones (`unfixed`) are named with the values over which the candidates score alike. Of the others
+    those are named whose value differs by more than 1 % between candidates that score within 0.003 % of the
+    best: no search tells these apart. Both are lower bounds on what the data leave open: a search does not
+    explore what does not pay. A run that was cut short is not asked: far from an optimum candidates score
+    alike for other reasons.
+    """
+    runs = [run for run in runs if run.stop_reason not in _CUT]
+    if not runs:
+        return ()
+    low, high = _span(runs, space, SAME_NRMSE)
+    wide = unfixed(runs, space.free)
+    out, held = [], []
+    least, most = _span(runs, space, ENDS_WITHIN)
+    spread = (most - least) / np.maximum(np.abs(most + least) / 2, np.finfo(float).tiny)
+    for i, row in enumerate(space.free):
+        if wide[i]:
+            out.append(
+                f"{in_words(row.name, row.symbol)} is not fixed by the data: sets from {low[i]:.2g} to "
+                f"{with_unit(f'{high[i]:.2g}', row.unit)} "
+                f"score within {100 * SAME_NRMSE:g} % of the best NRMSE; do not read digits into it"
+            )
+        elif len(runs) > 1 and spread[i] > _HELD:
+            held.append(f"{in_words(row.name, row.symbol)} {100 * spread[i]:.2g} %")
+    if held:
+        out.append(
+            f"held no tighter than this, over sets that score within {100 * ENDS_WITHIN:g} % of the best "
+            f"NRMSE: {', '.join(held)}"
+        )
+    return tuple(out)
+
+
+def _span(runs: Sequence[RunHistory], space: SearchSpace, within: float) -> tuple[FloatArray, FloatArray]:
+    """Return least and largest value (n_free,) [SI] of all candidates within a share of the best NRMSE."""
+    limit = min(float(run.best[-1]) for run in runs) * (1 + within)
+    stages = [stage for run in runs for stage in run.stages]
+    good = np.concatenate([stage.cube[stage.cost <= limit] for stage in stages])
+    return space.decode(good.min(axis=0)), space.decode(good.max(axis=0))
+
+
+def waterfall(runs: Sequence[RunHistory], free: Sequence[Searched] = ()) -> list[str]:
+    """Return a table of all runs, best first: NRMSE, its ratio to the best, optimum, cost, why it ended.
+
+    A run that was cut short reached no optimum: a dash. `free` as for `agreement`.
+    """
+    found = agreement(runs, free=free)
+    best = float(found.cost.min())
+    lines = [
+        f"{'rank':>4}  {'run':>3}  {'NRMSE':>9}  {'× best':>7}  {'optimum':>7}  {'candidates':>10}  ended"
+    ]
+    for rank, i in enumerate(found.order, start=1):
+        run = runs[i]
+        ended = ", ".join(f"{stage.algorithm}: {REASONS[stage.stop_reason]}" for stage in run.stages)
+        lines.append(
+            f"{rank:>4}  {i + 1:>3}  {100 * found.cost[i]:>7.3f} %  {found.cost[i] / best:>7.4f}  "
+            f"{'-' if found.cut[i] else _letter(int(found.optimum[i])):>7}  {run.evaluations:>10}  {ended}"
+        )
+    return lines
+
+
+def _letter(number: int) -> str:
+    name = ""
+    number += 1
+    while number:
+        number, rest = divmod(number - 1, 26)
+        name = chr(ord("A") + rest) + name
+    return name

@@ -1,0 +1,472 @@
+"""The search: independent runs, each a stage of one algorithm and a finisher, ended by declared rules.
+
+sysid scores a whole population at once and decides when to end; one generation is one ask-and-tell of a
+`sysid.fit.breeders.algorithms.Breeder`.
+
+Same objective, settings and version give identical numbers: run ``i`` draws from the ``i``-th child of the
+seed (`numpy.random.SeedSequence`), so it is reproducible without the runs before it, and every stage of it
+from a child of that. The order and the interleaving of runs change nothing.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from math import ceil
+from typing import Protocol
+
+import numpy as np
+
+from sysid.errors import FitError
+from sysid.fit.breeders.algorithms import ALGORITHMS, DEFAULT_ALGORITHM, POPULATION, Breeder, Start, breeder
+from sysid.fit.breeders.in_process import BreederApart
+from sysid.fit.history import Generation, RunHistory, StageHistory
+from sysid.fit.objective import Evaluation, Objective, causes_of
+from sysid.fit.run_log import RunMemory, StageMemory
+from sysid.fit.stopping import StopReason, StopRule
+from sysid.types import FloatArray
+
+# CMA-ES is not elitist and learns its shape over tens of generations, so its best cost stands still longer
+# than a GA's: its window is cma's own 10 + 30 n/P generations, its tolerance a tenth of the paper's.
+CMAES_TOLERANCE = 1e-5
+# Of half a generation; at the bottom of a valley it is 1e-5 to 1e-4, of a start anywhere 0.1 and above.
+CMAES_SPREAD = 0.01
+# Of a finisher; chosen by tests/benchmarks/engine.py.
+FINISH_POPULATION = 64
+# What the first stage may use of a budget when a finisher follows.
+_SEARCH_SHARE = 0.6
+# A generation that takes longer is scored in parts of about this [s], so that a kill costs no more.
+PART_TIME = 1.0
+# Between two looks at what the user wants [s].
+_HEARING = 0.2
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How a fit searches.
+
+    Parameters
+    ----------
+    population : int
+        Individuals per generation of the first stage [1]; the paper uses 200 (motor) and 400 to 800 (gear).
+    runs : int
+        Independent runs [1]; the paper uses 5.
+    seed : int
+        Seed of the fit; every run draws from its own child of it.
+    stop : StopRule
+        When the first stage ends. `time_limit` and `max_evaluations` are those of the whole fit, and
+        `max_generations` is that of every stage.
+    algorithm : str
+        A key of `sysid.fit.breeders.algorithms.ALGORITHMS`.
+    finish : {"cmaes", "none"}
+        CMA-ES from mean and spread of each run's last generation; ``none`` is the paper's method.
+    """
+
+    population: int = POPULATION[DEFAULT_ALGORITHM]
+    runs: int = 5
+    seed: int = 1
+    stop: StopRule = field(default_factory=StopRule)
+    algorithm: str = DEFAULT_ALGORITHM
+    finish: str = "cmaes"
+
+    def __post_init__(self) -> None:
+        if self.population < 4 or self.runs < 1 or self.seed < 0:
+            raise FitError(
+                f"population {self.population}, runs {self.runs}, seed {self.seed}: expected a population "
+                "of at least 4, at least 1 run and a seed of at least 0"
+            )
+        if self.algorithm not in ALGORITHMS:
+            raise FitError(f"unknown algorithm {self.algorithm!r}; expected one of {', '.join(ALGORITHMS)}")
+        if self.finish not in ("cmaes", "none"):
+            raise FitError(f"unknown finisher {self.finish!r}; expected 'cmaes' or 'none'")
+
+    def run_seeds(self) -> tuple[int, ...]:
+        """Return the seed of every run; more runs keep the first ones."""
+        children = np.random.SeedSequence(self.seed).spawn(self.runs)
+        return tuple(int(child.generate_state(1, np.uint32)[0]) for child in children)
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Algorithms of a run, in order; CMA-ES needs no finisher."""
+        if self.finish == "none" or self.algorithm == "cmaes":
+            return (self.algorithm,)
+        return (self.algorithm, self.finish)
+
+
+@dataclass(frozen=True)
+class Hooks:
+    """Who is told what goes on, and who may end it.
+
+    Parameters
+    ----------
+    on_generation : callable, optional
+        Called with the run (from 0) and every new `Generation`.
+    on_run : callable, optional
+        Called with the run (from 0) and its history when it ends.
+    keep : callable, optional
+        Called with the run (from 0), its memory, and whether a stage has just ended.
+    should_stop : callable, optional
+        Asked after every generation; True ends the fit and keeps what was found.
+    """
+
+    on_generation: Callable[[int, Generation], None] | None = None
+    on_run: Callable[[int, RunHistory], None] | None = None
+    keep: Callable[[int, RunMemory, bool], None] | None = None
+    should_stop: Callable[[], bool] | None = None
+
+
+class _Breeds(Protocol):
+    def __call__(
+        self, name: str, n_free: int, population: int, seed: int, start: Start | None
+    ) -> Breeder | BreederApart: ...
+
+
+def run_one(
+    objective: Objective,
+    settings: SearchSettings,
+    run: int = 0,
+    *,
+    time_limit: float | None = None,
+    memory: RunMemory | None = None,
+    hooks: Hooks | None = None,
+    breeds: _Breeds = breeder,
+    candidate_time: float | None = None,
+) -> RunHistory:
+    """Run one of the independent runs of a fit.
+
+    Parameters
+    ----------
+    objective : Objective
+        Scores points of the unit cube.
+    settings : SearchSettings
+        Of the whole fit.
+    run : int
+        Which one, from 0.
+    time_limit : float, optional
+        Of this run, from now [s].
+    memory : RunMemory, optional
+        What was scored before the run was cut off; it is continued, and the memory grows.
+    hooks : Hooks, optional
+        Who is told what goes on.
+    breeds : callable, optional
+        `breeder`, or `BreederApart` to breed in a process of its own.
+    candidate_time : float, optional
+        What a candidate takes to score [s], until it was measured; a first generation that would take over
+        a second is then scored in parts.
+
+    Raises
+    ------
+    FitError
+        When there is no free parameter, a cost is not finite, or the memory is of another search.
+    """
+    if not objective.space.free:
+        raise FitError("no parameter is free, so there is nothing to fit; name the free ones in the campaign")
+    seed = settings.run_seeds()[run]
+    memory = RunMemory(seed) if memory is None else memory
+    memory.reopen()
+    begun = _Run(objective, settings, run, seed, time_limit, memory, hooks or Hooks(), breeds, candidate_time)
+    return begun.history()
+
+
+class _Run:
+    def __init__(
+        self,
+        objective: Objective,
+        settings: SearchSettings,
+        run: int,
+        seed: int,
+        time_limit: float | None,
+        memory: RunMemory,
+        hooks: Hooks,
+        breeds: _Breeds,
+        candidate_time: float | None,
+    ) -> None:
+        self.breeds, self.candidate_time = breeds, candidate_time
+        self.objective, self.settings, self.run, self.seed = objective, settings, run, seed
+        self.memory, self.hooks = memory, hooks
+        self.started = time.perf_counter()
+        self.time_limit = time_limit
+        self.evaluations = self.simulations = 0
+        self.before = 0.0  # wall time of the stages that have ended [s]
+        self.lowest = float("inf")
+
+    def history(self) -> RunHistory:
+        stages: list[StageHistory] = []
+        names = self.settings.stages
+        for number, name in enumerate(names):
+            start = Start.of_population(stages[-1].cube[-1]) if stages else None
+            last = number == len(names) - 1
+            stages.append(self._stage(number, name, start, last))
+            self.before += stages[-1].wall_time
+            if stages[-1].stop_reason == "interrupted":
+                break
+        return RunHistory(self.seed, tuple(stages))
+
+    def _rule(self, name: str, population: int, last: bool) -> StopRule:
+        """Return the rule of a stage; of the run's budgets the first of two stages gets a share."""
+        share = 1.0 if last else _SEARCH_SHARE
+        rule = replace(self.settings.stop.share(self.settings.runs), time_limit=None)
+        if rule.max_evaluations is not None:
+            rule = replace(rule, max_evaluations=int(share * rule.max_evaluations))
+        if self.time_limit is not None:
+            rule = replace(rule, time_limit=share * self.time_limit)
+        if name == "cmaes":
+            window = 10 + ceil(30 * len(self.objective.space.free) / population)
+            rule = replace(
+                rule, reading="relative", window=window, tolerance=CMAES_TOLERANCE, spread=CMAES_SPREAD
+            )
+        return rule
+
+    def _stage(self, number: int, name: str, start: Start | None, last: bool) -> StageHistory:
+        population = self.settings.population if number == 0 else FINISH_POPULATION
+        rule = self._rule(name, population, last)
+        own_seed = self.seed if number == 0 else _child_seed(self.seed, number)
+        memory = self.memory.stage(number, name)
+        with closing(self.breeds(name, len(self.objective.space.free), population, own_seed, start)) as bred:
+            return self._bred(name, bred, rule, memory)
+
+    def _bred(
+        self, name: str, bred: Breeder | BreederApart, rule: StopRule, memory: StageMemory
+    ) -> StageHistory:
+        remembered, already = len(memory.cost), memory.spent
+        # A stage that has ended is not ended anew by whoever asks while it is remembered: a later one hangs
+        # on it.
+        open_end = memory.ended is None
+        began = time.perf_counter()
+        generations: list[Generation] = []
+        best: list[float] = []
+        evaluations_before, simulations_before = self.evaluations, self.simulations
+        reason: StopReason | None = None
+        while reason is None:
+            points = bred.ask()
+            if points is None:
+                reason = "exhausted"
+                break
+            new = len(generations) >= remembered
+            if not new and not memory.recalls(len(generations), points, self.memory.elsewhere):
+                self.memory.forget_from(memory, len(generations))
+                new, remembered = True, len(generations)
+            if new:
+                scored = self._scored(points, memory, already - began)
+                elapsed = already + time.perf_counter() - began
+                memory.append(points, scored, elapsed, causes_of(self.objective))
+            bred.tell(memory.cost[len(generations)])
+            generation = self._generation(memory, len(generations), name, bred.population())
+            generations.append(generation)
+            best.append(min([*best[-1:], float(generation.cost.min())]))
+            if new and self.hooks.on_generation is not None:
+                self.hooks.on_generation(self.run, generation)
+            spread = _spread(memory.cost[len(generations) - 1])
+            live = new or (open_end and len(generations) == remembered)
+            reason = self._reason(rule, best, len(points), spread, live)
+            if new and self.hooks.keep is not None and reason is None:
+                self.hooks.keep(self.run, self.memory, False)
+        if not generations:
+            raise FitError(f"{name} bred no candidate at all; widen the bounds or enlarge the population")
+        memory.ended = reason
+        if self.hooks.keep is not None:
+            self.hooks.keep(self.run, self.memory, True)
+        return StageHistory(
+            algorithm=name,
+            cube=np.stack([g.cube for g in generations]),
+            cost=np.stack([g.cost for g in generations]),
+            failed=np.array([g.failed for g in generations], dtype=np.int64),
+            causes=tuple(memory.causes[: len(generations)]),
+            evaluations=self.evaluations - evaluations_before,
+            simulations=self.simulations - simulations_before,
+            wall_time=already + time.perf_counter() - began,
+            stop_reason=reason,
+        )
+
+    def _scored(self, points: FloatArray, memory: StageMemory, offset: float) -> Evaluation:
+        """Score a generation; one that takes long in parts, each of which is kept.
+
+        Rows do not know each other, so the cut changes no bit. `offset` brings the clock to the stage's [s].
+        """
+        done = memory.recalls_begun(points, self.memory.elsewhere)
+        while True:
+            size = self._part(len(points) - done)
+            began = time.perf_counter()
+            scored = _scored(self.objective, points[done : done + size])
+            now = time.perf_counter()
+            self.candidate_time = (now - began) / size
+            if size == len(points):
+                return scored
+            begun = memory.begin(points, scored, offset + now)
+            done += size
+            if done == len(points):
+                return begun.evaluation
+            if self.hooks.keep is not None:
+                self.hooks.keep(self.run, self.memory, False)
+
+    def _part(self, left: int) -> int:
+        """Return how many of the candidates that are left make a part."""
+        parts = 1 if self.candidate_time is None else ceil(left * self.candidate_time / PART_TIME)
+        return ceil(left / max(parts, 1))
+
+    def _generation(
+        self, memory: StageMemory, index: int, name: str, population: tuple[FloatArray, FloatArray]
+    ) -> Generation:
+        cube, cost = population
+        self.evaluations += len(memory.cost[index])
+        self.simulations += memory.simulations[index]
+        self.lowest = min(self.lowest, float(cost.min()))
+        return Generation(
+            number=index + 1,
+            cube=cube,
+            cost=cost,
+            failed=memory.failed[index],
+            evaluations=self.evaluations,
+            simulations=self.simulations,
+            elapsed=self.before + memory.elapsed[index],
+            algorithm=name,
+            lowest=self.lowest,
+        )
+
+    def _reason(
+        self, rule: StopRule, best: list[float], next_size: int, spread: float, live: bool
+    ) -> StopReason | None:
+        """Return why the stage ends; what was remembered was not ended by clock or user then."""
+        if live and self.hooks.should_stop is not None and self.hooks.should_stop():
+            return "interrupted"
+        elapsed = time.perf_counter() - self.started if live else 0.0
+        return rule.reason(best, self.evaluations, next_size, elapsed, spread)
+
+
+def _spread(cost: FloatArray) -> float:
+    """Return how far the median lies above the lowest, as a share of that [1]."""
+    low, middle = float(cost.min()), float(np.median(cost))
+    return (middle - low) / low if low > 0 else float("inf") if middle > low else 0.0
+
+
+def _child_seed(seed: int, stage: int) -> int:
+    return int(np.random.SeedSequence(seed, spawn_key=(stage,)).generate_state(1, np.uint32)[0])
+
+
+def _scored(objective: Objective, points: FloatArray) -> Evaluation:
+    scored = objective.evaluate(points)
+    if scored.cost.shape != (len(points),) or not np.all(np.isfinite(scored.cost)):
+        bad = int(np.count_nonzero(~np.isfinite(scored.cost)))
+        raise FitError(
+            f"{bad} of {len(points)} candidates have no finite NRMSE; a failed simulation must score its "
+            "penalty, so please report this campaign"
+        )
+    return scored
+
+
+def run_many(
+    objective: Objective,
+    settings: SearchSettings,
+    *,
+    memories: Sequence[RunMemory] = (),
+    hooks: Hooks | None = None,
+    at_once: int = 1,
+    breeds: _Breeds = breeder,
+    candidate_time: float | None = None,
+) -> tuple[RunHistory, ...]:
+    """Run the independent runs of a fit.
+
+    Parameters
+    ----------
+    objective : Objective
+        Scores points of the unit cube; from several threads when `at_once` is above 1.
+    settings : SearchSettings
+        Algorithm, population, runs, seed, stop rule.
+    memories : sequence of RunMemory, optional
+        What runs had scored before they were cut off, by seed.
+    hooks : Hooks, optional
+        Who is told what goes on; never from two threads at a time.
+    at_once : int
+        Runs that are searched at the same time, so that machines do not idle at a generation's end. The
+        numbers do not depend on it.
+    breeds : callable, optional
+        `breeder`, or `BreederApart` to breed every run in a process of its own.
+    candidate_time : float, optional
+        As of `run_one`.
+
+    Returns
+    -------
+    tuple of RunHistory
+        One per run that was begun; fewer than `settings.runs` only when the fit was interrupted.
+
+    Notes
+    -----
+    The evaluation budget is divided equally; of the time that is left each run gets an equal share, so
+    that a fit cut by its time limit still has one set per run.
+    """
+    started = time.perf_counter()
+    known = {memory.seed: memory for memory in memories}
+    hooks = _one_at_a_time(hooks or Hooks())
+    failed = threading.Event()
+
+    def stop() -> bool:
+        return failed.is_set() or (hooks.should_stop is not None and hooks.should_stop())
+
+    def one(run: int) -> RunHistory | None:
+        if run and stop():
+            return None
+        limit = settings.stop.time_limit
+        if limit is not None:
+            rounds = ceil((settings.runs - run) / at_once)
+            limit = max(0.0, limit - (time.perf_counter() - started)) / rounds
+        history = run_one(
+            objective,
+            settings,
+            run,
+            time_limit=limit,
+            memory=known.get(settings.run_seeds()[run]),
+            hooks=replace(hooks, should_stop=stop),
+            breeds=breeds,
+            candidate_time=candidate_time,
+        )
+        if hooks.on_run is not None:
+            hooks.on_run(run, history)
+        return history
+
+    if at_once <= 1:
+        found = [one(run) for run in range(settings.runs)]
+    else:
+        pool = ThreadPoolExecutor(at_once, thread_name_prefix="run")
+        futures = [pool.submit(one, run) for run in range(settings.runs)]
+        try:
+            # With a timeout, so that Ctrl-C is heard on every system while this thread waits.
+            while wait(futures, _HEARING, FIRST_EXCEPTION).not_done and not _one_failed(futures):
+                pass
+            if _one_failed(futures):
+                failed.set()
+            found = [future.result() for future in futures]
+        finally:
+            # A run that waits for a cluster is let go by whoever closes the cluster.
+            failed.set()
+            pool.shutdown(wait=False, cancel_futures=True)
+    return tuple(history for history in found if history is not None)
+
+
+def _one_failed(futures: Sequence[Future[RunHistory | None]]) -> bool:
+    return any(future.done() and future.exception() is not None for future in futures)
+
+
+def _one_at_a_time(hooks: Hooks) -> Hooks:
+    """Return hooks that never run in two threads at once."""
+    lock = threading.Lock()
+
+    def guarded(call: Callable[..., None] | None) -> Callable[..., None] | None:
+        if call is None:
+            return None
+
+        def locked(*arguments: object) -> None:
+            with lock:
+                call(*arguments)
+
+        return locked
+
+    return replace(
+        hooks,
+        on_generation=guarded(hooks.on_generation),
+        on_run=guarded(hooks.on_run),
+        keep=guarded(hooks.keep),
+    )

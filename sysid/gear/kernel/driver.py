@@ -1,0 +1,460 @@
+"""The landing gear in time: many drops side by side in lanes, one drop alone with a single lane.
+
+`drop_driver(lanes, surface)` makes the compiled driver; the scalar form is the same code with one lane. Each
+lane integrates its own job (a parameter row on a drop) with its own adaptive step and takes the next job when
+its drop ends; loops over lanes become packed instructions. Lanes never exchange numbers, so a result depends
+neither on the number of lanes and threads nor on the order of jobs, and a lane that is lost leaves the others
+alone.
+
+The method is the explicit pair of `sysid.integrate.tableau`; samples between steps come from the cubic
+Hermite polynomial of the step (order 3), and so do the times of touchdown, lift-off, flip and rest. A step
+does not exceed what the method's stability allows for the slip of a creeping foot and for a leg that rings on
+the ground (else every fourth step there grows unstable and is repeated); on a surface with modes it ends
+where a foot loses its mode (`sysid.gear.surfaces.high_friction`); under thrust it ends where a segment of the
+thrust's history does.
+
+Status codes of a job: see `OK` ... `BOTH_TOUCHED`.
+"""
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from sysid.gear.kernel import stage as stages
+from sysid.gear.kernel.lane import (
+    assign,
+    available,
+    begin,
+    hold_rest,
+    idle,
+    locate,
+    sample,
+    thrust_segment,
+)
+from sysid.gear.kernel.work_buffer import (
+    COUNT,
+    END,
+    FLIPPED,
+    FRESH,
+    FRICTION,
+    FRICTION_0,
+    HOLD,
+    LENGTH,
+    LIMIT,
+    MOVED,
+    NEW_STEP,
+    NEXT,
+    NORMAL,
+    RATES,
+    REQUIRED,
+    RESTED,
+    ROWS,
+    SEGMENT_END,
+    START,
+    STEP,
+    STIFF,
+    STUCK,
+    SWITCH,
+    TAKEN,
+    TIME,
+    TOUCHED,
+)
+from sysid.gear.surfaces.surface import Surface, law_text, specialized
+from sysid.integrate.fused import fused
+from sysid.integrate.tableau import STAGES, E
+
+# Bound to a surface's own when a driver is made.
+evaluate: Any = None
+after_step: Any = None
+
+OK = 0
+STEP_COLLAPSED = 1
+TOO_EXPENSIVE = 2
+BLEW_UP = 3
+CAME_TO_REST = 4
+FLIPPED_OVER = 5
+BOTH_TOUCHED = 6
+
+# What a row of `marks` tells.
+TOUCHDOWN, LIFT_OFF, SLIP, STICK, FLIP, REST = 0, 1, 2, 3, 4, 5
+# Error weights of the rates (s, w, phi, h_C, theta_C, h_D, theta_D): 1 / scale, scales 1 m/s and 10 rad/s for
+# the legs; a light leg may err 30 times more than the body, whose motion is what is measured.
+WEIGHTS = np.array([30.0, 30.0, 6.0, 1.0, 0.1, 1.0, 0.1])
+
+# First step of a drop, and after a foot has switched its mode [s].
+FIRST_STEP = 6e-5
+# Two instants closer than this are one [s].
+_SAME = 1e-10
+
+
+@njit(error_model="numpy", inline="always")
+@fused
+def _error(work, lane, lanes):
+    """Sum of the squared, weighted errors of a step's rates over its length squared."""
+    total = 0.0
+    for i in range(7):
+        gap = 0.0
+        for j in range(STAGES + 1):
+            gap += E[j] * work[(RATES + 7 * j + i) * lanes + lane]
+        gap = gap * WEIGHTS[i]
+        total += gap * gap
+    return total
+
+
+def fingerprint(surface: Surface) -> int:
+    """Hash of the sources that are inlined here, so that a cached driver never outlives them."""
+    here = Path(__file__).parent
+    sources = sorted(here.glob("*.py"))
+    sources += [here.parent / "surfaces" / "surface.py"]
+    sources += [here.parent.parent / "integrate" / f"{name}.py" for name in ("fused", "tableau")]
+    text = surface.name.encode() + b"".join(source.read_bytes() for source in sources) + law_text(surface)
+    return int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
+
+
+def drop_driver(lanes: int, surface: Surface):
+    """Make the driver for a number of lanes (1: the scalar form) and a surface."""
+    sources = fingerprint(surface)
+    modes = surface.switching
+
+    def drive(
+        parameters,
+        reads,
+        slope,
+        body,
+        legs,
+        clock,
+        offset,
+        segments,
+        plans,
+        jobs,
+        tolerance,
+        h_max,
+        cost,
+        ending,
+        samples,
+        reached,
+        status,
+        spent,
+        switches,
+        moments,
+        states,
+        marks,
+    ):
+        """Integrate jobs (candidate * drops + drop) and sample them on their drop's clock.
+
+        Parameters
+        ----------
+        parameters : (P, n_par)
+        reads : (n,) int64
+            Columns of `parameters` that the friction law reads.
+        slope : (D,) [rad]
+        body : (P or 1, D, 6)
+            x, z, q and rates at each drop's first sample, frame N [m, rad, s].
+        legs : (8,) or (0,)
+            h_C q_C h_D q_D and rates at the start, empty for legs at rest.
+        clock : (n_total,)
+            Sample times since each drop's start [s]; drop d owns offset[d]:offset[d + 1].
+        segments : (n, SEGMENT_COLUMNS), plans : (D, PLAN_COLUMNS)
+            Thrust histories and what each drop does with them.
+        jobs : (n,) int64
+        tolerance : float
+            Bound of the weighted rms error of the rates per step.
+        h_max : float
+            Longest step [s].
+        cost : float
+            Right-hand sides that a drop may spend per second of its length, at least 1000 in all.
+        ending : 5 float
+            0: run on, 1: end a drop that has come to rest or flipped, 2: or whose feet have both touched;
+            then speed [m/s], turn rate [rad/s] and time [s] of rest, and the angle of a flip [rad].
+        samples : (P, n_total, 6 or 16)
+            Written: state at each sample, frame N (16: friction on the feet too); NaN from the end on.
+        reached, status, spent, switches : (P, D)
+            Written: share of the drop's time integrated, status code, right-hand sides, mode switches.
+        moments : (P, D, 4)
+            Written: first touchdown of the rear and the front foot, flip, rest [s]; NaN where there is none.
+        states : (P, D, 3, 6)
+            Written: the body at the two touchdowns and at the end, frame N.
+        marks : (n, 7)
+            Written: time, kind, foot (2: body), available and required friction of both feet, for the first
+            n events; without rows only the first touchdowns are looked for.
+        """
+        if sources < 0:  # keeps the sources' hash in the key of the cached code
+            return
+        ends = ending[0] > 0.0
+        _, rest_speed, rest_turn, rest_time, flip_angle = ending
+        drops = len(slope)
+        work = np.ones(ROWS * lanes)
+        job = np.full(lanes, -1, np.int64)
+        cursor = np.zeros(lanes, np.int64)
+        segment = np.zeros(lanes, np.int64)
+        origin = np.zeros(lanes)
+        per_tolerance = 1.0 / (7.0 * tolerance * tolerance)
+        waiting = 0
+        active = 0
+        marked = 0
+        for lane in range(lanes):
+            here = jobs[min(waiting, len(jobs) - 1)]
+            drop = here % drops
+            start = body[here // drops if len(body) > 1 else 0, drop]
+            begin(parameters[here // drops], reads, slope[drop], start, legs, work, lane, lanes)
+            if waiting < len(jobs):
+                assign(here, lane, job, cursor, clock, offset, cost, work)
+                waiting += 1
+                active += 1
+            else:
+                idle(lane, job, work)
+            segment[lane] = np.int64(plans[drop, 0])
+            origin[lane] = plans[drop, 2]
+            until = np.inf if plans[drop, 3] > 0.0 else origin[lane]
+            at = parameters[here // drops, 5]
+            thrust_segment(segments, segment[lane], 0.0, until, at, work, lane, lanes)
+            hold_rest(plans[drop, 4], until, work, lane, lanes)
+        while active > 0:
+            for lane in range(lanes):
+                evaluate(work, 1, lane, lanes)
+            for lane in range(lanes):
+                evaluate(work, 2, lane, lanes)
+            for lane in range(lanes):
+                evaluate(work, 3, lane, lanes)
+            for lane in range(lanes):
+                evaluate(work, 4, lane, lanes)
+            for lane in range(lanes):
+                evaluate(work, 5, lane, lanes)
+            attention = 0
+            for lane in range(lanes):
+                total = _error(work, lane, lanes)
+                h = work[STEP * lanes + lane]
+                total = total * h * h * per_tolerance
+                # Fourth root of the error (of its square, the eighth): close to the cube root, and packed.
+                root = np.sqrt(np.sqrt(np.sqrt(total + 1e-9)))
+                factor = 0.85 / root
+                # In this order: a comparison with NaN is false, so a lost step is rejected and shrinks.
+                factor = factor if factor > 0.2 else 0.2
+                factor = factor if factor < 4.0 else 4.0
+                taken = 1.0 if total <= 1.0 else 0.0
+                new_h = h * factor
+                new_h = new_h if new_h < h_max else h_max
+                stable_h = 1.0 / (work[STIFF * lanes + lane] + 1e-3)
+                stable_h = stable_h if taken > 0.0 else new_h
+                new_h = new_h if new_h < stable_h else stable_h
+                fresh = work[FRESH * lanes + lane]
+                new_h = FIRST_STEP * taken if fresh > 0.0 else new_h
+                new_h = 1e-8 if fresh > 1.0 else new_h
+                if modes:
+                    taken, new_h = after_step(work, lane, lanes, h, taken, new_h)
+                t = work[TIME * lanes + lane]
+                now = t + h * taken
+                left = work[SEGMENT_END * lanes + lane] - now
+                over = 1.0 if left <= _SAME else 0.0
+                new_h = new_h if new_h < left or over > 0.0 else left
+                work[NEW_STEP * lanes + lane] = new_h
+                work[TAKEN * lanes + lane] = taken
+                count = work[COUNT * lanes + lane] + STAGES
+                work[COUNT * lanes + lane] = count
+                # What happened in the step: contact, turning over, coming to rest.
+                touch_c = 1.0 if work[NORMAL * lanes + lane] > 0.0 else 0.0
+                touch_d = 1.0 if work[(NORMAL + 1) * lanes + lane] > 0.0 else 0.0
+                change_c = touch_c - work[TOUCHED * lanes + lane]
+                change_d = touch_d - work[(TOUCHED + 1) * lanes + lane]
+                if lanes == 1:
+                    change_c = change_c * change_c
+                    change_d = change_d * change_d
+                news = change_c if change_c > change_d else change_d
+                turn = work[(END + 2) * lanes + lane]
+                turn = turn if turn > 0.0 else -turn
+                turned = 1.0 if turn > flip_angle else 0.0
+                turned = turned - work[FLIPPED * lanes + lane]
+                news = news if news > turned else turned
+                s_rate = work[(END + 7) * lanes + lane]
+                w_rate = work[(END + 8) * lanes + lane]
+                omega = work[(END + 9) * lanes + lane]
+                speed = s_rate * s_rate + w_rate * w_rate - rest_speed * rest_speed
+                spin = omega * omega - rest_turn * rest_turn
+                motion = speed if speed > spin else spin
+                motion = motion if now >= work[HOLD * lanes + lane] else 1.0
+                moved = work[MOVED * lanes + lane]
+                if lanes == 1:
+                    calm = 1.0 if moved >= t else 0.0
+                    calm = calm if motion < 0.0 else 0.0
+                    news = news if news > calm else calm
+                moved = now if motion >= 0.0 else moved
+                moved = moved if taken > 0.0 else work[MOVED * lanes + lane]
+                work[MOVED * lanes + lane] = moved
+                rested = 1.0 if now - moved >= rest_time else 0.0
+                rested = rested - work[RESTED * lanes + lane]
+                news = news if news > rested else rested
+                news = news * taken
+                news = news if news > over else over
+                due = t + h - work[NEXT * lanes + lane]
+                stretch_c = work[(END + 3) * lanes + lane] + work[LENGTH * lanes + lane]
+                stretch_d = work[(END + 5) * lanes + lane] + work[LENGTH * lanes + lane]
+                sound = stretch_c if stretch_c < stretch_d else stretch_d
+                sound = sound if new_h > 1e-9 else -1.0
+                sound = sound if count < work[LIMIT * lanes + lane] else -1.0
+                due = due if taken > 0.0 else -1.0
+                due = due if sound > 0.0 else 1.0
+                due = due if news <= 0.0 else 1.0
+                attention += 1 if due >= 0.0 else 0
+            if attention > 0:
+                for lane in range(lanes):
+                    if job[lane] < 0:
+                        continue
+                    here = job[lane]
+                    candidate = here // drops
+                    drop = here % drops
+                    end = offset[drop + 1]
+                    h = work[STEP * lanes + lane]
+                    t = work[TIME * lanes + lane]
+                    length = clock[end - 1]
+                    code = OK
+                    taken = work[TAKEN * lanes + lane] > 0.0
+                    if taken:
+                        for foot in range(2):
+                            touch = 1.0 if work[(NORMAL + foot) * lanes + lane] > 0.0 else 0.0
+                            before = work[(TOUCHED + foot) * lanes + lane]
+                            if touch > before or (lanes == 1 and touch < before):
+                                share = locate(work, lane, lanes, foot, ending) if h > 0.0 else 0.0
+                                work[(TOUCHED + foot) * lanes + lane] = touch
+                                if touch > 0.0 and np.isnan(moments[candidate, drop, foot]):
+                                    moments[candidate, drop, foot] = t + share * h
+                                    row = states[candidate, drop, foot]
+                                    sample(work, lane, lanes, share, slope[drop], row)
+                                    begins = t + share * h + plans[drop, 2]
+                                    waits = plans[drop, 3] > 0.0 and segment[lane] == plans[drop, 0]
+                                    if waits and begins < work[SEGMENT_END * lanes + lane]:
+                                        origin[lane] = begins
+                                        work[SEGMENT_END * lanes + lane] = begins
+                                        hold_rest(plans[drop, 4], begins, work, lane, lanes)
+                                    if ending[0] > 1.0 and moments[candidate, drop, 1 - foot] >= 0.0:
+                                        code = BOTH_TOUCHED
+                                if marked < len(marks):
+                                    marks[marked, 0] = t + share * h
+                                    marks[marked, 1] = TOUCHDOWN if touch > 0.0 else LIFT_OFF
+                                    marks[marked, 2] = foot
+                                    marks[marked, 3:] = np.nan
+                                    marked += 1
+                            if modes and work[(SWITCH + foot) * lanes + lane] > 0.0:
+                                switches[candidate, drop] += 1
+                                if marked < len(marks):
+                                    stuck = work[(STUCK + foot) * lanes + lane]
+                                    marks[marked, 0] = t + h
+                                    marks[marked, 1] = STICK if stuck > 0.0 else SLIP
+                                    marks[marked, 2] = foot
+                                    for other in range(2):
+                                        marks[marked, 3 + other] = available(work, lane, lanes, other)
+                                        marks[marked, 5 + other] = work[(REQUIRED + other) * lanes + lane]
+                                    marked += 1
+                        if abs(work[(END + 2) * lanes + lane]) > flip_angle and h > 0.0:
+                            if work[FLIPPED * lanes + lane] == 0.0:
+                                work[FLIPPED * lanes + lane] = 1.0
+                                moments[candidate, drop, 2] = t + h * locate(work, lane, lanes, 2, ending)
+                                if marked < len(marks):
+                                    marks[marked, 0] = moments[candidate, drop, 2]
+                                    marks[marked, 1] = FLIP
+                                    marks[marked, 2] = 2
+                                    marks[marked, 3:] = np.nan
+                                    marked += 1
+                            code = FLIPPED_OVER if ends else code
+                        if lanes == 1 and h > 0.0 and work[MOVED * lanes + lane] == t:
+                            work[MOVED * lanes + lane] = t + h * locate(work, lane, lanes, 3, ending)
+                        if t + h - work[MOVED * lanes + lane] >= rest_time:
+                            if work[RESTED * lanes + lane] == 0.0:
+                                work[RESTED * lanes + lane] = 1.0
+                                moments[candidate, drop, 3] = work[MOVED * lanes + lane]
+                                if marked < len(marks):
+                                    marks[marked, 0] = moments[candidate, drop, 3]
+                                    marks[marked, 1] = REST
+                                    marks[marked, 2] = 2
+                                    marks[marked, 3:] = np.nan
+                                    marked += 1
+                            code = CAME_TO_REST if ends and code == OK else code
+                        while cursor[lane] < end and clock[cursor[lane]] <= t + h:
+                            share = (clock[cursor[lane]] - t) / h if h > 0.0 else 1.0
+                            row = samples[candidate, cursor[lane]]
+                            sample(work, lane, lanes, share, slope[drop], row)
+                            cursor[lane] += 1
+                        stretch = min(work[(END + 3) * lanes + lane], work[(END + 5) * lanes + lane])
+                        if not stretch + work[LENGTH * lanes + lane] > 0.0:
+                            code = BLEW_UP
+                        now = t + h
+                        while work[SEGMENT_END * lanes + lane] - now <= _SAME:
+                            segment[lane] += 1
+                            until = np.inf
+                            if segment[lane] < plans[drop, 1]:
+                                until = origin[lane] + segments[segment[lane], 1]
+                            at = parameters[candidate, 5]
+                            begun = origin[lane]
+                            thrust_segment(segments, segment[lane], begun, until, at, work, lane, lanes)
+                        work[NEW_STEP * lanes + lane] = min(
+                            work[NEW_STEP * lanes + lane], work[SEGMENT_END * lanes + lane] - now
+                        )
+                    elif not work[NEW_STEP * lanes + lane] > 1e-9:
+                        code = STEP_COLLAPSED
+                    if work[COUNT * lanes + lane] >= work[LIMIT * lanes + lane]:
+                        code = TOO_EXPENSIVE
+                    if cursor[lane] < end:
+                        work[NEXT * lanes + lane] = clock[cursor[lane]]
+                        if code == OK:
+                            continue
+                        reached[candidate, drop] = min(t / length, 1.0) if length > 0.0 else 0.0
+                        samples[candidate, cursor[lane] : end] = np.nan
+                    else:
+                        code = code if code >= CAME_TO_REST else OK
+                        reached[candidate, drop] = 1.0
+                    share = 1.0 if taken else 0.0
+                    if taken and cursor[lane] == end and code == OK:
+                        share = (length - t) / h if h > 0.0 else 0.0
+                    sample(work, lane, lanes, share, slope[drop], states[candidate, drop, 2])
+                    status[candidate, drop] = code
+                    spent[candidate, drop] = np.int64(work[COUNT * lanes + lane])
+                    if waiting < len(jobs):
+                        here = jobs[waiting]
+                    drop = here % drops
+                    start = body[here // drops if len(body) > 1 else 0, drop]
+                    begin(parameters[here // drops], reads, slope[drop], start, legs, work, lane, lanes)
+                    segment[lane] = np.int64(plans[drop, 0])
+                    origin[lane] = plans[drop, 2]
+                    until = np.inf if plans[drop, 3] > 0.0 else origin[lane]
+                    at = parameters[here // drops, 5]
+                    thrust_segment(segments, segment[lane], 0.0, until, at, work, lane, lanes)
+                    hold_rest(plans[drop, 4], until, work, lane, lanes)
+                    work[TAKEN * lanes + lane] = -1.0
+                    if waiting < len(jobs):
+                        assign(here, lane, job, cursor, clock, offset, cost, work)
+                        waiting += 1
+                    else:
+                        idle(lane, job, work)
+                        active -= 1
+            for lane in range(lanes):
+                taken = work[TAKEN * lanes + lane]
+                h = work[STEP * lanes + lane]
+                work[TIME * lanes + lane] = work[TIME * lanes + lane] + (h if taken > 0.0 else 0.0)
+                work[STEP * lanes + lane] = work[NEW_STEP * lanes + lane] if taken >= 0.0 else 0.0
+                fresh = work[FRESH * lanes + lane]
+                fresh = 0.0 if taken >= 0.0 and fresh == 1.0 else fresh
+                if modes:
+                    switched = work[SWITCH * lanes + lane] + work[(SWITCH + 1) * lanes + lane]
+                    fresh = 1.0 if switched > 0.0 and fresh == 0.0 else fresh
+                for foot in range(2):
+                    before = work[(FRICTION_0 + foot) * lanes + lane]
+                    now = work[(FRICTION + foot) * lanes + lane]
+                    work[(FRICTION_0 + foot) * lanes + lane] = now if taken > 0.0 else before
+                work[FRESH * lanes + lane] = fresh
+            for i in range(14):
+                for lane in range(lanes):
+                    old = work[(START + i) * lanes + lane]
+                    new = work[(END + i) * lanes + lane]
+                    work[(START + i) * lanes + lane] = new if work[TAKEN * lanes + lane] > 0.0 else old
+            for i in range(7):
+                for lane in range(lanes):
+                    old = work[(RATES + i) * lanes + lane]
+                    new = work[(RATES + 7 * STAGES + i) * lanes + lane]
+                    work[(RATES + i) * lanes + lane] = new if work[TAKEN * lanes + lane] > 0.0 else old
+
+    text = specialized(stages.evaluate, solve=surface.solve, modes=surface.switching)
+    stage = njit(error_model="numpy", inline="always")(text)
+    bound = specialized(drive, evaluate=stage, after_step=surface.after_step)
+    return njit(cache=True, nogil=True, error_model="numpy")(bound)

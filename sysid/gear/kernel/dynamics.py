@@ -1,0 +1,229 @@
+"""Equations of motion (11, 12) of body and two legs, solved for the accelerations.
+
+Notes
+-----
+Everything is relative to free fall: without weights the legs obey the same equations, and gravity is added to
+the body at the end. Thrust acts on the body along ``ez(phi)``: ``lift`` is its sum over m_B, ``tilt`` its
+moment over I_B (the rear pair of motors pitches toward +). With ``rho`` the distance of a leg's centre of
+mass from its joint, ``F`` the ground's force on the foot at distance ``arm`` below that centre, ``S = k_h h +
+b_h h'`` the axial joint force (5), ``M`` the joint moment on the leg (6) and ``lam`` the constraint force of
+the joint on the leg along ``ex``:
+
+    m_leg (a_j.ex - 2 h' theta' - rho theta'') = F.ex + lam
+    I_leg theta'' = M - arm F.ex + rho lam
+    h''  = a_j.ez + rho theta'^2 - (F.ez + S)/m_leg
+    a_B  = -sum(lam ex + S ez)/m_B,   alpha = sum(-M - lam p - S n)/I_B
+    a_j.ex = a_B.ex + alpha p + omega^2 n,   a_j.ez = a_B.ez + alpha n - omega^2 p
+
+where ``p = ex.r'``, ``n = ez.r'`` and ``r' = (r_w, -r_s)`` is the joint's offset turned a quarter.
+Eliminating all but the two ``lam`` leaves one symmetric, positive definite 2 x 2 system: a single division.
+"""
+
+import numpy as np
+from numba import njit
+
+from sysid.gear.kernel.geometry import foot_motion, joint_position, sine_cosine
+from sysid.integrate.fused import fused
+
+
+@njit(error_model="numpy", forceinline=True)
+@fused
+def pose(phi, theta_c, theta_d, dx_j, dz_j):
+    """Cosines and sines of both legs' and the body's angles from the slope, and the joints' offsets [m].
+
+    Returned as cos, sin of leg C; of leg D; offset of joint C (along, normal); of joint D; cos, sin of phi.
+    """
+    sin_phi, cos_phi = sine_cosine(phi)
+    sin_c, cos_c = sine_cosine(theta_c)
+    sin_d, cos_d = sine_cosine(theta_d)
+    c_s, c_w = joint_position(cos_phi, sin_phi, 1.0, dx_j, dz_j)
+    d_s, d_w = joint_position(cos_phi, sin_phi, -1.0, dx_j, dz_j)
+    return cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w, cos_phi, sin_phi
+
+
+@njit(error_model="numpy", forceinline=True)
+@fused
+def feet(joints, w, h_c, h_d, rates, l):  # noqa: E741
+    """Penetration, its rate and slip speed of the rear foot, then of the front foot [m, m/s, m/s]."""
+    cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w, _, _ = joints
+    s_rate, w_rate, omega, h_c_rate, theta_c_rate, h_d_rate, theta_d_rate = rates
+    rear = foot_motion(w, s_rate, w_rate, omega, c_s, c_w, l + h_c, h_c_rate, cos_c, sin_c, theta_c_rate)
+    front = foot_motion(w, s_rate, w_rate, omega, d_s, d_w, l + h_d, h_d_rate, cos_d, sin_d, theta_d_rate)
+    return rear[0], rear[1], rear[2], front[0], front[1], front[2]
+
+
+@njit(error_model="numpy", forceinline=True)
+@fused
+def foot_looseness(joints, h_c, h_d, coefficients):
+    """Tangential acceleration of each foot per newton of friction on it [1/kg], estimated from above.
+
+    The leg turns about a joint held still, slides along its axis, and the body moves as if it had no legs.
+    """
+    cos_c, sin_c, cos_d, sin_d, _, c_w, _, d_w, _, _ = joints
+    l, _, _, rho_0, per_m, per_i, per_mc, per_ic, per_md, per_id = coefficients[10:20]  # noqa: E741
+    rho_c = rho_0 + h_c
+    rho_d = rho_0 + h_d
+    lever_c = cos_c * (l + h_c)
+    lever_d = cos_d * (l + h_d)
+    loose_c = per_m + c_w * c_w * per_i + sin_c * sin_c * per_mc
+    loose_c = loose_c + lever_c * lever_c * per_ic * per_mc / (per_mc + rho_c * rho_c * per_ic)
+    loose_d = per_m + d_w * d_w * per_i + sin_d * sin_d * per_md
+    loose_d = loose_d + lever_d * lever_d * per_id * per_md / (per_md + rho_d * rho_d * per_id)
+    return loose_c, loose_d
+
+
+@njit(error_model="numpy", forceinline=True)
+@fused
+def ringing(joints, h_c, h_d, normals, k_s, coefficients):
+    """Fastest frequency at which a leg rings between body and ground [rad/s], and its damping ratio.
+
+    Estimated from above, like `foot_looseness`: along the slope's normal, the ground's and the leg's spring
+    in parallel. Zero while no foot touches.
+    """
+    cos_c, sin_c, cos_d, sin_d, c_s, _, d_s, _, _, _ = joints
+    l, _, _, rho_0, per_m, per_i, per_mc, per_ic, per_md, per_id = coefficients[10:20]  # noqa: E741
+    rho_c = rho_0 + h_c
+    rho_d = rho_0 + h_d
+    lever_c = sin_c * (l + h_c)
+    lever_d = sin_d * (l + h_d)
+    loose_c = per_m + c_s * c_s * per_i + cos_c * cos_c * per_mc
+    loose_c = loose_c + lever_c * lever_c * per_ic * per_mc / (per_mc + rho_c * rho_c * per_ic)
+    loose_d = per_m + d_s * d_s * per_i + cos_d * cos_d * per_md
+    loose_d = loose_d + lever_d * lever_d * per_id * per_md / (per_md + rho_d * rho_d * per_id)
+    square_c = (k_s + coefficients[0]) * loose_c if normals[0] > 0.0 else 0.0
+    square_d = (k_s + coefficients[4]) * loose_d if normals[1] > 0.0 else 0.0
+    rear = square_c > square_d
+    rate = np.sqrt(square_c if rear else square_d)
+    decay = coefficients[1] * per_mc if rear else coefficients[5] * per_md
+    return rate, 0.5 * decay / (rate + 1e-3)
+
+
+@njit(error_model="numpy", forceinline=True)
+@fused
+def accelerations(joints, angles, rates, thrust, normals, friction_c, friction_d, coefficients):
+    """Second time derivatives of (s, w, phi, h_C, theta_C, h_D, theta_D) under given forces on the feet.
+
+    Parameters
+    ----------
+    joints : tuple
+        From `pose`.
+    angles : tuple of 5 float
+        phi, h_C, theta_C, h_D, theta_D: angles of body and legs from the slope [rad], extensions [m].
+    rates : tuple of 7 float
+        Rates of the coordinates.
+    thrust : tuple of 2 float
+        lift [m/s²] and tilt [rad/s²].
+    normals : tuple of 2 float
+        Forces on the rear and front foot along the slope's normal [N].
+    friction_c, friction_d : float
+        Forces on the feet along the down-slope tangent [N].
+    coefficients : tuple of 22 float
+        k_h, b_h, k_t, b_t of the rear leg, the same of the front leg, dx_j, dz_j, l, q_n, arm, rho_0, 1/m_B,
+        1/I_B, 1/m_leg, 1/I_leg of the rear leg, of the front leg, gravity along the tangent and the normal.
+    """
+    cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w, cos_phi, sin_phi = joints
+    phi, h_c, theta_c, h_d, theta_d = angles
+    lift, tilt = thrust
+    normal_c, normal_d = normals
+    _, _, omega, h_c_rate, theta_c_rate, h_d_rate, theta_d_rate = rates
+    kh_c, bh_c, kt_c, bt_c, kh_d, bh_d, kt_d, bt_d = coefficients[:8]
+    _, _, _, q_n, arm, rho_0, per_m, per_i, per_mc, per_ic, per_md, per_id, g_s, g_w = coefficients[8:]
+    spin = omega * omega
+    rho_c = rho_0 + h_c
+    rho_d = rho_0 + h_d
+    p_c, n_c, p_d, n_d = _quarter_turned(cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w)
+    # Axial joint forces (5) and joint moments on the legs (6).
+    axial_c = kh_c * h_c + bh_c * h_c_rate
+    axial_d = kh_d * h_d + bh_d * h_d_rate
+    moment_c = -kt_c * (theta_c - phi - q_n) - bt_c * (theta_c_rate - omega)
+    moment_d = -kt_d * (theta_d - phi + q_n) - bt_d * (theta_d_rate - omega)
+    # Ground forces in each leg's axes.
+    across_c = friction_c * cos_c - normal_c * sin_c
+    along_c = friction_c * sin_c + normal_c * cos_c
+    across_d = friction_d * cos_d - normal_d * sin_d
+    along_d = friction_d * sin_d + normal_d * cos_d
+    # What is known of the body's accelerations before the constraint forces.
+    a_s = lift * sin_phi - (axial_c * sin_c + axial_d * sin_d) * per_m
+    a_w = lift * cos_phi - (axial_c * cos_c + axial_d * cos_d) * per_m
+    alpha = tilt - (moment_c + moment_d + (axial_c * n_c + axial_d * n_d)) * per_i
+    turns = ((moment_c - arm * across_c) * per_ic, (moment_d - arm * across_d) * per_id)
+    # Across each leg at its joint, and along its axis.
+    gap_c = spin * n_c - 2.0 * h_c_rate * theta_c_rate - across_c * per_mc
+    gap_d = spin * n_d - 2.0 * h_d_rate * theta_d_rate - across_d * per_md
+    slide_c = rho_c * theta_c_rate * theta_c_rate - spin * p_c - (along_c + axial_c) * per_mc
+    slide_d = rho_d * theta_d_rate * theta_d_rate - spin * p_d - (along_d + axial_d) * per_md
+    known = (a_s, a_w, alpha)
+    found = _joined(joints, h_c, h_d, coefficients, known, turns, (gap_c, gap_d), (slide_c, slide_d))
+    return found[0] + g_s, found[1] + g_w, found[2], found[3], found[4], found[5], found[6]
+
+
+@njit(error_model="numpy", forceinline=True)
+@fused
+def friction_responses(joints, h_c, h_d, coefficients):
+    """Accelerations per newton of friction on the rear foot, and per newton on the front foot [1/kg, ...].
+
+    The motion is linear in the forces on the feet: these are its derivatives, `accelerations` with nothing
+    but that newton.
+    """
+    cos_c, sin_c, cos_d, sin_d = joints[:4]
+    arm = coefficients[12]
+    per_mc, per_ic, per_md, per_id = coefficients[16:20]
+    still = (0.0, 0.0, 0.0)
+    turns = (-arm * cos_c * per_ic, 0.0)
+    gaps, slides = (-cos_c * per_mc, 0.0), (-sin_c * per_mc, 0.0)
+    rear = _joined(joints, h_c, h_d, coefficients, still, turns, gaps, slides)
+    turns = (0.0, -arm * cos_d * per_id)
+    gaps, slides = (0.0, -cos_d * per_md), (0.0, -sin_d * per_md)
+    front = _joined(joints, h_c, h_d, coefficients, still, turns, gaps, slides)
+    return rear, front
+
+
+@njit(error_model="numpy", forceinline=True)
+@fused
+def _joined(joints, h_c, h_d, coefficients, known, turns, gaps, slides):
+    """Accelerations when the joints hold body and legs together, gravity apart.
+
+    Parameters
+    ----------
+    known : tuple of 3 float
+        Body's accelerations before the constraint forces.
+    turns, gaps, slides : tuples of 2 float
+        What each leg does before them: angular acceleration, acceleration across the leg at its joint beyond
+        what body and turn give, second derivative of its extension beyond what the body gives.
+    """
+    cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w, _, _ = joints
+    a_s, a_w, alpha = known
+    _, rho_0, per_m, per_i, per_mc, per_ic, per_md, per_id = coefficients[12:20]
+    rho_c = rho_0 + h_c
+    rho_d = rho_0 + h_d
+    p_c, n_c, p_d, n_d = _quarter_turned(cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w)
+    ratio_c = rho_c * per_ic
+    ratio_d = rho_d * per_id
+    right_c = a_s * cos_c - a_w * sin_c + alpha * p_c + gaps[0] - rho_c * turns[0]
+    right_d = a_s * cos_d - a_w * sin_d + alpha * p_d + gaps[1] - rho_d * turns[1]
+    # 2 x 2 system of the constraint forces.
+    m_cc = per_mc + rho_c * ratio_c + per_m + p_c * p_c * per_i
+    m_dd = per_md + rho_d * ratio_d + per_m + p_d * p_d * per_i
+    m_cd = (cos_c * cos_d + sin_c * sin_d) * per_m + p_c * p_d * per_i
+    scale = 1.0 / (m_cc * m_dd - m_cd * m_cd)
+    lam_c = (m_dd * right_c - m_cd * right_d) * scale
+    lam_d = (m_cc * right_d - m_cd * right_c) * scale
+    a_s = a_s - (lam_c * cos_c + lam_d * cos_d) * per_m
+    a_w = a_w + (lam_c * sin_c + lam_d * sin_d) * per_m
+    alpha = alpha - (lam_c * p_c + lam_d * p_d) * per_i
+    theta_c_acc = turns[0] + ratio_c * lam_c
+    theta_d_acc = turns[1] + ratio_d * lam_d
+    h_c_acc = a_s * sin_c + a_w * cos_c + alpha * n_c + slides[0]
+    h_d_acc = a_s * sin_d + a_w * cos_d + alpha * n_d + slides[1]
+    return a_s, a_w, alpha, h_c_acc, theta_c_acc, h_d_acc, theta_d_acc
+
+
+@njit(error_model="numpy", forceinline=True)
+@fused
+def _quarter_turned(cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w):
+    """Each joint's quarter-turned offset r' = (r_w, -r_s) in its leg's axes: across, along."""
+    p_c = cos_c * c_w + sin_c * c_s
+    n_c = sin_c * c_w - cos_c * c_s
+    p_d = cos_d * d_w + sin_d * d_s
+    n_d = sin_d * d_w - cos_d * d_s
+    return p_c, n_c, p_d, n_d

@@ -1,0 +1,176 @@
+"""One stage of a step: from the rows of a lane to its accelerations. Inlined into loops over lanes."""
+
+from typing import Any
+
+from numba import njit
+
+from sysid.gear.kernel.contact import normal_force
+from sysid.gear.kernel.dynamics import feet, pose, ringing
+from sysid.gear.kernel.work_buffer import (
+    COEFFICIENTS,
+    END,
+    FRICTION,
+    GROUND,
+    INNER,
+    LAW,
+    LIFT,
+    NORMAL,
+    ORIGIN,
+    RATES,
+    REQUIRED,
+    SLIP,
+    START,
+    STEP,
+    STIFF,
+    STUCK,
+    TILT,
+    TIME,
+    WAY,
+)
+from sysid.integrate.fused import fused
+from sysid.integrate.tableau import A_TWICE, REAL_LIMIT, RING_GAIN, RING_LIMIT, RING_MOST, STAGES, A, C
+
+# Part of the method's real stability limit that a step may use: the slip's decay rate can grow within the
+# step.
+STABLE = 0.9
+
+# Bound to a surface's own when a driver is made.
+solve: Any = None
+modes: Any = None
+
+
+@njit(error_model="numpy", inline="always")
+@fused
+def advanced(work, stage, i, lane, lanes):
+    """Coordinate `i` of one lane and its rate at the start of a stage.
+
+    A coordinate's derivative is its rate, so stages of coordinates are sums over accelerations alone (Nystrom
+    form).
+    """
+    h = work[STEP * lanes + lane]
+    rate = work[(START + 7 + i) * lanes + lane]
+    along = 0.0
+    twice = 0.0
+    for j in range(stage):
+        k = work[(RATES + 7 * j + i) * lanes + lane]
+        along += A[stage, j] * k
+        twice += A_TWICE[stage, j] * k
+    return work[(START + i) * lanes + lane] + h * (C[stage] * rate + h * twice), rate + h * along
+
+
+@njit(error_model="numpy", forceinline=True)
+@fused
+def cubic(work, row, elapsed, lane, lanes):
+    """Value of a cubic whose four coefficients start at `row`."""
+    value = work[(row + 3) * lanes + lane]
+    value = value * elapsed + work[(row + 2) * lanes + lane]
+    value = value * elapsed + work[(row + 1) * lanes + lane]
+    return value * elapsed + work[row * lanes + lane]
+
+
+@njit(error_model="numpy", forceinline=True)
+@fused
+def _loaded(work, p, n):
+    """The 22 coefficients of a lane from place `p` on, `n` apart."""
+    return (
+        work[p],
+        work[p + 1 * n],
+        work[p + 2 * n],
+        work[p + 3 * n],
+        work[p + 4 * n],
+        work[p + 5 * n],
+        work[p + 6 * n],
+        work[p + 7 * n],
+        work[p + 8 * n],
+        work[p + 9 * n],
+        work[p + 10 * n],
+        work[p + 11 * n],
+        work[p + 12 * n],
+        work[p + 13 * n],
+        work[p + 14 * n],
+        work[p + 15 * n],
+        work[p + 16 * n],
+        work[p + 17 * n],
+        work[p + 18 * n],
+        work[p + 19 * n],
+        work[p + 20 * n],
+        work[p + 21 * n],
+    )
+
+
+@njit(error_model="numpy", forceinline=True)
+@fused
+def _loaded_law(work, p, n):
+    """The 6 numbers of a lane that the friction law reads."""
+    return work[p], work[p + n], work[p + 2 * n], work[p + 3 * n], work[p + 4 * n], work[p + 5 * n]
+
+
+@fused
+def evaluate(work, stage, lane, lanes):
+    """Accelerations of one lane at a stage; stage 0 is never evaluated (first same as last).
+
+    A text, compiled once per surface: `solve` is the friction law's own, `modes` says whether it switches.
+    """
+    s, s_rate = advanced(work, stage, 0, lane, lanes)
+    w, w_rate = advanced(work, stage, 1, lane, lanes)
+    phi, omega = advanced(work, stage, 2, lane, lanes)
+    h_c, h_c_rate = advanced(work, stage, 3, lane, lanes)
+    theta_c, theta_c_rate = advanced(work, stage, 4, lane, lanes)
+    h_d, h_d_rate = advanced(work, stage, 5, lane, lanes)
+    theta_d, theta_d_rate = advanced(work, stage, 6, lane, lanes)
+    rates = (s_rate, w_rate, omega, h_c_rate, theta_c_rate, h_d_rate, theta_d_rate)
+    if stage == STAGES:
+        state = (s, w, phi, h_c, theta_c, h_d, theta_d)
+        for i in range(7):
+            work[(END + i) * lanes + lane] = state[i]
+            work[(END + 7 + i) * lanes + lane] = rates[i]
+    coefficients = _loaded(work, COEFFICIENTS * lanes + lane, lanes)
+    law = _loaded_law(work, LAW * lanes + lane, lanes)
+    mode = (
+        work[STUCK * lanes + lane],
+        work[(STUCK + 1) * lanes + lane],
+        work[WAY * lanes + lane],
+        work[(WAY + 1) * lanes + lane],
+    )
+    elapsed = work[TIME * lanes + lane] + C[stage] * work[STEP * lanes + lane] - work[ORIGIN * lanes + lane]
+    thrust = (cubic(work, LIFT, elapsed, lane, lanes), cubic(work, TILT, elapsed, lane, lanes))
+    joints = pose(phi, theta_c, theta_d, coefficients[8], coefficients[9])
+    p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, w, h_c, h_d, rates, coefficients[10])
+    k_s = work[GROUND * lanes + lane]
+    b_s = work[(GROUND + 1) * lanes + lane]
+    n_c = normal_force(p_c, dp_c, k_s, b_s)
+    n_d = normal_force(p_d, dp_d, k_s, b_s)
+    angles = (phi, h_c, theta_c, h_d, theta_d)
+    acceleration, friction, required, stiff = solve(
+        joints, angles, rates, thrust, (n_c, n_d), (v_c, v_d), mode, law, coefficients
+    )
+    if stage == STAGES:
+        rate, damping = ringing(joints, h_c, h_d, (n_c, n_d), k_s, coefficients)
+        reach = RING_LIMIT + RING_GAIN * damping
+        rate = rate / (reach if reach < RING_MOST else RING_MOST)
+        stiff = stiff * (1.0 / (STABLE * REAL_LIMIT))
+        work[STIFF * lanes + lane] = stiff if stiff > rate else rate
+        work[NORMAL * lanes + lane] = n_c
+        work[(NORMAL + 1) * lanes + lane] = n_d
+        work[SLIP * lanes + lane] = v_c
+        work[(SLIP + 1) * lanes + lane] = v_d
+        work[FRICTION * lanes + lane] = friction[0]
+        work[(FRICTION + 1) * lanes + lane] = friction[1]
+        work[REQUIRED * lanes + lane] = required[0]
+        work[(REQUIRED + 1) * lanes + lane] = required[1]
+    elif modes:
+        inner = (INNER + 6 * (stage - 1)) * lanes + lane
+        work[inner] = n_c
+        work[inner + 1 * lanes] = n_d
+        work[inner + 2 * lanes] = v_c
+        work[inner + 3 * lanes] = v_d
+        work[inner + 4 * lanes] = required[0]
+        work[inner + 5 * lanes] = required[1]
+    k = (RATES + 7 * stage) * lanes + lane
+    work[k] = acceleration[0]
+    work[k + 1 * lanes] = acceleration[1]
+    work[k + 2 * lanes] = acceleration[2]
+    work[k + 3 * lanes] = acceleration[3]
+    work[k + 4 * lanes] = acceleration[4]
+    work[k + 5 * lanes] = acceleration[5]
+    work[k + 6 * lanes] = acceleration[6]

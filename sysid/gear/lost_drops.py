@@ -1,0 +1,100 @@
+"""Why a simulated drop cannot be compared with a measured one, and what that costs a candidate.
+
+A simulation that was lost has scored its penalty already (`sysid.fit.nrmse`). Two more kinds run to the end
+but describe no drop that was measured: no foot ever touches, or the body slides off the board. Both keep
+their NRMSE, on a surface that goes on for ever, and pay `FAILED_NRMSE` for the share of the window that is
+missing: a candidate that comes nearer to the board, or leaves it later, scores less, and one that just
+reaches the board's end pays nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.fit.nrmse import FAILED_NRMSE, FilteredNrmse, PopulationCost
+from sysid.gear.drops import PreparedDrop
+from sysid.gear.model import PopulationSamples, Status
+from sysid.types import FloatArray
+
+# In the order in which a candidate with several of them is counted. Too expensive: a contact or leg that is
+# too stiff, or (on high friction mostly) too many bounces and mode switches.
+CAUSES = ("blew up", "too expensive", "step collapsed", "never touched", "left the board")
+_OF_STATUS = {Status.BLEW_UP: 1, Status.TOO_EXPENSIVE: 2, Status.STEP_COLLAPSED: 3}
+_NEVER_TOUCHED, _LEFT_BOARD = 4, 5
+
+# A candidate near the truth may cross the board's end a little before the measured body does, where the
+# window ends: it counts as having left beyond this multiple of the board's length.
+BEYOND_BOARD = 1.05
+
+
+def judged_drops(
+    cost: FilteredNrmse,
+    drops: Sequence[PreparedDrop],
+    board_length: float | None,
+    result: PopulationSamples,
+    samples: FloatArray,
+    scored: PopulationCost,
+) -> tuple[PopulationCost, NDArray[np.int8]]:
+    """Return the scores with all penalties, and why (from 1) each drop (P, D) is lost, 0 where it is not.
+
+    Parameters
+    ----------
+    cost : FilteredNrmse
+        The cost that scored.
+    drops : sequence of PreparedDrop
+        What was simulated.
+    board_length : float or None
+        Way down-slope from the touchdown to the board's end [m]; None: endless.
+    result : PopulationSamples
+        The simulation.
+    samples : (P, n_total, 6) array
+        Its samples with every drop's margins.
+    scored : PopulationCost
+        What they scored.
+    """
+    cause = np.zeros(scored.failed.shape, dtype=np.int8)
+    for status, number in _OF_STATUS.items():
+        cause[scored.failed & (result.status == status)] = number
+    # A share below 1 without a status is a trajectory that is not finite.
+    cause[scored.failed & (cause == 0)] = _OF_STATUS[Status.STEP_COLLAPSED]
+    missing = np.zeros(scored.failed.shape)
+    touches = np.isfinite(result.first_contact).any(axis=2)
+    missing[~touches] = 1.0
+    cause[(cause == 0) & ~touches] = _NEVER_TOUCHED
+    if board_length is not None:
+        for d, drop in enumerate(drops):
+            share = _share_on_board(cost, d, drop, board_length, result, samples)
+            left = (cause[:, d] == 0) & (share < 1.0)
+            missing[left, d] = 1.0 - share[left]
+            cause[left, d] = _LEFT_BOARD
+    missing[scored.failed] = 0.0
+    by_channel = scored.by_channel + FAILED_NRMSE * missing[:, :, None]
+    return PopulationCost(cost.mean(by_channel), by_channel, cause > 0), cause
+
+
+def first_cause(causes: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Return the cause (P,) that a candidate is counted by, of those (P, D) of its drops."""
+    codes = np.where(causes > 0, causes, len(CAUSES) + 1).min(axis=1)
+    return np.where(codes > len(CAUSES), 0, codes).astype(np.int8)
+
+
+def _share_on_board(
+    cost: FilteredNrmse,
+    d: int,
+    drop: PreparedDrop,
+    board_length: float,
+    result: PopulationSamples,
+    samples: FloatArray,
+) -> FloatArray:
+    """Return which share of a drop's window (P,) every candidate spends on the board."""
+    first = int(cost.offsets[d]) + len(drop.before)
+    window = samples[:, first : first + len(drop.time), :2]
+    tangent = np.array([np.cos(drop.slope), -np.sin(drop.slope)])
+    foot = np.nanargmin(np.nan_to_num(result.first_contact[:, d], nan=np.inf), axis=1)
+    start = result.contact_state[np.arange(len(foot)), d, foot, :2] @ tangent
+    beyond = window @ tangent - start[:, None] > BEYOND_BOARD * board_length
+    away = np.argmax(beyond, axis=1)
+    return np.asarray(np.where(beyond.any(axis=1), away / len(drop.time), 1.0))

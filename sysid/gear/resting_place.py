@@ -1,0 +1,115 @@
+"""Where and when a dropped drone comes to rest: measured, and as a distribution over sets and starts.
+
+A start that noise has moved by a tenth of a millimetre ends elsewhere after five bounces, so one simulated
+stopping place proves nothing; the spread over starts drawn from their own uncertainty says what can be known.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import signal
+
+from sysid.filters import bridge_gaps
+from sysid.gear.drops import PreparedDrop
+from sysid.gear.model import PARAMETERS, Drops, Ending, simulate_population
+from sysid.gear.problem import GearObjective
+from sysid.gear.trust import start_roots
+from sysid.types import FloatArray
+
+# Starts that are drawn per set.
+_STARTS = 20
+_REST = Ending()
+# Rates of the measurement are taken over this time [s]: differences of single samples are noise.
+_SMOOTH = 0.11
+
+
+def stopping(objective: GearObjective, rows: FloatArray, drop: PreparedDrop, seed: int = 0) -> dict[str, Any]:
+    """Return place [m, down-slope] and time [s] of the end of a drop since its first touchdown.
+
+    Parameters
+    ----------
+    objective : GearObjective
+        Law, tolerance and threads.
+    rows : (S, n_table) array
+        Sets [SI].
+    drop : PreparedDrop
+    seed : int
+        Of the drawn starts.
+
+    Notes
+    -----
+    The end is the beginning of rest as the landing simulator defines it (below 0.05 m/s and 0.2 rad/s for 0.2
+    s), else the end of the log, or where the body leaves the board.
+    """
+    tangent = np.array([np.cos(drop.slope), -np.sin(drop.slope)])
+    motion = drop.motion
+    last = float(motion.time[-1])
+    if objective.board_length is not None:
+        last = min(last, _leaves_board(drop, tangent, objective.board_length, last))
+    after = motion.time[(motion.time >= drop.time[0]) & (motion.time <= last)]
+    measured_time, measured_place, stops = _measured(drop, tangent, after)
+    source = np.random.default_rng(seed)
+    roots = start_roots(drop)
+    starts = drop.initial_state + source.standard_normal((len(rows) * _STARTS, len(roots))) @ roots
+    many = np.repeat(rows[:, : len(PARAMETERS)], _STARTS, axis=0)
+    # Rest is seen once it has lasted: simulated on, it shows up to the end of the log.
+    beyond = after[-1] + np.arange(1, round(1.5 * _REST.rest_time * motion.rate) + 1) / motion.rate
+    clock = np.concatenate([after, beyond])
+    jobs = Drops(np.array([drop.slope]), drop.initial_state[None], (clock,))
+    found = simulate_population(
+        many, jobs, surface=objective.surface, tolerance=objective.tolerance,
+        threads=objective.threads, body_states=starts[:, None],
+    )  # fmt: skip
+    good = found.status[:, 0] == 0
+    length = float(after[-1] - after[0])
+    rests = np.nan_to_num(found.rest[:, 0], nan=np.inf) < length
+    end = np.where(rests, found.rest[:, 0], length)
+    since = drop.touchdown - after[0]
+    index = np.minimum(np.searchsorted(after - after[0], end), len(after) - 1)
+    at = found.samples[np.arange(len(many)), index, :2] @ tangent
+    touch = drop.flight.at(np.array([drop.touchdown]))[0, :2] @ tangent
+    place, moment = (at - touch)[good], (end - since)[good]
+    return {
+        "place": _three(measured_place - touch, place),
+        "time": _three(measured_time - drop.touchdown, moment),
+        "measured_stops": stops,
+        "share_stops": float(np.mean(rests[good])) if good.any() else float("nan"),
+    }
+
+
+def _three(measured: float, simulated: FloatArray) -> dict[str, float]:
+    if not len(simulated):
+        return {"measured": float(measured), "mean": float("nan"), "sigma": float("nan")}
+    return {
+        "measured": float(measured),
+        "mean": float(simulated.mean()),
+        "sigma": float(simulated.std()),
+    }
+
+
+def _leaves_board(drop: PreparedDrop, tangent: FloatArray, board: float, last: float) -> float:
+    motion = drop.motion
+    along = np.column_stack([motion.x, motion.z]) @ tangent
+    touch = float(drop.flight.at(np.array([drop.touchdown]))[0, :2] @ tangent)
+    gone = np.flatnonzero((motion.time > drop.touchdown) & (along - touch > board))
+    return float(motion.time[gone[0]]) if len(gone) else last
+
+
+def _measured(drop: PreparedDrop, tangent: FloatArray, after: FloatArray) -> tuple[float, float, bool]:
+    """Return when [s] and where along the slope [m] the measured body came to rest, and whether it did."""
+    motion = drop.motion
+    rows = (motion.time >= after[0]) & (motion.time <= after[-1])
+    filled = bridge_gaps(motion.coordinates(), motion.valid)[rows]
+    width = min(2 * int(_SMOOTH * motion.rate / 2) + 1, len(filled) - 1 + len(filled) % 2)
+    smooth, rates = (
+        signal.savgol_filter(filled, width, 2, deriv=order, delta=1 / motion.rate, axis=0) for order in (0, 1)
+    )
+    still = (np.hypot(rates[:, 0], rates[:, 1]) < _REST.rest_speed) & (np.abs(rates[:, 2]) < _REST.rest_turn)
+    still &= after > drop.touchdown
+    moving = np.flatnonzero(~still)
+    first = int(moving[-1]) + 1 if len(moving) else 0
+    stops = first < len(after) and after[-1] - after[first] >= _REST.rest_time
+    at = first if stops else len(after) - 1
+    return float(after[at]), float(smooth[at, :2] @ tangent), bool(stops)

@@ -1,0 +1,156 @@
+"""The way down before a landing: wind-free, with a simple attitude controller (section III-B)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sysid.errors import CampaignError
+from sysid.landing.drone import MOTORS_PER_PAIR, Drone
+from sysid.landing.scenario import Scenario
+from sysid.landing.thrust import MotorState
+from sysid.motor import model as motor_model
+from sysid.types import FloatArray
+
+
+@dataclass(frozen=True)
+class AttitudeController:
+    """Proportional and derivative control of the pitch toward level, on top of the hover command.
+
+    Parameters
+    ----------
+    frequency : float
+        Natural frequency of the pitch, motors taken as instantaneous [rad/s].
+    damping : float
+        Damping ratio, likewise [1]. The motors' lag of some 40 ms at hover takes some of it away.
+    """
+
+    frequency: float = 6.0
+    damping: float = 1.2
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """How a descent ends.
+
+    Parameters
+    ----------
+    touchdown : Scenario
+        The first foot on the surface.
+    motors : MotorState
+        Commands, currents and speeds of both pairs then.
+    duration : float
+        [s].
+    """
+
+    touchdown: Scenario
+    motors: MotorState
+    duration: float
+
+
+def descend(
+    drone: Drone, begin: Scenario, height: float, attitude: AttitudeController | None = None
+) -> Descent:
+    """Fly down until the first foot touches.
+
+    Parameters
+    ----------
+    drone : Drone
+    begin : Scenario
+        Slope, and what the drone has at the beginning: pitch, rates, speed of descent.
+    height : float
+        Way down at the beginning [m], of the body, above its touchdown at that pitch.
+    attitude : AttitudeController, optional
+
+    Raises
+    ------
+    CampaignError
+        When the height or the speed is not above 0, or the drone turns over or rises before it touches.
+
+    Notes
+    -----
+    Rigid legs, whose mass counts with the body's; the total thrust is that of hovering, so a level drone
+    keeps its speed. Equations (1, 3) of both motor pairs are integrated with the flight (scipy, LSODA).
+    """
+    from scipy.integrate import solve_ivp
+
+    if not (height > 0 and begin.speed > 0):
+        raise CampaignError(
+            f"descent: height {height:g} m, speed {begin.speed:g} m/s; give both above 0, or no height"
+        )
+    own = attitude or AttitudeController()
+    m = motor_model.PARAMETERS.nominal | dict(drone.motor)
+    hover = drone.hover_command
+    legs = drone.value("leg_mass") * (1.0 + drone.value("front_leg_mass_ratio"))
+    mass = drone.value("body_mass") + legs
+    reach = math.hypot(drone.value("foot_dx"), drone.value("foot_dz"))
+    inertia = drone.value("body_inertia") + legs * 0.25 * reach**2
+    arm, gravity = drone.value("thrust_point_dx"), drone.value("gravity")
+    step = 1e-4
+    low, high = (
+        float(motor_model.thrust(motor_model.steady_state(hover + s * step, m)[1], m)) for s in (-1, 1)
+    )
+    lift = MOTORS_PER_PAIR * (high - low) / (2 * step)  # of a pair per command [N]
+    gain = own.frequency**2 * inertia / (2 * arm * lift)
+    rate_gain = 2 * own.damping * own.frequency * inertia / (2 * arm * lift)
+
+    def commands(y: FloatArray) -> tuple[float, float]:
+        push = gain * y[2] + rate_gain * y[5]
+        return float(np.clip(hover - push, 0.0, 1.0)), float(np.clip(hover + push, 0.0, 1.0))
+
+    def rates(_: float, y: FloatArray) -> list[float]:
+        told = np.array(commands(y))
+        current, speed = y[[6, 8]], y[[7, 9]]
+        volts = m["back_emf_constant"] * (motor_model.no_load_speed(told, m) - speed)
+        winding = (volts - m["winding_resistance"] * current) / m["winding_inductance"]
+        drag = motor_model.aerodynamic_torque(speed, m) + m["viscous_damping"] * speed
+        spin = (m["torque_constant"] * current - drag) / m["rotor_inertia"]
+        rear, front = MOTORS_PER_PAIR * motor_model.thrust(speed, m)
+        total = rear + front
+        return [
+            y[3], y[4], y[5],
+            total * math.sin(y[2]) / mass, total * math.cos(y[2]) / mass - gravity,
+            arm * (rear - front) / inertia,
+            winding[0], spin[0], winding[1], spin[1],
+        ]  # fmt: skip
+
+    def gap(_: float, y: FloatArray) -> float:
+        """Height of the lower foot above the surface, along its normal."""
+        turn = begin.slope - y[2]
+        feet = drone.value("foot_dx") * abs(math.sin(turn)) + drone.value("foot_dz") * math.cos(turn)
+        return float(y[0] * math.sin(begin.slope) + y[1] * math.cos(begin.slope) - feet)
+
+    def lost(_: float, y: FloatArray) -> float:
+        return 1.2 - abs(float(y[2]) - begin.slope)
+
+    touch: Any = gap
+    over: Any = lost
+    touch.terminal = over.terminal = True
+    touch.direction = -1
+    start = begin.start(drone)
+    start[1] += height
+    current, speed = (float(v) for v in motor_model.steady_state(hover, m))
+    longest = 10.0 * height / begin.speed
+    flight: Any = solve_ivp(
+        rates, (0.0, longest), [*start, current, speed, current, speed],
+        method="LSODA", rtol=1e-8, atol=1e-9, events=[touch, over],
+    )  # fmt: skip
+    if not len(flight.t_events[0]):
+        raise CampaignError(
+            f"descent from {height:g} m at {begin.speed:g} m/s with a pitch of {math.degrees(begin.pitch):g} "
+            "deg: the drone never touches down; begin nearer to level, or lower"
+        )
+    end = flight.y_events[0][0]
+    touchdown = replace(
+        begin,
+        speed=-float(end[4]),
+        pitch=float(end[2]),
+        pitch_rate=float(end[5]),
+        horizontal_speed=float(end[3]),
+    )
+    rear, front = commands(end)
+    motors = MotorState((rear, front), (float(end[6]), float(end[8])), (float(end[7]), float(end[9])))
+    return Descent(touchdown, motors, float(flight.t_events[0][0]))

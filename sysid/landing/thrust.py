@@ -1,0 +1,112 @@
+"""Thrust of a drone's motor pairs under a controller's steps: computed once, shared by every landing.
+
+The thrust does not depend on the motion, and before the trigger every landing hovers; so one history per
+list of steps, on a clock that starts at the trigger, serves every slope and speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from sysid.gear.propulsion import Propulsion
+from sysid.integrate.piecewise import PiecewiseCubic
+from sysid.landing.controllers import Step
+from sysid.landing.drone import MOTORS_PER_PAIR, Drone
+from sysid.motor.pair_thrust import thrust_history
+
+# After the last command the thrust is followed for so long [s] and then held: ten electromechanical time
+# constants of 0.08 s, and a reversal ends after 0.25 s.
+SETTLING = 1.0
+
+Commands = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class MotorState:
+    """What the rear and the front motors do when the trigger comes, each pair alike.
+
+    Parameters
+    ----------
+    command, current, speed : (rear, front)
+        u [1], I [A], Ω [rad/s].
+    """
+
+    command: tuple[float, float]
+    current: tuple[float, float]
+    speed: tuple[float, float]
+
+
+class Motors:
+    """Thrust histories of one drone.
+
+    Parameters
+    ----------
+    drone : Drone
+        Hovering until the trigger.
+    ideal_reversal : bool
+        Motors without saturation.
+    state : MotorState, optional
+        At the trigger; hovering by default.
+    """
+
+    def __init__(self, drone: Drone, ideal_reversal: bool = False, state: MotorState | None = None) -> None:
+        self._state = state
+        self._drone = drone
+        self._ideal = ideal_reversal
+        self._histories: dict[tuple[int, Commands], PiecewiseCubic] = {}
+
+    def history(self, commands: Commands, pair: int = 0) -> PiecewiseCubic:
+        """Return the thrust of a pair [N] on the trigger's clock.
+
+        Parameters
+        ----------
+        commands : tuple of (float, float)
+            Instants since the trigger [s] and the command u from each on.
+        pair : int
+            0 rear, 1 front; they differ only in a given `MotorState`.
+        """
+        told = _changes(commands)
+        now = self._state
+        key = (0 if now is None else pair, told)
+        if key not in self._histories:
+            times = [-1.0, *(time for time, _ in told)]
+            before = self._drone.hover_command if now is None else now.command[pair]
+            levels = [before, *(level for _, level in told)]
+            self._histories[key] = thrust_history(
+                self._drone.motor,
+                times,
+                levels,
+                told[-1][0] + SETTLING,
+                motors=MOTORS_PER_PAIR,
+                initial="steady" if now is None else (now.current[pair], now.speed[pair]),
+                ideal_reversal=self._ideal,
+            )
+        return self._histories[key]
+
+    def propulsion(self, steps: Sequence[Step], begins: float | Literal["first contact"] = 0.0) -> Propulsion:
+        """Return the thrust of both pairs under a controller's steps.
+
+        Parameters
+        ----------
+        steps : sequence of Step
+            Of the controller.
+        begins : float or "first contact"
+            When the trigger comes, since the landing's first sample [s].
+        """
+        return Propulsion(
+            self.history(tuple((step.after, step.rear) for step in steps)),
+            self.history(tuple((step.after, step.front) for step in steps), pair=1),
+            begins=begins,
+            settled=steps[-1].after,
+        )
+
+
+def _changes(commands: Commands) -> Commands:
+    """Leave out commands that repeat the one before."""
+    kept = [commands[0]]
+    for time, level in commands[1:]:
+        if level != kept[-1][1]:
+            kept.append((time, level))
+    return tuple(kept)

@@ -1,0 +1,181 @@
+"""The layout in which sysid itself writes a recording, and reads it back to the same bits.
+
+    /                       attributes: sysid_recording = 1 (version of this layout), kind, format, device,
+                            source (name of the original file), source_sha256, options and notes (JSON text)
+    /clocks/0, 1, ...       (n,) sample times [s], one per clock that channels share; attribute unit = "s",
+                            or "1" where rows are points of a static map
+    /channels/NAME          (n,) or (n, k) samples in SI, NaN where nothing was recorded; attributes: name,
+    index
+                            (order), unit, clock (number of its clock)
+
+A name with a slash lies in groups (``/channels/F450/position``); where that cannot be, under its number, and
+the attribute ``name`` says what it is called.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid.errors import LogError
+from sysid.loaders.hdf5_damage import check_heaps
+from sysid.loaders.readers.load_cell_hdf5 import LAYOUT_ATTRIBUTE, is_hdf5
+from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.source import Source
+from sysid.recording import Channel, FloatArray, Provenance, Recording
+from sysid.storage import write_file
+
+_NAME = "sysid-hdf5"
+_VERSION = 1
+_DAMAGE = (OSError, RuntimeError, ValueError, KeyError, TypeError, OverflowError, MemoryError, AttributeError)
+
+
+def _recognize(source: Source) -> int:
+    if not is_hdf5(source) or source.head.startswith(b"MATLAB"):
+        return NO
+    import h5py
+
+    try:
+        with h5py.File(source.path, "r") as file:
+            return CERTAIN if LAYOUT_ATTRIBUTE in file.attrs else NO
+    except _DAMAGE:
+        return NO  # the reader of other HDF5 files says what is wrong with it
+
+
+def write_recording(recording: Recording, path: str | Path) -> Path:
+    """Write a recording as HDF5 in the layout above; an existing file is replaced only by a complete one.
+
+    Raises
+    ------
+    LogError
+        When the file cannot be written.
+    """
+    import h5py
+
+    provenance = recording.provenance
+    stream = io.BytesIO()
+    with h5py.File(stream, "w") as file:
+        file.attrs[LAYOUT_ATTRIBUTE] = _VERSION
+        file.attrs["kind"] = recording.kind
+        file.attrs["format"] = provenance.format
+        file.attrs["device"] = provenance.device
+        file.attrs["source"] = Path(provenance.path).name
+        file.attrs["source_sha256"] = provenance.sha256
+        file.attrs["options"] = json.dumps(dict(provenance.options), ensure_ascii=False)
+        file.attrs["notes"] = json.dumps(list(provenance.notes), ensure_ascii=False)
+        clocks: list[FloatArray] = []
+        group = file.create_group("channels")
+        for index, (name, channel) in enumerate(recording.channels.items()):
+            clock = next((i for i, time in enumerate(clocks) if np.array_equal(time, channel.time)), None)
+            if clock is None:
+                clock = len(clocks)
+                clocks.append(channel.time)
+                # A static map's rows are counted: its clock is the point's number.
+                unit = "1" if recording.kind == "static-map" else "s"
+                _dataset(file, f"clocks/{clock}", channel.time).attrs["unit"] = unit
+            data = _dataset(group, _place(group, name, index), channel.values)
+            data.attrs["name"], data.attrs["index"] = name, index
+            data.attrs["unit"], data.attrs["clock"] = channel.unit, clock
+    write_file(path, stream.getvalue(), LogError)
+    return Path(path)
+
+
+def _place(group: Any, name: str, index: int) -> str:
+    """Return where a channel goes: its name, or its number where the name is no path or is taken."""
+    import h5py
+
+    parts = name.split("/")
+    if not name.isprintable() or any(part in ("", ".", "..") or part != part.strip() for part in parts):
+        return f"#{index}"
+    for end in range(1, len(parts) + 1):
+        there = group.get("/".join(parts[:end]))
+        if there is not None and (end == len(parts) or isinstance(there, h5py.Dataset)):
+            return f"#{index}"
+    return name
+
+
+def _dataset(group: Any, name: str, values: FloatArray) -> Any:
+    packed = {"compression": "gzip", "shuffle": True} if values.size else {}
+    return group.create_dataset(name, data=values, **packed)
+
+
+def _text(attributes: Any, key: str) -> str:
+    value = attributes.get(key, "")
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def read(source: Source) -> Recording:
+    """Read a recording that sysid wrote.
+
+    Returns
+    -------
+    Recording
+        Equal to the one that was written, channel by channel; its provenance is that of the original file,
+        with this file's path and hash and a note that names the original.
+
+    Raises
+    ------
+    LogError
+        When the file is not of this layout, of a later version or damaged.
+    """
+    import h5py
+
+    path = source.path
+    if not is_hdf5(source):
+        raise LogError(f"{path}: not an HDF5 file (its signature is missing); check the format")
+    check_heaps(path)
+    try:
+        with h5py.File(path, "r") as file:
+            return _read_open(source, file)
+    except _DAMAGE as error:
+        said = " ".join(str(error).split())
+        raise LogError(f"{path}: HDF5 file is damaged or cut ({said}); convert the log again") from error
+
+
+def _read_open(source: Source, file: Any) -> Recording:
+    import h5py
+
+    path, attributes = source.path, file.attrs
+    if LAYOUT_ATTRIBUTE not in attributes:
+        raise LogError(
+            f"{path}: was not written by sysid (no attribute {LAYOUT_ATTRIBUTE}); check the format"
+        )
+    version = int(attributes[LAYOUT_ATTRIBUTE])
+    if version > _VERSION:
+        raise LogError(f"{path}: layout version {version}, this sysid reads {_VERSION}; update sysid")
+    found: list[Any] = []
+    file["channels"].visititems(
+        lambda _, item: found.append(item) if isinstance(item, h5py.Dataset) else None
+    )
+    found.sort(key=lambda item: int(item.attrs["index"]))
+    clocks = {name: np.asarray(item[()], dtype=np.float64) for name, item in file["clocks"].items()}
+    channels = {}
+    for item in found:
+        name, time = _text(item.attrs, "name"), clocks[str(int(item.attrs["clock"]))]
+        values = np.asarray(item[()], dtype=np.float64)
+        channels[name] = Channel(name, _text(item.attrs, "unit"), time, values)
+    origin = _text(attributes, "source")
+    stated = json.loads(_text(attributes, "notes") or "[]")
+    notes = [*map(str, stated), f"converted from {origin} (SHA-256 {_text(attributes, 'source_sha256')})"]
+    options = {
+        str(key): str(value) for key, value in json.loads(_text(attributes, "options") or "{}").items()
+    }
+    return Recording(
+        _text(attributes, "kind"),
+        channels,
+        Provenance(
+            path,
+            source.sha256,
+            _text(attributes, "format"),
+            _text(attributes, "device"),
+            options,
+            tuple(notes),
+        ),
+    )
+
+
+FORMAT = LogFormat(_NAME, "HDF5 written by sysid convert", _recognize, read)

@@ -1,0 +1,169 @@
+"""Many candidates on many trials at once: what a search asks of the motor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sysid.errors import FitError
+from sysid.motor import kernel
+from sysid.motor.model import PARAMETERS, TOLERANCE, schedule, supply
+from sysid.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class MotorTrial:
+    """One log as the simulator needs it.
+
+    Parameters
+    ----------
+    command_time, command : (m,) arrays
+        Instants [s] and u in [-1, 1] from each on.
+    time : (n,) array
+        Samples at which torque and speed are wanted [s], strictly increasing.
+    initial : (current [A], speed [rad/s]) or "steady"
+        State at ``time[0]``.
+    supply_time, supply_ratio : (k,) arrays, optional
+        Knots [s] of V/V_ref; left out: 1.
+    """
+
+    command_time: FloatArray
+    command: FloatArray
+    time: FloatArray
+    initial: tuple[float, float] | Literal["steady"] = "steady"
+    supply_time: FloatArray | None = None
+    supply_ratio: FloatArray | None = None
+
+
+class MotorTrials:
+    """Trials laid end to end for `simulate_population`; trial j owns ``slice(first[j], first[j + 1])``."""
+
+    def __init__(self, trials: Sequence[MotorTrial]) -> None:
+        if not trials:
+            raise FitError("no motor trial to simulate; expected at least one log in the campaign")
+        schedules = [schedule(trial.command_time, trial.command) for trial in trials]
+        supplies = [
+            (np.zeros(1), np.ones(1))
+            if trial.supply_time is None or trial.supply_ratio is None
+            else supply((trial.supply_time, trial.supply_ratio), 1.0)
+            for trial in trials
+        ]
+        self.trials = tuple(trials)
+        self.command_time, self.command_first = _end_to_end([s[0] for s in schedules])
+        self.command, _ = _end_to_end([s[1] for s in schedules])
+        self.supply_time, self.supply_first = _end_to_end([s[0] for s in supplies])
+        self.supply_ratio, _ = _end_to_end([s[1] for s in supplies])
+        self.time, self.first = _end_to_end([trial.time for trial in trials])
+        self.edges, _ = _end_to_end([_edges(trial.time) for trial in trials])
+        self.starts = np.array(
+            [kernel.STEADY if isinstance(t.initial, str) else kernel.AS_GIVEN for t in trials], dtype=np.int64
+        )
+        self.initial = np.array([(0.0, 0.0) if isinstance(t.initial, str) else t.initial for t in trials])
+
+    def __len__(self) -> int:
+        return len(self.trials)
+
+
+def _end_to_end(parts: Sequence[ArrayLike]) -> tuple[FloatArray, IntArray]:
+    arrays = [np.asarray(part, dtype=np.float64) for part in parts]
+    first = np.concatenate([[0], np.cumsum([a.size for a in arrays])]).astype(np.int64)
+    return np.ascontiguousarray(np.concatenate(arrays)), first
+
+
+def _edges(time: ArrayLike) -> FloatArray:
+    """Return the edges (n + 1,) of the samples' cells, each half-way to its neighbours."""
+    t = np.asarray(time, dtype=np.float64)
+    if t.size < 2 or np.any(np.diff(t) <= 0):
+        raise FitError(f"a motor trial has {t.size} samples; expected at least 2 in the order of time")
+    return np.concatenate([t[:1], 0.5 * (t[1:] + t[:-1]), t[-1:]])
+
+
+@dataclass(frozen=True, eq=False)
+class PopulationResult:
+    """Outputs of `simulate_population`.
+
+    Parameters
+    ----------
+    outputs : (P, n_total, 2) array
+        Stator torque [N·m], averaged over each sample's cell, and speed [rad/s]; NaN past a failure.
+    status : (P, n_trials) array
+        0 where the simulation reached the end; texts in `sysid.motor.model.STATUS_TEXT`.
+    reached : (P, n_trials) array
+        Share of the trial's duration that was simulated.
+    """
+
+    outputs: FloatArray
+    status: IntArray
+    reached: FloatArray
+
+
+def simulate_population(
+    parameters: FloatArray,
+    trials: MotorTrials,
+    *,
+    delays: FloatArray | None = None,
+    ideal_reversal: bool = False,
+    tolerance: float = TOLERANCE,
+    threads: int | None = None,
+) -> PopulationResult:
+    """Simulate every candidate on every trial.
+
+    The torque is averaged over each sample's cell, from half-way after the sample before to half-way
+    before the next: it jumps when the dead band ends and, as L → 0, at each command.
+
+    Parameters
+    ----------
+    parameters : (P, 25) array
+        Rows in the order of `sysid.motor.model.PARAMETERS` [SI].
+    trials : MotorTrials
+    delays : (P, n_trials) array, optional
+        Added to ``command_delay`` per candidate and trial [s].
+    ideal_reversal, tolerance
+        As in `sysid.motor.model.simulate`.
+    threads : int, optional
+        Threads to use; the result does not depend on it. Default: all that numba offers.
+
+    Returns
+    -------
+    PopulationResult
+        A candidate that cannot be simulated has a status, never an exception.
+    """
+    rows = np.ascontiguousarray(np.atleast_2d(parameters), dtype=np.float64)
+    if rows.shape[1] != len(PARAMETERS):
+        raise ValueError(f"parameter rows have {rows.shape[1]} columns, the table {len(PARAMETERS)}")
+    shape = (len(rows), len(trials))
+    shifts = np.zeros(shape) if delays is None else np.ascontiguousarray(np.broadcast_to(delays, shape))
+    outputs = np.empty((len(rows), trials.time.size, 2))
+    status = np.empty(shape, dtype=np.int64)
+    reached = np.empty(shape)
+    before = numba.get_num_threads()
+    numba.set_num_threads(before if threads is None else max(1, min(threads, before)))
+    try:
+        kernel.integrate_population(
+            rows,
+            shifts,
+            trials.command_time,
+            trials.command,
+            trials.command_first,
+            trials.supply_time,
+            trials.supply_ratio,
+            trials.supply_first,
+            trials.time,
+            trials.edges,
+            trials.first,
+            trials.starts,
+            trials.initial,
+            tolerance,
+            ideal_reversal,
+            outputs,
+            status,
+            reached,
+        )
+    finally:
+        numba.set_num_threads(before)
+    return PopulationResult(outputs, status, reached)

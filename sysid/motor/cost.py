@@ -1,0 +1,257 @@
+"""NRMSE of simulated motor trials: the simulation walks the way of the log, then both are compared.
+
+Two ways, one per kind of instrument. A *fast* log (load cell, 10 kHz) went through the zero-phase Chebyshev
+filter; its impulse response, sampled once on the simulation's grid, filters the simulation, and both are
+compared on a grid that still resolves the stop-band edge. A *slow* log (thrust stand, 8 to 27 ms) is not
+filtered; the simulated torque and speed pass first-order lags of the sensors and are read at the log's own
+rows, the torque later by its sensor's delay.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numba import njit, prange
+
+from sysid.errors import FitError
+from sysid.fit.nrmse import FAILED_NRMSE, Denominator, spread
+from sysid.types import BoolArray, FloatArray, IntArray
+
+CHANNELS = ("stator_torque", "speed")
+CHANNEL_UNITS = ("N·m", "rad/s")
+
+
+@dataclass(frozen=True, eq=False)
+class MotorTarget:
+    """What one trial measured and how a simulation must be prepared to compare.
+
+    Parameters
+    ----------
+    name : str
+    time : (n,) array
+        Compared instants [s].
+    measured : (n, 2) array
+        Stator torque [N·m] and speed [rad/s].
+    valid : (n, 2) bool array
+        Samples that count.
+    grid_start, grid_step : float
+        First time and step of the simulated samples [s].
+    grid_size : int
+        Number of simulated samples.
+    taps : (h + 1,) array
+        Centre and one side of the symmetric filter of a fast log; empty for a slow one. With a filter,
+        `time` is every so-many-th sample of the grid, at least h samples from both ends.
+    """
+
+    name: str
+    time: FloatArray
+    measured: FloatArray
+    valid: BoolArray
+    grid_start: float
+    grid_step: float
+    grid_size: int
+    taps: FloatArray
+
+
+class MotorCost:
+    """Compiled NRMSE of a population on several trials; the same numbers on any number of threads.
+
+    Parameters
+    ----------
+    targets : sequence of MotorTarget
+    weights : (torque, speed)
+        In the mean over channels.
+    denominator : {"std", "range"}
+        Of the measured samples, per trial and channel.
+
+    Raises
+    ------
+    FitError
+        When a weighted channel of a trial has no sample or is constant. Without weight its NRMSE is NaN.
+    """
+
+    def __init__(
+        self, targets: tuple[MotorTarget, ...], weights: tuple[float, float], denominator: Denominator
+    ) -> None:
+        self.targets = targets
+        self.weights = np.asarray(weights, dtype=np.float64)
+        self.denominators = np.ones((len(targets), 2))
+        for t, target in enumerate(targets):
+            for c in range(2):
+                try:
+                    scale = spread(target.measured[:, c], target.valid[:, c], denominator)
+                except FitError as error:
+                    if self.weights[c] == 0:
+                        self.denominators[t, c] = np.nan
+                        continue
+                    raise FitError(f"{target.name}, {CHANNELS[c]}: {error}") from None
+                if scale == 0.0 and self.weights[c] == 0:
+                    scale = np.nan
+                if scale == 0.0:
+                    raise FitError(
+                        f"{target.name}, {CHANNELS[c]}: constant over the window, so its NRMSE is "
+                        "undefined; give the channel weight 0 or drop the trial"
+                    )
+                self.denominators[t, c] = scale
+        self._rows = _first([len(target.time) for target in targets])
+        self.grid = _first([target.grid_size for target in targets])
+        self._taps = _first([len(target.taps) for target in targets])
+        self._all_taps = np.concatenate([*(target.taps for target in targets), np.zeros(0)])
+        self._time = np.concatenate([target.time for target in targets])
+        self._valid = np.concatenate([target.valid for target in targets])
+        self._measured = np.where(self._valid, np.concatenate([t.measured for t in targets]), 0.0)
+        self._start = np.array([target.grid_start for target in targets])
+        self._step = np.array([target.grid_step for target in targets])
+
+    def mean(self, by_channel: FloatArray) -> FloatArray:
+        """Return the weighted mean over channels, then over trials, of (..., T, 2) NRMSE."""
+        weighted = by_channel[..., self.weights > 0] @ (self.weights[self.weights > 0] / self.weights.sum())
+        return np.mean(weighted, axis=-1)
+
+    def __call__(
+        self, samples: FloatArray, reached: FloatArray, sensors: FloatArray, threads: int | None = None
+    ) -> tuple[FloatArray, BoolArray]:
+        """Score a population.
+
+        Parameters
+        ----------
+        samples : (P, n_total, 2) array
+            Simulated stator torque [N·m] and speed [rad/s] on the trials' grids, end to end.
+        reached : (P, T) array
+            Share of each trial that was simulated; below 1 it failed.
+        sensors : (P, 3) array
+            Torque delay, torque lag, speed lag [s]; slow logs only.
+        threads : int, optional
+
+        Returns
+        -------
+        by_channel : (P, T, 2) array
+            NRMSE; ``FAILED_NRMSE · (2 − reached)`` where the simulation failed.
+        failed : (P, T) bool array
+        """
+        by_channel = np.empty((len(samples), len(self.targets), 2))
+        failed = np.zeros(by_channel.shape[:2], dtype=np.bool_)
+        before = numba.get_num_threads()
+        numba.set_num_threads(before if threads is None else max(1, min(threads, before)))
+        try:
+            _score(
+                samples, reached, sensors, self._rows, self.grid, self._taps, self._all_taps, self._time,
+                self._measured, self._valid, self._start, self._step, self.denominators, self.weights,
+                by_channel, failed,
+            )  # fmt: skip
+        finally:
+            numba.set_num_threads(before)
+        # A channel without weight need not be scorable; its number must still not stop the search.
+        return by_channel, failed
+
+    def prepared(self, samples: FloatArray, sensors: FloatArray) -> tuple[FloatArray, ...]:
+        """Return, per trial, the simulated signals as compared: (P, n, 2) [N·m], [rad/s]."""
+        out = []
+        for t, target in enumerate(self.targets):
+            block = np.empty((len(samples), len(target.time), 2))
+            for p in range(len(samples)):
+                part = samples[p, self.grid[t] : self.grid[t + 1]]
+                _compared(
+                    part, sensors[p], target.taps, target.time, target.grid_start, target.grid_step, block[p]
+                )
+            out.append(block)
+        return tuple(out)
+
+
+def _first(sizes: list[int]) -> IntArray:
+    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+
+
+@njit(cache=True, error_model="numpy")
+def _place(sample, stride, width):
+    """Return where a sample lies after sorting by its remainder."""
+    whole = sample // stride
+    return (sample - whole * stride) * width + whole
+
+
+@njit(cache=True, error_model="numpy")
+def _compared(part, sensors, taps, time, start, step, out):
+    """Fill out (n, 2) with the simulated signals at the compared times."""
+    n_grid = part.shape[0]
+    if taps.size > 0:
+        # Compared instants are every stride-th sample. Sorted by their remainder, the samples that one tap
+        # touches lie side by side, and the sum over instants runs in vector registers, two taps at a time.
+        first = int((time[0] - start) / step + 0.5)
+        stride = int((time[1] - time[0]) / step + 0.5)
+        width = n_grid // stride + 1
+        sorted_samples = np.zeros(stride * width)
+        total = np.empty(time.size)
+        for c in range(2):
+            for r in range(stride):
+                for q in range((n_grid - r + stride - 1) // stride):
+                    sorted_samples[r * width + q] = part[q * stride + r, c]
+            at = _place(first, stride, width)
+            centre = sorted_samples[at : at + time.size]
+            for i in range(time.size):
+                total[i] = taps[0] * centre[i]
+            for k in range(1, taps.size, 2):
+                tap, other = taps[k], taps[k + 1] if k + 1 < taps.size else 0.0
+                # Without a second tap its place is that of the first, which is there.
+                further = k + 1 if k + 1 < taps.size else k
+                places = (first - k, first + k, first - further, first + further)
+                one = sorted_samples[_place(places[0], stride, width) :]
+                two = sorted_samples[_place(places[1], stride, width) :]
+                three = sorted_samples[_place(places[2], stride, width) :]
+                four = sorted_samples[_place(places[3], stride, width) :]
+                for i in range(time.size):
+                    total[i] += tap * (one[i] + two[i]) + other * (three[i] + four[i])
+            out[:, c] = total
+        return
+    for c in range(2):
+        delay = sensors[0] if c == 0 else 0.0
+        lag = sensors[1] if c == 0 else sensors[2]
+        signal = np.empty(n_grid)
+        # Exact for a signal that is linear over each grid step.
+        keep = np.exp(-step / lag) if lag > 0.0 else 0.0
+        signal[0] = part[0, c]
+        for m in range(1, n_grid):
+            trail = lag * (part[m, c] - part[m - 1, c]) / step
+            signal[m] = part[m, c] - trail + keep * (signal[m - 1] - part[m - 1, c] + trail)
+        for i in range(time.size):
+            x = (time[i] - delay - start) / step
+            m = min(max(int(x), 0), n_grid - 2)
+            share = min(max(x - m, 0.0), 1.0)
+            out[i, c] = signal[m] + share * (signal[m + 1] - signal[m])
+
+
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+def _score(
+    samples, reached, sensors, rows, grid, tap_first, taps, time, measured, valid, start, step, denominators,
+    weights, by_channel, failed,
+):  # fmt: skip
+    n_trials = start.size
+    for job in prange(samples.shape[0] * n_trials):
+        p = job // n_trials
+        t = job % n_trials
+        complete = reached[p, t] >= 1.0
+        if complete:
+            first = rows[t]
+            n = rows[t + 1] - first
+            out = np.empty((n, 2))
+            _compared(
+                samples[p, grid[t] : grid[t + 1]], sensors[p], taps[tap_first[t] : tap_first[t + 1]],
+                time[first : first + n], start[t], step[t], out,
+            )  # fmt: skip
+            for c in range(2):
+                total = 0.0
+                count = 0
+                for i in range(n):
+                    if valid[first + i, c]:
+                        error = out[i, c] - measured[first + i, c]
+                        total += error * error
+                        count += 1
+                by_channel[p, t, c] = np.sqrt(total / max(count, 1)) / denominators[t, c]
+                if not np.isfinite(by_channel[p, t, c]) and weights[c] > 0.0:
+                    complete = False
+        if not complete:
+            failed[p, t] = True
+            share = min(max(reached[p, t], 0.0), 1.0) if np.isfinite(reached[p, t]) else 0.0
+            by_channel[p, t, 0] = FAILED_NRMSE * (2.0 - share)
+            by_channel[p, t, 1] = FAILED_NRMSE * (2.0 - share)

@@ -1,0 +1,191 @@
+"""A first-order lag of the speed with one time constant up and one down: what simulators use today.
+
+    dΩ/dt = (Ω_ss(u) V/V_ref − Ω)/T        T = T_rise while |Ω| grows, T_fall while it falls
+
+The torque is the static one of the speed, τ_aero(Ω): such a model knows no inertia and no current. It is
+here to be beaten: the ladder of a fit shows what the motor's equations buy over it.
+
+Valid when nobody needs the torque of a step; ignores everything that `sysid.motor.model` has beyond it.
+"""
+
+from __future__ import annotations
+
+from math import exp, log
+
+import numpy as np
+from numba import njit, prange
+
+from sysid.motor.batch import MotorTrials
+from sysid.parameters import Parameter, ParameterTable
+from sysid.types import FloatArray
+
+_DELAY = 2
+_STEADY = 6  # Ω_ss(u) = s (p0 + p1 |u| + p2 u²), s = sign u: forward, then reverse
+_TORQUE = 12  # c2, c1 forward; c2, c1 reverse
+
+_MAP = "fitted to the steady loaded points"
+
+
+def _map_rows() -> list[Parameter]:
+    rows = []
+    for direction, sign in (("forward", "+"), ("reverse", "−")):
+        for power in range(3):
+            rows.append(
+                Parameter(
+                    f"steady_speed_{power}_{direction}", f"p{power}{sign}", "rad/s", 0.0, -1e4, 1e4, "linear",
+                    f"Coefficient of |u|^{power} of the steady speed, {direction}.", _MAP,
+                )
+            )  # fmt: skip
+    for direction, sign in (("forward", "+"), ("reverse", "−")):
+        for name, unit in (("quadratic", "N·m·s²/rad²"), ("linear", "N·m·s/rad")):
+            rows.append(
+                Parameter(
+                    f"torque_{name}_{direction}", f"c_τ{sign}", unit, 0.0, -1.0, 1.0, "linear",
+                    "Coefficient of the torque curve.", "static curves of the campaign",
+                )
+            )  # fmt: skip
+    return rows
+
+
+def _delay_row(name: str, symbol: str, upper: float) -> Parameter:
+    return Parameter(
+        name, symbol, "s", 0.0, 0.0, upper, "linear", "As in the motor's table.", "0 on one clock"
+    )
+
+
+PARAMETERS = ParameterTable(
+    [
+        Parameter(
+            "rise_time_constant", "T_rise", "s", 0.1, 1e-3, 1.0, "log",
+            "Time constant while the speed grows.", "guess",
+        ),
+        Parameter(
+            "fall_time_constant", "T_fall", "s", 0.1, 1e-3, 1.0, "log",
+            "Time constant while the speed falls.", "guess",
+        ),
+        _delay_row("command_delay", "t_d", 0.2),
+        _delay_row("torque_sensor_delay", "t_τ", 0.1),
+        _delay_row("torque_sensor_lag", "T_τ", 0.05),
+        _delay_row("speed_sensor_lag", "T_Ω", 0.05),
+        *_map_rows(),
+    ]
+)  # fmt: skip
+
+
+def steady_speed_map(command: FloatArray, speed: FloatArray, ratio: FloatArray) -> FloatArray:
+    """Return p0, p1, p2 (3,) of |Ω| = V/V_ref (p0 + p1 |u| + p2 u²) through steady points of one direction.
+
+    Parameters
+    ----------
+    command, speed, ratio : (n,) arrays
+        u [1], Ω [rad/s] and V/V_ref [1]. Below four different commands a straight line.
+    """
+    u = np.abs(command)
+    degree = 2 if np.unique(u).size >= 4 else 1
+    columns = np.column_stack([u**power for power in range(degree + 1)]) * ratio[:, None]
+    found = np.linalg.lstsq(columns, np.abs(speed), rcond=None)[0]
+    return np.concatenate([found, np.zeros(2 - degree)])
+
+
+@njit(cache=True, error_model="numpy")
+def _steady(u, row):
+    if u == 0.0:
+        return 0.0
+    k = _STEADY if u > 0.0 else _STEADY + 3
+    size = abs(u)
+    speed = max(0.0, row[k] + row[k + 1] * size + row[k + 2] * size * size)
+    return speed if u > 0.0 else -speed
+
+
+@njit(cache=True, error_model="numpy")
+def _advance(speed, target, duration, rise, fall, step, rise_kept, fall_kept):
+    """Return the speed after `duration` under a constant target, exactly, through zero if need be.
+
+    `rise_kept`, `fall_kept`: what is left of a distance to the target after one `step` of a uniform grid. A
+    grid's differences are rounded, so a duration within 1e-9 of the step is the step.
+    """
+    if speed * target < 0.0:
+        # The fall ends where the speed passes zero.
+        until = fall * log((speed - target) / (-target))
+        if duration <= until:
+            return target + (speed - target) * exp(-duration / fall)
+        duration -= until
+        speed = 0.0
+    rising = abs(target) > abs(speed)
+    if abs(duration - step) <= 1e-9 * step:
+        kept = rise_kept if rising else fall_kept
+    else:
+        kept = exp(-duration / (rise if rising else fall))
+    return target + (speed - target) * kept
+
+
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+def _population(
+    rows, delays, command_time, command, command_first, supply_time, supply_ratio, supply_first, time, first,
+    out,
+):  # fmt: skip
+    n_trials = first.size - 1
+    for job in prange(rows.shape[0] * n_trials):
+        i = job // n_trials
+        j = job % n_trials
+        row = rows[i]
+        delay = row[_DELAY] + delays[i, j]
+        instants = command_time[command_first[j] : command_first[j + 1]]
+        levels = command[command_first[j] : command_first[j + 1]]
+        knots = supply_time[supply_first[j] : supply_first[j + 1]]
+        ratios = supply_ratio[supply_first[j] : supply_first[j + 1]]
+        at, near = 0, 0
+        t = time[first[j]]
+        step = time[min(first[j] + 1, first[j + 1] - 1)] - t
+        rise_kept, fall_kept = exp(-step / row[0]), exp(-step / row[1])
+        speed = 0.0
+        for m in range(first[j], first[j + 1]):
+            end = time[m]
+            while near + 1 < knots.size and knots[near + 1] <= end:
+                near += 1
+            ratio = ratios[near]
+            while at + 1 < instants.size and instants[at + 1] + delay <= end:
+                turn = max(t, instants[at + 1] + delay)
+                if m > first[j]:
+                    speed = _advance(
+                        speed, _steady(levels[at], row) * ratio, turn - t, row[0], row[1], step, rise_kept,
+                        fall_kept,
+                    )  # fmt: skip
+                    t = turn
+                at += 1
+            target = _steady(levels[at], row) * ratio
+            if m == first[j]:
+                # The trial begins at a steady state, like that of the motor's equations.
+                speed = target
+            else:
+                speed = _advance(speed, target, end - t, row[0], row[1], step, rise_kept, fall_kept)
+            t = end
+            k = _TORQUE if speed >= 0.0 else _TORQUE + 2
+            out[i, m, 0] = (row[k] * abs(speed) + row[k + 1]) * speed
+            out[i, m, 1] = speed
+
+
+def simulate_lag(rows: FloatArray, trials: MotorTrials, delays: FloatArray | None = None) -> FloatArray:
+    """Simulate every candidate on every trial.
+
+    Parameters
+    ----------
+    rows : (P, 16) array
+        In the order of `PARAMETERS` [SI].
+    trials : MotorTrials
+    delays : (P, n_trials) array, optional
+        Added to ``command_delay`` per candidate and trial [s].
+
+    Returns
+    -------
+    (P, n_total, 2) array
+        Torque [N·m] and speed [rad/s] on the trials' samples. The supply is held between two knots.
+    """
+    rows = np.ascontiguousarray(rows, dtype=np.float64)
+    out = np.empty((len(rows), trials.time.size, 2))
+    shifts = np.zeros((len(rows), len(trials))) if delays is None else np.ascontiguousarray(delays)
+    _population(
+        rows, shifts, trials.command_time, trials.command, trials.command_first, trials.supply_time,
+        trials.supply_ratio, trials.supply_first, trials.time, trials.first, out,
+    )  # fmt: skip
+    return out

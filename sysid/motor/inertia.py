@@ -1,0 +1,159 @@
+"""Rotor inertia from torque spikes alone: up-steps and down-steps must agree.
+
+At a step the load cell feels τ_aero(Ω) + I^r dΩ/dt, whatever the winding does. The slope of torque over the
+acceleration of the *measured* speed needs no R, L, Kv or command delay, so it checks what a fit says of I^r.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.signal import lfilter
+
+from sysid.campaign import MotorCampaign
+from sysid.motor.bench_logs import BenchLog
+from sysid.motor.model import aerodynamic_torque
+from sysid.motor.targets import lowpass_of, uniform_filtered
+from sysid.types import BoolArray, FloatArray
+
+# A spike and its decay [s]; smaller steps of u than this show none.
+_SPIKE, _LEAST_STEP = 0.4, 0.02
+# Grid on which the speed of a slow log is differentiated [s].
+_GRID = 1e-3
+# A sensor's lag has forgotten what lies this many time constants back.
+_MEMORY = 3.0
+# Up- and down-steps that differ by more do not show one inertia.
+AGREEMENT = 0.15
+# Steps of each kind below which they show nothing.
+_FEWEST = 2
+
+
+@dataclass(frozen=True)
+class SpikeInertia:
+    """Inertia by kind of step.
+
+    Parameters
+    ----------
+    value, error : dict of "up" and "down" to float
+        [kg·m²], one standard error; NaN without steps.
+    steps : dict of "up" and "down" to int
+        Steps whose transient the log holds whole.
+    """
+
+    value: dict[str, float]
+    error: dict[str, float]
+    steps: dict[str, int]
+
+    def document(self) -> dict[str, Any]:
+        """Return what a result states."""
+        return {
+            kind: {
+                "inertia [kg·m²]": self.value[kind],
+                "standard error [kg·m²]": self.error[kind],
+                "steps": self.steps[kind],
+            }
+            for kind in ("up", "down")
+        }
+
+    @property
+    def sentence(self) -> str | None:
+        """What a result says where the two kinds are too few or contradict each other; else None."""
+        if min(self.steps.values()) < _FEWEST:
+            return (
+                f"torque spikes of {self.steps['up']} up-steps and {self.steps['down']} down-steps are too "
+                f"few to check the rotor inertia: record {_FEWEST} of each, whole for {_SPIKE:g} s"
+            )
+        up, down = self.value["up"], self.value["down"]
+        if abs(up - down) <= AGREEMENT * 0.5 * (up + down):
+            return None
+        return (
+            f"torque spikes of {self.steps['up']} up-steps give a rotor inertia of {up:.3g} kg·m², those of "
+            f"{self.steps['down']} down-steps {down:.3g} kg·m²: torque and speed do not belong to one rotor "
+            "on one clock"
+        )
+
+
+def spike_inertia(
+    campaign: MotorCampaign, logs: Sequence[BenchLog], parameters: Mapping[str, float]
+) -> SpikeInertia:
+    """Return the inertia that the torque spikes of some logs of one direction each show.
+
+    Parameters
+    ----------
+    campaign : MotorCampaign
+        Its filter serves the fast logs.
+    logs : sequence of BenchLog
+        Forward or reverse ones; those without torque are passed over.
+    parameters : mapping
+        Torque curve, delay and lag of the torque sensor, by name [SI].
+    """
+    sums = {kind: np.zeros(4) for kind in ("up", "down")}  # Σ a², Σ a y, Σ y², n
+    steps = {"up": 0, "down": 0}
+    for log in logs:
+        if "torque" not in log.channels:
+            continue
+        time, acceleration, excess, whole = (
+            _fast(campaign, log, parameters) if log.fast else _slow(log, parameters)
+        )
+        levels = log.steps.level
+        ends = np.append(log.steps.time[1:], np.inf)
+        for i in range(1, levels.size):
+            change = abs(levels[i]) - abs(levels[i - 1])
+            start = float(log.steps.time[i])
+            inside = (time >= start) & (time < min(start + _SPIKE, ends[i]))
+            inside &= (time >= log.window[0]) & (time <= log.window[1])
+            if levels[i] == 0 or abs(change) < _LEAST_STEP or np.count_nonzero(inside) < 5:
+                continue
+            if not whole[inside].all():
+                continue
+            kind = "up" if change > 0 else "down"
+            a, y = acceleration[inside], excess[inside]
+            sums[kind] += np.array([a @ a, a @ y, y @ y, a.size])
+            steps[kind] += 1
+    value, error = {}, {}
+    for kind, (aa, ay, yy, n) in sums.items():
+        value[kind] = float(ay / aa) if aa > 0 else float("nan")
+        left = max(yy - ay * ay / aa, 0.0) if aa > 0 else float("nan")
+        error[kind] = float(np.sqrt(left / max(n - 1.0, 1.0) / aa)) if aa > 0 else float("nan")
+    return SpikeInertia(value, error, steps)
+
+
+def _fast(
+    campaign: MotorCampaign, log: BenchLog, parameters: Mapping[str, float]
+) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    """Return time, dΩ/dt, torque above the static one, and where the log is whole: both filtered alike."""
+    lowpass = lowpass_of(campaign, log)
+    time, speed = uniform_filtered(*log.channels["speed"], lowpass, f"trial {log.name!r}, speed")
+    own, torque = uniform_filtered(*log.channels["torque"], lowpass, f"trial {log.name!r}, torque")
+    torque = np.interp(time, own, torque)
+    acceleration = np.gradient(speed, time)
+    excess = torque - aerodynamic_torque(speed, parameters)
+    whole = np.isfinite(acceleration) & np.isfinite(excess)
+    return time, acceleration, excess, whole
+
+
+def _slow(
+    log: BenchLog, parameters: Mapping[str, float]
+) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    """Return the same of a slow log: the speed walks through the torque sensor's lag to its real samples."""
+    rows, speed = log.channels["speed"]
+    time, torque = log.channels["torque"]
+    delay, constant = parameters["torque_sensor_delay"], parameters["torque_sensor_lag"]
+    curve = PchipInterpolator(rows, speed)
+    grid = np.arange(rows[0], rows[-1], _GRID)
+    felt = [aerodynamic_torque(curve(grid), parameters), curve(grid, 1)]
+    if constant > 0:
+        keep = float(np.exp(-_GRID / constant))
+        felt = [lfilter([1.0 - keep], [1.0, -keep], x, zi=[keep * x[0]])[0] for x in felt]
+    static, acceleration = (np.interp(time - delay, grid, x) for x in felt)
+    whole = np.ones(time.size, dtype=np.bool_)
+    pause = 3.0 * float(np.median(np.diff(rows)))
+    for i in np.flatnonzero(np.diff(rows) > pause):
+        whole &= ~((time - delay > rows[i]) & (time - delay - _MEMORY * constant < rows[i + 1]))
+    for start, end in log.doubtful:
+        whole &= (time < start) | (time > end)
+    return time, acceleration, torque - static, whole

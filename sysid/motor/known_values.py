@@ -1,0 +1,322 @@
+"""A motor campaign after its logs were read: trials, static curves and the values that they fix."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid.campaign import MotorCampaign
+from sysid.errors import CampaignError, SysidWarning
+from sysid.motor.bench_logs import BenchLog, TorquePerCurrent, bench_log, torque_per_current
+from sysid.motor.bench_reading import check_options
+from sysid.motor.curves import CurveLog, StaticCurves, read_curve_logs, static_curves
+from sysid.motor.log_delays import with_log_delays
+from sysid.motor.model import FREE_DEFAULT, PARAMETERS
+from sysid.motor.targets import PreparedTrial, prepare_trial
+from sysid.parameters import SearchSpace
+
+# Full duty of an unloaded motor turns at V_ref/k_v; steady loaded speed extrapolated to u = 1 falls short of
+# that by about this factor. Only a start for motors of unknown Kv: no result depends on it but the scale.
+_LOADED_SHARE = 0.8
+# Kv V_ref over the speed at full command: without propeller 1 to a few percent, with one 1.1 to 2.
+_KV_NO_LOAD, _KV_LOADED = (0.7, 1.5), (0.8, 2.8)
+
+
+# Fitted to reversals after everything else, never with it.
+SATURATION = ("saturation_current", "saturation_speed")
+# Equal in SI; without one of them torque and speed fix R, L and I_sat only up to a common scale.
+CONSTANTS = ("back_emf_constant", "torque_constant")
+# A rating is good to some percent.
+_SCALE_AGREES = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """A motor campaign after its logs were read.
+
+    Parameters
+    ----------
+    trials : tuple of PreparedTrial
+    curves : StaticCurves
+    values : dict
+        Parameters that the campaign or its static logs fix, by name [SI].
+    measured : mapping of str to str
+        Where those of them come from that were measured, by name.
+    stated : mapping of str to str
+        Where the others come from: a rating, a guess.
+    scale_known : bool
+        Whether a Kv, a logged motor current or the campaign fixes the scale of R, L and I_sat.
+    """
+
+    trials: tuple[PreparedTrial, ...]
+    curves: StaticCurves
+    values: dict[str, float]
+    measured: Mapping[str, str]
+    stated: Mapping[str, str]
+    scale_known: bool
+
+    @property
+    def hashes(self) -> dict[str, str]:
+        """SHA-256 of every log, those under `[curves]` included, by name."""
+        return {trial.entry.name: trial.hashes for trial in self.trials} | {
+            log.name: log.hashes for log in self.curves.logs
+        }
+
+    @property
+    def log_provenance(self) -> dict[str, dict[str, Any]]:
+        """What a result states of every log, those under `[curves]` included, by name."""
+        return {trial.entry.name: trial.provenance for trial in self.trials} | {
+            log.name: log.provenance for log in self.curves.logs
+        }
+
+    @property
+    def fitted(self) -> tuple[PreparedTrial, ...]:
+        """Trials of the dynamic fit: use "fit", and no reversal."""
+        return tuple(t for t in self.trials if in_search(t))
+
+    @property
+    def banded(self) -> tuple[PreparedTrial, ...]:
+        """Trials that show the dead band: reversals of use "fit", or else fitted starts from rest."""
+        reversals = [t for t in self.trials if t.entry.use == "fit" and t.entry.direction == "reversal"]
+        return tuple(reversals) or tuple(t for t in self.fitted if t.shows_start)
+
+
+def in_search(trial: PreparedTrial) -> bool:
+    """Return whether the dynamic fit sees a trial; reversals come after it, as in the paper."""
+    return trial.entry.use == "fit" and trial.entry.direction != "reversal"
+
+
+def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
+    """Read every log of a campaign, fit the static curves and prepare the trials.
+
+    Raises
+    ------
+    SysidError
+        For the first log that cannot be used, or a campaign that has nothing to fit.
+    """
+    check_options(campaign, path)
+    logs = [bench_log(campaign, path, entry) for entry in campaign.trials]
+    fitted = [
+        log
+        for log, entry in zip(logs, campaign.trials, strict=True)
+        if entry.use == "fit" and entry.direction != "reversal"
+    ]
+    if not fitted:
+        raise CampaignError(
+            "no forward or reverse trial has use = 'fit'; reversals alone cannot serve, because the dead "
+            "band would hide in R and L"
+        )
+    curve_logs = read_curve_logs(campaign, path)
+    reference, voltage_source = _reference_voltage(campaign, curve_logs, fitted)
+    curves = static_curves(campaign, curve_logs, fitted, reference)
+    if campaign.motor.kv is not None:
+        _check_kv(campaign.motor.kv, reference, curves)
+    current = torque_per_current(fitted) if campaign.log.current == "motor" else None
+    values, measured, stated = _known_values(campaign, curves, reference, voltage_source, current)
+    chosen = campaign.parameters
+    scale_known = campaign.motor.kv is not None or current is not None
+    # One constant alone says nothing where the other is a guess.
+    scale_known |= all(name in chosen.fixed for name in CONSTANTS)
+    # Freed beside R, the constants are arbitrary with it whatever they start from.
+    scale_known &= current is not None or not {*CONSTANTS} & {*(chosen.free or ())}
+    trials = tuple(
+        prepare_trial(campaign, entry, log, reference)
+        for entry, log in zip(campaign.trials, logs, strict=True)
+    )
+    return Bench(trials, curves, values, measured, stated, scale_known)
+
+
+def _check_kv(kv: float, reference: float, curves: StaticCurves) -> None:
+    """Refuse a Kv whose unit the logs contradict; warn of one that they merely find odd.
+
+    Raises
+    ------
+    CampaignError
+        When Kv V_ref and the speed at full command differ by about 60/(2π) either way.
+    """
+    bare = {fit.direction: sum(fit.coefficients) for fit in curves.fits if fit.quantity == "no_load"}
+    seen = [*bare.values(), *(float(np.sum(tie.speed)) for tie in curves.ties.values())]
+    top = max(abs(speed) for speed in seen)
+    what = "without" if bare else "with"
+    ratio = kv * reference / top
+    low, high = _KV_NO_LOAD if bare else _KV_LOADED
+    slip = 30.0 / np.pi
+    rpm = kv * slip
+    found = (
+        f"motor.kv: {kv:.4g} rad/s/V ({rpm:.4g} rpm/V) at {reference:.3g} V would turn the unloaded motor at "
+        f"{kv * reference:.4g} rad/s, the logs {what} propeller show {top:.4g} rad/s at full command"
+    )
+    if low * slip <= ratio <= high * slip:
+        raise CampaignError(f'{found}; {kv:.4g} looks like rpm/V: write kv = "{kv:.4g} rpm/V"')
+    if low <= ratio * slip <= high:
+        raise CampaignError(f'{found}; {rpm:.4g} looks like rad/s/V: write kv = "{rpm:.4g} rad/s/V"')
+    if not low <= ratio <= high:
+        warnings.warn(f"{found}; check kv and reference_voltage", SysidWarning, stacklevel=3)
+
+
+def _reference_voltage(
+    campaign: MotorCampaign, curve_logs: Sequence[CurveLog], fitted: list[BenchLog]
+) -> tuple[float, str]:
+    """Return V_ref [V] and its source: the campaign, the fitted logs, those of the curves, a guess."""
+    if campaign.motor.reference_voltage is not None:
+        return campaign.motor.reference_voltage, "campaign: motor.reference_voltage"
+    logged = [log.channels["voltage"][1] for log in fitted if "voltage" in log.channels]
+    if logged:
+        return float(np.median(np.concatenate(logged))), "median supply voltage of the fitted logs"
+    # Their speeds are divided by their own volts: another reference would tilt the no-load line.
+    volts = np.concatenate([np.zeros(0), *(log.points.voltage for log in curve_logs)])
+    volts = volts[np.isfinite(volts) & (volts > 0)]
+    if volts.size:
+        source = "median supply voltage of the logs under [curves]: the fitted logs hold none"
+        return float(np.median(volts)), source
+    return PARAMETERS.nominal["reference_voltage"], "guess: no log holds the supply voltage"
+
+
+def _known_values(
+    campaign: MotorCampaign,
+    curves: StaticCurves,
+    reference: float,
+    voltage_source: str,
+    current: TorquePerCurrent | None,
+) -> tuple[dict[str, float], dict[str, str], dict[str, str]]:
+    """Return the values that campaign and logs give, and where the measured and the other ones come from."""
+    motor = campaign.motor
+    values = {**curves.parameters, "reference_voltage": reference}
+    measured = dict.fromkeys(curves.parameters, "steady points of the logs")
+    stated: dict[str, str] = {}
+    constants = CONSTANTS
+    if motor.reference_voltage is not None:
+        measured["reference_voltage"] = voltage_source
+    else:
+        stated["reference_voltage"] = voltage_source
+    if motor.kv is not None:
+        values |= dict.fromkeys(constants, 1.0 / motor.kv)
+        stated |= dict.fromkeys(constants, "campaign: 1/motor.kv, a rating")
+        if current is not None and abs(current.value * motor.kv - 1.0) > _SCALE_AGREES:
+            warnings.warn(
+                f"motor.kv says {1.0 / motor.kv:.4g} N·m/A, torque over the logged motor current "
+                f"{current.value:.4g} ± {current.error:.2g} N·m/A: the rating is used; leave motor.kv out to "
+                "use the current, or correct log.current",
+                SysidWarning,
+                stacklevel=3,
+            )
+    elif current is not None:
+        values |= dict.fromkeys(constants, current.value)
+        source = f"torque over the logged motor current, {current.points} steady points"
+        if current.friction > 0:
+            source += f" less {1e3 * current.friction:.2g} mN·m of friction"
+        measured |= dict.fromkeys(constants, f"{source}, ± {current.error:.2g} N·m/A; k_v = k_m")
+    elif curves.ties:
+        top = max(float(np.sum(tie.speed)) for tie in curves.ties.values())
+        values |= dict.fromkeys(constants, _LOADED_SHARE * reference / top)
+        stated |= dict.fromkeys(constants, "guess from supply and loaded speed: the campaign gives no Kv")
+    if motor.kv is None and current is None and not set(constants) <= set(campaign.parameters.fixed):
+        warnings.warn(
+            "no Kv in the campaign: R, L and I_sat rest on a guessed motor constant of "
+            f"{values.get('torque_constant', PARAMETERS.nominal['torque_constant']):.4g} N·m/A; torque and "
+            "speed fix only k²/R, R/L and k·I_sat, which the result lists",
+            SysidWarning,
+            stacklevel=2,
+        )
+    for name in ("rotor_inertia", "saturation_current", "saturation_speed"):
+        value = getattr(motor, name)
+        if value is not None:
+            values[name] = value
+            measured[name] = f"campaign: motor.{name}"
+    return values, measured, stated
+
+
+def untested_rows(campaign: MotorCampaign, bench: Bench) -> tuple[str, ...]:
+    """Return the rows of a direction of which no log says anything: its curves and no-load speed."""
+    known = {*bench.values, *campaign.parameters.fixed, *(campaign.parameters.free or ())}
+    tied = {f"no_load_{what}_{d}" for d in bench.curves.ties for what in ("slope", "intercept")}
+    return tuple(
+        name
+        for name in PARAMETERS
+        if name.endswith(("_forward", "_reverse")) and name not in known and name not in tied
+    )
+
+
+def _warn_of_starts(campaign: MotorCampaign, bench: Bench) -> None:
+    """Warn of fitted trials that are little but a start from rest, where the dead band is not known.
+
+    To free it beside R, L and the delay does not help: they hide in one another.
+    """
+    given = {*campaign.parameters.fixed, *bench.measured}
+    starts = [trial.entry.name for trial in bench.fitted if trial.only_starts]
+    if starts and not set(SATURATION) <= given:
+        warnings.warn(
+            f"trial {', '.join(starts)}: little but a start from rest, so R, L and the delay rest on "
+            "Table I's dead band; add steps between running speeds, or state motor.saturation_current and "
+            "motor.saturation_speed",
+            SysidWarning,
+            stacklevel=3,
+        )
+
+
+def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
+    """Return what the dynamic fit frees: the campaign's, or R, L and k_d, and what its logs need beside them.
+
+    The rotor's inertia is free where it was not measured; the command delay always, one per log where there
+    are several, and the torque sensor's delay and lag where a trial is a slow log, unless the campaign fixes
+    them. k_d is free by default only
+    where a log without propeller gives Ω_0: with Ω_0 from loaded points,
+    (k²/R, k_d, Ω_0) → (k²/R + c, k_d − c, Ω_0 (k²/R)/(k²/R + c)) changes nothing as L → 0.
+
+    Raises
+    ------
+    CampaignError
+        For an unknown parameter, a wrong unit, crossed bounds, bounds that exclude a measured value, a
+        parameter that neither torque nor speed depends on.
+    """
+    needed = ["command_delay"]
+    if any(not trial.log.fast for trial in bench.fitted):
+        needed += ["torque_sensor_delay", "torque_sensor_lag"]
+    choices = campaign.parameters
+    default = [name for name in FREE_DEFAULT if name != "viscous_damping" or not bench.curves.ties]
+    free = list(default if choices.free is None else choices.free)
+    if campaign.motor.rotor_inertia is None and choices.free is None:
+        needed.append("rotor_inertia")
+    free += [name for name in needed if name not in free]
+    _warn_of_starts(campaign, bench)
+    free = [name for name in free if name not in SATURATION]
+    # A name that the campaign both frees and fixes stays in the list, to be refused.
+    asked = set(choices.free or ())
+    chosen = tuple(name for name in free if name not in choices.fixed or name in asked)
+    if not {"rotor_inertia"} & {*chosen, *choices.fixed, *bench.values}:
+        warnings.warn(
+            f"the rotor's inertia is neither measured nor free, so Table I's "
+            f"{PARAMETERS['rotor_inertia'].nominal:g} kg·m² of another motor is used; state "
+            "motor.rotor_inertia or name it in parameters.free",
+            SysidWarning,
+            stacklevel=2,
+        )
+    silent = [name for name in chosen if name.startswith("thrust_")]
+    if silent:
+        raise CampaignError(
+            f"parameters.free names {', '.join(silent)}, on which neither torque nor speed depends; thrust "
+            "comes from the static curves, so take it off the list"
+        )
+    scale = [name for name in ("back_emf_constant", "torque_constant") if name in chosen]
+    if scale and "winding_resistance" in chosen and not bench.scale_known:
+        warnings.warn(
+            f"{' and '.join(scale)} free beside winding_resistance, and no log holds the motor's current: "
+            "torque and speed fix only k²/R, R/L and k·I_sat, which the result lists; the values themselves "
+            "are arbitrary together",
+            SysidWarning,
+            stacklevel=2,
+        )
+    # Bounds of the dead band belong to the second stage.
+    bounds = {name: pair for name, pair in choices.bounds.items() if name not in SATURATION}
+    choices = choices.model_copy(update={"free": chosen, "bounds": bounds})
+    # A guess need not lie between the bounds of what is freed; a measurement must.
+    values = {n: value for n, value in bench.values.items() if n not in chosen or n in bench.measured}
+    space = choices.search_space(PARAMETERS, FREE_DEFAULT, values)
+    if campaign.nuisance.command_delay == "common":
+        return space
+    return with_log_delays(space, bench.fitted, bench.banded)

@@ -1,0 +1,131 @@
+"""The first-order rotor nearest to an identified motor: what simulators with a lag per direction can hold.
+
+    dΩ/dt = (Ω_command − Ω)/T       T = T_up while the command exceeds the speed, T_down otherwise
+    thrust = k_T Ω²,  drag torque = k_M thrust
+
+Valid for steps of the command within one direction of rotation, where the time constants come from; ignores
+the dead band of a reversal, the winding's inductance, and that a step's time constant falls with the speed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from sysid.errors import ExportError
+from sysid.motor.model import PARAMETERS, simulate, steady_state
+
+# Steps of the command that the time constants are fitted to: around hover, small and large, up and back.
+STEPS = ((0.4, 0.6), (0.6, 0.8), (0.4, 0.8))
+# Length of a step's response [s], and its samples.
+_LENGTH, _SAMPLES = 0.6, 601
+_BOUNDS = (1e-4, 1.0)
+
+
+@dataclass(frozen=True)
+class FirstOrderRotor:
+    """Constants of a first-order rotor with a quadratic thrust curve.
+
+    Parameters
+    ----------
+    time_constant_up, time_constant_down : float
+        T_up and T_down [s].
+    misfit_up, misfit_down : float
+        Rms distance of the lag from the motor's own speed over the steps, over the size of the step [1].
+    maximum_speed : float
+        Loaded steady speed at full forward command [rad/s].
+    thrust_constant : float
+        k_T [N·s²/rad²], forward.
+    thrust_misfit : float
+        Largest distance of k_T Ω² from the identified curve, over the largest thrust [1].
+    moment_constant : float
+        k_M [m], forward.
+    reverse_maximum_speed, reverse_thrust_constant : float
+        The same of reverse rotation, which the simulators' symmetric rotor cannot hold.
+    """
+
+    time_constant_up: float
+    time_constant_down: float
+    misfit_up: float
+    misfit_down: float
+    maximum_speed: float
+    thrust_constant: float
+    thrust_misfit: float
+    moment_constant: float
+    reverse_maximum_speed: float
+    reverse_thrust_constant: float
+
+
+def first_order_rotor(parameters: Mapping[str, float]) -> FirstOrderRotor:
+    """Return the first-order rotor nearest to a motor.
+
+    Parameters
+    ----------
+    parameters : mapping
+        By name, as in `sysid.motor.model.PARAMETERS` [SI]; the command delay of the log's instruments is
+        left out.
+
+    Raises
+    ------
+    ExportError
+        When full command does not turn the motor or gives no thrust.
+
+    Notes
+    -----
+    Time constants minimize the squared distance from the motor's speed over `STEPS`. With both directions of
+    a curve ``c2 Ω² + c1 Ω``, the constant that is nearest over 0..Ω_max is ``c2 + (5/4) c1/Ω_max``.
+    """
+    own = {**PARAMETERS.nominal, **{k: v for k, v in parameters.items() if k in PARAMETERS}}
+    own["command_delay"] = 0.0
+    top, bottom = (abs(float(steady_state(u, own)[1])) for u in (1.0, -1.0))
+    if not (math.isfinite(top) and math.isfinite(bottom) and top > 0 and bottom > 0):
+        raise ExportError(
+            f"motor: turns at {top:g} rad/s at full forward and {bottom:g} rad/s at full reverse command; "
+            "expected speeds above 0, check the no-load speeds of the set"
+        )
+    forward, misfit = _nearest(own["thrust_quadratic_forward"], own["thrust_linear_forward"], top)
+    reverse, _ = _nearest(own["thrust_quadratic_reverse"], own["thrust_linear_reverse"], bottom)
+    torque, _ = _nearest(own["torque_quadratic_forward"], own["torque_linear_forward"], top)
+    if not forward > 0:
+        raise ExportError(
+            f"motor: a thrust constant of {forward:g} N·s²/rad²; expected above 0, check the thrust curve"
+        )
+    up, misfit_up = _lag(own, STEPS)
+    down, misfit_down = _lag(own, tuple((b, a) for a, b in STEPS))
+    return FirstOrderRotor(
+        up, down, misfit_up, misfit_down, top, forward, misfit, torque / forward, bottom, reverse
+    )
+
+
+def _nearest(quadratic: float, linear: float, top: float) -> tuple[float, float]:
+    """Return the constant k of k Ω² nearest to a curve over 0..top, and its largest distance over the top."""
+    constant = quadratic + 1.25 * linear / top
+    # The distance (c2 - k) Ω² + c1 Ω is largest at the top or where its slope is zero.
+    places = [top]
+    if constant != quadratic:
+        places.append(min(top, max(0.0, linear / (2.0 * (constant - quadratic)))))
+    largest = (quadratic * top + linear) * top
+    return constant, max(abs((quadratic - constant) * w * w + linear * w) for w in places) / largest
+
+
+def _lag(parameters: Mapping[str, float], steps: tuple[tuple[float, float], ...]) -> tuple[float, float]:
+    """Return the time constant nearest to the motor's responses to steps of the command, and its misfit."""
+    time = np.linspace(0.0, _LENGTH, _SAMPLES)
+    shares = []
+    for before, after in steps:
+        current, speed = steady_state(before, parameters)
+        run = simulate(parameters, [0.0], [after], time, initial=(float(current), float(speed)))
+        end = float(steady_state(after, parameters)[1])
+        shares.append((run.speed - end) / (float(speed) - end))
+    measured = np.array(shares)
+
+    def distance(logarithm: float) -> float:
+        return float(np.sqrt(np.mean((measured - np.exp(-time / math.exp(logarithm))) ** 2)))
+
+    low, high = (math.log(bound) for bound in _BOUNDS)
+    found = minimize_scalar(distance, bounds=(low, high), method="bounded", options={"xatol": 1e-6})
+    return math.exp(float(found.x)), float(found.fun)

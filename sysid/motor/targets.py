@@ -1,0 +1,321 @@
+"""From settled bench logs to what a fit simulates and compares: filter, grids, command schedule, supply."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid.campaign import MotorCampaign
+from sysid.campaign.motor import MotorTrial as TrialEntry
+from sysid.errors import LogError
+from sysid.filters import ChebyshevLowpass, Spectrum, amplitude_spectrum
+from sysid.motor.batch import MotorTrial
+from sysid.motor.bench_logs import BenchLog
+from sysid.motor.bench_reading import log_hashes
+from sysid.motor.cost import MotorTarget
+from sysid.motor.parameters import PARAMETERS
+from sysid.trials.bench_log import outside
+from sysid.trials.spin_up import find_starts
+from sysid.trials.steady import SETTLE
+from sysid.types import BoolArray, FloatArray, IntArray
+
+# Grids of the simulation and of the comparison, per period of the stop-band edge of a fast log.
+_SIMULATED, _COMPARED = 10.0, 2.5
+# Grid of the simulation of a slow log: shares of its row interval, within these limits [s].
+_SLOW_SHARE, _SLOW_GRID = 0.35, (1e-3, 4e-3)
+# Supply voltage of a slow log is averaged over this time [s]: its noise is no physics.
+_SUPPLY_MEAN = 0.04
+# Every knot of the supply ends a step of the simulation: those within this share of V_ref of a line are left
+# out.
+_SUPPLY_LINE = 2e-3
+# Filter taps below this share of the centre are cut.
+_TAP_LEAST = 1e-4
+# A trial of which less than this share is left beside its starts from rest is searched whole.
+_LEAST_LEFT = 0.25
+# Samples of the speed that a start from rest needs to show a dead band.
+_LEAST_SHOWN = 10
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedTrial:
+    """One trial of the campaign: what is simulated, what is compared, where it comes from.
+
+    Parameters
+    ----------
+    entry : MotorTrial of the campaign
+    log : BenchLog
+    simulated : MotorTrial
+    target : MotorTarget
+    starts : tuple of (start, end)
+        Spin-ups from rest inside the window [s], as far as the filter carries them.
+    thrust : (n,) array or None
+        Measured, at the compared instants and filtered like the rest [N]; None where none was recorded.
+    provenance : dict
+    """
+
+    entry: TrialEntry
+    log: BenchLog
+    simulated: MotorTrial
+    target: MotorTarget
+    starts: tuple[tuple[float, float], ...]
+    thrust: FloatArray | None
+    provenance: dict[str, Any]
+
+    @property
+    def hashes(self) -> str:
+        """SHA-256 of its log, and of the second one where there is one."""
+        return log_hashes(self.provenance)
+
+    @property
+    def started(self) -> BoolArray:
+        """(n,) True where a compared instant belongs to a start from rest."""
+        return ~outside(self.target.time, self.starts)
+
+    @property
+    def shows_start(self) -> bool:
+        """Whether enough samples of the speed belong to starts from rest."""
+        return bool(self.target.valid[self.started, 1].sum() >= _LEAST_SHOWN)
+
+    @property
+    def only_starts(self) -> bool:
+        """Whether too little is left of the trial beside its starts from rest."""
+        return bool(self.starts) and self._left().sum() < _LEAST_LEFT * self.target.valid.sum()
+
+    @property
+    def dynamic_target(self) -> MotorTarget:
+        """The target without its starts from rest, whose dead band is not known before the dynamic fit."""
+        if not self.starts or self.only_starts:
+            return self.target
+        return replace(self.target, valid=self._left())
+
+    def _left(self) -> BoolArray:
+        return self.target.valid & ~self.started[:, None]
+
+
+def prepare_trial(
+    campaign: MotorCampaign, entry: TrialEntry, log: BenchLog, reference_voltage: float
+) -> PreparedTrial:
+    """Filter a log where it is fast, choose the grids, and join command schedule and supply."""
+    window = log.window
+    taps, target_of = (_fast if log.fast else _slow)(campaign, log)
+    # The simulation begins at a steady state, at the latest where the filter begins to look.
+    reach = (len(taps) - 1) * _fast_step(campaign) if log.fast else 0.0
+    start = _steady_start(log, max(float(log.time[0]), window[0] - reach))
+    where = f"trial {entry.name!r} of {entry.log}"
+    target, grid = target_of(where, window, start, taps)
+    starts = find_starts(
+        *log.channels["speed"], log.steps, PARAMETERS["saturation_speed"].upper, float(log.time[-1])
+    )
+    starts = tuple((a - reach, b + reach) for a, b in starts if b + reach > start and a - reach < window[1])
+    supply_time, supply_ratio = _supply(log, reference_voltage)
+    simulated = MotorTrial(log.steps.time, log.steps.level, grid, "steady", supply_time, supply_ratio)
+    p = log.recording.provenance
+    return PreparedTrial(
+        entry, log, simulated, target, starts, measured_thrust(campaign, log, target.time),
+        {
+            "log": Path(p.path).name,
+            "sha256": p.sha256,
+            "format": p.format,
+            "device": p.device,
+            "direction": entry.direction,
+            "rate [Hz]": 1.0 / float(np.median(np.diff(log.time))),
+            "window [s]": [float(w) for w in window],
+            "commands": int(log.steps.time.size),
+            "torque sign": log.torque_sign,
+            "thrust sign": log.thrust_sign,
+            "tare": {
+                name: {
+                    "value": t.value,
+                    "error": t.error if np.isfinite(t.error) else None,
+                    "rows": t.rows,
+                    "from": t.source,
+                }
+                for name, t in log.tares.items()
+            },
+            "doubtful [s]": [list(interval) for interval in log.doubtful],
+            "starts from rest [s]": [list(interval) for interval in starts],
+            **({} if log.second is None else {"second log": log.second}),
+            "notes": log.notes,
+        },
+    )  # fmt: skip
+
+
+def filter_design(campaign: MotorCampaign, logs: Sequence[BenchLog]) -> dict[str, Any]:
+    """Return the filter of the fast logs as it goes into a result, and which logs went without."""
+    fast = [log for log in logs if log.fast]
+    slow = [log.name for log in logs if not log.fast]
+    design: dict[str, Any] = lowpass_of(campaign, fast[0]).describe() if fast else {"kind": "none"}
+    if slow:
+        why = "switched off" if campaign.filter.kind == "none" else "too slow for it"
+        design["unfiltered"] = {"trials": slow, "why": why}
+    return design
+
+
+def _fast_step(campaign: MotorCampaign) -> float:
+    return 1.0 / (_SIMULATED * campaign.filter.stop_edge)
+
+
+def lowpass_of(campaign: MotorCampaign, log: BenchLog) -> ChebyshevLowpass:
+    """Return the campaign's filter at the rate of a log."""
+    settings = campaign.filter
+    rate = 1.0 / float(np.median(np.diff(log.time)))
+    return ChebyshevLowpass(rate, settings.stop_edge, settings.order, settings.attenuation_db)
+
+
+def _fast(campaign: MotorCampaign, log: BenchLog) -> Any:
+    """Return the filter's taps on the simulation's grid, and a function that makes the target."""
+    lowpass = lowpass_of(campaign, log)
+    step = _fast_step(campaign)
+    size = 4 * lowpass.edge_samples + lowpass.minimum_samples
+    pulse = np.zeros(2 * size + 1)
+    pulse[size] = 1.0
+    response = lowpass.apply(pulse)[size:]
+    lags = np.arange(0.0, (size - 1) / lowpass.rate, step)
+    # The response holds nothing above the stop band, so a grid of ten samples per period carries it whole.
+    taps = np.interp(lags, np.arange(response.size) / lowpass.rate, response) * step * lowpass.rate
+    large = np.flatnonzero(np.abs(taps) > _TAP_LEAST * abs(taps[0]))
+    taps = taps[: large[-1] + 1]
+    taps /= taps[0] + 2.0 * taps[1:].sum()
+
+    def target(
+        name: str, window: tuple[float, float], start: float, taps: FloatArray
+    ) -> tuple[MotorTarget, FloatArray]:
+        half = len(taps) - 1
+        end = min(window[1] + half * step, float(log.time[-1]))
+        grid = np.asarray(start + step * np.arange(int((end - start) / step)), dtype=np.float64)
+        stride = int(_SIMULATED / _COMPARED)
+        rows = np.arange(half, grid.size - half, stride)
+        rows = rows[(grid[rows] >= window[0]) & (grid[rows] <= window[1])]
+        if rows.size < 10:
+            raise LogError(
+                f"{log.where}: {rows.size} compared instants between {window[0]:g} and {window[1]:g} s; "
+                f"the filter takes {half * step:.2f} s at each end of the log: widen the window"
+            )
+        measured = np.empty((rows.size, 2))
+        for c, channel in enumerate(("torque", "speed")):
+            measured[:, c] = np.nan
+            if channel in log.channels:
+                t, values = uniform_filtered(*log.channels[channel], lowpass, f"{log.where}, {channel}")
+                measured[:, c] = np.interp(grid[rows], t, values)
+        valid = np.isfinite(measured) & outside(grid[rows], log.doubtful)[:, None]
+        return MotorTarget(name, grid[rows], measured, valid, start, step, grid.size, taps), grid
+
+    return taps, target
+
+
+def measured_spectrum(log: BenchLog, time: FloatArray) -> Spectrum | None:
+    """Return the spectrum of torque and speed before the filter, over the span of `time`; None if too short.
+
+    A channel that was not recorded is NaN.
+    """
+    interval = float(np.median(np.diff(log.time)))
+    clock = np.arange(time[0], time[-1], interval)
+    if clock.size < 16:
+        return None
+    raw = np.full((clock.size, 2), np.nan)
+    for c, channel in enumerate(("torque", "speed")):
+        if channel in log.channels:
+            t, values = log.channels[channel]
+            known = np.isfinite(values)
+            raw[:, c] = np.interp(clock, t[known], values[known])
+    return amplitude_spectrum(raw, 1.0 / interval)
+
+
+def measured_thrust(campaign: MotorCampaign, log: BenchLog, time: FloatArray) -> FloatArray | None:
+    """Return the thrust at the compared instants [N], filtered where the log is; None if not recorded."""
+    if "thrust" not in log.channels:
+        return None
+    own, values = log.channels["thrust"]
+    if log.fast:
+        own, values = uniform_filtered(own, values, lowpass_of(campaign, log), f"{log.where}, thrust")
+    return np.interp(time, own, values)
+
+
+def uniform_filtered(
+    time: FloatArray, values: FloatArray, lowpass: ChebyshevLowpass, where: str
+) -> tuple[FloatArray, FloatArray]:
+    """Return a filtered channel on a clock without holes: rows that the log lacks are NaN there."""
+    if time.size < lowpass.minimum_samples:
+        raise LogError(
+            f"{where}: {time.size} samples are fewer than the {lowpass.minimum_samples} that the filter "
+            'needs; record longer or set filter.kind = "none"'
+        )
+    intervals = np.diff(time)
+    if float(intervals.max()) < 1.5 * float(np.median(intervals)):
+        return time, lowpass.apply(values)
+    index = np.rint((time - time[0]) * lowpass.rate).astype(np.int64)
+    full = np.full(int(index[-1]) + 1, np.nan)
+    full[index] = values
+    return time[0] + np.arange(full.size) / lowpass.rate, lowpass.apply(full)
+
+
+def _slow(campaign: MotorCampaign, log: BenchLog) -> Any:
+    interval = float(np.median(np.diff(log.time)))
+    step = float(np.clip(_SLOW_SHARE * interval, *_SLOW_GRID))
+
+    def target(
+        name: str, window: tuple[float, float], start: float, taps: FloatArray
+    ) -> tuple[MotorTarget, FloatArray]:
+        rows = log.time[(log.time >= window[0]) & (log.time <= window[1])]
+        count = int(np.ceil((rows[-1] - start) / step)) + 2
+        grid = np.asarray(start + step * np.arange(count), dtype=np.float64)
+        measured = np.full((rows.size, 2), np.nan)
+        for c, channel in enumerate(("torque", "speed")):
+            if channel in log.channels:
+                t, values = log.channels[channel]
+                at = np.searchsorted(rows, t)
+                hit = (at < rows.size) & (rows[np.minimum(at, rows.size - 1)] == t)
+                measured[at[hit], c] = values[hit]
+        valid = np.isfinite(measured) & outside(rows, log.doubtful)[:, None]
+        return MotorTarget(name, rows, measured, valid, start, step, grid.size, taps), grid
+
+    return np.zeros(0), target
+
+
+def _steady_start(log: BenchLog, start: float) -> float:
+    """Return the latest time not after `start` at which the command has been the same for long enough."""
+    for instant in log.steps.time[::-1]:
+        if instant <= start:
+            if start - instant >= SETTLE or instant <= log.time[0]:
+                return start
+            start = float(np.nextafter(instant, -np.inf))
+    return max(start, float(log.time[0]))
+
+
+def _supply(log: BenchLog, reference_voltage: float) -> tuple[FloatArray | None, FloatArray | None]:
+    if "voltage" not in log.channels:
+        return None, None
+    t, volts = log.channels["voltage"]
+    keep = volts > 0
+    t, volts = t[keep], volts[keep]
+    if t.size == 0:
+        return None, None
+    block = np.floor((t - t[0]) / _SUPPLY_MEAN).astype(np.int64)
+    _, index, count = np.unique(block, return_inverse=True, return_counts=True)
+    mean_time = np.bincount(index, t) / count
+    ratio = np.bincount(index, volts) / count / reference_voltage
+    kept = _knots(mean_time, ratio, _SUPPLY_LINE)
+    return mean_time[kept], ratio[kept]
+
+
+def _knots(time: FloatArray, values: FloatArray, tolerance: float) -> IntArray:
+    """Return the points (k,) of a polyline that is nowhere further than `tolerance` from the rest."""
+    kept = {0, time.size - 1}
+    open_parts = [(0, time.size - 1)]
+    while open_parts:
+        first, last = open_parts.pop()
+        if last - first < 2:
+            continue
+        inside = slice(first + 1, last)
+        line = np.interp(time[inside], time[[first, last]], values[[first, last]])
+        distance = np.abs(values[inside] - line)
+        worst = int(np.argmax(distance))
+        if distance[worst] > tolerance:
+            middle = first + 1 + worst
+            kept.add(middle)
+            open_parts += [(first, middle), (middle, last)]
+    return np.array(sorted(kept), dtype=np.int64)

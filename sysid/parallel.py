@@ -1,0 +1,344 @@
+"""Where many independent candidates are computed: this process's cores, or a Dask cluster.
+
+One small interface for fits, maps, profiles and bootstraps: `share` sends the work with all its data once,
+and what it returns computes rows. Each row's numbers depend on that row alone, so neither the cluster's size
+nor the cut into chunks nor a lost worker changes a bit of a result.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from concurrent.futures import CancelledError
+from math import ceil
+from typing import Any, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.errors import SysidError
+from sysid.types import FloatArray
+
+Columns = tuple[NDArray[Any], ...]
+
+# Least computing time of a chunk [s]: long beside the millisecond that a scheduler spends on it, short beside
+# a generation.
+CHUNK_TIME = 0.06
+# Where few workers have much to do [s]; longer chunks save nothing more, and a lost worker loses more.
+LONGEST_CHUNK_TIME = 0.25
+# Kernels compute several rows in the lanes of one core; fewer leave lanes empty.
+_LEAST_CHUNK = 8
+_FIRST_CHUNK = 16  # before any was measured
+# Of all that is computed at the moment: one would leave workers idle that end early.
+_CHUNKS_PER_WORKER = 2
+# A chunk is submitted anew this often before the cluster is given up.
+ATTEMPTS = 6
+# Without any worker [s]; they may be on their way from a queue.
+PATIENCE = 120.0
+_LOOK = 2.0
+
+
+class ClusterError(SysidError):
+    """The cluster cannot be reached, or lost the work."""
+
+
+class ClosedError(RuntimeError):
+    """Work was asked for after its executor was closed: by a run that has been called off."""
+
+
+class Work(Protocol):
+    """A pure function of rows: equal rows give equal numbers whatever their neighbours."""
+
+    def __call__(self, rows: FloatArray) -> Columns:
+        """Return arrays with one entry per row (P, n)."""
+        ...
+
+
+class Executor(Protocol):
+    """Where work is done."""
+
+    @property
+    def at_once(self) -> int:
+        """Callers that it takes at the same time to keep every core busy [1]."""
+        ...
+
+    def share(self, work: Work) -> Work:
+        """Send the work with its data, once; the result computes rows and may be called from threads."""
+        ...
+
+    def close(self) -> None:
+        """Let go of what was taken."""
+        ...
+
+
+class LocalThreads:
+    """This process: the work itself spreads rows over the cores, so it is entered by one caller at a time.
+
+    Two callers keep the cores busy: while one prepares its next rows, the other computes.
+    """
+
+    at_once = 2
+
+    def __init__(self) -> None:
+        self._turn = threading.Lock()
+        self._closed = False
+
+    def share(self, work: Work) -> Work:
+        """Return the work, which takes callers one by one; closed, it takes none."""
+
+        def in_turn(rows: FloatArray) -> Columns:
+            with self._turn:
+                if self._closed:
+                    raise ClosedError
+                return work(rows)
+
+        return in_turn
+
+    def close(self) -> None:
+        """Wait for whoever computes: compiled code that runs in two threads can end the process."""
+        with self._turn:
+            self._closed = True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+class DaskCluster:
+    """Workers of a Dask scheduler; each worker process computes one chunk at a time.
+
+    Parameters
+    ----------
+    address : str
+        ``tcp://host:8786``, or ``local`` for one worker process per core of this machine.
+    at_once : int
+        Callers at the same time, so that workers do not idle while one of them waits for its last chunk.
+
+    Raises
+    ------
+    ClusterError
+        When the extra is not installed or nothing answers at the address.
+    """
+
+    def __init__(self, address: str, at_once: int = 5) -> None:
+        try:
+            import distributed
+        except ImportError:
+            raise ClusterError(
+                "--dask needs the libraries of the extra 'cluster'; install them with "
+                "pip install 'sysid[cluster]'"
+            ) from None
+        self.at_once = at_once
+        self.address = address
+        self._cluster: Any = None
+        try:
+            if address == "local":
+                self._cluster = distributed.LocalCluster(
+                    n_workers=os.cpu_count() or 1,
+                    threads_per_worker=1,
+                    dashboard_address=None,
+                    preload=[__name__],
+                )
+            self._client = distributed.Client(self._cluster or address, timeout=10, set_as_default=False)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise ClusterError(
+                f"no Dask scheduler answers at {address!r} ({error}); start one with 'dask scheduler', "
+                "workers with 'dask worker', and give its address as tcp://host:8786"
+            ) from error
+
+    @property
+    def workers(self) -> int:
+        """Worker processes at the moment, at least 1 [1]."""
+        return max(1, self.alive)
+
+    @property
+    def alive(self) -> int:
+        """Worker processes at the moment [1]."""
+        return len(self._client.scheduler_info(n_workers=-1)["workers"])
+
+    def share(self, work: Work) -> Work:
+        """Send the work to every worker; the result computes rows on them."""
+        return _Shared(self, work)
+
+    def close(self) -> None:
+        """Disconnect; a local cluster ends."""
+        self._client.close()
+        if self._cluster is not None:
+            self._cluster.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def lost(self, why: object) -> ClusterError:
+        """Return the sentence that the cluster is gone."""
+        first = next(iter(str(why).splitlines()), "no reason given").rstrip(":. ")
+        return ClusterError(
+            f"the Dask cluster at {self.address!r} lost the work ({first}); bring the scheduler and a worker "
+            "back, then continue with --resume"
+        )
+
+    @property
+    def running(self) -> bool:
+        """False once the scheduler has gone."""
+        return str(self._client.status) == "running"
+
+
+def chunk_size(rows: int, callers: int, workers: int, per_row: float | None) -> int:
+    """Return how many of a caller's rows make a chunk.
+
+    Parameters
+    ----------
+    rows : int
+        Of this caller [1].
+    callers : int
+        That share the workers at the moment, this one included [1].
+    workers : int
+        Of the cluster [1].
+    per_row : float or None
+        Computing time of a row as measured [s]; None before the first chunk.
+
+    Returns
+    -------
+    int
+        `CHUNK_TIME` of work; where workers are few, half of a worker's share up to `LONGEST_CHUNK_TIME`, so
+        that they are not kept busy with messages; never more than a worker's share.
+    """
+    share = ceil(rows * callers / workers)
+    if per_row is None:
+        return max(1, min(share, _FIRST_CHUNK))
+    least, longest = (round(wished / max(per_row, 1e-9)) for wished in (CHUNK_TIME, LONGEST_CHUNK_TIME))
+    wished = max(_LEAST_CHUNK, least, min(longest, ceil(share / _CHUNKS_PER_WORKER)))
+    return max(1, min(share, wished, rows))
+
+
+class _Shared:
+    """Work whose data lie on the workers."""
+
+    def __init__(self, cluster: DaskCluster, work: Work) -> None:
+        self._cluster = cluster
+        self._work = work
+        self._lock = threading.Lock()
+        self._callers = 0  # that wait for their rows
+        self._data: Any = None
+        self._per_row = 0.0  # computing time [s], mean of what was measured
+        self._rows = 0
+
+    def _shared(self, lost: Any = None) -> Any:
+        """Return the handle of the data on the workers; anew when they lost it."""
+        with self._lock:
+            if self._data is None or self._data is lost:
+                client = self._cluster._client
+                self._data = client.scatter(self._work, broadcast=True, hash=False)
+            return self._data
+
+    def _chunk(self, rows: int) -> int:
+        """Return how many rows make a chunk."""
+        return chunk_size(rows, self._callers, self._cluster.workers, self._per_row if self._rows else None)
+
+    def __call__(self, rows: FloatArray) -> Columns:
+        with self._lock:
+            self._callers += 1
+        try:
+            return self._computed(rows)
+        finally:
+            with self._lock:
+                self._callers -= 1
+
+    def _computed(self, rows: FloatArray) -> Columns:
+        client = self._cluster._client
+        size = self._chunk(len(rows))
+        pending = {first: rows[first : first + size] for first in range(0, len(rows), size)}
+        done: dict[int, Columns] = {}
+        why: object = "no answer"
+        for attempt in range(ATTEMPTS):
+            if attempt:
+                time.sleep(0.2 * attempt)
+            if not self._cluster.running:
+                raise self._cluster.lost(why)
+            data = None
+            try:
+                data = self._shared()
+                futures = {
+                    first: client.submit(_compute, data, chunk, pure=False)
+                    for first, chunk in pending.items()
+                }
+            except _lost_errors() as error:
+                why = error
+                self._forget(data)
+                continue
+            for first, future in futures.items():
+                try:
+                    spent, columns = self._result(future)
+                except _lost_errors() as error:
+                    why = error
+                    continue
+                done[first] = columns
+                self._measured(spent, len(pending.pop(first)))
+            if not pending:
+                parts = [done[first] for first in sorted(done)]
+                return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
+            self._forget(data)
+        raise self._cluster.lost(why)
+
+    def _result(self, future: Any) -> tuple[float, Columns]:
+        """Wait for a chunk; give up where no worker has been left for a while."""
+        since = time.monotonic()
+        while True:
+            try:
+                result: tuple[float, Columns] = future.result(timeout=_LOOK)
+                return result
+            except TimeoutError:
+                if future.done() or not self._cluster.running:
+                    raise
+                if self._cluster.alive:
+                    since = time.monotonic()
+                elif time.monotonic() - since > PATIENCE:
+                    raise self._cluster.lost(f"no worker for {PATIENCE:.0f} s") from None
+
+    def _forget(self, data: Any) -> None:
+        with self._lock:
+            if self._data is data:
+                self._data = None
+
+    def _measured(self, spent: float, rows: int) -> None:
+        with self._lock:
+            self._rows += rows
+            self._per_row += (spent / rows - self._per_row) * rows / self._rows
+
+
+def _lost_errors() -> tuple[type[BaseException], ...]:
+    """Return what a lost worker, lost data or a lost scheduler raises."""
+    from distributed import KilledWorker
+    from distributed.client import FutureCancelledError
+    from distributed.comm import CommClosedError
+
+    return (KilledWorker, FutureCancelledError, CancelledError, CommClosedError, OSError, TimeoutError)
+
+
+def dask_setup(worker: object) -> None:
+    """Prepare a worker of this machine: Ctrl-C is for the process that searches, not for its workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+_ONE_CHUNK = threading.Lock()
+
+
+def _compute(work: Work, rows: FloatArray) -> tuple[float, Columns]:
+    """Compute a chunk on a worker; return its computing time [s] and its columns."""
+    # Compiled kernels that run in threads of their own must not be entered from two threads.
+    with _ONE_CHUNK:
+        began = time.perf_counter()
+        columns = work(rows)
+        return time.perf_counter() - began, columns
+
+
+def executor(dask: str | None, at_once: int = 5) -> LocalThreads | DaskCluster:
+    """Return local threads, or the Dask cluster at an address (``tcp://host:8786``, ``local``)."""
+    return LocalThreads() if dask is None else DaskCluster(dask, at_once)

@@ -1,0 +1,261 @@
+"""Drops of a fit, simulated once more with forces and legs: what snapshots, animation and diagrams draw.
+
+A fit keeps the five compared channels of every drop. Legs and forces come from repeating the simulation of
+one set from the state at the window's start, which the fit keeps as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sysid.errors import ExportError
+from sysid.fit.result import FitResult, TrialResult
+from sysid.gear.model import PARAMETERS, simulate
+from sysid.types import BoolArray, FloatArray
+
+# Samples per second of a replay [Hz]: contacts last some 10 ms.
+RATE = 1000.0
+# Two touchdowns of one foot less than this apart are one contact [s].
+_ONE_CONTACT = 5e-3
+# Slower than this a foot on high friction sticks [m/s]: what integration leaves of a stuck foot's speed stays
+# below it, and a slip passes it within a millisecond.
+_STICKS = 1e-3
+START = "state at the window's start [SI]"
+FEET = ("rear", "front")
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """One stay of a foot on the surface.
+
+    Parameters
+    ----------
+    foot : int
+        0 rear, 1 front.
+    start, end : float
+        Since the window's start, to a millisecond [s]; `end` is the window's where the foot stays.
+    """
+
+    foot: int
+    start: float
+    end: float
+
+
+@dataclass(frozen=True, eq=False)
+class DropReplay:
+    """One drop with everything that can be drawn; frame N, the surface passes through the origin.
+
+    Parameters
+    ----------
+    name : str
+        Of the drop.
+    use : str
+        ``fit`` or ``validate``.
+    slope : float
+        [rad]
+    time : (n,) array
+        Since the window's start [s].
+    body : (n, 3) array
+        x_B, z_B [m] and pitch [rad].
+    joints, feet : (n, 2, 2) array
+        Rear and front, (x, z) [m].
+    normal_force, friction_force : (n, 2) array
+        On the rear and the front foot, along the surface's normal and down-slope [N].
+    measured : (n, 3) array
+        x_B, z_B and pitch as measured, linear between frames; NaN where lost.
+    contacts : tuple of Contact
+        In the order of time.
+    values : dict
+        Of the simulated set, by name [SI].
+    slip_speed : (n, 2) array
+        Speed of the rear and the front foot along the slope, down-slope positive [m/s].
+    """
+
+    name: str
+    use: str
+    slope: float
+    time: FloatArray
+    body: FloatArray
+    joints: FloatArray
+    feet: FloatArray
+    normal_force: FloatArray
+    friction_force: FloatArray
+    measured: FloatArray
+    contacts: tuple[Contact, ...]
+    values: dict[str, float]
+    slip_speed: FloatArray
+
+    @property
+    def sticks(self) -> BoolArray:
+        """Which foot (n, 2) is down and does not move along the slope: on high friction it sticks.
+
+        Friction does not tell: a sticking foot may need anything up to mu_s F_n, more than a slipping one.
+        """
+        return np.asarray((np.nan_to_num(self.normal_force) > 0.0) & (np.abs(self.slip_speed) < _STICKS))
+
+    def first_contacts(self) -> tuple[tuple[float, str], ...]:
+        """Return the instants (1) to (4) of Fig. 7 with what happens there; fewer where they do not come."""
+        if not self.contacts:
+            return ()
+        first = self.contacts[0]
+        other = next((c for c in self.contacts if c.foot != first.foot), None)
+        last = float(self.time[-1])
+        found = [(first.start, f"the {FEET[first.foot]} leg touches")]
+        if first.end < last:
+            found.append((first.end, f"the {FEET[first.foot]} leg lifts off"))
+        if other is not None:
+            found.append((other.start, f"the {FEET[other.foot]} leg touches"))
+            if other.end < last:
+                found.append((other.end, f"the {FEET[other.foot]} leg lifts off"))
+        return tuple(sorted(found))
+
+    def index(self, time: float) -> int:
+        """Return the sample nearest to an instant since the window's start [s]."""
+        return int(np.argmin(np.abs(self.time - time)))
+
+
+def replay_drop(fit: FitResult, trial: TrialResult, rank: int = 1) -> DropReplay:
+    """Simulate one drop of a fit with the set of a rank.
+
+    Raises
+    ------
+    ExportError
+        When the fit is none of a gear, or does not hold the drop's start.
+    """
+    log = fit.provenance.get("logs", {}).get(trial.name, {})
+    if fit.kind != "gear" or START not in log or "slope [deg]" not in log:
+        raise ExportError(
+            f"{fit.name}, {trial.name}: the fit does not hold the state in which the drop starts; fit again"
+        )
+    values = dict(zip((r.name for r in fit.parameters), map(float, fit.values[rank - 1]), strict=True))
+    height, start = _own_start(values, trial.name, np.array(log[START], dtype=np.float64))
+    slope = float(np.radians(log["slope [deg]"]))
+    span = float(trial.time[-1] - trial.time[0])
+    time = np.arange(0.0, span + 0.5 / RATE, 1.0 / RATE)
+    row = np.array([values[name] for name in PARAMETERS])
+    surface = str(fit.settings.get("surface", "lf"))
+    tolerance = float(fit.settings.get("tolerance", 3e-4))
+    run = simulate(row, slope, start, time, surface=surface, tolerance=tolerance, events=False)
+    joints, feet = leg_points(run.state, values)
+    lift = np.array([0.0, height])
+    return DropReplay(
+        name=trial.name,
+        use=trial.use,
+        slope=slope,
+        time=time,
+        body=run.state[:, :3] + [0.0, height, 0.0],
+        joints=joints + lift,
+        feet=feet + lift,
+        normal_force=run.normal_force,
+        friction_force=run.friction_force,
+        measured=_measured(fit, trial, time),
+        contacts=_contacts(time, run.normal_force),
+        values=values,
+        slip_speed=_slip_speed(run.state, values, slope),
+    )
+
+
+def leg_points(state: FloatArray, values: dict[str, float]) -> tuple[FloatArray, FloatArray]:
+    """Return joints and feet (n, 2, 2) of states (n, 7 or 14), rear and front, in frame N [m]."""
+    x, z, q = state[:, 0], state[:, 1], state[:, 2]
+    ex, ez = np.stack([np.cos(q), -np.sin(q)], 1), np.stack([np.sin(q), np.cos(q)], 1)
+    centre = np.stack([x, z], 1)
+    across = values["foot_dx"] - values["joint_dx"]
+    length = np.hypot(across, values["foot_dz"] - values["joint_dz"])
+    joints, feet = [], []
+    for side, h, angle in ((-1.0, state[:, 3], q + state[:, 4]), (1.0, state[:, 5], q - state[:, 6])):
+        joint = centre + side * values["joint_dx"] * ex - values["joint_dz"] * ez
+        along = np.stack([np.sin(angle), np.cos(angle)], 1)
+        joints.append(joint)
+        feet.append(joint - (length + h)[:, None] * along)
+    return np.stack(joints, 1), np.stack(feet, 1)
+
+
+def _slip_speed(state: FloatArray, values: dict[str, float], slope: float) -> FloatArray:
+    """Return the speed (n, 2) of the feet down the slope of states (n, 14) [m/s]."""
+    # Feet are smooth in the coordinates: what 0.1 us leaves is some 1e-7 m/s.
+    span = 1e-7
+    moved = leg_points(state[:, :7] + span * state[:, 7:], values)[1] - leg_points(state[:, :7], values)[1]
+    return np.asarray(moved @ [np.cos(slope), -np.sin(slope)] / span)
+
+
+def _own_start(values: dict[str, float], name: str, state: FloatArray) -> tuple[float, FloatArray]:
+    """Return the surface's height offset of a drop and its start with the drop's own offsets, if any."""
+    height = values.get(f"height_offset[{name}]", 0.0)
+    delay = values.get(f"start_offset[{name}]", 0.0)
+    out = state.copy()
+    out[:3] -= state[3:] * delay
+    out[1] -= 0.5 * values["gravity"] * delay**2 + height
+    out[4] += values["gravity"] * delay
+    return height, out
+
+
+def _measured(fit: FitResult, trial: TrialResult, time: FloatArray) -> FloatArray:
+    out = np.full((len(time), 3), np.nan)
+    own = trial.time - trial.time[0]
+    for column, name in enumerate(("x_B", "z_B", "q_B")):
+        c = fit.channels.index(name)
+        values = np.where(trial.valid[:, c], trial.measured[:, c], np.nan)
+        out[:, column] = np.interp(time, own, values)
+    return out
+
+
+def _contacts(time: FloatArray, normal_force: FloatArray) -> tuple[Contact, ...]:
+    found: list[Contact] = []
+    for foot in (0, 1):
+        on = np.concatenate([[False], np.nan_to_num(normal_force[:, foot]) > 0.0, [False]])
+        edges = np.flatnonzero(np.diff(on.astype(np.int8)))
+        own: list[Contact] = []
+        for first, end in zip(edges[::2], edges[1::2], strict=True):
+            start, stop = float(time[first]), float(time[min(int(end), len(time) - 1)])
+            if own and start - own[-1].end < _ONE_CONTACT:
+                own[-1] = Contact(foot, own[-1].start, stop)
+            else:
+                own.append(Contact(foot, start, stop))
+        found += own
+    return tuple(sorted(found, key=lambda contact: contact.start))
+
+
+def animation_data(replays: list[DropReplay], every: int = 2) -> dict[str, Any]:
+    """Return what the page's animation draws, as whole numbers for JSON.
+
+    Lengths are in tenths of a millimetre, angles in tenths of a milliradian, forces in newtons.
+
+    Parameters
+    ----------
+    replays : list of DropReplay
+    every : int
+        Take every so-many-th sample.
+    """
+    out = []
+    for drop in replays:
+        kept = slice(None, None, every)
+        # The script draws no ghost that is 9 m away.
+        measured = np.where(np.isfinite(drop.measured), drop.measured, 9.0)[kept]
+        points = np.concatenate([drop.joints, drop.feet], axis=1)[kept].reshape(-1, 8)
+        frames = np.column_stack(
+            [
+                1e4 * drop.body[kept],
+                1e4 * points,
+                drop.normal_force[kept],
+                drop.friction_force[kept],
+                1e4 * measured,
+            ]
+        )
+        out.append(
+            {
+                "name": drop.name,
+                "use": "fitted" if drop.use == "fit" else "not fitted",
+                "slope": round(float(drop.slope), 5),
+                "step": every / RATE,
+                "frames": np.rint(np.nan_to_num(frames)).astype(int).tolist(),
+                "snapshots": [[round(t, 4), what] for t, what in drop.first_contacts()],
+                "arm": round(1e4 * drop.values["thrust_point_dx"]),
+                "joint": [round(1e4 * drop.values[name]) for name in ("joint_dx", "joint_dz")],
+                "foot": [round(1e4 * drop.values[name]) for name in ("foot_dx", "foot_dz")],
+            }
+        )
+    return {"drops": out}

@@ -1,0 +1,356 @@
+"""What a bench log of one motor holds: commands, logger stalls, real samples, tare, signs.
+
+Knows no motor model: it sees channels of a `Recording` and turns them into what a fit can trust. Speeds and
+torques leave here signed: positive in the forward direction, a steady torque with the sign of its speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from sysid.errors import LogError
+from sysid.types import BoolArray, FloatArray
+
+Direction = Literal["forward", "reverse", "reversal"]
+
+# A pause in the timestamps is a stall when it is this many median intervals and this long [s]: logs of 8 to
+# 27 ms jitter by up to 20 ms, stalls last 40 to 100 ms.
+_STALL_INTERVALS = 3.0
+_STALL_LEAST = 0.03
+# A stall this soon after a command may have delayed the command itself, whatever the log says [s].
+_REACH = 0.15
+# After a stall the response needs this long to be over [s]: several times the slowest rotor seen.
+_RECOVERY = 0.15
+# A sensor still rings this long after a stop [s].
+_RINGING = 0.5
+# DShot: 0 to 47 stop the motor or are no throttle, then 1000 steps per half (one direction: 2000).
+_DSHOT_STOP, _DSHOT_HALF, _DSHOT_LAST = 47, 1000, 2047
+# u below this is no command [1]; beyond this it commands a direction.
+AT_REST = 1e-9
+# A rotor that stands this long [s] under a command beyond this [1] may have got another one than logged.
+_STANDING, _DRIVEN = 0.5, 0.1
+# A rotor stands below the first share of its top speed [1] and turns above the second.
+_STANDS, _TURNS = 0.02, 0.1
+_COMMANDED = 0.02
+
+
+@dataclass(frozen=True)
+class CommandRange:
+    """Which logged numbers mean full reverse, rest and full forward.
+
+    Parameters
+    ----------
+    unit : {"us", "dshot"}
+        Of the log.
+    minimum, neutral, maximum : float
+        In that unit. A controller of one direction has neutral = minimum.
+    forward_half : {"low", "high"}, optional
+        Of bidirectional DShot, whose two halves each run from slowest to fastest (48 to 1047, 1048 to 2047;
+        below them the motor stands): the half that turns forward. The three numbers do not count then.
+    """
+
+    unit: str
+    minimum: float
+    neutral: float
+    maximum: float
+    forward_half: Literal["low", "high"] | None = None
+
+    def to_u(self, command: FloatArray, unit: str, where: str) -> FloatArray:
+        """Return u (n,) in [-1, 1] of logged commands (n,); below the neutral of one direction is rest.
+
+        Raises
+        ------
+        LogError
+            When the log's unit is another one, or a command lies outside the range.
+        """
+        values = np.asarray(command, dtype=np.float64)
+        if unit != self.unit:
+            low, high = (float(f(values, initial=np.nan)) for f in (np.fmin.reduce, np.fmax.reduce))
+            raise LogError(
+                f"{where}: commands run from {low:g} to {high:g} and are read as {unit}, the campaign says "
+                f"{self.unit}; correct command.unit, or log.command_unit where the log states none"
+            )
+        if self.forward_half is not None:
+            return self._halves(values, where)
+        above = values - self.neutral
+        span = np.where(above >= 0, self.maximum - self.neutral, max(self.neutral - self.minimum, 1e-300))
+        u = above / span
+        if self.neutral <= self.minimum:
+            u = np.maximum(u, 0.0)
+        with np.errstate(invalid="ignore"):
+            outside = values[np.abs(u) > 1.0 + 1e-6]
+        if outside.size:
+            raise LogError(
+                f"{where}: {outside.size} commands lie outside {self.minimum:g} to {self.maximum:g} "
+                f"{self.unit}, for example {outside[0]:g}; correct command.minimum and command.maximum"
+            )
+        return u
+
+    def _halves(self, values: FloatArray, where: str) -> FloatArray:
+        with np.errstate(invalid="ignore"):
+            outside = values[(values < 0) | (values > _DSHOT_LAST) | (values != np.rint(values))]
+            outside = outside[np.isfinite(outside)]
+            low = np.where(values > _DSHOT_STOP, (values - _DSHOT_STOP) / _DSHOT_HALF, 0.0)
+            high = (values - _DSHOT_STOP - _DSHOT_HALF) / _DSHOT_HALF
+        if outside.size:
+            raise LogError(
+                f"{where}: {outside.size} commands are no DShot number of 0 to {_DSHOT_LAST}, for example "
+                f"{outside[0]:g}; leave out command.forward_half and state command.minimum and its kin"
+            )
+        sign = 1.0 if self.forward_half == "low" else -1.0
+        return np.where(high > 0, -sign * high, sign * low) + 0.0 * values
+
+
+@dataclass(frozen=True, eq=False)
+class CommandSteps:
+    """Command schedule of a log: `level[i]` (u) holds from `time[i]` [s] on, the first from the first row."""
+
+    time: FloatArray
+    level: FloatArray
+
+
+def command_steps(time: FloatArray, u: FloatArray) -> CommandSteps:
+    """Return the changes of a logged command; a blank command holds the one before."""
+    known = np.isfinite(u)
+    if not known.any():
+        raise LogError("the log holds no command; a motor fit needs the command beside the speed")
+    t, level = time[known], u[known]
+    changes = np.concatenate([[0], np.flatnonzero(np.diff(level)) + 1])
+    return CommandSteps(t[changes], level[changes])
+
+
+@dataclass(frozen=True)
+class Stall:
+    """A pause of the logger, and the interval that it makes doubtful (None: no command was in flight).
+
+    Parameters
+    ----------
+    start, end : float
+        Last row before and first row after the pause [s].
+    doubtful : (float, float) or None
+        From the command whose time was lost until its response is over [s].
+    """
+
+    start: float
+    end: float
+    doubtful: tuple[float, float] | None
+
+
+def find_stalls(time: FloatArray, steps: CommandSteps) -> tuple[Stall, ...]:
+    """Find pauses in the timestamps and the commands whose time they lost.
+
+    A logger that stalls around a command writes the command's row before the pause although the motor gets
+    it, or is read, some unknown time later: the rotor seems to wait for up to 0.1 s. The interval from the
+    command to 0.15 s after the pause then says nothing about the motor.
+
+    Parameters
+    ----------
+    time : (n,) array
+        Row times of the log [s].
+    steps : CommandSteps
+        Its commands.
+    """
+    interval = np.diff(time)
+    if interval.size == 0:
+        return ()
+    limit = max(_STALL_LEAST, _STALL_INTERVALS * float(np.median(interval)))
+    out = []
+    for i in np.flatnonzero(interval > limit):
+        start, end = float(time[i]), float(time[i + 1])
+        # The command's own row may be the first after the pause.
+        in_flight = steps.time[1:][(steps.time[1:] >= start - _REACH) & (steps.time[1:] <= end + 1e-9)]
+        doubtful = None
+        if in_flight.size:
+            doubtful = (min(float(in_flight[0]), start), end + _RECOVERY)
+        out.append(Stall(start, end, doubtful))
+    return tuple(out)
+
+
+def outside(time: FloatArray, intervals: Sequence[tuple[float, float]]) -> BoolArray:
+    """Return True (n,) where a time [s] lies in none of the closed intervals."""
+    keep = np.ones(time.size, dtype=np.bool_)
+    for start, end in intervals:
+        keep &= (time < start) | (time > end)
+    return keep
+
+
+def real_samples(values: FloatArray) -> BoolArray:
+    """Return True (n,) where a slow sensor delivered a new value: neither blank nor the last one repeated.
+
+    For thrust stands, whose load cells update more slowly than rows are written. A new value that happens to
+    equal the last one is lost with the repeats.
+    """
+    known = np.flatnonzero(np.isfinite(values))
+    keep = np.zeros(values.size, dtype=np.bool_)
+    if known.size:
+        new = np.concatenate([[True], np.diff(values[known]) != 0])
+        keep[known[new]] = True
+    return keep
+
+
+@dataclass(frozen=True)
+class Tare:
+    """Reading of a sensor while nothing turned.
+
+    Parameters
+    ----------
+    value : float
+        To subtract [unit of the channel]; 0 where there was no row at rest.
+    error : float
+        Standard error of `value` [same]; NaN without rows.
+    rows : int
+        Samples at rest behind it.
+    source : str
+        Where it comes from.
+    """
+
+    value: float
+    error: float
+    rows: int
+    source: str = "rows at rest"
+
+
+def tare(values: FloatArray, at_rest: BoolArray) -> Tare:
+    """Return the mean of a sensor over the rows at rest."""
+    used = values[at_rest & np.isfinite(values)]
+    if used.size == 0:
+        return Tare(0.0, float("nan"), 0, "assumed")
+    return Tare(float(used.mean()), float(used.std() / np.sqrt(used.size)), int(used.size))
+
+
+def rows_at_rest(time: FloatArray, u: FloatArray, speed: FloatArray | None) -> BoolArray:
+    """Return True (n,) where no command is given and nothing turns, nor has turned for the last 0.5 s.
+
+    Parameters
+    ----------
+    time, u : (n,) arrays
+        Rows [s] and their command in [-1, 1].
+    speed : (n,) array, optional
+        [rad/s]; a probe that sees nothing pass reads zero.
+    """
+    rest = np.abs(u) < AT_REST
+    if speed is not None:
+        rest &= np.nan_to_num(speed) == 0
+    moving = time[~rest]
+    if moving.size == 0:
+        return rest
+    index = np.searchsorted(moving, time)
+    since = time - moving[np.maximum(index - 1, 0)]
+    return rest & ((index == 0) | (since > _RINGING))
+
+
+def signed_speed(speed: FloatArray, direction: Direction, where: str) -> FloatArray:
+    """Return speeds (n,) with the sign of the direction; optical probes see none.
+
+    Raises
+    ------
+    LogError
+        When the channel is all zero, a log of one direction turns both ways, or one of reversals never does.
+    """
+    known = speed[np.isfinite(speed)]
+    if known.size == 0 or not np.any(known):
+        raise LogError(
+            f"{where}: the speed is zero in all of its {known.size} samples; switch the probe on, or name "
+            "another signal as speed (log.columns of a table, log.datasets of HDF5, MAT, TDMS and LVM)"
+        )
+    top = float(np.max(np.abs(known)))
+    forward, reverse = bool(np.any(known > 0.05 * top)), bool(np.any(known < -0.05 * top))
+    if direction == "reversal":
+        if not (forward and reverse):
+            raise LogError(
+                f"{where}: a reversal trial whose speed never changes its sign ({known.min():.0f} to "
+                f"{known.max():.0f} rad/s); record a signed speed, or correct the trial's direction"
+            )
+        return speed
+    if forward and reverse:
+        raise LogError(
+            f"{where}: a {direction} trial that turns both ways ({known.min():.0f} to {known.max():.0f} "
+            'rad/s); set direction = "reversal", or cut the trial with start and end'
+        )
+    return np.abs(speed) if direction == "forward" else -np.abs(speed)
+
+
+def check_command_direction(u: FloatArray, direction: Direction, where: str) -> None:
+    """Refuse a log whose commands (n,) contradict its direction; a probe without sign would not show it.
+
+    Raises
+    ------
+    LogError
+        When a forward log is commanded backward, a reverse log forward, or a reversal log only one way.
+    """
+    known = u[np.isfinite(u)]
+    if not known.size:
+        return
+    low, high = float(known.min()), float(known.max())
+    backward, ahead = low < -_COMMANDED, high > _COMMANDED
+    if direction == "reversal":
+        if not (backward and ahead):
+            raise LogError(
+                f"{where}: a reversal trial whose commands only run from u = {low:.3g} to {high:.3g}; "
+                "correct the trial's direction, or command.neutral"
+            )
+    elif backward if direction == "forward" else ahead:
+        raise LogError(
+            f"{where}: a {direction} trial whose commands run from u = {low:.3g} to {high:.3g}; set "
+            'direction = "reversal", cut the trial with start and end, or correct command.neutral'
+        )
+
+
+def standing_command(
+    time: FloatArray, speed: FloatArray, steps: CommandSteps, window: tuple[float, float]
+) -> float | None:
+    """Return the u under which a rotor stands that a wrong unit or neutral explains; None: there is none.
+
+    It stands throughout a hold of over 0.5 s, and either turns under a smaller |u| elsewhere, or the log
+    never commands less. A late start, one above some throttle and a stand's safety cut are neither.
+
+    Parameters
+    ----------
+    time, speed : (n,) arrays
+        Known samples of the speed [s], [rad/s].
+    steps : CommandSteps
+    window : (start, end)
+        Part of the log that counts [s].
+    """
+    if not speed.size or not (top := float(np.abs(speed).max())) > 0.0:
+        return None
+    starts = np.maximum(steps.time, window[0])
+    ends = np.minimum(np.append(steps.time[1:], np.inf), window[1])
+    held, stands, turns = [], [], []
+    for start, end, level in zip(starts, ends, steps.level, strict=True):
+        inside = (time >= start) & (time < end)
+        if np.count_nonzero(inside) >= 2 and time[inside][-1] - time[inside][0] > _STANDING:
+            share = np.abs(speed[inside]) / top
+            held.append(float(level))
+            stands.append(bool(share.max() < _STANDS))
+            turns.append(bool(np.median(share) > _TURNS))
+    least = min(map(abs, held), default=0.0)
+    least_turning = min((abs(u) for u, runs in zip(held, turns, strict=True) if runs), default=np.inf)
+    for level, still in zip(held, stands, strict=True):
+        if still and abs(level) > _DRIVEN and (abs(level) > least_turning or abs(level) <= least):
+            return level
+    return None
+
+
+def wrong_poles(ratio: float) -> str:
+    """Return the sentence about an electrical speed that is `ratio` times the optical one [1]."""
+    pairs = [
+        (actual, entered)
+        for entered in range(2, 43, 2)
+        for actual in range(2, 43, 2)
+        if abs(actual / entered - ratio) < 0.005 * ratio
+    ]
+    # Most multirotor motors have 14 or 12 poles.
+    likely = min(pairs, key=lambda pair: (pair[0] not in (12, 14), sum(pair)), default=None)
+    guess = "" if likely is None else f", likely {likely[1]} entered for a motor of {likely[0]}"
+    # A propeller of two blades passes twice a turn.
+    ratio_of_marks = min(abs(ratio - 2.0), abs(ratio - 0.5)) < 0.005 * ratio
+    probe = ", or the optical probe counts the wrong number of marks" if ratio_of_marks else ""
+    return (
+        f"electrical speed is {ratio:.4g} times the optical one throughout: the pole count in the stand's "
+        f"program is wrong{guess}{probe}; the optical speed is used"
+    )

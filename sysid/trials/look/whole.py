@@ -1,0 +1,155 @@
+"""A whole recording: its channels, its drop or its bench test, and everything that looks wrong."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from sysid.recording import Recording
+from sysid.trials.look.advice import length_advice
+from sysid.trials.look.bench import BenchReport, inspect_bench
+from sysid.trials.look.channels import ChannelReport, inspect_channel, without_clock
+from sysid.trials.look.drop import STANDARD_GRAVITY, DropReport, inspect_drop
+
+# A capture volume is no larger [m].
+_FARTHEST = 100.0
+_WRONG_GRAVITY = 0.03
+_CROOKED = np.radians(5.0)
+# Units of a drop's report as an option says them.
+_WRITTEN = {"inches": "inch", "feet": "foot", "metres, read as mm": "m"}
+
+
+@dataclass(frozen=True)
+class LogReport:
+    """What is known about one log.
+
+    Parameters
+    ----------
+    path, sha256, format, device, kind : str
+        Of the recording.
+    duration : float
+        From the first to the last sample of any channel [s]; of a static map: NaN.
+    channels : tuple of ChannelReport
+        In file order.
+    drop : DropReport or None
+        Where a body falls.
+    bench : BenchReport or None
+        Of a running thrust-stand or load-cell log.
+    suspicions : tuple of str
+        What looks like a mistake, one sentence each.
+    notes : tuple of str
+        What the loader noticed and did.
+    """
+
+    path: str
+    sha256: str
+    format: str
+    device: str
+    kind: str
+    duration: float
+    channels: tuple[ChannelReport, ...]
+    drop: DropReport | None
+    bench: BenchReport | None
+    suspicions: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the report as plain values for JSON; a number that is unknown is None."""
+
+        def plain(value: Any) -> Any:
+            if isinstance(value, dict):
+                return {key: plain(one) for key, one in value.items()}
+            if isinstance(value, list | tuple):
+                return [plain(one) for one in value]
+            return None if isinstance(value, float) and not math.isfinite(value) else value
+
+        result: dict[str, Any] = plain(asdict(self))
+        return result
+
+
+def inspect_recording(recording: Recording, gravity: float = STANDARD_GRAVITY) -> LogReport:
+    """Return what a recording holds and what looks wrong with it.
+
+    Parameters
+    ----------
+    recording : Recording
+        As loaded.
+    gravity : float
+        [m/s²]
+    """
+    channels = tuple(inspect_channel(channel) for channel in recording.channels.values())
+    if recording.kind == "static-map":  # points follow one another in no time
+        channels = tuple(without_clock(one) for one in channels)
+    suspicions = [f"{one}" for one in recording.provenance.notes if "pole count" in one]
+    drop, bench = None, None
+    if recording.kind in ("thrust-stand", "load-cell"):
+        bench, found = inspect_bench(recording)
+        suspicions += found
+    if recording.kind == "motion-capture":
+        drop = inspect_drop(recording, gravity)
+        suspicions += _capture_suspicions(recording, drop, gravity)
+    suspicions += [
+        f"{one.name} sits at its limit ({one.highest:.4g} {one.unit}) for {100 * one.saturated:.2g} % of the "
+        "samples: the sensor may be saturated"
+        for one in channels
+        if one.saturated > 0
+    ]
+    suspicions += [f"{one.name} holds no value at all" for one in channels if one.blank == 1.0]
+    first = min((c.time[0] for c in recording.channels.values() if c.time.size), default=0.0)
+    last = max((c.time[-1] for c in recording.channels.values() if c.time.size), default=0.0)
+    said = recording.provenance
+    return LogReport(
+        said.path,
+        said.sha256,
+        said.format,
+        said.device,
+        recording.kind,
+        float("nan") if recording.kind == "static-map" else float(last - first),
+        channels,
+        drop,
+        bench,
+        tuple(suspicions),
+        said.notes,
+    )
+
+
+def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: float) -> list[str]:
+    found = []
+    far = [
+        (name, float(np.nanmax(np.abs(channel.values))))
+        for name, channel in recording.channels.items()
+        if name.endswith("/position") and channel.valid.any()
+    ]
+    name, distance = max(far, key=lambda one: one[1], default=("", 0.0))
+    if distance > _FARTHEST and (drop is None or not drop.length_unit):  # one unit is suspected, not two
+        found.append(
+            f"{name} reaches {distance:.4g} m: lengths are probably mm; {length_advice(recording, 'mm')}"
+        )
+    if drop is None:
+        return found
+    if drop.length_unit:
+        unit = _WRITTEN.get(drop.length_unit, drop.length_unit)
+        found.append(
+            f"{drop.body} falls as if lengths were in {drop.length_unit}; {length_advice(recording, unit)}"
+        )
+        return found
+    # 3 % over a flight of 0.2 s is a few sample errors; shorter flights tell g worse.
+    flight = drop.touchdown - (drop.release if drop.release is not None else drop.touchdown - 0.1)
+    if abs(drop.gravity / gravity - 1.0) > max(_WRONG_GRAVITY, 0.01 / max(flight, 1e-3)):
+        found.append(
+            f"{drop.body} falls with {drop.gravity:.3g} m/s² instead of {gravity:.4g}: check the rate, the "
+            "length unit and that nothing brakes it"
+        )
+    if drop.up_error > _CROOKED:
+        found.append(
+            f"the fall is {np.degrees(drop.up_error):.0f} deg off the axis {drop.up}: the capture's ground "
+            "plane is tilted"
+        )
+    if drop.up[0] == "-":
+        found.append(f'{drop.body} falls toward +{drop.up[1]}: that axis points down; set up = "{drop.up}"')
+    elif drop.up[1] == "x":
+        found.append(f'{drop.body} falls along x: axes may be swapped; set up = "{drop.up}"')
+    return found

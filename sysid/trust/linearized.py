@@ -1,0 +1,269 @@
+"""What noise leaves open of the parameters, linearized at one point.
+
+With weighted residuals rho, their derivatives J, curvature ``H = JᵀJ`` and gradient noise ``V = cov(Jᵀ
+rho)``, the minimum of the sum of squares scatters with the covariance ``H⁻¹ V H⁻¹`` (White 1982, "sandwich").
+V holds what a plain Fisher matrix leaves out: neighbouring samples are correlated, rates are derived from
+positions, blocks are weighted by their NRMSE, and what the fit takes as known (initial states) is uncertain
+as well:
+
+    V = sum over trials, channel pairs and lags of Jᵀ Γ(lag) J + G Gᵀ,  G = Jᵀ (one-sigma changes of rho)
+
+Γ comes from the residuals of the fit, pooled over trials, with a flat-top lag window (Politis & Romano 1995)
+as wide as the correlation lasts; before a fit from noise that walked through the same filter. The half-widths
+use the bounds as well: a parameter is known to within its range in any case (a Gaussian of the range's
+deviation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sysid.parameters import SearchSpace
+from sysid.trust.problem import Block
+from sysid.types import FloatArray
+
+# Standard normal beyond which 5 % lie, on both sides together.
+NORMAL_95 = 1.959964
+# Chi-square of one degree of freedom.
+CHI2 = {0.68: 0.988946, 0.95: 3.841459}
+# A uniform density over the unit cube's edge has the variance 1/12.
+_OF_BOUNDS = 12.0
+# Within this of a bound a parameter is at it; a deviation of this share of the range's is the range's [1].
+_AT_BOUND, _UNSEEN = 0.01, 0.9
+# Partners are named from this correlation on.
+PARTNER = 0.8
+# Correlation that counts as none, in its own standard errors (Politis 2003), over so many lags in a row.
+_NEGLIGIBLE, _IN_A_ROW = 2.0, 5
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """Linearized uncertainty at one point, in the unit cube.
+
+    Parameters
+    ----------
+    curvature : (n, n) array
+        H.
+    gradient_noise : (n, n) array
+        V.
+    covariance : (n, n) array
+        Of the minimum, the bounds included.
+    inflation : (n,) array
+        By how much the drop of the cost along a parameter's profile exceeds chi-square (Kent 1982):
+        ``(H⁻¹VH⁻¹)_ii/(H⁻¹)_ii``.
+    """
+
+    curvature: FloatArray
+    gradient_noise: FloatArray
+    covariance: FloatArray
+    inflation: FloatArray
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(n,) standard deviation [unit cube]."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def correlation(self) -> FloatArray:
+        """(n, n) correlation of the estimates [1]."""
+        sigma = self.sigma
+        return self.covariance / np.outer(sigma, sigma)
+
+    def partners(self, names: Sequence[str]) -> tuple[tuple[tuple[str, float], ...], ...]:
+        """Return for each parameter those it trades with, the strongest first: (name, correlation)."""
+        rho = self.correlation
+        out = []
+        for i in range(len(names)):
+            near = [(names[j], float(rho[i, j])) for j in range(len(names)) if j != i]
+            strong = [pair for pair in near if abs(pair[1]) >= PARTNER]
+            out.append(tuple(sorted(strong, key=lambda pair: -abs(pair[1]))))
+        return tuple(out)
+
+
+def information(jacobian: FloatArray, gradient_noise: FloatArray) -> Information:
+    """Return the uncertainty from derivatives (m, n) of weighted residuals and the gradient's noise."""
+    n = jacobian.shape[1]
+    curvature = jacobian.T @ jacobian
+    size = np.sqrt(np.diag(curvature))
+    seen = size > 1e-9 * max(float(size.max()), 1e-300)
+    size = np.maximum(size, 1e-9 * max(float(size.max()), 1e-300))
+    hessian = curvature / np.outer(size, size)
+    noise = _positive(gradient_noise / np.outer(size, size))
+    # What the data say, H V⁻¹ H, and what the bounds say, add up as information.
+    said = hessian @ np.linalg.pinv(noise, rcond=1e-10, hermitian=True) @ hessian * np.outer(size, size)
+    covariance = np.linalg.inv(_positive(said) + _OF_BOUNDS * np.eye(n))
+    # Directions that the data do not see at all would make the inverse infinite.
+    inverse = np.linalg.pinv(hessian + 1e-12 * np.eye(n), hermitian=True)
+    sandwich = inverse @ noise @ inverse
+    rise = np.maximum(np.diag(sandwich), 1e-300) / np.maximum(np.diag(inverse), 1e-300)
+    # What the residuals do not see has a flat profile whatever it is divided by.
+    rise = np.where(seen, rise, np.median(rise[seen]) if seen.any() else 1.0)
+    return Information(curvature, gradient_noise, np.asarray(covariance, dtype=np.float64), rise)
+
+
+def with_bounds(
+    found: Information, jacobian: FloatArray, gradient_noise: FloatArray, point: FloatArray
+) -> Information:
+    """Return the uncertainty at a point (n,) of the unit cube, where some parameters may not move.
+
+    A parameter at its bound, or one that the data do not see, absorbs nothing: what noise does to the others
+    they bear alone. Freed, it would take a share (a motor's k_d takes the error of the torque curve), which
+    the linearization counts as knowledge. The larger uncertainty of both is taken.
+    """
+    lost = found.sigma > _UNSEEN / np.sqrt(_OF_BOUNDS)
+    held = (point <= _AT_BOUND) | (point >= 1.0 - _AT_BOUND) | lost
+    kept = np.flatnonzero(~held)
+    if len(kept) in (0, len(point)):
+        return found
+    alone = information(jacobian[:, kept], gradient_noise[np.ix_(kept, kept)])
+    rise = np.array(found.inflation)
+    rise[kept] = np.maximum(rise[kept], alone.inflation)
+    wider = np.ones(len(point))
+    wider[kept] = np.maximum(1.0, alone.sigma / found.sigma[kept])
+    return replace(found, inflation=rise, covariance=found.covariance * np.outer(wider, wider))
+
+
+def _positive(matrix: FloatArray) -> FloatArray:
+    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
+    floor = 1e-12 * max(float(values.max()), 1e-300)
+    return np.asarray((vectors * np.maximum(values, floor)) @ vectors.T, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """Correlations of residuals, each block scaled to unit variance.
+
+    Parameters
+    ----------
+    channels : tuple of int
+        Which channels, in the order of the arrays.
+    covariance : (C, C, L + 1) array
+        Of channel c at a sample and channel c' so many samples later [1].
+    """
+
+    channels: tuple[int, ...]
+    covariance: FloatArray
+
+    @property
+    def inflation(self) -> FloatArray:
+        """(C,) samples of each channel that carry as much as one independent one [1]."""
+        own = np.array([self.covariance[c, c] for c in range(len(self.channels))])
+        return np.maximum(1.0, (own[:, 0] + 2 * own[:, 1:].sum(axis=1)) / np.maximum(own[:, 0], 1e-300))
+
+
+def noise_model(blocks: Sequence[Block], residuals: FloatArray) -> NoiseModel:
+    """Estimate the correlations of residuals (m,), pooled over trials."""
+    channels = tuple(dict.fromkeys(block.channel for block in blocks))
+    number = {channel: c for c, channel in enumerate(channels)}
+    trials: dict[int, dict[int, FloatArray]] = {}
+    for block in blocks:
+        values = residuals[block.start : block.stop]
+        rms = np.sqrt(np.sum(values**2) / block.count)
+        trials.setdefault(block.trial, {})[number[block.channel]] = values / max(float(rms), 1e-300)
+    shortest = min(len(next(iter(trial.values()))) for trial in trials.values())
+    longest = max(1, shortest // 3)
+    total = np.zeros((len(channels), len(channels), longest + 1))
+    samples = np.zeros((len(channels), len(channels)))
+    for trial in trials.values():
+        for c, first in trial.items():
+            for d, second in trial.items():
+                n = len(first)
+                spectrum = np.fft.rfft(second, 2 * n) * np.conj(np.fft.rfft(first, 2 * n))
+                total[c, d] += np.fft.irfft(spectrum, 2 * n)[: longest + 1]
+                samples[c, d] += n
+    total /= np.maximum(samples, 1)[:, :, None]
+    width = max(
+        _lasting(total[c, c] / max(total[c, c, 0], 1e-300), samples[c, c]) for c in range(len(channels))
+    )
+    lags = np.arange(min(2 * width, longest) + 1)
+    window = np.clip(2 - lags / max(width, 1), 0, 1)
+    return NoiseModel(channels, total[:, :, : len(lags)] * window)
+
+
+def undisturbed(blocks: Sequence[Block], residuals: FloatArray, disturbances: FloatArray) -> FloatArray:
+    """Return residuals (m,) without the part that one-sigma changes (K, m) of what is taken as known explain.
+
+    Such a part lasts through a whole trial, and counted as noise it would be counted twice. Each change is
+    estimated with its own standard deviation as the prior, each block weighted by its NRMSE.
+    """
+    weight = np.zeros(len(residuals))
+    for block in blocks:
+        values = residuals[block.start : block.stop]
+        weight[block.start : block.stop] = block.count / max(float(np.sum(values**2)), 1e-300)
+    weighted = disturbances * weight
+    normal = weighted @ disturbances.T + np.eye(len(disturbances))
+    return residuals - np.linalg.solve(normal, weighted @ residuals) @ disturbances
+
+
+def _lasting(correlation: FloatArray, samples: float) -> int:
+    """Return the lag from which on a channel's samples are not correlated any more."""
+    small = np.abs(correlation) < _NEGLIGIBLE * np.sqrt(np.log10(max(samples, 10.0)) / samples)
+    for lag in range(1, len(small)):
+        if small[lag : lag + _IN_A_ROW].all():
+            return lag
+    return max(1, len(small) // 2)
+
+
+def gradient_noise(
+    blocks: Sequence[Block],
+    jacobian: FloatArray,
+    scale: FloatArray,
+    levels: FloatArray,
+    noise: NoiseModel,
+    disturbances: FloatArray,
+) -> FloatArray:
+    """Return V (n, n), the covariance of ``Jᵀ rho``.
+
+    Parameters
+    ----------
+    blocks : sequence of Block
+    jacobian : (m, n) array
+        Of the weighted residuals.
+    scale : (m,) array
+        Their weights.
+    levels : (B,) array
+        NRMSE of the noise in every block [1].
+    noise : NoiseModel
+    disturbances : (K, m) array
+        See `Problem.disturbances`; unweighted.
+    """
+    n = jacobian.shape[1]
+    number = {channel: c for c, channel in enumerate(noise.channels)}
+    trials: dict[int, dict[int, FloatArray]] = {}
+    for block, level in zip(blocks, levels, strict=True):
+        rows = slice(block.start, block.stop)
+        amplitude = scale[rows] * level
+        trials.setdefault(block.trial, {})[number[block.channel]] = jacobian[rows] * amplitude[:, None]
+    out = np.zeros((n, n))
+    for trial in trials.values():
+        for c, first in trial.items():
+            for d, second in trial.items():
+                length = len(first)
+                for lag in range(min(noise.covariance.shape[2], length)):
+                    value = noise.covariance[c, d, lag]
+                    if value == 0.0:
+                        continue
+                    part = value * (first[: length - lag].T @ second[lag:])
+                    out += part if lag == 0 else part + part.T
+    pushed = jacobian.T @ (disturbances * scale).T
+    return _positive(out) + pushed @ pushed.T
+
+
+def half_widths(space: SearchSpace, point: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Return the expected relative 95 % half-width of every parameter (n,) [1].
+
+    Half of what lies between the ends of the interval, over the value; infinite where that is 0.
+    """
+    value = np.abs(space.decode(point))
+    low = space.decode(np.clip(point - NORMAL_95 * sigma, 0.0, 1.0))
+    high = space.decode(np.clip(point + NORMAL_95 * sigma, 0.0, 1.0))
+    # An interval that a bound cuts is as wide as the side that is not cut.
+    cut_low, cut_high = point - NORMAL_95 * sigma < 0.0, point + NORMAL_95 * sigma > 1.0
+    centre = space.decode(point)
+    width = np.where(cut_low & ~cut_high, 2 * (high - centre), high - low)
+    width = np.where(cut_high & ~cut_low, 2 * (centre - low), width)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(value > 0, width / 2 / value, np.inf)

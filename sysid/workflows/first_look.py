@@ -1,0 +1,78 @@
+"""A newcomer's walk from a raw folder to parameter sets, for a notebook: look, describe, fit."""
+
+from __future__ import annotations
+
+import html
+import io
+from pathlib import Path
+
+from rich.console import Console
+
+from sysid.campaign import GearCampaign, read_campaign
+from sysid.campaign.file import resolve_log
+from sysid.campaign.read_logs import load_stated
+from sysid.report.fit_figures import WIDTH
+from sysid.report.fit_report import FitReport, open_fit
+from sysid.report.html import Html, picture
+from sysid.report.inspect_figures import figure_logs
+from sysid.trials.look import inspect_recording
+from sysid.workflows.inspect import print_report
+from sysid.workflows.search import FitOptions
+
+_WIDTH = 96
+
+
+def look_at_log(campaign: str | Path, trial: int = 0) -> Html:
+    """Return what `sysid inspect` says and draws of the log of a campaign's trial."""
+    stated = read_campaign(campaign)
+    path = resolve_log(campaign, stated.trials[trial].log)
+    own = stated.capture if isinstance(stated, GearCampaign) else stated.log
+    recording = load_stated(path, own.format, own.loader_options(), {})
+    report = inspect_recording(recording)
+    text = io.StringIO()
+    # Inside a notebook rich would show every line by itself instead of writing it, with codes of colours.
+    console = Console(
+        file=text, width=_WIDTH, soft_wrap=True, force_jupyter=False, force_terminal=False, color_system=None
+    )
+    print_report(console, report)
+    figure = figure_logs([recording], [report], width=WIDTH)
+    words = f"channels of {path.name} over time: {', '.join(one.name for one in report.channels[:8])}"
+    return _text(text.getvalue()) + picture(figure, words, f"{path.name}, as recorded.", vector=False)
+
+
+def campaign_text(campaign: str | Path) -> Html:
+    """Return a campaign file as it stands."""
+    return _text(Path(campaign).read_text(encoding="utf-8"))
+
+
+def first_fit(
+    campaign: str | Path,
+    out: str | Path,
+    *,
+    runs: int | None = None,
+    max_generations: int | None = None,
+) -> FitReport:
+    """Fit a campaign, replacing what lies in the folder, and return the parts of its report.
+
+    Parameters
+    ----------
+    campaign, out : str or Path
+        Campaign file and fit folder.
+    runs, max_generations : int, optional
+        Cut the search short; the campaign's own by default.
+    """
+    options = FitOptions(
+        Path(out), force=True, quiet=True, runs=runs, max_generations=max_generations,
+        finish="none" if max_generations is not None else None,
+    )  # fmt: skip
+    if isinstance(read_campaign(campaign), GearCampaign):
+        from sysid.gear.problem import fit_gear
+
+        return open_fit(fit_gear(campaign, options)[1])
+    from sysid.motor.problem import fit_motor
+
+    return open_fit(fit_motor(campaign, options)[1])
+
+
+def _text(text: str) -> Html:
+    return Html(f'<pre tabindex="0">{html.escape(text)}</pre>')

@@ -1,0 +1,123 @@
+"""`sysid fits`: what lies in a folder of fits, finished or not."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import h5py
+from rich.table import Table
+
+from sysid import exact_json
+from sysid.errors import FitError
+from sysid.fit.checkpoint import held, read_state, run_numbers, state_files
+from sysid.fit.store import FIT_SCHEMA
+from sysid.report.fold import print_table
+
+_SUFFIX = ".checkpoint"
+
+
+@dataclass(frozen=True)
+class FitEntry:
+    """One fit of a folder.
+
+    Parameters
+    ----------
+    name : str
+        Of its folder.
+    state : str
+        ``running`` (a process holds it), ``stopped`` (can be continued), ``unfinished`` (either of the two:
+        its lock may not be opened), ``done``, or ``damaged``.
+    nrmse : float or None
+        Best found so far [1].
+    runs : int
+        Runs that were begun [1].
+    changed : float
+        When it last changed [s since 1970].
+    """
+
+    name: str
+    state: str
+    nrmse: float | None
+    runs: int
+    changed: float
+
+
+def list_fits(folder: str | Path) -> list[FitEntry]:
+    """Return the fits of a folder, by name; an unfinished one stands for the result of an earlier part of it.
+
+    Raises
+    ------
+    FitError
+        When there is no such folder.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise FitError(f"{folder}: no such folder; name the one in which the fits lie")
+    entries = {path.name: _finished(path) for path in folder.iterdir() if (path / "fit.h5").is_file()}
+    for path in folder.iterdir():
+        if path.name.endswith(_SUFFIX) and path.is_dir() and run_numbers(path):
+            entries[path.name.removesuffix(_SUFFIX)] = _unfinished(path)
+    return [entries[name] for name in sorted(entries)]
+
+
+def _finished(path: Path) -> FitEntry:
+    file_path = path / "fit.h5"
+    changed = file_path.stat().st_mtime
+    try:
+        with h5py.File(file_path, "r") as file:
+            if file.attrs.get("schema") != FIT_SCHEMA:
+                return FitEntry(path.name, "damaged", None, 0, changed)
+            nrmse = float(file["sets/nrmse"][()].min())
+            return FitEntry(path.name, str(file.attrs["state"]), nrmse, len(file.get("runs", ())), changed)
+    # What h5py raises on a damaged file depends on where the damage lies.
+    except (OSError, KeyError, ValueError, RuntimeError):
+        return FitEntry(path.name, "damaged", None, 0, changed)
+
+
+def _unfinished(path: Path) -> FitEntry:
+    lowest, changed, runs = None, 0.0, run_numbers(path)
+    for run in runs:
+        for file in state_files(path, run):
+            try:
+                memory, _ = read_state(file)
+            except FitError:
+                continue
+            costs = [float(cost.min()) for stage in memory.stages for cost in stage.cost]
+            lowest = min([*costs, *([] if lowest is None else [lowest])], default=None)
+            changed = max(changed, file.stat().st_mtime)
+            break
+    state = {True: "running", False: "stopped", None: "unfinished"}[held(path)]
+    return FitEntry(path.name.removesuffix(_SUFFIX), state, lowest, len(runs), changed)
+
+
+def print_fits(folder: Path, json: bool = False) -> None:
+    """Print the fits of a folder: state, NRMSE, runs, age."""
+    entries = list_fits(folder)
+    if json:
+        print(exact_json.dumps([asdict(entry) for entry in entries]))
+        return
+    if not entries:
+        print(f"no fits in {folder}; sysid fit-motor and sysid fit-gear write there")
+        return
+    table = Table(box=None, pad_edge=False)
+    for head in ("fit", "state"):
+        table.add_column(head)
+    for head in ("NRMSE", "runs", "age"):
+        table.add_column(head, justify="right")
+    now = time.time()
+    for entry in entries:
+        nrmse = "-" if entry.nrmse is None else f"{100 * entry.nrmse:.3f} %"
+        age = _age(now - entry.changed) if entry.changed else "-"
+        table.add_row(entry.name, entry.state, nrmse, str(entry.runs), age)
+    print_table(table)
+    if any(entry.state == "stopped" for entry in entries):
+        print("a stopped fit goes on with its command and --resume")
+
+
+def _age(seconds: float) -> str:
+    for size, unit in ((86400.0, "d"), (3600.0, "h"), (60.0, "min")):
+        if seconds >= size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{max(0.0, seconds):.0f} s"

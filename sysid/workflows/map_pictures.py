@@ -1,0 +1,100 @@
+"""Landing maps for a page: computed on a coarse grid, one narrow picture per map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid.landing.impulse import ImpulseSettings
+from sysid.landing.impulse_maps import after_impulses, impulse_maps
+from sysid.landing.maps import LandingMap, MapSettings, landing_maps
+from sysid.landing.outcomes import Outcome
+from sysid.report.html import Html, grid, legend, picture
+from sysid.report.landing_figures import MapLegend, figure_impulse, figure_landing_maps
+from sysid.workflows.landing_maps import static_lines
+from sysid.workflows.landing_sources import LandingOptions, span
+
+
+def landing_pictures(
+    gears: Sequence[str | Path],
+    motor: str | Path,
+    *,
+    slopes: str = "0:45:3",
+    speeds: str = "0.1:2:0.19",
+    controllers: Sequence[str] = ("off", "reverse"),
+) -> Html:
+    """Return the maps of every surface under every controller, in the manner of Fig. 8.
+
+    Parameters
+    ----------
+    gears : sequence of str or Path
+        Gear sets, one per surface.
+    motor : str or Path
+        Motor sets.
+    slopes, speeds : str
+        Grid [deg], [m/s]: first:last:step or a list.
+    controllers : sequence of str
+        As for ``sysid landing-map``.
+    """
+    sources = LandingOptions(Path(motor), controllers=tuple(controllers))
+    fleets, _ = sources.fleets([Path(gear) for gear in gears])
+    settings = MapSettings(span(slopes, "slopes"), span(speeds, "speeds"), check=False)
+    told = sources.told(settings.rules.horizon)
+    return _pictures(landing_maps(fleets, told, settings), static_lines(fleets, told))
+
+
+def impulse_pictures(
+    gears: Sequence[str | Path],
+    motor: str | Path,
+    *,
+    slopes: str = "5:40:7",
+    speeds: str = "0.3:1.5:0.3",
+    delays: str = "0:0.24:0.04",
+    durations: str = "0:0.16:0.04",
+    ideal_reversal: bool = False,
+) -> Html:
+    """Return the landings after the best impulse and that impulse itself, in the manner of Figs. 9 to 11.
+
+    Parameters
+    ----------
+    gears, motor, slopes, speeds
+        As for `landing_pictures`.
+    delays, durations : str
+        What is tried [s].
+    ideal_reversal : bool
+        Motors without reversal delay; the rear pair then reverses in the impulse (Fig. 11).
+    """
+    sources = LandingOptions(Path(motor), ideal_reversal=ideal_reversal)
+    fleets, _ = sources.fleets([Path(gear) for gear in gears])
+    settings = MapSettings(span(slopes, "slopes"), span(speeds, "speeds"), check=False)
+    tried = (span(delays, "delays"), span(durations, "durations"))
+    rear = -0.8 if ideal_reversal else 0.1
+    impulses = ImpulseSettings(*tried, rear=rear, ideal_reversal=ideal_reversal)
+    best, maps = impulse_maps(fleets, settings, impulses)
+    pieces = []
+    for one in best:
+        figure = figure_impulse([one], stacked=True)
+        words = f"delay and duration of the best impulse over touchdown speed and slope, {one.surface}"
+        pieces.append(picture(figure, words))
+    return _pictures(maps, static_lines(fleets, after_impulses(impulses))) + grid(pieces)
+
+
+def _pictures(maps: Sequence[LandingMap], limits: Any) -> Html:
+    pieces, told = [], MapLegend()
+    for one in maps:
+        figure = figure_landing_maps([one], limits=limits, legend=told)
+        pieces.append(picture(figure, _words(one)))
+    return legend(told.entries()) + grid(pieces)
+
+
+def _words(one: LandingMap) -> str:
+    safe = one.share(Outcome.SHORT) + one.share(Outcome.NEAR)
+    rows = np.flatnonzero(np.nan_to_num(safe).max(axis=1) >= 0.5)
+    steepest = f"{one.slopes_deg[rows[-1]]:g}°" if len(rows) else "none"
+    return (
+        f"{one.title}: outcome of landings over touchdown speed in m/s and slope in degrees; steepest slope "
+        f"of the grid on which half of the sets come to rest within 1 m at some speed: {steepest}"
+    )

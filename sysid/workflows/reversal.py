@@ -1,0 +1,392 @@
+"""`sysid reversal-time`: how long speed controllers take to reverse the thrust, log by log."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from sysid import exact_json
+from sysid.errors import LogError
+from sysid.filters import ChebyshevLowpass
+from sysid.loaders import load
+from sysid.motor.targets import uniform_filtered
+from sysid.recording import Channel
+from sysid.report.fit_plots import save_figure
+from sysid.report.fold import print_table
+from sysid.report.motor_figures import ReversalCurves, figure_reversals
+from sysid.trials.bench_log import (
+    CommandRange,
+    CommandSteps,
+    Tare,
+    command_steps,
+    find_stalls,
+    real_samples,
+    rows_at_rest,
+    tare,
+)
+from sysid.trials.common_clock import on_one_clock
+from sysid.trials.reversal import (
+    JITTER,
+    LEVEL,
+    SLOW,
+    Repetitions,
+    Sense,
+    find_reversals,
+    held_commands,
+    repetitions,
+)
+from sysid.trials.signs import zero_of_steady
+from sysid.trials.steady import steady_points
+from sysid.types import BoolArray, FloatArray
+
+# A log is filtered when it has this many samples per period of the stop-band edge.
+_FAST = 10.0
+# The clock of a log whose channels have their own: that of the force.
+_NEEDED, _CLOCK_OF = ("command", "speed", "thrust"), ("thrust",)
+_NO_TARE = Tare(0.0, math.nan, 0, "assumed")
+# Minimum, neutral and maximum of a protocol where the user says nothing. Bidirectional DShot is no single
+# line over its numbers, so it has no default.
+_PROTOCOLS = {"us": (1000.0, 1500.0, 2000.0), "1": (-1.0, 0.0, 1.0)}
+
+
+@dataclass(frozen=True)
+class ReversalOptions:
+    """How the logs are read.
+
+    Parameters
+    ----------
+    command_unit : str, optional
+        ``us``, ``dshot`` or ``1`` where the log does not say it.
+    minimum, neutral, maximum : float, optional
+        Full reverse, rest, full forward in that unit; 1000, 1500, 2000 µs or -1, 0, 1 by default.
+    sense : {"to-reverse", "to-forward", "both"}
+    stop_edge : float
+        Of the low-pass of fast logs [Hz].
+    slow : float
+        Times the quickest of a pair of commands beyond which a repetition is an outlier [1].
+    thrust_sign : {1, -1}
+        -1 where the log's thrust is positive in reverse.
+    forward_half : {"low", "high"}, optional
+        Of bidirectional DShot; in place of the three numbers.
+    """
+
+    command_unit: str | None = None
+    minimum: float | None = None
+    neutral: float | None = None
+    maximum: float | None = None
+    sense: Sense = "to-reverse"
+    stop_edge: float = 100.0
+    slow: float = SLOW
+    thrust_sign: float = 1.0
+    forward_half: Literal["low", "high"] | None = None
+
+    def __post_init__(self) -> None:
+        if abs(self.thrust_sign) != 1.0:
+            raise LogError(
+                f"--thrust-sign {self.thrust_sign:g}: it turns thrust and does not scale it; expected 1 or -1"
+            )
+        if not 1.0 < self.slow < math.inf:
+            raise LogError(
+                f"--slow {self.slow:g}: how many times slower than the quickest an outlier is; expected more "
+                "than 1, for example 1.5"
+            )
+
+    def range_of(self, unit: str, where: str) -> CommandRange:
+        """Return the command range in the log's unit.
+
+        Raises
+        ------
+        LogError
+            When the protocol has no default and the user gave no neutral.
+        """
+        given = (self.minimum, self.neutral, self.maximum)
+        if self.forward_half is not None:
+            if unit != "dshot" or any(value is not None for value in given):
+                raise LogError(
+                    f"{where}: --forward-half says what every DShot number means; commands are in {unit}: "
+                    "give it without --minimum, --neutral, --maximum, or give them instead"
+                )
+            return CommandRange(unit, 0.0, 0.0, 2047.0, self.forward_half)
+        known = _PROTOCOLS.get(unit)
+        if known is None and any(value is None for value in given):
+            raise LogError(
+                f"{where}: commands are in {unit}, whose neutral is not known; give --minimum, --neutral and "
+                "--maximum in that unit, or --forward-half low or high for bidirectional DShot"
+            )
+        low, rest, high = (
+            default if own is None else own for own, default in zip(given, known or (0.0,) * 3, strict=True)
+        )
+        if not low < rest < high:
+            raise LogError(
+                f"{where}: minimum {low:g}, neutral {rest:g}, maximum {high:g} {unit} are not in order; a "
+                "reversal needs a neutral between the two"
+            )
+        return CommandRange(unit, low, rest, high)
+
+
+@dataclass(frozen=True, eq=False)
+class LogReversals:
+    """Reversals of one log.
+
+    Parameters
+    ----------
+    name : str
+    groups : tuple of Repetitions
+        One per pair of commands.
+    thrust : (times [s], values [N])
+        As timed: tared, filtered where the log is fast.
+    crossing_from : {"speed", "thrust"}
+        What zero crossing and dead band were read from.
+    lost : int
+        Reversals left out because the logger stalled around their command.
+    notes : tuple of str
+    """
+
+    name: str
+    groups: tuple[Repetitions, ...]
+    thrust: tuple[FloatArray, FloatArray]
+    crossing_from: str
+    lost: int
+    notes: tuple[str, ...]
+
+    def document(self, slow: float) -> dict[str, Any]:
+        """Return what `--json` prints."""
+        return {
+            "log": self.name,
+            "zero crossing and dead band from": self.crossing_from,
+            "lost to stalls of the logger": self.lost,
+            "notes": list(self.notes),
+            "repetitions": [
+                {
+                    "command before": group.before,
+                    "command after": group.after,
+                    "count": len(group.reversals),
+                    "outliers": group.outliers(slow),
+                    "outlier share": group.outliers(slow) / len(group.reversals),
+                    **{
+                        name: {
+                            "median [s]": group.median(key),
+                            "quartiles [s]": list(group.quartiles(key)),
+                            "each [s]": [getattr(r, key) for r in group.reversals],
+                        }
+                        for name, key in _TIMES
+                    },
+                    "final thrust [N]": [r.final_thrust for r in group.reversals],
+                }
+                for group in self.groups
+            ],
+        }
+
+
+_TIMES = (("to 90 %", "to_level"), ("zero crossing", "zero_crossing"), ("dead band", "dead_band"))
+
+
+def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> LogReversals:
+    """Read a log and time its reversals.
+
+    Raises
+    ------
+    LogError
+        When it cannot be read, holds no thrust or command, or no reversal.
+    """
+    options = options or ReversalOptions()
+    path = Path(path)
+    if not path.is_file():
+        raise LogError(f"{path}: no such log; check the path")
+    recording = load(path, units={"command": options.command_unit} if options.command_unit else None)
+    where = recording.provenance.path
+    if recording.kind == "static-map":
+        raise LogError(f"{where}: holds averaged points, no transients; a reversal time needs a running log")
+    recording = on_one_clock(recording, _NEEDED, _CLOCK_OF)
+    command, thrust = recording["command"], recording["thrust"]
+    u = options.range_of(command.unit, where).to_u(command.values, command.unit, where)
+    time = command.time
+    # A neutral that jitters is a neutral, for the tare too.
+    u = np.where(np.abs(u) <= JITTER, 0.0, u)
+    steps = held_commands(command_steps(time, u))
+    rate = 1.0 / float(np.median(np.diff(time)))
+    fast = rate >= _FAST * options.stop_edge
+    speed = recording["speed"] if "speed" in recording.channels else None
+    zero = tare(thrust.values, rows_at_rest(time, u, None if speed is None else speed.values))
+    notes = [*recording.provenance.notes]
+    keep = thrust.valid if fast else real_samples(thrust.values)
+    if zero.rows == 0:
+        zero, said = _zero_without_rest(steps, thrust, keep, speed)
+        notes.append(f"no row at rest: {said}")
+    forces = (thrust.time[keep], options.thrust_sign * (thrust.values[keep] - zero.value))
+    turns = None if speed is None else (speed.time[speed.valid], speed.values[speed.valid])
+    if fast:
+        lowpass = ChebyshevLowpass(rate, options.stop_edge)
+        forces = _known(uniform_filtered(*forces, lowpass, f"{where}, thrust"))
+        turns = None if turns is None else _known(uniform_filtered(*turns, lowpass, f"{where}, speed"))
+    else:
+        notes.append(f"rows every {1e3 / rate:.1f} ms: timed between its own real samples, unfiltered")
+    stalls = find_stalls(time, steps)
+    doubtful = tuple(s.doubtful for s in stalls if s.doubtful is not None)
+    _check_sense(steps, forces, options.thrust_sign < 0, where)
+    everything = find_reversals(time, steps, forces, turns, sense=options.sense)
+    found = find_reversals(time, steps, forces, turns, skip=doubtful, sense=options.sense)
+    if not found:
+        lowest, highest = float(np.min(steps.level)), float(np.max(steps.level))
+        raise LogError(
+            f"{where}: no reversal that can be timed: commands run from u = {lowest:.3g} to {highest:.3g}, "
+            f"and {len(everything)} reversals were lost to stalls of the logger; check --neutral and "
+            "--sense, or record one"
+        )
+    groups = repetitions(found)
+    notes += [
+        f"u {group.before:+.2f} → {group.after:+.2f}: no repetition settled while it was held (at most "
+        f"{max(r.hold for r in group.reversals):.2g} s), so its final thrust is not known; hold it longer"
+        for group in groups
+        if group.unsettled
+    ]
+    signed = turns is not None and bool(np.any(turns[1] < 0) and np.any(turns[1] > 0))
+    return LogReversals(
+        path.name, groups, forces, "speed" if signed else "thrust",
+        len(everything) - len(found), tuple(notes),
+    )  # fmt: skip
+
+
+def _zero_without_rest(
+    steps: CommandSteps, thrust: Channel, keep: BoolArray, speed: Channel | None
+) -> tuple[Tare, str]:
+    """Return the tare [N] of a thrust without a row at rest, and what it rests on, in words."""
+    if speed is None:
+        return _NO_TARE, "the tare of thrust is taken as 0"
+    # Steady stretches turn as they are commanded, whatever an unsigned probe shows.
+    held = np.maximum(np.searchsorted(steps.time, speed.time, side="right") - 1, 0)
+    turning = np.sign(steps.level[held]) * np.abs(speed.values)
+    channels = {"speed": (speed.time, turning), "thrust": (thrust.time[keep], thrust.values[keep])}
+    points = steady_points(thrust.time, steps, channels)
+    found = zero_of_steady(points.thrust, points.speed)
+    if found is None:
+        return _NO_TARE, "too few steady points beside it, so the tare of thrust is taken as 0"
+    return found, (
+        f"the tare of thrust, {1e3 * found.value:.3g} ± {1e3 * found.error:.2g} mN, is what its steady "
+        "points over Ω|Ω| leave at standstill"
+    )
+
+
+def _known(signal: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
+    keep = np.isfinite(signal[1])
+    return signal[0][keep], signal[1][keep]
+
+
+def _check_sense(
+    steps: CommandSteps, forces: tuple[FloatArray, FloatArray], turned: bool, where: str
+) -> None:
+    """Refuse a log whose thrust opposes its commands, or never reverses."""
+    ends = np.append(steps.time[1:], np.inf)
+    means: dict[bool, list[float]] = {True: [], False: []}
+    for start, end, level in zip(steps.time, ends, steps.level, strict=True):
+        inside = (forces[0] >= start) & (forces[0] < end)
+        if level != 0 and np.count_nonzero(inside) >= 4:
+            means[bool(level > 0)].append(float(np.mean(forces[1][inside][-(inside.sum() // 4 + 1) :])))
+    if not (means[True] and means[False]):
+        return
+    ahead, back = float(np.median(means[True])), float(np.median(means[False]))
+    if ahead < 0 < back:
+        raise LogError(
+            f"{where}: thrust is {ahead:.3g} N under forward and {back:.3g} N under reverse commands; "
+            + ("leave out --thrust-sign -1" if turned else "turn it with --thrust-sign -1")
+        )
+    if ahead * back > 0:
+        raise LogError(
+            f"{where}: thrust is {ahead:.3g} N under forward and {back:.3g} N under reverse commands; the "
+            "rotor never reverses, or the thrust was logged without its sign"
+        )
+
+
+def reversal_times(
+    logs: Sequence[Path],
+    options: ReversalOptions,
+    *,
+    figure: Path | None = None,
+    json: bool = False,
+) -> tuple[LogReversals, ...]:
+    """Time the reversals of several logs, print them side by side, draw them.
+
+    Parameters
+    ----------
+    logs : sequence of Path
+        One per speed controller, or several.
+    options : ReversalOptions
+    figure : Path, optional
+        Figure in the manner of Fig. 3.
+    json : bool
+        Print JSON instead of the table.
+
+    Raises
+    ------
+    SysidError
+        For the first log that cannot be used; nothing is written then.
+    """
+    found = [log_reversals(path, options) for path in logs]
+    names = [one.name for one in found]
+    # Two logs of one file name are told apart by their folders.
+    if len(set(names)) < len(names):
+        found = [replace(one, name=str(path)) for one, path in zip(found, logs, strict=True)]
+    if figure is not None:
+        curves = [ReversalCurves(one.name, one.groups, one.thrust) for one in found]
+        save_figure(figure_reversals(curves), figure)
+    if json:
+        print(exact_json.dumps({"level": LEVEL, "logs": [one.document(options.slow) for one in found]}))
+    else:
+        print_table(_table(found, options.slow))
+        for one in found:
+            for note in one.notes:
+                print(f"{one.name}: {note}")
+            if one.lost:
+                print(f"{one.name}: {one.lost} reversals left out, the logger stalled around their command")
+        if figure is not None:
+            print(f"{figure}  thrust after the command")
+    return tuple(found)
+
+
+def _table(found: Sequence[LogReversals], slow: float) -> Table:
+    table = Table(
+        title=Text("reversal times from the command, median (quartiles) [ms]"), title_justify="left",
+        caption=Text(
+            f"outliers: over {slow:g} times the quickest, or 90 % not seen to be reached; zero crossing and "
+            "dead band of the speed where it is signed, else (T) of the thrust"
+        ),
+        caption_justify="left", header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0),
+        pad_edge=False,
+    )  # fmt: skip
+    for title, right in (
+        ("log", False), ("u", False), ("n", True), ("to 90 %", True), ("to zero", True),
+        ("dead band", True), ("outliers", True),
+    ):  # fmt: skip
+        table.add_column(title, justify="right" if right else "left")
+    for one in found:
+        mark = "" if one.crossing_from == "speed" else " T"
+        for group in one.groups:
+            count = len(group.reversals)
+            table.add_row(
+                Text(one.name),
+                f"{group.before:+.2f} → {group.after:+.2f}",
+                str(count),
+                _milliseconds(group, "to_level"),
+                _milliseconds(group, "zero_crossing") + mark,
+                _milliseconds(group, "dead_band") + mark,
+                # One alone is its own quickest.
+                f"{100 * group.outliers(slow) / count:.0f} %" if count > 1 else "–",
+            )
+    return table
+
+
+def _milliseconds(group: Repetitions, name: str) -> str:
+    median = group.median(name)
+    if not math.isfinite(median):
+        return "unsettled" if name == "to_level" and group.unsettled else "never"
+    low, high = group.quartiles(name)
+    spread = f" ({1e3 * low:.0f}–{1e3 * high:.0f})" if len(group.reversals) > 1 else ""
+    return f"{1e3 * median:.0f}{spread}"

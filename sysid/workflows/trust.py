@@ -1,0 +1,364 @@
+"""`sysid trust FIT`: profiles, linearized uncertainty, bootstrap and spread of a fit, stored beside it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid.errors import FitError
+from sysid.fit.result import FitResult
+from sysid.motor.known_values import CONSTANTS, Bench
+from sysid.motor.trust import MotorProblem
+from sysid.parallel import executor
+from sysid.parameters import SearchSpace
+from sysid.recording import file_sha256
+from sysid.trust.assessment import Assessment, assess
+from sysid.trust.documents import TRUST, write_part
+from sysid.trust.influence import FEWEST, Influence, influence
+from sysid.trust.problem import Problem, SpreadProblem
+from sysid.trust.resampling import Resampled
+from sysid.trust.verdicts import verdict
+from sysid.types import FloatArray
+from sysid.workflows.reopen import OpenedFit, noise_floors, open_fit
+from sysid.workflows.search import collected_warnings
+
+_STATEMENT = (
+    "the mean NRMSE is minimized by a weighted sum of squares, one noise level per trial and channel "
+    "(its NRMSE); the rise of that sum along a profile is divided by the parameter's inflation, which holds "
+    "the "
+    "correlation of the residuals in time and between channels and the uncertainty of what the fit takes as "
+    "known, so that it follows chi-square with one degree of freedom"
+)
+# Relative to the standard deviation of the linearization: farther apart is worth a word.
+_MOVED = 2.0
+
+
+@dataclass(frozen=True)
+class TrustOptions:
+    """What the command line may say.
+
+    Parameters
+    ----------
+    campaign : Path, optional
+        Where the campaign lies now.
+    resamples : int
+        Of the bootstrap.
+    seed : int
+    threads : int, optional
+    dask : str, optional
+    """
+
+    campaign: Path | None = None
+    resamples: int = 100
+    seed: int = 1
+    threads: int | None = None
+    dask: str | None = None
+
+
+def assess_fit(
+    folder: Path, options: TrustOptions | None = None, say: Callable[[str], None] | None = None
+) -> dict[str, Any]:
+    """Assess a fit and store what was found in its folder; return the document of `sysid.trust.documents`.
+
+    Raises
+    ------
+    SysidError
+        When the fit or its campaign cannot be used; nothing has been written then.
+    """
+    options = options or TrustOptions()
+    tell = say or (lambda sentence: None)
+    began = time.perf_counter()
+    with collected_warnings(None) as doubts:
+        opened = open_fit(folder, options.campaign, 1 if options.dask else options.threads)
+        if not len(opened.space.free):
+            raise FitError(f"{folder}: nothing is free")
+        with executor(options.dask, 2) as where:
+            problem: Problem = SpreadProblem(opened.problem, where)
+            found = assess(
+                problem, opened.result.cube[0], resamples=options.resamples, seed=options.seed, say=tell
+            )
+            if len(problem.trials) >= FEWEST:
+                tell("fits without one trial")
+            floors = noise_floors(opened, found.linear.point)
+            trials = influence(problem, found.linear, floors)
+    document, arrays = _document(opened, found, trials, floors, doubts)
+    document["seconds"] = time.perf_counter() - began
+    for sentence in document["warnings"]:
+        tell(f"warning: {sentence}")
+    write_part(opened.folder, TRUST, document, arrays, fit=opened.result.name, kind=opened.result.kind)
+    return document
+
+
+def _document(
+    opened: OpenedFit, found: Assessment, trials: Influence, floors: FloatArray, doubts: list[str]
+) -> tuple[dict[str, Any], dict[str, tuple[Any, str, str]]]:
+    result, space, linear = opened.result, opened.space, found.linear
+    rows = _parameters(result, space, found)
+    warned = [*doubts, *_trial_doubts(opened, found, trials, rows)]
+    for row, jump in zip(rows, _moves(result, found), strict=True):
+        if not row["derivative_trusted"]:
+            warned.append(
+                f"{row['name']}: its derivative changes by {100 * row['derivative_doubt']:.0f} % when the "
+                f"step is halved (the cost is rough there, or hardly depends on it): read its profile, not "
+                f"its linearized sigma"
+            )
+        if jump > _MOVED:
+            warned.append(
+                f"{row['name']}: the best set lies {jump:.1f} standard deviations from where the sum of "
+                "squares is least; the search has not converged, or its simulations are too inexact "
+                "(fit.tolerance)"
+            )
+            _doubt(row, "the best set is not where the sum of squares is least")
+    if found.profiles.lowered > 1.0:
+        warned.append("a profile found a better set than the profiles' start: the fit has not converged")
+    boot = found.resampled
+    without = space.decode(trials.without)
+    arrays: dict[str, tuple[Any, str, str]] = {
+        "correlation": (linear.information.correlation, "parameter, parameter", "1"),
+        "covariance": (linear.information.covariance, "parameter, parameter", "1, unit cube"),
+    }
+    for profile in found.profiles.profiles:
+        root = f"profiles/{profile.name}"
+        arrays[f"{root}/value"] = (profile.values, "point", profile.unit)
+        arrays[f"{root}/deviance"] = (profile.deviance, "point", "1")
+        arrays[f"{root}/others"] = (profile.others, "point, free parameter", "SI")
+    if boot is not None:
+        arrays["bootstrap/values"] = (space.decode(boot.points), "resample, free parameter", "SI")
+    document = {
+        "campaign": {"file": opened.path.name, "sha256": file_sha256(opened.path)},
+        "parameters": rows,
+        "correlation": linear.information.correlation,
+        "noise": {"statement": _statement(opened), "channels": _channels(opened, found, floors)},
+        "trials": [
+            {
+                "name": name,
+                "ratio": float(trials.ratio[t]),
+                "without": dict(zip(space.names, without[t].tolist(), strict=True)),
+                "shift": dict(zip(space.names, trials.shift[t].tolist(), strict=True)),
+            }
+            for t, name in enumerate(opened.problem.trials)
+        ],
+        "notes": _notes(opened, boot),
+        "spread": _spread(result),
+        "bootstrap": None
+        if boot is None
+        else {"resamples": len(boot.points), "failed": int(np.count_nonzero(~boot.converged))},
+        "evaluations": found.profiles.evaluations
+        + (0 if boot is None else boot.evaluations)
+        + trials.evaluations,
+        "warnings": warned,
+    }
+    return document, arrays
+
+
+def _doubt(row: dict[str, Any], why: str) -> None:
+    """Note why a row's interval may not hold the truth; such a parameter is not called well known."""
+    row["doubt"] = f"{row['doubt']}; {why}" if row["doubt"] else why
+    if row["verdict"] == "well":
+        row["verdict"] = "weakly"
+
+
+def _trial_doubts(
+    opened: OpenedFit, found: Assessment, trials: Influence, rows: list[dict[str, Any]]
+) -> list[str]:
+    """Return what is to be said of trials that stand out or hold the fit alone; mark the rows they touch."""
+    names = opened.problem.trials
+    out = []
+    advice = 'look at it, and fit without it (use = "validate")'
+    gear = opened.result.kind == "gear"
+    freed = " or free its start ([nuisance] start_time, height)" if gear else ""
+    cause = "a bounce beside a bifurcation" if gear else "another supply, tare or state of the motor"
+    for t in trials.outliers:
+        others = float(np.median(np.delete(trials.ratio, t)))
+        out.append(
+            f"{names[t]}: {trials.ratio[t]:.1f} × what noise alone costs where the others have {others:.1f}; "
+            f"it bends every parameter: {advice}{freed}"
+        )
+        for row in rows:
+            _doubt(row, f"{names[t]} fits unlike the other trials")
+    values = opened.space.decode(trials.without)
+    for t, far in trials.held_by:
+        moved = ", ".join(
+            f"{rows[i]['symbol']} {values[t, i]:.4g} instead of {rows[i]['refined']:.4g}" for i in far[:3]
+        )
+        out.append(
+            f"the fit hangs on {names[t]} alone: without it {moved}, {abs(trials.shift[t, far[0]]):.0f} × "
+            f"what one trial less explains (standard deviations); {cause} does that: "
+            f"{advice}"
+        )
+        for i in far:
+            _doubt(rows[i], f"it goes elsewhere without {names[t]}")
+    return out
+
+
+def _given(opened: OpenedFit) -> dict[str, str]:
+    """Return what a fit's intervals take as exact; see `taken_as_exact`."""
+    if not isinstance(opened.problem, MotorProblem) or opened.bench is None:
+        return {}
+    fixed = opened.campaign.parameters.fixed
+    return taken_as_exact(opened.space.names, opened.problem.ranges, opened.bench, fixed)
+
+
+def taken_as_exact(
+    free: Collection[str], ranges: Collection[str], bench: Bench, fixed: Collection[str]
+) -> dict[str, str]:
+    """Return what a motor's intervals take as exact, as it is said, by the parameter whose range would count.
+
+    Parameters
+    ----------
+    free, ranges, fixed : collection of str
+        Names that are free, that have a stated range, that the campaign fixes.
+    bench : Bench
+    """
+    out = {}
+    constants = [name for name in CONSTANTS if name not in free]
+    # Either of the pair moves the other.
+    if constants and not {*constants} & {*ranges}:
+        name = constants[0]
+        if name in fixed:
+            said = "k as fixed"
+        elif name in bench.measured:
+            said = "k as torque over the logged current gives it"
+        elif bench.stated.get(name, "guess").startswith("guess"):
+            said = "a guessed k, as the campaign states no Kv"
+        else:
+            said = "Kv as stated"
+        out[name] = f"{said} (R and L go as k²)"
+    if "rotor_inertia" not in {*free, *ranges}:
+        stated = "rotor_inertia" in {*fixed, *bench.measured}
+        out["rotor_inertia"] = "I^r as stated" if stated else "I^r of another motor (Table I)"
+    return out
+
+
+def _statement(opened: OpenedFit) -> str:
+    """Return what the intervals rest on."""
+    if not isinstance(opened.problem, MotorProblem):
+        return _STATEMENT
+    words = " and ".join(_given(opened).values())
+    given = f"; given {words}" if words else ""
+    return _STATEMENT + " (static curves and tares; ranges under parameters.measured)" + given
+
+
+def _notes(opened: OpenedFit, boot: Resampled | None) -> list[str]:
+    """Return what the numbers leave out, one sentence each."""
+    out = []
+    if boot is None and len(opened.problem.trials) < FEWEST:
+        count = {1: "a single trial", 2: "two trials"}[len(opened.problem.trials)]
+        out.append(
+            f"no bootstrap and no fits without one trial: of {count} whole ones cannot be drawn or left out"
+        )
+    elif boot is not None and not boot.converged.all():
+        lost = int(np.count_nonzero(~boot.converged))
+        out.append(
+            f"bootstrap: {lost} of {len(boot.points)} fits of resampled trials did not come to an end and "
+            "are left out of its intervals, which may be too narrow for that"
+        )
+    given = _given(opened)
+    if given:
+        out.append(
+            f"all intervals: given {' and '.join(given.values())}; a range under parameters.measured "
+            f"({', '.join(given)}) would count"
+        )
+    return out
+
+
+def _moves(result: FitResult, found: Assessment) -> FloatArray:
+    return np.abs(found.linear.point - result.cube[0]) / np.maximum(found.linear.information.sigma, 1e-12)
+
+
+def _parameters(result: FitResult, space: SearchSpace, found: Assessment) -> list[dict[str, Any]]:
+    linear = found.linear
+    index = {record.name: i for i, record in enumerate(result.parameters)}
+    sets = result.parameter_sets()
+    refined, best = space.decode(linear.point), space.decode(result.cube[0])
+    sigma = linear.information.sigma
+    up = space.decode(np.minimum(linear.point + sigma, 1.0)) - refined
+    down = refined - space.decode(np.maximum(linear.point - sigma, 0.0))
+    partners = linear.information.partners(space.names)
+    boot = None
+    if found.resampled is not None:
+        boot = space.decode(found.resampled.points[found.resampled.converged])
+    out = []
+    for i, (row, profile) in enumerate(zip(space.free, found.profiles.profiles, strict=True)):
+        record = result.parameters[index[row.name]]
+        quantiles = None
+        if boot is not None and len(boot) >= 10:
+            quantiles = np.quantile(boot[:, i], [0.025, 0.975]).tolist()
+        out.append(
+            {
+                "name": row.name,
+                "symbol": row.symbol,
+                "unit": row.unit,
+                "lower": row.lower,
+                "upper": row.upper,
+                "scale": row.scale,
+                "value": float(best[i]),
+                "refined": float(refined[i]),
+                "mean": float(sets.mean[index[row.name]]),
+                "sigma": float(sets.sigma[index[row.name]]),
+                "fisher_sigma": float(max(up[i], down[i])),
+                "derivative_doubt": float(linear.jacobian.doubt[i]),
+                "derivative_trusted": bool(linear.jacobian.trusted[i]),
+                "interval_68": list(profile.interval_68),
+                "interval_95": list(profile.interval_95),
+                "open_68": list(profile.open_68),
+                "open_95": list(profile.open_95),
+                "half_width": profile.half_width,
+                "verdict": verdict(profile.half_width),
+                "doubt": None,
+                "expected_half_width": float(found.expected[i]),
+                "partners": [{"name": name, "correlation": rho} for name, rho in partners[i]],
+                "at_bound": int(result.at_bound[0, index[row.name]]),
+                "measured": None if record.measured_range is None else list(record.measured_range),
+                "bootstrap_95": quantiles,
+                "rough_points": profile.rough,
+            }
+        )
+    return out
+
+
+def _channels(opened: OpenedFit, found: Assessment, floors: FloatArray) -> list[dict[str, Any]]:
+    """Return, per channel over all trials, rms residual, noise floor and independent samples."""
+    result, linear = opened.result, found.linear
+    out = []
+    for c, name in enumerate(result.channels):
+        pairs = zip(opened.problem.blocks, linear.levels, floors, strict=True)
+        mine = [(block, level, least) for block, level, least in pairs if block.channel == c]
+        if not mine:
+            continue
+        count = sum(block.count for block, *_ in mine)
+        residual = np.sqrt(sum(block.count * (level * block.spread) ** 2 for block, level, _ in mine) / count)
+        floor = np.sqrt(sum(block.count * (least * block.spread) ** 2 for block, _, least in mine) / count)
+        inflation = linear.noise.inflation[linear.noise.channels.index(c)]
+        out.append(
+            {
+                "name": name,
+                "unit": result.channel_units[c],
+                "residual": float(residual),
+                "floor": float(floor),
+                "samples": count,
+                "independent_samples": float(count / inflation),
+            }
+        )
+    return out
+
+
+def _spread(result: FitResult) -> dict[str, Any]:
+    """Return how far the predictions of the sets lie apart, per trial and channel [channel units]."""
+    trials = []
+    for trial in result.trials:
+        apart = trial.simulated - trial.simulated.mean(axis=0)
+        trials.append(
+            {
+                "name": trial.name,
+                "use": trial.use,
+                "rms": np.sqrt(np.mean(apart**2, axis=(0, 1))),
+                "largest": np.max(np.abs(apart), axis=(0, 1)),
+            }
+        )
+    return {"channels": list(result.channels), "units": list(result.channel_units), "trials": trials}

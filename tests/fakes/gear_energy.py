@@ -1,0 +1,21 @@
+"""Kinematics of the legs, written without the kernels."""
+
+import math
+
+import numpy as np
+
+
+def legs(p, state):
+    """Per leg: foot position, centre of mass and its velocity, angle rate (frame N), from states (n, 14)."""
+    x, z, q, h_c, q_c, h_d, q_d, dx, dz, dq, dh_c, dq_c, dh_d, dq_d = state.T
+    span, depth = p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"]
+    length = math.hypot(span, depth)
+    for side, h, a, dh, da in ((1, h_c, q_c, dh_c, dq_c), (-1, h_d, q_d, dh_d, dq_d)):
+        theta, dtheta = q + side * a, dq + side * da
+        joint = np.array([-side * p["joint_dx"] * np.cos(q) - p["joint_dz"] * np.sin(q),
+                          side * p["joint_dx"] * np.sin(q) - p["joint_dz"] * np.cos(q)])  # fmt: skip
+        axis, across = np.array([np.sin(theta), np.cos(theta)]), np.array([np.cos(theta), -np.sin(theta)])
+        rho = (1 - p["leg_mass_fraction"]) * length + h
+        speed = np.array([dx, dz]) + dq * np.array([joint[1], -joint[0]]) - dh * axis - rho * dtheta * across
+        base = np.array([x, z]) + joint
+        yield base - (length + h) * axis, base - rho * axis, speed, dtheta

@@ -1,0 +1,152 @@
+"""What several runs say about each other, on made histories."""
+
+import numpy as np
+import pytest
+
+from sysid.fit.history import RunHistory, StageHistory
+from sysid.fit.optima import agreement, loose_warnings, waterfall
+from sysid.fit.result import SETS_KEPT, ranked_sets
+from sysid.parameters import Parameter, ParameterTable, SearchSpace
+
+
+def run(cost, place, width=0.0, seed=1, loose=(0.0, 0.0), ended="converged"):
+    """A run that closed in on `place`; along `loose` its candidates scored alike."""
+    place = np.asarray(place, dtype=float)
+    steps = np.array([0.3, 0.1, 0.01, 0.0])
+    cube = np.stack([np.clip([place + step, place - step], 0, 1) for step in steps])
+    cube[2] = place + np.array([loose, np.negative(loose)])
+    costs = cost * (1 + np.stack([[step, step] for step in (0.5, 0.1, 0.001, 0.0)]))
+    stage = StageHistory("ga", cube, costs, np.zeros(4, dtype=np.int64), 8, 48, 1.0, ended)
+    return RunHistory(seed, (stage,))
+
+
+def test_same_place_and_nrmse_is_one_optimum():
+    runs = [run(0.0800, (0.2, 0.5)), run(0.08005, (0.21, 0.5)), run(0.0800, (0.2, 0.51))]
+    found = agreement(runs)
+    assert (found.reached, found.agrees) == (3, True)
+    assert found.sentence() == "3 of 3 runs reached the same optimum (NRMSE 8.000 %)"
+
+
+def test_worse_runs_are_said_to_be_local():
+    runs = [run(0.10, (0.9, 0.5)), run(0.08, (0.2, 0.5)), run(0.11, (0.9, 0.9)), run(0.08, (0.2, 0.5))]
+    found = agreement(runs)
+    assert found.optimum.tolist() == [1, 0, 2, 0]
+    assert found.order == (1, 3, 0, 2)
+    text = found.sentence()
+    assert text.startswith("the runs disagree: 2 of 4 reached the best optimum (NRMSE 8.000 %)")
+    assert "1.250 to 1.375 × it in 2 other places" in text
+    assert "--runs 20" in text
+    alone = agreement(runs[:3]).sentence()
+    assert "1 of 3 alone reached" in alone
+
+
+@pytest.mark.parametrize(
+    ("ended", "reason", "advice"),
+    [
+        ("interrupted", "stopped by the user", "continue with --resume"),
+        ("time", "time limit", "continue with --resume"),
+        ("evaluations", "evaluation budget", "start anew with a larger limit"),
+        ("generations", "generation limit", "start anew with a larger limit"),
+    ],
+)
+def test_where_a_run_was_cut_is_no_optimum(ended, reason, advice):
+    best, worse = run(0.08, (0.2, 0.5)), run(0.10, (0.9, 0.5))
+    cut = run(0.12, (0.9, 0.9), ended=ended)
+    found = agreement([best, worse, cut])
+    assert found.sentence() == (
+        f"1 of 3 runs was not finished ({reason}) and says nothing about optima yet; best NRMSE so far "
+        f"8.000 %, the finished ones end at 1.000 to 1.250 × it; {advice}"
+    )
+    assert [line.split()[5] for line in waterfall([best, worse, cut])[1:]] == ["A", "B", "-"]
+    # Neither one that agrees with the others nor one alone is finished.
+    near = agreement([best, run(0.08, (0.2, 0.5), ended=ended)])
+    assert not near.agrees
+    assert agreement([cut]).sentence().startswith(f"1 of 1 runs was not finished ({reason})")
+    assert "2 of 2 runs were not finished" in agreement([cut, cut]).sentence()
+
+
+def test_runs_that_were_not_begun_are_missed():
+    best, cut = run(0.08, (0.2, 0.5)), run(0.12, (0.9, 0.9), ended="interrupted")
+    ends = "which says nothing about optima yet; best NRMSE so far"
+    stop, go_on = "(stopped by the user)", "; continue with --resume"
+    assert agreement([cut, cut], 5).sentence() == (
+        f"2 of 5 runs were begun, none of them finished {stop}, {ends} 12.000 %{go_on}"
+    )
+    tail = ", the finished ones end at 1.000 to 1.000 × it"
+    assert agreement([best, cut], 5).sentence() == (
+        f"2 of 5 runs were begun, 1 of them finished {stop}, {ends} 8.000 %{tail}{go_on}"
+    )
+    # Stopped between two runs: what was begun was finished, and the fit still is not.
+    between = agreement([best, best], 5)
+    assert between.sentence() == f"2 of 5 runs were begun, all of them finished, {ends} 8.000 %{tail}{go_on}"
+    assert not between.agrees
+    assert agreement([best, best], 2).agrees
+
+
+def test_equal_nrmse_at_another_place_is_said_too():
+    text = agreement([run(0.08, (0.2, 0.5)), run(0.08, (0.8, 0.5))]).sentence()
+    assert "the data do not tell these sets apart" in text
+
+
+def test_a_parameter_that_the_data_do_not_hold_does_not_tear_runs_apart():
+    # Both searches saw candidates as good along 0.3 of the second axis.
+    runs = [run(0.08, (0.2, 0.4), loose=(0.0, 0.3)), run(0.08, (0.2, 0.6), loose=(0.0, 0.3))]
+    assert agreement(runs).agrees
+    assert not agreement([run(0.08, (0.2, 0.4)), run(0.08, (0.2, 0.6))]).agrees
+
+
+def space_of_two():
+    rows = [Parameter(n, n, "N/m", 3.0, 1.0, 100.0, "log", "Test.", "guess") for n in ("a", "b")]
+    return SearchSpace.build(ParameterTable(rows), ["a", "b"], {})
+
+
+def test_what_sets_of_one_nrmse_spread_over_is_named():
+    near, off = run(0.08, (0.2, 0.5)), run(0.08 * (1 + 1e-5), (0.2005, 0.51))
+    (sentence,) = loose_warnings([near, off], space_of_two())
+    # Along the cube's edge b grows a hundredfold: 0.01 of it are 4.7 %; 0.0005 of it are 0.2 % of a.
+    assert sentence.startswith("held no tighter than this, over sets that score within 0.003 %")
+    assert sentence.endswith(" NRMSE: b 4.6 %")
+    # A set that scores worse says nothing, and one run alone does not know.
+    assert loose_warnings([near, run(0.08 * (1 + 1e-4), (0.2, 0.51))], space_of_two()) == ()
+    assert loose_warnings([near], space_of_two()) == ()
+    # Neither does a run that was cut short.
+    assert loose_warnings([near, run(0.08, (0.2, 0.9), ended="time")], space_of_two()) == ()
+    assert loose_warnings([run(0.08, (0.2, 0.1), ended="generations")] * 2, space_of_two()) == ()
+
+
+def test_runs_that_differ_only_in_what_the_data_do_not_fix_share_an_optimum():
+    # Both searches closed in tightly, far apart along b (0.3 of the edge: a factor of four), at one NRMSE.
+    runs = [run(0.08, (0.2, 0.4)), run(0.08, (0.2, 0.7))]
+    free = space_of_two().free
+    assert not agreement(runs).agrees
+    assert agreement(runs, free=free).agrees
+    assert [line.split()[5] for line in waterfall(runs, free)[1:]] == ["A", "A"]
+    # 0.1 of the edge is a factor of 1.6: the data may fix b, and the runs disagree about it.
+    assert not agreement([run(0.08, (0.2, 0.4)), run(0.08, (0.2, 0.5))], free=free).agrees
+    # What is open along b excuses neither another place along a nor another NRMSE.
+    assert agreement([*runs, run(0.08, (0.3, 0.4))], free=free).optimum.tolist() == [0, 0, 1]
+    assert agreement([*runs, run(0.081, (0.2, 0.4))], free=free).optimum.tolist() == [0, 0, 1]
+
+
+def test_a_single_run_says_so():
+    assert "a single run cannot say" in agreement([run(0.08, (0.2, 0.5))]).sentence()
+
+
+def test_waterfall_lists_every_run_best_first():
+    lines = waterfall([run(0.10, (0.9, 0.5)), run(0.08, (0.2, 0.5))])
+    assert len(lines) == 3
+    assert lines[1].split()[:6] == ["1", "2", "8.000", "%", "1.0000", "A"]
+    assert lines[2].split()[:6] == ["2", "1", "10.000", "%", "1.2500", "B"]
+    assert "NRMSE change below the tolerance" in lines[1]
+
+
+def test_twenty_runs_keep_the_best_five_sets():
+    table = ParameterTable(
+        [Parameter(n, n, "N/m", 3.0, 1.0, 100.0, "log", "Test.", "guess") for n in ("a", "b")]
+    )
+    space = SearchSpace.build(table, ["a", "b"], {})
+    runs = [run(0.08 + 0.001 * (i * 7 % 20), (0.2, 0.5), seed=i) for i in range(20)]
+    ranked = ranked_sets(runs, space)
+    assert len(ranked.cost) == SETS_KEPT == 5
+    assert ranked.cost == pytest.approx([0.080, 0.081, 0.082, 0.083, 0.084], rel=1e-12)
+    assert len(set(ranked.run)) == 5

@@ -1,0 +1,206 @@
+"""The executor: the same bits from this process and from a real Dask cluster that loses a worker."""
+
+import os
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fakes.bowl import Bowl, assert_same_run
+from fakes.places import SAMPLES
+from sysid.campaign import read_campaign
+from sysid.errors import SysidError
+from sysid.fit import checkpoint
+from sysid.fit.checkpoint import Checkpoint
+from sysid.fit.objective import SpreadObjective
+from sysid.fit.search import Hooks, SearchSettings, run_many
+from sysid.fit.stopping import StopRule
+from sysid.gear.drops import prepare_drops
+from sysid.gear.problem import GearObjective, search_space
+from sysid.parallel import ClosedError, ClusterError, DaskCluster, LocalThreads, chunk_size, executor
+
+HERE = str(Path(__file__).parent)
+SETTINGS = SearchSettings(40, 3, 5, StopRule(max_generations=10), "ga")
+
+
+@pytest.fixture(scope="module")
+def gear():
+    """The objective of the sample drops, on one core."""
+    path = SAMPLES / "gear-lf" / "campaign.toml"
+    campaign = read_campaign(path, "gear")
+    drops = tuple(drop for drop in prepare_drops(campaign, path) if drop.use == "fit")
+    return GearObjective.build(campaign, search_space(campaign), drops, threads=1)
+
+
+@contextmanager
+def cluster(folder, workers):
+    """A scheduler and worker processes, as a lab starts them by hand."""
+    pytest.importorskip("distributed", reason="Dask comes with the extra 'cluster'")
+    file = folder / "scheduler.json"
+    environment = {**os.environ, "PYTHONPATH": HERE}
+    quiet = ["--no-nanny", "--no-dashboard", "--local-directory", str(folder)]
+    common = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
+    dask = [sys.executable, "-m", "dask"]
+    scheduler = subprocess.Popen(
+        [*dask, "scheduler", "--port", "0", "--scheduler-file", str(file), "--no-dashboard"], **common
+    )
+    processes = [scheduler]
+    try:
+        deadline = time.monotonic() + 30
+        while not file.is_file() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        for _ in range(workers):
+            processes.append(
+                subprocess.Popen(
+                    [*dask, "worker", "--scheduler-file", str(file), "--nthreads", "1", *quiet],
+                    **common,
+                )
+            )
+        import json
+
+        address = json.loads(file.read_text(encoding="utf-8"))["address"]
+        with DaskCluster(address, at_once=3) as found:
+            found._client.wait_for_workers(workers, timeout=60)
+            yield found, processes
+    finally:
+        for process in processes:
+            process.kill()
+        for process in processes:
+            process.wait()
+
+
+class Slow(Bowl):
+    """Slow enough to be killed in the middle of a generation."""
+
+    def evaluate(self, cube):
+        time.sleep(0.002 * len(cube))
+        return super().evaluate(cube)
+
+
+def test_chunks_do_not_change_a_bit(gear):
+    points = np.random.default_rng(3).random((37, len(gear.space.free)))
+    whole = gear.evaluate(points)
+    for size in (1, 5, 16):
+        parts = [gear.evaluate(points[i : i + size]) for i in range(0, 37, size)]
+        np.testing.assert_array_equal(np.concatenate([p.cost for p in parts]), whole.cost)
+        np.testing.assert_array_equal(np.concatenate([p.failed for p in parts]), whole.failed)
+        assert sum(p.simulations for p in parts) == whole.simulations
+
+
+def test_local_gives_the_objectives_numbers(gear):
+    points = np.random.default_rng(3).random((9, len(gear.space.free)))
+    with executor(None) as where:
+        assert isinstance(where, LocalThreads)
+        spread = SpreadObjective(gear, where)
+        assert spread.space is gear.space
+        a, b = spread.evaluate(points), gear.evaluate(points)
+    np.testing.assert_array_equal(a.cost, b.cost)
+    np.testing.assert_array_equal(a.failed, b.failed)
+    assert a.simulations == b.simulations
+
+
+def test_local_work_is_entered_by_one_caller_at_a_time():
+    inside, most = [], []
+
+    def work(rows):
+        inside.append(1)
+        most.append(len(inside))
+        time.sleep(0.005)
+        inside.pop()
+        return (rows[:, 0],)
+
+    with LocalThreads() as where, ThreadPoolExecutor(4) as pool:
+        shared = (where.share(work), where.share(work))
+        out = list(pool.map(lambda i: shared[i % 2](np.full((2, 1), float(i))), range(8)))
+    assert max(most) == 1
+    assert [float(column[0]) for (column,) in out] == list(range(8))
+    # A run that has been called off may still ask.
+    with pytest.raises(ClosedError):
+        shared[0](np.zeros((2, 1)))
+    assert len(most) == 8
+
+
+@pytest.mark.parametrize(
+    ("rows", "callers", "workers", "per_row", "expected"),
+    [
+        (800, 5, 64, 1e-3, 60),  # many workers: 0.06 s
+        (800, 5, 64, 1e-2, 25),  # half of a worker's 63 would take 0.3 s
+        (800, 1, 64, 1e-3, 13),  # the last run: all workers get some
+        (100, 5, 2, 1e-3, 100),  # two workers, five runs: a generation is one chunk
+        (100, 1, 2, 1e-3, 50),  # the last run is shared between both
+        (100, 5, 2, 1.0, 8),  # slow: the lanes of a core are full
+        (100, 5, 2, None, 16),
+        (3, 1, 2, 1e-3, 2),
+        (1, 1, 64, 0.0, 1),
+    ],
+)
+def test_chunks_are_sized_by_measured_time(rows, callers, workers, per_row, expected):
+    assert chunk_size(rows, callers, workers, per_row) == expected
+
+
+def test_nothing_answers():
+    pytest.importorskip("distributed", reason="Dask comes with the extra 'cluster'")
+    with pytest.raises(ClusterError, match=r"no Dask scheduler answers at 'nonsense://x'"):
+        DaskCluster("nonsense://x")
+
+
+@pytest.mark.slow
+def test_three_workers_give_the_local_numbers_and_one_may_be_killed(tmp_path, gear):
+    short = replace(SETTINGS, stop=StopRule(max_generations=5))
+    local = run_many(gear, short)
+    with cluster(tmp_path, 3) as (where, processes):
+        spread = SpreadObjective(gear, where)
+        for a, b in zip(run_many(spread, short, at_once=3), local, strict=True):
+            assert_same_run(a, b)
+        victims, begun = [processes[1]], where.alive
+
+        def kill(run, generation):
+            # The two other runs are in the middle of a generation.
+            if victims and generation.number == 3:
+                victims.pop().kill()
+
+        killed = run_many(spread, short, at_once=3, hooks=Hooks(on_generation=kill))
+        assert victims == []
+        assert processes[1].wait(10) != 0
+        assert (begun, where.alive) == (3, 2)
+        for a, b in zip(killed, local, strict=True):
+            assert_same_run(a, b)
+
+
+@pytest.mark.slow
+def test_a_lost_scheduler_leaves_a_checkpoint_to_continue_from(tmp_path, monkeypatch):
+    # A state is written at every chance: the search is over before a second has passed.
+    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
+    monkeypatch.setattr(checkpoint, "_LONGEST_INTERVAL", 0.0)
+    identity = {"the seed": SETTINGS.seed}
+    hold = Checkpoint(tmp_path / "fit", identity)
+
+    with cluster(tmp_path, 2) as (where, processes):
+        spread = SpreadObjective(Slow(), where)
+
+        def keep(run, memory, ended):
+            hold.keep(run, memory, ended)
+            if run == 0 and len(memory.stages[0].cost) == 4:
+                processes[0].kill()
+
+        with pytest.raises(SysidError, match=r"lost the work .*--resume"):
+            run_many(spread, SETTINGS, at_once=3, hooks=Hooks(keep=keep))
+    hold.close()
+
+    again = Checkpoint(tmp_path / "fit", identity, resume=True)
+    assert again.notes == []
+    paid = sum(len(cost) for memory in again.memories for stage in memory.stages for cost in stage.cost)
+    assert paid >= 4 * SETTINGS.population
+    bowl = Bowl()
+    found, whole = run_many(bowl, SETTINGS, memories=again.memories), run_many(Bowl(), SETTINGS)
+    again.discard()
+    for a, b in zip(found, whole, strict=True):
+        assert_same_run(a, b)
+    # What was paid for on the cluster is not computed again.
+    assert bowl.calls < sum(len(run.best) for run in whole)

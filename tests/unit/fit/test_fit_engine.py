@@ -1,0 +1,377 @@
+"""The search on functions with a known minimum: reproducible, stoppable, complete histories."""
+
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fakes.bowl import Bowl, assert_same_run, table
+from sysid.errors import FitError
+from sysid.fit.breeders.algorithms import ALGORITHMS, Start, breeder
+from sysid.fit.breeders.in_process import BreederApart
+from sysid.fit.objective import Evaluation
+from sysid.fit.result import bound_warnings, ranked_sets
+from sysid.fit.run_log import RunMemory
+from sysid.fit.search import Hooks, SearchSettings, run_many, run_one
+from sysid.fit.stopping import StopFlag, StopRule
+from sysid.parameter_sets import parameter_records
+from sysid.parameters import SearchSpace
+
+SHORT = StopRule(max_generations=12)
+PAPER = {"algorithm": "ga", "finish": "none"}
+
+
+def run_genetic(objective, *, population, seed, stop, algorithm="ga", finish="none", **more):
+    """One run of one stage; the seed is that of the fit."""
+    settings = SearchSettings(population, 1, seed, stop, algorithm, finish)
+    return run_one(objective, settings, **more)
+
+
+def test_finds_the_minimum():
+    run = run_genetic(Bowl(), population=60, seed=1, stop=StopRule(tolerance=1e-6, max_generations=60))
+    # 60 generations of 60 in three dimensions come within 1e-3 of the cube's edge length with ease.
+    assert run.best[-1] - 0.01 < 1e-3
+    np.testing.assert_allclose(run.best_point, Bowl().target, atol=3e-3)
+    assert np.all(np.diff(run.best) <= 0)
+
+
+class Torn(Bowl):
+    """A bowl that tells why a candidate failed."""
+
+    causes = ("fell over", "ran away")
+
+    def evaluate(self, cube):
+        scored = super().evaluate(cube)
+        codes = np.where(scored.failed, 1 + (cube[:, 0] > 0.975), 0).astype(np.int8)
+        return Evaluation(scored.cost, codes, scored.simulations)
+
+
+def test_failures_are_counted_by_cause():
+    torn = run_genetic(Torn(), population=40, seed=1, stop=SHORT)
+    plain = run_genetic(Bowl(), population=40, seed=1, stop=SHORT)
+    np.testing.assert_array_equal(torn.failed, plain.failed)
+    assert set(torn.failures) == {"fell over", "ran away"}
+    assert sum(torn.failures.values()) == torn.failed.sum()
+    assert [sum(one.values()) for one in torn.stages[0].causes] == list(torn.failed)
+    assert plain.failures == {"simulation failed": int(plain.failed.sum())}
+
+
+def test_history_is_complete_and_sorted():
+    run = run_genetic(Bowl(), population=40, seed=3, stop=SHORT)
+    assert run.stages[0].cube.shape == (12, 40, 3)
+    assert run.stages[0].cost.shape == (12, 40)
+    assert run.failed.shape == (12,)
+    assert run.failed[0] > 0
+    assert run.evaluations == 12 * 40
+    assert run.simulations == 6 * run.evaluations
+    assert run.stop_reason == "generations"
+    assert np.all(np.diff(run.stages[0].cost, axis=1) >= 0)
+    assert np.all((run.stages[0].cube >= 0) & (run.stages[0].cube <= 1))
+    np.testing.assert_array_equal(run.stages[0].cost[-1], Bowl().evaluate(run.stages[0].cube[-1]).cost)
+    np.testing.assert_array_equal(run.median, np.median(run.stages[0].cost, axis=1))
+
+
+def test_same_seed_same_numbers_other_seed_other_numbers():
+    settings = SearchSettings(population=40, runs=2, seed=5, stop=SHORT, **PAPER)
+    first, second = run_many(Bowl(), settings), run_many(Bowl(), settings)
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a.stages[0].cube, b.stages[0].cube)
+        np.testing.assert_array_equal(a.stages[0].cost, b.stages[0].cost)
+    other = run_many(Bowl(), SearchSettings(population=40, runs=2, seed=6, stop=SHORT, **PAPER))
+    assert not np.array_equal(first[0].stages[0].cube, other[0].stages[0].cube)
+    assert not np.array_equal(first[0].stages[0].cube, first[1].stages[0].cube)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_neither_numpys_global_state_nor_interleaved_runs_disturb(algorithm):
+    options = {"population": 40, "seed": 9, "stop": SHORT, "algorithm": algorithm}
+    alone = run_genetic(Bowl(), **options)
+    state = np.random.get_state()[1].copy()  # noqa: NPY002  the generator that must stay untouched
+    run_genetic(Bowl(), **options)
+    np.testing.assert_array_equal(np.random.get_state()[1], state)  # noqa: NPY002
+
+    class Noisy(Bowl):
+        def evaluate(self, cube):
+            np.random.seed(self.calls)  # noqa: NPY002  what a careless library would do
+            if self.calls == 3:
+                run_genetic(
+                    Bowl(), population=30, seed=1, stop=StopRule(max_generations=2), algorithm=algorithm
+                )
+            return super().evaluate(cube)
+
+    np.testing.assert_array_equal(run_genetic(Noisy(), **options).stages[0].cube, alone.stages[0].cube)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_every_algorithm_stays_in_the_cube_and_improves(algorithm):
+    class Watched(Bowl):
+        def evaluate(self, cube):
+            assert np.all((cube >= 0) & (cube <= 1))
+            return super().evaluate(cube)
+
+    run = run_genetic(
+        Watched(),
+        population=60,
+        seed=1,
+        stop=StopRule(tolerance=1e-9, max_generations=60),
+        algorithm=algorithm,
+    )
+    # 3600 candidates in three dimensions: MATLAB's mutation is still at 80 % of its scale, others are near.
+    assert run.best[-1] - 0.01 < (0.02 if algorithm == "matlab-ga" else 1e-3)
+    assert run.stages[0].cube.shape[1:] == (60, 3)
+    np.testing.assert_array_equal(Watched().evaluate(run.best_point[None]).cost, run.best[-1:])
+
+
+def test_matlab_ga_keeps_its_elites_and_scores_only_children():
+    stop = StopRule(max_generations=12, tolerance=0)
+    run = run_genetic(Bowl(), population=40, seed=1, stop=stop, algorithm="matlab-ga")
+    # ceil(0.05 * 40) = 2 elites are not scored again.
+    assert run.evaluations == 40 + 11 * 38
+    for before, after in zip(run.stages[0].cube[:-1], run.stages[0].cube[1:], strict=True):
+        assert {tuple(row) for row in before[:2]} <= {tuple(row) for row in after}
+
+
+def test_matlab_ga_breeds_as_documented():
+    from sysid.fit.breeders.matlab_genetic import MatlabGA
+
+    bred = breeder("matlab-ga", 3, 200, 5)
+    assert isinstance(bred._algorithm, MatlabGA)
+    parents_before = bred.ask()
+    bred.tell(Bowl().evaluate(parents_before).cost)
+    children = bred.ask()
+    # 10 elites of 200, 0.8 * 190 = 152 crossed, 38 mutated.
+    assert len(children) == 190
+    genes = [set(parents_before[:, i]) for i in range(3)]
+    whole = {tuple(row) for row in parents_before}
+    crossed, mutated = children[:152], children[152:]
+    assert all(child[i] in genes[i] for child in crossed for i in range(3))
+    # Scattered: most children take genes of both parents (1 - 2 * 0.5**3 = 75 % of those with two parents).
+    assert np.mean([tuple(child) not in whole for child in crossed]) > 0.5
+    # A step of about the cube's edge leaves it often, and is clipped to its faces.
+    assert np.mean((mutated == 0) | (mutated == 1)) > 0.3
+    ranks = bred._algorithm._parents(3000)
+    share = 1 / np.sqrt(np.arange(1, 201))
+    # Equal steps: every rank gets its expectation, rounded up or down.
+    assert np.all(np.abs(np.bincount(ranks, minlength=200) - 3000 * share / share.sum()) <= 1)
+
+
+def test_finisher_starts_from_mean_and_spread_and_reaches_the_bottom():
+    settings = SearchSettings(population=40, runs=1, seed=3, stop=SHORT, algorithm="ga")
+    assert settings.stages == ("ga", "cmaes")
+    assert SearchSettings(algorithm="cmaes").stages == ("cmaes",)
+    short = replace(settings, stop=replace(SHORT, max_generations=200))
+    run = run_one(Bowl(), short)
+    first, second = run.stages
+    assert (first.algorithm, second.algorithm) == ("ga", "cmaes")
+    start = Start.of_population(first.cube[-1])
+    # Sixty-four draws around the mean: their centre lies within a few spreads / sqrt(64) of it.
+    assert np.all(np.abs(second.cube[0].mean(axis=0) - start.mean) < 4 * start.spread / np.sqrt(64))
+    assert second.cost.min() < first.cost.min()
+    # The bowl has a kink at its bottom: CMA-ES closes in until its rule of 1e-5 ends it.
+    assert run.best[-1] - 0.01 < 1e-5
+    assert run.best_point is not None
+    np.testing.assert_array_equal(Bowl().evaluate(run.best_point[None]).cost, run.best[-1:])
+    assert run.evaluations == first.evaluations + second.evaluations
+    paper = run_one(Bowl(), replace(short, finish="none"))
+    np.testing.assert_array_equal(paper.stages[0].cube, first.cube)
+    assert len(paper.stages) == 1
+
+
+@pytest.mark.parametrize("algorithm", ["ga", "matlab-ga", "cmaes", "de", "pso"])
+def test_a_run_cut_at_any_generation_continues_to_the_same_bits(algorithm):
+    settings = SearchSettings(40, 1, 5, StopRule(max_generations=14), algorithm)
+    whole = run_one(Bowl(), settings)
+    for cut in sorted({1, 5, 13, min(20, len(whole.best)), len(whole.best)}):
+        memory, counter = RunMemory(settings.run_seeds()[0]), Bowl()
+        first = run_one(
+            counter, settings, memory=memory, hooks=Hooks(should_stop=lambda n=cut, c=counter: c.calls >= n)
+        )
+        assert first.stop_reason == "interrupted"
+        again = Bowl()
+        second = run_one(again, settings, memory=memory)
+        # Nothing is simulated twice.
+        assert counter.calls + again.calls == len(whole.best)
+        assert_same_run(second, whole)
+
+
+def test_a_memory_of_another_search_is_refused():
+    settings = SearchSettings(40, 1, 5, SHORT, "ga")
+    memory = RunMemory(settings.run_seeds()[0])
+    run_one(Bowl(), settings, memory=memory)
+    memory.stages[0].asked[6] ^= 1
+    with pytest.raises(FitError, match=r"generation 7 of ga asks for other candidates .* --force"):
+        run_one(Bowl(), settings, memory=memory)
+
+
+def test_runs_at_once_give_the_same_numbers():
+    settings = SearchSettings(40, 5, 5, StopRule(max_generations=14), "ga")
+    for a, b in zip(run_many(Bowl(), settings), run_many(Bowl(), settings, at_once=3), strict=True):
+        assert_same_run(a, b)
+
+    apart = run_many(Bowl(), replace(settings, runs=1), breeds=BreederApart)
+    assert_same_run(apart[0], run_one(Bowl(), settings))
+
+    class Broken(Bowl):
+        def evaluate(self, cube):
+            if threading.current_thread().name == "run_1":
+                raise FitError("this one breaks")
+            time.sleep(0.001)
+            return super().evaluate(cube)
+
+    with pytest.raises(FitError, match="this one breaks"):
+        run_many(Broken(), settings, at_once=3)
+
+
+def test_budgets_are_shared_between_search_and_finisher():
+    stop = StopRule(max_generations=500, tolerance=0, max_evaluations=2000)
+    run = run_one(Bowl(), SearchSettings(40, 1, 5, stop, "ga"))
+    assert run.stages[0].stop_reason == "evaluations"
+    assert run.stages[0].evaluations == 1200
+    assert 1200 < run.evaluations <= 2000
+    timed = run_one(Bowl(), SearchSettings(40, 1, 5, StopRule(tolerance=0), "ga"), time_limit=0.5)
+    assert timed.stages[0].stop_reason == "time"
+    # A generation here takes a few milliseconds; half a second is left for a loaded machine.
+    assert timed.wall_time < 1.0
+
+
+def test_a_run_is_reproducible_without_those_before_it():
+    settings = SearchSettings(population=40, runs=3, seed=5, stop=SHORT, **PAPER)
+    together = run_many(Bowl(), settings)
+    assert settings.run_seeds() == tuple(run.seed for run in together)
+    alone = run_one(Bowl(), settings, 2)
+    np.testing.assert_array_equal(alone.stages[0].cube, together[2].stages[0].cube)
+    # More runs on request keep the first ones.
+    assert SearchSettings(runs=20, seed=5).run_seeds()[:3] == settings.run_seeds()
+
+
+def test_another_process_gets_the_same_numbers():
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]);"
+        "from test_fit_engine import *;"
+        "print(run_genetic(Bowl(), population=40, seed=9, stop=SHORT).stages[0].cost.tobytes().hex()[-4000:])"
+    )
+    here = str(__import__("pathlib").Path(__file__).parent)
+    out = subprocess.run([sys.executable, "-c", code, here], capture_output=True, text=True, check=True)
+    run = run_genetic(Bowl(), population=40, seed=9, stop=SHORT)
+    assert out.stdout.strip() == run.stages[0].cost.tobytes().hex()[-4000:]
+
+
+def test_converges_by_the_declared_rule():
+    rule = StopRule(reading="matlab", max_generations=500)
+    run = run_genetic(Bowl(), population=40, seed=2, stop=rule)
+    assert run.stop_reason == "converged"
+    assert rule.change(run.best) < 1e-4
+    assert all(rule.change(run.best[:g]) >= 1e-4 for g in range(1, len(run.best)))
+
+
+def test_stop_flag_keeps_what_was_found():
+    flag, seen = StopFlag(), []
+
+    def on_generation(run, generation):
+        seen.append((run, generation.number))
+        if (run, generation.number) == (1, 4):
+            flag.set()
+
+    runs = run_many(
+        Bowl(),
+        SearchSettings(population=40, runs=5, seed=5, stop=SHORT, **PAPER),
+        hooks=Hooks(on_generation=on_generation, should_stop=flag),
+    )
+    assert [run.stop_reason for run in runs] == ["generations", "interrupted"]
+    assert len(runs[1].stages[0].cost) == 4
+    assert seen[-1] == (1, 4)
+    ranked = ranked_sets(runs, Bowl().space)
+    assert len(ranked.cost) == 2
+
+
+def test_evaluation_budget_is_shared_and_never_exceeded():
+    stop = StopRule(max_generations=50, max_evaluations=1000)
+    runs = run_many(Bowl(), SearchSettings(population=40, runs=2, seed=5, stop=stop, **PAPER))
+    assert [run.evaluations for run in runs] == [480, 480]
+    assert {run.stop_reason for run in runs} == {"evaluations"}
+
+
+def test_time_limit_leaves_one_set_per_run():
+    stop = StopRule(max_generations=50, time_limit=0.0)
+    runs = run_many(Bowl(), SearchSettings(population=40, runs=3, seed=5, stop=stop, **PAPER))
+    assert [(run.stop_reason, len(run.best)) for run in runs] == [("time", 1)] * 3
+
+
+def test_ranked_sets_are_the_best_of_each_last_generation():
+    objective = Bowl((0.001, 0.5, 0.999))
+    runs = run_many(
+        objective,
+        SearchSettings(population=60, runs=3, seed=5, stop=StopRule(max_generations=40), **PAPER),
+    )
+    ranked = ranked_sets(runs, objective.space)
+    best = [run.stages[0].cost[-1].min() for run in runs]
+    assert ranked.cost.tolist() == sorted(best)
+    for i, run in enumerate(ranked.run):
+        np.testing.assert_array_equal(ranked.cube[i], runs[run - 1].best_point)
+        assert ranked.seed[i] == runs[run - 1].seed
+    np.testing.assert_array_equal(ranked.values[:, 3], 7.0)
+    np.testing.assert_array_equal(ranked.values[:, :3], objective.space.decode(ranked.cube))
+    assert ranked.at_bound.tolist() == [[-1, 0, 1, 0]] * 3
+    warnings = bound_warnings(parameter_records(objective.space), ranked.at_bound)
+    assert len(warnings) == 2
+    assert warnings[0].startswith("3 of 3 sets end at the lower bound of p0 (p_0), 1 N/m")
+    assert "upper bound of p2 (p_2), 100 N/m" in warnings[1]
+
+
+def test_whoever_asks_to_stop_while_a_run_is_remembered_loses_no_finisher():
+    settings = SearchSettings(40, 1, 3, SHORT, "ga", "cmaes")
+    memory = RunMemory(settings.run_seeds()[0])
+    asked = []
+
+    def late():
+        asked.append(1)
+        return len(asked) > 20
+
+    assert (
+        run_one(Bowl(), settings, memory=memory, hooks=Hooks(should_stop=late)).stop_reason == "interrupted"
+    )
+    paid = [len(stage.cost) for stage in memory.stages]
+    assert len(paid) == 2
+    # Ctrl-C at once: what was remembered is all there is, and it is all there.
+    again = run_one(Bowl(), settings, memory=memory, hooks=Hooks(should_stop=lambda: True))
+    assert again.stop_reason == "interrupted"
+    assert [len(stage.cost) for stage in memory.stages] == paid
+    assert [len(stage.cost) for stage in again.stages] == paid
+
+
+def test_a_flat_cost_ends():
+    class Flat(Bowl):
+        def evaluate(self, cube):
+            return Evaluation(np.full(len(cube), 0.5), np.zeros(len(cube), bool), len(cube))
+
+    run = run_genetic(Flat(), population=20, seed=1, stop=StopRule())
+    assert (run.stop_reason, len(run.best)) == ("converged", 5)
+    # cma gives up after three generations, before this rule does; what it bred is kept.
+    patient = StopRule(window=30)
+    for algorithm, finish in (("cmaes", "none"), ("ga", "cmaes")):
+        run = run_genetic(Flat(), population=20, seed=1, stop=patient, algorithm=algorithm, finish=finish)
+        assert run.best[-1] == 0.5
+        assert run.best_point.shape == (3,)
+
+
+def test_refusals():
+    class Broken(Bowl):
+        def evaluate(self, cube):
+            return Evaluation(np.full(len(cube), np.nan), np.zeros(len(cube), bool), len(cube))
+
+    with pytest.raises(FitError, match="20 of 20 candidates have no finite NRMSE"):
+        run_genetic(Broken(), population=20, seed=1, stop=SHORT)
+    empty = Bowl()
+    empty.space = SearchSpace.build(table(), [], {})
+    with pytest.raises(FitError, match="no parameter is free"):
+        run_genetic(empty, population=20, seed=1, stop=SHORT)
+    with pytest.raises(FitError, match="population"):
+        SearchSettings(population=2)
+    with pytest.raises(FitError, match="unknown algorithm 'simplex'; expected one of ga, matlab-ga"):
+        SearchSettings(algorithm="simplex")
+    with pytest.raises(FitError, match="no run"):
+        ranked_sets([], Bowl().space)

@@ -1,0 +1,119 @@
+"""Which parameters a gear campaign may free, and between which bounds, on either surface."""
+
+import pytest
+
+from fakes.places import SAMPLES
+from sysid.campaign import read_campaign
+from sysid.errors import CampaignError, SysidWarning
+from sysid.gear.model import HF_FREE, PARAMETERS, SURFACES, parameters_on
+from sysid.gear.problem import _say_defaults, on_surface, say_dropped, search_space
+
+
+def opened(tmp_path, surface, text="", stated=""):
+    source = (SAMPLES / f"gear-{surface}" / "campaign.toml").read_text(encoding="utf-8")
+    path = tmp_path / "campaign.toml"
+    source = source.replace("[fit]\n", f"{text}\n[fit]\n").replace("[surface]\n", f"[surface]\n{stated}\n")
+    path.write_text(source, encoding="utf-8", newline="\n")
+    return read_campaign(path, "gear")
+
+
+@pytest.mark.parametrize(
+    ("surface", "name"),
+    [
+        ("lf", "static_friction_excess"),
+        ("hf", "slip_regularization"),
+        ("lf", "thrust_point_dx"),
+        ("hf", "thrust_point_dx"),
+    ],
+)
+def test_what_no_drop_depends_on_cannot_be_free(surface, name, tmp_path):
+    campaign = opened(tmp_path, surface, f'[parameters]\nfree = ["joint_dx", "{name}"]\n')
+    with pytest.raises(CampaignError, match=rf"parameters\.free: .*'{surface}' depends on {name}; remove it"):
+        search_space(campaign)
+
+
+@pytest.mark.parametrize(
+    ("surface", "name"), [("hf", "static_friction_excess"), ("lf", "slip_regularization")]
+)
+def test_what_the_law_reads_can_be_free(surface, name, tmp_path):
+    campaign = opened(tmp_path, surface, f'[parameters]\nfree = ["joint_dx", "{name}"]\n')
+    assert search_space(campaign).names == ("joint_dx", name)
+
+
+def test_bounds_are_the_surfaces_own(tmp_path):
+    space = search_space(opened(tmp_path, "hf"))
+    row = next(row for row in space.free if row.name == "kinetic_friction")
+    assert (row.lower, row.upper) == (0.5, 1.2)
+    own = '[parameters.bounds]\nkinetic_friction = ["0.3", "0.9"]\n'
+    space = search_space(opened(tmp_path, "hf", own))
+    row = next(row for row in space.free if row.name == "kinetic_friction")
+    assert (row.lower, row.upper) == (0.3, 0.9)
+    assert (PARAMETERS["kinetic_friction"].lower, parameters_on("lf")["kinetic_friction"].lower) == (0.1, 0.1)
+    # Every default of a surface lies within its bounds.
+    for surface in SURFACES:
+        for row in parameters_on(surface).values():
+            assert row.lower <= row.nominal <= row.upper, (surface, row.name)
+
+
+def test_a_stated_value_that_is_free_is_said_to_be_unused(tmp_path, recwarn):
+    campaign = opened(tmp_path, "hf", stated="kinetic_friction = 0.8")
+    space = search_space(campaign)
+    assert space.names == HF_FREE
+    with pytest.warns(SysidWarning, match="kinetic_friction is stated in the campaign and free on hf"):
+        _say_defaults(campaign, space)
+    fixed = opened(
+        tmp_path, "hf", '[parameters.fixed]\nkinetic_friction = "0.8"\n', stated="kinetic_friction = 0.8"
+    )
+    recwarn.clear()
+    _say_defaults(fixed, search_space(fixed))
+    assert not [w for w in recwarn if "is stated" in str(w.message)]
+
+
+def test_a_stated_value_outside_the_surfaces_bounds_is_refused(tmp_path):
+    with pytest.raises(
+        CampaignError, match=r"kinetic_friction: 0\.5 to 1\.2 exclude the measured value 0\.44"
+    ):
+        search_space(opened(tmp_path, "hf", stated="kinetic_friction = 0.44"))
+
+
+@pytest.mark.parametrize(
+    ("surface", "other", "stated", "fixed", "names"),
+    [
+        ("lf", "hf", "", "", ("kinetic_friction", "slip_regularization")),
+        (
+            "hf",
+            "lf",
+            "kinetic_friction = 0.87",
+            '[parameters.fixed]\nstatic_friction_excess = "0.1"\n'
+            '[parameters.bounds]\nleg_mass = ["10 g", "30 g"]\n',
+            ("kinetic_friction", "static_friction_excess"),
+        ),
+    ],
+)
+def test_friction_of_another_surface_is_dropped_and_said(surface, other, stated, fixed, names, tmp_path):
+    campaign = opened(tmp_path, surface, fixed, stated=stated)
+    moved, dropped = on_surface(campaign, other)
+    assert dropped == names
+    with pytest.warns(SysidWarning, match=f"law {other} instead.*{', '.join(names)} stated there are of the"):
+        say_dropped(moved, dropped)
+    # What is not of the surface is kept.
+    assert moved.vehicle == campaign.vehicle
+    assert moved.parameters.bounds == campaign.parameters.bounds
+    assert moved.surface.point == campaign.surface.point
+    space = search_space(
+        moved.model_copy(update={"parameters": moved.parameters.model_copy(update={"bounds": {}})})
+    )
+    assert space.names == SURFACES[other].free
+    default = parameters_on(other)
+    assert all(space.fixed.get(name, default[name].nominal) == default[name].nominal for name in names)
+    # The campaign's own law drops nothing.
+    assert on_surface(campaign, surface) == (campaign, ())
+
+
+def test_an_unknown_law_is_refused_with_the_known_ones(tmp_path):
+    campaign = opened(tmp_path, "lf")
+    with pytest.raises(CampaignError, match="no friction law 'ice'; known are lf, hf"):
+        on_surface(campaign, "ice")
+    written = campaign.model_copy(update={"surface": campaign.surface.model_copy(update={"law": "ice"})})
+    with pytest.raises(CampaignError, match="no friction law 'ice'; known are lf, hf"):
+        search_space(written)

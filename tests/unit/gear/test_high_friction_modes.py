@@ -1,0 +1,173 @@
+"""One decision of the high-friction law at a time: who sticks, who is released, and where it slips then."""
+
+import numpy as np
+import pytest
+
+from sysid.gear.kernel.work_buffer import INNER, LAW, MARGIN, NORMAL, REQUIRED, ROWS, SLIP, STUCK, SWITCH, WAY
+from sysid.gear.model import PARAMETERS, EventKind, pack, simulate
+from sysid.gear.surfaces.high_friction import after_step
+from sysid.integrate.tableau import STAGES
+
+# At a load of 10 N: 8 N of kinetic, 9 N of static friction.
+MU_K, EXCESS, LOAD = 0.8, 0.1, 10.0
+
+
+def decided(foot, *, stuck, way, slip, required, margin, load=LOAD, length=1e-8, seen=None):
+    """State of a foot (stuck, way, switched) after a step in which nothing befalls the other; the step."""
+    work = np.zeros(ROWS)
+    work[LAW : LAW + 2] = MU_K, EXCESS
+    # The other foot slips on far from a switch.
+    for row, value in ((WAY, 1.0), (SLIP, 0.5), (NORMAL, LOAD), (REQUIRED, 5.0), (MARGIN, 0.5)):
+        work[row : row + 2] = value
+    rows = {STUCK: stuck, WAY: way, SLIP: slip, NORMAL: load, REQUIRED: required, MARGIN: margin}
+    for row, value in rows.items():
+        work[row + foot] = value
+    for stage in range(STAGES - 1):
+        # Normal forces, slips and required forces of both feet at the stage: those of the end.
+        for n, row in enumerate((NORMAL, SLIP, REQUIRED)):
+            work[INNER + 6 * stage + 2 * n : INNER + 6 * stage + 2 * n + 2] = work[row : row + 2]
+        if seen is not None:
+            work[INNER + 6 * stage + 4 + foot] = seen
+    step = after_step(work, 0, 1, length, 1.0, 1e-4)
+    other = 1 - foot
+    assert (work[STUCK + other], work[WAY + other], work[SWITCH + other]) == (0.0, 1.0, 0.0)
+    return (work[STUCK + foot], work[WAY + foot], work[SWITCH + foot]), step
+
+
+@pytest.mark.parametrize("foot", [0, 1])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_foot_whose_slip_ends_sticks_within_kinetic_friction(foot, sign):
+    ends = {"stuck": 0.0, "way": sign, "slip": -1e-9 * sign, "margin": 1e-6}
+    found, (taken, step) = decided(foot, **ends, required=7.9 * sign)
+    assert found[0] == 1.0
+    assert found[2] == 1.0
+    assert (taken, step) == (1.0, 0.0)
+    # Between kinetic and static friction it slips back: against the force that it lacks.
+    assert decided(foot, **ends, required=8.1 * sign)[0] == (0.0, -sign, 1.0)
+    assert decided(foot, **ends, required=-8.1 * sign)[0] == (0.0, sign, 1.0)
+    # A slip that does not end changes nothing.
+    slips = {"stuck": 0.0, "way": sign, "slip": 0.4 * sign, "margin": 0.5}
+    assert decided(foot, **slips, required=0.0)[0] == (0.0, sign, 0.0)
+
+
+@pytest.mark.parametrize("foot", [0, 1])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_stuck_foot_is_released_beyond_static_friction(foot, sign):
+    held = {"stuck": 1.0, "way": 1.0, "slip": 0.0, "margin": 1e-3}
+    assert decided(foot, **held, required=8.9 * sign)[0] == (1.0, 1.0, 0.0)
+    # Friction mu_k F_n sign(f_req) acts on it then: it slips the other way.
+    assert decided(foot, **held, required=9.1 * sign)[0] == (0.0, -sign, 2.0)
+    # In the air nothing holds it.
+    assert decided(foot, **held, required=1e-3 * sign, load=0.0)[0][0] == 0.0
+
+
+@pytest.mark.parametrize("foot", [0, 1])
+def test_a_loss_within_a_step_repeats_it(foot):
+    held = {"stuck": 1.0, "way": 1.0, "slip": 0.0}
+    # Left over 1 N at the start, -1 N at the end: the first stage of the step saw -1 N already.
+    found, (taken, step) = decided(foot, **held, required=10.0, margin=1.0, length=1e-4)
+    assert found == (1.0, 1.0, 0.0)
+    assert taken == 0.0
+    assert 0.0 < step <= 0.5e-4 + 1e-7
+    # A loss that heals before the end, which only the stages saw.
+    healed = {"required": 8.0, "margin": 1.0, "seen": 10.0}
+    assert decided(foot, **held, **healed, length=1e-4)[1][0] == 0.0
+    # Such a step is cut, to no less than a tenth; below 1 us its end alone decides.
+    assert decided(foot, **held, **healed, length=1e-4)[1][1] >= 1e-5
+    assert decided(foot, **held, **healed, length=1e-7) == ((1.0, 1.0, 0.0), (1.0, 1e-4))
+
+
+@pytest.mark.parametrize("shares", [(1.0, 1.0), (0.25, 0.75), (0.75, 0.25)])
+def test_both_stuck_feet_may_be_released(shares):
+    """At one instant both are, each against its own force; else the step ends at the earlier release."""
+    work = np.zeros(ROWS)
+    work[LAW : LAW + 2] = MU_K, EXCESS
+    work[STUCK : STUCK + 2] = 1.0
+    work[WAY : WAY + 2] = 1.0
+    work[NORMAL : NORMAL + 2] = LOAD
+    # Static friction of 9 N; what is left of it falls to -0.1 N within the step, through zero at the shares.
+    work[REQUIRED : REQUIRED + 2] = 9.1, -9.1
+    for foot, share in enumerate(shares):
+        work[MARGIN + foot] = 0.1 * share / (1.0 - share) if share < 1.0 else 1e-12
+    together = shares == (1.0, 1.0)
+    for stage in range(STAGES - 1):
+        # The stages within the step saw no loss.
+        work[INNER + 6 * stage : INNER + 6 * stage + 2] = LOAD
+    length = 1e-8 if together else 1e-4
+    taken, step = after_step(work, 0, 1, length, 1.0, 1e-4)
+    if together:
+        assert (taken, step) == (1.0, 0.0)
+        assert work[STUCK : STUCK + 2].tolist() == [0.0, 0.0]
+        assert work[SWITCH : SWITCH + 2].tolist() == [2.0, 2.0]
+        assert work[WAY : WAY + 2].tolist() == [-1.0, 1.0]
+    else:
+        # A quarter of the step and the 0.05 us by which it ends behind the event; nothing has switched yet.
+        assert taken == 0.0
+        assert step == pytest.approx(0.25e-4 + 0.5e-7, rel=1e-9)
+        assert work[STUCK : STUCK + 2].tolist() == [1.0, 1.0]
+        assert work[SWITCH : SWITCH + 2].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("sticks", [0, 1])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_one_foot_may_stick_as_the_other_is_released(sticks, sign):
+    """At one instant: each by its own force, as it was with both feet in their modes before."""
+    work = np.zeros(ROWS)
+    releases = 1 - sticks
+    work[LAW : LAW + 2] = MU_K, EXCESS
+    work[NORMAL : NORMAL + 2] = LOAD
+    work[WAY : WAY + 2] = 1.0
+    work[STUCK + releases] = 1.0
+    work[REQUIRED + releases], work[MARGIN + releases] = 9.1 * sign, 1e-3
+    work[REQUIRED + sticks], work[MARGIN + sticks], work[SLIP + sticks] = 7.9 * sign, 1e-6, -1e-9
+    for stage in range(STAGES - 1):
+        for n, row in enumerate((NORMAL, SLIP, REQUIRED)):
+            work[INNER + 6 * stage + 2 * n : INNER + 6 * stage + 2 * n + 2] = work[row : row + 2]
+    assert after_step(work, 0, 1, 1e-8, 1.0, 1e-4) == (1.0, 0.0)
+    assert (work[STUCK + sticks], work[SWITCH + sticks]) == (1.0, 1.0)
+    assert (work[STUCK + releases], work[SWITCH + releases]) == (0.0, 2.0)
+    # The released foot slips against the force that it lacks.
+    assert work[WAY + releases] == -sign
+
+
+def started(way, touching):
+    """The first 1 ms of a drop of symmetric legs whose one foot (0 rear, 1 front) starts 0.1 mm deep.
+
+    `way` +1: the slope falls toward +x and the drone moves up-slope at 0.5 m/s; -1: the mirror image.
+    """
+    slope, turn = np.radians(10.0), np.radians(3.0)
+    row = pack({}, "hf")
+    index = list(PARAMETERS).index
+    dx, dz = row[index("foot_dx")], row[index("foot_dz")]
+    # The deeper foot of the body turned by 3 deg from the slope: rear up, or front up.
+    phi = turn if touching == 1 else -turn
+    side = 1.0 if touching == 1 else -1.0
+    normal = side * dx * np.sin(phi) + dz * np.cos(phi) - 1e-4
+    body = [normal * np.sin(slope), normal * np.cos(slope), slope + phi, -0.5, -0.3, 0.0]
+    signs = np.array([way, 1.0, way, way, 1.0, way])
+    time = np.arange(0.0, 1.01e-3, 1e-4)
+    run = simulate(row, way * slope, signs * body, time, surface="hf", tolerance=1e-6)
+    return run, signs, row[index("kinetic_friction")]
+
+
+@pytest.mark.parametrize("touching", [0, 1])
+def test_a_foot_that_starts_in_contact_slips_the_way_it_moves(touching):
+    down, _, mu_k = started(1.0, touching)
+    up, signs, _ = started(-1.0, touching)
+    for run, foot, force in ((down, touching, 1.0), (up, 1 - touching, -1.0)):
+        assert run.normal_force[0, foot] == pytest.approx(11.0, rel=0.5)  # ground_stiffness x 0.1 mm, 15 N
+        assert run.normal_force[0, 1 - foot] == 0.0
+        # Moving along -x friction pulls to +x at once. It stops the light leg's foot after 0.4 ms, not
+        # at once; between steps the log's friction is linear, which a curved normal force leaves by 2e-4.
+        early = slice(0, 4)
+        np.testing.assert_allclose(
+            run.friction_force[early, foot], force * mu_k * run.normal_force[early, foot], rtol=1e-3
+        )
+        modes = [event.time for event in run.events if event.kind in (EventKind.STICK, EventKind.SLIP)]
+        assert min(modes) > 3e-4
+    # The mirror image, to rounding; legs change places.
+    np.testing.assert_allclose(
+        up.state[:, [0, 1, 2, 7, 8, 9]] * signs, down.state[:, [0, 1, 2, 7, 8, 9]], atol=1e-10
+    )
+    np.testing.assert_allclose(up.normal_force[:, ::-1], down.normal_force, atol=1e-6)
+    np.testing.assert_allclose(-up.friction_force[:, ::-1], down.friction_force, atol=1e-6)

@@ -1,0 +1,337 @@
+"""sysid simulate, landing-map and impulse-map as a user meets them."""
+
+import csv
+import json
+import signal
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from fakes.places import PUBLISHED
+from sysid import resume as blocks
+from sysid.landing import controllers
+from sysid.landing.map_store import read_maps
+from sysid.landing.outcomes import Outcome
+from sysid.workflows import landing_sources
+from sysid.workflows.landing import COLUMNS
+from sysid.workflows.landing_sources import BlockProgress
+
+LF, HF, MOTOR = (PUBLISHED / f"published-{name}.json" for name in ("gear-lf", "gear-hf", "motor"))
+GRID = ("--slopes", "4,40", "--speeds", "0.3,1.5")
+
+
+@pytest.fixture
+def run(run, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    return run
+
+
+def test_one_landing_per_set_as_csv_and_hdf5(run, tmp_path):
+    command = ("simulate", LF, "--motor", MOTOR, "--slope-deg", 10, "--speed", 0.5)
+    code, out, err = run(*command, "--controller", "off", "--out", "x.csv")
+    assert code == 0, err
+    assert "short" in out
+    with Path("x.csv").open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert tuple(rows[0]) == ("set", *COLUMNS)
+    assert len(rows) == 3001
+    assert float(rows[0]["z_B_rate [m/s]"]) == pytest.approx(-0.5)  # turned into the slope and back
+    with Path("x-outcomes.csv").open(newline="", encoding="utf-8") as stream:
+        (outcome,) = csv.DictReader(stream)
+    assert outcome["outcome"] == "short"
+    with Path("x-events.csv").open(newline="", encoding="utf-8") as stream:
+        events = list(csv.DictReader(stream))
+    assert events[0] == {"set": "1", "time [s]": "0.0", "event": "touchdown", "of": "rear"}
+    assert {"event": "rest", "of": "body"}.items() <= events[-1].items()
+    code, out, err = run(*command, "--controller", "off", "--out", "x.h5", "--json")
+    assert code == 0, err
+    (entry,) = json.loads(out)
+    assert entry["outcome"] == "short"
+    with h5py.File("x.h5") as file:
+        group = file["sets/1"]
+        assert group["q_B"].attrs["unit"] == "rad"
+        np.testing.assert_array_equal(group["z_B"][()], [float(row["z_B [m]"]) for row in rows])
+        assert group.attrs["distance [m]"] == float(outcome["distance [m]"])
+        assert json.loads(file["settings_json"].asstr()[()])["rules"]["short"] == 0.45
+
+
+def test_options_reach_the_landing(run, monkeypatch):
+    monkeypatch.setattr(controllers, "CONTROLLERS", dict(controllers.CONTROLLERS))
+    command = ("simulate", LF, "--motor", MOTOR, "--slope-deg", 10, "--speed", 0.5, "--json")
+    wide = json.loads(run(*command, "--short", "0.001", "--long", "5")[1])[0]
+    assert wide["outcome"] == "near"
+    imu = json.loads(run(*command, "--trigger", "imu")[1])[0]
+    assert 0.001 < imu["trigger [s]"] < 0.05
+    down = json.loads(run(*command, "--height", "0.5", "--pitch-deg", "3")[1])[0]
+    assert down["distance [m]"] != wide["distance [m]"]
+    Path("mine.py").write_text(
+        "from sysid.landing.controllers import Step, controller\n\n\n"
+        "@controller('hold')\ndef hold(u: float) -> list[Step]:\n    return [Step(0.0, u, u)]\n",
+        encoding="utf-8",
+    )
+    held = json.loads(run(*command, "--controllers", "mine.py", "--controller", "hold:0")[1])[0]
+    off = json.loads(run(*command, "--controller", "off")[1])[0]
+    assert held["distance [m]"] == off["distance [m]"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--controller", "revers"), "known are off, reverse"),
+        (("--out", "x.txt"), "ends in .csv or .h5"),
+        (("--out", "no/x.csv"), "make it first"),
+        (("--slope-deg", "95"), "expected a slope within 85 deg"),
+        (("--motor", LF), "expected motor sets"),
+        (("--height", "-1"), "give both above 0"),
+        (("--short", "2"), "swap them"),
+        (("--horizon", "1e9"), "at most 100 s"),
+        (("--rate", "1e12"), "lower the rate"),
+    ],
+)
+def test_refusals_of_simulate(run, tmp_path, arguments, says):
+    base = ["simulate", LF, "--motor", MOTOR, "--slope-deg", 10, "--speed", 0.5]
+    code, out, err = run(*base, *arguments)
+    assert code == 2
+    assert says in err
+    assert err.count("\n") == 1
+    assert not out
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_landing_map_of_both_surfaces(run):
+    Path("real.csv").write_text(
+        "surface,controller,slope [deg],speed [m/s],outcome\nlf,off,4,0.3,landed\nhf,off,40,1.5,failed\n",
+        encoding="utf-8",
+    )
+    command = ("landing-map", LF, HF, "--motor", MOTOR, *GRID, "--out", "map.h5")
+    code, out, err = run(*command, "--experiments", "real.csv")
+    assert code == 0, err
+    assert "1 of 1 real landings agree" in out
+    # One line of headings on a terminal of 80 columns.
+    heads = [line.split() for line in out.splitlines() if "observed" in line]
+    assert heads == 2 * [["observed", "simulated:", "short", "near", "flipped", "other"]]
+    found = read_maps("map.h5")
+    assert [one.title for one in found.maps] == ["LF, off", "LF, reverse", "HF, off", "HF, reverse"]
+    for one in found.maps:
+        assert one.outcome.shape == (1, 2, 2)
+        assert one.outcome[0, 0, 0] == Outcome.SHORT
+        assert not one.uncertain.any()
+    assert found.maps[2].outcome[0, 1, 1] == Outcome.FLIPPED
+    assert found.settings["rules"]["horizon"] == 3.0
+    assert found.settings["controllers"][1]["steps"][0]["rear"] == -1.0
+    assert found.provenance["gear lf"]["name"] == "published-gear-lf"
+    assert Path("map.png").stat().st_size > 10_000
+    assert not blocks.blocks_folder(Path("map.h5")).exists()
+    code, out, err = run(*command)
+    assert code == 2
+    assert "exists already" in err
+    assert found.settings["real landings"][1] == {
+        "surface": "hf", "controller": "off", "slope_deg": 40.0, "speed": 1.5, "outcome": "failed"
+    }  # fmt: skip
+    code, out, err = run(
+        *command, "--force", "--json", "--no-check", "--threads", "1", "--experiments", "real.csv"
+    )
+    assert code == 0, err
+    told = [entry["real landings"] for entry in json.loads(out)["maps"]]
+    assert told[0] == {
+        "counts, observed by simulated": {"landed": {"short": 1, "near": 0, "flipped": 0, "other": 0}},
+        "agreeing": 1, "outside": 0, "lost": 0,
+    }  # fmt: skip
+    assert told[2]["counts, observed by simulated"]["failed"]["flipped"] == 1
+    assert told[1]["counts, observed by simulated"] == told[3]["counts, observed by simulated"] == {}
+    again = read_maps("map.h5")
+    assert not any(one.checked for one in again.maps)
+    assert [entry["uncertain [%]"] for entry in json.loads(out)["maps"]] == [None] * 4
+    for one, other in zip(found.maps, again.maps, strict=True):
+        np.testing.assert_array_equal(one.outcome, other.outcome)
+        np.testing.assert_array_equal(one.distance, other.distance)
+    entry = json.loads(out)["maps"][0]
+    assert sum(entry["cells"].values()) == 4
+    assert entry["lost"] == 0
+
+
+def test_progress_of_few_landings_is_a_fraction(monkeypatch):
+    clock = iter([0.0, 20.0, 20.0, 20.0])
+    monkeypatch.setattr(landing_sources.time, "monotonic", lambda: next(clock))
+    progress = BlockProgress(3, "landings", quiet=True)
+    assert "- landings/s" in progress.line()
+    progress.on_block(4, computed=True)
+    assert "0.2 landings/s" in progress.line()  # 4 in 20 s
+    progress.on_block(796, computed=True)
+    assert " 40 landings/s" in progress.line()
+
+
+def test_ctrl_c_keeps_the_finished_blocks(run, monkeypatch):
+    command = ("landing-map", LF, HF, "--motor", MOTOR, *GRID, "--out", "map.h5", "--no-check")
+    report = BlockProgress.on_block
+
+    def pressed(self, rows, computed):
+        report(self, rows, computed)
+        signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(BlockProgress, "on_block", pressed)
+        code, _, err = run(*command)
+    assert code == 130
+    assert "continue with --resume" in err
+    folder = blocks.blocks_folder(Path("map.h5"))
+    kept = len(list(folder.glob("*.npz")))
+    assert 1 <= kept < 4
+    assert not Path("map.h5").exists()
+    code, _, err = run(*command)
+    assert code == 2
+    assert "--resume" in err
+    code, _, err = run(*command, "--resume", "--controller", "off")
+    assert code == 2
+    assert "a controller differs" in err
+    code, _, err = run(*command, "--resume")
+    assert code == 0, err
+    assert not folder.exists()
+    code, _, err = run(*command[:-3], "--out", "whole.h5", "--no-check")
+    for one, other in zip(read_maps("map.h5").maps, read_maps("whole.h5").maps, strict=True):
+        np.testing.assert_array_equal(one.outcome, other.outcome)
+        np.testing.assert_array_equal(one.time, other.time)
+
+
+def test_an_impulse_map(run):
+    tried = ("--delays", "0:0.12:0.04", "--durations", "0:0.1:0.05")
+    command = ("impulse-map", LF, "--motor", MOTOR, "--slopes", "0,20", "--speeds", "0.4", "--out", "i.h5")
+    code, _, err = run(*command, *tried, "--quiet")
+    assert code == 0, err
+    found = read_maps("i.h5")
+    (best,) = found.impulses
+    assert best.optimum["delay"].shape == (1, 2, 1)
+    # Level: both feet touch at once, so there is nothing to stop.
+    assert best.optimum["duration"][0, 0, 0] == 0.0
+    assert best.optimum["duration"][0, 1, 0] > 0.0
+    assert abs(best.optimum["refined_turn"][0, 1, 0]) <= abs(best.optimum["turn"][0, 1, 0]) + 1e-12
+    assert [one.controller for one in found.maps] == [
+        "impulse, then reverse", "refined impulse, then reverse", "impulse alone"
+    ]  # fmt: skip
+    assert found.settings["impulses"]["delays"] == [0.0, 0.04, 0.08, 0.12]
+    assert found.settings["impulses"]["rear"] == 0.1
+    assert Path("i.png").exists()
+    assert Path("i-impulse.png").exists()
+    code, _, err = run(*command, "--durations", "0:1")
+    assert code == 2
+    assert "--durations" in err
+
+
+IMPULSE = (
+    "impulse-map",
+    LF,
+    "--motor",
+    MOTOR,
+    "--slopes",
+    "0,20",
+    "--speeds",
+    "0.4,0.8",
+    "--quiet",
+    "--no-check",
+)
+
+
+@pytest.mark.parametrize(
+    ("options", "rear"), [((), -0.8), (("--front", "0.5"), -0.5), (("--rear", "0.1"), 0.1)]
+)
+def test_motors_without_delay_pull_behind_as_they_push_in_front(run, options, rear):
+    tried = ("--delays", "0,0.04", "--durations", "0,0.05")
+    code, _, err = run(*IMPULSE, *tried, "--ideal-reversal", *options, "--out", "i.h5")
+    assert code == 0, err
+    assert read_maps("i.h5").settings["impulses"]["rear"] == rear
+
+
+def test_an_impulse_map_goes_on_where_it_was_stopped_on_another_number_of_threads(run, monkeypatch):
+    command = (*IMPULSE, "--delays", "0:0.08:0.04", "--durations", "0,0.05")
+    code, _, err = run(*command, "--out", "whole.h5", "--threads", "1")
+    assert code == 0, err
+    save = blocks.BlockStore.save
+
+    def save_and_die(store, name, columns):
+        save(store, name, columns)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(blocks.BlockStore, "save", save_and_die)
+        code, _, _ = run(*command, "--out", "i.h5", "--threads", "1")
+    assert code == 130
+    kept = list(blocks.blocks_folder(Path("i.h5")).glob("*.npz"))
+    assert len(kept) == 1  # of two slopes
+    code, _, err = run(*command, "--out", "i.h5", "--resume", "--delays", "0,0.04")
+    assert code == 2
+    assert "the tried impulses differs" in err
+    code, _, err = run(*command, "--out", "i.h5", "--resume", "--threads", "2")
+    assert code == 0, err
+    one, two = read_maps("whole.h5"), read_maps("i.h5")
+    for name, values in one.impulses[0].optimum.items():
+        np.testing.assert_array_equal(values, two.impulses[0].optimum[name])
+    for a, b in zip(one.maps, two.maps, strict=True):
+        np.testing.assert_array_equal(a.outcome, b.outcome)
+        np.testing.assert_array_equal(a.time, b.time)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--slopes", "45:0:1"), "--slopes"),
+        (("--out", "map.csv"), "ends in .h5"),
+        (("--resume",), "nothing to continue"),
+        (("--controller", "off", "--controller", "off"), "'off' is asked for twice"),
+        (("--slopes", "0:90:10"), "expected a slope within 85 deg"),
+        (("--speeds=-1:1:1",), "a downward speed of 0 or more"),
+        (("--experiments", "missing.csv"), "cannot be read as CSV"),
+    ],
+)
+def test_refusals_of_landing_map(run, tmp_path, arguments, says):
+    code, _, err = run("landing-map", LF, "--motor", MOTOR, "--out", "map.h5", *arguments)
+    assert code == 2
+    assert says in err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--front", "3"), "'front' is 3; give -1 to 1"),
+        (("--rear", "nan"), "'rear' is nan"),
+        (("--worth", "2"), "a worth below 1"),
+        (("--delays", "0:0.26"), "--delays"),
+    ],
+)
+def test_refusals_of_impulse_map(run, tmp_path, arguments, says):
+    code, _, err = run("impulse-map", LF, "--motor", MOTOR, "--out", "map.h5", *arguments)
+    assert code == 2
+    assert says in err
+    assert err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_two_gears_of_one_surface_are_refused(run):
+    code, _, err = run("landing-map", LF, LF, "--motor", MOTOR, "--out", "map.h5")
+    assert code == 2
+    assert "one gear file per surface" in err
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_map(run):
+    pytest.importorskip("distributed", reason="Dask comes with the test extra")
+    command = ("landing-map", HF, "--motor", MOTOR, "--slopes", "5:40:7", "--speeds", "0.2:1.4:0.4")
+    code, _, err = run(*command, "--out", "here.h5")
+    assert code == 0, err
+    code, _, err = run(*command, "--out", "there.h5", "--dask", "local")
+    assert code == 0, err
+    tried = (*IMPULSE, "--delays", "0:0.08:0.04", "--durations", "0,0.05")
+    for where in ((), ("--dask", "local")):
+        code, _, err = run(*tried, *where, "--out", f"impulse-{len(where)}.h5")
+        assert code == 0, err
+    for here, there in (("here.h5", "there.h5"), ("impulse-0.h5", "impulse-2.h5")):
+        one, two = read_maps(here), read_maps(there)
+        for own, other in zip(one.maps, two.maps, strict=True):
+            for name in ("outcome", "distance", "time", "uncertain"):
+                np.testing.assert_array_equal(getattr(own, name), getattr(other, name))
+        for own, other in zip(one.impulses, two.impulses, strict=True):
+            for name, values in own.optimum.items():
+                np.testing.assert_array_equal(values, other.optimum[name])
+    assert len(one.impulses) == 1

@@ -1,0 +1,352 @@
+"""What a sentence advises must work: every option that is named is one of the format's own, and helps."""
+
+import ast
+import re
+import tomllib
+from importlib import import_module
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+
+import sysid.loaders
+from sysid.errors import LogError, SysidError
+from sysid.loaders import formats, load
+from sysid.loaders.readers.sysid_hdf5 import write_recording
+from sysid.recording import Channel, Provenance, Recording
+from sysid.trials.look import inspect_recording
+from sysid.trials.look.advice import length_advice, unit_advice
+from sysid.workflows.inspect import parse_options
+
+FORMATS = formats()
+EVERY_OPTION = sorted({option for one in FORMATS.values() for option in one.options})
+ADVISED = re.compile(rf"(?<![\w.{{ ])\s?\b({'|'.join(EVERY_OPTION)}) = ")
+# Messages that only a caller with the option lets through: their tests are below.
+DECIDED_BY_THE_CALLER = {("order_rows", "time_back"), ("table_head", "columns"), ("rate_clock", "rate")}
+
+
+def strings(node):
+    for one in ast.walk(node):
+        if isinstance(one, ast.Constant) and isinstance(one.value, str):
+            yield one.value
+
+
+def without_docstrings(tree):
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module) and ast.get_docstring(node):
+            node.body = node.body[1:]
+    return tree
+
+
+def parts(module):
+    """Return name -> node of what a module of the loaders defines at its top."""
+    tree = without_docstrings(ast.parse(Path(module.__file__).read_text(encoding="utf-8")))
+    found = {}
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found[node.name] = node
+        elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            found[node.targets[0].id] = node
+    return tree, found
+
+
+def reached(module_name, names=None, seen=None):
+    """Yield (name, node) of all definitions in the loaders that a module, or names in it, leads to."""
+    seen = set() if seen is None else seen
+    module = import_module(module_name)
+    tree, own = parts(module)
+    origin = {
+        alias.asname or alias.name: node.module
+        for node in tree.body
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("sysid.loaders")
+        for alias in node.names
+    }
+    todo = list(own) if names is None else list(names)
+    while todo:
+        name = todo.pop()
+        if (module_name, name) in seen:
+            continue
+        seen.add((module_name, name))
+        if name in own:
+            yield name, own[name]
+            todo += [one.id for one in ast.walk(own[name]) if isinstance(one, ast.Name)]
+        elif name in origin:
+            yield from reached(origin[name], [name], seen)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_format_advises_no_option_that_it_has_not(name):
+    module = FORMATS[name].read.__module__
+    advised = set()
+    for definition, node in reached(module):
+        for text in strings(node):
+            for option in ADVISED.findall(text):
+                if (definition, option) not in DECIDED_BY_THE_CALLER:
+                    advised.add((option, definition))
+    wrong = {one for one in advised if one[0] not in FORMATS[name].options}
+    assert not wrong, f"{name} has {FORMATS[name].options}"
+
+
+def test_the_walk_sees_what_is_advised():
+    """Else it would pass for want of anything to look at."""
+    found = {
+        name: {o for _, node in reached(FORMATS[name].read.__module__) for t in strings(node)
+               for o in ADVISED.findall(t)}
+        for name in FORMATS
+    }  # fmt: skip
+    assert {"rate", "units", "columns"} <= found["load-cell-csv"]
+    assert {"quaternion_order", "length_unit", "clock"} <= found["pose-table"]
+    assert {"datasets", "rate", "units"} <= found["tdms"]
+    assert "rate" not in found["ros-csv"]
+
+
+def shell_words(sentence):
+    """Return the options that a sentence tells the reader to declare, as a shell would hand them over."""
+    return re.findall(r"\b((?:units|length_unit) = (?:\{.*?\}|\".*?\"))", sentence)
+
+
+RUN = np.arange(400)
+# 60 000 rpm, 900 gf and 300 mN·m, taken for rad/s, N and N·m; at rest in the first rows.
+SPEED, THRUST, TORQUE = (np.where(RUN < 100, 0.0, top) for top in (60_000.0, 3_000.0, 300.0))
+
+
+def bench_csv(head, rows):
+    return "\n".join([head, *rows, ""]).encode("utf-8")
+
+
+def bench_logs(tmp_path):
+    """Write one log of every bench format, in other units than it says; yield its path and options."""
+    rows = list(zip(RUN * 0.01, np.where(RUN < 100, 1000, 1500), SPEED, THRUST, TORQUE, strict=True))
+    numbers = [",".join(f"{x:.6g}" for x in row) for row in rows]
+    texts = {
+        "rcbenchmark-csv": (
+            "Time (s),ESC signal (µs),Motor Optical Speed (rad/s),Thrust (N),Torque (N·m)", numbers, {}),
+        "load-cell-csv": ("Time (s),Command (us),Speed (rad/s),Fz (N),Mz (N·m)", numbers, {}),
+        "net-ft-csv": (
+            "RDT Sample Rate: 100\nForce Units: N\nCounts per Unit Force: 1\nTorque Units: Nm\n"
+            "Counts per Unit Torque: 1\nStatus, RDT Sequence, F/T Sequence, Fx, Fy, Fz, Tx, Ty, Tz, Time",
+            [f"0,{i},{i},0,0,{r[3]},0,0,{r[4]},0" for i, r in enumerate(rows)], {}),
+        "ati-text": (
+            "First line indicates sampling freq [Hz]\nFx, Fy, Fz, Tx, Ty, Tz\n100,75,500",
+            [f"0,0,{r[3]},0,0,{r[4]}" for r in rows], {"units": {"force": "N", "torque": "N*m"}}),
+        "lvm": (
+            "LabVIEW Measurement\nSeparator\tTab\nX_Columns\tOne\n***End_of_Header***\n\n"
+            "Channels\t4\nSamples\t400\t400\t400\t400\nY_Unit_Label\tus\trad/s\tN\tN*m\n"
+            "Delta_X\t0.01\t0.01\t0.01\t0.01\n***End_of_Header***\nX_Value\tCommand\tSpeed\tFz\tMz\tComment",
+            [line.replace(",", "\t") for line in numbers], {}),
+    }  # fmt: skip
+    for name, (head, lines, options) in texts.items():
+        path = tmp_path / name
+        path.write_bytes(bench_csv(head, lines))
+        yield name, path, options
+    named = {"Command": ("us", rows[0][1]), "Speed": ("rad/s", SPEED), "Fz": ("N", THRUST),
+             "Mz": ("N*m", TORQUE)}  # fmt: skip
+    named["Command"] = ("us", np.where(RUN < 100, 1000.0, 1500.0))
+    path = tmp_path / "log.h5"
+    with h5py.File(path, "w") as file:
+        file.attrs["rate"] = 100.0
+        for name, (unit, values) in named.items():
+            file.create_dataset(name, data=values).attrs["unit"] = unit
+    yield "load-cell-hdf5", path, {}
+    path = tmp_path / "log.mat"
+    scipy.io.savemat(path, {f"{name}": values for name, (_, values) in named.items()})
+    stated = {"command": "us", "speed": "rad/s", "thrust": "N", "torque": "N*m"}
+    yield "mat", path, {"units": stated, "rate": 100.0}
+    tdms = pytest.importorskip("nptdms", reason="npTDMS comes with the test extra")
+    path = tmp_path / "log.tdms"
+    with tdms.TdmsWriter(path) as writer:
+        writer.write_segment(
+            [
+                tdms.ChannelObject("g", name, values, {"wf_increment": 0.01, "wf_samples": 400,
+                                                       "wf_start_offset": 0.0, "unit_string": unit})
+                for name, (unit, values) in named.items()
+            ]
+        )  # fmt: skip
+    yield "tdms", path, {}
+    path = tmp_path / "converted.h5"
+    write_recording(load(tmp_path / "load-cell-csv"), path)
+    yield "sysid-hdf5", path, {}
+
+
+def test_unit_advice_of_every_bench_format_helps(tmp_path):
+    walked = set()
+    for name, path, options in bench_logs(tmp_path):
+        recording = load(path, format=name, **options)
+        found = [one for one in inspect_recording(recording).suspicions if "probably" in one]
+        assert len(found) == len({"speed", "thrust", "torque"} & set(recording.channels)), (name, found)
+        units = dict(options.get("units", {}))
+        for sentence in found:
+            if "units" not in FORMATS[name].options:
+                assert "units" not in sentence
+                assert re.search("correct it|convert the original", sentence)
+                continue
+            declared = shell_words(sentence)
+            if declared:
+                units |= parse_options([declared[0]])["units"]
+            else:  # two units for six channels: the sentence names the one to correct
+                key, unit = re.search(r'correct (\w+) = "([^"]+)" in units', sentence).groups()
+                units[key] = unit
+        walked.add(name)
+        if units == dict(options.get("units", {})):
+            continue
+        again = load(path, format=name, **{**options, "units": units})
+        assert not [one for one in inspect_recording(again).suspicions if "probably" in one], name
+        if "speed" in again.channels:
+            # 60 000 rpm
+            assert again["speed"].values.max() == pytest.approx(60_000 * np.pi / 30, rel=1e-12)
+        assert again["thrust"].values.max() == pytest.approx(3_000 * 9.80665e-3, rel=1e-9)
+    # Every format that makes a bench log; the others are captures.
+    assert walked == {"rcbenchmark-csv", "load-cell-csv", "net-ft-csv", "ati-text", "lvm", "load-cell-hdf5",
+                      "mat", "tdms", "sysid-hdf5"}  # fmt: skip
+
+
+def test_a_tachometer_and_a_calibration_are_checked_not_given_a_unit():
+    def one(name, options):
+        time = np.arange(3.0)
+        channels = {"speed": Channel("speed", "rad/s", time, time)}
+        return Recording("load-cell", channels, Provenance("a", "", name, options=options))
+
+    pulses = one("tdms", {"pulses_per_revolution": "2"})
+    assert unit_advice(pulses, "speed", "rpm") == "check pulses_per_revolution"
+    assert unit_advice(pulses, "thrust", "gf") == 'declare units = {thrust = "gf"}'
+    assert "calibration" in unit_advice(one("ati-text", {"calibration": "a.cal"}), "thrust", "gf")
+
+
+FALL = np.arange(200) * 0.005
+# Half a second at rest 0.4 m above the floor, then down and still: 286 ms of fall.
+HEIGHT = np.maximum(0.4 - 0.5 * 9.80665 * np.maximum(FALL - 0.5, 0.0) ** 2, 0.0) + 0.1
+
+
+def capture_logs(tmp_path, stated, number):
+    """Yield a drop in every text format of captures; `stated` is what the file says of its unit."""
+    place = [(0.0, 0.0, h * number) for h in HEIGHT]
+    word = {"m": "Meters", "mm": "Millimeters", "": ""}[stated]
+    at = [f"{x:.6f},{y:.6f},{z:.6f}" for x, y, z in place]
+    pose = (
+        "t [s]," + ",".join(f"{a} [{stated}]" if stated else a for a in "xyz") + ",qw,qx,qy,qz",
+        [f"{t:.4f},{p},1,0,0,0" for t, p in zip(FALL, at, strict=True)],
+    )
+    motive = (
+        "Format Version,1.23,Capture Frame Rate,200,Export Frame Rate,200,Rotation Type,Quaternion"
+        + (f",Length Units,{word}" if word else "")
+        + "\n\n,Type" + ",Rigid Body" * 7 + "\n,Name" + ",q" * 7 + "\n,ID" + ",1" * 7
+        + "\n,," + "Rotation," * 4 + "Position,Position,Position\nFrame,Time (Seconds),X,Y,Z,W,X,Y,Z",
+        [f"{i},{t:.6f},0,0,0,1,{p}" for i, (t, p) in enumerate(zip(FALL, at, strict=True))],
+    )  # fmt: skip
+    vicon = (
+        "Objects\n200\n,,Global Angle q:q\nFrame,Sub Frame,RX,RY,RZ,TX,TY,TZ\n,,,," + f",{stated}" * 3,
+        [f"{i + 1},0,0,0,0,{p}" for i, p in enumerate(at)],
+    )
+    yield from {"pose-table": pose, "motive-csv": motive, "vicon-csv": vicon}.items()
+    if stated:
+        return
+    legacy = (
+        "righthanded\ninfo,version,1.1",
+        [f"frame,{i},{t:.6f},1,1,{p},0,0,0,1,0,0,0,0" for i, (t, p) in enumerate(zip(FALL, at, strict=True))],
+    )
+    ros = (
+        "%time,field.header.seq,field.header.stamp,field.header.frame_id,"
+        + ",".join(f"field.pose.position.{a}" for a in "xyz")
+        + "," + ",".join(f"field.pose.orientation.{a}" for a in "xyzw"),
+        [f"{int(t * 1e9) + 10**18},{i},{int(t * 1e9) + 10**18},w,{p},0,0,0,1"
+         for i, (t, p) in enumerate(zip(FALL, at, strict=True))],
+    )  # fmt: skip
+    yield from {"motive-legacy": legacy, "ros-csv": ros}.items()
+
+
+@pytest.mark.parametrize("stated", ["", "m"])
+def test_length_advice_of_every_capture_format_helps(tmp_path, stated):
+    walked = set()
+    for name, (head, rows) in capture_logs(tmp_path, stated, 1000.0):
+        path = tmp_path / name
+        path.write_bytes(bench_csv(head, rows))
+        options = {}
+        if not stated and name in ("pose-table", "motive-csv", "vicon-csv"):
+            options["length_unit"] = "m"
+        recording = load(path, format=name, **options)
+        [sentence] = [one for one in inspect_recording(recording).suspicions if "lengths" in one]
+        declared = shell_words(sentence)
+        if not declared:
+            assert stated
+            assert name in ("motive-csv", "vicon-csv")
+            assert "the file states its length unit, so correct it there" in sentence
+            other = "Millimeters" if name == "motive-csv" else "mm"
+            text = path.read_text(encoding="utf-8")
+            text = text.replace("Meters", other) if name == "motive-csv" else text.replace(",m", ",mm")
+            path.write_text(text, encoding="utf-8")
+        again = load(path, format=name, **{**options, **parse_options(declared)})
+        assert not [one for one in inspect_recording(again).suspicions if "lengths" in one], name
+        [body] = again.rigid_bodies
+        assert again[f"{body}/position"].values[0, 2] == pytest.approx(0.5, abs=1e-9)
+        walked.add(name)
+    assert len(walked) == (3 if stated else 5)
+
+
+def test_length_advice_by_format():
+    def one(name, options=None, notes=()):
+        channels = {"q/position": Channel("q/position", "m", np.arange(3.0), np.zeros((3, 3)))}
+        return Recording("motion-capture", channels, Provenance("a", "", name, "", options or {}, notes))
+
+    for name in ("ros-bag", "ros-csv", "motive-legacy", "qualisys-tsv"):
+        assert length_advice(one(name), "mm") == 'declare length_unit = "mm"'
+        assert "length_unit" in FORMATS[name].options
+    assert length_advice(one("c3d", {"length_unit": "m"}), "mm") == 'declare length_unit = "mm"'
+    assert "states its length unit" in length_advice(one("c3d"), "mm")
+    assert "where the log was written" in length_advice(one("ulog"), "mm")
+    converted = one("ros-csv", notes=("converted from a.csv (SHA-256 0)",))
+    assert length_advice(converted, "mm").startswith("convert the original log again")
+
+
+COARSE = np.repeat(np.arange(30) * 0.1, 4)
+
+
+def test_a_coarse_clock_is_answered_by_what_the_format_has(tmp_path):
+    cell = "Time (s),Fz (N)\n" + "".join(f"{t:.1f},{i}\n" for i, t in enumerate(COARSE))
+    stand = "Time (s),ESC signal (µs),Thrust (N)\n" + "".join(f"{t:.1f},1000,2\n" for t in COARSE)
+    table = "t,frame,x_m,y_m,z_m,qw,qx,qy,qz\n" + "".join(
+        f"{t:.1f},{i},0,0,{i},1,0,0,0\n" for i, t in enumerate(COARSE)
+    )
+    still = table.replace(",frame", ",mark")
+    for name, text, advice, options in [
+        ("load-cell-csv", cell, "declare the sample rate with rate = ...", {"rate": "40 Hz"}),
+        ("rcbenchmark-csv", stand, "export the log again with finer times", None),
+        ("pose-table", table, 'choose clock = "frame"', {"clock": "frame"}),
+        ("pose-table", still, "export the log again with finer times", None),
+    ]:
+        path = tmp_path / "log"
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(LogError, match="the clock is too coarse") as caught:
+            load(path, format=name)
+        assert str(caught.value).endswith(advice)
+        if options is not None:
+            channel = next(iter(load(path, format=name, **options).channels.values()))
+            assert channel.rate == pytest.approx(40, rel=0.01)  # stamps of 0.1 s fix it no better
+
+
+@pytest.mark.parametrize("name", ["rcbenchmark-csv", "ros-csv", "load-cell-csv", "pose-table"])
+def test_names_are_asked_for_where_they_can_be_said(tmp_path, name):
+    path = tmp_path / "log"
+    path.write_text("".join(f"{i},1,2,3,4,5,6,7\n" for i in range(9)), encoding="utf-8")
+    with pytest.raises(LogError, match="found numbers where the header line should name") as caught:
+        load(path, format=name)
+    assert ("columns = [...]" in str(caught.value)) == ("columns" in FORMATS[name].options)
+
+
+def test_a_rate_and_a_tare_may_say_their_unit(tmp_path):
+    path = tmp_path / "log"
+    path.write_text("".join("0,0,5,0,0,1\n" for _ in range(60)), encoding="utf-8")
+    words = ['units={force="N",torque="N*m"}', 'rate="0.02 kHz"', "tare=1 s"]  # as a shell hands them over
+    log = load(path, format="ati-text", **parse_options(words))
+    assert log["thrust"].rate == pytest.approx(20.0)
+    np.testing.assert_array_equal(log["thrust"].values, 0.0)
+    for words, said in [(["tare=1 N"], "tare = '1 N': unit 'N' is not a 's'"),
+                        (["rate=fast"], "rate = 'fast': 'fast' is not a number with a unit")]:  # fmt: skip
+        with pytest.raises(SysidError, match=re.escape(said)):
+            load(path, format="ati-text", **parse_options(words))
+
+
+def test_the_advice_of_this_file_is_toml():
+    assert tomllib.loads(shell_words('x: declare units = {speed = "rpm"}')[0]) == {"units": {"speed": "rpm"}}
+    assert sysid.loaders.load is load

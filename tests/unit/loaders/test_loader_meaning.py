@@ -1,0 +1,219 @@
+"""What a log means and does not say: units at the ends of names, axes that are no time, times of arrival."""
+
+import numpy as np
+import pytest
+
+from sysid.errors import LogError, SysidError, UnitError
+from sysid.loaders import load
+from sysid.trials.look import inspect_recording
+
+
+def rows(count, line):
+    return "".join(line.format(t=0.01 * i, i=i) + "\n" for i in range(count))
+
+
+def test_a_unit_at_the_end_of_a_name_is_said(write):
+    path = write("t_s,px_m,py_m,pz_m,qw,qx,qy,qz\n" + rows(5, "{t:.2f},1,2,3,1,0,0,0"))
+    notes = load(path).provenance.notes
+    assert any(note.startswith("units taken from the ends of names") for note in notes)
+    assert inspect_recording(load(path)).notes == notes
+    for name in ("t_s", "px_m", "py_m", "pz_m"):
+        assert any(f'"{name}"' in note for note in notes)
+    # In brackets, or declared, nothing was guessed.
+    path = write("t (s),px (m),py (m),pz (m),qw,qx,qy,qz\n" + rows(5, "{t:.2f},1,2,3,1,0,0,0"))
+    assert not any("ends of names" in note for note in load(path).provenance.notes)
+    path = write("Time (s),Fz_N\n" + rows(5, "{t:.2f},1"))
+    assert any('N of "Fz_N"' in note for note in load(path).provenance.notes)
+    declared = load(path, units={"thrust": "gf"})
+    np.testing.assert_allclose(declared["thrust"].values, 9.80665e-3)
+    assert not any("ends of names" in note for note in declared.provenance.notes)
+    # A suffix of another dimension than the quantity's is refused, as a bracket is.
+    with pytest.raises(UnitError, match=r'column "Fz_V": .*dimension'):
+        load(write("Time (s),Fz_V\n" + rows(5, "{t:.2f},1")))
+
+
+LVM = (
+    "LabVIEW Measurement\nSeparator\tTab\nDecimal_Separator\t.\nX_Columns\t{columns}\n***End_of_Header***\n\n"
+    "Channels\t1\nY_Unit_Label\tN\n{axis}X0\t2\nDelta_X\t0.5\n***End_of_Header***\nX_Value\tFz\tComment\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("axis", "factor"),
+    [
+        ("", 1.0),
+        ("X_Dimension\tTime\n", 1.0),
+        ("X_Dimension\tTime\nX_Unit_Label\tms\n", 1e-3),
+        ("X_Unit_Label\tSeconds\n", 1.0),
+    ],
+)
+def test_the_x_axis_of_lvm_is_time_in_the_unit_that_it_states(write, axis, factor):
+    implied = load(write(LVM.format(columns="No", axis=axis) + "\t1\n\t2\n\t3\n"))["thrust"]
+    np.testing.assert_allclose(implied.time, factor * np.array([2.0, 2.5, 3.0]))
+    written = load(write(LVM.format(columns="One", axis=axis) + "0\t1\n4\t2\n5\t3\n"))["thrust"]
+    np.testing.assert_allclose(written.time, factor * np.array([0.0, 4.0, 5.0]))
+
+
+@pytest.mark.parametrize("axis", ["X_Dimension\tFrequency\n", "X_Unit_Label\tHz\n", "X_Unit_Label\tmm\n"])
+def test_an_x_axis_of_lvm_that_is_no_time_is_refused(write, axis):
+    path = write(LVM.format(columns="No", axis=axis) + "\t1\n\t2\n\t3\n")
+    with pytest.raises(
+        LogError, match=r"the header above line \d+ gives 'Fz' over \w+ in \w+, not over time"
+    ):
+        load(path)
+    np.testing.assert_allclose(load(path, rate=4.0)["thrust"].time, [2.0, 2.25, 2.5])
+
+
+def tdms(path, channels):
+    nptdms = pytest.importorskip("nptdms", reason="npTDMS comes with the test extra")
+    with nptdms.TdmsWriter(str(path)) as writer:
+        writer.write_segment(
+            [nptdms.ChannelObject("cell", name, values, properties=said) for name, values, said in channels]
+        )
+    return path
+
+
+def test_the_axis_of_a_tdms_waveform_counts_in_its_own_unit(tmp_path):
+    values = np.arange(4.0)
+    wave = {"wf_increment": 0.5, "wf_start_offset": 3.0, "unit_string": "N"}
+    spectrum = {"wf_increment": 2.0, "wf_xunit_string": "Hz", "unit_string": "V"}
+    path = tdms(
+        tmp_path / "a.tdms",
+        [("Fz", values, wave | {"wf_xunit_string": "ms"}), ("FFT", values, spectrum)],
+    )
+    log = load(path)
+    np.testing.assert_allclose(log["thrust"].time, [3e-3, 3.5e-3, 4e-3, 4.5e-3])
+    assert list(log.channels) == ["thrust"]
+    assert any('over another axis than time, left out: "/cell/FFT"' in note for note in log.provenance.notes)
+    path = tdms(tmp_path / "b.tdms", [("Fz", values, wave)])
+    np.testing.assert_allclose(load(path)["thrust"].time, [3.0, 3.5, 4.0, 4.5])
+
+
+def test_times_beside_a_signal_say_their_unit_or_are_asked_for(tmp_path):
+    values, said = np.arange(4.0), {"unit_string": "N"}
+    path = tdms(tmp_path / "a.tdms", [("Fz", values, said), ("Time", values, {})])
+    with pytest.raises(UnitError, match='column "Time" states no unit'):
+        load(path)
+    np.testing.assert_allclose(load(path, units={"time": "ms"})["thrust"].time, 1e-3 * values)
+    stamps = np.datetime64("2026-01-01T00:00:00") + (500 * np.arange(4)).astype("timedelta64[ms]")
+    path = tdms(tmp_path / "b.tdms", [("Fz", values, said), ("Time", stamps.astype("datetime64[us]"), {})])
+    np.testing.assert_allclose(load(path)["thrust"].time, 0.5 * values)
+
+
+def test_a_name_alone_makes_no_ampere(tmp_path):
+    wave = {"wf_increment": 0.5}
+    path = tdms(tmp_path / "a.tdms", [("phase_A", np.arange(4.0), wave), ("Fz_N", np.arange(4.0), wave)])
+    log = load(path)
+    assert log["phase_A"].unit == ""
+    assert log["thrust"].unit == "N"
+    assert any('N of "Fz_N"' in note and "phase" not in note for note in log.provenance.notes)
+
+
+STAND = "Time (s),ESC signal,Thrust (N),Motor Optical Speed (RPM)\n"
+
+
+@pytest.mark.parametrize(("low", "high", "known"), [(1000, 1800, False), (0, 2047, True), (48, 1046, True)])
+def test_a_command_without_unit_is_dshot_only_where_no_pulse_width_looks_so(write, low, high, known):
+    path = write(STAND + rows(9, f"{{t:.2f}},{low},1,2") + rows(9, f"1{{t:.2f}},{high},1,2"))
+    if known:
+        assert load(path)["command"].unit == "dshot"
+        return
+    with pytest.raises(UnitError, match=f"runs from {low} to {high}, as pulse widths in us do"):
+        load(path)
+    assert load(path, units={"command": "us"})["command"].unit == "us"
+
+
+def arrivals(count=400):
+    """Frames at 100 Hz, some lost, stamped when a network delivered them: 1 to 41 ms late."""
+    random = np.random.default_rng(8)
+    frames = np.delete(np.arange(7, 7 + count), [50, 51, 200])
+    late = np.maximum.accumulate(frames / 100 + random.uniform(0.001, 0.041, frames.size))
+    return frames, late + 1e-6 * np.arange(frames.size)
+
+
+def test_jitter_of_arrival_is_taken_out_by_frame_numbers(write):
+    frames, late = arrivals()
+    text = "frame,t,x,y,z,qx,qy,qz,qw\n"
+    text += "".join(f"{f},{t:.6f},{f},2,3,0,0,0,1\n" for f, t in zip(frames, late, strict=True))
+    path = write(text)
+    jittery = load(path, length_unit="m")
+    assert any('gives a steady clock: clock = "frame"' in note for note in jittery.provenance.notes)
+    log = load(path, length_unit="m", clock="frame")["body/position"]
+    # The delays of 1 to 41 ms leave their mean in the clock, and 12 ms/sqrt(400) each way of it.
+    np.testing.assert_allclose(log.time - frames / 100, 0.024, atol=4e-3)
+    np.testing.assert_allclose(np.diff(log.time), np.diff(frames) / 100, rtol=2e-3)
+    np.testing.assert_array_equal(log.values[:, 0], frames)
+    with pytest.raises(LogError, match='no column "frame"'):
+        load(write(text.replace("frame,", "n,")), length_unit="m", clock="frame")
+    other = "".join(f"{f},{t:.6f},1,2,3,0,0,0,1\n" for f, t in zip(frames, 3 * np.sqrt(late), strict=True))
+    with pytest.raises(LogError, match="do not belong together"):
+        load(write(text.splitlines()[0] + "\n" + other), length_unit="m", clock="frame")
+    with pytest.raises(LogError, match='expected "time" or "frame"'):
+        load(path, length_unit="m", clock="soon")
+
+
+def test_sequence_numbers_of_ros_messages_are_frames(write):
+    frames, late = arrivals()
+    head = "%time,field.header.seq,field.header.stamp," + ",".join(
+        f"field.pose.{part}"
+        for part in (*(f"position.{a}" for a in "xyz"), *(f"orientation.{a}" for a in "xyzw"))
+    )
+    lines = [
+        f"{round(1e9 * t)},{f},{round(1e9 * t)},1,2,3,0,0,0,1" for f, t in zip(frames, late, strict=True)
+    ]
+    log = load(write("\n".join([head, *lines, ""])), clock="frame")["body/position"]
+    np.testing.assert_allclose(np.diff(log.time), np.diff(frames) / 100, rtol=2e-3)
+    bare = "\n".join([head.replace("seq", "other"), *lines, ""])
+    with pytest.raises(SysidError, match=r"no column field\.header\.seq"):
+        load(write(bare), clock="frame")
+
+
+def test_a_time_column_of_another_language_is_named(write):
+    path = write("Zeit (s);Befehl (us);Fz (N)\n" + rows(5, "{t:.2f};1000;1"))
+    with pytest.raises(LogError, match=r'no time column among "Zeit \(s\)", .* name it with columns'):
+        load(path)
+    log = load(path, columns={"time": "Zeit", "command": "Befehl"})
+    assert (log["command"].unit, log["thrust"].time[1]) == ("us", 0.01)
+
+
+def test_one_rate_for_datasets_of_other_lengths_and_a_rate_against_times_are_refused(tmp_path):
+    import h5py
+
+    path = tmp_path / "log.h5"
+
+    def log(lengths, rate=None, time=None, own=None, **options):
+        with h5py.File(path, "w") as file:
+            for name, length in lengths.items():
+                file[name] = np.arange(float(length))
+                file[name].attrs["unit"] = {"Fz": "N", "Speed": "rad/s"}[name]
+            if rate is not None:
+                file.attrs["rate"] = rate
+            if own is not None:
+                file["Speed"].attrs["rate"] = own
+            if time is not None:
+                file["time"] = time
+                file["time"].attrs["unit"] = "s"
+        return load(path, **options)
+
+    other = {"Fz": 10000, "Speed": 1000}
+    with pytest.raises(LogError, match=r"/Speed has 1000 samples and /Fz has 10000, but both take one rate"):
+        log(other, rate=10000)
+    with pytest.raises(LogError, match=r"both take one rate of 5000 Hz"):
+        load(path, rate=5000)
+    log(other, rate=10000, own=1000)
+    assert load(path)["speed"].time[-1] == pytest.approx(0.999, rel=1e-12)
+    # A sample more or less is how two devices stop.
+    assert log({"Fz": 1000, "Speed": 999}, rate=1000)["speed"].time.size == 999
+    times = np.arange(1000) / 500
+    with pytest.raises(LogError, match=r"/Fz states 1000 Hz but its clock /time steps by 0\.002 s"):
+        log({"Fz": 1000}, rate=1000, time=times)
+    assert log({"Fz": 1000}, rate=500, time=times)["thrust"].time[-1] == pytest.approx(1.998, rel=1e-12)
+    assert load(path, rate=1000)["thrust"].time[-1] == pytest.approx(0.999, rel=1e-12)
+
+
+def test_a_delta_x_that_the_times_contradict_is_said(write):
+    for step, said in ((0.5, False), (0.001, True)):
+        rows_ = "".join(f"{step * i if said is False else i}\t{i}\n" for i in range(5))
+        text = LVM.format(columns="One", axis="").replace("Delta_X\t0.5", f"Delta_X\t{step}")
+        notes = load(write(text + rows_)).provenance.notes
+        assert any("states 1000 Hz but its column of times steps by 1 s" in note for note in notes) is said

@@ -1,0 +1,236 @@
+"""What a campaign can tell a loader: every option of every format, a typo named, the nearest word winning."""
+
+import re
+import warnings
+
+import numpy as np
+import pytest
+
+from sysid.campaign import read_campaign
+from sysid.campaign.logs import BenchLogOptions, CaptureLogOptions, SecondLog
+from sysid.campaign.motor import StaticLog
+from sysid.errors import CampaignError, LogError, SysidError, SysidWarning
+from sysid.gear.drops import prepare_drops
+from sysid.loaders import formats
+from sysid.motor.bench_reading import check_options, read_log
+from sysid.recording import Channel, Provenance, Recording
+from sysid.trials.common_clock import on_one_clock
+
+MOTOR = """
+kind = "motor"
+name = "a"
+[command]
+unit = "us"
+minimum = 1000
+maximum = 2000
+[log]
+{log}
+[[trials]]
+name = "t"
+log = "log.csv"
+direction = "forward"
+{trial}
+"""
+GEAR = """
+kind = "gear"
+name = "a"
+[vehicle]
+body_mass = "1 kg"
+body_inertia = "0.01 kg·m²"
+foot_dx = "0.1 m"
+foot_dz = "0.1 m"
+[capture]
+{capture}
+[surface]
+point = ["0 m", "0 m", "0 m"]
+[[trials]]
+name = "t"
+log = "log.csv"
+slope = "10 deg"
+{trial}
+"""
+
+
+def campaign(tmp_path, text):
+    path = tmp_path / "campaign.toml"
+    path.write_text(text, encoding="utf-8")
+    return read_campaign(path), path
+
+
+def test_every_option_of_every_format_can_be_said():
+    bench, capture = set(BenchLogOptions.model_fields), set(CaptureLogOptions.model_fields)
+    for name, one in formats().items():
+        left = set(one.options)
+        assert left <= bench or left <= capture, (name, left - bench, left - capture)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (
+            MOTOR.format(log="", trial="log_options = { rat = '5 kHz' }"),
+            "unknown key trials['t'].log_options.rat; nearest known key is 'rate'",
+        ),
+        (
+            MOTOR.format(log="", trial="second_log = { log = 'b.csv', pulses_per_rev = 2 }"),
+            "unknown key trials['t'].second_log.pulses_per_rev; nearest known key is 'pulses_per_revolution'",
+        ),
+        (
+            MOTOR.format(log="", trial="second_log = { rate = '5 Hz' }"),
+            "trials['t'].second_log.log is missing",
+        ),
+        (
+            MOTOR.format(log="transform = { dq = '1 mm' }", trial=""),
+            "unknown key log.transform.dq; known keys are dx, dy, dz, rx, ry, rz",
+        ),
+        (MOTOR.format(log="transform = { dx = '1 N' }", trial=""), "log.transform.dx: unit 'N' is not a 'm'"),
+        (MOTOR.format(log="units = { thrust = 'gff' }", trial=""), "log.units.thrust: unknown unit 'gff'"),
+        (MOTOR.format(log="pulses_per_revolution = 0", trial=""), "log.pulses_per_revolution: "),
+        (MOTOR.format(log="columns = 7", trial=""), "log.columns: expected { speed = "),
+        (MOTOR.format(log="tare = '1 N'", trial=""), "log.tare: unit 'N' is not a 's'"),
+        (
+            GEAR.format(capture="bodys = { a = ['b'] }", trial=""),
+            "unknown key capture.bodys; nearest known key is 'bodies'",
+        ),
+        (GEAR.format(capture="bodies = { a = 'b' }", trial=""), "capture.bodies.a: Input should be a list"),
+        (
+            GEAR.format(capture="", trial="log_options = { lenght_unit = 'mm' }"),
+            "unknown key trials['t'].log_options.lenght_unit; nearest known key is 'length_unit'",
+        ),
+        (
+            GEAR.format(capture="", trial="rigid_body = 'a'\nlog_options = { rigid_body = 'b' }"),
+            "trial 't': rigid_body is given twice",
+        ),
+        (GEAR.format(capture="clock = 'later'", trial=""), "capture.clock: "),
+    ],
+)
+def test_a_typo_is_one_sentence(tmp_path, text, sentence):
+    with pytest.raises(CampaignError) as caught:
+        campaign(tmp_path, text)
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert "tuple[" not in str(caught.value)
+
+
+CELL = "Time (s),Command (us),Speed,Fz (N)\n" + "".join(f"{i * 0.01:.2f},1000,{i},{i}\n" for i in range(9))
+
+
+def test_a_trial_wins_over_the_campaign_and_must_fit_its_format(tmp_path):
+    (tmp_path / "log.csv").write_text(CELL, encoding="utf-8")
+    # The campaign says datasets and static, which this log's format does not take: not meant for it.
+    wide = "speed_unit = 'rpm'\ndatasets = { speed = 'n' }\nstatic = true"
+    found, path = campaign(tmp_path, MOTOR.format(log=wide, trial=""))
+    speed = read_log(found, path, found.trials[0]).recording["speed"].values
+    np.testing.assert_allclose(speed, np.arange(9) * np.pi / 30)
+    found, path = campaign(
+        tmp_path, MOTOR.format(log=wide, trial="log_options = { units = { speed = 'deg/s' } }")
+    )
+    speed = read_log(found, path, found.trials[0]).recording["speed"].values
+    np.testing.assert_allclose(speed, np.arange(9) * np.pi / 180)
+    found, path = campaign(tmp_path, MOTOR.format(log=wide, trial="log_options = { static = true }"))
+    with pytest.raises(LogError, match='format load-cell-csv has no option "static"'):
+        read_log(found, path, found.trials[0])
+    # A rate that contradicts the log, taken back for one trial by an empty table of the same name.
+    found, path = campaign(tmp_path, MOTOR.format(log="units = { Fy = 'N' }\nspeed_unit = 'rpm'", trial=""))
+    with pytest.raises(SysidError, match='units names "Fy"'):
+        read_log(found, path, found.trials[0])
+    found, path = campaign(
+        tmp_path,
+        MOTOR.format(log="units = { Fy = 'N' }", trial="log_options = { units = { speed = 'rpm' } }"),
+    )
+    assert "thrust" in read_log(found, path, found.trials[0]).recording.channels
+
+
+def test_an_option_that_no_log_takes_is_said(tmp_path):
+    (tmp_path / "log.csv").write_text(CELL, encoding="utf-8")
+    found, path = campaign(tmp_path, MOTOR.format(log="speed_unit = 'rpm'\nsegment = 2", trial=""))
+    with pytest.warns(
+        SysidWarning, match=r"log\.segment has no effect: .* load-cell-csv, and it is for lvm;"
+    ):
+        check_options(found, path)
+    found, path = campaign(tmp_path, MOTOR.format(log="speed_unit = 'rpm'\nrate = '100 Hz'", trial=""))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_options(found, path)
+    found, path = campaign(tmp_path, GEAR.format(capture="rigid_body = 'c'\nangles = 'XYZ'", trial=""))
+    with pytest.warns(SysidWarning, match=r"capture\.angles has no effect"), pytest.raises(SysidError):
+        prepare_drops(found, path)
+
+
+def test_columns_of_other_names(tmp_path):
+    text = CELL.replace("Speed", "n [rpm]").replace("Fz", "F").replace("Time (s)", "Zeit (s)")
+    (tmp_path / "log.csv").write_text(text, encoding="utf-8")
+    log = "format = 'load-cell-csv'\ncolumns = { time = 'Zeit', speed = 'n [rpm]', Fz = 4 }"
+    found, path = campaign(tmp_path, MOTOR.format(log=log, trial=""))
+    recording = read_log(found, path, found.trials[0]).recording
+    # A column keeps the unit that stands beside its old name.
+    np.testing.assert_allclose(recording["speed"].values, np.arange(9) * np.pi / 30)
+    np.testing.assert_array_equal(recording["thrust"].values, np.arange(9))
+    for columns, said in [
+        (
+            "{ speed = 'm' }",
+            "columns says that speed is 'm', which is neither a column nor its number from 1",
+        ),
+        ("{ speed = 9 }", "columns says that speed is 9"),
+        ("{ speed = 0 }", "columns says that speed is 0"),
+    ]:
+        log = f"format = 'load-cell-csv'\ncolumns = {columns}"
+        found, path = campaign(tmp_path, MOTOR.format(log=log, trial=""))
+        with pytest.raises(LogError, match=re.escape(said)):
+            read_log(found, path, found.trials[0])
+    # All of them, of a log without header.
+    (tmp_path / "log.csv").write_text("\n".join(CELL.splitlines()[1:]) + "\n", encoding="utf-8")
+    log = "format = 'load-cell-csv'\ncolumns = ['Time (s)', 'Command (us)', 'Speed (rpm)', 'Fz (N)']"
+    found, path = campaign(tmp_path, MOTOR.format(log=log, trial=""))
+    assert set(read_log(found, path, found.trials[0]).recording.channels) == {"command", "speed", "thrust"}
+
+
+def test_a_drop_may_name_another_body_than_the_campaign(tmp_path):
+    lines = ["Objects", "100", ",,Global Angle a:a,,,,,,Global Angle b:b,,,,,",
+             "Frame,Sub Frame" + ",RX,RY,RZ,TX,TY,TZ" * 2, "," + ",,,,mm,mm,mm" * 2]  # fmt: skip
+    lines += [f"{i},0" + ",0,0,0,1,2,3" * 2 for i in range(30)]
+    (tmp_path / "log.csv").write_text("\n".join([*lines, ""]), encoding="utf-8")
+    for trial, sentence in [("rigid_body = 'b'", "nothing falls|fall|release"), ("", 'no rigid body "c"')]:
+        found, path = campaign(tmp_path, GEAR.format(capture="rigid_body = 'c'", trial=trial))
+        with pytest.raises(SysidError, match=sentence) as caught:
+            prepare_drops(found, path)
+        assert ("no rigid body" in str(caught.value)) == (trial == "")
+
+
+def test_a_second_log_without_a_common_event_is_refused(tmp_path):
+    (tmp_path / "log.csv").write_text(CELL.replace("Speed", "Speed (rad/s)") * 1, encoding="utf-8")
+    random = np.random.default_rng(0)
+    rows = "".join(f"{i * 0.01:.2f},{v:.3f}\n" for i, v in enumerate(random.normal(size=200)))
+    (tmp_path / "b.csv").write_text("Time (s),Speed (rad/s)\n" + rows, encoding="utf-8")
+    found, path = campaign(tmp_path, MOTOR.format(log="", trial="second_log = { log = 'b.csv' }"))
+    with pytest.raises(LogError, match=r"b\.csv: (cannot be aligned|speed has 9 samples, too few)"):
+        read_log(found, path, found.trials[0])
+    missing = StaticLog(log="log.csv", second_log=SecondLog(log="none.csv"))
+    with pytest.raises(CampaignError, match=r"log 'none.csv' does not exist"):
+        read_log(found, path, missing)
+
+
+def test_channels_on_one_clock():
+    fine, coarse = np.arange(0, 1, 1e-3), 0.2 + np.arange(0, 0.6, 0.01)
+    values = np.sin(coarse)
+    values[20:30] = np.nan
+    channels = {
+        "torque": Channel("torque", "N·m", fine, fine),
+        "command": Channel("command", "us", coarse, np.where(coarse < 0.5, 1000.0, 1500.0)),
+        "speed": Channel("speed", "rad/s", coarse, values),
+    }
+    log = Recording("load-cell", channels, Provenance("a", "", "a"))
+    found = on_one_clock(log, ("command", "speed", "torque"), ("torque",))
+    time = found["torque"].time
+    # Rows while the other logger ran, and to the end of its last row's step.
+    assert time[0] == pytest.approx(0.2)
+    assert time[-1] == pytest.approx(0.8, abs=1.1e-3)
+    np.testing.assert_array_equal(found["command"].values, np.where(time < 0.5 - 1e-9, 1000.0, 1500.0))
+    known = found["speed"].valid
+    # Linear between samples 10 ms apart of a sine: an eighth of the step's square.
+    np.testing.assert_allclose(found["speed"].values[known], np.sin(time[known]), atol=1.3e-5)
+    # Ten samples lost are 110 ms between two known ones: nothing is filled in there.
+    lost = time[~known & (time < 0.75)]
+    assert (lost[0], lost[-1]) == (pytest.approx(0.391, abs=1e-6), pytest.approx(0.499, abs=1.1e-3))
+    assert any("taken linear between them" in note for note in found.provenance.notes)
+    assert on_one_clock(found, ("command", "speed", "torque"), ("torque",)) is found

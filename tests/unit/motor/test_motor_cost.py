@@ -1,0 +1,127 @@
+"""The way of a simulated motor trial to its NRMSE: filter of fast logs, sensors of slow ones, failures."""
+
+import numpy as np
+import pytest
+
+from sysid.errors import FitError
+from sysid.filters import ChebyshevLowpass
+from sysid.fit.nrmse import FAILED_NRMSE, nrmse
+from sysid.motor.cost import MotorCost, MotorTarget
+
+RNG = np.random.default_rng(8)
+
+
+def _slow(measured: np.ndarray, time: np.ndarray, valid: np.ndarray | None = None) -> MotorTarget:
+    mask = np.isfinite(measured) if valid is None else valid
+    return MotorTarget("slow", time, measured, mask, 0.0, 0.002, 1001, np.zeros(0))
+
+
+def test_sensor_delay_and_lag_of_a_ramp() -> None:
+    grid = 0.002 * np.arange(1001)
+    time = np.sort(RNG.uniform(0.5, 1.9, 80))
+    cost = MotorCost((_slow(np.column_stack([time, time]), time),), (1.0, 1.0), "std")
+    ramp = np.column_stack([grid, grid])[None]
+    (plain,) = cost.prepared(ramp, np.zeros((1, 3)))
+    np.testing.assert_allclose(plain[0], np.column_stack([time, time]), atol=1e-12)
+    (late,) = cost.prepared(ramp, np.array([[0.03, 0.0, 0.0]]))
+    np.testing.assert_allclose(late[0, :, 0], time - 0.03, atol=1e-12)
+    np.testing.assert_allclose(late[0, :, 1], time, atol=1e-12)
+    (lagging,) = cost.prepared(ramp, np.array([[0.0, 0.02, 0.01]]))
+    # A lag trails a ramp by its time constant; the hold over each grid step of 2 ms takes half of one off.
+    np.testing.assert_allclose(lagging[0, :, 0], time - 0.02, atol=0.0011)
+    np.testing.assert_allclose(lagging[0, :, 1], time - 0.01, atol=0.0011)
+
+
+def test_slow_score_is_the_plain_nrmse_over_valid_samples() -> None:
+    time = np.linspace(0.01, 1.9, 150)
+    measured = RNG.normal(size=(150, 2))
+    valid = RNG.uniform(size=(150, 2)) < 0.6
+    cost = MotorCost((_slow(measured, time, valid),), (1.0, 3.0), "std")
+    samples = RNG.normal(size=(2, 1001, 2))
+    by_channel, failed = cost(samples, np.ones((2, 1)), np.zeros((2, 3)))
+    (simulated,) = cost.prepared(samples, np.zeros((2, 3)))
+    for p in range(2):
+        for c in range(2):
+            expected = nrmse(simulated[p, :, c], measured[:, c], valid[:, c])
+            assert by_channel[p, 0, c] == pytest.approx(expected, rel=1e-12)  # order of the sum
+    assert not failed.any()
+    np.testing.assert_allclose(cost.mean(by_channel), by_channel[:, 0] @ [0.25, 0.75])
+
+
+def test_fast_score_filters_as_the_taps_say() -> None:
+    half = np.array([0.4, 0.2, 0.1])
+    full = np.concatenate([half[:0:-1], half])
+    step, stride, grid = 1e-3, 4, 203
+    rows = np.arange(5, 195, stride)
+    time = 2.0 + step * rows
+    target = MotorTarget(
+        "fast", time, RNG.normal(size=(rows.size, 2)), np.ones((rows.size, 2), bool), 2.0, step, grid, half
+    )
+    cost = MotorCost((target,), (1.0, 1.0), "std")
+    samples = RNG.normal(size=(1, grid, 2))
+    (found,) = cost.prepared(samples, np.zeros((1, 3)))
+    for c in range(2):
+        slow_twin = np.convolve(samples[0, :, c], full, mode="same")[rows]
+        np.testing.assert_allclose(found[0, :, c], slow_twin, atol=1e-12)  # order of the sum
+
+
+def test_taps_of_a_fast_log_are_the_filter() -> None:
+    from types import SimpleNamespace
+
+    from sysid.campaign.motor import ChebyshevFilter
+    from sysid.motor.targets import _fast
+
+    campaign = SimpleNamespace(filter=ChebyshevFilter())
+    log = SimpleNamespace(time=np.arange(30_000) / 10_000.0)
+    taps, _ = _fast(campaign, log)
+    lowpass = ChebyshevLowpass(10_000.0)
+    lags = 1e-3 * np.arange(1, taps.size)
+    for frequency in (0.0, 5.0, 20.0, 50.0, 60.0, 90.0):
+        gain = taps[0] + 2.0 * np.sum(taps[1:] * np.cos(2 * np.pi * frequency * lags))
+        # Taps below 1e-4 of the centre are cut: at most their sum is missing.
+        assert gain == pytest.approx(float(lowpass.gain(np.array([frequency]))[0]), abs=2e-3)
+
+
+def test_failed_simulation_scores_its_graded_penalty() -> None:
+    time = np.linspace(0.01, 1.9, 50)
+    cost = MotorCost((_slow(RNG.normal(size=(50, 2)), time),), (1.0, 1.0), "std")
+    samples = np.zeros((3, 1001, 2))
+    samples[1, 400:] = np.nan
+    by_channel, failed = cost(samples, np.array([[1.0], [1.0], [0.25]]), np.zeros((3, 3)))
+    np.testing.assert_array_equal(failed[:, 0], [False, True, True])
+    np.testing.assert_allclose(by_channel[1], FAILED_NRMSE)
+    np.testing.assert_allclose(by_channel[2], FAILED_NRMSE * 1.75)
+    assert np.all(np.isfinite(cost.mean(by_channel)))
+
+
+def test_channel_without_samples_is_refused_unless_it_has_no_weight() -> None:
+    time = np.linspace(0.01, 1.9, 50)
+    measured = np.column_stack([np.full(50, np.nan), RNG.normal(size=50)])
+    with pytest.raises(FitError, match="slow, stator_torque: no valid sample"):
+        MotorCost((_slow(measured, time),), (1.0, 1.0), "std")
+    cost = MotorCost((_slow(measured, time),), (0.0, 1.0), "std")
+    by_channel, failed = cost(np.zeros((1, 1001, 2)), np.ones((1, 1)), np.zeros((1, 3)))
+    assert not failed.any()
+    assert np.isfinite(cost.mean(by_channel)).all()
+    # No number where nothing was recorded, instead of a perfect one.
+    assert np.isnan(by_channel[0, 0, 0])
+    with pytest.raises(FitError, match="speed: constant"):
+        MotorCost((_slow(np.ones((50, 2)), time),), (0.0, 1.0), "range")
+
+
+def test_a_channel_without_weight_has_its_nrmse_and_no_say() -> None:
+    time = np.linspace(0.01, 1.9, 50)
+    # Torque of 10 mN·m: its rms error in N·m would be a hundredth of its NRMSE.
+    measured = RNG.normal(size=(50, 2)) * (0.01, 1.0)
+    cost = MotorCost((_slow(measured, time),), (0.0, 1.0), "std")
+    by_channel, _ = cost(np.zeros((1, 1001, 2)), np.ones((1, 1)), np.zeros((1, 3)))
+    for c in range(2):
+        assert by_channel[0, 0, c] == pytest.approx(nrmse(np.zeros(50), measured[:, c]), rel=1e-12)
+    assert cost.mean(by_channel)[0] == by_channel[0, 0, 1]
+    # A constant one has none.
+    flat = np.column_stack([np.full(50, 0.01), measured[:, 1]])
+    by_channel, failed = MotorCost((_slow(flat, time),), (0.0, 1.0), "std")(
+        np.zeros((1, 1001, 2)), np.ones((1, 1)), np.zeros((1, 3))
+    )
+    assert np.isnan(by_channel[0, 0, 0])
+    assert not failed.any()

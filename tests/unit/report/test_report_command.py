@@ -1,0 +1,116 @@
+"""`sysid report` and the notebooks: what is refused, what every command offers, what lies in git."""
+
+import json
+import os
+import re
+
+import pytest
+from typer.main import get_command
+
+from fakes.fits import made_fit
+from fakes.places import ROOT
+from sysid import cli
+from sysid.errors import ExportError
+from sysid.fit.store import write_fit
+from sysid.report.notebook import find_notebook
+
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+NAMES = {"fit-report-motor", "fit-report-gear", "landing-maps", "the-model", "bring-your-own-logs"}
+
+
+def test_all_notebooks_are_there():
+    assert {path.stem for path in NOTEBOOKS} == NAMES
+    assert find_notebook("the-model") == ROOT / "notebooks" / "the-model.ipynb"
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks_are_thin_stripped_and_take_parameters(path):
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert sum("parameters" in cell["metadata"].get("tags", ()) for cell in code) == 1
+    assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in code)
+    for cell in code:
+        source = "".join(cell["source"])
+        # Prose and calls: whatever computes lives in the package, under test.
+        assert not re.search(r"^\s*(def|class|for|while|if|with|try)\b", source, re.MULTILINE), source
+        assert len(source.splitlines()) <= 8
+    prose = sum(cell["cell_type"] == "markdown" for cell in notebook["cells"])
+    assert prose >= 4
+    assert len({cell["id"] for cell in notebook["cells"]}) == len(notebook["cells"])
+
+
+def test_every_command_that_prints_a_result_speaks_json():
+    group = get_command(cli.app)
+    commands = {**group.commands, **group.commands["synthesize"].commands}
+    del commands["synthesize"]
+    without = [
+        name for name, command in commands.items() if not any("--json" in p.opts for p in command.params)
+    ]
+    assert without == []
+
+
+def test_json_of_the_commands_that_list_and_write(tmp_path, run):
+    write_fit(made_fit(), tmp_path / "fits" / "a")
+    code, out, _ = run("fits", tmp_path / "fits", "--json")
+    assert code == 0
+    (entry,) = json.loads(out)
+    assert (entry["name"], entry["state"], entry["runs"]) == ("a", "done", 5)
+    code, out, _ = run("formats", "--json")
+    assert "motive-csv" in {row["format"] for row in json.loads(out)}
+    target = tmp_path / "sets.json"
+    code, out, _ = run("export", tmp_path / "fits" / "a", "--to", target, "--json")
+    assert json.loads(out) == {"written": [str(target)]}
+    code, out, _ = run("new-campaign", "gear", tmp_path / "c.toml", "--json")
+    assert json.loads(out)["written"] == [str(tmp_path / "c.toml")]
+
+
+def refused(result, *words):
+    code, out, err = result
+    assert code == 2
+    assert out == ""
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    for word in words:
+        assert word in err
+
+
+def test_what_report_refuses(tmp_path, run):
+    fit = write_fit(made_fit(), tmp_path / "fit")
+    refused(run("report", tmp_path / "nothing"), "no fit.h5")
+    there = tmp_path / "there.html"
+    there.write_text("mine", encoding="utf-8")
+    refused(run("report", fit, "--out", there), "exists already", "--force")
+    assert there.read_text(encoding="utf-8") == "mine"
+    refused(run("report", fit, "--out", tmp_path / "no" / "a.html"), "does not exist")
+    refused(run("report", fit, "--drop", "drop-1"), "--gif")
+    refused(run("report", fit, "--gif", tmp_path / "a.gif", "--drop", "x"), "found drop-1")
+    refused(run("report", fit, "--gif", tmp_path / "a.gif"), "fit again")
+    refused(run("report", fit, "--pdf-figures", there), "is a file")
+    refused(run("report", fit, "--gif", tmp_path / "x.mp4"), "--gif writes a .gif file")
+    refused(run("report", fit, "--mp4", tmp_path / "x.gif"), "--mp4 writes a .mp4 file")
+    both = tmp_path / "a.gif"
+    refused(run("report", fit, "--out", both, "--gif", both), "named for two files")
+    refused(run("report", fit, "--out", tmp_path, "--force"), "is a folder", "report.html")
+    motor = ROOT / "data_samples" / "motor" / "campaign.toml"
+    code, out, err = run("report", fit, "--against", motor, "--quiet")
+    refused((code, out, err), "is a motor campaign, and bench is a fit of a gear; name a gear campaign")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["fit", "there.html"]
+
+
+def test_a_film_needs_ffmpeg_or_another_name(tmp_path, monkeypatch):
+    from sysid.report.snapshots import check_film
+
+    monkeypatch.setenv("PATH", os.devnull)
+    with pytest.raises(ExportError, match=r"ffmpeg was not found.*write a \.gif"):
+        check_film(tmp_path / "a.mp4", False)
+    with pytest.raises(ExportError, match=r"expected \.gif or \.mp4"):
+        check_film(tmp_path / "a.avi", False)
+    check_film(tmp_path / "a.gif", False)
+
+
+def test_missing_libraries_are_named_with_the_command_that_installs_them(tmp_path, monkeypatch, run):
+    from sysid.report import notebook
+
+    fit = write_fit(made_fit(), tmp_path / "fit")
+    monkeypatch.setattr(notebook, "_LIBRARIES", ("papermill", "no_such_library"))
+    refused(run("report", fit), "sysid[report]", "missing: no_such_library")

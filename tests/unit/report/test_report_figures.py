@@ -1,0 +1,184 @@
+"""Figures draw what the fit holds, labelled with units; a file is written whole or not at all."""
+
+import errno
+import os
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from fakes.fits import GEAR, MOTOR, made_fit
+from sysid.errors import ExportError
+from sysid.report.fit_plots import (
+    BEST,
+    MEASURED,
+    OTHERS,
+    RUNS,
+    figure_convergence,
+    figure_measured_against_simulated,
+    save_figure,
+)
+
+
+def lines_in(axes, colour):
+    return [line for line in axes.lines if line.get_color() == colour]
+
+
+def overlapping_texts(figure):
+    """Pairs of labels and titles that overlap once the figure is laid out."""
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    figure.draw(renderer)
+    texts = [figure._suptitle] if figure._suptitle else []
+    for axes in figure.axes:
+        texts += [axes.xaxis.label, axes.yaxis.label, axes.title, axes._left_title, axes._right_title]
+        # A locator also offers ticks beyond the axis, which are not drawn.
+        for k, labels in enumerate((axes.get_xticklabels(), axes.get_yticklabels())):
+            low, high = sorted((axes.get_xlim, axes.get_ylim)[k]())
+            texts += [label for label in labels if low <= label.get_position()[k] <= high]
+    boxes = [
+        (t.get_text(), t.get_window_extent(renderer)) for t in texts if t and t.get_visible() and t.get_text()
+    ]
+    boxes = [(text, box) for text, box in boxes if box.width > 0]
+    found = []
+    for i, (one, box) in enumerate(boxes):
+        for other, second in boxes[i + 1 :]:
+            # Touching corners of neighbouring tick labels are no overlap: one pixel inside.
+            shrunk = second.padded(-1.0)
+            if box.x0 < shrunk.x1 and shrunk.x0 < box.x1 and box.y0 < shrunk.y1 and shrunk.y0 < box.y1:
+                found.append((one, other))
+    return found
+
+
+def test_report_figure_draws_the_valid_samples_and_every_set():
+    fit = made_fit()
+    figure = figure_measured_against_simulated(fit, "drop-2")
+    assert len(figure.axes) == 10
+    trial = fit.trials[1]
+    for c in range(5):
+        signal, residual = figure.axes[2 * c], figure.axes[2 * c + 1]
+        (dots,) = lines_in(signal, MEASURED)
+        factor = 180 / np.pi if c == 4 else 1.0
+        drawn = dots.get_ydata()
+        np.testing.assert_array_equal(np.isnan(drawn), ~trial.valid[:, c])
+        np.testing.assert_allclose(drawn[trial.valid[:, c]], factor * trial.measured[trial.valid[:, c], c])
+        (best,) = lines_in(signal, BEST)
+        np.testing.assert_allclose(best.get_ydata(), factor * trial.simulated[0, :, c])
+        assert len(lines_in(signal, OTHERS)) == 4
+        # The time of the window, not Unix seconds.
+        assert dots.get_xdata()[0] == 0.0
+        assert dots.get_xdata()[-1] == pytest.approx(149 / 200)
+        (error,) = lines_in(residual, BEST)
+        finer = 1000.0 if c < 4 else factor
+        expected = finer * (trial.simulated[0, :, c] - trial.measured[:, c])
+        np.testing.assert_allclose(error.get_ydata()[trial.valid[:, c]], expected[trial.valid[:, c]])
+        assert np.all(np.isnan(error.get_ydata()[~trial.valid[:, c]]))
+        # One occlusion, shaded once.
+        assert len(signal.patches) == 1
+
+
+def test_report_figure_names_units_trial_and_nrmse():
+    fit = made_fit()
+    figure = figure_measured_against_simulated(fit, "drop-3")
+    labels = [axes.get_ylabel() for axes in figure.axes[::2]]
+    assert labels == ["$x_B$ [m]", "$z_B$ [m]", r"$\dot{x}_B$ [m/s]", r"$\dot{z}_B$ [m/s]", "$q_B$ [deg]"]
+    assert figure.axes[1].get_ylabel() == "residual\n[mm]"
+    mean = 100 * fit.trials[2].nrmse[0].mean()
+    assert "drop-3 (validation, not fitted)" in figure.get_suptitle()
+    assert f"NRMSE {mean:.1f} %" in figure.get_suptitle()
+    assert figure.axes[1].get_title() == f"NRMSE {100 * fit.trials[2].nrmse[0, 0]:.1f} %"
+    assert figure.axes[-1].get_xlabel().endswith("[s]")
+
+
+@pytest.mark.parametrize("channels", [GEAR, MOTOR], ids=["gear", "motor"])
+@pytest.mark.parametrize("trial", [None, "drop-1"])
+def test_report_figure_labels_do_not_overlap(channels, trial):
+    fit = made_fit(channels, uses=("fit", "fit", "validate") if trial is None else ("fit",))
+    assert overlapping_texts(figure_measured_against_simulated(fit, trial)) == []
+    assert overlapping_texts(figure_convergence(fit)) == []
+
+
+def test_report_figure_of_all_trials_has_a_pair_of_axes_per_channel_and_trial():
+    fit = made_fit()
+    figure = figure_measured_against_simulated(fit)
+    assert len(figure.axes) == 2 * 5 * 3
+    titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_title(loc="left")]
+    assert titles == ["drop-1\nfitted", "drop-2\nfitted", "drop-3\nvalidation"]
+
+
+def test_report_figure_keeps_to_the_measurement_when_a_set_goes_astray():
+    fit = made_fit()
+    fit.trials[0].simulated[3] *= 1e4
+    signal = figure_measured_against_simulated(fit, "drop-1").axes[0]
+    measured = fit.trials[0].measured[fit.trials[0].valid[:, 0], 0]
+    low, high = signal.get_ylim()
+    assert high - low < 2 * np.ptp(measured)
+
+
+def test_report_figure_of_a_dense_motor_log_marks_contacts_and_one_set():
+    fit = made_fit(MOTOR, samples=3000, runs=1, uses=("fit",), lost=slice(0, 0))
+    figure = figure_measured_against_simulated(fit, "drop-1", contacts=[1.7e9 + 2.0])
+    (line,) = lines_in(figure.axes[0], MEASURED)
+    assert line.get_marker() == "None"
+    assert not figure.axes[0].patches
+    texts = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert texts == ["measured", "best set, and its residual", "foot contact"]
+
+
+def test_report_figure_of_a_channel_without_samples_is_drawn():
+    fit = made_fit(lost=slice(0, 150))
+    assert isinstance(figure_measured_against_simulated(fit, "drop-1"), Figure)
+
+
+def test_report_figure_refuses_an_unknown_trial():
+    with pytest.raises(ExportError, match="no trial 'drop-9' to draw; found drop-1"):
+        figure_measured_against_simulated(made_fit(), "drop-9")
+
+
+def test_report_convergence_draws_the_best_of_every_generation():
+    fit = made_fit()
+    (axes,) = figure_convergence(fit).axes
+    for number, run in enumerate(fit.runs):
+        curve, end = lines_in(axes, RUNS[number])
+        np.testing.assert_array_equal(curve.get_xdata(), np.arange(1, len(run.best) + 1))
+        np.testing.assert_allclose(curve.get_ydata(), run.best)
+        assert end.get_xdata() == [len(run.best)]
+    # Okabe and Ito's colours differ from each other.
+    assert len(set(RUNS)) == len(RUNS)
+
+
+@pytest.mark.parametrize(("suffix", "magic"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml")])
+def test_report_figures_are_saved_the_same_every_time(tmp_path, suffix, magic):
+    for name in ("a", "b"):
+        save_figure(figure_convergence(made_fit()), tmp_path / f"{name}{suffix}")
+    data = (tmp_path / f"a{suffix}").read_bytes()
+    assert data.startswith(magic)
+    assert data == (tmp_path / f"b{suffix}").read_bytes()
+
+
+def test_report_figure_survives_a_full_disk(tmp_path, monkeypatch):
+    target = tmp_path / "fit.png"
+    save_figure(figure_convergence(made_fit()), target)
+    before = target.read_bytes()
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(ExportError, match="No space left"):
+        save_figure(figure_convergence(made_fit(runs=2)), target)
+    assert target.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["fit.png"]
+
+
+def test_report_figure_refuses_another_format(tmp_path):
+    with pytest.raises(ExportError, match=r"\.gif"):
+        save_figure(Figure(), tmp_path / "fit.gif")
+
+
+def test_report_figures_leave_pyplot_alone():
+    import subprocess
+    import sys
+
+    code = "import sys, sysid.report.fit_plots; sys.exit('matplotlib.pyplot' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,140 @@
+"""Every notebook runs on the sample data and becomes a page: LF and HF, one trial or many, gear and motor."""
+
+import re
+import shutil
+from html.parser import HTMLParser
+
+import pytest
+
+from fakes.places import SAMPLES
+from sysid.gear.problem import fit_gear
+from sysid.motor.problem import fit_motor
+from sysid.report.notebook import find_notebook, page, run_notebook
+from sysid.workflows.report import ReportOptions, write_report
+from sysid.workflows.search import FitOptions
+
+pytestmark = pytest.mark.slow
+
+# A search that ends at once: the page does not depend on how good the sets are.
+SHORT = {"quiet": True, "runs": 2, "population": 16, "max_generations": 2, "finish": "none"}
+
+COARSE = {"slopes": "0:45:15", "speeds": "0.3,1", "impulse_slopes": "10,25", "impulse_speeds": "0.5"}
+
+
+class Balanced(HTMLParser):
+    """Counts what is opened and not closed, and the images without words."""
+
+    VOID = frozenset({"img", "meta", "link", "input", "br", "hr"})
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.pictures, self.silent = [], 0, 0
+
+    def handle_starttag(self, tag, attrs):
+        if tag == "img":
+            self.pictures += 1
+            self.silent += not (dict(attrs).get("alt") or "").strip()
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag, tag
+
+
+def checked(text, pictures):
+    parser = Balanced()
+    parser.feed(text)
+    assert parser.open == []
+    assert parser.silent == 0
+    assert parser.pictures >= pictures
+    assert len(text.encode()) < 5_000_000
+    # Nothing is fetched: no address but those of data inside the page (and the names of XML's own schemas).
+    bare = re.sub(r"data:image/[a-z+]+[;,][^\"]*", "data:", text)
+    assert re.findall(r"(?:src|href)=\"(?!#|data:|\")[^\"]*\"", bare) == []
+    assert "Traceback" not in text
+    assert "$$" not in text
+    return bare
+
+
+@pytest.fixture(scope="module")
+def fits(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("fits")
+    for name, fit in (("gear-lf", fit_gear), ("gear-hf", fit_gear), ("motor", fit_motor)):
+        fit(SAMPLES / name / "campaign.toml", FitOptions(folder / name, **SHORT))
+    return folder
+
+
+@pytest.mark.parametrize(("name", "pictures"), [("gear-lf", 45), ("gear-hf", 45), ("motor", 15)])
+def test_the_report_of_a_fit(fits, name, pictures):
+    text = checked(write_report(fits / name)["report"].read_text(encoding="utf-8"), pictures)
+    assert "not computed; run sysid" in text
+    assert "two trials that it never saw" in text
+    if name != "motor":
+        assert text.count("<canvas") == 1
+        # Eight drops of five channels, each with its contacts.
+        assert len(re.findall(r"contacts of the feet", text)) == 40
+    if name == "gear-hf":
+        assert "both feet slip, rear sticks, front sticks, both stick" in text
+
+
+def test_the_report_of_a_single_drop_against_the_others(fits, tmp_path):
+    shutil.copytree(SAMPLES / "gear-lf", tmp_path / "one")
+    campaign = tmp_path / "one" / "campaign.toml"
+    text = campaign.read_text(encoding="utf-8")
+    head, *trials = text.split("[[trials]]")
+    campaign.write_text("[[trials]]".join([head, trials[3]]), encoding="utf-8")
+    _, fit = fit_gear(campaign, FitOptions(tmp_path / "fit", **SHORT))
+    options = ReportOptions(
+        against=SAMPLES / "gear-lf" / "campaign.toml",
+        pdf_figures=tmp_path / "pdf",
+        film=(tmp_path / "a.gif",),
+    )
+    written = write_report(fit, options)
+    page_text = checked(written["report"].read_text(encoding="utf-8"), 45)
+    # Eight drops lie there, and the fit was made from one of them.
+    assert "It predicts seven trials of synthetic-lf that it never saw" in page_text
+    figures = sorted(path.name for path in (tmp_path / "pdf").iterdir())
+    assert {"convergence.pdf", "geometry.pdf", "spread.pdf", "waterfall.pdf"} <= set(figures)
+    assert all((tmp_path / "pdf" / name).read_bytes().startswith(b"%PDF") for name in figures)
+    from PIL import Image
+
+    film = Image.open(tmp_path / "a.gif")
+    # 0.75 s, ten times slower, 20 frames per second.
+    assert film.n_frames == pytest.approx(150, abs=3)
+
+
+def test_the_motor_s_report_against_another_campaign(fits, tmp_path):
+    import h5py
+
+    # The same bench on another day: equal numbers in a file of other bytes, the only log not of the fit.
+    shutil.copytree(SAMPLES / "motor", tmp_path / "motor")
+    with h5py.File(tmp_path / "motor" / "forward-2.h5", "a") as log:
+        log.attrs["note"] = "copied"
+    options = ReportOptions(against=tmp_path / "motor" / "campaign.toml", out=fits / "against.html")
+    text = checked(write_report(fits / "motor", options)["report"].read_text(encoding="utf-8"), 15)
+    # The same trials with the same sets: the same errors as in the fit itself.
+    shares = re.findall(r"<summary>(?:synthetic-motor, )?forward-2 \(not fitted\): NRMSE ([\d.]+) %", text)
+    assert len(shares) == 2
+    assert float(shares[0]) == pytest.approx(float(shares[1]), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "pictures"),
+    [
+        ("the-model", {}, 2),
+        ("landing-maps", COARSE, 8),
+        ("bring-your-own-logs", {"max_generations": 2}, 3),
+    ],
+)  # fmt: skip
+def test_the_other_notebooks(tmp_path, name, parameters, pictures):
+    more = {"out": str(tmp_path / "fit")} if name == "bring-your-own-logs" else {}
+    text = checked(page(run_notebook(find_notebook(name), {**parameters, **more}), name), pictures)
+    if name == "the-model":
+        assert text.count("<math") > 15
+
+
+def test_a_cell_that_fails_is_told_in_one_sentence(tmp_path):
+    from sysid.errors import ExportError
+
+    with pytest.raises(ExportError, match=r"fit-report-gear\.ipynb: .*no fit\.h5 there"):
+        run_notebook(find_notebook("fit-report-gear"), {"fit": str(tmp_path)})

@@ -1,0 +1,592 @@
+"""Pieces of a report: what is drawn is what was computed, nothing of a log's names becomes markup."""
+
+import json
+import re
+from urllib.parse import unquote
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from rich.table import Table
+from rich.text import Text
+
+from fakes.fits import MOTOR, made_fit
+from sysid.export import load_parameter_sets
+from sysid.filters import Spectrum, amplitude_spectrum
+from sysid.fit.store import read_fit, write_fit
+from sysid.gear.model import EventKind, pack, simulate
+from sysid.report import diagrams, fit_report, model_notes, paper_figures
+from sysid.report.animation import animation
+from sysid.report.drop_replay import START, DropReplay, animation_data, leg_points, replay_drop
+from sysid.report.fit_figures import as_math, figure_channel, figure_spread, figure_waterfall, thinned
+from sysid.report.fit_report import FitReport, open_fit
+from sysid.report.html import box, bullets, folded, markup_table, paragraph, picture
+from sysid.report.snapshots import figure_snapshots
+from sysid.report.trust_panels import interval_table
+from sysid.report.verdict import open_parameters, verdict_sentences
+
+NASTY = "</script><img src=x onerror=alert(1)>"
+
+
+@pytest.fixture(scope="module")
+def sets():
+    from fakes.places import SAMPLES
+
+    names = ("motor", "gear-lf", "gear-hf")
+    return {name: load_parameter_sets(SAMPLES / "published" / f"published-{name}.json") for name in names}
+
+
+def small_figure():
+    figure = Figure(figsize=(2, 1))
+    figure.add_subplot().plot([0, 1, 2], [0.123456789, 1, 0])
+    return figure
+
+
+def test_names_of_a_log_are_text_and_never_markup():
+    table = Table(title=Text(NASTY))
+    table.add_column("trial")
+    table.add_row(Text(NASTY))
+    for piece in (
+        paragraph(NASTY),
+        bullets([NASTY]),
+        folded(NASTY, paragraph("a")),
+        markup_table(table),
+        picture(small_figure(), NASTY, NASTY),
+    ):
+        assert "<img src=x" not in piece.text
+        assert "&lt;img src=x" in piece.text
+
+
+def test_a_figure_has_a_text_alternative_or_is_refused():
+    with pytest.raises(ValueError, match="text alternative"):
+        picture(small_figure(), "  ")
+    assert 'alt="speed over time"' in picture(small_figure(), "speed over time").text
+
+
+def test_a_vector_figure_keeps_its_shape_and_a_large_one_becomes_pixels():
+    def drawn(figure, **how):
+        kind, data = re.search(r"data:image/([a-z+]+)[;,]([^\"]+)", picture(figure, "a", **how).text).groups()
+        return kind, unquote(data)
+
+    kind, svg = drawn(small_figure())
+    assert kind == "svg+xml"
+    root = ElementTree.fromstring(svg)
+    paths = [one.get("d") for one in root.iter("{http://www.w3.org/2000/svg}path")]
+    (curve,) = [d for d in paths if d.startswith("M") and d.count("L") == 2 and "Z" not in d.upper()]
+    x, y = np.array(re.findall(r"[-\d.]+", curve), dtype=float).reshape(-1, 2).T
+    # Evenly spaced in x; heights 0.123456789, 1, 0 of the whole, to a hundredth of a point.
+    np.testing.assert_allclose(np.diff(x), x[1] - x[0], atol=0.02)
+    assert (y[2] - y[0]) / (y[2] - y[1]) == pytest.approx(0.123456789, abs=0.02 / (y[2] - y[1]))
+    assert not any(re.search(r"\d\.\d{3}", d) for d in paths)
+    figure = Figure(figsize=(4, 3))
+    axes = figure.add_subplot()
+    for _ in range(40):
+        axes.scatter(*np.random.default_rng(1).random((2, 200)))
+    assert drawn(figure)[0] == "png"
+    assert drawn(small_figure(), vector=False)[0] == "png"
+
+
+def test_formulas_become_mathml_that_no_script_has_to_draw():
+    pytest.importorskip("latex2mathml", reason="latex2mathml comes with the report extra")
+    from sysid.report.notebook import with_mathml
+
+    text = with_mathml(r"the force $F_n = k_s p$ and" + "\n\n" + r"$$I \frac{d\Omega}{dt} = k_t I$$")
+    assert text.count("<math") == 2
+    assert text.count('display="block"') == 1
+    assert "$" not in text
+
+
+def test_thinning_keeps_every_peak():
+    time = np.linspace(0, 1, 20_000)
+    values = np.sin(20 * time)
+    values[7777], values[12_345] = 9.0, -9.0
+    few, kept = thinned(time, values, 600)
+    assert len(few) <= 600
+    assert kept.max() == 9.0
+    assert kept.min() == -9.0
+    assert np.all(np.diff(few) > 0)
+
+
+def test_symbols_are_set_as_formulas():
+    assert as_math("k_h") == r"$k_{h}$"
+    assert as_math("μ_s − μ_k") == r"$μ_{s}$ − $μ_{k}$"
+    assert as_math("R") == "R"
+
+
+@pytest.mark.parametrize("channels", [None, MOTOR])
+def test_every_axis_of_a_channel_says_its_unit(channels):
+    fit = made_fit() if channels is None else made_fit(channels=channels)
+    for c in range(len(fit.channels)):
+        axes = figure_channel(fit, fit.trials[0], c).axes
+        labels = [a.get_ylabel() for a in axes] + [axes[-1].get_xlabel()]
+        assert all(re.search(r"\[[^\]]+\]$", label) for label in labels), labels
+
+
+def test_the_spread_shows_every_set_between_its_bounds():
+    fit = made_fit()
+    (axes,) = figure_spread(fit).axes
+    place = np.concatenate([line.get_xdata() for line in axes.lines if line.get_linestyle() == "None"])
+    # The table has one free parameter, searched on a logarithmic scale: the unit cube itself.
+    np.testing.assert_allclose(np.sort(place), np.sort(fit.cube[:, 0]), atol=1e-12)
+
+
+def white(rate, n=200_000, sigma=0.3):
+    return sigma * np.random.default_rng(2).standard_normal((n, 1))
+
+
+def test_the_spectrum_of_white_noise_is_flat_at_its_density():
+    rate = 1000.0
+    found = amplitude_spectrum(white(rate), rate)
+    # 100 averaged stretches: 5 % of the amplitude per point, less in the wide bands.
+    inner = (found.frequency > 3) & (found.frequency < 490)
+    np.testing.assert_allclose(found.density[inner, 0], 0.3 * np.sqrt(2 / rate), rtol=0.2)
+    assert len(found.frequency) <= 80
+
+
+def test_the_spectrum_peaks_at_the_frequency_of_a_tone_and_skips_lost_channels():
+    rate, tone = 200.0, 23.0
+    time = np.arange(1000) / rate
+    values = np.column_stack([np.sin(2 * np.pi * tone * time), np.full(1000, np.nan)])
+    found = amplitude_spectrum(values, rate)
+    # Bands are 6 % wide.
+    assert found.frequency[np.argmax(found.density[:, 0])] == pytest.approx(tone, rel=0.06)
+    assert np.isnan(found.density[:, 1]).all()
+
+
+def test_a_fit_keeps_what_its_report_shows(tmp_path):
+    from dataclasses import replace
+
+    fit = made_fit(channels=MOTOR)
+    n = len(fit.trials[0].time)
+    more = {
+        "spectrum": Spectrum(np.arange(1.0, 6.0), np.ones((5, 2))),
+        "thrust": np.linspace(0, 3, n),
+        "commands": np.array([[0.0, 0.5], [1.0, -1.0]]),
+    }
+    fit = replace(fit, trials=(replace(fit.trials[0], **more), *fit.trials[1:]))
+    back = read_fit(write_fit(fit, tmp_path / "fit"))
+    np.testing.assert_array_equal(back.trials[0].spectrum.density, more["spectrum"].density)
+    np.testing.assert_array_equal(back.trials[0].spectrum.frequency, more["spectrum"].frequency)
+    np.testing.assert_array_equal(back.trials[0].thrust, more["thrust"])
+    np.testing.assert_array_equal(back.trials[0].commands, more["commands"])
+    assert back.trials[1].spectrum is back.trials[1].thrust is back.trials[1].commands is None
+
+
+SLOPE = np.radians(15.0)
+BODY = [0.0, 0.21, 0.0, 0.0, -0.7, 0.0]
+
+
+@pytest.fixture(scope="module")
+def drop_fit():
+    """A fit of one drop whose measurement is a simulation with the published low-friction values."""
+    from dataclasses import replace
+
+    from sysid.fit.result import TrialResult
+    from sysid.gear.model import PARAMETERS
+    from sysid.parameter_sets import ParameterRecord
+
+    row = pack({})
+    time = np.arange(0.0, 0.75, 0.005)
+    run = simulate(row, SLOPE, BODY, time, events=False)
+    measured = run.state[:, [0, 1, 7, 8, 2]]
+    base = made_fit(runs=1, uses=("fit",))
+    records = tuple(ParameterRecord.of(parameter, "fixed") for parameter in PARAMETERS.values())
+    trial = TrialResult(
+        "drop-1",
+        "fit",
+        100.0 + time,
+        measured,
+        np.ones(measured.shape, bool),
+        measured[None],
+        np.zeros((1, 5)),
+    )
+    log = {START: BODY, "slope [deg]": 15.0}
+    inside = np.zeros((1, len(row)), np.int8)
+    return replace(
+        base, parameters=records, values=row[None], at_bound=inside, trials=(trial,),
+        settings={"surface": "lf"}, provenance={"logs": {"drop-1": log}},
+    )  # fmt: skip
+
+
+def test_a_replay_repeats_the_drop_with_its_feet_and_forces(drop_fit):
+    drop = replay_drop(drop_fit, drop_fit.trials[0])
+    every = slice(None, None, 5)
+    # The same simulation on another clock: only the interpolation between its steps differs.
+    np.testing.assert_allclose(drop.body[every], drop_fit.trials[0].measured[:, [0, 1, 4]], atol=1e-9)
+    np.testing.assert_allclose(drop.measured[every], drop.body[every], atol=1e-9)
+    normal = np.array([np.sin(SLOPE), np.cos(SLOPE)])
+    depth = -(drop.feet @ normal)
+    pressed = drop.normal_force > 0
+    # k_s p, the ground's damper (0.04 N·s/m at some 0.5 m/s) adds 0.02 N.
+    np.testing.assert_allclose(drop.normal_force[pressed], 1.10e5 * depth[pressed], atol=0.05)
+    assert np.all(depth[~pressed] <= 1e-12)
+    assert np.all(np.abs(drop.friction_force) <= 0.44 * drop.normal_force + 1e-9)
+    start = drop.joints[0], drop.feet[0]
+    np.testing.assert_allclose(start[0], [[-0.088, 0.186], [0.088, 0.186]], atol=1e-12)
+    np.testing.assert_allclose(start[1], [[-0.105, 0.059], [0.105, 0.059]], atol=1e-12)
+
+
+def test_contacts_of_a_replay_are_the_events_of_the_simulation(drop_fit):
+    drop = replay_drop(drop_fit, drop_fit.trials[0])
+    run = simulate(pack({}), SLOPE, BODY, drop.time)
+    for foot, name in enumerate(("rear", "front")):
+        touches = [e.time for e in run.events if e.kind is EventKind.TOUCHDOWN and e.foot == name]
+        found = [contact.start for contact in drop.contacts if contact.foot == foot]
+        # Sampled every millisecond; touches within 5 ms of a lift-off belong to one contact.
+        assert found[0] == pytest.approx(touches[0], abs=1.1e-3)
+        assert all(min(abs(t - touch) for touch in touches) < 1.1e-3 for t in found)
+    (first, what), *_ = drop.first_contacts()
+    assert what == "the rear leg touches"
+    assert first == drop.contacts[0].start
+    assert len(drop.first_contacts()) == 4
+
+
+@pytest.mark.slow  # two drivers to compile where nothing is cached
+def test_a_replay_s_modes_are_those_of_the_located_switches(drop_fit):
+    from dataclasses import replace
+
+    fit = replace(drop_fit, settings={"surface": "hf"}, values=pack({}, "hf")[None])
+    drop = replay_drop(fit, fit.trials[0])
+    run = simulate(pack({}, "hf"), SLOPE, BODY, drop.time, surface="hf")
+    sticks = np.zeros((len(drop.time), 2), dtype=bool)
+    for event in run.events:
+        if event.kind in (EventKind.STICK, EventKind.SLIP):
+            sticks[drop.time >= event.time, ("rear", "front").index(event.foot)] = (
+                event.kind is EventKind.STICK
+            )
+    down = run.normal_force > 0
+    assert np.sum(sticks & down) > 100
+    # The page's simulation is coarser: a switch may fall one sample aside.
+    assert np.sum(drop.sticks != (sticks & down)) <= 3
+
+
+@pytest.mark.slow  # four drivers to compile where nothing is cached
+def test_simulating_without_events_gives_the_same_numbers():
+    time = np.linspace(0.0, 0.5, 101)
+    for surface in ("lf", "hf"):
+        plain, logged = (
+            simulate({}, SLOPE, BODY, time, surface=surface, tolerance=3e-4, events=events)
+            for events in (False, True)
+        )
+        np.testing.assert_array_equal(plain.state, logged.state)
+        np.testing.assert_array_equal(plain.friction_force, logged.friction_force)
+        assert plain.events == ()
+        assert logged.events
+
+
+def test_legs_at_rest_end_in_the_feet():
+    state = np.zeros((1, 7))
+    values = {"joint_dx": 0.08, "joint_dz": 0.02, "foot_dx": 0.1, "foot_dz": 0.15}
+    state[0, [4, 6]] = np.arctan2(0.02, 0.13)
+    _, feet = leg_points(state, values)
+    np.testing.assert_allclose(feet[0], [[-0.1, -0.15], [0.1, -0.15]], atol=1e-15)
+    state[0, 5] = 0.01  # the front leg alone, longer
+    longer = leg_points(state, values)[1][0] - feet[0]
+    assert np.allclose(longer[0], 0)
+    assert np.hypot(*longer[1]) == pytest.approx(0.01)
+
+
+def test_drops_of_one_name_keep_to_their_own_campaign(drop_fit, tmp_path, monkeypatch):
+    from dataclasses import replace
+
+    # The same name of campaign and drop, but let go 5 cm higher: the feet touch later.
+    log = drop_fit.provenance["logs"]["drop-1"] | {START: [BODY[0], BODY[1] + 0.05, *BODY[2:]]}
+    other = replace(drop_fit, provenance={"logs": {"drop-1": log}})
+    report = FitReport(tmp_path, drop_fit, other)
+    own, theirs = report.drops()
+    assert theirs.contacts[0].start > own.contacts[0].start + 0.01
+
+    seen = []
+
+    def watched(fit, trial, c, contacts=()):
+        seen.append((fit is other, contacts[0].start))
+        return small_figure()
+
+    monkeypatch.setattr(fit_report, "figure_channel", watched)
+    report.measured_against_simulated()
+    assert set(seen) == {(False, own.contacts[0].start), (True, theirs.contacts[0].start)}
+
+    drawn = []
+
+    def marked(fit, name=None, contacts=()):
+        drawn.append([round(c - 100.0, 9) for c in contacts[:1]])
+        return small_figure()
+
+    monkeypatch.setattr(paper_figures, "figure_measured_against_simulated", marked)
+    monkeypatch.setattr(paper_figures, "figure_snapshots", lambda drop, legend: drop)
+    names = paper_figures.paper_figures(report)
+    assert drawn == [[], [round(own.contacts[0].start, 9)], [round(theirs.contacts[0].start, 9)]]
+    assert names["snapshots-drop-1"] is own
+    assert names["snapshots-against-bench-drop-1"] is theirs
+
+
+def motor_fit():
+    """A motor fit of four trials with thrust, each with three reversals far enough from its ends."""
+    from dataclasses import replace
+
+    fit = made_fit(channels=MOTOR, samples=600, uses=("fit", "fit", "fit", "validate"))
+    start = fit.trials[0].time[0]
+    commands = np.array([[0.0, 0.6], [0.5, -1.0], [1.2, 0.6], [2.0, -1.0]])
+    commands[:, 0] += start
+    trials = tuple(replace(t, thrust=np.linspace(0, 3, 600), commands=commands) for t in fit.trials)
+    profile = {"values": [1e-10, 1e-8, 1e-6], "nrmse": [0.1, 0.1, 0.2], "best nrmse": 0.1, "limit": 0.01,
+               "identified": False, "below": 1e-7}  # fmt: skip
+    return replace(fit, trials=trials, settings={"profiles": {"leg_axial_stiffness": profile}})
+
+
+def test_the_figures_of_a_motor_for_a_paper(tmp_path, monkeypatch):
+    monkeypatch.setattr(FitReport, "simulated_thrust", staticmethod(lambda fit, trial: np.ones((5, 600))))
+    report = FitReport(tmp_path, motor_fit())
+    found = paper_figures.paper_figures(report)
+    names = {f"reversal-drop-{t}-{k}" for t in (1, 2, 3, 4) for k in (1, 2, 3)}
+    assert {name for name in found if name.startswith("reversal")} == names
+    assert "profile-nrmse-leg_axial_stiffness" in found
+    for name in ("reversal-drop-1-1", "thrust-drop-1"):
+        (legend,) = found[name].legends
+        told = [text.get_text() for text in legend.get_texts()]
+        assert told == ["measured", "best set", "other sets", "command"]
+    top, bottom = found["reversal-drop-1-1"].axes
+    # 0 is the command.
+    assert top.get_xlim() == pytest.approx((-0.1, 0.5), abs=0.006)
+    assert bottom.get_xlabel() == "time after the command [s]"
+    told = [
+        text.get_text()
+        for text in found["profile-nrmse-leg_axial_stiffness"].axes[0].get_legend().get_texts()
+    ]
+    assert told == ["1 % above the best", "values not told apart"]
+    text = report.reversals().text
+    assert text.count("<img") == 6
+    assert "6 of 12 reversals are drawn" in text
+    # Those held back are among them.
+    assert "drop-4 (not fitted): from +60 % to −100 %" in text
+    assert "Blue: below 1e-07 N/m the data tell no value from another." in report.profiles().text
+
+
+def test_the_options_of_the_animation_tell_the_drops_apart(drop_fit, tmp_path):
+    from dataclasses import replace
+
+    trial = replace(drop_fit.trials[0], use="validate")
+    other = replace(drop_fit, name="other", trials=(trial,))
+    report = FitReport(tmp_path, drop_fit, other)
+    options = re.findall(r"<option [^>]*>([^<]*drop-1[^<]*)</option>", report.animation().text)
+    assert options == ["bench, drop-1: 15°, fitted", "other, drop-1: 15°, not fitted"]
+    text = report.measured_against_simulated().text
+    assert re.findall(r"<summary>(.*?) \(", text) == ["drop-1", "other, drop-1"]
+
+
+def test_snapshots_are_titled_with_the_instants_that_the_caption_names(drop_fit, tmp_path):
+    drop = replay_drop(drop_fit, drop_fit.trials[0])
+    panels = figure_snapshots(drop, legend=True).axes
+    titles = [axes.get_title(loc="left") for axes in panels if axes.get_visible()]
+    assert titles == [f"({k}) {1e3 * t:.0f} ms" for k, (t, _) in enumerate(drop.first_contacts(), 1)]
+    caption = FitReport(tmp_path, drop_fit).snapshots().text
+    for title in titles:
+        assert title.replace(") ", ") at ") in caption
+
+
+def test_a_fit_without_starts_has_no_animation_and_says_so(tmp_path):
+    report = open_fit(write_fit(made_fit(), tmp_path / "fit"))
+    assert "fit again" in report.animation().text
+    assert "<canvas" not in report.animation().text
+
+
+def test_the_animation_holds_the_numbers_and_no_way_out_of_its_script(drop_fit):
+    from dataclasses import replace
+
+    trial = replace(drop_fit.trials[0], name=NASTY)
+    log = {NASTY: drop_fit.provenance["logs"]["drop-1"]}
+    drop = replay_drop(replace(drop_fit, trials=(trial,), provenance={"logs": log}), trial)
+    text = animation([drop]).text
+    assert text.count("</script") == 2
+    data = json.loads(re.search(r'<script type="application/json">(.*?)</script>', text, re.DOTALL).group(1))
+    (one,) = data["drops"]
+    assert one["name"] == NASTY
+    frames = np.array(one["frames"])
+    # Tenths of a millimetre and of a milliradian, rounded.
+    np.testing.assert_allclose(frames[:, :3] / 1e4, drop.body[::2], atol=0.6e-4)
+    np.testing.assert_allclose(frames[:, 7:11].reshape(-1, 2, 2) / 1e4, drop.feet[::2], atol=0.6e-4)
+    np.testing.assert_allclose(frames[:, 11:13], drop.normal_force[::2], atol=0.51)
+    assert animation_data([drop])["drops"][0]["snapshots"] == one["snapshots"]
+
+
+def test_the_diagram_of_modes_asks_the_code():
+    assert [(before, after) for before, _, after in diagrams.foot_transitions()] == [
+        ("slips", "sticks"),
+        ("slips", "slips"),
+        ("sticks", "slips"),
+        ("sticks", "sticks"),
+    ]
+
+
+def test_the_shares_of_modes_follow_friction():
+    def drop(friction, speed):
+        n = 4
+        zero = np.zeros((n, 2))
+        normal = zero + np.array([10.0, 0.0])
+        return DropReplay(
+            "a", "fit", 0.0, np.arange(n) / 1e3, np.zeros((n, 3)), np.zeros((n, 2, 2)), np.zeros((n, 2, 2)),
+            normal, zero + np.array(friction)[:, None] * [1.0, 0.0], np.zeros((n, 3)), (),
+            {"kinetic_friction": 0.8}, zero + np.array(speed)[:, None] * [1.0, 0.0],
+        )  # fmt: skip
+
+    # The rear foot bears 10 N: it moves at 8 N = mu_k F_n, and holds at 3 N as at 8.5 N, below mu_s F_n.
+    shares = diagrams.mode_shares([drop([-8.0, 8.0, 3.0, 8.5], [0.3, -0.02, 1e-5, -3e-5])])
+    assert shares == {"both slip": 0.5, "rear sticks": 0.5, "front sticks": 0.0, "both stick": 0.0}
+    assert diagrams.mode_shares([]) == {}
+
+
+def test_the_labelled_diagram_tells_the_lengths(sets):
+    (axes,) = diagrams.figure_geometry(sets["gear-lf"].set_values(1), np.radians(15)).axes
+    words = " ".join(text.get_text() for text in axes.texts)
+    for told in (
+        "dx_j$ = 88 mm",
+        "dz_j$ = 24 mm",
+        "dx_f$ = 105 mm",
+        "dz_f$ = 151 mm",
+        "dx_m$ = 159 mm",
+        "= 8°",
+    ):
+        assert told in words
+    for symbol in (
+        "T_r",
+        "T_f",
+        "m_B",
+        "m_{leg}",
+        "F_n",
+        "F_t",
+        "k_h",
+        "k_t",
+        "k_s",
+        "_N",
+        "_A",
+        "_B",
+        "_C",
+        "_D",
+    ):
+        assert symbol in words
+
+
+def test_the_numbers_beside_the_misprints_are_those_of_the_design_notes(sets):
+    text = re.sub("<[^>]*>", " ", model_notes.misprints(sets["motor"], sets["gear-lf"]).text)
+    # 960 rpm/V; I^r R/k² with both constants; 0.44 g/1.01; creep of 16 mm/s at 15°; L/R of Table I.
+    for told in (
+        "0.00995 V·s/rad",
+        "0.8 ms as printed",
+        "82 ms",
+        "-4.27 m/s",
+        "16 mm/s",
+        "12.7 ms",
+        "10.2 V",
+    ):
+        assert told in text
+    checked = re.sub("<[^>]*>", " ", model_notes.checks(sets["motor"], sets["gear-lf"]).text)
+    for told in ("23.7°", "34.8°"):
+        assert told in checked
+    # The reference of the reversal gives 0.21 s.
+    assert model_notes.reversal_delay(sets["motor"]) == pytest.approx(0.21, abs=0.01)
+
+
+def test_the_verdict_says_what_is_open_and_what_is_not_known():
+    fit = made_fit(uses=("fit", "fit"))
+    said = " ".join(verdict_sentences(fit, None, None, {}, 0))
+    assert "five sets fit two drops" in said
+    assert "none was held back" in said
+    assert "Intervals have not been computed" in said
+    assert "leg axial stiffness (k_h)" in said
+
+
+def cut_fit(cut=1):
+    """A fit of which some runs met the generation limit."""
+    from dataclasses import replace
+
+    fit = made_fit(runs=3)
+    runs = list(fit.runs)
+    for i in range(cut):
+        stage = replace(runs[i].stages[0], stop_reason="generations")
+        runs[i] = replace(runs[i], stages=(stage,))
+    return replace(fit, runs=tuple(runs))
+
+
+@pytest.mark.parametrize("cut", [1, 3])
+def test_an_unfinished_search_is_not_told_as_a_finding(tmp_path, cut):
+    whole, fit = cut_fit(0), cut_fit(cut)
+    said = " ".join(verdict_sentences(whole, None, None, {}, 0))
+    assert "The data hold" in said
+    assert "of 3 independent runs" in said
+    said = " ".join(verdict_sentences(fit, None, None, {}, 0))
+    assert "The search was not finished: nothing is known about what the data fix." in said
+    for claim in ("The data hold", "do not fix", "independent runs", "optimum"):
+        assert claim not in said
+    (axes,) = figure_waterfall(fit).axes
+    names = axes.get_legend_handles_labels()[1]
+    assert names.count("not finished") == 1
+    (marked,) = [line for line in axes.lines if line.get_label() == "not finished"]
+    assert len(marked.get_xdata()) == cut
+    assert sum("optimum" in name for name in names) <= 3 - cut
+    assert sum(len(line.get_xdata()) for line in axes.lines) == 3
+    text = FitReport(tmp_path, fit).convergence().text
+    assert "share the best optimum" not in text
+    assert "no optimum is known" in text
+
+
+def test_equal_runs_are_not_drawn_apart():
+    (axes,) = figure_waterfall(made_fit(runs=1)).axes
+    # Less than 0.2 % tells no optima apart: it takes no more than a fifth of the axis.
+    low, high = axes.get_ylim()
+    assert 0.002 / (high - low) < 0.2
+
+
+def test_what_the_data_do_not_fix_has_no_digits(tmp_path, monkeypatch):
+    fit = made_fit()
+    plain = FitReport(tmp_path, fit).parameters().text
+    assert "not fixed" not in plain
+    monkeypatch.setattr(fit_report, "open_parameters", lambda fit: ("leg_axial_stiffness",))
+    text = FitReport(tmp_path, fit).parameters().text
+    assert '<td class="number">not fixed</td>' in text
+    cells = re.search(r"k_h \[N/m\] †</th>(.*?)</tr>", text).group(1)
+    values = re.findall(r">([^<]+)<", cells)
+    assert len(values) == 5
+    assert all(float(value.rstrip("*")) % 1000 == 0 for value in values)
+    # An unfinished search knows of nothing that it is open.
+    assert "not fixed" not in FitReport(tmp_path, cut_fit()).parameters().text
+
+
+def test_every_warning_that_is_listed_is_counted(tmp_path):
+    from dataclasses import replace
+
+    fit = replace(made_fit(), warnings=("one", "both"))
+    other = replace(fit, name="other", warnings=("both", "of the other campaign"))
+    text = FitReport(tmp_path, fit, other).verdict().text
+    assert "Three warnings stand below." in text
+    assert "of the other campaign" in text
+
+
+def test_a_parameter_that_scores_equally_far_apart_is_open():
+    from dataclasses import replace
+
+    fit = made_fit(runs=1)
+    stage = fit.runs[0].stages[0]
+    cost, cube = stage.cost.copy(), stage.cube.copy()
+    cost[-1, :2], cube[-1, 0], cube[-1, 1] = 0.01, 0.05, 0.95
+
+    def seen(places):
+        cube[-1, :2, 0] = places
+        run = replace(fit.runs[0], stages=(replace(stage, cost=cost, cube=cube),))
+        return open_parameters(replace(fit, runs=(run,)))
+
+    # Bounds 2000 to 12000: 0.05 to 0.95 of that is a factor of 5, 0.4 to 0.5 one of 1.2.
+    assert seen([0.05, 0.95]) == ("leg_axial_stiffness",)
+    assert seen([0.4, 0.5]) == ()
+
+
+def test_open_intervals_are_shown_as_open():
+    row = {
+        "name": "ground_damping", "symbol": "b_s", "unit": "N·s/m", "value": 2.0, "mean": 2.0, "sigma": 1.0,
+        "interval_68": [0.001, 5.0], "open_68": [True, False], "interval_95": [0.001, 10.0],
+        "open_95": [True, True], "verdict": "not identifiable", "at_bound": 0, "measured": None,
+    }  # fmt: skip
+    cells = [next(iter(column.cells)).plain for column in interval_table({"parameters": [row]}).columns]
+    assert cells[3] == "≤ 5"
+    assert cells[4] == "open"
+    assert box(paragraph("a"), "verdict").text == '<div class="verdict"><p>a</p></div>'

@@ -1,0 +1,79 @@
+"""What trust says: of what intervals take as exact, of trials that stand out, on the terminal."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from sysid.trust.influence import Influence
+from sysid.workflows.trust import _trial_doubts, taken_as_exact
+from sysid.workflows.trust_printing import channel_lines, check_lines
+from sysid.workflows.validate import _unlike_the_others
+
+R, K, I_R = "winding_resistance", ("back_emf_constant", "torque_constant"), "rotor_inertia"
+
+
+def _bench(stated=None, measured=()):
+    return SimpleNamespace(
+        stated=dict.fromkeys(K, stated) if stated else {}, measured=dict.fromkeys(measured, "")
+    )
+
+
+@pytest.mark.parametrize(
+    ("bench", "fixed", "words"),
+    [
+        (_bench("campaign: 1/motor.kv, a rating"), (), "Kv as stated"),
+        (_bench("guess from supply and loaded speed: the campaign gives no Kv"), (), "a guessed k"),
+        (_bench(), (), "a guessed k"),
+        (_bench(measured=K), (), "k as torque over the logged current gives it"),
+        (_bench("guess from supply"), K, "k as fixed"),
+    ],
+)
+def test_a_constant_is_called_what_it_is(bench, fixed, words):
+    said = taken_as_exact((R,), (), bench, fixed)[K[0]]
+    assert said.startswith(words)
+    assert "Kv as stated" not in said or words == "Kv as stated"
+
+
+def test_what_is_free_or_has_a_range_is_not_taken_as_exact():
+    rated = _bench("campaign: 1/motor.kv, a rating", measured=(I_R,))
+    assert list(taken_as_exact((R,), (), rated, ())) == [K[0], I_R]
+    # R and L go as k², not as the inertia.
+    assert taken_as_exact((R,), (K[1],), rated, ()) == {I_R: "I^r as stated"}
+    assert taken_as_exact((R, *K, I_R), (), rated, ()) == {}
+    assert "another motor" in taken_as_exact((R, *K), (), _bench(), ())[I_R]
+
+
+@pytest.mark.parametrize("kind", ["gear", "motor"])
+def test_advice_on_an_odd_trial_fits_what_was_fitted(kind):
+    opened = SimpleNamespace(
+        problem=SimpleNamespace(trials=("a", "b", "c")),
+        result=SimpleNamespace(kind=kind),
+        space=SimpleNamespace(decode=lambda cube: cube),
+    )
+    rows = [{"symbol": "p", "refined": 0.5, "doubt": None, "verdict": "well"}]
+    odd = Influence(np.array([1.0, 1.0, 4.0]), np.full((3, 1), 0.3), np.array([[0.0], [0.0], [9.0]]))
+    said = _trial_doubts(opened, None, odd, rows)
+    judged = [SimpleNamespace(name=n, ratio=r) for n, r in zip("abc", odd.ratio, strict=True)]
+    said += _unlike_the_others(judged, kind)
+    assert len(said) == 3
+    of_drops = [word for word in ("bounce", "start_time", "slope") if any(word in one for one in said)]
+    assert of_drops == (["bounce", "start_time", "slope"] if kind == "gear" else [])
+
+
+def test_a_parameter_that_no_channel_sees_is_told_by_nothing():
+    rows = [
+        {"symbol": "R", "channels": {"torque": 0.3, "speed": 0.7}},
+        {"symbol": "k_d", "channels": {"torque": 0.0, "speed": float("nan")}},
+        {"symbol": "L", "channels": dict.fromkeys("abcdef", 1 / 6)},
+    ]
+    assert channel_lines({"parameters": rows})[0] == "told by: R: speed 70 %, torque 30 %; k_d: nothing; L: a"
+
+
+def test_a_second_log_is_said_by_its_clock():
+    second = {
+        "log": "rpm.csv", "sha256": "0" * 64, "format": "tacho", "device": None, "aligned": "a with b",
+        "offset [s]": 0.12345678, "correlation": 0.99123456, "confidence": 0.87654321, "notes": ["one"],
+    }  # fmt: skip
+    said = check_lines({"quality": [{"name": "forward-1", "second log": second}], "excitation": {}})[0]
+    assert said == "forward-1: second log rpm.csv: clock offset 0.1235 s, confidence 0.8765"

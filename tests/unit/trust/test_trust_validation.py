@@ -1,0 +1,218 @@
+"""Predictions against noise, fits against each other, and what lies in a fit folder."""
+
+import hashlib
+import math
+
+import numpy as np
+import pytest
+
+from sysid import exact_json
+from sysid.errors import FitError
+from sysid.fit.store import FROM_FOLDER
+from sysid.parameter_sets import ParameterRecord, ParameterSets
+from sysid.trust.comparison import compare_values, unjudged
+from sysid.trust.documents import free_part, parts, read_arrays, read_part, validation_part, write_part
+from sysid.trust.validation import LEAVES, judge, reasons
+
+CHANNELS = ("x_B", "z_B")
+
+
+def _judged(offset=0.0, start=60, contacts=None, sets=1, seed=0):
+    """Noise of 0.1 in both channels; from sample `start` on the prediction of z is off by `offset`."""
+    source = np.random.default_rng(seed)
+    time = 3.0 + np.arange(100) * 0.01
+    truth = np.column_stack([np.sin(10 * time), np.cos(10 * time)])
+    simulated = np.repeat(truth[None], sets, axis=0)
+    simulated[:, start:, 1] += offset
+    return judge(
+        "one", time, truth + 0.1 * source.standard_normal(truth.shape), np.ones((100, 2), bool), simulated,
+        spread=np.full(2, 0.7), noise=np.full(2, 0.1), weights=np.ones(2), channels=CHANNELS, zero=3.05,
+        contacts=contacts,
+    )  # fmt: skip
+
+
+def test_the_true_model_scores_its_noise():
+    found = _judged(sets=3)
+    # 200 samples tell their own rms to 5 %.
+    assert found.ratio == pytest.approx(1.0, abs=0.15)
+    assert found.floor == pytest.approx(0.1 / 0.7)
+    assert found.leaves is None
+    assert found.nrmse.shape == (3,)
+    assert reasons([found]) == ()
+
+
+def test_a_prediction_leaves_where_it_is_off_for_good():
+    found = _judged(offset=1.0, contacts=np.array([3.05, 3.2, 3.9]))
+    assert found.leaves == {"time": pytest.approx(0.55), "channel": "z_B", "after_contacts": 2}
+    assert "× what noise alone costs" in reasons([found])[0]
+    # Just below five deviations it may not leave but by the noise's own help, three times in a row.
+    assert _judged(offset=0.1 * (LEAVES - 3)).leaves is None
+
+
+def test_two_samples_are_no_departure():
+    source = _judged(offset=0.0)
+    time = np.arange(50) * 0.01
+    measured = np.zeros((50, 2))
+    measured[20:22] = 10.0
+    found = judge(
+        "one", time, measured, np.ones((50, 2), bool), np.zeros((1, 50, 2)), spread=np.ones(2),
+        noise=np.full(2, 0.1), weights=np.ones(2), channels=CHANNELS, zero=0.0,
+    )  # fmt: skip
+    assert found.leaves is None
+    assert source.early is None
+
+
+def test_up_to_the_third_contact_nothing_later_counts():
+    late = _judged(offset=2.0, start=60, contacts=np.array([3.05, 3.2, 3.55, 3.7]))
+    assert late.early_until == pytest.approx(0.5)
+    assert late.early_ratio == pytest.approx(1.0, abs=0.2)
+    assert late.ratio > 5
+    whole = _judged(offset=2.0, start=60, contacts=np.array([3.05, 3.2]))
+    assert whole.early_ratio == pytest.approx(whole.ratio)
+
+
+def test_a_channel_without_weight_does_not_count():
+    found = judge(
+        "one", np.arange(50.0), np.zeros((50, 2)), np.ones((50, 2), bool),
+        np.stack([np.zeros(50), np.full(50, 9.0)], axis=-1)[None], spread=np.array([1.0, 0.0]),
+        noise=np.array([0.1, np.nan]), weights=np.array([1.0, 0.0]), channels=CHANNELS, zero=0.0,
+    )  # fmt: skip
+    assert found.nrmse[0] == 0.0
+    assert found.floor == pytest.approx(0.1)
+    assert found.leaves is None
+
+
+def _sets(name, value, sigma=0.1, status="free"):
+    record = ParameterRecord(
+        "leg_mass", "m_leg", "kg", status, "Mass.", "test", 1.0, 0.1, 10.0, "linear", None
+    )  # fmt: skip
+    values = np.array([[value], [value + sigma * math.sqrt(2)]])
+    return ParameterSets(
+        kind="gear", name=name, parameters=(record,), values=values, nrmse=np.zeros(2), runs=(1, 2),
+        seeds=(1, 2), at_bound=np.zeros((2, 1)), trials=(), uses=(), channels=(), channel_units=(),
+        channel_weights=(), nrmse_by_trial=np.zeros((2, 0, 0)), settings={}, provenance={},
+    )  # fmt: skip
+
+
+def _document(value, low, high, opened=(False, False), doubt=None):
+    # The best set lies elsewhere than the minimum that its interval is around.
+    row = {"name": "leg_mass", "value": 5.0, "refined": value, "interval_95": [low, high],
+           "open_95": list(opened), "doubt": doubt}  # fmt: skip
+    return {"parameters": [row]}
+
+
+def test_differences_are_judged_by_the_sides_that_face_each_other():
+    # 1.0 reaches up to 1.3, 2.0 down to 1.6: together 0.5, the root of 0.09 + 0.16.
+    documents = [_document(1.0, 0.0, 1.3), _document(2.0, 1.6, 9.0)]
+    found = compare_values(("a", "b"), [_sets("a", 1.0), _sets("b", 2.0)], documents)[0]
+    assert found["allowed"] == pytest.approx(0.5)
+    assert found["differs"] is True
+    assert found["difference"] == pytest.approx(1.0)
+    near = compare_values(
+        ("a", "b"), [_sets("a", 1.0), _sets("b", 1.4)], [documents[0], _document(1.4, 1.0, 9.0)]
+    )
+    assert near[0]["differs"] is False
+
+
+def test_an_open_interval_leaves_a_difference_unknown():
+    documents = [_document(1.0, 0.0, 1.3), _document(2.0, 0.1, 9.0, (True, False))]
+    found = compare_values(("a", "b"), [_sets("a", 1.0), _sets("b", 2.0)], documents)[0]
+    assert found["differs"] is None
+    assert found["doubt"] == "the interval is open in b"
+    # The same difference of another parameter shares the sentence, another reason has its own.
+    more = [found, {**found, "symbol": "k_h"}, {**found, "symbol": "b_s", "doubt": "a: not converged"}]
+    assert unjudged([*more, {**found, "doubt": None}]) == [
+        "not judged: m_leg, k_h (the interval is open in b)",
+        "not judged: b_s (a: not converged)",
+    ]
+
+
+def test_an_interval_that_does_not_reach_its_value_allows_nothing():
+    # What lies between the ends is 1.2 to 1.3; the side that faces b ends before the value.
+    documents = [_document(1.4, 1.2, 1.3), _document(2.0, 1.6, 9.0)]
+    found = compare_values(("a", "b"), [_sets("a", 1.4), _sets("b", 2.0)], documents)[0]
+    assert found["allowed"] == pytest.approx(0.4)
+
+
+def test_a_doubtful_interval_judges_nothing():
+    documents = [_document(1.0, 0.9, 1.1, doubt="not converged"), _document(2.0, 1.9, 2.1)]
+    found = compare_values(("a", "b"), [_sets("a", 1.0), _sets("b", 2.0)], documents)[0]
+    assert found["differs"] is None
+    assert found["doubt"] == "a: not converged"
+
+
+def test_without_profiles_nothing_is_judged():
+    found = compare_values(("a", "b"), [_sets("a", 1.0), _sets("b", 2.0)], [None, None])[0]
+    assert found["by"] == "spread of the sets"
+    # Far beyond the spread, which says only that the runs agree.
+    assert found["differs"] is None
+    assert "run sysid trust on a and b" in found["doubt"]
+    assert found["allowed"] == pytest.approx(1.959964 * 0.1 * math.sqrt(2), rel=1e-6)
+    held = compare_values(("a", "b"), [_sets("a", 1.0, status="fixed"), _sets("b", 2.0)], [None, None])
+    assert held == []
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "fit.h5").write_bytes(b"a fit")
+    return tmp_path
+
+
+def test_a_part_is_read_back_until_the_fit_changes(folder):
+    part = validation_part("my campaign/2")
+    assert part == "validation-my-campaign-2"
+    arrays = {"trials/1/time": (np.arange(100.0), "sample", "s")}
+    write_part(folder, part, {"ratio": float("nan")}, arrays, fit="f", kind="gear")
+    found = read_part(folder, part)
+    assert math.isnan(found["ratio"])
+    assert found["fit_sha256"] == hashlib.sha256(b"a fit").hexdigest()
+    assert read_arrays(folder, part)["trials/1/time"] == pytest.approx(np.arange(100.0))
+    assert parts(folder) == (part,)
+    (folder / "fit.h5").write_bytes(b"another fit")
+    assert read_part(folder, part) is None
+    assert read_part(folder, "trust") is None
+
+
+def _file(path, letter):
+    return {"file": path.rpartition("/")[2], "sha256": 64 * letter, FROM_FOLDER: path}
+
+
+def test_two_campaigns_of_one_name_keep_both_validations(folder):
+    part = validation_part("lab")
+    first, second = _file("../a/lab.toml", "a"), _file("../b/lab.toml", "b")
+    assert free_part(folder, part, first) == part
+    write_part(folder, part, {"campaign": first}, {}, fit="f", kind="gear")
+    assert free_part(folder, part, first) == part
+    assert free_part(folder, part, second) == f"{part}-bbbbbbbb"
+    # What spoke of another fit may go.
+    (folder / "fit.h5").write_bytes(b"another fit")
+    assert free_part(folder, part, second) == part
+
+
+def test_an_edited_or_moved_campaign_replaces_its_own_validation(folder):
+    part = validation_part("lab")
+    second = f"{part}-bbbbbbbb"
+    write_part(folder, part, {"campaign": _file("../a/lab.toml", "a")}, {}, fit="f", kind="gear")
+    write_part(folder, second, {"campaign": _file("../b/lab.toml", "b")}, {}, fit="f", kind="gear")
+    # A slope was mended in either file: nothing of the wrong one may stay beside the right one.
+    assert free_part(folder, part, _file("../a/lab.toml", "c")) == part
+    assert free_part(folder, part, _file("../b/lab.toml", "d")) == second
+    # Even to what the other file says.
+    assert free_part(folder, part, _file("../b/lab.toml", "a")) == second
+    assert free_part(folder, part, _file("../moved/lab.toml", "b")) == second
+    assert free_part(folder, part, _file("../third/lab.toml", "e")) == f"{part}-eeeeeeee"
+
+
+def test_damaged_parts_are_refused(folder):
+    write_part(folder, "trust", {}, {"correlation": (np.eye(2), "p, p", "1")}, fit="f", kind="gear")
+    path = folder / "trust.json"
+    whole = path.read_text(encoding="utf-8")
+    path.write_text(whole[: len(whole) // 2], encoding="utf-8")
+    with pytest.raises(FitError, match="damaged or cut off"):
+        read_part(folder, "trust")
+    path.write_text(exact_json.dumps({**exact_json.loads(whole), "version": 99}), encoding="utf-8")
+    with pytest.raises(FitError, match="run it again"):
+        read_part(folder, "trust")
+    (folder / "trust.h5").write_bytes(b"no HDF5")
+    with pytest.raises(FitError, match="damaged or cut off"):
+        read_arrays(folder, "trust")

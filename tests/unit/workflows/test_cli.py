@@ -1,0 +1,289 @@
+"""The command line as a user meets it: results, and refusals in one sentence with exit code 2."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import pytest
+
+import sysid
+from fakes.places import SAMPLES
+
+
+@pytest.fixture
+def drops(tmp_path, monkeypatch):
+    """A copy of the sample drops; results go to a fits/ beside it."""
+    folder = tmp_path / "drops"
+    shutil.copytree(SAMPLES / "gear-lf", folder)
+    monkeypatch.chdir(tmp_path)
+    return folder
+
+
+def edit(path, old, new, count=1):
+    text = path.read_bytes().decode("utf-8-sig")
+    assert old in text, f"{path.name} does not hold {old!r}"
+    path.write_bytes(text.replace(old, new, count).encode())
+
+
+def body_rows(path):
+    """Return the lines of a Motive file and the index of its first data row."""
+    lines = path.read_text(encoding="utf-8-sig").splitlines(keepends=True)
+    first = next(i for i, line in enumerate(lines) if line.startswith("Frame,")) + 1
+    return lines, first
+
+
+def body_columns(lines, first):
+    """Return the columns of the drone's rotation X, Y, Z, W; another rigid body stands before it."""
+    names = lines[first - 4].rstrip("\r\n").split(",")
+    start = names.index("F450")
+    assert lines[first - 1].split(",")[start : start + 4] == ["X", "Y", "Z", "W"]
+    return slice(start, start + 4)
+
+
+def refused(result, *words):
+    code, out, err = result
+    assert code == 2, (out, err)
+    sentences = [line for line in err.splitlines() if line.startswith("error: ")]
+    assert len(sentences) == 1, err
+    assert "Traceback" not in err
+    for word in words:
+        assert word in sentences[0]
+
+
+SMALL = ("--population", "16", "--runs", "2", "--max-generations", "2", "--quiet")
+
+
+def test_fit_gear_show_export_and_read_back(drops, run, tmp_path):
+    campaign = drops / "campaign.toml"
+    code, out, err = run("fit-gear", campaign, *SMALL)
+    assert (code, out) == (0, ""), err
+    folder = Path("fits") / "synthetic-lf"
+    assert {p.name for p in folder.iterdir()} == {"fit.h5", "fit.json", "summary.txt"}
+
+    code, out, _ = run("show", folder)
+    assert code == 0
+    assert "k_h" in out
+    code, out, _ = run("show", folder, "--json")
+    shown = json.loads(out)
+    assert len(shown["sets"]) == 2
+    assert shown["sets"][0]["nrmse"] <= shown["sets"][1]["nrmse"]
+
+    first = sysid.load_parameter_sets(folder / "fit.json")
+    for suffix in ("json", "csv", "h5", "mat"):
+        code, out, err = run("export", folder, "--to", f"sets.{suffix}")
+        assert code == 0, err
+        assert sysid.load_parameter_sets(f"sets.{suffix}") == first
+
+    # The same seed gives the same numbers, on one core as on all.
+    assert numba.config.NUMBA_NUM_THREADS >= 2
+    code, *_ = run("fit-gear", campaign, *SMALL, "--threads", "1", "--out", "again")
+    assert code == 0
+    again = sysid.load_parameter_sets(Path("again") / "fit.json")
+    assert (again.values == first.values).all()
+    assert (again.nrmse == first.nrmse).all()
+
+    # A fit that exists is not overwritten unless asked.
+    refused(run("fit-gear", campaign, *SMALL), "exists", "--force")
+    refused(run("export", folder, "--to", "sets.json"), "exists already")
+    assert run("fit-gear", campaign, *SMALL, "--force")[0] == 0
+
+
+def test_new_campaign_writes_a_template(tmp_path, run):
+    target = tmp_path / "mine.toml"
+    code, out, _ = run("new-campaign", "motor", target)
+    assert code == 0
+    assert "fit-motor" in out
+    assert "datasheet" in target.read_text(encoding="utf-8")
+    refused(run("new-campaign", "motor", target), "exists already")
+
+
+FIRST = "drop-1-5deg-0.50mps.csv"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("body_mass", "body_mas", ("unknown key vehicle.body_mas", "'body_mass'")),
+        ('"1.242 kg"', '"1.242 kgs"', ("vehicle.body_mass", "unknown unit 'kgs'")),
+        ('slope = "5 deg"', 'slope = "95 deg"', ("trials['drop-1'].slope", "95 deg")),
+        ('"F450"', '"F550"', ("no rigid body", "F550", "F450", FIRST)),
+        (FIRST, "drop-99.csv", ("log 'drop-99.csv' does not exist",)),
+        ('down_slope = "-z"', 'down_slope = "+z"', ("surface", "capture.down_slope")),
+        ('up = "+y"', 'up = "+x"', ("nothing falls", "capture.up")),
+        ("[fit]", "[fit]\npopulation = 2", ("fit.population",)),
+    ],
+)
+def test_typing_mistakes_in_the_campaign(old, new, words, drops, run):
+    edit(drops / "campaign.toml", old, new)
+    refused(run("fit-gear", drops / "campaign.toml", *SMALL), *words)
+    assert not Path("fits").exists()
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ('[parameters.bounds]\njoint_dx = ["90 mm", "50 mm"]\n', ("joint_dx", "not below")),
+        ('[parameters.bounds]\njoint_dxx = ["50 mm", "90 mm"]\n', ("joint_dxx", "'joint_dx'")),
+        ('[parameters.bounds]\njoint_dx = ["50 N", "90 N"]\n', ("parameters.bounds.joint_dx", "'N'")),
+        (
+            '[parameters]\nfree = ["leg_mass"]\n[parameters.bounds]\nleg_mass = ["30 g", "50 g"]\n',
+            ("leg_mass", "exclude the measured"),
+        ),
+    ],
+)
+def test_bounds_that_cannot_be(table, words, drops, run):
+    edit(drops / "campaign.toml", "[fit]\n", f"{table}[fit]\n")
+    refused(run("fit-gear", drops / "campaign.toml", *SMALL), "campaign.toml", *words)
+    assert not Path("fits").exists()
+
+
+def _cut_to_header(path):
+    lines, first = body_rows(path)
+    path.write_text("".join(lines[:first]), encoding="utf-8")
+
+
+def _cut_to_few(path):
+    lines, first = body_rows(path)
+    path.write_text("".join(lines[: first + 40]), encoding="utf-8")
+
+
+def _cut_after_touchdown(path):
+    lines, _ = body_rows(path)
+    path.write_text("".join(lines[:-180]), encoding="utf-8")
+
+
+def _lose_body(path, truth):
+    """Blank the body for 13 frames, 65 ms, 0.25 s after the touchdown, clear of other gaps."""
+    lines, first = body_rows(path)
+    start = int((truth["touchdown [s]"] + 0.25) * 200) - truth["first frame"]
+    for i in range(first + start, first + start + 13):
+        frame, time, *cells = lines[i].rstrip("\r\n").split(",")
+        lines[i] = ",".join([frame, time, *[""] * len(cells)]) + "\r\n"
+    path.write_text("".join(lines), encoding="utf-8", newline="")
+
+
+def _text_in_number(path):
+    lines, first = body_rows(path)
+    cells = lines[first + 100].split(",")
+    cells[body_columns(lines, first).start] = "0.1O3"
+    lines[first + 100] = ",".join(cells)
+    path.write_text("".join(lines), encoding="utf-8", newline="")
+
+
+def _time_goes_back(path):
+    lines, first = body_rows(path)
+    lines[first + 100], lines[first + 60] = lines[first + 60], lines[first + 100]
+    path.write_text("".join(lines), encoding="utf-8", newline="")
+
+
+def _lose_column(path):
+    lines, first = body_rows(path)
+    index = body_columns(lines, first).stop - 1
+    for i in range(2, len(lines)):
+        cells = lines[i].rstrip("\r\n").split(",")
+        lines[i] = ",".join(cells[:index] + cells[index + 1 :]) + "\r\n"
+    path.write_text("".join(lines), encoding="utf-8", newline="")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda path: path.write_bytes(b""), ("empty",)),
+        (_cut_to_header, ("no rows of numbers", "empty")),
+        (_cut_to_few, ("falls",)),
+        (_cut_after_touchdown, ("record longer",)),
+        (_text_in_number, ("0.1O3",)),
+        (_time_goes_back, ("back",)),
+        (_lose_column, ("W",)),
+    ],
+)
+def test_broken_logs(spoil, words, drops, run):
+    spoil(drops / FIRST)
+    refused(run("fit-gear", drops / "campaign.toml", *SMALL), FIRST, *words)
+    assert not Path("fits").exists()
+
+
+def test_a_long_occlusion_inside_a_drop_is_refused(drops, run):
+    truth = json.loads((drops / "truth.json").read_text(encoding="utf-8"))["drops"][0]
+    _lose_body(drops / FIRST, truth)
+    result = run("fit-gear", drops / "campaign.toml", *SMALL)
+    refused(result, FIRST, "'drop-1'", "lost for 65 ms", "50 ms")
+
+
+def test_rotation_out_of_the_plane_is_a_warning_with_the_trials_name(drops, run):
+    """A drone that rolls by 15 degrees after release breaks the planar assumption: said, not refused."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    truth = json.loads((drops / "truth.json").read_text(encoding="utf-8"))["drops"][0]
+    path = drops / FIRST
+    lines, first = body_rows(path)
+    quaternion = body_columns(lines, first)
+    # The samples' down-slope axis is -z: rolling is turning about it.
+    turn = Rotation.from_rotvec([0.0, 0.0, -np.radians(15.0)])
+    for i in range(first, len(lines)):
+        cells = lines[i].rstrip("\r\n").split(",")
+        if float(cells[1]) > truth["touchdown [s]"] + 0.1 and cells[quaternion.start]:
+            own = Rotation.from_quat([float(c) for c in cells[quaternion]])
+            cells[quaternion] = [f"{c:.6f}" for c in (turn * own).as_quat()]
+        lines[i] = ",".join(cells) + "\r\n"
+    path.write_text("".join(lines), encoding="utf-8", newline="")
+    arguments = [a for a in SMALL if a != "--quiet"]
+    code, _, err = run("fit-gear", drops / "campaign.toml", *arguments)
+    assert code == 0
+    assert re.search(r"warning: trial 'drop-1': roll reaches 1[4-6] deg", err)
+
+
+def test_a_full_disk_during_export_leaves_the_old_file(drops, monkeypatch, run):
+    import errno
+    import os
+
+    assert run("fit-gear", drops / "campaign.toml", *SMALL)[0] == 0
+    folder = Path("fits") / "synthetic-lf"
+    assert run("export", folder, "--to", "sets.json")[0] == 0
+    before = Path("sets.json").read_bytes()
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    refused(run("export", folder, "--to", "sets.json", "--force"), "sets.json", "space")
+    assert Path("sets.json").read_bytes() == before
+    assert [p.name for p in Path().iterdir() if p.name.startswith("sets")] == ["sets.json"]
+
+
+def test_foreign_and_missing_fits(tmp_path, run):
+    refused(run("show", tmp_path / "nowhere"), "nowhere")
+    foreign = tmp_path / "foreign.json"
+    foreign.write_text("{}", encoding="utf-8")
+    refused(run("show", foreign), "foreign.json")
+    refused(run("export", tmp_path, "--to", tmp_path / "x.json"), "fit.h5")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs a file system of its own size: Linux with root")
+def test_a_full_disk_during_a_fit_is_one_sentence(drops, tmp_path):
+    """In a process of its own: the HDF5 library writing to a full disk would take the process down."""
+    small = tmp_path / "small"
+    small.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(small)], capture_output=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip(f"cannot mount a small file system here: {mounted.stderr.decode().strip()}")
+    try:
+        command = [sys.executable, "-m", "sysid", "fit-gear", str(drops / "campaign.toml"), *SMALL]
+        done = subprocess.run(
+            [*command, "--out", str(small / "f")],
+            capture_output=True, text=True, encoding="utf-8", check=False,
+        )  # fmt: skip
+        assert done.returncode == 2, done.stderr
+        assert [line for line in done.stderr.splitlines() if line.startswith("error: ")]
+        assert "space" in done.stderr
+        assert "Traceback" not in done.stderr
+        assert not (small / "f").exists()
+    finally:
+        subprocess.run(["umount", str(small)], check=True)

@@ -1,0 +1,318 @@
+"""Unfinished fits on the command line: cut short, refused by accident, continued to the same numbers."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fakes.places import SAMPLES
+from sysid.fit.store import read_fit
+
+SMALL = ("--algorithm", "ga", "--population", "16", "--runs", "2", "--max-generations", "4", "--quiet")
+
+
+@pytest.fixture
+def campaign(tmp_path, monkeypatch):
+    """A copy of the sample drops; results go to a fits/ beside it."""
+    shutil.copytree(SAMPLES / "gear-lf", tmp_path / "drops")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "drops" / "campaign.toml"
+
+
+def assert_same_fit(a, b):
+    for x, y in zip(read_fit(a).runs, read_fit(b).runs, strict=True):
+        for first, second in zip(x.stages, y.stages, strict=True):
+            assert (first.algorithm, first.stop_reason) == (second.algorithm, second.stop_reason)
+            np.testing.assert_array_equal(first.cube, second.cube)
+            np.testing.assert_array_equal(first.cost, second.cost)
+
+
+def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, run):
+    assert run("fit-gear", campaign, *SMALL, "--out", "whole")[0] == 0
+    assert not Path("whole.checkpoint").exists()
+    whole = read_fit("whole")
+    assert whole.state == "done"
+    assert [s.algorithm for r in whole.runs for s in r.stages] == ["ga", "cmaes"] * 2
+
+    fit = ("fit-gear", campaign, *SMALL, "--out", "cut")
+    assert run(*fit, "--time-limit", "0.001 s")[0] == 0
+    cut = read_fit("cut")
+    assert cut.state == "stopped"
+    assert {s.stop_reason for r in cut.runs for s in r.stages} == {"time"}
+    assert len(cut.nrmse) == 2
+
+    code, _, err = run(*fit)
+    assert code == 2
+    assert "unfinished fit is there; continue it with --resume, or discard it with --force" in err
+    code, _, err = run(*fit, "--resume", "--seed", "9")
+    assert code == 2
+    assert "the seed differs (now 9, then 1)" in err
+    code, _, err = run(*fit, "--resume")
+    assert code == 0, err
+    assert read_fit("cut").state == "done"
+    assert not Path("cut.checkpoint").exists()
+    assert_same_fit("cut", "whole")
+    code, _, err = run(*fit, "--resume")
+    assert code == 2
+    assert "no unfinished fit to continue is there" in err
+
+
+def test_fits_lists_states(campaign, run):
+    from sysid.fit.checkpoint import checkpoint_folder, lock
+    from sysid.workflows.fits import list_fits
+
+    code, _, err = run("fits")
+    assert code == 2
+    assert "no such folder" in err
+    assert run("fit-gear", campaign, *SMALL, "--out", "fits/whole")[0] == 0
+    cut = ("fit-gear", campaign, *SMALL, "--out", "fits/cut", "--time-limit", "0.001 s")
+    assert run(*cut)[0] == 0
+    Path("fits/broken").mkdir()
+    Path("fits/broken/fit.h5").write_bytes(b"dust")
+    found = {entry.name: entry for entry in list_fits("fits")}
+    assert {name: entry.state for name, entry in found.items()} == {
+        "broken": "damaged", "cut": "stopped", "whole": "done",
+    }  # fmt: skip
+    assert found["whole"].nrmse == read_fit("fits/whole").nrmse[0]
+    assert found["cut"].nrmse == read_fit("fits/cut").nrmse[0]
+    # A fit of the same name is not to be continued or thrown away while it runs.
+    with lock(checkpoint_folder("fits/cut")):
+        assert {entry.name: entry.state for entry in list_fits("fits")}["cut"] == "running"
+        for more in ((), ("--resume",), ("--force",)):
+            code, _, err = run(*cut, *more)
+            assert code == 2
+            assert "another process is working on this fit; wait for it" in err
+    code, out, _ = run("fits")
+    assert code == 0
+    assert "whole" in out
+    assert "--resume" in out
+
+
+def test_fits_of_a_lock_that_cannot_be_opened(cut, monkeypatch, run):
+    """A folder in the lock's place, and a lock of somebody else: neither ends the list in a traceback."""
+    from sysid.fit import checkpoint
+    from sysid.workflows.fits import list_fits
+
+    folder = checkpoint.checkpoint_folder(Path("fits") / "synthetic-lf")
+    (folder / "lock").unlink(missing_ok=True)
+    assert [entry.state for entry in list_fits("fits")] == ["stopped"]
+    assert not (folder / "lock").exists()
+    (folder / "lock").mkdir()
+    code, out, err = run("fits")
+    assert (code, err) == (0, "")
+    assert "unfinished" in out
+    (folder / "lock").rmdir()
+
+    def refused(*arguments, **options):
+        raise PermissionError(13, "Permission denied")
+
+    (folder / "lock").touch()
+    monkeypatch.setattr(checkpoint.FileLock, "acquire", refused)
+    assert [entry.state for entry in list_fits("fits")] == ["unfinished"]
+
+
+def test_an_aborted_fit_says_how_it_goes_on(campaign, monkeypatch, run):
+    """Aborted after its search: nothing is written, nothing is lost, and nobody is kept out."""
+    import signal
+
+    from sysid.gear import problem as gear
+
+    def aborted(*arguments):
+        raise KeyboardInterrupt
+
+    before = signal.getsignal(signal.SIGINT)
+    fit = ("fit-gear", campaign, *(word for word in SMALL if word != "--quiet"))
+    with monkeypatch.context() as patched:
+        patched.setattr(gear, "trial_results", aborted)
+        code, _, err = run(*fit)
+    assert code == 130
+    folder = Path("fits") / "synthetic-lf"
+    assert err.endswith(f"{folder}: aborted; what was scored is kept, continue with --resume\n")
+    assert signal.getsignal(signal.SIGINT) is before
+    assert not folder.exists()
+    assert run(*fit, "--resume")[0] == 0
+    assert read_fit(folder).state == "done"
+
+
+def test_a_fit_whose_last_runs_were_not_begun_is_not_done(campaign, monkeypatch, run):
+    from sysid.workflows import search
+
+    real = search.run_many
+    with monkeypatch.context() as patched:
+        patched.setattr(search, "run_many", lambda *a, **more: real(*a, **more)[:1])
+        code, _, _ = run("fit-gear", campaign, *SMALL, "--finish", "none")
+    assert code == 130
+    cut = read_fit(Path("fits") / "synthetic-lf")
+    assert cut.state == "stopped"
+    text = (Path("fits") / "synthetic-lf" / "summary.txt").read_text(encoding="utf-8")
+    assert "1 of 2 runs was begun, none of them finished (generation limit)" in text
+    assert any(warning.startswith("1 of 2 runs was begun") for warning in cut.warnings)
+
+
+def test_the_record_says_what_was_run(campaign, run):
+    import h5py
+
+    from sysid import exact_json
+
+    assert run("fit-gear", campaign, *SMALL)[0] == 0
+    folder = Path("fits") / "synthetic-lf"
+    with h5py.File(folder / "fit.h5", "r") as file:
+        record = exact_json.loads(file["record_json"].asstr()[()])
+    runs = read_fit(folder).runs
+    assert record["totals"]["candidates"] == sum(r.evaluations for r in runs)
+    assert record["totals"]["simulations"] == 6 * record["totals"]["candidates"]
+    assert [r["seed"] for r in record["runs"]] == [r.seed for r in runs] == record["search"]["run_seeds"]
+    assert record["search"]["algorithm"] == "ga"
+    assert set(record["libraries"]) >= {"numpy", "pymoo", "cma", "numba"}
+    assert len(record["logs"]["drop-1"]["sha256"]) == 64
+    assert record["processor"]
+    text = (folder / "summary.txt").read_text(encoding="utf-8")
+    for words in ("record", "git revision", "simulations per second", "sha256", "processor"):
+        assert words in text
+
+
+def test_a_changed_log_is_not_continued(campaign, run):
+    fit = ("fit-gear", campaign, *SMALL)
+    assert run(*fit, "--time-limit", "0.001 s")[0] == 0
+    log = campaign.parent / "drop-2-10deg-0.80mps.csv"
+    log.write_bytes(log.read_bytes() + b"\r\n")
+    code, _, err = run(*fit, "--resume")
+    assert code == 2
+    assert "log drop-2 differs" in err
+
+
+@pytest.fixture
+def cut(campaign, run):
+    """The command of a fit that its time limit has cut, for `--resume`."""
+    fit = ("fit-gear", campaign, *SMALL)
+    assert run(*fit, "--time-limit", "0.001 s")[0] == 0
+    return fit
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (("--algorithm", "de"), "the algorithm differs (now de, then ga)"),
+        (("--finish", "none"), "the finisher differs (now none, then cmaes)"),
+        (("--population", "24"), "the population differs (now 24, then 16)"),
+        (("--max-generations", "9"), "the stop rule differs"),
+        (("--max-evaluations", "900"), "the evaluation budget of a run differs (now 450, then nothing)"),
+    ],
+)
+def test_another_search_is_not_continued(more, words, cut, run):
+    code, _, err = run(*cut, "--resume", *more)
+    assert code == 2
+    assert words in err
+    assert "restore it, or start anew with --force" in err
+
+
+def test_another_surface_is_not_continued(campaign, run):
+    # Its low friction lies outside the bounds of high friction; it is left out there.
+    assert "kinetic_friction = 0.44" in campaign.read_text(encoding="utf-8")
+    fit = ("fit-gear", campaign, *SMALL)
+    assert run(*fit, "--time-limit", "0.001 s")[0] == 0
+    code, _, err = run(*fit, "--resume", "--surface", "hf")
+    assert code == 2
+    assert "the parameter table differs" in err
+    assert "restore it, or start anew with --force" in err
+
+
+def test_low_friction_drops_are_fitted_on_the_high_friction_law(campaign, run):
+    """The stated friction, outside the bounds that high friction has, is of the other surface."""
+    fit = ("fit-gear", campaign, *SMALL[:-1], "--surface", "hf", "--max-generations", "1", "--finish", "none")
+    code, _, err = run(*fit)
+    assert code == 0, err
+    said = "kinetic_friction, slip_regularization stated there are of the other surface and not used"
+    assert " ".join(err.split()).count(said) == 1
+    code, _, err = run("fit-gear", campaign, "--surface", "ice", "--force")
+    assert code == 2
+    assert "no friction law 'ice'; known are lf, hf" in err
+
+
+def test_an_edited_campaign_is_not_continued(cut, run):
+    path = cut[1]
+    path.write_bytes(path.read_bytes() + b"# measured again in March\n")
+    code, _, err = run(*cut, "--resume")
+    assert code == 2
+    assert "cannot be continued because the campaign file differs" in err
+
+
+def test_another_parameter_table_is_not_continued(cut, monkeypatch, run):
+    from dataclasses import replace
+
+    from sysid.gear import problem as gear
+    from sysid.parameters import ParameterTable
+
+    rows = gear.parameters_on("lf").values()
+    wider = [replace(row, upper=2 * row.upper) if row.name == "ground_stiffness" else row for row in rows]
+    monkeypatch.setattr(gear, "parameters_on", lambda law: ParameterTable(wider))
+    code, _, err = run(*cut, "--resume")
+    assert code == 2
+    assert "cannot be continued because the parameter table differs" in err
+
+
+def test_another_accuracy_is_not_continued(cut, monkeypatch, run):
+    """The accuracy counts by itself, not only as a line of the campaign file."""
+    from sysid.gear import problem as gear
+
+    monkeypatch.setattr(gear, "fit_tolerance", lambda campaign: 1e-4)
+    code, _, err = run(*cut, "--resume")
+    assert code == 2
+    assert "cannot be continued because the accuracy of a simulation differs (now 0.0001, then 0.0003)" in err
+
+
+def test_another_processor_is_noted(cut, monkeypatch, run):
+    from sysid.workflows import search
+
+    monkeypatch.setattr(search, "processor", lambda: "Abacus 2")
+    code, _, err = run(*cut, "--resume")
+    assert code == 0, err
+    fit = read_fit(Path("fits") / "synthetic-lf")
+    assert fit.state == "done"
+    (note,) = [warning for warning in fit.warnings if "begun on another processor" in warning]
+    assert "this is Abacus 2" in note
+
+
+def test_more_runs_keep_the_best_five(campaign, run):
+    fit = ("fit-gear", campaign, *SMALL, "--runs", "7")
+    code, _, err = run(*(word for word in fit if word != "--quiet"))
+    assert code == 0
+    found = read_fit(Path("fits") / "synthetic-lf")
+    best = sorted(float(run.best[-1]) for run in found.runs)
+    assert len(best) == 7
+    assert found.nrmse.tolist() == best[:5]
+    assert len(set(found.set_runs)) == 5
+    # Four generations of sixteen finish nothing: seven rows of a table, and a sentence.
+    assert "rank  run" in err
+    assert "7 of 7 runs were not finished (generation limit)" in err
+    assert any(warning.startswith("7 of 7 runs were not finished") for warning in found.warnings)
+
+
+def test_population_follows_the_algorithm_where_none_is_named():
+    from sysid.campaign.common import FitTable
+    from sysid.fit.breeders.algorithms import DEFAULT_ALGORITHM, POPULATION
+    from sysid.workflows.search import FitOptions
+
+    def searched(table, **options):
+        settings = FitOptions(**options).settings(FitTable(**table))
+        return settings.algorithm, settings.population
+
+    assert searched({}) == (DEFAULT_ALGORITHM, POPULATION[DEFAULT_ALGORITHM])
+    for algorithm, population in POPULATION.items():
+        assert searched({}, algorithm=algorithm) == (algorithm, population)
+        assert searched({"algorithm": algorithm}) == (algorithm, population)
+    assert searched({"population": 70}, algorithm="de") == ("de", 70)
+    assert searched({"population": 70}, algorithm="de", population=90) == ("de", 90)
+
+
+def test_algorithm_finish_and_budget(campaign, run):
+    fit = ("fit-gear", campaign, *SMALL, "--algorithm", "de", "--finish", "none", "--max-evaluations", "80")
+    assert run(*fit)[0] == 0
+    runs = read_fit(Path("fits") / "synthetic-lf").runs
+    assert [[s.algorithm for s in r.stages] for r in runs] == [["de"], ["de"]]
+    # 80 candidates are 40 for each run: two generations of 16.
+    assert [r.evaluations for r in runs] == [32, 32]
+    assert {r.stop_reason for r in runs} == {"evaluations"}
+    text = (Path("fits") / "synthetic-lf" / "summary.txt").read_text(encoding="utf-8")
+    assert "runs, best first" in text

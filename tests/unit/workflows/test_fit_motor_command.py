@@ -1,0 +1,114 @@
+"""A motor fit on the command line: what its record names, and what becomes of it when it is cut short."""
+
+import json
+import shutil
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from fakes.places import SAMPLES
+from sysid.fit.store import read_fit
+from sysid.motor import follow_up as motor_stages
+from sysid.recording import file_sha256
+
+SMALL = ("--population", "8", "--runs", "2", "--max-generations", "2", "--finish", "none", "--no-check")
+CURVES = ("static-forward.csv", "static-reverse.csv", "no-load-forward.csv", "no-load-reverse.csv")
+
+LEFT_OUT = (
+    "{}: the dead band was not fitted; the ladder of simpler models was not climbed; viscous_damping was not "
+    "profiled, so its digits may mean nothing; continue it with --resume"
+)
+
+
+@pytest.fixture
+def campaign(tmp_path, monkeypatch):
+    """A copy of the sample bench logs; results go to a fits/ beside it."""
+    shutil.copytree(SAMPLES / "motor", tmp_path / "bench")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "bench" / "campaign.toml"
+
+
+def document(folder):
+    return json.loads((Path(folder) / "fit.json").read_text(encoding="utf-8"))
+
+
+def test_the_record_names_the_logs_of_the_curves_and_a_changed_one_is_not_continued(campaign, run):
+    fit = ("fit-motor", campaign, *SMALL, "--out", "cut", "--time-limit", "0.001 s", "--quiet")
+    assert run(*fit)[0] == 0
+    logs = document("cut")["provenance"]["logs"]
+    by_file = {one["log"]: one["sha256"] for one in logs.values()}
+    assert {*CURVES, "forward-1.csv", "reversal-2.h5"} <= {*by_file}
+    for name, digest in by_file.items():
+        assert digest == file_sha256(campaign.parent / name)
+    text = (Path("cut") / "summary.txt").read_text(encoding="utf-8")
+    for name in CURVES:
+        assert name in text
+        assert by_file[name] in text
+
+    # Of the limit nothing was left for what follows the search.
+    settings = document("cut")["settings"]
+    assert settings["saturation"] == {"stage": "not fitted", "why": "the time limit ended the fit"}
+    assert not {"ladder", "profiles"} & {*settings}
+    assert LEFT_OUT.format("the time limit ended the fit") in document("cut")["warnings"]
+    assert document("cut")["provenance"]["cut short"] == "time limit"
+
+    # The points that it holds are the same: only the hash can tell.
+    log = campaign.parent / "static-forward.csv"
+    log.write_bytes(log.read_bytes() + b"\r\n")
+    code, _, err = run(*fit, "--resume")
+    assert code == 2
+    assert "log static-forward.csv (curves.static, forward) differs" in err
+
+
+def interrupting(monkeypatch, step):
+    """Have Ctrl-C pressed when a step after the search begins."""
+    real = getattr(motor_stages, step)
+
+    def begun(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        return real(*arguments)
+
+    monkeypatch.setattr(motor_stages, step, begun)
+
+
+def test_ctrl_c_after_the_search_keeps_it_and_resume_does_the_rest(campaign, monkeypatch, run):
+    assert run("fit-motor", campaign, *SMALL, "--out", "whole", "--quiet")[0] == 0
+    before = signal.getsignal(signal.SIGINT)
+
+    fit = ("fit-motor", campaign, *SMALL, "--out", "cut")
+    with monkeypatch.context() as patched:
+        interrupting(patched, "fit_saturation")
+        code, out, err = run(*fit)
+    assert code == 130
+    assert signal.getsignal(signal.SIGINT) is before
+    assert "fit written to cut (stopped early" in " ".join(out.split())
+    assert LEFT_OUT.format("the fit was interrupted") in err
+    assert read_fit("cut").state == "stopped"
+    assert document("cut")["provenance"]["cut short"] == "stopped by the user"
+
+    # The next step is stopped too: what came before it is kept.
+    with monkeypatch.context() as patched:
+        interrupting(patched, "climb")
+        assert run(*fit, "--resume", "--quiet")[0] == 130
+    whole, ladder_missing = document("whole")["settings"], document("cut")["settings"]
+    assert ladder_missing["saturation"] == whole["saturation"]
+    assert "ladder" not in ladder_missing
+    assert any("interrupted: the ladder of simpler" in text for text in document("cut")["warnings"])
+
+    assert run(*fit, "--resume", "--quiet")[0] == 0
+    assert not Path("cut.checkpoint").exists()
+    done = document("cut")
+    assert done["sets"] == document("whole")["sets"]
+    assert done["settings"] == whole
+    assert "cut short" not in done["provenance"]
+
+    # The cube's axes are in the search's order, which need not be the table's.
+    fit = read_fit("cut")
+    axes = fit.provenance["search"]["axes"]
+    assert len(axes) == fit.cube.shape[1]
+    assert [one.name for one in fit.searched] == axes
+    turned = replace(fit, provenance={"search": {"axes": axes[::-1]}})
+    assert [one.name for one in turned.searched] == axes[::-1]
+    assert replace(fit, provenance={}).searched == ()
