@@ -20,7 +20,7 @@ from sysid.types import FloatArray
 
 Scale = Literal["linear", "log"]
 
-# A value within this share of the unit-cube edge is said to lie at its bound.
+# A value within this share of the unit-cube edge counts as lying at its bound.
 AT_BOUND = 0.01
 
 
@@ -44,6 +44,11 @@ class Parameter:
         One sentence.
     source : str
         Where nominal and bounds come from ("guess" is an answer, silence is not).
+    group : str
+        What the number belongs to, e.g. ``leg``, ``ground``, ``instrument``, ``nuisance``.
+    trial : str
+        The trial or log that alone has this number; its name then ends in ``[trial]``. Empty for a number of
+        the model.
     """
 
     name: str
@@ -55,6 +60,8 @@ class Parameter:
     scale: Scale
     meaning: str
     source: str
+    group: str = ""
+    trial: str = ""
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
@@ -66,6 +73,15 @@ class Parameter:
             raise CampaignError(
                 f"{self.name}: lower bound {self.lower:g} {self.unit} on a logarithmic scale must be above 0"
             )
+
+    @property
+    def common_name(self) -> str:
+        """The name without the trial: ``command_delay`` of ``command_delay[step-1.csv]``."""
+        return self.name.removesuffix(f"[{self.trial}]") if self.trial else self.name
+
+    def of_trial(self, trial: str) -> Parameter:
+        """Return the row of the same number for one trial alone, named ``name[trial]``."""
+        return replace(self, name=f"{self.name}[{trial}]", symbol=f"{self.symbol}[{trial}]", trial=trial)
 
 
 class ParameterTable(Mapping[str, Parameter]):
@@ -100,6 +116,15 @@ class ParameterTable(Mapping[str, Parameter]):
     def nominal(self) -> dict[str, float]:
         """Default value of every row [its unit]."""
         return {name: row.nominal for name, row in self._rows.items()}
+
+    @property
+    def index(self) -> dict[str, int]:
+        """Place of every row in the table."""
+        return {name: i for i, name in enumerate(self._rows)}
+
+    def group(self, *groups: str) -> tuple[str, ...]:
+        """Return the names of the rows of some groups, in table order."""
+        return tuple(name for name, row in self._rows.items() if row.group in groups)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +201,7 @@ class SearchSpace:
         """Map unit-cube points (n, n_free) to rows of the whole table (n, len(table)) in table order [SI]."""
         cube = np.atleast_2d(cube)
         out = np.empty((len(cube), len(self.table)))
-        index = {name: i for i, name in enumerate(self.table)}
+        index = self.table.index
         for name, value in self.fixed.items():
             out[:, index[name]] = value
         out[:, [index[name] for name in self.names]] = self.decode(cube)

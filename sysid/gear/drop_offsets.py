@@ -7,6 +7,7 @@ which no stiffness explains. Off unless the campaign asks for it; validation dro
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,48 +16,46 @@ from sysid.gear.drops import PreparedDrop
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 from sysid.types import FloatArray
 
-_HEIGHT = "height_offset"
-_START = "start_offset"
+_HEIGHT = Parameter(
+    "height_offset", "δz", "m", 0.0, -1.0, 1.0, "linear",
+    "Height of the surface above its stated place", "campaign, [nuisance]", "nuisance",
+)  # fmt: skip
+_START = Parameter(
+    "start_offset", "δt", "s", 0.0, -1.0, 1.0, "linear",
+    "Delay of the motion behind its stated start", "campaign, [nuisance]", "nuisance",
+)  # fmt: skip
 
 
 def with_nuisance(space: SearchSpace, campaign: GearCampaign) -> SearchSpace:
     """Append the free offsets that a campaign asks for, one per fitted drop and kind."""
-    wanted = campaign.nuisance
-    rows = []
-    for trial in campaign.trials:
-        if trial.use != "fit":
-            continue
-        if wanted.height is not None:
-            meaning = "Height of the surface above its stated place"
-            rows.append(_row(_HEIGHT, "δz", trial.name, "m", wanted.height, meaning))
-        if wanted.start_time is not None:
-            meaning = "Delay of the motion behind its stated start"
-            rows.append(_row(_START, "δt", trial.name, "s", wanted.start_time, meaning))
+    bounds = ((_HEIGHT, campaign.nuisance.height), (_START, campaign.nuisance.start_time))
+    rows = [
+        replace(
+            kind.of_trial(trial.name), lower=-bound, upper=bound, meaning=f"{kind.meaning}, {trial.name}."
+        )
+        for trial in campaign.trials
+        if trial.use == "fit"
+        for kind, bound in bounds
+        if bound is not None
+    ]
     if not rows:
         return space
     return SearchSpace(ParameterTable([*space.table.values(), *rows]), (*space.free, *rows), space.fixed)
-
-
-def _row(kind: str, symbol: str, drop: str, unit: str, bound: float, meaning: str) -> Parameter:
-    return Parameter(
-        f"{kind}[{drop}]", f"{symbol}[{drop}]", unit, 0.0, -bound, bound, "linear",
-        f"{meaning}, {drop}.", "campaign, [nuisance]",
-    )  # fmt: skip
 
 
 def offsets(
     table: ParameterTable, rows: FloatArray, drops: Sequence[PreparedDrop]
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return heights [m] and delays [s] (P, D) of rows of a table (P, n); None where it has none."""
-    index = {name: i for i, name in enumerate(table) if "[" in name}
+    index = {(row.common_name, row.trial): i for i, row in enumerate(table.values()) if row.trial}
     if not index or rows.shape[1] <= min(index.values()):
         return None
     out = np.zeros((2, len(rows), len(drops)))
-    for kind, name in enumerate((_HEIGHT, _START)):
+    for k, kind in enumerate((_HEIGHT, _START)):
         for d, drop in enumerate(drops):
-            column = index.get(f"{name}[{drop.name}]")
+            column = index.get((kind.name, drop.name))
             if column is not None:
-                out[kind, :, d] = rows[:, column]
+                out[k, :, d] = rows[:, column]
     return out[0], out[1]
 
 

@@ -364,7 +364,7 @@ _CONSTANTS = (
     "gravity",
     "leg_mass_fraction",
     "slip_regularization",
-    *(name for name in PARAMETERS if name.startswith("front_")),
+    *PARAMETERS.group("front leg"),
 )
 # Motors do not run in a drop.
 _NEVER_IN_DROPS = ("thrust_point_dx",)

@@ -34,6 +34,7 @@ def _map_rows() -> list[Parameter]:
                 Parameter(
                     f"steady_speed_{power}_{direction}", f"p{power}{sign}", "rad/s", 0.0, -1e4, 1e4, "linear",
                     f"Coefficient of |u|^{power} of the steady speed, {direction}.", _MAP,
+                    "steady-speed map",
                 )
             )  # fmt: skip
     for direction, sign in (("forward", "+"), ("reverse", "−")):
@@ -42,6 +43,7 @@ def _map_rows() -> list[Parameter]:
                 Parameter(
                     f"torque_{name}_{direction}", f"c_τ{sign}", unit, 0.0, -1.0, 1.0, "linear",
                     "Coefficient of the torque curve.", "static curves of the campaign",
+                    "torque curve",
                 )
             )  # fmt: skip
     return rows
@@ -49,7 +51,16 @@ def _map_rows() -> list[Parameter]:
 
 def _delay_row(name: str, symbol: str, upper: float) -> Parameter:
     return Parameter(
-        name, symbol, "s", 0.0, 0.0, upper, "linear", "As in the motor's table.", "0 on one clock"
+        name,
+        symbol,
+        "s",
+        0.0,
+        0.0,
+        upper,
+        "linear",
+        "As in the motor's table.",
+        "0 on one clock",
+        "instrument",
     )
 
 
@@ -57,11 +68,11 @@ PARAMETERS = ParameterTable(
     [
         Parameter(
             "rise_time_constant", "T_rise", "s", 0.1, 1e-3, 1.0, "log",
-            "Time constant while the speed grows.", "guess",
+            "Time constant while the speed grows.", "guess", "motor",
         ),
         Parameter(
             "fall_time_constant", "T_fall", "s", 0.1, 1e-3, 1.0, "log",
-            "Time constant while the speed falls.", "guess",
+            "Time constant while the speed falls.", "guess", "motor",
         ),
         _delay_row("command_delay", "t_d", 0.2),
         _delay_row("torque_sensor_delay", "t_τ", 0.1),

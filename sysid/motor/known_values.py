@@ -296,7 +296,7 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
             SysidWarning,
             stacklevel=2,
         )
-    silent = [name for name in chosen if name.startswith("thrust_")]
+    silent = [name for name in chosen if name in PARAMETERS.group("thrust curve")]
     if silent:
         raise CampaignError(
             f"parameters.free names {', '.join(silent)}, on which neither torque nor speed depends; thrust "

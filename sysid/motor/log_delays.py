@@ -52,17 +52,13 @@ def with_log_delays(
 
 
 def _row(common: Parameter, log: str) -> Parameter:
-    return replace(
-        common,
-        name=delay_name(log),
-        symbol=f"t_d[{log}]",
-        meaning=f"Time from a command in {log} to the voltage, instruments included; no motor physics.",
-    )
+    meaning = f"Time from a command in {log} to the voltage, instruments included; no motor physics."
+    return replace(common.of_trial(log), meaning=meaning)
 
 
 def own_rows(space: SearchSpace) -> tuple[str, ...]:
     """Return the names of the logs' own delays in a table, free or not."""
-    return tuple(name for name in space.table if name.startswith(f"{_NAME}["))
+    return tuple(row.name for row in space.table.values() if row.trial and row.common_name == _NAME)
 
 
 def averaged(space: SearchSpace, rows: FloatArray) -> FloatArray:

@@ -61,6 +61,7 @@ def _curve_rows(
                 "log",
                 f"Quadratic coefficient of the {quantity} curve, {direction} rotation.",
                 source,
+                f"{quantity} curve",
             ),
             Parameter(
                 f"{quantity}_linear_{direction}",
@@ -72,6 +73,7 @@ def _curve_rows(
                 "linear",
                 f"Linear coefficient of the {quantity} curve, {direction} rotation.",
                 source,
+                f"{quantity} curve",
             ),
         ]
     return rows
@@ -91,6 +93,7 @@ def _no_load_rows() -> list[Parameter]:
                 "log",
                 f"Slope of the no-load speed over the command u, {direction}.",
                 "guess: hover at 512 rad/s loaded needs 642 rad/s without load",
+                "no-load line",
             ),
             Parameter(
                 f"no_load_intercept_{direction}",
@@ -102,6 +105,7 @@ def _no_load_rows() -> list[Parameter]:
                 "linear",
                 f"No-load speed that remains as u → 0, {direction}; positive raises |Ω_0|.",
                 "guess",
+                "no-load line",
             ),
         ]
     return rows
@@ -119,6 +123,7 @@ PARAMETERS = ParameterTable(
             "log",
             "Resistance of winding, wires and controller, as one direct-current circuit.",
             "Table I (genetic algorithm); bounds: guess",
+            "motor",
         ),
         Parameter(
             "winding_inductance",
@@ -130,6 +135,7 @@ PARAMETERS = ParameterTable(
             "log",
             "Inductance of the same circuit; holds whatever delays the current.",
             "Table I (genetic algorithm), printed in kg; bounds: guess",
+            "motor",
         ),
         Parameter(
             "viscous_damping",
@@ -141,6 +147,7 @@ PARAMETERS = ParameterTable(
             "log",
             "Bearing drag per speed.",
             "Table I (genetic algorithm); bounds: guess",
+            "motor",
         ),
         Parameter(
             "back_emf_constant",
@@ -152,6 +159,7 @@ PARAMETERS = ParameterTable(
             "log",
             "Voltage per speed at no load.",
             "960 rpm/V rating; Table I's 0.099 is a slip of a factor 10",
+            "motor",
         ),
         Parameter(
             "torque_constant",
@@ -163,6 +171,7 @@ PARAMETERS = ParameterTable(
             "log",
             "Torque per current; equal to k_v in SI (the paper's K_t).",
             "960 rpm/V rating",
+            "motor",
         ),
         Parameter(
             "rotor_inertia",
@@ -174,6 +183,7 @@ PARAMETERS = ParameterTable(
             "log",
             "Moment of inertia of rotor and propeller about the axle.",
             "Table I (measured)",
+            "motor",
         ),
         Parameter(
             "saturation_current",
@@ -185,6 +195,7 @@ PARAMETERS = ParameterTable(
             "log",
             "Bound of the current while the rotor leaves the dead band.",
             "Table I (by hand)",
+            "motor",
         ),
         Parameter(
             "saturation_speed",
@@ -196,6 +207,7 @@ PARAMETERS = ParameterTable(
             "log",
             "Edge of the dead band of a sensorless controller.",
             "Table I (by hand)",
+            "motor",
         ),
         Parameter(
             "reference_voltage",
@@ -207,6 +219,7 @@ PARAMETERS = ParameterTable(
             "linear",
             "Supply at which Ω_0(u) holds.",
             "guess: three lithium-polymer cells",
+            "motor",
         ),
         *_no_load_rows(),
         *_curve_rows("thrust", "T", 1.2e-5, 0.62e-5, (1e-9, 1e-3)),
@@ -221,6 +234,7 @@ PARAMETERS = ParameterTable(
             "linear",
             "Time from a command in the log to the voltage, instruments included; no motor physics.",
             "0 on one clock; 30 to 80 ms seen on thrust stands",
+            "instrument",
         ),
         Parameter(
             "torque_sensor_delay",
@@ -232,6 +246,7 @@ PARAMETERS = ParameterTable(
             "linear",
             "Time by which the torque sensor trails the speed sensor; applied to logs, never to the motor.",
             "0 on one clock; 30 ms seen on thrust stands",
+            "instrument",
         ),
         Parameter(
             "torque_sensor_lag",
@@ -243,6 +258,7 @@ PARAMETERS = ParameterTable(
             "linear",
             "Time constant of a first-order lag of the torque sensor; applied to logs, never to the motor.",
             "0 for a load cell; 10 to 20 ms seen on thrust stands",
+            "instrument",
         ),
         Parameter(
             "speed_sensor_lag",
@@ -254,10 +270,11 @@ PARAMETERS = ParameterTable(
             "linear",
             "Time constant of a first-order lag of the speed sensor; applied to logs, never to the motor.",
             "0: hardly told from L/R by a log of 10 ms rows; free it to see what it buys",
+            "instrument",
         ),
     ]
 )
 
 FREE_DEFAULT = ("winding_resistance", "winding_inductance", "viscous_damping")
 # What a log adds to the motor: estimated with it and reported, never hidden.
-INSTRUMENT = ("command_delay", "torque_sensor_delay", "torque_sensor_lag", "speed_sensor_lag")
+INSTRUMENT = PARAMETERS.group("instrument")

@@ -19,6 +19,7 @@ from sysid.errors import ExportError
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.store import read_fit
 from sysid.fit.summary import record_lines, run_record
+from sysid.motor.model import PARAMETERS
 from sysid.motor.model import thrust as static_thrust
 from sysid.report.animation import animation
 from sysid.report.diagrams import figure_geometry, figure_modes, mode_shares
@@ -404,7 +405,7 @@ class FitReport:
         """Return the thrust (S, n) of every set of a motor on a trial [N]."""
         names = [record.name for record in fit.parameters]
         c = fit.channels.index("speed")
-        keep = [name for name in names if name.startswith("thrust_")]
+        keep = [name for name in names if name in PARAMETERS.group("thrust curve")]
         return np.stack(
             [
                 static_thrust(

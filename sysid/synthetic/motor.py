@@ -233,9 +233,7 @@ def _stand_points(
     u = np.concatenate([rise, rise[-2::-1]]) * (1.0 if forward else -1.0)
     row = dict(true)
     if not loaded:
-        for name in row:
-            if name.startswith(("thrust_", "torque_quadratic", "torque_linear")):
-                row[name] = 0.0
+        row |= dict.fromkeys(model.PARAMETERS.group("thrust curve", "torque curve"), 0.0)
     voltage = np.full_like(u, row["reference_voltage"] + _OPEN_ABOVE)
     for _ in range(5):  # the sag is small: this contracts by a factor of a hundred each time
         current, speed = model.steady_state(u, row, voltage)

@@ -16,7 +16,7 @@ from sysid.motor.objective import MotorObjective
 from sysid.parameter_sets import ParameterSets
 from sysid.trust.comparison import compare_values, unjudged
 from sysid.trust.documents import TRUST, read_part
-from sysid.workflows.predicted_rows import INSTRUMENTS, gear_rows, motor_rows
+from sysid.workflows.predicted_rows import gear_rows, motor_rows
 from sysid.workflows.reopen import OpenedFit, open_fit, table_rows
 from sysid.workflows.search import collected_warnings
 
@@ -134,7 +134,7 @@ def _motor_rows(guest: OpenedFit, home: OpenedFit, base: np.ndarray) -> np.ndarr
     assert isinstance(home.campaign, MotorCampaign)
     assert home.bench is not None
     rows = motor_rows(guest.result, home.campaign, home.bench, home.space, base)[:1]
-    for k, name in enumerate(home.space.table):
-        if name.startswith(INSTRUMENTS):
+    for k, row in enumerate(home.space.table.values()):
+        if row.group == "instrument":
             rows[:, k] = base[k]
     return rows

@@ -19,9 +19,6 @@ from sysid.motor.known_values import CONSTANTS, Bench
 from sysid.parameters import SearchSpace
 from sysid.types import FloatArray
 
-# Of a log or an instrument, not of the motor.
-INSTRUMENTS = ("command_delay", "torque_sensor", "speed_sensor")
-
 
 def fit_rows(
     result: FitResult, names: tuple[str, ...], base: FloatArray, known: Collection[str]

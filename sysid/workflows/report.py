@@ -190,9 +190,9 @@ def _motor_trials(
     objective = MotorObjective(space, chosen, {}, own.cost, own.jobs)
     names = [record.name for record in fit.parameters]
     rows = np.empty((len(fit.values), len(space.table)))
-    for column, name in enumerate(space.table):
+    for column, row in enumerate(space.table.values()):
         # A log that was not fitted has the mean delay.
-        source = name if name in names else name.partition("[")[0]
+        source = row.name if row.name in names else row.common_name
         rows[:, column] = fit.values[:, names.index(source)]
     return motor_trial_results(objective, rows), {t.entry.name: t.provenance for t in chosen}
 

@@ -204,7 +204,7 @@ def _motor(
     index = {record.name: i for i, record in enumerate(result.parameters)}
     # Delays of logs that the fit has not seen: its mean delay; the dead band was fitted as well.
     for name in own:
-        source = "command_delay" if name.startswith("command_delay") else name
+        source = space.table[name].common_name
         if source in ("command_delay", "saturation_current", "saturation_speed") and source in index:
             rows[:, own.index(name)] = result.values[:, index[source]]
     rows = objective.complete(rows)
