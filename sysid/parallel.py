@@ -11,7 +11,9 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Iterator
 from concurrent.futures import CancelledError
+from contextlib import contextmanager
 from math import ceil
 from typing import Any, Protocol, Self
 
@@ -71,6 +73,19 @@ class Executor(Protocol):
     def close(self) -> None:
         """Let go of what was taken."""
         ...
+
+
+@contextmanager
+def numba_threads(threads: int | None) -> Iterator[None]:
+    """Compute numba's parallel loops inside with so many threads; None: all that numba offers."""
+    import numba
+
+    before = numba.get_num_threads()
+    numba.set_num_threads(before if threads is None else max(1, min(threads, before)))
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
 
 
 class LocalThreads:

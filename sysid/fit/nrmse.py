@@ -20,12 +20,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sysid.errors import FitError
 from sysid.fit.nrmse_kernels import FAILED_NRMSE, prepare_trial, score_population
+from sysid.parallel import numba_threads
 from sysid.types import BoolArray, FloatArray
 
 __all__ = [
@@ -345,17 +345,13 @@ class FilteredNrmse:
             raise ValueError(f"reached {share.shape}, expected ({n_candidates}, {n_trials})")
         by_channel = np.empty((n_candidates, n_trials, len(self.channels)))
         failed = np.zeros((n_candidates, n_trials), dtype=np.bool_)
-        before = numba.get_num_threads()
         # A cluster's worker has one core: more threads would spin beside each other on it.
-        numba.set_num_threads(before if threads is None else max(1, min(threads, before)))
-        try:
+        with numba_threads(threads):
             score_population(
                 samples, share, self.offsets, self._window, self._half, self._reach, self._taps, self._rate,
                 self._left, self._right, self._share, self._column, self._is_rate,
                 self._measured, self._valid, self.denominators, self.weights, by_channel, failed,
             )  # fmt: skip
-        finally:
-            numba.set_num_threads(before)
         return PopulationCost(self.mean(by_channel), by_channel, failed)
 
     def mean(self, by_channel: FloatArray) -> FloatArray:

@@ -6,18 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sysid.errors import FitError
 from sysid.motor import kernel
-from sysid.motor.model import PARAMETERS, TOLERANCE, schedule, supply
+from sysid.motor.model import PARAMETERS, TOLERANCE, kernel_rows, schedule, supply
+from sysid.parallel import numba_threads
 from sysid.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
-class MotorTrial:
+class SimulatedTrial:
     """One log as the simulator needs it.
 
     Parameters
@@ -41,9 +41,13 @@ class MotorTrial:
 
 
 class MotorTrials:
-    """Trials laid end to end for `simulate_population`; trial j owns ``slice(first[j], first[j + 1])``."""
+    """Trials laid end to end for `simulate_population`; trial j owns ``slice(first[j], first[j + 1])``.
 
-    def __init__(self, trials: Sequence[MotorTrial]) -> None:
+    `excitation` holds command instants, commands, first of each trial, supply knots, V/V_ref, first of each
+    trial: what the kernels of motor and first-order lag take in this order.
+    """
+
+    def __init__(self, trials: Sequence[SimulatedTrial]) -> None:
         if not trials:
             raise FitError("no motor trial to simulate; expected at least one log in the campaign")
         schedules = [schedule(trial.command_time, trial.command) for trial in trials]
@@ -54,10 +58,11 @@ class MotorTrials:
             for trial in trials
         ]
         self.trials = tuple(trials)
-        self.command_time, self.command_first = _end_to_end([s[0] for s in schedules])
-        self.command, _ = _end_to_end([s[1] for s in schedules])
-        self.supply_time, self.supply_first = _end_to_end([s[0] for s in supplies])
-        self.supply_ratio, _ = _end_to_end([s[1] for s in supplies])
+        instants, command_first = _end_to_end([s[0] for s in schedules])
+        levels, _ = _end_to_end([s[1] for s in schedules])
+        knots, supply_first = _end_to_end([s[0] for s in supplies])
+        ratios, _ = _end_to_end([s[1] for s in supplies])
+        self.excitation = (instants, levels, command_first, knots, ratios, supply_first)
         self.time, self.first = _end_to_end([trial.time for trial in trials])
         self.edges, _ = _end_to_end([_edges(trial.time) for trial in trials])
         self.starts = np.array(
@@ -67,6 +72,11 @@ class MotorTrials:
 
     def __len__(self) -> int:
         return len(self.trials)
+
+    def delays(self, count: int, delays: FloatArray | None) -> FloatArray:
+        """Return what `count` candidates add to their command delay per trial (count, n_trials) [s]."""
+        shape = (count, len(self))
+        return np.zeros(shape) if delays is None else np.ascontiguousarray(np.broadcast_to(delays, shape))
 
 
 def _end_to_end(parts: Sequence[ArrayLike]) -> tuple[FloatArray, IntArray]:
@@ -111,59 +121,34 @@ def simulate_population(
     tolerance: float = TOLERANCE,
     threads: int | None = None,
 ) -> PopulationResult:
-    """Simulate every candidate on every trial.
+    """Simulate every candidate on every trial; one that cannot be simulated has a status, not an exception.
 
     The torque is averaged over each sample's cell, from half-way after the sample before to half-way
     before the next: it jumps when the dead band ends and, as L → 0, at each command.
 
     Parameters
     ----------
-    parameters : (P, 25) array
+    parameters : (P, n_table) array
         Rows in the order of `sysid.motor.model.PARAMETERS` [SI].
     trials : MotorTrials
+        What drives the motor, and when its outputs are wanted.
     delays : (P, n_trials) array, optional
         Added to ``command_delay`` per candidate and trial [s].
     ideal_reversal, tolerance
         As in `sysid.motor.model.simulate`.
     threads : int, optional
         Threads to use; the result does not depend on it. Default: all that numba offers.
-
-    Returns
-    -------
-    PopulationResult
-        A candidate that cannot be simulated has a status, never an exception.
     """
-    rows = np.ascontiguousarray(np.atleast_2d(parameters), dtype=np.float64)
+    rows = np.atleast_2d(parameters)
     if rows.shape[1] != len(PARAMETERS):
         raise ValueError(f"parameter rows have {rows.shape[1]} columns, the table {len(PARAMETERS)}")
-    shape = (len(rows), len(trials))
-    shifts = np.zeros(shape) if delays is None else np.ascontiguousarray(np.broadcast_to(delays, shape))
     outputs = np.empty((len(rows), trials.time.size, 2))
-    status = np.empty(shape, dtype=np.int64)
-    reached = np.empty(shape)
-    before = numba.get_num_threads()
-    numba.set_num_threads(before if threads is None else max(1, min(threads, before)))
-    try:
+    status = np.empty((len(rows), len(trials)), dtype=np.int64)
+    reached = np.empty(status.shape)
+    with numba_threads(threads):
         kernel.integrate_population(
-            rows,
-            shifts,
-            trials.command_time,
-            trials.command,
-            trials.command_first,
-            trials.supply_time,
-            trials.supply_ratio,
-            trials.supply_first,
-            trials.time,
-            trials.edges,
-            trials.first,
-            trials.starts,
-            trials.initial,
-            tolerance,
-            ideal_reversal,
-            outputs,
-            status,
-            reached,
-        )
-    finally:
-        numba.set_num_threads(before)
+            kernel_rows(rows), trials.delays(len(rows), delays), *trials.excitation, trials.time,
+            trials.edges, trials.first, trials.starts, trials.initial, tolerance, ideal_reversal, outputs,
+            status, reached,
+        )  # fmt: skip
     return PopulationResult(outputs, status, reached)

@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numba import njit, prange
 
 from sysid.errors import FitError
 from sysid.fit.nrmse import FAILED_NRMSE, Denominator, spread
+from sysid.parallel import numba_threads
 from sysid.types import BoolArray, FloatArray, IntArray
 
 CHANNELS = ("stator_torque", "speed")
@@ -133,16 +133,12 @@ class MotorCost:
         """
         by_channel = np.empty((len(samples), len(self.targets), 2))
         failed = np.zeros(by_channel.shape[:2], dtype=np.bool_)
-        before = numba.get_num_threads()
-        numba.set_num_threads(before if threads is None else max(1, min(threads, before)))
-        try:
+        with numba_threads(threads):
             _score(
                 samples, reached, sensors, self._rows, self.grid, self._taps, self._all_taps, self._time,
                 self._measured, self._valid, self._start, self._step, self.denominators, self.weights,
                 by_channel, failed,
             )  # fmt: skip
-        finally:
-            numba.set_num_threads(before)
         # A channel without weight need not be scorable; its number must still not stop the search.
         return by_channel, failed
 

@@ -19,9 +19,21 @@ from sysid.motor.batch import MotorTrials
 from sysid.parameters import Parameter, ParameterTable
 from sysid.types import FloatArray
 
-_DELAY = 2
-_STEADY = 6  # Ω_ss(u) = s (p0 + p1 |u| + p2 u²), s = sign u: forward, then reverse
-_TORQUE = 12  # c2, c1 forward; c2, c1 reverse
+# What the equation reads of the table, by name: the layout of a kernel's row.
+_READS = (
+    "rise_time_constant",
+    "fall_time_constant",
+    "command_delay",
+    *(f"steady_speed_{power}_{way}" for way in ("forward", "reverse") for power in range(3)),
+    *(f"torque_{name}_{way}" for way in ("forward", "reverse") for name in ("quadratic", "linear")),
+)
+_RISE, _FALL = _READS.index("rise_time_constant"), _READS.index("fall_time_constant")
+_DELAY = _READS.index("command_delay")
+# Ω_ss(u) = s (p0 + p1 |u| + p2 u²), s = sign u: first coefficient of either direction.
+_STEADY, _STEADY_REVERSE = _READS.index("steady_speed_0_forward"), _READS.index("steady_speed_0_reverse")
+# c2, then c1 of either direction.
+_TORQUE = _READS.index("torque_quadratic_forward")
+_TORQUE_REVERSE = _READS.index("torque_quadratic_reverse")
 
 _MAP = "fitted to the steady loaded points"
 
@@ -102,7 +114,7 @@ def steady_speed_map(command: FloatArray, speed: FloatArray, ratio: FloatArray) 
 def _steady(u, row):
     if u == 0.0:
         return 0.0
-    k = _STEADY if u > 0.0 else _STEADY + 3
+    k = _STEADY if u > 0.0 else _STEADY_REVERSE
     size = abs(u)
     speed = max(0.0, row[k] + row[k + 1] * size + row[k + 2] * size * size)
     return speed if u > 0.0 else -speed
@@ -140,7 +152,7 @@ def _population(
         i = job // n_trials
         j = job % n_trials
         row = rows[i]
-        delay = row[_DELAY] + delays[i, j]
+        rise, fall, delay = row[_RISE], row[_FALL], row[_DELAY] + delays[i, j]
         instants = command_time[command_first[j] : command_first[j + 1]]
         levels = command[command_first[j] : command_first[j + 1]]
         knots = supply_time[supply_first[j] : supply_first[j + 1]]
@@ -148,7 +160,7 @@ def _population(
         at, near = 0, 0
         t = time[first[j]]
         step = time[min(first[j] + 1, first[j + 1] - 1)] - t
-        rise_kept, fall_kept = exp(-step / row[0]), exp(-step / row[1])
+        rise_kept, fall_kept = exp(-step / rise), exp(-step / fall)
         speed = 0.0
         for m in range(first[j], first[j + 1]):
             end = time[m]
@@ -159,7 +171,7 @@ def _population(
                 turn = max(t, instants[at + 1] + delay)
                 if m > first[j]:
                     speed = _advance(
-                        speed, _steady(levels[at], row) * ratio, turn - t, row[0], row[1], step, rise_kept,
+                        speed, _steady(levels[at], row) * ratio, turn - t, rise, fall, step, rise_kept,
                         fall_kept,
                     )  # fmt: skip
                     t = turn
@@ -169,9 +181,9 @@ def _population(
                 # The trial begins at a steady state, like that of the motor's equations.
                 speed = target
             else:
-                speed = _advance(speed, target, end - t, row[0], row[1], step, rise_kept, fall_kept)
+                speed = _advance(speed, target, end - t, rise, fall, step, rise_kept, fall_kept)
             t = end
-            k = _TORQUE if speed >= 0.0 else _TORQUE + 2
+            k = _TORQUE if speed >= 0.0 else _TORQUE_REVERSE
             out[i, m, 0] = (row[k] * abs(speed) + row[k + 1]) * speed
             out[i, m, 1] = speed
 
@@ -181,9 +193,10 @@ def simulate_lag(rows: FloatArray, trials: MotorTrials, delays: FloatArray | Non
 
     Parameters
     ----------
-    rows : (P, 16) array
+    rows : (P, n_table) array
         In the order of `PARAMETERS` [SI].
     trials : MotorTrials
+        What drives the rotor, and when its outputs are wanted.
     delays : (P, n_trials) array, optional
         Added to ``command_delay`` per candidate and trial [s].
 
@@ -192,11 +205,8 @@ def simulate_lag(rows: FloatArray, trials: MotorTrials, delays: FloatArray | Non
     (P, n_total, 2) array
         Torque [N·m] and speed [rad/s] on the trials' samples. The supply is held between two knots.
     """
-    rows = np.ascontiguousarray(rows, dtype=np.float64)
+    index = PARAMETERS.index
+    reads = np.ascontiguousarray(rows[:, [index[name] for name in _READS]], dtype=np.float64)
     out = np.empty((len(rows), trials.time.size, 2))
-    shifts = np.zeros((len(rows), len(trials))) if delays is None else np.ascontiguousarray(delays)
-    _population(
-        rows, shifts, trials.command_time, trials.command, trials.command_first, trials.supply_time,
-        trials.supply_ratio, trials.supply_first, trials.time, trials.first, out,
-    )  # fmt: skip
+    _population(reads, trials.delays(len(rows), delays), *trials.excitation, trials.time, trials.first, out)
     return out

@@ -1,6 +1,6 @@
 """Integration of the motor equations (1-3), event by event, for one trial or a whole population.
 
-Symbols of this file, in the order of a parameter row (`R` ... `DELAY` are column numbers):
+A row of numbers that the equations read has the order of `READS`; `R` ... `DELAY` are its columns. Symbols:
 
 ======  =====================  ==============  ==================================================
 symbol  name                   unit            meaning
@@ -32,13 +32,32 @@ from numba import njit, prange
 
 from sysid.motor.dense_output import between, integral, write_charge, write_cubic, write_states
 
-R, L, K_D, K_V, K_M, INERTIA, I_SAT, OMEGA_MIN, V_REF = 0, 1, 2, 3, 4, 5, 6, 7, 8
-NO_LOAD = 9  # slope, intercept forward; slope, intercept reverse
-THRUST = 13  # c2, c1 forward; c2, c1 reverse
-TORQUE = 17  # c2, c1 forward; c2, c1 reverse
-DELAY = 21
-# Further columns of a row belong to instruments; no equation of the motor reads them.
-N_PARAMETERS = 25
+# What the equations read of a parameter table, by name: the layout of every `row` in this file.
+READS = (
+    "winding_resistance",
+    "winding_inductance",
+    "viscous_damping",
+    "back_emf_constant",
+    "torque_constant",
+    "rotor_inertia",
+    "saturation_current",
+    "saturation_speed",
+    "command_delay",
+    *(f"no_load_{name}_{way}" for way in ("forward", "reverse") for name in ("slope", "intercept")),
+    *(f"thrust_{name}_{way}" for way in ("forward", "reverse") for name in ("quadratic", "linear")),
+    *(f"torque_{name}_{way}" for way in ("forward", "reverse") for name in ("quadratic", "linear")),
+)
+R, L = READS.index("winding_resistance"), READS.index("winding_inductance")
+K_D = READS.index("viscous_damping")
+K_V, K_M = READS.index("back_emf_constant"), READS.index("torque_constant")
+INERTIA = READS.index("rotor_inertia")
+I_SAT, OMEGA_MIN = READS.index("saturation_current"), READS.index("saturation_speed")
+DELAY = READS.index("command_delay")
+# First of four coefficients: two of forward rotation, and `REVERSE` columns further the same of reverse.
+NO_LOAD = READS.index("no_load_slope_forward")
+THRUST = READS.index("thrust_quadratic_forward")
+TORQUE = READS.index("torque_quadratic_forward")
+REVERSE = READS.index("torque_quadratic_reverse") - TORQUE
 
 # Status of a simulated trial.
 DONE, NO_STEADY_STATE, TOO_MANY_STEPS, NOT_FINITE, STUCK = 0, 1, 2, 3, 4
@@ -71,7 +90,7 @@ _H34, _H35 = 24.76722511418386, -6.594389125716872
 @njit(cache=True, error_model="numpy")
 def curve(speed, row, first):
     """Return c2 Ω|Ω| + c1 Ω with the coefficients of the direction of `speed`."""
-    k = first if speed >= 0.0 else first + 2
+    k = first if speed >= 0.0 else first + REVERSE
     return (row[k] * abs(speed) + row[k + 1]) * speed
 
 
@@ -81,7 +100,7 @@ def no_load_speed(command, row):
     if command > 0.0:
         return max(0.0, row[NO_LOAD] * command + row[NO_LOAD + 1])
     if command < 0.0:
-        return min(0.0, row[NO_LOAD + 2] * command - row[NO_LOAD + 3])
+        return min(0.0, row[NO_LOAD + REVERSE] * command - row[NO_LOAD + REVERSE + 1])
     return 0.0
 
 
@@ -89,7 +108,7 @@ def no_load_speed(command, row):
 def steady_state(voltage, row):
     """Return current [A] and speed [rad/s] at rest under a constant voltage; NaN where there is none."""
     sign = 1.0 if voltage >= 0.0 else -1.0
-    k = TORQUE if sign > 0.0 else TORQUE + 2
+    k = TORQUE if sign > 0.0 else TORQUE + REVERSE
     gain = row[K_M] / row[R]
     linear = row[k + 1] + row[K_D] + gain * row[K_V]
     speed = 2.0 * gain * abs(voltage) / (linear + sqrt(linear * linear + 4.0 * row[k] * gain * abs(voltage)))
@@ -203,11 +222,11 @@ def integrate(
     row, command_time, command, supply_time, supply_ratio, begin, end, start, current, speed, tolerance,
     ideal, times, out, samples, speeds, edges, charges,
 ):  # fmt: skip
-    """Simulate one trial from `begin` to `end` [s] and write what is asked of it; empty arrays ask nothing.
+    """Simulate one trial from `begin` to `end` [s] and fill the output arrays; an empty one asks for nothing.
 
     Parameters
     ----------
-    row : (25,) parameter row
+    row : (n_reads,) what `READS` names [SI]
     command_time, command : (m,) instants [s], not yet delayed, and u in [-1, 1] from each instant on
     supply_time, supply_ratio : (k,) knots [s] of V/V_ref, linear between them, held outside
     begin, end : first and last time of the trial [s]
@@ -292,7 +311,7 @@ def integrate(
             side = -1.0 if push < 0.0 else 1.0
         elif side * speed < 0.0:
             side = -side
-        k = TORQUE if side > 0.0 else TORQUE + 2
+        k = TORQUE if side > 0.0 else TORQUE + REVERSE
         quad, lin = side * row[k], row[k + 1] + row[K_D]
         over = abs(current) > i_sat
         drive = side * (k_m * current - (quad * speed + lin) * speed)
@@ -398,7 +417,7 @@ def integrate(
             if event == 1:
                 speed = 0.0
                 side = -side
-                k = TORQUE if side > 0.0 else TORQUE + 2
+                k = TORQUE if side > 0.0 else TORQUE + REVERSE
                 quad, lin = side * row[k], row[k + 1] + row[K_D]
                 rising = side * current > 0.0
             elif event == 2:

@@ -52,7 +52,9 @@ __all__ = [
     "PARAMETERS",
     "MotorTrajectory",
     "aerodynamic_torque",
+    "complete",
     "invariants",
+    "kernel_rows",
     "kv_to_si",
     "no_load_speed",
     "pack",
@@ -61,6 +63,7 @@ __all__ = [
     "steady_state",
     "supply",
     "thrust",
+    "thrust_slope",
     "unpack",
 ]
 
@@ -78,8 +81,8 @@ STATUS_TEXT = {
 TOLERANCE = 1e-6
 
 
-def pack(parameters: Mapping[str, float]) -> FloatArray:
-    """Return the row (25,) that the kernel reads; a name left out takes its nominal [SI].
+def complete(parameters: Mapping[str, float]) -> dict[str, float]:
+    """Return every number of the table by name [SI], in its order; a name left out takes its nominal.
 
     Raises
     ------
@@ -88,12 +91,23 @@ def pack(parameters: Mapping[str, float]) -> FloatArray:
     """
     for name in parameters:
         PARAMETERS[name]
-    return np.array([float(parameters.get(name, p.nominal)) for name, p in PARAMETERS.items()])
+    return {name: float(parameters.get(name, row.nominal)) for name, row in PARAMETERS.items()}
+
+
+def pack(parameters: Mapping[str, float]) -> FloatArray:
+    """Return the row (n_table,) of `complete` [SI]."""
+    return np.array(list(complete(parameters).values()))
 
 
 def unpack(row: FloatArray) -> dict[str, float]:
-    """Return the parameters of a row (25,) by name [SI]."""
+    """Return the parameters of a row (n_table,) by name [SI]."""
     return dict(zip(PARAMETERS, (float(value) for value in row), strict=True))
+
+
+def kernel_rows(rows: FloatArray) -> FloatArray:
+    """Return what the kernel reads (..., n_reads) of rows of the table (..., n_table) [SI]."""
+    index = PARAMETERS.index
+    return np.ascontiguousarray(rows[..., [index[name] for name in kernel.READS]], dtype=np.float64)
 
 
 def invariants(parameters: Mapping[str, float]) -> dict[str, float]:
@@ -105,7 +119,7 @@ def invariants(parameters: Mapping[str, float]) -> dict[str, float]:
         ``k²/R`` [N·m·s/rad], ``R/L`` [1/s], ``k·I_sat`` [N·m] and the electromechanical time constant
         ``I^r R/k²`` [s], with k² = k_v k_m.
     """
-    p = unpack(pack(parameters))
+    p = complete(parameters)
     k2 = p["back_emf_constant"] * p["torque_constant"]
     return {
         "k²/R": k2 / p["winding_resistance"],
@@ -117,27 +131,43 @@ def invariants(parameters: Mapping[str, float]) -> dict[str, float]:
 
 def thrust(speed: ArrayLike, parameters: Mapping[str, float]) -> FloatArray:
     """Return the static thrust T(Ω) [N] at speeds (...) [rad/s], positive forward."""
-    return _odd_curve(speed, pack(parameters), kernel.THRUST)
+    return _odd_curve(speed, parameters, "thrust")
 
 
 def aerodynamic_torque(speed: ArrayLike, parameters: Mapping[str, float]) -> FloatArray:
     """Return the static drag torque τ_aero(Ω) [N·m] at speeds (...) [rad/s], with the sign of the speed."""
-    return _odd_curve(speed, pack(parameters), kernel.TORQUE)
+    return _odd_curve(speed, parameters, "torque")
 
 
-def _odd_curve(speed: ArrayLike, row: FloatArray, first: int) -> FloatArray:
+def thrust_slope(speed: ArrayLike, parameters: Mapping[str, float]) -> FloatArray:
+    """Return dT/dΩ [N·s/rad] at speeds (...) [rad/s]."""
+    quadratic, linear = _coefficients(speed, parameters, "thrust")
+    return 2 * quadratic * np.abs(speed) + linear
+
+
+def _odd_curve(speed: ArrayLike, parameters: Mapping[str, float], quantity: str) -> FloatArray:
     omega = np.asarray(speed, dtype=np.float64)
-    forward = omega >= 0
-    quadratic = np.where(forward, row[first], row[first + 2])
-    return (quadratic * np.abs(omega) + np.where(forward, row[first + 1], row[first + 3])) * omega
+    quadratic, linear = _coefficients(omega, parameters, quantity)
+    return (quadratic * np.abs(omega) + linear) * omega
+
+
+def _coefficients(
+    speed: ArrayLike, parameters: Mapping[str, float], quantity: str
+) -> tuple[FloatArray, FloatArray]:
+    """Return quadratic and linear coefficient (...) of a curve in the direction of each speed."""
+    p, forward = complete(parameters), np.asarray(speed) >= 0
+    quadratic, linear = (
+        np.where(forward, p[f"{quantity}_{name}_forward"], p[f"{quantity}_{name}_reverse"])
+        for name in ("quadratic", "linear")
+    )
+    return quadratic, linear
 
 
 def no_load_speed(command: ArrayLike, parameters: Mapping[str, float]) -> FloatArray:
     """Return Ω_0(u) [rad/s] at V_ref for commands u (...) in [-1, 1]; the intercept never turns it round."""
-    u, row = np.asarray(command, dtype=np.float64), pack(parameters)
-    forward, reverse = row[kernel.NO_LOAD : kernel.NO_LOAD + 2], row[kernel.NO_LOAD + 2 : kernel.NO_LOAD + 4]
-    up = np.maximum(0.0, forward[0] * u + forward[1])
-    down = np.minimum(0.0, reverse[0] * u - reverse[1])
+    u, p = np.asarray(command, dtype=np.float64), complete(parameters)
+    up = np.maximum(0.0, p["no_load_slope_forward"] * u + p["no_load_intercept_forward"])
+    down = np.minimum(0.0, p["no_load_slope_reverse"] * u - p["no_load_intercept_reverse"])
     return np.where(u > 0, up, np.where(u < 0, down, 0.0))
 
 
@@ -155,10 +185,11 @@ def steady_state(
     voltage : (...) array, optional
         Supply [V]; V_ref where left out.
     """
-    row = pack(parameters)
+    p = complete(parameters)
+    row = kernel_rows(pack(parameters))
     omega_0 = np.atleast_1d(no_load_speed(command, parameters))
-    ratio = np.ones_like(omega_0) if voltage is None else np.asarray(voltage) / row[kernel.V_REF]
-    volts = np.broadcast_to(row[kernel.K_V] * omega_0 * ratio, omega_0.shape)
+    ratio = np.ones_like(omega_0) if voltage is None else np.asarray(voltage) / p["reference_voltage"]
+    volts = np.broadcast_to(p["back_emf_constant"] * omega_0 * ratio, omega_0.shape)
     pairs = np.array([kernel.steady_state(v, row) for v in volts.ravel()]).reshape(*omega_0.shape, 2)
     shape = np.shape(command)
     return pairs[..., 0].reshape(shape), pairs[..., 1].reshape(shape)
@@ -228,28 +259,15 @@ def simulate(
     """
     t = np.ascontiguousarray(time, dtype=np.float64)
     instants, levels = schedule(command_time, command)
-    row = pack(parameters)
-    knots, ratio = supply(voltage, row[kernel.V_REF])
-    steady = isinstance(initial, str)
+    p = complete(parameters)
+    knots, ratio = supply(voltage, p["reference_voltage"])
     current, speed = (0.0, 0.0) if isinstance(initial, str) else (float(initial[0]), float(initial[1]))
+    start = kernel.STEADY if isinstance(initial, str) else kernel.AS_GIVEN
     out = np.empty((t.size, 4))
     status, reached, _ = kernel.integrate(
-        row,
-        instants,
-        levels,
-        knots,
-        ratio,
-        t[0],
-        t[-1],
-        kernel.STEADY if steady else kernel.AS_GIVEN,
-        current,
-        speed,
-        tolerance,
-        ideal_reversal,
-        t,
-        out,
-        *(np.empty(0),) * 4,
-    )
+        kernel_rows(pack(parameters)), instants, levels, knots, ratio, t[0], t[-1], start, current, speed,
+        tolerance, ideal_reversal, t, out, *(np.empty(0),) * 4,
+    )  # fmt: skip
     if status != kernel.DONE:
         raise FitError(
             f"motor simulation stopped at {t[0] + reached * (t[-1] - t[0]):.6g} s of {t[-1]:.6g} s: "
@@ -261,8 +279,8 @@ def simulate(
         current=out[:, 0].copy(),
         effective_current=effective,
         speed=omega,
-        thrust=_odd_curve(omega, row, kernel.THRUST),
-        stator_torque=row[kernel.K_M] * effective - row[kernel.K_D] * omega,
+        thrust=thrust(omega, parameters),
+        stator_torque=p["torque_constant"] * effective - p["viscous_damping"] * omega,
     )
 
 

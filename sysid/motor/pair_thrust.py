@@ -15,8 +15,16 @@ from numpy.typing import ArrayLike
 
 from sysid.errors import FitError
 from sysid.integrate.piecewise import PiecewiseCubic, refined
-from sysid.motor import kernel
-from sysid.motor.model import TOLERANCE, no_load_speed, pack, schedule, simulate, thrust
+from sysid.motor.model import (
+    TOLERANCE,
+    aerodynamic_torque,
+    complete,
+    no_load_speed,
+    schedule,
+    simulate,
+    thrust,
+    thrust_slope,
+)
 from sysid.types import FloatArray
 
 # Longest piece to begin with [s]; error in the middle of a piece as a share of the largest thrust.
@@ -68,13 +76,14 @@ def thrust_history(
     if not duration > 0:
         raise FitError(f"thrust history of {duration:g} s; give a duration above 0")
     instants, levels = schedule(command_time, command)
-    row = pack(parameters)
+    p = complete(parameters)
+    inertia, delay = p["rotor_inertia"], p["command_delay"]
     start = initial
     if isinstance(initial, str):
         before = simulate(
             {**parameters, "command_delay": 0.0},
             [0.0],
-            [levels[max(0, int(np.searchsorted(instants + row[kernel.DELAY], 0.0, side="left")) - 1)]],
+            [levels[max(0, int(np.searchsorted(instants + delay, 0.0, side="left")) - 1)]],
             [0.0],
             initial="steady",
         )
@@ -90,14 +99,11 @@ def thrust_history(
             ideal_reversal=ideal_reversal,
             tolerance=tolerance,
         )
-        k = np.where(run.speed >= 0, 0, 2)
-        slope = 2 * row[kernel.THRUST + k] * np.abs(run.speed) + row[kernel.THRUST + 1 + k]
-        drag = (row[kernel.TORQUE + k] * np.abs(run.speed) + row[kernel.TORQUE + 1 + k]) * run.speed
-        rise = (run.stator_torque - drag) / row[kernel.INERTIA]
-        return motors * run.thrust, motors * slope * rise
+        rise = (run.stator_torque - aerodynamic_torque(run.speed, parameters)) / inertia
+        return motors * run.thrust, motors * thrust_slope(run.speed, parameters) * rise
 
     knots = np.linspace(0.0, duration, max(2, int(np.ceil(duration / _LONGEST)) + 1))
-    commands = instants + row[kernel.DELAY]
+    commands = instants + delay
     commands = commands[(commands > 0.0) & (commands < duration)]
     # Two instants that nearly coincide would leave a piece of no length.
     knots = knots[[not len(commands) or np.abs(commands - t).min() > 1e-5 for t in knots]]

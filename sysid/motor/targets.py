@@ -13,7 +13,7 @@ from sysid.campaign import MotorCampaign
 from sysid.campaign.motor import MotorTrial as TrialEntry
 from sysid.errors import LogError
 from sysid.filters import ChebyshevLowpass, Spectrum, amplitude_spectrum
-from sysid.motor.batch import MotorTrial
+from sysid.motor.batch import SimulatedTrial
 from sysid.motor.bench_logs import BenchLog
 from sysid.motor.bench_reading import log_hashes
 from sysid.motor.cost import MotorTarget
@@ -48,7 +48,7 @@ class PreparedTrial:
     ----------
     entry : MotorTrial of the campaign
     log : BenchLog
-    simulated : MotorTrial
+    simulated : SimulatedTrial
     target : MotorTarget
     starts : tuple of (start, end)
         Spin-ups from rest inside the window [s], as far as the filter carries them.
@@ -59,7 +59,7 @@ class PreparedTrial:
 
     entry: TrialEntry
     log: BenchLog
-    simulated: MotorTrial
+    simulated: SimulatedTrial
     target: MotorTarget
     starts: tuple[tuple[float, float], ...]
     thrust: FloatArray | None
@@ -112,7 +112,7 @@ def prepare_trial(
     )
     starts = tuple((a - reach, b + reach) for a, b in starts if b + reach > start and a - reach < window[1])
     supply_time, supply_ratio = _supply(log, reference_voltage)
-    simulated = MotorTrial(log.steps.time, log.steps.level, grid, "steady", supply_time, supply_ratio)
+    simulated = SimulatedTrial(log.steps.time, log.steps.level, grid, "steady", supply_time, supply_ratio)
     p = log.recording.provenance
     return PreparedTrial(
         entry, log, simulated, target, starts, measured_thrust(campaign, log, target.time),

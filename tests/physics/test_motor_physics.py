@@ -5,7 +5,7 @@ import pytest
 
 from sysid.errors import CampaignError, FitError, UnitError
 from sysid.motor import model
-from sysid.motor.batch import MotorTrial, MotorTrials, simulate_population
+from sysid.motor.batch import MotorTrials, SimulatedTrial, simulate_population
 from sysid.motor.model import kv_to_si, pack, simulate, unpack
 
 FREE_OF_DRAG = {
@@ -199,8 +199,8 @@ def test_population_equals_single_simulations() -> None:
     fine = np.linspace(0.0, 1.0, 50_001)
     trials = MotorTrials(
         [
-            MotorTrial(np.array([0.0, 0.4]), np.array([0.3, 0.8]), grid),
-            MotorTrial(np.array([0.0, 0.5]), np.array([0.6, -0.8]), grid[::2], initial=(0.0, 0.0)),
+            SimulatedTrial(np.array([0.0, 0.4]), np.array([0.3, 0.8]), grid),
+            SimulatedTrial(np.array([0.0, 0.5]), np.array([0.6, -0.8]), grid[::2], initial=(0.0, 0.0)),
         ]
     )
     found = simulate_population(rows, trials)
@@ -224,7 +224,7 @@ def test_population_equals_single_simulations() -> None:
 def test_result_does_not_depend_on_threads() -> None:
     grid = np.linspace(0.0, 0.6, 301)
     trials = MotorTrials(
-        [MotorTrial(np.array([0.0, 0.2]), np.array([0.5, u]), grid) for u in (0.9, -0.7, 0.1)]
+        [SimulatedTrial(np.array([0.0, 0.2]), np.array([0.5, u]), grid) for u in (0.9, -0.7, 0.1)]
     )
     rows = _rows(12)
     one = simulate_population(rows, trials, threads=1)
@@ -236,7 +236,7 @@ def test_result_does_not_depend_on_threads() -> None:
 
 def test_delays_per_trial_add_to_the_parameter() -> None:
     grid = np.linspace(0.0, 0.6, 301)
-    trial = MotorTrial(np.array([0.0, 0.2]), np.array([0.5, 0.9]), grid)
+    trial = SimulatedTrial(np.array([0.0, 0.2]), np.array([0.5, 0.9]), grid)
     both = simulate_population(
         pack({"command_delay": 0.02})[None], MotorTrials([trial, trial]), delays=np.array([[0.0, 0.03]])
     )
@@ -246,7 +246,7 @@ def test_delays_per_trial_add_to_the_parameter() -> None:
 
 def test_hopeless_candidate_has_a_status_and_harms_no_other() -> None:
     grid = np.linspace(0.0, 0.6, 301)
-    trials = MotorTrials([MotorTrial(np.array([0.0]), np.array([0.5]), grid)])
+    trials = MotorTrials([SimulatedTrial(np.array([0.0]), np.array([0.5]), grid)])
     rows = np.tile(pack({}), (3, 1))
     rows[1, 17:21] = -1.0  # drag that drives: no equilibrium
     found = simulate_population(rows, trials)

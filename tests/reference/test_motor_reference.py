@@ -7,9 +7,12 @@ import pandas as pd
 import pytest
 
 from sysid.export.published import table_1
-from sysid.motor import kernel
-from sysid.motor.batch import MotorTrial, MotorTrials, simulate_population
-from sysid.motor.model import PARAMETERS, pack, simulate
+from sysid.motor import batch, model
+from sysid.motor import first_order_lag as lag
+from sysid.motor.batch import MotorTrials, SimulatedTrial, simulate_population
+from sysid.motor.model import PARAMETERS, pack, simulate, steady_state
+from sysid.motor.pair_thrust import thrust_history
+from sysid.parameters import Parameter, ParameterTable, SearchSpace
 
 HERE = Path(__file__).parent
 
@@ -38,35 +41,40 @@ def test_trajectory_matches_the_reference(name: str) -> None:
 
 def test_population_speed_matches_the_reference() -> None:
     table, instants, command = _reference("motor-reversal")
-    trial = MotorTrial(instants, command, table["time"].to_numpy(), initial=(0.0, 0.0))
+    trial = SimulatedTrial(instants, command, table["time"].to_numpy(), initial=(0.0, 0.0))
     found = simulate_population(pack(REFERENCE)[None], MotorTrials([trial]))
     expected = table["speed"].to_numpy()
     # As above: the grid of the reference.
     assert np.sqrt(np.mean((found.outputs[0, :, 1] - expected) ** 2)) / expected.std() < 1e-4
 
 
-def test_columns_of_the_kernel_are_the_rows_of_the_table() -> None:
-    names = list(PARAMETERS)
-    columns = {
-        "winding_resistance": kernel.R,
-        "winding_inductance": kernel.L,
-        "viscous_damping": kernel.K_D,
-        "back_emf_constant": kernel.K_V,
-        "torque_constant": kernel.K_M,
-        "rotor_inertia": kernel.INERTIA,
-        "saturation_current": kernel.I_SAT,
-        "saturation_speed": kernel.OMEGA_MIN,
-        "reference_voltage": kernel.V_REF,
-        "no_load_slope_forward": kernel.NO_LOAD,
-        "no_load_intercept_reverse": kernel.NO_LOAD + 3,
-        "thrust_quadratic_forward": kernel.THRUST,
-        "thrust_linear_reverse": kernel.THRUST + 3,
-        "torque_quadratic_forward": kernel.TORQUE,
-        "torque_linear_reverse": kernel.TORQUE + 3,
-        "command_delay": kernel.DELAY,
-    }
-    assert {name: names.index(name) for name in columns} == columns
-    assert len(names) == kernel.N_PARAMETERS
+def test_a_row_inserted_in_the_table_changes_no_result(monkeypatch) -> None:
+    table, instants, command = _reference("motor-reversal")
+    trials = MotorTrials([SimulatedTrial(instants, command, table["time"].to_numpy())])
+    cube = np.random.default_rng(2).random((6, len(PARAMETERS)))
+    values = SearchSpace(PARAMETERS, tuple(PARAMETERS.values()), {}).decode(cube)
+    values[0] = pack(REFERENCE)
+    lags = {**lag.PARAMETERS.nominal, "steady_speed_1_forward": 900.0, "steady_speed_1_reverse": 800.0}
+    lags |= {"torque_quadratic_forward": 1.6e-7, "torque_quadratic_reverse": 1.7e-7, "command_delay": 0.01}
+
+    def outputs(rows: np.ndarray) -> list[np.ndarray]:
+        run = simulate(REFERENCE, instants, command, table["time"])
+        pair = thrust_history(REFERENCE, [-1.0, 0.0], [0.6, -0.8], 0.3)
+        lagged = np.array([[lags.get(name, 7.0) for name in lag.PARAMETERS]])
+        grid = np.linspace(0.0, 0.3, 50)
+        return [
+            run.current, run.thrust, run.stator_torque, *steady_state([-0.7, 0.4], REFERENCE),
+            pair(grid), simulate_population(rows, trials).outputs, lag.simulate_lag(lagged, trials),
+        ]  # fmt: skip
+
+    before = outputs(values)
+    odd = Parameter("odd", "o", "1", 7.0, 0.0, 9.0, "linear", "Nothing.", "guess")
+    for module, place in ((model, 4), (batch, 4), (lag, 3)):
+        rows = list(module.PARAMETERS.values())
+        monkeypatch.setattr(module, "PARAMETERS", ParameterTable([*rows[:place], odd, *rows[place:]]))
+    assert pack({}).size == len(PARAMETERS) + 1
+    for old, new in zip(before, outputs(np.insert(values, 4, 7.0, axis=1)), strict=True):
+        np.testing.assert_array_equal(old, new)
 
 
 def test_nominal_row_is_table_1_with_kv_of_the_rating() -> None:
