@@ -64,6 +64,11 @@ class Finding:
         return cls(document["code"], document["sentence"], document["severity"], trials)
 
 
+def note(code: str, sentence: str) -> Finding:
+    """Return a finding that says what was done."""
+    return Finding(code, sentence, "note")
+
+
 def folded(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Join findings of one code and severity on several trials, in the order of their first mention."""
     groups: dict[tuple[str, str, str], list[Finding]] = {}

@@ -16,6 +16,7 @@ from types import MappingProxyType
 import numpy as np
 
 from sysid.errors import LogError
+from sysid.journal import Finding
 from sysid.types import BoolArray, FloatArray
 
 
@@ -91,8 +92,8 @@ class Provenance:
         Instrument and version as the file states them, or empty.
     options : mapping
         Loader options that changed the numbers (rate, quaternion order, units), as text.
-    notes : tuple of str
-        What the loader noticed and did (rows dropped, signs flipped), one sentence each.
+    notes : tuple of Finding
+        What the loader noticed and did: rows dropped, signs flipped.
     """
 
     path: str
@@ -100,7 +101,12 @@ class Provenance:
     format: str
     device: str = ""
     options: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
+
+    @property
+    def sentences(self) -> list[str]:
+        """The notes in words, as files and terminals state them."""
+        return [str(note) for note in self.notes]
 
 
 @dataclass(frozen=True, eq=False)

@@ -165,7 +165,7 @@ def _prepare(
     where = f"{recording.provenance.path}, trial {trial.name!r}"
     frame = CaptureFrame(campaign.capture.up, trial.down_slope or campaign.capture.down_slope)
     motion = _motion(campaign, trial, recording, frame)
-    notes = [*recording.provenance.notes, *motion.notes]
+    notes = [*recording.provenance.sentences, *motion.notes]
     slope, point = _surface(campaign, trial, recording, rest, frame, notes)
     plane, feet = SlopedPlane(slope), Feet(campaign.vehicle.foot_dx, campaign.vehicle.foot_dz)
     gravity = campaign.vehicle.gravity

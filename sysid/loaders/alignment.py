@@ -14,6 +14,7 @@ import numpy as np
 from scipy import signal
 
 from sysid.errors import LogError
+from sysid.journal import note
 from sysid.recording import Channel, FloatArray, Recording
 
 _LARGEST_RATE = 2000.0
@@ -187,7 +188,10 @@ def join_recordings(first: Recording, second: Recording, by: str) -> tuple[Recor
     said = first.provenance
     notes = (
         *said.notes,
-        f"joined with {path} (SHA-256 {second.provenance.sha256}), which adds "
-        f"{', '.join(added) or 'nothing'}; {found.sentence()}",
+        note(
+            "logs-joined",
+            f"joined with {path} (SHA-256 {second.provenance.sha256}), which adds "
+            f"{', '.join(added) or 'nothing'}; {found.sentence()}",
+        ),
     )
     return Recording(first.kind, channels, replace(said, notes=notes)), found

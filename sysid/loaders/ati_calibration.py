@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError, UnitError
+from sysid.journal import Finding, note
 from sysid.loaders.load_cell import quantity_channel
 from sysid.recording import Channel, FloatArray
 from sysid.units import factor_to_si, parse_quantity
@@ -154,7 +155,7 @@ def motor_transform(path: str, transform: Mapping[str, Any] | None) -> NDArray[n
 
 def without_tare(
     path: str, values: FloatArray, time: FloatArray, tare: object
-) -> tuple[FloatArray, list[str]]:
+) -> tuple[FloatArray, list[Finding]]:
     """Return values less the mean of the first `tare` seconds of each column, and a note; None takes nothing.
 
     Raises
@@ -174,7 +175,9 @@ def without_tare(
     if not seen.any(axis=0).all():
         raise LogError(f"{path}: the first {float(tare):g} s hold no sample to take the tare from")
     offset = np.asarray(np.nanmean(values[first], axis=0))
-    return values - offset, [f"tare: the mean of the first {tare:g} s was subtracted"]
+    return values - offset, [
+        note("tare-subtracted", f"tare: the mean of the first {tare:g} s was subtracted")
+    ]
 
 
 def load_channels(time: FloatArray, load: FloatArray) -> dict[str, Channel]:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import LogError
+from sysid.journal import Finding, note
 from sysid.loaders.table import Numbers
 from sysid.recording import BoolArray, FloatArray
 
@@ -58,7 +59,7 @@ def order_rows(
     stale_start: bool = False,
     time_back: str = "",
     coarse: str = EXPORT_FINER,
-) -> tuple[FloatArray, list[str]]:
+) -> tuple[FloatArray, list[Finding]]:
     """Return strictly increasing times [s] and notes; `numbers` keeps only the rows they belong to.
 
     A row without a time is left out; of rows that repeat one time the last is kept.
@@ -88,12 +89,17 @@ def order_rows(
     """
     if time_back not in ("", "refuse", "drop"):
         raise LogError(f'{path}: time_back = {time_back!r} is unknown; expected "refuse" or "drop"')
-    notes: list[str] = []
+    notes: list[Finding] = []
     timed = np.isfinite(numbers.columns[time_column])
     if not timed.all():
         first = numbers.lines[np.argmin(timed)]
         count = int((~timed).sum())
-        notes.append(f"rows without a time, left out: {count} (first: {numbers.row_word} {first})")
+        notes.append(
+            note(
+                "rows-without-time",
+                f"rows without a time, left out: {count} (first: {numbers.row_word} {first})",
+            )
+        )
         numbers.keep(timed)
     if not numbers.lines.size:
         raise LogError(f"{path}: no row has a time; the log is empty")
@@ -101,7 +107,9 @@ def order_rows(
 
     stale = _stale_start(time) if stale_start else 0
     if stale:
-        notes.append(f"stale rows at the start, left out: {stale} (at {time[stale - 1]:.6g} s)")
+        notes.append(
+            note("stale-rows", f"stale rows at the start, left out: {stale} (at {time[stale - 1]:.6g} s)")
+        )
         numbers.keep(np.arange(time.size) >= stale)
         time = time[stale:]
     steps = np.diff(time)
@@ -115,7 +123,12 @@ def order_rows(
         )
     if back.size:
         later = np.append(True, time[1:] > np.maximum.accumulate(time)[:-1])
-        notes.append(f"rows whose time does not pass the latest, left out: {int((~later).sum())}")
+        notes.append(
+            note(
+                "rows-out-of-order",
+                f"rows whose time does not pass the latest, left out: {int((~later).sum())}",
+            )
+        )
         numbers.keep(later)
         return time[later], notes
     repeats = steps == 0
@@ -129,8 +142,12 @@ def order_rows(
             )
         last: BoolArray = np.append(~repeats, True)
         notes.append(
-            f"rows that repeat the time of the row before: {int(repeats.sum())} "
-            f"(first: {numbers.row_word} {numbers.lines[np.argmax(repeats) + 1]}); the last of each was kept"
+            note(
+                "repeated-times",
+                f"rows that repeat the time of the row before: {int(repeats.sum())} "
+                f"(first: {numbers.row_word} {numbers.lines[np.argmax(repeats) + 1]}); "
+                "the last of each was kept",
+            )
         )
         numbers.keep(last)
         time = time[last]
@@ -146,7 +163,7 @@ def frame_clock(
     *,
     other_clock: str = "time",
     time_back: str = "",
-) -> tuple[FloatArray, list[str]]:
+) -> tuple[FloatArray, list[Finding]]:
     """Return times [s] rebuilt from frame numbers, and notes, where the written ones are times of arrival.
 
     They lie on the straight line that fits the written times best, so the rate is that of the log itself and
@@ -190,9 +207,12 @@ def frame_clock(
             f'together, so choose clock = "{other_clock}"'
         )
     notes.append(
-        f"time rebuilt from frame numbers at {1 / period:.6g} Hz: the written times lie "
-        f"{1e3 * float(np.sqrt(np.mean(off[seen] ** 2))):.2g} ms rms and up to "
-        f"{1e3 * float(off.max()):.3g} ms beside it"
+        note(
+            "time-from-frames",
+            f"time rebuilt from frame numbers at {1 / period:.6g} Hz: the written times lie "
+            f"{1e3 * float(np.sqrt(np.mean(off[seen] ** 2))):.2g} ms rms and up to "
+            f"{1e3 * float(off.max()):.3g} ms beside it",
+        )
     )
     return time, notes
 
@@ -233,7 +253,7 @@ def rate_clock(path: str, rate: float, count: int, stated: FloatArray | None = N
     return time + float(stated[known[0]]) if known.size else time
 
 
-def jitter_note(time: FloatArray) -> list[str]:
+def jitter_note(time: FloatArray) -> list[Finding]:
     """Return a note when the steps of a clock vary by more than a tenth of their median."""
     if time.size < 3:
         return []
@@ -243,6 +263,9 @@ def jitter_note(time: FloatArray) -> list[str]:
         return []
     least, middle, most = (1e3 * float(step) for step in (steps.min(), median, steps.max()))
     return [
-        f"time steps vary from {least:.3g} to {most:.3g} ms (median {middle:.3g} ms): "
-        "they look like times of arrival and are kept as recorded"
+        note(
+            "unsteady-clock",
+            f"time steps vary from {least:.3g} to {most:.3g} ms (median {middle:.3g} ms): "
+            "they look like times of arrival and are kept as recorded",
+        )
     ]

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from sysid.errors import LogError, UnitError
+from sysid.journal import Finding, note
 from sysid.loaders.text import shortened
 from sysid.units import factor_to_si
 
@@ -85,11 +86,11 @@ def listing(names: Iterable[str]) -> str:
     return (f"{shown} and {len(names) - 12} more" if len(names) > 12 else shown) or "none"
 
 
-def unread_note(columns: Iterable[Column], read: Iterable[Column]) -> list[str]:
+def unread_note(columns: Iterable[Column], read: Iterable[Column]) -> list[Finding]:
     """Return a note that names the columns of a header that are not read, so that none is missed."""
     known = {column.index for column in read}
     left = [column.label for column in columns if column.index not in known and column.label.strip()]
-    return [f"columns not read: {listing(left)}"] if left else []
+    return [note("columns-not-read", f"columns not read: {listing(left)}")] if left else []
 
 
 def find_column(path: str, columns: Sequence[Column], stems: Collection[str]) -> Column | None:
@@ -134,11 +135,11 @@ class DeclaredUnits:
             raise LogError(f'{path}: units = {units!r} is no table; expected for example {{thrust = "N"}}')
         self._declared = {str(name): str(unit) for name, unit in (units or {}).items()}
         self._used: set[str] = set()
-        self._said: list[str] = []
+        self._said: list[Finding] = []
         self._guessed: dict[str, str] = {}
 
     @property
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Finding]:
         """What a reader should know about the units, one sentence each."""
         if not self._guessed:
             return self._said
@@ -147,7 +148,10 @@ class DeclaredUnits:
             for unit in dict.fromkeys(self._guessed.values())
         }
         guessed = "; ".join(f"{unit} of {labels}" for unit, labels in by_unit.items())
-        return [*self._said, f"units taken from the ends of names, so check them: {guessed}"]
+        return [
+            *self._said,
+            note("units-from-names", f"units taken from the ends of names, so check them: {guessed}"),
+        ]
 
     def unit_of(self, column: Column, channel: str, default: str | None = None) -> str | None:
         """Return the unit of a column: declared, else of the header, else `default`."""
@@ -159,10 +163,11 @@ class DeclaredUnits:
                 self._used.add(match)
                 declared = self._declared[match]
                 if column.unit is not None and column.unit != declared:
-                    note = (
-                        f"column {column.label!r} read in the declared unit {declared!r}, not in the header's"
+                    sentence = (
+                        f"column {column.label!r} read in the declared unit {declared!r}, not the header's"
                     )
-                    self._said += [] if note in self._said else [note]
+                    known = note("unit-declared-over-header", sentence)
+                    self._said += [] if known in self._said else [known]
                 return declared
         if column.guessed and column.unit is not None:
             self._guessed[column.label] = column.unit

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sysid.errors import LogError, UnitError
+from sysid.journal import Finding, note
 from sysid.loaders.columns import listing
 from sysid.loaders.table import Numbers
 from sysid.recording import BoolArray, Channel, FloatArray
@@ -18,7 +19,9 @@ EULER_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
 _LENGTH_TOLERANCE = 0.02
 
 
-def unit_quaternions(path: str, body: str, numbers: Numbers, raw: FloatArray) -> tuple[FloatArray, list[str]]:
+def unit_quaternions(
+    path: str, body: str, numbers: Numbers, raw: FloatArray
+) -> tuple[FloatArray, list[Finding]]:
     """Return unit quaternions of continuous sign, and notes.
 
     A quaternion and its negative are one orientation, and capture systems switch between them; continuous is
@@ -38,16 +41,21 @@ def unit_quaternions(path: str, body: str, numbers: Numbers, raw: FloatArray) ->
     LogError
         When a quaternion's length is not 1 within 2 %.
     """
-    notes: list[str] = []
+    notes: list[Finding] = []
     with np.errstate(over="ignore"):  # a damaged number may be too large to square: its length is no 1
         length = np.linalg.norm(raw, axis=1)
     lost = np.isnan(length)
     zero = length == 0.0
     if zero.any():
-        notes.append(f"frames with an all-zero quaternion of {body}, taken as lost: {int(zero.sum())}")
+        notes.append(
+            note(
+                "zero-quaternions",
+                f"frames with an all-zero quaternion of {body}, taken as lost: {int(zero.sum())}",
+            )
+        )
     wrong = ~lost & ~zero & (np.abs(length - 1.0) > _LENGTH_TOLERANCE)
     if numbers.open_end and wrong.any() and wrong.argmax() == wrong.size - 1:
-        notes.append(f"the last quaternion of {body} is cut; taken as lost")
+        notes.append(note("last-quaternion-cut", f"the last quaternion of {body} is cut; taken as lost"))
         zero, wrong = zero | wrong, np.zeros_like(wrong)
     if wrong.any():
         row = int(wrong.argmax())
@@ -58,7 +66,12 @@ def unit_quaternions(path: str, body: str, numbers: Numbers, raw: FloatArray) ->
     unit = np.where((lost | zero)[:, None], np.nan, raw / np.where(lost | zero, 1.0, length)[:, None])
     unit, turned = continuous_quaternions(unit)
     if turned:
-        notes.append(f"the quaternion of {body} changes sign {turned} times; made continuous")
+        notes.append(
+            note(
+                "quaternion-sign-made-continuous",
+                f"the quaternion of {body} changes sign {turned} times; made continuous",
+            )
+        )
     return unit, notes
 
 
@@ -114,10 +127,10 @@ def body_channels(
     }
 
 
-def lost_note(body: str, orientation: FloatArray) -> list[str]:
+def lost_note(body: str, orientation: FloatArray) -> list[Finding]:
     """Return a note of the frames in which a body has no orientation."""
     lost = int(np.isnan(orientation[:, 0]).sum())
-    return [f"{body} is lost in {lost} of {len(orientation)} frames"] if lost else []
+    return [note("body-lost", f"{body} is lost in {lost} of {len(orientation)} frames")] if lost else []
 
 
 def declared_length(path: str, declared: str | None, default: str = "m") -> float:

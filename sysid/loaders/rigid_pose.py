@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sysid.errors import LogError
+from sysid.journal import Finding, note
 from sysid.loaders.columns import listing
 from sysid.loaders.motion_capture import body_channels, matrix_quaternions
 from sysid.recording import BoolArray, Channel, FloatArray
@@ -89,7 +90,7 @@ def fit_bodies(
     channels: Mapping[str, Channel],
     bodies: Mapping[str, Sequence[str]] | None,
     rigid_body: object,
-) -> tuple[dict[str, Channel], list[str]]:
+) -> tuple[dict[str, Channel], list[Finding]]:
     """Return position, orientation and ``NAME/residual`` [m] of bodies fitted to markers, and notes.
 
     Parameters
@@ -111,7 +112,7 @@ def fit_bodies(
     """
     markers = [name.removesuffix("/position") for name in channels if name.endswith("/position")]
     fitted: dict[str, Channel] = {}
-    notes: list[str] = []
+    notes: list[Finding] = []
     for name, listed in _marker_bodies(path, markers, bodies, rigid_body).items():
         found, said = _pose_from_markers(path, channels, name, listed)
         fitted |= found
@@ -155,7 +156,7 @@ def _marker_bodies(
 
 def _pose_from_markers(
     path: str, channels: Mapping[str, Channel], name: str, markers: Sequence[str]
-) -> tuple[dict[str, Channel], list[str]]:
+) -> tuple[dict[str, Channel], list[Finding]]:
     """Return a body's position, orientation and residual from the channels of its markers."""
     first = channels[f"{markers[0]}/position"]
     points = np.stack([channels[f"{marker}/position"].values for marker in markers], axis=1)
@@ -178,8 +179,11 @@ def _pose_from_markers(
     found = body_channels(name, first.time, origin, matrix_quaternions(rotation, seen))
     found[f"{name}/residual"] = Channel(f"{name}/residual", "m", first.time, residual)
     notes = [
-        f"pose of {name} from {int(use.sum())} markers: residual {1e3 * rms:.3g} mm rms, at most "
-        f"{1e3 * float(residual[seen].max()):.3g} mm; lost in {int((~seen).sum())} of {seen.size} frames; "
-        "origin at the centre of the markers"
+        note(
+            "pose-from-markers",
+            f"pose of {name} from {int(use.sum())} markers: residual {1e3 * rms:.3g} mm rms, at most "
+            f"{1e3 * float(residual[seen].max()):.3g} mm; lost in {int((~seen).sum())} of {seen.size} "
+            "frames; origin at the centre of the markers",
+        )
     ]
     return found, notes

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sysid.errors import LogError, UnitError
+from sysid.journal import Finding, note
 from sysid.loaders.clock import DECLARE_RATE, order_rows, positive_rate, rate_clock
 from sysid.loaders.columns import Column, DeclaredUnits, listing, split_label, suffix_unit
 from sysid.loaders.load_cell import COMMAND, MEASURED, QUANTITIES, TACHOMETER, TIME, quantity_channel
@@ -224,7 +225,7 @@ class _Clocks:
     seconds: Callable[[str], float]
 
     def __post_init__(self) -> None:
-        self.notes: list[str] = []
+        self.notes: list[Finding] = []
         self.shared: dict[float, tuple[str, int]] = {}
         self.numbers: dict[object, Numbers] = {}
         self.members: dict[object, list[str]] = {}
@@ -247,7 +248,7 @@ class _Clocks:
         if self.rate is None and signal.time is not None:
             said = self._off_rate(name, signal, signal.time, "its column of times")
             # A program that paces itself writes a Delta_X without meaning; the times are what it saw.
-            self.notes += [f"{said}; the times were taken"] if said else []
+            self.notes += [note("rate-contradicts-times", f"{said}; the times were taken")] if said else []
             return id(signal.time), signal.time
         beside = [
             other
@@ -305,7 +306,7 @@ def signal_channels(
     *,
     measured: bool,
     passed_over: Sequence[str] = (),
-) -> tuple[dict[str, Channel], list[str]]:
+) -> tuple[dict[str, Channel], list[Finding]]:
     """Return the channels of a file's signals and notes.
 
     Parameters
@@ -351,7 +352,7 @@ def signal_channels(
 
     notes = clocks.notes
     left = [name for name in by_name if name not in chosen.values()] if measured and datasets is None else []
-    notes += [f"datasets not read: {listing(left)}"] if left else []
+    notes += [note("datasets-not-read", f"datasets not read: {listing(left)}")] if left else []
     channels: dict[str, Channel] = {}
     unknown: list[str] = []
     for key, names in clocks.members.items():
@@ -375,8 +376,11 @@ def signal_channels(
             elif channel == "tachometer":
                 if pulses_per_revolution is None:
                     notes.append(
-                        f"{column.label!r} looks like the pulses of a tachometer and was left out; "
-                        "declare pulses_per_revolution to get the speed"
+                        note(
+                            "tachometer-left-out",
+                            f"{column.label!r} looks like the pulses of a tachometer and was left out; "
+                            "declare pulses_per_revolution to get the speed",
+                        )
                     )
                     continue
                 channels["speed"], said = pulse_speed(path, time, values, pulses_per_revolution)
@@ -386,14 +390,22 @@ def signal_channels(
                 scale = declared.factor(column, channel, QUANTITIES[channel].unit, default)
                 channels[channel] = quantity_channel(channel, time, values * scale)
     notes += unknown_units_note(unknown)
-    notes += [f"passed over, as no rows of numbers: {listing(passed_over)}"] if passed_over else []
+    notes += (
+        [note("passed-over", f"passed over, as no rows of numbers: {listing(passed_over)}")]
+        if passed_over
+        else []
+    )
     declared.check_used(tuple(columns.values()))
     return channels, [*notes, *declared.notes]
 
 
-def unknown_units_note(names: Sequence[str]) -> list[str]:
+def unknown_units_note(names: Sequence[str]) -> list[Finding]:
     """Return a note that names the signals whose unit is not known."""
-    return [f"signals without a known unit, kept as recorded: {listing(names)}"] if names else []
+    return (
+        [note("unknown-units", f"signals without a known unit, kept as recorded: {listing(names)}")]
+        if names
+        else []
+    )
 
 
 def plain_unit(stated: str | None) -> tuple[str, float]:

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 from sysid.errors import LogError
+from sysid.journal import Finding
 from sysid.recording import Provenance, file_sha256
 
 _HEAD_BYTES = 65536
@@ -89,7 +90,7 @@ class Source:
         *,
         device: str = "",
         options: Mapping[str, object] | None = None,
-        notes: Sequence[str] = (),
+        notes: Sequence[Finding] = (),
     ) -> Provenance:
         """Return where a recording read from this file comes from; options left at None are not listed."""
         given = {name: str(value) for name, value in (options or {}).items() if value is not None}

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import LogError
+from sysid.journal import Finding, note
 from sysid.loaders.columns import listing, split_label
 from sysid.loaders.table_rows import Body, body_end, decimal_mark, measure, parse_number, read_rows
 from sysid.loaders.text import SPACES, Text, sniff_delimiter, split_line
@@ -196,7 +197,7 @@ class Numbers:
 
     columns: dict[int, FloatArray]
     lines: NDArray[np.int64]
-    notes: list[str] = field(default_factory=list)
+    notes: list[Finding] = field(default_factory=list)
     row_word: str = "line"
     open_end: bool = False
 
@@ -265,13 +266,18 @@ def read_numbers(
         decimal = decimal_mark(path, body, wanted)
     open_end = not closed
     if open_end and not _is_whole(body.cells(-1), wanted, least, decimal):
-        notes.append(f"line {body.lines[-1]}, the last, is cut and was left out")
+        notes.append(note("last-line-cut", f"line {body.lines[-1]}, the last, is cut and was left out"))
         if body.lines.size == 1:
             raise empty
         body = body.part(slice(0, -1))
         open_end = False
     elif open_end:
-        notes.append(f"line {body.lines[-1]}, the last, has no line end: its last number may be cut")
+        notes.append(
+            note(
+                "last-line-open",
+                f"line {body.lines[-1]}, the last, has no line end: its last number may be cut",
+            )
+        )
 
     names = {index: head.names[index] for index in wanted}
     columns = read_rows(path, body, names, len(head.names), decimal, surplus)
@@ -295,16 +301,22 @@ def read_numbers(
         for values in columns.values():
             values[short] = np.nan
         notes.append(
-            f"rows with fewer than {least} cells: {int(short.sum())} (first: line "
-            f"{lines[np.argmax(short)]}); taken as missing"
+            note(
+                "short-rows",
+                f"rows with fewer than {least} cells: {int(short.sum())} (first: line "
+                f"{lines[np.argmax(short)]}); taken as missing",
+            )
         )
     shifted = _shifted(path, body, head, wanted, surplus, free_text)
     if shifted.size:
         for values in columns.values():
             values[shifted] = np.nan
         notes.append(
-            f"rows with a cell too many, whose numbers are not below their names: {shifted.size} (first: "
-            f"line {lines[shifted[0]]}); taken as missing"
+            note(
+                "shifted-rows",
+                f"rows with a cell too many, whose numbers are not below their names: {shifted.size} (first: "
+                f"line {lines[shifted[0]]}); taken as missing",
+            )
         )
     infinite = 0
     for values in columns.values():
@@ -312,11 +324,13 @@ def read_numbers(
         infinite += int(np.count_nonzero(wild))
         values[wild] = np.nan
     if infinite:
-        notes.append(f"cells that hold an infinite number: {infinite}; taken as missing")
+        notes.append(
+            note("infinite-cells", f"cells that hold an infinite number: {infinite}; taken as missing")
+        )
     return Numbers(columns, lines, notes, open_end=open_end)
 
 
-def promised_note(header: str, stated: object, found: int) -> list[str]:
+def promised_note(header: str, stated: object, found: int) -> list[Finding]:
     """Return a note where a header promises more rows than there are: a log cut at the end of a row shows no
     other trace.
 
@@ -335,7 +349,12 @@ def promised_note(header: str, stated: object, found: int) -> list[str]:
         return []
     if promised <= found:
         return []
-    return [f"{header} is {promised} but {found} rows are there: the log was cut, or rows were left out"]
+    return [
+        note(
+            "fewer-rows-than-stated",
+            f"{header} is {promised} but {found} rows are there: the log was cut, or rows were left out",
+        )
+    ]
 
 
 def _is_words(cells: Sequence[str], column: int | None) -> bool:

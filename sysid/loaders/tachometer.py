@@ -11,6 +11,7 @@ from collections.abc import Collection
 import numpy as np
 
 from sysid.errors import LogError
+from sysid.journal import Finding, note
 from sysid.recording import Channel, FloatArray
 
 # Width of the band around the middle level that noise must not cross twice, as a share of the pulse's height.
@@ -69,7 +70,7 @@ def _edges(time: FloatArray, values: FloatArray, low: float, high: float) -> Flo
 
 def pulse_speed(
     path: str, time: FloatArray, values: FloatArray, pulses_per_revolution: float
-) -> tuple[Channel, list[str]]:
+) -> tuple[Channel, list[Finding]]:
     """Return the channel ``speed`` [rad/s, never negative] of a pulse train, and notes.
 
     One sample per period, at its middle: 2π / (pulses per revolution · period). Between pulses nothing is
@@ -120,12 +121,18 @@ def pulse_speed(
     torn = begun > ended
     speed = np.where(holes | torn, np.nan, speed)
     notes = [
-        f"speed from {edges.size} pulses at {pulses_per_revolution:g} per revolution, one value per period "
-        f"(edges resolve {100 * step / float(np.median(periods)):.2g} % of a period at worst)"
+        note(
+            "speed-from-pulses",
+            f"speed from {edges.size} pulses at {pulses_per_revolution:g} per revolution, one value per "
+            f"period (edges resolve {100 * step / float(np.median(periods)):.2g} % of a period at worst)",
+        )
     ]
     if torn.any():
         notes.append(
-            f"holes in the clock of the tachometer: {missing.size} (the longest {float(steps.max()):.3g} s); "
-            f"the {int(torn.sum())} periods across them have no speed"
+            note(
+                "tachometer-holes",
+                f"holes in the clock of the tachometer: {missing.size} (the longest {float(steps.max()):.3g} "
+                f"s); the {int(torn.sum())} periods across them have no speed",
+            )
         )
     return Channel("speed", "rad/s", 0.5 * (edges[1:] + edges[:-1]), speed), notes

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from sysid.errors import LogError
+from sysid.journal import Finding, note
 from sysid.loaders.source import Source
 
 _DELIMITERS = ",;\t"
@@ -66,7 +67,7 @@ class Text:
 
     path: str
     data: bytes
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
 
     def up_to(self, end: int) -> Text:
         """Return the part of the text before byte `end`, for a table that others follow."""
@@ -104,7 +105,7 @@ def read_text(source: Source) -> Text:
     notes = []
     if data[:2] in _UTF16_MARKS:
         data = _as_utf8(data, "utf-16", source.path)
-        notes.append("read as UTF-16, as its byte-order mark says")
+        notes.append(note("read-as-utf-16", "read as UTF-16, as its byte-order mark says"))
     nul = data.find(b"\0")
     if nul >= 0:
         line = data.count(b"\n", 0, nul) + 1
@@ -115,7 +116,7 @@ def read_text(source: Source) -> Text:
     data = _SEPARATOR.sub(b"", data.removeprefix(b"\xef\xbb\xbf"))
     if not data.isascii() and not _is_utf8(data):
         data = _as_utf8(data, "cp1252", source.path)
-        notes.append("not UTF-8: read as Windows-1252")
+        notes.append(note("read-as-windows-1252", "not UTF-8: read as Windows-1252"))
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n")
         if b"\r" in data:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sysid.journal import Finding, note
 from sysid.recording import Channel, FloatArray
 
 # Running logs of these stands step by 8 to 50 ms, averaged points by 0.45 to 5 s (measured on real logs).
@@ -21,7 +22,7 @@ def is_static(time: FloatArray) -> bool:
 
 def choose_speed(
     optical: FloatArray | None, electrical: FloatArray | None
-) -> tuple[FloatArray | None, list[str]]:
+) -> tuple[FloatArray | None, list[Finding]]:
     """Return the speed to use [rad/s] and notes: the optical one unless it is off.
 
     A probe that is off writes zeros. Where both run and differ by one constant ratio, the pole count set in
@@ -36,13 +37,11 @@ def choose_speed(
         if electrical is None:
             return None, []
         off = "" if optical is None else "; the optical probe reads zero"
-        return electrical, [f"speed is the electrical one{off}"]
+        return electrical, [note("electrical-speed", f"speed is the electrical one{off}")]
     if electrical is None or not seen_electrical:
-        return optical, [
-            "speed is the optical one"
-            + ("; the electrical probe reads zero" if seen_optical and electrical is not None else "")
-        ]
-    notes = ["speed is the optical one"]
+        off = "; the electrical probe reads zero" if seen_optical and electrical is not None else ""
+        return optical, [note("optical-speed", f"speed is the optical one{off}")]
+    notes = [note("optical-speed", "speed is the optical one")]
     both = (np.nan_to_num(optical) != 0) & (np.nan_to_num(electrical) != 0)
     if both.sum() >= 3:
         ratio = electrical[both] / optical[both]
@@ -51,8 +50,11 @@ def choose_speed(
         # One pole pair of fourteen is 7 %; probes that agree differ by well under 2 %.
         if abs(middle - 1.0) > 0.02 and high - low < 0.02 * abs(middle):
             notes.append(
-                f"electrical speed is {middle:.4g} times the optical one throughout: "
-                "the pole count set in the stand's program is probably wrong"
+                Finding(
+                    "pole-count",
+                    f"electrical speed is {middle:.4g} times the optical one throughout: "
+                    "the pole count set in the stand's program is probably wrong",
+                )
             )
     return optical, notes
 

@@ -142,7 +142,7 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> B
             f"{where}: {rate:.0f} Hz is too slow for a filter whose stop band begins at "
             f'{campaign.filter.stop_edge:g} Hz; set filter.kind = "auto" to leave slow logs unfiltered'
         )
-    notes = list(recording.provenance.notes)
+    notes = recording.provenance.sentences
     stalls = [s for s in find_stalls(time, steps) if s.end >= begin and s.start <= end]
     doubtful = tuple(s.doubtful for s in stalls if s.doubtful is not None)
     rest = rows_at_rest(time, u, np.interp(time, raw.time, np.nan_to_num(raw.values)))

@@ -83,7 +83,7 @@ def read_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial | Stat
             "offset [s]": found.offset,
             "correlation": found.correlation,
             "confidence": found.confidence,
-            "notes": list(said.notes),
+            "notes": said.sentences,
         }
     return BenchFile(on_one_clock(recording, _NEEDED, _CLOCK_OF), second)
 

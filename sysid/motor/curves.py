@@ -131,7 +131,7 @@ def _curve_log(
         "direction": direction,
         "steady points": len(points),
         **({} if file.second is None else {"second log": file.second}),
-        "notes": list(said.notes),
+        "notes": said.sentences,
     }
     return CurveLog(static, table, points, provenance)
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sysid.journal import Finding, note
 from sysid.recording import Channel, FloatArray, Recording
 
 # A value is taken between two samples no further apart than this [s], or than three median steps of a slow
@@ -63,7 +64,7 @@ def on_one_clock(recording: Recording, names: Sequence[str], reference: Sequence
     if own is None or all(np.array_equal(channels[name].time, own.time) for name in present):
         return recording
     moved: dict[str, FloatArray] = {}
-    notes = []
+    notes: list[Finding] = []
     for name in present:
         channel = channels[name]
         if np.array_equal(channel.time, own.time):
@@ -74,14 +75,16 @@ def on_one_clock(recording: Recording, names: Sequence[str], reference: Sequence
             moved[name] = _between(channel, own.time)
             steps = np.diff(channel.time[channel.valid])
             middle = f", {1e3 * float(np.median(steps)):.3g} ms apart (median)" if steps.size else ""
-            notes.append(f"{name}: {channel.valid.sum()} samples{middle}, taken linear between them")
+            sentence = f"{name}: {channel.valid.sum()} samples{middle}, taken linear between them"
+            notes.append(note("interpolated", sentence))
     rows = np.isfinite(moved["command"]) if "command" in moved else np.ones(own.time.size, dtype=np.bool_)
     if "command" in moved and not np.array_equal(channels["command"].time, own.time) and rows.any():
         inside = np.flatnonzero(rows)
         rows = np.zeros(rows.size, dtype=np.bool_)
         rows[inside[0] : inside[-1] + 1] = True
         if not rows.all():
-            notes.append(f"rows at which the other log gives no command, left out: {int((~rows).sum())}")
+            sentence = f"rows at which the other log gives no command, left out: {int((~rows).sum())}"
+            notes.append(note("rows-without-command", sentence))
     else:
         rows = np.ones(own.time.size, dtype=np.bool_)
     time = own.time[rows]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -142,10 +143,11 @@ def _check_motor(campaign: MotorCampaign, path: Path, threads: int | None) -> di
 
 def _bench_quality(trial: PreparedTrial) -> dict[str, Any]:
     """Return the quality of a log of commands, without what reading it has put right: tare and signs."""
-    found = _log_quality(trial.entry.name, trial.entry.use, inspect_recording(trial.log.recording))
-    handled = ["no tare"] * bool(trial.log.tares) + ["thrust falls"] * (trial.entry.direction != "forward")
-    kept = [one for one in found["suspicions"] if not any(word in one for word in handled)]
-    return found | {"suspicions": kept, "second log": trial.log.second}
+    report = inspect_recording(trial.log.recording)
+    handled = ["no-tare"] * bool(trial.log.tares) + ["thrust-falls"] * (trial.entry.direction != "forward")
+    kept = tuple(finding for finding in report.suspicions if finding.code not in handled)
+    report = replace(report, suspicions=kept)
+    return _log_quality(trial.entry.name, trial.entry.use, report) | {"second log": trial.log.second}
 
 
 def _motor_advice(bench: Bench, expected: tuple[Expected, ...]) -> list[str]:
@@ -269,5 +271,5 @@ def _log_quality(name: str, use: str, report: LogReport) -> dict[str, Any]:
         "jitter": max((c.jitter for c in channels), default=math.nan),
         "holes": max((c.holes for c in channels), default=0),
         "saturated": max((c.saturated for c in channels), default=0.0),
-        "suspicions": list(report.suspicions),
+        "suspicions": [str(finding) for finding in report.suspicions],
     }

@@ -216,7 +216,7 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
     fast = rate >= _FAST * options.stop_edge
     speed = recording["speed"] if "speed" in recording.channels else None
     zero = tare(thrust.values, rows_at_rest(time, u, None if speed is None else speed.values))
-    notes = [*recording.provenance.notes]
+    notes = recording.provenance.sentences
     keep = thrust.valid if fast else real_samples(thrust.values)
     if zero.rows == 0:
         zero, said = _zero_without_rest(steps, thrust, keep, speed)

@@ -63,7 +63,7 @@ def test_static_points(name):
     np.testing.assert_array_equal(log["thrust"].time, np.arange(len(plain["Time (s)"])))
     np.testing.assert_array_equal(log["log_time"].values, plain["Time (s)"])
     np.testing.assert_allclose(log["thrust"].values, plain["Thrust (gf)"] * 9.80665e-3, rtol=1e-14)
-    pole_note = any("pole count" in note for note in log.provenance.notes)
+    pole_note = any("pole count" in note for note in log.provenance.sentences)
     # 12 of 14 poles set for the first motor, right for the second.
     assert pole_note == ("_IM_" in name)
 
@@ -125,7 +125,7 @@ def test_tdms_lengths_rates_and_starts():
     sweep = load(DATA / "tdms" / "big_endian.tdms")
     assert sweep.kind == "signals"
     assert len(sweep["Phase sweep"].values) == 3500
-    assert not any("1904" in note for note in sweep.provenance.notes)
+    assert not any("1904" in note for note in sweep.provenance.sentences)
     raw = load(DATA / "tdms" / "raw1.tdms")
     assert raw["First Channel"].unit == "V"
     assert raw["First Channel"].rate == pytest.approx(50000)
@@ -157,7 +157,7 @@ def test_lvm_is_what_the_library_of_the_field_reads(path):
 def test_lvm_rounded_clock_is_said():
     log = load(DATA / "lvm" / "long_single_header_multi_ch.lvm")
     assert len(log["m_1"].values) == 16384
-    assert any("0.000977" in note for note in log.provenance.notes)
+    assert any("0.000977" in note for note in log.provenance.sentences)
     exact = load(DATA / "lvm" / "long_single_header_multi_ch.lvm", rate=1024)
     assert exact["m_1"].time[-1] == pytest.approx(16383 / 1024)
 

@@ -14,7 +14,7 @@ RPM = 2 * np.pi / 60
 
 
 def notes_of(recording):
-    return " | ".join(recording.provenance.notes)
+    return " | ".join(recording.provenance.sentences)
 
 
 def test_stand_1580_with_mark_ragged_rows_quotes_and_comments():

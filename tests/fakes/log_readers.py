@@ -190,7 +190,7 @@ def motive_csv(data, recording):
         rate = rate or (stated if stated > 0 and math.isfinite(stated) else None)
     other = number(settings.get("Capture Frame Rate", ""))
 
-    said = " ".join(recording.provenance.notes)
+    said = " ".join(recording.provenance.sentences)
     if math.isfinite(other) and other > 0 and f"at {other:g} Hz" in said and f"at {rate:g} Hz" not in said:
         rate = other  # frames are numbered at the rate of the capture where that is what Time says
 

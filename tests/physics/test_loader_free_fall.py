@@ -68,5 +68,5 @@ def test_drone_flies_upright(path):
     span = np.ptp(log["body/position"].values, axis=0)
     assert 0.5 < span[0] < 3
     assert log["body/position"].valid.all()
-    assert any("times of arrival" in note for note in log.provenance.notes)
+    assert any("times of arrival" in note for note in log.provenance.sentences)
     np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1, atol=1e-12)

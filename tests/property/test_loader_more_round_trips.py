@@ -260,7 +260,9 @@ def test_net_ft_counts_and_lost_packets(tmp_path, seed, end, units):
     np.testing.assert_allclose(log["thrust"].values, counts[:, 2] * 1e-6 * to_newton, rtol=1e-13)
     np.testing.assert_allclose(log["torque"].values, counts[:, 5] * 0.5e-6 * to_newton_metre, rtol=1e-13)
     lost = int(sequence[-1] - sequence[0]) + 1 - count
-    assert any(f"packets lost, left as holes: {lost}" in note for note in log.provenance.notes) == (lost > 0)
+    assert any(f"packets lost, left as holes: {lost}" in note for note in log.provenance.sentences) == (
+        lost > 0
+    )
 
 
 @SETTINGS

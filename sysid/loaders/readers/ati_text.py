@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import LogError, UnitError
+from sysid.journal import note
 from sysid.loaders.ati_calibration import AXES, load_channels, motor_transform, read_calibration, without_tare
 from sysid.loaders.clock import DECLARE_RATE, jitter_note, order_rows, positive_rate, rate_clock
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE, LogFormat
@@ -288,30 +289,43 @@ def read(
         time, said = order_rows(path, numbers, 0, seconds or 1.0, time_back=time_back, coarse=DECLARE_RATE)
         if seconds is None:
             _check_steps(path, time)
-            notes.append("the first of seven columns is taken as the time in seconds, which no label says")
+            notes.append(
+                note(
+                    "first-column-is-time",
+                    "the first of seven columns is taken as the time in seconds, which no label says",
+                )
+            )
         notes += [*said, *jitter_note(time)]
     elif rate is not None:
         counted = lead and seconds is None and _counts_rows(numbers.columns[0])
         written = numbers.columns[0] * (seconds or 1.0) if lead and not counted else None
         time = rate_clock(path, rate, numbers.lines.size, written)
-        notes += ["the first of seven columns counts rows and was left out"] if counted else []
-        notes.append(f"time rebuilt from the rate of {rate:g} Hz")
+        notes += (
+            [note("first-column-counts-rows", "the first of seven columns counts rows and was left out")]
+            if counted
+            else []
+        )
+        notes.append(note("time-from-rate", f"time rebuilt from the rate of {rate:g} Hz"))
     else:
         raise LogError(f"{path}: no time column and no rate in the header; declare it [Hz] with rate = ...")
     raw = np.column_stack([numbers.columns[lead + i] for i in range(6)])
     blank = int(np.isnan(raw).all(axis=1).sum())
-    notes += [f"blank rows, taken as missing: {blank}"] if blank else []
+    notes += [note("blank-rows", f"blank rows, taken as missing: {blank}")] if blank else []
     raw, said = without_tare(path, raw, time, tare)
     notes += said
     load = raw @ known.matrix.T if known is not None else raw * factors
     if known is not None:
         over = np.asarray(np.abs(load) > known.limits)
         names = [axis for i, axis in enumerate(AXES) if over[:, i].any()]
-        notes += [f"beyond the calibrated range: {', '.join(names)}"] if names else []
+        notes += (
+            [note("beyond-calibrated-range", f"beyond the calibrated range: {', '.join(names)}")]
+            if names
+            else []
+        )
     if transform:
         load = load @ turn.T
-        notes.append("loads are at the motor's axes, as declared by transform")
-    notes.append("channels by place: Fx Fy Fz Tx Ty Tz")
+        notes.append(note("loads-transformed", "loads are at the motor's axes, as declared by transform"))
+    notes.append(note("channels-by-place", "channels by place: Fx Fy Fz Tx Ty Tz"))
     options = {
         "rate": rate, "units": units, "calibration": calibration, "transform": transform, "tare": tare,
     }  # fmt: skip

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import LogError, UnitError
+from sysid.journal import Finding, note
 from sysid.loaders.clock import known_rate
 from sysid.loaders.columns import listing
 from sysid.loaders.motion_capture import body_channels, matrix_quaternions, wanted_bodies
@@ -112,14 +113,14 @@ def _open(source: Source) -> Any:
     return file
 
 
-def _cut_note(source: Source, file: Any) -> list[str]:
+def _cut_note(source: Source, file: Any) -> list[Finding]:
     """Return a note where the header names more frames than are there; the library reads what is left."""
     points, _, first, last = struct.unpack_from("<4H", source.head, _COUNTS)
     frames = file["data"]["points"].shape[2]
     return promised_note("the header's number of frames", last - first + 1, frames) if points else []
 
 
-def _overflow_note(source: Source, file: Any) -> list[str]:
+def _overflow_note(source: Source, file: Any) -> list[Finding]:
     """Return a note where the capture goes, or may go, on behind the last frame that a header can name."""
     points, analogs, first, last = struct.unpack_from("<4H", source.head, _COUNTS)
     if last != _LAST_FRAME:
@@ -133,14 +134,20 @@ def _overflow_note(source: Source, file: Any) -> list[str]:
     if max(there, stated or 0) > frames:
         held = f"{np.ceil(there):.0f} or more" if stated is None or there > stated else f"{stated}"
         return [
-            f"only the first {frames} frames were read: a C3D header counts to {_LAST_FRAME}, and the "
-            f"capture has {held}; export it in shorter pieces"
+            note(
+                "frames-beyond-header",
+                f"only the first {frames} frames were read: a C3D header counts to {_LAST_FRAME}, and the "
+                f"capture has {held}; export it in shorter pieces",
+            )
         ]
     if stated is not None:
         return []
     return [
-        f"the last frame is number {_LAST_FRAME}, the last that a C3D header can name: the capture may have "
-        "gone on, so check its duration"
+        note(
+            "frames-beyond-header",
+            f"the last frame is number {_LAST_FRAME}, the last that a C3D header can name: the capture "
+            "may have gone on, so check its duration",
+        )
     ]
 
 
@@ -164,7 +171,9 @@ def _rate(path: str, stated: Any) -> float:
         raise LogError(f"{path}: states {stated!r} frames per second; export it again") from None
 
 
-def _marker_channels(path: str, file: Any, length_unit: str | None, notes: list[str]) -> dict[str, Channel]:
+def _marker_channels(
+    path: str, file: Any, length_unit: str | None, notes: list[Finding]
+) -> dict[str, Channel]:
     parameters, points = file["parameters"], file["data"]["points"]
     count, frames = points.shape[1], points.shape[2]
     if not count or not frames:
@@ -184,11 +193,13 @@ def _marker_channels(path: str, file: Any, length_unit: str | None, notes: list[
             continue
         channels[f"{name}/position"] = Channel(f"{name}/position", "m", time, position)
     if blank:
-        notes.append(f"markers never seen, left out: {listing(blank)}")
+        notes.append(note("markers-never-seen", f"markers never seen, left out: {listing(blank)}"))
     return channels
 
 
-def _rotation_channels(path: str, file: Any, length_unit: str | None, notes: list[str]) -> dict[str, Channel]:
+def _rotation_channels(
+    path: str, file: Any, length_unit: str | None, notes: list[Finding]
+) -> dict[str, Channel]:
     poses = file["data"]["rotations"]
     if poses.ndim != 4 or not poses.shape[2] or not poses.shape[3]:
         return {}
@@ -211,11 +222,11 @@ def _rotation_channels(path: str, file: Any, length_unit: str | None, notes: lis
         good = whole & (np.abs(np.nan_to_num(square) - np.eye(3)).max(axis=(1, 2)) < 0.02)
         position: FloatArray = np.where(good[:, None], poses[:3, 3, i].T * scale, np.nan)
         channels |= body_channels(name, time, position, matrix_quaternions(matrix, good))
-    notes.append("poses from the file's ROTATION group")
+    notes.append(note("poses-from-file", "poses from the file's ROTATION group"))
     return channels
 
 
-def _analog_channels(path: str, file: Any, notes: list[str]) -> dict[str, Channel]:
+def _analog_channels(path: str, file: Any, notes: list[Finding]) -> dict[str, Channel]:
     values = file["data"]["analogs"]
     count, samples = values.shape[1], values.shape[2]
     rate = float(file["header"]["analogs"]["frame_rate"])
@@ -272,7 +283,7 @@ def read(
     """
     path = source.path
     file = _open(source)
-    notes: list[str] = []
+    notes: list[Finding] = []
     try:
         channels = _rotation_channels(path, file, length_unit, notes)
         stated = [name.removesuffix("/orientation") for name in channels if name.endswith("/orientation")]

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import LogError
+from sysid.journal import note
 from sysid.loaders.clock import DECLARE_RATE, jitter_note, order_rows, positive_rate, rate_clock
 from sysid.loaders.columns import (
     DeclaredUnits,
@@ -138,7 +139,7 @@ def read(
     if rate is not None:
         stated = numbers.columns[clock.index] * seconds if clock else None
         time = rate_clock(path, rate, numbers.lines.size, stated)
-        notes.append(f"time rebuilt from the declared rate of {rate:g} Hz")
+        notes.append(note("time-from-rate", f"time rebuilt from the declared rate of {rate:g} Hz"))
     else:
         assert clock is not None
         time, said = order_rows(path, numbers, clock.index, seconds, time_back=time_back, coarse=DECLARE_RATE)
@@ -149,7 +150,7 @@ def read(
     for name, column in quantities.items():
         values = numbers.columns.pop(column.index)
         if np.isnan(values).all():
-            notes.append(f"column {column.label!r} holds no value")
+            notes.append(note("column-without-values", f"column {column.label!r} holds no value"))
             continue
         channels[name] = quantity_channel(
             name, time, values * factors[name] if factors[name] != 1.0 else values
@@ -160,8 +161,11 @@ def read(
         notes += said
     elif pulses is not None:
         notes.append(
-            f"column {pulses.label!r} looks like the pulses of a tachometer and was left out; "
-            "declare pulses_per_revolution to get the speed"
+            note(
+                "tachometer-left-out",
+                f"column {pulses.label!r} looks like the pulses of a tachometer and was left out; "
+                "declare pulses_per_revolution to get the speed",
+            )
         )
     notes += unread_note(header, [*wanted, *([pulses] if pulses is not None else [])])
     options: dict[str, Any] = {

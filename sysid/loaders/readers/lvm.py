@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid.errors import LogError, UnitError
+from sysid.journal import Finding, note
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.signals import Signal, SignalOptions, kind_of, signal_channels, unique_names, written_unit
 from sysid.loaders.source import Source
@@ -140,7 +141,7 @@ def _number(path: str, segment: _Segment, what: str, cell: str, default: float) 
 
 
 def _segment_signals(
-    text: Text, segment: _Segment, delimiter: str, decimal: str | None, rated: bool, notes: list[str]
+    text: Text, segment: _Segment, delimiter: str, decimal: str | None, rated: bool, notes: list[Finding]
 ) -> list[Signal]:
     """Return the signals of one segment; `text` holds nothing behind its rows.
 
@@ -202,8 +203,11 @@ def _segment_signals(
     rounded = sorted({cell for cell in segment.steps if cell and not timed and _few_digits(cell)})
     if rounded:
         notes.append(
-            f"Delta_X is written as {', '.join(rounded)}: the clock is no better than these digits; "
-            "declare the true rate if it is known"
+            note(
+                "rounded-clock-step",
+                f"Delta_X is written as {', '.join(rounded)}: the clock is no better than these digits; "
+                "declare the true rate if it is known",
+            )
         )
     return signals
 
@@ -294,7 +298,7 @@ def read(
     decimal = settings.get("decimal_separator") or None
     if decimal not in (None, ".", ","):
         raise LogError(f"{path}: the header's Decimal_Separator is {decimal!r}; expected . or ,")
-    notes: list[str] = []
+    notes: list[Finding] = []
     signals = _segment_signals(
         text.up_to(chosen.rows[1]), chosen, delimiter, decimal, rate is not None, notes
     )
@@ -305,7 +309,7 @@ def read(
         raise LogError(f"{path}: no channel holds a value; the log is empty")
     began = " ".join(settings.get(key, "") for key in ("date", "time")).strip()
     if began:
-        notes.append(f"recording began at {began} by the recording computer's clock")
+        notes.append(note("recording-began", f"recording began at {began} by the recording computer's clock"))
     return Recording(
         kind_of(channels),
         channels,

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid.errors import LogError, UnitError
+from sysid.journal import Finding, note
 from sysid.loaders.clock import jitter_note, order_rows
 from sysid.loaders.columns import listing, parse_header, unread_note
 from sysid.loaders.motion_capture import (
@@ -209,7 +210,7 @@ def _rate(path: str, settings: dict[str, str], key: str) -> float | None:
     return rate if np.isfinite(rate) and rate > 0 else None
 
 
-def _clock(path: str, header: _Header, numbers: Numbers, clock: str) -> tuple[FloatArray, list[str]]:
+def _clock(path: str, header: _Header, numbers: Numbers, clock: str) -> tuple[FloatArray, list[Finding]]:
     """Return the times [s]: rebuilt from frame numbers and checked against the Time column, or written."""
     if clock not in ("auto", "frame", "time"):
         raise LogError(f'{path}: clock = {clock!r} is unknown; expected "auto", "frame" or "time"')
@@ -221,12 +222,19 @@ def _clock(path: str, header: _Header, numbers: Numbers, clock: str) -> tuple[Fl
         if "time" not in header.clocks:
             raise LogError(f"{path}: no Time column and no frame rate in the header; export one of them")
         time, notes = order_rows(path, numbers, header.clocks["time"], 1.0)
-        return time, [*notes, "time as written in the Time column", *jitter_note(time)]
+        return time, [
+            *notes,
+            note("time-as-written", "time as written in the Time column"),
+            *jitter_note(time),
+        ]
 
     _, notes = order_rows(path, numbers, header.clocks["frame"], 1.0 / known[0])
     counted = numbers.columns[header.clocks["frame"]]
     if "time" not in header.clocks:
-        return counted / known[0], [*notes, f"time is the frame number over {known[0]:g} Hz"]
+        return counted / known[0], [
+            *notes,
+            note("time-from-frames", f"time is the frame number over {known[0]:g} Hz"),
+        ]
     written = numbers.columns[header.clocks["time"]]
     seen = np.isfinite(written)
     worst = []
@@ -236,8 +244,9 @@ def _clock(path: str, header: _Header, numbers: Numbers, clock: str) -> tuple[Fl
         offset = 0.0 if abs(offset) <= _TIME_ROUNDING else offset
         error = np.where(seen, np.abs(written - rebuilt - offset), 0.0)
         if clock == "frame" or error.max() <= _TIME_ROUNDING:
-            said = f"time rebuilt from frame numbers at {rate:g} Hz"
-            return rebuilt + offset, [*notes, said + (f", beginning {offset:.6g} s later" if offset else "")]
+            later = f", beginning {offset:.6g} s later" if offset else ""
+            said = note("time-from-frames", f"time rebuilt from frame numbers at {rate:g} Hz{later}")
+            return rebuilt + offset, [*notes, said]
         worst.append((error, rebuilt + offset, rate))
     error, rebuilt, rate = worst[0]
     row = int(error.argmax())
@@ -342,13 +351,18 @@ def read(
             name, repeat = f"{marker.name} #{repeat}", repeat + 1
         channels[f"{name}/position"] = Channel(f"{name}/position", "m", time, position)
     if blank:
-        notes.append(f"markers never seen, left out: {blank}")
+        notes.append(note("markers-never-seen", f"markers never seen, left out: {blank}"))
     solved_names = [marker.name for marker in markers if marker.type in _SOLVED]
     if solved_names:
-        notes.append(f"positions solved from the body, not measured: {listing(solved_names)}")
+        notes.append(
+            note(
+                "positions-solved-from-body",
+                f"positions solved from the body, not measured: {listing(solved_names)}",
+            )
+        )
     began = header.settings.get("Capture Start Time", "")
     if began:
-        notes.append(f"capture began at {began} by the capture computer's clock")
+        notes.append(note("recording-began", f"capture began at {began} by the capture computer's clock"))
     version = header.settings.get("Format Version", "")
     options = {
         "rigid_body": rigid_body,

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid.errors import LogError
+from sysid.journal import Finding, note
 from sysid.loaders.clock import order_rows
 from sysid.loaders.columns import listing
 from sysid.loaders.motion_capture import (
@@ -107,7 +108,7 @@ def _add_frame(frames: _Frames, names: dict[str, str], number: int, cells: Seque
         frames.markers.setdefault(name, {})[row] = values
 
 
-def _frames(text: Text, notes: list[str]) -> _Frames:
+def _frames(text: Text, notes: list[Finding]) -> _Frames:
     frames = _Frames()
     names: dict[str, str] = {}
     handed = promised = ""
@@ -125,7 +126,7 @@ def _frames(text: Text, notes: list[str]) -> _Frames:
                 _add_frame(frames, names, number, cells)
             except (ValueError, IndexError) as error:
                 if behind >= len(text.data) and not closed:
-                    notes.append(f"line {number}, the last, is cut and was left out")
+                    notes.append(note("last-line-cut", f"line {number}, the last, is cut and was left out"))
                     break
                 raise LogError(
                     f"{text.path}, line {number}: the counts of bodies and markers and the {len(cells)} "
@@ -138,7 +139,10 @@ def _frames(text: Text, notes: list[str]) -> _Frames:
             strange.append(number)
     if strange:
         notes.append(
-            f"lines that begin with no known word, left out: {len(strange)} (first: line {strange[0]})"
+            note(
+                "unknown-lines",
+                f"lines that begin with no known word, left out: {len(strange)} (first: line {strange[0]})",
+            )
         )
     notes += promised_note("framecount", promised, len(frames.lines))
     if handed == "lefthanded":
@@ -209,7 +213,7 @@ def read(
             notes += [*said, *lost_note(name, orientation)]
             channels |= body_channels(name, time, values[:, :3] * scale, orientation)
     if blank:
-        notes.append(f"markers never seen, left out: {listing(blank)}")
+        notes.append(note("markers-never-seen", f"markers never seen, left out: {listing(blank)}"))
     if not channels:
         raise LogError(f"{path}: no frame shows a body or a marker; the capture is empty")
     return Recording(

@@ -20,6 +20,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from sysid.errors import LogError, UnitError
+from sysid.journal import Finding, note
 from sysid.loaders.ati_calibration import AXES, load_channels, motor_transform, without_tare
 from sysid.loaders.clock import known_rate, order_rows
 from sysid.loaders.columns import listing
@@ -72,7 +73,7 @@ def _unit(path: str, stated: Mapping[str, str], key: str, expected: str) -> floa
         raise UnitError(f"{path}: {key}: {error}") from error
 
 
-def _status_note(text: Text, table: TableHead, known: list[str]) -> list[str]:
+def _status_note(text: Text, table: TableHead, known: list[str]) -> list[Finding]:
     """Return a note of the rows whose status is not 0: the transducer doubts them (saturated, off its range).
 
     The word is hexadecimal. What each bit means differs between boxes, so the values are told, not explained.
@@ -89,8 +90,11 @@ def _status_note(text: Text, table: TableHead, known: list[str]) -> list[str]:
     first = text.data.count(b"\n", 0, found[0].start()) + 1
     words = listing(dict.fromkeys(shortened(one[1].decode(), 20) for one in found))
     return [
-        f"rows with a status other than 0: {len(found)} (first: line {first}; {words}); the "
-        "transducer reports an error or an overload there, so check them"
+        note(
+            "status-not-zero",
+            f"rows with a status other than 0: {len(found)} (first: line {first}; {words}); the "
+            "transducer reports an error or an overload there, so check them",
+        )
     ]
 
 
@@ -151,17 +155,22 @@ def read(
     numbers.columns[sequence] = counted - first[0]
     time, said = order_rows(path, numbers, sequence, 1.0 / rate, time_back=time_back)
     lost = round(float(time[-1] * rate)) + 1 - time.size
-    notes += [*said, *([f"packets lost, left as holes: {lost}"] if lost > 0 else [])]
-    notes.append(f"time rebuilt from RDT sequence numbers at {rate:g} Hz")
+    notes += [*said, *([note("packets-lost", f"packets lost, left as holes: {lost}")] if lost > 0 else [])]
+    notes.append(note("time-from-sequence", f"time rebuilt from RDT sequence numbers at {rate:g} Hz"))
     scale = np.repeat([force / per_force, torque / per_torque], 3)
     load = np.column_stack([numbers.columns[place] for place in places]) * scale
     load, said = without_tare(path, load, time, tare)
     notes += said
     if transform:
         load = load @ turn.T  # which spreads a blank cell to all channels that it counts in
-        notes.append("loads are at the motor's axes, as declared by transform")
+        notes.append(note("loads-transformed", "loads are at the motor's axes, as declared by transform"))
     if stated.get("start time"):
-        notes.append(f"recording began at {stated['start time']} by the recording computer's clock")
+        notes.append(
+            note(
+                "recording-began",
+                f"recording began at {stated['start time']} by the recording computer's clock",
+            )
+        )
     options = {"transform": transform, "tare": tare}
     return Recording(
         "load-cell",

@@ -19,6 +19,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sysid.errors import LogError, UnitError
+from sysid.journal import note
 from sysid.loaders.clock import EXPORT_FINER, frame_clock, jitter_note, order_rows
 from sysid.loaders.columns import (
     Column,
@@ -241,10 +242,12 @@ def read(
                 f'{path}: column "{stamp.label}" states no unit and its steps of {step:g} cannot be seconds; '
                 f'declare it, for example units = {{{stamp.label} = "ms"}}'
             )
-        notes.append(f'column "{stamp.label}" states no unit: read as seconds')
+        notes.append(note("time-unit-assumed", f'column "{stamp.label}" states no unit: read as seconds'))
     jitter = jitter_note(time)
     if jitter and frame is not None:
-        jitter.append('the column of frame numbers gives a steady clock: clock = "frame"')
+        jitter.append(
+            note("frame-clock-available", 'the column of frame numbers gives a steady clock: clock = "frame"')
+        )
     notes += jitter
 
     raw = np.column_stack([numbers.columns[column.index] for column in quaternion])
@@ -256,7 +259,12 @@ def read(
         values = np.column_stack([numbers.columns[found[axis].index] for axis in "xyz"]) * rates[name]
         channels[f"{rigid_body}/{name}"] = Channel(f"{rigid_body}/{name}", triples[name][0], time, values)
     if "angular_velocity" in extra:
-        notes.append("angular velocity as written: the file does not say in which frame")
+        notes.append(
+            note(
+                "angular-velocity-frame-unknown",
+                "angular velocity as written: the file does not say in which frame",
+            )
+        )
     options = {
         "quaternion_order": quaternion_order,
         "length_unit": None if lengths_stated else length_unit,

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sysid.errors import LogError
+from sysid.journal import Finding, note
 from sysid.loaders.clock import known_rate, order_rows, rate_clock
 from sysid.loaders.columns import listing
 from sysid.loaders.motion_capture import (
@@ -112,7 +113,7 @@ def _position(numbers: Numbers, first: int, scale: float) -> FloatArray:
     return position
 
 
-def _checked_clock(path: str, numbers: Numbers, rate: float) -> tuple[FloatArray, str]:
+def _checked_clock(path: str, numbers: Numbers, rate: float) -> tuple[FloatArray, Finding]:
     """Return the times [s] of frame numbers and a note; refuse a rate that the Time column contradicts."""
     counted, written = numbers.columns[0], numbers.columns[1]
     time = (counted - 1.0) / rate
@@ -128,8 +129,8 @@ def _checked_clock(path: str, numbers: Numbers, rate: float) -> tuple[FloatArray
             f"{time[row]:.6g} s but the Time column says {written[row]:.6g} s; correct the one that is wrong "
             "or export again"
         )
-    said = f"time rebuilt from frame numbers at {rate:g} Hz"
-    return time, said + (f", beginning {offset:.6g} s later" if offset else "")
+    later = f", beginning {offset:.6g} s later" if offset else ""
+    return time, note("time-from-frames", f"time rebuilt from frame numbers at {rate:g} Hz{later}")
 
 
 def read(
@@ -189,7 +190,9 @@ def read(
         notes += [*said, checked]
     else:
         time = rate_clock(path, rate, numbers.lines.size)
-        notes.append(f"no Frame column: rows are taken as frames without a hole at {rate:g} Hz")
+        notes.append(
+            note("time-from-rate", f"no Frame column: rows are taken as frames without a hole at {rate:g} Hz")
+        )
 
     channels: dict[str, Channel] = {}
     if included == "6D":
@@ -218,13 +221,16 @@ def read(
         channels |= {name: one for name, one in markers.items() if name not in blank and name not in channels}
         if blank:
             notes.append(
-                f"markers never seen, left out: {listing(n.removesuffix('/position') for n in blank)}"
+                note(
+                    "markers-never-seen",
+                    f"markers never seen, left out: {listing(n.removesuffix('/position') for n in blank)}",
+                )
             )
     if not channels:
         raise LogError(f"{path}: no marker is ever seen; the capture is empty")
     began = " ".join((keys.get("TIME_STAMP") or [""])[:1])
     if began:
-        notes.append(f"capture began at {began} by the capture computer's clock")
+        notes.append(note("recording-began", f"capture began at {began} by the capture computer's clock"))
     options = {"rigid_body": rigid_body, "bodies": bodies, "length_unit": length_unit}
     return Recording(
         "motion-capture",

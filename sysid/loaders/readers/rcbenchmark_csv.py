@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import LogError, UnitError
+from sysid.journal import Finding, note
 from sysid.loaders.clock import order_rows
 from sysid.loaders.columns import (
     Column,
@@ -77,7 +78,7 @@ def _device(columns: tuple[Column, ...]) -> str:
 
 
 def _command_unit(
-    path: str, column: Column, declared: DeclaredUnits, values: FloatArray, notes: list[str]
+    path: str, column: Column, declared: DeclaredUnits, values: FloatArray, notes: list[Finding]
 ) -> str:
     stated = declared.unit_of(column, "command")
     if stated is not None:
@@ -95,7 +96,7 @@ def _command_unit(
             f"to {largest:g}, as pulse widths in us do and DShot from rest does not; declare it, for example "
             'units = {command = "us"} or {command = "dshot"} (in a campaign, log.command_unit)'
         )
-    notes.append("the command column states no unit: read as DShot 0 to 2047")
+    notes.append(note("command-unit-assumed", "the command column states no unit: read as DShot 0 to 2047"))
     return "dshot"
 
 
@@ -108,7 +109,7 @@ def _both_speeds(units: Mapping[str, str] | None, columns: tuple[Column, ...]) -
     return {**dict.fromkeys(sorted(probes), units["speed"]), **others} if probes else units
 
 
-def _messages(text: Text, head: TableHead, column: Column) -> list[str]:
+def _messages(text: Text, head: TableHead, column: Column) -> list[Finding]:
     """Return a note with what the stand's program said during the log, each message once with its line."""
     said: dict[str, int] = {}
     for number, _, line in text.lines(-1, head.offset, head.line):
@@ -120,7 +121,7 @@ def _messages(text: Text, head: TableHead, column: Column) -> list[str]:
         if message and len(said) < _MOST_MESSAGES:
             said.setdefault(message[:80], number)
     shown = "; ".join(f"{message!r} (line {number})" for message, number in said.items())
-    return [f"messages of the stand's program: {shown}"] if shown else []
+    return [note("stand-messages", f"messages of the stand's program: {shown}")] if shown else []
 
 
 def read(
@@ -224,13 +225,16 @@ def read(
     declared.check_used(columns)
     notes += [*declared.notes, *unread_note(columns, [*wanted, *([message] if message else [])])]
     if blank:
-        notes.append(f"columns without a single value: {', '.join(blank)}")
+        notes.append(note("columns-without-values", f"columns without a single value: {', '.join(blank)}"))
     if static:
         if log_time is not None:
             channels["log_time"] = Channel("log_time", "s", time, log_time)
         channels = point_channels(channels)
         notes.append(
-            "static map: each row is one averaged point, and every clock is the point number, not seconds"
+            note(
+                "static-map",
+                "static map: each row is an averaged point, and every clock is the point number, not seconds",
+            )
         )
     options: dict[str, Any] = {"units": units, "static": static, "time_back": time_back}
     return Recording(

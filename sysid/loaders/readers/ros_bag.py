@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sysid.errors import LogError
+from sysid.journal import note
 from sysid.loaders.clock import EXPORT_FINER, jitter_note, order_rows
 from sysid.loaders.columns import listing
 from sysid.loaders.motion_capture import body_channels, declared_length, unit_quaternions, wanted_bodies
@@ -173,7 +174,11 @@ def read(
     if not tracks:
         raise LogError(f"{path}: its topics of poses hold no message; record it again")
     kept = wanted_bodies(path, list(tracks), rigid_body)
-    notes = [f"topics that hold no pose, left out: {listing(left_out)}"] if left_out else []
+    notes = (
+        [note("topics-left-out", f"topics that hold no pose, left out: {listing(left_out)}")]
+        if left_out
+        else []
+    )
     channels: dict[str, Channel] = {}
     for name in kept:
         track = tracks[name]
@@ -188,7 +193,7 @@ def read(
         time, ordered = order_rows(path, numbers, 0, 1.0, time_back=time_back, coarse=coarse)
         raw = np.column_stack([numbers.columns[i] for i in (4, 5, 6, 7)])
         orientation, turned = unit_quaternions(path, name, numbers, raw)
-        notes += [f"{name}: {note}" for note in (*ordered, *jitter_note(time))] + turned
+        notes += [replace(one, sentence=f"{name}: {one}") for one in (*ordered, *jitter_note(time))] + turned
         position = np.column_stack([numbers.columns[i] for i in (1, 2, 3)]) * scale
         channels |= body_channels(name, time, position, orientation)
     options = {"topic": topic, "rigid_body": rigid_body, "length_unit": length_unit, "clock": clock}

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sysid.errors import LogError
+from sysid.journal import Finding, note
 from sysid.loaders.clock import EXPORT_FINER, frame_clock, jitter_note, order_rows
 from sysid.loaders.columns import Column, listing, parse_header, unread_note
 from sysid.loaders.motion_capture import body_channels, declared_length, unit_quaternions
@@ -58,7 +59,7 @@ def _axes(path: str, columns: Sequence[Column], words: Sequence[str], axes: str)
     return [found[axis] for axis in axes]
 
 
-def _stamp_unit(path: str, numbers: Numbers, column: Column) -> tuple[float, list[str]]:
+def _stamp_unit(path: str, numbers: Numbers, column: Column) -> tuple[float, list[Finding]]:
     """Return the factor from stamps to seconds, and a note where they are not the nanoseconds of the format.
 
     A program that saved the file again may have written seconds; then most of them have a fraction, which a
@@ -67,7 +68,9 @@ def _stamp_unit(path: str, numbers: Numbers, column: Column) -> tuple[float, lis
     stamps = numbers.columns[column.index]
     known = stamps[np.isfinite(stamps)]
     if known.size and np.count_nonzero(known % 1.0) * 2 > known.size:
-        return 1.0, [f"{column.label} has fractions: read as seconds, not as nanoseconds"]
+        return 1.0, [
+            note("time-unit-assumed", f"{column.label} has fractions: read as seconds, not as nanoseconds")
+        ]
     steps = np.abs(np.diff(known))
     step = float(np.median(steps)) if steps.size else 0.0
     if 0.0 < step < _FEWEST_NANOSECONDS:

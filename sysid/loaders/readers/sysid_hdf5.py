@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import LogError
+from sysid.journal import Finding, note
 from sysid.loaders.hdf5_damage import check_heaps
 from sysid.loaders.readers.load_cell_hdf5 import LAYOUT_ATTRIBUTE, is_hdf5
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
@@ -66,7 +67,7 @@ def write_recording(recording: Recording, path: str | Path) -> Path:
         file.attrs["source"] = Path(provenance.path).name
         file.attrs["source_sha256"] = provenance.sha256
         file.attrs["options"] = json.dumps(dict(provenance.options), ensure_ascii=False)
-        file.attrs["notes"] = json.dumps(list(provenance.notes), ensure_ascii=False)
+        file.attrs["notes"] = json.dumps(list(map(_noted, provenance.notes)), ensure_ascii=False)
         clocks: list[FloatArray] = []
         group = file.create_group("channels")
         for index, (name, channel) in enumerate(recording.channels.items()):
@@ -101,6 +102,17 @@ def _place(group: Any, name: str, index: int) -> str:
 def _dataset(group: Any, name: str, values: FloatArray) -> Any:
     packed = {"compression": "gzip", "shuffle": True} if values.size else {}
     return group.create_dataset(name, data=values, **packed)
+
+
+def _noted(finding: Finding) -> dict[str, str]:
+    return {"code": finding.code, "severity": finding.severity, "sentence": finding.sentence}
+
+
+def _note(stated: Any) -> Finding:
+    """Return a note as it was written; files of older versions hold its sentence alone."""
+    if isinstance(stated, dict):
+        return Finding(str(stated["code"]), str(stated["sentence"]), stated.get("severity", "note"))
+    return note("stated", str(stated))
 
 
 def _text(attributes: Any, key: str) -> str:
@@ -160,7 +172,10 @@ def _read_open(source: Source, file: Any) -> Recording:
         channels[name] = Channel(name, _text(item.attrs, "unit"), time, values)
     origin = _text(attributes, "source")
     stated = json.loads(_text(attributes, "notes") or "[]")
-    notes = [*map(str, stated), f"converted from {origin} (SHA-256 {_text(attributes, 'source_sha256')})"]
+    notes = [
+        *map(_note, stated),
+        note("converted", f"converted from {origin} (SHA-256 {_text(attributes, 'source_sha256')})"),
+    ]
     options = {
         str(key): str(value) for key, value in json.loads(_text(attributes, "options") or "{}").items()
     }

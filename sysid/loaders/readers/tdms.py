@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import LogError, UnitError
+from sysid.journal import Finding, note
 from sysid.loaders.columns import listing
 from sysid.loaders.optional import library
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
@@ -66,12 +67,12 @@ def _samples(channel: Any) -> FloatArray:
 
 def _check_segments(
     path: str, name: str, channel: str, stated: Starts, step: float, declared: float | None
-) -> str:
-    """Refuse a channel whose segments begin anew after a pause; return a note where `declared` joins them."""
+) -> list[Finding]:
+    """Refuse a channel whose segments begin anew after a pause; return a note when `declared` joins them."""
     lasted = samples_before(path, stated.offset, channel) * step
     began = float((stated.last - stated.first) / np.timedelta64(1, "ns")) * 1e-9
     if abs(began - lasted) <= max(1.5 * step, _DRIFT * lasted):
-        return ""
+        return []
     said = (
         f"{name} was recorded in parts: its last part began {began:.6g} s after the first, but the samples "
         f"before it last {lasted:.6g} s"
@@ -81,7 +82,7 @@ def _check_segments(
             f"{path}: {said}; save each recording in a file of its own, or take all samples as consecutive "
             f"with rate = {1.0 / step:g}"
         )
-    return f"{said}; all samples taken as consecutive, as declared by rate"
+    return [note("parts-joined", f"{said}; all samples taken as consecutive, as declared by rate")]
 
 
 def _number(value: object) -> float | None:
@@ -90,7 +91,7 @@ def _number(value: object) -> float | None:
     return float(value) if number else None  # type: ignore[arg-type]
 
 
-def _signals(path: str, file: Any, notes: list[str], declared: float | None) -> list[Signal]:
+def _signals(path: str, file: Any, notes: list[Finding], declared: float | None) -> list[Signal]:
     restarts = waveform_starts(path)
     found, thinned, other, spectra = [], [], [], []
     waves = [(group, channel) for group in file.groups() for channel in group.channels()]
@@ -129,21 +130,27 @@ def _signals(path: str, file: Any, notes: list[str], declared: float | None) -> 
         rate = 1.0 / (step * seconds) if step is not None and step > 0 else None
         stated = restarts.get(channel.path)
         if rate is not None and stated is not None and stated.last != stated.first:
-            said = _check_segments(path, name, channel.path, stated, 1.0 / rate, declared)
-            notes += [said] if said else []
+            notes += _check_segments(path, name, channel.path, stated, 1.0 / rate, declared)
 
         def read(channel: Any = channel) -> FloatArray:
             return _samples(channel)
 
         found.append(Signal(name, written_unit(unit), read, rate, begin, label=channel.name))
     if first is not None:
-        notes.append(f"recording began at {first} UTC")
+        notes.append(note("recording-began", f"recording began at {first} UTC"))
     if thinned:
-        notes.append(f"thinned copies, left out: {len(thinned)}")
+        notes.append(note("thinned-copies-left-out", f"thinned copies, left out: {len(thinned)}"))
     if spectra:
-        notes.append(f"channels over another axis than time, left out: {listing(spectra)}")
+        notes.append(
+            note(
+                "channels-not-over-time",
+                f"channels over another axis than time, left out: {listing(spectra)}",
+            )
+        )
     if other:
-        notes.append(f"channels that hold no numbers, left out: {listing(other)}")
+        notes.append(
+            note("channels-without-numbers", f"channels that hold no numbers, left out: {listing(other)}")
+        )
     return found
 
 
@@ -190,7 +197,7 @@ def read(
     if not source.head.startswith(b"TDSm"):
         raise LogError(f"{path}: not a TDMS file (it does not begin with TDSm); check the format")
     options = SignalOptions(rate, units, datasets, pulses_per_revolution, time_back)
-    notes: list[str] = []
+    notes: list[Finding] = []
     try:
         with nptdms.TdmsFile.open(path) as file:
             device = str(file.properties.get("name", ""))

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import LogError
+from sysid.journal import Finding, note
 from sysid.loaders.clock import order_rows
 from sysid.loaders.columns import listing
 from sysid.loaders.motion_capture import body_channels, unit_quaternions
@@ -75,7 +76,7 @@ def _rows(topic: Any, fields: Sequence[str], word: str) -> Numbers:
     return Numbers(columns, np.arange(1, columns[0].size + 1), row_word=f"{word} message")
 
 
-def _mask_unknown(topic: Any, fields: Sequence[str], numbers: Numbers) -> list[str]:
+def _mask_unknown(topic: Any, fields: Sequence[str], numbers: Numbers) -> list[Finding]:
     """Blank what PX4 marks as unknown or not valid; return notes."""
     notes = []
     for i, name in enumerate(fields, start=1):
@@ -86,15 +87,24 @@ def _mask_unknown(topic: Any, fields: Sequence[str], numbers: Numbers) -> list[s
                 unknown, why = np.asarray(topic.data[flag]) == 0, f"not valid by {flag}"
         if unknown.any():
             numbers.columns[i] = np.where(unknown, np.nan, numbers.columns[i])
-            notes.append(f"{topic.name}.{name} is {why}, in {int(unknown.sum())} messages; taken as missing")
+            notes.append(
+                note(
+                    "marked-unknown",
+                    f"{topic.name}.{name} is {why}, in {int(unknown.sum())} messages; taken as missing",
+                )
+            )
     return notes
 
 
-def _instance_note(topic: Any) -> list[str]:
-    return [f"{topic.name} is of instance {topic.multi_id}, the lowest in the log"] if topic.multi_id else []
+def _instance_note(topic: Any) -> list[Finding]:
+    return (
+        [note("lowest-instance-read", f"{topic.name} is of instance {topic.multi_id}, the lowest in the log")]
+        if topic.multi_id
+        else []
+    )
 
 
-def _frame(topic: Any, body: str) -> tuple[str, list[str]]:
+def _frame(topic: Any, body: str) -> tuple[str, list[Finding]]:
     """Return the frame of the poses of an odometry topic (empty where it changes), and notes."""
     field = next((name for name in _FRAMES if name in topic.data), "")
     if not field:
@@ -103,23 +113,23 @@ def _frame(topic: Any, body: str) -> tuple[str, list[str]]:
         _FRAMES[field].get(int(one), f"number {int(one)}") for one in np.unique(topic.data[field]).tolist()
     ]
     if len(found) > 1:
-        return "", [f"{body} was left out: its {field} changes between {' and '.join(found)}"]
+        return "", [
+            note("frame-changes", f"{body} was left out: its {field} changes between {' and '.join(found)}")
+        ]
     if found == ["NED"]:
         return "NED", []
     turned = "z is down, but x and y are turned from north and east by an unknown heading"
-    return found[0], [
-        f"{field} of {body} is {found[0]}, not NED: "
-        + (turned if found == ["FRD"] else "its axes are not known; check them before use")
-    ]
+    what = turned if found == ["FRD"] else "its axes are not known; check them before use"
+    return found[0], [note("other-frame", f"{field} of {body} is {found[0]}, not NED: {what}")]
 
 
-def _axes_note(channels: Sequence[str], others: Sequence[str]) -> str:
+def _axes_note(channels: Sequence[str], others: Sequence[str]) -> Finding:
     """Return a note on the axes of the channels, but not of the bodies `others` in frames of their own."""
     placed = [one for one in channels if one.endswith("position") or one in ("local_velocity", "attitude")]
     known = [name for name in placed if name.rpartition("/")[0] not in others]
     whose = f" of {' and '.join(known)}" if others else ""
     north = f"axes{whose}: north, east, down; " if known else "axes: "
-    return f"{north}body front, right, down, as PX4 defines them"
+    return note("axes", f"{north}body front, right, down, as PX4 defines them")
 
 
 def _stack(numbers: Numbers, first: int, width: int) -> FloatArray:
@@ -166,7 +176,7 @@ def read(source: Source, *, time_back: str = "drop") -> Recording:
     path = source.path
     log, _ = _load(source)
     topics = {topic.name: topic for topic in sorted(log.data_list, key=lambda one: -one.multi_id)}
-    notes: list[str] = []
+    notes: list[Finding] = []
     channels: dict[str, Channel] = {}
     others: list[str] = []
 
@@ -222,24 +232,35 @@ def read(source: Source, *, time_back: str = "drop") -> Recording:
             channels[channel] = Channel(channel, unit, time, values * factor)
             notes += [*said, *_instance_note(topic)]
         elif said and np.isnan(values).all():
-            notes += [*said, f"{channel} was left out: no message holds a value that PX4 marks as known"]
+            notes += [
+                *said,
+                note(
+                    "no-known-value",
+                    f"{channel} was left out: no message holds a value that PX4 marks as known",
+                ),
+            ]
     if not channels and notes:
-        raise LogError(f"{path}: nothing is left to read: {'; '.join(dict.fromkeys(notes))}")
+        raise LogError(f"{path}: nothing is left to read: {'; '.join(dict.fromkeys(map(str, notes)))}")
     if not channels:
         raise LogError(
             f"{path}: none of the topics that sysid reads is in this log; found {listing(sorted(topics))}"
         )
     if any(name.startswith("output_") for name in channels):
         notes.append(
-            "actuator outputs as recorded: µs where the speed controllers take PWM, levels of DShot or CAN "
-            "where they do not"
+            note(
+                "actuator-outputs-as-recorded",
+                "actuator outputs as recorded: µs where the speed controllers take PWM, levels of DShot or "
+                "CAN where they do not",
+            )
         )
     notes = list(dict.fromkeys(notes))
     if log.dropouts:
         lost = 1e-3 * sum(one.duration for one in log.dropouts)
-        notes.append(f"the logger dropped out {len(log.dropouts)} times, {lost:.3g} s in all")
+        notes.append(
+            note("logger-dropouts", f"the logger dropped out {len(log.dropouts)} times, {lost:.3g} s in all")
+        )
     if log.file_corruption:
-        notes.append("parts of the file are damaged and were passed over")
+        notes.append(note("file-damaged", "parts of the file are damaged and were passed over"))
     device = str(log.msg_info_dict.get("sys_name", "PX4"))
     version = str(log.msg_info_dict.get("ver_hw", "")).strip()
     notes.append(_axes_note(list(channels), others))

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError, UnitError
+from sysid.journal import Finding, note
 from sysid.loaders.clock import known_rate, order_rows
 from sysid.loaders.columns import listing
 from sysid.loaders.motion_capture import (
@@ -175,7 +176,7 @@ def _states_length(section: _Section) -> bool:
     )
 
 
-def _clock(path: str, section: _Section, numbers: Numbers) -> tuple[FloatArray, list[str]]:
+def _clock(path: str, section: _Section, numbers: Numbers) -> tuple[FloatArray, list[Finding]]:
     """Return times [s]: frame numbers over the capture's rate, sub frames between them."""
     sub = numbers.columns[1]
     known = sub[np.isfinite(sub)]
@@ -262,7 +263,7 @@ def _read_section(
     kept: Sequence[str] | None,
     length_unit: str | None,
     angles: str | None,
-    notes: list[str],
+    notes: list[Finding],
 ) -> dict[str, Channel]:
     path = text.path
     groups = section.groups()
@@ -297,7 +298,12 @@ def _read_section(
             zeros = ~np.column_stack([numbers.columns[column] for column in group]).any(axis=1)
             if section.title == "objects" and zeros.any():
                 position[zeros], raw[zeros] = np.nan, np.nan
-                notes.append(f"frames of {body} that are all zeros, taken as lost: {int(zeros.sum())}")
+                notes.append(
+                    note(
+                        "zero-poses",
+                        f"frames of {body} that are all zeros, taken as lost: {int(zeros.sum())}",
+                    )
+                )
             orientation, said = unit_quaternions(path, body, numbers, raw)
             scale = _length(path, section, place, length_unit)
             channels |= body_channels(body, time, position * scale, orientation)
@@ -309,7 +315,7 @@ def _read_section(
                 unknown += [] if unit else [f"{label} [{section.units[column]}]".removesuffix(" []")]
                 channels[label] = Channel(label, unit, time, numbers.columns[column] * factor)
     if blank:
-        notes.append(f"markers never seen, left out: {listing(blank)}")
+        notes.append(note("markers-never-seen", f"markers never seen, left out: {listing(blank)}"))
     notes += unknown_units_note(unknown)
     return channels
 
@@ -362,7 +368,7 @@ def read(
         for name in section.groups()
     ]
     kept = wanted_bodies(path, stated, rigid_body) if stated and rigid_body is not None else None
-    notes: list[str] = []
+    notes: list[Finding] = []
     channels: dict[str, Channel] = {}
     for section in sections:
         for name, channel in _read_section(text, section, kept, length_unit, angles, notes).items():

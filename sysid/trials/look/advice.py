@@ -12,7 +12,7 @@ _STATES_LENGTHS = frozenset({"motive-csv", "pose-table", "vicon-csv", "c3d"})
 def _mend(recording: Recording, option: str) -> str:
     """Return where to mend what this recording's file cannot be told by `option`; empty if it can."""
     said = recording.provenance
-    if said.notes and said.notes[-1].startswith("converted from "):
+    if any(finding.code == "converted" for finding in said.notes[-1:]):
         return "convert the original log again with its true unit"
     known = formats().get(said.format)
     if known is None or option not in known.options:

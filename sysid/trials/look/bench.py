@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sysid.journal import Finding
 from sysid.recording import Channel, FloatArray, Recording
 from sysid.trials.bench_log import Stall, command_steps, find_stalls
 from sysid.trials.look.advice import unit_advice
@@ -71,7 +72,7 @@ def _at_rest(recording: Recording, channel: Channel | None) -> float:
     return float(channel.values[still].mean()) if still.sum() >= 3 and begin < end else float("nan")
 
 
-def inspect_bench(recording: Recording) -> tuple[BenchReport, list[str]]:
+def inspect_bench(recording: Recording) -> tuple[BenchReport, list[Finding]]:
     """Return the report of a running log and its suspicions.
 
     Parameters
@@ -95,23 +96,24 @@ def inspect_bench(recording: Recording) -> tuple[BenchReport, list[str]]:
     return report, _suspicions(recording, report)
 
 
-def _suspicions(recording: Recording, report: BenchReport) -> list[str]:
+def _suspicions(recording: Recording, report: BenchReport) -> list[Finding]:
     channels = recording.channels
     found = []
     if report.top_speed > _FASTEST:
-        found.append(
-            f"speed reaches {report.top_speed:.4g} rad/s, faster than any such motor: probably rpm; "
-            + unit_advice(recording, "speed", "rpm")
+        advice = unit_advice(recording, "speed", "rpm")
+        sentence = (
+            f"speed reaches {report.top_speed:.4g} rad/s, faster than any such motor: probably rpm; {advice}"
         )
+        found.append(Finding("speed-unit", sentence))
     elif report.top_speed == 0.0:
-        found.append("speed is zero throughout: the probe was off or saw no mark")
+        found.append(Finding("no-speed", "speed is zero throughout: the probe was off or saw no mark"))
     largest = _largest(channels.get("thrust"))
     if largest > _STRONGEST:
-        found.append(
-            f"thrust reaches {largest:.4g} N: probably grams; {unit_advice(recording, 'thrust', 'gf')}"
-        )
+        advice = unit_advice(recording, "thrust", "gf")
+        found.append(Finding("thrust-unit", f"thrust reaches {largest:.4g} N: probably grams; {advice}"))
     if _largest(channels.get("torque")) > _LARGEST_TORQUE:
-        found.append(f"torque exceeds 100 N·m: probably mN·m; {unit_advice(recording, 'torque', 'mN*m')}")
+        advice = unit_advice(recording, "torque", "mN*m")
+        found.append(Finding("torque-unit", f"torque exceeds 100 N·m: probably mN·m; {advice}"))
     for name, rest, unit in (
         ("thrust", report.rest_thrust, "N"), ("torque", report.rest_torque, "N·m"),
     ):  # fmt: skip
@@ -120,7 +122,8 @@ def _suspicions(recording: Recording, report: BenchReport) -> list[str]:
             continue
         span = float(np.nanmax(channel.values) - np.nanmin(channel.values))
         if span > 0 and abs(rest) > _TARE * span:
-            found.append(f"{name} reads {rest:.3g} {unit} before anything turns: no tare; subtract it")
+            sentence = f"{name} reads {rest:.3g} {unit} before anything turns: no tare; subtract it"
+            found.append(Finding("no-tare", sentence))
     found += _signs(channels.get("speed"), channels.get("thrust"))
     thrust = channels.get("thrust")
     for name in ("force_x", "force_y"):
@@ -128,11 +131,12 @@ def _suspicions(recording: Recording, report: BenchReport) -> list[str]:
         if thrust is None or side is None or not side.valid.any():
             continue
         if np.nanstd(side.values) > 2.0 * np.nanstd(thrust.values) > 0.0:
-            found.append(f"{name} changes more than thrust (Fz): the cell's axes may be swapped")
+            sentence = f"{name} changes more than thrust (Fz): the cell's axes may be swapped"
+            found.append(Finding("cell-axes-swapped", sentence))
     return found
 
 
-def _signs(speed: Channel | None, thrust: Channel | None) -> list[str]:
+def _signs(speed: Channel | None, thrust: Channel | None) -> list[Finding]:
     if speed is None or thrust is None or not speed.valid.any() or not thrust.valid.any():
         return []
     turning: FloatArray = np.interp(thrust.time, speed.time[speed.valid], np.abs(speed.values[speed.valid]))
@@ -145,7 +149,10 @@ def _signs(speed: Channel | None, thrust: Channel | None) -> list[str]:
     noise = float(np.std(thrust.values[slow]))
     if change < -3.0 * noise:
         return [
-            "thrust falls when the speed rises: the sign of the axis is reversed, or the propeller "
-            "turns in reverse"
+            Finding(
+                "thrust-falls",
+                "thrust falls when the speed rises: the sign of the axis is reversed, or the propeller turns "
+                "in reverse",
+            )
         ]
     return []

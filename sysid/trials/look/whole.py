@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sysid.journal import Finding
 from sysid.recording import Recording
 from sysid.trials.look.advice import length_advice
 from sysid.trials.look.bench import BenchReport, inspect_bench
@@ -38,9 +39,9 @@ class LogReport:
         Where a body falls.
     bench : BenchReport or None
         Of a running thrust-stand or load-cell log.
-    suspicions : tuple of str
-        What looks like a mistake, one sentence each.
-    notes : tuple of str
+    suspicions : tuple of Finding
+        What looks like a mistake.
+    notes : tuple of Finding
         What the loader noticed and did.
     """
 
@@ -53,8 +54,8 @@ class LogReport:
     channels: tuple[ChannelReport, ...]
     drop: DropReport | None
     bench: BenchReport | None
-    suspicions: tuple[str, ...]
-    notes: tuple[str, ...]
+    suspicions: tuple[Finding, ...]
+    notes: tuple[Finding, ...]
 
     def as_json(self) -> dict[str, Any]:
         """Return the report as plain values for JSON; a number that is unknown is None."""
@@ -66,8 +67,10 @@ class LogReport:
                 return [plain(one) for one in value]
             return None if isinstance(value, float) and not math.isfinite(value) else value
 
-        result: dict[str, Any] = plain(asdict(self))
-        return result
+        stated: dict[str, Any] = plain(asdict(self))
+        for name in ("suspicions", "notes"):
+            stated[name] = [str(finding) for finding in getattr(self, name)]
+        return stated
 
 
 def inspect_recording(recording: Recording, gravity: float = STANDARD_GRAVITY) -> LogReport:
@@ -83,7 +86,7 @@ def inspect_recording(recording: Recording, gravity: float = STANDARD_GRAVITY) -
     channels = tuple(inspect_channel(channel) for channel in recording.channels.values())
     if recording.kind == "static-map":  # points follow one another in no time
         channels = tuple(without_clock(one) for one in channels)
-    suspicions = [f"{one}" for one in recording.provenance.notes if "pole count" in one]
+    suspicions = [finding for finding in recording.provenance.notes if finding.severity == "warning"]
     drop, bench = None, None
     if recording.kind in ("thrust-stand", "load-cell"):
         bench, found = inspect_bench(recording)
@@ -92,12 +95,17 @@ def inspect_recording(recording: Recording, gravity: float = STANDARD_GRAVITY) -
         drop = inspect_drop(recording, gravity)
         suspicions += _capture_suspicions(recording, drop, gravity)
     suspicions += [
-        f"{one.name} sits at its limit ({one.highest:.4g} {one.unit}) for {100 * one.saturated:.2g} % of the "
-        "samples: the sensor may be saturated"
+        Finding(
+            "saturated",
+            f"{one.name} sits at its limit ({one.highest:.4g} {one.unit}) for {100 * one.saturated:.2g} % of "
+            "the samples: the sensor may be saturated",
+        )
         for one in channels
         if one.saturated > 0
     ]
-    suspicions += [f"{one.name} holds no value at all" for one in channels if one.blank == 1.0]
+    suspicions += [
+        Finding("blank-channel", f"{one.name} holds no value at all") for one in channels if one.blank == 1.0
+    ]
     first = min((c.time[0] for c in recording.channels.values() if c.time.size), default=0.0)
     last = max((c.time[-1] for c in recording.channels.values() if c.time.size), default=0.0)
     said = recording.provenance
@@ -116,8 +124,12 @@ def inspect_recording(recording: Recording, gravity: float = STANDARD_GRAVITY) -
     )
 
 
-def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: float) -> list[str]:
-    found = []
+def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: float) -> list[Finding]:
+    found: list[Finding] = []
+
+    def suspect(code: str, sentence: str) -> None:
+        found.append(Finding(code, sentence))
+
     far = [
         (name, float(np.nanmax(np.abs(channel.values))))
         for name, channel in recording.channels.items()
@@ -125,31 +137,38 @@ def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: 
     ]
     name, distance = max(far, key=lambda one: one[1], default=("", 0.0))
     if distance > _FARTHEST and (drop is None or not drop.length_unit):  # one unit is suspected, not two
-        found.append(
-            f"{name} reaches {distance:.4g} m: lengths are probably mm; {length_advice(recording, 'mm')}"
+        suspect(
+            "length-unit",
+            f"{name} reaches {distance:.4g} m: lengths are probably mm; {length_advice(recording, 'mm')}",
         )
     if drop is None:
         return found
     if drop.length_unit:
         unit = _WRITTEN.get(drop.length_unit, drop.length_unit)
-        found.append(
-            f"{drop.body} falls as if lengths were in {drop.length_unit}; {length_advice(recording, unit)}"
+        suspect(
+            "length-unit",
+            f"{drop.body} falls as if lengths were in {drop.length_unit}; {length_advice(recording, unit)}",
         )
         return found
     # 3 % over a flight of 0.2 s is a few sample errors; shorter flights tell g worse.
     flight = drop.touchdown - (drop.release if drop.release is not None else drop.touchdown - 0.1)
     if abs(drop.gravity / gravity - 1.0) > max(_WRONG_GRAVITY, 0.01 / max(flight, 1e-3)):
-        found.append(
+        suspect(
+            "wrong-gravity",
             f"{drop.body} falls with {drop.gravity:.3g} m/s² instead of {gravity:.4g}: check the rate, the "
-            "length unit and that nothing brakes it"
+            "length unit and that nothing brakes it",
         )
     if drop.up_error > _CROOKED:
-        found.append(
+        suspect(
+            "tilted-capture",
             f"the fall is {np.degrees(drop.up_error):.0f} deg off the axis {drop.up}: the capture's ground "
-            "plane is tilted"
+            "plane is tilted",
         )
     if drop.up[0] == "-":
-        found.append(f'{drop.body} falls toward +{drop.up[1]}: that axis points down; set up = "{drop.up}"')
+        suspect(
+            "axis-down",
+            f'{drop.body} falls toward +{drop.up[1]}: that axis points down; set up = "{drop.up}"',
+        )
     elif drop.up[1] == "x":
-        found.append(f'{drop.body} falls along x: axes may be swapped; set up = "{drop.up}"')
+        suspect("axes-swapped", f'{drop.body} falls along x: axes may be swapped; set up = "{drop.up}"')
     return found

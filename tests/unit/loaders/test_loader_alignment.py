@@ -79,7 +79,7 @@ def test_join_moves_the_second_clock_and_says_so():
     assert set(joined.channels) == {"speed", "thrust", "voltage"}
     np.testing.assert_allclose(joined["voltage"].time, late, atol=1e-3)
     np.testing.assert_array_equal(joined["speed"].values, first["speed"].values)
-    assert "joined with rpm.csv" in joined.provenance.notes[-1]
+    assert "joined with rpm.csv" in joined.provenance.sentences[-1]
     flat = recording("noise.csv", speed=(late, np.random.default_rng(0).normal(size=late.size)))
     with pytest.raises(LogError, match=r"noise\.csv: cannot be aligned with cell\.csv by speed"):
         join_recordings(first, flat, "speed")
@@ -98,7 +98,7 @@ def test_pulses_become_speed(width, sign):
     assert found.unit == "rad/s"
     # An edge is known to a sample of 0.1 ms and a period is 7.9 to 15.7 ms: 1.3 %, of both edges 1.8 %.
     np.testing.assert_allclose(found.values, np.interp(found.time, time, speed), rtol=0.018)
-    assert "2 per revolution" in notes[0]
+    assert "2 per revolution" in str(notes[0])
 
 
 def test_pulses_with_a_lost_stretch_and_without_any():
@@ -125,14 +125,14 @@ def test_a_period_across_missing_rows_has_no_speed(shift):
     assert 1 <= np.isnan(found.values).sum() <= 2
     # Between samples of 1 ms an edge of a 20 ms period is known to 5 %, far from the 0.3 s of the hole.
     np.testing.assert_allclose(found.values[found.valid], 100 * np.pi, rtol=0.05)
-    assert "holes in the clock of the tachometer: 1 (the longest 0.3" in notes[-1]
+    assert "holes in the clock of the tachometer: 1 (the longest 0.3" in str(notes[-1])
 
 
 def test_tachometer_column_of_a_load_cell(tmp_path):
     path = tmp_path / "cell.csv"
     rows = "".join(f"{i * 1e-3:.3f},{i},{5 * (i % 20 < 10)}\n" for i in range(200))
     path.write_text("Time (s),Fz (N),Tachometer (V)\n" + rows, encoding="utf-8")
-    assert "declare pulses_per_revolution" in " ".join(load(path).provenance.notes)
+    assert "declare pulses_per_revolution" in " ".join(load(path).provenance.sentences)
     log = load(path, pulses_per_revolution=2)
     np.testing.assert_allclose(log["speed"].values, 2 * np.pi / (2 * 0.02), rtol=1e-9)
     assert log.provenance.options["pulses_per_revolution"] == "2"

@@ -59,17 +59,17 @@ def test_ati_time_column_without_a_unit_is_noted_declared_or_refused(write):
         units = {"force": "N", "torque": "N*m"} | options.pop("units", {})
         return load(write(rows), format="ati-text", units=units, **options)
 
-    assert any("taken as the time in seconds" in note for note in log(1e-3).provenance.notes)
+    assert any("taken as the time in seconds" in note for note in log(1e-3).provenance.sentences)
     with pytest.raises(
         LogError, match=r'steps by 1, too slow .* units = \{time = "ms"\}, or the sample rate'
     ):
         log(1)
     declared = log(1, units={"time": "ms"})
     np.testing.assert_allclose(declared["thrust"].time, 1e-3 * np.arange(200), rtol=1e-12)
-    assert not any("taken as the time" in note for note in declared.provenance.notes)
+    assert not any("taken as the time" in note for note in declared.provenance.sentences)
     counted = log(1, rate=1000)
     np.testing.assert_allclose(counted["thrust"].time, 1e-3 * np.arange(200), rtol=1e-12)
-    assert "the first of seven columns counts rows and was left out" in counted.provenance.notes
+    assert "the first of seven columns counts rows and was left out" in counted.provenance.sentences
     with pytest.raises(SysidError, match=r"rate = 500 makes the log .* but its time column spans 0.199 s"):
         log(1e-3, rate=500)
     with pytest.raises(UnitError, match=r"time: .*dimension"):
@@ -86,7 +86,7 @@ def test_ati_time_column_without_a_unit_is_noted_declared_or_refused(write):
 def test_ati_loads_beyond_the_calibration_are_said(write):
     write(CAL, "cell.cal")
     log = load(write("0,0,30,0,0,0\n" * 3), format="ati-text", calibration="cell.cal", rate=100)
-    assert "beyond the calibrated range: Fz" in log.provenance.notes
+    assert "beyond the calibrated range: Fz" in log.provenance.sentences
 
 
 @pytest.mark.parametrize(
@@ -223,7 +223,7 @@ def test_qualisys_frequency_is_checked_against_the_time_column(write):
     later = "".join(f"{i + 1}\t{2 + i / 100:.5f}\t{i}\t2\t3\n" for i in range(50))
     log = load(write(head.format(rate=100) + later))
     np.testing.assert_allclose(log["m1/position"].time, 2 + np.arange(50) / 100, atol=1e-9)  # double rounding
-    assert "time rebuilt from frame numbers at 100 Hz, beginning 2 s later" in log.provenance.notes
+    assert "time rebuilt from frame numbers at 100 Hz, beginning 2 s later" in log.provenance.sentences
 
 
 def test_legacy_motive_refusals_and_names(write):
@@ -320,7 +320,7 @@ def test_ros_recordings(tmp_path, form):
     assert detect(path) == "ros-bag"
     log = load(path)
     assert log.rigid_bodies == ("vrpn/quad/pose",)
-    assert any("said" in note for note in log.provenance.notes)
+    assert any("said" in note for note in log.provenance.sentences)
     np.testing.assert_array_equal(log["vrpn/quad/pose/position"].values, [position for position, _ in rows])
     got = log["vrpn/quad/pose/orientation"].values
     np.testing.assert_allclose(np.abs(np.sum(got * turns, axis=1)), 1, atol=1e-12)
@@ -368,7 +368,7 @@ def test_ulog(write):
     assert log["voltage"].values[0] == 16.25
     # Pulse widths or DShot levels: the log does not say, so neither do we.
     assert (log["output_0"].unit, log["output_0"].values[0]) == ("", 1100.0)
-    assert any("actuator outputs as recorded" in note for note in log.provenance.notes)
+    assert any("actuator outputs as recorded" in note for note in log.provenance.sentences)
 
 
 def c3d_file(tmp_path, points, rate=100.0, labels=None, unit="mm"):
@@ -419,7 +419,7 @@ def test_every_wanted_body_is_fitted_to_its_markers(tmp_path):
         # Single precision in the file: 1e-5 mm in 100 mm.
         centre = points[:, 3 * place : 3 * place + 3].mean(axis=1) / 1000
         np.testing.assert_allclose(log[f"{name}/position"].values, centre, atol=1e-6)
-        assert any(note.startswith(f"pose of {name} from 3 markers") for note in log.provenance.notes)
+        assert any(note.startswith(f"pose of {name} from 3 markers") for note in log.provenance.sentences)
 
 
 def test_what_was_declared_of_signals_is_in_the_record(tmp_path):

@@ -14,19 +14,19 @@ def rows(count, line):
 
 def test_a_unit_at_the_end_of_a_name_is_said(write):
     path = write("t_s,px_m,py_m,pz_m,qw,qx,qy,qz\n" + rows(5, "{t:.2f},1,2,3,1,0,0,0"))
-    notes = load(path).provenance.notes
+    notes = load(path).provenance.sentences
     assert any(note.startswith("units taken from the ends of names") for note in notes)
-    assert inspect_recording(load(path)).notes == notes
+    assert [str(note) for note in inspect_recording(load(path)).notes] == notes
     for name in ("t_s", "px_m", "py_m", "pz_m"):
         assert any(f'"{name}"' in note for note in notes)
     # In brackets, or declared, nothing was guessed.
     path = write("t (s),px (m),py (m),pz (m),qw,qx,qy,qz\n" + rows(5, "{t:.2f},1,2,3,1,0,0,0"))
-    assert not any("ends of names" in note for note in load(path).provenance.notes)
+    assert not any("ends of names" in note for note in load(path).provenance.sentences)
     path = write("Time (s),Fz_N\n" + rows(5, "{t:.2f},1"))
-    assert any('N of "Fz_N"' in note for note in load(path).provenance.notes)
+    assert any('N of "Fz_N"' in note for note in load(path).provenance.sentences)
     declared = load(path, units={"thrust": "gf"})
     np.testing.assert_allclose(declared["thrust"].values, 9.80665e-3)
-    assert not any("ends of names" in note for note in declared.provenance.notes)
+    assert not any("ends of names" in note for note in declared.provenance.sentences)
     # A suffix of another dimension than the quantity's is refused, as a bracket is.
     with pytest.raises(UnitError, match=r'column "Fz_V": .*dimension'):
         load(write("Time (s),Fz_V\n" + rows(5, "{t:.2f},1")))
@@ -84,7 +84,9 @@ def test_the_axis_of_a_tdms_waveform_counts_in_its_own_unit(tmp_path):
     log = load(path)
     np.testing.assert_allclose(log["thrust"].time, [3e-3, 3.5e-3, 4e-3, 4.5e-3])
     assert list(log.channels) == ["thrust"]
-    assert any('over another axis than time, left out: "/cell/FFT"' in note for note in log.provenance.notes)
+    assert any(
+        'over another axis than time, left out: "/cell/FFT"' in note for note in log.provenance.sentences
+    )
     path = tdms(tmp_path / "b.tdms", [("Fz", values, wave)])
     np.testing.assert_allclose(load(path)["thrust"].time, [3.0, 3.5, 4.0, 4.5])
 
@@ -106,7 +108,7 @@ def test_a_name_alone_makes_no_ampere(tmp_path):
     log = load(path)
     assert log["phase_A"].unit == ""
     assert log["thrust"].unit == "N"
-    assert any('N of "Fz_N"' in note and "phase" not in note for note in log.provenance.notes)
+    assert any('N of "Fz_N"' in note and "phase" not in note for note in log.provenance.sentences)
 
 
 STAND = "Time (s),ESC signal,Thrust (N),Motor Optical Speed (RPM)\n"
@@ -137,7 +139,7 @@ def test_jitter_of_arrival_is_taken_out_by_frame_numbers(write):
     text += "".join(f"{f},{t:.6f},{f},2,3,0,0,0,1\n" for f, t in zip(frames, late, strict=True))
     path = write(text)
     jittery = load(path, length_unit="m")
-    assert any('gives a steady clock: clock = "frame"' in note for note in jittery.provenance.notes)
+    assert any('gives a steady clock: clock = "frame"' in note for note in jittery.provenance.sentences)
     log = load(path, length_unit="m", clock="frame")["body/position"]
     # The delays of 1 to 41 ms leave their mean in the clock, and 12 ms/sqrt(400) each way of it.
     np.testing.assert_allclose(log.time - frames / 100, 0.024, atol=4e-3)
@@ -215,5 +217,5 @@ def test_a_delta_x_that_the_times_contradict_is_said(write):
     for step, said in ((0.5, False), (0.001, True)):
         rows_ = "".join(f"{step * i if said is False else i}\t{i}\n" for i in range(5))
         text = LVM.format(columns="One", axis="").replace("Delta_X\t0.5", f"Delta_X\t{step}")
-        notes = load(write(text + rows_)).provenance.notes
+        notes = load(write(text + rows_)).provenance.sentences
         assert any("states 1000 Hz but its column of times steps by 1 s" in note for note in notes) is said

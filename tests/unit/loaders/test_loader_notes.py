@@ -12,7 +12,7 @@ from sysid.loaders import load
 
 
 def notes(recording):
-    return " | ".join(recording.provenance.notes)
+    return " | ".join(recording.provenance.sentences)
 
 
 NET = (

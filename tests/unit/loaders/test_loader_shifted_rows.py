@@ -33,7 +33,7 @@ def test_a_delimiter_too_many_leaves_the_row_out(stand, place):
     cells = (ROWS[5] + ",").split(",")
     row = ",".join([*cells[:place], "", *cells[place:]])
     log = load(stand(changed(line_7=row)))
-    assert any("cell too many" in note and "line 7" in note for note in log.provenance.notes)
+    assert any("cell too many" in note and "line 7" in note for note in log.provenance.sentences)
     # 5: the time is not below its name either, so the row has no place in the log.
     np.testing.assert_array_equal(log["thrust"].values, np.delete(2.0 + np.arange(20), 5))
     np.testing.assert_array_equal(log["thrust"].time, np.delete(np.arange(20) / 100, 5))
@@ -42,7 +42,7 @@ def test_a_delimiter_too_many_leaves_the_row_out(stand, place):
 def test_a_delimiter_lost_leaves_the_row_out(stand):
     row = "0.05,10050.5,7,16,,"
     log = load(stand(changed(line_7=row)))
-    assert any("fewer than 7 cells" in note and "line 7" in note for note in log.provenance.notes)
+    assert any("fewer than 7 cells" in note and "line 7" in note for note in log.provenance.sentences)
     np.testing.assert_array_equal(log["thrust"].values, np.delete(2.0 + np.arange(20), 5))
 
 
@@ -53,7 +53,7 @@ def test_words_may_hold_delimiters_and_scripts_append_cells(stand):
     )
     log = load(stand(rows, names))
     np.testing.assert_array_equal(log["thrust"].values, 2.0 + np.arange(20))
-    assert not any("cell" in note for note in log.provenance.notes)
+    assert not any("cell" in note for note in log.provenance.sentences)
 
 
 def test_a_header_that_lost_a_name_is_refused(stand):

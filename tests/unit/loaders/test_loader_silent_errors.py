@@ -22,7 +22,7 @@ RAMP = np.linspace(0.0, 6.0, COUNT)
 
 
 def said(log):
-    return " | ".join(log.provenance.notes)
+    return " | ".join(log.provenance.sentences)
 
 
 def test_the_number_of_a_matrix_column_is_no_unit(tmp_path):

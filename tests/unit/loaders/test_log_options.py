@@ -232,5 +232,5 @@ def test_channels_on_one_clock():
     # Ten samples lost are 110 ms between two known ones: nothing is filled in there.
     lost = time[~known & (time < 0.75)]
     assert (lost[0], lost[-1]) == (pytest.approx(0.391, abs=1e-6), pytest.approx(0.499, abs=1.1e-3))
-    assert any("taken linear between them" in note for note in found.provenance.notes)
+    assert any("taken linear between them" in note for note in found.provenance.sentences)
     assert on_one_clock(found, ("command", "speed", "torque"), ("torque",)) is found
