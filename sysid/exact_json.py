@@ -19,7 +19,8 @@ _SPECIAL = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 _LOOKS_SPECIAL = re.compile(r"'*(NaN|-?Infinity)\Z")
 
 
-def _encoded(value: Any) -> Any:
+def encoded(value: Any) -> Any:
+    """Return `value` as JSON can hold it."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if value is None or isinstance(value, bool | int):
@@ -33,21 +34,22 @@ def _encoded(value: Any) -> Any:
     if isinstance(value, Mapping):
         if not all(isinstance(key, str) for key in value):
             raise TypeError(f"keys {list(value)!r} are not all text")
-        return {key: _encoded(item) for key, item in value.items()}
+        return {key: encoded(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_encoded(item) for item in value]
+        return [encoded(item) for item in value]
     raise TypeError(f"{type(value).__name__} has no place in a result file; convert it to numbers or text")
 
 
-def _decoded(value: Any) -> Any:
+def decoded(value: Any) -> Any:
+    """Return what `encoded` was given."""
     if isinstance(value, str):
         if value in _SPECIAL:
             return _SPECIAL[value]
         return value[1:] if value.startswith("'") and _LOOKS_SPECIAL.match(value) else value
     if isinstance(value, dict):
-        return {key: _decoded(item) for key, item in value.items()}
+        return {key: decoded(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_decoded(item) for item in value]
+        return [decoded(item) for item in value]
     return value
 
 
@@ -63,7 +65,7 @@ def dumps(value: Any, *, indent: int | None = 2, ascii_only: bool = False) -> st
     TypeError
         For anything else, and for keys that are not text.
     """
-    return json.dumps(_encoded(value), indent=indent, ensure_ascii=ascii_only, allow_nan=False)
+    return json.dumps(encoded(value), indent=indent, ensure_ascii=ascii_only, allow_nan=False)
 
 
 def loads(text: str) -> Any:
@@ -74,9 +76,9 @@ def loads(text: str) -> Any:
     ValueError
         When the text is not JSON, or is cut off.
     """
-    return _decoded(json.loads(text, parse_constant=_refuse))
+    return decoded(json.loads(text, parse_constant=_refuse))
 
 
 def plain(value: Any) -> Any:
     """Return `value` as reading it back would: arrays and tuples as lists, numpy scalars as numbers."""
-    return _decoded(_encoded(value))
+    return decoded(encoded(value))

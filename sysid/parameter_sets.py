@@ -8,21 +8,20 @@ exactly this; see `sysid.export`.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from sysid import exact_json
+from sysid.documents import Document, OpenMapping, Part
 from sysid.errors import ExportError
 from sysid.parameters import Parameter, SearchSpace
 from sysid.types import FloatArray
 
 Status = Literal["free", "measured", "fixed", "derived", "unknown"]
-
-SCHEMA = "sysid-parameter-sets"
-SCHEMA_VERSION = 1
 
 STATUS_MEANING: dict[str, str] = {
     "free": "found by the search between its bounds",
@@ -86,6 +85,67 @@ class ParameterRecord:
             row.name, row.symbol, row.unit, status, row.meaning, row.source,
             row.nominal, row.lower, row.upper, row.scale, measured_range,
         )  # fmt: skip
+
+
+class TrialUse(Part):
+    """A trial and what it is for: ``fit`` or ``validate``."""
+
+    name: str
+    use: str
+
+
+class ChannelUse(Part):
+    """A compared channel, its SI unit and its weight in a trial's mean [1]."""
+
+    name: str
+    unit: str
+    weight: float
+
+
+class OneSet(Part):
+    """One ranked set: numbers by the parameter's name, NRMSE by trial and channel [1]."""
+
+    rank: int
+    run: int
+    seed: int
+    nrmse: float
+    values: dict[str, float]
+    at_bound: dict[str, int]
+    nrmse_by_trial: dict[str, dict[str, float]]
+
+
+class SetsHead(Document):
+    """What every file of parameter sets says beside the numbers."""
+
+    WHAT: ClassVar[str] = "a parameter-set file"
+    REMEDY: ClassVar[str] = "export the fit again with sysid export"
+
+    schema_: Literal["sysid-parameter-sets"] = Field("sysid-parameter-sets", alias="schema")
+    version: Literal[1] = 1
+    kind: Literal["motor", "gear"]
+    name: str
+    units: str = "SI without exception; angles in rad"
+    parameters: tuple[ParameterRecord, ...]
+    trials: tuple[TrialUse, ...]
+    channels: tuple[ChannelUse, ...]
+    settings: OpenMapping
+    provenance: OpenMapping
+    warnings: tuple[str, ...]
+
+
+class SetsMetadata(SetsHead):
+    """What is said beside the arrays, where a file holds arrays."""
+
+    runs: tuple[int, ...]
+    seeds: tuple[int, ...]
+
+
+class SetsDocument(SetsHead):
+    """Parameter sets as one JSON document: sets by rank, numbers by name."""
+
+    sets: tuple[OneSet, ...]
+    mean: dict[str, float]
+    sigma: dict[str, float]
 
 
 # Keys of a result's settings: numbers that the data fix only in combination, and those combinations.
@@ -253,7 +313,7 @@ class ParameterSets:
         if not isinstance(other, ParameterSets):
             return NotImplemented
         # As text NaN equals NaN and 0.0 differs from -0.0: equal means equal bit for bit.
-        return exact_json.dumps(self.document()) == exact_json.dumps(other.document())
+        return self.document().line() == other.document().line()
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -291,55 +351,53 @@ class ParameterSets:
         stated = [r.stated_sigma for r in self.parameters]
         return np.array([np.nan if value is None else value for value in stated], dtype=np.float64)
 
-    def metadata(self) -> dict[str, Any]:
-        """Return everything but the arrays, ready for JSON."""
+    def _head(self) -> dict[str, Any]:
         return {
-            "schema": SCHEMA,
-            "version": SCHEMA_VERSION,
             "kind": self.kind,
             "name": self.name,
-            "units": "SI without exception; angles in rad",
-            "parameters": [asdict(record) for record in self.parameters],
-            "runs": list(self.runs),
-            "seeds": list(self.seeds),
-            "trials": [{"name": t, "use": u} for t, u in zip(self.trials, self.uses, strict=True)],
+            "parameters": self.parameters,
+            "trials": [TrialUse(name=t, use=u) for t, u in zip(self.trials, self.uses, strict=True)],
             "channels": [
-                {"name": c, "unit": u, "weight": w}
+                ChannelUse(name=c, unit=u, weight=w)
                 for c, u, w in zip(self.channels, self.channel_units, self.channel_weights, strict=True)
             ],
             "settings": self.settings,
             "provenance": self.provenance,
-            "warnings": list(self.warnings),
+            "warnings": self.warnings,
         }
 
-    def document(self) -> dict[str, Any]:
-        """Return the whole as one JSON document, sets by rank and numbers by name."""
+    def metadata(self) -> SetsMetadata:
+        """Return everything but the arrays."""
+        return SetsMetadata(**self._head(), runs=self.runs, seeds=self.seeds)
+
+    def document(self) -> SetsDocument:
+        """Return the whole as one JSON document."""
         free = [i for i, record in enumerate(self.parameters) if record.status == "free"]
-        document = self.metadata()
-        runs, seeds = document.pop("runs"), document.pop("seeds")
-        document["sets"] = [
-            {
-                "rank": s + 1,
-                "run": runs[s],
-                "seed": seeds[s],
-                "nrmse": float(self.nrmse[s]),
-                "values": self.set_values(s + 1),
-                "at_bound": {self.names[i]: int(self.at_bound[s, i]) for i in free},
-                "nrmse_by_trial": {
+        sets = [
+            OneSet(
+                rank=s + 1,
+                run=self.runs[s],
+                seed=self.seeds[s],
+                nrmse=self.nrmse[s],
+                values=self.set_values(s + 1),
+                at_bound={self.names[i]: int(self.at_bound[s, i]) for i in free},
+                nrmse_by_trial={
                     trial: dict(zip(self.channels, self.nrmse_by_trial[s, t].tolist(), strict=True))
                     for t, trial in enumerate(self.trials)
                 },
-            }
+            )
             for s in range(len(self))
         ]
-        document["mean"] = dict(zip(self.names, self.mean.tolist(), strict=True)) if len(self) else {}
-        document["sigma"] = dict(zip(self.names, self.sigma.tolist(), strict=True)) if len(self) else {}
-        return document
+        mean, sigma = (
+            dict(zip(self.names, row.tolist(), strict=True)) if len(self) else {}
+            for row in (self.mean, self.sigma)
+        )
+        return SetsDocument(**self._head(), sets=tuple(sets), mean=mean, sigma=sigma)
 
     @classmethod
     def from_metadata(
         cls,
-        metadata: Mapping[str, Any],
+        metadata: SetsMetadata,
         values: FloatArray,
         nrmse: FloatArray,
         at_bound: NDArray[np.int8],
@@ -349,84 +407,56 @@ class ParameterSets:
 
         Raises
         ------
-        ExportError
-            When the schema is foreign or its version unknown.
-        KeyError, TypeError, ValueError
-            When something is missing or contradicts itself.
+        ValueError
+            When they contradict each other.
         """
-        check_schema(metadata)
-        known = {field.name for field in fields(ParameterRecord)}
-        records = []
-        for row in metadata["parameters"]:
-            if set(row) != known:
-                raise ValueError(
-                    f"parameter {row.get('name')!r} has other fields than schema {SCHEMA_VERSION}"
-                )
-            records.append(ParameterRecord(**row))
         return cls(
-            kind=metadata["kind"],
-            name=metadata["name"],
-            parameters=tuple(records),
+            kind=metadata.kind,
+            name=metadata.name,
+            parameters=metadata.parameters,
             values=values,
             nrmse=nrmse,
-            runs=tuple(metadata["runs"]),
-            seeds=tuple(metadata["seeds"]),
+            runs=metadata.runs,
+            seeds=metadata.seeds,
             at_bound=at_bound,
-            trials=tuple(trial["name"] for trial in metadata["trials"]),
-            uses=tuple(trial["use"] for trial in metadata["trials"]),
-            channels=tuple(channel["name"] for channel in metadata["channels"]),
-            channel_units=tuple(channel["unit"] for channel in metadata["channels"]),
-            channel_weights=tuple(channel["weight"] for channel in metadata["channels"]),
+            trials=tuple(trial.name for trial in metadata.trials),
+            uses=tuple(trial.use for trial in metadata.trials),
+            channels=tuple(channel.name for channel in metadata.channels),
+            channel_units=tuple(channel.unit for channel in metadata.channels),
+            channel_weights=tuple(channel.weight for channel in metadata.channels),
             nrmse_by_trial=nrmse_by_trial,
-            settings=metadata["settings"],
-            provenance=metadata["provenance"],
-            warnings=tuple(metadata["warnings"]),
+            settings=metadata.settings,
+            provenance=metadata.provenance,
+            warnings=metadata.warnings,
         )
 
     @classmethod
-    def from_document(cls, document: Mapping[str, Any]) -> ParameterSets:
-        """Return the sets of a JSON document; raises as `from_metadata`."""
-        check_schema(document)
-        sets = document["sets"]
-        names = [row["name"] for row in document["parameters"]]
-        trials = [trial["name"] for trial in document["trials"]]
-        channels = [channel["name"] for channel in document["channels"]]
-        if [one["rank"] for one in sets] != list(range(1, len(sets) + 1)):
+    def from_document(cls, document: SetsDocument) -> ParameterSets:
+        """Return the sets of a JSON document.
+
+        Raises
+        ------
+        KeyError, ValueError
+            When something is missing or contradicts itself.
+        """
+        sets = document.sets
+        names = [record.name for record in document.parameters]
+        trials = [trial.name for trial in document.trials]
+        channels = [channel.name for channel in document.channels]
+        if [row.rank for row in sets] != list(range(1, len(sets) + 1)):
             raise ValueError("sets are not in the order of their rank")
-        for one in sets:
-            if set(one["values"]) != set(names):
-                raise ValueError(f"set {one['rank']} does not name every parameter once")
-        metadata = dict(document)
-        metadata["runs"] = [one["run"] for one in sets]
-        metadata["seeds"] = [one["seed"] for one in sets]
-        by_trial = [[[one["nrmse_by_trial"][t][c] for c in channels] for t in trials] for one in sets]
+        for row in sets:
+            if {*row.values} != {*names}:
+                raise ValueError(f"set {row.rank} does not name every parameter once")
+        size = len(sets)
+        head = {name: getattr(document, name) for name in SetsHead.model_fields}
+        values = [[row.values[n] for n in names] for row in sets]
+        bounds = [[row.at_bound.get(n, 0) for n in names] for row in sets]
+        scores = [[[row.nrmse_by_trial[t][c] for c in channels] for t in trials] for row in sets]
         return cls.from_metadata(
-            metadata,
-            values=np.array([[one["values"][n] for n in names] for one in sets]).reshape(
-                len(sets), len(names)
-            ),
-            nrmse=np.array([one["nrmse"] for one in sets], dtype=np.float64),
-            at_bound=np.array(
-                [[one["at_bound"].get(n, 0) for n in names] for one in sets], dtype=np.int8
-            ).reshape(len(sets), len(names)),
-            nrmse_by_trial=np.array(by_trial, dtype=np.float64).reshape(
-                len(sets), len(trials), len(channels)
-            ),
-        )
-
-
-def check_schema(metadata: Any) -> None:
-    """Refuse a document that is not ours or of a version this code does not know.
-
-    Raises
-    ------
-    ExportError
-        With the reason.
-    """
-    if not isinstance(metadata, Mapping) or metadata.get("schema") != SCHEMA:
-        raise ExportError("not a parameter-set file of sysid; expected one written by sysid export")
-    if metadata.get("version") != SCHEMA_VERSION:
-        raise ExportError(
-            f"schema version {metadata.get('version')!r}, expected {SCHEMA_VERSION}; "
-            "read it with the version of sysid that wrote it, or export the fit again"
+            SetsMetadata(**head, runs=tuple(row.run for row in sets), seeds=tuple(row.seed for row in sets)),
+            values=np.array(values).reshape(size, len(names)),
+            nrmse=np.array([row.nrmse for row in sets], dtype=np.float64),
+            at_bound=np.array(bounds, dtype=np.int8).reshape(size, len(names)),
+            nrmse_by_trial=np.array(scores, dtype=np.float64).reshape(size, len(trials), len(channels)),
         )

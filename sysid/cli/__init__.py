@@ -356,6 +356,16 @@ def demo(
     run_demo(data, out, quiet, None if quiet else say, json)
 
 
+@app.command("schema")
+def schema(
+    name: Annotated[str | None, typer.Argument(help="Of the document; without it, all names.")] = None,
+) -> None:
+    """Print the JSON Schema of a document that sysid writes: fit, trust, validation, …"""
+    from sysid.workflows.schema import print_schema
+
+    print_schema(name)
+
+
 def _version(value: bool) -> None:
     if value:
         from sysid import __version__

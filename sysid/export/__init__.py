@@ -11,11 +11,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
-from sysid import exact_json
 from sysid.errors import ExportError
 from sysid.export import binary, spreadsheet
 from sysid.export.mean_table import MeanRow, format_mean_table, mean_table
-from sysid.parameter_sets import ParameterSets
+from sysid.parameter_sets import ParameterSets, SetsDocument
 from sysid.storage import write_file
 
 __all__ = ["MeanRow", "export", "format_mean_table", "load_parameter_sets", "mean_table"]
@@ -30,11 +29,12 @@ class HasParameterSets(Protocol):
 
 
 def _to_json(sets: ParameterSets) -> bytes:
-    return (exact_json.dumps(sets.document()) + "\n").encode("utf-8")
+    return sets.document().text().encode("utf-8")
 
 
-def _from_json(data: bytes) -> ParameterSets:
-    return ParameterSets.from_document(exact_json.loads(data.decode("utf-8-sig")))
+def _from_json(data: bytes, place: object) -> ParameterSets:
+    document = SetsDocument.parse(data.decode("utf-8-sig"), place, ExportError)
+    return ParameterSets.from_document(document)
 
 
 _WRITERS = {
@@ -121,9 +121,7 @@ def load_parameter_sets(path: str | Path) -> ParameterSets:
             f"{file}: neither JSON, CSV, HDF5 nor MAT of sysid; expected a file that sysid export wrote"
         )
     try:
-        return reader(data)
-    except ExportError as error:
-        raise ExportError(f"{file}: {error}") from error
+        return reader(data, file)
     # Everything that a damaged file can make the three libraries and our own checks raise.
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, OSError, EOFError) as error:
         raise ExportError(

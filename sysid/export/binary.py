@@ -8,6 +8,7 @@ MATLAB also one structure per set) are for other readers.
 from __future__ import annotations
 
 import io
+import json
 import re
 import zlib
 from typing import Any
@@ -17,8 +18,8 @@ import numpy as np
 import scipy.io
 from scipy.io.matlab import MatReadError
 
-from sysid import exact_json
-from sysid.parameter_sets import ParameterSets
+from sysid.errors import ExportError
+from sysid.parameter_sets import ParameterSets, SetsMetadata
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 MAT_SIGNATURE = b"MATLAB 5.0 MAT-file"
@@ -43,8 +44,8 @@ def to_hdf5(sets: ParameterSets) -> bytes:
     text = h5py.string_dtype()
     metadata = sets.metadata()
     with h5py.File(stream, "w") as file:
-        file.attrs["schema"] = metadata["schema"]
-        file.attrs["version"] = metadata["version"]
+        file.attrs["schema"] = metadata.schema_
+        file.attrs["version"] = metadata.version
         file.attrs["kind"] = sets.kind
         file["values"] = sets.values
         file["values"].attrs["axes"] = "set (best first), parameter; units in parameters/unit"
@@ -61,7 +62,7 @@ def to_hdf5(sets: ParameterSets) -> bytes:
                 file.create_dataset(f"parameters/{key}", data=[_no_nul(c) for c in column], dtype=text)
         for key, names in (("trials", sets.trials), ("channels", sets.channels)):
             file.create_dataset(key, data=[_no_nul(n) for n in names], dtype=text, shape=(len(names),))
-        file.create_dataset("metadata_json", data=exact_json.dumps(metadata, indent=None), dtype=text)
+        file.create_dataset("metadata_json", data=metadata.line(), dtype=text)
     return stream.getvalue()
 
 
@@ -70,31 +71,22 @@ def _no_nul(text: str) -> str:
     return text.replace("\0", "")
 
 
-def from_hdf5(data: bytes) -> ParameterSets:
+def from_hdf5(data: bytes, place: object) -> ParameterSets:
     """Return the sets of a file that `to_hdf5` wrote; any other exception than ExportError means damage."""
     with h5py.File(io.BytesIO(data), "r") as file:
-        if "metadata_json" not in file:
-            metadata: Any = {}
-        else:
-            metadata = exact_json.loads(file["metadata_json"].asstr()[()])
+        text = file["metadata_json"].asstr()[()] if "metadata_json" in file else "{}"
+        metadata = SetsMetadata.parse(text, place, ExportError)
         # The fit.h5 of a fit folder keeps the same arrays in a group of their own.
         group = file.get("sets", file)
         arrays = {key: group[key][()] for key in _ARRAYS if key in group}
     return _assembled(metadata, arrays)
 
 
-def _assembled(metadata: Any, arrays: dict[str, Any]) -> ParameterSets:
-    missing = set(_ARRAYS) - set(arrays)
-    if missing and isinstance(metadata, dict) and "schema" in metadata:
+def _assembled(metadata: SetsMetadata, arrays: dict[str, Any]) -> ParameterSets:
+    missing = {*_ARRAYS} - {*arrays}
+    if missing:
         raise ValueError(f"{', '.join(sorted(missing))} missing")
-    empty = np.empty(0)
-    return ParameterSets.from_metadata(
-        metadata,
-        values=arrays.get("values", empty),
-        nrmse=arrays.get("nrmse", empty),
-        at_bound=arrays.get("at_bound", empty),
-        nrmse_by_trial=arrays.get("nrmse_by_trial", empty),
-    )
+    return ParameterSets.from_metadata(metadata, **arrays)
 
 
 def _field_names(names: tuple[str, ...]) -> dict[str, str]:
@@ -127,8 +119,8 @@ def to_mat(sets: ParameterSets) -> bytes:
     }
     metadata = sets.metadata()
     content: dict[str, Any] = {
-        "schema": metadata["schema"],
-        "version": float(metadata["version"]),
+        "schema": metadata.schema_,
+        "version": float(metadata.version),
         "kind": sets.kind,
         "name": sets.name,
         "sets": by_set,
@@ -140,7 +132,7 @@ def to_mat(sets: ParameterSets) -> bytes:
         "at_bound": sets.at_bound.astype(np.float64),
         "nrmse_by_trial": sets.nrmse_by_trial,
         # Plain ASCII: MATLAB stores text in a code of its own.
-        "metadata_json": exact_json.dumps(metadata, indent=None, ascii_only=True),
+        "metadata_json": json.dumps(json.loads(metadata.line())),
     }
     stream: Any = io.BytesIO()
     scipy.io.savemat(
@@ -153,27 +145,24 @@ def to_mat(sets: ParameterSets) -> bytes:
     return stream.getvalue()
 
 
-def from_mat(data: bytes) -> ParameterSets:
+def from_mat(data: bytes, place: object) -> ParameterSets:
     """Return the sets of a file that `to_mat` wrote; any other exception than ExportError means damage."""
     try:
         stream: Any = io.BytesIO(data)
         variables = scipy.io.loadmat(stream, squeeze_me=False)
     except (MatReadError, zlib.error) as error:
         raise ValueError(str(error)) from error
-    if "sysid" not in variables:
-        return _assembled({}, {})
-    content = variables["sysid"][0, 0]
+    content: Any = variables["sysid"][0, 0] if "sysid" in variables else np.empty(())
     names = content.dtype.names or ()
-    if "metadata_json" not in names:
-        return _assembled({}, {})
-    metadata = exact_json.loads(str(content["metadata_json"].item()))
-    n_sets, n = len(metadata["runs"]), len(metadata["parameters"])
+    text = str(content["metadata_json"].item()) if "metadata_json" in names else "{}"
+    metadata = SetsMetadata.parse(text, place, ExportError)
+    n_sets, n = len(metadata.runs), len(metadata.parameters)
     shapes = {
         "values": (n_sets, n),
         "nrmse": (n_sets,),
         "at_bound": (n_sets, n),
         # MATLAB drops a last axis of one.
-        "nrmse_by_trial": (n_sets, len(metadata["trials"]), len(metadata["channels"])),
+        "nrmse_by_trial": (n_sets, len(metadata.trials), len(metadata.channels)),
     }
     arrays = {
         key: np.asarray(content[key], np.float64).reshape(shape)

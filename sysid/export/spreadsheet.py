@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from sysid import exact_json
-from sysid.parameter_sets import ParameterSets
+from sysid.errors import ExportError
+from sysid.parameter_sets import ParameterSets, SetsMetadata
 
 SIGNATURE = b"row,name,symbol,unit,status,"
 _FIXED = ("row", "name", "symbol", "unit", "status", "lower", "upper", "scale", "nominal", "mean", "sigma")
@@ -34,7 +35,7 @@ def to_csv(sets: ParameterSets) -> bytes:
         "meaning",
         "source",
     ]
-    metadata = sets.metadata()
+    metadata = sets.metadata().model_dump()
     records = metadata.pop("parameters")
     rows: list[dict[str, Any]] = []
     for key, value in metadata.items():
@@ -84,7 +85,7 @@ def _number(cell: str) -> float | None:
     return None if cell == "" else float(cell)
 
 
-def from_csv(data: bytes) -> ParameterSets:
+def from_csv(data: bytes, place: object) -> ParameterSets:
     """Return the sets of a file that `to_csv` wrote; any other exception than ExportError means damage."""
     rows = _rows(data.decode("utf-8-sig"))
     if not rows or rows[-1]["row"] != "end" or rows[-1]["name"] != str(len(rows) - 1):
@@ -96,21 +97,22 @@ def from_csv(data: bytes) -> ParameterSets:
     }
     parameters = [row for row in rows if row["row"] == "parameter"]
     metadata["parameters"] = [_record(row) for row in parameters]
-    n_sets = len(metadata["runs"])
+    checked = SetsMetadata.of(metadata, place, ExportError)
+    n_sets = len(checked.runs)
     names = [f"set_{s + 1}" for s in range(n_sets)]
     flags = [f"at_bound_{s + 1}" for s in range(n_sets)]
     scores = {
         (row["name"], row["symbol"]): [float(row[n]) for n in names] for row in rows if row["row"] == "nrmse"
     }
-    trials = [trial["name"] for trial in metadata["trials"]]
-    channels = [channel["name"] for channel in metadata["channels"]]
+    trials = [trial.name for trial in checked.trials]
+    channels = [channel.name for channel in checked.channels]
     by_trial = np.empty((n_sets, len(trials), len(channels)))
     for t, trial in enumerate(trials):
         for c, channel in enumerate(channels):
             by_trial[:, t, c] = scores[trial, channel]
     (mean,) = (row for row in rows if row["row"] == "nrmse_mean")
     return ParameterSets.from_metadata(
-        metadata,
+        checked,
         values=np.array([[float(row[n]) for row in parameters] for n in names]).reshape(
             n_sets, len(parameters)
         ),

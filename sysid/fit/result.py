@@ -18,9 +18,6 @@ from sysid.parameter_sets import ParameterRecord, ParameterSets
 from sysid.parameters import SearchSpace, in_words, with_unit
 from sysid.types import BoolArray, FloatArray
 
-# Key of a stopped fit's provenance: why, in the words of `sysid.fit.stopping.REASONS`.
-CUT_SHORT = "cut short"
-
 
 @dataclass(frozen=True, eq=False)
 class TrialResult:

@@ -19,14 +19,13 @@ from sysid.errors import ExportError, FitError
 from sysid.filters import Spectrum
 from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.optima import waterfall
+from sysid.fit.provenance import FitDocument
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.stopping import REASONS
 from sysid.fit.summary import failures, record_lines, run_record
-from sysid.parameter_sets import ParameterSets, in_place_of_digits
+from sysid.parameter_sets import ParameterSets, SetsMetadata, in_place_of_digits
 from sysid.storage import check_folder, replaced_folder
 
-# Key of the provenance: where the campaign lies, seen from the fit folder.
-FROM_FOLDER = "from the fit folder"
 FIT_SCHEMA = "sysid-fit"
 FIT_VERSION = 3
 _STAGE_FIELDS = ("algorithm", "evaluations", "simulations", "wall_time", "stop_reason")
@@ -67,7 +66,7 @@ def write_fit(result: FitResult, path: str | Path, force: bool = False) -> Path:
     """
     path = Path(path)
     sets = result.parameter_sets()
-    text = exact_json.dumps(sets.document()) + "\n"
+    text = FitDocument(**vars(sets.document())).text()
     # Built in memory: on a full disk the HDF5 library itself would go down with the process.
     numbers = io.BytesIO()
     with h5py.File(numbers, "w") as file:
@@ -92,7 +91,7 @@ def _write_numbers(file: Any, result: FitResult, sets: ParameterSets) -> None:
     file.attrs["schema"] = FIT_SCHEMA
     file.attrs["version"] = FIT_VERSION
     file.attrs["state"] = result.state
-    file.create_dataset("metadata_json", data=exact_json.dumps(sets.metadata(), indent=None), dtype=text)
+    file.create_dataset("metadata_json", data=sets.metadata().line(), dtype=text)
     record = exact_json.dumps(run_record(result), indent=None)
     file.create_dataset("record_json", data=record, dtype=text)
     group = file.create_group("sets")
@@ -164,7 +163,7 @@ def read_fit(path: str | Path) -> FitResult:
 def _read_numbers(file: Any) -> FitResult:
     group = file["sets"]
     sets = ParameterSets.from_metadata(
-        exact_json.loads(file["metadata_json"].asstr()[()]),
+        SetsMetadata.parse(file["metadata_json"].asstr()[()], file.filename, FitError),
         values=group["values"][()],
         nrmse=group["nrmse"][()],
         at_bound=group["at_bound"][()],

@@ -6,7 +6,6 @@ from typing import Any
 
 from sysid.fit.history import RunHistory
 from sysid.fit.result import FitResult
-from sysid.fit.stopping import REASONS
 
 
 def run_record(result: FitResult) -> dict[str, Any]:
@@ -25,24 +24,24 @@ def run_record(result: FitResult) -> dict[str, Any]:
         **result.provenance,
         "totals": {
             "candidates": evaluations,
-            "failed candidates": sum(int(run.failed.sum()) for run in result.runs),
+            "failed": sum(int(run.failed.sum()) for run in result.runs),
             "simulations": simulations,
-            "wall time of the runs [s]": wall_time,
-            "simulations per second of a run": simulations / wall_time if wall_time > 0 else None,
+            "wall_time": wall_time,
+            "simulations_per_second": simulations / wall_time if wall_time > 0 else None,
         },
         "runs": [
             {
                 "seed": run.seed,
-                "NRMSE": float(run.best[-1]),
+                "nrmse": float(run.best[-1]),
                 "stages": [
                     {
                         "algorithm": stage.algorithm,
                         "generations": len(stage.cost),
                         "candidates": stage.evaluations,
-                        "failed candidates": int(stage.failed.sum()),
-                        "failed candidates by cause": stage.failures,
-                        "wall time [s]": stage.wall_time,
-                        "ended": REASONS[stage.stop_reason],
+                        "failed": int(stage.failed.sum()),
+                        "failures": stage.failures,
+                        "wall_time": stage.wall_time,
+                        "ended": stage.stop_reason,
                     }
                     for stage in run.stages
                 ],
@@ -65,7 +64,8 @@ def record_lines(record: dict[str, Any]) -> list[str]:
 
 def _lines(values: dict[str, Any], indent: str) -> list[str]:
     lines = []
-    for key, value in values.items():
+    for name, value in values.items():
+        key = name.replace("_", " ")
         if isinstance(value, dict) and value:
             lines += [f"{indent}{key}", *_lines(value, indent + "  ")]
         elif isinstance(value, list | tuple) and any(isinstance(item, dict | list) for item in value):

@@ -213,7 +213,7 @@ def _prepare(
             "release [s]": flight.start,
             "touchdown [s]": touchdown,
             "impact speed [m/s]": impact_speed,
-            "state at the window's start [SI]": [float(value) for value in initial_state],
+            "initial_state": [float(value) for value in initial_state],
             "free-fall g [m/s²]": flight.measured_gravity,
             "lost frames in window": int(np.sum(~planar.valid[window])),
             "notes": notes,

@@ -341,7 +341,7 @@ def _walked(walk: FitWalk, campaign: GearCampaign, dropped: tuple[str, ...]) -> 
         filters=_filter_design(campaign, fitted[0]),
         logs={drop.name: drop.provenance for drop in drops},
         warnings=lost,
-        more={"failed candidates by cause": summed(run.failures for run in found.runs), **expected},
+        more={"failures": summed(run.failures for run in found.runs), **expected},
     )
     return walk.finish(space, found, sets, outcome)
 

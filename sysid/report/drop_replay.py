@@ -23,7 +23,7 @@ _ONE_CONTACT = 5e-3
 # Slower than this a foot on high friction sticks [m/s]: what integration leaves of a stuck foot's speed stays
 # below it, and a slip passes it within a millisecond.
 _STICKS = 1e-3
-START = "state at the window's start [SI]"
+START = "initial_state"
 FEET = ("rear", "front")
 
 

@@ -367,7 +367,7 @@ class FitReport:
             [
                 (
                     "sysid",
-                    f"{record.get('sysid')}, revision {(record.get('git revision') or 'unknown')[:12]}",
+                    f"{record.get('sysid')}, revision {(record.get('git_revision') or 'unknown')[:12]}",
                 ),
                 ("written", str(record.get("written"))),
                 ("campaign", f"{record.get('campaign', {}).get('file')}"),
@@ -375,9 +375,9 @@ class FitReport:
                 ("NRMSE", f"rms error over {record.get('nrmse_denominator')} of the measurement"),
                 (
                     "candidates",
-                    f"{record['totals']['candidates']}, {record['totals']['failed candidates']} failed",
+                    f"{record['totals']['candidates']}, {record['totals']['failed']} failed",
                 ),
-                ("computed in", f"{record['totals']['wall time of the runs [s]']:.0f} s of runs"),
+                ("computed in", f"{record['totals']['wall_time']:.0f} s of runs"),
             ],
             "where it comes from",
         )

@@ -49,7 +49,7 @@ names lie in the HDF5 file, every dataset with the attributes ``axes`` and ``uni
     ``bootstrap/values`` (B, n).
 
 ``validation-CAMPAIGN`` (of a second file of that name ``validation-CAMPAIGN-HASH``) and ``cross-validation``
-    ``campaign``: {"file", "sha256"}, of a validation also "from the fit folder" (its path). ``flagged``: true
+    ``campaign``: {"file", "sha256"}, of a validation also "from_fit_folder" (its path). ``flagged``: true
     where the prediction is off by more than the limit; ``reasons``: sentences that name the number.
     ``ratio``, ``ratio_third_contact``: means over the trials. ``limits``: {number: limit}. ``nrmse``:
     mean of the best set over all trials; ``nrmse_fitted``: of the fit. ``trials``: list of
@@ -91,7 +91,6 @@ import numpy as np
 
 from sysid import exact_json
 from sysid.errors import FitError
-from sysid.fit.store import FROM_FOLDER
 from sysid.storage import write_file
 
 SCHEMA, VERSION = "sysid-trust", 1
@@ -230,7 +229,7 @@ def free_part(folder: Path, part: str, campaign: Mapping[str, str]) -> str:
                 continue
             if found is not None:
                 there[name] = found["campaign"]
-    for key in (FROM_FOLDER, "sha256"):
+    for key in ("from_fit_folder", "sha256"):
         same = [name for name, one in there.items() if one.get(key, "") == campaign.get(key)]
         if same:
             return same[0]

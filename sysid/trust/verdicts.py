@@ -10,7 +10,7 @@ import numpy as np
 # Relative 95 % half-widths that part the verdicts.
 WELL, WEAKLY = 0.1, 0.5
 # Key of a fit's provenance: what its trials were expected to fix.
-EXPECTED = "expected to be identifiable"
+EXPECTED = "expected"
 VERDICTS = ("well", "weakly", "not identifiable")
 
 

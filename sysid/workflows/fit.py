@@ -14,9 +14,9 @@ from sysid.fit.checkpoint import checkpoint_folder, run_numbers
 from sysid.fit.objective import Objective
 from sysid.fit.optima import loose_warnings
 from sysid.fit.progress import FitProgress
-from sysid.fit.result import CUT_SHORT, FitResult, RankedSets, TrialResult, bound_warnings
+from sysid.fit.result import FitResult, RankedSets, TrialResult, bound_warnings
 from sysid.fit.search import SearchSettings
-from sysid.fit.stopping import REASONS, Deadline, stop_on_interrupt
+from sysid.fit.stopping import Deadline, stop_on_interrupt
 from sysid.parameter_sets import ParameterRecord
 from sysid.parameters import SearchSpace
 from sysid.workflows.search import (
@@ -186,7 +186,7 @@ class FitWalk:
                     self.folder,
                     space.names,
                 ),
-                **({} if found.cut is None else {CUT_SHORT: REASONS[found.cut]}),
+                **({} if found.cut is None else {"cut_short": found.cut}),
                 **outcome.more,
             },
             warnings=(*self._doubts, *found.warnings, *closing, *outcome.told),

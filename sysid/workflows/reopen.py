@@ -12,7 +12,7 @@ import numpy as np
 from sysid.campaign import GearCampaign, MotorCampaign, read_campaign
 from sysid.errors import FitError, SysidWarning
 from sysid.fit.result import FitResult
-from sysid.fit.store import FROM_FOLDER, read_fit
+from sysid.fit.store import read_fit
 from sysid.gear import problem as gear
 from sysid.gear.drops import PreparedDrop, prepare_drops
 from sysid.gear.trust import TRUST_TOLERANCE, GearProblem
@@ -47,7 +47,7 @@ def campaign_of(result: FitResult, folder: Path, given: Path | None) -> Path:
     said = result.provenance.get("campaign", {})
     path = given
     if path is None:
-        stored = said.get(FROM_FOLDER)
+        stored = said.get("from_fit_folder")
         path = folder / stored if stored else None
     if path is None or not path.is_file():
         raise FitError(

@@ -21,7 +21,7 @@ import numpy as np
 from sysid import __version__, exact_json
 from sysid.campaign import FitTable
 from sysid.errors import CampaignError, FitError, SysidWarning, UnitError
-from sysid.fit.breeders.algorithms import ALGORITHMS, DEFAULT_ALGORITHM, POPULATION, breeder
+from sysid.fit.breeders.algorithms import DEFAULT_ALGORITHM, POPULATION, breeder
 from sysid.fit.breeders.in_process import BreederApart
 from sysid.fit.checkpoint import (
     PROBES,
@@ -40,7 +40,7 @@ from sysid.fit.progress import FitProgress
 from sysid.fit.result import FitResult
 from sysid.fit.search import FINISH_POPULATION, Hooks, SearchSettings, run_many
 from sysid.fit.stopping import CutReason, StopFlag, StopRule
-from sysid.fit.store import FROM_FOLDER, check_new_fit, write_fit
+from sysid.fit.store import check_new_fit, write_fit
 from sysid.parallel import executor
 from sysid.parameters import SearchSpace
 from sysid.recording import file_sha256
@@ -384,7 +384,7 @@ def provenance(
     path = Path(campaign_path)
     return {
         "sysid": __version__,
-        "git revision": _git_revision(),
+        "git_revision": _git_revision(),
         "python": platform.python_version(),
         "libraries": {name: _version(name) for name in _LIBRARIES},
         "system": f"{platform.system()} {platform.machine()}",
@@ -394,14 +394,13 @@ def provenance(
         "campaign": {
             "file": path.name,
             "sha256": file_sha256(path),
-            FROM_FOLDER: seen_from(folder, path),
+            "from_fit_folder": seen_from(folder, path),
         },
         "logs": dict(logs),
         "filter": dict(filters),
         "nrmse_denominator": denominator,
         "search": {
             "algorithm": settings.algorithm,
-            "what it is": ALGORITHMS[settings.algorithm],
             "finish": settings.finish,
             "finish_population": FINISH_POPULATION,
             "population": settings.population,
@@ -414,7 +413,7 @@ def provenance(
             "stop_tolerance": settings.stop.tolerance,
             "max_generations": settings.stop.max_generations,
             "max_evaluations": settings.stop.max_evaluations,
-            "time_limit [s]": settings.stop.time_limit,
+            "time_limit": settings.stop.time_limit,
         },
     }
 

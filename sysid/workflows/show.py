@@ -10,8 +10,7 @@ from typing import Any
 from sysid import exact_json
 from sysid.errors import CampaignError, ExportError, FitError
 from sysid.export import export, load_parameter_sets
-from sysid.fit.result import CUT_SHORT, FitResult
-from sysid.fit.stopping import REASONS
+from sysid.fit.result import FitResult
 from sysid.fit.store import read_fit
 from sysid.parameter_sets import ParameterSets
 from sysid.report.fold import print_table
@@ -72,7 +71,7 @@ def print_sets(source: str | Path, json: bool) -> None:
     """Print the ranked sets of a fit folder or file."""
     sets = load_sets(source)
     if json:
-        print(exact_json.dumps(sets.document()))
+        print(sets.document().text(), end="")
         return
     _print_tables(sets)
 
@@ -80,7 +79,7 @@ def print_sets(source: str | Path, json: bool) -> None:
 def stopped_by_user(result: Any) -> bool:
     """Return whether Ctrl-C cut a fit short, which the shell is told by its exit code."""
     assert isinstance(result, FitResult)
-    return bool(result.provenance.get(CUT_SHORT) == REASONS["interrupted"])
+    return bool(result.provenance.get("cut_short") == "interrupted")
 
 
 def print_fit(result: Any, folder: Path, json: bool) -> None:
@@ -88,7 +87,9 @@ def print_fit(result: Any, folder: Path, json: bool) -> None:
     assert isinstance(result, FitResult)
     sets = result.parameter_sets()
     if json:
-        print(exact_json.dumps({"folder": str(folder), "state": result.state, **sets.document()}))
+        print(
+            exact_json.dumps({"folder": str(folder), "state": result.state, **sets.document().model_dump()})
+        )
         return
     _print_tables(sets)
     state = "" if result.state == "done" else " (stopped early: the sets are what was found until then)"

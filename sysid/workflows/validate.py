@@ -12,7 +12,7 @@ import numpy as np
 from sysid.campaign import GearCampaign, MotorCampaign, read_campaign
 from sysid.errors import FitError, SysidWarning
 from sysid.fit.result import FitResult, TrialResult
-from sysid.fit.store import FROM_FOLDER, read_fit
+from sysid.fit.store import read_fit
 from sysid.gear import problem as gear
 from sysid.gear.drops import PreparedDrop, prepare_drops
 from sysid.gear.model import PARAMETERS, EventKind, simulate
@@ -80,7 +80,7 @@ def validate_fit(
     said = {
         "file": campaign_path.name,
         "sha256": file_sha256(campaign_path),
-        FROM_FOLDER: seen_from(folder, campaign_path),
+        "from_fit_folder": seen_from(folder, campaign_path),
     }
     out = {
         "campaign": said,

@@ -199,7 +199,7 @@ def test_a_fit_counts_them_by_cause(folder, tmp_path):
     for cause_text, count in counts.items():
         assert f"{count} {cause_text}" in (out / "summary.txt").read_text(encoding="utf-8")
     document = exact_json.loads((out / "fit.json").read_text(encoding="utf-8"))
-    assert document["provenance"]["failed candidates by cause"] == counts
+    assert document["provenance"]["failures"] == counts
 
 
 def test_the_accuracy_of_a_simulation_is_the_campaigns(folder, problem):

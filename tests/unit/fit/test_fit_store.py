@@ -90,7 +90,11 @@ def made_fit(name="bench", seed=0, state="done"):
         channel_units=("N·m", "rad/s"),
         channel_weights=(1.0, 3.0),
         settings={"command": {"unit": "us", "minimum": 1000, "neutral": None, "maximum": 2000.0}},
-        provenance={"logs": {"up.csv": "ab" * 32}, "nrmse_denominator": "std", "filter": (1, 2.5)},
+        provenance={
+            "logs": {"up": {"sha256": "ab" * 32}},
+            "filter": {"taps": (1, 2.5)},
+            "nrmse_denominator": "std",
+        },
         warnings=("1 of 3 sets ends at the lower bound of winding_inductance.",),
     )
 
@@ -303,5 +307,5 @@ def test_failures_are_told_by_cause_in_text_and_numbers(tmp_path):
         counts = file["runs/1/stages/1/failed_by_cause"]
         assert counts[()].tolist() == [[0, 0], *([g, 2] for g in range(1, 6))]
         record = exact_json.loads(file["record_json"].asstr()[()])
-    by_cause = record["runs"][0]["stages"][0]["failed candidates by cause"]
+    by_cause = record["runs"][0]["stages"][0]["failures"]
     assert by_cause == {"blew up": 15, "left the board": 10}

@@ -8,7 +8,6 @@ import pytest
 
 from sysid import exact_json
 from sysid.errors import FitError
-from sysid.fit.store import FROM_FOLDER
 from sysid.parameter_sets import ParameterRecord, ParameterSets
 from sysid.trust.comparison import compare_values, unjudged
 from sysid.trust.documents import free_part, parts, read_arrays, read_part, validation_part, write_part
@@ -174,7 +173,7 @@ def test_a_part_is_read_back_until_the_fit_changes(folder):
 
 
 def _file(path, letter):
-    return {"file": path.rpartition("/")[2], "sha256": 64 * letter, FROM_FOLDER: path}
+    return {"file": path.rpartition("/")[2], "sha256": 64 * letter, "from_fit_folder": path}
 
 
 def test_two_campaigns_of_one_name_keep_both_validations(folder):

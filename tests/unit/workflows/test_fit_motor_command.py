@@ -52,7 +52,7 @@ def test_the_record_names_the_logs_of_the_curves_and_a_changed_one_is_not_contin
     assert settings["saturation"] == {"stage": "not fitted", "why": "the time limit ended the fit"}
     assert not {"ladder", "profiles"} & {*settings}
     assert LEFT_OUT.format("the time limit ended the fit") in document("cut")["warnings"]
-    assert document("cut")["provenance"]["cut short"] == "time limit"
+    assert document("cut")["provenance"]["cut_short"] == "time"
 
     # The points that it holds are the same: only the hash can tell.
     log = campaign.parent / "static-forward.csv"
@@ -86,7 +86,7 @@ def test_ctrl_c_after_the_search_keeps_it_and_resume_does_the_rest(campaign, mon
     assert "fit written to cut (stopped early" in " ".join(out.split())
     assert LEFT_OUT.format("the fit was interrupted") in err
     assert read_fit("cut").state == "stopped"
-    assert document("cut")["provenance"]["cut short"] == "stopped by the user"
+    assert document("cut")["provenance"]["cut_short"] == "interrupted"
 
     # The next step is stopped too: what came before it is kept.
     with monkeypatch.context() as patched:
@@ -102,7 +102,7 @@ def test_ctrl_c_after_the_search_keeps_it_and_resume_does_the_rest(campaign, mon
     done = document("cut")
     assert done["sets"] == document("whole")["sets"]
     assert done["settings"] == whole
-    assert "cut short" not in done["provenance"]
+    assert "cut_short" not in done["provenance"]
 
     # The cube's axes are in the search's order, which need not be the table's.
     fit = read_fit("cut")

@@ -1,0 +1,153 @@
+"""Documents: JSON files whose content is declared, so that reading one is checking it.
+
+A document is a frozen pydantic model with a schema name and a version. JSON has no NaN and no infinity: a
+declared number is written as ``"NaN"``, ``"Infinity"`` or ``"-Infinity"`` then, and every float is read back
+bit for bit. What only the writer understands (the settings of a model) is an `Open` field, in the way of
+`sysid.exact_json`.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any, ClassVar, Self
+
+import numpy as np
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    ValidationError,
+    ValidationInfo,
+    model_validator,
+)
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import core_schema
+
+from sysid import exact_json
+from sysid.errors import SysidError
+
+
+def _opened(value: Any, info: ValidationInfo) -> Any:
+    return exact_json.decoded(value) if info.mode == "json" else exact_json.plain(value)
+
+
+# A field of any JSON content; floats survive inside it, and arrays become lists.
+Open = Annotated[
+    Any, BeforeValidator(_opened), PlainSerializer(exact_json.encoded, return_type=Any, when_used="json")
+]
+OpenMapping = Annotated[
+    dict[str, Any],
+    BeforeValidator(_opened),
+    PlainSerializer(exact_json.encoded, return_type=dict[str, Any], when_used="json"),
+]
+
+CONFIG = ConfigDict(
+    frozen=True,
+    extra="forbid",
+    ser_json_inf_nan="strings",
+    validate_by_name=True,
+    validate_by_alias=True,
+    serialize_by_alias=True,
+)
+
+
+class Part(BaseModel):
+    """A part of a document; unknown keys are refused, arrays are taken as lists."""
+
+    model_config = CONFIG
+
+    @model_validator(mode="before")
+    @classmethod
+    def _take_arrays(cls, values: Any) -> Any:
+        if not isinstance(values, dict):
+            return values
+        return {k: v.tolist() if isinstance(v, np.ndarray | np.generic) else v for k, v in values.items()}
+
+
+class _Schema(GenerateJsonSchema):
+    def float_schema(self, schema: core_schema.FloatSchema) -> JsonSchemaValue:
+        return {"anyOf": [super().float_schema(schema), {"enum": ["NaN", "Infinity", "-Infinity"]}]}
+
+
+class Document(Part):
+    """A JSON file of its own.
+
+    A kind of document declares ``schema_`` (key ``schema``) and ``version`` as literals with defaults, and
+    says in `WHAT` what it is and in `REMEDY` what to do when a file of it is damaged.
+    """
+
+    WHAT: ClassVar[str] = "a document"
+    REMEDY: ClassVar[str] = "write it again"
+
+    schema_: str = Field(alias="schema")
+    version: int
+
+    def text(self) -> str:
+        """Return the file's text."""
+        return self.model_dump_json(indent=2) + "\n"
+
+    def line(self) -> str:
+        """Return the text without line breaks, to be kept in another file."""
+        return self.model_dump_json()
+
+    @classmethod
+    def parse(cls, text: str | bytes, place: object, error_type: type[SysidError] = SysidError) -> Self:
+        """Return the document that a text holds.
+
+        Parameters
+        ----------
+        text : str or bytes
+            JSON, in UTF-8.
+        place : str or Path
+            Where it lies, for a refusal.
+        error_type : type
+            Of the refusals.
+
+        Raises
+        ------
+        SysidError
+            (`error_type`) when the text is foreign, of another version, damaged or cut off.
+        """
+        try:
+            head = json.loads(text)
+        except ValueError as error:
+            raise error_type(f"{place}: damaged or cut off ({error}); {cls.REMEDY}") from error
+        cls._check_head(head, place, error_type)
+        try:
+            return cls.model_validate_json(text)
+        except ValidationError as error:
+            raise error_type(cls._damage(error, place)) from error
+
+    @classmethod
+    def of(cls, content: Any, place: object, error_type: type[SysidError] = SysidError) -> Self:
+        """Return the document of a content that was read in another way; the arguments of `parse`."""
+        cls._check_head(content, place, error_type)
+        try:
+            return cls.model_validate(content)
+        except ValidationError as error:
+            raise error_type(cls._damage(error, place)) from error
+
+    @classmethod
+    def _check_head(cls, head: Any, place: object, error_type: type[SysidError]) -> None:
+        name, number = (cls.model_fields[field].default for field in ("schema_", "version"))
+        found = head if isinstance(head, dict) else {}
+        if found.get("schema") != name:
+            raise error_type(f"{place}: not {cls.WHAT} of sysid; {cls.REMEDY}")
+        if found.get("version") != number:
+            raise error_type(
+                f"{place}: {cls.WHAT} of version {found.get('version')!r}, expected {number}; read it with "
+                f"the version of sysid that wrote it, or {cls.REMEDY}"
+            )
+
+    @classmethod
+    def _damage(cls, error: ValidationError, place: object) -> str:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(key) for key in first["loc"])
+        return f"{place}: damaged or cut off ({where}: {first['msg']}); {cls.REMEDY}"
+
+    @classmethod
+    def json_schema(cls) -> dict[str, Any]:
+        """Return the JSON Schema of the file."""
+        return cls.model_json_schema(by_alias=True, schema_generator=_Schema, mode="serialization")

@@ -1,0 +1,77 @@
+"""Where a fit comes from, and the content of ``fit.json``."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from pydantic import with_config
+from typing_extensions import TypedDict
+
+from sysid.documents import CONFIG, Open, OpenMapping
+from sysid.fit.stopping import CutReason, Reading
+from sysid.parameter_sets import SetsDocument
+
+
+@with_config(CONFIG)
+class CampaignFile(TypedDict, total=False):
+    """The campaign that was fitted: its name, its SHA-256, and its path seen from the fit folder."""
+
+    file: str
+    sha256: str
+    from_fit_folder: str
+
+
+@with_config(CONFIG)
+class SearchRecord(TypedDict, total=False):
+    """How a fit searched; see `sysid.fit.search.SearchSettings`. `time_limit` in seconds."""
+
+    algorithm: str
+    finish: str
+    finish_population: int
+    population: int
+    runs: int
+    # Parameters along the axes of the runs' cube, in their order.
+    axes: list[str]
+    seed: int
+    run_seeds: list[int]
+    stop_reading: Reading
+    stop_window: int
+    stop_tolerance: float
+    max_generations: int
+    max_evaluations: int | None
+    time_limit: float | None
+
+
+@with_config(CONFIG)
+class FitProvenance(TypedDict, total=False):
+    """What a reader needs to repeat a fit, or to doubt it."""
+
+    sysid: str
+    git_revision: str | None
+    python: str
+    libraries: dict[str, str]
+    system: str
+    processor: str
+    cores: int | None
+    written: str
+    campaign: CampaignFile
+    # By trial: file, hash, what was noticed; the model's own words.
+    logs: dict[str, OpenMapping]
+    filter: OpenMapping
+    nrmse_denominator: str
+    search: SearchRecord
+    # Why the fit was stopped before its end; absent from a fit that is done.
+    cut_short: CutReason
+    # Failed candidates by cause.
+    failures: dict[str, int]
+    # What the trials were expected to fix, per parameter.
+    expected: list[Open]
+
+
+class FitDocument(SetsDocument):
+    """``fit.json``: the ranked sets, settings and provenance of a fit."""
+
+    WHAT: ClassVar[str] = "a fit"
+    REMEDY: ClassVar[str] = "run the fit again"
+
+    provenance: FitProvenance  # type: ignore[assignment]

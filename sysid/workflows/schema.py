@@ -1,0 +1,31 @@
+"""`sysid schema`: the JSON Schema of the documents that sysid writes."""
+
+from __future__ import annotations
+
+import json
+
+from sysid.documents import Document
+from sysid.errors import SysidError
+from sysid.fit.provenance import FitDocument
+from sysid.parameter_sets import SetsDocument
+
+DOCUMENTS: dict[str, type[Document]] = {
+    "fit": FitDocument,
+    "parameter-sets": SetsDocument,
+}
+
+
+def print_schema(name: str | None) -> None:
+    """Print the JSON Schema of a document; without a name, the names.
+
+    Raises
+    ------
+    SysidError
+        For an unknown name.
+    """
+    if name is None:
+        print("\n".join(DOCUMENTS))
+        return
+    if name not in DOCUMENTS:
+        raise SysidError(f"unknown document {name!r}; expected one of {', '.join(DOCUMENTS)}")
+    print(json.dumps(DOCUMENTS[name].json_schema(), indent=2, ensure_ascii=False))

@@ -1,0 +1,75 @@
+"""Documents: floats survive bit for bit, and what is foreign, old or cut off is refused in one sentence."""
+
+import json
+import math
+import struct
+from typing import Literal
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import Field
+
+from sysid.documents import Document, OpenMapping, Part
+from sysid.errors import FitError
+from sysid.workflows.schema import DOCUMENTS, print_schema
+
+
+class Row(Part):
+    name: str
+    sigma: float | None = None
+
+
+class Note(Document):
+    WHAT = "a note"
+    REMEDY = "run sysid note again"
+    schema_: Literal["sysid-note"] = Field("sysid-note", alias="schema")
+    version: Literal[2] = 2
+    values: tuple[float, ...]
+    rows: tuple[Row, ...] = ()
+    settings: OpenMapping = Field(default_factory=dict)
+
+
+def bits(value):
+    return struct.pack("<d", value if value == value else math.nan)
+
+
+@given(st.lists(st.floats(), max_size=5))
+@settings(max_examples=200, deadline=None, derandomize=True)
+def test_floats_come_back_bit_for_bit(values):
+    note = Note(values=np.array(values), rows=[Row(name="NaN", sigma=math.nan)], settings={"a": [values]})
+    back = Note.parse(note.text(), "note.json")
+    assert [bits(v) for v in back.values] == [bits(v) for v in values]
+    assert [bits(v) for v in back.settings["a"][0]] == [bits(v) for v in values]
+    assert back.rows[0].name == "NaN"
+    assert math.isnan(back.rows[0].sigma)
+    assert back.text() == note.text()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('{"schema": "other"}', "not a note of sysid; run sysid note again"),
+        ("[1]", "not a note of sysid"),
+        ('{"schema": "sysid-note", "version": 1}', "version 1, expected 2"),
+        ('{"schema": "sysid-note", "version": 2, "val', "damaged or cut off"),
+        ('{"schema": "sysid-note", "version": 2}', r"damaged .*values: Field required"),
+        ('{"schema": "sysid-note", "version": 2, "values": [], "colour": 1}', "damaged .*colour"),
+        ('{"schema": "sysid-note", "version": 2, "values": [], "rows": [{}]}', r"damaged .*rows\.0\.name"),
+    ],
+)
+def test_refusals(text, words):
+    with pytest.raises(FitError, match=f"^note.json: .*{words}") as refusal:
+        Note.parse(text, "note.json", FitError)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_schemas_are_printed(name, capsys):
+    print_schema(name)
+    schema = json.loads(capsys.readouterr().out)
+    assert {"schema", "version"} <= {*schema["properties"]}
+    assert schema["additionalProperties"] is False
+    with pytest.raises(Exception, match=f"unknown document 'x'; expected one of .*{name}"):
+        print_schema("x")
