@@ -48,11 +48,12 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sysid.errors import CampaignError
 from sysid.gear.kernel import driver as kernel
 from sysid.gear.kernel import foot_forces as forces
+from sysid.gear.kernel import parameter_row
 from sysid.gear.parameters import PARAMETERS, parameters_on
 from sysid.gear.propulsion import Propulsion
 from sysid.gear.surfaces import SURFACES, Surface, find_surface
@@ -208,7 +209,7 @@ def simulate(
         room *= 8
     states = result.samples[0, :, :14]
     forces = np.empty((len(states), 4))
-    _force_reader(own)(row, _reads(own), float(slope), states, forces)
+    _force_reader(own)(kernel_rows_of(checked, own)[0], float(slope), states, forces)
     if own.switching:
         forces[:, 2:] = result.samples[0, :, 14:]
     marks = result.marks[np.argsort(result.marks[:, 0], kind="stable")]
@@ -316,9 +317,11 @@ def _force_reader(surface: Surface) -> Any:
     return forces.force_reader(surface)
 
 
-def _reads(surface: Surface) -> NDArray[np.int64]:
-    order = list(PARAMETERS)
-    return np.array([order.index(PARAMETERS[name].name) for name in surface.reads], dtype=np.int64)
+def kernel_rows_of(rows: FloatArray, surface: Surface) -> FloatArray:
+    """Return rows of the table in the kernel's order, then the columns that the friction law reads."""
+    index = PARAMETERS.index
+    columns = [index[PARAMETERS[name].name] for name in (*parameter_row.NAMES, *surface.reads)]
+    return np.ascontiguousarray(rows[:, columns])
 
 
 def _run(
@@ -352,7 +355,7 @@ def _run(
     states = np.full((count, width, 3, 6), np.nan)
     marks = np.full((room, 7), np.nan)
     body = drops.body_state[None] if bodies is None else bodies
-    reads = _reads(surface)
+    kernel_rows = kernel_rows_of(rows, surface)
     drive = _driver(lanes, surface)
     # A method of order 3 takes tolerance**(-1/3) more steps.
     cost = surface.budget * max(1.0, surface.tolerance / tolerance) ** (1 / 3)
@@ -365,7 +368,7 @@ def _run(
         jobs = np.ascontiguousarray(deck[share::shares])
         if len(jobs):
             drive(
-                rows, reads, drops.slope, body, legs, drops.clock, drops.offset, drops.segments, drops.plans,
+                kernel_rows, drops.slope, body, legs, drops.clock, drops.offset, drops.segments, drops.plans,
                 jobs, tolerance, _LONGEST_STEP, cost, ending.packed, samples, reached, status, spent,
                 switches, moments, states, marks,
             )  # fmt: skip

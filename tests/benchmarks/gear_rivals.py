@@ -13,7 +13,7 @@ from numba import njit
 from scipy.integrate import solve_ivp
 
 from sysid.gear.kernel.contact import normal_force
-from sysid.gear.kernel.dynamics import accelerations, feet, pose
+from sysid.gear.kernel.dynamics import Coefficients, accelerations, feet, pose
 from sysid.gear.model import PARAMETERS, parameters_on
 from sysid.gear.surfaces.low_friction import low_friction
 
@@ -60,10 +60,10 @@ def derivative(t, y, coefficients, k_s, b_s, mu_k, eps_v, segments, lever):
     Without segments the motors are off; lever: distance of the thrust points from the centre of mass [m].
     """
     rear, front = thrust_at(t, segments) if len(segments) else (0.0, 0.0)
-    push = ((rear + front) * coefficients[14], (rear - front) * lever * coefficients[15])
-    joints = pose(y[2], y[4], y[6], coefficients[8], coefficients[9])
+    push = ((rear + front) * coefficients.per_m, (rear - front) * lever * coefficients.per_i)
+    joints = pose(y[2], y[4], y[6], coefficients.dx_j, coefficients.dz_j)
     rates = (y[7], y[8], y[9], y[10], y[11], y[12], y[13])
-    p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, y[1], y[3], y[5], rates, coefficients[10])
+    p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, y[1], y[3], y[5], rates, coefficients.length)
     n_c = normal_force(p_c, dp_c, k_s, b_s)
     n_d = normal_force(p_d, dp_d, k_s, b_s)
     f_c, f_d = low_friction(n_c, n_d, v_c, v_d, (mu_k, eps_v))
@@ -85,7 +85,7 @@ def problem(slope, body, propulsion=None):
     names = ("axial_stiffness", "axial_damping", "bending_stiffness", "bending_damping")
     leg = [p[f"leg_{name}"] for name in names]
     inverse = (1 / p["leg_mass"], 1 / p["leg_inertia"])
-    coefficients = (
+    coefficients = Coefficients(
         *leg, *leg, p["joint_dx"], p["joint_dz"], length, rest, p["leg_mass_fraction"] * length,
         (1 - p["leg_mass_fraction"]) * length, 1 / p["body_mass"], 1 / p["body_inertia"], *inverse, *inverse,
         p["gravity"] * s, -p["gravity"] * c,

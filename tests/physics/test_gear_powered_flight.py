@@ -8,7 +8,7 @@ from numba import njit
 
 from sysid.errors import CampaignError
 from sysid.gear.kernel.contact import normal_force
-from sysid.gear.kernel.dynamics import accelerations, feet, pose
+from sysid.gear.kernel.dynamics import Coefficients, accelerations, feet, pose
 from sysid.gear.model import (
     PARAMETERS,
     Drops,
@@ -66,9 +66,9 @@ def joint(y, commands, motor, thrust, p, c, law):
         out[14 + 2 * pair], out[15 + 2 * pair] = motor_rates(i, w, commands[pair], motor)
         push[pair] = 2 * (thrust[0] if w >= 0 else thrust[1]) * w * abs(w)
     m_b, i_b, dx_m, k_s, b_s = p
-    joints = pose(y[2], y[4], y[6], c[8], c[9])
+    joints = pose(y[2], y[4], y[6], c.dx_j, c.dz_j)
     rates = (y[7], y[8], y[9], y[10], y[11], y[12], y[13])
-    p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, y[1], y[3], y[5], rates, c[10])
+    p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, y[1], y[3], y[5], rates, c.length)
     n_c, n_d = normal_force(p_c, dp_c, k_s, b_s), normal_force(p_d, dp_d, k_s, b_s)
     f_c, f_d = low_friction(n_c, n_d, v_c, v_d, law)
     angles = (y[2], y[3], y[4], y[5], y[6])
@@ -127,7 +127,7 @@ def test_histories_equal_a_joint_integration_of_18_states():
         P[f"leg_{n}"] for n in ("axial_stiffness", "axial_damping", "bending_stiffness", "bending_damping")
     ]
     inverse = (1 / P["leg_mass"], 1 / P["leg_inertia"])
-    c = (*leg, *leg, P["joint_dx"], P["joint_dz"], length, rest, 0.5 * length, 0.5 * length,
+    c = Coefficients(*leg, *leg, P["joint_dx"], P["joint_dz"], length, rest, 0.5 * length, 0.5 * length,
          1 / P["body_mass"], 1 / P["body_inertia"], *inverse, *inverse,
          P["gravity"] * math.sin(slope), -P["gravity"] * math.cos(slope))  # fmt: skip
     x, z, q, dx, dz, dq = start(slope, speed)

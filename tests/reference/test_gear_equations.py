@@ -94,12 +94,12 @@ def turned(r):
 
 
 def coefficients_of(p, slope):
-    """The 22 coefficients of `sysid.gear.kernel.dynamics.accelerations`."""
+    """The coefficients, calculated without the kernel."""
     span, depth = p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"]
     length = float(np.hypot(span, depth))
     c, s = np.cos(slope), np.sin(slope)
     rear, front = leg_values(p)
-    return (
+    return dynamics.Coefficients(
         *rear[:4], *front[:4], p["joint_dx"], p["joint_dz"], length, float(np.arctan2(span, depth)),
         p["leg_mass_fraction"] * length, (1 - p["leg_mass_fraction"]) * length, 1 / p["body_mass"],
         1 / p["body_inertia"], 1 / rear[4], 1 / rear[5], 1 / front[4], 1 / front[5],

@@ -25,22 +25,28 @@ from numba import njit
 
 from sysid.gear.kernel import stage as stages
 from sysid.gear.kernel.lane import (
+    MOTION,
+    TURN,
     assign,
     available,
-    begin,
     hold_rest,
     idle,
+    load,
     locate,
     sample,
     thrust_segment,
 )
+from sysid.gear.kernel.parameter_row import THRUST_POINT_DX
 from sysid.gear.kernel.work_buffer import (
+    COORDINATES,
     COUNT,
     END,
     FLIPPED,
     FRESH,
     FRICTION,
     FRICTION_0,
+    H_C,
+    H_D,
     HOLD,
     LENGTH,
     LIMIT,
@@ -48,11 +54,18 @@ from sysid.gear.kernel.work_buffer import (
     NEW_STEP,
     NEXT,
     NORMAL,
+    PHI,
+    PLAN_FIRST,
+    PLAN_SETTLED,
+    PLAN_START,
+    PLAN_STOP,
+    PLAN_WAITS,
     RATES,
     REQUIRED,
     RESTED,
     ROWS,
     SEGMENT_END,
+    SEGMENT_TO,
     START,
     STEP,
     STIFF,
@@ -61,12 +74,14 @@ from sysid.gear.kernel.work_buffer import (
     TAKEN,
     TIME,
     TOUCHED,
+    S,
+    W,
 )
 from sysid.gear.surfaces.surface import Surface, law_text, specialized
 from sysid.integrate.fused import fused
 from sysid.integrate.tableau import STAGES, E
 
-# Bound to a surface's own when a driver is made.
+# Bound to a surface's functions when a driver is made.
 evaluate: Any = None
 after_step: Any = None
 
@@ -78,8 +93,13 @@ CAME_TO_REST = 4
 FLIPPED_OVER = 5
 BOTH_TOUCHED = 6
 
-# What a row of `marks` tells.
-TOUCHDOWN, LIFT_OFF, SLIP, STICK, FLIP, REST = 0, 1, 2, 3, 4, 5
+# Kinds of events in `marks`, and what an event happens to.
+TOUCHDOWN, LIFT_OFF, SLIP, STICK, FLIP, REST = range(6)
+REAR, FRONT, BODY = range(3)
+# Columns of `moments`: the first touchdowns of the rear and the front foot come before them.
+FLIP_AT, REST_AT = 2, 3
+# Row of `states` behind the states at the two touchdowns.
+AT_END = 2
 # Error weights of the rates (s, w, phi, h_C, theta_C, h_D, theta_D): 1 / scale, scales 1 m/s and 10 rad/s for
 # the legs; a light leg may err 30 times more than the body, whose motion is what is measured.
 WEIGHTS = np.array([30.0, 30.0, 6.0, 1.0, 0.1, 1.0, 0.1])
@@ -95,21 +115,33 @@ _SAME = 1e-10
 def _error(work, lane, lanes):
     """Sum of the squared, weighted errors of a step's rates over its length squared."""
     total = 0.0
-    for i in range(7):
+    for i in range(COORDINATES):
         gap = 0.0
         for j in range(STAGES + 1):
-            gap += E[j] * work[(RATES + 7 * j + i) * lanes + lane]
+            gap += E[j] * work[(RATES + COORDINATES * j + i) * lanes + lane]
         gap = gap * WEIGHTS[i]
         total += gap * gap
     return total
 
 
+@njit(error_model="numpy")
+def _mark(marks, marked, time, kind, foot):
+    """Write an event without friction into the next free row of `marks`; returns how many rows are used."""
+    if marked < len(marks):
+        marks[marked, 0] = time
+        marks[marked, 1] = kind
+        marks[marked, 2] = foot
+        marks[marked, 3:] = np.nan
+        marked += 1
+    return marked
+
+
 def fingerprint(surface: Surface) -> int:
-    """Hash of the sources that are inlined here, so that a cached driver never outlives them."""
-    here = Path(__file__).parent
-    sources = sorted(here.glob("*.py"))
-    sources += [here.parent / "surfaces" / "surface.py"]
-    sources += [here.parent.parent / "integrate" / f"{name}.py" for name in ("fused", "tableau")]
+    """Hash of the sources that are inlined in a driver, so that a cached driver never outlives them."""
+    folder = Path(__file__).parent
+    sources = sorted(folder.glob("*.py"))
+    sources += [folder.parent / "surfaces" / "surface.py"]
+    sources += [folder.parent.parent / "integrate" / f"{name}.py" for name in ("fused", "tableau")]
     text = surface.name.encode() + b"".join(source.read_bytes() for source in sources) + law_text(surface)
     return int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
 
@@ -121,7 +153,6 @@ def drop_driver(lanes: int, surface: Surface):
 
     def drive(
         parameters,
-        reads,
         slope,
         body,
         legs,
@@ -147,16 +178,15 @@ def drop_driver(lanes: int, surface: Surface):
 
         Parameters
         ----------
-        parameters : (P, n_par)
-        reads : (n,) int64
-            Columns of `parameters` that the friction law reads.
+        parameters : (P, n)
+            Rows of `sysid.gear.kernel.parameter_row`.
         slope : (D,) [rad]
         body : (P or 1, D, 6)
             x, z, q and rates at each drop's first sample, frame N [m, rad, s].
         legs : (8,) or (0,)
             h_C q_C h_D q_D and rates at the start, empty for legs at rest.
         clock : (n_total,)
-            Sample times since each drop's start [s]; drop d owns offset[d]:offset[d + 1].
+            Sample times since each drop's start [s]; drop d has offset[d]:offset[d + 1].
         segments : (n, SEGMENT_COLUMNS), plans : (D, PLAN_COLUMNS)
             Thrust histories and what each drop does with them.
         jobs : (n,) int64
@@ -183,35 +213,28 @@ def drop_driver(lanes: int, surface: Surface):
         """
         if sources < 0:  # keeps the sources' hash in the key of the cached code
             return
-        ends = ending[0] > 0.0
-        _, rest_speed, rest_turn, rest_time, flip_angle = ending
+        ends_at, rest_speed, rest_turn, rest_time, flip_angle = ending
+        ends = ends_at > 0.0
         drops = len(slope)
         work = np.ones(ROWS * lanes)
         job = np.full(lanes, -1, np.int64)
         cursor = np.zeros(lanes, np.int64)
         segment = np.zeros(lanes, np.int64)
         origin = np.zeros(lanes)
+        friction = np.zeros(4)
         per_tolerance = 1.0 / (7.0 * tolerance * tolerance)
         waiting = 0
         active = 0
         marked = 0
         for lane in range(lanes):
-            here = jobs[min(waiting, len(jobs) - 1)]
-            drop = here % drops
-            start = body[here // drops if len(body) > 1 else 0, drop]
-            begin(parameters[here // drops], reads, slope[drop], start, legs, work, lane, lanes)
+            number = jobs[min(waiting, len(jobs) - 1)]
+            load(number, parameters, slope, body, legs, segments, plans, segment, origin, work, lane, lanes)
             if waiting < len(jobs):
-                assign(here, lane, job, cursor, clock, offset, cost, work)
+                assign(number, lane, job, cursor, clock, offset, cost, work)
                 waiting += 1
                 active += 1
             else:
                 idle(lane, job, work)
-            segment[lane] = np.int64(plans[drop, 0])
-            origin[lane] = plans[drop, 2]
-            until = np.inf if plans[drop, 3] > 0.0 else origin[lane]
-            at = parameters[here // drops, 5]
-            thrust_segment(segments, segment[lane], 0.0, until, at, work, lane, lanes)
-            hold_rest(plans[drop, 4], until, work, lane, lanes)
         while active > 0:
             for lane in range(lanes):
                 evaluate(work, 1, lane, lanes)
@@ -263,14 +286,14 @@ def drop_driver(lanes: int, surface: Surface):
                     change_c = change_c * change_c
                     change_d = change_d * change_d
                 news = change_c if change_c > change_d else change_d
-                turn = work[(END + 2) * lanes + lane]
+                turn = work[(END + PHI) * lanes + lane]
                 turn = turn if turn > 0.0 else -turn
                 turned = 1.0 if turn > flip_angle else 0.0
                 turned = turned - work[FLIPPED * lanes + lane]
                 news = news if news > turned else turned
-                s_rate = work[(END + 7) * lanes + lane]
-                w_rate = work[(END + 8) * lanes + lane]
-                omega = work[(END + 9) * lanes + lane]
+                s_rate = work[(END + COORDINATES + S) * lanes + lane]
+                w_rate = work[(END + COORDINATES + W) * lanes + lane]
+                omega = work[(END + COORDINATES + PHI) * lanes + lane]
                 speed = s_rate * s_rate + w_rate * w_rate - rest_speed * rest_speed
                 spin = omega * omega - rest_turn * rest_turn
                 motion = speed if speed > spin else spin
@@ -289,8 +312,8 @@ def drop_driver(lanes: int, surface: Surface):
                 news = news * taken
                 news = news if news > over else over
                 due = t + h - work[NEXT * lanes + lane]
-                stretch_c = work[(END + 3) * lanes + lane] + work[LENGTH * lanes + lane]
-                stretch_d = work[(END + 5) * lanes + lane] + work[LENGTH * lanes + lane]
+                stretch_c = work[(END + H_C) * lanes + lane] + work[LENGTH * lanes + lane]
+                stretch_d = work[(END + H_D) * lanes + lane] + work[LENGTH * lanes + lane]
                 sound = stretch_c if stretch_c < stretch_d else stretch_d
                 sound = sound if new_h > 1e-9 else -1.0
                 sound = sound if count < work[LIMIT * lanes + lane] else -1.0
@@ -302,9 +325,9 @@ def drop_driver(lanes: int, surface: Surface):
                 for lane in range(lanes):
                     if job[lane] < 0:
                         continue
-                    here = job[lane]
-                    candidate = here // drops
-                    drop = here % drops
+                    number = job[lane]
+                    candidate = number // drops
+                    drop = number % drops
                     end = offset[drop + 1]
                     h = work[STEP * lanes + lane]
                     t = work[TIME * lanes + lane]
@@ -322,71 +345,56 @@ def drop_driver(lanes: int, surface: Surface):
                                     moments[candidate, drop, foot] = t + share * h
                                     row = states[candidate, drop, foot]
                                     sample(work, lane, lanes, share, slope[drop], row)
-                                    begins = t + share * h + plans[drop, 2]
-                                    waits = plans[drop, 3] > 0.0 and segment[lane] == plans[drop, 0]
+                                    begins = t + share * h + plans[drop, PLAN_START]
+                                    waits = plans[drop, PLAN_WAITS] > 0.0
+                                    waits = waits and segment[lane] == plans[drop, PLAN_FIRST]
                                     if waits and begins < work[SEGMENT_END * lanes + lane]:
                                         origin[lane] = begins
                                         work[SEGMENT_END * lanes + lane] = begins
-                                        hold_rest(plans[drop, 4], begins, work, lane, lanes)
-                                    if ending[0] > 1.0 and moments[candidate, drop, 1 - foot] >= 0.0:
+                                        hold_rest(plans[drop, PLAN_SETTLED], begins, work, lane, lanes)
+                                    if ends_at > 1.0 and moments[candidate, drop, 1 - foot] >= 0.0:
                                         code = BOTH_TOUCHED
-                                if marked < len(marks):
-                                    marks[marked, 0] = t + share * h
-                                    marks[marked, 1] = TOUCHDOWN if touch > 0.0 else LIFT_OFF
-                                    marks[marked, 2] = foot
-                                    marks[marked, 3:] = np.nan
-                                    marked += 1
+                                kind = TOUCHDOWN if touch > 0.0 else LIFT_OFF
+                                marked = _mark(marks, marked, t + share * h, kind, foot)
                             if modes and work[(SWITCH + foot) * lanes + lane] > 0.0:
                                 switches[candidate, drop] += 1
                                 if marked < len(marks):
-                                    stuck = work[(STUCK + foot) * lanes + lane]
-                                    marks[marked, 0] = t + h
-                                    marks[marked, 1] = STICK if stuck > 0.0 else SLIP
-                                    marks[marked, 2] = foot
                                     for other in range(2):
-                                        marks[marked, 3 + other] = available(work, lane, lanes, other)
-                                        marks[marked, 5 + other] = work[(REQUIRED + other) * lanes + lane]
-                                    marked += 1
-                        if abs(work[(END + 2) * lanes + lane]) > flip_angle and h > 0.0:
+                                        friction[other] = available(work, lane, lanes, other)
+                                        friction[2 + other] = work[(REQUIRED + other) * lanes + lane]
+                                    kind = STICK if work[(STUCK + foot) * lanes + lane] > 0.0 else SLIP
+                                    marked = _mark(marks, marked, t + h, kind, foot)
+                                    marks[marked - 1, 3:] = friction
+                        if abs(work[(END + PHI) * lanes + lane]) > flip_angle and h > 0.0:
                             if work[FLIPPED * lanes + lane] == 0.0:
                                 work[FLIPPED * lanes + lane] = 1.0
-                                moments[candidate, drop, 2] = t + h * locate(work, lane, lanes, 2, ending)
-                                if marked < len(marks):
-                                    marks[marked, 0] = moments[candidate, drop, 2]
-                                    marks[marked, 1] = FLIP
-                                    marks[marked, 2] = 2
-                                    marks[marked, 3:] = np.nan
-                                    marked += 1
+                                turned_at = t + h * locate(work, lane, lanes, TURN, ending)
+                                moments[candidate, drop, FLIP_AT] = turned_at
+                                marked = _mark(marks, marked, turned_at, FLIP, BODY)
                             code = FLIPPED_OVER if ends else code
                         if lanes == 1 and h > 0.0 and work[MOVED * lanes + lane] == t:
-                            work[MOVED * lanes + lane] = t + h * locate(work, lane, lanes, 3, ending)
+                            work[MOVED * lanes + lane] = t + h * locate(work, lane, lanes, MOTION, ending)
                         if t + h - work[MOVED * lanes + lane] >= rest_time:
                             if work[RESTED * lanes + lane] == 0.0:
                                 work[RESTED * lanes + lane] = 1.0
-                                moments[candidate, drop, 3] = work[MOVED * lanes + lane]
-                                if marked < len(marks):
-                                    marks[marked, 0] = moments[candidate, drop, 3]
-                                    marks[marked, 1] = REST
-                                    marks[marked, 2] = 2
-                                    marks[marked, 3:] = np.nan
-                                    marked += 1
+                                moments[candidate, drop, REST_AT] = work[MOVED * lanes + lane]
+                                marked = _mark(marks, marked, work[MOVED * lanes + lane], REST, BODY)
                             code = CAME_TO_REST if ends and code == OK else code
                         while cursor[lane] < end and clock[cursor[lane]] <= t + h:
                             share = (clock[cursor[lane]] - t) / h if h > 0.0 else 1.0
                             row = samples[candidate, cursor[lane]]
                             sample(work, lane, lanes, share, slope[drop], row)
                             cursor[lane] += 1
-                        stretch = min(work[(END + 3) * lanes + lane], work[(END + 5) * lanes + lane])
+                        stretch = min(work[(END + H_C) * lanes + lane], work[(END + H_D) * lanes + lane])
                         if not stretch + work[LENGTH * lanes + lane] > 0.0:
                             code = BLEW_UP
                         now = t + h
                         while work[SEGMENT_END * lanes + lane] - now <= _SAME:
                             segment[lane] += 1
                             until = np.inf
-                            if segment[lane] < plans[drop, 1]:
-                                until = origin[lane] + segments[segment[lane], 1]
-                            at = parameters[candidate, 5]
-                            begun = origin[lane]
+                            if segment[lane] < plans[drop, PLAN_STOP]:
+                                until = origin[lane] + segments[segment[lane], SEGMENT_TO]
+                            at, begun = parameters[candidate, THRUST_POINT_DX], origin[lane]
                             thrust_segment(segments, segment[lane], begun, until, at, work, lane, lanes)
                         work[NEW_STEP * lanes + lane] = min(
                             work[NEW_STEP * lanes + lane], work[SEGMENT_END * lanes + lane] - now
@@ -407,23 +415,18 @@ def drop_driver(lanes: int, surface: Surface):
                     share = 1.0 if taken else 0.0
                     if taken and cursor[lane] == end and code == OK:
                         share = (length - t) / h if h > 0.0 else 0.0
-                    sample(work, lane, lanes, share, slope[drop], states[candidate, drop, 2])
+                    sample(work, lane, lanes, share, slope[drop], states[candidate, drop, AT_END])
                     status[candidate, drop] = code
                     spent[candidate, drop] = np.int64(work[COUNT * lanes + lane])
                     if waiting < len(jobs):
-                        here = jobs[waiting]
-                    drop = here % drops
-                    start = body[here // drops if len(body) > 1 else 0, drop]
-                    begin(parameters[here // drops], reads, slope[drop], start, legs, work, lane, lanes)
-                    segment[lane] = np.int64(plans[drop, 0])
-                    origin[lane] = plans[drop, 2]
-                    until = np.inf if plans[drop, 3] > 0.0 else origin[lane]
-                    at = parameters[here // drops, 5]
-                    thrust_segment(segments, segment[lane], 0.0, until, at, work, lane, lanes)
-                    hold_rest(plans[drop, 4], until, work, lane, lanes)
+                        number = jobs[waiting]
+                    load(
+                        number, parameters, slope, body, legs, segments, plans, segment, origin,
+                        work, lane, lanes,
+                    )  # fmt: skip
                     work[TAKEN * lanes + lane] = -1.0
                     if waiting < len(jobs):
-                        assign(here, lane, job, cursor, clock, offset, cost, work)
+                        assign(number, lane, job, cursor, clock, offset, cost, work)
                         waiting += 1
                     else:
                         idle(lane, job, work)
@@ -443,15 +446,15 @@ def drop_driver(lanes: int, surface: Surface):
                     now = work[(FRICTION + foot) * lanes + lane]
                     work[(FRICTION_0 + foot) * lanes + lane] = now if taken > 0.0 else before
                 work[FRESH * lanes + lane] = fresh
-            for i in range(14):
+            for i in range(2 * COORDINATES):
                 for lane in range(lanes):
                     old = work[(START + i) * lanes + lane]
                     new = work[(END + i) * lanes + lane]
                     work[(START + i) * lanes + lane] = new if work[TAKEN * lanes + lane] > 0.0 else old
-            for i in range(7):
+            for i in range(COORDINATES):
                 for lane in range(lanes):
                     old = work[(RATES + i) * lanes + lane]
-                    new = work[(RATES + 7 * STAGES + i) * lanes + lane]
+                    new = work[(RATES + COORDINATES * STAGES + i) * lanes + lane]
                     work[(RATES + i) * lanes + lane] = new if work[TAKEN * lanes + lane] > 0.0 else old
 
     text = specialized(stages.evaluate, solve=surface.solve, modes=surface.switching)

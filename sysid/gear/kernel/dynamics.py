@@ -19,11 +19,100 @@ where ``p = ex.r'``, ``n = ez.r'`` and ``r' = (r_w, -r_s)`` is the joint's offse
 Eliminating all but the two ``lam`` leaves one symmetric, positive definite 2 x 2 system: a single division.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
 from sysid.gear.kernel.geometry import foot_motion, joint_position, sine_cosine
+from sysid.gear.kernel.parameter_row import (
+    AXIAL_DAMPING_RATIO,
+    AXIAL_STIFFNESS_RATIO,
+    BENDING_DAMPING_RATIO,
+    BENDING_STIFFNESS_RATIO,
+    BODY_INERTIA,
+    BODY_MASS,
+    FOOT_DX,
+    FOOT_DZ,
+    GRAVITY,
+    INERTIA_RATIO,
+    JOINT_DX,
+    JOINT_DZ,
+    LEG_AXIAL_DAMPING,
+    LEG_AXIAL_STIFFNESS,
+    LEG_BENDING_DAMPING,
+    LEG_BENDING_STIFFNESS,
+    LEG_INERTIA,
+    LEG_MASS,
+    LEG_MASS_FRACTION,
+    MASS_RATIO,
+)
 from sysid.integrate.fused import fused
+
+
+class Coefficients(NamedTuple):
+    """What the equations of motion read: C is the rear leg, D the front leg.
+
+    k_h, b_h: axial spring and damper; k_t, b_t: bending spring and damper; dx_j, dz_j: joints; l, q_n: length
+    and angle of a leg at rest; arm, rho_0: distance of its centre of mass from the foot and the joint at
+    rest; per_m, per_i: 1/m_B, 1/I_B; per_mc, per_ic: 1/m_leg, 1/I_leg; g_s, g_w: gravity along the slope's
+    tangent and normal.
+    """
+
+    k_h_c: float
+    b_h_c: float
+    k_t_c: float
+    b_t_c: float
+    k_h_d: float
+    b_h_d: float
+    k_t_d: float
+    b_t_d: float
+    dx_j: float
+    dz_j: float
+    length: float
+    q_n: float
+    arm: float
+    rho_0: float
+    per_m: float
+    per_i: float
+    per_mc: float
+    per_ic: float
+    per_md: float
+    per_id: float
+    g_s: float
+    g_w: float
+
+
+@njit(error_model="numpy")
+def derived(p, slope):
+    """`Coefficients` of a row of `sysid.gear.kernel.parameter_row` on a slope [rad]."""
+    span = p[FOOT_DX] - p[JOINT_DX]
+    drop = p[FOOT_DZ] - p[JOINT_DZ]
+    length = np.sqrt(span * span + drop * drop)
+    return Coefficients(
+        p[LEG_AXIAL_STIFFNESS],
+        p[LEG_AXIAL_DAMPING],
+        p[LEG_BENDING_STIFFNESS],
+        p[LEG_BENDING_DAMPING],
+        p[LEG_AXIAL_STIFFNESS] * p[AXIAL_STIFFNESS_RATIO],
+        p[LEG_AXIAL_DAMPING] * p[AXIAL_DAMPING_RATIO],
+        p[LEG_BENDING_STIFFNESS] * p[BENDING_STIFFNESS_RATIO],
+        p[LEG_BENDING_DAMPING] * p[BENDING_DAMPING_RATIO],
+        p[JOINT_DX],
+        p[JOINT_DZ],
+        length,
+        np.arctan2(span, drop),
+        p[LEG_MASS_FRACTION] * length,
+        (1.0 - p[LEG_MASS_FRACTION]) * length,
+        1.0 / p[BODY_MASS],
+        1.0 / p[BODY_INERTIA],
+        1.0 / p[LEG_MASS],
+        1.0 / p[LEG_INERTIA],
+        1.0 / (p[LEG_MASS] * p[MASS_RATIO]),
+        1.0 / (p[LEG_INERTIA] * p[INERTIA_RATIO]),
+        p[GRAVITY] * np.sin(slope),
+        -p[GRAVITY] * np.cos(slope),
+    )
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -60,14 +149,28 @@ def foot_looseness(joints, h_c, h_d, coefficients):
     The leg turns about a joint held still, slides along its axis, and the body moves as if it had no legs.
     """
     cos_c, sin_c, cos_d, sin_d, _, c_w, _, d_w, _, _ = joints
-    l, _, _, rho_0, per_m, per_i, per_mc, per_ic, per_md, per_id = coefficients[10:20]  # noqa: E741
-    rho_c = rho_0 + h_c
-    rho_d = rho_0 + h_d
-    lever_c = cos_c * (l + h_c)
-    lever_d = cos_d * (l + h_d)
-    loose_c = per_m + c_w * c_w * per_i + sin_c * sin_c * per_mc
+    return _looseness(cos_c, sin_c, c_w, cos_d, sin_d, d_w, h_c, h_d, coefficients)
+
+
+@njit(error_model="numpy", forceinline=True)
+@fused
+def _looseness(lever_c, slide_c, arm_c, lever_d, slide_d, arm_d, h_c, h_d, coefficients):
+    """Acceleration of each foot per newton on it along a direction [1/kg].
+
+    Of each leg: the direction's share across the leg and along it, and the lever of the joint about the
+    body's centre of mass [m].
+    """
+    l = coefficients.length  # noqa: E741
+    per_m, per_i = coefficients.per_m, coefficients.per_i
+    per_mc, per_ic = coefficients.per_mc, coefficients.per_ic
+    per_md, per_id = coefficients.per_md, coefficients.per_id
+    rho_c = coefficients.rho_0 + h_c
+    rho_d = coefficients.rho_0 + h_d
+    lever_c = lever_c * (l + h_c)
+    lever_d = lever_d * (l + h_d)
+    loose_c = per_m + arm_c * arm_c * per_i + slide_c * slide_c * per_mc
     loose_c = loose_c + lever_c * lever_c * per_ic * per_mc / (per_mc + rho_c * rho_c * per_ic)
-    loose_d = per_m + d_w * d_w * per_i + sin_d * sin_d * per_md
+    loose_d = per_m + arm_d * arm_d * per_i + slide_d * slide_d * per_md
     loose_d = loose_d + lever_d * lever_d * per_id * per_md / (per_md + rho_d * rho_d * per_id)
     return loose_c, loose_d
 
@@ -81,20 +184,13 @@ def ringing(joints, h_c, h_d, normals, k_s, coefficients):
     in parallel. Zero while no foot touches.
     """
     cos_c, sin_c, cos_d, sin_d, c_s, _, d_s, _, _, _ = joints
-    l, _, _, rho_0, per_m, per_i, per_mc, per_ic, per_md, per_id = coefficients[10:20]  # noqa: E741
-    rho_c = rho_0 + h_c
-    rho_d = rho_0 + h_d
-    lever_c = sin_c * (l + h_c)
-    lever_d = sin_d * (l + h_d)
-    loose_c = per_m + c_s * c_s * per_i + cos_c * cos_c * per_mc
-    loose_c = loose_c + lever_c * lever_c * per_ic * per_mc / (per_mc + rho_c * rho_c * per_ic)
-    loose_d = per_m + d_s * d_s * per_i + cos_d * cos_d * per_md
-    loose_d = loose_d + lever_d * lever_d * per_id * per_md / (per_md + rho_d * rho_d * per_id)
-    square_c = (k_s + coefficients[0]) * loose_c if normals[0] > 0.0 else 0.0
-    square_d = (k_s + coefficients[4]) * loose_d if normals[1] > 0.0 else 0.0
+    loose_c, loose_d = _looseness(sin_c, cos_c, c_s, sin_d, cos_d, d_s, h_c, h_d, coefficients)
+    normal_c, normal_d = normals
+    square_c = (k_s + coefficients.k_h_c) * loose_c if normal_c > 0.0 else 0.0
+    square_d = (k_s + coefficients.k_h_d) * loose_d if normal_d > 0.0 else 0.0
     rear = square_c > square_d
     rate = np.sqrt(square_c if rear else square_d)
-    decay = coefficients[1] * per_mc if rear else coefficients[5] * per_md
+    decay = coefficients.b_h_c * coefficients.per_mc if rear else coefficients.b_h_d * coefficients.per_md
     return rate, 0.5 * decay / (rate + 1e-3)
 
 
@@ -117,26 +213,26 @@ def accelerations(joints, angles, rates, thrust, normals, friction_c, friction_d
         Forces on the rear and front foot along the slope's normal [N].
     friction_c, friction_d : float
         Forces on the feet along the down-slope tangent [N].
-    coefficients : tuple of 22 float
-        k_h, b_h, k_t, b_t of the rear leg, the same of the front leg, dx_j, dz_j, l, q_n, arm, rho_0, 1/m_B,
-        1/I_B, 1/m_leg, 1/I_leg of the rear leg, of the front leg, gravity along the tangent and the normal.
+    coefficients : Coefficients
     """
     cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w, cos_phi, sin_phi = joints
     phi, h_c, theta_c, h_d, theta_d = angles
     lift, tilt = thrust
     normal_c, normal_d = normals
     _, _, omega, h_c_rate, theta_c_rate, h_d_rate, theta_d_rate = rates
-    kh_c, bh_c, kt_c, bt_c, kh_d, bh_d, kt_d, bt_d = coefficients[:8]
-    _, _, _, q_n, arm, rho_0, per_m, per_i, per_mc, per_ic, per_md, per_id, g_s, g_w = coefficients[8:]
+    q_n, arm = coefficients.q_n, coefficients.arm
+    per_m, per_i = coefficients.per_m, coefficients.per_i
+    per_mc, per_ic = coefficients.per_mc, coefficients.per_ic
+    per_md, per_id = coefficients.per_md, coefficients.per_id
     spin = omega * omega
-    rho_c = rho_0 + h_c
-    rho_d = rho_0 + h_d
+    rho_c = coefficients.rho_0 + h_c
+    rho_d = coefficients.rho_0 + h_d
     p_c, n_c, p_d, n_d = _quarter_turned(cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w)
     # Axial joint forces (5) and joint moments on the legs (6).
-    axial_c = kh_c * h_c + bh_c * h_c_rate
-    axial_d = kh_d * h_d + bh_d * h_d_rate
-    moment_c = -kt_c * (theta_c - phi - q_n) - bt_c * (theta_c_rate - omega)
-    moment_d = -kt_d * (theta_d - phi + q_n) - bt_d * (theta_d_rate - omega)
+    axial_c = coefficients.k_h_c * h_c + coefficients.b_h_c * h_c_rate
+    axial_d = coefficients.k_h_d * h_d + coefficients.b_h_d * h_d_rate
+    moment_c = -coefficients.k_t_c * (theta_c - phi - q_n) - coefficients.b_t_c * (theta_c_rate - omega)
+    moment_d = -coefficients.k_t_d * (theta_d - phi + q_n) - coefficients.b_t_d * (theta_d_rate - omega)
     # Ground forces in each leg's axes.
     across_c = friction_c * cos_c - normal_c * sin_c
     along_c = friction_c * sin_c + normal_c * cos_c
@@ -153,8 +249,12 @@ def accelerations(joints, angles, rates, thrust, normals, friction_c, friction_d
     slide_c = rho_c * theta_c_rate * theta_c_rate - spin * p_c - (along_c + axial_c) * per_mc
     slide_d = rho_d * theta_d_rate * theta_d_rate - spin * p_d - (along_d + axial_d) * per_md
     known = (a_s, a_w, alpha)
-    found = _joined(joints, h_c, h_d, coefficients, known, turns, (gap_c, gap_d), (slide_c, slide_d))
-    return found[0] + g_s, found[1] + g_w, found[2], found[3], found[4], found[5], found[6]
+    a_s, a_w, alpha, h_c_acc, theta_c_acc, h_d_acc, theta_d_acc = _joined(
+        joints, h_c, h_d, coefficients, known, turns, (gap_c, gap_d), (slide_c, slide_d)
+    )
+    a_s = a_s + coefficients.g_s
+    a_w = a_w + coefficients.g_w
+    return a_s, a_w, alpha, h_c_acc, theta_c_acc, h_d_acc, theta_d_acc
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -166,8 +266,9 @@ def friction_responses(joints, h_c, h_d, coefficients):
     but that newton.
     """
     cos_c, sin_c, cos_d, sin_d = joints[:4]
-    arm = coefficients[12]
-    per_mc, per_ic, per_md, per_id = coefficients[16:20]
+    arm = coefficients.arm
+    per_mc, per_ic = coefficients.per_mc, coefficients.per_ic
+    per_md, per_id = coefficients.per_md, coefficients.per_id
     still = (0.0, 0.0, 0.0)
     turns = (-arm * cos_c * per_ic, 0.0)
     gaps, slides = (-cos_c * per_mc, 0.0), (-sin_c * per_mc, 0.0)
@@ -193,14 +294,19 @@ def _joined(joints, h_c, h_d, coefficients, known, turns, gaps, slides):
     """
     cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w, _, _ = joints
     a_s, a_w, alpha = known
-    _, rho_0, per_m, per_i, per_mc, per_ic, per_md, per_id = coefficients[12:20]
-    rho_c = rho_0 + h_c
-    rho_d = rho_0 + h_d
+    turn_c, turn_d = turns
+    gap_c, gap_d = gaps
+    slide_c, slide_d = slides
+    per_m, per_i = coefficients.per_m, coefficients.per_i
+    per_mc, per_ic = coefficients.per_mc, coefficients.per_ic
+    per_md, per_id = coefficients.per_md, coefficients.per_id
+    rho_c = coefficients.rho_0 + h_c
+    rho_d = coefficients.rho_0 + h_d
     p_c, n_c, p_d, n_d = _quarter_turned(cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w)
     ratio_c = rho_c * per_ic
     ratio_d = rho_d * per_id
-    right_c = a_s * cos_c - a_w * sin_c + alpha * p_c + gaps[0] - rho_c * turns[0]
-    right_d = a_s * cos_d - a_w * sin_d + alpha * p_d + gaps[1] - rho_d * turns[1]
+    right_c = a_s * cos_c - a_w * sin_c + alpha * p_c + gap_c - rho_c * turn_c
+    right_d = a_s * cos_d - a_w * sin_d + alpha * p_d + gap_d - rho_d * turn_d
     # 2 x 2 system of the constraint forces.
     m_cc = per_mc + rho_c * ratio_c + per_m + p_c * p_c * per_i
     m_dd = per_md + rho_d * ratio_d + per_m + p_d * p_d * per_i
@@ -211,10 +317,10 @@ def _joined(joints, h_c, h_d, coefficients, known, turns, gaps, slides):
     a_s = a_s - (lam_c * cos_c + lam_d * cos_d) * per_m
     a_w = a_w + (lam_c * sin_c + lam_d * sin_d) * per_m
     alpha = alpha - (lam_c * p_c + lam_d * p_d) * per_i
-    theta_c_acc = turns[0] + ratio_c * lam_c
-    theta_d_acc = turns[1] + ratio_d * lam_d
-    h_c_acc = a_s * sin_c + a_w * cos_c + alpha * n_c + slides[0]
-    h_d_acc = a_s * sin_d + a_w * cos_d + alpha * n_d + slides[1]
+    theta_c_acc = turn_c + ratio_c * lam_c
+    theta_d_acc = turn_d + ratio_d * lam_d
+    h_c_acc = a_s * sin_c + a_w * cos_c + alpha * n_c + slide_c
+    h_d_acc = a_s * sin_d + a_w * cos_d + alpha * n_d + slide_d
     return a_s, a_w, alpha, h_c_acc, theta_c_acc, h_d_acc, theta_d_acc
 
 

@@ -3,19 +3,30 @@
 import numpy as np
 from numba import njit
 
-from sysid.gear.kernel.dynamics import feet, pose
+from sysid.gear.kernel.dynamics import derived, feet, pose
+from sysid.gear.kernel.parameter_row import (
+    GROUND_DAMPING,
+    GROUND_STIFFNESS,
+    LAW_READS,
+    LAW_SLOTS,
+    THRUST_POINT_DX,
+)
+from sysid.gear.kernel.stage import coefficients_at
 from sysid.gear.kernel.work_buffer import (
     COEFFICIENTS,
+    COORDINATES,
     COUNT,
     END,
     FLIPPED,
     FRESH,
     FRICTION,
     FRICTION_0,
-    GROUND,
+    GROUND_DAMPER,
+    GROUND_SPRING,
+    H_C,
+    H_D,
     HOLD,
     LAW,
-    LENGTH,
     LIFT,
     LIMIT,
     MARGIN,
@@ -23,116 +34,100 @@ from sysid.gear.kernel.work_buffer import (
     NEXT,
     NORMAL,
     ORIGIN,
+    PHI,
+    PLAN_FIRST,
+    PLAN_SETTLED,
+    PLAN_START,
+    PLAN_WAITS,
     RATES,
-    REST,
     RESTED,
     SEGMENT_END,
+    SEGMENT_FROM,
+    SEGMENT_FRONT,
+    SEGMENT_REAR,
     START,
     STEP,
     STUCK,
     SWITCH,
+    THETA_C,
+    THETA_D,
     TILT,
     TIME,
     TOUCHED,
     WAY,
+    S,
+    W,
 )
 from sysid.integrate.tableau import STAGES
 
-
-@njit(error_model="numpy")
-def _derive(parameters, reads, slope, work, lane, lanes):
-    """Coefficients of one lane from a parameter row (order of `sysid.gear.parameters`) and a slope."""
-    span = parameters[3] - parameters[6]
-    drop = parameters[4] - parameters[7]
-    length = np.sqrt(span * span + drop * drop)
-    base = COEFFICIENTS * lanes + lane
-    for i in range(4):
-        work[base + i * lanes] = parameters[8 + i]
-        work[base + (4 + i) * lanes] = parameters[8 + i] * parameters[20 + i]
-    work[base + 8 * lanes] = parameters[6]
-    work[base + 9 * lanes] = parameters[7]
-    work[LENGTH * lanes + lane] = length
-    work[REST * lanes + lane] = np.arctan2(span, drop)
-    work[base + 12 * lanes] = parameters[16] * length
-    work[base + 13 * lanes] = (1.0 - parameters[16]) * length
-    work[base + 14 * lanes] = 1.0 / parameters[0]
-    work[base + 15 * lanes] = 1.0 / parameters[1]
-    for i in range(2):
-        work[base + (16 + i) * lanes] = 1.0 / parameters[14 + i]
-        work[base + (18 + i) * lanes] = 1.0 / (parameters[14 + i] * parameters[24 + i])
-    work[base + 20 * lanes] = parameters[2] * np.sin(slope)
-    work[base + 21 * lanes] = -parameters[2] * np.cos(slope)
-    work[GROUND * lanes + lane] = parameters[12]
-    work[(GROUND + 1) * lanes + lane] = parameters[13]
-    for i in range(6):
-        work[(LAW + i) * lanes + lane] = parameters[reads[i]] if i < len(reads) else 0.0
+# What `locate` looks for: the penetration of a foot, a turn beyond the flip, an excess of motion.
+REAR_FOOT, FRONT_FOOT, TURN, MOTION = range(4)
 
 
 @njit(error_model="numpy")
-def _first_way(work, lane, lanes, foot):
-    """Direction of slip of a foot at its start: that of its motion where it touches, +1 in the air."""
-    y = START * lanes + lane
-    base = COEFFICIENTS * lanes + lane
-    joints = pose(
-        work[y + 2 * lanes],
-        work[y + 4 * lanes],
-        work[y + 6 * lanes],
-        work[base + 8 * lanes],
-        work[base + 9 * lanes],
+def _feet(coordinates, rates, work, lane, lanes):
+    """Penetration, its rate and slip speed of the rear foot, then of the front foot, from a lane's state."""
+    _, w, phi, h_c, theta_c, h_d, theta_d = coordinates
+    coefficients = coefficients_at(work, COEFFICIENTS * lanes + lane, lanes)
+    joints = pose(phi, theta_c, theta_d, coefficients.dx_j, coefficients.dz_j)
+    return feet(joints, w, h_c, h_d, rates, coefficients.length)
+
+
+@njit(error_model="numpy")
+def _seven(work, row, lane, lanes):
+    """Seven rows of a lane."""
+    return (
+        work[row * lanes + lane],
+        work[(row + 1) * lanes + lane],
+        work[(row + 2) * lanes + lane],
+        work[(row + 3) * lanes + lane],
+        work[(row + 4) * lanes + lane],
+        work[(row + 5) * lanes + lane],
+        work[(row + 6) * lanes + lane],
     )
-    rates = (
-        work[y + 7 * lanes],
-        work[y + 8 * lanes],
-        work[y + 9 * lanes],
-        work[y + 10 * lanes],
-        work[y + 11 * lanes],
-        work[y + 12 * lanes],
-        work[y + 13 * lanes],
-    )
-    length = work[LENGTH * lanes + lane]
-    found = feet(joints, work[y + lanes], work[y + 3 * lanes], work[y + 5 * lanes], rates, length)
-    return -1.0 if found[3 * foot] > 0.0 and found[3 * foot + 2] < 0.0 else 1.0
 
 
 @njit(error_model="numpy")
-def begin(parameters, reads, slope, body, legs, work, lane, lanes):
+def feet_at_start(work, lane, lanes):
+    """Penetration, its rate and slip speed of the rear foot, then of the front foot, at the step's start."""
+    coordinates = _seven(work, START, lane, lanes)
+    rates = _seven(work, START + COORDINATES, lane, lanes)
+    return _feet(coordinates, rates, work, lane, lanes)
+
+
+@njit(error_model="numpy")
+def begin(parameters, slope, body, legs, work, lane, lanes):
     """Load a job into a lane: coefficients, state in the slope's frame, a first step of length 0."""
-    _derive(parameters, reads, slope, work, lane, lanes)
+    coefficients = derived(parameters, slope)
+    for i in range(len(coefficients)):
+        work[(COEFFICIENTS + i) * lanes + lane] = coefficients[i]
+    work[GROUND_SPRING * lanes + lane] = parameters[GROUND_STIFFNESS]
+    work[GROUND_DAMPER * lanes + lane] = parameters[GROUND_DAMPING]
+    for i in range(LAW_SLOTS):
+        reads = LAW_READS + i
+        work[(LAW + i) * lanes + lane] = parameters[reads] if reads < len(parameters) else 0.0
     c = np.cos(slope)
     s = np.sin(slope)
-    y = START * lanes + lane
-    for i in range(2):
-        x = body[3 * i]
-        z = body[3 * i + 1]
-        work[y + (7 * i) * lanes] = c * x - s * z
-        work[y + (7 * i + 1) * lanes] = s * x + c * z
-    phi = body[2] - slope
-    rest = work[REST * lanes + lane]
-    work[y + 2 * lanes] = phi
-    work[y + 9 * lanes] = body[5]
+    x, z, pitch, x_rate, z_rate, omega = body[0], body[1], body[2], body[3], body[4], body[5]
+    phi = pitch - slope
+    h_c, theta_c, h_d, theta_d = 0.0, phi + coefficients.q_n, 0.0, phi - coefficients.q_n
+    h_c_rate, theta_c_rate, h_d_rate, theta_d_rate = 0.0, omega, 0.0, omega
     if len(legs) == 8:
-        work[y + 3 * lanes] = legs[0]
-        work[y + 4 * lanes] = phi + legs[1]
-        work[y + 5 * lanes] = legs[2]
-        work[y + 6 * lanes] = phi - legs[3]
-        work[y + 10 * lanes] = legs[4]
-        work[y + 11 * lanes] = body[5] + legs[5]
-        work[y + 12 * lanes] = legs[6]
-        work[y + 13 * lanes] = body[5] - legs[7]
-    else:
-        work[y + 3 * lanes] = 0.0
-        work[y + 4 * lanes] = phi + rest
-        work[y + 5 * lanes] = 0.0
-        work[y + 6 * lanes] = phi - rest
-        work[y + 10 * lanes] = 0.0
-        work[y + 11 * lanes] = body[5]
-        work[y + 12 * lanes] = 0.0
-        work[y + 13 * lanes] = body[5]
-    for i in range(7):
+        h_c, theta_c, h_d, theta_d = legs[0], phi + legs[1], legs[2], phi - legs[3]
+        h_c_rate, theta_c_rate, h_d_rate, theta_d_rate = legs[4], omega + legs[5], legs[6], omega - legs[7]
+    coordinates = (c * x - s * z, s * x + c * z, phi, h_c, theta_c, h_d, theta_d)
+    along, normal = c * x_rate - s * z_rate, s * x_rate + c * z_rate
+    rates = (along, normal, omega, h_c_rate, theta_c_rate, h_d_rate, theta_d_rate)
+    for i in range(COORDINATES):
+        work[(START + i) * lanes + lane] = coordinates[i]
+        work[(START + COORDINATES + i) * lanes + lane] = rates[i]
         work[(RATES + i) * lanes + lane] = 0.0
+    p_c, _, v_c, p_d, _, v_d = feet_at_start(work, lane, lanes)
+    # Direction of slip: the direction of the motion of a foot that touches, +1 in the air.
+    work[WAY * lanes + lane] = -1.0 if p_c > 0.0 and v_c < 0.0 else 1.0
+    work[(WAY + 1) * lanes + lane] = -1.0 if p_d > 0.0 and v_d < 0.0 else 1.0
     for foot in range(2):
         work[(STUCK + foot) * lanes + lane] = 0.0
-        work[(WAY + foot) * lanes + lane] = _first_way(work, lane, lanes, foot)
         work[(MARGIN + foot) * lanes + lane] = -1e30
         work[(SWITCH + foot) * lanes + lane] = 0.0
         work[(FRICTION_0 + foot) * lanes + lane] = 0.0
@@ -152,11 +147,26 @@ def begin(parameters, reads, slope, body, legs, work, lane, lanes):
 
 
 @njit(error_model="numpy")
-def assign(here, lane, job, cursor, clock, offset, cost, work):
-    """Let a lane own a job whose start it holds."""
+def load(number, parameters, slope, body, legs, segments, plans, segment, origin, work, lane, lanes):
+    """Load the start of a job (candidate * drops + drop) and the thrust of its drop into a lane."""
+    candidate = number // len(slope)
+    drop = number % len(slope)
+    start = body[candidate if len(body) > 1 else 0, drop]
+    begin(parameters[candidate], slope[drop], start, legs, work, lane, lanes)
+    segment[lane] = np.int64(plans[drop, PLAN_FIRST])
+    origin[lane] = plans[drop, PLAN_START]
+    until = np.inf if plans[drop, PLAN_WAITS] > 0.0 else origin[lane]
+    thrust_dx = parameters[candidate, THRUST_POINT_DX]
+    thrust_segment(segments, segment[lane], 0.0, until, thrust_dx, work, lane, lanes)
+    hold_rest(plans[drop, PLAN_SETTLED], until, work, lane, lanes)
+
+
+@njit(error_model="numpy")
+def assign(number, lane, job, cursor, clock, offset, cost, work):
+    """Give a lane the job whose start it holds."""
     lanes = len(job)
-    drop = here % (len(offset) - 1)
-    job[lane] = here
+    drop = number % (len(offset) - 1)
+    job[lane] = number
     cursor[lane] = offset[drop]
     work[NEXT * lanes + lane] = 0.0
     work[LIMIT * lanes + lane] = max(1000.0, cost * clock[offset[drop + 1] - 1])
@@ -175,14 +185,13 @@ def idle(lane, job, work):
 @njit(error_model="numpy")
 def thrust_segment(segments, at, origin, until, thrust_dx, work, lane, lanes):
     """Load segment `at` of a thrust history whose clock started at lane time `origin`; it ends at `until`."""
-    per_m = work[(COEFFICIENTS + 14) * lanes + lane]
-    per_i = work[(COEFFICIENTS + 15) * lanes + lane]
+    coefficients = coefficients_at(work, COEFFICIENTS * lanes + lane, lanes)
     for i in range(4):
-        rear = segments[at, 2 + i]
-        front = segments[at, 6 + i]
-        work[(LIFT + i) * lanes + lane] = (rear + front) * per_m
-        work[(TILT + i) * lanes + lane] = thrust_dx * (rear - front) * per_i
-    work[ORIGIN * lanes + lane] = origin + segments[at, 0]
+        rear = segments[at, SEGMENT_REAR + i]
+        front = segments[at, SEGMENT_FRONT + i]
+        work[(LIFT + i) * lanes + lane] = (rear + front) * coefficients.per_m
+        work[(TILT + i) * lanes + lane] = thrust_dx * (rear - front) * coefficients.per_i
+    work[ORIGIN * lanes + lane] = origin + segments[at, SEGMENT_FROM]
     work[SEGMENT_END * lanes + lane] = until
 
 
@@ -196,17 +205,17 @@ def hold_rest(settled, origin, work, lane, lanes):
 def interpolated(work, lane, lanes, share, i):
     """Coordinate `i` and its rate at `share` (0..1) of the lane's step, from cubic Hermite polynomials."""
     h = work[STEP * lanes + lane]
-    one = 1.0 - share
-    b00 = (1.0 + 2.0 * share) * one * one
+    rest = 1.0 - share
+    b00 = (1.0 + 2.0 * share) * rest * rest
     b01 = share * share * (3.0 - 2.0 * share)
-    b10 = h * share * one * one
-    b11 = -h * share * share * one
+    b10 = h * share * rest * rest
+    b11 = -h * share * share * rest
     x0 = work[(START + i) * lanes + lane]
-    v0 = work[(START + 7 + i) * lanes + lane]
+    v0 = work[(START + COORDINATES + i) * lanes + lane]
     x1 = work[(END + i) * lanes + lane]
-    v1 = work[(END + 7 + i) * lanes + lane]
+    v1 = work[(END + COORDINATES + i) * lanes + lane]
     a0 = work[(RATES + i) * lanes + lane]
-    a1 = work[(RATES + 7 * STAGES + i) * lanes + lane]
+    a1 = work[(RATES + COORDINATES * STAGES + i) * lanes + lane]
     return b00 * x0 + b01 * x1 + b10 * v0 + b11 * v1, b00 * v0 + b01 * v1 + b10 * a0 + b11 * a1
 
 
@@ -241,27 +250,26 @@ def sample(work, lane, lanes, share, slope, row):
 
 @njit(error_model="numpy")
 def _gap(work, lane, lanes, share, kind, ending):
-    """What an event looks for: 0, 1 penetration of a foot; 2 turn beyond the flip; 3 excess of motion."""
-    if kind == 2:
-        phi, _ = interpolated(work, lane, lanes, share, 2)
-        return abs(phi) - ending[4]
-    if kind == 3:
-        _, s_rate = interpolated(work, lane, lanes, share, 0)
-        _, w_rate = interpolated(work, lane, lanes, share, 1)
-        _, omega = interpolated(work, lane, lanes, share, 2)
+    """The number whose change of sign is the event: see `REAR_FOOT` ... `MOTION`."""
+    _, rest_speed, rest_turn, _, flip_angle = ending
+    if kind == TURN:
+        phi, _ = interpolated(work, lane, lanes, share, PHI)
+        return abs(phi) - flip_angle
+    if kind == MOTION:
+        _, s_rate = interpolated(work, lane, lanes, share, S)
+        _, w_rate = interpolated(work, lane, lanes, share, W)
+        _, omega = interpolated(work, lane, lanes, share, PHI)
         speed = np.sqrt(s_rate * s_rate + w_rate * w_rate)
-        return max(speed / ending[1], abs(omega) / ending[2]) - 1.0
-    w, _ = interpolated(work, lane, lanes, share, 1)
-    phi, _ = interpolated(work, lane, lanes, share, 2)
-    h_c, _ = interpolated(work, lane, lanes, share, 3)
-    theta_c, _ = interpolated(work, lane, lanes, share, 4)
-    h_d, _ = interpolated(work, lane, lanes, share, 5)
-    theta_d, _ = interpolated(work, lane, lanes, share, 6)
-    base = COEFFICIENTS * lanes + lane
-    joints = pose(phi, theta_c, theta_d, work[base + 8 * lanes], work[base + 9 * lanes])
+        return max(speed / rest_speed, abs(omega) / rest_turn) - 1.0
+    w, _ = interpolated(work, lane, lanes, share, W)
+    phi, _ = interpolated(work, lane, lanes, share, PHI)
+    h_c, _ = interpolated(work, lane, lanes, share, H_C)
+    theta_c, _ = interpolated(work, lane, lanes, share, THETA_C)
+    h_d, _ = interpolated(work, lane, lanes, share, H_D)
+    theta_d, _ = interpolated(work, lane, lanes, share, THETA_D)
     still = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    found = feet(joints, w, h_c, h_d, still, work[LENGTH * lanes + lane])
-    return found[0] if kind == 0 else found[3]
+    p_c, _, _, p_d, _, _ = _feet((0.0, w, phi, h_c, theta_c, h_d, theta_d), still, work, lane, lanes)
+    return p_c if kind == REAR_FOOT else p_d
 
 
 @njit(error_model="numpy")
@@ -275,15 +283,15 @@ def locate(work, lane, lanes, kind, ending):
     side = 0
     for _ in range(40):
         share = (low * at_high - high * at_low) / (at_high - at_low)
-        here = _gap(work, lane, lanes, share, kind, ending)
-        if (high - low) * work[STEP * lanes + lane] < 1e-9 or abs(here) < 1e-12:
+        gap = _gap(work, lane, lanes, share, kind, ending)
+        if (high - low) * work[STEP * lanes + lane] < 1e-9 or abs(gap) < 1e-12:
             return share
-        if here * at_high > 0.0:
-            high, at_high = share, here
+        if gap * at_high > 0.0:
+            high, at_high = share, gap
             at_low = 0.5 * at_low if side == 1 else at_low
             side = 1
         else:
-            low, at_low = share, here
+            low, at_low = share, gap
             at_high = 0.5 * at_high if side == -1 else at_high
             side = -1
     return 0.5 * (low + high)
@@ -291,10 +299,10 @@ def locate(work, lane, lanes, kind, ending):
 
 @njit(error_model="numpy")
 def available(work, lane, lanes, foot):
-    """Friction that a foot's own mode is judged by at the step's end (9) [N].
+    """Friction by which a foot's mode is judged at the step's end (9) [N].
 
-    That of the mode which it has, or which it has just lost: a foot whose slip has come to zero is judged by
-    mu_k, whether it sticks then or slips back, a foot that is released by mu_s.
+    The mode is the one that the foot has or has just lost: a foot whose slip has come to zero is judged by
+    mu_k, whether it sticks then or slips back; a foot that is released is judged by mu_s.
     """
     lost = work[(SWITCH + foot) * lanes + lane]
     sticks = work[(STUCK + foot) * lanes + lane]

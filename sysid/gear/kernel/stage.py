@@ -5,17 +5,26 @@ from typing import Any
 from numba import njit
 
 from sysid.gear.kernel.contact import normal_force
-from sysid.gear.kernel.dynamics import feet, pose, ringing
+from sysid.gear.kernel.dynamics import Coefficients, feet, pose, ringing
 from sysid.gear.kernel.work_buffer import (
     COEFFICIENTS,
+    COORDINATES,
     END,
     FRICTION,
-    GROUND,
+    GROUND_DAMPER,
+    GROUND_SPRING,
+    H_C,
+    H_D,
     INNER,
+    INNER_NORMAL,
+    INNER_REQUIRED,
+    INNER_ROWS,
+    INNER_SLIP,
     LAW,
     LIFT,
     NORMAL,
     ORIGIN,
+    PHI,
     RATES,
     REQUIRED,
     SLIP,
@@ -23,9 +32,13 @@ from sysid.gear.kernel.work_buffer import (
     STEP,
     STIFF,
     STUCK,
+    THETA_C,
+    THETA_D,
     TILT,
     TIME,
     WAY,
+    S,
+    W,
 )
 from sysid.integrate.fused import fused
 from sysid.integrate.tableau import A_TWICE, REAL_LIMIT, RING_GAIN, RING_LIMIT, RING_MOST, STAGES, A, C
@@ -34,7 +47,7 @@ from sysid.integrate.tableau import A_TWICE, REAL_LIMIT, RING_GAIN, RING_LIMIT, 
 # step.
 STABLE = 0.9
 
-# Bound to a surface's own when a driver is made.
+# Bound to a surface's functions when a driver is made.
 solve: Any = None
 modes: Any = None
 
@@ -48,11 +61,11 @@ def advanced(work, stage, i, lane, lanes):
     form).
     """
     h = work[STEP * lanes + lane]
-    rate = work[(START + 7 + i) * lanes + lane]
+    rate = work[(START + COORDINATES + i) * lanes + lane]
     along = 0.0
     twice = 0.0
     for j in range(stage):
-        k = work[(RATES + 7 * j + i) * lanes + lane]
+        k = work[(RATES + COORDINATES * j + i) * lanes + lane]
         along += A[stage, j] * k
         twice += A_TWICE[stage, j] * k
     return work[(START + i) * lanes + lane] + h * (C[stage] * rate + h * twice), rate + h * along
@@ -70,9 +83,9 @@ def cubic(work, row, elapsed, lane, lanes):
 
 @njit(error_model="numpy", forceinline=True)
 @fused
-def _loaded(work, p, n):
-    """The 22 coefficients of a lane from place `p` on, `n` apart."""
-    return (
+def coefficients_at(work, p, n):
+    """The coefficients that a lane keeps from place `p` on, `n` apart."""
+    return Coefficients(
         work[p],
         work[p + 1 * n],
         work[p + 2 * n],
@@ -100,8 +113,8 @@ def _loaded(work, p, n):
 
 @njit(error_model="numpy", forceinline=True)
 @fused
-def _loaded_law(work, p, n):
-    """The 6 numbers of a lane that the friction law reads."""
+def law_at(work, p, n):
+    """The numbers that the friction law reads, from place `p` on, `n` apart."""
     return work[p], work[p + n], work[p + 2 * n], work[p + 3 * n], work[p + 4 * n], work[p + 5 * n]
 
 
@@ -109,23 +122,23 @@ def _loaded_law(work, p, n):
 def evaluate(work, stage, lane, lanes):
     """Accelerations of one lane at a stage; stage 0 is never evaluated (first same as last).
 
-    A text, compiled once per surface: `solve` is the friction law's own, `modes` says whether it switches.
+    A text, compiled once per surface: `solve` belongs to the friction law, `modes` says whether it switches.
     """
-    s, s_rate = advanced(work, stage, 0, lane, lanes)
-    w, w_rate = advanced(work, stage, 1, lane, lanes)
-    phi, omega = advanced(work, stage, 2, lane, lanes)
-    h_c, h_c_rate = advanced(work, stage, 3, lane, lanes)
-    theta_c, theta_c_rate = advanced(work, stage, 4, lane, lanes)
-    h_d, h_d_rate = advanced(work, stage, 5, lane, lanes)
-    theta_d, theta_d_rate = advanced(work, stage, 6, lane, lanes)
+    s, s_rate = advanced(work, stage, S, lane, lanes)
+    w, w_rate = advanced(work, stage, W, lane, lanes)
+    phi, omega = advanced(work, stage, PHI, lane, lanes)
+    h_c, h_c_rate = advanced(work, stage, H_C, lane, lanes)
+    theta_c, theta_c_rate = advanced(work, stage, THETA_C, lane, lanes)
+    h_d, h_d_rate = advanced(work, stage, H_D, lane, lanes)
+    theta_d, theta_d_rate = advanced(work, stage, THETA_D, lane, lanes)
     rates = (s_rate, w_rate, omega, h_c_rate, theta_c_rate, h_d_rate, theta_d_rate)
     if stage == STAGES:
         state = (s, w, phi, h_c, theta_c, h_d, theta_d)
-        for i in range(7):
+        for i in range(COORDINATES):
             work[(END + i) * lanes + lane] = state[i]
-            work[(END + 7 + i) * lanes + lane] = rates[i]
-    coefficients = _loaded(work, COEFFICIENTS * lanes + lane, lanes)
-    law = _loaded_law(work, LAW * lanes + lane, lanes)
+            work[(END + COORDINATES + i) * lanes + lane] = rates[i]
+    coefficients = coefficients_at(work, COEFFICIENTS * lanes + lane, lanes)
+    law = law_at(work, LAW * lanes + lane, lanes)
     mode = (
         work[STUCK * lanes + lane],
         work[(STUCK + 1) * lanes + lane],
@@ -134,14 +147,14 @@ def evaluate(work, stage, lane, lanes):
     )
     elapsed = work[TIME * lanes + lane] + C[stage] * work[STEP * lanes + lane] - work[ORIGIN * lanes + lane]
     thrust = (cubic(work, LIFT, elapsed, lane, lanes), cubic(work, TILT, elapsed, lane, lanes))
-    joints = pose(phi, theta_c, theta_d, coefficients[8], coefficients[9])
-    p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, w, h_c, h_d, rates, coefficients[10])
-    k_s = work[GROUND * lanes + lane]
-    b_s = work[(GROUND + 1) * lanes + lane]
+    joints = pose(phi, theta_c, theta_d, coefficients.dx_j, coefficients.dz_j)
+    p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, w, h_c, h_d, rates, coefficients.length)
+    k_s = work[GROUND_SPRING * lanes + lane]
+    b_s = work[GROUND_DAMPER * lanes + lane]
     n_c = normal_force(p_c, dp_c, k_s, b_s)
     n_d = normal_force(p_d, dp_d, k_s, b_s)
     angles = (phi, h_c, theta_c, h_d, theta_d)
-    acceleration, friction, required, stiff = solve(
+    acceleration, (f_c, f_d), (required_c, required_d), stiff = solve(
         joints, angles, rates, thrust, (n_c, n_d), (v_c, v_d), mode, law, coefficients
     )
     if stage == STAGES:
@@ -154,23 +167,17 @@ def evaluate(work, stage, lane, lanes):
         work[(NORMAL + 1) * lanes + lane] = n_d
         work[SLIP * lanes + lane] = v_c
         work[(SLIP + 1) * lanes + lane] = v_d
-        work[FRICTION * lanes + lane] = friction[0]
-        work[(FRICTION + 1) * lanes + lane] = friction[1]
-        work[REQUIRED * lanes + lane] = required[0]
-        work[(REQUIRED + 1) * lanes + lane] = required[1]
+        work[FRICTION * lanes + lane] = f_c
+        work[(FRICTION + 1) * lanes + lane] = f_d
+        work[REQUIRED * lanes + lane] = required_c
+        work[(REQUIRED + 1) * lanes + lane] = required_d
     elif modes:
-        inner = (INNER + 6 * (stage - 1)) * lanes + lane
-        work[inner] = n_c
-        work[inner + 1 * lanes] = n_d
-        work[inner + 2 * lanes] = v_c
-        work[inner + 3 * lanes] = v_d
-        work[inner + 4 * lanes] = required[0]
-        work[inner + 5 * lanes] = required[1]
-    k = (RATES + 7 * stage) * lanes + lane
-    work[k] = acceleration[0]
-    work[k + 1 * lanes] = acceleration[1]
-    work[k + 2 * lanes] = acceleration[2]
-    work[k + 3 * lanes] = acceleration[3]
-    work[k + 4 * lanes] = acceleration[4]
-    work[k + 5 * lanes] = acceleration[5]
-    work[k + 6 * lanes] = acceleration[6]
+        inner = (INNER + INNER_ROWS * (stage - 1)) * lanes + lane
+        work[inner + INNER_NORMAL * lanes] = n_c
+        work[inner + (INNER_NORMAL + 1) * lanes] = n_d
+        work[inner + INNER_SLIP * lanes] = v_c
+        work[inner + (INNER_SLIP + 1) * lanes] = v_d
+        work[inner + INNER_REQUIRED * lanes] = required_c
+        work[inner + (INNER_REQUIRED + 1) * lanes] = required_d
+    for i in range(COORDINATES):
+        work[(RATES + COORDINATES * stage + i) * lanes + lane] = acceleration[i]

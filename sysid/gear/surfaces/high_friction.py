@@ -21,7 +21,21 @@ of a single drop whose switches are logged, none in all twelve.
 from numba import njit
 
 from sysid.gear.kernel.dynamics import accelerations, friction_responses
-from sysid.gear.kernel.work_buffer import INNER, LAW, MARGIN, NORMAL, REQUIRED, SLIP, STUCK, SWITCH, WAY
+from sysid.gear.kernel.work_buffer import (
+    INNER,
+    INNER_NORMAL,
+    INNER_REQUIRED,
+    INNER_ROWS,
+    INNER_SLIP,
+    LAW,
+    MARGIN,
+    NORMAL,
+    REQUIRED,
+    SLIP,
+    STUCK,
+    SWITCH,
+    WAY,
+)
 from sysid.gear.surfaces.surface import Surface
 from sysid.integrate.fused import fused
 from sysid.integrate.tableau import STAGES, C
@@ -130,16 +144,16 @@ def inner_share(work, foot, lane, lanes, h, stuck, way, margin, mu_s):
     share = 1.0
     start = margin if margin > 0.0 else 0.0
     for stage in range(1, STAGES):
-        row = (INNER + 6 * (stage - 1) + foot) * lanes + lane
-        normal = work[row]
-        required = work[row + 4 * lanes]
+        row = (INNER + INNER_ROWS * (stage - 1) + foot) * lanes + lane
+        normal = work[row + INNER_NORMAL * lanes]
+        required = work[row + INNER_REQUIRED * lanes]
         force = required if required > 0.0 else -required
-        now = work[row + 2 * lanes] * way if normal > 0.0 else 1.0
+        now = work[row + INNER_SLIP * lanes] * way if normal > 0.0 else 1.0
         now = mu_s * normal - force if stuck > 0.0 else now
         falling = 1.0 if now < margin else 0.0
         lost = falling if now < 0.0 else 0.0
-        here = C[stage] * start / (start - now) if lost > 0.0 else 1.0
-        share = here if here < share else share
+        share_then = C[stage] * start / (start - now) if lost > 0.0 else 1.0
+        share = share_then if share_then < share else share
     share = share if share > _INNER_SHARE else _INNER_SHARE
     return share if h > _INNER_STEP else 1.0
 
@@ -189,16 +203,17 @@ def solve(joints, angles, rates, thrust, normals, slips, modes, law, coefficient
 
     The motion is linear in the friction forces: with its derivatives the multipliers are exact.
     """
-    h_c = angles[1]
-    h_d = angles[3]
-    l = coefficients[10]  # noqa: E741
+    _, h_c, _, h_d, _ = angles
+    l = coefficients.length  # noqa: E741
+    stuck_c, stuck_d, way_c, way_d = modes
+    mu_k = law[0]
     free = accelerations(joints, angles, rates, thrust, normals, 0.0, 0.0, coefficients)
     rear, front = friction_responses(joints, h_c, h_d, coefficients)
     t_free = foot_accelerations(joints, h_c, h_d, l, rates, free)
     g_cc, g_cd = along_slope(joints, h_c, h_d, l, rear)
     _, g_dd = along_slope(joints, h_c, h_d, l, front)
     f_c, f_d, r_c, r_d = high_friction(
-        t_free, (g_cc, g_cd, g_dd), normals, slips, modes[0], modes[1], modes[2], modes[3], law[0]
+        t_free, (g_cc, g_cd, g_dd), normals, slips, stuck_c, stuck_d, way_c, way_d, mu_k
     )
     acceleration = (
         free[0] + (f_c * rear[0] + f_d * front[0]),

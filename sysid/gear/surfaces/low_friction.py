@@ -16,9 +16,10 @@ def low_friction(force_c, force_d, slip_c, slip_d, law):
     ``F_t = -mu_k F_n v / (|v| + eps_v)`` with ``law = (mu_k, eps_v, ...)``; linear in v for |v| << eps_v, so
     it never sticks but creeps. The two quotients share one division.
     """
-    below_c = (slip_c if slip_c > 0.0 else -slip_c) + law[1]
-    below_d = (slip_d if slip_d > 0.0 else -slip_d) + law[1]
-    common = -law[0] / (below_c * below_d)
+    mu_k, eps_v = law[:2]
+    below_c = (slip_c if slip_c > 0.0 else -slip_c) + eps_v
+    below_d = (slip_d if slip_d > 0.0 else -slip_d) + eps_v
+    common = -mu_k / (below_c * below_d)
     return common * below_d * force_c * slip_c, common * below_c * force_d * slip_d
 
 
@@ -26,8 +27,9 @@ def low_friction(force_c, force_d, slip_c, slip_d, law):
 @fused
 def low_friction_damping(force, slip, law):
     """Slope ``-dF_t/dv`` of the law (8) at a slip speed [N·s/m]."""
-    below = (slip if slip > 0.0 else -slip) + law[1]
-    return law[0] * force * law[1] / (below * below)
+    mu_k, eps_v = law[:2]
+    below = (slip if slip > 0.0 else -slip) + eps_v
+    return mu_k * force * eps_v / (below * below)
 
 
 SURFACE = Surface(

@@ -12,13 +12,11 @@ from typing import Any
 from numba import njit
 
 from sysid.gear.kernel.dynamics import accelerations, foot_looseness
+from sysid.gear.kernel.parameter_row import LAW_SLOTS
 
 # Bound to a law's own by `continuous_law`.
 friction: Any = None
 damping: Any = None
-
-# Numbers of its own that a law may read.
-LAW_SLOTS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,9 +153,12 @@ def continuous_law(friction: Any, damping: Any) -> Any:
 
 
 def _solve(joints, angles, rates, thrust, normals, slips, modes, law, coefficients):
-    f_c, f_d = friction(normals[0], normals[1], slips[0], slips[1], law)
-    loose_c, loose_d = foot_looseness(joints, angles[1], angles[3], coefficients)
-    stiff_c = loose_c * damping(normals[0], slips[0], law)
-    stiff_d = loose_d * damping(normals[1], slips[1], law)
+    _, h_c, _, h_d, _ = angles
+    n_c, n_d = normals
+    v_c, v_d = slips
+    f_c, f_d = friction(n_c, n_d, v_c, v_d, law)
+    loose_c, loose_d = foot_looseness(joints, h_c, h_d, coefficients)
+    stiff_c = loose_c * damping(n_c, v_c, law)
+    stiff_d = loose_d * damping(n_d, v_d, law)
     acceleration = accelerations(joints, angles, rates, thrust, normals, f_c, f_d, coefficients)
     return acceleration, (f_c, f_d), (0.0, 0.0), stiff_c if stiff_c > stiff_d else stiff_d

@@ -3,12 +3,15 @@
 import math
 import platform
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numba.core.caching import NullCache
 
 from sysid.errors import CampaignError
+from sysid.gear import model
+from sysid.gear import parameters as gear_parameters
 from sysid.gear.kernel import driver as kernel
 from sysid.gear.model import (
     HF_FREE,
@@ -22,7 +25,7 @@ from sysid.gear.model import (
     simulate,
     simulate_population,
 )
-from sysid.parameters import SearchSpace
+from sysid.parameters import ParameterTable, SearchSpace
 
 SIX = [(5, 0.5), (10, 0.8), (15, 0.6), (20, 1.0), (27, 0.7), (35, 0.45)]
 
@@ -150,6 +153,28 @@ def test_a_lane_that_becomes_nan_is_given_up_at_once(surface):
     assert single.status is Status.STEP_COLLAPSED
 
 
+@pytest.mark.parametrize("surface", ["lf", "hf"])
+def test_a_row_inserted_in_the_table_changes_no_number(surface, monkeypatch):
+    values = parameters_on(surface).nominal | {"front_leg_mass_ratio": 1.2, "leg_bending_damping": 0.05}
+    drops = make_drops(SIX[:2], length=0.2)
+
+    def numbers():
+        row = pack(values, surface)
+        single = simulate(row, drops.slope[0], drops.body_state[0], drops.time[0], surface=surface)
+        many = simulate_population(row, drops, surface=surface)
+        return len(row), [single.state, single.normal_force, single.friction_force, many.samples]
+
+    width, before = numbers()
+    table = list(PARAMETERS.values())
+    table.insert(9, replace(table[8], name="leg_colour", symbol="c_leg", nominal=3e3))
+    for module in (model, gear_parameters):
+        monkeypatch.setattr(module, "PARAMETERS", ParameterTable(table))
+    wider, after = numbers()
+    assert wider == width + 1
+    for old, new in zip(before, after, strict=True):
+        assert np.array_equal(old, new)
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(
     platform.machine() not in ("x86_64", "AMD64"), reason="knows the names of x86 instructions"
@@ -167,11 +192,11 @@ def test_lanes_become_packed_instructions(surface):
         np.empty((1, 1, 3, 6)),
         np.empty((0, 7)),
     )
-    reads = np.array([17, 19], dtype=np.int64)
+    rows = model.kernel_rows_of(pack({})[None], own)
     start = (drops.slope, drops.body_state[None], np.empty(0), drops.clock, drops.offset)
     thrust = (drops.segments, drops.plans)
     ending = (0.0, 0.05, 0.2, 0.2, 1.4)  # to the clock's end; rest and flip as by default
-    drive(pack({})[None], reads, *start, *thrust, np.zeros(1, np.int64), 1e-3, 5e-3, 1e6, ending, *out)
+    drive(rows, *start, *thrust, np.zeros(1, np.int64), 1e-3, 5e-3, 1e6, ending, *out)
     (text,) = drive.inspect_asm().values()
     # Products by themselves and those fused into a sum.
     packed, single = (

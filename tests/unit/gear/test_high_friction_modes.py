@@ -3,7 +3,22 @@
 import numpy as np
 import pytest
 
-from sysid.gear.kernel.work_buffer import INNER, LAW, MARGIN, NORMAL, REQUIRED, ROWS, SLIP, STUCK, SWITCH, WAY
+from sysid.gear.kernel.work_buffer import (
+    INNER,
+    INNER_NORMAL,
+    INNER_REQUIRED,
+    INNER_ROWS,
+    INNER_SLIP,
+    LAW,
+    MARGIN,
+    NORMAL,
+    REQUIRED,
+    ROWS,
+    SLIP,
+    STUCK,
+    SWITCH,
+    WAY,
+)
 from sysid.gear.model import PARAMETERS, EventKind, pack, simulate
 from sysid.gear.surfaces.high_friction import after_step
 from sysid.integrate.tableau import STAGES
@@ -25,9 +40,10 @@ def decided(foot, *, stuck, way, slip, required, margin, load=LOAD, length=1e-8,
     for stage in range(STAGES - 1):
         # Normal forces, slips and required forces of both feet at the stage: those of the end.
         for n, row in enumerate((NORMAL, SLIP, REQUIRED)):
-            work[INNER + 6 * stage + 2 * n : INNER + 6 * stage + 2 * n + 2] = work[row : row + 2]
+            first = INNER + INNER_ROWS * stage + (INNER_NORMAL, INNER_SLIP, INNER_REQUIRED)[n]
+            work[first : first + 2] = work[row : row + 2]
         if seen is not None:
-            work[INNER + 6 * stage + 4 + foot] = seen
+            work[INNER + INNER_ROWS * stage + INNER_REQUIRED + foot] = seen
     step = after_step(work, 0, 1, length, 1.0, 1e-4)
     other = 1 - foot
     assert (work[STUCK + other], work[WAY + other], work[SWITCH + other]) == (0.0, 1.0, 0.0)
