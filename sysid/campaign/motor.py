@@ -19,6 +19,7 @@ from sysid.campaign.common import (
     _quantity,
 )
 from sysid.campaign.logs import BenchLogOptions, SecondLog, Unit
+from sysid.types import Direction, Rotation
 
 Current = Annotated[float, BeforeValidator(_quantity("A")), Field(gt=0)]
 AngularSpeed = Annotated[float, BeforeValidator(_quantity("rad/s")), Field(gt=0)]
@@ -32,7 +33,6 @@ def _speed_per_volt(value: Any) -> float:
 
 
 SpeedPerVolt = Annotated[float, BeforeValidator(_speed_per_volt), Field(gt=0)]
-Direction = Literal["forward", "reverse", "reversal"]
 
 
 class MotorRatings(Table):
@@ -88,7 +88,7 @@ class StaticLog(Table):
     """One entry of `curves.static` or `curves.no_load`."""
 
     log: str
-    direction: Literal["forward", "reverse"] = "forward"
+    direction: Rotation = "forward"
     log_options: BenchLogOptions = BenchLogOptions()
     second_log: SecondLog | None = None
 

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from sysid.campaign import MotorCampaign
-from sysid.campaign.motor import MotorTrial as TrialEntry
-from sysid.errors import LogError, SysidWarning
-from sysid.motor.bench_reading import read_log
-from sysid.recording import Channel, Recording
+from sysid.campaign import MotorCampaign, MotorTrial
+from sysid.campaign.file import resolve_log
+from sysid.campaign.logs import BenchLogOptions
+from sysid.campaign.motor import StaticLog
+from sysid.campaign.read_logs import load_stated, warn_of_idle_options
+from sysid.errors import LogError
+from sysid.journal import Finding, note, notice
+from sysid.loaders import detect
+from sysid.loaders.alignment import join_recordings
+from sysid.recording import Recording
 from sysid.trials.bench_log import (
     CommandRange,
     CommandSteps,
@@ -27,15 +31,19 @@ from sysid.trials.bench_log import (
     signed_speed,
     standing_command,
     tare,
+    wrong_poles,
 )
+from sysid.trials.common_clock import on_one_clock
 from sysid.trials.reversal import JITTER
 from sysid.trials.signs import sign_against_speed, sign_of_log, zero_of_steady
 from sysid.trials.steady import SETTLE, SteadyPoints, ramp_points, steady_points
-from sysid.types import FloatArray
+from sysid.types import BoolArray, FloatArray
 
-Direction = Literal["forward", "reverse"]
-DIRECTIONS: tuple[Direction, Direction] = ("forward", "reverse")
+# Times [s] and values of a channel.
+Samples = tuple[FloatArray, FloatArray]
 
+_NEEDED = ("command", "speed", "torque", "thrust", "voltage", "current")
+_CLOCK_OF = ("torque", "thrust", "speed")
 # A log is fast, and filtered, when it has this many samples per period of the stop-band edge.
 _FAST = 10.0
 # Standard errors by which a friction must differ from none before a torque constant makes room for it.
@@ -45,13 +53,120 @@ STATED_SIGNS = {"+": 1, "-": -1}
 
 
 @dataclass(frozen=True, eq=False)
+class BenchFile:
+    """A log of the campaign as a fit needs it.
+
+    Parameters
+    ----------
+    recording : Recording
+        Command, speed, torque, thrust, voltage and current on one clock.
+    second : dict or None
+        Of a second file: name, hash, format, device, clock offset [s] with its correlation and confidence.
+    """
+
+    recording: Recording
+    second: dict[str, Any] | None = None
+
+
+def read_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial | StaticLog) -> BenchFile:
+    """Load a log of the campaign, joined with its second file where it has one.
+
+    Parameters
+    ----------
+    campaign : MotorCampaign
+        Its `[log]` table holds for every log whose format takes the option.
+    path : str or Path
+        The campaign's file; logs are named relative to its folder.
+    entry : MotorTrial or StaticLog
+        Names the log; its `log_options` win over `[log]`.
+
+    Raises
+    ------
+    SysidError
+        When a log cannot be read, or the clock of the second one cannot be found.
+    """
+    log, options = resolve_log(path, entry.log), entry.log_options
+    name = options.format or campaign.log.format or "auto"
+    name = detect(log) if name == "auto" else name
+    recording = load_stated(log, name, _campaign_wide(campaign, name, options), options.loader_options())
+    ratio = _electrical_share(recording)
+    if ratio is not None:
+        notice("wrong-pole-count", wrong_poles(ratio), trial=entry.log)
+    second = None
+    if entry.second_log is not None:
+        # Another instrument: nothing that the campaign says of its logs is said of this one.
+        other = resolve_log(path, entry.second_log.log)
+        beside = load_stated(other, entry.second_log.format, {}, entry.second_log.loader_options())
+        recording, alignment = join_recordings(recording, beside, entry.second_log.align_by)
+        second = {
+            **source_of(beside),
+            "aligned": f"{alignment.other} with {alignment.reference}",
+            "offset [s]": alignment.offset,
+            "correlation": alignment.correlation,
+            "confidence": alignment.confidence,
+            "notes": beside.provenance.sentences,
+        }
+    return BenchFile(on_one_clock(recording, _NEEDED, _CLOCK_OF), second)
+
+
+def source_of(recording: Recording) -> dict[str, Any]:
+    """Return file, hash, format and device of a log, as a result states them."""
+    p = recording.provenance
+    return {"log": Path(p.path).name, "sha256": p.sha256, "format": p.format, "device": p.device}
+
+
+def log_hashes(provenance: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a log as its provenance states it, and of its second file where it has one."""
+    second = provenance.get("second log", {})
+    return " ".join(str(source["sha256"]) for source in (provenance, second) if source)
+
+
+def check_options(campaign: MotorCampaign, path: str | Path) -> None:
+    """Warn of what `[log]` says and no log of the campaign takes."""
+    curves = campaign.curves
+    entries: tuple[MotorTrial | StaticLog, ...] = (*campaign.trials, *curves.static, *curves.no_load)
+    logs = [(resolve_log(path, e.log), e.log_options.format or campaign.log.format) for e in entries]
+    warn_of_idle_options("log", campaign.log.loader_options(), logs)
+
+
+def _campaign_wide(campaign: MotorCampaign, name: str, options: BenchLogOptions) -> dict[str, Any]:
+    """Return what `[log]` says, with its short forms of units in the words of the format."""
+    log = campaign.log
+    short = {
+        "command": log.command_unit, "thrust": log.force_unit, "torque": log.torque_unit,
+        "speed": log.speed_unit,
+    }  # fmt: skip
+    if name == "ati-text":  # six channels by place, which share two units
+        short = {"force": log.force_unit, "torque": log.torque_unit}
+    units = {**(log.units or {}), **{key: unit for key, unit in short.items() if unit is not None}}
+    # A calibration states its units.
+    return log.loader_options() | {"units": None if options.calibration is not None else units or None}
+
+
+def _electrical_share(recording: Recording) -> float | None:
+    """Return the constant ratio of electrical to optical speed where it is not 1; None otherwise."""
+    if not {"speed_electrical", "speed_optical"} <= set(recording.channels):
+        return None
+    electrical, optical = recording["speed_electrical"].values, recording["speed_optical"].values
+    both = (np.nan_to_num(optical) != 0) & (np.nan_to_num(electrical) != 0)
+    if np.count_nonzero(both) < 3:
+        return None
+    ratio = electrical[both] / optical[both]
+    low, middle, high = np.percentile(ratio, [25, 50, 75])
+    # One pole pair of fourteen is 7 %; probes that agree differ by well under 2 %.
+    return float(middle) if abs(middle - 1.0) > 0.02 and high - low < 0.02 * middle else None
+
+
+@dataclass(frozen=True, eq=False)
 class BenchLog:
     """One log with signs, tare and doubtful intervals settled.
 
     Parameters
     ----------
     name : str
+        Of its trial.
     recording : Recording
+        As loaded.
     steps : CommandSteps
         In u.
     time : (n,) array
@@ -66,9 +181,11 @@ class BenchLog:
     fast : bool
         Fast enough for the filter.
     tares : dict of name to Tare
+        What was subtracted.
     torque_sign, thrust_sign : int
         What the recorded torque and thrust were multiplied by.
-    notes : list of str
+    notes : tuple of Finding
+        What was noticed about the log, and done to it.
     second : dict or None
         Of a second file that was joined: what it is and how its clock was found.
     """
@@ -77,20 +194,29 @@ class BenchLog:
     recording: Recording
     steps: CommandSteps
     time: FloatArray
-    channels: dict[str, tuple[FloatArray, FloatArray]]
+    channels: dict[str, Samples]
     window: tuple[float, float]
     doubtful: tuple[tuple[float, float], ...]
     fast: bool
-    tares: dict[str, Tare]
-    torque_sign: int
-    thrust_sign: int
-    notes: list[str]
+    tares: dict[str, Tare] = field(default_factory=dict)
+    torque_sign: int = 1
+    thrust_sign: int = 1
+    notes: tuple[Finding, ...] = ()
     second: dict[str, Any] | None = None
 
     @property
     def where(self) -> str:
         """The log and the trial, as sentences name them."""
-        return f"{self.recording.provenance.path}, trial {self.name!r}"
+        return _where(self.recording, self.name)
+
+    @property
+    def interval(self) -> float:
+        """Median distance of the rows [s]."""
+        return float(np.median(np.diff(self.time)))
+
+
+def _where(recording: Recording, name: str) -> str:
+    return f"{recording.provenance.path}, trial {name!r}"
 
 
 def command_range(campaign: MotorCampaign) -> CommandRange:
@@ -101,7 +227,7 @@ def command_range(campaign: MotorCampaign) -> CommandRange:
     return CommandRange(c.unit, c.minimum, c.minimum if c.neutral is None else c.neutral, c.maximum)
 
 
-def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> BenchLog:
+def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> BenchLog:
     """Read a trial's log and settle its signs, tare and doubtful intervals.
 
     Raises
@@ -111,202 +237,216 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: TrialEntry) -> B
     """
     file = read_log(campaign, path, entry)
     recording = file.recording
-    where = f"{recording.provenance.path}, trial {entry.name!r}"
+    where = _where(recording, entry.name)
     if recording.kind == "static-map":
         raise LogError(f"{where}: holds averaged points, no transients; name it under curves.static")
+    time = recording["command"].time
+    u = _command(campaign, recording, where)
+    steps = command_steps(time, u)
+    window = _window(entry, time, where)
+    speed = _signed_speed(entry, recording, u, window, where)
+    stalls = [s for s in find_stalls(time, steps) if s.end >= window[0] and s.start <= window[1]]
+    log = BenchLog(
+        entry.name, recording, steps, time, {"speed": speed}, window,
+        tuple(s.doubtful for s in stalls if s.doubtful is not None), _is_fast(campaign, time, where),
+        notes=tuple(recording.provenance.notes), second=file.second,
+    )  # fmt: skip
+    _warn_of_standing(log, u)
+    log = _with_channels(campaign, log, u)
+    if "torque" not in log.channels and campaign.cost.weights.torque > 0:
+        raise LogError(
+            f"{where}: no torque; record it, or set cost.weights.torque = 0 and name a log "
+            "with torque in curves.static"
+        )
+    log = _with_signs(campaign, _with_zeros_from_steady(campaign, log))
+    more = []
+    if not log.fast:
+        more.append(note("unfiltered", f"rows every {1e3 * log.interval:.1f} ms: compared unfiltered"))
+    for stall in stalls:
+        if stall.doubtful is not None:
+            sentence = (
+                f"the logger stalls from {stall.start:.4f} to {stall.end:.4f} s around a command: "
+                f"{stall.doubtful[0]:.4f} to {stall.doubtful[1]:.4f} s is left out of the cost"
+            )
+            more.append(note("logger-stalls", sentence))
+    return replace(log, notes=(*log.notes, *more))
+
+
+def _command(campaign: MotorCampaign, recording: Recording, where: str) -> FloatArray:
+    """Return the logged command as u (n,) in [-1, 1]."""
     command = recording["command"]
-    time = command.time
     u = command_range(campaign).to_u(command.values, command.unit, where)
     if not np.isfinite(u).any():
         raise LogError(f"{where}: holds no command; a motor fit needs the command beside the speed")
     # A neutral that jitters is a neutral, for the tare too.
-    u = np.where(np.abs(u) <= JITTER, 0.0, u)
-    steps = command_steps(time, u)
-    raw = recording["speed"]
+    return np.where(np.abs(u) <= JITTER, 0.0, u)
+
+
+def _window(entry: MotorTrial, time: FloatArray, where: str) -> tuple[float, float]:
     begin = float(time[0]) if entry.start is None else entry.start
     end = float(time[-1]) if entry.end is None else entry.end
     if not begin < end or begin > time[-1] or end < time[0]:
         raise LogError(
             f"{where}: window {begin:g} to {end:g} s lies outside the log's {time[0]:.3f} to {time[-1]:.3f} s"
         )
-    inside = (raw.time >= begin) & (raw.time <= end)
-    known = raw.values[inside]
-    signed_speed(known, entry.direction, where)
-    check_command_direction(u[(time >= begin) & (time <= end)], entry.direction, where)
+    return begin, end
+
+
+def _signed_speed(
+    entry: MotorTrial, recording: Recording, u: FloatArray, window: tuple[float, float], where: str
+) -> Samples:
+    """Return the known samples of the speed with the sign of the trial's direction."""
+    raw, time = recording["speed"], recording["command"].time
+    signed_speed(raw.values[_inside(raw.time, window)], entry.direction, where)
+    check_command_direction(u[_inside(time, window)], entry.direction, where)
     speed = raw.values if entry.direction == "reversal" else signed_speed(raw.values, entry.direction, where)
-    _warn_of_standing(raw.time[inside], known, steps, (begin, end), command, u, where)
-    rate = 1.0 / float(np.median(np.diff(time)))
-    fast = campaign.filter.kind != "none" and rate >= _FAST * campaign.filter.stop_edge
-    if campaign.filter.kind == "chebyshev2" and not fast:
+    known = np.isfinite(speed)
+    return raw.time[known], speed[known]
+
+
+def _inside(time: FloatArray, window: tuple[float, float]) -> BoolArray:
+    return (time >= window[0]) & (time <= window[1])
+
+
+def _is_fast(campaign: MotorCampaign, time: FloatArray, where: str) -> bool:
+    """Return whether the log is filtered."""
+    rate, settings = 1.0 / float(np.median(np.diff(time))), campaign.filter
+    fast = settings.kind != "none" and rate >= _FAST * settings.stop_edge
+    if settings.kind == "chebyshev2" and not fast:
         raise LogError(
             f"{where}: {rate:.0f} Hz is too slow for a filter whose stop band begins at "
-            f'{campaign.filter.stop_edge:g} Hz; set filter.kind = "auto" to leave slow logs unfiltered'
+            f'{settings.stop_edge:g} Hz; set filter.kind = "auto" to leave slow logs unfiltered'
         )
-    notes = recording.provenance.sentences
-    stalls = [s for s in find_stalls(time, steps) if s.end >= begin and s.start <= end]
-    doubtful = tuple(s.doubtful for s in stalls if s.doubtful is not None)
-    rest = rows_at_rest(time, u, np.interp(time, raw.time, np.nan_to_num(raw.values)))
-    channels = {"speed": (raw.time[np.isfinite(speed)], speed[np.isfinite(speed)])}
-    tares: dict[str, Tare] = {}
+    return fast
+
+
+def _warn_of_standing(log: BenchLog, u: FloatArray) -> None:
+    """Warn where the rotor stands under a command that should turn it: its unit or neutral is another."""
+    raw = log.recording["speed"]
+    seen = _inside(raw.time, log.window) & np.isfinite(raw.values)
+    level = standing_command(raw.time[seen], raw.values[seen], log.steps, log.window)
+    if level is not None:
+        logged = float(log.recording["command"].values[np.flatnonzero(u == level)[0]])
+        notice(
+            "rotor-stands",
+            f"the rotor stands under command {logged:g} (u = {level:.2g}); correct command.unit or "
+            "command.neutral, or shorten the window where the controller did not start",
+            trial=log.name,
+        )
+
+
+def _with_channels(campaign: MotorCampaign, log: BenchLog, u: FloatArray) -> BenchLog:
+    """Return the log with torque, thrust, voltage and current, as far as recorded, tares subtracted."""
+    raw = log.recording["speed"]
+    rest = rows_at_rest(log.time, u, np.interp(log.time, raw.time, np.nan_to_num(raw.values)))
+    channels, tares, notes = dict(log.channels), dict(log.tares), list(log.notes)
     for name in ("torque", "thrust", "voltage", "current"):
-        if name not in recording.channels or (name == "current" and campaign.log.current != "motor"):
+        if name not in log.recording.channels or (name == "current" and campaign.log.current != "motor"):
             continue
-        channel = recording[name]
-        keep = channel.valid if fast or name in ("voltage", "current") else real_samples(channel.values)
+        channel = log.recording[name]
         values = channel.values
+        keep = channel.valid if log.fast or name in ("voltage", "current") else real_samples(values)
         if name == "voltage":
             # A probe that is not connected reads 0; no supply that turns a motor does.
             keep = keep & (np.nan_to_num(values) > 0)
             if not keep.any():
-                notes.append("the voltage is nowhere above 0: left out, the supply counts as constant")
+                sentence = "the voltage is nowhere above 0: left out, the supply counts as constant"
+                notes.append(note("no-voltage", sentence))
                 continue
         else:
-            row = np.minimum(np.searchsorted(time, channel.time), time.size - 1)
+            row = np.minimum(np.searchsorted(log.time, channel.time), log.time.size - 1)
             tares[name] = tare(values, rest[row])
             values = values - tares[name].value
         channels[name] = (channel.time[keep], values[keep])
-    if "torque" not in channels and campaign.cost.weights.torque > 0:
-        raise LogError(
-            f"{where}: no torque; record it, or set cost.weights.torque = 0 and name a log "
-            "with torque in curves.static"
-        )
-    _zeros_from_steady(campaign, where, channels, tares, notes, (time, steps, (begin, end), doubtful))
-    points = _points_in(time, steps, channels, (begin, end), doubtful, tares)
-    signs = {"torque": 1, "thrust": 1}
-    for name, stated in (("torque", campaign.log.torque_sign), ("thrust", campaign.log.thrust_sign)):
-        if name in channels:
-            signs[name] = _sign(name, stated, channels, points, where, notes)
-            t, values = channels[name]
-            channels[name] = (t, signs[name] * values)
-    if not fast:
-        notes.append(f"rows every {1e3 / rate:.1f} ms: compared unfiltered at its own real samples")
-    for stall in stalls:
-        if stall.doubtful is not None:
-            notes.append(
-                f"the logger stalls from {stall.start:.4f} to {stall.end:.4f} s around a command: "
-                f"{stall.doubtful[0]:.4f} to {stall.doubtful[1]:.4f} s is left out of the cost"
-            )
-    return BenchLog(
-        entry.name, recording, steps, time, channels, (begin, end), doubtful, fast, tares,
-        signs["torque"], signs["thrust"], notes, file.second,
-    )  # fmt: skip
+    return replace(log, channels=channels, tares=tares, notes=tuple(notes))
 
 
-def _warn_of_standing(
-    time: FloatArray,
-    speed: FloatArray,
-    steps: CommandSteps,
-    window: tuple[float, float],
-    command: Channel,
-    u: FloatArray,
-    where: str,
-) -> None:
-    """Warn where the rotor stands under a command that should turn it: its unit or neutral is another."""
-    seen = np.isfinite(speed)
-    level = standing_command(time[seen], speed[seen], steps, window)
-    if level is not None:
-        logged = float(command.values[np.flatnonzero(u == level)[0]])
-        warnings.warn(
-            f"{where}: the rotor stands under command {logged:g} (u = {level:.2g}); correct command.unit or "
-            "command.neutral, or shorten the window where the controller did not start",
-            SysidWarning,
-            stacklevel=3,
-        )
-
-
-def _zeros_from_steady(
-    campaign: MotorCampaign,
-    where: str,
-    channels: dict[str, tuple[FloatArray, FloatArray]],
-    tares: dict[str, Tare],
-    notes: list[str],
-    log: tuple[FloatArray, CommandSteps, tuple[float, float], tuple[tuple[float, float], ...]],
-) -> None:
-    """Estimate the tare of torque and thrust where the log has no row at rest, and say so."""
-    time, steps, window, doubtful = log
-    points = _points_in(time, steps, channels, window, doubtful, tares)
+def _with_zeros_from_steady(campaign: MotorCampaign, log: BenchLog) -> BenchLog:
+    """Return the log with the tare of torque and thrust estimated where it has no row at rest."""
+    points = log_points(log)
+    channels, tares, notes = dict(log.channels), dict(log.tares), list(log.notes)
     for name, unit in (("torque", "N·m"), ("thrust", "N")):
         if name not in channels or tares[name].rows > 0:
             continue
-        found = zero_of_steady(getattr(points, name), points.speed)
-        if found is None:
-            said = f"no row at rest and too few steady points: the tare of {name} is taken as 0"
+        zero = zero_of_steady(getattr(points, name), points.speed)
+        if zero is None:
+            sentence = f"no row at rest and too few steady points: the tare of {name} is taken as 0"
         else:
-            tares[name] = found
+            tares[name] = zero
             t, values = channels[name]
-            channels[name] = (t, values - found.value)
-            said = (
-                f"no row at rest: the tare of {name}, {1e3 * found.value:.3g} ± {1e3 * found.error:.2g} "
+            channels[name] = (t, values - zero.value)
+            sentence = (
+                f"no row at rest: the tare of {name}, {1e3 * zero.value:.3g} ± {1e3 * zero.error:.2g} "
                 f"m{unit}, is what its steady points over Ω|Ω| leave at standstill"
             )
-        notes.append(said)
+        notes.append(note("no-row-at-rest", sentence))
         if name == "torque" and campaign.cost.weights.torque > 0:
-            warnings.warn(
-                f"{where}: {said}; record a second before the motor starts", SysidWarning, stacklevel=3
-            )
+            notice("no-row-at-rest", f"{sentence}; record a second before the motor starts", trial=log.name)
+    return replace(log, channels=channels, tares=tares, notes=tuple(notes))
 
 
-def _sign(
-    name: str,
-    stated: str,
-    channels: dict[str, tuple[FloatArray, FloatArray]],
-    points: SteadyPoints,
-    where: str,
-    notes: list[str],
-) -> int:
-    """Return what a channel is multiplied by so that a steady value has the sign of its speed.
+def _with_signs(campaign: MotorCampaign, log: BenchLog) -> BenchLog:
+    """Return the log with torque and thrust turned so that steady values have the sign of their speed.
 
     Raises
     ------
     LogError
-        When the stated sign contradicts the steady points.
+        When a stated sign contradicts the steady points.
     """
+    points = log_points(log)
+    stated = {"torque": campaign.log.torque_sign, "thrust": campaign.log.thrust_sign}
+    channels, notes, signs = dict(log.channels), list(log.notes), {"torque": 1, "thrust": 1}
+    for name in signs:
+        if name in channels:
+            signs[name], more = _sign(name, stated[name], log, points)
+            t, values = channels[name]
+            channels[name] = (t, signs[name] * values)
+            notes += more
+    return replace(
+        log, channels=channels, torque_sign=signs["torque"], thrust_sign=signs["thrust"], notes=tuple(notes)
+    )
+
+
+def _sign(name: str, stated: str, log: BenchLog, points: SteadyPoints) -> tuple[int, list[Finding]]:
+    """Return what a channel is multiplied by, and notes about it."""
     steady = getattr(points, name)
     seen = sign_against_speed(steady, points.speed)
     sign = STATED_SIGNS.get(stated, seen)
+    notes: list[Finding] = []
     if seen and sign != seen:
         worst, unit = int(np.nanargmax(np.abs(steady))), "mN·m" if name == "torque" else "mN"
         what = "a drag that drives the rotor" if name == "torque" else "a thrust against the rotation"
         raise LogError(
-            f"{where}: log.{name}_sign = {stated!r} gives {1e3 * sign * steady[worst]:.3g} {unit} at a "
+            f"{log.where}: log.{name}_sign = {stated!r} gives {1e3 * sign * steady[worst]:.3g} {unit} at a "
             f"steady {points.speed[worst]:.0f} rad/s, {what}; set {'+' if seen > 0 else '-'!r} or 'auto'"
         )
     if sign == 0:
-        sign = sign_of_log(channels[name], channels["speed"])
-        notes.append(f"no steady stretch: the sign of {name} is that of the whole log against its speed")
+        sign = sign_of_log(log.channels[name], log.channels["speed"])
+        sentence = f"no steady stretch: the whole log against its speed gives the sign of {name}"
+        notes.append(note("sign-of-whole-log", sentence))
     if sign == 0:
-        warnings.warn(
-            f"{where}: nothing tells the sign of {name}, so it is taken as recorded; state "
+        notice(
+            "sign-unknown",
+            f"nothing tells the sign of {name}, so it is taken as recorded; state "
             f"log.{name}_sign = '+' or '-'",
-            SysidWarning,
-            stacklevel=3,
+            trial=log.name,
         )
-        return 1
+        return 1, notes
     if sign < 0:
-        notes.append(f"the recorded {name} opposes the rotation at steady speed: its sign was turned")
-    return sign
+        sentence = f"the recorded {name} opposes the rotation at steady speed: its sign was turned"
+        notes.append(note("sign-turned", sentence))
+    return sign, notes
 
 
 def log_points(log: BenchLog) -> SteadyPoints:
     """Return the steady points of a step log inside its window."""
-    return _points_in(log.time, log.steps, log.channels, log.window, log.doubtful, log.tares)
-
-
-def _points_in(
-    time: FloatArray,
-    steps: CommandSteps,
-    channels: dict[str, tuple[FloatArray, FloatArray]],
-    window: tuple[float, float],
-    doubtful: tuple[tuple[float, float], ...],
-    tares: Mapping[str, Tare],
-) -> SteadyPoints:
-    skip = (*doubtful, (-np.inf, window[0]), (window[1], np.inf))
-    zeros = {name: found.rows for name, found in tares.items()}
-    points = steady_points(time, steps, channels, skip, zero_rows=zeros)
+    skip = (*log.doubtful, (-np.inf, log.window[0]), (log.window[1], np.inf))
+    zeros = {name: zero.rows for name, zero in log.tares.items()}
+    points = steady_points(log.time, log.steps, log.channels, skip, zero_rows=zeros)
     if len(points) >= 3:
         return points
     # Too few plateaus for any curve: a command that creeps serves as well.
-    return SteadyPoints.join([points, ramp_points(time, steps, channels, skip, zeros)])
+    return SteadyPoints.join([points, ramp_points(log.time, log.steps, log.channels, skip, zeros)])
 
 
 @dataclass(frozen=True)
@@ -354,7 +494,7 @@ def torque_per_current(logs: Sequence[BenchLog]) -> TorquePerCurrent:
             "speed": log.channels["speed"], "torque": log.channels["torque"],
             "thrust": log.channels["current"],
         }  # fmt: skip
-        points = _points_in(log.time, log.steps, channels, log.window, log.doubtful, {})
+        points = log_points(replace(log, channels=channels, tares={}))
         pairs.append(np.column_stack([np.abs(points.thrust), np.abs(points.torque)]))
     current, torque = np.concatenate(pairs).T
     known = np.isfinite(current) & np.isfinite(torque) & (current > 0)

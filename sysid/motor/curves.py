@@ -16,8 +16,15 @@ from sysid.campaign import MotorCampaign
 from sysid.campaign.motor import MotorTrial as TrialEntry
 from sysid.campaign.motor import StaticLog
 from sysid.errors import FitError, LogError, SysidWarning
-from sysid.motor.bench_logs import STATED_SIGNS, BenchLog, bench_log, command_range, log_points
-from sysid.motor.bench_reading import log_hashes, read_log
+from sysid.motor.bench_logs import (
+    STATED_SIGNS,
+    BenchLog,
+    bench_log,
+    command_range,
+    log_hashes,
+    log_points,
+    read_log,
+)
 from sysid.motor.static_curves import (
     OUTLIER,
     CurveFit,
@@ -29,10 +36,9 @@ from sysid.motor.static_curves import (
 from sysid.trials.bench_log import signed_speed, tare
 from sysid.trials.signs import sign_against_speed
 from sysid.trials.steady import SETTLE, SteadyPoints
-from sysid.types import FloatArray
+from sysid.types import FloatArray, Rotation
 
-Direction = Literal["forward", "reverse"]
-DIRECTIONS: tuple[Direction, Direction] = ("forward", "reverse")
+_ROTATIONS: tuple[Rotation, Rotation] = ("forward", "reverse")
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +194,7 @@ class NoLoadTie:
         loaded = (1.0 + drop * damping)[:, None] * self.speed
         return np.asarray(loaded + drop[:, None] * self.torque, dtype=np.float64)
 
-    def fit(self, direction: Direction, drop: float, damping: float) -> CurveFit:
+    def fit(self, direction: Rotation, drop: float, damping: float) -> CurveFit:
         """Return the line at one R/(k_m k_v) and k_d, and how well the points lie on it.
 
         The standard errors are those of the points; an error of R moves all points together and is not in
@@ -233,7 +239,7 @@ class StaticCurves:
     """
 
     fits: tuple[CurveFit, ...]
-    ties: dict[Direction, NoLoadTie]
+    ties: dict[Rotation, NoLoadTie]
     reference_voltage: float
     loaded: dict[str, SteadyPoints]
     logs: tuple[CurveLog, ...] = ()
@@ -256,10 +262,10 @@ def static_curves(
     that are fitted. Ω_0 comes from `curves.no_load`, or from the loaded points, tied to R.
     """
     turning = {t.direction for t in campaign.trials}
-    wanted = [d for d in DIRECTIONS if d in turning or "reversal" in turning]
+    wanted = [d for d in _ROTATIONS if d in turning or "reversal" in turning]
     own = SteadyPoints.join([log_points(log) for log in logs]) if logs else None
     fits: list[CurveFit] = []
-    ties: dict[Direction, NoLoadTie] = {}
+    ties: dict[Rotation, NoLoadTie] = {}
     loaded: dict[str, SteadyPoints] = {}
     for direction in wanted:
         named, bare = (
@@ -313,7 +319,7 @@ def _of_logs(source: str) -> Iterator[None]:
         raise FitError(f"{source}: {error}") from None
 
 
-def _tie(direction: Direction, points: SteadyPoints, torque: CurveFit, reference_voltage: float) -> NoLoadTie:
+def _tie(direction: Rotation, points: SteadyPoints, torque: CurveFit, reference_voltage: float) -> NoLoadTie:
     keep = (points.u > 0) if direction == "forward" else (points.u < 0)
     u, speed = points.u[keep], points.speed[keep]
     ratio = np.where(np.isfinite(points.voltage[keep]), points.voltage[keep] / reference_voltage, 1.0)

@@ -23,7 +23,7 @@ from sysid.motor.known_values import SATURATION, Bench
 from sysid.motor.log_delays import delay_name
 from sysid.motor.model import PARAMETERS, simulate
 from sysid.motor.objective import MotorObjective
-from sysid.motor.targets import lowpass_of, uniform_filtered
+from sysid.motor.targets import filtered
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 from sysid.trials.bench_log import CommandSteps
 from sysid.trials.reversal import find_reversals
@@ -230,8 +230,7 @@ def reversal_delays(campaign: MotorCampaign, bench: Bench, best: Mapping[str, fl
             continue
         thrust = log.channels["thrust"]
         if log.fast:
-            lowpass = lowpass_of(campaign, log)
-            time, values = uniform_filtered(*thrust, lowpass, f"trial {trial.entry.name!r}, thrust")
+            time, values = filtered(campaign, log, "thrust")
             thrust = (time[np.isfinite(values)], values[np.isfinite(values)])
         parameters = {name: value for name, value in best.items() if name in PARAMETERS}
         parameters["command_delay"] = best.get(delay_name(trial.entry.log), best["command_delay"])

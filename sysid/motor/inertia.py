@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from sysid.campaign import MotorCampaign
 from sysid.motor.bench_logs import BenchLog
 from sysid.motor.model import aerodynamic_torque
-from sysid.motor.targets import lowpass_of, uniform_filtered
+from sysid.motor.targets import filtered
 from sysid.types import BoolArray, FloatArray
 
 # A spike and its decay [s]; smaller steps of u than this show none.
@@ -126,10 +126,8 @@ def _fast(
     campaign: MotorCampaign, log: BenchLog, parameters: Mapping[str, float]
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
     """Return time, dΩ/dt, torque above the static one, and where the log is whole: both filtered alike."""
-    lowpass = lowpass_of(campaign, log)
-    time, speed = uniform_filtered(*log.channels["speed"], lowpass, f"trial {log.name!r}, speed")
-    own, torque = uniform_filtered(*log.channels["torque"], lowpass, f"trial {log.name!r}, torque")
-    torque = np.interp(time, own, torque)
+    time, speed = filtered(campaign, log, "speed")
+    torque = np.interp(time, *filtered(campaign, log, "torque"))
     acceleration = np.gradient(speed, time)
     excess = torque - aerodynamic_torque(speed, parameters)
     whole = np.isfinite(acceleration) & np.isfinite(excess)

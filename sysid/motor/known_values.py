@@ -12,8 +12,7 @@ import numpy as np
 
 from sysid.campaign import MotorCampaign
 from sysid.errors import CampaignError, SysidWarning
-from sysid.motor.bench_logs import BenchLog, TorquePerCurrent, bench_log, torque_per_current
-from sysid.motor.bench_reading import check_options
+from sysid.motor.bench_logs import BenchLog, TorquePerCurrent, bench_log, check_options, torque_per_current
 from sysid.motor.curves import CurveLog, StaticCurves, read_curve_logs, static_curves
 from sysid.motor.log_delays import with_log_delays
 from sysid.motor.model import FREE_DEFAULT, PARAMETERS

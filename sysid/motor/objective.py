@@ -12,13 +12,13 @@ from sysid.campaign import MotorCampaign
 from sysid.fit.objective import Evaluation
 from sysid.motor.batch import MotorTrials, simulate_population
 from sysid.motor.cost import MotorCost
-from sysid.motor.curves import Direction, NoLoadTie
+from sysid.motor.curves import NoLoadTie
 from sysid.motor.known_values import Bench, search_space
 from sysid.motor.log_delays import shifts
 from sysid.motor.model import PARAMETERS, pack
 from sysid.motor.targets import PreparedTrial
 from sysid.parameters import SearchSpace
-from sysid.types import BoolArray, FloatArray
+from sysid.types import BoolArray, FloatArray, Rotation
 
 # Local error of the simulations of a search: 1e-5 keeps the worst candidate within 0.01 % NRMSE.
 FIT_TOLERANCE = 1e-5
@@ -47,7 +47,7 @@ class MotorObjective:
 
     space: SearchSpace
     trials: tuple[PreparedTrial, ...]
-    ties: Mapping[Direction, NoLoadTie]
+    ties: Mapping[Rotation, NoLoadTie]
     cost: MotorCost
     jobs: MotorTrials
     threads: int | None = None
@@ -124,7 +124,7 @@ class MotorObjective:
         return np.ascontiguousarray(rows[:, [_INDEX[name] for name in names]])
 
 
-def ties_of(campaign: MotorCampaign, space: SearchSpace, bench: Bench) -> dict[Direction, NoLoadTie]:
+def ties_of(campaign: MotorCampaign, space: SearchSpace, bench: Bench) -> dict[Rotation, NoLoadTie]:
     """Return the no-load lines that follow R and k_d: neither free nor fixed by the campaign."""
     chosen = {*space.names} | {*campaign.parameters.fixed}
     return {

@@ -15,9 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from sysid.errors import FitError
-from sysid.types import FloatArray
-
-Direction = Literal["forward", "reverse"]
+from sysid.types import FloatArray, Rotation
 
 # MAD of a normal distribution in units of its standard deviation.
 _MAD = 0.6745
@@ -49,7 +47,7 @@ class CurveFit:
     """
 
     quantity: str
-    direction: Direction
+    direction: Rotation
     coefficients: tuple[float, float]
     standard_errors: tuple[float, float]
     units: tuple[str, str]
@@ -84,7 +82,7 @@ class CurveFit:
 
 def fit_speed_curve(
     quantity: Literal["thrust", "torque"],
-    direction: Direction,
+    direction: Rotation,
     speed: ArrayLike,
     value: ArrayLike,
     *,
@@ -125,7 +123,7 @@ def fit_speed_curve(
 
 
 def fit_no_load_line(
-    direction: Direction,
+    direction: Rotation,
     command: ArrayLike,
     speed: ArrayLike,
     *,
@@ -181,7 +179,7 @@ def soft_weights(columns: FloatArray, y: FloatArray) -> FloatArray:
     return np.asarray(1.0 / np.sqrt(1.0 + ((y - scaled @ found) / sigma) ** 2), dtype=np.float64)
 
 
-def _of_direction(direction: Direction, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def _of_direction(direction: Rotation, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
     xs, ys = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     keep = np.isfinite(xs) & np.isfinite(ys) & ((xs > 0) if direction == "forward" else (xs < 0))
     return xs[keep], ys[keep]
@@ -189,7 +187,7 @@ def _of_direction(direction: Direction, x: ArrayLike, y: ArrayLike) -> tuple[Flo
 
 def _robust_line(
     quantity: str,
-    direction: Direction,
+    direction: Rotation,
     columns: FloatArray,
     y: FloatArray,
     abscissa: FloatArray,

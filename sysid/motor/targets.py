@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sysid.campaign import MotorCampaign
-from sysid.campaign.motor import MotorTrial as TrialEntry
+from sysid.campaign import MotorCampaign, MotorTrial
 from sysid.errors import LogError
 from sysid.filters import ChebyshevLowpass, Spectrum, amplitude_spectrum
 from sysid.motor.batch import SimulatedTrial
-from sysid.motor.bench_logs import BenchLog
-from sysid.motor.bench_reading import log_hashes
+from sysid.motor.bench_logs import BenchLog, Samples, log_hashes, source_of
 from sysid.motor.cost import MotorTarget
 from sysid.motor.parameters import PARAMETERS
 from sysid.trials.bench_log import outside
@@ -23,11 +20,12 @@ from sysid.trials.spin_up import find_starts
 from sysid.trials.steady import SETTLE
 from sysid.types import BoolArray, FloatArray, IntArray
 
+_COMPARED_CHANNELS = ("torque", "speed")
 # Grids of the simulation and of the comparison, per period of the stop-band edge of a fast log.
 _SIMULATED, _COMPARED = 10.0, 2.5
 # Grid of the simulation of a slow log: shares of its row interval, within these limits [s].
 _SLOW_SHARE, _SLOW_GRID = 0.35, (1e-3, 4e-3)
-# Supply voltage of a slow log is averaged over this time [s]: its noise is no physics.
+# The supply voltage is averaged over this time [s]: its noise is no physics.
 _SUPPLY_MEAN = 0.04
 # Every knot of the supply ends a step of the simulation: those within this share of V_ref of a line are left
 # out.
@@ -46,18 +44,23 @@ class PreparedTrial:
 
     Parameters
     ----------
-    entry : MotorTrial of the campaign
+    entry : MotorTrial
+        As the campaign states it.
     log : BenchLog
+        Its log.
     simulated : SimulatedTrial
+        What drives the motor, and when its outputs are wanted.
     target : MotorTarget
+        What is compared.
     starts : tuple of (start, end)
         Spin-ups from rest inside the window [s], as far as the filter carries them.
     thrust : (n,) array or None
         Measured, at the compared instants and filtered like the rest [N]; None where none was recorded.
     provenance : dict
+        What a result states of the log.
     """
 
-    entry: TrialEntry
+    entry: MotorTrial
     log: BenchLog
     simulated: SimulatedTrial
     target: MotorTarget
@@ -97,58 +100,64 @@ class PreparedTrial:
 
 
 def prepare_trial(
-    campaign: MotorCampaign, entry: TrialEntry, log: BenchLog, reference_voltage: float
+    campaign: MotorCampaign, entry: MotorTrial, log: BenchLog, reference_voltage: float
 ) -> PreparedTrial:
     """Filter a log where it is fast, choose the grids, and join command schedule and supply."""
-    window = log.window
-    taps, target_of = (_fast if log.fast else _slow)(campaign, log)
+    window, begin = log.window, float(log.time[0])
+    taps = filter_taps(campaign, log) if log.fast else np.zeros(0)
     # The simulation begins at a steady state, at the latest where the filter begins to look.
     reach = (len(taps) - 1) * _fast_step(campaign) if log.fast else 0.0
-    start = _steady_start(log, max(float(log.time[0]), window[0] - reach))
-    where = f"trial {entry.name!r} of {entry.log}"
-    target, grid = target_of(where, window, start, taps)
+    start = _steady_start(log, max(begin, window[0] - reach))
+    name = f"trial {entry.name!r} of {entry.log}"
+    target = _fast_target(campaign, log, name, start, taps) if log.fast else _slow_target(log, name, start)
+    grid = np.asarray(start + target.grid_step * np.arange(target.grid_size), dtype=np.float64)
     starts = find_starts(
         *log.channels["speed"], log.steps, PARAMETERS["saturation_speed"].upper, float(log.time[-1])
     )
     starts = tuple((a - reach, b + reach) for a, b in starts if b + reach > start and a - reach < window[1])
-    supply_time, supply_ratio = _supply(log, reference_voltage)
-    simulated = SimulatedTrial(log.steps.time, log.steps.level, grid, "steady", supply_time, supply_ratio)
-    p = log.recording.provenance
+    knots, ratio = _supply(log, reference_voltage)
     return PreparedTrial(
-        entry, log, simulated, target, starts, measured_thrust(campaign, log, target.time),
-        {
-            "log": Path(p.path).name,
-            "sha256": p.sha256,
-            "format": p.format,
-            "device": p.device,
-            "direction": entry.direction,
-            "rate [Hz]": 1.0 / float(np.median(np.diff(log.time))),
-            "window [s]": [float(w) for w in window],
-            "commands": int(log.steps.time.size),
-            "torque sign": log.torque_sign,
-            "thrust sign": log.thrust_sign,
-            "tare": {
-                name: {
-                    "value": t.value,
-                    "error": t.error if np.isfinite(t.error) else None,
-                    "rows": t.rows,
-                    "from": t.source,
-                }
-                for name, t in log.tares.items()
-            },
-            "doubtful [s]": [list(interval) for interval in log.doubtful],
-            "starts from rest [s]": [list(interval) for interval in starts],
-            **({} if log.second is None else {"second log": log.second}),
-            "notes": log.notes,
+        entry=entry,
+        log=log,
+        simulated=SimulatedTrial(log.steps.time, log.steps.level, grid, "steady", knots, ratio),
+        target=target,
+        starts=starts,
+        thrust=measured_thrust(campaign, log, target.time),
+        provenance=_provenance(entry, log, starts),
+    )
+
+
+def _provenance(entry: MotorTrial, log: BenchLog, starts: tuple[tuple[float, float], ...]) -> dict[str, Any]:
+    """Return what a result states of a trial's log."""
+    return {
+        **source_of(log.recording),
+        "direction": entry.direction,
+        "rate [Hz]": 1.0 / log.interval,
+        "window [s]": [float(w) for w in log.window],
+        "commands": int(log.steps.time.size),
+        "torque sign": log.torque_sign,
+        "thrust sign": log.thrust_sign,
+        "tare": {
+            name: {
+                "value": t.value,
+                "error": t.error if np.isfinite(t.error) else None,
+                "rows": t.rows,
+                "from": t.source,
+            }
+            for name, t in log.tares.items()
         },
-    )  # fmt: skip
+        "doubtful [s]": [list(interval) for interval in log.doubtful],
+        "starts from rest [s]": [list(interval) for interval in starts],
+        **({} if log.second is None else {"second log": log.second}),
+        "notes": [str(note) for note in log.notes],
+    }
 
 
 def filter_design(campaign: MotorCampaign, logs: Sequence[BenchLog]) -> dict[str, Any]:
     """Return the filter of the fast logs as it goes into a result, and which logs went without."""
     fast = [log for log in logs if log.fast]
     slow = [log.name for log in logs if not log.fast]
-    design: dict[str, Any] = lowpass_of(campaign, fast[0]).describe() if fast else {"kind": "none"}
+    design: dict[str, Any] = _lowpass(campaign, fast[0]).describe() if fast else {"kind": "none"}
     if slow:
         why = "switched off" if campaign.filter.kind == "none" else "too slow for it"
         design["unfiltered"] = {"trials": slow, "why": why}
@@ -159,16 +168,15 @@ def _fast_step(campaign: MotorCampaign) -> float:
     return 1.0 / (_SIMULATED * campaign.filter.stop_edge)
 
 
-def lowpass_of(campaign: MotorCampaign, log: BenchLog) -> ChebyshevLowpass:
+def _lowpass(campaign: MotorCampaign, log: BenchLog) -> ChebyshevLowpass:
     """Return the campaign's filter at the rate of a log."""
     settings = campaign.filter
-    rate = 1.0 / float(np.median(np.diff(log.time)))
-    return ChebyshevLowpass(rate, settings.stop_edge, settings.order, settings.attenuation_db)
+    return ChebyshevLowpass(1.0 / log.interval, settings.stop_edge, settings.order, settings.attenuation_db)
 
 
-def _fast(campaign: MotorCampaign, log: BenchLog) -> Any:
-    """Return the filter's taps on the simulation's grid, and a function that makes the target."""
-    lowpass = lowpass_of(campaign, log)
+def filter_taps(campaign: MotorCampaign, log: BenchLog) -> FloatArray:
+    """Return centre and one side (h + 1,) of the campaign's filter on the grid of a fast log's simulation."""
+    lowpass = _lowpass(campaign, log)
     step = _fast_step(campaign)
     size = 4 * lowpass.edge_samples + lowpass.minimum_samples
     pulse = np.zeros(2 * size + 1)
@@ -180,31 +188,56 @@ def _fast(campaign: MotorCampaign, log: BenchLog) -> Any:
     large = np.flatnonzero(np.abs(taps) > _TAP_LEAST * abs(taps[0]))
     taps = taps[: large[-1] + 1]
     taps /= taps[0] + 2.0 * taps[1:].sum()
+    return np.asarray(taps, dtype=np.float64)
 
-    def target(
-        name: str, window: tuple[float, float], start: float, taps: FloatArray
-    ) -> tuple[MotorTarget, FloatArray]:
-        half = len(taps) - 1
-        end = min(window[1] + half * step, float(log.time[-1]))
-        grid = np.asarray(start + step * np.arange(int((end - start) / step)), dtype=np.float64)
-        stride = int(_SIMULATED / _COMPARED)
-        rows = np.arange(half, grid.size - half, stride)
-        rows = rows[(grid[rows] >= window[0]) & (grid[rows] <= window[1])]
-        if rows.size < 10:
-            raise LogError(
-                f"{log.where}: {rows.size} compared instants between {window[0]:g} and {window[1]:g} s; "
-                f"the filter takes {half * step:.2f} s at each end of the log: widen the window"
-            )
-        measured = np.empty((rows.size, 2))
-        for c, channel in enumerate(("torque", "speed")):
-            measured[:, c] = np.nan
-            if channel in log.channels:
-                t, values = uniform_filtered(*log.channels[channel], lowpass, f"{log.where}, {channel}")
-                measured[:, c] = np.interp(grid[rows], t, values)
-        valid = np.isfinite(measured) & outside(grid[rows], log.doubtful)[:, None]
-        return MotorTarget(name, grid[rows], measured, valid, start, step, grid.size, taps), grid
 
-    return taps, target
+def _fast_target(
+    campaign: MotorCampaign, log: BenchLog, name: str, start: float, taps: FloatArray
+) -> MotorTarget:
+    """Compare the filtered log every few samples of the grid, as far from its ends as the filter reaches."""
+    step, window = _fast_step(campaign), log.window
+    half = len(taps) - 1
+    end = min(window[1] + half * step, float(log.time[-1]))
+    grid = np.asarray(start + step * np.arange(int((end - start) / step)), dtype=np.float64)
+    rows = np.arange(half, grid.size - half, int(_SIMULATED / _COMPARED))
+    rows = rows[(grid[rows] >= window[0]) & (grid[rows] <= window[1])]
+    if rows.size < 10:
+        raise LogError(
+            f"{log.where}: {rows.size} compared instants between {window[0]:g} and {window[1]:g} s; "
+            f"the filter takes {half * step:.2f} s at each end of the log: widen the window"
+        )
+    measured = np.full((rows.size, 2), np.nan)
+    for c, channel in enumerate(_COMPARED_CHANNELS):
+        if channel in log.channels:
+            measured[:, c] = np.interp(grid[rows], *filtered(campaign, log, channel))
+    return _target(log, name, grid[rows], measured, (start, step, grid.size), taps)
+
+
+def _slow_target(log: BenchLog, name: str, start: float) -> MotorTarget:
+    """Compare the real samples of a slow log, each at its row."""
+    step = float(np.clip(_SLOW_SHARE * log.interval, *_SLOW_GRID))
+    rows = log.time[(log.time >= log.window[0]) & (log.time <= log.window[1])]
+    measured = np.full((rows.size, 2), np.nan)
+    for c, channel in enumerate(_COMPARED_CHANNELS):
+        if channel in log.channels:
+            t, values = log.channels[channel]
+            at = np.searchsorted(rows, t)
+            hit = (at < rows.size) & (rows[np.minimum(at, rows.size - 1)] == t)
+            measured[at[hit], c] = values[hit]
+    size = int(np.ceil((rows[-1] - start) / step)) + 2
+    return _target(log, name, rows, measured, (start, step, size), np.zeros(0))
+
+
+def _target(
+    log: BenchLog,
+    name: str,
+    time: FloatArray,
+    measured: FloatArray,
+    grid: tuple[float, float, int],
+    taps: FloatArray,
+) -> MotorTarget:
+    valid = np.isfinite(measured) & outside(time, log.doubtful)[:, None]
+    return MotorTarget(name, time, measured, valid, *grid, taps)
 
 
 def measured_spectrum(log: BenchLog, time: FloatArray) -> Spectrum | None:
@@ -212,32 +245,32 @@ def measured_spectrum(log: BenchLog, time: FloatArray) -> Spectrum | None:
 
     A channel that was not recorded is NaN.
     """
-    interval = float(np.median(np.diff(log.time)))
-    clock = np.arange(time[0], time[-1], interval)
+    clock = np.arange(time[0], time[-1], log.interval)
     if clock.size < 16:
         return None
     raw = np.full((clock.size, 2), np.nan)
-    for c, channel in enumerate(("torque", "speed")):
+    for c, channel in enumerate(_COMPARED_CHANNELS):
         if channel in log.channels:
             t, values = log.channels[channel]
             known = np.isfinite(values)
             raw[:, c] = np.interp(clock, t[known], values[known])
-    return amplitude_spectrum(raw, 1.0 / interval)
+    return amplitude_spectrum(raw, 1.0 / log.interval)
 
 
 def measured_thrust(campaign: MotorCampaign, log: BenchLog, time: FloatArray) -> FloatArray | None:
     """Return the thrust at the compared instants [N], filtered where the log is; None if not recorded."""
     if "thrust" not in log.channels:
         return None
-    own, values = log.channels["thrust"]
-    if log.fast:
-        own, values = uniform_filtered(own, values, lowpass_of(campaign, log), f"{log.where}, thrust")
-    return np.interp(time, own, values)
+    samples = filtered(campaign, log, "thrust") if log.fast else log.channels["thrust"]
+    return np.interp(time, *samples)
 
 
-def uniform_filtered(
-    time: FloatArray, values: FloatArray, lowpass: ChebyshevLowpass, where: str
-) -> tuple[FloatArray, FloatArray]:
+def filtered(campaign: MotorCampaign, log: BenchLog, channel: str) -> Samples:
+    """Return times and filtered values of a channel of a fast log; NaN in its holes."""
+    return uniform_filtered(*log.channels[channel], _lowpass(campaign, log), f"{log.where}, {channel}")
+
+
+def uniform_filtered(time: FloatArray, values: FloatArray, lowpass: ChebyshevLowpass, where: str) -> Samples:
     """Return a filtered channel on a clock without holes: rows that the log lacks are NaN there."""
     if time.size < lowpass.minimum_samples:
         raise LogError(
@@ -251,29 +284,6 @@ def uniform_filtered(
     full = np.full(int(index[-1]) + 1, np.nan)
     full[index] = values
     return time[0] + np.arange(full.size) / lowpass.rate, lowpass.apply(full)
-
-
-def _slow(campaign: MotorCampaign, log: BenchLog) -> Any:
-    interval = float(np.median(np.diff(log.time)))
-    step = float(np.clip(_SLOW_SHARE * interval, *_SLOW_GRID))
-
-    def target(
-        name: str, window: tuple[float, float], start: float, taps: FloatArray
-    ) -> tuple[MotorTarget, FloatArray]:
-        rows = log.time[(log.time >= window[0]) & (log.time <= window[1])]
-        count = int(np.ceil((rows[-1] - start) / step)) + 2
-        grid = np.asarray(start + step * np.arange(count), dtype=np.float64)
-        measured = np.full((rows.size, 2), np.nan)
-        for c, channel in enumerate(("torque", "speed")):
-            if channel in log.channels:
-                t, values = log.channels[channel]
-                at = np.searchsorted(rows, t)
-                hit = (at < rows.size) & (rows[np.minimum(at, rows.size - 1)] == t)
-                measured[at[hit], c] = values[hit]
-        valid = np.isfinite(measured) & outside(rows, log.doubtful)[:, None]
-        return MotorTarget(name, rows, measured, valid, start, step, grid.size, taps), grid
-
-    return np.zeros(0), target
 
 
 def _steady_start(log: BenchLog, start: float) -> float:

@@ -28,8 +28,7 @@ from sysid.synthetic.bench import (
     stand_csv,
 )
 from sysid.synthetic.folder import CAMPAIGN_FILE, TRUTH_FILE, refuse_existing, truth_text, write_folder
-
-Direction = Literal["forward", "reverse", "reversal"]
+from sysid.types import Direction
 
 MINIMUM, NEUTRAL, MAXIMUM = 1000.0, 1500.0, 2000.0
 _REST, _IDLE = 0.5, 1.0

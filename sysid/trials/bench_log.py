@@ -13,9 +13,7 @@ from typing import Literal
 import numpy as np
 
 from sysid.errors import LogError
-from sysid.types import BoolArray, FloatArray
-
-Direction = Literal["forward", "reverse", "reversal"]
+from sysid.types import BoolArray, Direction, FloatArray
 
 # A pause in the timestamps is a stall when it is this many median intervals and this long [s]: logs of 8 to
 # 27 ms jitter by up to 20 ms, stalls last 40 to 100 ms.

@@ -12,7 +12,7 @@ from sysid.campaign.motor import StaticLog
 from sysid.errors import CampaignError, LogError, SysidError, SysidWarning
 from sysid.gear.drops import prepare_drops
 from sysid.loaders import formats
-from sysid.motor.bench_reading import check_options, read_log
+from sysid.motor.bench_logs import check_options, read_log
 from sysid.recording import Channel, Provenance, Recording
 from sysid.trials.common_clock import on_one_clock
 

@@ -206,8 +206,9 @@ def _bench(levels, window, parameters, rate=1000.0, fast=False):
     steps = CommandSteps(np.arange(float(len(levels))), np.array(levels))
     thrust = simulate(parameters, steps.time, steps.level, time, initial="steady").thrust
     log = SimpleNamespace(
-        time=time, steps=steps, channels={"thrust": (time, thrust)}, fast=fast, window=window, doubtful=()
-    )
+        time=time, interval=1.0 / rate, steps=steps, channels={"thrust": (time, thrust)}, fast=fast,
+        window=window, doubtful=(), where="turns.h5",
+    )  # fmt: skip
     entry = SimpleNamespace(name="turns", log="turns.h5", use="fit", direction="reversal")
     simulated = SimpleNamespace(time=time[time >= window[0]], supply_time=None, supply_ratio=None)
     return SimpleNamespace(trials=(SimpleNamespace(log=log, entry=entry, simulated=simulated),))
