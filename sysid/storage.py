@@ -162,3 +162,18 @@ def _swap(new: Path, path: Path) -> None:
             raise
     finally:
         shutil.rmtree(aside, ignore_errors=True)
+
+
+def check_file(path: str | Path, *, force: bool, error_type: type[SysidError] = SysidError) -> None:
+    """Refuse a result file that exists, unless `force`, or whose folder does not.
+
+    Raises
+    ------
+    SysidError
+        (`error_type`) with the reason.
+    """
+    path = Path(path)
+    if path.exists() and not force:
+        raise error_type(f"{path}: exists already; choose a new name or add --force")
+    if not path.resolve().parent.is_dir():
+        raise error_type(f"{path}: the folder {path.parent} does not exist; make it first")

@@ -12,9 +12,9 @@ from sysid.errors import SysidError
 from sysid.fit.result import FitResult
 from sysid.report.fit_plots import figure_convergence, figure_measured_against_simulated, save_figure
 from sysid.report.notebook import NEEDED, missing_notebook_tools
+from sysid.workflows.export_models import export_sets
 from sysid.workflows.report import write_report
 from sysid.workflows.search import FitOptions
-from sysid.workflows.show import export_sets
 
 
 def find_samples(given: Path | None) -> Path:

@@ -1,85 +1,95 @@
-"""Sets as models of other simulators: MuJoCo for a landing gear, Gazebo for a motor; one file per set."""
+"""Export of ranked sets: as parameter-set files, or one model of another simulator for each set."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from sysid.errors import ExportError
+from sysid.export import export
 from sysid.export.gazebo import MotorPlugin, to_sdf
 from sysid.export.mjcf import to_mjcf
 from sysid.gear.surfaces import find_surface
 from sysid.motor.nearest_lag import first_order_rotor
 from sysid.parameter_sets import ParameterSets
-from sysid.storage import write_file
+from sysid.storage import check_file, write_file
+from sysid.workflows.show import load_sets
 
-# What a suffix is, and whose sets it takes.
+# The simulator of a suffix, and the kind of sets that it takes.
 MODELS = {".xml": ("a MuJoCo model", "gear"), ".sdf": ("a Gazebo motor model", "motor")}
 
 
-def export_models(
-    sets: ParameterSets,
+def export_sets(
+    source: str | Path,
     target: Path,
+    force: bool = False,
     *,
     rank: int | None = None,
     slope: float = 0.0,
     per_leg: bool = False,
-    force: bool = False,
 ) -> list[Path]:
-    """Write sets as models of another simulator, `target`'s suffix says which.
+    """Write the ranked sets of a fit folder or file, and return the files; the suffix chooses the format.
 
     Parameters
     ----------
-    sets : ParameterSets
+    source : str or Path
+        Fit folder or parameter-set file.
     target : Path
-        Ends in ``.xml`` or ``.sdf``. Several sets go to ``NAME-1.xml``, ``NAME-2.xml`` ..., by rank.
-    rank : int, optional
-        Only this set, to `target` itself; 1 is the best.
-    slope : float
-        Of the ground [rad] (MuJoCo).
-    per_leg : bool
-        Four single legs in space instead of two pairs in a plane (MuJoCo).
+        File to write. Several sets become several models, ``NAME-1.xml``, ``NAME-2.xml`` ..., by rank.
     force : bool
         Replace existing files.
-
-    Returns
-    -------
-    list of Path
-        The files.
+    rank : int, optional
+        Write only this set as a model, to `target` itself; 1 is the best.
+    slope : float
+        Slope of the ground [rad] (MuJoCo).
+    per_leg : bool
+        Model four single legs in space instead of two pairs in a plane (MuJoCo).
 
     Raises
     ------
     ExportError
-        When the sets are of the other kind, a file exists, or a set is not complete; nothing is written then.
+        When the sets do not suit the simulator, or a file exists or cannot be written; old files survive.
     """
+    sets = load_sets(source)
     suffix = target.suffix.lower()
-    what, kind = MODELS[suffix]
-    if sets.kind != kind:
+    if suffix in MODELS:
+        if suffix == ".sdf" and (per_leg or slope):
+            raise ExportError(
+                f"{target}: --per-leg and --slope-deg are for MuJoCo models (.xml); leave them out"
+            )
+        ranks = [rank] if rank is not None else range(1, len(sets) + 1)
+        files = _model_files(sets, target, ranks, force, alone=rank is not None or len(sets) == 1)
+        documents = [_motor(sets, i) if suffix == ".sdf" else _gear(sets, i, slope, per_leg) for i in ranks]
+        for file, document in zip(files, documents, strict=True):
+            write_file(file, document, ExportError)
+        return files
+    if rank is not None or slope or per_leg:
         raise ExportError(
-            f"{target}: {what} needs the sets of a {kind}; {sets.name} holds those of a {sets.kind}"
+            f"{target}: --set, --slope-deg and --per-leg are for models of other simulators (.xml, .sdf); "
+            "leave them out"
         )
-    if suffix == ".sdf" and (per_leg or slope):
-        raise ExportError(f"{target}: --per-leg and --slope-deg are for MuJoCo models (.xml); leave them out")
-    if not target.parent.is_dir():
-        raise ExportError(f"{target}: the folder {target.parent} does not exist; make it first")
-    ranks = [rank] if rank is not None else list(range(1, len(sets) + 1))
-    alone = rank is not None or len(sets) == 1
+    check_file(target, force=force, error_type=ExportError)
+    return [export(sets, target)]
+
+
+def _model_files(
+    sets: ParameterSets, target: Path, ranks: Sequence[int], force: bool, *, alone: bool
+) -> list[Path]:
+    """Return the file of every set; refuse sets of the wrong kind and files that cannot be written."""
+    what, kind = MODELS[target.suffix.lower()]
+    if sets.kind != kind:
+        raise ExportError(f"{target}: {what} needs the sets of a {kind}; {sets.name} holds {sets.kind} sets")
     files = [target if alone else target.with_name(f"{target.stem}-{i}{target.suffix}") for i in ranks]
     for file in files:
-        if file.exists() and not force:
-            raise ExportError(f"{file}: exists already; choose a new name or add --force")
-    sticks = kind == "gear" and find_surface(str(sets.settings.get("surface", "lf"))).switching
-    documents = [
-        _motor(sets, i)
-        if kind == "motor"
-        else to_mjcf(
-            sets.set_values(i), name=f"{sets.name} set {i}", sticks=sticks, slope=slope, per_leg=per_leg
-        )
-        for i in ranks
-    ]
-    for file, document in zip(files, documents, strict=True):
-        write_file(file, document, ExportError)
+        check_file(file, force=force, error_type=ExportError)
     return files
+
+
+def _gear(sets: ParameterSets, rank: int, slope: float, per_leg: bool) -> bytes:
+    sticks = find_surface(str(sets.settings.get("surface", "lf"))).switching
+    name = f"{sets.name} set {rank}"
+    return to_mjcf(sets.set_values(rank), name=name, sticks=sticks, slope=slope, per_leg=per_leg)
 
 
 def _motor(sets: ParameterSets, rank: int) -> bytes:

@@ -19,8 +19,8 @@ from sysid.fit.search import SearchSettings
 from sysid.fit.stopping import Deadline, stop_on_interrupt
 from sysid.parameter_sets import ParameterRecord
 from sysid.parameters import SearchSpace
+from sysid.workflows.options import FitOptions
 from sysid.workflows.search import (
-    FitOptions,
     Search,
     check_start,
     collected_warnings,
@@ -28,6 +28,7 @@ from sysid.workflows.search import (
     naming,
     provenance,
     search,
+    search_settings,
 )
 
 
@@ -123,7 +124,7 @@ class FitWalk:
     @property
     def settings(self) -> SearchSettings:
         """The search that the campaign and the command line ask for."""
-        return self.options.settings(self.campaign.fit)
+        return search_settings(self.options, self.campaign.fit)
 
     @contextmanager
     def prepared(self) -> Iterator[None]:

@@ -18,14 +18,14 @@ from rich.table import Table
 from rich.text import Text
 
 from sysid import exact_json
-from sysid.errors import CampaignError, ExportError
+from sysid.errors import ExportError
 from sysid.landing.approach import descend
-from sysid.landing.outcomes import Rules
 from sysid.landing.scenario import Scenario
 from sysid.landing.simulate import Landing, land
 from sysid.landing.thrust import Motors
-from sysid.storage import write_file
-from sysid.workflows.landing_sources import LandingOptions
+from sysid.storage import check_file, write_file
+from sysid.workflows.landing_sources import chosen_controllers, open_fleets, rules_of
+from sysid.workflows.options import SimulateOptions
 
 SCHEMA, VERSION = "sysid-landings", 1
 COLUMNS = (
@@ -38,60 +38,37 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def simulate_landings(
-    gear: Path,
-    sources: LandingOptions,
-    scenario: Scenario,
-    rules: Rules,
-    *,
-    out: Path | None = None,
-    height: float | None = None,
-    rate: float = 1000.0,
-    force: bool = False,
-    json: bool = False,
-) -> list[Landing]:
+def simulate_landings(options: SimulateOptions) -> list[Landing]:
     """Simulate one landing per set, write and print them.
 
-    Parameters
-    ----------
-    gear : Path
-        Gear sets: fit folder or file.
-    sources : LandingOptions
-        Motors and the one controller.
-    scenario : Scenario
-        The touchdown; with `height` what the drone has when it starts to descend.
-    rules : Rules
-        When a landing is over.
-    out : Path, optional
-        ``.csv`` (and one file each for events and outcomes beside it) or ``.h5``.
-    height : float, optional
-        Descend from here above the touchdown with the attitude controller on [m].
-    rate : float
-        Samples per second [Hz].
-    force, json : bool
-        Replace what is there; print JSON.
+    With a height the drone descends first, with the attitude controller on.
 
     Raises
     ------
     SysidError
         When the sets, the controller or the place to write cannot be used.
     """
-    files = _files(out, force)
-    (fleet,), origin = sources.fleets([gear])
-    told = sources.told(rules.horizon)
-    if len(told) != 1:
-        raise CampaignError(f"--controller: found {len(told)}, give one")
+    scenario = Scenario(
+        options.slope, options.speed, options.pitch, options.pitch_rate, options.horizontal_speed
+    )
+    rules, ideal = rules_of(options.rules), options.motors.ideal_reversal
+    files = _files(options.out, options.force)
+    (fleet,), origin = open_fleets(options.motors, [options.sets])
+    (controller,) = chosen_controllers(
+        [options.controller], rules.horizon, file=options.controller_file, ideal_reversal=ideal,
+        trigger=options.trigger,
+    )  # fmt: skip
     landings = []
     for drone in fleet:
         begin, motors = scenario, None
-        if height is not None:
-            way = descend(drone, scenario, height)
-            begin, motors = way.touchdown, Motors(drone, told[0].ideal_reversal, way.motors)
-        landings.append(land(drone, begin, told[0], rules=rules, rate=rate, motors=motors))
+        if options.height is not None:
+            way = descend(drone, scenario, options.height)
+            begin, motors = way.touchdown, Motors(drone, controller.ideal_reversal, way.motors)
+        landings.append(land(drone, begin, controller, rules=rules, rate=options.rate, motors=motors))
     _write(files, landings, origin)
-    rows = [outcome_row(rank, one) for rank, one in enumerate(landings, start=1)]
-    if json:
-        events = [event_rows(one) for one in landings]
+    rows = [outcome_row(rank, landing) for rank, landing in enumerate(landings, start=1)]
+    if options.json:
+        events = [event_rows(landing) for landing in landings]
         print(exact_json.dumps([row | {"events": e} for row, e in zip(rows, events, strict=True)]))
     else:
         Console().print(_table(rows, landings[0]))
@@ -111,10 +88,7 @@ def _files(out: Path | None, force: bool) -> list[Path]:
     if kind == ".csv":
         files += [out.with_name(f"{out.stem}-{what}.csv") for what in ("events", "outcomes")]
     for path in files:
-        if path.exists() and not force:
-            raise ExportError(f"{path}: exists already; choose a new name or add --force")
-    if not out.resolve().parent.is_dir():
-        raise ExportError(f"{out}: the folder {out.parent} does not exist; make it first")
+        check_file(path, force=force, error_type=ExportError)
     return files
 
 
@@ -126,9 +100,9 @@ def samples(landing: Landing) -> NDArray[np.float64]:
 
 def event_rows(landing: Landing) -> list[dict[str, Any]]:
     """Return the events of a landing in the order of time."""
-    own = [(landing.trigger, "trigger", "body")] if math.isfinite(landing.trigger) else []
-    own += [(event.time, event.kind.name.lower(), event.foot) for event in landing.trajectory.events]
-    return [{"time [s]": t, "event": kind, "of": foot} for t, kind, foot in sorted(own)]
+    events = [(landing.trigger, "trigger", "body")] if math.isfinite(landing.trigger) else []
+    events += [(event.time, event.kind.name.lower(), event.foot) for event in landing.trajectory.events]
+    return [{"time [s]": t, "event": kind, "of": foot} for t, kind, foot in sorted(events)]
 
 
 def outcome_row(rank: int, landing: Landing) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,9 @@ from rich.table import Table
 from rich.text import Text
 
 from sysid import exact_json
-from sysid.fit.stopping import stop_on_interrupt
 from sysid.landing.controllers import Controller
 from sysid.landing.drone import Drone
-from sysid.landing.impulse import ImpulseSettings
+from sysid.landing.impulse import ImpulseSettings, rear_command
 from sysid.landing.impulse_maps import after_impulses, impulse_identity, impulse_maps
 from sysid.landing.map_store import MapFile, summary, write_maps
 from sysid.landing.maps import LandingMap, MapSettings, landing_maps, map_identity
@@ -25,104 +24,85 @@ from sysid.landing.outcomes import OUTCOMES
 from sysid.landing.real_landings import Experiment, confusion, of_map, read_experiments, strangers
 from sysid.landing.static_limits import ramp_limit, rigid_limits
 from sysid.landing.thrust import Motors
-from sysid.parallel import executor
 from sysid.report.fit_plots import save_figure
 from sysid.report.landing_figures import DrawnLimits, figure_impulse, figure_landing_maps
 from sysid.resume import BlockStore
-from sysid.workflows.landing_sources import BlockProgress, LandingFiles, LandingOptions
-
-Say = Callable[[str], None] | None
-# Blocks that share a cluster at the same time.
-_AT_ONCE = 8
-
-
-@dataclass(frozen=True)
-class MapOptions(LandingFiles):
-    """What the command line says of a map, besides `LandingFiles`.
-
-    Parameters
-    ----------
-    figure : Path, optional
-        Where else the figure goes.
-    experiments : Path, optional
-        Real landings (CSV).
-    """
-
-    figure: Path | None = None
-    experiments: Path | None = None
-
-    @property
-    def picture(self) -> Path:
-        """Where the figure goes."""
-        return self.figure or super().picture
-
-    @property
-    def impulse_picture(self) -> Path:
-        """Where the figure of the best impulses goes."""
-        return self.picture.with_name(f"{self.picture.stem}-impulse{self.picture.suffix}")
+from sysid.workflows.landing_sources import (
+    BlockProgress,
+    Fleets,
+    Say,
+    check_result,
+    chosen_controllers,
+    compute_and_write,
+    open_fleets,
+    rules_of,
+)
+from sysid.workflows.options import ImpulseMapOptions, LandingMapOptions
 
 
-def compute_landing_maps(
-    gears: Sequence[Path],
-    sources: LandingOptions,
-    settings: MapSettings,
-    options: MapOptions,
-    say: Say = None,
-) -> MapFile | None:
+def compute_landing_maps(options: LandingMapOptions, say: Say = None) -> MapFile | None:
     """Compute, write, draw and print the maps of every surface under every controller; None if stopped."""
-    options.check("map")
-    fleets, origin = sources.fleets(gears)
-    told = sources.told(settings.rules.horizon)
+    rules, picture = rules_of(options.rules), options.figure or options.out.with_suffix(".png")
+    settings = MapSettings(
+        options.slopes_deg, options.speeds, rules, check=not options.no_check, pitch=options.pitch,
+        horizontal_speed=options.horizontal_speed,
+    )  # fmt: skip
+    check_result("map", options.out, options.compute.force, picture)
+    fleets, origin = open_fleets(options.motors, options.sets)
+    controllers = chosen_controllers(
+        options.controllers, rules.horizon, file=options.controller_file,
+        ideal_reversal=options.motors.ideal_reversal, trigger=options.trigger,
+    )  # fmt: skip
     real = read_experiments(options.experiments) if options.experiments else ()
-    _warn_of_strangers(options, real, [(f[0].surface, one.label) for f in fleets for one in told], say)
-    identity = map_identity(fleets, told, settings)
-    blocks = sum(len(fleet) for fleet in fleets) * len(told)
+    maps = [(fleet[0].surface, controller.label) for fleet in fleets for controller in controllers]
+    _warn_of_strangers(options.experiments, real, maps, say)
 
-    def compute(**how: Any) -> tuple[tuple[LandingMap, ...], tuple[()]]:
-        return landing_maps(fleets, told, settings, **how), ()
-
-    def write(maps: tuple[LandingMap, ...], _: Any) -> MapFile:
-        document = settings.document() | {"controllers": [one.document() for one in told]}
+    def compute(stores: Sequence[BlockStore], **how: Any) -> MapFile | None:
+        maps = landing_maps(fleets, controllers, settings, store=stores[0], **how)
+        document = settings.document() | {"controllers": [one.document() for one in controllers]}
         if options.experiments:
             document["real landings"] = [asdict(one) for one in real]
-        content = MapFile(maps, (), document, origin)
+        return MapFile(maps, (), document, origin) if maps else None
+
+    def write(content: MapFile) -> MapFile:
         write_maps(options.out, content)
-        _draw_maps(content, options, settings, static_lines(fleets, told), real)
+        _draw_maps(content, picture, settings, static_lines(fleets, controllers), real)
         return content
 
-    content = _computed(compute, write, identity, blocks, "landings", options, say)
+    identity = map_identity(fleets, controllers, settings)
+    blocks = sum(len(fleet) for fleet in fleets) * len(controllers)
+    content = _computed(options, identity, (blocks, "landings"), compute, write, say)
     if content is not None:
-        _print(content, options, real, say)
+        _print(content, options, picture, real if options.experiments else None, say)
     return content
 
 
-def compute_impulse_maps(
-    gears: Sequence[Path],
-    sources: LandingOptions,
-    settings: MapSettings,
-    impulses: ImpulseSettings,
-    options: MapOptions,
-    say: Say = None,
-) -> MapFile | None:
+def compute_impulse_maps(options: ImpulseMapOptions, say: Say = None) -> MapFile | None:
     """Search the best impulse of every cell and set, land with it, write and draw; None if stopped."""
-    options.check("map", options.impulse_picture)
+    picture = options.figure or options.out.with_suffix(".png")
+    impulse_picture = picture.with_name(f"{picture.stem}-impulse{picture.suffix}")
+    settings = MapSettings(
+        options.slopes_deg, options.speeds, rules_of(options.rules), check=not options.no_check
+    )
+    impulses = _impulses(options)
+    check_result("map", options.out, options.compute.force, picture, impulse_picture)
     impulses.check_within(settings.rules.horizon)
-    fleets, origin = sources.fleets(gears)
-    identity = impulse_identity(fleets, settings, impulses)
-    blocks = sum(len(fleet) for fleet in fleets) * len(settings.slopes_deg)
+    fleets, origin = open_fleets(options.motors, options.sets)
 
-    def compute(**how: Any) -> tuple[Any, Any]:
-        best, maps = impulse_maps(fleets, settings, impulses, **how)
-        return maps, best
+    def compute(stores: Sequence[BlockStore], **how: Any) -> MapFile | None:
+        best, maps = impulse_maps(fleets, settings, impulses, store=stores[0], **how)
+        document = settings.document() | {"impulses": impulses.document()}
+        return MapFile(maps, best, document, origin) if maps else None
 
-    def write(maps: Any, best: Any) -> MapFile:
-        content = MapFile(maps, best, settings.document() | {"impulses": impulses.document()}, origin)
+    def write(content: MapFile) -> MapFile:
         write_maps(options.out, content)
-        save_figure(figure_impulse(best), options.impulse_picture)
-        _draw_maps(content, options, settings, static_lines(fleets, after_impulses(impulses)), ())
+        save_figure(figure_impulse(content.impulses), impulse_picture)
+        _draw_maps(content, picture, settings, static_lines(fleets, after_impulses(impulses)), ())
         return content
 
-    content = _computed(compute, write, identity, blocks, "cells", options, say)
+    identity = impulse_identity(fleets, settings, impulses)
+    blocks = sum(len(fleet) for fleet in fleets) * len(settings.slopes_deg)
+    content = _computed(options, identity, (blocks, "cells"), compute, write, say)
     if content is None:
         return None
     tried = sum(one.optimum["delay"].size for one in content.impulses) * impulses.combinations
@@ -130,83 +110,64 @@ def compute_impulse_maps(
     if say is not None:
         say(
             f"{tried} combinations of delay and duration judged by {simulated} landings to the second "
-            "impact; the others equal one of them, their commands differing only after it"
+            "impact; every other combination equals one of them, because the commands differ after it only"
         )
-    _print(content, options, (), say)
+    _print(content, options, picture, None, say)
     return content
 
 
+def _impulses(options: ImpulseMapOptions) -> ImpulseSettings:
+    """Return which impulses are tried; the rear pair follows the paper unless the user states it."""
+    stated, ideal = asdict(options.impulses), options.motors.ideal_reversal
+    if stated["rear"] is None:
+        stated["rear"] = rear_command(options.impulses.front, ideal_reversal=ideal)
+    return ImpulseSettings(**stated, ideal_reversal=ideal)
+
+
 def _warn_of_strangers(
-    options: MapOptions, real: Sequence[Experiment], maps: Sequence[tuple[str, str]], say: Say
+    path: Path | None, real: Sequence[Experiment], maps: Sequence[tuple[str, str]], say: Say
 ) -> None:
     """Name the real landings that no map of surface and controller shows, before the minutes are spent."""
     lost = strangers(real, maps)
     if lost and say is not None:
-        names = ", ".join(f"{surface} {told!r} ({count})" for (surface, told), count in lost.items())
-        own = ", ".join(f"{surface} {label!r}" for surface, label in maps)
+        names = ", ".join(f"{surface} {label!r} ({count})" for (surface, label), count in lost.items())
+        known = ", ".join(f"{surface} {label!r}" for surface, label in maps)
         say(
-            f"warning: {options.experiments}: {sum(lost.values())} of {len(real)} real landings belong to no "
-            f"map and are left out: {names}; the maps are {own}"
+            f"warning: {path}: {sum(lost.values())} of {len(real)} real landings belong to no "
+            f"map and are left out: {names}; the maps are {known}"
         )
 
 
 def _computed(
-    compute: Callable[..., tuple[Any, Any]],
-    write: Callable[[Any, Any], MapFile],
+    options: LandingMapOptions | ImpulseMapOptions,
     identity: dict[str, Any],
-    blocks: int,
-    what: str,
-    options: MapOptions,
+    size: tuple[int, str],
+    compute: Any,
+    write: Any,
     say: Say,
 ) -> MapFile | None:
-    """Compute with progress and write; Ctrl-C keeps the finished blocks, which go once all is written."""
-    store = BlockStore(options.out, identity, resume=options.resume, force=options.force)
-    progress = BlockProgress(blocks, what, options.quiet)
-    threads = 1 if options.dask is not None else options.threads
-    try:
-        with (
-            executor(options.dask, _AT_ONCE) as where,
-            stop_on_interrupt(progress.on_stop) as flag,
-            progress,
-        ):
-            found = compute(where=where, threads=threads, store=store, on_block=progress.on_block, stop=flag)
-    except BaseException:
-        store.close()
-        raise
-    for note in store.notes:
-        if say is not None:
-            say(f"warning: {note}")
-    if not found[0]:
-        store.close()
-        if say is not None:
-            say(f"stopped: the finished blocks are kept in {store.folder}; continue with --resume")
-        return None
-    try:
-        content = write(*found)
-    except BaseException:
-        store.close()
-        if say is not None:
-            what = f"the maps are in {options.out}, " if options.out.exists() else ""
-            say(f"{what}the finished blocks are kept in {store.folder}; go on with --resume --force")
-        raise
-    store.discard()
+    """Compute blocks of a size and write the maps; None if stopped."""
+    how = options.compute
+    stores = [BlockStore(options.out, identity, resume=how.resume, force=how.force)]
+    progress = BlockProgress(*size, how.quiet or how.json)
+    content: MapFile | None = compute_and_write(
+        options.out, stores, compute, write, progress=progress, options=how, say=say
+    )
     return content
 
 
-def static_lines(
-    fleets: Sequence[Sequence[Drone]], controllers: Sequence[Controller]
-) -> dict[tuple[str, str], DrawnLimits]:
+def static_lines(fleets: Fleets, controllers: Sequence[Controller]) -> dict[tuple[str, str], DrawnLimits]:
     """Return the static limits of each surface's first set under each controller's last command."""
     out = {}
     for fleet in fleets:
         drone = fleet[0]
-        for told in controllers:
-            push = final_reverse_thrust(drone, told)
+        for controller in controllers:
+            push = final_reverse_thrust(drone, controller)
             if push <= -drone.weight:
                 continue  # held up by its motors: no static limit
             rigid = rigid_limits(drone.gear, drone.surface, push).first.slope
             bending = ramp_limit(drone.gear, drone.surface, push).slope
-            out[(drone.surface, told.label)] = DrawnLimits(
+            out[(drone.surface, controller.label)] = DrawnLimits(
                 push, float(np.degrees(rigid)), float(np.degrees(bending))
             )
     return out
@@ -219,32 +180,38 @@ def final_reverse_thrust(drone: Drone, controller: Controller) -> float:
 
 
 def _draw_maps(
-    content: MapFile, options: MapOptions, settings: MapSettings, limits: Any, real: Sequence[Experiment]
+    content: MapFile, picture: Path, settings: MapSettings, limits: Any, real: Sequence[Experiment]
 ) -> None:
     figure = figure_landing_maps(
         content.maps, limits=limits, experiments=real, short=settings.rules.short, long=settings.rules.long
     )
-    save_figure(figure, options.picture)
+    save_figure(figure, picture)
 
 
-def _print(content: MapFile, options: MapOptions, real: Sequence[Experiment], say: Say) -> None:
+def _print(
+    content: MapFile,
+    options: LandingMapOptions | ImpulseMapOptions,
+    picture: Path,
+    real: Sequence[Experiment] | None,
+    say: Say,
+) -> None:
+    """Print the maps in numbers; `real` landings, if any were given, are compared with them."""
     counts = summary(content.maps)
     for entry, one in zip(counts, content.maps, strict=True):
         if entry["lost"] and say is not None:
             say(f"warning: {one.title}: {entry['lost']} landings could not be simulated and count nowhere")
-    if options.json:
-        for entry, one in zip(counts, content.maps, strict=True) if options.experiments else ():
+        if real is not None:
             entry["real landings"] = confusion(of_map(real, one), one).document()
-        print(exact_json.dumps({"file": str(options.out), "figure": str(options.picture), "maps": counts}))
-        return
-    if not options.quiet:
+    if options.compute.json:
+        print(exact_json.dumps({"file": str(options.out), "figure": str(picture), "maps": counts}))
+    elif not options.compute.quiet:
         console = Console()
         console.print(_summary_table(counts))
         for one in content.maps:
-            chosen = of_map(real, one)
+            chosen = of_map(real or (), one)
             if chosen:
                 _print_confusion(console, one, chosen)
-        print(f"wrote {options.out} and {options.picture}")
+        print(f"wrote {options.out} and {picture}")
 
 
 def _summary_table(counts: Sequence[dict[str, Any]]) -> Table:

@@ -1,181 +1,193 @@
-"""What every landing command shares: sets to drones, controllers, grids, files, progress."""
+"""What every landing command shares: sets to drones, controllers, files, computation in blocks."""
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-import numpy as np
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
 from sysid import __version__
 from sysid.errors import CampaignError, ExportError
+from sysid.fit.stopping import stop_on_interrupt
 from sysid.landing.controllers import Controller, find_controller, load_controllers
 from sysid.landing.drone import PAIRINGS, Drone, drones
 from sysid.landing.impact_sensor import Sensing
+from sysid.landing.outcomes import Rules
+from sysid.parallel import executor
 from sysid.parameter_sets import ParameterSets
 from sysid.report.fit_plots import check_figure_name
+from sysid.resume import BlockStore
+from sysid.storage import check_file
+from sysid.workflows.options import ComputeOptions, MotorOptions, RulesOptions
 from sysid.workflows.show import load_sets
+
+Say = Callable[[str], None] | None
+Fleets = Sequence[Sequence[Drone]]
+Computed = TypeVar("Computed")
+Written = TypeVar("Written")
 
 # Between two plain lines [s].
 _PLAIN = 10.0
+# Blocks that share a cluster at the same time.
+_AT_ONCE = 8
 
 
-@dataclass(frozen=True)
-class LandingOptions:
-    """What the command line says of drones and motors.
+def rules_of(options: RulesOptions) -> Rules:
+    """Return when a landing is over."""
+    return Rules(**asdict(options))
+
+
+def chosen_controllers(
+    names: Sequence[str],
+    horizon: float,
+    *,
+    file: Path | None = None,
+    ideal_reversal: bool = False,
+    trigger: str = "contact",
+) -> tuple[Controller, ...]:
+    """Return controllers by name, as `find_controller` reads them.
 
     Parameters
     ----------
-    motor : Path
-        Motor sets.
-    pair : {"best", "each"}
-        Which motor set goes with a gear set.
-    controllers : tuple of str
-        As `find_controller` reads them.
-    controller_file : Path, optional
+    names : sequence of str
+        Each at most once.
+    horizon : float
+        Simulated time [s], in which all their steps must come.
+    file : Path, optional
         A Python file that registers more of them.
     ideal_reversal : bool
         Motors without saturation.
-    own_sensing : bool
-        Trigger by the drone's accelerometer instead of the first contact.
-    """
-
-    motor: Path
-    pair: str = "best"
-    controllers: tuple[str, ...] = ("off", "reverse")
-    controller_file: Path | None = None
-    ideal_reversal: bool = False
-    own_sensing: bool = False
-
-    def told(self, horizon: float) -> tuple[Controller, ...]:
-        """Return the controllers.
-
-        Parameters
-        ----------
-        horizon : float
-            Simulated time [s], in which all their steps must come.
-        """
-        if self.controller_file is not None:
-            load_controllers(self.controller_file)
-        sensing = Sensing() if self.own_sensing else None
-        found = tuple(
-            find_controller(text, ideal_reversal=self.ideal_reversal, sensing=sensing)
-            for text in self.controllers
-        )
-        for number, one in enumerate(found):
-            one.check_within(horizon)
-            if one.label in (other.label for other in found[:number]):
-                raise CampaignError(f"controller {one.name!r} is asked for twice; name each once")
-        return found
-
-    def fleets(self, gears: Sequence[Path]) -> tuple[tuple[tuple[Drone, ...], ...], dict[str, Any]]:
-        """Return the drones of every gear file, and where their numbers come from, for the result."""
-        if self.pair not in PAIRINGS:
-            raise CampaignError(f"--pair {self.pair!r}: expected one of {', '.join(PAIRINGS)}")
-        motor = load_sets(self.motor)
-        loaded = [load_sets(path) for path in gears]
-        out = tuple(drones(gear, motor, self.pair) for gear in loaded)
-        surfaces = [fleet[0].surface for fleet in out]
-        if len(set(surfaces)) < len(surfaces):
-            raise ExportError(
-                f"{', '.join(str(path) for path in gears)}: the surfaces are {', '.join(surfaces)}; give one "
-                "gear file per surface"
-            )
-        origin: dict[str, Any] = {"sysid": __version__, "pairing": self.pair}
-        # By surface: fits of two surfaces may well have folders of one name.
-        for surface, path, sets in zip(surfaces, gears, loaded, strict=True):
-            origin[f"gear {surface}"] = _origin(path, sets)
-        return out, origin | {"motor": _origin(self.motor, motor)}
-
-
-def _origin(path: Path, sets: ParameterSets) -> dict[str, Any]:
-    own = {"file": path.name, "name": sets.name, "sets": len(sets), "nrmse": sets.nrmse.tolist()}
-    return own | dict(sets.provenance)
-
-
-@dataclass(frozen=True)
-class LandingFiles:
-    """Where a result goes and how it is computed.
-
-    Parameters
-    ----------
-    out : Path
-        HDF5 file to write; the figure goes beside it.
-    force, resume : bool
-        Replace what is there; continue what is unfinished.
-    dask : str, optional
-        Address of a Dask scheduler, or ``local``.
-    threads : int, optional
-        Cores; the result is the same.
-    quiet, json : bool
-        No progress, no table; print JSON.
-    """
-
-    out: Path
-    force: bool = False
-    resume: bool = False
-    dask: str | None = None
-    threads: int | None = None
-    quiet: bool = False
-    json: bool = False
-
-    @property
-    def picture(self) -> Path:
-        """Where the figure goes."""
-        return self.out.with_suffix(".png")
-
-    def check(self, what: str, *more: Path) -> None:
-        """Refuse what is in the way, before the minutes of a result are spent.
-
-        Parameters
-        ----------
-        what : str
-            The result in a word.
-        *more : Path
-            Files that are written besides.
-
-        Raises
-        ------
-        ExportError
-            When a file is of no known format or exists, or its folder does not.
-        """
-        if self.out.suffix.lower() not in (".h5", ".hdf5"):
-            raise ExportError(f"{self.out}: a {what} is written as HDF5; give --out a name that ends in .h5")
-        check_figure_name(self.picture)
-        for path in (self.out, self.picture, *more):
-            if path.exists() and not self.force:
-                raise ExportError(f"{path}: exists already; choose a new name or add --force")
-            if not path.resolve().parent.is_dir():
-                raise ExportError(f"{path}: the folder {path.parent} does not exist; make it first")
-
-
-def span(text: str, what: str) -> tuple[float, ...]:
-    """Return ``first:last:step`` or a list ``a,b,c`` as increasing numbers.
+    trigger : {"contact", "imu"}
+        The first contact starts them, or the drone's accelerometer.
 
     Raises
     ------
     CampaignError
-        When it is neither.
+        When a name is unknown or stands twice, or a step comes too late.
     """
-    try:
-        if ":" in text:
-            first, last, step = (float(part) for part in text.split(":"))
-            # Never past the last one; the excess keeps 0:0.3:0.1 whole, whose quotient falls short of 3.
-            values = first + step * np.arange(math.floor((last - first) / step + 1e-9) + 1)
-        else:
-            values = np.array([float(part) for part in text.split(",")])
-    except (ValueError, ZeroDivisionError, OverflowError):
-        values = np.array([np.nan])
-    if not np.isfinite(values).all() or not len(values) or np.any(np.diff(values) <= 0):
-        raise CampaignError(f"{what} {text!r}: expected first:last:step or increasing numbers, as in 0:45:1")
-    return tuple(round(float(value), 9) for value in values)
+    if file is not None:
+        load_controllers(file)
+    sensing = Sensing() if trigger == "imu" else None
+    chosen = tuple(find_controller(name, ideal_reversal=ideal_reversal, sensing=sensing) for name in names)
+    labels: set[str] = set()
+    for controller in chosen:
+        controller.check_within(horizon)
+        if controller.label in labels:
+            raise CampaignError(f"controller {controller.name!r} is asked for twice; name each once")
+        labels.add(controller.label)
+    return chosen
+
+
+def open_fleets(motors: MotorOptions, gears: Sequence[Path]) -> tuple[Fleets, dict[str, Any]]:
+    """Return the drones of every gear file, and where their numbers come from, for the result.
+
+    Raises
+    ------
+    SysidError
+        When sets cannot be used, or two gear files are of one surface.
+    """
+    if motors.pair not in PAIRINGS:
+        raise CampaignError(f"--pair {motors.pair!r}: expected one of {', '.join(PAIRINGS)}")
+    motor = load_sets(motors.motor)
+    loaded = [load_sets(path) for path in gears]
+    fleets = tuple(drones(gear, motor, motors.pair) for gear in loaded)
+    surfaces = [fleet[0].surface for fleet in fleets]
+    if len(set(surfaces)) < len(surfaces):
+        raise ExportError(
+            f"{', '.join(str(path) for path in gears)}: the surfaces are {', '.join(surfaces)}; give one "
+            "gear file per surface"
+        )
+    origin: dict[str, Any] = {"sysid": __version__, "pairing": motors.pair}
+    # By surface: fits of two surfaces may well have folders of one name.
+    for surface, path, sets in zip(surfaces, gears, loaded, strict=True):
+        origin[f"gear {surface}"] = _origin(path, sets)
+    return fleets, origin | {"motor": _origin(motors.motor, motor)}
+
+
+def _origin(path: Path, sets: ParameterSets) -> dict[str, Any]:
+    source = {"file": path.name, "name": sets.name, "sets": len(sets), "nrmse": sets.nrmse.tolist()}
+    return source | dict(sets.provenance)
+
+
+def check_result(what: str, out: Path, force: bool, *pictures: Path) -> None:
+    """Refuse an HDF5 file or pictures that cannot be written, before the minutes of a result are spent.
+
+    Raises
+    ------
+    ExportError
+        When a file is of no known format or exists, or its folder does not exist.
+    """
+    if out.suffix.lower() not in (".h5", ".hdf5"):
+        raise ExportError(f"{out}: a {what} is written as HDF5; give --out a name that ends in .h5")
+    for picture in pictures:
+        check_figure_name(picture)
+    for path in (out, *pictures):
+        check_file(path, force=force, error_type=ExportError)
+
+
+def compute_and_write(
+    out: Path,
+    stores: Iterable[BlockStore],
+    compute: Callable[..., Computed | None],
+    write: Callable[[Computed], Written],
+    *,
+    progress: BlockProgress,
+    options: ComputeOptions,
+    say: Say,
+) -> Written | None:
+    """Compute with progress and write; Ctrl-C keeps the finished blocks, which go once all is written.
+
+    Parameters
+    ----------
+    out : Path
+        The result.
+    stores : iterable of BlockStore
+        Opened one after the other.
+    compute : callable
+        Takes the stores, ``where``, ``threads``, ``on_block`` and ``stop``; returns None if stopped.
+    write : callable
+        Writes what was computed, and returns what the caller wants of it.
+    progress : BlockProgress
+    options : ComputeOptions
+    say : callable, optional
+        Called with one sentence at a time.
+    """
+    tell = say or (lambda sentence: None)
+    opened: list[BlockStore] = []
+    with ExitStack() as stack:
+        for store in stores:
+            stack.callback(store.close)
+            opened.append(store)
+        with (
+            executor(options.dask, _AT_ONCE) as where,
+            stop_on_interrupt(progress.on_stop) as stop,
+            progress,
+        ):
+            result = compute(
+                opened, where=where, threads=1 if options.dask is not None else options.threads,
+                on_block=progress.on_block, stop=stop,
+            )  # fmt: skip
+        for note in (note for store in opened for note in store.notes):
+            tell(f"warning: {note}")
+        if result is None:
+            tell(f"stopped: the finished blocks are kept beside {out}; continue with --resume")
+            return None
+        try:
+            written = write(result)
+        except BaseException:
+            computed = f"{out} is written, " if out.exists() else ""
+            tell(f"{computed}the finished blocks are kept beside it; go on with --resume --force")
+            raise
+        for store in opened:
+            store.discard()
+        return written
 
 
 class BlockProgress:

@@ -15,7 +15,8 @@ from sysid.landing.outcomes import Outcome
 from sysid.report.html import Html, grid, legend, picture
 from sysid.report.landing_figures import MapLegend, figure_impulse, figure_landing_maps
 from sysid.workflows.landing_maps import static_lines
-from sysid.workflows.landing_sources import LandingOptions, span
+from sysid.workflows.landing_sources import chosen_controllers, open_fleets
+from sysid.workflows.options import MotorOptions, span
 
 
 def landing_pictures(
@@ -39,11 +40,10 @@ def landing_pictures(
     controllers : sequence of str
         As for ``sysid landing-map``.
     """
-    sources = LandingOptions(Path(motor), controllers=tuple(controllers))
-    fleets, _ = sources.fleets([Path(gear) for gear in gears])
+    fleets, _ = open_fleets(MotorOptions(Path(motor)), [Path(gear) for gear in gears])
     settings = MapSettings(span(slopes, "slopes"), span(speeds, "speeds"), check=False)
-    told = sources.told(settings.rules.horizon)
-    return _pictures(landing_maps(fleets, told, settings), static_lines(fleets, told))
+    chosen = chosen_controllers(controllers, settings.rules.horizon)
+    return _pictures(landing_maps(fleets, chosen, settings), static_lines(fleets, chosen))
 
 
 def impulse_pictures(
@@ -67,8 +67,8 @@ def impulse_pictures(
     ideal_reversal : bool
         Motors without reversal delay; the rear pair then reverses in the impulse (Fig. 11).
     """
-    sources = LandingOptions(Path(motor), ideal_reversal=ideal_reversal)
-    fleets, _ = sources.fleets([Path(gear) for gear in gears])
+    motors = MotorOptions(Path(motor), ideal_reversal=ideal_reversal)
+    fleets, _ = open_fleets(motors, [Path(gear) for gear in gears])
     settings = MapSettings(span(slopes, "slopes"), span(speeds, "speeds"), check=False)
     tried = (span(delays, "delays"), span(durations, "durations"))
     rear = -0.8 if ideal_reversal else 0.1

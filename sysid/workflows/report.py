@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,35 +23,8 @@ from sysid.report.fit_plots import save_figure
 from sysid.report.notebook import check_notebook_tools, find_notebook, page, run_notebook
 from sysid.report.snapshots import write_film
 from sysid.storage import write_file
+from sysid.workflows.options import ReportOptions as ReportOptions
 from sysid.workflows.search import collected_warnings, naming
-
-
-@dataclass(frozen=True)
-class ReportOptions:
-    """What `sysid report` may be told.
-
-    Parameters
-    ----------
-    out : Path, optional
-        Page to write; ``report.html`` in the fit folder by default.
-    against : Path, optional
-        Campaign of other trials that the sets are to predict.
-    pdf_figures : Path, optional
-        Folder for vector figures.
-    film : tuple of Path
-        ``.gif`` and ``.mp4`` of one drop.
-    drop : str, optional
-        Which drop; the steepest by default.
-    force : bool
-        Replace what is there.
-    """
-
-    out: Path | None = None
-    against: Path | None = None
-    pdf_figures: Path | None = None
-    film: tuple[Path, ...] = ()
-    drop: str | None = None
-    force: bool = False
 
 
 def write_report(
@@ -95,7 +68,7 @@ def write_report(
             written |= _write_figures(folder, parameters["against"], options.pdf_figures)
     write_file(out, text.encode("utf-8"), ExportError)
     written = {"report": out, **written}
-    for path in options.film:
+    for path in options.films:
         tell(f"drawing {path}")
         drop = chosen_drop(fit, options.drop)
         written[path.suffix[1:].lower()] = write_film(drop, path, force=options.force)
@@ -239,8 +212,8 @@ def chosen_drop(fit: FitResult, name: str | None) -> Any:
 def _check_targets(fit: FitResult, options: ReportOptions, out: Path) -> None:
     if out.is_dir():
         raise ExportError(f"{out}: is a folder; name the page in it, such as {out / 'report.html'}")
-    targets = [path.resolve() for path in (out, *options.film)]
-    for path in options.film:
+    targets = [path.resolve() for path in (out, *options.films)]
+    for path in options.films:
         if targets.count(path.resolve()) > 1:
             raise ExportError(f"{path}: is named for two files of one report; give each a name of its own")
     if options.out is not None and out.exists() and not options.force:
@@ -253,13 +226,13 @@ def _check_targets(fit: FitResult, options: ReportOptions, out: Path) -> None:
             raise ExportError(f"{figures}: is a file, expected a folder for the figures")
         if figures.is_dir() and any(figures.glob("*.pdf")) and not options.force:
             raise ExportError(f"{figures}: holds PDF files already; choose a new folder or add --force")
-    if options.drop is not None and not options.film:
+    if options.drop is not None and not options.films:
         raise SysidError("--drop names the drop of a film; add --gif FILE or --mp4 FILE")
-    if options.film:
+    if options.films:
         chosen_drop(fit, options.drop)
         from sysid.report.snapshots import check_film
 
-        for path in options.film:
+        for path in options.films:
             check_film(path, options.force)
 
 

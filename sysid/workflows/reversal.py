@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from rich import box
@@ -36,9 +36,7 @@ from sysid.trials.common_clock import on_one_clock
 from sysid.trials.reversal import (
     JITTER,
     LEVEL,
-    SLOW,
     Repetitions,
-    Sense,
     find_reversals,
     held_commands,
     repetitions,
@@ -46,6 +44,7 @@ from sysid.trials.reversal import (
 from sysid.trials.signs import zero_of_steady
 from sysid.trials.steady import steady_points
 from sysid.types import BoolArray, FloatArray
+from sysid.workflows.options import ReversalOptions as ReversalOptions
 
 # A log is filtered when it has this many samples per period of the stop-band edge.
 _FAST = 10.0
@@ -57,79 +56,38 @@ _NO_TARE = Tare(0.0, math.nan, 0, "assumed")
 _PROTOCOLS = {"us": (1000.0, 1500.0, 2000.0), "1": (-1.0, 0.0, 1.0)}
 
 
-@dataclass(frozen=True)
-class ReversalOptions:
-    """How the logs are read.
+def command_range(options: ReversalOptions, unit: str, where: str) -> CommandRange:
+    """Return the command range in the log's unit.
 
-    Parameters
-    ----------
-    command_unit : str, optional
-        ``us``, ``dshot`` or ``1`` where the log does not say it.
-    minimum, neutral, maximum : float, optional
-        Full reverse, rest, full forward in that unit; 1000, 1500, 2000 µs or -1, 0, 1 by default.
-    sense : {"to-reverse", "to-forward", "both"}
-    stop_edge : float
-        Of the low-pass of fast logs [Hz].
-    slow : float
-        Times the quickest of a pair of commands beyond which a repetition is an outlier [1].
-    thrust_sign : {1, -1}
-        -1 where the log's thrust is positive in reverse.
-    forward_half : {"low", "high"}, optional
-        Of bidirectional DShot; in place of the three numbers.
+    Raises
+    ------
+    LogError
+        When the protocol has no default and the user gave no neutral.
     """
-
-    command_unit: str | None = None
-    minimum: float | None = None
-    neutral: float | None = None
-    maximum: float | None = None
-    sense: Sense = "to-reverse"
-    stop_edge: float = 100.0
-    slow: float = SLOW
-    thrust_sign: float = 1.0
-    forward_half: Literal["low", "high"] | None = None
-
-    def __post_init__(self) -> None:
-        if abs(self.thrust_sign) != 1.0:
+    given = (options.minimum, options.neutral, options.maximum)
+    if options.forward_half is not None:
+        if unit != "dshot" or any(value is not None for value in given):
             raise LogError(
-                f"--thrust-sign {self.thrust_sign:g}: it turns thrust and does not scale it; expected 1 or -1"
+                f"{where}: --forward-half says what every DShot number means; commands are in {unit}: "
+                "give it without --minimum, --neutral, --maximum, or give them instead"
             )
-        if not 1.0 < self.slow < math.inf:
-            raise LogError(
-                f"--slow {self.slow:g}: how many times slower than the quickest an outlier is; expected more "
-                "than 1, for example 1.5"
-            )
-
-    def range_of(self, unit: str, where: str) -> CommandRange:
-        """Return the command range in the log's unit.
-
-        Raises
-        ------
-        LogError
-            When the protocol has no default and the user gave no neutral.
-        """
-        given = (self.minimum, self.neutral, self.maximum)
-        if self.forward_half is not None:
-            if unit != "dshot" or any(value is not None for value in given):
-                raise LogError(
-                    f"{where}: --forward-half says what every DShot number means; commands are in {unit}: "
-                    "give it without --minimum, --neutral, --maximum, or give them instead"
-                )
-            return CommandRange(unit, 0.0, 0.0, 2047.0, self.forward_half)
-        known = _PROTOCOLS.get(unit)
-        if known is None and any(value is None for value in given):
-            raise LogError(
-                f"{where}: commands are in {unit}, whose neutral is not known; give --minimum, --neutral and "
-                "--maximum in that unit, or --forward-half low or high for bidirectional DShot"
-            )
-        low, rest, high = (
-            default if own is None else own for own, default in zip(given, known or (0.0,) * 3, strict=True)
+        return CommandRange(unit, 0.0, 0.0, 2047.0, options.forward_half)
+    known = _PROTOCOLS.get(unit)
+    if known is None and any(value is None for value in given):
+        raise LogError(
+            f"{where}: commands are in {unit}, whose neutral is not known; give --minimum, --neutral and "
+            "--maximum in that unit, or --forward-half low or high for bidirectional DShot"
         )
-        if not low < rest < high:
-            raise LogError(
-                f"{where}: minimum {low:g}, neutral {rest:g}, maximum {high:g} {unit} are not in order; a "
-                "reversal needs a neutral between the two"
-            )
-        return CommandRange(unit, low, rest, high)
+    low, rest, high = (
+        default if stated is None else stated
+        for stated, default in zip(given, known or (0.0,) * 3, strict=True)
+    )
+    if not low < rest < high:
+        raise LogError(
+            f"{where}: minimum {low:g}, neutral {rest:g}, maximum {high:g} {unit} are not in order; a "
+            "reversal needs a neutral between the two"
+        )
+    return CommandRange(unit, low, rest, high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +165,7 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
         raise LogError(f"{where}: holds averaged points, no transients; a reversal time needs a running log")
     recording = on_one_clock(recording, _NEEDED, _CLOCK_OF)
     command, thrust = recording["command"], recording["thrust"]
-    u = options.range_of(command.unit, where).to_u(command.values, command.unit, where)
+    u = command_range(options, command.unit, where).to_u(command.values, command.unit, where)
     time = command.time
     # A neutral that jitters is a neutral, for the tare too.
     u = np.where(np.abs(u) <= JITTER, 0.0, u)

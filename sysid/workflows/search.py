@@ -44,6 +44,7 @@ from sysid.fit.store import check_new_fit, write_fit
 from sysid.parallel import executor
 from sysid.parameters import SearchSpace
 from sysid.recording import file_sha256
+from sysid.workflows.options import FitOptions as FitOptions
 
 # Runs that share a cluster at the same time: while one breeds, the others keep its workers busy.
 _RUNS_AT_ONCE = 8
@@ -54,85 +55,29 @@ _PROBES = 4
 _LIBRARIES = ("numpy", "scipy", "numba", "pymoo", "cma", "pandas", "h5py")
 
 
-@dataclass(frozen=True)
-class FitOptions:
-    """What the command line may say beside the campaign.
+def search_settings(options: FitOptions, table: FitTable) -> SearchSettings:
+    """Return the campaign's search settings with the command's overrides."""
 
-    Parameters
-    ----------
-    out : Path, optional
-        Result folder; default ``fits/NAME``.
-    force : bool
-        Replace an existing fit folder.
-    population, runs, seed, max_generations : int, optional
-        Override the campaign's `[fit]`.
-    time_limit : float, optional
-        Of the whole fit, from the reading of its campaign on [s].
-    threads : int, optional
-        Cores; all by default. The result does not depend on it.
-    quiet : bool
-        No progress.
-    algorithm : str, optional
-        A key of `sysid.fit.breeders.algorithms.ALGORITHMS`; overrides the campaign's `[fit]`.
-    finish : {"cmaes", "none"}, optional
-        Overrides the campaign's `[fit]`.
-    max_evaluations : int, optional
-        Candidates that the whole fit may score [1].
-    resume : bool
-        Continue an unfinished fit.
-    dask : str, optional
-        Address of a Dask scheduler, or ``local``; every worker process then uses one core.
-    check : bool
-        Say before the search what the trials are expected to fix.
-    """
+    def chosen(name: str) -> int:
+        override = getattr(options, name)
+        return int(getattr(table, name) if override is None else override)
 
-    out: Path | None = None
-    force: bool = False
-    population: int | None = None
-    runs: int | None = None
-    seed: int | None = None
-    max_generations: int | None = None
-    time_limit: float | None = None
-    threads: int | None = None
-    quiet: bool = False
-    algorithm: str | None = None
-    finish: str | None = None
-    max_evaluations: int | None = None
-    resume: bool = False
-    dask: str | None = None
-    check: bool = True
-
-    def __post_init__(self) -> None:
-        if self.dask is not None:
-            object.__setattr__(self, "threads", 1)
-
-    def folder(self, name: str) -> Path:
-        """Return where a fit called `name` goes."""
-        return self.out if self.out is not None else Path("fits") / name
-
-    def settings(self, table: FitTable) -> SearchSettings:
-        """Return the campaign's search settings with this command's overrides."""
-
-        def chosen(name: str) -> int:
-            own = getattr(self, name)
-            return int(getattr(table, name) if own is None else own)
-
-        algorithm = self.algorithm or table.algorithm or DEFAULT_ALGORITHM
-        return SearchSettings(
-            population=self.population or table.population or POPULATION[algorithm],
-            runs=chosen("runs"),
-            seed=chosen("seed"),
-            algorithm=algorithm,
-            finish=self.finish or table.finish,
-            stop=StopRule(
-                reading=table.stop_reading,
-                window=table.stop_window,
-                tolerance=table.stop_tolerance,
-                max_generations=chosen("max_generations"),
-                max_evaluations=self.max_evaluations,
-                time_limit=self.time_limit,
-            ),
-        )
+    algorithm = options.algorithm or table.algorithm or DEFAULT_ALGORITHM
+    return SearchSettings(
+        population=options.population or table.population or POPULATION[algorithm],
+        runs=chosen("runs"),
+        seed=chosen("seed"),
+        algorithm=algorithm,
+        finish=options.finish or table.finish,
+        stop=StopRule(
+            reading=table.stop_reading,
+            window=table.stop_window,
+            tolerance=table.stop_tolerance,
+            max_generations=chosen("max_generations"),
+            max_evaluations=options.max_evaluations,
+            time_limit=options.time_limit,
+        ),
+    )
 
 
 @dataclass

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from sysid.trust.problem import Problem, SpreadProblem
 from sysid.trust.resampling import Resampled
 from sysid.trust.verdicts import verdict
 from sysid.types import FloatArray
+from sysid.workflows.options import TrustOptions as TrustOptions
 from sysid.workflows.reopen import OpenedFit, noise_floors, open_fit
 from sysid.workflows.search import collected_warnings
 
@@ -36,28 +36,6 @@ _STATEMENT = (
 )
 # Relative to the standard deviation of the linearization: farther apart is worth a word.
 _MOVED = 2.0
-
-
-@dataclass(frozen=True)
-class TrustOptions:
-    """What the command line may say.
-
-    Parameters
-    ----------
-    campaign : Path, optional
-        Where the campaign lies now.
-    resamples : int
-        Of the bootstrap.
-    seed : int
-    threads : int, optional
-    dask : str, optional
-    """
-
-    campaign: Path | None = None
-    resamples: int = 100
-    seed: int = 1
-    threads: int | None = None
-    dask: str | None = None
 
 
 def assess_fit(

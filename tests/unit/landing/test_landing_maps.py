@@ -21,7 +21,7 @@ from sysid.report.fit_plots import save_figure
 from sysid.report.landing_figures import DrawnLimits, MapLegend, figure_impulse, figure_landing_maps
 from sysid.resume import BlockStore, blocks_folder, compute_blocks
 from sysid.workflows.landing_maps import _summary_table
-from sysid.workflows.landing_sources import span
+from sysid.workflows.options import span
 
 
 class Squares:

@@ -23,7 +23,7 @@ from sysid.landing.scenario import Scenario
 from sysid.landing.simulate import land, land_many
 from sysid.resume import blocks_folder
 from sysid.workflows import landing_maps
-from sysid.workflows.landing_sources import span
+from sysid.workflows.options import span
 
 LF, HF, MOTOR = (PUBLISHED / f"published-{name}.json" for name in ("gear-lf", "gear-hf", "motor"))
 CELLS = ("--slopes", "4", "--speeds", "0.3", "--no-check")

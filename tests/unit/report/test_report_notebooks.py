@@ -87,7 +87,7 @@ def test_the_report_of_a_single_drop_against_the_others(fits, tmp_path):
     options = ReportOptions(
         against=SAMPLES / "gear-lf" / "campaign.toml",
         pdf_figures=tmp_path / "pdf",
-        film=(tmp_path / "a.gif",),
+        gif=tmp_path / "a.gif",
     )
     written = write_report(fit, options)
     page_text = checked(written["report"].read_text(encoding="utf-8"), 45)

@@ -13,7 +13,7 @@ from sysid.export.mjcf import from_mjcf
 from sysid.export.published import table_1, table_2
 from sysid.motor.model import PARAMETERS, aerodynamic_torque, simulate, steady_state, thrust
 from sysid.motor.nearest_lag import first_order_rotor
-from sysid.workflows.export_models import export_models
+from sysid.workflows.export_models import export_sets
 
 
 def several(sets, count=3):
@@ -142,5 +142,5 @@ def test_a_set_with_an_unknown_number_writes_no_file(tmp_path):
     values = np.array(sets.values)
     values[2, 3] = np.nan
     with pytest.raises(ExportError, match="set 3"):
-        export_models(replace(sets, values=values), tmp_path / "m.sdf")
-    assert not list(tmp_path.iterdir())
+        export_sets(export(replace(sets, values=values), tmp_path / "sets.json"), tmp_path / "m.sdf")
+    assert [path.name for path in tmp_path.iterdir()] == ["sets.json"]

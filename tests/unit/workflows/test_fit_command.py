@@ -292,10 +292,11 @@ def test_more_runs_keep_the_best_five(campaign, run):
 def test_population_follows_the_algorithm_where_none_is_named():
     from sysid.campaign.common import FitTable
     from sysid.fit.breeders.algorithms import DEFAULT_ALGORITHM, POPULATION
-    from sysid.workflows.search import FitOptions
+    from sysid.workflows.options import FitOptions
+    from sysid.workflows.search import search_settings
 
     def searched(table, **options):
-        settings = FitOptions(**options).settings(FitTable(**table))
+        settings = search_settings(FitOptions(**options), FitTable(**table))
         return settings.algorithm, settings.population
 
     assert searched({}) == (DEFAULT_ALGORITHM, POPULATION[DEFAULT_ALGORITHM])
