@@ -233,6 +233,12 @@ def bridge_gaps(values: FloatArray, valid: BoolArray) -> FloatArray:
     return out.reshape(values.shape)
 
 
+def runs(mask: BoolArray) -> list[tuple[int, int]]:
+    """Return start and stop of every run of True in a mask (n,), in their order."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(mask, dtype=np.int8), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
 @dataclass(frozen=True, eq=False)
 class Spectrum:
     """How a signal is spread over frequency, in few enough points to be kept with a result.

@@ -10,14 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize, signal
+from scipy import optimize
 
 from sysid.errors import LogError
 from sysid.trials.capture import PlanarMotion, SpatialMotion, held_level, smooth_height
+from sysid.trials.flight import HALF_WINDOW, accelerations, fall_onset, half_window, hold_before, release_time
 from sysid.types import FloatArray
 
-# Share of g that counts as falling when judged on 45 ms of positions.
-_FALLING = 0.6
 # Of a hold, samples back to the last one this far from its place or turned by this much count, at most for
 # this long [m, rad, s]: a magnet holds for long, and every simulation starts from the mean of its samples.
 _STILL = 2e-3
@@ -124,29 +123,24 @@ def find_fall(motion: SpatialMotion, gravity: float, where: str, release: float 
         When nothing falls.
     """
     height = smooth_height(motion)
-    half = max(2, round(0.0225 * motion.rate))
+    half = half_window(HALF_WINDOW * motion.rate)
     if len(height) < 4 * half:
         raise LogError(f"{where}: {len(height)} samples are too few for a drop; check the log")
     if release is not None:
         onset = int(np.searchsorted(motion.time, release))
     else:
-        acceleration = signal.savgol_filter(height, 2 * half + 1, 2, deriv=2, delta=1 / motion.rate)
-        falling = acceleration < -_FALLING * gravity
-        sustained = np.convolve(falling, np.ones(3), "valid") == 3
-        if not sustained.any():
+        downward = -accelerations(height, half, 1 / motion.rate)
+        first = fall_onset(downward, gravity)
+        if first is None:
             raise LogError(
                 f"{where}: nothing falls in this log (largest downward acceleration "
-                f"{-acceleration.min():.1f} m/s², expected {gravity:.2f}); check capture.up or the file"
+                f"{downward.max():.1f} m/s², expected {gravity:.2f}); check capture.up or the file"
             )
-        onset = int(np.argmax(sustained))
-    last = max(0, onset - half)
-    first = max(0, last - round(0.3 * motion.rate))
-    held = slice(first, last)
-    still = height[held]
-    # A hand moves by more than this within 0.3 s; a magnet does not.
-    if last - first < 5 or np.ptp(still) > 0.004 or motion.valid[held].sum() < 3:
+        onset = first
+    held = hold_before(onset, half, motion.rate, height)
+    if held is None or motion.valid[held].sum() < 3:
         return slice(onset, onset)
-    return slice(_still_since(motion, held), last)
+    return slice(_still_since(motion, held), held.stop)
 
 
 def _still_since(motion: SpatialMotion, held: slice) -> int:
@@ -243,26 +237,14 @@ def _fit(
     if not holds:
         return _fit_ballistic(time, coordinates, gravity)
 
-    # Relative to the touchdown: a solver steps in shares of the number itself, which may be Unix seconds.
     since = time - touchdown
-
-    def residual(start: float) -> FloatArray:
-        shape = -0.5 * gravity * np.maximum(0.0, since - start) ** 2
-        return np.asarray(coordinates[:, 1] - shape - np.mean(coordinates[:, 1] - shape))
-
-    lower = motion.time[held.stop - 1] - 0.02 - touchdown
-    found = optimize.minimize_scalar(
-        lambda start: float(np.sum(residual(start) ** 2)),
-        bounds=(lower, -period),
-        method="bounded",
-        options={"xatol": 1e-7},
-    )
-    release = float(found.x)
-    z_residual = residual(release)
+    bounds = (motion.time[held.stop - 1] - 0.02 - touchdown, -period)
+    release = release_time(since, coordinates[:, 1], gravity, bounds, 1e-7)
     elapsed = np.maximum(0.0, since - release)
     origin, rates, noise = np.empty(3), np.zeros(3), np.empty(3)
-    origin[1] = np.mean(coordinates[:, 1] + 0.5 * gravity * elapsed**2)
-    noise[1] = np.sqrt(np.mean(z_residual**2))
+    height_held = coordinates[:, 1] + 0.5 * gravity * elapsed**2
+    origin[1] = np.mean(height_held)
+    noise[1] = np.sqrt(np.mean((height_held - origin[1]) ** 2))
     for column in (0, 2):
         values = coordinates[:, column]
         design = np.column_stack([np.ones_like(elapsed), elapsed])

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.filters import runs
 from sysid.recording import Channel, FloatArray
 
 # A step this many times the median is a hole in the clock.
@@ -66,19 +67,13 @@ def without_clock(one: ChannelReport) -> ChannelReport:
     return replace(one, rate=unknown, jitter=unknown, holes=0, longest_hole=unknown, longest_blank=unknown)
 
 
-def _runs(mask: NDArray[np.bool_], least: int) -> int:
-    """Return how many samples lie in runs of True that are `least` or longer."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    lengths = edges[1::2] - edges[::2]
-    return int(lengths[lengths >= least].sum())
-
-
 def _saturated(values: FloatArray) -> float:
     """Return the share of samples that are stuck at a limit other than zero."""
     low, high = float(values.min()), float(values.max())
     if values.size < 10 * _FLAT_RUN or low == high:
         return 0.0
-    stuck = sum(_runs(values == limit, _FLAT_RUN) for limit in (low, high) if limit != 0.0)
+    lengths = [stop - start for limit in (low, high) if limit != 0.0 for start, stop in runs(values == limit)]
+    stuck = sum(length for length in lengths if length >= _FLAT_RUN)
     # Half of the samples at one value is a plateau or a probe that is off, not a sensor at its limit.
     share = stuck / values.size
     return share if _FLAT_SHARE <= share <= 0.5 else 0.0

@@ -1,9 +1,7 @@
 """A drop in motion capture: which way is down, release, touchdown, impact speed, slope.
 
-Knows no gear and needs no surface: free flight is where positions accelerate at one g in one direction, the
-release is where its parabola begins (if the body hung still), the touchdown is where positions leave the
-parabola. Valid for flights of 50 ms or more sampled at 50 Hz or more. These numbers describe a log; the fit
-finds its own with the campaign's feet and plane.
+Knows no gear and needs no surface (`sysid.trials.flight`). These numbers describe a log; a fit finds the
+release and the touchdown with the campaign's feet and plane (`sysid.trials.fall`).
 """
 
 from __future__ import annotations
@@ -11,21 +9,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import optimize, signal
 from scipy.spatial.transform import Rotation
 
-from sysid.recording import Channel, FloatArray, Recording
+from sysid.recording import Channel, Recording
+from sysid.trials.flight import (
+    HALF_WINDOW,
+    FreeFlight,
+    accelerations,
+    contact_time,
+    half_window,
+    held_fall,
+    lands,
+    thrown,
+)
+from sysid.types import BoolArray, FloatArray
 
 STANDARD_GRAVITY = 9.80665
-# Half of the window over which positions become accelerations [s].
-_HALF_WINDOW = 0.0225
-# Share of g that counts as falling when judged on 45 ms of positions.
-_FALLING = 0.6
-# From this on a fall tells g to some percent [s].
-_LONG_FALL = 0.06
-# Tolerance on |a|/g, and the shortest flight [s] of a body in motion and of one that hung still.
-_NEAR, _SHORTEST, _SHORTEST_FALL = 0.25, 0.05, 0.03
 # Units that a length may have been read in: its factor on g, and what it means.
 _SCALES = {
     1.0: "",
@@ -41,9 +40,6 @@ _NEAR_UNIT = 0.1
 # half millimetre by which its end is told; and how long such a fall must be [s].
 _ODD_GRAVITIES = tuple(1.06 ** (sign * power) for power in range(2, 26) for sign in (1, -1))
 _LONG_ODD_FALL = 0.1
-# Behind a touchdown no body gets so much faster within that time [s]: else the fall goes on.
-_FASTER, _SOON = 1.5, 0.1
-_STILL = 0.004
 # Legs yield softly: a body leaves its flight visibly so long after the feet touch [s].
 _YIELDING = 0.010
 # A shallower board has no direction that its markers could tell; a way further off an axis lies between two.
@@ -115,7 +111,7 @@ def _axis_name(vector: FloatArray) -> str:
     return ("+" if vector[axis] > 0 else "-") + "xyz"[axis]
 
 
-def _uniform(channel: Channel) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+def _uniform(channel: Channel) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return a uniform clock, positions bridged over gaps, and which samples lie between seen neighbours."""
     valid = channel.valid
     seen, positions = channel.time[valid], channel.values[valid]
@@ -124,182 +120,6 @@ def _uniform(channel: Channel) -> tuple[FloatArray, FloatArray, NDArray[np.bool_
     bridged = np.column_stack([np.interp(time, seen, positions[:, i]) for i in range(3)])
     after = np.clip(np.searchsorted(seen, time), 1, seen.size - 1)
     return time, bridged, np.asarray(seen[after] - seen[after - 1] < 4.0 * step)
-
-
-def _longest_run(mask: NDArray[np.bool_]) -> tuple[int, int]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    if not edges.size:
-        return 0, 0
-    lengths = edges[1::2] - edges[::2]
-    longest = int(np.argmax(lengths))
-    return int(edges[2 * longest]), int(edges[2 * longest + 1])
-
-
-@dataclass(frozen=True, eq=False)
-class _Flight:
-    """Positions p(t) = origin + rate·τ + acceleration·τ²/2 with τ = t - start, 0 before a release."""
-
-    start: float
-    held: bool
-    origin: FloatArray
-    rate: FloatArray
-    acceleration: FloatArray
-
-    def at(self, time: FloatArray) -> FloatArray:
-        since = np.atleast_1d(time) - self.start
-        if self.held:
-            since = np.maximum(since, 0.0)
-        return np.asarray(
-            self.origin + since[:, None] * self.rate + 0.5 * since[:, None] ** 2 * self.acceleration
-        )
-
-    def velocity(self, time: float) -> FloatArray:
-        return np.asarray(self.rate + (time - self.start) * self.acceleration)
-
-
-def _release_time(time: FloatArray, height: FloatArray, guess: float, early: float, gravity: float) -> float:
-    """Return when a body that hung still was let go, from the heights of hold and fall [s]."""
-    since = time - guess
-
-    def misfit(start: float) -> float:
-        return float(np.var(height + 0.5 * gravity * np.maximum(0.0, since - start) ** 2))
-
-    bounds = (-early, float(since[-1]))
-    found = optimize.minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": 1e-6})
-    return guess + float(found.x)
-
-
-def _free_fall(time: FloatArray, position: FloatArray, release: float) -> _Flight:
-    """Return the flight whose acceleration the positions tell themselves, in size and direction."""
-    shape = 0.5 * np.maximum(0.0, time - release) ** 2
-    design = np.column_stack([np.ones_like(shape), shape])
-    solution = np.asarray(np.linalg.lstsq(design, position, rcond=None)[0], dtype=np.float64)
-    return _Flight(release, True, solution[0], np.zeros(3), solution[1])
-
-
-def _held_fall(
-    time: FloatArray, position: FloatArray, acceleration: FloatArray, sure: NDArray[np.bool_], gravity: float
-) -> tuple[_Flight, int] | None:
-    """Return the first fall of a body that hung still, and the sample at which it ends; None without one."""
-    step = float(time[1] - time[0])
-    half, reach = max(2, round(_HALF_WINDOW / step)), round(0.3 / step)
-    # The impact accelerates the other way, but later: whichever axis comes first is the way down.
-    falling = np.abs(acceleration) > _FALLING * gravity
-    onsets = [np.flatnonzero(np.convolve(falling[:, i] & sure, np.ones(3), "valid") == 3) for i in range(3)]
-    for onset, axis in sorted((int(one[0]), i) for i, one in enumerate(onsets) if one.size):
-        begin, held_end = max(0, onset - half - reach), onset - half
-        if held_end - begin < 5 or np.max(np.ptp(position[begin:held_end], axis=0)) > _STILL:
-            continue
-        height = -np.sign(acceleration[onset, axis]) * position[:, axis]
-        end, release = min(time.size - 1, onset + half), float(time[onset])
-        for _ in range(40):  # the fit tells how far the fall reaches, which lets in more of it
-            early = (half + 4) * step
-            release = _release_time(time[begin:end], height[begin:end], float(time[onset]), early, gravity)
-            fall = height + 0.5 * gravity * np.maximum(0.0, time - release) ** 2
-            error = np.abs(fall - fall[begin:held_end].mean())
-            off = error[held_end:] > max(4.0 * float(np.std(fall[begin:held_end])), 5e-4)
-            both = np.flatnonzero(off[:-1] & off[1:])
-            away = held_end + int(both[0]) if both.size else time.size - 1
-            if away == end:
-                break
-            end = min(away, end + max(2, (end - held_end) // 4))
-        if time[end] - release > _LONG_FALL:  # long enough to tell g itself, which a wrong rate changes
-            end, release = _longer(time, height, begin, held_end, end, release)
-        flight = _free_fall(time[begin:end], position[begin:end], release)
-        size = float(np.linalg.norm(flight.acceleration))
-        if abs(size / gravity - 1.0) < _NEAR and time[end] - release > _SHORTEST_FALL:
-            return flight, end
-    return None
-
-
-def _longer(
-    time: FloatArray, height: FloatArray, begin: int, held_end: int, end: int, release: float
-) -> tuple[int, float]:
-    """Return the end of a fall and its release when g is fitted too, however much that is."""
-    step = float(time[1] - time[0])
-    limit = max(4.0 * float(np.std(height[begin:held_end])), 5e-4)
-    for _ in range(40):
-        since, known = time[begin:end] - release, height[begin:end]
-
-        def parabola(start: float, since: FloatArray = since, known: FloatArray = known) -> FloatArray:
-            shape = 0.5 * np.maximum(0.0, since - start) ** 2
-            design = np.column_stack([np.ones_like(shape), shape])
-            return np.asarray(np.linalg.lstsq(design, known, rcond=None)[0])
-
-        def misfit(start: float, since: FloatArray = since, known: FloatArray = known) -> float:
-            place, fall = parabola(start)
-            return float(np.sum((known - place - 0.5 * fall * np.maximum(0.0, since - start) ** 2) ** 2))
-
-        found = optimize.minimize_scalar(
-            misfit, bounds=(-4.0 * step, 4.0 * step), method="bounded", options={"xatol": 1e-6}
-        )
-        place, fall = parabola(float(found.x))
-        release += float(found.x)
-        error = height - place - 0.5 * fall * np.maximum(0.0, time - release) ** 2
-        off = np.abs(error[held_end:]) > limit
-        both = np.flatnonzero(off[:-1] & off[1:])
-        away = held_end + int(both[0]) if both.size else time.size - 1
-        if away <= end:
-            break
-        end = min(away, end + max(2, (end - held_end) // 4))
-    return end, release
-
-
-def _leaves(time: FloatArray, position: FloatArray, flight: _Flight, inner: slice, first: int) -> int:
-    """Return the first of two samples running that lie off the flight."""
-    error = np.linalg.norm(position - flight.at(time), axis=1)
-    off = error[first:] > max(4.0 * float(np.sqrt(np.mean(error[inner] ** 2))), 5e-4)
-    both = np.flatnonzero(off[:-1] & off[1:])
-    return first + int(both[0]) if both.size else time.size - 1
-
-
-def _contact(time: FloatArray, error: FloatArray, end: int) -> float:
-    """Return when a surface began to push [s].
-
-    Legs give way softly, so the flight is left like (t - t0) cubed, a
-    stiff body's like t - t0: whichever fits the next samples better is followed back to zero.
-    """
-    step = float(time[1] - time[0])
-    beyond = np.flatnonzero(error[end:] > 0.015)
-    stop = min(end + (int(beyond[0]) if beyond.size else 8), end + 8, time.size)
-    latest = float(time[end]) - 0.5 * step
-    if stop - end < 3:
-        return latest
-    best = (np.inf, latest)
-    for power in (1, 3):
-        root = np.maximum(error[end:stop], 0.0) ** (1.0 / power)
-        slope, offset = np.polyfit(time[end:stop] - time[end], root, 1)
-        if slope <= 0:
-            continue
-        misfit = np.maximum(slope * (time[end:stop] - time[end]) + offset, 0.0) ** power - error[end:stop]
-        best = min(best, (float(np.sum(misfit**2)), float(time[end]) - float(offset / slope)))
-    return float(np.clip(best[1], latest - 0.02, latest + step))
-
-
-def _thrown(
-    time: FloatArray, position: FloatArray, acceleration: FloatArray, sure: NDArray[np.bool_], gravity: float
-) -> tuple[_Flight, int] | None:
-    """Return the longest free flight of a body in motion, and the sample that ends it; None without one."""
-    step = float(time[1] - time[0])
-    half = max(2, round(_HALF_WINDOW / step))
-    near = sure & (np.abs(np.linalg.norm(acceleration, axis=1) - gravity) < _NEAR * gravity)
-    first, last = _longest_run(near)
-    if last - first < 4:
-        return None
-    # One direction throughout: a swung body accelerates as much, but not one way.
-    direction = acceleration[first:last].mean(axis=0)
-    along = acceleration @ direction / np.linalg.norm(direction)
-    first, last = _longest_run(near & (along > (1 - _NEAR) * gravity))
-    if last - first < 4 or (last - first) * step < _SHORTEST:
-        return None
-    middle = (first + last) // 2
-    inner = slice(min(first + half, middle - 2), max(last - half, middle + 3))
-    since = time[inner] - time[middle]
-    curve = np.polyfit(since, position[inner], 2)
-    flight = _Flight(float(time[middle]), False, curve[2], curve[1], 2.0 * curve[0])
-    if abs(float(np.linalg.norm(flight.acceleration)) / gravity - 1.0) > _NEAR:
-        return None
-    return flight, _leaves(time, position, flight, inner, middle)
 
 
 def inspect_drop(recording: Recording, gravity: float = STANDARD_GRAVITY) -> DropReport | None:
@@ -334,42 +154,28 @@ def _falls_freely(report: DropReport, gravity: float) -> bool:
 def _inspect_body(recording: Recording, body: str, channel: Channel, gravity: float) -> DropReport | None:
     time, position, sure = _uniform(channel)
     step = float(time[1] - time[0])
-    half = max(2, round(_HALF_WINDOW / step))
+    half = half_window(HALF_WINDOW / step)
     if step > 0.02 or time.size < 4 * half + 4:
         return None
-    acceleration = signal.savgol_filter(position, 2 * half + 1, 2, deriv=2, delta=step, axis=0)
+    acceleration = accelerations(position, half, step)
     for scale, unit in _SCALES.items():
         place = position / scale
-        found = _held_fall(time, place, acceleration / scale, sure, gravity)
+        found = held_fall(time, place, acceleration / scale, sure, gravity)
         if found is None and scale == 1.0:  # a slow motion in a wrong unit looks like a throw
-            found = _thrown(time, place, acceleration, sure, gravity)
-        if found is None or not _lands(time, place, *found):
+            found = thrown(time, place, acceleration, sure, gravity)
+        if found is None or not lands(time, place, *found):
             continue
         own = float(np.linalg.norm(found[0].acceleration))
         if not unit or abs(own / gravity - 1.0) < _NEAR_UNIT:
             return _report(recording, body, channel, time, place, *found, unit)
     # A wrong rate changes g by its square: the fall is reported with the g that it has.
     for share in _ODD_GRAVITIES:
-        found = _held_fall(time, position, acceleration, sure, share * gravity)
+        found = held_fall(time, position, acceleration, sure, share * gravity)
         if found is None or time[found[1]] - found[0].start < _LONG_ODD_FALL:
             continue
-        if _lands(time, position, *found, stops=True):
+        if lands(time, position, *found, stops=True):
             return _report(recording, body, channel, time, position, *found, "")
     return None
-
-
-def _lands(time: FloatArray, position: FloatArray, flight: _Flight, end: int, stops: bool = False) -> bool:
-    """Return whether a body stops falling (or comes to half its speed) where its flight is said to end."""
-    step = float(time[1] - time[0])
-    size = float(np.linalg.norm(flight.acceleration))
-    depth = position @ (flight.acceleration / size)
-    impact = float(flight.velocity(float(time[end])) @ flight.acceleration) / size
-    window = max(2, round(_HALF_WINDOW / step))
-    after = depth[end : min(time.size, end + max(2 * window, round(_SOON / step)) + 1)]
-    if after.size <= window:
-        return not stops  # the log ends there
-    speeds = (after[window:] - after[:-window]) / (window * step)
-    return bool(speeds.min() < 0.5 * impact) if stops else bool(speeds.max() < _FASTER * max(impact, 0.1))
 
 
 def _report(
@@ -378,7 +184,7 @@ def _report(
     channel: Channel,
     time: FloatArray,
     position: FloatArray,
-    flight: _Flight,
+    flight: FreeFlight,
     end: int,
     unit: str,
 ) -> DropReport:
@@ -387,7 +193,7 @@ def _report(
     up = _axis_name(up_vector)
     axis = np.zeros(3)
     axis["xyz".index(up[1])] = 1.0 if up[0] == "+" else -1.0
-    touchdown = _contact(time, (position - flight.at(time)) @ axis, end)
+    touchdown = contact_time(time, (position - flight.at(time)) @ axis, end)
     speed = -float(flight.velocity(touchdown) @ axis)
     # Of a throw, from the top of its parabola, or from where the log begins to show it.
     top = max(float(flight.velocity(float(time[0])) @ axis), 0.0) if not flight.held else 0.0
