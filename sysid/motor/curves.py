@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,10 +11,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sysid.campaign import MotorCampaign
-from sysid.campaign.motor import MotorTrial as TrialEntry
+from sysid.campaign import MotorCampaign, MotorTrial
 from sysid.campaign.motor import StaticLog
-from sysid.errors import FitError, LogError, SysidWarning
+from sysid.errors import FitError, LogError
+from sysid.journal import notice
 from sysid.motor.bench_logs import (
     STATED_SIGNS,
     BenchLog,
@@ -24,6 +23,7 @@ from sysid.motor.bench_logs import (
     log_hashes,
     log_points,
     read_log,
+    source_of,
 )
 from sysid.motor.static_curves import (
     OUTLIER,
@@ -32,7 +32,9 @@ from sysid.motor.static_curves import (
     fit_no_load_line,
     fit_speed_curve,
     soft_weights,
+    turns,
 )
+from sysid.recording import Recording
 from sysid.trials.bench_log import signed_speed, tare
 from sysid.trials.signs import sign_against_speed
 from sysid.trials.steady import SETTLE, SteadyPoints
@@ -92,54 +94,59 @@ def _curve_log(
     campaign: MotorCampaign, path: str | Path, static: StaticLog, table: Literal["static", "no_load"]
 ) -> CurveLog:
     """Return a log with its points: rows of averaged points, or steady stretches of steps."""
-    file, direction = read_log(campaign, path, static), static.direction
+    file = read_log(campaign, path, static)
     recording = file.recording
-    if recording.kind != "static-map":
-        entry = TrialEntry(
-            name=Path(static.log).name, log=static.log, direction=direction,
+    if recording.kind == "static-map":
+        points = _rows_as_points(campaign, recording, static.direction)
+    else:
+        entry = MotorTrial(
+            name=Path(static.log).name, log=static.log, direction=static.direction,
             log_options=static.log_options, second_log=static.second_log,
         )  # fmt: skip
         points = log_points(bench_log(campaign, path, entry))
-    else:
-        where = recording.provenance.path
-        command = recording["command"]
-        u = command_range(campaign).to_u(command.values, command.unit, where)
-        speed = signed_speed(recording["speed"].values, direction, where)
-        rest = (np.abs(u) < 1e-9) & (np.nan_to_num(speed) == 0)
-        turning = np.nan_to_num(speed) != 0
-        columns, zeros = {}, {}
-        for name in ("thrust", "torque", "voltage"):
-            values = recording[name].values if name in recording.channels else np.full(u.size, np.nan)
-            zero = tare(values, rest)
-            # A supply that reads 0 was not measured.
-            volts = np.where(np.nan_to_num(values) > 0, values, np.nan)
-            columns[name] = volts if name == "voltage" else values - zero.value
-            zeros[name] = np.full(int(turning.sum()), zero.rows, dtype=np.int64)
-        for name, stated in (("thrust", campaign.log.thrust_sign), ("torque", campaign.log.torque_sign)):
-            seen = sign_against_speed(columns[name][turning], speed[turning]) or 1
-            columns[name] = columns[name] * STATED_SIGNS.get(stated, seen)
-        points = SteadyPoints(
-            u[turning], speed[turning], columns["thrust"][turning], columns["torque"][turning],
-            columns["voltage"][turning], np.ones(int(turning.sum()), dtype=np.int64),
-            zeros["thrust"], zeros["torque"],
-        )  # fmt: skip
     if len(points) == 0:
         raise LogError(
             f"{recording.provenance.path}: no steady segment; hold each command for over {SETTLE:g} s, "
             "or ramp from rest to full in 20 s or more"
         )
-    said = recording.provenance
     provenance = {
-        "log": Path(said.path).name,
-        "sha256": said.sha256,
-        "format": said.format,
-        "device": said.device,
-        "direction": direction,
+        **source_of(recording),
+        "direction": static.direction,
         "steady points": len(points),
         **({} if file.second is None else {"second log": file.second}),
-        "notes": said.sentences,
+        "notes": recording.provenance.sentences,
     }
     return CurveLog(static, table, points, provenance)
+
+
+def _rows_as_points(campaign: MotorCampaign, recording: Recording, direction: Rotation) -> SteadyPoints:
+    """Return the rows of an averaged log that turn, tare subtracted and signs settled."""
+    where = recording.provenance.path
+    command = recording["command"]
+    u = command_range(campaign).to_u(command.values, command.unit, where)
+    speed = signed_speed(recording["speed"].values, direction, where)
+    turning = np.nan_to_num(speed) != 0
+    rest = (np.abs(u) < 1e-9) & ~turning
+    columns, zeros = {}, {}
+    for name in ("thrust", "torque", "voltage"):
+        values = recording[name].values if name in recording.channels else np.full(u.size, np.nan)
+        zero = tare(values, rest)
+        # A supply that reads 0 was not measured.
+        volts = np.where(np.nan_to_num(values) > 0, values, np.nan)
+        columns[name] = (volts if name == "voltage" else values - zero.value)[turning]
+        zeros[name] = np.full(int(turning.sum()), zero.rows, dtype=np.int64)
+    for name, stated in (("thrust", campaign.log.thrust_sign), ("torque", campaign.log.torque_sign)):
+        seen = sign_against_speed(columns[name], speed[turning]) or 1
+        columns[name] = columns[name] * STATED_SIGNS.get(stated, seen)
+    return SteadyPoints(
+        u[turning], speed[turning], columns["thrust"], columns["torque"], columns["voltage"],
+        np.ones(int(turning.sum()), dtype=np.int64), zeros["thrust"], zeros["torque"],
+    )  # fmt: skip
+
+
+def supply_ratio(points: SteadyPoints, reference_voltage: float) -> FloatArray:
+    """Return V/V_ref (n,) of steady points; 1 where the voltage is not known."""
+    return np.where(np.isfinite(points.voltage), points.voltage / reference_voltage, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,8 +204,7 @@ class NoLoadTie:
     def fit(self, direction: Rotation, drop: float, damping: float) -> CurveFit:
         """Return the line at one R/(k_m k_v) and k_d, and how well the points lie on it.
 
-        The standard errors are those of the points; an error of R moves all points together and is not in
-        them.
+        The standard errors come from the points. An error of R moves all points together; they leave it out.
         """
         line = self.line(np.array([drop]), np.array([damping]))[0]
         lifted = self._lifted(drop, damping)
@@ -262,46 +268,32 @@ def static_curves(
     that are fitted. Ω_0 comes from `curves.no_load`, or from the loaded points, tied to R.
     """
     turning = {t.direction for t in campaign.trials}
-    wanted = [d for d in _ROTATIONS if d in turning or "reversal" in turning]
-    own = SteadyPoints.join([log_points(log) for log in logs]) if logs else None
     fits: list[CurveFit] = []
     ties: dict[Rotation, NoLoadTie] = {}
     loaded: dict[str, SteadyPoints] = {}
-    for direction in wanted:
-        named, bare = (
-            [log for log in curve_logs if log.table == table and log.entry.direction == direction]
-            for table in ("static", "no_load")
-        )
-        points = SteadyPoints.join([log.points for log in named]) if named else own
-        if points is None:
-            raise FitError(
-                f"no log with steady points in the {direction} direction; name one in curves.static"
-            )
-        source = ", ".join([log.entry.log for log in named] or [f"{log.where}" for log in logs])
-        turns = (points.speed > 0) if direction == "forward" else (points.speed < 0)
-        if not turns.any():
-            raise LogError(
-                f"{source}: no steady segment in the {direction} direction; hold each command for over "
-                f"{SETTLE:g} s, ramp from rest to full in 20 s or more, or name another log in curves.static"
-            )
+    for direction in _ROTATIONS:
+        if not turning & {direction, "reversal"}:
+            continue
+        points, source = _loaded_points(direction, curve_logs, logs)
         loaded[direction] = points
-        zero = int(min(points.torque_zero, default=0))
         with _of_logs(source):
-            torque = fit_speed_curve("torque", direction, points.speed, points.torque, zero_rows=zero)
-        fits.append(torque)
-        if np.isfinite(points.thrust).any():
-            zero = int(min(points.thrust_zero, default=0))
-            with _of_logs(source):
+            torque = fit_speed_curve(
+                "torque", direction, points.speed, points.torque,
+                zero_rows=int(min(points.torque_zero, default=0)),
+            )  # fmt: skip
+            fits.append(torque)
+            if np.isfinite(points.thrust).any():
+                zero = int(min(points.thrust_zero, default=0))
                 fits.append(fit_speed_curve("thrust", direction, points.speed, points.thrust, zero_rows=zero))
-        else:
-            warnings.warn(
-                f"no thrust in the {direction} direction: its curve keeps the default, which is a guess",
-                SysidWarning,
-                stacklevel=2,
-            )
+            else:
+                notice(
+                    "no-thrust-curve",
+                    f"no thrust in the {direction} direction: its curve keeps the default, which is a guess",
+                )
+        bare = _named(curve_logs, "no_load", direction)
         if bare:
             free = SteadyPoints.join([log.points for log in bare])
-            ratio = np.where(np.isfinite(free.voltage), free.voltage / reference_voltage, 1.0)
+            ratio = supply_ratio(free, reference_voltage)
             with _of_logs(", ".join(log.entry.log for log in bare)):
                 fits.append(fit_no_load_line(direction, free.u, free.speed, supply_ratio=ratio))
         else:
@@ -310,9 +302,31 @@ def static_curves(
     return StaticCurves(tuple(fits), ties, reference_voltage, loaded, tuple(curve_logs))
 
 
+def _named(curve_logs: Sequence[CurveLog], table: str, direction: Rotation) -> list[CurveLog]:
+    return [log for log in curve_logs if log.table == table and log.entry.direction == direction]
+
+
+def _loaded_points(
+    direction: Rotation, curve_logs: Sequence[CurveLog], logs: Sequence[BenchLog]
+) -> tuple[SteadyPoints, str]:
+    """Return the loaded steady points of a direction, and the logs that they come from."""
+    named = _named(curve_logs, "static", direction)
+    if not named and not logs:
+        raise FitError(f"no log with steady points in the {direction} direction; name one in curves.static")
+    parts = [log.points for log in named] or [log_points(log) for log in logs]
+    points = SteadyPoints.join(parts)
+    source = ", ".join([log.entry.log for log in named] or [log.where for log in logs])
+    if not turns(points.speed, direction).any():
+        raise LogError(
+            f"{source}: no steady segment in the {direction} direction; hold each command for over "
+            f"{SETTLE:g} s, ramp from rest to full in 20 s or more, or name another log in curves.static"
+        )
+    return points, source
+
+
 @contextmanager
 def _of_logs(source: str) -> Iterator[None]:
-    """Put the logs' names before a complaint about their points."""
+    """Put the logs' names before a refusal of their points."""
     try:
         yield
     except FitError as error:
@@ -320,9 +334,9 @@ def _of_logs(source: str) -> Iterator[None]:
 
 
 def _tie(direction: Rotation, points: SteadyPoints, torque: CurveFit, reference_voltage: float) -> NoLoadTie:
-    keep = (points.u > 0) if direction == "forward" else (points.u < 0)
+    keep = turns(points.u, direction)
     u, speed = points.u[keep], points.speed[keep]
-    ratio = np.where(np.isfinite(points.voltage[keep]), points.voltage[keep] / reference_voltage, 1.0)
+    ratio = supply_ratio(points, reference_voltage)[keep]
     drag = torque.coefficients[0] * speed * np.abs(speed) + torque.coefficients[1] * speed
     columns = np.column_stack([u, np.sign(u)]) * ratio[:, None]
     if np.unique(u).size < 3:

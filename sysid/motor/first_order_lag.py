@@ -16,6 +16,7 @@ import numpy as np
 from numba import njit, prange
 
 from sysid.motor.batch import MotorTrials
+from sysid.motor.parameters import instrument_rows
 from sysid.parameters import Parameter, ParameterTable
 from sysid.types import FloatArray
 
@@ -35,64 +36,44 @@ _STEADY, _STEADY_REVERSE = _READS.index("steady_speed_0_forward"), _READS.index(
 _TORQUE = _READS.index("torque_quadratic_forward")
 _TORQUE_REVERSE = _READS.index("torque_quadratic_reverse")
 
-_MAP = "fitted to the steady loaded points"
 
-
-def _map_rows() -> list[Parameter]:
-    rows = []
-    for direction, sign in (("forward", "+"), ("reverse", "−")):
-        for power in range(3):
-            rows.append(
-                Parameter(
-                    f"steady_speed_{power}_{direction}", f"p{power}{sign}", "rad/s", 0.0, -1e4, 1e4, "linear",
-                    f"Coefficient of |u|^{power} of the steady speed, {direction}.", _MAP,
-                    "steady-speed map",
-                )
-            )  # fmt: skip
-    for direction, sign in (("forward", "+"), ("reverse", "−")):
-        for name, unit in (("quadratic", "N·m·s²/rad²"), ("linear", "N·m·s/rad")):
-            rows.append(
-                Parameter(
-                    f"torque_{name}_{direction}", f"c_τ{sign}", unit, 0.0, -1.0, 1.0, "linear",
-                    "Coefficient of the torque curve.", "static curves of the campaign",
-                    "torque curve",
-                )
-            )  # fmt: skip
-    return rows
-
-
-def _delay_row(name: str, symbol: str, upper: float) -> Parameter:
+def _time_constant(name: str, symbol: str, when: str) -> Parameter:
     return Parameter(
-        name,
-        symbol,
-        "s",
-        0.0,
-        0.0,
-        upper,
-        "linear",
-        "As in the motor's table.",
-        "0 on one clock",
-        "instrument",
-    )
+        f"{name}_time_constant", symbol, "s", 0.1, 1e-3, 1.0, "log",
+        f"Time constant while the speed {when}.", "guess", "motor",
+    )  # fmt: skip
+
+
+def _curve_rows() -> list[Parameter]:
+    ways = (("forward", "+"), ("reverse", "−"))
+    steady = [
+        Parameter(
+            f"steady_speed_{power}_{way}", f"p{power}{sign}", "rad/s", 0.0, -1e4, 1e4, "linear",
+            f"Coefficient of |u|^{power} of the steady speed, {way}.", "fitted to the steady loaded points",
+            "steady-speed map",
+        )
+        for way, sign in ways
+        for power in range(3)
+    ]  # fmt: skip
+    torque = [
+        Parameter(
+            f"torque_{name}_{way}", f"c_τ{sign}", unit, 0.0, -1.0, 1.0, "linear",
+            "Coefficient of the torque curve.", "static curves of the campaign", "torque curve",
+        )
+        for way, sign in ways
+        for name, unit in (("quadratic", "N·m·s²/rad²"), ("linear", "N·m·s/rad"))
+    ]  # fmt: skip
+    return [*steady, *torque]
 
 
 PARAMETERS = ParameterTable(
     [
-        Parameter(
-            "rise_time_constant", "T_rise", "s", 0.1, 1e-3, 1.0, "log",
-            "Time constant while the speed grows.", "guess", "motor",
-        ),
-        Parameter(
-            "fall_time_constant", "T_fall", "s", 0.1, 1e-3, 1.0, "log",
-            "Time constant while the speed falls.", "guess", "motor",
-        ),
-        _delay_row("command_delay", "t_d", 0.2),
-        _delay_row("torque_sensor_delay", "t_τ", 0.1),
-        _delay_row("torque_sensor_lag", "T_τ", 0.05),
-        _delay_row("speed_sensor_lag", "T_Ω", 0.05),
-        *_map_rows(),
+        _time_constant("rise", "T_rise", "grows"),
+        _time_constant("fall", "T_fall", "falls"),
+        *instrument_rows(),
+        *_curve_rows(),
     ]
-)  # fmt: skip
+)
 
 
 def steady_speed_map(command: FloatArray, speed: FloatArray, ratio: FloatArray) -> FloatArray:

@@ -43,238 +43,124 @@ def kv_to_si(kv_rpm_per_volt: float) -> float:
 
 _K = kv_to_si(960.0)
 
-
-def _curve_rows(
-    quantity: str, symbol: str, forward: float, reverse: float, bounds: tuple[float, float]
-) -> list[Parameter]:
-    unit = "N" if quantity == "thrust" else "N·m"
-    source = "guess for a 9 × 4.5 inch propeller; replaced by the static curves of the campaign"
-    rows = []
-    for direction, sign, value in (("forward", "+", forward), ("reverse", "−", reverse)):
-        rows += [
-            Parameter(
-                f"{quantity}_quadratic_{direction}",
-                f"c2_{symbol}{sign}",
-                f"{unit}·s²/rad²",
-                value,
-                *bounds,
-                "log",
-                f"Quadratic coefficient of the {quantity} curve, {direction} rotation.",
-                source,
-                f"{quantity} curve",
-            ),
-            Parameter(
-                f"{quantity}_linear_{direction}",
-                f"c1_{symbol}{sign}",
-                f"{unit}·s/rad",
-                0.0,
-                -bounds[1] * 100.0,
-                bounds[1] * 100.0,
-                "linear",
-                f"Linear coefficient of the {quantity} curve, {direction} rotation.",
-                source,
-                f"{quantity} curve",
-            ),
-        ]
-    return rows
+_BY_SEARCH = "Table I (genetic algorithm); bounds: guess"
+_NO_LOAD = "guess: hover at 512 rad/s loaded needs 642 rad/s without load"
+_PROPELLER = "guess for a 9 × 4.5 inch propeller; replaced by the static curves of the campaign"
+_WAYS = (("forward", "+"), ("reverse", "−"))
 
 
 def _no_load_rows() -> list[Parameter]:
-    rows = []
-    for direction, sign in (("forward", "+"), ("reverse", "−")):
-        rows += [
+    return [
+        row
+        for way, sign in _WAYS
+        for row in (
             Parameter(
-                f"no_load_slope_{direction}",
-                f"a{sign}",
-                "rad/s",
-                1030.0,
-                100.0,
-                5000.0,
-                "log",
-                f"Slope of the no-load speed over the command u, {direction}.",
-                "guess: hover at 512 rad/s loaded needs 642 rad/s without load",
-                "no-load line",
+                f"no_load_slope_{way}", f"a{sign}", "rad/s", 1030.0, 100.0, 5000.0, "log",
+                f"Slope of the no-load speed over the command u, {way}.", _NO_LOAD, "no-load line",
             ),
             Parameter(
-                f"no_load_intercept_{direction}",
-                f"b{sign}",
-                "rad/s",
-                0.0,
-                -500.0,
-                500.0,
-                "linear",
-                f"No-load speed that remains as u → 0, {direction}; positive raises |Ω_0|.",
-                "guess",
+                f"no_load_intercept_{way}", f"b{sign}", "rad/s", 0.0, -500.0, 500.0, "linear",
+                f"No-load speed that remains as u → 0, {way}; positive raises |Ω_0|.", "guess",
                 "no-load line",
             ),
-        ]
-    return rows
+        )
+    ]  # fmt: skip
+
+
+def _curve_rows(
+    quantity: str, symbol: str, unit: str, quadratic: tuple[float, float], low: float, high: float
+) -> list[Parameter]:
+    """Return c2 and c1 of a static curve, forward and reverse; bounds of c2, and c1 up to 100 times them."""
+    return [
+        row
+        for (way, sign), value in zip(_WAYS, quadratic, strict=True)
+        for row in (
+            Parameter(
+                f"{quantity}_quadratic_{way}", f"c2_{symbol}{sign}", f"{unit}·s²/rad²", value, low, high,
+                "log", f"Quadratic coefficient of the {quantity} curve, {way} rotation.", _PROPELLER,
+                f"{quantity} curve",
+            ),
+            Parameter(
+                f"{quantity}_linear_{way}", f"c1_{symbol}{sign}", f"{unit}·s/rad", 0.0, -high * 100.0,
+                high * 100.0, "linear", f"Linear coefficient of the {quantity} curve, {way} rotation.",
+                _PROPELLER, f"{quantity} curve",
+            ),
+        )
+    ]  # fmt: skip
+
+
+def instrument_rows() -> list[Parameter]:
+    """Return what a log's instruments add: estimated with the motor and reported, no physics of the motor."""
+    return [
+        Parameter(
+            "command_delay", "t_d", "s", 0.0, 0.0, 0.2, "linear",
+            "Time from a command in the log to the voltage, instruments included; no motor physics.",
+            "0 on one clock; 30 to 80 ms seen on thrust stands", "instrument",
+        ),
+        Parameter(
+            "torque_sensor_delay", "t_τ", "s", 0.0, 0.0, 0.1, "linear",
+            "Time by which the torque sensor trails the speed sensor; applied to logs, never to the motor.",
+            "0 on one clock; 30 ms seen on thrust stands", "instrument",
+        ),
+        Parameter(
+            "torque_sensor_lag", "T_τ", "s", 0.0, 0.0, 0.05, "linear",
+            "Time constant of a first-order lag of the torque sensor; applied to logs, never to the motor.",
+            "0 for a load cell; 10 to 20 ms seen on thrust stands", "instrument",
+        ),
+        Parameter(
+            "speed_sensor_lag", "T_Ω", "s", 0.0, 0.0, 0.05, "linear",
+            "Time constant of a first-order lag of the speed sensor; applied to logs, never to the motor.",
+            "0: logs of 10 ms rows hardly distinguish it from L/R; free it to see what it buys", "instrument",
+        ),
+    ]  # fmt: skip
 
 
 PARAMETERS = ParameterTable(
     [
         Parameter(
-            "winding_resistance",
-            "R",
-            "Ω",
-            0.299,
-            0.05,
-            2.0,
-            "log",
-            "Resistance of winding, wires and controller, as one direct-current circuit.",
-            "Table I (genetic algorithm); bounds: guess",
+            "winding_resistance", "R", "Ω", 0.299, 0.05, 2.0, "log",
+            "Resistance of winding, wires and controller, as one direct-current circuit.", _BY_SEARCH,
             "motor",
         ),
         Parameter(
-            "winding_inductance",
-            "L",
-            "H",
-            0.0038,
-            1e-5,
-            2e-2,
-            "log",
-            "Inductance of the same circuit; holds whatever delays the current.",
-            "Table I (genetic algorithm), printed in kg; bounds: guess",
-            "motor",
+            "winding_inductance", "L", "H", 0.0038, 1e-5, 2e-2, "log",
+            "Inductance of the same circuit; it stands for everything that delays the current.",
+            "Table I (genetic algorithm), printed in kg; bounds: guess", "motor",
         ),
         Parameter(
-            "viscous_damping",
-            "k_d",
-            "N·m·s/rad",
-            9.2e-9,
-            1e-10,
-            1e-4,
-            "log",
-            "Bearing drag per speed.",
-            "Table I (genetic algorithm); bounds: guess",
-            "motor",
+            "viscous_damping", "k_d", "N·m·s/rad", 9.2e-9, 1e-10, 1e-4, "log", "Bearing drag per speed.",
+            _BY_SEARCH, "motor",
         ),
         Parameter(
-            "back_emf_constant",
-            "k_v",
-            "V·s/rad",
-            _K,
-            1e-3,
-            1e-1,
-            "log",
-            "Voltage per speed at no load.",
-            "960 rpm/V rating; Table I's 0.099 is a slip of a factor 10",
-            "motor",
+            "back_emf_constant", "k_v", "V·s/rad", _K, 1e-3, 1e-1, "log", "Voltage per speed at no load.",
+            "960 rpm/V rating; Table I's 0.099 is a slip of a factor 10", "motor",
         ),
         Parameter(
-            "torque_constant",
-            "k_m",
-            "N·m/A",
-            _K,
-            1e-3,
-            1e-1,
-            "log",
-            "Torque per current; equal to k_v in SI (the paper's K_t).",
-            "960 rpm/V rating",
-            "motor",
+            "torque_constant", "k_m", "N·m/A", _K, 1e-3, 1e-1, "log",
+            "Torque per current; equal to k_v in SI (the paper's K_t).", "960 rpm/V rating", "motor",
         ),
         Parameter(
-            "rotor_inertia",
-            "I^r",
-            "kg·m²",
-            2.7e-5,
-            1e-7,
-            1e-3,
-            "log",
-            "Moment of inertia of rotor and propeller about the axle.",
-            "Table I (measured)",
-            "motor",
+            "rotor_inertia", "I^r", "kg·m²", 2.7e-5, 1e-7, 1e-3, "log",
+            "Moment of inertia of rotor and propeller about the axle.", "Table I (measured)", "motor",
         ),
         Parameter(
-            "saturation_current",
-            "I_sat",
-            "A",
-            0.35,
-            0.05,
-            10.0,
-            "log",
-            "Bound of the current while the rotor leaves the dead band.",
-            "Table I (by hand)",
-            "motor",
+            "saturation_current", "I_sat", "A", 0.35, 0.05, 10.0, "log",
+            "Bound of the current while the rotor leaves the dead band.", "Table I (by hand)", "motor",
         ),
         Parameter(
-            "saturation_speed",
-            "Ω_min",
-            "rad/s",
-            6.3,
-            0.5,
-            100.0,
-            "log",
-            "Edge of the dead band of a sensorless controller.",
-            "Table I (by hand)",
-            "motor",
+            "saturation_speed", "Ω_min", "rad/s", 6.3, 0.5, 100.0, "log",
+            "Edge of the dead band of a sensorless controller.", "Table I (by hand)", "motor",
         ),
         Parameter(
-            "reference_voltage",
-            "V_ref",
-            "V",
-            11.1,
-            1.0,
-            100.0,
-            "linear",
-            "Supply at which Ω_0(u) holds.",
-            "guess: three lithium-polymer cells",
-            "motor",
+            "reference_voltage", "V_ref", "V", 11.1, 1.0, 100.0, "linear", "Supply at which Ω_0(u) applies.",
+            "guess: three lithium-polymer cells", "motor",
         ),
         *_no_load_rows(),
-        *_curve_rows("thrust", "T", 1.2e-5, 0.62e-5, (1e-9, 1e-3)),
-        *_curve_rows("torque", "τ", 1.65e-7, 1.7e-7, (1e-11, 1e-5)),
-        Parameter(
-            "command_delay",
-            "t_d",
-            "s",
-            0.0,
-            0.0,
-            0.2,
-            "linear",
-            "Time from a command in the log to the voltage, instruments included; no motor physics.",
-            "0 on one clock; 30 to 80 ms seen on thrust stands",
-            "instrument",
-        ),
-        Parameter(
-            "torque_sensor_delay",
-            "t_τ",
-            "s",
-            0.0,
-            0.0,
-            0.1,
-            "linear",
-            "Time by which the torque sensor trails the speed sensor; applied to logs, never to the motor.",
-            "0 on one clock; 30 ms seen on thrust stands",
-            "instrument",
-        ),
-        Parameter(
-            "torque_sensor_lag",
-            "T_τ",
-            "s",
-            0.0,
-            0.0,
-            0.05,
-            "linear",
-            "Time constant of a first-order lag of the torque sensor; applied to logs, never to the motor.",
-            "0 for a load cell; 10 to 20 ms seen on thrust stands",
-            "instrument",
-        ),
-        Parameter(
-            "speed_sensor_lag",
-            "T_Ω",
-            "s",
-            0.0,
-            0.0,
-            0.05,
-            "linear",
-            "Time constant of a first-order lag of the speed sensor; applied to logs, never to the motor.",
-            "0: hardly told from L/R by a log of 10 ms rows; free it to see what it buys",
-            "instrument",
-        ),
+        *_curve_rows("thrust", "T", "N", (1.2e-5, 0.62e-5), 1e-9, 1e-3),
+        *_curve_rows("torque", "τ", "N·m", (1.65e-7, 1.7e-7), 1e-11, 1e-5),
+        *instrument_rows(),
     ]
-)
+)  # fmt: skip
 
 FREE_DEFAULT = ("winding_resistance", "winding_inductance", "viscous_damping")
-# What a log adds to the motor: estimated with it and reported, never hidden.
 INSTRUMENT = PARAMETERS.group("instrument")

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from sysid.errors import FitError
-from sysid.types import FloatArray, Rotation
+from sysid.types import BoolArray, FloatArray, Rotation
 
 # MAD of a normal distribution in units of its standard deviation.
 _MAD = 0.6745
@@ -98,7 +98,6 @@ def fit_speed_curve(
         Points that turn the other way are left out.
     speed, value : (n,) arrays
         Steady speed [rad/s] and thrust [N] or aerodynamic torque [N·m]; NaN pairs are left out.
-
     zero_rows : int
         Points at rest whose mean was subtracted as the tare; its error, common to all points, then counts in
         the standard errors. 0: the zero is exact.
@@ -111,7 +110,8 @@ def fit_speed_curve(
     unit = "N" if quantity == "thrust" else "N·m"
     omega, y = _of_direction(direction, speed, value)
     columns = np.column_stack([omega * np.abs(omega), omega])
-    fit = _robust_line(quantity, direction, columns, y, omega, zero_rows)
+    units = (f"{unit}·s²/rad²", f"{unit}·s/rad")
+    fit = _robust_line(quantity, direction, columns, y, omega, units, zero_rows)
     top = float(np.max(np.abs(omega)))
     at_top = (fit.coefficients[0] * top + fit.coefficients[1]) * top
     if not at_top > 0:
@@ -119,7 +119,7 @@ def fit_speed_curve(
             f"{quantity} curve, {direction}: {abs(at_top):.3g} {unit} against the rotation at {top:.0f} rad/s"
             f"; expected the sign of the speed, correct the sign of the channel"
         )
-    return _with_units(fit, (f"{unit}·s²/rad²", f"{unit}·s/rad"))
+    return fit
 
 
 def fit_no_load_line(
@@ -142,8 +142,8 @@ def fit_no_load_line(
     """
     ratio = np.broadcast_to(np.asarray(supply_ratio, dtype=np.float64), np.shape(speed))
     u, omega = _of_direction(direction, command, np.asarray(speed, dtype=np.float64) / ratio)
-    fit = _robust_line("no_load", direction, np.column_stack([u, np.sign(u)]), omega, u)
-    return _with_units(fit, ("rad/s", "rad/s"))
+    columns = np.column_stack([u, np.sign(u)])
+    return _robust_line("no_load", direction, columns, omega, u, ("rad/s", "rad/s"))
 
 
 def no_load_speed_of_loaded(
@@ -175,13 +175,18 @@ def soft_weights(columns: FloatArray, y: FloatArray) -> FloatArray:
     Weighted least squares with them is that fit: a point far from the others counts with σ/|residual|.
     """
     scaled = columns / np.max(np.abs(columns), axis=0)
-    found, sigma = _robust_solution(scaled, y)
-    return np.asarray(1.0 / np.sqrt(1.0 + ((y - scaled @ found) / sigma) ** 2), dtype=np.float64)
+    solution, sigma = _robust_solution(scaled, y)
+    return np.asarray(1.0 / np.sqrt(1.0 + ((y - scaled @ solution) / sigma) ** 2), dtype=np.float64)
+
+
+def turns(values: FloatArray, direction: Rotation) -> BoolArray:
+    """Return True (n,) where a speed or command (n,) is of the direction."""
+    return values > 0 if direction == "forward" else values < 0
 
 
 def _of_direction(direction: Rotation, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
     xs, ys = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    keep = np.isfinite(xs) & np.isfinite(ys) & ((xs > 0) if direction == "forward" else (xs < 0))
+    keep = np.isfinite(xs) & np.isfinite(ys) & turns(xs, direction)
     return xs[keep], ys[keep]
 
 
@@ -191,6 +196,7 @@ def _robust_line(
     columns: FloatArray,
     y: FloatArray,
     abscissa: FloatArray,
+    units: tuple[str, str],
     zero_rows: int = 0,
 ) -> CurveFit:
     different = np.unique(abscissa).size
@@ -207,15 +213,17 @@ def _robust_line(
     residual = y - scaled @ start
     weight = 1.0 / np.sqrt(1.0 + (residual / sigma) ** 2)
     inlier = np.abs(residual) <= OUTLIER * sigma
-    # Huber's covariance of an M-estimator (Robust Statistics, 1981, §7.6), from what a point pulls and holds.
-    # Weighted least squares' own formula states a fifth too little.
-    pull, hold = (residual / sigma) * weight, weight**3
-    small = 1.0 + 2.0 / y.size * float(np.var(hold)) / float(np.mean(hold)) ** 2
-    spread = (small * sigma / float(np.mean(hold))) ** 2 * float(np.sum(pull**2)) / max(1.0, y.size - 2.0)
+    # Huber's covariance of an M-estimator (Robust Statistics, 1981, §7.6), from pull and curvature of each
+    # point. The formula of weighted least squares states a fifth too little.
+    pull, curvature = (residual / sigma) * weight, weight**3
+    small = 1.0 + 2.0 / y.size * float(np.var(curvature)) / float(np.mean(curvature)) ** 2
+    spread = (
+        (small * sigma / float(np.mean(curvature))) ** 2 * float(np.sum(pull**2)) / max(1.0, y.size - 2.0)
+    )
     covariance = spread * np.linalg.inv(scaled.T @ scaled)
     if zero_rows:
         # A tare from a few points of the same noise shifts all others together.
-        shift = np.linalg.solve(scaled.T @ (hold[:, None] * scaled), scaled.T @ hold)
+        shift = np.linalg.solve(scaled.T @ (curvature[:, None] * scaled), scaled.T @ curvature)
         covariance = covariance + spread / zero_rows * np.outer(shift, shift)
     total = float(np.sum((y[inlier] - y[inlier].mean()) ** 2))
     coefficients = start / size
@@ -225,7 +233,7 @@ def _robust_line(
         direction,
         (float(coefficients[0]), float(coefficients[1])),
         (float(errors[0]), float(errors[1])),
-        ("", ""),
+        units,
         1.0 - float(np.sum(residual[inlier] ** 2)) / total if total > 0 else float("nan"),
         int(y.size),
         int(np.sum(~inlier)),
@@ -234,7 +242,7 @@ def _robust_line(
 
 
 def coefficient_correlation(covariance: FloatArray) -> float:
-    """Return that of two coefficients from their covariance (2, 2) [1]."""
+    """Return the correlation of two coefficients from their covariance (2, 2) [1]."""
     sizes = np.sqrt(np.diag(covariance))
     return float(covariance[0, 1] / (sizes[0] * sizes[1])) if np.all(sizes > 0) else 0.0
 
@@ -247,9 +255,9 @@ def _robust_solution(columns: FloatArray, y: FloatArray) -> tuple[FloatArray, fl
     for _ in range(10):
         residual = y - columns @ start
         sigma = max(float(np.median(np.abs(residual))) / _MAD, floor)
-        found = _soft_line(columns / sigma, y / sigma, start)
-        done = np.max(np.abs(found - start)) <= 1e-10 * np.max(np.abs(found))
-        start = found
+        solution = _soft_line(columns / sigma, y / sigma, start)
+        done = np.max(np.abs(solution - start)) <= 1e-10 * np.max(np.abs(solution))
+        start = solution
         if done:
             break
     residual = y - columns @ start
@@ -264,17 +272,3 @@ def _soft_line(columns: FloatArray, y: FloatArray, start: FloatArray) -> FloatAr
         return columns
 
     return np.asarray(least_squares(residual, start, jac=jacobian, loss="soft_l1").x, dtype=np.float64)
-
-
-def _with_units(fit: CurveFit, units: tuple[str, str]) -> CurveFit:
-    return CurveFit(
-        fit.quantity,
-        fit.direction,
-        fit.coefficients,
-        fit.standard_errors,
-        units,
-        fit.r_squared,
-        fit.points,
-        fit.outliers,
-        fit.correlation,
-    )
