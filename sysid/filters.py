@@ -20,6 +20,7 @@ import numpy as np
 from scipy import signal
 
 from sysid.errors import CampaignError, LogError
+from sysid.spectrum import Spectrum as Spectrum
 from sysid.types import BoolArray, FloatArray
 
 
@@ -237,22 +238,6 @@ def runs(mask: BoolArray) -> list[tuple[int, int]]:
     """Return start and stop of every run of True in a mask (n,), in their order."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(mask, dtype=np.int8), [0]])))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-
-
-@dataclass(frozen=True, eq=False)
-class Spectrum:
-    """How a signal is spread over frequency, in few enough points to be kept with a result.
-
-    Parameters
-    ----------
-    frequency : (F,) array
-        Increasing, logarithmically spaced where the signal is long enough [Hz].
-    density : (F, C) array
-        Amplitude spectral density of each channel [unit/√Hz].
-    """
-
-    frequency: FloatArray
-    density: FloatArray
 
 
 # Points of a spectrum, and the longest stretch that one estimate covers [s].

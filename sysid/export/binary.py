@@ -15,8 +15,6 @@ from typing import Any
 
 import h5py
 import numpy as np
-import scipy.io
-from scipy.io.matlab import MatReadError
 
 from sysid.errors import ExportError
 from sysid.parameter_sets import ParameterSets, SetsMetadata
@@ -134,8 +132,10 @@ def to_mat(sets: ParameterSets) -> bytes:
         # Plain ASCII: MATLAB stores text in a code of its own.
         "metadata_json": json.dumps(json.loads(metadata.line())),
     }
+    from scipy.io import savemat  # takes as long to import as all else that `sysid show` needs
+
     stream: Any = io.BytesIO()
-    scipy.io.savemat(
+    savemat(
         stream,
         {"sysid": content},
         long_field_names=True,
@@ -147,9 +147,12 @@ def to_mat(sets: ParameterSets) -> bytes:
 
 def from_mat(data: bytes, place: object) -> ParameterSets:
     """Return the sets of a file that `to_mat` wrote; any other exception than ExportError means damage."""
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
     try:
         stream: Any = io.BytesIO(data)
-        variables = scipy.io.loadmat(stream, squeeze_me=False)
+        variables = loadmat(stream, squeeze_me=False)
     except (MatReadError, zlib.error) as error:
         raise ValueError(str(error)) from error
     content: Any = variables["sysid"][0, 0] if "sysid" in variables else np.empty(())

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from sysid import exact_json
 from sysid.errors import FitError
-from sysid.filters import Spectrum
 from sysid.fit.history import RunHistory
 from sysid.fit.optima import Agreement, agreement
 from sysid.parameter_sets import ParameterRecord, ParameterSets
 from sysid.parameters import SearchSpace, in_words, with_unit
+from sysid.spectrum import Spectrum
 from sysid.types import BoolArray, FloatArray
 
 

@@ -16,7 +16,6 @@ import numpy as np
 
 from sysid import exact_json
 from sysid.errors import ExportError, FitError
-from sysid.filters import Spectrum
 from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.optima import waterfall
 from sysid.fit.provenance import FitDocument
@@ -24,6 +23,7 @@ from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.stopping import REASONS
 from sysid.fit.summary import failures, record_lines, run_record
 from sysid.parameter_sets import ParameterSets, SetsMetadata, in_place_of_digits
+from sysid.spectrum import Spectrum
 from sysid.storage import check_folder, replaced_folder
 
 FIT_SCHEMA = "sysid-fit"

@@ -92,6 +92,13 @@ def test_fit_gear_show_export_and_read_back(drops, run, tmp_path):
     assert run("fit-gear", campaign, *SMALL, "--force")[0] == 0
 
 
+def test_printing_a_fit_imports_nothing_slow():
+    """`sysid show` takes half a second of processor time; any of these modules would take longer."""
+    code = "import sys, sysid.workflows.show as _; print(*({'scipy', 'numba', 'pandas'} & {*sys.modules}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
+
+
 def test_new_campaign_writes_a_template(tmp_path, run):
     target = tmp_path / "mine.toml"
     code, out, _ = run("new-campaign", "motor", target)
