@@ -1,22 +1,25 @@
-"""Libraries of single formats, which an installation need not have."""
+"""Libraries of single formats: an installation need not have them, and a damaged file makes them fail."""
 
 from __future__ import annotations
 
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from types import ModuleType
 
 from sysid.errors import LogError
 
+# What parsers of binary files let through on a damaged file besides errors of their library.
+_DAMAGE = (
+    OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, AssertionError, RuntimeError,
+    OverflowError, MemoryError, EOFError, struct.error, zlib.error,
+)  # fmt: skip
+
 
 def library(path: str, module: str, package: str) -> ModuleType:
     """Return an optional library.
-
-    Parameters
-    ----------
-    path : str
-        The log that needs it, named in the message.
-    module, package : str
-        What is imported, and what is installed.
 
     Raises
     ------
@@ -30,3 +33,24 @@ def library(path: str, module: str, package: str) -> ModuleType:
             f"{path}: reading this format needs {package} ({error}); install it with: "
             'python -m pip install "sysid[logs]"'
         ) from error
+
+
+@contextmanager
+def reading(path: str, what: str, remedy: str, *errors: type[Exception]) -> Iterator[None]:
+    """Refuse a file whose parser fails.
+
+    Parameters
+    ----------
+    path : str
+        The log, named in the message.
+    what, remedy : str
+        What the file is, and what to do about a damaged one.
+    *errors
+        Errors of the format's library.
+    """
+    damage: tuple[type[Exception], ...] = (*errors, *_DAMAGE)
+    try:
+        yield
+    except damage as error:
+        words = " ".join(str(error).split())[:200] or type(error).__name__
+        raise LogError(f"{path}: {what} is damaged or cut ({words}); {remedy}") from error

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import difflib
 import inspect
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -20,7 +19,9 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from sysid.errors import LogError, SysidWarning, UnitError
+from sysid.errors import LogError, UnitError
+from sysid.journal import notice
+from sysid.loaders.options import DECLARED
 from sysid.loaders.source import Source
 from sysid.recording import Recording
 from sysid.units import parse_quantity
@@ -28,8 +29,6 @@ from sysid.units import parse_quantity
 ENTRY_POINT_GROUP = "sysid.loaders"
 
 NO, POSSIBLE, CERTAIN = 0, 1, 2
-# Options that are a number in the unit here, or a text that says its own.
-_QUANTITIES = {"rate": "Hz", "tare": "s"}
 
 
 @dataclass(frozen=True)
@@ -45,17 +44,23 @@ class LogFormat:
     recognize : callable
         ``recognize(source) -> NO, POSSIBLE or CERTAIN`` from `Source.head`; it raises nothing.
     read : callable
-        ``read(source, *, option=default, ...) -> Recording``; its keyword arguments are the options.
+        ``read(source, **options) -> Recording``.
+    takes : mapping of str to tuple of str, optional
+        Options of `sysid.loaders.options` that `read` takes, and the values among which this format chooses
+        (empty: any). Without it, the options are the keyword-only arguments of `read`.
     """
 
     name: str
     describes: str
     recognize: Callable[[Source], int]
     read: Callable[..., Recording]
+    takes: Mapping[str, tuple[str, ...]] | None = None
 
     @property
     def options(self) -> tuple[str, ...]:
         """Names of the options that `read` takes."""
+        if self.takes is not None:
+            return tuple(self.takes)
         parameters = inspect.signature(self.read).parameters.values()
         return tuple(p.name for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY)
 
@@ -95,11 +100,11 @@ def formats() -> dict[str, LogFormat]:
         try:
             entry = point.load()
         except Exception as error:  # another package's code: whatever it raises must not stop our own formats
-            warnings.warn(f"log format {point.name!r} cannot be loaded: {error}", SysidWarning, stacklevel=2)
+            notice("format-not-loaded", f"log format {point.name!r} cannot be loaded: {error}")
             continue
         if not isinstance(entry, LogFormat) or entry.name in found:
             reason = "is no LogFormat" if not isinstance(entry, LogFormat) else f"repeats {entry.name!r}"
-            warnings.warn(f"log format {point.name!r} {reason}; left out", SysidWarning, stacklevel=2)
+            notice("format-left-out", f"log format {point.name!r} {reason}; left out")
             continue
         found[entry.name] = entry
     return found
@@ -148,10 +153,9 @@ def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording
     format : str
         Name of the format, or ``"auto"`` to judge by content.
     **options
-        What the log itself does not say; each format's ``read`` documents its own, for example ``rate`` [Hz]
-        (or a text, ``"10 kHz"``),
-        ``units``, ``quaternion_order``, ``euler_order``, ``length_unit``, ``rigid_body``, ``datasets``.
-        An option that is None counts as not given.
+        What the log itself does not state, see `sysid.loaders.options`; a format takes those of its
+        `LogFormat.options`. A rate [Hz] or a tare [s] may be a text with its unit (``"10 kHz"``). None counts
+        as not given.
 
     Returns
     -------
@@ -184,18 +188,17 @@ def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording
             f"it has {', '.join(chosen.options) or 'none'}{hint}"
         )
     _check_kinds(source.path, given)
-    _as_numbers(source.path, given)
-    return chosen.read(source, **given)
-
-
-def _as_numbers(path: str, given: dict[str, Any]) -> None:
-    """Replace a rate or a tare that is said with its unit, as in a campaign, by hertz or seconds."""
-    for name, unit in _QUANTITIES.items():
-        if isinstance(given.get(name), str):
+    for name, value in given.items():
+        choices = (chosen.takes or {}).get(name, ())
+        if choices and value not in choices:
+            expected = " or ".join(", ".join(f'"{word}"' for word in choices).rsplit(", ", 1))
+            raise LogError(f"{source.path}: {name} = {value!r} is unknown; expected {expected}")
+        if name in DECLARED and DECLARED[name].unit and isinstance(value, str):
             try:
-                given[name] = parse_quantity(given[name], unit)
+                given[name] = parse_quantity(value, DECLARED[name].unit)
             except UnitError as error:
-                raise UnitError(f"{path}: {name} = {given[name]!r}: {error}") from error
+                raise UnitError(f"{source.path}: {name} = {value!r}: {error}") from error
+    return chosen.read(source, **given)
 
 
 def _check_kinds(path: str, given: Mapping[str, Any]) -> None:

@@ -19,6 +19,7 @@ from sysid.journal import Finding, note
 from sysid.loaders.clock import DECLARE_RATE, order_rows, positive_rate, rate_clock
 from sysid.loaders.columns import Column, DeclaredUnits, listing, split_label, suffix_unit
 from sysid.loaders.load_cell import COMMAND, MEASURED, QUANTITIES, TACHOMETER, TIME, quantity_channel
+from sysid.loaders.options import BenchOptions
 from sysid.loaders.table import Numbers
 from sysid.loaders.tachometer import check_tachometer, pulse_speed
 from sysid.recording import Channel, FloatArray
@@ -99,36 +100,6 @@ class Signal:
             return factor_to_si(self.stated_unit, "s") > 0.0
         except UnitError:
             return False
-
-
-@dataclass(frozen=True)
-class SignalOptions:
-    """What a user declares of a file's signals.
-
-    Parameters
-    ----------
-    rate : float or None
-        Sample rate [Hz] of every signal; it wins over what the file states.
-    units : mapping of str to str or None
-        Units by channel or signal.
-    datasets : mapping of str to str or None
-        Signals by channel; exactly these are read.
-    pulses_per_revolution : float or None
-        Of the tachometer, where there is one.
-    time_back : str
-        As `sysid.loaders.clock.order_rows` takes it.
-    """
-
-    rate: float | None
-    units: Mapping[str, str] | None
-    datasets: Mapping[str, str] | None
-    pulses_per_revolution: float | None
-    time_back: str
-
-    @property
-    def recorded(self) -> dict[str, object]:
-        """What a recording's provenance names."""
-        return {name: getattr(self, name) for name in ("rate", "units", "datasets", "pulses_per_revolution")}
 
 
 def _found(signals: Mapping[str, Signal], passed_over: Sequence[str]) -> str:
@@ -302,7 +273,7 @@ class _Clocks:
 def signal_channels(
     path: str,
     signals: Iterable[Signal],
-    options: SignalOptions,
+    options: BenchOptions,
     *,
     measured: bool,
     passed_over: Sequence[str] = (),
@@ -315,7 +286,6 @@ def signal_channels(
         Named in messages.
     signals : iterable of Signal
         All that the file holds.
-    options : SignalOptions
     measured : bool
         True: only known quantities are read and thrust or torque must be among them; False: signals of other
         names are kept too, in SI where their unit is known and as recorded (unit ``""``) where not.
@@ -357,7 +327,7 @@ def signal_channels(
     unknown: list[str] = []
     for key, names in clocks.members.items():
         time, said = order_rows(
-            path, clocks.numbers[key], 0, 1.0, time_back=options.time_back, coarse=DECLARE_RATE
+            path, clocks.numbers[key], 0, 1.0, time_back=options.time_back or "refuse", coarse=DECLARE_RATE
         )
         notes += [note for note in said if note not in notes]
         for index, channel in enumerate(names, start=1):
@@ -430,11 +400,6 @@ def _free_name(signal: Signal, taken: Mapping[str, Channel]) -> str:
     """Return the label of a signal, or its whole name where the label is taken."""
     label = " ".join(signal.label.split()) or signal.name
     return label if label not in taken else signal.name
-
-
-def kind_of(channels: Mapping[str, Channel]) -> str:
-    """Return ``load-cell`` where thrust or torque is among the channels, else ``signals``."""
-    return "load-cell" if any(name in channels for name in MEASURED) else "signals"
 
 
 def written_unit(unit: str | None) -> str | None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from sysid.errors import LogError
 from sysid.journal import Finding
+from sysid.loaders.options import LogOptions
 from sysid.recording import Provenance, file_sha256
 
 _HEAD_BYTES = 65536
@@ -89,9 +90,11 @@ class Source:
         format: str,
         *,
         device: str = "",
-        options: Mapping[str, object] | None = None,
+        options: LogOptions | Mapping[str, object] | None = None,
         notes: Sequence[Finding] = (),
     ) -> Provenance:
         """Return where a recording read from this file comes from; options left at None are not listed."""
+        if isinstance(options, LogOptions):  # which rows are kept is not a matter of what they hold
+            options = {name: value for name, value in vars(options).items() if name != "time_back"}
         given = {name: str(value) for name, value in (options or {}).items() if value is not None}
         return Provenance(self.path, self.sha256, format, device, given, tuple(notes))

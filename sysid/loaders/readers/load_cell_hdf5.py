@@ -18,7 +18,8 @@ delivered. Names are those that `load_cell_csv` knows, in any case; other names 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -28,17 +29,17 @@ from sysid.errors import LogError
 from sysid.loaders.columns import split_label
 from sysid.loaders.hdf5_damage import check_heaps
 from sysid.loaders.load_cell import CELL_AXES
-from sysid.loaders.registry import CERTAIN, NO, POSSIBLE, LogFormat
-from sysid.loaders.signals import Signal, SignalOptions, signal_channels
+from sysid.loaders.optional import reading
+from sysid.loaders.options import BenchOptions
+from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
+from sysid.loaders.signal_log import RawSignals, signal_format
+from sysid.loaders.signals import Signal
 from sysid.loaders.source import Source
-from sysid.recording import FloatArray, Recording
+from sysid.types import FloatArray
 
-_NAME = "load-cell-hdf5"
 # A file of the layout of `sysid_hdf5` says so in this attribute.
 LAYOUT_ATTRIBUTE = "sysid_recording"
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
-# What h5py raises on a damaged file; it has no exception of its own.
-_DAMAGE = (OSError, RuntimeError, ValueError, KeyError, TypeError, OverflowError, MemoryError, AttributeError)
 # Compression gains less than this on measured signals: a dataset that claims more is damaged.
 _LARGEST_GAIN = 1000
 # A matrix with more columns than this is no set of signals.
@@ -50,6 +51,18 @@ def is_hdf5(source: Source) -> bool:
     """Return whether a file begins as HDF5 does."""
     # A user block (MATLAB writes one) moves the signature to 512 bytes or a power of two beyond.
     return any(source.head.startswith(_SIGNATURE, start) for start in (0, *(512 << k for k in range(7))))
+
+
+@contextmanager
+def open_hdf5(source: Source, remedy: str) -> Iterator[Any]:
+    """Open an HDF5 log, refusing one that is none or is damaged, also while it is read."""
+    import h5py
+
+    if not is_hdf5(source):
+        raise LogError(f"{source.path}: not an HDF5 file (its signature is missing); check the format")
+    check_heaps(source.path)
+    with reading(source.path, "HDF5 file", remedy), h5py.File(source.path, "r") as file:
+        yield file
 
 
 def _datasets(file: Any) -> dict[str, Any]:
@@ -69,19 +82,13 @@ def _datasets(file: Any) -> dict[str, Any]:
 def _recognize(source: Source) -> int:
     if not is_hdf5(source) or source.head.startswith(b"MATLAB"):
         return NO
-    import h5py
-
     try:
-        with h5py.File(source.path, "r") as file:
+        with open_hdf5(source, "") as file:
             if LAYOUT_ATTRIBUTE in file.attrs:
                 return NO
-            names = _datasets(file)
-            return (
-                CERTAIN
-                if any(split_label(name.rsplit("/", 1)[-1])[0] in CELL_AXES for name in names)
-                else POSSIBLE
-            )
-    except _DAMAGE:
+            stems = {split_label(name.rsplit("/", 1)[-1])[0] for name in _datasets(file)}
+            return CERTAIN if stems & CELL_AXES else POSSIBLE
+    except LogError:
         return POSSIBLE  # the reader says what is wrong with it
 
 
@@ -117,56 +124,6 @@ def _values(path: str, name: str, dataset: Any, file_bytes: int, column: int | N
     return np.asarray(found, dtype=np.float64).reshape(-1)
 
 
-def read(
-    source: Source,
-    *,
-    rate: float | None = None,
-    units: Mapping[str, str] | None = None,
-    datasets: Mapping[str, str] | None = None,
-    pulses_per_revolution: float | None = None,
-    time_back: str = "refuse",
-) -> Recording:
-    """Read a load-cell HDF5.
-
-    Parameters
-    ----------
-    source : Source
-        The log.
-    rate : float, optional
-        Sample rate [Hz] of every dataset; it wins over attributes and time datasets.
-    units : mapping of str to str, optional
-        Units by channel or dataset name where the attribute ``unit`` is missing or wrong.
-    datasets : mapping of str to str, optional
-        Dataset paths by channel (``time command speed thrust torque force_x ...``); exactly these are read.
-    pulses_per_revolution : float, optional
-        Of a dataset ``Tachometer`` that holds pulses, from which ``speed`` is then found.
-    time_back : str
-        ``"refuse"`` a log whose time goes back, or ``"drop"`` the samples that do not pass the latest time.
-
-    Returns
-    -------
-    Recording
-        As `load_cell_csv.read`; datasets of another rate are channels on their own clock.
-
-    Raises
-    ------
-    LogError, UnitError
-        One sentence with file, dataset and cause.
-    """
-    import h5py
-
-    path = source.path
-    if not is_hdf5(source):
-        raise LogError(f"{path}: not an HDF5 file (its signature is missing); check the format")
-    check_heaps(path)
-    options = SignalOptions(rate, units, datasets, pulses_per_revolution, time_back)
-    try:
-        with h5py.File(path, "r") as file:
-            return _read_open(source, file, options)
-    except _DAMAGE as error:
-        raise LogError(f"{path}: HDF5 file is damaged or cut ({error}); copy or export it again") from error
-
-
 def _signals(path: str, name: str, dataset: Any, file_bytes: int) -> list[Signal]:
     """Return a dataset as signals, a matrix as one by column."""
     shape: tuple[int, ...] = dataset.shape or ()
@@ -199,25 +156,22 @@ def _signal(path: str, name: str, dataset: Any, file_bytes: int, column: int | N
     )
 
 
-def _read_open(source: Source, file: Any, options: SignalOptions) -> Recording:
-    path, file_bytes = source.path, Path(source.path).stat().st_size
-    channels, notes = signal_channels(
-        path,
-        [
+@contextmanager
+def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
+    path = source.path
+    with open_hdf5(source, "copy or export it again") as file:
+        file_bytes = Path(path).stat().st_size
+        signals = [
             signal
             for name, dataset in _datasets(file).items()
             for signal in _signals(path, name, dataset, file_bytes)
-        ],
-        options,
-        measured=True,
-    )
-    device = file.attrs.get("device", "")
-    device = device.decode("utf-8", "replace") if isinstance(device, bytes) else str(device)
-    return Recording(
-        "load-cell", channels, source.provenance(_NAME, device=device, options=options.recorded, notes=notes)
-    )
+        ]
+        device = file.attrs.get("device", "")
+        yield RawSignals(
+            signals, device.decode("utf-8", "replace") if isinstance(device, bytes) else str(device)
+        )
 
 
-FORMAT = LogFormat(
-    _NAME, "six-axis load cell HDF5 (datasets by name, attribute unit, rate)", _recognize, read
+FORMAT = signal_format(
+    "load-cell-hdf5", "six-axis load cell HDF5 (datasets by name, attribute unit, rate)", _recognize, _parse
 )

@@ -14,22 +14,24 @@ reader that the field uses (lvm_read) turns such cells into gaps and loads pickl
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
-from sysid.loaders.registry import CERTAIN, NO, LogFormat
-from sysid.loaders.signals import Signal, SignalOptions, kind_of, signal_channels, unique_names, written_unit
+from sysid.loaders.options import BenchOptions
+from sysid.loaders.registry import CERTAIN, NO
+from sysid.loaders.signal_log import RawSignals, signal_format
+from sysid.loaders.signals import Signal, unique_names, written_unit
 from sysid.loaders.source import Source
 from sysid.loaders.table import TableHead, promised_note, read_numbers
 from sysid.loaders.text import Text, read_text
-from sysid.recording import FloatArray, Recording
+from sysid.types import FloatArray
 from sysid.units import factor_to_si
 
-_NAME = "lvm"
 _FIRST = "LabVIEW Measurement"
 _END = "***End_of_Header***"
 _SEPARATORS = {"tab": "\t", "comma": ",", "": "\t"}
@@ -239,46 +241,8 @@ def _few_digits(cell: str) -> bool:
     return 2 < len(digits) < _DIGITS
 
 
-def read(
-    source: Source,
-    *,
-    rate: float | None = None,
-    units: Mapping[str, str] | None = None,
-    datasets: Mapping[str, str] | None = None,
-    pulses_per_revolution: float | None = None,
-    segment: int | None = None,
-    time_back: str = "refuse",
-) -> Recording:
-    """Read an LVM file.
-
-    Parameters
-    ----------
-    source : Source
-        The log.
-    rate : float, optional
-        Sample rate [Hz]; it wins over ``Delta_X`` and the column of times.
-    units : mapping of str to str, optional
-        Units by channel where the header states none or a wrong one.
-    datasets : mapping of str to str, optional
-        Channels by quantity (``speed thrust torque force_x ...``); exactly these are read. By default those
-        with known names become quantities and all others keep their names.
-    pulses_per_revolution : float, optional
-        Of a channel ``Tachometer`` that holds pulses, from which ``speed`` is then found.
-    segment : int, optional
-        Which segment to read, counted from 1, where the file holds several.
-    time_back : str
-        ``"refuse"`` a log whose time goes back, or ``"drop"`` the samples that do not pass the latest time.
-
-    Returns
-    -------
-    Recording
-        Kind ``load-cell`` with thrust or torque, else ``signals``.
-
-    Raises
-    ------
-    LogError, UnitError
-        One sentence with file, line and cause.
-    """
+@contextmanager
+def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
     path = source.path
     if not _recognize(source):
         raise LogError(f"{path}: not an LVM file (its first line is not {_FIRST!r}); check the format")
@@ -286,37 +250,29 @@ def read(
     settings, delimiter, segments = _segments(text)
     if not segments:
         raise LogError(f"{path}: no row X_Value with the names of channels; the log is empty")
-    if segment is None and len(segments) > 1:
+    if options.segment is None and len(segments) > 1:
         raise LogError(
             f"{path}: holds {len(segments)} segments, each with its own clock; choose one with segment = 1 "
             f"to {len(segments)}"
         )
-    number = 1 if segment is None else segment
+    number = 1 if options.segment is None else options.segment
     if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= len(segments):
-        raise LogError(f"{path}: segment = {segment!r}; the file holds segments 1 to {len(segments)}")
+        raise LogError(f"{path}: segment = {options.segment!r}; the file holds segments 1 to {len(segments)}")
     chosen = segments[number - 1]
     decimal = settings.get("decimal_separator") or None
     if decimal not in (None, ".", ","):
         raise LogError(f"{path}: the header's Decimal_Separator is {decimal!r}; expected . or ,")
     notes: list[Finding] = []
     signals = _segment_signals(
-        text.up_to(chosen.rows[1]), chosen, delimiter, decimal, rate is not None, notes
+        text.up_to(chosen.rows[1]), chosen, delimiter, decimal, options.rate is not None, notes
     )
     del text  # the file's bytes are not needed any more
-    options = SignalOptions(rate, units, datasets, pulses_per_revolution, time_back)
-    channels, said = signal_channels(path, signals, options, measured=False)
-    if not channels:
-        raise LogError(f"{path}: no channel holds a value; the log is empty")
     began = " ".join(settings.get(key, "") for key in ("date", "time")).strip()
     if began:
         notes.append(note("recording-began", f"recording began at {began} by the recording computer's clock"))
-    return Recording(
-        kind_of(channels),
-        channels,
-        source.provenance(
-            _NAME, device="LabVIEW", options={**options.recorded, "segment": segment}, notes=[*notes, *said]
-        ),
-    )
+    yield RawSignals(signals, "LabVIEW", measured=False, notes=notes)
 
 
-FORMAT = LogFormat(_NAME, "LabVIEW text measurement LVM (channels by name)", _recognize, read)
+FORMAT = signal_format(
+    "lvm", "LabVIEW text measurement LVM (channels by name)", _recognize, _parse, {"segment": ()}
+)

@@ -10,32 +10,27 @@ hold no plain arrays.
 
 from __future__ import annotations
 
-import struct
-import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
 from sysid.errors import LogError
 from sysid.loaders.hdf5_damage import check_heaps
-from sysid.loaders.registry import CERTAIN, NO, LogFormat
-from sysid.loaders.signals import Signal, SignalOptions, signal_channels, written_unit
+from sysid.loaders.optional import reading
+from sysid.loaders.options import BenchOptions
+from sysid.loaders.registry import CERTAIN, NO
+from sysid.loaders.signal_log import RawSignals, signal_format
+from sysid.loaders.signals import Signal, written_unit
 from sysid.loaders.source import Source
-from sysid.recording import FloatArray, Recording
+from sysid.types import FloatArray
 
-_NAME = "mat"
 _V5, _V73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
 _RATES = frozenset({"rate", "fs", "sample_rate", "sampling_rate", "samplerate"})
 _VALUES = ("data", "values")
 # A matrix with more columns than this is no set of signals.
 _MOST_COLUMNS = 64
-# What scipy and h5py raise on a damaged file besides their own errors.
-_DAMAGE = (
-    OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, RuntimeError, OverflowError,
-    MemoryError, NotImplementedError, EOFError, zlib.error, struct.error, UnicodeDecodeError,
-)  # fmt: skip
-
 Tree = dict[str, Any]
 
 
@@ -141,62 +136,18 @@ def _arrays(
         yield Signal(label, written_unit(unit), read, rate, inherited=inherited, numbered=label != name)
 
 
-def read(
-    source: Source,
-    *,
-    rate: float | None = None,
-    units: Mapping[str, str] | None = None,
-    datasets: Mapping[str, str] | None = None,
-    pulses_per_revolution: float | None = None,
-    time_back: str = "refuse",
-) -> Recording:
-    """Read a MATLAB file.
-
-    Parameters
-    ----------
-    source : Source
-        The log.
-    rate : float, optional
-        Sample rate [Hz] of every signal; it wins over what the file states.
-    units : mapping of str to str, optional
-        Units by channel or variable, which plain vectors do not state.
-    datasets : mapping of str to str, optional
-        Variables by quantity, for example ``{"thrust": "ft/Fz", "torque": "FT[6]"}``; exactly these are read.
-    pulses_per_revolution : float, optional
-        Of a variable ``Tachometer`` that holds pulses, from which ``speed`` is then found.
-    time_back : str
-        ``"refuse"`` a log whose time goes back, or ``"drop"`` the samples that do not pass the latest time.
-
-    Returns
-    -------
-    Recording
-        As `load_cell_csv.read`.
-
-    Raises
-    ------
-    LogError, UnitError
-        One sentence with file, variable and cause.
-    """
+@contextmanager
+def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
     path = source.path
     if not source.head.startswith((_V5, _V73)):
         raise LogError(
             f"{path}: not a MATLAB file of version 5 or 7.3 (its first line does not say so); "
             "save it again, for example with save(name, '-v7')"
         )
-    options = SignalOptions(rate, units, datasets, pulses_per_revolution, time_back)
     passed_over: list[str] = []
-    try:
+    with reading(path, "MATLAB file", "save it again"):
         tree = _tree_v5(path) if source.head.startswith(_V5) else _tree_v73(path)
-        channels, notes = signal_channels(
-            path,
-            _walk(tree, "", None, passed_over),
-            options,
-            measured=True,
-            passed_over=passed_over,
-        )
-    except _DAMAGE as error:
-        raise LogError(f"{path}: MATLAB file is damaged or cut ({error}); save it again") from error
-    return Recording("load-cell", channels, source.provenance(_NAME, options=options.recorded, notes=notes))
+        yield RawSignals(list(_walk(tree, "", None, passed_over)), passed_over=passed_over)
 
 
-FORMAT = LogFormat(_NAME, "MATLAB file 5 or 7.3 (variables by name, rate)", _recognize, read)
+FORMAT = signal_format("mat", "MATLAB file 5 or 7.3 (variables by name, rate)", _recognize, _parse)

@@ -23,8 +23,7 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.hdf5_damage import check_heaps
-from sysid.loaders.readers.load_cell_hdf5 import LAYOUT_ATTRIBUTE, is_hdf5
+from sysid.loaders.readers.load_cell_hdf5 import LAYOUT_ATTRIBUTE, is_hdf5, open_hdf5
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
 from sysid.recording import Channel, FloatArray, Provenance, Recording
@@ -32,18 +31,15 @@ from sysid.storage import write_file
 
 _NAME = "sysid-hdf5"
 _VERSION = 1
-_DAMAGE = (OSError, RuntimeError, ValueError, KeyError, TypeError, OverflowError, MemoryError, AttributeError)
 
 
 def _recognize(source: Source) -> int:
     if not is_hdf5(source) or source.head.startswith(b"MATLAB"):
         return NO
-    import h5py
-
     try:
-        with h5py.File(source.path, "r") as file:
+        with open_hdf5(source, "") as file:
             return CERTAIN if LAYOUT_ATTRIBUTE in file.attrs else NO
-    except _DAMAGE:
+    except LogError:
         return NO  # the reader of other HDF5 files says what is wrong with it
 
 
@@ -120,32 +116,10 @@ def _text(attributes: Any, key: str) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
-def read(source: Source) -> Recording:
-    """Read a recording that sysid wrote.
-
-    Returns
-    -------
-    Recording
-        Equal to the one that was written, channel by channel; its provenance is that of the original file,
-        with this file's path and hash and a note that names the original.
-
-    Raises
-    ------
-    LogError
-        When the file is not of this layout, of a later version or damaged.
-    """
-    import h5py
-
-    path = source.path
-    if not is_hdf5(source):
-        raise LogError(f"{path}: not an HDF5 file (its signature is missing); check the format")
-    check_heaps(path)
-    try:
-        with h5py.File(path, "r") as file:
-            return _read_open(source, file)
-    except _DAMAGE as error:
-        said = " ".join(str(error).split())
-        raise LogError(f"{path}: HDF5 file is damaged or cut ({said}); convert the log again") from error
+def _read(source: Source) -> Recording:
+    """Return the recording as it was written, with a note that names the original file."""
+    with open_hdf5(source, "convert the log again") as file:
+        return _read_open(source, file)
 
 
 def _read_open(source: Source, file: Any) -> Recording:
@@ -193,4 +167,4 @@ def _read_open(source: Source, file: Any) -> Recording:
     )
 
 
-FORMAT = LogFormat(_NAME, "HDF5 written by sysid convert", _recognize, read)
+FORMAT = LogFormat(_NAME, "HDF5 written by sysid convert", _recognize, _read, {})

@@ -12,8 +12,8 @@ channel beside them or the declared rate. The thinned copies that SignalExpress 
 from __future__ import annotations
 
 import re
-import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -21,23 +21,19 @@ import numpy as np
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
 from sysid.loaders.columns import listing
-from sysid.loaders.optional import library
-from sysid.loaders.registry import CERTAIN, NO, LogFormat
-from sysid.loaders.signals import Signal, SignalOptions, kind_of, signal_channels, written_unit
+from sysid.loaders.optional import library, reading
+from sysid.loaders.options import BenchOptions
+from sysid.loaders.registry import CERTAIN, NO
+from sysid.loaders.signal_log import RawSignals, signal_format
+from sysid.loaders.signals import Signal, written_unit
 from sysid.loaders.source import Source
 from sysid.loaders.tdms_segments import Starts, samples_before, waveform_starts
-from sysid.recording import FloatArray, Recording
+from sysid.types import FloatArray
 from sysid.units import factor_to_si
 
-_NAME = "tdms"
 _THINNED = re.compile(r"Decimated Data_Level\d+$")
 # Clocks of a computer and a device drift apart by less than this.
 _DRIFT = 1e-4
-# What npTDMS raises on a damaged file; it has no exception of its own.
-_DAMAGE = (
-    OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, RuntimeError, OverflowError,
-    MemoryError, EOFError, NotImplementedError, struct.error,
-)  # fmt: skip
 
 
 def _recognize(source: Source) -> int:
@@ -154,65 +150,16 @@ def _signals(path: str, file: Any, notes: list[Finding], declared: float | None)
     return found
 
 
-def read(
-    source: Source,
-    *,
-    rate: float | None = None,
-    units: Mapping[str, str] | None = None,
-    datasets: Mapping[str, str] | None = None,
-    pulses_per_revolution: float | None = None,
-    time_back: str = "refuse",
-) -> Recording:
-    """Read a TDMS file.
-
-    Parameters
-    ----------
-    source : Source
-        The log.
-    rate : float, optional
-        Sample rate [Hz] of every channel; it wins over what the file states.
-    units : mapping of str to str, optional
-        Units by channel where the file states none or a wrong one.
-    datasets : mapping of str to str, optional
-        Channels by quantity (``time command speed thrust torque force_x ...``), as ``/group/channel`` or by a
-        name that only one channel has; exactly these are read. By default those with known names become
-        quantities and all others keep their names.
-    pulses_per_revolution : float, optional
-        Of a channel ``Tachometer`` that holds pulses, from which ``speed`` is then found.
-    time_back : str
-        ``"refuse"`` a log whose time goes back, or ``"drop"`` the samples that do not pass the latest time.
-
-    Returns
-    -------
-    Recording
-        Kind ``load-cell`` with thrust or torque, else ``signals``; each channel on its own clock.
-
-    Raises
-    ------
-    LogError, UnitError
-        One sentence with file, channel and cause.
-    """
+@contextmanager
+def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
     path = source.path
     nptdms = library(path, "nptdms", "npTDMS")
     if not source.head.startswith(b"TDSm"):
         raise LogError(f"{path}: not a TDMS file (it does not begin with TDSm); check the format")
-    options = SignalOptions(rate, units, datasets, pulses_per_revolution, time_back)
     notes: list[Finding] = []
-    try:
-        with nptdms.TdmsFile.open(path) as file:
-            device = str(file.properties.get("name", ""))
-            channels, said = signal_channels(path, _signals(path, file, notes, rate), options, measured=False)
-    except _DAMAGE as error:
-        raise LogError(f"{path}: TDMS file is damaged or cut ({error}); copy or export it again") from error
-    if not channels:
-        raise LogError(f"{path}: holds no channel of numbers; check the export")
-    return Recording(
-        kind_of(channels),
-        channels,
-        source.provenance(
-            _NAME, device=f"NI TDMS {device}".strip(), options=options.recorded, notes=[*notes, *said]
-        ),
-    )
+    with reading(path, "TDMS file", "copy or export it again"), nptdms.TdmsFile.open(path) as file:
+        device = f"NI TDMS {file.properties.get('name', '')}".strip()
+        yield RawSignals(_signals(path, file, notes, options.rate), device, measured=False, notes=notes)
 
 
-FORMAT = LogFormat(_NAME, "National Instruments TDMS (channels by name)", _recognize, read)
+FORMAT = signal_format("tdms", "National Instruments TDMS (channels by name)", _recognize, _parse)

@@ -1,0 +1,194 @@
+"""What a user may declare of a log: each option once, with its unit, its check and a sentence of help.
+
+A format names the options that it takes; `sysid.loaders.load`, the refusals and the tables `[log]` and
+`[capture]` of a campaign read the same declarations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, get_type_hints
+
+from sysid.errors import UnitError
+from sysid.units import factor_to_si, parse_quantity
+
+
+@dataclass(frozen=True)
+class Option:
+    """One option of loaders.
+
+    Parameters
+    ----------
+    help : str
+        One sentence for the reader.
+    unit : str
+        Of a positive quantity: a number in this unit, or a text that states its unit.
+    choices : tuple of str
+        Values of all formats together; empty: any.
+    check : callable, optional
+        Returns the value, or raises ValueError that says what is wrong with it.
+    """
+
+    help: str
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+    check: Callable[[Any], Any] | None = None
+
+    def stated(self, value: Any) -> Any:
+        """Return a value as a campaign states it: a quantity carries its unit.
+
+        Raises
+        ------
+        ValueError
+            In words, for a table that names the option itself.
+        """
+        if value is None:
+            return None
+        if self.unit:
+            if isinstance(value, bool) or not isinstance(value, str | int | float):
+                raise ValueError(f"expected a quantity such as '1 {self.unit}'")
+            try:
+                value = parse_quantity(value if isinstance(value, str) else repr(value), self.unit)
+            except UnitError as error:
+                raise ValueError(str(error)) from error
+            if not value > 0:
+                raise ValueError(f"Input should be greater than 0, as {self.unit}")
+        if self.choices and value not in self.choices:
+            raise ValueError(f"expected one of {', '.join(self.choices)}")
+        return value if self.check is None else self.check(value)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
+        # A pydantic table that inherits the option checks it by `stated`, then by its type.
+        from pydantic_core import core_schema
+
+        return core_schema.no_info_before_validator_function(self.stated, handler(source))
+
+
+def known_unit(unit: Any) -> Any:
+    """Return a unit that sysid knows; the unit of a command belongs to its protocol."""
+    if isinstance(unit, str) and unit not in ("us", "µs", "dshot", "DShot", "1"):
+        try:
+            factor_to_si(unit)
+        except UnitError as error:
+            raise ValueError(str(error)) from error
+    return unit
+
+
+def _columns(value: Any) -> Any:
+    if isinstance(value, Mapping) and all(type(place) in (str, int) for place in value.values()):
+        return value
+    if isinstance(value, list | tuple) and all(isinstance(name, str) for name in value):
+        return value
+    raise ValueError(
+        'expected { speed = "tach" } (a new name and the one in the header, or its number), or a list of all '
+        "names"
+    )
+
+
+def _positive(value: Any) -> Any:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+        raise ValueError("expected a number greater than 0")
+    return value
+
+
+@dataclass(frozen=True)
+class LogOptions:
+    """What may be declared of every log; None is not declared."""
+
+    units: Annotated[
+        Mapping[str, Annotated[str, Option("Unit", check=known_unit)]] | None,
+        Option("Units by channel or column, where the file states none or a wrong one."),
+    ] = None
+    columns: Annotated[
+        Sequence[str] | Mapping[str, Any] | None,
+        Option(
+            "All names in order for a log without header, or new name -> name in the header.", check=_columns
+        ),
+    ] = None
+    time_back: Annotated[
+        str | None,
+        Option("Refuse a log whose time goes back, or drop the late rows.", choices=("refuse", "drop")),
+    ] = None
+
+    def declared(self) -> dict[str, Any]:
+        """Return the options that are declared; an empty table takes a declaration back and is None."""
+        given = {
+            field.name: getattr(self, field.name) for field in fields(type(self)) if field.name in DECLARED
+        }
+        return {
+            name: value if isinstance(value, bool) else value or None
+            for name, value in given.items()
+            if value is not None
+        }
+
+
+@dataclass(frozen=True)
+class BenchOptions(LogOptions):
+    """What may be declared of a load-cell or thrust-stand log."""
+
+    rate: Annotated[
+        float | None,
+        Option("Sample rate; it wins over what the file states and replaces a clock too coarse.", unit="Hz"),
+    ] = None
+    datasets: Annotated[Mapping[str, str] | None, Option("Signals by channel; exactly these are read.")] = (
+        None
+    )
+    segment: Annotated[int | None, Option("Which segment to read, counted from 1.", check=_positive)] = None
+    static: Annotated[
+        bool | None, Option("True: rows are averaged points; False: they must be a running log.")
+    ] = None
+    pulses_per_revolution: Annotated[
+        float | None, Option("Pulses of the tachometer in one turn of the rotor.", check=_positive)
+    ] = None
+    calibration: Annotated[
+        str | None, Option("The transducer's .cal file; the six channels are then gauge voltages.")
+    ] = None
+    transform: Annotated[
+        Any,
+        Option("From the load cell to the motor's axes: dx dy dz, then rx ry rz (`motor_transform`)."),
+    ] = None
+    tare: Annotated[
+        float | None, Option("Time at the start without load, whose mean is subtracted.", unit="s")
+    ] = None
+
+
+@dataclass(frozen=True)
+class CaptureOptions(LogOptions):
+    """What may be declared of a motion-capture log."""
+
+    rigid_body: Annotated[
+        str | Sequence[str] | None, Option("Bodies to keep; of a format of one body, its name.")
+    ] = None
+    bodies: Annotated[
+        Mapping[str, tuple[str, ...]] | None, Option("Markers by body, whose pose is then fitted.")
+    ] = None
+    topic: Annotated[str | None, Option("The only topic to read.")] = None
+    quaternion_order: Annotated[
+        str | None, Option("Order of numbered quaternion columns.", choices=("wxyz", "xyzw"))
+    ] = None
+    length_unit: Annotated[
+        str | None, Option("Unit of lengths, where the file does not state it.", check=known_unit)
+    ] = None
+    euler_order: Annotated[
+        str | None, Option("Order of the rotations, where the file does not state it.")
+    ] = None
+    angles: Annotated[
+        str | None, Option('What three angles are: "helical" (rotation vector) or an Euler order.')
+    ] = None
+    clock: Annotated[
+        str | None,
+        Option("Which times to use.", choices=("auto", "frame", "time", "header", "arrival")),
+    ] = None
+
+
+def _options(*families: type) -> dict[str, Option]:
+    hints = {
+        name: hint
+        for family in families
+        for name, hint in get_type_hints(family, include_extras=True).items()
+    }
+    return {name: hint.__metadata__[0] for name, hint in hints.items()}
+
+
+DECLARED = _options(BenchOptions, CaptureOptions)

@@ -1,0 +1,82 @@
+"""Files of named signals (HDF5, MAT, TDMS, LVM): the signals of a file become a `Recording`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from typing import Any
+
+from sysid.errors import LogError
+from sysid.journal import Finding
+from sysid.loaders.load_cell import MEASURED
+from sysid.loaders.options import BenchOptions
+from sysid.loaders.registry import LogFormat
+from sysid.loaders.signals import Signal, signal_channels
+from sysid.loaders.source import Source
+from sysid.recording import Recording
+
+_TAKES = ("rate", "units", "datasets", "pulses_per_revolution", "time_back")
+
+
+@dataclass
+class RawSignals:
+    """What a file of named signals holds.
+
+    Parameters
+    ----------
+    signals : sequence of Signal
+        Every signal, with its unit and clock as the file states them.
+    device : str
+        As the file states it.
+    measured : bool
+        Read only known quantities, thrust or torque among them; else other signals keep their names, in SI
+        where their unit is known and as recorded (unit ``""``) where it is not.
+    passed_over : sequence of str
+        What the file holds besides signals.
+    notes : list of Finding
+        What the parser noticed.
+    """
+
+    signals: Sequence[Signal]
+    device: str = ""
+    measured: bool = True
+    passed_over: Sequence[str] = ()
+    notes: list[Finding] = field(default_factory=list)
+
+
+def signal_format(
+    name: str,
+    describes: str,
+    recognize: Callable[[Source], int],
+    parse: Callable[[Source, BenchOptions], AbstractContextManager[RawSignals]],
+    extra: Mapping[str, tuple[str, ...]] | None = None,
+) -> LogFormat:
+    """Return a format of named signals.
+
+    Parameters
+    ----------
+    name, describes, recognize
+        As of `LogFormat`.
+    parse : callable
+        ``with parse(source, options) as RawSignals:`` keeps the file open while its signals are read.
+    extra : mapping, optional
+        Options of this format alone, as `LogFormat.takes`.
+    """
+
+    def read(source: Source, **given: Any) -> Recording:
+        options = BenchOptions(**given)
+        with parse(source, options) as raw:
+            channels, notes = signal_channels(
+                source.path, raw.signals, options, measured=raw.measured, passed_over=raw.passed_over
+            )
+        if not channels:
+            raise LogError(f"{source.path}: holds no signal with a value; the log is empty")
+        return Recording(
+            "load-cell" if any(channel in channels for channel in MEASURED) else "signals",
+            channels,
+            source.provenance(name, device=raw.device, options=options, notes=[*raw.notes, *notes]),
+        )
+
+    takes = {option: () for option in _TAKES} | dict(extra or {})
+    return LogFormat(name, describes, recognize, read, takes)
