@@ -269,3 +269,9 @@ def jitter_note(time: FloatArray) -> list[Finding]:
             "they look like times of arrival and are kept as recorded",
         )
     ]
+
+
+def began_note(what: str, when: str) -> list[Finding]:
+    """Return a note of when a recording began, where the file states it."""
+    sentence = f"{what} began at {when} by the {what} computer's clock"
+    return [note("recording-began", sentence)] if when else []

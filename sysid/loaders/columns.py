@@ -164,7 +164,7 @@ class DeclaredUnits:
                 declared = self._declared[match]
                 if column.unit is not None and column.unit != declared:
                     sentence = (
-                        f"column {column.label!r} read in the declared unit {declared!r}, not the header's"
+                        f"column {column.label!r} read in the declared unit {declared!r}, not in the header's"
                     )
                     known = note("unit-declared-over-header", sentence)
                     self._said += [] if known in self._said else [known]

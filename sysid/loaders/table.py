@@ -6,7 +6,7 @@ Which rows are cut, short or blank is decided here; how their cells become numbe
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -200,6 +200,10 @@ class Numbers:
     notes: list[Finding] = field(default_factory=list)
     row_word: str = "line"
     open_end: bool = False
+
+    def stacked(self, columns: Iterable[int]) -> FloatArray:
+        """Return columns side by side, (n, k)."""
+        return np.column_stack([self.columns[index] for index in columns])
 
     def keep(self, mask: NDArray[np.bool_]) -> None:
         """Keep only the rows where `mask` is true."""

@@ -22,6 +22,7 @@ import numpy as np
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
+from sysid.loaders.clock import began_note
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.signal_log import RawSignals, signal_format
@@ -268,8 +269,7 @@ def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
     )
     del text  # the file's bytes are not needed any more
     began = " ".join(settings.get(key, "") for key in ("date", "time")).strip()
-    if began:
-        notes.append(note("recording-began", f"recording began at {began} by the recording computer's clock"))
+    notes += began_note("recording", began)
     yield RawSignals(signals, "LabVIEW", measured=False, notes=notes)
 
 

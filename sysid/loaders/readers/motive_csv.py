@@ -14,31 +14,29 @@ from the body; those of type ``Marker`` are measured, and keep the plain name wh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
-from sysid.loaders.clock import jitter_note, order_rows
+from sysid.loaders.capture_log import Body, RawCapture, capture_format
+from sysid.loaders.clock import began_note, jitter_note, order_rows
 from sysid.loaders.columns import listing, parse_header, unread_note
 from sysid.loaders.motion_capture import (
     EULER_ORDERS,
-    body_channels,
     euler_quaternions,
-    lost_note,
-    unit_quaternions,
     wanted_bodies,
 )
-from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.options import CaptureOptions
+from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers, TableHead, promised_note, read_numbers
 from sysid.loaders.text import Text, read_text, sniff_delimiter, split_line
-from sysid.recording import Channel, FloatArray, Recording
+from sysid.types import FloatArray
 from sysid.units import factor_to_si
 
-_NAME = "motive-csv"
 _BODIES = frozenset({"rigid body", "bone"})
 _SOLVED = frozenset({"rigid body marker", "bone marker"})
 _MEASURED = frozenset({"marker"})
@@ -212,8 +210,6 @@ def _rate(path: str, settings: dict[str, str], key: str) -> float | None:
 
 def _clock(path: str, header: _Header, numbers: Numbers, clock: str) -> tuple[FloatArray, list[Finding]]:
     """Return the times [s]: rebuilt from frame numbers and checked against the Time column, or written."""
-    if clock not in ("auto", "frame", "time"):
-        raise LogError(f'{path}: clock = {clock!r} is unknown; expected "auto", "frame" or "time"')
     rates = [_rate(path, header.settings, key) for key in ("Export Frame Rate", "Capture Frame Rate")]
     known = [rate for rate in rates if rate is not None]
     if "frame" not in header.clocks and "time" not in header.clocks:
@@ -257,126 +253,75 @@ def _clock(path: str, header: _Header, numbers: Numbers, clock: str) -> tuple[Fl
     )
 
 
-def read(
-    source: Source,
-    *,
-    rigid_body: str | Sequence[str] | None = None,
-    euler_order: str | None = None,
-    length_unit: str | None = None,
-    clock: str = "auto",
-) -> Recording:
-    """Read a Motive CSV.
-
-    Parameters
-    ----------
-    source : Source
-        The log.
-    rigid_body : str or sequence of str, optional
-        Bodies to keep, which must be there; markers stay. All by default.
-    euler_order : str, optional
-        One of XYZ XZY YXZ YZX ZXY ZYX, where the header does not say.
-    length_unit : str, optional
-        Where the header does not say.
-    clock : str
-        ``"auto"``: frame numbers over the frame rate, checked against the Time column; ``"frame"``:
-        unchecked; ``"time"``: the Time column as written.
-
-    Returns
-    -------
-    Recording
-        Kind ``motion-capture``: ``NAME/position`` (n, 3) [m] and, for bodies, ``NAME/orientation`` (n, 4),
-        unit quaternion, w first, body axes to capture axes; time [s] as in the file.
-
-    Raises
-    ------
-    LogError, UnitError
-        One sentence with file, line and cause.
-    """
+def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     path = source.path
     text = read_text(source)
     header = _read_header(text)
-    scale = _length_factor(path, header.settings.get("Length Units", ""), length_unit)
+    stated = header.settings
+    scale = _length_factor(path, stated.get("Length Units", ""), options.length_unit)
     bodies = [asset for asset in header.assets if asset.type in _BODIES]
-    kept = wanted_bodies(path, [body.name for body in bodies], rigid_body)
+    kept = wanted_bodies(path, [body.name for body in bodies], options.rigid_body)
     bodies = [body for body in bodies if body.name in kept]
     markers = [asset for kind in (_MEASURED, _SOLVED) for asset in header.assets if asset.type in kind]
     for asset in (*bodies, *markers):
         if not asset.columns("Position", "XYZ"):
             raise LogError(f'{path}: "{asset.name}" lacks one of Position X, Y, Z; export it whole')
-
-    wanted = {*header.clocks.values()}
-    for asset in (*bodies, *markers):
-        wanted |= {index for part in asset.parts.values() for index in part.values()}
-    numbers = read_numbers(text, header.table, sorted(wanted), least=max(wanted) + 1)
-    del text  # the file's bytes are not needed any more
-    exported = "Total Exported Frames"
-    notes = [
-        *numbers.notes, *promised_note(exported, header.settings.get(exported, ""), numbers.lines.size),
-    ]  # fmt: skip
-    time, said = _clock(path, header, numbers, clock)
-    own = {index for asset in header.assets for part in asset.parts.values() for index in part.values()}
-    named = parse_header(header.table.names)
-    notes += [*said, *unread_note(named, [one for one in named if one.index in own | wanted])]
-
-    channels: dict[str, Channel] = {}
-
-    def stacked(columns: list[int]) -> FloatArray:
-        return np.column_stack([numbers.columns[index] for index in columns])
-
+    names = [body.name for body in bodies]
     for body in bodies:
         if not body.columns("Rotation", "XYZ"):
             raise LogError(f'{path}: rigid body "{body.name}" has no rotation columns; export it whole')
-        if f"{body.name}/position" in channels:
+        if names.count(body.name) > 1:
             raise LogError(f'{path}: two rigid bodies are named "{body.name}"; rename one and export again')
-        if body.columns("Rotation", "WXYZ"):
-            raw = stacked(body.columns("Rotation", "WXYZ"))
+
+    def columns(assets: Iterable[_Asset]) -> set[int]:
+        return {index for asset in assets for part in asset.parts.values() for index in part.values()}
+
+    wanted = {*header.clocks.values(), *columns((*bodies, *markers))}
+    numbers = read_numbers(text, header.table, sorted(wanted), least=max(wanted) + 1)
+    del text  # the file's bytes are not needed any more
+    exported = "Total Exported Frames"
+    promised = promised_note(exported, stated.get(exported, ""), numbers.lines.size)
+    time, ordered = _clock(path, header, numbers, options.clock or "auto")
+    named = parse_header(header.table.names)
+    read = wanted | columns(header.assets)
+    unread = unread_note(named, [column for column in named if column.index in read])
+    version = f"OptiTrack Motive CSV {stated.get('Format Version', '')}".strip()
+    raw = RawCapture(
+        version,
+        [*numbers.notes, *promised, *ordered, *unread],
+        states_length=bool(stated.get("Length Units")),
+    )
+    for body in bodies:
+        quaternion = body.columns("Rotation", "WXYZ")
+        if quaternion:
+            turn = numbers.stacked(quaternion)
         else:
-            order = _euler_order(path, header.settings.get("Rotation Type", ""), euler_order)
-            raw = euler_quaternions(order, stacked(body.columns("Rotation", order)))
-        orientation, said = unit_quaternions(path, body.name, numbers, raw)
-        channels |= body_channels(
-            body.name, time, stacked(body.columns("Position", "XYZ")) * scale, orientation
-        )
-        notes += [*said, *lost_note(body.name, orientation)]
-    blank = 0
-    for marker in markers:
-        position = stacked(marker.columns("Position", "XYZ")) * scale
-        if not np.isfinite(position).all(axis=1).any():
-            blank += 1
-            continue
-        solved = marker.type in _SOLVED
-        name = marker.name + (" (solved)" if solved and f"{marker.name}/position" in channels else "")
+            order = _euler_order(path, stated.get("Rotation Type", ""), options.euler_order)
+            turn = euler_quaternions(order, numbers.stacked(body.columns("Rotation", order)))
+        position = numbers.stacked(body.columns("Position", "XYZ")) * scale
+        raw.bodies.append(Body(body.name, time, position, turn, numbers))
+    places = [numbers.stacked(marker.columns("Position", "XYZ")) * scale for marker in markers]
+    seen = [bool(np.isfinite(place).all(axis=1).any()) for place in places]
+    # A marker that is never seen takes no name from another.
+    for k in sorted(range(len(markers)), key=lambda k: not seen[k]):
+        marker, taken = markers[k], {*raw.markers, *names}
+        name = marker.name + (" (solved)" if marker.type in _SOLVED and marker.name in taken else "")
         repeat = 2
-        while f"{name}/position" in channels:
+        while name in taken:
             name, repeat = f"{marker.name} #{repeat}", repeat + 1
-        channels[f"{name}/position"] = Channel(f"{name}/position", "m", time, position)
-    if blank:
-        notes.append(note("markers-never-seen", f"markers never seen, left out: {blank}"))
+        raw.markers[name] = time, places[k]
     solved_names = [marker.name for marker in markers if marker.type in _SOLVED]
     if solved_names:
-        notes.append(
-            note(
-                "positions-solved-from-body",
-                f"positions solved from the body, not measured: {listing(solved_names)}",
-            )
-        )
-    began = header.settings.get("Capture Start Time", "")
-    if began:
-        notes.append(note("recording-began", f"capture began at {began} by the capture computer's clock"))
-    version = header.settings.get("Format Version", "")
-    options = {
-        "rigid_body": rigid_body,
-        "euler_order": euler_order,
-        "length_unit": None if header.settings.get("Length Units") else length_unit,
-        "clock": clock,
-    }
-    return Recording(
-        "motion-capture",
-        channels,
-        source.provenance(
-            _NAME, device=f"OptiTrack Motive CSV {version}".strip(), options=options, notes=notes
-        ),
-    )
+        sentence = f"positions solved from the body, not measured: {listing(solved_names)}"
+        raw.notes.append(note("positions-solved-from-body", sentence))
+    raw.notes += began_note("capture", stated.get("Capture Start Time", ""))
+    return raw
 
 
-FORMAT = LogFormat(_NAME, "OptiTrack Motive CSV 1.21 to 1.25 (rigid bodies, markers)", _recognize, read)
+FORMAT = capture_format(
+    "motive-csv",
+    "OptiTrack Motive CSV 1.21 to 1.25 (rigid bodies, markers)",
+    _recognize,
+    _parse,
+    {"rigid_body": (), "euler_order": (), "length_unit": (), "clock": ("auto", "frame", "time")},
+)

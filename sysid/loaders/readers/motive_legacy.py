@@ -16,23 +16,17 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
+from sysid.loaders.capture_log import Body, RawCapture, capture_format
 from sysid.loaders.clock import order_rows
-from sysid.loaders.columns import listing
-from sysid.loaders.motion_capture import (
-    body_channels,
-    declared_length,
-    lost_note,
-    unit_quaternions,
-    wanted_bodies,
-)
-from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.motion_capture import declared_length, wanted_bodies
+from sysid.loaders.options import CaptureOptions
+from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers, promised_note
 from sysid.loaders.table_rows import parse_number
 from sysid.loaders.text import Text, read_text, split_line
-from sysid.recording import Channel, FloatArray, Recording
+from sysid.types import FloatArray
 
-_NAME = "motive-legacy"
 _BODY_CELLS, _MARKER_CELLS = 11, 5
 # What a line may begin with besides frame.
 _WORDS = frozenset({"comment", "info", "rigidbody", "righthanded", "lefthanded"})
@@ -152,35 +146,9 @@ def _frames(text: Text, notes: list[Finding]) -> _Frames:
     return frames
 
 
-def read(
-    source: Source,
-    *,
-    rigid_body: str | Sequence[str] | None = None,
-    length_unit: str | None = None,
-) -> Recording:
-    """Read a CSV of version 1.1.
-
-    Parameters
-    ----------
-    source : Source
-        The log.
-    rigid_body : str or sequence of str, optional
-        Bodies to keep, which must be there; markers stay. All by default.
-    length_unit : str, optional
-        Where lengths are not in metres.
-
-    Returns
-    -------
-    Recording
-        Kind ``motion-capture``, as `motive_csv.read`; time as written [s].
-
-    Raises
-    ------
-    LogError
-        One sentence with file, line and cause.
-    """
+def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     path = source.path
-    scale = declared_length(path, length_unit)
+    scale = declared_length(path, options.length_unit)
     text = read_text(source)
     notes = list(text.notes)
     if not _recognize(source):
@@ -188,44 +156,29 @@ def read(
     frames = _frames(text, notes)
     del text  # the file's bytes are not needed any more
     columns: dict[int, FloatArray] = {0: np.array(frames.time)}
-    parts: list[tuple[str, str, int]] = []
+    places: dict[tuple[str, str], range] = {}
     for kind, rows, width in (("body", frames.bodies, 7), ("marker", frames.markers, 3)):
-        for name, found in rows.items():
-            parts.append((kind, name, len(columns)))
-            for values in frames.stacked(found, width).T:
+        for name, cells in rows.items():
+            places[kind, name] = range(len(columns), len(columns) + width)
+            for values in frames.stacked(cells, width).T:
                 columns[len(columns)] = np.where(np.isinf(values), np.nan, values)
     numbers = Numbers(columns, np.array(frames.lines, dtype=np.int64))
-    kept = wanted_bodies(path, list(frames.bodies), rigid_body)
-    time, said = order_rows(path, numbers, 0, 1.0)
-    notes += said
-    channels: dict[str, Channel] = {}
-    blank = []
-    for kind, name, first in parts:
-        width = 7 if kind == "body" else 3
-        values = np.column_stack([numbers.columns[first + i] for i in range(width)])
+    kept = wanted_bodies(path, list(frames.bodies), options.rigid_body)
+    time, ordered = order_rows(path, numbers, 0, 1.0)
+    raw = RawCapture("OptiTrack Motive CSV 1.1", [*notes, *ordered])
+    for (kind, name), place in places.items():
+        values = numbers.stacked(place)
         if kind == "marker":
-            if not np.isfinite(values).all(axis=1).any():
-                blank.append(name)
-            elif f"{name}/position" not in channels:
-                channels[f"{name}/position"] = Channel(f"{name}/position", "m", time, values * scale)
+            raw.markers[name] = time, values * scale
         elif name in kept:
-            orientation, said = unit_quaternions(path, name, numbers, values[:, [6, 3, 4, 5]])
-            notes += [*said, *lost_note(name, orientation)]
-            channels |= body_channels(name, time, values[:, :3] * scale, orientation)
-    if blank:
-        notes.append(note("markers-never-seen", f"markers never seen, left out: {listing(blank)}"))
-    if not channels:
-        raise LogError(f"{path}: no frame shows a body or a marker; the capture is empty")
-    return Recording(
-        "motion-capture",
-        channels,
-        source.provenance(
-            _NAME,
-            device="OptiTrack Motive CSV 1.1",
-            options={"rigid_body": rigid_body, "length_unit": length_unit},
-            notes=notes,
-        ),
-    )
+            raw.bodies.append(Body(name, time, values[:, :3] * scale, values[:, [6, 3, 4, 5]], numbers))
+    return raw
 
 
-FORMAT = LogFormat(_NAME, "OptiTrack CSV 1.1 (one row per frame)", _recognize, read)
+FORMAT = capture_format(
+    "motive-legacy",
+    "OptiTrack CSV 1.1 (one row per frame)",
+    _recognize,
+    _parse,
+    {"rigid_body": (), "length_unit": ()},
+)

@@ -22,7 +22,7 @@ import numpy as np
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
 from sysid.loaders.ati_calibration import AXES, load_channels, motor_transform, without_tare
-from sysid.loaders.clock import known_rate, order_rows
+from sysid.loaders.clock import began_note, known_rate, order_rows
 from sysid.loaders.columns import listing
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
@@ -164,13 +164,7 @@ def read(
     if transform:
         load = load @ turn.T  # which spreads a blank cell to all channels that it counts in
         notes.append(note("loads-transformed", "loads are at the motor's axes, as declared by transform"))
-    if stated.get("start time"):
-        notes.append(
-            note(
-                "recording-began",
-                f"recording began at {stated['start time']} by the recording computer's clock",
-            )
-        )
+    notes += began_note("recording", stated.get("start time", ""))
     options = {"transform": transform, "tare": tare}
     return Recording(
         "load-cell",

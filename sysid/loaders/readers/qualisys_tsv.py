@@ -15,24 +15,17 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.clock import known_rate, order_rows, rate_clock
-from sysid.loaders.columns import listing
-from sysid.loaders.motion_capture import (
-    body_channels,
-    declared_length,
-    lost_note,
-    matrix_quaternions,
-    wanted_bodies,
-)
-from sysid.loaders.registry import CERTAIN, NO, LogFormat
-from sysid.loaders.rigid_pose import fit_bodies
+from sysid.loaders.capture_log import Body, RawCapture, capture_format
+from sysid.loaders.clock import began_note, known_rate, order_rows, rate_clock
+from sysid.loaders.motion_capture import declared_length, matrix_quaternions, wanted_bodies
+from sysid.loaders.options import CaptureOptions
+from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers, TableHead, promised_note, read_numbers
 from sysid.loaders.table_rows import parse_number
 from sysid.loaders.text import Text, read_text
-from sysid.recording import Channel, FloatArray, Recording
+from sysid.types import FloatArray
 
-_NAME = "qualisys-tsv"
 _FIRST = "NO_OF_FRAMES"
 _HEADER_LINES = 40
 # X Y Z, three angles, residual, nine of the matrix.
@@ -89,7 +82,7 @@ def _names(path: str, keys: Mapping[str, list[str]], key: str) -> list[str]:
 
 def _orientation(path: str, name: str, numbers: Numbers, columns: Sequence[int]) -> FloatArray:
     """Return quaternions, w first, of continuous sign; NaN where the matrix is missing."""
-    cells = np.column_stack([numbers.columns[column] for column in columns])
+    cells = numbers.stacked(columns)
     matrix = cells.reshape(-1, 3, 3).transpose(0, 2, 1)
     seen = np.asarray(np.isfinite(cells).all(axis=1) & cells.any(axis=1))
     error = np.abs(np.einsum("nij,nik->njk", matrix, matrix) - np.eye(3)).max(axis=(1, 2))
@@ -108,7 +101,7 @@ def _orientation(path: str, name: str, numbers: Numbers, columns: Sequence[int])
 
 
 def _position(numbers: Numbers, first: int, scale: float) -> FloatArray:
-    position = np.column_stack([numbers.columns[first + axis] for axis in range(3)]) * scale
+    position = numbers.stacked(range(first, first + 3)) * scale
     position[~position.any(axis=1)] = np.nan
     return position
 
@@ -133,112 +126,6 @@ def _checked_clock(path: str, numbers: Numbers, rate: float) -> tuple[FloatArray
     return time, note("time-from-frames", f"time rebuilt from frame numbers at {rate:g} Hz{later}")
 
 
-def read(
-    source: Source,
-    *,
-    rigid_body: str | Sequence[str] | None = None,
-    bodies: Mapping[str, Sequence[str]] | None = None,
-    length_unit: str | None = None,
-) -> Recording:
-    """Read a Qualisys TSV.
-
-    Parameters
-    ----------
-    source : Source
-        The log.
-    rigid_body : str or sequence of str, optional
-        Bodies to keep (6D), or to fit to markers whose name begins with it (3D).
-    bodies : mapping of str to sequence of str, optional
-        Markers by body, whose pose is then fitted (3D).
-    length_unit : str, optional
-        Where lengths are not in mm.
-
-    Returns
-    -------
-    Recording
-        Kind ``motion-capture``: markers, or bodies with ``NAME/residual`` [m]; time from the first frame [s].
-
-    Raises
-    ------
-    LogError, UnitError
-        One sentence with file, line and cause.
-    """
-    path = source.path
-    text = read_text(source)
-    keys, line, offset, clocked = _header(text)
-    if _FIRST not in keys:
-        raise LogError(
-            f"{path}: not a Qualisys TSV (no line {_FIRST}); check the format or export the header"
-        )
-    rate = _stated(path, keys, "FREQUENCY")
-    included = (keys.get("DATA_INCLUDED") or [""])[0].upper()
-    if included not in ("3D", "6D"):
-        raise LogError(f"{path}: DATA_INCLUDED is {included[:40]!r}; export 3D or 6D data")
-    scale = declared_length(path, length_unit, "mm")
-    names = _names(path, keys, "MARKER_NAMES" if included == "3D" else "BODY_NAMES")
-    width = 3 if included == "3D" else _BODY_WIDTH
-    lead = 2 if clocked else _lead(text, offset, width * len(names))
-    labels = [f"{name} {part}" for name in names for part in _BODY_PARTS[:width]]
-    table = TableHead((*["Frame", "Time"][:lead], *labels), "\t", line, offset)
-    numbers = read_numbers(text, table, range(len(table.names)))
-    del text  # the file's bytes are not needed any more
-    stated = (keys.get(_FIRST) or [""])[0]
-    notes = [*numbers.notes, *promised_note(_FIRST, stated, numbers.lines.size)]
-    if lead:
-        _, said = order_rows(path, numbers, 0, 1.0 / rate)
-        time, checked = _checked_clock(path, numbers, rate)
-        notes += [*said, checked]
-    else:
-        time = rate_clock(path, rate, numbers.lines.size)
-        notes.append(
-            note("time-from-rate", f"no Frame column: rows are taken as frames without a hole at {rate:g} Hz")
-        )
-
-    channels: dict[str, Channel] = {}
-    if included == "6D":
-        kept = wanted_bodies(path, names, rigid_body)
-        for place, name in enumerate(names):
-            if name not in kept:
-                continue
-            first = lead + place * width
-            quaternion = _orientation(path, name, numbers, range(first + _MATRIX, first + _BODY_WIDTH))
-            position = np.where(np.isfinite(quaternion[:, :1]), _position(numbers, first, scale), np.nan)
-            channels |= body_channels(name, time, position, quaternion)
-            residual = np.where(np.isfinite(quaternion[:, 0]), numbers.columns[first + 6] * scale, np.nan)
-            channels[f"{name}/residual"] = Channel(f"{name}/residual", "m", time, residual)
-            notes += lost_note(name, quaternion)
-    else:
-        markers = {
-            f"{name}/position": Channel(
-                f"{name}/position", "m", time, _position(numbers, lead + place * width, scale)
-            )
-            for place, name in enumerate(names)
-        }
-        if bodies is not None or rigid_body is not None:
-            channels, said = fit_bodies(path, markers, bodies, rigid_body)
-            notes += said
-        blank = [name for name, channel in markers.items() if not channel.valid.any()]
-        channels |= {name: one for name, one in markers.items() if name not in blank and name not in channels}
-        if blank:
-            notes.append(
-                note(
-                    "markers-never-seen",
-                    f"markers never seen, left out: {listing(n.removesuffix('/position') for n in blank)}",
-                )
-            )
-    if not channels:
-        raise LogError(f"{path}: no marker is ever seen; the capture is empty")
-    began = " ".join((keys.get("TIME_STAMP") or [""])[:1])
-    if began:
-        notes.append(note("recording-began", f"capture began at {began} by the capture computer's clock"))
-    options = {"rigid_body": rigid_body, "bodies": bodies, "length_unit": length_unit}
-    return Recording(
-        "motion-capture",
-        channels,
-        source.provenance(_NAME, device=f"Qualisys QTM {included}", options=options, notes=notes),
-    )
-
-
 def _lead(text: Text, offset: int, cells: int) -> int:
     """Return how many columns stand before the data where columns have no names: 2 or none."""
     row = next((line for _, _, line in text.lines(1, offset)), "")
@@ -251,4 +138,55 @@ def _lead(text: Text, offset: int, cells: int) -> int:
     return found - cells
 
 
-FORMAT = LogFormat(_NAME, "Qualisys QTM TSV (3D markers, 6D bodies)", _recognize, read)
+def _parse(source: Source, options: CaptureOptions) -> RawCapture:
+    path = source.path
+    text = read_text(source)
+    keys, line, offset, clocked = _header(text)
+    if _FIRST not in keys:
+        raise LogError(
+            f"{path}: not a Qualisys TSV (no line {_FIRST}); check the format or export the header"
+        )
+    rate = _stated(path, keys, "FREQUENCY")
+    included = (keys.get("DATA_INCLUDED") or [""])[0].upper()
+    if included not in ("3D", "6D"):
+        raise LogError(f"{path}: DATA_INCLUDED is {included[:40]!r}; export 3D or 6D data")
+    scale = declared_length(path, options.length_unit, "mm")
+    names = _names(path, keys, "MARKER_NAMES" if included == "3D" else "BODY_NAMES")
+    width = 3 if included == "3D" else _BODY_WIDTH
+    lead = 2 if clocked else _lead(text, offset, width * len(names))
+    labels = [f"{name} {part}" for name in names for part in _BODY_PARTS[:width]]
+    table = TableHead((*["Frame", "Time"][:lead], *labels), "\t", line, offset)
+    numbers = read_numbers(text, table, range(len(table.names)))
+    del text  # the file's bytes are not needed any more
+    promised = promised_note(_FIRST, (keys.get(_FIRST) or [""])[0], numbers.lines.size)
+    raw = RawCapture(f"Qualisys QTM {included}", [*numbers.notes, *promised], chosen=included == "6D")
+    if lead:
+        _, ordered = order_rows(path, numbers, 0, 1.0 / rate)
+        time, checked = _checked_clock(path, numbers, rate)
+        raw.notes += [*ordered, checked]
+    else:
+        time = rate_clock(path, rate, numbers.lines.size)
+        sentence = f"no Frame column: rows are taken as frames without a hole at {rate:g} Hz"
+        raw.notes.append(note("time-from-rate", sentence))
+    kept = wanted_bodies(path, names, options.rigid_body) if included == "6D" else names
+    for place, name in enumerate(names):
+        first = lead + place * width
+        if included == "3D":
+            raw.markers[name] = time, _position(numbers, first, scale)
+        elif name in kept:
+            quaternion = _orientation(path, name, numbers, range(first + _MATRIX, first + _BODY_WIDTH))
+            seen = np.isfinite(quaternion[:, 0])
+            position = np.where(seen[:, None], _position(numbers, first, scale), np.nan)
+            residual = np.where(seen, numbers.columns[first + 6] * scale, np.nan)
+            raw.bodies.append(Body(name, time, position, quaternion, extra={"residual": ("m", residual)}))
+    raw.notes += began_note("capture", " ".join((keys.get("TIME_STAMP") or [""])[:1]))
+    return raw
+
+
+FORMAT = capture_format(
+    "qualisys-tsv",
+    "Qualisys QTM TSV (3D markers, 6D bodies)",
+    _recognize,
+    _parse,
+    {"rigid_body": (), "bodies": (), "length_unit": ()},
+)

@@ -20,29 +20,22 @@ from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
+from sysid.loaders.capture_log import Body, RawCapture, capture_format
 from sysid.loaders.clock import known_rate, order_rows
 from sysid.loaders.columns import listing
-from sysid.loaders.motion_capture import (
-    EULER_ORDERS,
-    body_channels,
-    euler_quaternions,
-    lost_note,
-    unit_quaternions,
-    wanted_bodies,
-)
-from sysid.loaders.registry import CERTAIN, NO, LogFormat
-from sysid.loaders.rigid_pose import fit_bodies
+from sysid.loaders.motion_capture import EULER_ORDERS, euler_quaternions, wanted_bodies
+from sysid.loaders.options import CaptureOptions
+from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.signals import plain_unit, unique_names, unknown_units_note
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers, TableHead, read_numbers
 from sysid.loaders.table_rows import parse_number
 from sysid.loaders.text import Text, read_text, sniff_delimiter, split_line
-from sysid.recording import Channel, FloatArray, Recording
+from sysid.recording import Channel
+from sysid.types import FloatArray
 from sysid.units import factor_to_si
 
-_NAME = "vicon-csv"
 _TITLES = ("trajectories", "segments", "objects", "devices", "model outputs", "joints")
-_ANGLES = ("helical", *EULER_ORDERS)
 _HEADER_LINES = 5
 _BLANK_LINE = re.compile(rb"\n[,; \t]*\n")
 # No device samples this often within a frame.
@@ -201,7 +194,7 @@ def _rotation(
     """Return quaternions, w first, of unchecked length."""
 
     def stacked(wanted: Sequence[str]) -> FloatArray:
-        return np.column_stack([numbers.columns[fields[field]] for field in wanted])
+        return numbers.stacked(fields[field] for field in wanted)
 
     if "RW" in fields:
         return stacked(("RW", "RX", "RY", "RZ"))
@@ -258,142 +251,88 @@ def _body_name(name: str) -> str:
 
 
 def _read_section(
-    text: Text,
-    section: _Section,
-    kept: Sequence[str] | None,
-    length_unit: str | None,
-    angles: str | None,
-    notes: list[Finding],
-) -> dict[str, Channel]:
+    text: Text, section: _Section, kept: Sequence[str] | None, options: CaptureOptions, raw: RawCapture
+) -> None:
+    """Add a section to a capture."""
     path = text.path
     groups = section.groups()
     columns = sorted({0, 1, *(column for group in groups.values() for column in group)})
     # A lost object behind the others leaves a row that ends at one of them, with a delimiter.
     ends = [max(group) + 1 for group in groups.values()] if section.title == "objects" else []
     numbers = read_numbers(text.up_to(section.end), section.table, columns, least=columns[-1] + 1, ends=ends)
-    time, said = _clock(path, section, numbers)
-    notes += [*numbers.notes, *said]
-    channels: dict[str, Channel] = {}
-    blank: list[str] = []
+    time, ordered = _clock(path, section, numbers)
+    raw.notes += [*numbers.notes, *ordered]
+    taken = {*(body.name for body in raw.bodies), *raw.markers, *raw.others}
     unknown: list[str] = []
+
+    def free(name: str) -> str:
+        if name in taken:
+            raise LogError(
+                f'{path}, line {section.table.line}: "{name}" stands in two sections; export one of them'
+            )
+        return name
+
     for name, group in groups.items():
         fields = {section.fields[column].upper(): column for column in group}
         _check_whole(path, section, name, group)
         if section.title == "trajectories" and set(_PLACE) <= set(fields):
             place = [fields[axis] for axis in "XYZ"]
-            position = np.column_stack([numbers.columns[column] for column in place])
-            if not np.isfinite(position).all(axis=1).any():
-                blank.append(name)
-                continue
-            scale = _length(path, section, place, length_unit)
-            channels[f"{name}/position"] = Channel(f"{name}/position", "m", time, position * scale)
+            position = numbers.stacked(place)
+            if np.isfinite(position).all(axis=1).any():
+                position *= _length(path, section, place, options.length_unit)
+            raw.markers[free(name)] = time, position
         elif section.title in ("segments", "objects") and set(_BODY) <= set(fields):
             body = _body_name(name)
             if kept is not None and body not in kept:
                 continue
             place = [fields[f"T{axis}"] for axis in "XYZ"]
-            position = np.column_stack([numbers.columns[column] for column in place])
-            raw = _rotation(path, section, body, fields, numbers, angles)
+            position = numbers.stacked(place)
+            turn = _rotation(path, section, body, fields, numbers, options.angles)
             # Tracker writes a lost object as zeros; none stands exactly at the origin without any turn.
-            zeros = ~np.column_stack([numbers.columns[column] for column in group]).any(axis=1)
+            zeros = ~numbers.stacked(group).any(axis=1)
             if section.title == "objects" and zeros.any():
-                position[zeros], raw[zeros] = np.nan, np.nan
-                notes.append(
-                    note(
-                        "zero-poses",
-                        f"frames of {body} that are all zeros, taken as lost: {int(zeros.sum())}",
-                    )
-                )
-            orientation, said = unit_quaternions(path, body, numbers, raw)
-            scale = _length(path, section, place, length_unit)
-            channels |= body_channels(body, time, position * scale, orientation)
-            notes += [*said, *lost_note(body, orientation)]
+                position[zeros], turn[zeros] = np.nan, np.nan
+                sentence = f"frames of {body} that are all zeros, taken as lost: {int(zeros.sum())}"
+                raw.notes.append(note("zero-poses", sentence))
+            scale = _length(path, section, place, options.length_unit)
+            raw.bodies.append(Body(free(body), time, position * scale, turn, numbers))
         else:
             labels = unique_names([f"{name}/{section.fields[column]}" for column in group])
             for label, column in zip(labels, group, strict=True):
                 unit, factor = plain_unit(section.units[column])
                 unknown += [] if unit else [f"{label} [{section.units[column]}]".removesuffix(" []")]
-                channels[label] = Channel(label, unit, time, numbers.columns[column] * factor)
-    if blank:
-        notes.append(note("markers-never-seen", f"markers never seen, left out: {listing(blank)}"))
-    notes += unknown_units_note(unknown)
-    return channels
+                raw.others[free(label)] = Channel(label, unit, time, numbers.columns[column] * factor)
+    raw.notes += unknown_units_note(unknown)
 
 
-def read(
-    source: Source,
-    *,
-    rigid_body: str | Sequence[str] | None = None,
-    bodies: Mapping[str, Sequence[str]] | None = None,
-    length_unit: str | None = None,
-    angles: str | None = None,
-) -> Recording:
-    """Read a Vicon CSV.
-
-    Parameters
-    ----------
-    source : Source
-        The log.
-    rigid_body : str or sequence of str, optional
-        Bodies to keep: objects or segments of the file, else fitted to markers whose name begins with it.
-    bodies : mapping of str to sequence of str, optional
-        Markers by body, whose pose is then fitted.
-    length_unit : str, optional
-        Where the file does not say.
-    angles : str, optional
-        What RX, RY, RZ without RW are: ``"helical"`` (rotation vector) or an Euler order such as ``"XYZ"``.
-
-    Returns
-    -------
-    Recording
-        Kind ``motion-capture`` with markers or bodies, else ``signals``. Signals of devices and models are
-        channels ``GROUP/FIELD`` on their own clock, in SI where their unit is known.
-
-    Raises
-    ------
-    LogError, UnitError
-        One sentence with file, line and cause.
-    """
+def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     path = source.path
-    if angles is not None and angles not in _ANGLES:
-        raise LogError(f"{path}: angles = {angles!r} is unknown; expected one of {', '.join(_ANGLES)}")
     text = read_text(source)
     sections = _sections(text)
     if not sections:
         raise LogError(f"{path}: only blank lines; export the file again")
-    stated = [
+    bodies = [
         _body_name(name)
         for section in sections
         if section.title in ("segments", "objects")
         for name in section.groups()
     ]
-    kept = wanted_bodies(path, stated, rigid_body) if stated and rigid_body is not None else None
-    notes: list[Finding] = []
-    channels: dict[str, Channel] = {}
-    for section in sections:
-        for name, channel in _read_section(text, section, kept, length_unit, angles, notes).items():
-            if name in channels:
-                raise LogError(
-                    f'{path}, line {section.table.line}: "{name}" stands in two sections; export one of them'
-                )
-            channels[name] = channel
-    if bodies is not None or (rigid_body is not None and kept is None):
-        fitted, said = fit_bodies(path, channels, bodies, None if kept else rigid_body)
-        notes += said
-        channels = {**fitted, **channels}
-    if not channels:
-        raise LogError(f"{path}: no marker, object or signal holds a value; the capture is empty")
-    tracked = any(name.endswith("/position") for name in channels)
-    options = {
-        "rigid_body": rigid_body, "bodies": bodies, "angles": angles,
-        "length_unit": None if any(map(_states_length, sections)) else length_unit,
-    }  # fmt: skip
-    device = "Vicon " + ", ".join(section.title.title() for section in sections)
-    return Recording(
-        "motion-capture" if tracked else "signals",
-        channels,
-        source.provenance(_NAME, device=device, options=options, notes=notes),
+    kept = (
+        wanted_bodies(path, bodies, options.rigid_body) if bodies and options.rigid_body is not None else None
     )
+    raw = RawCapture("Vicon " + ", ".join(section.title.title() for section in sections), [])
+    for section in sections:
+        _read_section(text, section, kept, options, raw)
+    raw.chosen = kept is not None
+    raw.states_length = any(map(_states_length, sections))
+    raw.kind = "motion-capture" if raw.bodies or raw.markers else "signals"
+    return raw
 
 
-FORMAT = LogFormat(_NAME, "Vicon Nexus / Tracker CSV (markers, segments, objects, devices)", _recognize, read)
+FORMAT = capture_format(
+    "vicon-csv",
+    "Vicon Nexus / Tracker CSV (markers, segments, objects, devices)",
+    _recognize,
+    _parse,
+    {"rigid_body": (), "bodies": (), "length_unit": (), "angles": ("helical", *EULER_ORDERS)},
+)

@@ -1,0 +1,145 @@
+"""Motion captures: the bodies and markers of a file become a `Recording`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from sysid.errors import LogError
+from sysid.journal import Finding, note
+from sysid.loaders.columns import listing
+from sysid.loaders.motion_capture import body_channels, lost_note, unit_quaternions
+from sysid.loaders.options import CaptureOptions
+from sysid.loaders.registry import LogFormat
+from sysid.loaders.rigid_pose import fit_bodies
+from sysid.loaders.source import Source
+from sysid.loaders.table import Numbers
+from sysid.recording import Channel, Recording
+from sysid.types import FloatArray
+
+
+@dataclass
+class Body:
+    """One rigid body.
+
+    Parameters
+    ----------
+    name : str
+        As the file names it.
+    time : (n,) array
+        [s]
+    position : (n, 3) array
+        [m]
+    orientation : (n, 4) array
+        Quaternion, w first, body axes to capture axes; NaN where the body is lost.
+    rows : Numbers, optional
+        The rows in the file, of a quaternion as recorded: its length and its sign are still to be checked.
+    extra : dict
+        Other channels of the body, by what they are: ``residual``, ``velocity``.
+    """
+
+    name: str
+    time: FloatArray
+    position: FloatArray
+    orientation: FloatArray
+    rows: Numbers | None = None
+    extra: dict[str, tuple[str, FloatArray]] = field(default_factory=dict)
+
+
+@dataclass
+class RawCapture:
+    """What a motion capture holds.
+
+    Parameters
+    ----------
+    device : str
+        As the file states it.
+    notes : list of Finding
+        What the parser noticed.
+    bodies : list of Body
+        Those to keep.
+    markers : dict
+        (time [s], position (n, 3) [m]) by name.
+    others : dict of str to Channel
+        Signals beside the capture.
+    chosen : bool
+        `bodies` are already those of the option ``rigid_body``, so none is fitted for it.
+    states_length : bool
+        The file states its length unit, so the option ``length_unit`` changes nothing.
+    kind : str
+        Of the recording.
+    """
+
+    device: str
+    notes: list[Finding]
+    bodies: list[Body] = field(default_factory=list)
+    markers: dict[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
+    others: dict[str, Channel] = field(default_factory=dict)
+    chosen: bool = True
+    states_length: bool = False
+    kind: str = "motion-capture"
+
+
+def capture_recording(source: Source, format: str, raw: RawCapture, options: CaptureOptions) -> Recording:
+    """Return the recording of a capture: unit quaternions of continuous sign, poses of marker sets fitted.
+
+    Raises
+    ------
+    LogError
+        When a quaternion has no unit length, a body cannot be fitted, or nothing was ever seen.
+    """
+    path, notes = source.path, list(raw.notes)
+    channels: dict[str, Channel] = {}
+    for body in raw.bodies:
+        orientation = body.orientation
+        if body.rows is not None:
+            orientation, turned = unit_quaternions(path, body.name, body.rows, orientation)
+            notes += turned
+        channels |= body_channels(body.name, body.time, body.position, orientation)
+        for what, (unit, values) in body.extra.items():
+            channels[f"{body.name}/{what}"] = Channel(f"{body.name}/{what}", unit, body.time, values)
+        notes += lost_note(body.name, orientation)
+    blank = [name for name, (_, place) in raw.markers.items() if not np.isfinite(place).all(axis=1).any()]
+    markers = {
+        f"{name}/position": Channel(f"{name}/position", "m", time, place)
+        for name, (time, place) in raw.markers.items()
+    }
+    if options.bodies is not None or (options.rigid_body is not None and not raw.chosen):
+        rigid_body = None if raw.chosen else options.rigid_body
+        fitted, poses = fit_bodies(path, markers, options.bodies, rigid_body)
+        channels |= fitted
+        notes += poses
+    for name in blank:
+        del markers[f"{name}/position"]
+    if blank:
+        notes.append(note("markers-never-seen", f"markers never seen, left out: {listing(blank)}"))
+    channels = {
+        **channels,
+        **{name: one for name, one in markers.items() if name not in channels},
+        **raw.others,
+    }
+    if not channels:
+        raise LogError(f"{path}: no body, marker or signal is ever seen; the capture is empty")
+    stated = replace(options, length_unit=None) if raw.states_length else options
+    return Recording(
+        raw.kind, channels, source.provenance(format, device=raw.device, options=stated, notes=notes)
+    )
+
+
+def capture_format(
+    name: str,
+    describes: str,
+    recognize: Callable[[Source], int],
+    parse: Callable[[Source, CaptureOptions], RawCapture],
+    takes: Mapping[str, tuple[str, ...]],
+) -> LogFormat:
+    """Return a `LogFormat` of motion captures, whose files `parse` reads."""
+
+    def read(source: Source, **given: Any) -> Recording:
+        options = CaptureOptions(**given)
+        return capture_recording(source, name, parse(source, options), options)
+
+    return LogFormat(name, describes, recognize, read, takes)
