@@ -164,3 +164,10 @@ def wanted_bodies(path: str, names: Sequence[str], wanted: str | Sequence[str] |
                 f'{path}: no rigid body "{name}"; found {listing(names)}; set rigid_body to one of them'
             )
     return kept
+
+
+def body_name(path: str, declared: object) -> str:
+    """Return the name that the only body of a table is given; LogError where `declared` is none."""
+    if declared is not None and (not isinstance(declared, str) or not declared):
+        raise LogError(f"{path}: rigid_body = {declared!r} is no name; a pose table holds one body")
+    return declared or "body"

@@ -9,7 +9,7 @@ over the rate, from the first frame that the header names. Axes are those of the
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,19 +17,19 @@ import numpy as np
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
+from sysid.loaders.capture_log import Body, RawCapture, capture_format
 from sysid.loaders.clock import known_rate
-from sysid.loaders.columns import listing
-from sysid.loaders.motion_capture import body_channels, matrix_quaternions, wanted_bodies
-from sysid.loaders.optional import library
-from sysid.loaders.registry import CERTAIN, NO, LogFormat
-from sysid.loaders.rigid_pose import fit_bodies
+from sysid.loaders.motion_capture import matrix_quaternions, wanted_bodies
+from sysid.loaders.optional import library, reading
+from sysid.loaders.options import CaptureOptions
+from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.signals import plain_unit, unique_names, unknown_units_note
 from sysid.loaders.source import Source
 from sysid.loaders.table import promised_note
-from sysid.recording import Channel, FloatArray, Recording
+from sysid.recording import Channel
+from sysid.types import FloatArray
 from sysid.units import factor_to_si
 
-_NAME = "c3d"
 _BLOCK = 512
 # Where the header counts points and analog samples and names the first and the last frame.
 _COUNTS = 2
@@ -40,8 +40,6 @@ _INTEL, _DEC, _MIPS = 84, 85, 86
 # Frames per second: what lies beyond is a number in another byte order than the file says.
 _RATES = (0.1, 1e5)
 _ANALOG_UNITS = {"nt": "N", "ntmm": "N*mm", "nmm": "N*mm", "nm": "N*m"}
-# What ezc3d raises on a damaged file; it has no exception of its own.
-_DAMAGE = (OSError, RuntimeError, ValueError, KeyError, IndexError, TypeError, OverflowError, MemoryError)
 
 
 def _processor(source: Source) -> int:
@@ -99,12 +97,9 @@ def _open(source: Source) -> Any:
             "file to Intel byte order with the capture program or Mokka"
         )
     ezc3d = library(path, "ezc3d", "ezc3d")
-    try:
+    with reading(path, "C3D file", "export it again"):
         file = ezc3d.c3d(path)
         rate = float(file["header"]["points"]["frame_rate"])
-    except _DAMAGE as error:
-        said = " ".join(str(error).split())
-        raise LogError(f"{path}: C3D file is damaged or cut ({said}); export it again") from error
     if rate and not _RATES[0] <= rate <= _RATES[1]:
         raise LogError(
             f"{path}: states {rate:.3g} frames per second, which no camera takes: its mark of the processor "
@@ -171,147 +166,94 @@ def _rate(path: str, stated: Any) -> float:
         raise LogError(f"{path}: states {stated!r} frames per second; export it again") from None
 
 
-def _marker_channels(
-    path: str, file: Any, length_unit: str | None, notes: list[Finding]
-) -> dict[str, Channel]:
+def _first_time(file: Any, rate: float) -> float:
+    """Return the time of the first frame [s]; without points, frames count at `rate`."""
+    points = file["header"]["points"]
+    return float(points["first_frame"]) / (float(points["frame_rate"]) or rate)
+
+
+def _labels(parameters: Any, group: str, count: int, default: str) -> list[str]:
+    stated = [str(label).strip() for label in _values(parameters, group, "LABELS")][:count]
+    stated += [""] * (count - len(stated))
+    return unique_names([label or f"{default}{i + 1}" for i, label in enumerate(stated)])
+
+
+def _add_markers(path: str, file: Any, length_unit: str | None, raw: RawCapture) -> None:
     parameters, points = file["parameters"], file["data"]["points"]
     count, frames = points.shape[1], points.shape[2]
     if not count or not frames:
-        return {}
+        return
     rate = _rate(path, file["header"]["points"]["frame_rate"])
     scale = _length_factor(path, _values(parameters, "POINT", "UNITS"), length_unit)
     residual = file["data"]["meta_points"]["residuals"][0]
     time = (float(file["header"]["points"]["first_frame"]) + np.arange(frames)) / rate
-    labels = [str(label).strip() for label in _values(parameters, "POINT", "LABELS")][:count]
-    labels = [label or f"point {i + 1}" for i, label in enumerate([*labels, *[""] * (count - len(labels))])]
-    channels, blank = {}, []
-    for i, name in enumerate(unique_names(labels)):
+    for i, name in enumerate(_labels(parameters, "POINT", count, "point ")):
         position = np.asarray(points[:3, i].T, dtype=np.float64) * scale
         position[~np.isfinite(position).all(axis=1) | (residual[i] < 0.0)] = np.nan
-        if np.isnan(position).all():
-            blank.append(name)
-            continue
-        channels[f"{name}/position"] = Channel(f"{name}/position", "m", time, position)
-    if blank:
-        notes.append(note("markers-never-seen", f"markers never seen, left out: {listing(blank)}"))
-    return channels
+        raw.markers[name] = time, position
 
 
-def _rotation_channels(
-    path: str, file: Any, length_unit: str | None, notes: list[Finding]
-) -> dict[str, Channel]:
+def _add_rotations(path: str, file: Any, length_unit: str | None, raw: RawCapture) -> None:
     poses = file["data"]["rotations"]
     if poses.ndim != 4 or not poses.shape[2] or not poses.shape[3]:
-        return {}
+        return
     parameters = file["parameters"]
     rates = _values(parameters, "ROTATION", "RATE") or [file["header"]["points"]["frame_rate"]]
     rate = _rate(path, rates[0])
-    units = _values(parameters, "POINT", "UNITS")
-    scale = _length_factor(path, units, length_unit)
-    first = float(file["header"]["points"]["first_frame"]) / float(
-        file["header"]["points"]["frame_rate"] or rate
-    )
-    time = first + np.arange(poses.shape[3]) / rate
-    labels = [str(one).strip() for one in _values(parameters, "ROTATION", "LABELS")]
-    labels = [*labels, *[f"body {i + 1}" for i in range(len(labels), poses.shape[2])]]
-    channels: dict[str, Channel] = {}
-    for i, name in enumerate(unique_names(labels[: poses.shape[2]])):
+    scale = _length_factor(path, _values(parameters, "POINT", "UNITS"), length_unit)
+    time = _first_time(file, rate) + np.arange(poses.shape[3]) / rate
+    for i, name in enumerate(_labels(parameters, "ROTATION", poses.shape[2], "body ")):
         matrix = np.moveaxis(poses[:3, :3, i], 2, 0)
         whole = np.isfinite(matrix).all(axis=(1, 2))
         square = np.einsum("nij,nik->njk", matrix, matrix)
         good = whole & (np.abs(np.nan_to_num(square) - np.eye(3)).max(axis=(1, 2)) < 0.02)
         position: FloatArray = np.where(good[:, None], poses[:3, 3, i].T * scale, np.nan)
-        channels |= body_channels(name, time, position, matrix_quaternions(matrix, good))
-    notes.append(note("poses-from-file", "poses from the file's ROTATION group"))
-    return channels
+        raw.bodies.append(Body(name, time, position, matrix_quaternions(matrix, good)))
+    raw.notes.append(note("poses-from-file", "poses from the file's ROTATION group"))
 
 
-def _analog_channels(path: str, file: Any, notes: list[Finding]) -> dict[str, Channel]:
+def _add_analogs(path: str, file: Any, raw: RawCapture) -> None:
     values = file["data"]["analogs"]
     count, samples = values.shape[1], values.shape[2]
     rate = float(file["header"]["analogs"]["frame_rate"])
     if not count or not samples or not rate > 0:
-        return {}
+        return
     parameters = file["parameters"]
-    labels = [str(one).strip() or f"{i + 1}" for i, one in enumerate(_values(parameters, "ANALOG", "LABELS"))]
-    labels = unique_names([*labels, *[f"{i + 1}" for i in range(len(labels), count)]][:count])
-    units = [str(one).strip() for one in _values(parameters, "ANALOG", "UNITS")]
-    frame_rate = float(file["header"]["points"]["frame_rate"]) or rate
-    time = float(file["header"]["points"]["first_frame"]) / frame_rate + np.arange(samples) / rate
-    channels, unknown = {}, []
-    for i, label in enumerate(labels):
+    units = [str(unit).strip() for unit in _values(parameters, "ANALOG", "UNITS")]
+    time = _first_time(file, rate) + np.arange(samples) / rate
+    unknown = []
+    for i, label in enumerate(_labels(parameters, "ANALOG", count, "")):
         stated = units[i] if i < len(units) else ""
         unit, factor = plain_unit(_ANALOG_UNITS.get(stated.casefold(), stated))
         name = f"analog/{label}"
         unknown += [] if unit else [f"{name} [{stated}]" if stated else name]
-        channels[name] = Channel(name, unit, time, np.asarray(values[0, i], dtype=np.float64) * factor)
-    notes += unknown_units_note(unknown)
-    return channels
+        raw.others[name] = Channel(name, unit, time, np.asarray(values[0, i], dtype=np.float64) * factor)
+    raw.notes += unknown_units_note(unknown)
 
 
-def read(
-    source: Source,
-    *,
-    rigid_body: str | Sequence[str] | None = None,
-    bodies: Mapping[str, Sequence[str]] | None = None,
-    length_unit: str | None = None,
-) -> Recording:
-    """Read a C3D file.
-
-    Parameters
-    ----------
-    source : Source
-        The log.
-    rigid_body : str or sequence of str, optional
-        Bodies whose pose is wanted: of the ``ROTATION`` group, of `bodies`, or all markers whose name begins
-        with it (``F450:front``).
-    bodies : mapping of str to sequence of str, optional
-        Markers by body.
-    length_unit : str, optional
-        Where the file does not say.
-
-    Returns
-    -------
-    Recording
-        Kind ``motion-capture``: ``MARKER/position`` [m]; ``NAME/position``, ``NAME/orientation`` and
-        ``NAME/residual`` [m] of bodies; ``analog/LABEL`` on the analog clock, in SI where the unit is known.
-
-    Raises
-    ------
-    LogError, UnitError
-        One sentence with file and cause.
-    """
+def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     path = source.path
     file = _open(source)
-    notes: list[Finding] = []
-    try:
-        channels = _rotation_channels(path, file, length_unit, notes)
-        stated = [name.removesuffix("/orientation") for name in channels if name.endswith("/orientation")]
-        markers = _marker_channels(path, file, length_unit, notes)
-        analogs = _analog_channels(path, file, notes)
-    except _DAMAGE as error:
-        raise LogError(f"{path}: C3D file is damaged ({error}); export it again") from error
-    if stated and rigid_body is not None and bodies is None:
-        kept = wanted_bodies(path, stated, rigid_body)
-        channels = {name: one for name, one in channels.items() if name.rpartition("/")[0] in kept}
-    elif rigid_body is not None or bodies is not None:
-        found, said = fit_bodies(path, markers, bodies, rigid_body)
-        channels |= found
-        notes += said
-    channels = {**channels, **{name: one for name, one in markers.items() if name not in channels}, **analogs}
-    if not channels:
-        raise LogError(f"{path}: holds neither points nor rotations nor analog samples; the capture is empty")
-    notes += [*_cut_note(source, file), *_overflow_note(source, file)]
-    maker = [str(one) for one in _values(file["parameters"], "MANUFACTURER", "COMPANY")]
-    stated_unit = any(str(unit).strip() for unit in _values(file["parameters"], "POINT", "UNITS"))
-    options = {
-        "rigid_body": rigid_body, "bodies": bodies, "length_unit": None if stated_unit else length_unit,
-    }  # fmt: skip
-    return Recording(
-        "motion-capture",
-        channels,
-        source.provenance(_NAME, device=" ".join(["C3D", *maker]), options=options, notes=notes),
-    )
+    parameters = file["parameters"]
+    maker = [str(company) for company in _values(parameters, "MANUFACTURER", "COMPANY")]
+    raw = RawCapture(" ".join(["C3D", *maker]), [], chosen=False)
+    with reading(path, "C3D file", "export it again"):
+        _add_rotations(path, file, options.length_unit, raw)
+        _add_markers(path, file, options.length_unit, raw)
+        _add_analogs(path, file, raw)
+    if raw.bodies and options.rigid_body is not None and options.bodies is None:
+        kept = wanted_bodies(path, [body.name for body in raw.bodies], options.rigid_body)
+        raw.bodies = [body for body in raw.bodies if body.name in kept]
+        raw.chosen = True
+    raw.states_length = any(str(unit).strip() for unit in _values(parameters, "POINT", "UNITS"))
+    raw.notes += [*_cut_note(source, file), *_overflow_note(source, file)]
+    return raw
 
 
-FORMAT = LogFormat(_NAME, "C3D (markers, rotations, analog channels)", _recognize, read)
+FORMAT = capture_format(
+    "c3d",
+    "C3D (markers, rotations, analog channels)",
+    _recognize,
+    _parse,
+    {"rigid_body": (), "bodies": (), "length_unit": ()},
+)

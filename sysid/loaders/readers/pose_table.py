@@ -19,7 +19,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sysid.errors import LogError, UnitError
-from sysid.journal import note
+from sysid.journal import Finding, note
+from sysid.loaders.capture_log import Body, RawCapture, capture_format
 from sysid.loaders.clock import EXPORT_FINER, frame_clock, jitter_note, order_rows
 from sysid.loaders.columns import (
     Column,
@@ -30,15 +31,15 @@ from sysid.loaders.columns import (
     parse_header,
     unread_note,
 )  # fmt: skip
-from sysid.loaders.motion_capture import body_channels, unit_quaternions
-from sysid.loaders.registry import CERTAIN, NO, POSSIBLE, LogFormat
+from sysid.loaders.motion_capture import body_name, declared_length
+from sysid.loaders.options import CaptureOptions
+from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
 from sysid.loaders.source import Source
-from sysid.loaders.table import find_header, read_numbers, table_head
+from sysid.loaders.table import Numbers, find_header, read_numbers, table_head
 from sysid.loaders.text import read_text
-from sysid.recording import Channel, Recording
+from sysid.types import FloatArray
 from sysid.units import factor_to_si
 
-_NAME = "pose-table"
 _FRAME = frozenset({"frame", "frame number", "frame no", "frame id", "seq"})
 _TIME = frozenset({"t", "time", "timestamp", "time stamp", "stamp"})
 _POSITION = re.compile(
@@ -48,8 +49,11 @@ _QUATERNION = re.compile(
     r"^(?:(?:.* )?(?:q|quat|quaternion|orientation|rotation)(?: \w+)*? ([wxyz])|q([wxyz]))$"
 )
 _NUMBERED = re.compile(r"^(?:q|quat|quaternion) ?([0-4])$")
-_VELOCITY = re.compile(r"^v ?([xyz])$")
-_TURNING = re.compile(r"^(?:w|omega) ?([xyz])$")
+# Velocities beside a pose: unit, and the names of their columns.
+_TRIPLES = {
+    "velocity": ("m/s", re.compile(r"^v ?([xyz])$")),
+    "angular_velocity": ("rad/s", re.compile(r"^(?:w|omega) ?([xyz])$")),
+}
 # No capture system is slower than this, so a unitless time with longer steps is not in seconds.
 _LONGEST_STEP = 0.5
 
@@ -90,8 +94,6 @@ def _recognize(source: Source) -> int:
 
 def _quaternion_columns(path: str, columns: Sequence[Column], order: str | None) -> list[Column]:
     """Return the four quaternion columns, w first."""
-    if order is not None and order not in ("wxyz", "xyzw"):
-        raise LogError(f'{path}: quaternion_order = {order!r} is unknown; expected "wxyz" or "xyzw"')
     named = _matched(path, columns, _QUATERNION)
     if set(named) == set("wxyz"):
         placed = sorted(named, key=lambda axis: named[axis].index)
@@ -115,127 +117,45 @@ def _quaternion_columns(path: str, columns: Sequence[Column], order: str | None)
     raise missing_column(path, ", ".join(missing), columns)
 
 
-def read(
-    source: Source,
-    *,
-    quaternion_order: str | None = None,
-    length_unit: str | None = None,
-    units: Mapping[str, str] | None = None,
-    columns: Sequence[str] | Mapping[str, object] | None = None,
-    rigid_body: str = "body",
-    clock: str = "time",
-    time_back: str = "refuse",
-) -> Recording:
-    """Read a pose table.
-
-    Parameters
-    ----------
-    source : Source
-        The log.
-    quaternion_order : str, optional
-        ``"wxyz"`` or ``"xyzw"``, needed where the columns are only numbered.
-    length_unit : str, optional
-        Unit of the positions where the header states none.
-    units : mapping of str to str, optional
-        Units of other columns, for example ``{"t": "ms"}``.
-    columns : sequence of str or mapping, optional
-        Names of all columns in order, for a log without header; or, for one with other names, new name ->
-        name in the header, for example ``{"speed": "tach"}``.
-    rigid_body : str
-        The name that the one body of the table is given.
-    clock : str
-        ``"time"`` (or ``"auto"``): the times as written; ``"frame"``: rebuilt from a column of frame numbers,
-        where the written ones are times of arrival (`clock.frame_clock`).
-    time_back : str
-        ``"refuse"`` a log whose time goes back, or ``"drop"`` the rows that do not pass the latest time.
-
-    Returns
-    -------
-    Recording
-        Kind ``motion-capture``: ``NAME/position`` (n, 3) [m], ``NAME/orientation`` (n, 4) unit quaternion, w
-        first, body axes to capture axes, and ``NAME/velocity`` [m/s], ``NAME/angular_velocity`` [rad/s] where
-        given.
-
-    Raises
-    ------
-    LogError, UnitError
-        One sentence with file, line and cause.
-    """
-    path = source.path
-    if not isinstance(rigid_body, str) or not rigid_body:
-        raise LogError(f"{path}: rigid_body = {rigid_body!r} is no name; a pose table holds one body")
-    text = read_text(source)
-    head = table_head(text, columns)
-    header = parse_header(head.names)
-    declared = DeclaredUnits(path, units)
-    stamp = find_column(path, header, _TIME)
-    if stamp is None:
-        raise missing_column(path, '"t"', header)
-    frame = find_column(path, header, _FRAME)
-    if clock not in ("auto", "time", "frame"):
-        raise LogError(f'{path}: clock = {clock!r} is unknown; expected "time" or "frame"')
-    if clock == "frame" and frame is None:
-        raise missing_column(path, '"frame"', header)
-    position = _matched(path, header, _POSITION)
-    if len(position) < 3:
-        raise missing_column(path, ", ".join(f'"{axis}"' for axis in "xyz" if axis not in position), header)
-    quaternion = _quaternion_columns(path, header, quaternion_order)
-    triples = {"velocity": ("m/s", _VELOCITY), "angular_velocity": ("rad/s", _TURNING)}
-    extra = {name: _matched(path, header, pattern) for name, (_, pattern) in triples.items()}
-    # Without a stated unit a velocity is left out: it is not what this format is for.
-    extra = {
-        name: found
-        for name, found in extra.items()
-        if len(found) == 3
-        and all(declared.unit_of(column, column.label) is not None for column in found.values())
-    }
-
+def _scales(
+    path: str, declared: DeclaredUnits, position: Mapping[str, Column], length_unit: str | None
+) -> tuple[list[float], bool]:
+    """Return the factors of x, y, z to metres, and whether the header states their unit."""
     if length_unit is not None:
-        length_unit = str(length_unit)
-        try:
-            factor_to_si(length_unit, "m")
-        except UnitError as error:
-            raise UnitError(f"{path}: length_unit: {error}") from error
-    scale, lengths_stated = [], True
+        declared_length(path, length_unit)
+    factors, stated = [], True
     for axis in "xyz":
-        stated = declared.unit_of(position[axis], axis)
-        lengths_stated = lengths_stated and stated is not None
-        if stated is None and length_unit is None:
+        column = position[axis]
+        unit = declared.unit_of(column, axis)
+        stated = stated and unit is not None
+        if unit is None and length_unit is None:
             raise UnitError(
                 f"{path}: position columns {listing(position[a].label for a in 'xyz')} state no unit; "
                 'declare it, for example length_unit = "m"'
             )
-        factor = declared.factor(position[axis], axis, "m", length_unit)
+        factor = declared.factor(column, axis, "m", length_unit)
         if length_unit is not None and factor != factor_to_si(length_unit, "m"):
-            raise UnitError(
-                f'{path}: length_unit = "{length_unit}" contradicts column "{position[axis].label}"'
-            )
-        scale.append(factor)
-    seconds = declared.factor(stamp, "t", "s", "s")
-    stated_time = declared.unit_of(stamp, "t")
-    rates = {
-        name: [declared.factor(found[axis], found[axis].label, triples[name][0]) for axis in "xyz"]
-        for name, found in extra.items()
-    }
-    declared.check_used(header)
+            raise UnitError(f'{path}: length_unit = "{length_unit}" contradicts column "{column.label}"')
+        factors.append(factor)
+    return factors, stated
 
-    wanted = [
-        stamp,
-        *([frame] if frame is not None and clock == "frame" else []),
-        *position.values(),
-        *quaternion,
-        *(c for found in extra.values() for c in found.values()),
-    ]
-    numbers = read_numbers(text, head, [column.index for column in wanted])
-    del text  # the file's bytes are not needed any more
-    notes = numbers.notes
-    if frame is not None and clock == "frame":
-        time, said = frame_clock(path, numbers, frame.index, stamp.index, seconds, time_back=time_back)
-    else:
-        coarse = EXPORT_FINER if frame is None else 'choose clock = "frame"'
-        time, said = order_rows(path, numbers, stamp.index, seconds, time_back=time_back, coarse=coarse)
-    notes += [*said, *unread_note(header, wanted)]
-    if stated_time is None:
+
+def _clock(
+    path: str, numbers: Numbers, stamp: Column, frame: Column | None, seconds: float, options: CaptureOptions
+) -> tuple[FloatArray, list[Finding]]:
+    time_back = options.time_back or "refuse"
+    if frame is not None and options.clock == "frame":
+        return frame_clock(path, numbers, frame.index, stamp.index, seconds, time_back=time_back)
+    coarse = EXPORT_FINER if frame is None else 'choose clock = "frame"'
+    return order_rows(path, numbers, stamp.index, seconds, time_back=time_back, coarse=coarse)
+
+
+def _clock_notes(
+    path: str, time: FloatArray, stamp: Column, frame: Column | None, *, stated: bool
+) -> list[Finding]:
+    """Return what is doubtful about the times; refuse seconds that no column states and no step fits."""
+    notes = []
+    if not stated:
         step = float(np.median(np.diff(time))) if time.size > 1 else 0.0
         if step > _LONGEST_STEP:
             raise UnitError(
@@ -245,37 +165,75 @@ def read(
         notes.append(note("time-unit-assumed", f'column "{stamp.label}" states no unit: read as seconds'))
     jitter = jitter_note(time)
     if jitter and frame is not None:
-        jitter.append(
-            note("frame-clock-available", 'the column of frame numbers gives a steady clock: clock = "frame"')
-        )
-    notes += jitter
+        sentence = 'the column of frame numbers gives a steady clock: clock = "frame"'
+        jitter.append(note("frame-clock-available", sentence))
+    return notes + jitter
 
-    raw = np.column_stack([numbers.columns[column.index] for column in quaternion])
-    orientation, said = unit_quaternions(path, rigid_body, numbers, raw)
-    notes += said
-    place = np.column_stack([numbers.columns[position[axis].index] for axis in "xyz"]) * scale
-    channels = body_channels(rigid_body, time, place, orientation)
-    for name, found in extra.items():
-        values = np.column_stack([numbers.columns[found[axis].index] for axis in "xyz"]) * rates[name]
-        channels[f"{rigid_body}/{name}"] = Channel(f"{rigid_body}/{name}", triples[name][0], time, values)
-    if "angular_velocity" in extra:
-        notes.append(
-            note(
-                "angular-velocity-frame-unknown",
-                "angular velocity as written: the file does not say in which frame",
-            )
-        )
-    options = {
-        "quaternion_order": quaternion_order,
-        "length_unit": None if lengths_stated else length_unit,
-        "units": units,
-        "columns": columns,
-        "rigid_body": None if rigid_body == "body" else rigid_body,
-        "clock": clock if clock == "frame" else None,
+
+def _parse(source: Source, options: CaptureOptions) -> RawCapture:
+    path = source.path
+    body = body_name(path, options.rigid_body)
+    text = read_text(source)
+    head = table_head(text, options.columns)
+    header = parse_header(head.names)
+    declared = DeclaredUnits(path, options.units)
+    stamp = find_column(path, header, _TIME)
+    if stamp is None:
+        raise missing_column(path, '"t"', header)
+    frame = find_column(path, header, _FRAME)
+    if options.clock == "frame" and frame is None:
+        raise missing_column(path, '"frame"', header)
+    position = _matched(path, header, _POSITION)
+    if len(position) < 3:
+        raise missing_column(path, ", ".join(f'"{axis}"' for axis in "xyz" if axis not in position), header)
+    quaternion = _quaternion_columns(path, header, options.quaternion_order)
+    # Without a stated unit a velocity is left out: it is not what this format is for.
+    extra = {
+        name: columns
+        for name, (_, pattern) in _TRIPLES.items()
+        if len(columns := _matched(path, header, pattern)) == 3
+        and all(declared.unit_of(column, column.label) is not None for column in columns.values())
     }
-    return Recording(
-        "motion-capture", channels, source.provenance(_NAME, options=options, notes=[*notes, *declared.notes])
+    length_unit = None if options.length_unit is None else str(options.length_unit)
+    scale, states_length = _scales(path, declared, position, length_unit)
+    seconds = declared.factor(stamp, "t", "s", "s")
+    states_time = declared.unit_of(stamp, "t") is not None
+    rates = {
+        name: [declared.factor(columns[axis], columns[axis].label, _TRIPLES[name][0]) for axis in "xyz"]
+        for name, columns in extra.items()
+    }
+    declared.check_used(header)
+    counted = [frame] if frame is not None and options.clock == "frame" else []
+    triples = [column for columns in extra.values() for column in columns.values()]
+    wanted = [stamp, *counted, *position.values(), *quaternion, *triples]
+    numbers = read_numbers(text, head, [column.index for column in wanted])
+    del text  # the file's bytes are not needed any more
+    time, ordered = _clock(path, numbers, stamp, frame, seconds, options)
+    notes = [*numbers.notes, *ordered, *unread_note(header, wanted)]
+    notes += _clock_notes(path, time, stamp, frame, stated=states_time)
+    pose = Body(
+        body,
+        time,
+        numbers.stacked(position[axis].index for axis in "xyz") * scale,
+        numbers.stacked(column.index for column in quaternion),
+        numbers,
     )
+    for name, columns in extra.items():
+        values = numbers.stacked(columns[axis].index for axis in "xyz") * rates[name]
+        pose.extra[name] = (_TRIPLES[name][0], values)
+    if "angular_velocity" in extra:
+        sentence = "angular velocity as written: the file does not say in which frame"
+        notes.append(note("angular-velocity-frame-unknown", sentence))
+    return RawCapture("", [*notes, *declared.notes], [pose], states_length=states_length)
 
 
-FORMAT = LogFormat(_NAME, "plain pose table t,x,y,z,q... of one body", _recognize, read)
+FORMAT = capture_format(
+    "pose-table",
+    "plain pose table t,x,y,z,q... of one body",
+    _recognize,
+    _parse,
+    {
+        "quaternion_order": ("wxyz", "xyzw"), "length_unit": (), "units": (), "columns": (), "rigid_body": (),
+        "clock": ("auto", "time", "frame"), "time_back": (),
+    },
+)  # fmt: skip

@@ -7,7 +7,6 @@ of arrival; lengths are metres and quaternions x, y, z, w by the definition of t
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,19 +16,18 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import note
+from sysid.loaders.capture_log import Body, RawCapture, capture_format
 from sysid.loaders.clock import EXPORT_FINER, jitter_note, order_rows
 from sysid.loaders.columns import listing
-from sysid.loaders.motion_capture import body_channels, declared_length, unit_quaternions, wanted_bodies
-from sysid.loaders.optional import library
-from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.motion_capture import declared_length, wanted_bodies
+from sysid.loaders.optional import library, reading
+from sysid.loaders.options import CaptureOptions
+from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers
-from sysid.recording import Channel, Recording
 
-_NAME = "ros-bag"
 _BAG, _MCAP, _SQLITE = b"#ROSBAG V2.0", b"\x89MCAP0\r\n", b"SQLite format 3\0"
 _POSES = ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "Odometry", "TFMessage")
-_CLOCKS = ("header", "arrival")
 
 
 def _recognize(source: Source) -> int:
@@ -117,89 +115,43 @@ def _read_tracks(source: Source, topic: str | None, clock: str) -> tuple[dict[st
     return tracks, left_out
 
 
-def read(
-    source: Source,
-    *,
-    topic: str | None = None,
-    rigid_body: str | Sequence[str] | None = None,
-    length_unit: str | None = None,
-    clock: str = "header",
-    time_back: str = "refuse",
-) -> Recording:
-    """Read the poses of a ROS recording.
-
-    Parameters
-    ----------
-    source : Source
-        The bag's own file: of a ROS 2 folder, the ``.mcap`` or ``.db3`` in it.
-    topic : str, optional
-        Read this topic only.
-    rigid_body : str or sequence of str, optional
-        Bodies to keep, named by topic without its first slash or by child frame.
-    length_unit : str, optional
-        Where the sender wrote another unit than the metres that the messages define.
-    clock : str
-        ``"header"``: the stamp of the message; ``"arrival"``: when the recorder received it.
-    time_back : str
-        ``"refuse"`` a topic whose time goes back, or ``"drop"`` the messages that do not pass the latest.
-
-    Returns
-    -------
-    Recording
-        Kind ``motion-capture``; each body on its own clock, Unix seconds.
-
-    Raises
-    ------
-    LogError
-        One sentence with file and cause.
-    """
-    path = source.path
-    if clock not in _CLOCKS:
-        raise LogError(f'{path}: clock = {clock!r} is unknown; expected "header" or "arrival"')
-    scale = declared_length(path, length_unit)
-    errors = library(path, "rosbags.rosbag2", "rosbags").ReaderError
-    errors_1 = library(path, "rosbags.rosbag1", "rosbags").ReaderError
-    types = library(path, "rosbags.typesys", "rosbags").TypesysError
-    serde = library(path, "rosbags.serde", "rosbags").SerdeError
-    # Its own errors, and what its parsers let through on a damaged file.
-    damage = (
-        errors, errors_1, types, serde, OSError, ValueError, KeyError, IndexError, TypeError, AttributeError,
-        AssertionError, RuntimeError, OverflowError, MemoryError, EOFError, struct.error,
-    )  # fmt: skip
-    try:
-        tracks, left_out = _read_tracks(source, topic, clock)
-    except damage as error:
-        said = " ".join(str(error).split())[:200] or type(error).__name__
-        raise LogError(f"{path}: bag is damaged or cut ({said}); recover or record it again") from error
+def _parse(source: Source, options: CaptureOptions) -> RawCapture:
+    path, clock = source.path, options.clock or "header"
+    scale = declared_length(path, options.length_unit)
+    errors = (
+        library(path, "rosbags.rosbag2", "rosbags").ReaderError,
+        library(path, "rosbags.rosbag1", "rosbags").ReaderError,
+        library(path, "rosbags.typesys", "rosbags").TypesysError,
+        library(path, "rosbags.serde", "rosbags").SerdeError,
+    )
+    with reading(path, "bag", "recover or record it again", *errors):
+        tracks, left_out = _read_tracks(source, options.topic, clock)
     if not tracks:
         raise LogError(f"{path}: its topics of poses hold no message; record it again")
-    kept = wanted_bodies(path, list(tracks), rigid_body)
-    notes = (
-        [note("topics-left-out", f"topics that hold no pose, left out: {listing(left_out)}")]
-        if left_out
-        else []
-    )
-    channels: dict[str, Channel] = {}
-    for name in kept:
+    raw = RawCapture("ROS", [])
+    if left_out:
+        raw.notes.append(note("topics-left-out", f"topics that hold no pose, left out: {listing(left_out)}"))
+    for name in wanted_bodies(path, list(tracks), options.rigid_body):
         track = tracks[name]
         table = np.array(track.rows, dtype=np.float64)
-        columns = {i + 1: table[:, i] for i in range(7)}
         if clock == "header" and not any(track.stamps):
             raise LogError(f'{path}: every header stamp of {name} is 0; choose clock = "arrival"')
-        numbers = Numbers(
-            {0: np.array(track.stamps), **columns}, np.arange(1, len(table) + 1), row_word=f"{name} message"
-        )
+        columns = {0: np.array(track.stamps), **{i + 1: table[:, i] for i in range(7)}}
+        numbers = Numbers(columns, np.arange(1, len(table) + 1), row_word=f"{name} message")
         coarse = 'choose clock = "arrival"' if clock == "header" else EXPORT_FINER
-        time, ordered = order_rows(path, numbers, 0, 1.0, time_back=time_back, coarse=coarse)
-        raw = np.column_stack([numbers.columns[i] for i in (4, 5, 6, 7)])
-        orientation, turned = unit_quaternions(path, name, numbers, raw)
-        notes += [replace(one, sentence=f"{name}: {one}") for one in (*ordered, *jitter_note(time))] + turned
-        position = np.column_stack([numbers.columns[i] for i in (1, 2, 3)]) * scale
-        channels |= body_channels(name, time, position, orientation)
-    options = {"topic": topic, "rigid_body": rigid_body, "length_unit": length_unit, "clock": clock}
-    return Recording(
-        "motion-capture", channels, source.provenance(_NAME, device="ROS", options=options, notes=notes)
-    )
+        time, ordered = order_rows(
+            path, numbers, 0, 1.0, time_back=options.time_back or "refuse", coarse=coarse
+        )
+        raw.notes += [replace(one, sentence=f"{name}: {one}") for one in (*ordered, *jitter_note(time))]
+        position = numbers.stacked((1, 2, 3)) * scale
+        raw.bodies.append(Body(name, time, position, numbers.stacked((4, 5, 6, 7)), numbers))
+    return raw
 
 
-FORMAT = LogFormat(_NAME, "ROS 1 bag, ROS 2 MCAP or SQLite (pose topics)", _recognize, read)
+FORMAT = capture_format(
+    "ros-bag",
+    "ROS 1 bag, ROS 2 MCAP or SQLite (pose topics)",
+    _recognize,
+    _parse,
+    {"topic": (), "rigid_body": (), "length_unit": (), "clock": ("header", "arrival"), "time_back": ()},
+)

@@ -15,21 +15,20 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
+from sysid.loaders.capture_log import Body, RawCapture, capture_format
 from sysid.loaders.clock import EXPORT_FINER, frame_clock, jitter_note, order_rows
 from sysid.loaders.columns import Column, listing, parse_header, unread_note
-from sysid.loaders.motion_capture import body_channels, declared_length, unit_quaternions
-from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.motion_capture import body_name, declared_length
+from sysid.loaders.options import CaptureOptions
+from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers, find_header, read_numbers, table_head
 from sysid.loaders.text import read_text
-from sysid.recording import Recording
 
-_NAME = "ros-csv"
 _ARRIVAL, _STAMP = "%time", "field header stamp"
 _SEQUENCE = "field header seq"
 # No topic of poses is faster than a megahertz [ns].
 _FEWEST_NANOSECONDS = 1000.0
-_CLOCKS = ("header", "arrival", "frame")
 _POSITION = ("position", "translation")
 _TURN = ("orientation", "rotation")
 
@@ -81,47 +80,10 @@ def _stamp_unit(path: str, numbers: Numbers, column: Column) -> tuple[float, lis
     return 1e-9, []
 
 
-def read(
-    source: Source,
-    *,
-    rigid_body: str = "body",
-    length_unit: str | None = None,
-    clock: str = "header",
-    time_back: str = "refuse",
-) -> Recording:
-    """Read a pose topic as CSV.
-
-    Parameters
-    ----------
-    source : Source
-        The log.
-    rigid_body : str
-        The name that the body is given.
-    length_unit : str, optional
-        Where the sender wrote another unit than the metres that the messages define.
-    clock : str
-        ``"header"``: the stamp of the message; ``"arrival"``: when it was received; ``"frame"``: rebuilt from
-        the sequence numbers of the headers, where their stamps are times of arrival too.
-    time_back : str
-        ``"refuse"`` a log whose time goes back, or ``"drop"`` the rows that do not pass the latest time.
-
-    Returns
-    -------
-    Recording
-        Kind ``motion-capture``: ``NAME/position`` [m] and ``NAME/orientation``, w first; time in Unix
-        seconds, which a float resolves to 0.24 µs.
-
-    Raises
-    ------
-    LogError
-        One sentence with file, line and cause.
-    """
-    path = source.path
-    if clock not in _CLOCKS:
-        raise LogError(f'{path}: clock = {clock!r} is unknown; expected "header", "arrival" or "frame"')
-    if not isinstance(rigid_body, str) or not rigid_body:
-        raise LogError(f"{path}: rigid_body = {rigid_body!r} is no name; a pose topic holds one body")
-    scale = declared_length(path, length_unit)
+def _parse(source: Source, options: CaptureOptions) -> RawCapture:
+    path, clock = source.path, options.clock or "header"
+    body = body_name(path, options.rigid_body)
+    scale = declared_length(path, options.length_unit)
     text = read_text(source)
     head = table_head(text, renames=False)
     columns = parse_header(head.names)
@@ -134,43 +96,37 @@ def read(
             f"{path}: no column {wanted.replace(' ', '.')}; "
             f'choose clock = "{"arrival" if clock == "header" else "header"}"'
         )
+    stamp = clocks[wanted]
     sequence = next((column for column in columns if column.stem == _SEQUENCE), None)
     if clock == "frame" and sequence is None:
         raise LogError(f'{path}: no column field.header.seq; choose clock = "header" or "arrival"')
-    counted = [sequence.index] if sequence is not None and clock == "frame" else []
-    read = [clocks[wanted], *([sequence] if sequence is not None and counted else []), *place, *turn]
-    numbers = read_numbers(text, head, [one.index for one in read])
+    counted = [sequence] if sequence is not None and clock == "frame" else []
+    read = [stamp, *counted, *place, *turn]
+    numbers = read_numbers(text, head, [column.index for column in read])
     del text  # the file's bytes are not needed any more
-    notes = numbers.notes
-    stamps = numbers.columns[clocks[wanted].index]
-    if clock == "header" and not np.nan_to_num(stamps).any():
+    if clock == "header" and not np.nan_to_num(numbers.columns[stamp.index]).any():
         raise LogError(f'{path}: every header stamp is 0; choose clock = "arrival"')
-    unit, said = _stamp_unit(path, numbers, clocks[wanted])
-    notes += said
+    unit, assumed = _stamp_unit(path, numbers, stamp)
+    time_back = options.time_back or "refuse"
     if counted:
         other = "header" if wanted == _STAMP else "arrival"
-        time, said = frame_clock(
-            path, numbers, counted[0], clocks[wanted].index, unit, time_back=time_back, other_clock=other
+        time, ordered = frame_clock(
+            path, numbers, counted[0].index, stamp.index, unit, time_back=time_back, other_clock=other
         )
     else:
         arrival = wanted == _STAMP and _ARRIVAL in clocks
         coarse = 'choose clock = "arrival"' if arrival else EXPORT_FINER
-        time, said = order_rows(path, numbers, clocks[wanted].index, unit, time_back=time_back, coarse=coarse)
-    notes += [*said, *jitter_note(time), *unread_note(columns, read)]
-    raw = np.column_stack([numbers.columns[one.index] for one in turn])
-    orientation, said = unit_quaternions(path, rigid_body, numbers, raw)
-    notes += said
-    position = np.column_stack([numbers.columns[one.index] for one in place]) * scale
-    options = {
-        "rigid_body": None if rigid_body == "body" else rigid_body,
-        "length_unit": length_unit,
-        "clock": clock,
-    }
-    return Recording(
-        "motion-capture",
-        body_channels(rigid_body, time, position, orientation),
-        source.provenance(_NAME, device="ROS", options=options, notes=notes),
-    )
+        time, ordered = order_rows(path, numbers, stamp.index, unit, time_back=time_back, coarse=coarse)
+    notes = [*numbers.notes, *assumed, *ordered, *jitter_note(time), *unread_note(columns, read)]
+    position = numbers.stacked(column.index for column in place) * scale
+    pose = Body(body, time, position, numbers.stacked(column.index for column in turn), numbers)
+    return RawCapture("ROS", notes, [pose])
 
 
-FORMAT = LogFormat(_NAME, "ROS pose topic as CSV (rostopic echo -p)", _recognize, read)
+FORMAT = capture_format(
+    "ros-csv",
+    "ROS pose topic as CSV (rostopic echo -p)",
+    _recognize,
+    _parse,
+    {"rigid_body": (), "length_unit": (), "clock": ("header", "arrival", "frame"), "time_back": ()},
+)
