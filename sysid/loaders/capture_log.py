@@ -142,4 +142,5 @@ def capture_format(
         options = CaptureOptions(**given)
         return capture_recording(source, name, parse(source, options), options)
 
+    read.__module__ = parse.__module__
     return LogFormat(name, describes, recognize, read, takes)

@@ -79,4 +79,5 @@ def signal_format(
         )
 
     takes = {option: () for option in _TAKES} | dict(extra or {})
+    read.__module__ = parse.__module__
     return LogFormat(name, describes, recognize, read, takes)

@@ -150,7 +150,7 @@ def test_jitter_of_arrival_is_taken_out_by_frame_numbers(write):
     other = "".join(f"{f},{t:.6f},1,2,3,0,0,0,1\n" for f, t in zip(frames, 3 * np.sqrt(late), strict=True))
     with pytest.raises(LogError, match="do not belong together"):
         load(write(text.splitlines()[0] + "\n" + other), length_unit="m", clock="frame")
-    with pytest.raises(LogError, match='expected "time" or "frame"'):
+    with pytest.raises(LogError, match='expected "auto", "time" or "frame"'):
         load(path, length_unit="m", clock="soon")
 
 

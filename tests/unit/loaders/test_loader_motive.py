@@ -114,7 +114,7 @@ def test_measured_marker_keeps_the_plain_name(read):
     assert log.markers == ("quad:1", "quad:1 (solved)")
     assert log["quad:1/position"].values[0, 0] == 8
     assert log["quad:1 (solved)/position"].values[0, 0] == 7
-    assert "markers never seen, left out: 1" in log.provenance.sentences
+    assert 'markers never seen, left out: "never"' in log.provenance.sentences
 
 
 def test_body_lost_in_every_frame_is_kept_as_missing(read):
