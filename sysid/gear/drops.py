@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -14,9 +13,11 @@ from sysid.campaign import GearCampaign, GearTrial
 from sysid.campaign.file import resolve_log
 from sysid.campaign.logs import CaptureLogOptions
 from sysid.campaign.read_logs import load_stated, warn_of_idle_options
-from sysid.errors import LogError, SysidWarning
-from sysid.filters import KaiserLowpass, Spectrum, amplitude_spectrum, bridge_gaps, differentiate
+from sysid.errors import LogError
+from sysid.filters import KaiserLowpass, Spectrum, amplitude_spectrum, bridge_gaps, differentiate, runs
 from sysid.fit.nrmse import CostChannel, TrialTarget
+from sysid.gear.parameters import parameters_on
+from sysid.journal import notice
 from sysid.recording import Recording
 from sysid.trials.capture import (
     PLANAR_LIMIT,
@@ -29,14 +30,17 @@ from sysid.trials.capture import (
     spatial_motion,
 )
 from sysid.trials.fall import Feet, Flight, SlopedPlane, find_fall, fit_flight
-from sysid.types import BoolArray, FloatArray
+from sysid.types import FloatArray
 
-# A body leaves free fall visibly some 10 ms after the feet touch (its legs yield first); earlier than this
-# before, or later than that after, points to a wrong surface plane [s].
-_EARLY = 0.006
-_LATE = 0.035
-# A slope that board markers and campaign state may differ by this much without a word.
+# A body leaves free fall visibly some 10 ms after the feet touch, because its legs yield first. Leaving it
+# `_EARLY` before or `_LATE` after the touchdown points to a wrong surface plane [s].
+_EARLY, _LATE, _YIELDING = 0.006, 0.035, 0.01
+# The slopes that board markers and campaign state may differ by this much without a warning.
 _SLOPE_DOUBT = np.radians(1.0)
+# Five samples of fall tell g to some 10 %: of a fall shorter than this [s] g says little.
+_TELLS_GRAVITY, _GRAVITY_DOUBT = 0.06, 0.15
+# The least number of samples in a window.
+_LEAST_SAMPLES = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,10 +122,9 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
     SysidError
         For the first drop that cannot be used.
 
-    Warns
+    Notes
     -----
-    SysidWarning
-        For what makes a drop doubtful: rotation out of the plane, an unlikely g, a doubtful touchdown.
+    A doubtful drop is noticed in the journal: rotation out of the plane, an unlikely g, a doubtful touchdown.
     """
     # Several drops may lie in one long take: keep the last files read.
     read = lru_cache(maxsize=2)(partial(read_drop_log, campaign))
@@ -149,11 +152,11 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
 
 
 def read_drop_log(campaign: GearCampaign, path: Path, body: str | None, options: str) -> Recording:
-    """Read a log with the campaign's options, a drop's body and its own options (JSON, to be hashable)."""
-    own = CaptureLogOptions.model_validate_json(options)
+    """Read a log with the options of the campaign and of the drop (`options`, JSON: it must be hashable)."""
+    of_drop = CaptureLogOptions.model_validate_json(options)
     capture = campaign.capture
     stated = capture.loader_options() | ({} if body is None else {"rigid_body": body})
-    recording = load_stated(path, own.format or capture.format, stated, own.loader_options())
+    recording = load_stated(path, of_drop.format or capture.format, stated, of_drop.loader_options())
     if recording.kind != "motion-capture":
         raise LogError(f"{path}: is a {recording.kind} log, expected motion capture; correct the trial's log")
     return recording
@@ -183,7 +186,8 @@ def _prepare(
     if campaign.filter.kind == "kaiser":
         settings = campaign.filter
         lowpass = KaiserLowpass(planar.rate, settings.cutoff, settings.attenuation_db, settings.transition)
-    window = _window(campaign, planar, plane, flight, touchdown, lowpass, where, notes)
+    margin = _margin(lowpass)
+    window = _window(campaign, trial, planar, plane, flight, touchdown, margin, where, notes)
     target, spectrum, before_time, after = _target(campaign, trial, planar, window, lowpass)
     initial_state = flight.at(planar.time[window.start : window.start + 1])[0]
     impact_speed = float(-flight.at(np.array([touchdown]))[0, 4])
@@ -224,10 +228,10 @@ def _prepare(
 def _motion(
     campaign: GearCampaign, trial: GearTrial | None, recording: Recording, frame: CaptureFrame
 ) -> SpatialMotion:
-    own = (trial.rigid_body or trial.log_options.rigid_body) if trial is not None else None
+    stated = (trial.rigid_body or trial.log_options.rigid_body) if trial is not None else None
     return spatial_motion(
         recording,
-        own or campaign.capture.rigid_body,
+        stated or campaign.capture.rigid_body,
         frame,
         centre_of_mass_offset=campaign.capture.centre_of_mass_offset,
         rate=campaign.capture.rate,
@@ -245,24 +249,25 @@ def _surface(
     """Return the slope [rad] and a point of the surface in (x, y, z) [m]."""
     surface = campaign.surface
     point = trial.point if trial.point is not None else surface.point
-    slope = trial.slope
+    slope, on_surface = trial.slope, None
     if point is None and surface.markers:
         plane = marker_plane(recording, surface.markers, frame, surface.marker_height, slope)
         if plane.slope is not None:
             notes.append(f"board markers lie {1000 * plane.residual:.2f} mm rms off their plane")
             if slope is not None and abs(slope - plane.slope) > _SLOPE_DOUBT:
-                warnings.warn(
-                    f"trial {trial.name!r}: the board markers say {np.degrees(plane.slope):.1f} deg, the "
-                    f"campaign {np.degrees(slope):.1f} deg; the campaign's slope was used",
-                    SysidWarning,
-                    stacklevel=2,
+                notice(
+                    "slopes-differ",
+                    f"the board markers say {np.degrees(plane.slope):.1f} deg, the campaign "
+                    f"{np.degrees(slope):.1f} deg; the campaign's slope is used",
+                    trial=trial.name,
+                    size=abs(slope - plane.slope),
                 )
             slope = plane.slope if slope is None else slope
-        if slope is None:
-            raise LogError(f"trial {trial.name!r}: no slope; give it")
-        return slope, plane.point
+        on_surface = plane.point
     if slope is None:
         raise LogError(f"trial {trial.name!r}: no slope; give it")
+    if on_surface is not None:
+        return slope, on_surface
     if point is not None:
         return slope, frame.matrix @ np.asarray(point)
     assert rest is not None  # the campaign was validated: one of three ways is there
@@ -274,8 +279,6 @@ def _surface(
 
 def _static_sag(campaign: GearCampaign) -> float:
     """Return how far the body sinks on its nominal legs at rest [m]: axial, bending and ground in series."""
-    from sysid.gear.model import parameters_on
-
     value = parameters_on(campaign.surface.law).nominal
     vehicle = campaign.vehicle
     span = vehicle.foot_dx - value["joint_dx"]
@@ -289,81 +292,88 @@ def _static_sag(campaign: GearCampaign) -> float:
 
 def _window(
     campaign: GearCampaign,
+    trial: GearTrial,
     motion: PlanarMotion,
     plane: SlopedPlane,
     flight: Flight,
     touchdown: float,
-    lowpass: KaiserLowpass | None,
+    margin: int,
     where: str,
     notes: list[str],
 ) -> slice:
-    """Return the samples that are compared: from just before contact to its end, the board's or the log's."""
+    """Return the samples that are compared, from just before contact to the end of window, board or log.
+
+    The filter needs `margin` samples on both sides.
+    """
     settings = campaign.window
     start_time = touchdown - settings.before_contact
     if flight.held:
         start_time = max(start_time, flight.start)
     first = int(np.searchsorted(motion.time, start_time - 1e-9))
     last = int(np.searchsorted(motion.time, touchdown + settings.after_contact + 1e-9))
-    board = campaign.surface.board_length
-    if board is not None:
-        tangent = np.array([np.cos(plane.angle), -np.sin(plane.angle)])
-        along = np.column_stack([motion.x, motion.z]) @ tangent
-        at_touchdown = int(np.clip(np.searchsorted(motion.time, touchdown), 0, len(along) - 1))
-        origin = along[at_touchdown]
-        if not np.isfinite(origin):
-            state = flight.at(np.array([touchdown]))[0]
-            origin = float(state[:2] @ tangent)
-        left = np.flatnonzero(along[at_touchdown:last] - origin > board)
-        if len(left):
-            last = at_touchdown + int(left[0])
-            notes.append(f"the body leaves the board {motion.time[last] - touchdown:.2f} s after touchdown")
-    margin = _margin(lowpass)
-    ends_early = False
+    off_board = _off_board(campaign, motion, plane, flight, touchdown, last)
+    if off_board is not None:
+        last = off_board
+        notes.append(f"the body leaves the board {motion.time[last] - touchdown:.2f} s after touchdown")
     if first - margin < 0:
         raise LogError(
             f"{where}: the window starts {first} samples into the log, the filter needs {margin} before it; "
             f"start recording earlier"
         )
-    if last + margin > len(motion.time):
+    ends_early = last + margin > len(motion.time)
+    if ends_early:
         last = max(0, len(motion.time) - margin)
-        ends_early = True
-    if last - first < 10 or motion.time[min(last, len(motion.time)) - 1] < touchdown:
+    if last - first < _LEAST_SAMPLES or motion.time[min(last, len(motion.time)) - 1] < touchdown:
         raise LogError(
             f"{where}: only {max(0, last - first)} samples are left in the window around the touchdown at "
             f"{touchdown:.3f} s; record longer (the filter needs {margin} samples after the window)"
         )
     if ends_early:
-        kept = f"{motion.time[last - 1] - touchdown:.2f} s after the touchdown"
-        notes.append(f"the log ends early: the window ends {kept}")
-        warnings.warn(
-            f"{where}: the log ends early, so its window ends {kept} instead of "
+        kept = float(motion.time[last - 1] - touchdown)
+        notes.append(f"the log ends early: the window ends {kept:.2f} s after the touchdown")
+        notice(
+            "log-ends-early",
+            f"the log ends early: its window ends {kept:.2f} s after the touchdown instead of "
             f"{settings.after_contact:.2g} s (the filter needs {margin} samples more); the drop counts as "
-            f"much as the others",
-            SysidWarning,
-            stacklevel=2,
+            "much as the others",
+            trial=trial.name,
+            size=settings.after_contact - kept,
         )
-    gap, at = _longest_gap(motion.valid[first - margin : last + margin])
-    if gap / motion.rate > settings.max_gap + 1e-9:
+    lost = runs(~motion.valid[first - margin : last + margin])
+    begin, end = max(lost, key=lambda run: run[1] - run[0], default=(0, 0))
+    gap = (end - begin) / motion.rate
+    if gap > settings.max_gap + 1e-9:
         raise LogError(
-            f"{where}: the body is lost for {1000 * gap / motion.rate:.0f} ms from "
-            f"{motion.time[first - margin + at]:.3f} s, longer than window.max_gap "
+            f"{where}: the body is lost for {1000 * gap:.0f} ms from "
+            f"{motion.time[first - margin + begin]:.3f} s, longer than window.max_gap "
             f"({1000 * settings.max_gap:.0f} ms); record the drop again or shorten the window"
         )
     return slice(first, last)
 
 
+def _off_board(
+    campaign: GearCampaign,
+    motion: PlanarMotion,
+    plane: SlopedPlane,
+    flight: Flight,
+    touchdown: float,
+    last: int,
+) -> int | None:
+    """Return the first sample before `last` at which the body has slid off the board; None if it stays."""
+    if campaign.surface.board_length is None:
+        return None
+    tangent = np.array([np.cos(plane.angle), -np.sin(plane.angle)])
+    along = np.column_stack([motion.x, motion.z]) @ tangent
+    at_touchdown = int(np.clip(np.searchsorted(motion.time, touchdown), 0, len(along) - 1))
+    origin = along[at_touchdown]
+    if not np.isfinite(origin):
+        origin = float(flight.at(np.array([touchdown]))[0, :2] @ tangent)
+    left = np.flatnonzero(along[at_touchdown:last] - origin > campaign.surface.board_length)
+    return at_touchdown + int(left[0]) if len(left) else None
+
+
 def _margin(lowpass: KaiserLowpass | None) -> int:
     return (0 if lowpass is None else lowpass.edge_samples) + 1
-
-
-def _longest_gap(valid: BoolArray) -> tuple[int, int]:
-    """Return length and start of the longest run of False."""
-    edges = np.diff(np.concatenate([[1], valid.astype(np.int8), [1]]))
-    starts, stops = np.flatnonzero(edges == -1), np.flatnonzero(edges == 1)
-    if not len(starts):
-        return 0, 0
-    longest = int(np.argmax(stops - starts))
-    return int(stops[longest] - starts[longest]), int(starts[longest])
 
 
 def _target(
@@ -411,30 +421,33 @@ def _doubts(
     for angle, values in (("roll", motion.roll), ("yaw", motion.yaw)):
         largest = float(np.nanmax(np.abs(values[window])))
         if largest > PLANAR_LIMIT:
-            warnings.warn(
-                f"trial {trial.name!r}: {angle} reaches {np.degrees(largest):.0f} deg, the planar model "
-                f"assumes less than {np.degrees(PLANAR_LIMIT):.0f} deg",
-                SysidWarning,
-                stacklevel=2,
+            notice(
+                f"{angle}-out-of-plane",
+                f"{angle} reaches {np.degrees(largest):.0f} deg, the planar model assumes less than "
+                f"{np.degrees(PLANAR_LIMIT):.0f} deg",
+                trial=trial.name,
+                size=largest,
             )
-    found = flight.measured_gravity
-    # Five samples of fall tell g to some 10 % only: below 60 ms it says little.
-    if np.isfinite(found) and touchdown - flight.start > 0.06 and abs(found / gravity - 1) > 0.15:
-        warnings.warn(
-            f"trial {trial.name!r}: it falls with {found:.1f} m/s² instead of {gravity:.2f}; check the "
-            f"length unit, capture.up and that nothing holds it",
-            SysidWarning,
-            stacklevel=2,
+    measured = flight.measured_gravity
+    wrong = abs(measured / gravity - 1)
+    if np.isfinite(measured) and touchdown - flight.start > _TELLS_GRAVITY and wrong > _GRAVITY_DOUBT:
+        notice(
+            "unlikely-gravity",
+            f"the fall shows {measured:.1f} m/s² instead of {gravity:.2f}; check the length unit, capture.up "
+            "and that nothing brakes the body",
+            trial=trial.name,
+            size=wrong,
         )
     late = _leaves_free_fall(motion, flight, touchdown) - touchdown
     if not -_EARLY < late < _LATE:
-        speed = -flight.at(np.array([touchdown]))[0, 4]
-        warnings.warn(
-            f"trial {trial.name!r}: the body leaves free fall {1000 * abs(late):.0f} ms "
-            f"{'after' if late > 0 else 'before'} the feet should touch; the surface plane may lie about "
-            f"{1000 * speed * abs(late - 0.01):.0f} mm too {'high' if late > 0 else 'low'}",
-            SysidWarning,
-            stacklevel=2,
+        side, level = ("after", "high") if late > 0 else ("before", "low")
+        off = -flight.at(np.array([touchdown]))[0, 4] * abs(late - _YIELDING)
+        notice(
+            "doubtful-surface",
+            f"the body leaves free fall {1000 * abs(late):.0f} ms {side} the feet should touch; the surface "
+            f"plane may lie about {1000 * off:.0f} mm too {level}",
+            trial=trial.name,
+            size=abs(late),
         )
 
 

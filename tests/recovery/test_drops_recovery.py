@@ -8,10 +8,11 @@ import pytest
 
 from fakes.sets import assert_sets_agree
 from sysid.campaign import read_campaign
-from sysid.errors import LogError, SysidWarning
+from sysid.errors import LogError
 from sysid.gear.drops import prepare_drops
 from sysid.gear.model import LF_FREE
 from sysid.gear.problem import GearObjective, fit_gear, score_values, search_space
+from sysid.journal import Journal
 from sysid.synthetic import LF_DROPS, read_truth, synthesize_gear
 from sysid.workflows.search import FitOptions
 
@@ -133,10 +134,12 @@ def test_a_wrong_plane_is_doubted(clean, tmp_path):
     line = next(line for line in text.splitlines() if line.startswith("point = "))
     # The board 10 mm higher than it is: the slow drops seem to touch 28 ms before the drone feels it.
     _change(folder, line, f'point = ["{point[0]} m", "{point[1] + 0.01} m", "{point[2]} m"]')
-    with pytest.warns(
-        SysidWarning, match="'drop-1': the body leaves free fall .* after the feet .* too high"
-    ):
+    with Journal() as journal:
         _prepared(folder)
+    (doubt,) = [finding for finding in journal.findings if finding.code == "doubtful-surface"]
+    assert "drop-1" in doubt.trials
+    assert "after the feet" in doubt.sentence
+    assert "too high" in doubt.sentence
 
 
 def test_the_board_ends_the_window(clean, tmp_path):
