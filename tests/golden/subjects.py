@@ -315,11 +315,14 @@ def slow_json_keys():
 
 
 def commands():
-    """Return the names of all commands, each with its arguments and options."""
+    """Return the names of all commands, each with its arguments in order and its options by name."""
+
+    def place(names):
+        return names[0] if names[0].startswith("-") else ""
 
     def walk(one, name):
         below = getattr(one, "commands", {})
-        own = {name: [[*p.opts, *p.secondary_opts] for p in one.params]}
+        own = {name: sorted(([*p.opts, *p.secondary_opts] for p in one.params), key=place)}
         for key, sub in below.items():
             own |= walk(sub, f"{name} {key}".strip())
         return own
