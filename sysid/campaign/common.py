@@ -59,10 +59,7 @@ class ParameterChoices(Table):
     measured: dict[str, tuple[str, str]] = {}
 
     def search_space(
-        self,
-        table: ParameterTable,
-        default_free: Iterable[str],
-        campaign_values: Mapping[str, float],
+        self, table: ParameterTable, default_free: Iterable[str], campaign_values: Mapping[str, float]
     ) -> SearchSpace:
         """Resolve names and units against the model's table.
 

@@ -69,6 +69,8 @@ class RawCapture:
         `bodies` are already those of the option ``rigid_body``, so none is fitted for it.
     states_length : bool
         The file states its length unit, so the option ``length_unit`` changes nothing.
+    marks_lost : bool
+        The system writes a frame in which it lost a body, so the lost frames are counted in a note.
     kind : str
         Of the recording.
     """
@@ -80,6 +82,7 @@ class RawCapture:
     others: dict[str, Channel] = field(default_factory=dict)
     chosen: bool = True
     states_length: bool = False
+    marks_lost: bool = False
     kind: str = "motion-capture"
 
 
@@ -101,7 +104,8 @@ def capture_recording(source: Source, format: str, raw: RawCapture, options: Cap
         channels |= body_channels(body.name, body.time, body.position, orientation)
         for what, (unit, values) in body.extra.items():
             channels[f"{body.name}/{what}"] = Channel(f"{body.name}/{what}", unit, body.time, values)
-        notes += lost_note(body.name, orientation)
+        if raw.marks_lost:
+            notes += lost_note(body.name, orientation)
     blank = [name for name, (_, place) in raw.markers.items() if not np.isfinite(place).all(axis=1).any()]
     markers = {
         f"{name}/position": Channel(f"{name}/position", "m", time, place)

@@ -28,10 +28,7 @@ def check_heaps(path: str) -> None:
         When a list of objects stands still or leaves its heap.
     """
     try:
-        with (
-            Path(path).open("rb") as stream,
-            mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data,
-        ):
+        with Path(path).open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
             start = data.find(_HEAP)
             while start >= 0:
                 if not _walkable(data, start):

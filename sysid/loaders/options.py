@@ -145,8 +145,7 @@ class BenchOptions(LogOptions):
         str | None, Option("The transducer's .cal file; the six channels are then gauge voltages.")
     ] = None
     transform: Annotated[
-        Any,
-        Option("From the load cell to the motor's axes: dx dy dz, then rx ry rz (`motor_transform`)."),
+        Any, Option("From the load cell to the motor's axes: dx dy dz, then rx ry rz (`motor_transform`).")
     ] = None
     tare: Annotated[
         float | None, Option("Time at the start without load, whose mean is subtracted.", unit="s")
@@ -177,8 +176,7 @@ class CaptureOptions(LogOptions):
         str | None, Option('What three angles are: "helical" (rotation vector) or an Euler order.')
     ] = None
     clock: Annotated[
-        str | None,
-        Option("Which times to use.", choices=("auto", "frame", "time", "header", "arrival")),
+        str | None, Option("Which times to use.", choices=("auto", "frame", "time", "header", "arrival"))
     ] = None
 
 

@@ -86,10 +86,7 @@ def _mean_shape(points: FloatArray) -> FloatArray:
 
 
 def fit_bodies(
-    path: str,
-    channels: Mapping[str, Channel],
-    bodies: Mapping[str, Sequence[str]] | None,
-    rigid_body: object,
+    path: str, channels: Mapping[str, Channel], bodies: Mapping[str, Sequence[str]] | None, rigid_body: object
 ) -> tuple[dict[str, Channel], list[Finding]]:
     """Return position, orientation and ``NAME/residual`` [m] of bodies fitted to markers, and notes.
 

@@ -24,11 +24,7 @@ from sysid.journal import Finding, note
 from sysid.loaders.capture_log import Body, RawCapture, capture_format
 from sysid.loaders.clock import began_note, jitter_note, order_rows
 from sysid.loaders.columns import listing, parse_header, unread_note
-from sysid.loaders.motion_capture import (
-    EULER_ORDERS,
-    euler_quaternions,
-    wanted_bodies,
-)
+from sysid.loaders.motion_capture import EULER_ORDERS, euler_quaternions, wanted_bodies
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source
@@ -290,6 +286,7 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
         version,
         [*numbers.notes, *promised, *ordered, *unread],
         states_length=bool(stated.get("Length Units")),
+        marks_lost=True,
     )
     for body in bodies:
         quaternion = body.columns("Rotation", "WXYZ")

@@ -165,7 +165,7 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     numbers = Numbers(columns, np.array(frames.lines, dtype=np.int64))
     kept = wanted_bodies(path, list(frames.bodies), options.rigid_body)
     time, ordered = order_rows(path, numbers, 0, 1.0)
-    raw = RawCapture("OptiTrack Motive CSV 1.1", [*notes, *ordered])
+    raw = RawCapture("OptiTrack Motive CSV 1.1", [*notes, *ordered], marks_lost=True)
     for (kind, name), place in places.items():
         values = numbers.stacked(place)
         if kind == "marker":

@@ -159,7 +159,9 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     numbers = read_numbers(text, table, range(len(table.names)))
     del text  # the file's bytes are not needed any more
     promised = promised_note(_FIRST, (keys.get(_FIRST) or [""])[0], numbers.lines.size)
-    raw = RawCapture(f"Qualisys QTM {included}", [*numbers.notes, *promised], chosen=included == "6D")
+    raw = RawCapture(
+        f"Qualisys QTM {included}", [*numbers.notes, *promised], chosen=included == "6D", marks_lost=True
+    )
     if lead:
         _, ordered = order_rows(path, numbers, 0, 1.0 / rate)
         time, checked = _checked_clock(path, numbers, rate)

@@ -265,9 +265,7 @@ def read(source: Source, *, time_back: str = "drop") -> Recording:
     version = str(log.msg_info_dict.get("ver_hw", "")).strip()
     notes.append(_axes_note(list(channels), others))
     return Recording(
-        "onboard",
-        channels,
-        source.provenance(_NAME, device=f"{device} {version}".strip(), notes=notes),
+        "onboard", channels, source.provenance(_NAME, device=f"{device} {version}".strip(), notes=notes)
     )
 
 

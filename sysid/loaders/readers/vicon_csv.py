@@ -323,7 +323,7 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     raw = RawCapture("Vicon " + ", ".join(section.title.title() for section in sections), [])
     for section in sections:
         _read_section(text, section, kept, options, raw)
-    raw.chosen = kept is not None
+    raw.chosen, raw.marks_lost = kept is not None, True
     raw.states_length = any(map(_states_length, sections))
     raw.kind = "motion-capture" if raw.bodies or raw.markers else "signals"
     return raw

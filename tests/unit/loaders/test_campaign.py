@@ -80,12 +80,7 @@ def test_quantities_become_si(tmp_path):
         ("gear", "[fit]", "[fit", "not valid TOML"),
         ("gear", '# height = "1 mm"', 'height = "2 m"', "nuisance.height: 2000 mm is more than 20 mm"),
         ("gear", '# height = "1 mm"', 'height = "20.1 mm"', "nuisance.height: 20.1 mm is more than 20 mm"),
-        (
-            "gear",
-            '# start_time = "1 ms"',
-            'start_time = "1 s"',
-            "start_time: 1000 ms is more than 20 ms",
-        ),
+        ("gear", '# start_time = "1 ms"', 'start_time = "1 s"', "start_time: 1000 ms is more than 20 ms"),
         ("motor", "maximum = 2000", "maximum = 900", "are not in order"),
         ("motor", "maximum = 2000", "", "maximum is missing; state the logged numbers"),
         ("motor", "maximum = 2000", 'forward_half = "low"', "forward_half belongs to unit = 'dshot'"),

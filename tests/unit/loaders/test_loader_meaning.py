@@ -78,8 +78,7 @@ def test_the_axis_of_a_tdms_waveform_counts_in_its_own_unit(tmp_path):
     wave = {"wf_increment": 0.5, "wf_start_offset": 3.0, "unit_string": "N"}
     spectrum = {"wf_increment": 2.0, "wf_xunit_string": "Hz", "unit_string": "V"}
     path = tdms(
-        tmp_path / "a.tdms",
-        [("Fz", values, wave | {"wf_xunit_string": "ms"}), ("FFT", values, spectrum)],
+        tmp_path / "a.tdms", [("Fz", values, wave | {"wf_xunit_string": "ms"}), ("FFT", values, spectrum)]
     )
     log = load(path)
     np.testing.assert_allclose(log["thrust"].time, [3e-3, 3.5e-3, 4e-3, 4.5e-3])

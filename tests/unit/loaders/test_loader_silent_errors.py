@@ -274,8 +274,7 @@ def test_a_c3d_longer_than_its_header_counts_is_noted(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("trial", "words"),
-    [((1, 65535), ""), ((1, 70000), "and the capture has 70000;"), ((4466, 70000), "")],
+    ("trial", "words"), [((1, 65535), ""), ((1, 70000), "and the capture has 70000;"), ((4466, 70000), "")]
 )
 def test_a_c3d_says_in_its_trial_how_long_the_capture_is(tmp_path, trial, words):
     log = load(c3d(tmp_path / "a.c3d", 65535, analog=False, trial=trial))
