@@ -247,7 +247,7 @@ class StaticCurves:
     fits: tuple[CurveFit, ...]
     ties: dict[Rotation, NoLoadTie]
     reference_voltage: float
-    loaded: dict[str, SteadyPoints]
+    loaded: dict[Rotation, SteadyPoints]
     logs: tuple[CurveLog, ...] = ()
 
     @property
@@ -270,7 +270,7 @@ def static_curves(
     turning = {t.direction for t in campaign.trials}
     fits: list[CurveFit] = []
     ties: dict[Rotation, NoLoadTie] = {}
-    loaded: dict[str, SteadyPoints] = {}
+    loaded: dict[Rotation, SteadyPoints] = {}
     for direction in _ROTATIONS:
         if not turning & {direction, "reversal"}:
             continue

@@ -2,11 +2,11 @@
 
     first-order lag → equations (1-3) without L → full → full with saturation
 
-Every rung is fitted to the same forward and reverse trials by the same search: CMA-ES with one population,
-stop rule and seed, once from near the fit's best set, as far as the rung has its parameters, and once from
-all around it; the better one counts. So no rung is worse for a search that did not find its optimum. Rungs
-below the last are scored without a dead band, which only starts from rest and reversals show. Judge a step by
-its held-out columns: an inductance is not real because a search returned one.
+The same search fits every rung to the same forward and reverse trials: CMA-ES with one population, stop rule
+and seed, once from near the fit's best set, as far as the rung has its parameters, and once from all around
+it. The better run counts, so that no rung is worse for a search that did not find its optimum. Rungs below the
+last are scored without a dead band, which only starts from rest and reversals show. Judge a step by its
+held-out columns: an inductance is not real because a search returned one.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ from sysid.fit.search import Hooks, SearchSettings, run_many
 from sysid.motor import first_order_lag as lag
 from sysid.motor.batch import MotorTrials
 from sysid.motor.cost import CHANNELS, MotorCost, MotorTarget
-from sysid.motor.curves import StaticCurves
+from sysid.motor.curves import StaticCurves, supply_ratio
 from sysid.motor.known_values import SATURATION, Bench
 from sysid.motor.log_delays import averaged, own_rows, shifts
 from sysid.motor.objective import MotorObjective, ties_of
+from sysid.motor.static_curves import turns
 from sysid.motor.targets import PreparedTrial
 from sysid.parallel import LocalThreads
 from sysid.parameters import ParameterTable, SearchSpace
@@ -135,18 +136,6 @@ def _scorable(whole: MotorTarget, part: MotorTarget, channel: int) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class _Near:
-    """Breeds a rung's searches around a point of the unit cube, each with the spread of its seed."""
-
-    mean: FloatArray
-    spread: Mapping[int, float]
-
-    def __call__(self, name: str, n_free: int, population: int, seed: int, start: Start | None) -> Breeder:
-        own = Start(self.mean, np.full(n_free, self.spread[seed])) if start is None else start
-        return breeder(name, n_free, population, seed, own)
-
-
-@dataclass(frozen=True, eq=False)
 class LagObjective:
     """Mean NRMSE of first-order lags over bench trials.
 
@@ -155,14 +144,22 @@ class LagObjective:
     space : SearchSpace
         Over the lag's table and the delays of logs.
     trials : tuple of PreparedTrial
+        What is simulated.
     cost : MotorCost
+        Of these trials.
     jobs : MotorTrials
+        The trials end to end.
     """
 
     space: SearchSpace
     trials: tuple[PreparedTrial, ...]
     cost: MotorCost
     jobs: MotorTrials
+
+    @classmethod
+    def build(cls, space: SearchSpace, trials: tuple[PreparedTrial, ...], cost: MotorCost) -> LagObjective:
+        """Lay the trials end to end."""
+        return cls(space, trials, cost, MotorTrials([trial.simulated for trial in trials]))
 
     def evaluate(self, cube: FloatArray) -> Evaluation:
         """Simulate and score unit-cube points (P, n_free)."""
@@ -171,8 +168,8 @@ class LagObjective:
 
     def score(self, rows: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return NRMSE (P, T, 2) and failures (P, T) of rows of the lag's table [SI]."""
-        index = [list(lag.PARAMETERS).index(name) for name in _SENSORS]
-        sensors = np.ascontiguousarray(rows[:, index])
+        index = lag.PARAMETERS.index
+        sensors = np.ascontiguousarray(rows[:, [index[name] for name in _SENSORS]])
         delays = shifts(self.space.table, rows, self.trials)
         samples = lag.simulate_lag(rows[:, : len(lag.PARAMETERS)], self.jobs, delays)
         return self.cost(samples, np.ones((len(rows), len(self.jobs))), sensors)
@@ -183,10 +180,10 @@ def lag_space(space: SearchSpace, bench: Bench) -> SearchSpace:
 
     Its delays are free where those of the motor are; its steady speeds come from the loaded steady points.
     """
-    own = own_rows(space)
+    delays = own_rows(space)
     free = ["rise_time_constant", "fall_time_constant"]
-    free += [name for name in ("command_delay", *_SENSORS, *own) if name in space.names]
-    table = ParameterTable([*lag.PARAMETERS.values(), *(space.table[name] for name in own)])
+    free += [name for name in ("command_delay", *_SENSORS, *delays) if name in space.names]
+    table = ParameterTable([*lag.PARAMETERS.values(), *(space.table[name] for name in delays)])
     values = {name: value for name, value in space.fixed.items() if name in table}
     values |= {name: value for name, value in bench.curves.parameters.items() if name in table}
     values |= _steady_maps(bench.curves)
@@ -197,11 +194,81 @@ def lag_space(space: SearchSpace, bench: Bench) -> SearchSpace:
 def _steady_maps(curves: StaticCurves) -> dict[str, float]:
     out: dict[str, float] = {}
     for direction, points in curves.loaded.items():
-        turning = (points.u > 0) if direction == "forward" else (points.u < 0)
-        ratio = np.where(np.isfinite(points.voltage), points.voltage / curves.reference_voltage, 1.0)
-        found = lag.steady_speed_map(points.u[turning], points.speed[turning], ratio[turning])
-        out |= {f"steady_speed_{power}_{direction}": float(value) for power, value in enumerate(found)}
+        turning = turns(points.u, direction)
+        ratio = supply_ratio(points, curves.reference_voltage)
+        powers = lag.steady_speed_map(points.u[turning], points.speed[turning], ratio[turning])
+        out |= {f"steady_speed_{power}_{direction}": float(value) for power, value in enumerate(powers)}
     return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Climb:
+    """What every rung is fitted and scored with."""
+
+    campaign: MotorCampaign
+    bench: Bench
+    parts: _Parts
+    best: Mapping[str, float]
+    budget: SearchSettings
+    threads: int | None
+    hooks: Hooks
+
+    @property
+    def pair(self) -> tuple[float, float]:
+        """Weights of torque and speed."""
+        return self.campaign.cost.weights.torque, self.campaign.cost.weights.speed
+
+    def cost(self, targets: tuple[MotorTarget, ...]) -> MotorCost:
+        return MotorCost(targets, self.pair, self.campaign.cost.denominator)
+
+    def search(self, objective: Objective) -> tuple[FloatArray, dict[str, float], int]:
+        """Return the best row (1, n_table), its free values by name, and how many candidates were scored."""
+        space = objective.space
+        begin = np.array([self.best.get(row.name, row.nominal) for row in space.free])
+        point = space.encode(begin).clip(0.0, 1.0)
+        spreads = dict(zip(self.budget.run_seeds(), _SPREADS, strict=True))
+
+        def near(name: str, n_free: int, population: int, seed: int, start: Start | None) -> Breeder:
+            beside = Start(point, np.full(n_free, spreads[seed])) if start is None else start
+            return breeder(name, n_free, population, seed, beside)
+
+        with LocalThreads() as where:
+            runs = run_many(
+                SpreadObjective(objective, where), self.budget, hooks=self.hooks, at_once=where.at_once,
+                breeds=near,
+            )  # fmt: skip
+        run: RunHistory = min(runs, key=lambda history: float(history.best[-1]))
+        values = dict(zip(space.names, space.decode(run.best_point).tolist(), strict=True))
+        row = averaged(space, space.full(run.best_point))
+        # A log that only the stage of the dead band saw has its delay from there.
+        for name in own_rows(space):
+            if name in self.best:
+                row[:, space.table.index[name]] = self.best[name]
+        return row, values, sum(history.evaluations for history in runs)
+
+    def lag(self, space: SearchSpace) -> Rung:
+        """Fit and score the first-order lag."""
+        fitted = self.bench.fitted
+        targets = tuple(trial.dynamic_target for trial in fitted)
+        row, values, spent = self.search(LagObjective.build(space, fitted, self.cost(targets)))
+        every = LagObjective.build(space, self.parts.trials, self.cost(self.parts.targets))
+        return Rung("first-order lag", values, self.parts.means(every.score(row)[0][0]), spent)
+
+    def motor(self, name: str, space: SearchSpace) -> tuple[Rung, FloatArray]:
+        """Fit and score the motor's equations; return the rung and its row (1, n_table)."""
+        bench = self.bench
+        row, values, spent = self.search(
+            MotorObjective.build(self.campaign, space, bench, bench.fitted, self.threads, dynamic=True)
+        )
+        return Rung(name, values, self.scored(space, row, ideal=True), spent), row
+
+    def scored(self, space: SearchSpace, row: FloatArray, *, ideal: bool) -> dict[str, tuple[float, float]]:
+        """Return the means of every group of a row (1, n_table), without a dead band where `ideal`."""
+        parts = self.parts
+        jobs = MotorTrials([trial.simulated for trial in parts.trials])
+        ties = ties_of(self.campaign, space, self.bench)
+        every = MotorObjective(space, parts.trials, ties, self.cost(parts.targets), jobs, self.threads, ideal)
+        return parts.means(every.score(row)[0][0])
 
 
 def climb(
@@ -220,19 +287,23 @@ def climb(
     Parameters
     ----------
     campaign : MotorCampaign
+        Its weights, denominator and fixed values count.
     bench : Bench
+        Its trials.
     space : SearchSpace
         Of the dynamic fit.
     best : mapping
-        The fit's best set by name [SI], where the searches begin; its dead band is that of the last rung, and
-        so are the delays of the logs that only the stage of the dead band saw. Names left out begin at their
-        nominal values.
+        The fit's best set by name [SI], where the searches begin. The last rung takes its dead band, and
+        every rung its delays of the logs that only the stage of the dead band saw. Names left out begin at
+        their nominal values.
     saturated : bool
         Whether the dead band was fitted or given.
     settings : SearchSettings
-        Its stop rule.
+        Its stop rule counts.
     seed : int
+        Of the searches.
     threads : int, optional
+        As in `MotorObjective`.
     should_stop : callable, optional
         Asked after every generation; raises where the fit must end.
     """
@@ -240,62 +311,24 @@ def climb(
     generations = 8 * settings.stop.max_generations
     stop = replace(settings.stop, max_generations=generations, time_limit=None, max_evaluations=None)
     budget = SearchSettings(_POPULATION, len(_SPREADS), seed, stop, "cmaes", "none")
-    pair, denominator = (campaign.cost.weights.torque, campaign.cost.weights.speed), campaign.cost.denominator
-    parts = _Parts.of(bench, pair)
-    cost = MotorCost(parts.targets, pair, denominator)
-    jobs = MotorTrials([trial.simulated for trial in parts.trials])
-
-    def found(objective: Objective) -> tuple[FloatArray, dict[str, float], int]:
-        own = objective.space
-        begin = own.encode(np.array([best.get(row.name, row.nominal) for row in own.free])).clip(0.0, 1.0)
-        near = _Near(begin, dict(zip(budget.run_seeds(), _SPREADS, strict=True)))
-        with LocalThreads() as where:
-            runs = run_many(
-                SpreadObjective(objective, where), budget, hooks=Hooks(should_stop=should_stop),
-                at_once=where.at_once, breeds=near,
-            )  # fmt: skip
-        run: RunHistory = min(runs, key=lambda one: float(one.best[-1]))
-        values = own.decode(run.best_point)
-        row = averaged(own, own.full(run.best_point))
-        # A log that only the stage of the dead band saw has its delay from there.
-        index = {name: i for i, name in enumerate(own.table)}
-        for name in own_rows(own):
-            if name in best:
-                row[:, index[name]] = best[name]
-        return row, dict(zip(own.names, values.tolist(), strict=True)), sum(one.evaluations for one in runs)
-
-    lower = lag_space(space, bench)
-    fitted = MotorTrials([trial.simulated for trial in bench.fitted])
-    targets = tuple(trial.dynamic_target for trial in bench.fitted)
-    row, values, spent = found(
-        LagObjective(lower, bench.fitted, MotorCost(targets, pair, denominator), fitted)
-    )
-    scored = LagObjective(lower, parts.trials, cost, jobs).score(row)[0][0]
-    rungs = [Rung("first-order lag", values, parts.means(scored), spent)]
-
-    def motor(name: str, own: SearchSpace) -> tuple[FloatArray, MotorObjective]:
-        row, values, spent = found(
-            MotorObjective.build(campaign, own, bench, bench.fitted, threads, dynamic=True)
-        )
-        every = MotorObjective(own, parts.trials, ties_of(campaign, own, bench), cost, jobs, threads, True)
-        rungs.append(Rung(name, values, parts.means(every.score(row)[0][0]), spent))
-        return row, every
-
+    weights = campaign.cost.weights
+    parts = _Parts.of(bench, (weights.torque, weights.speed))
+    up = _Climb(campaign, bench, parts, best, budget, threads, Hooks(should_stop=should_stop))
+    rungs = [up.lag(lag_space(space, bench))]
     if "winding_inductance" in space.names:
         fixed = {**space.fixed, "winding_inductance": _NO_INDUCTANCE}
         free = tuple(row for row in space.free if row.name != "winding_inductance")
-        motor("without L", SearchSpace(space.table, free, fixed))
-    row, every = motor("full", space)
+        rungs.append(up.motor("without L", SearchSpace(space.table, free, fixed))[0])
+    full, row = up.motor("full", space)
+    rungs.append(full)
     for name in SATURATION:
-        row[:, list(space.table).index(name)] = best[name]
-    last = parts.means(replace(every, ideal_reversal=False).score(row)[0][0])
+        row[:, space.table.index[name]] = best[name]
+    last = up.scored(space, row, ideal=False)
     # A log that starts from rest passes the dead band as well, and a dead band that was not fitted must show.
-    if saturated or any(
-        not np.allclose(last[g], rungs[-1].nrmse[g], rtol=1e-3, equal_nan=True) for g in last
-    ):
-        values = rungs[-1].values | {name: float(best[name]) for name in SATURATION}
+    if saturated or any(not np.allclose(last[g], full.nrmse[g], rtol=1e-3, equal_nan=True) for g in last):
+        values = full.values | {name: float(best[name]) for name in SATURATION}
         name = "full with saturation" if saturated else "full, saturation as in Table I"
-        rungs.append(Rung(name, values, last, rungs[-1].evaluations))
+        rungs.append(Rung(name, values, last, full.evaluations))
     return tuple(rungs)
 
 
