@@ -4,8 +4,8 @@
 
 The same search fits every rung to the same forward and reverse trials: CMA-ES with one population, stop rule
 and seed, once from near the fit's best set, as far as the rung has its parameters, and once from all around
-it. The better run counts, so that no rung is worse for a search that did not find its optimum. Rungs below the
-last are scored without a dead band, which only starts from rest and reversals show. Judge a step by its
+it. The better run counts, so that no rung is worse for a search that did not find its optimum. Rungs below
+the last are scored without a dead band, which only starts from rest and reversals show. Judge a step by its
 held-out columns: an inductance is not real because a search returned one.
 """
 
