@@ -21,23 +21,18 @@ from sysid.errors import CampaignError
 from sysid.gear import model
 from sysid.synthetic import gear_campaign
 from sysid.synthetic.folder import CAMPAIGN_FILE, TRUTH_FILE, refuse_existing, truth_text, write_folder
+from sysid.synthetic.gear_campaign import BOARD_MARKERS, BODY, CENTRE_OF_MASS, MARKER_HEIGHT
 from sysid.synthetic.motion_capture import CaptureNoise, SeenBody, Take, motive_csv, observe, pose_table_csv
 from sysid.trials.capture import CaptureFrame
 from sysid.types import FloatArray
 
 Export = Literal["motive", "motive-mm", "motive-euler", "pose-table"]
-Plane = Literal["point", "markers"]
 Use = Literal["fit", "validate"]
 
-BODY = "F450"
-BOARD_MARKERS = ("board-1", "board-2", "board-3")
-MARKER_HEIGHT = 7e-3
 # Of the board's hinge line in the room, along (down-slope, into the page, up) [m].
 _HINGE = (0.8125, -0.3640, 0.4305)
-# From the rigid body's origin to the centre of mass, in the body's own axes (capture axes when level) [m].
-_CENTRE_OF_MASS = (0.004, -0.022, 0.003)
-# How far the body's own axes are from level while it hangs level: pitch, roll, yaw [deg].
-_OWN_AXES_DEG = (0.6, -0.4, 0.3)
+# How far the rigid body's axes are from level while the drone hangs level: pitch, roll, yaw [deg].
+_BODY_AXES_DEG = (0.6, -0.4, 0.3)
 _AFTER_CONTACT = 1.05
 # Unix time of frame 0 of the streamed table [s].
 _EPOCH = 1_700_000_000.0
@@ -108,6 +103,51 @@ HF_DROPS = (
 )
 
 
+@dataclass(frozen=True)
+class CaptureLab:
+    """How drops are recorded.
+
+    Parameters
+    ----------
+    noise_position, noise_angle : float
+        One standard deviation per axis and frame [m], [rad]; 0 leaves the quantization of the file only.
+    rate : float
+        Of the capture [Hz].
+    up, down_slope : str
+        Capture axes that point up and down the slope.
+    plane : {"point", "markers"}
+        What the campaign states about the surface; the logs contain three board markers either way.
+    occlusions : bool
+        Lose the body for 1 to 4 frames, three times per drop.
+    wobble : float
+        Amplitude of roll and yaw after the contact [rad].
+    """
+
+    noise_position: float = 0.3e-3
+    noise_angle: float = math.radians(0.2)
+    rate: float = 200.0
+    up: str = "+y"
+    down_slope: str = "-z"
+    plane: Literal["point", "markers"] = "point"
+    occlusions: bool = True
+    wobble: float = math.radians(0.4)
+
+    @property
+    def noise(self) -> CaptureNoise:
+        """Noise of the solved pose."""
+        return CaptureNoise(self.noise_position, self.noise_angle)
+
+    @property
+    def frame(self) -> CaptureFrame:
+        """Directions of the capture axes."""
+        return CaptureFrame(self.up, self.down_slope)
+
+    @property
+    def hinge(self) -> FloatArray:
+        """The board's hinge line in capture axes (3,) [m]."""
+        return self.frame.matrix.T @ np.array(_HINGE)
+
+
 @dataclass(frozen=True, eq=False)
 class _Truth:
     """One simulated drop on the capture's frames, model axes with the origin at the hinge."""
@@ -130,16 +170,9 @@ def synthesize_gear(
     surface: str = "lf",
     drops: Sequence[DropPlan] | None = None,
     parameters: Mapping[str, float] | None = None,
-    noise_position: float = 0.3e-3,
-    noise_angle: float = math.radians(0.2),
-    rate: float = 200.0,
-    up: str = "+y",
-    down_slope: str = "-z",
-    plane: Plane = "point",
-    occlusions: bool = True,
-    wobble: float = math.radians(0.4),
     name: str | None = None,
     force: bool = False,
+    **lab: Any,
 ) -> Path:
     """Write a campaign of drops with known truth.
 
@@ -156,27 +189,12 @@ def synthesize_gear(
         What to drop; at least one with ``use = "fit"``. Default: `LF_DROPS` or `HF_DROPS`.
     parameters : mapping, optional
         True values that differ from those [SI].
-    noise_position, noise_angle : float
-        One standard deviation per axis and frame [m], [rad]; 0 leaves the quantization of the file only.
-    rate : float
-        Of the capture [Hz].
-    up, down_slope : str
-        Capture axes that point up and down the slope.
-    plane : {"point", "markers"}
-        What the campaign states about the surface; the logs hold three board markers either way.
-    occlusions : bool
-        Lose the body for 1 to 4 frames, three times per drop.
-    wobble : float
-        Amplitude of roll and yaw after the contact [rad].
     name : str, optional
         Of the campaign; ``synthetic-lf`` when left out.
     force : bool
         Replace an existing synthesized folder, with all that is in it.
-
-    Returns
-    -------
-    Path
-        The folder.
+    **lab
+        Fields of `CaptureLab`.
 
     Raises
     ------
@@ -193,65 +211,53 @@ def synthesize_gear(
         raise CampaignError(
             f"drops: {', '.join(names) or 'none'}; give different drops, at least one of them to fit"
         )
-    noise = CaptureNoise(noise_position, noise_angle)
-    frame = CaptureFrame(up, down_slope)
-    hinge = frame.matrix.T @ np.array(_HINGE)
+    setup = CaptureLab(**lab)
     true = {**model.parameters_on(surface).nominal, **(parameters or {})}
     files: dict[str, Any] = {}
     facts, trials = [], []
     for number, plan in enumerate(drops, start=1):
         # Children of one seed: a drop stays the same when another one is added.
         source = np.random.default_rng([seed, number])
-        truth = _simulate(plan, true, surface, rate, source)
+        truth = _simulate(plan, true, surface, setup.rate, source)
         log = f"drop-{number}-{plan.name}.csv"
-        take, marks = _record(number, plan, truth, frame, hinge, noise, rate, occlusions, wobble, source)
-        if plan.export == "pose-table":
-            files[log] = pose_table_csv(take, BODY, epoch=_EPOCH)
-        else:
-            files[log] = motive_csv(
-                take,
-                unit="Millimeters" if plan.export == "motive-mm" else "Meters",
-                rotation="XYZ" if plan.export == "motive-euler" else "Quaternion",
-            )
-        point = hinge if plan.export == "pose-table" and plane == "markers" else None
+        take, marks = _record(number, plan, truth, setup, source)
+        files[log] = _log_text(take, plan.export)
+        point = tuple(setup.hinge) if plan.export == "pose-table" and setup.plane == "markers" else None
         trials.append(gear_campaign.trial_text(number, plan.slope, plan.impact_speed, plan.use, log, point))
         facts.append(_facts(number, plan, truth, log, marks))
     files[CAMPAIGN_FILE] = gear_campaign.campaign_text(
-        name or f"synthetic-{surface}",
-        true,
-        trials,
-        surface=surface,
-        rigid_body=BODY,
-        up=up,
-        down_slope=down_slope,
-        centre_of_mass=_CENTRE_OF_MASS,
-        point=tuple(hinge) if plane == "point" else None,
-        markers=BOARD_MARKERS,
-        marker_height=MARKER_HEIGHT,
-        seed=seed,
-    )
-    files[TRUTH_FILE] = truth_text(
-        "gear",
-        model.PARAMETERS,
-        true,
-        {
-            "surface": surface,
-            "seed": seed,
-            "rate [Hz]": rate,
-            "noise": {"position [m]": noise.position, "angle [rad]": noise.angle},
-            "capture": {
-                "up": up,
-                "down_slope": down_slope,
-                "surface point [m]": [float(value) for value in hinge],
-                "centre of mass offset [m]": list(_CENTRE_OF_MASS),
-                "own axes, pitch roll yaw [deg]": list(_OWN_AXES_DEG),
-                "marker height [m]": MARKER_HEIGHT,
-            },
-            "free": list(model.find_surface(surface).free),
-            "drops": facts,
+        name or f"synthetic-{surface}", true, trials, surface=surface, up=setup.up,
+        down_slope=setup.down_slope, point=tuple(setup.hinge) if setup.plane == "point" else None, seed=seed,
+    )  # fmt: skip
+    circumstances = {
+        "surface": surface,
+        "seed": seed,
+        "rate [Hz]": setup.rate,
+        "noise": {"position [m]": setup.noise_position, "angle [rad]": setup.noise_angle},
+        "capture": {
+            "up": setup.up,
+            "down_slope": setup.down_slope,
+            "surface point [m]": [float(value) for value in setup.hinge],
+            "centre of mass offset [m]": list(CENTRE_OF_MASS),
+            "own axes, pitch roll yaw [deg]": list(_BODY_AXES_DEG),
+            "marker height [m]": MARKER_HEIGHT,
         },
-    )
+        "free": list(model.find_surface(surface).free),
+        "drops": facts,
+    }
+    files[TRUTH_FILE] = truth_text("gear", model.PARAMETERS, true, circumstances)
     return write_folder(folder, files, force=force)
+
+
+def _log_text(take: Take, export: Export) -> str:
+    """Return the log of a drop in the format that its plan names."""
+    if export == "pose-table":
+        return pose_table_csv(take, BODY, epoch=_EPOCH)
+    return motive_csv(
+        take,
+        unit="Millimeters" if export == "motive-mm" else "Meters",
+        rotation="XYZ" if export == "motive-euler" else "Quaternion",
+    )
 
 
 def _simulate(
@@ -295,33 +301,28 @@ def _record(
     number: int,
     plan: DropPlan,
     truth: _Truth,
-    frame: CaptureFrame,
-    hinge: FloatArray,
-    noise: CaptureNoise,
-    rate: float,
-    occlusions: bool,
-    wobble: float,
+    lab: CaptureLab,
     source: np.random.Generator,
 ) -> tuple[Take, dict[str, list[list[int]] | list[int]]]:
     """Turn the planar truth into what the cameras of the room saw."""
-    count = len(truth.time)
+    count, frame, hinge, noise, rate = len(truth.time), lab.frame, lab.hinge, lab.noise, lab.rate
     x, z, pitch = truth.coordinates.T
     elapsed = np.maximum(0.0, truth.time - truth.touchdown)
     # Off the plane: nothing before the contact, then a small wobble and a slow drift.
     swing = np.sin(2 * math.pi * 1.7 * elapsed)
-    roll, yaw = wobble * swing, -0.7 * wobble * np.sin(2 * math.pi * 1.1 * elapsed)
+    roll, yaw = lab.wobble * swing, -0.7 * lab.wobble * np.sin(2 * math.pi * 1.1 * elapsed)
     aside = 0.031 + 0.004 * elapsed
     planar = Rotation.from_euler("YXZ", np.column_stack([pitch, roll, yaw]))
     into_page = Rotation.from_matrix(frame.matrix.T)
-    own = Rotation.from_euler("YXZ", _OWN_AXES_DEG, degrees=True)
-    # While the drone hangs level its own axes are those of the room, but for how the body was once defined.
-    rotation = into_page * planar * own * into_page.inv()
+    axes = Rotation.from_euler("YXZ", _BODY_AXES_DEG, degrees=True)
+    # While the drone hangs level, only the definition of the rigid body turns it against the room.
+    rotation = into_page * planar * axes * into_page.inv()
     centre = hinge + np.column_stack([x, aside, z]) @ frame.matrix
-    origin = centre - rotation.apply(np.array(_CENTRE_OF_MASS))
+    origin = centre - rotation.apply(np.array(CENTRE_OF_MASS))
     hold = int(np.searchsorted(truth.time, truth.release))
     touch = int(np.searchsorted(truth.time, truth.touchdown))
     gaps = []
-    if occlusions:
+    if lab.occlusions:
         starts = [
             source.integers(10, hold - 45),
             source.integers(touch + round(0.06 * rate), touch + round(0.30 * rate)),

@@ -5,6 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+BODY = "F450"
+BOARD_MARKERS = ("board-1", "board-2", "board-3")
+MARKER_HEIGHT = 7e-3
+# From the rigid body's origin to the centre of mass, along the body's axes (capture axes when level) [m].
+CENTRE_OF_MASS = (0.004, -0.022, 0.003)
+
 
 def quantity(value: float, unit: str, scale: float = 1.0) -> str:
     """Return a TOML string of an SI value in a unit that is `scale` times smaller."""
@@ -42,23 +48,19 @@ def campaign_text(
     trials: Sequence[str],
     *,
     surface: str,
-    rigid_body: str,
     up: str,
     down_slope: str,
-    centre_of_mass: Sequence[float],
     point: Sequence[float] | None,
-    markers: Sequence[str],
-    marker_height: float,
     seed: int,
 ) -> str:
     """Return the campaign file; measured values are exact, what is to be identified is not in it."""
     if point is not None:
         where = f"point = {_point(point)}  # on the board's hinge line: on the surface at every slope"
     else:
-        named = ", ".join(f'"{marker}"' for marker in markers)
+        named = ", ".join(f'"{marker}"' for marker in BOARD_MARKERS)
         where = (
             f"markers = [{named}]  # on the board\n"
-            f"marker_height = {quantity(marker_height, 'mm', 1e3)}  # of a marker's centre above the surface"
+            f"marker_height = {quantity(MARKER_HEIGHT, 'mm', 1e3)}  # of a marker's centre above the surface"
         )
     legs = (
         f"leg_mass = {quantity(values['leg_mass'], 'kg')}  # of the pair of legs at one end\n"
@@ -85,10 +87,10 @@ thrust_point_dx = {quantity(values["thrust_point_dx"], "mm", 1e3)}
 {legs}gravity = {quantity(values["gravity"], "m/s²")}
 
 [capture]
-rigid_body = "{rigid_body}"
+rigid_body = "{BODY}"
 up = "{up}"
 down_slope = "{down_slope}"
-centre_of_mass_offset = {_point(centre_of_mass)}  # balanced on an edge, from the body's pivot
+centre_of_mass_offset = {_point(CENTRE_OF_MASS)}  # balanced on an edge, from the body's pivot
 level = "release"  # the magnet holds it level
 
 [surface]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
@@ -118,11 +119,6 @@ def synthesize_motor(
     force : bool
         Replace an existing synthesized folder, with all that is in it.
 
-    Returns
-    -------
-    Path
-        The folder.
-
     Raises
     ------
     CampaignError, FitError
@@ -149,39 +145,25 @@ def synthesize_motor(
         facts.append({"name": plan.name, "log": file, "direction": plan.direction, "use": plan.use, **fact})
         entries.append(_trial_text(plan, file, fact["window start [s]"]))
     stands = {}
-    for number, (file, direction, loaded) in enumerate(
-        (
-            ("static-forward.csv", "forward", True),
-            ("static-reverse.csv", "reverse", True),
-            ("no-load-forward.csv", "forward", False),
-            ("no-load-reverse.csv", "reverse", False),
-        ),
-        start=101,
-    ):
+    for number, (kind, direction) in enumerate(product(("static", "no-load"), ("forward", "reverse")), 101):
         source = np.random.default_rng([seed, number])
-        points, tare = _stand_points(direction == "forward", loaded, true, noise, source)
+        points, tare = _stand_points(direction == "forward", kind == "static", true, noise, source)
+        file = f"{kind}-{direction}.csv"
         files[file] = stand_csv(points, source, thrust_unit="gf" if direction == "forward" else "N")
         stands[file] = tare
     files[CAMPAIGN_FILE] = _campaign_text(name, true, entries, seed)
-    files[TRUTH_FILE] = truth_text(
-        "motor",
-        model.PARAMETERS,
-        true,
-        {
-            "seed": seed,
-            "rate [Hz]": rate,
-            # Its I_sat and Ω_min are then no truth.
-            **({"ideal reversal": True} if ideal_reversal else {}),
-            "noise": {
-                "force [N]": spread.force,
-                "torque [N·m]": spread.torque,
-                "speed [rad/s]": spread.speed,
-            },
-            "free": list(model.FREE_DEFAULT),
-            "trials": facts,
-            "thrust stand": stands,
-        },
-    )
+    noises = {"force [N]": spread.force, "torque [N·m]": spread.torque, "speed [rad/s]": spread.speed}
+    circumstances = {
+        "seed": seed,
+        "rate [Hz]": rate,
+        # I_sat and Ω_min are no truth then.
+        **({"ideal reversal": True} if ideal_reversal else {}),
+        "noise": noises,
+        "free": list(model.FREE_DEFAULT),
+        "trials": facts,
+        "thrust stand": stands,
+    }
+    files[TRUTH_FILE] = truth_text("motor", model.PARAMETERS, true, circumstances)
     return write_folder(folder, files, force=force)
 
 
