@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc, FancyBboxPatch, Polygon
 
 from sysid.gear.surfaces import high_friction
+from sysid.report.drawing import WIDTH
 from sysid.report.drop_replay import DropReplay
-from sysid.report.fit_figures import WIDTH
 from sysid.report.snapshots import BODY, FRICTION, GROUND, NORMAL
 from sysid.types import FloatArray
 

@@ -1,206 +1,312 @@
-"""Figures for a page that a phone shows too: one panel each, narrow, with letters that stay readable.
+"""Figures of a fit: measured against simulated, how the search went, what the filter leaves.
 
-The larger figures of `sysid.report.fit_plots` put many panels side by side for paper and screens.
+A page shows one panel each, narrow, with letters that stay readable on a phone; files for paper and screens
+put many panels side by side.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from sysid.errors import ExportError
 from sysid.filters import ChebyshevLowpass, KaiserLowpass, Spectrum
 from sysid.fit.optima import SAME_NRMSE
 from sysid.fit.result import FitResult, TrialResult
-from sysid.report.drop_replay import FEET, Contact
-from sysid.report.fit_plots import (
+from sysid.report.drawing import (
     BEST,
     MASKED,
     MEASURED,
     OTHERS,
     RUNS,
+    WIDTH,
+    as_math,
     axis_label,
     display_of,
     finer_unit,
-    masked_runs,
+    panel,
     percent_axis,
     percent_text,
+    thinned,
+    tidy,
 )
 from sysid.types import FloatArray
 
-WIDTH = 4.3
-# Points of a curve beyond which only least and largest value of every stretch are drawn.
-_POINTS = 900
-FOOT_COLOURS = ("#009E73", "#CC79A7")
+# More samples than this are drawn as a line instead of dots.
+_DENSE = 400
+# Colours of the rows of bars below a trial's signals.
+_BARS = ("#009E73", "#CC79A7", "#E69F00")
+# Shorter bars are widened to this, to be seen [s].
+_SHORTEST_BAR = 2e-3
+# A trial's name above a column; longer ones would reach into the next.
+_LONGEST_NAME = 30
 # Markers of optima, best first.
 _MARKERS = "osD^vP*X"
-_INDEXED = re.compile(r"(\w[^\W_]*)_([^\W_]+)")
+
+# Intervals (start, end) [s] since the window's start by what happens in them, such as a foot on the ground.
+Bars = Mapping[str, Sequence[tuple[float, float]]]
+# A colour, the way it is drawn (``line``, ``thick``, ``dots``, ``bar`` or ``area``), and words.
+Entry = tuple[str, str, str]
 
 
-def panel(height: float = 3.0, width: float = WIDTH) -> Figure:
-    """Return an empty figure of the page's width [in]."""
-    return Figure(figsize=(width, height), layout="constrained")
-
-
-def figure_channel(
-    fit: FitResult, trial: TrialResult, channel: int, *, contacts: Sequence[Contact] = ()
-) -> Figure:
-    """Draw one channel of one trial: measured, every set, the residual of the best below.
-
-    Parameters
-    ----------
-    fit, trial
-    channel : int
-        Its number in the fit.
-    contacts : sequence of Contact
-        Of the best set's simulation; drawn as bars at the bottom, a row per foot.
-    """
+def figure_channel(fit: FitResult, trial: TrialResult, channel: int, *, bars: Bars | None = None) -> Figure:
+    """Draw one channel of one trial for a page: measured, every set, the residual of the best below."""
     # Fixed margins: a page has dozens of these, and laying one out takes longer than drawing it.
     figure = Figure(figsize=(WIDTH, 3.1))
-    rows = {"left": 0.235, "right": 0.965, "top": 0.92, "bottom": 0.15, "hspace": 0.12}
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.4, 1.0), gridspec_kw=rows)
-    name, unit, factor = display_of(fit, channel)
-    time = trial.time - trial.time[0]
-    valid = trial.valid[:, channel]
-    measured = np.where(valid, factor * trial.measured[:, channel], np.nan)
-    _shade(top, trial)
-    _shade(bottom, trial)
-    for s in range(len(trial.simulated) - 1, -1, -1):
-        look = {"color": BEST, "linewidth": 1.3, "zorder": 4} if s == 0 else {
-            "color": OTHERS, "linewidth": 0.8, "zorder": 3,
-        }  # fmt: skip
-        top.plot(*thinned(time, factor * trial.simulated[s, :, channel]), **look)
-    if len(time) > 400:
-        top.plot(*thinned(time, measured), color=MEASURED, linewidth=2.0, zorder=2)
-    else:
-        top.plot(time, measured, color=MEASURED, linestyle="none", marker=".", markersize=3.0, zorder=2)
-    if np.any(np.isfinite(measured)):
-        low, high = float(np.nanmin(measured)), float(np.nanmax(measured))
-        room = 0.25 * (high - low) or 1.0
-        least, most = top.get_ylim()
-        top.set_ylim(max(least, low - room), min(most, high + room))
-    _mark_contacts(top, contacts)
-    small, finer = finer_unit(unit)
-    bottom.axhline(0.0, color="0.6", linewidth=0.8)
-    if len(trial.simulated):
-        error = finer * factor * (trial.simulated[0, :, channel] - trial.measured[:, channel])
-        bottom.plot(*thinned(time, np.where(valid, error, np.nan)), color=BEST, linewidth=0.8)
-    own = float(trial.nrmse[0, channel]) if len(trial.nrmse) else float("nan")
-    top.set_title(f"{name}: NRMSE {percent_text(own)}", fontsize=9.5, loc="left")
-    top.set_ylabel(axis_label(name, unit))
-    bottom.set_ylabel(f"residual\n[{small}]")
+    margins = {"left": 0.235, "right": 0.965, "top": 0.92, "bottom": 0.15, "hspace": 0.12}
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.4, 1.0), gridspec_kw=margins)
+    _draw_signals(top, fit, trial, channel, bars or {})
+    _draw_residual(bottom, fit, trial, channel)
+    name, _, _ = display_of(fit, channel)
+    top.set_title(f"{name}: NRMSE {percent_text(_best_nrmse(trial, channel))}", fontsize=9.5, loc="left")
     bottom.set_xlabel("time in the window [s]")
-    _finish(top, bottom)
-    top.set_xlim(float(time[0]), float(time[-1]))
     figure.align_ylabels([top, bottom])
     return figure
 
 
-def legend_of(fit: FitResult, *, contacts: bool) -> list[tuple[str, str, str]]:
-    """Return what the lines of the channels' panels mean: (colour, how it is drawn, words) each."""
-    dense = all(len(trial.time) > 400 for trial in fit.trials)
-    out = [(MEASURED, "thick" if dense else "dots", "measured"), (BEST, "line", "best set, residual")]
+def figure_measured_against_simulated(
+    fit: FitResult, trial: str | None = None, *, bars: Bars | None = None
+) -> Figure:
+    """Draw what was measured and what each set simulates, with the residual of the best set.
+
+    Parameters
+    ----------
+    fit : FitResult
+    trial : str, optional
+        One trial by name, in large: a row per channel, signals left, residual right. Without it all trials:
+        a column per trial, a row per channel, the residual below each.
+    bars : mapping, optional
+        Intervals to mark below the signals of one trial.
+
+    Raises
+    ------
+    ExportError
+        When there is no such trial.
+
+    Notes
+    -----
+    Samples that did not count are not drawn; where they were lost for every channel the time is shaded (an
+    occlusion, a stall of the logger).
+    """
+    if trial is None:
+        if not fit.trials:
+            raise ExportError(f"{fit.name}: the fit holds no trial to draw; fit it again")
+        return _all_trials(fit)
+    chosen = [candidate for candidate in fit.trials if candidate.name == trial]
+    if not chosen:
+        known = ", ".join(candidate.name for candidate in fit.trials) or "none"
+        raise ExportError(f"{fit.name}: no trial {trial!r} to draw; found {known}")
+    return _one_trial(fit, chosen[0], bars or {})
+
+
+def legend_of(fit: FitResult, trials: Sequence[TrialResult], bars: Sequence[str] = ()) -> list[Entry]:
+    """Return what the lines of the trials' panels mean; `bars` names the rows of bars."""
+    dense = all(len(trial.time) > _DENSE for trial in trials)
+    out = [(MEASURED, "thick" if dense else "dots", "measured")]
+    if len(fit.nrmse):
+        out.append((BEST, "line", "best set, residual"))
     if len(fit.nrmse) > 1:
         others = "other set" if len(fit.nrmse) == 2 else f"other {len(fit.nrmse) - 1} sets"
         out.append((OTHERS, "line", others))
-    if contacts:
-        out += [(FOOT_COLOURS[i], "bar", f"{foot} foot down") for i, foot in enumerate(FEET)]
-    if any(masked_runs(trial) for trial in fit.trials):
+    out += [(_BARS[i % len(_BARS)], "bar", name) for i, name in enumerate(bars)]
+    if any(masked_runs(trial) for trial in trials):
         out.append((MASKED, "area", "no sample counts"))
     return out
 
 
-def figure_thrust(
-    trial: TrialResult,
-    simulated: FloatArray,
-    *,
-    window: tuple[float, float] | None = None,
-    zero: float | None = None,
-    legend: bool = False,
-) -> Figure:
-    """Draw measured thrust and that of every set, in the manner of the paper's Fig. 4; commands as steps.
+def _handle(entry: Entry) -> Line2D | Patch:
+    colour, kind, label = entry
+    if kind == "area":
+        return Patch(color=colour, label=label)
+    if kind == "dots":
+        return Line2D([], [], color=colour, linestyle="none", marker=".", label=label)
+    return Line2D([], [], color=colour, linewidth={"thick": 2.2, "bar": 3.0}.get(kind, 1.3), label=label)
 
-    Parameters
-    ----------
-    trial : TrialResult
-        Of a motor, with its thrust.
-    simulated : (S, n) array
-        Thrust of every set [N].
-    window : (float, float), optional
-        Only this part of the trial's time [s].
-    zero : float, optional
-        Where the drawn time begins to count, such as a command [s]; the window's start by default.
-    legend : bool
-        Say in the figure what the lines are, for a figure that stands alone.
-    """
-    assert trial.thrust is not None
-    figure = panel(3.4)
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.6, 1.0))
-    inside = np.ones(len(trial.time), dtype=bool)
-    if window is not None:
-        inside = (trial.time >= window[0]) & (trial.time <= window[1])
-    origin = float(trial.time[inside][0]) if zero is None else zero
-    time = trial.time[inside] - origin
-    top.plot(*thinned(time, trial.thrust[inside]), color=MEASURED, linewidth=2.0)
-    for s in range(len(simulated) - 1, -1, -1):
-        top.plot(
-            *thinned(time, simulated[s][inside]),
-            color=BEST if s == 0 else OTHERS,
-            linewidth=1.2 if s == 0 else 0.8,
-        )
-    top.set_ylabel("thrust [N]")
-    if trial.commands is not None:
-        # The last command holds to the end.
-        instants = np.append(trial.commands[:, 0] - origin, max(time[-1], trial.commands[-1, 0] - origin))
-        levels = 100 * np.append(trial.commands[:, 1], trial.commands[-1, 1])
-        bottom.step(instants, levels, where="post", color="#0072B2")
-    bottom.set_ylim(-115, 115)
-    bottom.set_ylabel("command\n[%]")
-    bottom.set_xlabel("time [s]" if zero is None else "time after the command [s]")
-    if zero is not None:
-        for axes in (top, bottom):
-            axes.axvline(0.0, color="0.6", linewidth=0.8, linestyle=":")
-    if legend:
-        names = [("measured", MEASURED, 2.0), ("best set", BEST, 1.2)]
-        names += [("other sets", OTHERS, 0.8)] if len(simulated) > 1 else []
-        names += [("command", "#0072B2", 1.5)] if trial.commands is not None else []
-        handles = [Line2D([], [], label=label, color=colour, linewidth=wide) for label, colour, wide in names]
-        figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=8, frameon=False)
-    top.set_xlim(float(time[0]), float(time[-1]))
-    _finish(top, bottom)
-    figure.align_ylabels([top, bottom])
+
+def _one_trial(fit: FitResult, trial: TrialResult, bars: Bars) -> Figure:
+    rows = len(fit.channels)
+    figure = Figure(figsize=(11.0, 1.2 + 2.0 * rows), layout="constrained")
+    grid = figure.subplots(rows, 2, sharex=True, squeeze=False, width_ratios=(2.2, 1.0))
+    for c in range(rows):
+        signal, residual = grid[c]
+        _draw_signals(signal, fit, trial, c, bars)
+        _draw_residual(residual, fit, trial, c)
+        residual.set_title(f"NRMSE {percent_text(_best_nrmse(trial, c))}", fontsize="medium")
+    grid[0, 0].set_title("signals", fontsize="medium")
+    for axes in grid[-1]:
+        axes.set_xlabel("time in the window [s]")
+    figure.suptitle(_title(fit, trial))
+    handles = [_handle(entry) for entry in legend_of(fit, [trial], list(bars))]
+    figure.legend(handles=handles, loc="outside lower center", ncols=6, frameon=False)
+    figure.align_ylabels(grid[:, 0])
+    figure.align_ylabels(grid[:, 1])
     return figure
 
 
-def figure_runs(fit: FitResult) -> Figure:
-    """Draw the best NRMSE after every generation, a line per run; a dot where it ended."""
-    figure = panel(3.2)
+def _all_trials(fit: FitResult) -> Figure:
+    rows, columns = len(fit.channels), len(fit.trials)
+    width, height = max(9.0, 1.2 + 3.1 * columns), 1.7 + 2.5 * rows
+    # Fixed margins: laying out eighty axes automatically takes longer than drawing them.
+    figure = Figure(figsize=(width, height))
+    cells = figure.add_gridspec(
+        rows, columns, left=1.0 / width, right=1.0 - 0.15 / width, bottom=0.95 / height,
+        top=1.0 - 0.95 / height, hspace=0.2, wspace=0.3,
+    )  # fmt: skip
+    first_column = []
+    for t, trial in enumerate(fit.trials):
+        shared: Axes | None = None
+        for c in range(rows):
+            pair = cells[c, t].subgridspec(2, 1, height_ratios=(2.3, 1.0), hspace=0.09)
+            signal = figure.add_subplot(pair[0], sharex=shared)
+            shared = shared or signal
+            residual = figure.add_subplot(pair[1], sharex=shared)
+            _draw_signals(signal, fit, trial, c, {})
+            _draw_residual(residual, fit, trial, c)
+            signal.tick_params(labelbottom=False)
+            residual.tick_params(labelbottom=c == rows - 1)
+            signal.set_title(f"NRMSE {percent_text(_best_nrmse(trial, c))}", fontsize="small", loc="right")
+            if c == 0:
+                use = "fitted" if trial.use == "fit" else "validation"
+                name = trial.name
+                name = name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 1]}…"
+                signal.set_title(f"{name}\n{use}", fontsize="medium", loc="left")
+            if t == 0:
+                first_column += [signal, residual]
+            else:
+                signal.set_ylabel("")
+                residual.set_ylabel("")
+        residual.set_xlabel("time in the window [s]")
+    title = f"{fit.name}: measured against simulated ({fit.kind}); NRMSE of the best set"
+    figure.suptitle(title, y=1.0 - 0.25 / height)
+    handles = [_handle(entry) for entry in legend_of(fit, fit.trials)]
+    figure.legend(handles=handles, loc="lower center", ncols=5, frameon=False)
+    figure.align_ylabels(first_column)
+    return figure
+
+
+def _draw_signals(axes: Axes, fit: FitResult, trial: TrialResult, c: int, bars: Bars) -> None:
+    name, unit, factor = display_of(fit, c)
+    time = trial.time - trial.time[0]
+    measured = np.where(trial.valid[:, c], factor * trial.measured[:, c], np.nan)
+    _shade(axes, trial)
+    for s in range(len(trial.simulated) - 1, -1, -1):
+        colour, width, order = (BEST, 1.3, 4) if s == 0 else (OTHERS, 0.8, 3)
+        curve = thinned(time, factor * trial.simulated[s, :, c])
+        axes.plot(*curve, color=colour, linewidth=width, zorder=order)
+    if len(time) > _DENSE:
+        axes.plot(*thinned(time, measured), color=MEASURED, linewidth=2.0, zorder=2)
+    else:
+        axes.plot(time, measured, color=MEASURED, linestyle="none", marker=".", markersize=3.0, zorder=2)
+    # A set that went astray must not flatten the measurement it is compared with.
+    if np.any(np.isfinite(measured)):
+        low, high = float(np.nanmin(measured)), float(np.nanmax(measured))
+        margin = 0.25 * (high - low) or 1.0
+        bottom, top = axes.get_ylim()
+        axes.set_ylim(max(bottom, low - margin), min(top, high + margin))
+    _draw_bars(axes, bars)
+    axes.set_ylabel(f"{name}{chr(10) if len(name) > 11 and '$' not in name else ' '}[{unit}]")
+    axes.set_xlim(float(time[0]), float(time[-1]))
+    tidy(axes)
+
+
+def _draw_residual(axes: Axes, fit: FitResult, trial: TrialResult, c: int) -> None:
+    _, unit, factor = display_of(fit, c)
+    unit, finer = finer_unit(unit)
+    time = trial.time - trial.time[0]
+    _shade(axes, trial)
+    axes.axhline(0.0, color="0.6", linewidth=0.8)
+    if len(trial.simulated):
+        error = finer * factor * (trial.simulated[0, :, c] - trial.measured[:, c])
+        axes.plot(*thinned(time, np.where(trial.valid[:, c], error, np.nan)), color=BEST, linewidth=0.8)
+    axes.set_ylabel(f"residual\n[{unit}]")
+    axes.set_xlim(float(time[0]), float(time[-1]))
+    tidy(axes)
+
+
+def _draw_bars(axes: Axes, bars: Bars) -> None:
+    """Draw intervals below the curves, a row per name."""
+    if not any(bars.values()):
+        return
+    low, high = axes.get_ylim()
+    row = 0.035 * (high - low)
+    bottom = low - row * (len(bars) + 0.9)
+    axes.set_ylim(bottom, high)
+    for i, intervals in enumerate(bars.values()):
+        y = bottom + row * (0.7 + i)
+        for start, end in intervals:
+            look: dict[str, Any] = {"color": _BARS[i % len(_BARS)], "linewidth": 3, "zorder": 5}
+            axes.plot([start, max(end, start + _SHORTEST_BAR)], [y, y], solid_capstyle="butt", **look)
+
+
+def _shade(axes: Axes, trial: TrialResult) -> None:
+    """Shade the intervals in which no channel counts."""
+    time = trial.time - trial.time[0]
+    for first, last in masked_runs(trial):
+        left, right = time[max(first - 1, 0)], time[min(last + 1, len(time) - 1)]
+        axes.axvspan(float(left), float(right), color=MASKED, linewidth=0, zorder=0)
+
+
+def masked_runs(trial: TrialResult) -> list[tuple[int, int]]:
+    """Return (first, last) sample of every run that counts for no channel."""
+    lost = np.concatenate([[False], ~trial.valid.any(axis=1), [False]])
+    edges = np.flatnonzero(np.diff(lost.astype(np.int8)))
+    return [(int(first), int(end) - 1) for first, end in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _best_nrmse(trial: TrialResult, c: int) -> float:
+    return float(trial.nrmse[0, c]) if len(trial.nrmse) else float("nan")
+
+
+def _title(fit: FitResult, trial: TrialResult) -> str:
+    use = "fitted" if trial.use == "fit" else "validation, not fitted"
+    weights = np.asarray(fit.channel_weights)
+    used = weights > 0
+    means = trial.nrmse[:, used] @ (weights[used] / weights[used].sum())
+    text = f"{fit.name}, {trial.name} ({use})"
+    if not len(means):
+        return text
+    text += f": NRMSE {percent_text(float(means[0]))}"
+    low, high = percent_text(float(means.min())), percent_text(float(means.max()))
+    # Sets that score alike to the printed digits need no span.
+    if low != high:
+        text += f", {'both' if len(means) == 2 else f'all {len(means)}'} sets {low} to {high}"
+    return text
+
+
+def figure_convergence(fit: FitResult, *, wide: bool = False) -> Figure:
+    """Draw the best NRMSE after every generation, a line per run; a dot where it ended.
+
+    `wide`: for a file of its own, with a title and where every run ended.
+    """
+    figure = panel(4.6, 9.5) if wide else panel(3.2)
     axes = figure.add_subplot()
     for number, run in enumerate(fit.runs, start=1):
         colour = RUNS[(number - 1) % len(RUNS)]
         style = "-" if number <= len(RUNS) else "--"
-        axes.plot(
-            np.arange(1, len(run.best) + 1),
-            run.best,
-            color=colour,
-            linewidth=1.4,
-            linestyle=style,
-            label=f"run {number}",
-        )
-        axes.plot([len(run.best)], run.best[-1:], marker="o", markersize=4, color=colour)
+        generations = np.arange(1, len(run.best) + 1)
+        label = f"run {number}"
+        if wide:
+            label += f": {percent_text(float(run.best[-1]))} after {len(run.best)}"
+        axes.plot(generations, run.best, color=colour, linewidth=1.5, linestyle=style, label=label)
+        axes.plot(generations[-1:], run.best[-1:], marker="o", markersize=4, color=colour)
     percent_axis(axes, np.concatenate([run.best for run in fit.runs]) if fit.runs else np.ones(1))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel("generation")
     axes.set_ylabel("best NRMSE [%]")
     axes.grid(True, color="0.92")
-    if 0 < len(fit.runs) <= 10:
+    if wide:
+        axes.set_title(f"{fit.name}: convergence of {len(fit.runs)} runs ({fit.kind})")
+    if wide and fit.runs:
+        title = "best NRMSE, generations"
+        figure.legend(loc="outside right upper", frameon=False, title=title, alignment="left")
+    elif 0 < len(fit.runs) <= 10:
         axes.legend(frameon=False, fontsize=8, ncols=2)
     return figure
 
@@ -212,22 +318,22 @@ def figure_waterfall(fit: FitResult) -> Figure:
     """
     figure = panel(3.2)
     axes = figure.add_subplot()
-    found = fit.agreement
-    best = float(found.cost.min())
+    agreement = fit.agreement
+    best = float(agreement.cost.min())
     looks: dict[str, dict[str, Any]] = {}
     points: dict[str, list[tuple[int, float]]] = {}
-    for rank, run in enumerate(found.order, start=1):
-        optimum = int(found.optimum[run])
+    for rank, run in enumerate(agreement.order, start=1):
+        optimum = int(agreement.optimum[run])
         look = {"marker": _MARKERS[optimum % len(_MARKERS)], "color": RUNS[optimum % len(RUNS)]}
         name = f"optimum {chr(ord('A') + optimum % 26)}"
-        if found.cut[run]:
+        if agreement.cut[run]:
             name, look = "not finished", {"marker": "o", "color": "0.4", "markerfacecolor": "none"}
         looks[name] = look
-        points.setdefault(name, []).append((rank, float(found.cost[run]) / best))
+        points.setdefault(name, []).append((rank, float(agreement.cost[run]) / best))
     for name in sorted(points):
         axes.plot(*zip(*points[name], strict=True), linestyle="none", markersize=7, label=name, **looks[name])
     # Differences that tell no optima apart are not drawn large.
-    span = max(float(found.cost.max()) / best - 1, 5 * SAME_NRMSE)
+    span = max(float(agreement.cost.max()) / best - 1, 5 * SAME_NRMSE)
     axes.set_ylim(1 - 0.08 * span, 1 + 1.25 * span)
     axes.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     axes.ticklabel_format(axis="y", useOffset=False)
@@ -243,7 +349,7 @@ def figure_waterfall(fit: FitResult) -> Figure:
 def figure_spread(fit: FitResult) -> Figure:
     """Draw where the sets lie between the bounds of every free parameter, scaled as the search walked."""
     free = [i for i, r in enumerate(fit.parameters) if r.status == "free" and None not in (r.lower, r.upper)]
-    figure = panel(0.9 + 0.36 * max(1, len(free)), WIDTH)
+    figure = panel(0.9 + 0.36 * max(1, len(free)))
     axes = figure.add_subplot()
     for row, i in enumerate(free):
         record = fit.parameters[i]
@@ -350,57 +456,3 @@ def filter_gain(design: dict[str, Any], highest: float) -> tuple[FloatArray, Flo
     else:
         return None
     return frequency, 20 * np.log10(np.maximum(gain, 1e-6))
-
-
-def as_math(symbol: str) -> str:
-    """Return a symbol of the tables, as ``k_h``, for a figure, its indices set lower."""
-    return _INDEXED.sub(r"$\1_{\2}$", symbol)
-
-
-def thinned(time: FloatArray, values: FloatArray, points: int = _POINTS) -> tuple[FloatArray, FloatArray]:
-    """Return a curve that looks the same with few points: least and largest value of every stretch."""
-    if len(time) <= points:
-        return time, values
-    edges = np.linspace(0, len(time), points // 2 + 1).astype(int)
-    kept: list[int] = []
-    for first, end in pairwise(edges):
-        part = values[first:end]
-        if not np.any(np.isfinite(part)):
-            kept.append(int(first))
-            continue
-        kept += sorted({int(first) + int(np.nanargmin(part)), int(first) + int(np.nanargmax(part))})
-    return time[kept], values[kept]
-
-
-def _mark_contacts(axes: Axes, contacts: Sequence[Contact]) -> None:
-    if not contacts:
-        return
-    low, high = axes.get_ylim()
-    room = 0.1 * (high - low)
-    axes.set_ylim(low - room, high)
-    for contact in contacts:
-        y = low - room * (0.35 + 0.35 * contact.foot) + 0.1 * room
-        # A stay too short to be seen at this scale is widened to 2 ms.
-        end = max(contact.end, contact.start + 2e-3)
-        axes.plot(
-            [contact.start, end],
-            [y, y],
-            color=FOOT_COLOURS[contact.foot],
-            linewidth=3,
-            solid_capstyle="butt",
-            zorder=5,
-        )
-
-
-def _finish(*panels: Axes) -> None:
-    for axes in panels:
-        axes.yaxis.set_major_locator(MaxNLocator(4))
-        axes.grid(True, color="0.92")
-        axes.set_axisbelow(True)
-
-
-def _shade(axes: Axes, trial: TrialResult) -> None:
-    time = trial.time - trial.time[0]
-    for first, last in masked_runs(trial):
-        left, right = time[max(first - 1, 0)], time[min(last + 1, len(time) - 1)]
-        axes.axvspan(float(left), float(right), color=MASKED, linewidth=0, zorder=0)

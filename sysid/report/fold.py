@@ -1,34 +1,58 @@
-"""Tables on a terminal of any width: columns are folded below each other, no number is ever cut."""
+"""Results on a terminal of any width: tables whose columns fold below each other, lines, JSON.
+
+No number is ever cut.
+"""
 
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterable
 
+from rich import box
 from rich.cells import cell_len
 from rich.console import Console
 from rich.measure import Measurement
-from rich.table import Column, Table
+from rich.table import Column
+from rich.table import Table as RichTable
 from rich.text import Text
 
-# Wider than any table: what a table takes when nothing holds it back.
+from sysid import exact_json
+from sysid.report.table import Cell, Table
+
+# Wider than any table.
 _FREE = 10_000
+_STYLES = {"": "", "strong": "bold", "good": "green", "doubtful": "yellow", "bad": "red"}
 
 
-def print_table(table: Table, console: Console | None = None) -> None:
+def print_result(document: object, json: bool) -> bool:
+    """Print a document as JSON where that is wanted; return whether it was."""
+    if json:
+        print(exact_json.dumps(document))
+    return json
+
+
+def print_lines(lines: Iterable[str], style: str = "") -> None:
+    """Print plain sentences; the terminal breaks them."""
+    console = Console(soft_wrap=True)
+    for line in lines:
+        console.print(Text(line, style=style))
+
+
+def print_table(table: Table | RichTable, console: Console | None = None) -> None:
     """Print a table; where it is wider than the terminal, its columns follow below each other.
 
-    The first column, which names the rows, is repeated. A right-justified column (numbers) and one that must
-    not wrap are shown whole; a column of words may wrap between two of them.
+    The first column, which names the rows, is repeated. A column of numbers and one that must not wrap are
+    shown whole; a column of words may wrap between two of them.
 
     Parameters
     ----------
-    table : rich.table.Table
+    table : Table or rich.table.Table
         Of cells that are text.
     console : rich.console.Console, optional
-        By default that of the standard output.
+        The standard output by default.
     """
     console = console or Console()
-    for part in folded(table, console.width):
+    for part in folded(rich_table(table) if isinstance(table, Table) else table, console.width):
         needed = _whole_width(part)
         if needed <= console.width:
             console.print(part)
@@ -37,7 +61,33 @@ def print_table(table: Table, console: Console | None = None) -> None:
             wide.print(part)
 
 
-def folded(table: Table, width: int) -> list[Table]:
+def rich_table(table: Table) -> RichTable:
+    """Return a table for rich; brackets of units are text, not markup."""
+    out = RichTable(
+        title=Text(table.title) if table.title else None,
+        caption=Text(table.caption) if table.caption else None,
+        title_justify="left",
+        caption_justify="left",
+        header_style="bold",
+        # No vertical rules: five sets of eight parameters fit into 80 columns.
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+    )
+    for column in table.columns:
+        out.add_column(Text(column.title), justify="right" if column.number else "left")
+    for r, row in enumerate(table.rows):
+        if r in table.rules:
+            out.add_section()
+        out.add_row(*map(_text, row))
+    return out
+
+
+def _text(cell: Cell) -> Text:
+    return Text(cell.text, style=_STYLES[cell.tone])
+
+
+def folded(table: RichTable, width: int) -> list[RichTable]:
     """Return tables of `table`'s columns, each no wider than `width` where that is possible."""
     if not table.columns or _whole_width(table) <= width:
         return [table]
@@ -87,14 +137,14 @@ def _needed(column: Column) -> int:
     return max((cell_len(word) for line in _lines(column) for word in line.split()), default=1)
 
 
-def _whole_width(table: Table) -> int:
+def _whole_width(table: RichTable) -> int:
     bare = copy.copy(table)
     bare.title = bare.caption = None  # which wrap by themselves
     console = Console(width=_FREE)
     return Measurement.get(console, console.options, bare).maximum
 
 
-def _of_columns(table: Table, chosen: list[int]) -> Table:
+def _of_columns(table: RichTable, chosen: list[int]) -> RichTable:
     part = copy.copy(table)
     part.columns = []
     for place, index in enumerate(chosen):

@@ -1,7 +1,7 @@
 """Pieces of a report page: figures with their text alternative, tables, paragraphs, folded parts.
 
-Every piece is an `Html`, which a notebook shows as it is and the page's template takes over unchanged. All
-text is escaped; a figure is an image inside the page, so nothing is ever fetched.
+A notebook shows an `Html` as it is, and the page's template takes it over unchanged. All text is escaped; a
+figure is an image inside the page, so nothing is ever fetched.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from urllib.parse import quote
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from rich.table import Table
-from rich.text import Text
+
+from sysid.report.table import Table, table, words
 
 # A vector figure with more bytes than this goes into the page as pixels [bytes].
 _LARGEST_VECTOR = 160_000
@@ -44,6 +45,10 @@ class Html:
     def _repr_html_(self) -> str:
         return self.text
 
+    def __html__(self) -> str:
+        # jinja2 does not escape what has this method.
+        return self.text
+
     def __add__(self, other: Html) -> Html:
         return Html(self.text + other.text)
 
@@ -56,9 +61,19 @@ def paragraph(text: str, kind: str = "") -> Html:
     return Html(f"<p{_class(kind)}>{html.escape(text)}</p>")
 
 
-def heading(text: str, level: int = 3) -> Html:
-    """Return a heading."""
-    return Html(f"<h{level}>{html.escape(text)}</h{level}>")
+def heading(text: str, level: int = 2) -> Html:
+    """Return a heading with an identity that a link can name."""
+    return Html(f'<h{level} id="{identity(text)}">{html.escape(text)}</h{level}>')
+
+
+def identity(title: str) -> str:
+    """Return the identity of a heading."""
+    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
+
+
+def preformatted(text: str) -> Html:
+    """Return text as it stands; keys scroll it."""
+    return Html(f'<pre tabindex="0">{html.escape(text)}</pre>')
 
 
 def bullets(items: Sequence[str], kind: str = "") -> Html:
@@ -149,34 +164,25 @@ def _drawn(figure: Figure, kind: str, dpi: float) -> bytes:
 
 
 def markup_table(table: Table) -> Html:
-    """Return a terminal's table as one of a page, with its title and caption.
-
-    Parameters
-    ----------
-    table : rich.table.Table
-        Of cells that are plain text.
-    """
-    columns = [[_plain(cell) for cell in column.cells] for column in table.columns]
-    numeric = [column.justify == "right" for column in table.columns]
+    """Return a table with its title above and its caption below, in a box that scrolls where it is narrow."""
     head = "".join(
-        f'<th scope="col"{_class("number" if numeric[i] else "")}>{html.escape(_plain(column.header))}</th>'
-        for i, column in enumerate(table.columns)
+        f'<th scope="col"{_class("number" if column.number else "")}>{html.escape(column.title)}</th>'
+        for column in table.columns
     )
     rows = []
-    for r in range(len(table.rows)):
-        cells = [f'<th scope="row">{html.escape(columns[0][r])}</th>'] if columns else []
-        cells += [
-            f"<td{_class(_kind(columns[i][r], numeric[i]))}>{html.escape(columns[i][r])}</td>"
-            for i in range(1, len(columns))
-        ]
+    for row in table.rows:
+        cells = [f'<th scope="row"{_class(cell.tone)}>{html.escape(cell.text)}</th>' for cell in row[:1]]
+        for cell, column in zip(row[1:], table.columns[1:], strict=True):
+            kind = "number" if column.number else "prose" if len(cell.text) > _LONGEST_CELL else ""
+            cells.append(f"<td{_class(f'{kind} {cell.tone}'.strip())}>{html.escape(cell.text)}</td>")
         rows.append(f"<tr>{''.join(cells)}</tr>")
     # Above the box that scrolls, not in it: a caption is as wide as its table.
-    title = paragraph(_plain(table.title), "caption").text if table.title else ""
-    note = f'<p class="note">{html.escape(_plain(table.caption))}</p>' if table.caption else ""
-    name = html.escape(_plain(table.title or "table"))
+    title = paragraph(table.title, "caption") if table.title else NOTHING
+    note = paragraph(table.caption, "note") if table.caption else NOTHING
     return Html(
-        f'{title}<div class="wide" tabindex="0" role="region" aria-label="{name}">'
-        f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>{note}"
+        f'{title.text}<div class="wide" tabindex="0" role="region" '
+        f'aria-label="{html.escape(table.title or "table")}">'
+        f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>{note.text}"
     )
 
 
@@ -192,22 +198,7 @@ def legend(entries: Sequence[tuple[str, str, str]]) -> Html:
 
 def definitions(rows: Sequence[tuple[str, str]], title: str) -> Html:
     """Return a table of two columns: what, and its value."""
-    table = Table(title=title)
-    table.add_column("what")
-    table.add_column("value")
-    for what, value in rows:
-        table.add_row(Text(what), Text(value))
-    return markup_table(table)
-
-
-def _plain(cell: object) -> str:
-    return cell.plain if isinstance(cell, Text) else str(cell)
-
-
-def _kind(cell: str, numeric: bool) -> str:
-    if numeric:
-        return "number"
-    return "prose" if len(cell) > _LONGEST_CELL else ""
+    return markup_table(table(title, rows, (words("what", itemgetter(0)), words("value", itemgetter(1)))))
 
 
 def _class(kind: str) -> str:

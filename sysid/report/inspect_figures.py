@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from sysid.recording import BoolArray, Channel, FloatArray, Recording
-from sysid.report.fit_plots import BEST, MEASURED, RUNS
+from sysid.report.drawing import BEST, MEASURED, RUNS
 from sysid.trials.look import LogReport
 
 # Channels that tell most about a bench log, first; of other logs the first ones.

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from typing import Any
 
-from rich import box
-from rich.table import Table
-from rich.text import Text
-
 from sysid.landing.design_study import LOWER_BOUNDS
+from sysid.report.table import Column, Table, numbers, table, words
 
 
 def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
@@ -24,49 +22,31 @@ def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
         As `sysid.workflows.static_limits.SetLimits.document` writes them.
     """
     creeps = any(row["rigid creep limit [deg]"] < row["rigid slide limit [deg]"] for row in rows)
-    table = plain_table(
+
+    def degrees(header: str, key: str) -> Column:
+        return numbers(header, lambda row: f"{row[key]:.1f}")
+
+    return table(
         f"{name}: steepest slope that holds the drone [deg]",
+        rows,
+        (
+            words("set", lambda row: str(row["set"])),
+            numbers("thrust", lambda row: f"{row['reverse thrust [N]']:g}", "N"),
+            degrees("rigid: slides", "rigid slide limit [deg]"),
+            degrees("rigid: tips", "rigid tip limit [deg]"),
+            degrees("rigid: creeps", "rigid creep limit [deg]") if creeps else None,
+            degrees("own legs", "own legs [deg]"),
+            words("", lambda row: row["own legs"]),
+            degrees("set down", "own legs, set down at once [deg]"),
+        ),
         "rigid: closed forms for stiff legs"
         + (" (creeps: at 0.05 m/s)" if creeps else "")
         + "; own legs: as fitted, on a slow ramp; set down: the same, put on the slope at once",
     )
-    heads = ["set", "thrust [N]", "rigid: slides", "rigid: tips", "own legs", "", "set down"]
-    for head in heads[:4] + (["rigid: creeps"] if creeps else []) + heads[4:]:
-        table.add_column(Text(head), justify="left" if not head else "right")
-    for row in rows:
-        cells = [
-            str(row["set"]),
-            f"{row['reverse thrust [N]']:g}",
-            f"{row['rigid slide limit [deg]']:.1f}",
-            f"{row['rigid tip limit [deg]']:.1f}",
-        ]
-        if creeps:
-            cells.append(f"{row['rigid creep limit [deg]']:.1f}")
-        cells += [f"{row['own legs [deg]']:.1f}", row["own legs"]]
-        cells.append(f"{row['own legs, set down at once [deg]']:.1f}")
-        table.add_row(*(Text(cell) for cell in cells))
-    return table
-
-
-def plain_table(title: str, caption: str) -> Table:
-    """Return an empty table in the manner of the other ones."""
-    return Table(
-        title=Text(title),
-        caption=Text(caption),
-        title_justify="left",
-        caption_justify="left",
-        header_style="bold",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-    )
 
 
 def gains_table(
-    name: str,
-    base: Mapping[str, float],
-    gains: Sequence[Mapping[str, Any]],
-    bounds: Sequence[str],
+    name: str, base: Mapping[str, float], gains: Sequence[Mapping[str, Any]], bounds: Sequence[str]
 ) -> Table:
     """Return what each change of a design buys, most first.
 
@@ -81,33 +61,33 @@ def gains_table(
     bounds : sequence of str
         Speeds at which the sets as they are are safe up to the grid's edge.
     """
-    cut = bool(bounds) or any(row[LOWER_BOUNDS] for row in gains)
-    table = plain_table(
-        f"{name}: degrees of slope that a change buys",
-        "gain: in width of slopes landed on, mean over the speeds; columns of speeds: the largest safe slope "
-        "[deg] at the best value"
-        + (
-            "; ≥: safe up to the steepest slope tried, so gains are lower bounds; raise --slopes"
-            if cut
-            else ""
-        ),
-    )
-    for head in ("change", "best", "gain [deg]", "worst", "loss [deg]", *base):
-        table.add_column(Text(head), justify="left" if head == "change" else "right")
-    first = ("as it is", "", "", "", "", *(_slope(v, speed in bounds) for speed, v in base.items()))
-    table.add_row(*(Text(cell) for cell in first))
-    table.add_section()
+    rows = [("as it is", "", "", "", "", *(_slope(value, speed in bounds) for speed, value in base.items()))]
     for row in gains:
-        cells = (
-            row["change"],
-            _values(row["best value"]),
-            f"{row['gain [deg]']:+.1f}",
-            _values(row["worst value"]),
-            f"{row['loss [deg]']:+.1f}",
-            *(_slope(v, at in row[LOWER_BOUNDS]) for at, v in row["largest safe slope [deg]"].items()),
-        )
-        table.add_row(*(Text(cell) for cell in cells))
-    return table
+        slopes = row["largest safe slope [deg]"].items()
+        rows.append(
+            (
+                row["change"], _values(row["best value"]), f"{row['gain [deg]']:+.1f}",
+                _values(row["worst value"]), f"{row['loss [deg]']:+.1f}",
+                *(_slope(value, speed in row[LOWER_BOUNDS]) for speed, value in slopes),
+            )
+        )  # fmt: skip
+    heads = ("best", "gain [deg]", "worst", "loss [deg]", *base)
+    note = (
+        "gain: in width of slopes landed on, mean over the speeds; columns of speeds: the largest safe slope "
+    )
+    note += "[deg] at the best value"
+    if bounds or any(row[LOWER_BOUNDS] for row in gains):
+        note += "; ≥: safe up to the steepest slope tried, so gains are lower bounds; raise --slopes"
+    return table(
+        f"{name}: degrees of slope that a change buys",
+        rows,
+        (
+            words("change", itemgetter(0)),
+            *(numbers(head, itemgetter(i)) for i, head in enumerate(heads, start=1)),
+        ),
+        note,
+        {1},
+    )
 
 
 def _values(values: Sequence[float]) -> str:

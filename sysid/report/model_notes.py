@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from operator import itemgetter
 
 import numpy as np
-from rich.table import Table
-from rich.text import Text
 
 from sysid.gear.model import PARAMETERS as GEAR
 from sysid.gear.surfaces.low_friction import low_friction
@@ -17,6 +16,7 @@ from sysid.motor.model import no_load_speed, simulate
 from sysid.parameter_sets import ParameterSets
 from sysid.report.diagrams import figure_geometry, figure_modes
 from sysid.report.html import Html, markup_table, picture
+from sysid.report.table import numbers, table, words
 
 # Table I as printed, and the rating it contradicts.
 _PRINTED_CONSTANT, _RATING_RPM_PER_VOLT = 0.099, 960.0
@@ -50,12 +50,9 @@ def misprints(motor: ParameterSets, gear: ParameterSets) -> Html:
     motor, gear : ParameterSets
         Such as the published Tables I and II (low friction).
     """
-    table = Table(title=Text("where the print cannot be meant, and what is missing"))
-    for head in ("printed", "meant", "the number that decides"):
-        table.add_column(head)
-    for row in (*_motor_rows(motor), *_gear_rows(gear)):
-        table.add_row(*map(Text, row))
-    return markup_table(table)
+    rows = (*_motor_rows(motor), *_gear_rows(gear))
+    heads = ("printed", "meant", "the number that decides")
+    return _words_table("where the print cannot be meant, and what is missing", heads, rows)
 
 
 def checks(motor: ParameterSets, gear: ParameterSets) -> Html:
@@ -63,11 +60,6 @@ def checks(motor: ParameterSets, gear: ParameterSets) -> Html:
     values = gear.set_values(1)
     weight = (values["body_mass"] + 2 * values["leg_mass"]) * values["gravity"]
     ratio = _REVERSE_THRUST / weight
-    table = Table(title=Text("numbers of the paper, and of this code"))
-    table.add_column("what")
-    table.add_column("paper", justify="right")
-    table.add_column("here", justify="right")
-    table.add_column("why they differ")
     slide = math.degrees(slide_limit(values["kinetic_friction"]))
     pressed = math.degrees(slide_limit(values["kinetic_friction"], ratio))
     tip = math.degrees(tip_limit(values["foot_dx"], values["foot_dz"]))
@@ -76,7 +68,7 @@ def checks(motor: ParameterSets, gear: ParameterSets) -> Html:
     same = f"{1e3 * reversal_delay(motor, after=-0.62):.0f} ms"
     creep = 1e3 * _creep(values, _PAPER_SLIDES)
     thrust = f"the thrust is not printed; {_REVERSE_THRUST:g} N is what both limits imply"
-    for row in (
+    rows = (
         (
             "slides from rest, low friction",
             f"{_PAPER_SLIDES:g}°",
@@ -94,9 +86,16 @@ def checks(motor: ParameterSets, gear: ParameterSets) -> Html:
             "here until 90 % of the final thrust; the paper prints neither the commands nor the share: until "
             f"95 % it is {delays[1]}, until 98 % {delays[2]}, and {same} from 62 % to −62 % until 90 %",
         ),
-    ):
-        table.add_row(*map(Text, row))
-    return markup_table(table)
+    )
+    columns = (
+        words("what", itemgetter(0)), numbers("paper", itemgetter(1)), numbers("here", itemgetter(2)),
+        words("why they differ", itemgetter(3)),
+    )  # fmt: skip
+    return markup_table(table("numbers of the paper, and of this code", rows, columns))
+
+
+def _words_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> Html:
+    return markup_table(table(title, rows, [words(head, itemgetter(i)) for i, head in enumerate(heads)]))
 
 
 def reversal_delay(
@@ -114,33 +113,30 @@ def reversal_delay(
 def diagram(gear: ParameterSets) -> Html:
     """Return the labelled diagram of a set's drone (Fig. 2)."""
     figure = figure_geometry(gear.set_values(1), math.radians(18.0))
-    words = "side view of the drone on a slope with frames, lengths and forces, drawn to scale"
-    return picture(figure, words, f"Frames, lengths and forces (Fig. 2), drawn from {gear.name}.")
+    alternative = "side view of the drone on a slope with frames, lengths and forces, drawn to scale"
+    return picture(figure, alternative, f"Frames, lengths and forces (Fig. 2), drawn from {gear.name}.")
 
 
 def modes() -> Html:
     """Return the modes of the high-friction hybrid (Fig. 5), as the code switches them."""
-    words = "four modes of two feet that slip or stick, arrows between them with their conditions"
-    return picture(figure_modes(), words, "Modes of the hybrid (Fig. 5), asked of the code itself.")
+    alternative = "four modes of two feet that slip or stick, arrows between them with their conditions"
+    return picture(figure_modes(), alternative, "Modes of the hybrid (Fig. 5), asked of the code itself.")
 
 
 def symbols(motor: ParameterSets, gear: ParameterSets) -> Html:
     """Return every symbol of the equations with its unit and meaning: what moves, then the parameters."""
-    table = Table(title=Text("symbols"))
-    for head in ("symbol", "unit", "meaning"):
-        table.add_column(head)
-    for row in _VARIABLES:
-        table.add_row(*map(Text, row))
-    for title, table_of, sets in (("motor", MOTOR, motor), ("gear", GEAR, gear)):
+    rows = list(_VARIABLES)
+    for title, parameters, sets in (("motor", MOTOR, motor), ("gear", GEAR, gear)):
         for name in sets.names:
             # The equations hold neither the delays of instruments nor legs that differ.
-            if name not in table_of:
+            if name not in parameters:
                 continue
-            one = table_of[name]
-            if one.unit != "s" and "/" not in one.symbol:
-                words = f"{title}: {one.meaning[:1].lower()}{one.meaning[1:].rstrip('.')}"
-                table.add_row(*map(Text, (one.symbol, one.unit or "1", words)))
-    return markup_table(table)
+            parameter = parameters[name]
+            if parameter.unit != "s" and "/" not in parameter.symbol:
+                meaning = parameter.meaning
+                text = f"{title}: {meaning[:1].lower()}{meaning[1:].rstrip('.')}"
+                rows.append((parameter.symbol, parameter.unit or "1", text))
+    return _words_table("symbols", ("symbol", "unit", "meaning"), rows)
 
 
 def _creep(values: Mapping[str, float], slope_deg: float) -> float:

@@ -1,6 +1,6 @@
-"""Figures of motors: thrust after a reversal command, in the manner of the paper's Fig. 3.
+"""Figures of motors: thrust over time, and after a reversal command as in the paper's Figs. 4 and 3.
 
-`reversal_commands` and `figure_reversal` are of a fit's trials, `figure_reversals` of logs by themselves.
+`figure_thrust`, `reversal_commands` and `figure_reversal` show a fit's trials, `figure_reversals` logs.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from sysid.fit.result import TrialResult
-from sysid.report.fit_figures import figure_thrust
-from sysid.report.fit_plots import RUNS
+from sysid.report.drawing import BEST, MEASURED, OTHERS, RUNS, panel, thinned, tidy
 from sysid.trials.reversal import LEVEL, Repetitions
 from sysid.types import FloatArray
 
@@ -58,13 +57,13 @@ def figure_reversals(logs: Sequence[ReversalCurves]) -> Figure:
     columns = min(len(pairs), 3)
     rows = -(-len(pairs) // columns)
     figure = Figure(figsize=(4.2 * columns + 2.2, 3.2 * rows + 0.6), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    for panel in panels[len(pairs) :]:
-        panel.set_visible(False)
+    all_axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes in all_axes[len(pairs) :]:
+        axes.set_visible(False)
     handles: dict[str, Line2D] = {}
-    for panel, pair in zip(panels, pairs, strict=False):
-        panel.axhline(0.0, color="0.6", linewidth=0.8)
-        panel.axvline(0.0, color="0.6", linewidth=0.8, linestyle=":")
+    for axes, pair in zip(all_axes, pairs, strict=False):
+        axes.axhline(0.0, color="0.6", linewidth=0.8)
+        axes.axvline(0.0, color="0.6", linewidth=0.8, linestyle=":")
         latest = 0.0
         for number, log in enumerate(logs):
             colour = RUNS[number % len(RUNS)]
@@ -76,7 +75,7 @@ def figure_reversals(logs: Sequence[ReversalCurves]) -> Figure:
                 for reversal in group.reversals:
                     time, values = log.thrust
                     inside = (time >= reversal.time - _BEFORE) & (time < reversal.time + reversal.hold)
-                    (line,) = panel.plot(
+                    (line,) = axes.plot(
                         time[inside] - reversal.time, values[inside], color=colour,
                         linewidth=2.0 if reversal is middle else 0.6,
                         alpha=1.0 if reversal is middle else 0.5,
@@ -84,18 +83,18 @@ def figure_reversals(logs: Sequence[ReversalCurves]) -> Figure:
                     if reversal is middle:
                         handles.setdefault(log.name, line)
                 if ranked:
-                    panel.plot(
+                    axes.plot(
                         [middle.to_level], [LEVEL * middle.final_thrust], marker="o", color=colour, zorder=5
                     )
                     latest = max(latest, ranked[-1].to_level)
                 else:
                     latest = max(latest, group.reversals[0].hold)
-        panel.set_xlim(-_BEFORE, latest + _BEYOND)
-        panel.set_title(f"u {pair[0]:+.2f} → {pair[1]:+.2f}", fontsize="medium")
-        panel.set_xlabel("time after the command [s]")
-        panel.set_ylabel("thrust [N]")
-        panel.grid(True, color="0.92")
-        panel.set_axisbelow(True)
+        axes.set_xlim(-_BEFORE, latest + _BEYOND)
+        axes.set_title(f"u {pair[0]:+.2f} → {pair[1]:+.2f}", fontsize="medium")
+        axes.set_xlabel("time after the command [s]")
+        axes.set_ylabel("thrust [N]")
+        axes.grid(True, color="0.92")
+        axes.set_axisbelow(True)
     figure.suptitle("thrust after a reversal command; dot: 90 % of the final thrust")
     figure.legend(list(handles.values()), list(handles), loc="outside right upper", frameon=False)
     return figure
@@ -123,3 +122,65 @@ def figure_reversal(
     """Draw measured and simulated thrust (S, n) [N] around a reversal command at `time` [s]."""
     window = (time - _BEFORE, time + _AFTER)
     return figure_thrust(trial, simulated, window=window, zero=time, legend=legend)
+
+
+def figure_thrust(
+    trial: TrialResult,
+    simulated: FloatArray,
+    *,
+    window: tuple[float, float] | None = None,
+    zero: float | None = None,
+    legend: bool = False,
+) -> Figure:
+    """Draw measured thrust and that of every set, in the manner of the paper's Fig. 4; commands as steps.
+
+    Parameters
+    ----------
+    trial : TrialResult
+        Of a motor, with its thrust.
+    simulated : (S, n) array
+        Thrust of every set [N].
+    window : (float, float), optional
+        Only this part of the trial's time [s].
+    zero : float, optional
+        Where the drawn time begins to count, such as a command [s]; the window's start by default.
+    legend : bool
+        Say in the figure what the lines are, for a figure that stands alone.
+    """
+    assert trial.thrust is not None
+    figure = panel(3.4)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.6, 1.0))
+    inside = np.ones(len(trial.time), dtype=bool)
+    if window is not None:
+        inside = (trial.time >= window[0]) & (trial.time <= window[1])
+    origin = float(trial.time[inside][0]) if zero is None else zero
+    time = trial.time[inside] - origin
+    top.plot(*thinned(time, trial.thrust[inside]), color=MEASURED, linewidth=2.0)
+    for s in range(len(simulated) - 1, -1, -1):
+        top.plot(
+            *thinned(time, simulated[s][inside]),
+            color=BEST if s == 0 else OTHERS,
+            linewidth=1.2 if s == 0 else 0.8,
+        )
+    top.set_ylabel("thrust [N]")
+    if trial.commands is not None:
+        # The last command holds to the end.
+        instants = np.append(trial.commands[:, 0] - origin, max(time[-1], trial.commands[-1, 0] - origin))
+        levels = 100 * np.append(trial.commands[:, 1], trial.commands[-1, 1])
+        bottom.step(instants, levels, where="post", color="#0072B2")
+    bottom.set_ylim(-115, 115)
+    bottom.set_ylabel("command\n[%]")
+    bottom.set_xlabel("time [s]" if zero is None else "time after the command [s]")
+    if zero is not None:
+        for axes in (top, bottom):
+            axes.axvline(0.0, color="0.6", linewidth=0.8, linestyle=":")
+    if legend:
+        names = [("measured", MEASURED, 2.0), ("best set", BEST, 1.2)]
+        names += [("other sets", OTHERS, 0.8)] if len(simulated) > 1 else []
+        names += [("command", "#0072B2", 1.5)] if trial.commands is not None else []
+        handles = [Line2D([], [], label=label, color=colour, linewidth=wide) for label, colour, wide in names]
+        figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=8, frameon=False)
+    top.set_xlim(float(time[0]), float(time[-1]))
+    tidy(top, bottom)
+    figure.align_ylabels([top, bottom])
+    return figure

@@ -1,11 +1,11 @@
 """Notebooks: find them, run them with parameters, and turn what they show into one page.
 
-Papermill runs a notebook, nbconvert fills our own template with what its cells return: prose, tables and
-figures, none of the code. Formulas become MathML, so that no script has to draw them.
+Formulas become MathML, so that no script has to draw them.
 """
 
 from __future__ import annotations
 
+import html
 import os
 import re
 import sysconfig
@@ -16,12 +16,15 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from markdown_it import MarkdownIt
+
 import sysid
 from sysid.errors import ExportError, SysidError
+from sysid.report.html import NOTHING, Html, identity, joined, preformatted
+from sysid.report.page import page
 
 _BLOCK, _INLINE = re.compile(r"\$\$(.+?)\$\$", re.DOTALL), re.compile(r"(?<!\\)\$([^$\n]+?)\$")
-_LIBRARIES = ("papermill", "nbconvert", "ipykernel", "latex2mathml")
-NEEDED = 'the report needs papermill and nbconvert; install them with: pip install "sysid[report]"'
+_LIBRARIES = ("papermill", "ipykernel", "latex2mathml")
 
 
 def check_notebook_tools() -> None:
@@ -32,14 +35,12 @@ def check_notebook_tools() -> None:
     SysidError
         With the command that installs them.
     """
-    missing = missing_notebook_tools()
+    missing = [name for name in _LIBRARIES if find_spec(name) is None]
     if missing:
-        raise SysidError(f"{NEEDED} (missing: {', '.join(missing)})")
-
-
-def missing_notebook_tools() -> list[str]:
-    """Return which of the libraries that run notebooks are not installed."""
-    return [name for name in _LIBRARIES if find_spec(name) is None]
+        raise SysidError(
+            f"a notebook needs {', '.join(_LIBRARIES)} (missing: {', '.join(missing)}); install them with: "
+            'pip install "sysid[report]"'
+        )
 
 
 def find_notebook(name: str) -> Path:
@@ -67,7 +68,7 @@ def run_notebook(path: Path, parameters: Mapping[str, Any], *, cwd: Path | None 
     path : Path
         Notebook with a cell tagged ``parameters``.
     parameters : mapping
-        Numbers, texts, None; paths are best absolute.
+        Numbers, texts, None; absolute paths.
     cwd : Path, optional
         Where it runs; the notebook's folder by default.
 
@@ -81,10 +82,10 @@ def run_notebook(path: Path, parameters: Mapping[str, Any], *, cwd: Path | None 
     from papermill.exceptions import PapermillException
 
     with _quiet_kernel() as folder:
-        done = folder / "done.ipynb"
+        finished = folder / "finished.ipynb"
         try:
             return papermill.execute_notebook(
-                str(path), str(done), dict(parameters), kernel_name="python3", progress_bar=False,
+                str(path), str(finished), dict(parameters), kernel_name="python3", progress_bar=False,
                 cwd=str(cwd or path.parent), extra_arguments=["--log-level=CRITICAL"], config=_local_only(),
             )  # fmt: skip
         except PapermillException as error:
@@ -116,8 +117,8 @@ def _quiet_kernel() -> Iterator[Path]:
                     os.environ[name] = value
 
 
-def page(notebook: Any, title: str) -> str:
-    """Return the page of a notebook that has run: one file of HTML, everything inside.
+def notebook_page(notebook: Any, title: str) -> str:
+    """Return a notebook that has run as one page: its prose and what its cells return, none of its code.
 
     Parameters
     ----------
@@ -125,29 +126,22 @@ def page(notebook: Any, title: str) -> str:
     title : str
         Of the page.
     """
-    from nbconvert.exporters.templateexporter import TemplateExporter
-    from nbconvert.filters.markdown import markdown2html
-
-    here = Path(__file__).parent
-    parts = []
+    markdown = MarkdownIt()
+    pieces = []
     for cell in notebook.cells:
         if cell.cell_type == "markdown":
-            cell.metadata["sysid_html"] = _headed(markdown2html(with_mathml(cell.source)))
-            parts += [
-                {"id": _identity(text), "title": text}
-                for text in re.findall(r"^## (.+)$", cell.source, flags=re.MULTILINE)
-            ]
-    exporter = TemplateExporter(
-        template_name="page", extra_template_basedirs=[str(here)], template_file="index.html.j2"
-    )
-    own = {
-        "style": (here / "page" / "page.css").read_text(encoding="utf-8"),
-        "title": title,
-        "version": sysid.__version__,
-        "parts": parts,
-    }
-    text, _ = exporter.from_notebook_node(notebook, resources={"sysid": own})
-    return str(text)
+            pieces.append(Html(_headed(markdown.render(with_mathml(cell.source)))))
+        else:
+            pieces += [_shown(output) for output in cell.get("outputs", ())]
+    return page(title, joined(pieces))
+
+
+def _shown(output: Any) -> Html:
+    data = output.get("data", {})
+    if "text/html" in data:
+        return Html(data["text/html"])
+    text = data.get("text/plain", output.get("text", ""))
+    return preformatted(text) if text else NOTHING
 
 
 def with_mathml(source: str) -> str:
@@ -163,16 +157,10 @@ def with_mathml(source: str) -> str:
     return _INLINE.sub(inline, _BLOCK.sub(block, source))
 
 
-def _identity(text: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
-
-
 def _headed(markup: str) -> str:
     """Give headings an identity that a link can name."""
 
     def named(match: re.Match[str]) -> str:
-        level, text = match.group(1), match.group(2)
-        plain = re.sub(r"<a class=\"anchor-link\".*?</a>", "", text)
-        return f'<h{level} id="{_identity(re.sub("<[^>]*>", "", plain))}">{plain}</h{level}>'
+        return f'<h{match[1]} id="{identity(html.unescape(match[2]))}">{match[2]}</h{match[1]}>'
 
-    return re.sub(r"<h([1-6])[^>]*>(.*?)</h\1>", named, markup, flags=re.DOTALL)
+    return re.sub(r"<h([1-6])>(.*?)</h\1>", named, markup)

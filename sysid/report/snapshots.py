@@ -13,8 +13,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 
 from sysid.errors import ExportError
+from sysid.report.drawing import WIDTH
 from sysid.report.drop_replay import DropReplay
-from sysid.report.fit_figures import WIDTH
 from sysid.storage import write_file
 from sysid.types import FloatArray
 

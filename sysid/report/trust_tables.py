@@ -1,44 +1,46 @@
-"""Tables of verdicts, intervals, validations and comparisons for a terminal."""
+"""Tables of trust: verdicts before and after a fit, intervals, validations, comparisons of fits."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
-from rich import box
-from rich.table import Table
-from rich.text import Text
+from sysid.export.mean_table import mean_sigma, plain
+from sysid.report.set_tables import channel_symbol
+from sysid.report.table import (
+    NONE,
+    Cell,
+    Column,
+    Table,
+    Tone,
+    number,
+    numbers,
+    percent,
+    table,
+    with_unit,
+    words,
+)
 
-_NONE = "—"
-_COLOUR = {"well": "green", "weakly": "yellow", "not identifiable": "red"}
+Row = Mapping[str, Any]
 
-
-def table(title: str, caption: str | None, columns: Sequence[tuple[str, bool]]) -> Table:
-    """Return an empty table; columns are (title, is a number)."""
-    out = Table(
-        title=Text(title),
-        caption=Text(caption) if caption else None,
-        title_justify="left",
-        caption_justify="left",
-        header_style="bold",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-    )
-    for name, number in columns:
-        out.add_column(name, justify="right" if number else "left")
-    return out
+_TONES: dict[str, Tone] = {"well": "good", "weakly": "doubtful", "not identifiable": "bad"}
+_VERDICTS = {"well": "well determined", "weakly": "weakly determined"}
+_OPEN = "≤ or ≥: open, the data do not end the interval inside the bounds of the search"
 
 
-def number(value: float | None, digits: int = 4) -> str:
-    """Return a number, or a dash where there is none."""
-    return _NONE if value is None or not math.isfinite(value) else f"{value:.{digits}g}"
+def verdict_words(verdict: str) -> str:
+    """Return a verdict of `sysid.trust.verdicts` as it reads after a parameter."""
+    return _VERDICTS.get(verdict, verdict)
 
 
-def percent(value: float | None, digits: int = 2) -> str:
-    """Return a share in percent without the sign, or a dash."""
-    return _NONE if value is None or not math.isfinite(value) else f"{100 * value:.{digits}f}"
+def interval(row: Row, level: int) -> str:
+    """Return the 68 % or 95 % interval of a parameter; an end that the data leave open is not printed."""
+    (low, high), (below, above) = map(plain, row[f"interval_{level}"]), row[f"open_{level}"]
+    if below and above:
+        return "open"
+    return f"≤ {high}" if below else f"≥ {low}" if above else f"{low} to {high}"
 
 
 def half_width(value: float) -> str:
@@ -48,28 +50,26 @@ def half_width(value: float) -> str:
     return f"± {100 * value:.2g} %" if value < 10 else "> 1000 %"
 
 
-def interval(low: float, high: float, opened: Sequence[bool]) -> str:
-    """Return an interval; an end that the data leave open is marked."""
-    left = f"(≤ {low:.4g}" if opened[0] else f"{low:.4g}"
-    right = f"≥ {high:.4g})" if opened[1] else f"{high:.4g}"
-    return f"{left} … {right}"
+def _span(ends: Sequence[float] | None) -> str:
+    return NONE if ends is None else " to ".join(map(plain, ends))
 
 
-def _heading(row: Mapping[str, Any]) -> str:
-    unit = row["unit"]
-    return row["symbol"] if unit in ("", "1") else f"{row['symbol']} [{unit}]"
+def _plus_minus(mean: float | None, sigma: float | None, digits: int = 3) -> str:
+    return f"{number(mean, digits)} ± {number(sigma, 2)}"
 
 
-def _partners(row: Mapping[str, Any]) -> str:
-    return ", ".join(f"{one['name']} {one['correlation']:+.2f}" for one in row["partners"][:2]) or _NONE
+_PARAMETER = words("parameter", lambda row: with_unit(row["symbol"], row["unit"]))
+_VERDICT = words("verdict", lambda row: Cell(row["verdict"], _TONES.get(row["verdict"], "")))
 
 
-def verdict_text(word: str) -> Text:
-    """Return a verdict in its colour."""
-    return Text(word, style=_COLOUR.get(word, ""))
+def _partners(row: Row) -> str:
+    return ", ".join(f"{p['name']} {p['correlation']:+.2f}" for p in row.get("partners", ())[:2]) or NONE
 
 
-def uncertainty_table(document: Mapping[str, Any]) -> Table:
+_TRADES = words("trades with", _partners)
+
+
+def interval_table(document: Row) -> Table:
     """Return Table II with what the data leave open: value, mean ± σ of the sets, interval, verdict.
 
     Parameters
@@ -77,197 +77,232 @@ def uncertainty_table(document: Mapping[str, Any]) -> Table:
     document : mapping
         ``trust`` of `sysid.trust.documents`.
     """
-    measured = any(row["measured"] for row in document["parameters"])
-    columns = [("parameter", False), ("value", True), ("sets: mean ± σ", True), ("95 % interval", True)]
-    columns += [("half-width", True), ("verdict", False), ("trades with", False)]
-    drawn = any(row["bootstrap_95"] for row in document["parameters"])
-    columns += [("bootstrap 95 %", True)] if drawn else []
-    columns += [("measured", True)] if measured else []
-    out = table(
-        f"{document['fit']}: what the data leave open",
-        "(≤ or ≥): open, the data do not end the interval inside the bounds; * the best set ends at a bound",
-        columns,
+    rows = document["parameters"]
+    return table(
+        "what the data fix: intervals of the profile likelihood",
+        rows,
+        (
+            _PARAMETER,
+            numbers("best set", lambda row: plain(row["value"]) + ("*" if row.get("at_bound") else "")),
+            numbers("mean ± σ of the sets", lambda row: mean_sigma((row["mean"], row["sigma"]))),
+            numbers("95 % interval", lambda row: interval(row, 95)),
+            numbers("half-width", lambda row: half_width(row["half_width"])),
+            _VERDICT,
+            _TRADES,
+            numbers("bootstrap 95 %", lambda row: _span(row["bootstrap_95"]))
+            if any(row.get("bootstrap_95") for row in rows)
+            else None,
+            numbers("measured", lambda row: _span(row["measured"]))
+            if any(row["measured"] for row in rows)
+            else None,
+        ),
+        f"{_OPEN}; * the best set ends at a bound",
     )
-    for row in document["parameters"]:
-        boot = row["bootstrap_95"]
-        cells: list[str | Text] = [
-            Text(_heading(row)),
-            Text(number(row["value"]) + ("*" if row["at_bound"] else "")),
-            Text(f"{number(row['mean'])} ± {number(row['sigma'], 2)}"),
-            Text(interval(row["interval_95"][0], row["interval_95"][1], row["open_95"])),
-            Text(half_width(row["half_width"])),
-            verdict_text(row["verdict"]),
-            Text(_partners(row)),
-        ]
-        if drawn:
-            cells.append(Text(_NONE if boot is None else f"{boot[0]:.4g} … {boot[1]:.4g}"))
-        if measured:
-            own = row["measured"]
-            cells.append(Text(_NONE if own is None else f"{own[0]:.4g} to {own[1]:.4g}"))
-        out.add_row(*cells)
-    return out
 
 
-def narrow_table(document: Mapping[str, Any]) -> Table:
+def narrow_table(document: Row) -> Table:
     """Return the 68 % intervals, the linearized deviation, and why an interval is doubtful."""
-    out = table(
-        f"{document['fit']}: 68 % intervals", None,
-        [("parameter", False), ("refined", True), ("68 % interval", True), ("linearized σ", True),
-         ("doubt", False)],
-    )  # fmt: skip
-    for row in document["parameters"]:
-        out.add_row(
-            Text(_heading(row)), number(row["refined"]),
-            Text(interval(row["interval_68"][0], row["interval_68"][1], row["open_68"])),
-            number(row["fisher_sigma"], 2), Text(row["doubt"] or _NONE),
-        )  # fmt: skip
-    return out
+    return table(
+        "68 % intervals",
+        document["parameters"],
+        (
+            _PARAMETER,
+            numbers("refined", lambda row: number(row["refined"])),
+            numbers("68 % interval", lambda row: interval(row, 68)),
+            numbers("linearized σ", lambda row: number(row["fisher_sigma"], 2)),
+            words("doubt", lambda row: row["doubt"] or NONE),
+        ),
+        _OPEN,
+    )
 
 
-def spread_table(document: Mapping[str, Any]) -> Table:
-    """Return how far the predictions of the sets lie apart, rms and largest per trial and channel."""
+def spread_table(document: Row) -> Table:
+    """Return the distance of the sets' predictions from their mean per trial and channel: rms, largest."""
     spread = document["spread"]
-    heads = [
-        (name if unit in ("", "1") else f"{name} [{unit}]", True)
-        for name, unit in zip(spread["channels"], spread["units"], strict=True)
-    ]
-    out = table(
-        f"{document['fit']}: predictions of the sets around their mean", "rms, largest",
-        [("trial", False), ("use", False), *heads],
-    )  # fmt: skip
-    for row in spread["trials"]:
-        pairs = zip(row["rms"], row["largest"], strict=True)
-        cells = [f"{number(float(a), 2)}, {number(float(b), 2)}" for a, b in pairs]
-        out.add_row(Text(row["name"]), Text(row["use"]), *(Text(cell) for cell in cells))
-    return out
+
+    def pair(c: int, row: Row) -> str:
+        return f"{number(float(row['rms'][c]), 2)}, {number(float(row['largest'][c]), 2)}"
+
+    channels = enumerate(zip(spread["channels"], spread["units"], strict=True))
+    return table(
+        "predictions of the sets around their mean",
+        spread["trials"],
+        (
+            words("trial", lambda row: row["name"]),
+            words("use", lambda row: row["use"]),
+            *(numbers(name, partial(pair, c), "" if unit == "1" else unit) for c, (name, unit) in channels),
+        ),
+        "rms, largest",
+    )
 
 
-def noise_table(document: Mapping[str, Any]) -> Table:
-    """Return the residuals per channel beside the noise floor, and how many samples are independent."""
-    out = table(
-        f"{document['fit']}: residuals", None,
-        [("channel", False), ("unit", False), ("rms residual", True), ("noise floor", True), ("ratio", True),
-         ("samples", True), ("independent", True)],
-    )  # fmt: skip
-    for row in document["noise"]["channels"]:
-        out.add_row(
-            Text(row["name"]), Text(row["unit"]), number(row["residual"], 3), number(row["floor"], 3),
-            number(row["residual"] / row["floor"] if row["floor"] else math.nan, 3), str(row["samples"]),
-            f"{row['independent_samples']:.0f}",
-        )  # fmt: skip
-    return out
+def noise_table(document: Row) -> Table:
+    """Return the residuals per channel beside the noise floor, and the number of independent samples."""
+    return table(
+        "residuals",
+        document["noise"]["channels"],
+        (
+            words("channel", lambda row: row["name"]),
+            words("unit", lambda row: row["unit"]),
+            numbers("rms residual", lambda row: number(row["residual"], 3)),
+            numbers("noise floor", lambda row: number(row["floor"], 3)),
+            numbers(
+                "ratio", lambda row: number(row["residual"] / row["floor"] if row["floor"] else math.nan, 3)
+            ),
+            numbers("samples", lambda row: str(row["samples"])),
+            numbers("independent", lambda row: f"{row['independent_samples']:.0f}"),
+        ),
+    )
 
 
-def expected_table(document: Mapping[str, Any]) -> Table:
+def expected_table(document: Row) -> Table:
     """Return the verdicts of a check, before a fit."""
-    out = table(
+    return table(
         f"{document['campaign']['name']}: what these trials are expected to fix",
-        "95 % half-width of the value from noise alone, at the defaults and (median) over the bounds; "
-        "effect: "
-        "mean size of the elementary effects on the NRMSE over the bounds (Morris), ± its standard deviation",
-        [("parameter", False), ("at", True), ("half-width", True), ("over bounds", True), ("effect", True),
-         ("verdict", False), ("trades with", False)],
-    )  # fmt: skip
-    for row in document["parameters"]:
-        effect = f"{number(row['effect'], 2)} ± {number(row['interaction'], 2)}"
-        out.add_row(
-            Text(_heading(row)), number(row["value"]), half_width(row["half_width"]),
-            half_width(row["half_width_over_bounds"]), Text(effect), verdict_text(row["verdict"]),
-            Text(_partners(row)),
-        )  # fmt: skip
-    return out
+        document["parameters"],
+        (
+            _PARAMETER,
+            numbers("at", lambda row: number(row["value"])),
+            numbers("half-width", lambda row: half_width(row["half_width"])),
+            numbers("over bounds", lambda row: half_width(row["half_width_over_bounds"])),
+            numbers("effect", lambda row: _plus_minus(row["effect"], row["interaction"], 2)),
+            _VERDICT,
+            _TRADES,
+        ),
+        "half-width: 95 %, from noise alone, at the defaults and (median) over the bounds; effect: mean size "
+        "of the elementary effects on the NRMSE over the bounds (Morris), ± its standard deviation",
+    )
 
 
-def quality_table(document: Mapping[str, Any]) -> Table:
-    """Return what the logs of a campaign look like, one row each."""
-    drops = document["kind"] == "gear"
-    columns = [("trial", False), ("use", False), ("rate [Hz]", True), ("jitter [%]", True), ("holes", True)]
-    if drops:
-        columns += [("lost", True), ("noise x, z [mm]", True), ("pitch [deg]", True), ("fall g [m/s²]", True)]
-        columns += [("slope [deg]", True), ("impact [m/s]", True), ("out of plane [deg]", True)]
-    else:
-        columns += [("at its limit [%]", True)]
-    out = table(f"{document['campaign']['name']}: logs", None, columns)
-    for row in document["quality"]:
-        cells: list[str | Text] = [Text(row["name"]), Text(row["use"]), number(row["rate"])]
-        cells.append(percent(row["jitter"], 1))
-        cells += [str(row["holes"])]
-        if drops:
-            noise = row["noise"]
-            cells += [
-                str(row["lost_in_window"]),
-                f"{1000 * noise['x [m]']:.2f}, {1000 * noise['z [m]']:.2f}",
-                f"{math.degrees(noise['pitch [rad]']):.2f}",
-                f"{number(row['gravity'], 3)} ± {number(row['gravity_error'], 1)}",
-                number(row["slope_deg"], 3),
-                number(row["impact_speed"], 3),
-                number(row["out_of_plane_deg"], 2),
-            ]
-        else:
-            cells.append(percent(row["saturated"], 1))
-        out.add_row(*cells)
-    return out
+def quality_table(document: Row) -> Table:
+    """Return what the logs of a campaign look like, a row each; columns that no log fills are left out."""
+
+    drops = any("impact_speed" in row for row in document["quality"])
+
+    def known(key: str, column: Column) -> Column | None:
+        return column if any(key in row for row in document["quality"]) else None
+
+    def noise(row: Row) -> str:
+        return f"{1000 * row['noise']['x [m]']:.2f}, {1000 * row['noise']['z [m]']:.2f}"
+
+    return table(
+        f"{document['campaign']['name']}: logs",
+        document["quality"],
+        (
+            words("trial", lambda row: row["name"]),
+            words("use", lambda row: row["use"]),
+            numbers("rate", lambda row: number(row["rate"]), "Hz"),
+            numbers("jitter", lambda row: percent(row["jitter"], 1), "%"),
+            numbers("holes", lambda row: str(row["holes"])),
+            known("lost_in_window", numbers("lost", lambda row: str(row["lost_in_window"]))),
+            known("noise", numbers("noise x, z", noise, "mm")),
+            known(
+                "noise",
+                numbers("pitch", lambda row: f"{math.degrees(row['noise']['pitch [rad]']):.2f}", "deg"),
+            ),
+            known(
+                "gravity",
+                numbers(
+                    "fall g",
+                    lambda row: f"{number(row['gravity'], 3)} ± {number(row['gravity_error'], 1)}",
+                    "m/s²",
+                ),
+            ),
+            known("slope_deg", numbers("slope", lambda row: number(row["slope_deg"], 3), "deg")),
+            known("impact_speed", numbers("impact", lambda row: number(row["impact_speed"], 3), "m/s")),
+            known(
+                "out_of_plane_deg",
+                numbers("out of plane", lambda row: number(row["out_of_plane_deg"], 2), "deg"),
+            ),
+            None if drops else numbers("at its limit", lambda row: percent(row["saturated"], 1), "%"),
+        ),
+    )
 
 
-def validation_table(document: Mapping[str, Any]) -> Table:
-    """Return the score of a validation or cross-validation, one row per trial."""
-    early = any(row["nrmse_third_contact"] is not None for row in document["trials"])
-    stops = any(row.get("stop") for row in document["trials"])
-    columns = [("trial", False), ("NRMSE [%]", True), ("noise alone", True), ("ratio", True)]
-    if early:
-        columns += [("to 3rd contact [%]", True), ("ratio there", True)]
-    # Cross-validation keeps no samples of the trial that it leaves out.
-    leaving = not any("refit" in row for row in document["trials"])
-    if leaving:
-        columns += [("leaves at [s]", True)]
-    if stops:
-        columns += [("place: measured", True), ("predicted [m]", True), ("time: measured", True)]
-        columns += [("predicted [s]", True)]
-    word = "FLAGGED" if document["flagged"] else "not flagged"
-    out = table(f"{document['fit']}, {document['part']}: {word}", None, columns)
-    for row in document["trials"]:
-        cells = [row["name"], percent(row["nrmse"][0]), percent(row["floor"]), number(row["ratio"], 3)]
-        if early:
-            cells += [percent(row["nrmse_third_contact"]), number(row["ratio_third_contact"], 3)]
-        if leaving:
-            leaves = row["leaves"]
-            cells.append(_NONE if leaves is None else f"{leaves['time']:.3f} ({leaves['channel']})")
-        if stops:
-            for key in ("place", "time"):
-                one = row["stop"][key]
-                cells += [number(one["measured"], 3), f"{number(one['mean'], 3)} ± {number(one['sigma'], 2)}"]
-        out.add_row(*(Text(cell) for cell in cells))
-    return out
+def validation_table(name: str, document: Row) -> Table:
+    """Return the score of a validation or cross-validation, a row per trial.
+
+    Columns: NRMSE of the best set, beside the NRMSE that noise alone explains; the same up to the third
+    contact; when and in which channel the prediction leaves the noise; where and when the drone stops.
+    """
+    rows = document["trials"]
+    early = any(row.get("nrmse_third_contact") is not None for row in rows)
+    # A cross-validation keeps no samples of the trial that it leaves out.
+    leaving = not any("refit" in row for row in rows)
+    stops = any(row.get("stop") for row in rows)
+
+    def leaves(row: Row) -> str:
+        place = row.get("leaves")
+        return "never" if not place else f"{place['time']:.3f} ({channel_symbol(place['channel'])})"
+
+    def stop(what: str, row: Row, predicted: bool) -> str:
+        if not row.get("stop"):
+            return NONE
+        place = row["stop"][what]
+        return _plus_minus(place["mean"], place["sigma"]) if predicted else number(place["measured"], 3)
+
+    def stopping(what: str, unit: str) -> tuple[Column, ...]:
+        return (
+            numbers(f"{what}, measured", lambda row: stop(what, row, False), unit),
+            numbers(f"{what}, predicted", lambda row: stop(what, row, True), unit),
+        )
+
+    flag = "flagged" if document.get("flagged") else "not flagged"
+    return table(
+        f"prediction of trials that were not fitted, {name}: {flag}",
+        rows,
+        (
+            words("trial", lambda row: row["name"]),
+            numbers("NRMSE", lambda row: percent(row["nrmse"][0]), "%"),
+            numbers("noise alone", lambda row: percent(row.get("floor")), "%"),
+            numbers("ratio", lambda row: number(row.get("ratio"), 3)),
+            numbers("to 3rd contact", lambda row: percent(row.get("nrmse_third_contact")), "%")
+            if early
+            else None,
+            numbers("ratio there", lambda row: number(row.get("ratio_third_contact"), 3)) if early else None,
+            numbers("leaves the noise at", leaves, "s") if leaving else None,
+            *(stopping("place", "m") + stopping("time", "s") if stops else ()),
+        ),
+    )
 
 
-def comparison_table(document: Mapping[str, Any]) -> Table:
+def comparison_table(document: Row) -> Table:
     """Return which parameters differ between fits by more than their intervals allow."""
-    out = table(
+    differs = {True: Cell("yes", "bad"), False: Cell("no"), None: Cell("not known")}
+    return table(
         "differences between the fits",
+        document["differences"],
+        (
+            _PARAMETER,
+            words("fits", lambda row: " / ".join(row["fits"])),
+            numbers("values", lambda row: f"{number(row['values'][0])} / {number(row['values'][1])}"),
+            numbers("difference", lambda row: percent(row["difference"], 1), "%"),
+            numbers(
+                "allowed",
+                lambda row: f"± {row['allowed']:.2g}" if math.isfinite(row["allowed"]) else "open",
+            ),
+            words("by", lambda row: row["by"]),
+            words("differs", lambda row: differs[row["differs"]]),
+        ),
         "values: minima of the profiles (best sets where there are none); allowed: 95 % of the difference; "
         "open: an interval has no end",
-        [("parameter", False), ("fits", False), ("values", True), ("difference [%]", True), ("allowed", True),
-         ("by", False), ("differs", False)],
-    )  # fmt: skip
-    for row in document["differences"]:
-        word = {True: "yes", False: "no", None: "not known"}[row["differs"]]
-        out.add_row(
-            Text(_heading(row)), Text(" / ".join(row["fits"])),
-            f"{number(row['values'][0])} / {number(row['values'][1])}", percent(row["difference"], 1),
-            "open" if not math.isfinite(row["allowed"]) else f"± {row['allowed']:.2g}", Text(row["by"]),
-            Text(word, style="red" if row["differs"] else ""),
-        )  # fmt: skip
-    return out
+    )
 
 
-def cross_table(document: Mapping[str, Any]) -> Table:
+def cross_table(document: Row) -> Table:
     """Return the NRMSE of every fit's best set on every fit's trials."""
     names = document["fits"]
-    out = table(
+    return table(
         "NRMSE [%] of the best set of a fit (row) on the fitted trials of another (column)",
-        "a set brings what it found, and what it held where the campaign is silent; clocks stay its own",
-        [("best set of", False), *((name, True) for name in names)],
+        zip(names, document["cross"], strict=True),
+        (
+            words("best set of", lambda row: row[0]),
+            *(numbers(name, partial(_score, k)) for k, name in enumerate(names)),
+        ),
+        "a set brings what it found, and the values that its fit took as known where the campaign states "
+        "none; clock offsets stay with their logs",
     )
-    for name, row in zip(names, document["cross"], strict=True):
-        out.add_row(Text(name), *(percent(float(value)) for value in row))
-    return out
+
+
+def _score(k: int, row: tuple[str, Sequence[float]]) -> str:
+    return percent(float(row[1][k]))

@@ -9,13 +9,12 @@ import numpy as np
 
 from sysid.fit.optima import unfixed
 from sysid.fit.result import FitResult
-from sysid.gear.surfaces import SURFACES
 from sysid.parameter_sets import in_place_of_digits
 from sysid.parameters import in_words
-from sysid.report.fit_plots import percent_text
-from sysid.report.trust_panels import verdict_words
+from sysid.report.drawing import percent_text
+from sysid.report.trust_tables import verdict_words
 
-_COUNTS = (
+_COUNTS = [
     "no",
     "one",
     "two",
@@ -29,7 +28,7 @@ _COUNTS = (
     "ten",
     "eleven",
     "twelve",
-)
+]
 
 
 def verdict_sentences(
@@ -38,6 +37,9 @@ def verdict_sentences(
     trust: Mapping[str, Any] | None,
     validated: Mapping[str, Mapping[str, Any]],
     warnings: int,
+    *,
+    model: str,
+    noun: str = "trial",
 ) -> list[str]:
     """Return the verdict on a fit, a sentence each.
 
@@ -52,10 +54,12 @@ def verdict_sentences(
         Documents of validations, by name.
     warnings : int
         How many stand below the verdict.
+    model, noun : str
+        What was fitted and what one of its trials is called: ``landing gear``, ``drop``.
     """
-    out = [_fitted(fit), *_predicted(fit, against, validated), *_fixed(fit, trust), *_runs(fit)]
+    out = [_fitted(fit, model, noun), *_predicted(fit, against, validated), *_fixed(fit, trust), *_runs(fit)]
     if fit.state != "done":
-        out.append("It was stopped early: this is what was found until then.")
+        out.append("It was stopped early: these are the sets that it had until then.")
     if warnings:
         verb = "s stand" if warnings > 1 else " stands"
         out.append(f"{_count(warnings).capitalize()} warning{verb} below.")
@@ -75,23 +79,15 @@ def open_parameters(fit: FitResult) -> tuple[str, ...]:
     return tuple(name for name in free if name in wide or in_place_of_digits(fit.settings, name) is not None)
 
 
-def _fitted(fit: FitResult) -> str:
-    what = "motor" if fit.kind == "motor" else "landing gear"
-    surface = str(fit.settings.get("surface", ""))
-    declared = SURFACES.get(surface)
-    # A law that this installation does not have keeps its name.
-    title = (declared.title if declared else "") or surface
-    law = f"the {title} law" if title else ""
+def _fitted(fit: FitResult, model: str, noun: str) -> str:
     trials = sum(trial.use == "fit" for trial in fit.trials)
-    word = ("trial" if fit.kind == "motor" else "drop") + ("" if trials == 1 else "s")
     denominator = fit.provenance.get("nrmse_denominator", "std")
     low, high = percent_text(float(fit.nrmse.min())), percent_text(float(fit.nrmse.max()))
     span = low if low == high else f"{low} to {high}"
     sets = f"{_count(len(fit.nrmse))} set{'' if len(fit.nrmse) == 1 else 's'}"
-    verb = "s" if len(fit.nrmse) == 1 else ""
-    model = f"{what} with {law}" if law else what
     return (
-        f"{fit.name}, {model}: the {sets} fit{verb} {_count(trials)} {word} with an NRMSE of {span} "
+        f"{fit.name}, {model}: the {sets} fit{'s' if len(fit.nrmse) == 1 else ''} {_count(trials)} "
+        f"{noun}{'' if trials == 1 else 's'} with an NRMSE of {span} "
         f"(rms error over {denominator} of the measurement)."
     )
 
@@ -100,11 +96,11 @@ def _predicted(
     fit: FitResult, against: FitResult | None, validated: Mapping[str, Mapping[str, Any]]
 ) -> list[str]:
     out = []
-    for one in (fit, against):
-        trials = sum(trial.use == "validate" for trial in one.trials) if one is not None else 0
-        if one is not None and trials:
-            mean = percent_text(float(one.mean_nrmse("validate")[0]))
-            where = "" if one is fit else f" of {one.name}"
+    for result in (fit, against):
+        trials = sum(trial.use == "validate" for trial in result.trials) if result is not None else 0
+        if result is not None and trials:
+            mean = percent_text(float(result.mean_nrmse("validate")[0]))
+            where = "" if result is fit else f" of {result.name}"
             word = "trial" if trials == 1 else "trials"
             out.append(f"It predicts {_count(trials)} {word}{where} that it never saw with {mean}.")
     for name, document in validated.items():
@@ -126,15 +122,15 @@ def _fixed(fit: FitResult, trust: Mapping[str, Any] | None) -> list[str]:
         groups: dict[str, list[str]] = {}
         for row in trust["parameters"]:
             groups.setdefault(row["verdict"], []).append(in_words(row["name"], row["symbol"]))
-        said = [f"{verdict_words(verdict)}: {', '.join(names)}" for verdict, names in groups.items()]
+        parts = [f"{verdict_words(verdict)}: {', '.join(names)}" for verdict, names in groups.items()]
         where = "around the unfinished best set" if out else "by profile"
-        return [*out, f"What the data fix, {where}: {'; '.join(said)}."]
+        return [*out, f"What the data fix, {where}: {'; '.join(parts)}."]
     symbols = {record.name: record.symbol for record in fit.parameters}
     opened = open_parameters(fit)
     free = [record.name for record in fit.parameters if record.status == "free"]
-    held = [in_words(name, symbols[name]) for name in free if name not in opened]
-    if held:
-        out.append(f"The data hold {', '.join(held)}.")
+    closed = [in_words(name, symbols[name]) for name in free if name not in opened]
+    if closed:
+        out.append(f"The data hold {', '.join(closed)}.")
     if opened:
         names = ", ".join(in_words(name, symbols[name]) for name in opened)
         out.append(f"They do not fix {names}: read no digits into that.")
@@ -149,14 +145,14 @@ def _fixed(fit: FitResult, trust: Mapping[str, Any] | None) -> list[str]:
 def _runs(fit: FitResult) -> list[str]:
     if not fit.runs:
         return ["The fit holds no runs."]
-    found = fit.agreement
+    agreement = fit.agreement
     # Where a run was cut is no optimum, so none is the best one.
-    if found.unfinished:
-        return [f"{found.sentence()}."]
+    if agreement.unfinished:
+        return [f"{agreement.sentence()}."]
     total = len(fit.runs)
     if total == 1:
         return ["A single run cannot say whether its optimum is the best one."]
-    return [f"{found.reached} of {total} independent runs ended in the best optimum."]
+    return [f"{agreement.reached} of {total} independent runs ended in the best optimum."]
 
 
 def _count(number: int) -> str:

@@ -10,8 +10,8 @@ import sysid
 from sysid import exact_json
 from sysid.errors import SysidError
 from sysid.fit.result import FitResult
-from sysid.report.fit_plots import figure_convergence, figure_measured_against_simulated, save_figure
-from sysid.report.notebook import NEEDED, missing_notebook_tools
+from sysid.report.drawing import save_figure
+from sysid.report.fit_figures import figure_convergence, figure_measured_against_simulated
 from sysid.workflows.export_models import export_sets
 from sysid.workflows.report import write_report
 from sysid.workflows.search import FitOptions
@@ -82,14 +82,11 @@ def run_demo(
             written[f"{name}, parameter sets as {suffix.upper()}"] = target
         figures = {
             "measured against simulated": figure_measured_against_simulated(result),
-            "convergence": figure_convergence(result),
+            "convergence": figure_convergence(result, wide=True),
         }
         for title, figure in figures.items():
             target = save_figure(figure, folder / f"{title.replace(' ', '-')}.png")
             written[f"{name}, {title}"] = target
-        if missing_notebook_tools():
-            tell(f"no report of the {name}: {NEEDED}")
-            return
         tell(f"report of the {name}")
         written[f"{name}, report to read in a browser"] = write_report(folder)["report"]
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from sysid import exact_json
 from sysid.errors import ExportError
@@ -24,7 +23,8 @@ from sysid.landing.design_study import (
 )
 from sysid.landing.maps import MapSettings, map_identity
 from sysid.report.design_figures import figure_design_study
-from sysid.report.fit_plots import save_figure
+from sysid.report.drawing import save_figure
+from sysid.report.fold import print_table
 from sysid.report.landing_tables import gains_table
 from sysid.resume import BlockStore, blocks_folder
 from sysid.workflows.landing_sources import (
@@ -123,5 +123,5 @@ def _print(study: DesignStudy, options: DesignStudyOptions, picture: Path, say: 
         document |= {"changes": gains, "lost": lost, "file": str(options.out)}
         print(exact_json.dumps(document))
     elif not options.compute.quiet:
-        Console().print(gains_table(study.name, base, gains, study.bounds(0)))
+        print_table(gains_table(study.name, base, gains, study.bounds(0)))
         print(f"wrote {options.out} and {picture}")

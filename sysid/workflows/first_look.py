@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import io
 from pathlib import Path
 
@@ -11,10 +10,11 @@ from rich.console import Console
 from sysid.campaign import GearCampaign, read_campaign
 from sysid.campaign.file import resolve_log
 from sysid.campaign.read_logs import load_stated
-from sysid.report.fit_figures import WIDTH
-from sysid.report.fit_report import FitReport, open_fit
-from sysid.report.html import Html, picture
+from sysid.report.drawing import WIDTH
+from sysid.report.fit_report import FitReport
+from sysid.report.html import Html, picture, preformatted
 from sysid.report.inspect_figures import figure_logs
+from sysid.report.kinds import open_fit
 from sysid.trials.look import inspect_recording
 from sysid.workflows.inspect import print_report
 from sysid.workflows.search import FitOptions
@@ -37,12 +37,12 @@ def look_at_log(campaign: str | Path, trial: int = 0) -> Html:
     print_report(console, report)
     figure = figure_logs([recording], [report], width=WIDTH)
     words = f"channels of {path.name} over time: {', '.join(one.name for one in report.channels[:8])}"
-    return _text(text.getvalue()) + picture(figure, words, f"{path.name}, as recorded.", vector=False)
+    return preformatted(text.getvalue()) + picture(figure, words, f"{path.name}, as recorded.", vector=False)
 
 
-def campaign_text(campaign: str | Path) -> Html:
+def campaignpreformatted(campaign: str | Path) -> Html:
     """Return a campaign file as it stands."""
-    return _text(Path(campaign).read_text(encoding="utf-8"))
+    return preformatted(Path(campaign).read_text(encoding="utf-8"))
 
 
 def first_fit(
@@ -72,7 +72,3 @@ def first_fit(
     from sysid.motor.problem import fit_motor
 
     return open_fit(fit_motor(campaign, options)[1])
-
-
-def _text(text: str) -> Html:
-    return Html(f'<pre tabindex="0">{html.escape(text)}</pre>')

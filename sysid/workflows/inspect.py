@@ -97,7 +97,7 @@ def inspect_files(
     if not recordings:
         plot = None
     if plot is not None:
-        from sysid.report.fit_plots import save_figure
+        from sysid.report.drawing import save_figure
         from sysid.report.inspect_figures import figure_logs
 
         save_figure(figure_logs(recordings, reports), plot)

@@ -24,7 +24,7 @@ from sysid.landing.outcomes import OUTCOMES
 from sysid.landing.real_landings import Experiment, confusion, of_map, read_experiments, strangers
 from sysid.landing.static_limits import ramp_limit, rigid_limits
 from sysid.landing.thrust import Motors
-from sysid.report.fit_plots import save_figure
+from sysid.report.drawing import save_figure
 from sysid.report.landing_figures import DrawnLimits, figure_impulse, figure_landing_maps
 from sysid.resume import BlockStore
 from sysid.workflows.landing_sources import (

@@ -22,7 +22,7 @@ from sysid.landing.impact_sensor import Sensing
 from sysid.landing.outcomes import Rules
 from sysid.parallel import executor
 from sysid.parameter_sets import ParameterSets
-from sysid.report.fit_plots import check_figure_name
+from sysid.report.drawing import check_figure_name
 from sysid.resume import BlockStore
 from sysid.storage import check_file
 from sysid.workflows.options import ComputeOptions, MotorOptions, RulesOptions

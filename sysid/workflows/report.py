@@ -1,8 +1,7 @@
-"""`sysid report`: a fit's notebook, run and turned into one page; vector figures and films beside it."""
+"""`sysid report`: a fit as one page; vector figures and films beside it."""
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,11 +16,10 @@ from sysid import exact_json
 from sysid.campaign import GearCampaign, MotorCampaign, read_campaign
 from sysid.errors import CampaignError, ExportError, FitError, SysidError
 from sysid.fit.result import FitResult, TrialResult
-from sysid.fit.store import read_fit, write_fit
-from sysid.report.drop_replay import replay_drop
-from sysid.report.fit_plots import save_figure
-from sysid.report.notebook import check_notebook_tools, find_notebook, page, run_notebook
-from sysid.report.snapshots import write_film
+from sysid.report.drawing import save_figure
+from sysid.report.fit_report import FitReport
+from sysid.report.kinds import open_fit
+from sysid.report.snapshots import check_film, write_film
 from sysid.storage import write_file
 from sysid.workflows.options import ReportOptions as ReportOptions
 from sysid.workflows.search import collected_warnings, naming
@@ -38,40 +36,31 @@ def write_report(
         Fit folder.
     options : ReportOptions
     say : callable, optional
-        Told one sentence at a time.
+        Called with one sentence at a time.
 
     Raises
     ------
     SysidError
         When something is missing or would be overwritten; nothing has been written then.
     """
-    folder, options = Path(folder), options or ReportOptions()
+    options = options or ReportOptions()
     tell = say or (lambda sentence: None)
-    fit = read_fit(folder)
-    if not folder.is_dir():
-        folder = folder.parent
-    check_notebook_tools()
-    notebook = find_notebook(f"fit-report-{fit.kind}")
-    out = options.out if options.out is not None else folder / "report.html"
-    _check_targets(fit, options, out)
-    written: dict[str, Path] = {}
-    with tempfile.TemporaryDirectory() as scratch:
-        parameters: dict[str, Any] = {"fit": str(folder.resolve()), "against": None}
-        if options.against is not None:
-            tell(f"simulating the trials of {options.against} with the sets of {fit.name}")
-            other = predicted(fit, options.against, tell)
-            parameters["against"] = str(write_fit(other, Path(scratch) / "against"))
-        tell(f"running {notebook.name} on {fit.name}")
-        done = run_notebook(notebook, parameters)
-        text = page(done, f"sysid: {fit.name}")
-        if options.pdf_figures is not None:
-            written |= _write_figures(folder, parameters["against"], options.pdf_figures)
-    write_file(out, text.encode("utf-8"), ExportError)
-    written = {"report": out, **written}
+    report = open_fit(folder)
+    out = options.out if options.out is not None else report.folder / "report.html"
+    _check_targets(report, options, out)
+    if options.against is not None:
+        tell(f"simulating the trials of {options.against} with the sets of {report.fit.name}")
+        report = replace(report, against=predicted(report.fit, options.against, tell))
+    tell(f"drawing the figures of {report.fit.name}")
+    write_file(out, report.page().encode("utf-8"), ExportError)
+    written = {"report": out}
+    if options.pdf_figures is not None:
+        options.pdf_figures.mkdir(parents=True, exist_ok=True)
+        for name, figure in report.figures().items():
+            written[f"figure {name}"] = save_figure(figure, options.pdf_figures / f"{name}.pdf")
     for path in options.films:
         tell(f"drawing {path}")
-        drop = chosen_drop(fit, options.drop)
-        written[path.suffix[1:].lower()] = write_film(drop, path, force=options.force)
+        written[path.suffix[1:].lower()] = write_film(report.film(options.drop), path, force=options.force)
     return written
 
 
@@ -191,25 +180,7 @@ def _not_in_fit(fit: FitResult, hashes: dict[str, str], path: Path) -> list[str]
     return left
 
 
-def chosen_drop(fit: FitResult, name: str | None) -> Any:
-    """Return the replay of a drop by name, of the steepest one by default.
-
-    Raises
-    ------
-    ExportError
-        When there is no such drop, or the fit is of a motor.
-    """
-    if fit.kind != "gear":
-        raise ExportError(f"{fit.name}: a motor makes no drops; films are of landing gears")
-    logs = fit.provenance.get("logs", {})
-    known = [trial for trial in fit.trials if name in (None, trial.name)]
-    if not known:
-        names = ", ".join(trial.name for trial in fit.trials) or "none"
-        raise ExportError(f"{fit.name}: no drop {name!r}; found {names}")
-    return replay_drop(fit, max(known, key=lambda trial: logs.get(trial.name, {}).get("slope [deg]", 0.0)))
-
-
-def _check_targets(fit: FitResult, options: ReportOptions, out: Path) -> None:
+def _check_targets(report: FitReport, options: ReportOptions, out: Path) -> None:
     if out.is_dir():
         raise ExportError(f"{out}: is a folder; name the page in it, such as {out / 'report.html'}")
     targets = [path.resolve() for path in (out, *options.films)]
@@ -229,20 +200,6 @@ def _check_targets(fit: FitResult, options: ReportOptions, out: Path) -> None:
     if options.drop is not None and not options.films:
         raise SysidError("--drop names the drop of a film; add --gif FILE or --mp4 FILE")
     if options.films:
-        chosen_drop(fit, options.drop)
-        from sysid.report.snapshots import check_film
-
+        report.film(options.drop)
         for path in options.films:
             check_film(path, options.force)
-
-
-def _write_figures(folder: Path, against: str | None, target: Path) -> dict[str, Path]:
-    from sysid.report.fit_report import open_fit
-    from sysid.report.paper_figures import paper_figures
-
-    target.mkdir(parents=True, exist_ok=True)
-    report = open_fit(folder, against)
-    return {
-        f"figure {name}": save_figure(figure, target / f"{name}.pdf")
-        for name, figure in paper_figures(report).items()
-    }

@@ -19,7 +19,7 @@ from sysid.filters import ChebyshevLowpass
 from sysid.loaders import load
 from sysid.motor.targets import uniform_filtered
 from sysid.recording import Channel
-from sysid.report.fit_plots import save_figure
+from sysid.report.drawing import save_figure
 from sysid.report.fold import print_table
 from sysid.report.motor_figures import ReversalCurves, figure_reversals
 from sysid.trials.bench_log import (

@@ -12,7 +12,7 @@ from sysid.fit.result import FitResult
 from sysid.fit.store import read_fit
 from sysid.parameter_sets import ParameterSets
 from sysid.report.fold import print_table
-from sysid.report.tables import ladder_table, mean_sigma_table, ranked_table, trial_table
+from sysid.report.set_tables import ladder_table, mean_sigma_table, ranked_table, trial_table
 from sysid.storage import check_file, write_file
 
 

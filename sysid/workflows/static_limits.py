@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
-
 from sysid import exact_json
 from sysid.errors import ExportError
 from sysid.gear.surfaces import find_surface
 from sysid.landing.static_limits import RigidLimits, StaticLimit, ramp_limit, rigid_limits, set_down_limit
+from sysid.report.fold import print_table
 from sysid.report.landing_tables import limits_table
 from sysid.workflows.show import load_sets
 
@@ -81,4 +80,4 @@ def print_static_limits(source: str | Path, thrusts: Sequence[float], json: bool
     if json:
         print(exact_json.dumps({"name": name, "limits": documents}))
         return
-    Console().print(limits_table(name, documents))
+    print_table(limits_table(name, documents))

@@ -27,7 +27,7 @@ from sysid.landing.maps import MapSettings, landing_maps
 from sysid.landing.scenario import Scenario, grid
 from sysid.landing.simulate import LANDING_TOLERANCE, land_many
 from sysid.landing.thrust import Motors
-from sysid.report.fit_plots import save_figure
+from sysid.report.drawing import save_figure
 from sysid.report.landing_figures import figure_landing_maps
 from sysid.workflows.landing_maps import static_lines
 

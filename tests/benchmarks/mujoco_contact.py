@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from sysid.export.mjcf import to_mjcf
 from sysid.export.published import table_2
 from sysid.gear.model import PARAMETERS, simulate
-from sysid.report.fit_plots import save_figure
+from sysid.report.drawing import save_figure
 
 DROPS = (("lf", 15.0, 0.8), ("lf", 30.0, 0.5), ("hf", 10.0, 0.5), ("hf", 20.0, 0.7))
 CLOCK = np.arange(0, 0.7005, 1e-3)

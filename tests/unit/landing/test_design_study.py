@@ -27,7 +27,7 @@ from sysid.landing.maps import LandingWork
 from sysid.landing.outcomes import Outcome, Rules
 from sysid.motor.pair_thrust import thrust_history
 from sysid.report.design_figures import figure_design_study
-from sysid.report.fit_plots import save_figure
+from sysid.report.drawing import save_figure
 from sysid.report.landing_tables import gains_table
 
 FLEET = drones(table_2("hf"), table_1())

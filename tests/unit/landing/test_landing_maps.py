@@ -17,7 +17,7 @@ from sysid.landing.maps import SLOPES_DEG, SPEEDS, LandingMap, MapSettings, cell
 from sysid.landing.outcomes import Outcome
 from sysid.landing.real_landings import Experiment, confusion, of_map, read_experiments
 from sysid.parallel import LocalThreads
-from sysid.report.fit_plots import save_figure
+from sysid.report.drawing import save_figure
 from sysid.report.landing_figures import DrawnLimits, MapLegend, figure_impulse, figure_landing_maps
 from sysid.resume import BlockStore, blocks_folder, compute_blocks
 from sysid.workflows.landing_maps import _summary_table

@@ -7,9 +7,6 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-
-from fakes.fits import GEAR, MOTOR, made_fit
-from sysid.errors import ExportError
 from sysid.report.fit_plots import (
     BEST,
     MEASURED,
@@ -19,6 +16,9 @@ from sysid.report.fit_plots import (
     figure_measured_against_simulated,
     save_figure,
 )
+
+from fakes.fits import GEAR, MOTOR, made_fit
+from sysid.errors import ExportError
 
 
 def lines_in(axes, colour):

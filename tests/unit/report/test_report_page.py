@@ -10,6 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 from rich.table import Table
 from rich.text import Text
+from sysid.report.trust_panels import interval_table
 
 from fakes.fits import MOTOR, made_fit
 from sysid.export import load_parameter_sets
@@ -23,7 +24,6 @@ from sysid.report.fit_figures import as_math, figure_channel, figure_spread, fig
 from sysid.report.fit_report import FitReport, open_fit
 from sysid.report.html import box, bullets, folded, markup_table, paragraph, picture
 from sysid.report.snapshots import figure_snapshots
-from sysid.report.trust_panels import interval_table
 from sysid.report.verdict import open_parameters, verdict_sentences
 
 NASTY = "</script><img src=x onerror=alert(1)>"

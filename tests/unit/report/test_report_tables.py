@@ -5,10 +5,10 @@ import re
 import numpy as np
 import pytest
 from rich.console import Console
+from sysid.report.tables import mean_sigma_table, ranked_table, trial_table
 
 from sysid.parameter_sets import ParameterSets, parameter_records
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
-from sysid.report.tables import mean_sigma_table, ranked_table, trial_table
 
 
 def made_sets(**changes):

@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from sysid.workflows.trust_printing import channel_lines, check_lines
 
 from sysid.trust.influence import Influence
 from sysid.workflows.trust import _trial_doubts, taken_as_exact
-from sysid.workflows.trust_printing import channel_lines, check_lines
 from sysid.workflows.validate import _unlike_the_others
 
 R, K, I_R = "winding_resistance", ("back_emf_constant", "torque_constant"), "rotor_inertia"

@@ -1,0 +1,158 @@
+"""How every figure looks: colours, labels with units, the width of a page, files.
+
+Nothing goes through pyplot: no window, no backend and no state is shared. Colours are Okabe and Ito's, which
+colour-blind readers tell apart.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+
+from sysid.errors import ExportError
+from sysid.fit.result import FitResult
+from sysid.storage import write_file
+from sysid.types import FloatArray
+
+MEASURED = "#000000"
+BEST = "#D55E00"
+OTHERS = "#56B4E9"
+MASKED = "#E6E6E6"
+RUNS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000")
+# Of one figure on a page that a phone shows too [in].
+WIDTH = 4.3
+
+# Points of a curve beyond which only the least and the largest value of every stretch are drawn.
+_POINTS = 900
+# Display of a channel: label, unit, and the factor from SI.
+_DISPLAY: dict[str, tuple[str, str, float]] = {
+    "x_B": (r"$x_B$", "m", 1.0),
+    "z_B": (r"$z_B$", "m", 1.0),
+    "x_B_rate": (r"$\dot{x}_B$", "m/s", 1.0),
+    "z_B_rate": (r"$\dot{z}_B$", "m/s", 1.0),
+    "q_B": (r"$q_B$", "deg", 180.0 / np.pi),
+    "torque": ("torque", "mN·m", 1e3),
+    "stator_torque": ("stator torque", "mN·m", 1e3),
+    "speed": (r"speed $\Omega$", "rad/s", 1.0),
+    "thrust": ("thrust", "N", 1.0),
+}
+# Residuals of some units are easier to read in a smaller one.
+_FINER = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}
+_FORMATS = (".png", ".pdf", ".svg")
+_INDEXED = re.compile(r"(\w[^\W_]*)_([^\W_]+)")
+
+
+def panel(height: float = 3.0, width: float = WIDTH) -> Figure:
+    """Return an empty figure of the page's width [in]."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def tidy(*panels: Axes) -> None:
+    """Draw a pale grid behind the curves, with few ticks upwards."""
+    for axes in panels:
+        axes.yaxis.set_major_locator(MaxNLocator(4))
+        axes.grid(True, color="0.92")
+        axes.set_axisbelow(True)
+
+
+def thinned(time: FloatArray, values: FloatArray, points: int = _POINTS) -> tuple[FloatArray, FloatArray]:
+    """Return a curve that looks the same with few points: least and largest value of every stretch."""
+    if len(time) <= points:
+        return time, values
+    edges = np.linspace(0, len(time), points // 2 + 1).astype(int)
+    kept: list[int] = []
+    for first, end in pairwise(edges):
+        part = values[first:end]
+        if not np.any(np.isfinite(part)):
+            kept.append(int(first))
+            continue
+        kept += sorted({int(first) + int(np.nanargmin(part)), int(first) + int(np.nanargmax(part))})
+    return time[kept], values[kept]
+
+
+def as_math(symbol: str) -> str:
+    """Return a symbol of the tables, as ``k_h``, for a figure, its indices set lower."""
+    return _INDEXED.sub(r"$\1_{\2}$", symbol)
+
+
+def axis_label(name: str, unit: str) -> str:
+    """Return ``name [unit]``; a number without unit is ``name [1]``."""
+    return f"{name} [{unit or '1'}]"
+
+
+def finer_unit(unit: str) -> tuple[str, float]:
+    """Return the unit in which residuals are read, and its factor."""
+    return _FINER.get(unit, (unit, 1.0))
+
+
+def display_of(fit: FitResult, c: int) -> tuple[str, str, float]:
+    """Return how channel number `c` is shown: label, unit, factor from SI."""
+    known = _DISPLAY.get(fit.channels[c])
+    return known if known else (fit.channels[c], fit.channel_units[c], 1.0)
+
+
+def percent_axis(axes: Axes, values: FloatArray) -> None:
+    """Label an axis of shares in percent: logarithmic where they span a factor of three or more."""
+    if np.max(values) >= 3 * np.min(values) > 0:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0), numticks=12))
+        axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:.4g}"))
+
+
+def percent_text(share: float) -> str:
+    """Return a share [1] in percent; a dash where it is unknown."""
+    if not np.isfinite(share):
+        return "—"
+    return f"{100 * share:.{1 if share >= 0.1 else 2}f} %"
+
+
+def check_figure_name(path: Path) -> None:
+    """Refuse a file that no figure can be written to.
+
+    Raises
+    ------
+    ExportError
+        For another suffix than ``.png``, ``.pdf`` or ``.svg``.
+    """
+    if path.suffix.lower() not in _FORMATS:
+        raise ExportError(
+            f"{path}: unknown figure format {path.suffix!r}; expected one of {', '.join(_FORMATS)}"
+        )
+
+
+def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0) -> Path:
+    """Write a figure as PNG, PDF or SVG; an existing file is replaced only by a complete one.
+
+    Parameters
+    ----------
+    figure : Figure
+        What to write.
+    path : str or Path
+        Ends in ``.png``, ``.pdf`` or ``.svg``; its folder exists.
+    dpi : float
+        Pixels per inch of a PNG, and of dense curves inside the others.
+
+    Raises
+    ------
+    ExportError
+        For another suffix or a file that cannot be written.
+    """
+    path = Path(path)
+    check_figure_name(path)
+    suffix = path.suffix.lower()
+    buffer = io.BytesIO()
+    # No date and no random names inside: the same figure gives the same bytes.
+    metadata = {".png": {}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}[suffix]
+    with rc_context({"svg.hashsalt": "sysid"}):
+        figure.savefig(buffer, format=suffix[1:], dpi=dpi, metadata=metadata)
+    write_file(path, buffer.getvalue(), ExportError)
+    return path

@@ -1,0 +1,200 @@
+"""What the report of a landing gear adds: geometry, drops in motion, contacts of the feet, friction."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+from matplotlib.figure import Figure
+
+from sysid.errors import ExportError
+from sysid.fit.result import FitResult, TrialResult
+from sysid.gear.surfaces import SURFACES
+from sysid.report.animation import animation
+from sysid.report.diagrams import figure_geometry, figure_modes, mode_shares
+from sysid.report.drop_replay import FEET, DropReplay, replay_drop
+from sysid.report.fit_figures import Bars
+from sysid.report.fit_report import (
+    CONVERGENCE,
+    CORRELATION,
+    ERRORS,
+    FILTER,
+    MEASURED,
+    PARAMETERS,
+    PROFILES,
+    PROVENANCE,
+    SPREAD,
+    VALIDATION,
+    FitReport,
+    Section,
+)
+from sysid.report.html import NOTHING, Html, paragraph, picture
+from sysid.report.snapshots import figure_snapshots
+
+GEOMETRY = Section(
+    "Geometry",
+    ("diagram",),
+    "The lengths that the model needs and the forces that it knows. Measure the masses, the moment of "
+    "inertia and where the feet are; the joints come from the fit. Each leg stands for the pair of legs at "
+    "its end.",
+)
+ANIMATION = Section(
+    "Animation",
+    ("animation", "snapshots"),
+    "One drop at a time, slowed down. The numbered buttons go to the instants of the paper's Fig. 7.",
+)
+CONTACTS = replace(
+    MEASURED,
+    text=f"{MEASURED.text} The simulated signals have passed through the same filter. Bars at the bottom of "
+    "each figure: the rear and the front foot of the best set's simulation are on the ground.",
+)
+FRICTION = Section(
+    "Friction",
+    ("modes",),
+    "On high friction each foot slips or sticks by itself; the simulation switches where one of the "
+    "conditions comes true.",
+)
+_LENGTHS = (
+    ("dx_j", "joint_dx"), ("dz_j", "joint_dz"), ("dx_f", "foot_dx"), ("dz_f", "foot_dz"),
+    ("dx_m", "thrust_point_dx"),
+)  # fmt: skip
+# Slope of the diagram where no drop can be repeated [deg].
+_SLOPE = 15.0
+
+
+@dataclass(frozen=True, eq=False)
+class GearReport(FitReport):
+    """The report of a landing gear."""
+
+    _replays: dict[tuple[bool, str], DropReplay | None] = field(default_factory=dict, repr=False)
+
+    title: ClassVar[str] = "Landing gear: what the drops say"
+    noun: ClassVar[str] = "drop"
+    sections: ClassVar[tuple[Section, ...]] = (
+        PARAMETERS, GEOMETRY, ANIMATION, CONTACTS, ERRORS, CONVERGENCE, SPREAD, PROFILES, CORRELATION,
+        VALIDATION, FRICTION, FILTER, PROVENANCE,
+    )  # fmt: skip
+
+    @property
+    def model(self) -> str:
+        """Landing gear and friction law."""
+        surface = str(self.fit.settings.get("surface", ""))
+        declared = SURFACES.get(surface)
+        # A law that this installation does not have keeps its name.
+        title = (declared.title if declared else "") or surface
+        return f"landing gear with the {title} law" if title else "landing gear"
+
+    def bars(self, fit: FitResult, trial: TrialResult) -> Bars:
+        """Return when each foot of the best set's simulation is on the ground."""
+        drop = self.replay(fit, trial)
+        contacts = drop.contacts if drop else ()
+        return {
+            f"{name} foot down": [(each.start, each.end) for each in contacts if each.foot == foot]
+            for foot, name in enumerate(FEET if contacts else ())
+        }
+
+    def conditions(self, fit: FitResult, trial: TrialResult) -> str:
+        """Return slope and speed of impact."""
+        log = fit.provenance.get("logs", {}).get(trial.name, {})
+        slope = f", {log['slope [deg]']:.0f}°" if "slope [deg]" in log else ""
+        return slope + (f", {log['impact speed [m/s]']:.2f} m/s" if "impact speed [m/s]" in log else "")
+
+    def film(self, name: str | None) -> DropReplay:
+        """Return the replay of a drop by name, of the steepest one by default."""
+        logs = self.fit.provenance.get("logs", {})
+        known = [trial for trial in self.fit.trials if name in (None, trial.name)]
+        if not known:
+            names = ", ".join(trial.name for trial in self.fit.trials) or "none"
+            raise ExportError(f"{self.fit.name}: no drop {name!r}; found {names}")
+        steepest = max(known, key=lambda trial: logs.get(trial.name, {}).get("slope [deg]", 0.0))
+        return replay_drop(self.fit, steepest)
+
+    def diagram(self) -> Html:
+        """Return the labelled diagram of frames, lengths and forces (Fig. 2), from the best set's values."""
+        values = self.values()
+        words = (
+            "side view of the drone on a slope: body, two legs, frames N, A, B, C and D, the lengths "
+            + ", ".join(f"{symbol} {1e3 * values[name]:.0f} mm" for symbol, name in _LENGTHS)
+            + " and the forces of weight, thrust, ground and leg joints"
+        )
+        caption = "Frames, lengths and forces (Fig. 2), drawn to scale from the best set."
+        return picture(self._geometry(), words, caption)
+
+    def animation(self) -> Html:
+        """Return the drops in motion, slowed down, with forces, ghost and the instants of Fig. 7."""
+        replayed = self._replayed()
+        if not replayed:
+            return paragraph(
+                "No animation: the fit does not hold the states in which its drops start; fit again.", "note"
+            )
+        names = [fit.name for fit, _ in replayed] if self.against is not None else ()
+        return animation(self.drops(), names)
+
+    def snapshots(self) -> Html:
+        """Return the instants (1) to (4) of Fig. 7 of the steepest drop."""
+        drops = [drop for drop in self.drops() if len(drop.first_contacts()) == 4] or self.drops()
+        if not drops:
+            return NOTHING
+        drop = max(drops, key=lambda drop: drop.slope)
+        instants = "; ".join(
+            f"({k}) at {1e3 * time:.0f} ms {what}" for k, (time, what) in enumerate(drop.first_contacts(), 1)
+        )
+        caption = (
+            f"{drop.name}, {math.degrees(drop.slope):.0f}°: {instants}. Normal force blue, friction red "
+            "(drawn at the largest force within 8 ms)."
+        )
+        return picture(figure_snapshots(drop), f"simulated snapshots of {drop.name}: {instants}", caption)
+
+    def modes(self) -> Html:
+        """Return the modes of the high-friction hybrid with the transitions that happen (Fig. 5)."""
+        if not self._sticks:
+            return paragraph("The low-friction law has no modes: both feet slip and creep.", "note")
+        words = (
+            "four modes: both feet slip, rear sticks, front sticks, both stick; arrows between them with "
+            "the conditions of slipping and sticking"
+        )
+        caption = (
+            "Modes of the hybrid (Fig. 5) as the code switches them; percentages: of the time in which a "
+            "foot is down, over all drops. In flight both feet count as slipping; that time is left out."
+        )
+        return picture(figure_modes(mode_shares(self.drops())), words, caption)
+
+    def figures(self) -> dict[str, Figure]:
+        """Return the figures for a paper, with the diagrams of the model."""
+        modes = {"modes": figure_modes(mode_shares(self.drops()))} if self._sticks else {}
+        return super().figures() | {"geometry": self._geometry()} | modes
+
+    def trial_figures(self, fit: FitResult, trial: TrialResult) -> dict[str, Figure]:
+        """Return the figures of one drop, with its snapshots."""
+        out, drop = super().trial_figures(fit, trial), self.replay(fit, trial)
+        if drop is not None:
+            out[f"snapshots-{self.trial_name(fit, trial)}"] = figure_snapshots(drop, legend=True)
+        return out
+
+    def drops(self) -> list[DropReplay]:
+        """Return the replays of all drops that can be repeated, with the best set."""
+        return [drop for _, drop in self._replayed()]
+
+    def replay(self, fit: FitResult, trial: TrialResult) -> DropReplay | None:
+        """Return the replay of a drop with the best set; None where it cannot be repeated."""
+        # Two campaigns may bear one name, and so may their drops.
+        key = (fit is self.against, trial.name)
+        if key not in self._replays:
+            try:
+                self._replays[key] = replay_drop(fit, trial)
+            except ExportError:
+                self._replays[key] = None
+        return self._replays[key]
+
+    @property
+    def _sticks(self) -> bool:
+        return self.fit.settings.get("surface") == "hf"
+
+    def _geometry(self) -> Figure:
+        slope = max((drop.slope for drop in self.drops()), default=math.radians(_SLOPE))
+        return figure_geometry(self.values(), slope)
+
+    def _replayed(self) -> list[tuple[FitResult, DropReplay]]:
+        every = ((fit, self.replay(fit, trial)) for fit in self.fits for trial in fit.trials)
+        return [(fit, drop) for fit, drop in every if drop is not None]
