@@ -54,7 +54,7 @@ def pages(tmp_path_factory):
     """Every kind of page, of searches that end at once."""
     from sysid.gear.problem import fit_gear
     from sysid.motor.problem import fit_motor
-    from sysid.report.notebook import find_notebook, page, run_notebook
+    from sysid.report.notebook import find_notebook, notebook_page, run_notebook
     from sysid.workflows.report import ReportOptions, write_report
     from sysid.workflows.search import FitOptions
 
@@ -71,7 +71,7 @@ def pages(tmp_path_factory):
     short = {"out": str(folder / "first"), "runs": 1, "max_generations": 1}
     for name, parameters in (("the-model", {}), ("landing-maps", COARSE), ("bring-your-own-logs", short)):
         out[name] = folder / f"{name}.html"
-        text = page(run_notebook(find_notebook(name), parameters), name)
+        text = notebook_page(run_notebook(find_notebook(name), parameters), name)
         out[name].write_text(text, encoding="utf-8")
     return out
 

@@ -21,7 +21,7 @@ from sysid.gear.model import (
     simulate,
 )
 from sysid.gear.surfaces import continuous_law
-from sysid.report.verdict import verdict_sentences
+from sysid.report.gear_report import GearReport
 from sysid.synthetic import synthesize_gear
 from sysid.synthetic.gear import LF_DROPS
 
@@ -203,7 +203,7 @@ def test_a_third_law_is_one_declaration(monkeypatch, tmp_path):
     assert done.exit_code == 0, done.output
     result = read_fit(tmp_path / "fit")
     assert result.settings["surface"] == "wet"
-    assert "landing gear with the wet law" in verdict_sentences(result, None, None, {}, 0)[0]
+    assert "landing gear with the wet law" in GearReport(tmp_path, result).verdict().text
 
 
 def test_surfaces_are_declared():

@@ -112,8 +112,8 @@ def test_a_wrong_motor_is_flagged_however_well_it_fits_itself(
         assert resistance["differs"] is None
         # One campaign's name twice; the columns are told apart by their folders.
         assert len({one.name for one in sets}) == 2
-    table = validation_table({"fit": "fit", "part": "prediction", **found})
-    assert "leaves at [s]" in [str(column.header) for column in table.columns]
+    table = validation_table("fit", found)
+    assert "leaves the noise at" in [column.header for column in table.columns]
     if case == "inertia":
         assert cross_validate(folder)["flagged"] is True
 

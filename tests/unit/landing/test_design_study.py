@@ -28,6 +28,7 @@ from sysid.landing.outcomes import Outcome, Rules
 from sysid.motor.pair_thrust import thrust_history
 from sysid.report.design_figures import figure_design_study
 from sysid.report.drawing import save_figure
+from sysid.report.fold import print_table
 from sysid.report.landing_tables import gains_table
 
 FLEET = drones(table_2("hf"), table_1())
@@ -166,7 +167,7 @@ def test_the_grids_edge_is_a_lower_bound():
 
 def printed(table):
     stream = StringIO()
-    Console(file=stream, width=200).print(table)
+    print_table(table, Console(file=stream, width=200))
     return " ".join(stream.getvalue().split())
 
 

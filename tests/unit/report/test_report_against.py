@@ -50,7 +50,7 @@ def motor_choice(monkeypatch, logs):
         for name, sha in logs.items()
     )
     monkeypatch.setattr(motor_bench, "prepare_bench", lambda campaign, path: SimpleNamespace(trials=prepared))
-    monkeypatch.setattr(motor_bench, "search_space", lambda campaign, bench: SimpleNamespace(table=()))
+    monkeypatch.setattr(motor_bench, "search_space", lambda campaign, bench: SimpleNamespace(table={}))
     build = lambda campaign, space, bench, trials: SimpleNamespace(cost=None, jobs=None)  # noqa: E731
     objective = type("Objective", (SimpleNamespace,), {"build": staticmethod(build)})
     objective.__init__ = lambda self, space=None, trials=(), *rest: vars(self).update(trials=trials)

@@ -7,18 +7,11 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from sysid.report.fit_plots import (
-    BEST,
-    MEASURED,
-    OTHERS,
-    RUNS,
-    figure_convergence,
-    figure_measured_against_simulated,
-    save_figure,
-)
 
 from fakes.fits import GEAR, MOTOR, made_fit
 from sysid.errors import ExportError
+from sysid.report.drawing import BEST, MEASURED, OTHERS, RUNS, save_figure
+from sysid.report.fit_figures import figure_convergence, figure_measured_against_simulated
 
 
 def lines_in(axes, colour):
@@ -95,7 +88,7 @@ def test_report_figure_names_units_trial_and_nrmse():
 def test_report_figure_labels_do_not_overlap(channels, trial):
     fit = made_fit(channels, uses=("fit", "fit", "validate") if trial is None else ("fit",))
     assert overlapping_texts(figure_measured_against_simulated(fit, trial)) == []
-    assert overlapping_texts(figure_convergence(fit)) == []
+    assert overlapping_texts(figure_convergence(fit, wide=True)) == []
 
 
 def test_report_figure_of_all_trials_has_a_pair_of_axes_per_channel_and_trial():
@@ -117,12 +110,12 @@ def test_report_figure_keeps_to_the_measurement_when_a_set_goes_astray():
 
 def test_report_figure_of_a_dense_motor_log_marks_contacts_and_one_set():
     fit = made_fit(MOTOR, samples=3000, runs=1, uses=("fit",), lost=slice(0, 0))
-    figure = figure_measured_against_simulated(fit, "drop-1", contacts=[1.7e9 + 2.0])
+    figure = figure_measured_against_simulated(fit, "drop-1", bars={"foot down": [(2.0, 2.01)]})
     (line,) = lines_in(figure.axes[0], MEASURED)
     assert line.get_marker() == "None"
     assert not figure.axes[0].patches
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert texts == ["measured", "best set, and its residual", "foot contact"]
+    assert texts == ["measured", "best set, residual", "foot down"]
 
 
 def test_report_figure_of_a_channel_without_samples_is_drawn():
@@ -180,5 +173,5 @@ def test_report_figures_leave_pyplot_alone():
     import subprocess
     import sys
 
-    code = "import sys, sysid.report.fit_plots; sys.exit('matplotlib.pyplot' in sys.modules)"
+    code = "import sys, sysid.report.fit_figures; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -9,7 +9,7 @@ import pytest
 from fakes.places import SAMPLES
 from sysid.gear.problem import fit_gear
 from sysid.motor.problem import fit_motor
-from sysid.report.notebook import find_notebook, page, run_notebook
+from sysid.report.notebook import find_notebook, notebook_page, run_notebook
 from sysid.workflows.report import ReportOptions, write_report
 from sysid.workflows.search import FitOptions
 
@@ -72,7 +72,7 @@ def test_the_report_of_a_fit(fits, name, pictures):
     if name != "motor":
         assert text.count("<canvas") == 1
         # Eight drops of five channels, each with its contacts.
-        assert len(re.findall(r"contacts of the feet", text)) == 40
+        assert len(re.findall(r"; rear foot down: [1-9]", text)) == 40
     if name == "gear-hf":
         assert "both feet slip, rear sticks, front sticks, both stick" in text
 
@@ -128,7 +128,7 @@ def test_the_motor_s_report_against_another_campaign(fits, tmp_path):
 )  # fmt: skip
 def test_the_other_notebooks(tmp_path, name, parameters, pictures):
     more = {"out": str(tmp_path / "fit")} if name == "bring-your-own-logs" else {}
-    text = checked(page(run_notebook(find_notebook(name), {**parameters, **more}), name), pictures)
+    text = checked(notebook_page(run_notebook(find_notebook(name), {**parameters, **more}), name), pictures)
     if name == "the-model":
         assert text.count("<math") > 15
 

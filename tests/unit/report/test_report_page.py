@@ -8,22 +8,26 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from rich.table import Table
-from rich.text import Text
-from sysid.report.trust_panels import interval_table
 
 from fakes.fits import MOTOR, made_fit
 from sysid.export import load_parameter_sets
 from sysid.filters import Spectrum, amplitude_spectrum
 from sysid.fit.store import read_fit, write_fit
 from sysid.gear.model import EventKind, pack, simulate
-from sysid.report import diagrams, fit_report, model_notes, paper_figures
+from sysid.report import diagrams, fit_report, gear_report, model_notes
 from sysid.report.animation import animation
+from sysid.report.drawing import as_math, thinned
 from sysid.report.drop_replay import START, DropReplay, animation_data, leg_points, replay_drop
-from sysid.report.fit_figures import as_math, figure_channel, figure_spread, figure_waterfall, thinned
-from sysid.report.fit_report import FitReport, open_fit
-from sysid.report.html import box, bullets, folded, markup_table, paragraph, picture
+from sysid.report.fit_figures import figure_channel, figure_spread, figure_waterfall
+from sysid.report.fit_report import FitReport
+from sysid.report.gear_report import GearReport
+from sysid.report.html import box, bullets, folded, heading, markup_table, paragraph, picture
+from sysid.report.kinds import open_fit
+from sysid.report.motor_report import MotorReport
+from sysid.report.page import page
 from sysid.report.snapshots import figure_snapshots
+from sysid.report.table import Cell, table, words
+from sysid.report.trust_tables import interval_table, narrow_table
 from sysid.report.verdict import open_parameters, verdict_sentences
 
 NASTY = "</script><img src=x onerror=alert(1)>"
@@ -44,18 +48,18 @@ def small_figure():
 
 
 def test_names_of_a_log_are_text_and_never_markup():
-    table = Table(title=Text(NASTY))
-    table.add_column("trial")
-    table.add_row(Text(NASTY))
     for piece in (
         paragraph(NASTY),
         bullets([NASTY]),
         folded(NASTY, paragraph("a")),
-        markup_table(table),
+        markup_table(table(NASTY, [NASTY], [words("trial", str)], NASTY)),
         picture(small_figure(), NASTY, NASTY),
     ):
         assert "<img src=x" not in piece.text
         assert "&lt;img src=x" in piece.text
+    text = page(NASTY, heading(NASTY) + paragraph("a"))
+    assert "<img" not in text
+    assert text.count("&lt;img src=x") == 3  # title, link, heading
 
 
 def test_a_figure_has_a_text_alternative_or_is_refused():
@@ -293,32 +297,27 @@ def test_drops_of_one_name_keep_to_their_own_campaign(drop_fit, tmp_path, monkey
     # The same name of campaign and drop, but let go 5 cm higher: the feet touch later.
     log = drop_fit.provenance["logs"]["drop-1"] | {START: [BODY[0], BODY[1] + 0.05, *BODY[2:]]}
     other = replace(drop_fit, provenance={"logs": {"drop-1": log}})
-    report = FitReport(tmp_path, drop_fit, other)
+    report = GearReport(tmp_path, drop_fit, other)
     own, theirs = report.drops()
     assert theirs.contacts[0].start > own.contacts[0].start + 0.01
 
     seen = []
 
-    def watched(fit, trial, c, contacts=()):
-        seen.append((fit is other, contacts[0].start))
+    def watched(fit, trial, *_, bars):
+        seen.append((fit is other, bars["rear foot down"][0][0]))
         return small_figure()
 
     monkeypatch.setattr(fit_report, "figure_channel", watched)
+    monkeypatch.setattr(fit_report, "figure_measured_against_simulated", watched)
+    expected = {(False, own.contacts[0].start), (True, theirs.contacts[0].start)}
     report.measured_against_simulated()
-    assert set(seen) == {(False, own.contacts[0].start), (True, theirs.contacts[0].start)}
-
-    drawn = []
-
-    def marked(fit, name=None, contacts=()):
-        drawn.append([round(c - 100.0, 9) for c in contacts[:1]])
-        return small_figure()
-
-    monkeypatch.setattr(paper_figures, "figure_measured_against_simulated", marked)
-    monkeypatch.setattr(paper_figures, "figure_snapshots", lambda drop, legend: drop)
-    names = paper_figures.paper_figures(report)
-    assert drawn == [[], [round(own.contacts[0].start, 9)], [round(theirs.contacts[0].start, 9)]]
-    assert names["snapshots-drop-1"] is own
-    assert names["snapshots-against-bench-drop-1"] is theirs
+    assert set(seen) == expected
+    seen.clear()
+    monkeypatch.setattr(gear_report, "figure_snapshots", lambda drop, legend: drop)
+    figures = [report.trial_figures(fit, fit.trials[0]) for fit in report.fits]
+    assert set(seen) == expected
+    assert figures[0]["snapshots-drop-1"] is own
+    assert figures[1]["snapshots-against-bench-drop-1"] is theirs
 
 
 def motor_fit():
@@ -336,9 +335,9 @@ def motor_fit():
 
 
 def test_the_figures_of_a_motor_for_a_paper(tmp_path, monkeypatch):
-    monkeypatch.setattr(FitReport, "simulated_thrust", staticmethod(lambda fit, trial: np.ones((5, 600))))
-    report = FitReport(tmp_path, motor_fit())
-    found = paper_figures.paper_figures(report)
+    monkeypatch.setattr(MotorReport, "simulated_thrust", staticmethod(lambda fit, trial: np.ones((5, 600))))
+    report = MotorReport(tmp_path, motor_fit())
+    found = report.figures()
     names = {f"reversal-drop-{t}-{k}" for t in (1, 2, 3, 4) for k in (1, 2, 3)}
     assert {name for name in found if name.startswith("reversal")} == names
     assert "profile-nrmse-leg_axial_stiffness" in found
@@ -368,7 +367,7 @@ def test_the_options_of_the_animation_tell_the_drops_apart(drop_fit, tmp_path):
 
     trial = replace(drop_fit.trials[0], use="validate")
     other = replace(drop_fit, name="other", trials=(trial,))
-    report = FitReport(tmp_path, drop_fit, other)
+    report = GearReport(tmp_path, drop_fit, other)
     options = re.findall(r"<option [^>]*>([^<]*drop-1[^<]*)</option>", report.animation().text)
     assert options == ["bench, drop-1: 15°, fitted", "other, drop-1: 15°, not fitted"]
     text = report.measured_against_simulated().text
@@ -380,7 +379,7 @@ def test_snapshots_are_titled_with_the_instants_that_the_caption_names(drop_fit,
     panels = figure_snapshots(drop, legend=True).axes
     titles = [axes.get_title(loc="left") for axes in panels if axes.get_visible()]
     assert titles == [f"({k}) {1e3 * t:.0f} ms" for k, (t, _) in enumerate(drop.first_contacts(), 1)]
-    caption = FitReport(tmp_path, drop_fit).snapshots().text
+    caption = GearReport(tmp_path, drop_fit).snapshots().text
     for title in titles:
         assert title.replace(") ", ") at ") in caption
 
@@ -489,8 +488,8 @@ def test_the_numbers_beside_the_misprints_are_those_of_the_design_notes(sets):
 
 def test_the_verdict_says_what_is_open_and_what_is_not_known():
     fit = made_fit(uses=("fit", "fit"))
-    said = " ".join(verdict_sentences(fit, None, None, {}, 0))
-    assert "five sets fit two drops" in said
+    said = " ".join(verdict_sentences(fit, None, None, {}, 0, model="m"))
+    assert "five sets fit two trials" in said
     assert "none was held back" in said
     assert "Intervals have not been computed" in said
     assert "leg axial stiffness (k_h)" in said
@@ -511,10 +510,10 @@ def cut_fit(cut=1):
 @pytest.mark.parametrize("cut", [1, 3])
 def test_an_unfinished_search_is_not_told_as_a_finding(tmp_path, cut):
     whole, fit = cut_fit(0), cut_fit(cut)
-    said = " ".join(verdict_sentences(whole, None, None, {}, 0))
+    said = " ".join(verdict_sentences(whole, None, None, {}, 0, model="m"))
     assert "The data hold" in said
     assert "of 3 independent runs" in said
-    said = " ".join(verdict_sentences(fit, None, None, {}, 0))
+    said = " ".join(verdict_sentences(fit, None, None, {}, 0, model="m"))
     assert "The search was not finished: nothing is known about what the data fix." in said
     for claim in ("The data hold", "do not fix", "independent runs", "optimum"):
         assert claim not in said
@@ -585,8 +584,10 @@ def test_open_intervals_are_shown_as_open():
         "name": "ground_damping", "symbol": "b_s", "unit": "N·s/m", "value": 2.0, "mean": 2.0, "sigma": 1.0,
         "interval_68": [0.001, 5.0], "open_68": [True, False], "interval_95": [0.001, 10.0],
         "open_95": [True, True], "verdict": "not identifiable", "at_bound": 0, "measured": None,
+        "half_width": float("inf"), "bootstrap_95": None, "refined": 2.0, "fisher_sigma": 1.0, "doubt": None,
     }  # fmt: skip
-    cells = [next(iter(column.cells)).plain for column in interval_table({"parameters": [row]}).columns]
-    assert cells[3] == "≤ 5"
-    assert cells[4] == "open"
+    wide, narrow = (make({"parameters": [row]}) for make in (interval_table, narrow_table))
+    assert [cell.text for cell in wide.rows[0][3:5]] == ["open", "open"]
+    assert narrow.rows[0][2].text == "≤ 5"
+    assert wide.rows[0][5] == Cell("not identifiable", "bad")
     assert box(paragraph("a"), "verdict").text == '<div class="verdict"><p>a</p></div>'

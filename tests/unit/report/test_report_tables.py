@@ -5,10 +5,11 @@ import re
 import numpy as np
 import pytest
 from rich.console import Console
-from sysid.report.tables import mean_sigma_table, ranked_table, trial_table
 
 from sysid.parameter_sets import ParameterSets, parameter_records
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
+from sysid.report.fold import print_table
+from sysid.report.set_tables import mean_sigma_table, ranked_table, trial_table
 
 
 def made_sets(**changes):
@@ -58,7 +59,7 @@ def made_sets(**changes):
 def lines_of(table, width=110):
     console = Console(width=width)
     with console.capture() as capture:
-        console.print(table)
+        print_table(table, console)
     return capture.get().splitlines()
 
 

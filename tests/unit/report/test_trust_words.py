@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from sysid.workflows.trust_printing import channel_lines, check_lines
 
+from sysid.report.trust_words import channel_line, check_lines
 from sysid.trust.influence import Influence
 from sysid.workflows.trust import _trial_doubts, taken_as_exact
 from sysid.workflows.validate import _unlike_the_others
@@ -67,7 +67,7 @@ def test_a_parameter_that_no_channel_sees_is_told_by_nothing():
         {"symbol": "k_d", "channels": {"torque": 0.0, "speed": float("nan")}},
         {"symbol": "L", "channels": dict.fromkeys("abcdef", 1 / 6)},
     ]
-    assert channel_lines({"parameters": rows})[0] == "told by: R: speed 70 %, torque 30 %; k_d: nothing; L: a"
+    assert channel_line({"parameters": rows}) == "informed by: R: speed 70 %, torque 30 %; k_d: nothing; L: a"
 
 
 def test_a_second_log_is_said_by_its_clock():
