@@ -13,11 +13,11 @@ from typing import Protocol
 
 from sysid.errors import ExportError
 from sysid.export import binary, spreadsheet
-from sysid.export.mean_table import MeanRow, format_mean_table, mean_table
+from sysid.export.mean_table import MeanRow, mean_table
 from sysid.parameter_sets import ParameterSets, SetsDocument
 from sysid.storage import write_file
 
-__all__ = ["MeanRow", "export", "format_mean_table", "load_parameter_sets", "mean_table"]
+__all__ = ["MeanRow", "export", "load_parameter_sets", "mean_table"]
 
 
 class HasParameterSets(Protocol):

@@ -20,7 +20,7 @@ class MeanRow:
     measured : tuple of float
         Empty, one measured value, or the two ends of an independently measured range [unit].
     fitted : tuple
-        Per fit: (mean, σ) [unit], or None where that fit held the parameter.
+        Per fit: (mean, σ) [unit], or None where that fit did not search the parameter.
     """
 
     name: str
@@ -55,36 +55,14 @@ def _row(name: str, record: ParameterRecord, fits: Sequence[ParameterSets]) -> M
         cell = None
         if name in sets.names and len(sets):
             i = sets.names.index(name)
-            own = sets.parameters[i]
-            if own.status == "free" or name in sets.settings.get(COMBINATIONS, ()):
+            column = sets.parameters[i]
+            if column.status == "free" or name in sets.settings.get(COMBINATIONS, ()):
                 cell = (float(sets.mean[i]), float(sets.sigma[i]))
-                measured = measured or (own.measured_range or ())
-            elif own.status == "measured":
+                measured = measured or (column.measured_range or ())
+            elif column.status == "measured":
                 measured = (float(sets.mean[i]),)
         fitted.append(cell)
     return MeanRow(name, record.symbol, record.unit, measured, tuple(fitted))
-
-
-def format_mean_table(rows: Sequence[MeanRow], titles: Sequence[str]) -> str:
-    """Return the table as aligned text; σ with two digits, the mean to the same place.
-
-    Parameters
-    ----------
-    rows : sequence of MeanRow
-        As `mean_table` returns them.
-    titles : sequence of str
-        Heading of each fitted column.
-    """
-    lines = [["parameter", "", "measured", *titles]]
-    for row in rows:
-        head = row.symbol if row.unit in ("", "1") else f"{row.symbol} [{row.unit}]"
-        measured = "–".join(map(plain, row.measured)) or "—"
-        lines.append([head, row.name, measured, *(mean_sigma(cell) for cell in row.fitted)])
-    widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
-        for line in lines
-    )
 
 
 def mean_sigma(cell: tuple[float, float] | None) -> str:
@@ -109,11 +87,11 @@ def mean_sigma(cell: tuple[float, float] | None) -> str:
             return f"{value}{power} (σ < 1e{(exponent if power else 0) - 6})"
         text = f"{value} ± {sigma / scale:.1g}"
     else:
-        text = " ± ".join(f"{round(one / scale, digits):.{max(digits, 0)}f}" for one in (mean, sigma))
+        text = " ± ".join(f"{round(value / scale, digits):.{max(digits, 0)}f}" for value in (mean, sigma))
     return f"({text}){power}" if power else text
 
 
 def plain(value: float, digits: int = 4) -> str:
-    """Return a number with so many digits; an exponent only below 1e-4 and from 1e7 on."""
+    """Return a number as text with `digits` digits; an exponent only below 1e-4 and from 1e7 on."""
     text = f"{value:.{digits}g}"
     return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e7 else text

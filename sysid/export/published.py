@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -38,202 +38,147 @@ _KV = (
 )
 
 
-@dataclass(frozen=True)
-class Printed:
-    """One printed (or, where `source` says so, not printed) number.
-
-    Parameters
-    ----------
-    value : float
-        [SI].
-    status : {"free", "measured", "fixed", "derived"}
-        How the paper obtained it.
-    source : str
-        Where it stands.
-    sigma : float, optional
-        Printed standard deviation over the five runs [SI].
-    measured_range : (float, float), optional
-        The "measured" column of Table II for a fitted number [SI].
-    """
-
-    value: float
-    status: Status
-    source: str
-    sigma: float | None = None
-    measured_range: tuple[float, float] | None = None
-
-
 _UNPRINTED = "not printed in the paper"
-_GA_1 = "Table I, genetic algorithm"
+_GA = "Table I, genetic algorithm"
 _BY_HAND = "Table I, adjusted by hand"
-
-TABLE_1: dict[str, Printed] = {
-    "winding_resistance": Printed(0.299, "free", _GA_1),
-    "winding_inductance": Printed(0.0038, "free", f"{_GA_1}; printed in kg, meant in henry"),
-    "viscous_damping": Printed(9.2e-9, "free", f"{_GA_1}; hardly moves the cost"),
-    "back_emf_constant": Printed(0.00995, "fixed", _KV),
-    "torque_constant": Printed(0.00995, "fixed", _KV),
-    "rotor_inertia": Printed(2.7e-5, "measured", "Table I, measured"),
-    "saturation_current": Printed(0.35, "fixed", _BY_HAND),
-    "saturation_speed": Printed(6.3, "fixed", _BY_HAND),
-    "reference_voltage": Printed(11.1, "fixed", "not printed in the paper: three lithium-polymer cells"),
-    "no_load_slope_forward": Printed(1030.0, "fixed", _CURVE),
-    "no_load_intercept_forward": Printed(0.0, "fixed", _CURVE),
-    "no_load_slope_reverse": Printed(1030.0, "fixed", _CURVE),
-    "no_load_intercept_reverse": Printed(0.0, "fixed", _CURVE),
-    "thrust_quadratic_forward": Printed(1.2e-5, "fixed", _CURVE),
-    "thrust_linear_forward": Printed(0.0, "fixed", _CURVE),
-    "thrust_quadratic_reverse": Printed(0.62e-5, "fixed", _CURVE),
-    "thrust_linear_reverse": Printed(0.0, "fixed", _CURVE),
-    "torque_quadratic_forward": Printed(1.65e-7, "fixed", _CURVE),
-    "torque_linear_forward": Printed(0.0, "fixed", _CURVE),
-    "torque_quadratic_reverse": Printed(1.7e-7, "fixed", _CURVE),
-    "torque_linear_reverse": Printed(0.0, "fixed", _CURVE),
-}
-
 _MEASURED = "Table II, measured"
 
+Printed = tuple[float, Status, str]
+"""Value [SI], how the paper obtained it, and where it is printed."""
 
-def _fitted(
-    column: Literal["low", "high"],
-    value: float,
-    sigma: float,
-    measured_range: tuple[float, float] | None = None,
-) -> Printed:
-    source = f"Table II, {column}-friction mean of five genetic algorithm runs"
-    return Printed(value, "free", source, sigma, measured_range)
-
-
-_BOTH_SURFACES: dict[str, Printed] = {
-    "body_mass": Printed(1.242, "measured", _MEASURED),
-    "body_inertia": Printed(0.0137, "measured", _MEASURED),
-    "foot_dx": Printed(0.105, "measured", _MEASURED),
-    "foot_dz": Printed(0.151, "measured", _MEASURED),
-    "gravity": Printed(9.81, "fixed", "standard value"),
-    "thrust_point_dx": Printed(
-        0.225 * math.cos(math.pi / 4),
-        "fixed",
-        f"{_UNPRINTED}: F450 in X configuration, arms of 0.225 m",
-    ),
-    "leg_mass_fraction": Printed(0.5, "fixed", f"{_UNPRINTED}: the middle of the leg"),
-    "slip_regularization": Printed(
-        0.01, "fixed", f"{_UNPRINTED}: a slip speed small against the fitted ones"
-    ),
+TABLE_1: dict[str, Printed] = {
+    "winding_resistance": (0.299, "free", _GA),
+    "winding_inductance": (0.0038, "free", f"{_GA}; printed in kg, meant in henry"),
+    "viscous_damping": (9.2e-9, "free", f"{_GA}; hardly moves the cost"),
+    "back_emf_constant": (0.00995, "fixed", _KV),
+    "torque_constant": (0.00995, "fixed", _KV),
+    "rotor_inertia": (2.7e-5, "measured", "Table I, measured"),
+    "saturation_current": (0.35, "fixed", _BY_HAND),
+    "saturation_speed": (6.3, "fixed", _BY_HAND),
+    "reference_voltage": (11.1, "fixed", f"{_UNPRINTED}: three lithium-polymer cells"),
+    "no_load_slope_forward": (1030.0, "fixed", _CURVE),
+    "no_load_intercept_forward": (0.0, "fixed", _CURVE),
+    "no_load_slope_reverse": (1030.0, "fixed", _CURVE),
+    "no_load_intercept_reverse": (0.0, "fixed", _CURVE),
+    "thrust_quadratic_forward": (1.2e-5, "fixed", _CURVE),
+    "thrust_linear_forward": (0.0, "fixed", _CURVE),
+    "thrust_quadratic_reverse": (0.62e-5, "fixed", _CURVE),
+    "thrust_linear_reverse": (0.0, "fixed", _CURVE),
+    "torque_quadratic_forward": (1.65e-7, "fixed", _CURVE),
+    "torque_linear_forward": (0.0, "fixed", _CURVE),
+    "torque_quadratic_reverse": (1.7e-7, "fixed", _CURVE),
+    "torque_linear_reverse": (0.0, "fixed", _CURVE),
 }
 
-# "Measured" column of the fitted rows, footnote c: obtained for validation only.
-_RANGES: dict[str, tuple[float, float]] = {
+TABLE_2: dict[str, Printed] = {
+    "body_mass": (1.242, "measured", _MEASURED),
+    "body_inertia": (0.0137, "measured", _MEASURED),
+    "foot_dx": (0.105, "measured", _MEASURED),
+    "foot_dz": (0.151, "measured", _MEASURED),
+    "gravity": (9.81, "fixed", "standard value"),
+    "thrust_point_dx": (
+        0.225 * math.cos(math.pi / 4), "fixed", f"{_UNPRINTED}: F450 in X configuration, arms of 0.225 m",
+    ),
+    "leg_mass_fraction": (0.5, "fixed", f"{_UNPRINTED}: the middle of the leg"),
+    "slip_regularization": (0.01, "fixed", f"{_UNPRINTED}: a slip speed small against the fitted ones"),
+}  # fmt: skip
+# What the low-friction column does not fit.
+TABLE_2_LF: dict[str, Printed] = {
+    "leg_mass": (0.02, "measured", _MEASURED),
+    "leg_inertia": (2.0e-4, "measured", "Table II, calculated"),
+    "kinetic_friction": (0.44, "measured", f"{_MEASURED} on UHMW PE"),
+    "static_friction_excess": (0.0, "fixed", "Table II: N/A; the low-friction law has none"),
+}
+# Mean and σ over the five runs, on low and on high friction [SI].
+FITTED: dict[str, tuple[tuple[float, float] | None, tuple[float, float]]] = {
+    "joint_dx": ((0.088, 0.005), (0.067, 0.001)),
+    "joint_dz": ((0.024, 0.008), (0.019, 0.007)),
+    "leg_axial_stiffness": ((6440.0, 599.0), (6670.0, 350.0)),
+    "leg_axial_damping": ((14.3, 4.6), (20.3, 1.3)),
+    "leg_bending_stiffness": ((10.5, 0.3), (3.44, 0.4)),
+    "leg_bending_damping": ((0.056, 0.045), (0.017, 0.005)),
+    "ground_stiffness": ((1.10e5, 0.07e5), (1.49e5, 0.1e5)),
+    "ground_damping": ((0.042, 0.01), (0.058, 0.036)),
+    "leg_mass": (None, (0.015, 0.004)),
+    "leg_inertia": (None, (2.1e-4, 1.7e-4)),
+    "kinetic_friction": (None, (0.87, 0.11)),
+    "static_friction_excess": (None, (0.08, 0.07)),
+}
+# "Measured" column of fitted rows [SI], which the paper obtained for validation only (footnote c).
+RANGES: dict[str, tuple[float, float]] = {
     "leg_axial_stiffness": (5600.0, 6600.0),
     "leg_axial_damping": (3.6, 8.9),
     "leg_bending_stiffness": (14.0, 16.0),
     "leg_bending_damping": (0.009, 0.037),
     "ground_stiffness": (0.4e5, 2.5e5),
-}
-
-TABLE_2_LF: dict[str, Printed] = _BOTH_SURFACES | {
-    "joint_dx": _fitted("low", 0.088, 0.005),
-    "joint_dz": _fitted("low", 0.024, 0.008),
-    "leg_axial_stiffness": _fitted("low", 6440.0, 599.0, _RANGES["leg_axial_stiffness"]),
-    "leg_axial_damping": _fitted("low", 14.3, 4.6, _RANGES["leg_axial_damping"]),
-    "leg_bending_stiffness": _fitted("low", 10.5, 0.3, _RANGES["leg_bending_stiffness"]),
-    "leg_bending_damping": _fitted("low", 0.056, 0.045, _RANGES["leg_bending_damping"]),
-    "ground_stiffness": _fitted("low", 1.10e5, 0.07e5, _RANGES["ground_stiffness"]),
-    "ground_damping": _fitted("low", 0.042, 0.01),
-    "leg_mass": Printed(0.02, "measured", _MEASURED),
-    "leg_inertia": Printed(2.0e-4, "measured", "Table II, calculated"),
-    "kinetic_friction": Printed(0.44, "measured", f"{_MEASURED} on UHMW PE"),
-    "static_friction_excess": Printed(0.0, "fixed", "Table II: N/A; the low-friction law has none"),
-}
-
-TABLE_2_HF: dict[str, Printed] = _BOTH_SURFACES | {
-    "joint_dx": _fitted("high", 0.067, 0.001),
-    "joint_dz": _fitted("high", 0.019, 0.007),
-    "leg_axial_stiffness": _fitted("high", 6670.0, 350.0, _RANGES["leg_axial_stiffness"]),
-    "leg_axial_damping": _fitted("high", 20.3, 1.3, _RANGES["leg_axial_damping"]),
-    "leg_bending_stiffness": _fitted("high", 3.44, 0.4, _RANGES["leg_bending_stiffness"]),
-    "leg_bending_damping": _fitted("high", 0.017, 0.005, _RANGES["leg_bending_damping"]),
-    "ground_stiffness": _fitted("high", 1.49e5, 0.1e5, _RANGES["ground_stiffness"]),
-    "ground_damping": _fitted("high", 0.058, 0.036),
-    "leg_mass": _fitted("high", 0.015, 0.004, (0.02, 0.02)),
-    "leg_inertia": _fitted("high", 2.1e-4, 1.7e-4, (2.0e-4, 2.0e-4)),
-    "kinetic_friction": _fitted("high", 0.87, 0.11),
-    "static_friction_excess": _fitted("high", 0.08, 0.07),
+    "leg_mass": (0.02, 0.02),
+    "leg_inertia": (2.0e-4, 2.0e-4),
 }
 
 
 def _sets(
-    kind: Literal["motor", "gear"],
     name: str,
     table: ParameterTable,
-    printed: dict[str, Printed],
+    printed: Mapping[str, Printed],
     nrmse: float,
-    channels: tuple[tuple[str, str], ...],
-    settings: dict[str, Any],
-    provenance: dict[str, Any],
-    warnings: tuple[str, ...] = (),
+    channels: Mapping[str, str],
+    sigma: Mapping[str, float] | None = None,
+    **more: Any,
 ) -> ParameterSets:
-    unknown = set(printed) - set(table)
-    if unknown:
+    """Return one set; what the model has beyond the paper's tables (instruments) takes its default."""
+    if unknown := set(printed) - set(table):
         raise ValueError(f"{name}: the model's table has no {', '.join(sorted(unknown))}")
-    # What the model has beyond the paper's tables (instruments of a log) takes its default.
-    printed = {
-        row.name: printed.get(row.name, Printed(row.nominal, "fixed", f"{_UNPRINTED}: {row.source}"))
-        for row in table.values()
-    }
-    records = tuple(
-        ParameterRecord(
-            row.name,
-            row.symbol,
-            row.unit,
-            printed[row.name].status,
-            row.meaning,
-            printed[row.name].source,
-            measured_range=printed[row.name].measured_range,
-            stated_sigma=printed[row.name].sigma,
-        )
-        for row in table.values()
-    )
+    values, records = [], []
+    for row in table.values():
+        value, status, source = printed.get(row.name, (row.nominal, "fixed", f"{_UNPRINTED}: {row.source}"))
+        values.append(value)
+        stated = (sigma or {}).get(row.name)
+        measured = RANGES.get(row.name) if stated is not None else None
+        records.append(
+            ParameterRecord(
+                row.name, row.symbol, row.unit, status, row.meaning, source,
+                measured_range=measured, stated_sigma=stated,
+            )
+        )  # fmt: skip
     return ParameterSets(
-        kind=kind,
         name=name,
-        parameters=records,
-        values=np.array([[printed[row].value for row in table]]),
+        parameters=tuple(records),
+        values=np.array([values]),
         nrmse=np.array([nrmse]),
         runs=(0,),
         seeds=(0,),
         at_bound=np.zeros((1, len(table)), dtype=np.int8),
         trials=(),
         uses=(),
-        channels=tuple(channel for channel, _ in channels),
-        channel_units=tuple(unit for _, unit in channels),
+        channels=tuple(channels),
+        channel_units=tuple(channels.values()),
         channel_weights=(1.0,) * len(channels),
         nrmse_by_trial=np.empty((1, 0, len(channels))),
-        settings=settings,
-        provenance={"paper": _PAPER, "values": "printed mean over five runs"} | provenance,
-        warnings=warnings,
+        **more,
     )
 
 
 def table_1() -> ParameterSets:
     """Return Table I: DJI 2312, 960 rpm/V, with a 9 x 4.5 inch propeller."""
     return _sets(
-        "motor",
         "published-motor",
         motor.PARAMETERS,
         TABLE_1,
         0.0267,
-        (("torque", "N·m"), ("speed", "rad/s")),
-        {
+        {"torque": "N·m", "speed": "rad/s"},
+        kind="motor",
+        settings={
             "command": "u in [-1, 1]; the paper prints no pulse widths",
             "no_load_speed": "a u + b sign(u), per direction",
             "static_curves": "c2 Ω|Ω| + c1 Ω, per direction",
         },
-        {
-            "table": "I",
+        provenance={
+            "paper": _PAPER,
             "values": "printed values of one genetic algorithm",
+            "table": "I",
             "nrmse_denominator": "not printed",
         },
-        (
+        warnings=(
             "k_v and k_t are 0.00995 from the rating of 960 rpm/V: the printed 0.099 cannot be meant.",
             "The static curves and the no-load speed are not printed in the paper.",
         ),
@@ -249,14 +194,18 @@ def table_2(surface: Literal["lf", "hf"]) -> ParameterSets:
         Low friction (UHMW PE) or high friction (roofing shingles).
     """
     low = surface == "lf"
+    source = f"Table II, {'low' if low else 'high'}-friction mean of five genetic algorithm runs"
+    fitted = {name: cells[0 if low else 1] for name, cells in FITTED.items()}
+    found: dict[str, Printed] = {name: (cell[0], "free", source) for name, cell in fitted.items() if cell}
     return _sets(
-        "gear",
         f"published-gear-{surface}",
         gear.PARAMETERS,
-        TABLE_2_LF if low else TABLE_2_HF,
+        TABLE_2 | TABLE_2_LF | found,
         math.nan,
-        (("x_B", "m"), ("z_B", "m"), ("x_B_rate", "m/s"), ("z_B_rate", "m/s"), ("q_B", "rad")),
-        {
+        {"x_B": "m", "z_B": "m", "x_B_rate": "m/s", "z_B_rate": "m/s", "q_B": "rad"},
+        {name: cell[1] for name, cell in fitted.items() if cell},
+        kind="gear",
+        settings={
             "surface": surface,
             "frame": (
                 "x down-slope, z up, y into the page; positive pitch turns z toward x; a slope falls "
@@ -264,12 +213,14 @@ def table_2(surface: Literal["lf", "hf"]) -> ParameterSets:
                 "that end"
             ),
         },
-        {
+        provenance={
+            "paper": _PAPER,
+            "values": "printed mean over five runs",
             "table": "II",
             "nrmse of the five sets, lowest and highest": (0.083, 0.121) if low else (0.133, 0.138),
             "nrmse_denominator": "not printed",
         },
-        (
+        warnings=(
             "The mean of five sets is no fitted set: the paper simulates with the five sets, which it does "
             "not print.",
         ),
@@ -277,12 +228,7 @@ def table_2(surface: Literal["lf", "hf"]) -> ParameterSets:
 
 
 def write_published(folder: str | Path) -> tuple[Path, ...]:
-    """Write the three sets as JSON.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Made when it does not exist; files of the same names are replaced.
+    """Write the three sets as JSON into a folder, which is made; files of the same names are replaced.
 
     Raises
     ------

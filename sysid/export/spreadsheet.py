@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -62,23 +63,25 @@ def to_csv(sets: ParameterSets) -> bytes:
             row = {"row": "nrmse", "name": trial, "symbol": channel, "unit": "1", "status": sets.uses[t]}
             rows.append(row | _by_set(sets.nrmse_by_trial[:, t, c]))
     rows.append({"row": "end", "name": str(len(rows))})
+    return csv_text(rows, columns, line_end="\r\n").encode("utf-8-sig")
+
+
+def csv_text(
+    rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None, *, line_end: str = "\n"
+) -> str:
+    """Return rows as CSV under the given columns, by default the keys of the first row.
+
+    None is an empty cell; a float is the shortest text that reads back to the same float.
+    """
     stream = io.StringIO(newline="")
-    writer = csv.DictWriter(stream, columns, restval="", lineterminator="\r\n")
+    writer = csv.DictWriter(stream, columns or list(rows[0]), restval="", lineterminator=line_end)
     writer.writeheader()
-    for row in rows:
-        writer.writerow({key: _cell(value) for key, value in row.items()})
-    return stream.getvalue().encode("utf-8-sig")
+    writer.writerows(rows)
+    return stream.getvalue()
 
 
 def _by_set(values: Any) -> dict[str, Any]:
     return {f"set_{s + 1}": float(value) for s, value in enumerate(values)}
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return ""
-    # repr gives the shortest text that reads back to the same float.
-    return value if isinstance(value, str) else repr(value)
 
 
 def _number(cell: str) -> float | None:

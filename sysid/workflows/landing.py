@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import math
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from rich.text import Text
 
 from sysid import exact_json
 from sysid.errors import ExportError
+from sysid.export.spreadsheet import csv_text
 from sysid.landing.approach import descend
 from sysid.landing.scenario import Scenario
 from sysid.landing.simulate import Landing, land
@@ -27,6 +27,7 @@ from sysid.storage import check_file, write_file
 from sysid.workflows.landing_sources import chosen_controllers, open_fleets, rules_of
 from sysid.workflows.options import SimulateOptions
 
+EVENT = ("time [s]", "event", "of")
 SCHEMA, VERSION = "sysid-landings", 1
 COLUMNS = (
     "time [s]",
@@ -102,7 +103,7 @@ def event_rows(landing: Landing) -> list[dict[str, Any]]:
     """Return the events of a landing in the order of time."""
     events = [(landing.trigger, "trigger", "body")] if math.isfinite(landing.trigger) else []
     events += [(event.time, event.kind.name.lower(), event.foot) for event in landing.trajectory.events]
-    return [{"time [s]": t, "event": kind, "of": foot} for t, kind, foot in sorted(events)]
+    return [dict(zip(EVENT, event, strict=True)) for event in sorted(events)]
 
 
 def outcome_row(rank: int, landing: Landing) -> dict[str, Any]:
@@ -140,27 +141,20 @@ def conditions(landing: Landing) -> dict[str, Any]:
 def _write(files: Sequence[Path], landings: Sequence[Landing], sources: dict[str, Any]) -> None:
     if not files:
         return
-    rows = [outcome_row(rank, one) for rank, one in enumerate(landings, start=1)]
+    rows = [outcome_row(rank, landing) for rank, landing in enumerate(landings, start=1)]
     if len(files) == 1:
         write_file(files[0], _hdf5(landings, rows, sources), ExportError)
         return
-    events = [{"set": rank} | row for rank, one in enumerate(landings, start=1) for row in event_rows(one)]
-    table = io.StringIO(newline="")
-    writer = csv.writer(table, lineterminator="\n")
-    writer.writerow(("set", *COLUMNS))
-    for rank, one in enumerate(landings, start=1):
-        writer.writerows((rank, *(repr(value) for value in line)) for line in samples(one).tolist())
-    outcomes = [row | conditions(one) for row, one in zip(rows, landings, strict=True)]
-    for path, text in zip(files, (table.getvalue(), _csv(events), _csv(outcomes)), strict=True):
+    events, histories = [], []
+    for rank, landing in enumerate(landings, start=1):
+        events += [{"set": rank} | row for row in event_rows(landing)]
+        histories += [
+            dict(zip(("set", *COLUMNS), (rank, *line), strict=True)) for line in samples(landing).tolist()
+        ]
+    outcomes = [row | conditions(landing) for row, landing in zip(rows, landings, strict=True)]
+    texts = (csv_text(histories), csv_text(events, ("set", *EVENT)), csv_text(outcomes))
+    for path, text in zip(files, texts, strict=True):
         write_file(path, text.encode("utf-8"), ExportError)
-
-
-def _csv(rows: Sequence[dict[str, Any]]) -> str:
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, list(rows[0]) if rows else ["set"], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
 
 
 def _hdf5(landings: Sequence[Landing], rows: Sequence[dict[str, Any]], sources: dict[str, Any]) -> bytes:
@@ -170,20 +164,20 @@ def _hdf5(landings: Sequence[Landing], rows: Sequence[dict[str, Any]], sources: 
         file.attrs["schema"], file.attrs["version"] = SCHEMA, VERSION
         first = landings[0]
         settings = {
-            "scenario": [one.scenario.document() for one in landings],
+            "scenario": [landing.scenario.document() for landing in landings],
             "controller": first.controller.document(),
             "rules": first.rules.document(),
         }
         file.create_dataset("settings_json", data=exact_json.dumps(settings), dtype=text)
         file.create_dataset("provenance_json", data=exact_json.dumps(sources), dtype=text)
-        for row, one in zip(rows, landings, strict=True):
+        for row, landing in zip(rows, landings, strict=True):
             group = file.create_group(f"sets/{row['set']}")
             for name, value in row.items():
                 group.attrs[name] = value
-            for name, values in zip(COLUMNS, samples(one).T, strict=True):
+            for name, values in zip(COLUMNS, samples(landing).T, strict=True):
                 quantity, _, unit = name.partition(" [")
                 group.create_dataset(quantity, data=values).attrs["unit"] = unit.rstrip("]")
-            events = event_rows(one)
+            events = event_rows(landing)
             group["events/time"] = np.array([event["time [s]"] for event in events])
             group["events/time"].attrs["unit"] = "s"
             for key in ("event", "of"):
