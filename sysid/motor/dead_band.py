@@ -1,9 +1,9 @@
 """The second stage of a motor fit: current and speed of the dead band, from trials that change direction.
 
-The paper set both by hand. Everything that the dynamic fit found is held, so that the dead band cannot hide
-in R and L; what a reversal fixes best is the ratio Ω_min/I_sat, the time the rotor needs to leave the band.
-Free beside them is the command delay of each reversal log, which braking shows before the band is reached.
-Without a reversal to fit, starts from rest serve: they pass the same band once.
+The paper set both by hand. Everything that the dynamic fit found stays as it is, so that the dead band cannot
+hide in R and L. A reversal determines best the ratio Ω_min/I_sat, which is the time the rotor needs to leave
+the band. The command delay of each reversal log is free as well: braking shows it before the rotor reaches
+the band. Without a reversal to fit, starts from rest serve: they pass the same band once.
 """
 
 from __future__ import annotations
@@ -29,23 +29,24 @@ from sysid.trials.bench_log import CommandSteps
 from sysid.trials.reversal import find_reversals
 from sysid.types import FloatArray
 
-# The valley of equal Ω_min/I_sat is narrow: CMA-ES alone from a random start ended in it in two of five runs,
-# the default search with its finisher in none; so that one serves where CMA-ES was asked for.
+# The valley of equal Ω_min/I_sat is narrow: CMA-ES alone from a random start got stuck in it in two of five
+# runs, the default search with its finisher in none. So the default search replaces a plain CMA-ES here.
 _POPULATION = 40
-# A dead band that moves the cost of so many random candidates by less than this share is not felt.
+# Trials do not feel the dead band when it moves the cost of this many random candidates by less than this
+# share.
 _PROBES, _FELT = 32, 1e-6
 # Edges Ω_min that are tried beside the fitted one, currents beside each, and the share of the NRMSE below
-# which two dead bands cannot be told apart.
+# which two dead bands are equally good.
 _EDGES, _CURRENTS, _LIMIT = 25, 31, 0.01
-# A range of edges that serve as well is said from this ratio of its ends on.
+# A range of equally good edges is reported when its ends differ by this ratio.
 _WIDE = 1.5
-# Of the thrust whose reversal is timed [s].
+# Steps of the simulated thrust whose reversal is timed [s].
 _DELAY_GRID = 5e-4
 
 
 @dataclass(frozen=True, eq=False)
 class SaturationFit:
-    """What the second stage found, set by set.
+    """The fitted dead band, set by set.
 
     Parameters
     ----------
@@ -54,9 +55,9 @@ class SaturationFit:
     trials : tuple of str
         Trials that were fitted.
     shown_by : {"reversals", "starts from rest"}
-        What they hold.
+        What they show the dead band by.
     values : (S, n) array
-        Of `free` [SI].
+        Of the rows in `free` [SI].
     at_bound : (S, n) int8 array
         -1 within 1 % of the lower bound, +1 of the upper, else 0.
     nrmse, without : (S,) arrays
@@ -102,8 +103,9 @@ def fit_saturation(
     Parameters
     ----------
     campaign : MotorCampaign
-        Its bounds count; what it fixes stays.
+        Its bounds count, and its fixed values stay.
     bench : Bench
+        Its trials.
     table : ParameterTable
         Columns of `rows`.
     rows : (S, n_table) array
@@ -113,6 +115,7 @@ def fit_saturation(
     seeds : tuple of int
         One per set.
     threads : int, optional
+        Cores to use; the numbers do not depend on it.
     should_stop : callable, optional
         Asked after every generation; raises where the fit must end.
 
@@ -133,7 +136,7 @@ def fit_saturation(
     stop = replace(settings.stop, time_limit=None, max_evaluations=None)
     if settings.algorithm == "cmaes":
         settings = replace(settings, algorithm=DEFAULT_ALGORITHM, finish="cmaes")
-    found, costs, without, flags, count = [], [], [], [], 0
+    values, costs, without, flags, count = [], [], [], [], 0
     for row, seed in zip(rows, seeds, strict=True):
         space = saturation_space(campaign, bench, table, named(table, row))
         assert space is not None
@@ -141,9 +144,9 @@ def fit_saturation(
         probes = objective.evaluate(np.random.default_rng(seed).random((_PROBES, len(space.free)))).cost
         if np.ptp(probes) <= _FELT * probes.min():
             return None
-        own = replace(settings, population=_POPULATION, runs=1, seed=seed, stop=stop)
-        run = run_one(objective, own, hooks=Hooks(should_stop=should_stop))
-        found.append(space.decode(run.best_point))
+        one_run = replace(settings, population=_POPULATION, runs=1, seed=seed, stop=stop)
+        run = run_one(objective, one_run, hooks=Hooks(should_stop=should_stop))
+        values.append(space.decode(run.best_point))
         flags.append(space.at_bound(run.best_point))
         costs.append(float(run.best[-1]))
         ideal = replace(objective, ideal_reversal=True)
@@ -152,7 +155,7 @@ def fit_saturation(
     turned = trials[0].entry.direction == "reversal"
     return SaturationFit(
         first.free, tuple(t.entry.name for t in trials), "reversals" if turned else "starts from rest",
-        np.array(found), np.array(flags, dtype=np.int8), np.array(costs), np.array(without), count,
+        np.array(values), np.array(flags, dtype=np.int8), np.array(costs), np.array(without), count,
     )  # fmt: skip
 
 
@@ -164,33 +167,32 @@ def edges_that_serve(
     fit: SaturationFit,
     threads: int | None = None,
 ) -> tuple[float, float] | None:
-    """Return the range of Ω_min [rad/s] that the trials cannot tell apart, the best I_sat beside each.
+    """Return the range of Ω_min [rad/s] over which the trials fit equally well, the best I_sat beside each.
 
     Parameters
     ----------
-    campaign : MotorCampaign
-    bench : Bench
-    table : ParameterTable
+    campaign, bench, table, threads
+        As in `fit_saturation`.
     row : (n_table,) array
         A set with its dead band [SI].
     fit : SaturationFit
-    threads : int, optional
+        How it was found.
 
     Returns
     -------
     (lowest, highest) or None
-        None where the stage did not free both numbers, or holds Ω_min within a factor of 1.5.
+        None where the stage did not free both numbers, or the trials bound Ω_min within a factor of 1.5.
 
     Notes
     -----
-    The currents that are tried lie around the fitted ratio Ω_min/I_sat, which a reversal holds best, and over
-    all bounds of I_sat, for edges so low that no current matters.
+    The currents that are tried lie around the fitted ratio Ω_min/I_sat, which a reversal determines best, and
+    over all bounds of I_sat, for edges so low that no current matters.
     """
-    own = {parameter.name: parameter for parameter in fit.free}
-    if not {*SATURATION} <= {*own}:
+    free = {parameter.name: parameter for parameter in fit.free}
+    if not {*SATURATION} <= {*free}:
         return None
-    current, edge = (own[name] for name in SATURATION)
-    column = {name: i for i, name in enumerate(table)}
+    current, edge = (free[name] for name in SATURATION)
+    column = table.index
     ratio = row[column[current.name]] / row[column[edge.name]]
     edges = np.append(np.geomspace(edge.lower, edge.upper, _EDGES), row[column[edge.name]])
     around = np.append(np.geomspace(0.5, 2.0, _CURRENTS), 1.0) * ratio * edges[:, None]
@@ -225,58 +227,53 @@ def reversal_delays(campaign: MotorCampaign, bench: Bench, best: Mapping[str, fl
     """
     out: list[dict[str, Any]] = []
     for trial in bench.trials:
-        log = trial.log
-        if trial.entry.direction != "reversal" or "thrust" not in log.channels:
+        log, entry = trial.log, trial.entry
+        if entry.direction != "reversal" or "thrust" not in log.channels:
             continue
-        thrust = log.channels["thrust"]
-        if log.fast:
-            time, values = filtered(campaign, log, "thrust")
-            thrust = (time[np.isfinite(values)], values[np.isfinite(values)])
+        time, thrust = filtered(campaign, log, "thrust") if log.fast else log.channels["thrust"]
+        known = np.isfinite(thrust)
         parameters = {name: value for name, value in best.items() if name in PARAMETERS}
-        parameters["command_delay"] = best.get(delay_name(trial.entry.log), best["command_delay"])
+        parameters["command_delay"] = best.get(delay_name(entry.log), best["command_delay"])
         start = float(trial.simulated.time[0])
         end = min(float(log.time[-1]), log.window[1])
         grid = np.arange(start, end, _DELAY_GRID)
-        supply = trial.simulated.supply_time, trial.simulated.supply_ratio
-        volts = None
-        if supply[0] is not None and supply[1] is not None:
-            volts = (supply[0], supply[1] * parameters["reference_voltage"])
-        found = simulate(parameters, log.steps.time, log.steps.level, grid, initial="steady", voltage=volts)
+        knots, ratio = trial.simulated.supply_time, trial.simulated.supply_ratio
+        volts = None if knots is None or ratio is None else (knots, ratio * parameters["reference_voltage"])
+        run = simulate(parameters, log.steps.time, log.steps.level, grid, initial="steady", voltage=volts)
         # The command in force when the trial begins is what its first reversal comes from.
         first = max(int(np.searchsorted(log.steps.time, start, side="right")) - 1, 0)
         last = int(np.searchsorted(log.steps.time, end))
         steps = CommandSteps(log.steps.time[first:last], log.steps.level[first:last])
-        rows = log.time[log.time <= end]
-        measured = find_reversals(rows, steps, thrust, skip=log.doubtful, sense="both")
-        model = find_reversals(rows, steps, (grid, found.thrust), skip=log.doubtful, sense="both")
+        measured, simulated = (
+            find_reversals(log.time[log.time <= end], steps, samples, skip=log.doubtful, sense="both")
+            for samples in ((time[known], thrust[known]), (grid, run.thrust))
+        )
         out += [
             {
-                "trial": trial.entry.name,
-                "use": trial.entry.use,
+                "trial": entry.name,
+                "use": entry.use,
                 "command before": a.before,
                 "command after": a.after,
                 "measured [s]": a.to_level,
                 "simulated [s]": b.to_level,
             }
-            for a, b in zip(measured, model, strict=True)
+            for a, b in zip(measured, simulated, strict=True)
         ]
     return out
 
 
 def with_saturation(table: ParameterTable, rows: FloatArray, fit: SaturationFit | None) -> FloatArray:
-    """Return the sets (S, n_table) with what the second stage found."""
+    """Return the sets (S, n_table) with the fitted dead band."""
     rows = np.array(rows, dtype=np.float64)
-    index = {name: i for i, name in enumerate(table)}
     if fit is not None:
-        for column, row in enumerate(fit.free):
-            rows[:, index[row.name]] = fit.values[:, column]
+        rows[:, [table.index[row.name] for row in fit.free]] = fit.values
     return rows
 
 
 def saturation_space(
     campaign: MotorCampaign, bench: Bench, table: ParameterTable, values: Mapping[str, float]
 ) -> SearchSpace | None:
-    """Return what the second stage frees, all else held at `values` [SI]; None where it has nothing to do.
+    """Return what the second stage frees, all else fixed at `values` [SI]; None where it has nothing to do.
 
     Raises
     ------
@@ -298,12 +295,12 @@ def saturation_space(
     if not names:
         return None
     known = {n: value for n, value in values.items() if n not in names and n in PARAMETERS}
-    own_bounds = {name: pair for name, pair in choices.bounds.items() if name in names}
-    choices = choices.model_copy(update={"free": names, "bounds": own_bounds})
+    bounds = {name: pair for name, pair in choices.bounds.items() if name in names}
+    choices = choices.model_copy(update={"free": names, "bounds": bounds})
     space = choices.search_space(PARAMETERS, names, known)
-    # Delays of logs that only this stage sees; those of the dynamic fit are held.
+    # Delays of logs that only this stage sees are free; those of the dynamic fit stay.
     seen = {delay_name(trial.entry.log) for trial in bench.fitted}
     late = {delay_name(trial.entry.log) for trial in bench.banded} - seen
-    own = [row for name, row in table.items() if name in late]
-    held = {n: value for n, value in values.items() if n not in PARAMETERS and n not in late}
-    return SearchSpace(table, (*space.free, *own), {**space.fixed, **held})
+    delays = [row for name, row in table.items() if name in late]
+    fixed = {n: value for n, value in values.items() if n not in PARAMETERS and n not in late}
+    return SearchSpace(table, (*space.free, *delays), {**space.fixed, **fixed})

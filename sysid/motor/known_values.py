@@ -1,8 +1,7 @@
-"""A motor campaign after its logs were read: trials, static curves and the values that they fix."""
+"""A motor campaign after its logs were read: trials, static curves and the values that they determine."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from sysid.campaign import MotorCampaign
-from sysid.errors import CampaignError, SysidWarning
+from sysid.errors import CampaignError
+from sysid.journal import notice
 from sysid.motor.bench_logs import BenchLog, TorquePerCurrent, bench_log, check_options, torque_per_current
 from sysid.motor.curves import CurveLog, StaticCurves, read_curve_logs, static_curves
 from sysid.motor.log_delays import with_log_delays
@@ -24,11 +24,9 @@ from sysid.parameters import SearchSpace
 _LOADED_SHARE = 0.8
 # Kv V_ref over the speed at full command: without propeller 1 to a few percent, with one 1.1 to 2.
 _KV_NO_LOAD, _KV_LOADED = (0.7, 1.5), (0.8, 2.8)
-
-
 # Fitted to reversals after everything else, never with it.
 SATURATION = ("saturation_current", "saturation_speed")
-# Equal in SI; without one of them torque and speed fix R, L and I_sat only up to a common scale.
+# Equal in SI; without one of them torque and speed determine R, L and I_sat only up to a common scale.
 CONSTANTS = ("back_emf_constant", "torque_constant")
 # A rating is good to some percent.
 _SCALE_AGREES = 0.1
@@ -41,15 +39,17 @@ class Bench:
     Parameters
     ----------
     trials : tuple of PreparedTrial
+        In the order of the campaign.
     curves : StaticCurves
+        Of every direction that the trials turn.
     values : dict
-        Parameters that the campaign or its static logs fix, by name [SI].
+        Parameters that the campaign or its static logs state, by name [SI].
     measured : mapping of str to str
         Where those of them come from that were measured, by name.
     stated : mapping of str to str
         Where the others come from: a rating, a guess.
     scale_known : bool
-        Whether a Kv, a logged motor current or the campaign fixes the scale of R, L and I_sat.
+        Whether a Kv, a logged motor current or the campaign determines the scale of R, L and I_sat.
     """
 
     trials: tuple[PreparedTrial, ...]
@@ -146,16 +146,16 @@ def _check_kv(kv: float, reference: float, curves: StaticCurves) -> None:
     low, high = _KV_NO_LOAD if bare else _KV_LOADED
     slip = 30.0 / np.pi
     rpm = kv * slip
-    found = (
+    sentence = (
         f"motor.kv: {kv:.4g} rad/s/V ({rpm:.4g} rpm/V) at {reference:.3g} V would turn the unloaded motor at "
         f"{kv * reference:.4g} rad/s, the logs {what} propeller show {top:.4g} rad/s at full command"
     )
     if low * slip <= ratio <= high * slip:
-        raise CampaignError(f'{found}; {kv:.4g} looks like rpm/V: write kv = "{kv:.4g} rpm/V"')
+        raise CampaignError(f'{sentence}; {kv:.4g} looks like rpm/V: write kv = "{kv:.4g} rpm/V"')
     if low <= ratio * slip <= high:
-        raise CampaignError(f'{found}; {rpm:.4g} looks like rad/s/V: write kv = "{rpm:.4g} rad/s/V"')
+        raise CampaignError(f'{sentence}; {rpm:.4g} looks like rad/s/V: write kv = "{rpm:.4g} rad/s/V"')
     if not low <= ratio <= high:
-        warnings.warn(f"{found}; check kv and reference_voltage", SysidWarning, stacklevel=3)
+        notice("odd-kv", f"{sentence}; check kv and reference_voltage")
 
 
 def _reference_voltage(
@@ -197,12 +197,11 @@ def _known_values(
         values |= dict.fromkeys(constants, 1.0 / motor.kv)
         stated |= dict.fromkeys(constants, "campaign: 1/motor.kv, a rating")
         if current is not None and abs(current.value * motor.kv - 1.0) > _SCALE_AGREES:
-            warnings.warn(
+            notice(
+                "kv-against-current",
                 f"motor.kv says {1.0 / motor.kv:.4g} N·m/A, torque over the logged motor current "
                 f"{current.value:.4g} ± {current.error:.2g} N·m/A: the rating is used; leave motor.kv out to "
                 "use the current, or correct log.current",
-                SysidWarning,
-                stacklevel=3,
             )
     elif current is not None:
         values |= dict.fromkeys(constants, current.value)
@@ -215,14 +214,13 @@ def _known_values(
         values |= dict.fromkeys(constants, _LOADED_SHARE * reference / top)
         stated |= dict.fromkeys(constants, "guess from supply and loaded speed: the campaign gives no Kv")
     if motor.kv is None and current is None and not set(constants) <= set(campaign.parameters.fixed):
-        warnings.warn(
+        notice(
+            "no-kv",
             "no Kv in the campaign: R, L and I_sat rest on a guessed motor constant of "
             f"{values.get('torque_constant', PARAMETERS.nominal['torque_constant']):.4g} N·m/A; torque and "
             "speed fix only k²/R, R/L and k·I_sat, which the result lists",
-            SysidWarning,
-            stacklevel=2,
         )
-    for name in ("rotor_inertia", "saturation_current", "saturation_speed"):
+    for name in ("rotor_inertia", *SATURATION):
         value = getattr(motor, name)
         if value is not None:
             values[name] = value
@@ -244,17 +242,56 @@ def untested_rows(campaign: MotorCampaign, bench: Bench) -> tuple[str, ...]:
 def _warn_of_starts(campaign: MotorCampaign, bench: Bench) -> None:
     """Warn of fitted trials that are little but a start from rest, where the dead band is not known.
 
-    To free it beside R, L and the delay does not help: they hide in one another.
+    Freeing the dead band beside R, L and the delay does not help: they hide in one another.
     """
     given = {*campaign.parameters.fixed, *bench.measured}
     starts = [trial.entry.name for trial in bench.fitted if trial.only_starts]
     if starts and not set(SATURATION) <= given:
-        warnings.warn(
-            f"trial {', '.join(starts)}: little but a start from rest, so R, L and the delay rest on "
-            "Table I's dead band; add steps between running speeds, or state motor.saturation_current and "
-            "motor.saturation_speed",
-            SysidWarning,
-            stacklevel=3,
+        for name in starts:
+            notice(
+                "little-but-a-start",
+                "little but a start from rest, so R, L and the delay rest on Table I's dead band; add steps "
+                "between running speeds, or state motor.saturation_current and motor.saturation_speed",
+                trial=name,
+            )
+
+
+def _wanted(campaign: MotorCampaign, bench: Bench) -> list[str]:
+    """Return the names that the dynamic fit frees unless the campaign fixes them."""
+    choices = campaign.parameters
+    default = [name for name in FREE_DEFAULT if name != "viscous_damping" or not bench.curves.ties]
+    needed = ["command_delay"]
+    if any(not trial.log.fast for trial in bench.fitted):
+        needed += ["torque_sensor_delay", "torque_sensor_lag"]
+    if campaign.motor.rotor_inertia is None and choices.free is None:
+        needed.append("rotor_inertia")
+    names = list(default if choices.free is None else choices.free)
+    names += [name for name in needed if name not in names]
+    return [name for name in names if name not in SATURATION]
+
+
+def _check_choice(campaign: MotorCampaign, bench: Bench, chosen: tuple[str, ...]) -> None:
+    """Refuse a free parameter that no trial depends on; warn of free ones that the logs leave arbitrary."""
+    if not {"rotor_inertia"} & {*chosen, *campaign.parameters.fixed, *bench.values}:
+        notice(
+            "inertia-of-another-motor",
+            f"the rotor's inertia is neither measured nor free, so Table I's "
+            f"{PARAMETERS['rotor_inertia'].nominal:g} kg·m² of another motor is used; state "
+            "motor.rotor_inertia or name it in parameters.free",
+        )
+    silent = [name for name in chosen if name in PARAMETERS.group("thrust curve")]
+    if silent:
+        raise CampaignError(
+            f"parameters.free names {', '.join(silent)}, on which neither torque nor speed depends; thrust "
+            "comes from the static curves, so take it off the list"
+        )
+    scale = [name for name in CONSTANTS if name in chosen]
+    if scale and "winding_resistance" in chosen and not bench.scale_known:
+        notice(
+            "scale-free",
+            f"{' and '.join(scale)} free beside winding_resistance, and no log holds the motor's current: "
+            "torque and speed fix only k²/R, R/L and k·I_sat, which the result lists; the values themselves "
+            "are arbitrary together",
         )
 
 
@@ -263,8 +300,7 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
 
     The rotor's inertia is free where it was not measured; the command delay always, one per log where there
     are several, and the torque sensor's delay and lag where a trial is a slow log, unless the campaign fixes
-    them. k_d is free by default only
-    where a log without propeller gives Ω_0: with Ω_0 from loaded points,
+    them. k_d is free by default only where a log without propeller gives Ω_0: with Ω_0 from loaded points,
     (k²/R, k_d, Ω_0) → (k²/R + c, k_d − c, Ω_0 (k²/R)/(k²/R + c)) changes nothing as L → 0.
 
     Raises
@@ -273,43 +309,12 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
         For an unknown parameter, a wrong unit, crossed bounds, bounds that exclude a measured value, a
         parameter that neither torque nor speed depends on.
     """
-    needed = ["command_delay"]
-    if any(not trial.log.fast for trial in bench.fitted):
-        needed += ["torque_sensor_delay", "torque_sensor_lag"]
     choices = campaign.parameters
-    default = [name for name in FREE_DEFAULT if name != "viscous_damping" or not bench.curves.ties]
-    free = list(default if choices.free is None else choices.free)
-    if campaign.motor.rotor_inertia is None and choices.free is None:
-        needed.append("rotor_inertia")
-    free += [name for name in needed if name not in free]
     _warn_of_starts(campaign, bench)
-    free = [name for name in free if name not in SATURATION]
     # A name that the campaign both frees and fixes stays in the list, to be refused.
     asked = set(choices.free or ())
-    chosen = tuple(name for name in free if name not in choices.fixed or name in asked)
-    if not {"rotor_inertia"} & {*chosen, *choices.fixed, *bench.values}:
-        warnings.warn(
-            f"the rotor's inertia is neither measured nor free, so Table I's "
-            f"{PARAMETERS['rotor_inertia'].nominal:g} kg·m² of another motor is used; state "
-            "motor.rotor_inertia or name it in parameters.free",
-            SysidWarning,
-            stacklevel=2,
-        )
-    silent = [name for name in chosen if name in PARAMETERS.group("thrust curve")]
-    if silent:
-        raise CampaignError(
-            f"parameters.free names {', '.join(silent)}, on which neither torque nor speed depends; thrust "
-            "comes from the static curves, so take it off the list"
-        )
-    scale = [name for name in ("back_emf_constant", "torque_constant") if name in chosen]
-    if scale and "winding_resistance" in chosen and not bench.scale_known:
-        warnings.warn(
-            f"{' and '.join(scale)} free beside winding_resistance, and no log holds the motor's current: "
-            "torque and speed fix only k²/R, R/L and k·I_sat, which the result lists; the values themselves "
-            "are arbitrary together",
-            SysidWarning,
-            stacklevel=2,
-        )
+    chosen = tuple(n for n in _wanted(campaign, bench) if n not in choices.fixed or n in asked)
+    _check_choice(campaign, bench, chosen)
     # Bounds of the dead band belong to the second stage.
     bounds = {name: pair for name, pair in choices.bounds.items() if name not in SATURATION}
     choices = choices.model_copy(update={"free": chosen, "bounds": bounds})

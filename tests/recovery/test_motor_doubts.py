@@ -113,7 +113,7 @@ def test_a_trial_that_is_little_but_a_start_is_warned_of(campaign: Path) -> None
     short = replace(bench, trials=(replace(trial, starts=((begin, begin + 0.9 * (end - begin)),)),))
     assert short.fitted[0].only_starts
     read = read_campaign(campaign, "motor")
-    with pytest.warns(UserWarning, match="trial forward-1: little but a start from rest, so R, L and the"):
+    with pytest.warns(UserWarning, match="forward-1: little but a start from rest, so R, L and the"):
         search_space(read, short)
     # A dead band that the campaign states is held, and nothing is to be said.
     given = {"saturation_current": "campaign", "saturation_speed": "campaign"}
