@@ -1,7 +1,8 @@
-"""Long computations in blocks: computed by an executor, kept on disk one by one, continued after a kill.
+"""Unfinished results: kept on disk while they are computed, continued after a kill, by one process at a time.
 
-Beside the result file ``NAME.h5`` lies ``NAME.h5.blocks`` while it is unfinished: what must be equal for it
-to be continued, and one file per finished block, each written whole or not at all.
+Beside a result lies a folder while it is unfinished: a lock, what must be equal for the result to be
+continued (its identity), and states of the computation, each written whole or not at all. Fits keep one state
+per run (`sysid.fit.checkpoint`); maps and design studies keep one per finished block of rows.
 """
 
 from __future__ import annotations
@@ -10,100 +11,195 @@ import hashlib
 import io
 import shutil
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from filelock import FileLock, Timeout
 
 from sysid import exact_json
-from sysid.errors import ExportError
+from sysid.errors import ExportError, SysidError
 from sysid.parallel import Columns, Executor, Work
 from sysid.storage import write_file
 from sysid.types import FloatArray
 
-_IDENTITY = "identity.json"
-# For another process that works on the same result [s].
+# Key of an identity: the costs of a few fixed candidates, as hexadecimal numbers.
+PROBES = "probe_costs"
+# What a refusal calls a key of an identity where the key itself does not read well.
+_WORDS = {PROBES: "the cost of the same candidates (its inputs or code)"}
+# For another process that works on the same result, or only looks whether one does [s].
 _PATIENCE = 0.3
 
 
-def blocks_folder(result: Path) -> Path:
-    """Return where the finished blocks of an unfinished result lie."""
-    return result.with_name(result.name + ".blocks")
-
-
-class BlockStore:
-    """Finished blocks of one result; locked against other processes until `close`.
+class Unfinished:
+    """The folder of an unfinished result; locked against other processes until `close`.
 
     Parameters
     ----------
     result : Path
-        File that the whole will be written to.
+        The file or folder that the whole will be written to.
     identity : mapping of str to JSON-able
-        What must be equal for it to be continued; the keys are words for a sentence.
+        What must be equal for it to be continued. A key's words stand in the refusal, joined by underscores.
     resume : bool
-        Use the blocks that are there. Otherwise there must be none, or `force` discards them.
+        Continue from the states that are there. Otherwise there must be none, or `force` discards them.
     force : bool
-        Discard what is there.
+        Discard the states that are there.
+
+    Attributes
+    ----------
+    notes : list of str
+        What is worth saying about the states, one sentence each.
 
     Raises
     ------
-    ExportError
-        When another process works on it, blocks are in the way, there are none, or the identity differs.
+    SysidError
+        (`ERROR`) when another process works on the result, states are in the way, there are none to continue,
+        or the identity differs.
     """
 
+    ERROR: ClassVar[type[SysidError]] = ExportError
+    SUFFIX: ClassVar[str] = ".blocks"
+    STATES: ClassVar[str] = "*.npz"
+    WHAT: ClassVar[str] = "result"
+
     def __init__(
-        self, result: Path, identity: Mapping[str, Any], *, resume: bool = False, force: bool = False
+        self, result: str | Path, identity: Mapping[str, Any], *, resume: bool = False, force: bool = False
     ) -> None:
-        self.folder = blocks_folder(result)
+        self.result = Path(result)
+        self.folder = self.folder_of(result)
+        self.identity: dict[str, Any] = exact_json.plain(dict(identity))
         self.notes: list[str] = []
-        own = exact_json.plain(dict(identity))
-        there = self.folder.is_dir() and any(self.folder.glob("*.npz"))
-        if there and not (resume or force):
-            raise ExportError(
-                f"{self.folder}: an unfinished result is there; continue it with --resume, or discard it "
-                "with --force"
-            )
-        if resume and not there:
-            raise ExportError(f"{self.folder} holds nothing to continue; start without --resume")
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             self._lock = FileLock(self.folder / "lock")
             self._lock.acquire(timeout=_PATIENCE)
         except Timeout:
-            raise ExportError(
-                f"{result}: another process is working on it; wait for it, or choose another --out"
-            ) from None
+            raise self.ERROR(self.running(self.result)) from None
         except OSError as error:
-            raise ExportError(
-                f"{self.folder}: cannot be made ({error.strerror or error}); write to another file with --out"
+            raise self.ERROR(
+                f"{self.folder}: cannot be made ({error.strerror or error}); choose another place with --out"
             ) from error
         try:
-            if resume:
-                self._check(own)
-            else:
-                for path in self.folder.glob("*.npz"):
-                    path.unlink()
-                write_file(self.folder / _IDENTITY, exact_json.dumps(own).encode("utf-8"), ExportError)
+            self._open(resume, force)
         except BaseException:
             self.close()
             raise
 
-    def _check(self, own: Mapping[str, Any]) -> None:
+    def _open(self, resume: bool, force: bool) -> None:
+        kept = self.kept(self.folder)
+        if resume and not kept:
+            raise self.ERROR(f"{self.folder} holds nothing to continue; start without --resume")
+        if resume:
+            self.take_up()
+            return
+        if kept and not force:
+            raise self.ERROR(self.in_the_way(self.result))
+        self._remove_states()
+        self.begin()
+
+    def take_up(self) -> None:
+        """Check and read the states of an unfinished result."""
+
+    def begin(self) -> None:
+        """Write what belongs to a result that is begun."""
+
+    def refuse_other(self, stored: Mapping[str, Any], but: Collection[str] = ()) -> None:
+        """Refuse an identity that differs from this result's in a key that is not one of `but`."""
+        for key in {**stored, **self.identity}:
+            now, then = self.identity.get(key), stored.get(key)
+            if key not in but and now != then:
+                words = _WORDS.get(key) or f"the {key.replace('_', ' ')}"
+                raise self.ERROR(
+                    f"{self.folder}: cannot be continued because {words} differs (now {_short(now)}, then "
+                    f"{_short(then)}); restore it, or start again with --force"
+                )
+
+    def _remove_states(self) -> None:
+        for path in self.folder.glob(self.STATES):
+            path.unlink(missing_ok=True)
+
+    def discard(self) -> None:
+        """Remove everything: the result is written."""
+        self._remove_states()
+        self.close()
+
+    def close(self) -> None:
+        """Let other processes in, once; a folder without states is removed."""
+        if not self._lock.is_locked:
+            return
+        self._lock.release()
+        if not self.kept(self.folder):
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+    @classmethod
+    def folder_of(cls, result: str | Path) -> Path:
+        """Return the folder in which the states of an unfinished result lie."""
+        path = Path(result)
+        return path.with_name(path.name + cls.SUFFIX)
+
+    @classmethod
+    def kept(cls, folder: Path) -> bool:
+        """Return whether a folder holds states."""
+        return any(folder.glob(cls.STATES))
+
+    @classmethod
+    def running(cls, result: Path) -> str:
+        """Return the sentence that refuses a result on which a process works."""
+        return f"{result}: another process is working on this {cls.WHAT}; wait for it, or choose --out"
+
+    @classmethod
+    def in_the_way(cls, result: Path) -> str:
+        """Return the sentence that refuses to start over what is unfinished."""
+        return (
+            f"{cls.folder_of(result)}: an unfinished {cls.WHAT} is there; continue it with --resume, or "
+            "discard it with --force"
+        )
+
+
+def held(folder: Path) -> bool | None:
+    """Return whether a process holds the lock of a folder of states; None where that cannot be known.
+
+    A folder without a lock is held by nobody, and stays without one. A lock that may not be opened (of
+    another user, on a read-only disk) says nothing.
+    """
+    if not (folder / "lock").exists():
+        return False
+    lock = FileLock(folder / "lock")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        return True
+    except OSError:
+        return None
+    lock.release()
+    return False
+
+
+def _short(value: Any) -> str:
+    text = "nothing" if value is None else str(value)
+    return text if len(text) <= 40 else f"{text[:12]}…"
+
+
+class BlockStore(Unfinished):
+    """Finished blocks of one result."""
+
+    _FILE: ClassVar[str] = "identity.json"
+
+    def begin(self) -> None:
+        """Write the identity."""
+        write_file(self.folder / self._FILE, exact_json.dumps(self.identity).encode("utf-8"), self.ERROR)
+
+    def take_up(self) -> None:
+        """Check the identity."""
         try:
-            stored = exact_json.loads((self.folder / _IDENTITY).read_text(encoding="utf-8"))
+            stored = exact_json.loads((self.folder / self._FILE).read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            raise ExportError(
+            raise self.ERROR(
                 f"{self.folder}: cannot be continued ({error}); discard it with --force"
             ) from error
-        differs = [key for key in {**stored, **own} if stored.get(key) != own.get(key)]
-        if differs:
-            raise ExportError(
-                f"{self.folder}: cannot be continued because {differs[0]} differs; restore it, or start anew "
-                "with --force"
-            )
+        self.refuse_other(stored)
 
     def load(self, name: str) -> Columns | None:
         """Return a finished block, None where it must be computed (again)."""
@@ -121,18 +217,7 @@ class BlockStore:
         """Keep a finished block."""
         buffer = io.BytesIO()
         np.savez(buffer, *columns)
-        write_file(self.folder / f"{name}.npz", buffer.getvalue(), ExportError)
-
-    def discard(self) -> None:
-        """Remove everything: the result is written."""
-        self._lock.release()
-        shutil.rmtree(self.folder, ignore_errors=True)
-
-    def close(self) -> None:
-        """Let other processes in; a folder without blocks is removed."""
-        self._lock.release()
-        if not any(self.folder.glob("*.npz")):
-            shutil.rmtree(self.folder, ignore_errors=True)
+        write_file(self.folder / f"{name}.npz", buffer.getvalue(), self.ERROR)
 
 
 def compute_blocks(
@@ -157,14 +242,14 @@ def compute_blocks(
     store : BlockStore, optional
         What is finished already, and where to keep the others.
     on_block : callable, optional
-        Told the rows of each block and whether it was computed now, in the caller's thread.
+        Called in the caller's thread with the rows of each block and whether it was computed now.
     stop : callable, optional
-        Asked between blocks whether to end.
+        Asked between blocks; True ends the work.
 
     Returns
     -------
     dict
-        Columns by the block's name; some are missing only where `stop` said so.
+        Columns by the block's name; some are missing only where `stop` ended the work.
     """
     done: dict[str, Columns] = {}
     todo: list[str] = []
@@ -178,11 +263,11 @@ def compute_blocks(
                 on_block(len(rows), False)
     shared = where.share(work)
 
-    def one(name: str) -> Columns | None:
+    def compute(name: str) -> Columns | None:
         return None if stop is not None and stop() else shared(blocks[name])
 
     with ThreadPoolExecutor(where.at_once) as pool:
-        waiting: dict[Future[Columns | None], str] = {pool.submit(one, name): name for name in todo}
+        waiting: dict[Future[Columns | None], str] = {pool.submit(compute, name): name for name in todo}
         try:
             for future in as_completed(waiting):
                 columns = future.result()

@@ -1,24 +1,37 @@
-"""Files and folders that are there whole or not at all.
+"""Files and folders that are there whole or not at all, and HDF5 files that say what they are.
 
 New content goes to a temporary name beside its destination and takes the destination's name only when it
 is complete on disk. A full disk, an error or Ctrl-C leaves what was there before and no leftovers; a killed
 process may leave a file or folder whose name starts with a dot and ends in ``.part``.
+
+An HDF5 file of sysid carries the attributes ``schema`` and ``version``; its numeric datasets carry ``axes``
+and ``unit``; what is no array lies beside them as JSON. It is built in memory and written by `write_file`:
+on a full disk the HDF5 library itself would end the process.
 """
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import h5py
+import numpy as np
+
+from sysid import exact_json
 from sysid.errors import SysidError
 
 # How often a refused replacement is tried again, and how long after [s].
 _TRIES, _PAUSE = 20, 0.05
+# What h5py raises on a damaged file depends on where the damage lies.
+_DAMAGE = (OSError, LookupError, ValueError, TypeError, RuntimeError, AttributeError, SysidError)
 
 
 def _sentence(path: Path, error: BaseException) -> str:
@@ -177,3 +190,94 @@ def check_file(path: str | Path, *, force: bool, error_type: type[SysidError] = 
         raise error_type(f"{path}: exists already; choose a new name or add --force")
     if not path.resolve().parent.is_dir():
         raise error_type(f"{path}: the folder {path.parent} does not exist; make it first")
+
+
+@dataclass(frozen=True)
+class FileKind:
+    """A kind of HDF5 file.
+
+    Parameters
+    ----------
+    schema, version : str, int
+        What a file of this kind says of itself.
+    what : str
+        In a refusal: ``a fit``.
+    remedy : str
+        The next step where a file cannot be read: ``run the fit again``.
+    error_type : type
+        Of the refusals.
+    """
+
+    schema: str
+    version: int
+    what: str
+    remedy: str
+    error_type: type[SysidError] = SysidError
+
+    def content(self, write: Callable[[Any], object]) -> bytes:
+        """Return a file's bytes; `write` fills the open file."""
+        buffer = io.BytesIO()
+        with h5py.File(buffer, "w") as file:
+            file.attrs["schema"], file.attrs["version"] = self.schema, self.version
+            write(file)
+        return buffer.getvalue()
+
+    @contextmanager
+    def opened(self, path: str | Path, content: bytes | None = None) -> Iterator[Any]:
+        """Open a file of this kind, or its content, for reading.
+
+        Raises
+        ------
+        SysidError
+            (`error_type`) when it is missing, foreign, of another version, damaged or cut off, and when what
+            the block takes from it is missing or wrong.
+        """
+        try:
+            with h5py.File(path if content is None else io.BytesIO(content), "r") as file:
+                if file.attrs.get("schema") != self.schema:
+                    raise self.error_type(f"{path}: not {self.what} of sysid; {self.remedy}")
+                if file.attrs.get("version") != self.version:
+                    raise self.error_type(
+                        f"{path}: {self.what} of version {file.attrs.get('version')}, expected "
+                        f"{self.version}; read it with the version of sysid that wrote it, or {self.remedy}"
+                    )
+                yield file
+        except self.error_type:
+            raise
+        except _DAMAGE as error:
+            first = next(iter(str(error).splitlines()), type(error).__name__)
+            raise self.error_type(f"{path}: damaged or cut off ({first}); {self.remedy}") from error
+
+
+def put(group: Any, name: str, values: Any, axes: str, unit: str = "1") -> None:
+    """Write an array of numbers with the names of its axes and its unit; a long one is compressed."""
+    data = np.asarray(values)
+    packed = {"compression": "gzip", "shuffle": True} if data.size > 64 else {}
+    dataset = group.create_dataset(name, data=data, **packed)
+    dataset.attrs["axes"], dataset.attrs["unit"] = axes, unit
+
+
+def put_texts(group: Any, name: str, texts: str | Iterable[str]) -> None:
+    """Write a text, or a list of texts."""
+    data = texts if isinstance(texts, str) else list(texts)
+    group.create_dataset(name, data=data, dtype=h5py.string_dtype())
+
+
+def put_json(group: Any, name: str, value: Any) -> None:
+    """Write a value as exact JSON; an attribute would hold 64 kB at most."""
+    put_texts(group, name, exact_json.dumps(value, indent=None))
+
+
+def get_texts(group: Any, name: str) -> Any:
+    """Return a text of `put_texts`, or an array of texts."""
+    return group[name].asstr()[()]
+
+
+def get_json(group: Any, name: str) -> Any:
+    """Return a value of `put_json`."""
+    return exact_json.loads(get_texts(group, name))
+
+
+def numbered(file: Any, name: str) -> list[Any]:
+    """Return the groups ``NAME/1``, ``NAME/2``, … in order."""
+    return [file[f"{name}/{i + 1}"] for i in range(len(file.get(name, ())))]

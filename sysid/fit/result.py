@@ -18,6 +18,12 @@ from sysid.parameters import SearchSpace, in_words, with_unit
 from sysid.spectrum import Spectrum
 from sysid.types import BoolArray, FloatArray
 
+# Fields of a `FitResult` that are those of its `ParameterSets`.
+SHARED = (
+    "kind", "name", "parameters", "values", "nrmse", "at_bound", "channels", "channel_units",
+    "channel_weights", "settings", "provenance", "warnings",
+)  # fmt: skip
+
 
 @dataclass(frozen=True, eq=False)
 class TrialResult:
@@ -245,21 +251,10 @@ class FitResult:
     def parameter_sets(self) -> ParameterSets:
         """Return the ranked sets in the form in which they are exported."""
         return ParameterSets(
-            kind=self.kind,
-            name=self.name,
-            parameters=self.parameters,
-            values=self.values,
-            nrmse=self.nrmse,
+            **{name: getattr(self, name) for name in SHARED},
             runs=self.set_runs,
             seeds=self.set_seeds,
-            at_bound=self.at_bound,
             trials=tuple(trial.name for trial in self.trials),
             uses=tuple(trial.use for trial in self.trials),
-            channels=self.channels,
-            channel_units=self.channel_units,
-            channel_weights=self.channel_weights,
             nrmse_by_trial=self.nrmse_by_trial,
-            settings=self.settings,
-            provenance=self.provenance,
-            warnings=self.warnings,
         )

@@ -7,27 +7,33 @@ the ranked sets with settings and provenance as text (the same document that ``s
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from sysid import exact_json
-from sysid.errors import ExportError, FitError
+from sysid.errors import FitError
 from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.optima import waterfall
 from sysid.fit.provenance import FitDocument
-from sysid.fit.result import FitResult, TrialResult
+from sysid.fit.result import SHARED, FitResult, TrialResult
 from sysid.fit.stopping import REASONS
 from sysid.fit.summary import failures, record_lines, run_record
 from sysid.parameter_sets import ParameterSets, SetsMetadata, in_place_of_digits
 from sysid.spectrum import Spectrum
-from sysid.storage import check_folder, replaced_folder
+from sysid.storage import (
+    FileKind,
+    check_folder,
+    get_texts,
+    numbered,
+    put,
+    put_json,
+    put_texts,
+    replaced_folder,
+)
 
-FIT_SCHEMA = "sysid-fit"
-FIT_VERSION = 3
+FIT_FILE = FileKind("sysid-fit", 3, "a fit", "run the fit again", FitError)
 _STAGE_FIELDS = ("algorithm", "evaluations", "simulations", "wall_time", "stop_reason")
 
 
@@ -67,39 +73,24 @@ def write_fit(result: FitResult, path: str | Path, force: bool = False) -> Path:
     path = Path(path)
     sets = result.parameter_sets()
     text = FitDocument(**vars(sets.document())).text()
-    # Built in memory: on a full disk the HDF5 library itself would go down with the process.
-    numbers = io.BytesIO()
-    with h5py.File(numbers, "w") as file:
-        _write_numbers(file, result, sets)
+    numbers = FIT_FILE.content(lambda file: _write_numbers(file, result, sets))
     with replaced_folder(path, force=force, marker="fit.h5", error_type=FitError) as folder:
-        (folder / "fit.h5").write_bytes(numbers.getvalue())
+        (folder / "fit.h5").write_bytes(numbers)
         (folder / "fit.json").write_text(text, encoding="utf-8", newline="\n")
         (folder / "summary.txt").write_text(summary(result), encoding="utf-8", newline="\n")
     return path
 
 
-def _array(group: Any, name: str, data: Any, axes: str, unit: str = "1") -> None:
-    data = np.asarray(data)
-    packed = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if data.size > 64 else {}
-    dataset = group.create_dataset(name, data=data, **packed)
-    dataset.attrs["axes"] = axes
-    dataset.attrs["unit"] = unit
-
-
 def _write_numbers(file: Any, result: FitResult, sets: ParameterSets) -> None:
-    text = h5py.string_dtype()
-    file.attrs["schema"] = FIT_SCHEMA
-    file.attrs["version"] = FIT_VERSION
     file.attrs["state"] = result.state
-    file.create_dataset("metadata_json", data=sets.metadata().line(), dtype=text)
-    record = exact_json.dumps(run_record(result), indent=None)
-    file.create_dataset("record_json", data=record, dtype=text)
+    put_texts(file, "metadata_json", sets.metadata().line())
+    put_json(file, "record_json", run_record(result))
     group = file.create_group("sets")
-    _array(group, "values", sets.values, "set, parameter", "SI, see parameters in metadata_json")
-    _array(group, "cube", result.cube, "set, free parameter")
-    _array(group, "nrmse", sets.nrmse, "set")
-    _array(group, "at_bound", sets.at_bound, "set, parameter")
-    _array(group, "nrmse_by_trial", sets.nrmse_by_trial, "set, trial, channel")
+    put(group, "values", sets.values, "set, parameter", "SI, see parameters in metadata_json")
+    put(group, "cube", result.cube, "set, free parameter")
+    put(group, "nrmse", sets.nrmse, "set")
+    put(group, "at_bound", sets.at_bound, "set, parameter")
+    put(group, "nrmse_by_trial", sets.nrmse_by_trial, "set, trial, channel")
     for number, run in enumerate(result.runs, start=1):
         group = file.create_group(f"runs/{number}")
         group.attrs["seed"] = run.seed
@@ -107,30 +98,29 @@ def _write_numbers(file: Any, result: FitResult, sets: ParameterSets) -> None:
             part = group.create_group(f"stages/{index}")
             for name in _STAGE_FIELDS:
                 part.attrs[name] = getattr(stage, name)
-            _array(part, "cube", stage.cube, "generation, individual (best first), free parameter")
-            _array(part, "cost", stage.cost, "generation, individual")
-            _array(part, "failed", stage.failed, "generation")
+            put(part, "cube", stage.cube, "generation, individual (best first), free parameter")
+            put(part, "cost", stage.cost, "generation, individual")
+            put(part, "failed", stage.failed, "generation")
             names = list(stage.failures)
             counts = [[generation.get(name, 0) for name in names] for generation in stage.causes]
-            _array(part, "failed_by_cause", np.array(counts, dtype=np.int64), "generation, cause")
+            put(part, "failed_by_cause", np.array(counts, dtype=np.int64), "generation, cause")
             part["failed_by_cause"].attrs["causes"] = exact_json.dumps(names, indent=None)
     units = ", ".join(result.channel_units)
     for number, trial in enumerate(result.trials, start=1):
         group = file.create_group(f"trials/{number}")
-        group.attrs["name"] = trial.name
-        group.attrs["use"] = trial.use
-        _array(group, "time", trial.time, "sample", "s")
-        _array(group, "measured", trial.measured, "sample, channel", units)
-        _array(group, "valid", trial.valid, "sample, channel")
-        _array(group, "simulated", trial.simulated, "set, sample, channel", units)
-        _array(group, "nrmse", trial.nrmse, "set, channel")
+        group.attrs["name"], group.attrs["use"] = trial.name, trial.use
+        put(group, "time", trial.time, "sample", "s")
+        put(group, "measured", trial.measured, "sample, channel", units)
+        put(group, "valid", trial.valid, "sample, channel")
+        put(group, "simulated", trial.simulated, "set, sample, channel", units)
+        put(group, "nrmse", trial.nrmse, "set, channel")
         if trial.spectrum is not None:
-            _array(group, "spectrum/frequency", trial.spectrum.frequency, "point", "Hz")
-            _array(group, "spectrum/density", trial.spectrum.density, "point, channel", f"({units})/√Hz")
+            put(group, "spectrum/frequency", trial.spectrum.frequency, "point", "Hz")
+            put(group, "spectrum/density", trial.spectrum.density, "point, channel", f"({units})/√Hz")
         if trial.thrust is not None:
-            _array(group, "thrust", trial.thrust, "sample", "N")
+            put(group, "thrust", trial.thrust, "sample", "N")
         if trial.commands is not None:
-            _array(group, "commands", trial.commands, "command, (time, level)", "s, 1")
+            put(group, "commands", trial.commands, "command, (time, level)", "s, 1")
 
 
 def read_fit(path: str | Path) -> FitResult:
@@ -145,66 +135,38 @@ def read_fit(path: str | Path) -> FitResult:
     file_path = path / "fit.h5" if path.is_dir() else path
     if not file_path.is_file():
         raise FitError(f"{path}: no fit.h5 there; expected a folder that sysid fit-motor or fit-gear wrote")
-    try:
-        with h5py.File(file_path, "r") as file:
-            if file.attrs.get("schema") != FIT_SCHEMA:
-                raise FitError(f"{file_path}: not a fit of sysid; expected the fit.h5 of a fit folder")
-            if file.attrs.get("version") != FIT_VERSION:
-                raise FitError(
-                    f"{file_path}: fit version {file.attrs.get('version')}, expected {FIT_VERSION}; "
-                    "read it with the version of sysid that wrote it"
-                )
-            return _read_numbers(file)
-    # What h5py raises on a damaged file depends on where the damage lies.
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError, ExportError) as error:
-        raise FitError(f"{file_path}: damaged or cut off ({error}); run the fit again") from error
-
-
-def _read_numbers(file: Any) -> FitResult:
-    group = file["sets"]
-    sets = ParameterSets.from_metadata(
-        SetsMetadata.parse(file["metadata_json"].asstr()[()], file.filename, FitError),
-        values=group["values"][()],
-        nrmse=group["nrmse"][()],
-        at_bound=group["at_bound"][()],
-        nrmse_by_trial=group["nrmse_by_trial"][()],
-    )
-    runs = [_read_run(file[f"runs/{i + 1}"]) for i in range(len(file.get("runs", ())))]
-    trials = [_read_trial(file[f"trials/{i + 1}"]) for i in range(len(file.get("trials", ())))]
-    return FitResult(
-        kind=sets.kind,
-        name=sets.name,
-        state=file.attrs["state"],
-        parameters=sets.parameters,
-        runs=tuple(runs),
-        set_runs=sets.runs,
-        set_seeds=sets.seeds,
-        cube=group["cube"][()],
-        values=sets.values,
-        at_bound=sets.at_bound,
-        nrmse=sets.nrmse,
-        trials=tuple(trials),
-        channels=sets.channels,
-        channel_units=sets.channel_units,
-        channel_weights=sets.channel_weights,
-        settings=sets.settings,
-        provenance=sets.provenance,
-        warnings=sets.warnings,
-    )
+    with FIT_FILE.opened(file_path) as file:
+        group = file["sets"]
+        sets = ParameterSets.from_metadata(
+            SetsMetadata.parse(get_texts(file, "metadata_json"), file_path, FitError),
+            **{name: group[name][()] for name in ("values", "nrmse", "at_bound", "nrmse_by_trial")},
+        )
+        return FitResult(
+            **{name: getattr(sets, name) for name in SHARED},
+            trials=tuple(map(_read_trial, numbered(file, "trials"))),
+            state=file.attrs["state"],
+            runs=tuple(map(_read_run, numbered(file, "runs"))),
+            set_runs=sets.runs,
+            set_seeds=sets.seeds,
+            cube=group["cube"][()],
+        )
 
 
 def _read_run(group: Any) -> RunHistory:
-    stages = [_read_stage(group[f"stages/{i + 1}"]) for i in range(len(group["stages"]))]
-    return RunHistory(int(group.attrs["seed"]), tuple(stages))
+    return RunHistory(int(group.attrs["seed"]), tuple(map(_read_stage, numbered(group, "stages"))))
 
 
 def _read_stage(group: Any) -> StageHistory:
+    counts = group["failed_by_cause"]
+    causes = exact_json.loads(counts.attrs["causes"])
     return StageHistory(
         algorithm=group.attrs["algorithm"],
         cube=group["cube"][()],
         cost=group["cost"][()],
         failed=group["failed"][()],
-        causes=_read_causes(group["failed_by_cause"]),
+        causes=tuple(
+            {name: int(count) for name, count in zip(causes, row, strict=True) if count} for row in counts[()]
+        ),
         evaluations=int(group.attrs["evaluations"]),
         simulations=int(group.attrs["simulations"]),
         wall_time=float(group.attrs["wall_time"]),
@@ -212,32 +174,12 @@ def _read_stage(group: Any) -> StageHistory:
     )
 
 
-def _read_causes(dataset: Any) -> tuple[dict[str, int], ...]:
-    names = exact_json.loads(dataset.attrs["causes"])
-    return tuple(
-        {name: int(count) for name, count in zip(names, row, strict=True) if count} for row in dataset[()]
-    )
-
-
 def _read_trial(group: Any) -> TrialResult:
-    return TrialResult(
-        name=group.attrs["name"],
-        use=group.attrs["use"],
-        time=group["time"][()],
-        measured=group["measured"][()],
-        valid=group["valid"][()],
-        simulated=group["simulated"][()],
-        nrmse=group["nrmse"][()],
-        spectrum=_read_spectrum(group),
-        thrust=group["thrust"][()] if "thrust" in group else None,
-        commands=group["commands"][()] if "commands" in group else None,
-    )
-
-
-def _read_spectrum(group: Any) -> Spectrum | None:
-    if "spectrum" not in group:
-        return None
-    return Spectrum(group["spectrum/frequency"][()], group["spectrum/density"][()])
+    arrays = {name: item[()] for name, item in group.items() if name != "spectrum"}
+    spectrum = None
+    if "spectrum" in group:
+        spectrum = Spectrum(group["spectrum/frequency"][()], group["spectrum/density"][()])
+    return TrialResult(name=group.attrs["name"], use=group.attrs["use"], spectrum=spectrum, **arrays)
 
 
 def summary(result: FitResult) -> str:

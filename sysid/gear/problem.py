@@ -319,7 +319,7 @@ def _walked(walk: FitWalk, campaign: GearCampaign, dropped: tuple[str, ...]) -> 
         prepare(law, single=False)
         expected = _expected(objective, walk.tell) if walk.options.check else {}
         hashes = {drop.name: str(drop.provenance["sha256"]) for drop in drops}
-        accuracy = {"the friction law": law, "the accuracy of a simulation": objective.tolerance}
+        accuracy = {"friction_law": law, "accuracy_of_a_simulation": objective.tolerance}
         found = walk.search(objective, hashes, "drops", **accuracy)
     sets = ranked_sets(found.runs, space)
     records = parameter_records(

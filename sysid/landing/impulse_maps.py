@@ -123,8 +123,8 @@ class ImpulseWork:
 def impulse_identity(
     fleets: Sequence[Sequence[Drone]], settings: MapSettings, impulses: ImpulseSettings
 ) -> dict[str, Any]:
-    """Return what must be equal for an unfinished map to be continued, in words."""
-    return map_identity(fleets, (), settings) | {"the tried impulses": impulses.document()}
+    """Return what must be equal for an unfinished map to be continued."""
+    return map_identity(fleets, (), settings) | {"impulse_search": impulses.document()}
 
 
 def impulse_maps(

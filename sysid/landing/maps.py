@@ -261,12 +261,12 @@ class LandingWork:
 def map_identity(
     fleets: Sequence[Sequence[Drone]], controllers: Sequence[Controller], settings: MapSettings
 ) -> dict[str, Any]:
-    """Return what must be equal for an unfinished map to be continued, in words."""
+    """Return what must be equal for an unfinished map to be continued."""
     return {
-        "the version of sysid": __version__,
-        "a parameter set": digest([[dict(d.gear), dict(d.motor), d.surface] for f in fleets for d in f]),
-        "a controller": [one.document() for one in controllers],
-        "the grid or a rule": settings.document(),
+        "version_of_sysid": __version__,
+        "parameter_set": digest([[dict(d.gear), dict(d.motor), d.surface] for f in fleets for d in f]),
+        "controller": [one.document() for one in controllers],
+        "grid_or_rule": settings.document(),
     }
 
 

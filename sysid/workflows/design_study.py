@@ -26,7 +26,7 @@ from sysid.report.design_figures import figure_design_study
 from sysid.report.drawing import save_figure
 from sysid.report.fold import print_table
 from sysid.report.landing_tables import gains_table
-from sysid.resume import BlockStore, blocks_folder
+from sysid.resume import BlockStore
 from sysid.workflows.landing_sources import (
     BlockProgress,
     Fleets,
@@ -91,11 +91,11 @@ def _stores(
     """Open where the finished blocks of each of the study's maps are kept."""
     how, grids = options.compute, settings.grids()
     parts = _parts(options.out, len(grids))
-    if how.resume and not any(blocks_folder(part).is_dir() for part in parts):
+    if how.resume and not any(BlockStore.folder_of(part).is_dir() for part in parts):
         raise ExportError(f"{options.out}: nothing unfinished to continue is there; start without --resume")
     for part, grid in zip(parts, grids, strict=True):
         # A study that was stopped early may have no block of its later maps.
-        begun = any(blocks_folder(part).glob("*.npz"))
+        begun = BlockStore.kept(BlockStore.folder_of(part))
         identity = map_identity(fleets, [controller], grid)
         yield BlockStore(part, identity, resume=how.resume and begun, force=how.force)
 

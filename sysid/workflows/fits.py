@@ -6,14 +6,14 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import h5py
 from rich.table import Table
 
 from sysid import exact_json
 from sysid.errors import FitError
-from sysid.fit.checkpoint import held, read_state, run_numbers, state_files
-from sysid.fit.store import FIT_SCHEMA
+from sysid.fit.checkpoint import read_state, run_numbers, state_files
+from sysid.fit.store import FIT_FILE
 from sysid.report.fold import print_table
+from sysid.resume import held
 
 _SUFFIX = ".checkpoint"
 
@@ -66,13 +66,10 @@ def _finished(path: Path) -> FitEntry:
     file_path = path / "fit.h5"
     changed = file_path.stat().st_mtime
     try:
-        with h5py.File(file_path, "r") as file:
-            if file.attrs.get("schema") != FIT_SCHEMA:
-                return FitEntry(path.name, "damaged", None, 0, changed)
+        with FIT_FILE.opened(file_path) as file:
             nrmse = float(file["sets/nrmse"][()].min())
             return FitEntry(path.name, str(file.attrs["state"]), nrmse, len(file.get("runs", ())), changed)
-    # What h5py raises on a damaged file depends on where the damage lies.
-    except (OSError, KeyError, ValueError, RuntimeError):
+    except FitError:
         return FitEntry(path.name, "damaged", None, 0, changed)
 
 

@@ -23,16 +23,7 @@ from sysid.campaign import FitTable
 from sysid.errors import CampaignError, FitError, SysidWarning, UnitError
 from sysid.fit.breeders.algorithms import DEFAULT_ALGORITHM, POPULATION, breeder
 from sysid.fit.breeders.in_process import BreederApart
-from sysid.fit.checkpoint import (
-    PROBES,
-    PROCESSOR,
-    Checkpoint,
-    checkpoint_folder,
-    held,
-    run_numbers,
-    running,
-    unfinished,
-)
+from sysid.fit.checkpoint import PROBES, PROCESSOR, Checkpoint, checkpoint_folder, run_numbers
 from sysid.fit.history import RunHistory
 from sysid.fit.objective import Objective, SpreadObjective
 from sysid.fit.optima import agreement, waterfall
@@ -44,6 +35,7 @@ from sysid.fit.store import check_new_fit, write_fit
 from sysid.parallel import executor
 from sysid.parameters import SearchSpace
 from sysid.recording import file_sha256
+from sysid.resume import held
 from sysid.workflows.options import FitOptions as FitOptions
 
 # Runs that share a cluster at the same time: while one breeds, the others keep its workers busy.
@@ -129,7 +121,7 @@ def check_start(folder: Path, options: FitOptions) -> None:
     """
     unfinished_runs = run_numbers(checkpoint_folder(folder))
     if held(checkpoint_folder(folder)):
-        raise FitError(running(folder))
+        raise FitError(Checkpoint.running(folder))
     if options.resume:
         if options.force:
             raise FitError("--resume continues a fit and --force discards it; choose one")
@@ -138,7 +130,7 @@ def check_start(folder: Path, options: FitOptions) -> None:
         check_new_fit(folder, force=True)
         return
     if unfinished_runs and not options.force:
-        raise FitError(unfinished(folder))
+        raise FitError(Checkpoint.in_the_way(folder))
     check_new_fit(folder, options.force)
 
 
@@ -232,7 +224,7 @@ def fit_identity(
     logs: Mapping[str, str],
     **more: Any,
 ) -> dict[str, Any]:
-    """Return what must be equal for a fit to be continued, in the words of the sentence that refuses.
+    """Return what must be equal for a fit to be continued; see `sysid.resume.Unfinished`.
 
     Parameters
     ----------
@@ -251,16 +243,16 @@ def fit_identity(
     table = exact_json.dumps([rows, dict(space.fixed)], indent=None)
     stop = settings.stop.share(settings.runs)
     return {
-        "the campaign file": file_sha256(Path(campaign_path)),
+        "campaign_file": file_sha256(Path(campaign_path)),
         **{f"log {name}": digest for name, digest in logs.items()},
-        "the parameter table": hashlib.sha256(table.encode()).hexdigest(),
-        "the version of sysid": __version__,
-        "the algorithm": settings.algorithm,
-        "the finisher": settings.finish,
-        "the population": settings.population,
-        "the seed": settings.seed,
-        "the stop rule": [stop.reading, stop.window, stop.tolerance, stop.max_generations],
-        "the evaluation budget of a run": stop.max_evaluations,
+        "parameter_table": hashlib.sha256(table.encode()).hexdigest(),
+        "version_of_sysid": __version__,
+        "algorithm": settings.algorithm,
+        "finisher": settings.finish,
+        "population": settings.population,
+        "seed": settings.seed,
+        "stop_rule": [stop.reading, stop.window, stop.tolerance, stop.max_generations],
+        "evaluation_budget_of_a_run": stop.max_evaluations,
         **more,
     }  # fmt: skip
 

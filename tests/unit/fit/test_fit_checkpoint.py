@@ -31,7 +31,7 @@ from sysid.fit.run_log import RunMemory
 from sysid.fit.search import Hooks, SearchSettings, run_many
 from sysid.fit.stopping import StopFlag, StopRule
 
-IDENTITY = {"the campaign file": "ab" * 32, "the population": 40, "log drop-1": "cd" * 32}
+IDENTITY = {"campaign_file": "ab" * 32, "population": 40, "log drop-1": "cd" * 32}
 SETTINGS = SearchSettings(40, 3, 5, StopRule(max_generations=14), "ga")
 
 
@@ -145,13 +145,13 @@ def test_both_states_damaged_starts_that_run_anew(tmp_path, whole):
         path.write_bytes(b"dust")
     found, notes = run_all(tmp_path / "fit", resume=True)
     assert_same(found, whole)
-    assert "nothing of run 1 can be used, it starts anew" in notes[0]
+    assert "nothing of run 1 can be used, it starts again" in notes[0]
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"the population": 60}, r"the population differs \(now 60, then 40\)"),
+        ({"population": 60}, r"the population differs \(now 60, then 40\)"),
         ({"log drop-1": "ef" * 32}, r"log drop-1 differs \(now efefefefefef…, then cdcdcdcdcdcd…\)"),
         ({"log drop-2": "ef" * 32}, r"log drop-2 differs \(now efefefefefef…, then nothing\)"),
     ],
@@ -256,7 +256,7 @@ def test_costs_of_the_same_candidates_may_be_rounded_elsewhere_only(tmp_path):
 
 
 def test_neither_overwritten_nor_resumed_by_accident(tmp_path):
-    with pytest.raises(FitError, match="holds no state of a fit to continue"):
+    with pytest.raises(FitError, match="holds nothing to continue"):
         Checkpoint(tmp_path / "fit", IDENTITY, resume=True)
     assert list(tmp_path.iterdir()) == []
     interrupted(tmp_path / "fit", 20)
@@ -478,7 +478,7 @@ def test_memory_survives_the_file_exactly(tmp_path):
     stage = memory.stage(0, "ga")
     costs = np.array([0.1 + 2**-54, np.nextafter(0.3, 1), 1e300])
     stage.append(np.zeros((3, 2)), Evaluation(costs, np.array([True, False, False]), 18), 0.25)
-    data = checkpoint_module.state_bytes(memory, "{}")
+    data = checkpoint_module.state_bytes(memory, {})
     (tmp_path / "state").write_bytes(data)
     again, _ = read_state(tmp_path / "state")
     np.testing.assert_array_equal(again.stages[0].cost[0], costs)

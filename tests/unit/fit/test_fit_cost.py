@@ -230,7 +230,7 @@ def test_scoring_keeps_to_the_threads_that_it_is_given(monkeypatch):
     scorer = FilteredNrmse([trial], [CostChannel("x", "m", 0)])
     samples, before = np.ones((2, scorer.n_total, 1)), numba.get_num_threads()
     asked, inside = [], []
-    monkeypatch.setattr(module.numba, "set_num_threads", asked.append)
+    monkeypatch.setattr(numba, "set_num_threads", asked.append)
     monkeypatch.setattr(module, "score_population", lambda *arguments: inside.append(list(asked)))
     scorer(samples, threads=1)
     assert inside == [[1]]

@@ -227,9 +227,7 @@ def test_hdf5_is_built_in_memory(tmp_path, monkeypatch):
     """The HDF5 library, writing to a full disk itself, crashes the process; it never sees the disk."""
     targets = []
     real = h5py.File
-    monkeypatch.setattr(
-        store.h5py, "File", lambda target, mode: (targets.append(target), real(target, mode))[1]
-    )
+    monkeypatch.setattr(h5py, "File", lambda target, mode: (targets.append(target), real(target, mode))[1])
     write_fit(made_fit(), tmp_path / "bench")
     assert [type(target) for target in targets] == [io.BytesIO]
 
@@ -277,7 +275,7 @@ def test_damaged_fits_are_refused(tmp_path):
     (path / "fit.h5").write_bytes(whole)
     with h5py.File(path / "fit.h5", "r+") as file:
         file.attrs["version"] = 99
-    with pytest.raises(FitError, match="fit version 99, expected 3"):
+    with pytest.raises(FitError, match="a fit of version 99, expected 3"):
         read_fit(path)
     (path / "fit.h5").write_bytes(whole)
     with h5py.File(path / "fit.h5", "r+") as file:

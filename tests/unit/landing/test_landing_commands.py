@@ -123,7 +123,7 @@ def test_a_landing_map_of_both_surfaces(run):
     assert found.settings["controllers"][1]["steps"][0]["rear"] == -1.0
     assert found.provenance["gear lf"]["name"] == "published-gear-lf"
     assert Path("map.png").stat().st_size > 10_000
-    assert not blocks.blocks_folder(Path("map.h5")).exists()
+    assert not blocks.BlockStore.folder_of(Path("map.h5")).exists()
     code, out, err = run(*command)
     assert code == 2
     assert "exists already" in err
@@ -176,7 +176,7 @@ def test_ctrl_c_keeps_the_finished_blocks(run, monkeypatch):
         code, _, err = run(*command)
     assert code == 130
     assert "continue with --resume" in err
-    folder = blocks.blocks_folder(Path("map.h5"))
+    folder = blocks.BlockStore.folder_of(Path("map.h5"))
     kept = len(list(folder.glob("*.npz")))
     assert 1 <= kept < 4
     assert not Path("map.h5").exists()
@@ -185,7 +185,7 @@ def test_ctrl_c_keeps_the_finished_blocks(run, monkeypatch):
     assert "--resume" in err
     code, _, err = run(*command, "--resume", "--controller", "off")
     assert code == 2
-    assert "a controller differs" in err
+    assert "the controller differs" in err
     code, _, err = run(*command, "--resume")
     assert code == 0, err
     assert not folder.exists()
@@ -257,11 +257,11 @@ def test_an_impulse_map_goes_on_where_it_was_stopped_on_another_number_of_thread
         patch.setattr(blocks.BlockStore, "save", save_and_die)
         code, _, _ = run(*command, "--out", "i.h5", "--threads", "1")
     assert code == 130
-    kept = list(blocks.blocks_folder(Path("i.h5")).glob("*.npz"))
+    kept = list(blocks.BlockStore.folder_of(Path("i.h5")).glob("*.npz"))
     assert len(kept) == 1  # of two slopes
     code, _, err = run(*command, "--out", "i.h5", "--resume", "--delays", "0,0.04")
     assert code == 2
-    assert "the tried impulses differs" in err
+    assert "the impulse search differs" in err
     code, _, err = run(*command, "--out", "i.h5", "--resume", "--threads", "2")
     assert code == 0, err
     one, two = read_maps("whole.h5"), read_maps("i.h5")

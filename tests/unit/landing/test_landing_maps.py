@@ -19,7 +19,7 @@ from sysid.landing.real_landings import Experiment, confusion, of_map, read_expe
 from sysid.parallel import LocalThreads
 from sysid.report.drawing import save_figure
 from sysid.report.landing_figures import DrawnLimits, MapLegend, figure_impulse, figure_landing_maps
-from sysid.resume import BlockStore, blocks_folder, compute_blocks
+from sysid.resume import BlockStore, compute_blocks
 from sysid.workflows.landing_maps import _summary_table
 from sysid.workflows.options import span
 
@@ -92,7 +92,7 @@ def test_blocks_stop_and_go_on(tmp_path):
         np.testing.assert_array_equal(whole[name][0], rows[:, 0] ** 2)
         assert whole[name][1].dtype == np.int64
     store.discard()
-    assert not blocks_folder(result).exists()
+    assert not BlockStore.folder_of(result).exists()
 
 
 def test_blocks_that_are_damaged_are_computed_again(tmp_path):
@@ -100,7 +100,7 @@ def test_blocks_that_are_damaged_are_computed_again(tmp_path):
     store = BlockStore(result, {})
     compute_blocks(Squares(), BLOCKS, LocalThreads(), store=store)
     store.close()
-    folder = blocks_folder(result)
+    folder = BlockStore.folder_of(result)
     cut = folder / "block-0.npz"
     cut.write_bytes(cut.read_bytes()[:100])
     flipped = folder / "block-1.npz"
@@ -121,19 +121,19 @@ def test_blocks_are_never_mixed_up(tmp_path):
     result = tmp_path / "map.h5"
     with pytest.raises(ExportError, match="nothing to continue"):
         BlockStore(result, {}, resume=True)
-    store = BlockStore(result, {"a controller": "off"})
+    store = BlockStore(result, {"controller": "off"})
     with pytest.raises(ExportError, match="another process"):
-        BlockStore(result, {"a controller": "off"})
+        BlockStore(result, {"controller": "off"})
     compute_blocks(Squares(), BLOCKS, LocalThreads(), store=store)
     store.close()
     with pytest.raises(ExportError, match="continue it with --resume"):
-        BlockStore(result, {"a controller": "off"})
-    with pytest.raises(ExportError, match="a controller differs"):
-        BlockStore(result, {"a controller": "reverse"}, resume=True)
-    store = BlockStore(result, {"a controller": "reverse"}, force=True)
-    assert not list(blocks_folder(result).glob("*.npz"))
+        BlockStore(result, {"controller": "off"})
+    with pytest.raises(ExportError, match="the controller differs"):
+        BlockStore(result, {"controller": "reverse"}, resume=True)
+    store = BlockStore(result, {"controller": "reverse"}, force=True)
+    assert not list(BlockStore.folder_of(result).glob("*.npz"))
     store.close()
-    assert not blocks_folder(result).exists()
+    assert not BlockStore.folder_of(result).exists()
 
 
 def test_files_give_back_what_was_written(tmp_path):

@@ -21,7 +21,7 @@ from sysid.landing.outcomes import Outcome, Rules
 from sysid.landing.real_landings import Experiment, read_experiments, strangers
 from sysid.landing.scenario import Scenario
 from sysid.landing.simulate import land, land_many
-from sysid.resume import blocks_folder
+from sysid.resume import BlockStore
 from sysid.workflows import landing_maps
 from sysid.workflows.options import span
 
@@ -83,7 +83,7 @@ def test_a_figure_that_fails_costs_no_landing(run, monkeypatch):
     assert "the disk is full" in err
     assert "go on with --resume --force" in err
     assert read_maps("map.h5").maps[0].outcome[0, 0, 0] == Outcome.SHORT
-    assert len(list(blocks_folder(Path("map.h5")).glob("*.npz"))) == 1
+    assert len(list(BlockStore.folder_of(Path("map.h5")).glob("*.npz"))) == 1
 
     def computes(*_, **__):
         raise AssertionError("a finished block is computed again")
@@ -92,7 +92,7 @@ def test_a_figure_that_fails_costs_no_landing(run, monkeypatch):
     code, _, err = run(*MAP, "--resume", "--force")
     assert code == 0, err
     assert Path("map.png").exists()
-    assert not blocks_folder(Path("map.h5")).exists()
+    assert not BlockStore.folder_of(Path("map.h5")).exists()
 
 
 def test_a_result_that_cannot_be_written_keeps_its_blocks(run, monkeypatch):
@@ -104,7 +104,7 @@ def test_a_result_that_cannot_be_written_keeps_its_blocks(run, monkeypatch):
     assert code == 2
     assert "the finished blocks are kept in map.h5.blocks" in err
     assert "the maps are in" not in err
-    assert len(list(blocks_folder(Path("map.h5")).glob("*.npz"))) == 1
+    assert len(list(BlockStore.folder_of(Path("map.h5")).glob("*.npz"))) == 1
 
 
 def test_real_landings_find_their_map_by_the_controllers_name(run):

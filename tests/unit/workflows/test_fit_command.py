@@ -59,7 +59,9 @@ def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, run):
 
 
 def test_fits_lists_states(campaign, run):
-    from sysid.fit.checkpoint import checkpoint_folder, lock
+    from filelock import FileLock
+
+    from sysid.fit.checkpoint import checkpoint_folder
     from sysid.workflows.fits import list_fits
 
     code, _, err = run("fits")
@@ -77,7 +79,7 @@ def test_fits_lists_states(campaign, run):
     assert found["whole"].nrmse == read_fit("fits/whole").nrmse[0]
     assert found["cut"].nrmse == read_fit("fits/cut").nrmse[0]
     # A fit of the same name is not to be continued or thrown away while it runs.
-    with lock(checkpoint_folder("fits/cut")):
+    with FileLock(checkpoint_folder("fits/cut") / "lock"):
         assert {entry.name: entry.state for entry in list_fits("fits")}["cut"] == "running"
         for more in ((), ("--resume",), ("--force",)):
             code, _, err = run(*cut, *more)
@@ -204,7 +206,7 @@ def test_another_search_is_not_continued(more, words, cut, run):
     code, _, err = run(*cut, "--resume", *more)
     assert code == 2
     assert words in err
-    assert "restore it, or start anew with --force" in err
+    assert "restore it, or start again with --force" in err
 
 
 def test_another_surface_is_not_continued(campaign, run):
@@ -215,7 +217,7 @@ def test_another_surface_is_not_continued(campaign, run):
     code, _, err = run(*fit, "--resume", "--surface", "hf")
     assert code == 2
     assert "the parameter table differs" in err
-    assert "restore it, or start anew with --force" in err
+    assert "restore it, or start again with --force" in err
 
 
 def test_low_friction_drops_are_fitted_on_the_high_friction_law(campaign, run):
