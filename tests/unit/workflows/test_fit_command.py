@@ -110,7 +110,7 @@ def test_fits_of_a_lock_that_cannot_be_opened(cut, monkeypatch, run):
         raise PermissionError(13, "Permission denied")
 
     (folder / "lock").touch()
-    monkeypatch.setattr(checkpoint.FileLock, "acquire", refused)
+    monkeypatch.setattr(FileLock, "acquire", refused)
     assert [entry.state for entry in list_fits("fits")] == ["unfinished"]
 
 
