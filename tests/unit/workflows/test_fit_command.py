@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from filelock import FileLock
 
 from fakes.places import SAMPLES
 from sysid.fit.store import read_fit
@@ -59,8 +60,6 @@ def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, run):
 
 
 def test_fits_lists_states(campaign, run):
-    from filelock import FileLock
-
     from sysid.fit.checkpoint import checkpoint_folder
     from sysid.workflows.fits import list_fits
 
