@@ -7,11 +7,12 @@ the same in both directions of rotation, and knows no dead band.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from dataclasses import dataclass
+from xml.etree.ElementTree import Element
 
 from sysid.errors import ExportError
+from sysid.export.xml import add, comment, document, parse
 
 _FILE, _CLASS = "gz-sim-multicopter-motor-model-system", "gz::sim::systems::MulticopterMotorModel"
 # Number and sense of rotation, seen from above, of a quadrotor in X configuration.
@@ -61,38 +62,37 @@ def to_sdf(plugin: MotorPlugin, *, name: str = "motor", notes: tuple[str, ...] =
     notes : tuple of str
         Sentences for the reader, written as comments.
     """
-    root = ElementTree.Element("sdf", version="1.9")
-    model = ElementTree.SubElement(root, "model", name=name)
+    root = Element("sdf", version="1.9")
+    model = add(root, "model", name=name)
     for note in (
         "Written by sysid, SI units. Copy the plugins into the model of your vehicle, whose rotors are links "
         "rotor_0 to rotor_3 on joints rotor_0_joint to rotor_3_joint.",
         *notes,
     ):
-        _say(model, note)
+        comment(model, note)
     for number, turns in enumerate(ROTORS):
-        rotor = ElementTree.SubElement(model, "plugin", filename=_FILE, name=_CLASS)
-        _put(rotor, "jointName", f"rotor_{number}_joint")
-        _put(rotor, "linkName", f"rotor_{number}")
-        _put(rotor, "turningDirection", turns)
-        _put(rotor, "motorType", "velocity")
+        rotor = add(model, "plugin", filename=_FILE, name=_CLASS)
+        add(rotor, "jointName", f"rotor_{number}_joint")
+        add(rotor, "linkName", f"rotor_{number}")
+        add(rotor, "turningDirection", turns)
+        add(rotor, "motorType", "velocity")
         for key, unit in _UNITS.items():
-            _say(rotor, unit)
-            _put(rotor, key, repr(float(getattr(plugin, key))))
-        _put(rotor, "commandSubTopic", "command/motor_speed")
-        _put(rotor, "motorNumber", str(number))
-        _say(
+            comment(rotor, unit)
+            add(rotor, key, float(getattr(plugin, key)))
+        add(rotor, "commandSubTopic", "command/motor_speed")
+        add(rotor, "motorNumber", str(number))
+        comment(
             rotor,
             "Not identified: on a bench the air stands still. 0 switches both off; the plugin's own defaults "
             "are 1e-4 and 1e-6.",
         )
-        _put(rotor, "rotorDragCoefficient", "0")
-        _put(rotor, "rollingMomentCoefficient", "0")
-        _put(rotor, "rotorVelocitySlowdownSim", "10")
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
+        add(rotor, "rotorDragCoefficient", "0")
+        add(rotor, "rollingMomentCoefficient", "0")
+        add(rotor, "rotorVelocitySlowdownSim", "10")
+    return document(root)
 
 
-def from_sdf(document: bytes) -> MotorPlugin:
+def from_sdf(data: bytes) -> MotorPlugin:
     """Return the numbers of the first rotor's plugin.
 
     Raises
@@ -100,20 +100,9 @@ def from_sdf(document: bytes) -> MotorPlugin:
     ExportError
         When there is no such plugin or a number is missing.
     """
-    try:
-        root = ElementTree.fromstring(document)
-    except ElementTree.ParseError as error:
-        raise ExportError(f"not SDF ({error}); give a file that sysid export wrote") from error
+    root = parse(data, "SDF")
     plugin = next((p for p in root.iter("plugin") if p.get("name") == _CLASS), None)
-    found: Mapping[str, str | None] = {} if plugin is None else {k: plugin.findtext(k) for k in _UNITS}
-    if not found or None in found.values():
+    numbers: Mapping[str, str | None] = {} if plugin is None else {k: plugin.findtext(k) for k in _UNITS}
+    if not numbers or None in numbers.values():
         raise ExportError("no complete multicopter motor model plugin; export the fit again")
-    return MotorPlugin(**{key: float(str(value)) for key, value in found.items()})
-
-
-def _put(parent: ElementTree.Element, tag: str, text: str) -> None:
-    ElementTree.SubElement(parent, tag).text = text
-
-
-def _say(parent: ElementTree.Element, text: str) -> None:
-    parent.append(ElementTree.Comment(f" {text.replace('--', '-')} "))
+    return MotorPlugin(**{key: float(str(value)) for key, value in numbers.items()})

@@ -25,13 +25,14 @@ MuJoCo knows one coefficient: it gets the kinetic one.
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from sysid.errors import ExportError
+from sysid.export.xml import add, comment, document, parse
 from sysid.types import FloatArray
 
 # Impedance of the contacts: the share of the free acceleration that leaks into the force.
@@ -110,7 +111,7 @@ def to_mjcf(
         raise ExportError(f"{name}: a slope of {math.degrees(slope):g} deg; give one between -85 and 85 deg")
     legs = _legs(values, per_leg)
     longest = _TURN * min(math.sqrt(leg.mass / leg.ground[0]) for leg in legs)
-    step = timestep or next((one for one in _TIMESTEPS if one <= longest), _TIMESTEPS[-1])
+    step = timestep or next((step for step in _TIMESTEPS if step <= longest), _TIMESTEPS[-1])
     inverse = foot_inverse_mass(values, per_leg)
     load = _weight(values) / len(legs)
     stiff = (1.0 - _IMPEDANCE) / _IMPEDANCE
@@ -119,47 +120,46 @@ def to_mjcf(
     else:
         rate = _CREEPING_RATE
         ratio = inverse[0] * stiff * values["kinetic_friction"] * load / values["slip_regularization"] / rate
-    root = ElementTree.Element("mujoco", model=name)
-    _say(root, _ABOUT_SPACE if per_leg else _ABOUT_PLANE)
-    _add(root, "compiler", angle="radian")
-    _add(
+    root = Element("mujoco", model=name)
+    comment(root, _ABOUT_SPACE if per_leg else _ABOUT_PLANE)
+    add(root, "compiler", angle="radian")
+    add(
         root, "option", timestep=step, gravity=(0.0, 0.0, -values["gravity"]), integrator="implicitfast",
         cone="elliptic", impratio=ratio, solver="Newton", iterations=100, tolerance=1e-12,
     )  # fmt: skip
-    _say(root, "the whole set, as identified (of leg pairs), SI")
-    custom = _add(root, "custom")
+    comment(root, "the whole set, as identified (of leg pairs), SI")
+    custom = add(root, "custom")
     for key, value in values.items():
         if math.isfinite(value):
-            _add(custom, "numeric", name=key, data=value)
-    world = _add(root, "worldbody")
-    _add(world, "light", pos=(0.0, -2.0, 3.0), dir=(0.0, 0.5, -1.0))
-    _say(world, "the slope: its surface passes through the origin and falls toward +x; euler [rad]")
-    _add(
+            add(custom, "numeric", name=key, data=value)
+    world = add(root, "worldbody")
+    add(world, "light", pos=(0.0, -2.0, 3.0), dir=(0.0, 0.5, -1.0))
+    comment(world, "the slope: its surface passes through the origin and falls toward +x; euler [rad]")
+    add(
         world, "geom", name="slope", type="plane", size=(5.0, 5.0, 0.1), euler=(0.0, slope, 0.0), contype=0,
         conaffinity=0, rgba=(0.8, 0.8, 0.75, 1.0),
     )  # fmt: skip
     _body(world, values, legs, per_leg)
-    contact = _add(root, "contact")
-    _say(contact, "solref = -(k_s A), -(b_s A) with the foot's inverse mass A = body_invweight0 [1/kg]")
+    contact = add(root, "contact")
+    comment(contact, "solref = -(k_s A), -(b_s A) with the foot's inverse mass A = body_invweight0 [1/kg]")
     for leg, mobility in zip(legs, inverse, strict=True):
-        _add(
+        add(
             contact, "pair", geom1="slope", geom2=f"{leg.name}_foot", condim=3,
             friction=(values["kinetic_friction"],) * 2 + (1e-4, 1e-5, 1e-5),
             solref=(-leg.ground[0] * mobility, -leg.ground[1] * mobility),
             solreffriction=(0.0, -rate * _IMPEDANCE),
             solimp=(_IMPEDANCE, _IMPEDANCE, 1e-3, 0.5, 2.0),
         )  # fmt: skip
-    actuator = _add(root, "actuator")
+    actuator = add(root, "actuator")
     per_site = "one of two motors" if per_leg else "a pair of motors"
-    _say(actuator, f"thrust [N] of {per_site} along the body's z axis, negative presses down")
+    comment(actuator, f"thrust [N] of {per_site} along the body's z axis, negative presses down")
     for site in _thrust_points(values, per_leg):
-        _add(actuator, "general", name=f"{site}_thrust", site=site, gear=(0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
+        add(actuator, "general", name=f"{site}_thrust", site=site, gear=(0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
     _keyframe(root, values, legs, slope, per_leg)
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
+    return document(root)
 
 
-def from_mjcf(document: bytes) -> dict[str, float]:
+def from_mjcf(data: bytes) -> dict[str, float]:
     """Return the set [SI] that `to_mjcf` wrote into a document.
 
     Raises
@@ -167,14 +167,11 @@ def from_mjcf(document: bytes) -> dict[str, float]:
     ExportError
         When the document is no MJCF with a set in it.
     """
-    try:
-        root = ElementTree.fromstring(document)
-    except ElementTree.ParseError as error:
-        raise ExportError(f"not a MuJoCo model ({error}); give a file that sysid export wrote") from error
-    found = {str(row.get("name")): float(str(row.get("data"))) for row in root.iterfind("custom/numeric")}
-    if root.tag != "mujoco" or not found:
+    root = parse(data, "a MuJoCo model")
+    values = {str(row.get("name")): float(str(row.get("data"))) for row in root.iterfind("custom/numeric")}
+    if root.tag != "mujoco" or not values:
         raise ExportError("no MuJoCo model with a parameter set in custom/numeric; export the fit again")
-    return found
+    return values
 
 
 def foot_inverse_mass(values: Mapping[str, float], per_leg: bool = False) -> FloatArray:
@@ -277,8 +274,8 @@ def _weight(values: Mapping[str, float]) -> float:
 
 
 def _body_inertia(values: Mapping[str, float], per_leg: bool) -> tuple[float, float, float]:
-    own = values["body_inertia"]
-    return (own, own, 2.0 * own) if per_leg else (own, own, own)
+    pitch = values["body_inertia"]
+    return (pitch, pitch, 2.0 * pitch) if per_leg else (pitch, pitch, pitch)
 
 
 def _leg_inertia(leg: _Leg) -> tuple[float, float, float]:
@@ -296,62 +293,62 @@ def _thrust_points(values: Mapping[str, float], per_leg: bool) -> dict[str, tupl
     }
 
 
-def _body(
-    world: ElementTree.Element, values: Mapping[str, float], legs: Sequence[_Leg], per_leg: bool
-) -> None:
-    body = _add(world, "body", name="body")
+def _body(world: Element, values: Mapping[str, float], legs: Sequence[_Leg], per_leg: bool) -> None:
+    body = add(world, "body", name="body")
     if per_leg:
-        _add(body, "freejoint", name="free")
-        _say(body, "inertia about roll [kg·m²]: a guess, equal to pitch; yaw: the sum, as of a flat body")
+        add(body, "freejoint", name="free")
+        comment(body, "inertia about roll [kg·m²]: a guess, equal to pitch; yaw: the sum, as of a flat body")
     else:
-        _say(body, "x, z [m] of the body's centre of mass; pitch [rad], positive nose-down, down-slope")
+        comment(body, "x, z [m] of the body's centre of mass; pitch [rad], positive nose-down, down-slope")
         for key, kind, axis in (
             ("x", "slide", (1, 0, 0)),
             ("z", "slide", (0, 0, 1)),
             ("pitch", "hinge", (0, 1, 0)),
         ):
-            _add(body, "joint", name=key, type=kind, axis=axis)
-    _add(
+            add(body, "joint", name=key, type=kind, axis=axis)
+    add(
         body, "inertial", pos=(0.0, 0.0, 0.0), mass=values["body_mass"],
         diaginertia=_body_inertia(values, per_leg),
     )  # fmt: skip
     half = (values["joint_dx"], values["joint_dx"], 0.01)
-    _add(body, "geom", type="box", size=half, mass=0, contype=0, conaffinity=0, rgba=(0.2, 0.3, 0.5, 1.0))
+    add(body, "geom", type="box", size=half, mass=0, contype=0, conaffinity=0, rgba=(0.2, 0.3, 0.5, 1.0))
     for site, place in _thrust_points(values, per_leg).items():
-        _add(body, "site", name=site, pos=place, size=(0.01,))
+        add(body, "site", name=site, pos=place, size=(0.01,))
     length, rest = _length(values), _rest_angle(values)
     of = "leg" if per_leg else "pair of legs"
     for leg in legs:
-        own = _add(
+        limb = add(
             body, "body", name=f"{leg.name}_leg", pos=tuple(_joint(values, leg)),
             euler=(0.0, leg.side * rest, 0.0),
         )  # fmt: skip
-        _say(own, f"bending: q - q_n of a {of} [rad], stiffness [N·m/rad], damping [N·m·s/rad]; 0 at rest")
-        _add(
-            own, "joint", name=f"{leg.name}_bend", type="hinge", axis=(0, leg.side, 0), springref=0,
+        comment(
+            limb, f"bending: q - q_n of a {of} [rad], stiffness [N·m/rad], damping [N·m·s/rad]; 0 at rest"
+        )
+        add(
+            limb, "joint", name=f"{leg.name}_bend", type="hinge", axis=(0, leg.side, 0), springref=0,
             stiffness=leg.bending[0], damping=leg.bending[1],
         )  # fmt: skip
-        _say(own, f"axis: extension h of a {of} [m], stiffness [N/m], damping [N·s/m]; 0 at rest")
-        _add(
-            own, "joint", name=f"{leg.name}_stretch", type="slide", axis=(0, 0, -1), springref=0,
+        comment(limb, f"axis: extension h of a {of} [m], stiffness [N/m], damping [N·s/m]; 0 at rest")
+        add(
+            limb, "joint", name=f"{leg.name}_stretch", type="slide", axis=(0, 0, -1), springref=0,
             stiffness=leg.axial[0], damping=leg.axial[1],
         )  # fmt: skip
-        _add(
-            own, "inertial", pos=(0.0, 0.0, -(1.0 - values["leg_mass_fraction"]) * length), mass=leg.mass,
+        add(
+            limb, "inertial", pos=(0.0, 0.0, -(1.0 - values["leg_mass_fraction"]) * length), mass=leg.mass,
             diaginertia=_leg_inertia(leg),
         )  # fmt: skip
-        _add(
-            own, "geom", type="capsule", fromto=(0.0, 0.0, 0.0, 0.0, 0.0, -length + 0.004),
+        add(
+            limb, "geom", type="capsule", fromto=(0.0, 0.0, 0.0, 0.0, 0.0, -length + 0.004),
             size=(0.004,), mass=0, contype=0, conaffinity=0, rgba=(0.7, 0.7, 0.7, 1.0),
         )  # fmt: skip
-        _add(
-            own, "geom", name=f"{leg.name}_foot", type="sphere", size=(_FOOT_RADIUS,), mass=0, contype=0,
+        add(
+            limb, "geom", name=f"{leg.name}_foot", type="sphere", size=(_FOOT_RADIUS,), mass=0, contype=0,
             conaffinity=0, pos=(0.0, 0.0, -length + _FOOT_RADIUS),
         )  # fmt: skip
 
 
 def _keyframe(
-    root: ElementTree.Element,
+    root: Element,
     values: Mapping[str, float],
     legs: Sequence[_Leg],
     slope: float,
@@ -360,12 +357,12 @@ def _keyframe(
     depth = values["foot_dx"] * abs(math.sin(slope)) + values["foot_dz"] * math.cos(slope)
     height = depth / math.cos(slope)
     place = (0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0) if per_leg else (0.0, height, 0.0)
-    key = _add(root, "keyframe")
-    _say(
+    key = add(root, "keyframe")
+    comment(
         key, "level, legs at rest, the first foot on the slope, hovering; set a touchdown speed in qvel [m/s]"
     )
     sites = len(_thrust_points(values, per_leg))
-    _add(
+    add(
         key, "key", name="touchdown", qpos=place + (0.0,) * (2 * len(legs)),
         ctrl=(_weight(values) / sites,) * sites,
     )  # fmt: skip
@@ -381,20 +378,3 @@ _ABOUT_SPACE = (
     "between the legs and the motors (as wide as long), and inertia about roll and yaw; legs bend in the "
     "pitch plane only."
 )
-
-
-def _add(parent: ElementTree.Element, tag: str, **attributes: object) -> ElementTree.Element:
-    """Append an element; numbers are written so that they read back to equal values."""
-    return ElementTree.SubElement(parent, tag, {key: _text(value) for key, value in attributes.items()})
-
-
-def _text(value: object) -> str:
-    if isinstance(value, str):
-        return value
-    if isinstance(value, Sequence):
-        return " ".join(_text(one) for one in value)
-    return repr(value) if isinstance(value, int) else repr(float(value))  # type: ignore[arg-type]
-
-
-def _say(parent: ElementTree.Element, text: str) -> None:
-    parent.append(ElementTree.Comment(f" {text.replace('--', '-')} "))
