@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -19,6 +19,9 @@ from sysid.workflows.options import (
     LogFormat,
     ReversalOptions,
 )
+
+if TYPE_CHECKING:
+    from sysid.workflows.inspect import Draw
 
 
 @command(app, "formats")
@@ -40,7 +43,16 @@ def inspect(
     """Say what logs hold: device, channels, rates, gaps, drops, and what looks wrong."""
     from sysid.workflows.inspect import inspect_files, parse_options
 
-    inspect_files(files, format_name=format, options=parse_options(option), plot=plot, as_json=json)
+    draw = None if plot is None else _drawing(plot)
+    inspect_files(files, format_name=format, options=parse_options(option), draw=draw, as_json=json)
+
+
+def _drawing(path: Path) -> Draw:
+    """Return what draws logs to a file; matplotlib is imported only when something is drawn."""
+    from sysid.report.drawing import save_figure
+    from sysid.report.inspect_figures import figure_logs
+
+    return lambda recordings, reports: save_figure(figure_logs(recordings, reports), path)
 
 
 @command(app, "convert")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,9 +20,11 @@ from sysid.loaders.alignment import join_recordings
 from sysid.loaders.readers.sysid_hdf5 import write_recording
 from sysid.recording import Recording
 from sysid.report.fold import print_table
+from sysid.storage import check_file
 from sysid.trials.look import BenchReport, ChannelReport, DropReport, LogReport, inspect_recording
 
 _MOST_ROWS = 40
+Draw = Callable[[Sequence[Recording], Sequence[LogReport]], Path]
 
 
 def parse_options(given: Sequence[str]) -> dict[str, Any]:
@@ -32,8 +35,6 @@ def parse_options(given: Sequence[str]) -> dict[str, Any]:
     CampaignError
         When a word has no ``=``.
     """
-    import tomllib
-
     options: dict[str, Any] = {}
     for word in given:
         name, equals, value = word.partition("=")
@@ -46,17 +47,12 @@ def parse_options(given: Sequence[str]) -> dict[str, Any]:
     return options
 
 
-def load_log(path: Path, format_name: str, options: Mapping[str, Any]) -> Recording:
-    """Load a log; options that its format does not have are refused there."""
-    return load(path, format=format_name, **options)
-
-
 def inspect_files(
     paths: Sequence[Path],
     *,
     format_name: str = "auto",
     options: Mapping[str, Any] | None = None,
-    plot: Path | None = None,
+    draw: Draw | None = None,
     as_json: bool = False,
 ) -> None:
     """Print what logs hold, as tables or JSON, and draw them.
@@ -68,69 +64,66 @@ def inspect_files(
     paths : sequence of Path
         Logs.
     format_name : str
-        Of all of them; ``"auto"`` judges by content.
+        Format of all logs; ``"auto"`` judges by content.
     options : mapping, optional
-        Loader options for all of them.
-    plot : Path, optional
-        Figure to write; of several logs, one under the other, without those that are refused.
+        Loader options for all logs.
+    draw : callable, optional
+        Draws the logs that are not refused, and returns the file.
     as_json : bool
-        Print JSON and nothing else; of a log that is refused an object with the keys ``path`` and ``error``.
+        Print JSON and nothing else; a refused log is an object with the keys ``path`` and ``error``.
 
     Raises
     ------
     SysidError
-        When a log is refused, behind what the others hold.
+        When a log is refused, after the others are printed.
     """
     recordings: list[Recording] = []
-    found: list[LogReport | tuple[Path, SysidError]] = []
+    results: list[tuple[Path, LogReport | SysidError]] = []
     for path in paths:
         try:
-            recording = load_log(path, format_name, options or {})
-            found.append(inspect_recording(recording))
+            recording = load(path, format=format_name, **(options or {}))
+            results.append((path, inspect_recording(recording)))
             recordings.append(recording)
         except SysidError as error:
             if len(paths) == 1:
                 raise
-            found.append((path, error))
-    reports = [one for one in found if isinstance(one, LogReport)]
-    refusals = [one for one in found if not isinstance(one, LogReport)]
-    if not recordings:
-        plot = None
-    if plot is not None:
-        from sysid.report.drawing import save_figure
-        from sysid.report.inspect_figures import figure_logs
-
-        save_figure(figure_logs(recordings, reports), plot)
+            results.append((path, error))
+    reports = [result for _, result in results if isinstance(result, LogReport)]
+    figure = draw(recordings, reports) if draw is not None and recordings else None
     if as_json:
         rows = [
-            one.as_json() if isinstance(one, LogReport) else {"path": str(one[0]), "error": str(one[1])}
-            for one in found
+            result.as_json() if isinstance(result, LogReport) else {"path": str(path), "error": str(result)}
+            for path, result in results
         ]
         print(json.dumps(rows, ensure_ascii=False, indent=2))
     else:
         console = Console(soft_wrap=True)
-        for one in found:
-            if isinstance(one, LogReport):
-                print_report(console, one)
+        for path, result in results:
+            if isinstance(result, LogReport):
+                print_report(console, result)
             else:
-                console.print(Text(str(one[0]), style="bold"))
-                console.print(Text(f"  refused: {one[1]}", style="bold red"))
-        if plot is not None:
-            console.print(Text(f"wrote {plot}"))
-    if refusals:
-        raise type(refusals[0][1])(_refused(refusals, len(paths)))
+                console.print(Text(str(path), style="bold"))
+                console.print(Text(f"  refused: {result}", style="bold red"))
+        if figure is not None:
+            console.print(Text(f"wrote {figure}"))
+    _refuse([(path, result) for path, result in results if isinstance(result, SysidError)], len(paths))
 
 
-def _refused(refusals: Sequence[tuple[Path, SysidError]], total: int) -> str:
-    if len(refusals) == 1:
-        return f"{refusals[0][1]} (1 of {total} logs refused)"
-    names = ", ".join(str(path) for path, _ in refusals)
-    return f"{len(refusals)} of {total} logs refused: {names}; what is wrong with each stands in its place"
+def _refuse(refusals: Sequence[tuple[Path, SysidError]], total: int) -> None:
+    if not refusals:
+        return
+    sentence = f"{refusals[0][1]} (1 of {total} logs refused)"
+    if len(refusals) > 1:
+        names = ", ".join(str(path) for path, _ in refusals)
+        sentence = (
+            f"{len(refusals)} of {total} logs refused: {names}; what is wrong with each stands in its place"
+        )
+    raise type(refusals[0][1])(sentence)
 
 
 @dataclass(frozen=True)
 class SecondFile:
-    """A second log of the same run: its own format and options, and by which channel its clock is found."""
+    """A second log of the same run: its format and options, and the channel by which its clock is found."""
 
     path: Path
     format_name: str = "auto"
@@ -147,7 +140,7 @@ def convert_file(
     second: SecondFile | None = None,
     force: bool = False,
 ) -> str:
-    """Write a log, joined with a second one where it is given, in our HDF5 layout; return a sentence.
+    """Write a log, joined with a second one if given, in the HDF5 layout of sysid; return a sentence.
 
     Raises
     ------
@@ -157,32 +150,31 @@ def convert_file(
     sources = (path,) if second is None else (path, second.path)
     if to.resolve() in {source.resolve() for source in sources}:
         raise LogError(f"{to} is the log itself, which is never replaced; choose a new name")
-    if to.exists() and not force:
-        raise LogError(f"{to} exists already; choose a new name or replace it with --force")
-    recording = load_log(path, format_name, options or {})
-    said = ""
+    check_file(to, force=force, error_type=LogError)
+    recording = load(path, format=format_name, **(options or {}))
+    alignment = ""
     if second is not None:
-        other = load_log(second.path, second.format_name, second.options)
+        other = load(second.path, format=second.format_name, **second.options)
         recording, offset = join_recordings(recording, other, second.align_by)
-        said = f"; {offset.sentence()}"
+        alignment = f"; {offset.sentence()}"
     write_recording(recording, to)
-    return f"wrote {to}: {len(recording.channels)} channels of {path.name}{said}"
+    return f"wrote {to}: {len(recording.channels)} channels of {path.name}{alignment}"
 
 
 def print_formats(as_json: bool = False) -> None:
     """Print the formats that are read, those of installed packages included, with the options of each."""
     if as_json:
         rows = [
-            {"format": name, "reads": one.describes, "options": list(one.options)}
-            for name, one in formats().items()
+            {"format": name, "reads": kind.describes, "options": list(kind.options)}
+            for name, kind in formats().items()
         ]
         print(json.dumps(rows, ensure_ascii=False, indent=2))
         return
     table = Table(box=None, pad_edge=True)
     for title in ("format", "reads", "options"):
         table.add_column(title, no_wrap=title == "format")
-    for name, one in formats().items():
-        table.add_row(*(Text(cell) for cell in (name, one.describes, ", ".join(one.options) or "none")))
+    for name, kind in formats().items():
+        table.add_row(*(Text(cell) for cell in (name, kind.describes, ", ".join(kind.options) or "none")))
     Console().print(table)
 
 
@@ -190,22 +182,22 @@ def _number(value: float, digits: int = 4) -> str:
     return "—" if not np.isfinite(value) else f"{value:.{digits}g}"
 
 
-def _clock_words(one: ChannelReport) -> str:
-    words = [f"{one.samples} samples", f"{_number(one.rate, 5)} Hz"]
-    if one.jitter > 0.01:
-        words.append(f"jitter {100 * one.jitter:.0f} %")
-    if one.holes:
-        words.append(f"holes {one.holes}, longest {_number(one.longest_hole, 3)} s")
+def _clock_words(channel: ChannelReport) -> str:
+    words = [f"{channel.samples} samples", f"{_number(channel.rate, 5)} Hz"]
+    if channel.jitter > 0.01:
+        words.append(f"jitter {100 * channel.jitter:.0f} %")
+    if channel.holes:
+        words.append(f"holes {channel.holes}, longest {_number(channel.longest_hole, 3)} s")
     return ", ".join(words)
 
 
-def _value_words(one: ChannelReport) -> str:
+def _value_words(channel: ChannelReport) -> str:
     words = []
-    if one.blank > 0:
-        longest = f", longest {one.longest_blank:.3g} s" if np.isfinite(one.longest_blank) else ""
-        words.append(f"blank {100 * one.blank:.3g} %{longest}")
-    if one.saturated > 0:
-        words.append(f"at its limit {100 * one.saturated:.2g} %")
+    if channel.blank > 0:
+        longest = f", longest {channel.longest_blank:.3g} s" if np.isfinite(channel.longest_blank) else ""
+        words.append(f"blank {100 * channel.blank:.3g} %{longest}")
+    if channel.saturated > 0:
+        words.append(f"at its limit {100 * channel.saturated:.2g} %")
     return "; ".join(words)
 
 
@@ -225,14 +217,23 @@ def print_report(console: Console, report: LogReport) -> None:
         table.add_column(name, justify="right")
     table.add_column("")
     points = report.kind == "static-map"
-    clocks = {one.name: f"{one.samples} points" if points else _clock_words(one) for one in report.channels}
+    clocks = {
+        channel.name: f"{channel.samples} points" if points else _clock_words(channel)
+        for channel in report.channels
+    }
     common = len(set(clocks.values())) == 1
     if common and report.channels:
         title = "rows" if points else "clock of all channels"
         console.print(Text(f"  {title}: {clocks[report.channels[0].name]}"))
-    for one in report.channels[:_MOST_ROWS]:
-        words = [word for word in ("" if common else clocks[one.name], _value_words(one)) if word]
-        cells = [one.name, one.unit, _number(one.lowest), _number(one.highest), "; ".join(words)]
+    for channel in report.channels[:_MOST_ROWS]:
+        words = [word for word in ("" if common else clocks[channel.name], _value_words(channel)) if word]
+        cells = [
+            channel.name,
+            channel.unit,
+            _number(channel.lowest),
+            _number(channel.highest),
+            "; ".join(words),
+        ]
         table.add_row(*(Text(cell) for cell in cells))
     print_table(table, console)
     if len(report.channels) > _MOST_ROWS:

@@ -48,7 +48,7 @@ from sysid.workflows.options import ReversalOptions as ReversalOptions
 
 # A log is filtered when it has this many samples per period of the stop-band edge.
 _FAST = 10.0
-# The clock of a log whose channels have their own: that of the force.
+# The channel whose clock serves, where channels have different clocks.
 _NEEDED, _CLOCK_OF = ("command", "speed", "thrust"), ("thrust",)
 _NO_TARE = Tare(0.0, math.nan, 0, "assumed")
 # Minimum, neutral and maximum of a protocol where the user says nothing. Bidirectional DShot is no single
@@ -177,8 +177,8 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
     notes = recording.provenance.sentences
     keep = thrust.valid if fast else real_samples(thrust.values)
     if zero.rows == 0:
-        zero, said = _zero_without_rest(steps, thrust, keep, speed)
-        notes.append(f"no row at rest: {said}")
+        zero, basis = _zero_without_rest(steps, thrust, keep, speed)
+        notes.append(f"no row at rest: {basis}")
     forces = (thrust.time[keep], options.thrust_sign * (thrust.values[keep] - zero.value))
     turns = None if speed is None else (speed.time[speed.valid], speed.values[speed.valid])
     if fast:
@@ -186,20 +186,20 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
         forces = _known(uniform_filtered(*forces, lowpass, f"{where}, thrust"))
         turns = None if turns is None else _known(uniform_filtered(*turns, lowpass, f"{where}, speed"))
     else:
-        notes.append(f"rows every {1e3 / rate:.1f} ms: timed between its own real samples, unfiltered")
+        notes.append(f"rows every {1e3 / rate:.1f} ms: timed between real samples, unfiltered")
     stalls = find_stalls(time, steps)
     doubtful = tuple(s.doubtful for s in stalls if s.doubtful is not None)
     _check_sense(steps, forces, options.thrust_sign < 0, where)
     everything = find_reversals(time, steps, forces, turns, sense=options.sense)
-    found = find_reversals(time, steps, forces, turns, skip=doubtful, sense=options.sense)
-    if not found:
+    kept = find_reversals(time, steps, forces, turns, skip=doubtful, sense=options.sense)
+    if not kept:
         lowest, highest = float(np.min(steps.level)), float(np.max(steps.level))
         raise LogError(
             f"{where}: no reversal that can be timed: commands run from u = {lowest:.3g} to {highest:.3g}, "
             f"and {len(everything)} reversals were lost to stalls of the logger; check --neutral and "
             "--sense, or record one"
         )
-    groups = repetitions(found)
+    groups = repetitions(kept)
     notes += [
         f"u {group.before:+.2f} → {group.after:+.2f}: no repetition settled while it was held (at most "
         f"{max(r.hold for r in group.reversals):.2g} s), so its final thrust is not known; hold it longer"
@@ -209,7 +209,7 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
     signed = turns is not None and bool(np.any(turns[1] < 0) and np.any(turns[1] > 0))
     return LogReversals(
         path.name, groups, forces, "speed" if signed else "thrust",
-        len(everything) - len(found), tuple(notes),
+        len(everything) - len(kept), tuple(notes),
     )  # fmt: skip
 
 
@@ -224,11 +224,11 @@ def _zero_without_rest(
     turning = np.sign(steps.level[held]) * np.abs(speed.values)
     channels = {"speed": (speed.time, turning), "thrust": (thrust.time[keep], thrust.values[keep])}
     points = steady_points(thrust.time, steps, channels)
-    found = zero_of_steady(points.thrust, points.speed)
-    if found is None:
+    zero = zero_of_steady(points.thrust, points.speed)
+    if zero is None:
         return _NO_TARE, "too few steady points beside it, so the tare of thrust is taken as 0"
-    return found, (
-        f"the tare of thrust, {1e3 * found.value:.3g} ± {1e3 * found.error:.2g} mN, is what its steady "
+    return zero, (
+        f"the tare of thrust, {1e3 * zero.value:.3g} ± {1e3 * zero.error:.2g} mN, is what its steady "
         "points over Ω|Ω| leave at standstill"
     )
 
@@ -270,46 +270,36 @@ def reversal_times(
     figure: Path | None = None,
     json: bool = False,
 ) -> tuple[LogReversals, ...]:
-    """Time the reversals of several logs, print them side by side, draw them.
-
-    Parameters
-    ----------
-    logs : sequence of Path
-        One per speed controller, or several.
-    options : ReversalOptions
-    figure : Path, optional
-        Figure in the manner of Fig. 3.
-    json : bool
-        Print JSON instead of the table.
+    """Time the reversals of several logs, print them side by side, and draw them in the manner of Fig. 3.
 
     Raises
     ------
     SysidError
         For the first log that cannot be used; nothing is written then.
     """
-    found = [log_reversals(path, options) for path in logs]
-    names = [one.name for one in found]
-    # Two logs of one file name are told apart by their folders.
+    timed = [log_reversals(path, options) for path in logs]
+    names = [log.name for log in timed]
+    # The folders distinguish two logs of one file name.
     if len(set(names)) < len(names):
-        found = [replace(one, name=str(path)) for one, path in zip(found, logs, strict=True)]
+        timed = [replace(log, name=str(path)) for log, path in zip(timed, logs, strict=True)]
     if figure is not None:
-        curves = [ReversalCurves(one.name, one.groups, one.thrust) for one in found]
+        curves = [ReversalCurves(log.name, log.groups, log.thrust) for log in timed]
         save_figure(figure_reversals(curves), figure)
     if json:
-        print(exact_json.dumps({"level": LEVEL, "logs": [one.document(options.slow) for one in found]}))
+        print(exact_json.dumps({"level": LEVEL, "logs": [log.document(options.slow) for log in timed]}))
     else:
-        print_table(_table(found, options.slow))
-        for one in found:
-            for note in one.notes:
-                print(f"{one.name}: {note}")
-            if one.lost:
-                print(f"{one.name}: {one.lost} reversals left out, the logger stalled around their command")
+        print_table(_table(timed, options.slow))
+        for log in timed:
+            for note in log.notes:
+                print(f"{log.name}: {note}")
+            if log.lost:
+                print(f"{log.name}: {log.lost} reversals left out, the logger stalled around their command")
         if figure is not None:
             print(f"{figure}  thrust after the command")
-    return tuple(found)
+    return tuple(timed)
 
 
-def _table(found: Sequence[LogReversals], slow: float) -> Table:
+def _table(timed: Sequence[LogReversals], slow: float) -> Table:
     table = Table(
         title=Text("reversal times from the command, median (quartiles) [ms]"), title_justify="left",
         caption=Text(
@@ -324,18 +314,18 @@ def _table(found: Sequence[LogReversals], slow: float) -> Table:
         ("dead band", True), ("outliers", True),
     ):  # fmt: skip
         table.add_column(title, justify="right" if right else "left")
-    for one in found:
-        mark = "" if one.crossing_from == "speed" else " T"
-        for group in one.groups:
+    for log in timed:
+        mark = "" if log.crossing_from == "speed" else " T"
+        for group in log.groups:
             count = len(group.reversals)
             table.add_row(
-                Text(one.name),
+                Text(log.name),
                 f"{group.before:+.2f} → {group.after:+.2f}",
                 str(count),
                 _milliseconds(group, "to_level"),
                 _milliseconds(group, "zero_crossing") + mark,
                 _milliseconds(group, "dead_band") + mark,
-                # One alone is its own quickest.
+                # A single repetition is the quickest of its group.
                 f"{100 * group.outliers(slow) / count:.0f} %" if count > 1 else "–",
             )
     return table
