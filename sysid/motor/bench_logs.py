@@ -74,7 +74,7 @@ def read_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial | Stat
     Parameters
     ----------
     campaign : MotorCampaign
-        Its `[log]` table holds for every log whose format takes the option.
+        Its `[log]` table serves every log whose format takes the option.
     path : str or Path
         The campaign's file; logs are named relative to its folder.
     entry : MotorTrial or StaticLog
@@ -94,7 +94,7 @@ def read_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial | Stat
         notice("wrong-pole-count", wrong_poles(ratio), trial=entry.log)
     second = None
     if entry.second_log is not None:
-        # Another instrument: nothing that the campaign says of its logs is said of this one.
+        # Another instrument: the campaign's `[log]` does not describe it.
         other = resolve_log(path, entry.second_log.log)
         beside = load_stated(other, entry.second_log.format, {}, entry.second_log.loader_options())
         recording, alignment = join_recordings(recording, beside, entry.second_log.align_by)
@@ -471,7 +471,7 @@ class TorquePerCurrent:
 
 
 def torque_per_current(logs: Sequence[BenchLog]) -> TorquePerCurrent:
-    """Return k_m from the steady points of logs that hold the winding's current.
+    """Return k_m from the steady points of logs of the winding's current.
 
     At a steady speed the load cell feels k_m I − τ_f, with τ_f the constant friction of bearings and iron,
     which the current pays for as well. Without τ_f k_m would come out too small; it is left out where the

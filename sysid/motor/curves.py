@@ -81,7 +81,7 @@ def read_curve_logs(campaign: MotorCampaign, path: str | Path) -> tuple[CurveLog
     Raises
     ------
     SysidError
-        For the first one that cannot be read, or holds no steady point.
+        For the first log that cannot be read, or has no steady point.
     """
     curves = campaign.curves
     return (
@@ -163,7 +163,7 @@ class NoLoadTie:
     Notes
     -----
     A point far from the others (a speed probe that missed a blade, a stand that settled late) loses weight as
-    in the other curves. The soft-L1 weights are found once, about a parabola of Ω over u, so that the line
+    in the other curves. The soft-L1 weights are computed once, about a parabola of Ω over u, so that the line
     stays linear in R/(k_m k_v) and a candidate of the search costs one product.
     """
 

@@ -61,7 +61,7 @@ def write_cubic(times, first, t, t_next, step, state, out):
 
 @njit(cache=True, error_model="numpy")
 def write_charge(times, first, t, t_next, step, charge, limit, clip, current, out):
-    """Fill `out` (n,) with the charge since the first time at those of one step; return the next index."""
+    """Fill `out` (n,) with the charge since the first time at the times of a step; return the next index."""
     last = past(times, first, t_next)
     a = current[0]
     b = 0.5 * (current[1] - current[0] + current[2])

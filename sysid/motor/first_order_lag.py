@@ -87,8 +87,8 @@ def steady_speed_map(command: FloatArray, speed: FloatArray, ratio: FloatArray) 
     u = np.abs(command)
     degree = 2 if np.unique(u).size >= 4 else 1
     columns = np.column_stack([u**power for power in range(degree + 1)]) * ratio[:, None]
-    found = np.linalg.lstsq(columns, np.abs(speed), rcond=None)[0]
-    return np.concatenate([found, np.zeros(2 - degree)])
+    solution = np.linalg.lstsq(columns, np.abs(speed), rcond=None)[0]
+    return np.concatenate([solution, np.zeros(2 - degree)])
 
 
 @njit(cache=True, error_model="numpy")
@@ -159,7 +159,7 @@ def _population(
                 at += 1
             target = _steady(levels[at], row) * ratio
             if m == first[j]:
-                # The trial begins at a steady state, like that of the motor's equations.
+                # The trial begins at a steady state, as the motor's equations do.
                 speed = target
             else:
                 speed = _advance(speed, target, end - t, rise, fall, step, rise_kept, fall_kept)
@@ -184,7 +184,7 @@ def simulate_lag(rows: FloatArray, trials: MotorTrials, delays: FloatArray | Non
     Returns
     -------
     (P, n_total, 2) array
-        Torque [N·m] and speed [rad/s] on the trials' samples. The supply is held between two knots.
+        Torque [N·m] and speed [rad/s] on the trials' samples. The supply is constant between two knots.
     """
     index = PARAMETERS.index
     reads = np.ascontiguousarray(rows[:, [index[name] for name in _READS]], dtype=np.float64)

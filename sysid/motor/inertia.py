@@ -1,7 +1,7 @@
 """Rotor inertia from torque spikes alone: up-steps and down-steps must agree.
 
 At a step the load cell feels τ_aero(Ω) + I^r dΩ/dt, whatever the winding does. The slope of torque over the
-acceleration of the *measured* speed needs no R, L, Kv or command delay, so it checks what a fit says of I^r.
+acceleration of the *measured* speed needs no R, L, Kv or command delay, so it checks a fitted I^r.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class SpikeInertia:
     value, error : dict of "up" and "down" to float
         [kg·m²], one standard error; NaN without steps.
     steps : dict of "up" and "down" to int
-        Steps whose transient the log holds whole.
+        Steps whose transient is whole in the log.
     """
 
     value: dict[str, float]
@@ -71,9 +71,9 @@ class SpikeInertia:
         if abs(up - down) <= AGREEMENT * 0.5 * (up + down):
             return None
         return (
-            f"torque spikes of {self.steps['up']} up-steps give a rotor inertia of {up:.3g} kg·m², those of "
-            f"{self.steps['down']} down-steps {down:.3g} kg·m²: torque and speed do not belong to one rotor "
-            "on one clock"
+            f"torque spikes of {self.steps['up']} up-steps give a rotor inertia of {up:.3g} kg·m², "
+            f"{self.steps['down']} down-steps give {down:.3g} kg·m²: torque and speed do not belong to one "
+            "rotor on one clock"
         )
 
 
@@ -87,7 +87,7 @@ def spike_inertia(
     campaign : MotorCampaign
         Its filter serves the fast logs.
     logs : sequence of BenchLog
-        Forward or reverse ones; those without torque are passed over.
+        Forward or reverse logs; logs without torque are passed over.
     parameters : mapping
         Torque curve, delay and lag of the torque sensor, by name [SI].
     """

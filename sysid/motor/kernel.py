@@ -116,6 +116,13 @@ def steady_state(voltage, row):
 
 
 @njit(cache=True, error_model="numpy")
+def _drag(side, row):
+    """Return the coefficients of the drag quad Ω² + lin Ω of a rotor that turns toward `side`."""
+    k = TORQUE if side > 0.0 else TORQUE + REVERSE
+    return side * row[k], row[k + 1] + row[K_D]
+
+
+@njit(cache=True, error_model="numpy")
 def _step(h, current, speed, volt, volt_rate, res, ind, k_v, k_eff, clipped, quad, lin, inertia):
     """One RODAS step of a smooth regime.
 
@@ -228,7 +235,7 @@ def integrate(
     ----------
     row : (n_reads,) what `READS` names [SI]
     command_time, command : (m,) instants [s], not yet delayed, and u in [-1, 1] from each instant on
-    supply_time, supply_ratio : (k,) knots [s] of V/V_ref, linear between them, held outside
+    supply_time, supply_ratio : (k,) knots [s] of V/V_ref, linear between them, constant outside
     begin, end : first and last time of the trial [s]
     start : AS_GIVEN or STEADY; the former takes `current` [A] and `speed` [rad/s]
     tolerance : relative local error
@@ -311,8 +318,7 @@ def integrate(
             side = -1.0 if push < 0.0 else 1.0
         elif side * speed < 0.0:
             side = -side
-        k = TORQUE if side > 0.0 else TORQUE + REVERSE
-        quad, lin = side * row[k], row[k + 1] + row[K_D]
+        quad, lin = _drag(side, row)
         over = abs(current) > i_sat
         drive = side * (k_m * current - (quad * speed + lin) * speed)
         rising = drive > 0.0 or (speed == 0.0 and drive >= 0.0)
@@ -363,10 +369,10 @@ def integrate(
                     middle = 0.5 * (low + high)
                     xs = between(middle, current, x, x3, x4)
                     ys = between(middle, speed, y, y3, y4)
-                    found = _violation(xs, ys, side, in_band, over, rising, i_sat, omega_min, k_m, quad, lin)
-                    if found > 0:
+                    first = _violation(xs, ys, side, in_band, over, rising, i_sat, omega_min, k_m, quad, lin)
+                    if first > 0:
                         high = middle
-                        event = found
+                        event = first
                     else:
                         low = middle
                 shorter = high * step
@@ -417,8 +423,7 @@ def integrate(
             if event == 1:
                 speed = 0.0
                 side = -side
-                k = TORQUE if side > 0.0 else TORQUE + REVERSE
-                quad, lin = side * row[k], row[k + 1] + row[K_D]
+                quad, lin = _drag(side, row)
                 rising = side * current > 0.0
             elif event == 2:
                 speed = side * omega_min
@@ -454,8 +459,8 @@ def integrate_population(
 
     Ragged trials lie end to end; trial j owns ``x[first[j]:first[j + 1]]`` of the samples and of `out`,
     (P, n_total, 2). A trial of n samples has n + 1 `edges`, of which sample i owns the cell from edge i to
-    edge i + 1. One job per candidate and trial, each on its own: the number of threads changes no bit of
-    the result.
+    edge i + 1. Jobs, one per candidate and trial, know nothing of each other: the number of threads changes
+    no bit of the result.
     """
     n_trials = starts.size
     for job in prange(rows.shape[0] * n_trials):
@@ -472,20 +477,9 @@ def integrate_population(
             command[command_first[j] : command_first[j + 1]],
             supply_time[supply_first[j] : supply_first[j + 1]],
             supply_ratio[supply_first[j] : supply_first[j + 1]],
-            time[0],
-            time[time.size - 1],
-            starts[j],
-            initial[j, 0],
-            initial[j, 1],
-            tolerance,
-            ideal,
-            speeds[:0],
-            np.empty((0, 4)),
-            time,
-            speeds,
-            edge,
-            charges,
-        )
+            time[0], time[time.size - 1], starts[j], initial[j, 0], initial[j, 1], tolerance, ideal,
+            speeds[:0], np.empty((0, 4)), time, speeds, edge, charges,
+        )  # fmt: skip
         status[i, j] = code
         reached[i, j] = share
         k_m, k_d = row[K_M], row[K_D]

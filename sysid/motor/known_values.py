@@ -45,9 +45,9 @@ class Bench:
     values : dict
         Parameters that the campaign or its static logs state, by name [SI].
     measured : mapping of str to str
-        Where those of them come from that were measured, by name.
+        Sources of the measured ones, by name.
     stated : mapping of str to str
-        Where the others come from: a rating, a guess.
+        Sources of the others: a rating, a guess.
     scale_known : bool
         Whether a Kv, a logged motor current or the campaign determines the scale of R, L and I_sat.
     """
@@ -161,13 +161,13 @@ def _check_kv(kv: float, reference: float, curves: StaticCurves) -> None:
 def _reference_voltage(
     campaign: MotorCampaign, curve_logs: Sequence[CurveLog], fitted: list[BenchLog]
 ) -> tuple[float, str]:
-    """Return V_ref [V] and its source: the campaign, the fitted logs, those of the curves, a guess."""
+    """Return V_ref [V] and its source: the campaign, the fitted logs, the static logs, a guess."""
     if campaign.motor.reference_voltage is not None:
         return campaign.motor.reference_voltage, "campaign: motor.reference_voltage"
     logged = [log.channels["voltage"][1] for log in fitted if "voltage" in log.channels]
     if logged:
         return float(np.median(np.concatenate(logged))), "median supply voltage of the fitted logs"
-    # Their speeds are divided by their own volts: another reference would tilt the no-load line.
+    # Static speeds are divided by the volts beside them: another reference would tilt the no-load line.
     volts = np.concatenate([np.zeros(0), *(log.points.voltage for log in curve_logs)])
     volts = volts[np.isfinite(volts) & (volts > 0)]
     if volts.size:

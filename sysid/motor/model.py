@@ -77,7 +77,7 @@ STATUS_TEXT = {
 }
 
 
-# Relative local error of a step: 1e-6 keeps trajectories within 1e-6 of their own scale.
+# Relative local error of a step: 1e-6 keeps trajectories within 1e-6 of their scale.
 TOLERANCE = 1e-6
 
 
@@ -174,7 +174,7 @@ def no_load_speed(command: ArrayLike, parameters: Mapping[str, float]) -> FloatA
 def steady_state(
     command: ArrayLike, parameters: Mapping[str, float], voltage: ArrayLike | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return current [A] and speed [rad/s] that a constant command holds, saturation aside.
+    """Return current [A] and speed [rad/s] in equilibrium with a constant command, saturation aside.
 
     Parameters
     ----------
@@ -235,12 +235,12 @@ def simulate(
     parameters : mapping
         Parameters by name [SI]; those left out take their nominal.
     command_time, command : (m,) arrays
-        Instants [s] and the command u in [-1, 1] that holds from each of them on. The first also holds
-        before its instant. ``command_delay`` is added to the instants.
+        Instants [s] and the command u in [-1, 1] from each of them on. The first also serves before its
+        instant. ``command_delay`` is added to the instants.
     time : (n,) array
         Sample times [s], not decreasing; the motor starts at the first.
     initial : (current [A], speed [rad/s]) or "steady"
-        State at ``time[0]``; "steady" takes the equilibrium under the command that then holds.
+        State at ``time[0]``; "steady" takes the equilibrium under the command at that time.
     voltage : (times [s], volts [V]), optional
         Measured supply, linear between its samples; without it the supply is V_ref. It is not delayed.
     ideal_reversal : bool
@@ -296,7 +296,7 @@ def schedule(command_time: ArrayLike, command: ArrayLike) -> tuple[FloatArray, F
     worst = float(np.max(np.abs(levels)))
     if not worst <= 1.0 + 1e-9:
         raise FitError(
-            f"command schedule holds u = {worst:g}; expected u in [-1, 1]: convert µs or DShot with the "
+            f"command schedule has u = {worst:g}; expected u in [-1, 1]: convert µs or DShot with the "
             "campaign's minimum, neutral and maximum"
         )
     return instants, levels

@@ -1,6 +1,7 @@
-"""The first-order rotor nearest to an identified motor: what simulators with a lag per direction can hold.
+"""The first-order rotor nearest to an identified motor, for simulators whose rotor is a lag per direction.
 
-    dΩ/dt = (Ω_command − Ω)/T       T = T_up while the command exceeds the speed, T_down otherwise
+The lag is `sysid.motor.first_order_lag` with T_up and T_down for T_rise and T_fall, and
+
     thrust = k_T Ω²,  drag torque = k_M thrust
 
 Valid for steps of the command within one direction of rotation, where the time constants come from; ignores
@@ -17,7 +18,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from sysid.errors import ExportError
-from sysid.motor.model import PARAMETERS, simulate, steady_state
+from sysid.motor.model import PARAMETERS, complete, simulate, steady_state
 
 # Steps of the command that the time constants are fitted to: around hover, small and large, up and back.
 STEPS = ((0.4, 0.6), (0.6, 0.8), (0.4, 0.8))
@@ -35,7 +36,7 @@ class FirstOrderRotor:
     time_constant_up, time_constant_down : float
         T_up and T_down [s].
     misfit_up, misfit_down : float
-        Rms distance of the lag from the motor's own speed over the steps, over the size of the step [1].
+        Rms distance of the lag from the motor's speed over the steps, over the size of the step [1].
     maximum_speed : float
         Loaded steady speed at full forward command [rad/s].
     thrust_constant : float
@@ -45,7 +46,7 @@ class FirstOrderRotor:
     moment_constant : float
         k_M [m], forward.
     reverse_maximum_speed, reverse_thrust_constant : float
-        The same of reverse rotation, which the simulators' symmetric rotor cannot hold.
+        The same of reverse rotation, for which the simulators' symmetric rotor has no place.
     """
 
     time_constant_up: float
@@ -79,23 +80,22 @@ def first_order_rotor(parameters: Mapping[str, float]) -> FirstOrderRotor:
     Time constants minimize the squared distance from the motor's speed over `STEPS`. With both directions of
     a curve ``c2 Ω² + c1 Ω``, the constant that is nearest over 0..Ω_max is ``c2 + (5/4) c1/Ω_max``.
     """
-    own = {**PARAMETERS.nominal, **{k: v for k, v in parameters.items() if k in PARAMETERS}}
-    own["command_delay"] = 0.0
-    top, bottom = (abs(float(steady_state(u, own)[1])) for u in (1.0, -1.0))
+    p = complete({k: v for k, v in parameters.items() if k in PARAMETERS} | {"command_delay": 0.0})
+    top, bottom = (abs(float(steady_state(u, p)[1])) for u in (1.0, -1.0))
     if not (math.isfinite(top) and math.isfinite(bottom) and top > 0 and bottom > 0):
         raise ExportError(
             f"motor: turns at {top:g} rad/s at full forward and {bottom:g} rad/s at full reverse command; "
             "expected speeds above 0, check the no-load speeds of the set"
         )
-    forward, misfit = _nearest(own["thrust_quadratic_forward"], own["thrust_linear_forward"], top)
-    reverse, _ = _nearest(own["thrust_quadratic_reverse"], own["thrust_linear_reverse"], bottom)
-    torque, _ = _nearest(own["torque_quadratic_forward"], own["torque_linear_forward"], top)
+    forward, misfit = _nearest(p["thrust_quadratic_forward"], p["thrust_linear_forward"], top)
+    reverse, _ = _nearest(p["thrust_quadratic_reverse"], p["thrust_linear_reverse"], bottom)
+    torque, _ = _nearest(p["torque_quadratic_forward"], p["torque_linear_forward"], top)
     if not forward > 0:
         raise ExportError(
             f"motor: a thrust constant of {forward:g} N·s²/rad²; expected above 0, check the thrust curve"
         )
-    up, misfit_up = _lag(own, STEPS)
-    down, misfit_down = _lag(own, tuple((b, a) for a, b in STEPS))
+    up, misfit_up = _lag(p, STEPS)
+    down, misfit_down = _lag(p, tuple((b, a) for a, b in STEPS))
     return FirstOrderRotor(
         up, down, misfit_up, misfit_down, top, forward, misfit, torque / forward, bottom, reverse
     )
@@ -127,5 +127,5 @@ def _lag(parameters: Mapping[str, float], steps: tuple[tuple[float, float], ...]
         return float(np.sqrt(np.mean((measured - np.exp(-time / math.exp(logarithm))) ** 2)))
 
     low, high = (math.log(bound) for bound in _BOUNDS)
-    found = minimize_scalar(distance, bounds=(low, high), method="bounded", options={"xatol": 1e-6})
-    return math.exp(float(found.x)), float(found.fun)
+    least = minimize_scalar(distance, bounds=(low, high), method="bounded", options={"xatol": 1e-6})
+    return math.exp(float(least.x)), float(least.fun)

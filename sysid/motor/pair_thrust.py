@@ -1,8 +1,8 @@
 """Thrust of a pair of motors over time: what a command schedule does, ready for the landing gear.
 
 The thrust does not depend on how the drone moves (axial and radial airspeed are ignored), so the two states
-of a motor are integrated once per parameter set and schedule, by `sysid.motor.model.simulate` with its own
-located events, and every drop or landing of that set shares the result.
+of a motor are integrated once per parameter set and schedule, by `sysid.motor.model.simulate`, which locates
+every event. Every drop or landing of that set shares the result.
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ def thrust_history(
     parameters : mapping
         One motor, by name [SI].
     command_time, command : (m,) arrays
-        Instants [s] and the command u in [-1, 1] from each on; the first also holds before its instant, so
+        Instants [s] and the command u in [-1, 1] from each on; the first also serves before its instant, so
         that ``[-1, 0]`` and ``[0.5, -1]`` is a reversal at time 0 from steady flight at half command.
     duration : float
-        Length of the history [s]; after it the thrust is held.
+        Length of the history [s]; after it the thrust is constant.
     motors : int
         Number of motors that share the schedule.
     initial : (current [A], speed [rad/s]) or "steady"
-        At time 0; "steady" takes the equilibrium under the command that holds just before it.
+        At time 0; "steady" takes the equilibrium under the command just before it.
     ideal_reversal : bool
         No saturation (I_sat = ∞), as in Fig. 11.
     tolerance : float

@@ -1,6 +1,6 @@
 """The motor's table of parameters: what each number is, its unit, default, bounds and source.
 
-Symbols and equations are those of `sysid.motor.model`.
+`sysid.motor.model` holds the equations and symbols.
 """
 
 from __future__ import annotations

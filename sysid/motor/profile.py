@@ -20,7 +20,7 @@ from sysid.motor.objective import MotorObjective
 from sysid.parameters import SearchSpace
 from sysid.types import BoolArray, FloatArray
 
-# Values that move the NRMSE by less than this share of itself cannot be told apart.
+# Values that move the NRMSE by less than this share of itself are equally good.
 LIMIT = 0.01
 _POINTS = 9
 # Others are refitted near where the last point left them: population, generations, spread in the unit cube.
@@ -53,7 +53,7 @@ class CostProfile:
 
     @property
     def within(self) -> BoolArray:
-        """(n,) True where a value cannot be told from the best."""
+        """(n,) True where a value is as good as the best."""
         return np.asarray(self.nrmse <= (1.0 + LIMIT) * self.best, dtype=np.bool_)
 
     @property

@@ -183,7 +183,7 @@ def filter_taps(campaign: MotorCampaign, log: BenchLog) -> FloatArray:
     pulse[size] = 1.0
     response = lowpass.apply(pulse)[size:]
     lags = np.arange(0.0, (size - 1) / lowpass.rate, step)
-    # The response holds nothing above the stop band, so a grid of ten samples per period carries it whole.
+    # The response contains nothing above the stop band, so a grid of ten samples per period carries it whole.
     taps = np.interp(lags, np.arange(response.size) / lowpass.rate, response) * step * lowpass.rate
     large = np.flatnonzero(np.abs(taps) > _TAP_LEAST * abs(taps[0]))
     taps = taps[: large[-1] + 1]
