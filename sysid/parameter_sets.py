@@ -1,6 +1,6 @@
 """Ranked parameter sets with all that a simulator and a sceptic need: the form in which results leave sysid.
 
-A `ParameterSets` holds every number of the model (the free ones as fitted, all others as they were held),
+A `ParameterSets` contains every number of the model (the free ones as fitted, all others as they were set),
 what is known about each, how well each set fits, and where it comes from. Files of every format carry
 exactly this; see `sysid.export`.
 """
@@ -134,7 +134,7 @@ class SetsHead(Document):
 
 
 class SetsMetadata(SetsHead):
-    """What is said beside the arrays, where a file holds arrays."""
+    """What a file with arrays says beside the arrays."""
 
     runs: tuple[int, ...]
     seeds: tuple[int, ...]
@@ -155,15 +155,15 @@ NOT_ALONE, COMBINATIONS = "fixed only in combination", "combinations"
 def in_place_of_digits(settings: Mapping[str, Any], name: str) -> str | None:
     """Return what a table prints instead of a number that the data do not fix; None where they do.
 
-    A parameter below a bound of its profile is printed as that bound; one that rests on a guessed scale is
-    not printed at all, because its digits would be the guess's.
+    A parameter below a bound of its profile is printed as that bound; a parameter that rests on a
+    guessed scale is not printed, because its digits would be those of the guess.
     """
     if name in settings.get(NOT_ALONE, ()):
         return "not fixed"
-    found = settings.get("profiles", {}).get(name)
-    if not found or found["identified"]:
+    profile = settings.get("profiles", {}).get(name)
+    if not profile or profile["identified"]:
         return None
-    return f"< {found['below']:.0e}"
+    return f"< {profile['below']:.0e}"
 
 
 def parameter_records(
@@ -194,7 +194,7 @@ def parameter_records(
 
     Notes
     -----
-    A row's own source speaks of its default; a record speaks of the value that the sets hold.
+    The source of a row is about its default; the source of a record is about the value in the sets.
     """
     free = {row.name: row for row in space.free}
     known, others = measured or {}, stated or {}
@@ -298,9 +298,9 @@ class ParameterSets:
             "channel_weights": ((len(self.channel_weights),), (len(self.channels),)),
             "nrmse_by_trial": (self.nrmse_by_trial.shape, (n_sets, len(self.trials), len(self.channels))),
         }
-        for name, (found, expected) in shapes.items():
-            if found != expected:
-                raise ValueError(f"{name} has shape {found}, expected {expected}")
+        for name, (shape, expected) in shapes.items():
+            if shape != expected:
+                raise ValueError(f"{name} has shape {shape}, expected {expected}")
         for what, names in (
             ("parameters", self.names),
             ("trials", self.trials),

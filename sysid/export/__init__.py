@@ -1,7 +1,7 @@
 """Parameter sets as files for simulators: JSON, CSV, HDF5 and MAT, each read back to equal values.
 
 Every format carries the same: ranked sets, each parameter with name, symbol, unit, bounds, scale, status,
-at-bound flag, meaning and source, every value that was held, settings, NRMSE per trial and channel,
+at-bound flag, meaning and source, every value that was not searched, settings, NRMSE per trial and channel,
 provenance, and a schema version. Reading decides by content, not by suffix, and refuses what is foreign,
 cut off or of another version with one sentence.
 """
@@ -87,7 +87,7 @@ def load_parameter_sets(path: str | Path) -> ParameterSets:
     Parameters
     ----------
     path : str or Path
-        The file, or a folder that holds ``fit.json``.
+        The file, or a folder with ``fit.json``.
 
     Returns
     -------
@@ -122,7 +122,7 @@ def load_parameter_sets(path: str | Path) -> ParameterSets:
         )
     try:
         return reader(data, file)
-    # Everything that a damaged file can make the three libraries and our own checks raise.
+    # Everything that a damaged file can make the libraries and the checks above raise.
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, OSError, EOFError) as error:
         raise ExportError(
             f"{file}: damaged or cut off ({_first_line(error)}); export the fit again"

@@ -83,7 +83,7 @@ def to_sdf(plugin: MotorPlugin, *, name: str = "motor", notes: tuple[str, ...] =
         add(rotor, "motorNumber", str(number))
         comment(
             rotor,
-            "Not identified: on a bench the air stands still. 0 switches both off; the plugin's own defaults "
+            "Not identified: on a bench the air stands still. 0 switches both off; the plugin's defaults "
             "are 1e-4 and 1e-6.",
         )
         add(rotor, "rotorDragCoefficient", "0")

@@ -15,7 +15,7 @@ on a penetration ``p`` is::
     F_n = (s p + c p' - d a_0)/A        within d |A_contact - A|/A of it
 
 so ``s = k_s A``, ``c = b_s A`` and a small constant ``d`` make it the spring and damper of equation (7),
-except that the damper acts while the foot comes out as well. Friction has its own reference
+except that the damper acts while the foot comes out as well. Friction has a reference
 (``solreffriction``, rate ``B``) and regularization ``R = A (1 - d)/(d impratio)``: below the cone
 ``mu_k F_n`` a slipping foot feels ``B v/R``. Low friction (8) wants ``mu_k N_0/eps_v`` near zero slip, with
 the standing drone's load ``N_0``; on high friction a foot sticks, but for some 0.05 mm/s of creep.
@@ -46,7 +46,7 @@ _CREEPING_RATE, _STICKING_RATE = 2000.0, 200.0
 # Regularization of friction that sticks, over A.
 _STICKING = 1e-4
 _FOOT_RADIUS = 1e-4
-# A slender leg turns easily about its own axis.
+# A slender leg turns easily about its axis.
 _SLENDER = 0.01
 
 _NEEDED = (

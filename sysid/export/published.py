@@ -196,11 +196,11 @@ def table_2(surface: Literal["lf", "hf"]) -> ParameterSets:
     low = surface == "lf"
     source = f"Table II, {'low' if low else 'high'}-friction mean of five genetic algorithm runs"
     fitted = {name: cells[0 if low else 1] for name, cells in FITTED.items()}
-    found: dict[str, Printed] = {name: (cell[0], "free", source) for name, cell in fitted.items() if cell}
+    means: dict[str, Printed] = {name: (cell[0], "free", source) for name, cell in fitted.items() if cell}
     return _sets(
         f"published-gear-{surface}",
         gear.PARAMETERS,
-        TABLE_2 | TABLE_2_LF | found,
+        TABLE_2 | TABLE_2_LF | means,
         math.nan,
         {"x_B": "m", "z_B": "m", "x_B_rate": "m/s", "z_B_rate": "m/s", "q_B": "rad"},
         {name: cell[1] for name, cell in fitted.items() if cell},

@@ -1,7 +1,8 @@
 """Campaigns with known truth: simulated tests written in the log formats of real instruments.
 
-A synthesized folder holds what a lab would have (a campaign file, and logs with noise, quantization, gaps,
-tare, clocks and axes of their own) and, apart from it, ``truth.json`` with all that a lab would not know.
+A synthesized folder contains what a lab would have: a campaign file, and logs with noise, quantization, gaps,
+tare, and different clocks and axes. Apart from these it contains ``truth.json`` with everything that a lab
+would not know.
 """
 
 from sysid.synthetic.folder import TRUTH_FILE, read_truth

@@ -1,9 +1,9 @@
 """Drops of a drone on slopes, simulated and written as a motion-capture system would have recorded them.
 
-Each drop: held level and at rest by a magnet, released, free fall, contact. The room has axes and an origin
-of its own; the board is hinged about a line through one surveyed point, which therefore lies on the surface
-at every slope. The rigid body's origin is not the centre of mass, and its axes are not quite level while the
-drone is.
+In each drop a magnet keeps the drone level and at rest, then releases it; it falls freely and lands. The axes
+and the origin of the room differ from the model's. The board is hinged about a line through one surveyed
+point, which therefore lies on the surface at every slope. The rigid body's origin is not the centre of mass,
+and its axes are not quite level while the drone is.
 """
 
 from __future__ import annotations
@@ -266,10 +266,10 @@ def _simulate(
     """Simulate one drop on capture frames that do not coincide with its release."""
     gravity = true["gravity"]
     first_frame = int(source.integers(300, 4000))
-    hold = float(source.uniform(0.55, 0.75))
-    release = first_frame / rate + hold
+    wait = float(source.uniform(0.55, 0.75))
+    release = first_frame / rate + wait
     fall = plan.impact_speed / gravity
-    frames = math.ceil((hold + fall + _AFTER_CONTACT) * rate) + 1
+    frames = math.ceil((wait + fall + _AFTER_CONTACT) * rate) + 1
     time = (first_frame + np.arange(frames)) / rate
     height = plan.impact_speed**2 / (2 * gravity)
     # The rear foot lands somewhere near 0.3 m up-slope of the hinge.
@@ -319,12 +319,12 @@ def _record(
     rotation = into_page * planar * axes * into_page.inv()
     centre = hinge + np.column_stack([x, aside, z]) @ frame.matrix
     origin = centre - rotation.apply(np.array(CENTRE_OF_MASS))
-    hold = int(np.searchsorted(truth.time, truth.release))
+    released = int(np.searchsorted(truth.time, truth.release))
     touch = int(np.searchsorted(truth.time, truth.touchdown))
     gaps = []
     if lab.occlusions:
         starts = [
-            source.integers(10, hold - 45),
+            source.integers(10, released - 45),
             source.integers(touch + round(0.06 * rate), touch + round(0.30 * rate)),
             source.integers(touch + round(0.40 * rate), touch + round(0.65 * rate)),
         ]

@@ -28,7 +28,7 @@ class SeenBody:
     position : (n, 3) array
         Of the body's origin in capture axes [m].
     quaternion : (n, 4) array
-        Unit, x y z w, from the body's own axes to capture axes; the sign may flip.
+        Unit, x y z w, from body axes to capture axes; the sign may flip.
     seen : (n,) array
         False where it was occluded.
     marker_error : (n,) array
@@ -90,7 +90,7 @@ def observe(
     rotation : Rotation of n
         True orientation, body axes to capture axes.
     noise : CaptureNoise
-        White, independent from frame to frame; the angle's is about each of the body's own axes.
+        White, independent from frame to frame; that of the angle is about each body axis.
     seed : Generator
         Source of the noise.
     gaps : sequence of (first sample, samples)

@@ -223,7 +223,7 @@ def _stand_points(
     shake = source.standard_normal((5, len(u))) * (1.0 if noise else 0.0)
     tare_thrust, tare_torque = float(source.uniform(-0.03, 0.03)), float(source.uniform(-8e-4, 8e-4))
     thrust = model.thrust(speed, row) + tare_thrust + 0.004 * shake[0]
-    # At a steady speed the stator feels what the air takes: its own friction stays inside the motor.
+    # At a steady speed the stator feels what the air takes: the motor's friction stays inside the motor.
     torque = model.aerodynamic_torque(speed, row) + tare_torque + 1e-4 * shake[1]
     blank = source.integers(2, len(u), size=2)
     thrust[blank[0]] = math.nan

@@ -102,7 +102,7 @@ def _motor(sets: ParameterSets, rank: int) -> bytes:
     rotor = first_order_rotor(values)
     notes = [
         f"{sets.name}, set {rank} of {len(sets)}.",
-        f"Time constants: the lag nearest to the motor's own response to command steps up and down around "
+        f"Time constants: the lag nearest to the motor's response to command steps up and down around "
         f"hover, off by {100 * rotor.misfit_up:.1f} % and {100 * rotor.misfit_down:.1f} % of a step (rms).",
         f"Thrust: {100 * rotor.thrust_misfit:.1f} % of the largest off the identified curve at worst.",
         f"Reverse rotation is weaker, which the plugin does not know: motorConstant "

@@ -27,10 +27,10 @@ class FitEntry:
     name : str
         Of its folder.
     state : str
-        ``running`` (a process holds it), ``stopped`` (can be continued), ``unfinished`` (either of the two:
+        ``running`` (a process works on it), ``stopped`` (can be continued), ``unfinished`` (one of these two;
         its lock may not be opened), ``done``, or ``damaged``.
     nrmse : float or None
-        Best found so far [1].
+        Best until now [1].
     runs : int
         Runs that were begun [1].
     changed : float
@@ -45,7 +45,7 @@ class FitEntry:
 
 
 def list_fits(folder: str | Path) -> list[FitEntry]:
-    """Return the fits of a folder, by name; an unfinished one stands for the result of an earlier part of it.
+    """Return the fits of a folder by name; an unfinished fit takes the place of its earlier, partial result.
 
     Raises
     ------

@@ -59,9 +59,11 @@ def compute_landing_maps(options: LandingMapOptions, say: Say = None) -> MapFile
 
     def compute(stores: Sequence[BlockStore], **how: Any) -> MapFile | None:
         maps = landing_maps(fleets, controllers, settings, store=stores[0], **how)
-        document = settings.document() | {"controllers": [one.document() for one in controllers]}
+        document = settings.document() | {
+            "controllers": [controller.document() for controller in controllers]
+        }
         if options.experiments:
-            document["real landings"] = [asdict(one) for one in real]
+            document["real landings"] = [asdict(landing) for landing in real]
         return MapFile(maps, (), document, origin) if maps else None
 
     def write(content: MapFile) -> MapFile:
@@ -105,8 +107,8 @@ def compute_impulse_maps(options: ImpulseMapOptions, say: Say = None) -> MapFile
     content = _computed(options, identity, (blocks, "cells"), compute, write, say)
     if content is None:
         return None
-    tried = sum(one.optimum["delay"].size for one in content.impulses) * impulses.combinations
-    simulated = sum(int(one.optimum["simulated"].sum()) for one in content.impulses)
+    tried = sum(best.optimum["delay"].size for best in content.impulses) * impulses.combinations
+    simulated = sum(int(best.optimum["simulated"].sum()) for best in content.impulses)
     if say is not None:
         say(
             f"{tried} combinations of delay and duration judged by {simulated} landings to the second "
@@ -164,7 +166,7 @@ def static_lines(fleets: Fleets, controllers: Sequence[Controller]) -> dict[tupl
         for controller in controllers:
             push = final_reverse_thrust(drone, controller)
             if push <= -drone.weight:
-                continue  # held up by its motors: no static limit
+                continue  # the motors carry the drone, so there is no static limit
             rigid = rigid_limits(drone.gear, drone.surface, push).first.slope
             bending = ramp_limit(drone.gear, drone.surface, push).slope
             out[(drone.surface, controller.label)] = DrawnLimits(
@@ -197,20 +199,20 @@ def _print(
 ) -> None:
     """Print the maps in numbers; `real` landings, if any were given, are compared with them."""
     counts = summary(content.maps)
-    for entry, one in zip(counts, content.maps, strict=True):
+    for entry, drawn in zip(counts, content.maps, strict=True):
         if entry["lost"] and say is not None:
-            say(f"warning: {one.title}: {entry['lost']} landings could not be simulated and count nowhere")
+            say(f"warning: {drawn.title}: {entry['lost']} landings could not be simulated and count nowhere")
         if real is not None:
-            entry["real landings"] = confusion(of_map(real, one), one).document()
+            entry["real landings"] = confusion(of_map(real, drawn), drawn).document()
     if options.compute.json:
         print(exact_json.dumps({"file": str(options.out), "figure": str(picture), "maps": counts}))
     elif not options.compute.quiet:
         console = Console()
         console.print(_summary_table(counts))
-        for one in content.maps:
-            chosen = of_map(real or (), one)
+        for drawn in content.maps:
+            chosen = of_map(real or (), drawn)
             if chosen:
-                _print_confusion(console, one, chosen)
+                _print_confusion(console, drawn, chosen)
         print(f"wrote {options.out} and {picture}")
 
 
@@ -246,19 +248,18 @@ def _slope(value: float, at_edge: bool) -> str:
     return f"{'≥ ' if at_edge else ''}{value:g}" if np.isfinite(value) else "–"
 
 
-def _print_confusion(console: Console, one: LandingMap, chosen: Sequence[Experiment]) -> None:
-    found = confusion(chosen, one)
-    total = int(found.counts.sum())
-    title = (
-        f"{one.title}: {found.agreeing} of {total} real landings agree with the likeliest class of their cell"
-    )
-    title += f", {found.outside} outside the map" if found.outside else ""
-    title += f", {found.lost} in cells that could not be simulated" if found.lost else ""
-    # Above the table, not its title: that would be folded to the width of the few short columns.
+def _print_confusion(console: Console, drawn: LandingMap, chosen: Sequence[Experiment]) -> None:
+    compared = confusion(chosen, drawn)
+    total = int(compared.counts.sum())
+    title = f"{drawn.title}: {compared.agreeing} of {total} real landings agree with the likeliest class of "
+    title += "their cell"
+    title += f", {compared.outside} outside the map" if compared.outside else ""
+    title += f", {compared.lost} in cells that could not be simulated" if compared.lost else ""
+    # Above the table: a title would be folded to the width of the few short columns.
     console.print(Text(title))
     table = Table(box=box.SIMPLE_HEAD)
     for head in ("observed", "simulated:", *(outcome.name.lower() for outcome in OUTCOMES)):
         table.add_column(head, justify="left" if head == "observed" else "right")
-    for word, row in zip(found.words, found.counts, strict=True):
+    for word, row in zip(compared.words, compared.counts, strict=True):
         table.add_row(word, "", *(str(int(count)) for count in row))
     console.print(table)

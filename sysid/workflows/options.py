@@ -15,7 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from sysid.errors import CampaignError, ExportError, LogError, SysidError
+from sysid.errors import CampaignError, ExportError, LogError, SysidError, UnitError
 from sysid.units import parse_quantity
 
 # More values than any grid on the command line needs; a slip of the pen asks for billions.
@@ -75,7 +75,10 @@ def seconds(text: str) -> float:
     SysidError
         When it is no time above 0.
     """
-    value = parse_quantity(text.replace("m", "min") if text[-1:] == "m" else text, "s")
+    try:
+        value = parse_quantity(text.replace("m", "min") if text[-1:] == "m" else text, "s")
+    except UnitError:
+        value = 0.0
     if not value > 0:
         raise SysidError(f"--time-limit {text}: expected a time above 0, for example 20min")
     return value

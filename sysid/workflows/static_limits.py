@@ -1,4 +1,4 @@
-"""Static limits of ranked sets: rigid legs in closed form, the sets' own legs on a slow ramp."""
+"""Static limits of ranked sets: rigid legs in closed form, the fitted legs on a slow ramp."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class SetLimits:
         Over all motors [N].
     rigid : RigidLimits
     bending, set_down : StaticLimit
-        Of the set's own legs, on a slow ramp and put on the slope at once.
+        With the set's fitted legs, on a slow ramp and put on the slope at once.
     """
 
     rank: int
@@ -68,8 +68,9 @@ def static_limits(source: str | Path, thrusts: Sequence[float]) -> tuple[str, li
         values = sets.set_values(rank)
         for thrust in thrusts:
             rigid = rigid_limits(values, surface, thrust)
-            own = ramp_limit(values, surface, thrust), set_down_limit(values, surface, thrust)
-            rows.append(SetLimits(rank, thrust, rigid, *own))
+            bending = ramp_limit(values, surface, thrust)
+            down = set_down_limit(values, surface, thrust)
+            rows.append(SetLimits(rank, thrust, rigid, bending, down))
     return sets.name, rows
 
 
