@@ -48,6 +48,11 @@ class Calibration:
     matrix: FloatArray
     limits: FloatArray
 
+    def beyond(self, load: FloatArray) -> list[str]:
+        """Return the axes on which loads (n, 6) leave the calibrated range."""
+        over = np.asarray(np.abs(load) > self.limits)
+        return [axis for i, axis in enumerate(AXES) if over[:, i].any()]
+
 
 def _numbers(path: str, axis: str, text: str) -> list[float]:
     try:

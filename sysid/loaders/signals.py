@@ -21,7 +21,7 @@ from sysid.loaders.columns import Column, DeclaredUnits, listing, split_label, s
 from sysid.loaders.load_cell import COMMAND, MEASURED, QUANTITIES, TACHOMETER, TIME, quantity_channel
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.table import Numbers
-from sysid.loaders.tachometer import check_tachometer, pulse_speed
+from sysid.loaders.tachometer import check_tachometer, speed_channel
 from sysid.recording import Channel, FloatArray
 from sysid.units import factor_to_si
 
@@ -344,17 +344,7 @@ def signal_channels(
             elif channel == "command":
                 channels[channel] = Channel(channel, declared.command(column), time, values)
             elif channel == "tachometer":
-                if pulses_per_revolution is None:
-                    notes.append(
-                        note(
-                            "tachometer-left-out",
-                            f"{column.label!r} looks like the pulses of a tachometer and was left out; "
-                            "declare pulses_per_revolution to get the speed",
-                        )
-                    )
-                    continue
-                channels["speed"], said = pulse_speed(path, time, values, pulses_per_revolution)
-                notes += said
+                channels |= speed_channel(path, column.label, time, values, pulses_per_revolution, notes)
             else:
                 default = "rpm" if column.stem == "rpm" else None
                 scale = declared.factor(column, channel, QUANTITIES[channel].unit, default)

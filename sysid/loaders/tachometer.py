@@ -136,3 +136,24 @@ def pulse_speed(
             )
         )
     return Channel("speed", "rad/s", 0.5 * (edges[1:] + edges[:-1]), speed), notes
+
+
+def speed_channel(
+    path: str,
+    label: str,
+    time: FloatArray,
+    values: FloatArray | None,
+    pulses_per_revolution: float | None,
+    notes: list[Finding],
+) -> dict[str, Channel]:
+    """Return the speed of a signal that looks like pulses; without pulses per revolution, only note it."""
+    if pulses_per_revolution is None or values is None:
+        sentence = (
+            f"{label!r} looks like the pulses of a tachometer and was left out; "
+            "declare pulses_per_revolution to get the speed"
+        )
+        notes.append(note("tachometer-left-out", sentence))
+        return {}
+    speed, found = pulse_speed(path, time, values, pulses_per_revolution)
+    notes += found
+    return {"speed": speed}

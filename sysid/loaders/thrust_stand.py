@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sysid.journal import Finding, note
-from sysid.recording import Channel, FloatArray
+from sysid.recording import FloatArray
 
 # Running logs of these stands step by 8 to 50 ms, averaged points by 0.45 to 5 s (measured on real logs).
 _STATIC_STEP = 0.2
@@ -57,11 +57,3 @@ def choose_speed(
                 )
             )
     return optical, notes
-
-
-def point_channels(channels: dict[str, Channel]) -> dict[str, Channel]:
-    """Return the channels of a static map on the clock of its point numbers 0, 1, 2, ..."""
-    return {
-        name: Channel(name, channel.unit, np.arange(len(channel.values), dtype=np.float64), channel.values)
-        for name, channel in channels.items()
-    }

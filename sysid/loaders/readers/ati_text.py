@@ -16,17 +16,18 @@ import numpy as np
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import note
-from sysid.loaders.ati_calibration import AXES, load_channels, motor_transform, read_calibration, without_tare
+from sysid.loaders.ati_calibration import AXES, Calibration, read_calibration
 from sysid.loaders.clock import DECLARE_RATE, jitter_note, order_rows, positive_rate, rate_clock
-from sysid.loaders.registry import CERTAIN, NO, POSSIBLE, LogFormat
+from sysid.loaders.options import BenchOptions
+from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers, TableHead, read_numbers
+from sysid.loaders.table_log import RawTable, table_format
 from sysid.loaders.table_rows import parse_number
 from sysid.loaders.text import Text, read_text, sniff_delimiter, split_line
-from sysid.recording import FloatArray, Recording
+from sysid.types import FloatArray
 from sysid.units import factor_to_si
 
-_NAME = "ati-text"
 _STATES_RATE = "sampling freq"
 _HEADER_LINES = 20
 _UNIT_KEYS = ("force", "torque")
@@ -223,56 +224,17 @@ def _check_steps(path: str, time: FloatArray) -> None:
         )
 
 
-def read(
-    source: Source,
-    *,
-    rate: float | None = None,
-    units: Mapping[str, str] | None = None,
-    calibration: str | None = None,
-    transform: Mapping[str, str] | None = None,
-    tare: float | None = None,
-    time_back: str = "refuse",
-) -> Recording:
-    """Read an ATI text log.
-
-    Parameters
-    ----------
-    source : Source
-        The log.
-    rate : float, optional
-        Sample rate [Hz], for a log without times that does not state it.
-    units : mapping, optional
-        ``{"force": ..., "torque": ...}``, with `calibration` (which states its own) neither; and ``"time"``
-        for a first column of seven that is not in seconds.
-    calibration : str, optional
-        Path of the transducer's ``.cal`` file: the six channels are gauge voltages.
-    transform : mapping, optional
-        From the transducer to the motor's axis: ``dx dy dz`` and ``rx ry rz`` (`motor_transform`).
-    tare : float, optional
-        Seconds at the start without load, whose mean is subtracted (of the voltages with `calibration`).
-    time_back : str
-        ``"refuse"`` a log whose time goes back, or ``"drop"`` the rows that do not pass the latest time.
-
-    Returns
-    -------
-    Recording
-        Kind ``load-cell``: ``force_x force_y thrust`` [N] and ``torque_x torque_y torque`` [N·m], signs of
-        the transducer (or of the motor's axes after `transform`).
-
-    Raises
-    ------
-    LogError, UnitError
-        One sentence with file, line and cause.
-    """
-    path = source.path
-    if rate is not None:
-        rate = positive_rate(path, rate)
-    loads, seconds = _time_factor(path, units)
-    if calibration is not None and loads is not None:
+def _parse(source: Source, options: BenchOptions) -> RawTable:
+    path, time_back = source.path, options.time_back or "refuse"
+    rate = None if options.rate is None else positive_rate(path, options.rate)
+    loads, seconds = _time_factor(path, options.units)
+    if options.calibration is not None and loads is not None:
         raise UnitError(f"{path}: units and calibration exclude each other: the calibration states its own")
-    turn = motor_transform(path, transform)
-    known = read_calibration(Path(path).parent / calibration) if calibration is not None else None
-    factors = np.ones(6) if known is not None else _factors(path, loads)
+    scale = (
+        _factors(path, loads)
+        if options.calibration is None
+        else read_calibration(Path(path).parent / options.calibration)
+    )
     text, table, stated = _table(read_text(source), path)
     lead = len(table.names) - 6
     numbers = read_numbers(text, table, range(len(table.names)), surplus=False)
@@ -308,33 +270,18 @@ def read(
         notes.append(note("time-from-rate", f"time rebuilt from the rate of {rate:g} Hz"))
     else:
         raise LogError(f"{path}: no time column and no rate in the header; declare it [Hz] with rate = ...")
-    raw = np.column_stack([numbers.columns[lead + i] for i in range(6)])
-    blank = int(np.isnan(raw).all(axis=1).sum())
+    load = numbers.stacked(range(lead, lead + 6))
+    blank = int(np.isnan(load).all(axis=1).sum())
     notes += [note("blank-rows", f"blank rows, taken as missing: {blank}")] if blank else []
-    raw, said = without_tare(path, raw, time, tare)
-    notes += said
-    load = raw @ known.matrix.T if known is not None else raw * factors
-    if known is not None:
-        over = np.asarray(np.abs(load) > known.limits)
-        names = [axis for i, axis in enumerate(AXES) if over[:, i].any()]
-        notes += (
-            [note("beyond-calibrated-range", f"beyond the calibrated range: {', '.join(names)}")]
-            if names
-            else []
-        )
-    if transform:
-        load = load @ turn.T
-        notes.append(note("loads-transformed", "loads are at the motor's axes, as declared by transform"))
     notes.append(note("channels-by-place", "channels by place: Fx Fy Fz Tx Ty Tz"))
-    options = {
-        "rate": rate, "units": units, "calibration": calibration, "transform": transform, "tare": tare,
-    }  # fmt: skip
-    device = known.device if known is not None else "ATI"
-    return Recording(
-        "load-cell",
-        load_channels(time, load),
-        source.provenance(_NAME, device=device, options=options, notes=notes),
-    )
+    device = scale.device if isinstance(scale, Calibration) else "ATI"
+    return RawTable("load-cell", device, time, notes, loads=load, scale=scale)
 
 
-FORMAT = LogFormat(_NAME, "ATI force/torque text (six channels by place, .cal)", _recognize, read)
+FORMAT = table_format(
+    "ati-text",
+    "ATI force/torque text (six channels by place, .cal)",
+    _recognize,
+    _parse,
+    {"rate": (), "units": (), "calibration": (), "transform": (), "tare": (), "time_back": ()},
+)

@@ -10,11 +10,6 @@ Ignores cross-talk and temperature: the writer's calibration is taken as it is.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
-
-import numpy as np
-
 from sysid.errors import LogError
 from sysid.journal import note
 from sysid.loaders.clock import DECLARE_RATE, jitter_note, order_rows, positive_rate, rate_clock
@@ -34,16 +29,16 @@ from sysid.loaders.load_cell import (
     QUANTITIES,
     TACHOMETER,
     TIME,
-    quantity_channel,
 )
-from sysid.loaders.registry import CERTAIN, NO, POSSIBLE, LogFormat
+from sysid.loaders.options import BenchOptions
+from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
 from sysid.loaders.source import Source
 from sysid.loaders.table import find_header, read_numbers, table_head
-from sysid.loaders.tachometer import check_tachometer, pulse_speed
+from sysid.loaders.table_log import RawTable, table_format
+from sysid.loaders.tachometer import check_tachometer, speed_channel
 from sysid.loaders.text import read_text
-from sysid.recording import Channel, Recording
+from sysid.recording import Channel
 
-_NAME = "load-cell-csv"
 # What stands above or in the header of ATI's own logs, which have loaders of their own.
 _OTHERS = ("rdt sequence", "sampling freq")
 
@@ -61,62 +56,22 @@ def _recognize(source: Source) -> int:
     return POSSIBLE if measured or (stems & TIME and stems & BESIDE) else NO
 
 
-def read(
-    source: Source,
-    *,
-    rate: float | None = None,
-    units: Mapping[str, str] | None = None,
-    columns: Sequence[str] | Mapping[str, object] | None = None,
-    pulses_per_revolution: float | None = None,
-    time_back: str = "refuse",
-) -> Recording:
-    """Read a load-cell CSV.
-
-    Parameters
-    ----------
-    source : Source
-        The log.
-    rate : float, optional
-        Sample rate [Hz], for a log without a time column or with one too coarse for its rate; the time
-        column, where there is one, must then span the same duration.
-    units : mapping of str to str, optional
-        Units by channel or column name where the header states none or a wrong one.
-    columns : sequence of str or mapping, optional
-        Names of all columns in order, for a log without header; or, for one with other names, new name ->
-        name in the header, for example ``{"speed": "tach"}``.
-    pulses_per_revolution : float, optional
-        Of a column ``Tachometer`` that holds pulses, from which ``speed`` is then found.
-    time_back : str
-        ``"refuse"`` a log whose time goes back, or ``"drop"`` the rows that do not pass the latest time.
-
-    Returns
-    -------
-    Recording
-        Kind ``load-cell``: ``command`` [us, dshot or 1], ``speed`` [rad/s], ``thrust`` [N] (Fz), ``torque``
-        [N·m] (Mz), and ``force_x force_y torque_x torque_y voltage current`` where the log has them; signs as
-        recorded.
-
-    Raises
-    ------
-    LogError, UnitError
-        One sentence with file, line and cause.
-    """
-    path = source.path
-    if rate is not None:
-        rate = positive_rate(path, rate)
+def _parse(source: Source, options: BenchOptions) -> RawTable:
+    path, per_revolution = source.path, options.pulses_per_revolution
+    rate = None if options.rate is None else positive_rate(path, options.rate)
     text = read_text(source)
-    head = table_head(text, columns)
+    head = table_head(text, options.columns)
     header = parse_header(head.names)
-    declared = DeclaredUnits(path, units)
-    found = {name: find_column(path, header, quantity.stems) for name, quantity in QUANTITIES.items()}
-    quantities = {name: column for name, column in found.items() if column is not None}
-    if not any(name in quantities for name in MEASURED) and not {column.stem for column in header} & BESIDE:
+    declared = DeclaredUnits(path, options.units)
+    matches = {name: find_column(path, header, quantity.stems) for name, quantity in QUANTITIES.items()}
+    columns = {
+        name: (column, QUANTITIES[name].unit) for name, column in matches.items() if column is not None
+    }
+    if not any(name in columns for name in MEASURED) and not {column.stem for column in header} & BESIDE:
         raise missing_column(path, '"Fz" or "Mz"', header)
     command = find_column(path, header, COMMAND)
     pulses = find_column(path, header, TACHOMETER)
-    check_tachometer(
-        path, {*quantities, *(["tachometer"] if pulses is not None else [])}, pulses_per_revolution
-    )
+    check_tachometer(path, {*columns, *(["tachometer"] if pulses is not None else [])}, per_revolution)
     clock = find_column(path, header, TIME)
     if clock is None and rate is None:
         raise LogError(
@@ -125,14 +80,15 @@ def read(
         )
     seconds = declared.factor(clock, "time", "s") if clock else 1.0
     factors = {
-        name: declared.factor(column, name, QUANTITIES[name].unit, "rpm" if column.stem == "rpm" else None)
-        for name, column in quantities.items()
+        name: declared.factor(column, name, unit, "rpm" if column.stem == "rpm" else None)
+        for name, (column, unit) in columns.items()
     }
-    unit = declared.command(command) if command else ""
+    protocol = declared.command(command) if command else ""
     declared.check_used(header)
 
-    wanted = [*quantities.values(), *([clock] if clock else []), *([command] if command else [])]
-    wanted += [pulses] if pulses is not None and pulses_per_revolution is not None else []
+    wanted = [column for column, _ in columns.values()]
+    wanted += [column for column in (clock, command) if column is not None]
+    wanted += [pulses] if pulses is not None and per_revolution is not None else []
     numbers = read_numbers(text, head, [column.index for column in wanted])
     del text  # the file's bytes are not needed any more
     notes = numbers.notes
@@ -142,40 +98,27 @@ def read(
         notes.append(note("time-from-rate", f"time rebuilt from the declared rate of {rate:g} Hz"))
     else:
         assert clock is not None
-        time, said = order_rows(path, numbers, clock.index, seconds, time_back=time_back, coarse=DECLARE_RATE)
-        notes += [*said, *jitter_note(time)]
-    channels = {}
+        time, ordered = order_rows(
+            path, numbers, clock.index, seconds, time_back=options.time_back or "refuse", coarse=DECLARE_RATE
+        )
+        notes += [*ordered, *jitter_note(time)]
+    raw = RawTable("signals", "", time, [*notes, *declared.notes])
     if command:
-        channels["command"] = Channel("command", unit, time, numbers.columns.pop(command.index))
-    for name, column in quantities.items():
-        values = numbers.columns.pop(column.index)
-        if np.isnan(values).all():
-            notes.append(note("column-without-values", f"column {column.label!r} holds no value"))
-            continue
-        channels[name] = quantity_channel(
-            name, time, values * factors[name] if factors[name] != 1.0 else values
-        )
-    if pulses is not None and pulses_per_revolution is not None:
-        train = numbers.columns.pop(pulses.index)
-        channels["speed"], said = pulse_speed(path, time, train, pulses_per_revolution)
-        notes += said
-    elif pulses is not None:
-        notes.append(
-            note(
-                "tachometer-left-out",
-                f"column {pulses.label!r} looks like the pulses of a tachometer and was left out; "
-                "declare pulses_per_revolution to get the speed",
-            )
-        )
-    notes += unread_note(header, [*wanted, *([pulses] if pulses is not None else [])])
-    options: dict[str, Any] = {
-        "rate": rate, "units": units, "columns": columns, "pulses_per_revolution": pulses_per_revolution,
-    }  # fmt: skip
-    return Recording(
-        "load-cell" if any(name in channels for name in MEASURED) else "signals",
-        channels,
-        source.provenance(_NAME, options=options, notes=[*notes, *declared.notes]),
-    )
+        raw.channels["command"] = Channel("command", protocol, time, numbers.columns.pop(command.index))
+    raw.add(numbers.columns, columns, factors)
+    if pulses is not None:
+        train = None if per_revolution is None else numbers.columns.pop(pulses.index)
+        raw.channels |= speed_channel(path, pulses.label, time, train, per_revolution, raw.notes)
+    raw.notes += unread_note(header, [*wanted, *([pulses] if pulses is not None else [])])
+    if any(name in raw.channels for name in MEASURED):
+        raw.kind = "load-cell"
+    return raw
 
 
-FORMAT = LogFormat(_NAME, "six-axis load cell CSV (time or rate, command, speed, Fz, Mz)", _recognize, read)
+FORMAT = table_format(
+    "load-cell-csv",
+    "six-axis load cell CSV (time or rate, command, speed, Fz, Mz)",
+    _recognize,
+    _parse,
+    {"rate": (), "units": (), "columns": (), "pulses_per_revolution": (), "time_back": ()},
+)

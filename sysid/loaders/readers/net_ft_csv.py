@@ -21,18 +21,18 @@ import numpy as np
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
-from sysid.loaders.ati_calibration import AXES, load_channels, motor_transform, without_tare
+from sysid.loaders.ati_calibration import AXES
 from sysid.loaders.clock import began_note, known_rate, order_rows
 from sysid.loaders.columns import listing
-from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.options import BenchOptions
+from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source
 from sysid.loaders.table import TableHead, read_numbers
+from sysid.loaders.table_log import RawTable, table_format
 from sysid.loaders.table_rows import parse_number
 from sysid.loaders.text import Text, read_text, shortened, split_line
-from sysid.recording import Recording
 from sysid.units import factor_to_si
 
-_NAME = "net-ft-csv"
 _SEQUENCE = "rdt sequence"
 _HEADER_LINES = 15
 
@@ -98,38 +98,8 @@ def _status_note(text: Text, table: TableHead, known: list[str]) -> list[Finding
     ]
 
 
-def read(
-    source: Source,
-    *,
-    transform: Mapping[str, str] | None = None,
-    tare: float | None = None,
-    time_back: str = "refuse",
-) -> Recording:
-    """Read a Net F/T CSV.
-
-    Parameters
-    ----------
-    source : Source
-        The log.
-    transform : mapping, optional
-        From the transducer to the motor's axis: ``dx dy dz`` and ``rx ry rz`` (`motor_transform`).
-    tare : float, optional
-        Seconds at the start without load, whose mean is subtracted.
-    time_back : str
-        ``"refuse"`` a log whose packets come out of order, or ``"drop"`` those that do not pass the latest.
-
-    Returns
-    -------
-    Recording
-        Kind ``load-cell``, channels as `ati_text.read`; time from the first packet [s].
-
-    Raises
-    ------
-    LogError, UnitError
-        One sentence with file, line and cause.
-    """
+def _parse(source: Source, options: BenchOptions) -> RawTable:
     path = source.path
-    turn = motor_transform(path, transform)
     text = read_text(source)
     stated, table = _header(text)
     rate = _positive(path, stated, "rdt sample rate")
@@ -153,24 +123,20 @@ def read(
     if not first.size:
         raise LogError(f"{path}: no row has an RDT sequence number; the log is empty")
     numbers.columns[sequence] = counted - first[0]
-    time, said = order_rows(path, numbers, sequence, 1.0 / rate, time_back=time_back)
+    time, said = order_rows(path, numbers, sequence, 1.0 / rate, time_back=options.time_back or "refuse")
     lost = round(float(time[-1] * rate)) + 1 - time.size
     notes += [*said, *([note("packets-lost", f"packets lost, left as holes: {lost}")] if lost > 0 else [])]
     notes.append(note("time-from-sequence", f"time rebuilt from RDT sequence numbers at {rate:g} Hz"))
     scale = np.repeat([force / per_force, torque / per_torque], 3)
-    load = np.column_stack([numbers.columns[place] for place in places]) * scale
-    load, said = without_tare(path, load, time, tare)
-    notes += said
-    if transform:
-        load = load @ turn.T  # which spreads a blank cell to all channels that it counts in
-        notes.append(note("loads-transformed", "loads are at the motor's axes, as declared by transform"))
+    load = numbers.stacked(places) * scale
     notes += began_note("recording", stated.get("start time", ""))
-    options = {"transform": transform, "tare": tare}
-    return Recording(
-        "load-cell",
-        load_channels(time, load),
-        source.provenance(_NAME, device="ATI Net F/T", options=options, notes=notes),
-    )
+    return RawTable("load-cell", "ATI Net F/T", time, notes, loads=load)
 
 
-FORMAT = LogFormat(_NAME, "ATI Net F/T CSV (counts)", _recognize, read)
+FORMAT = table_format(
+    "net-ft-csv",
+    "ATI Net F/T CSV (counts)",
+    _recognize,
+    _parse,
+    {"transform": (), "tare": (), "time_back": ()},
+)

@@ -11,7 +11,6 @@ between two readings of a sensor are kept as recorded.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -26,14 +25,16 @@ from sysid.loaders.columns import (
     parse_header,
     unread_note,
 )
-from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.options import BenchOptions
+from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source
-from sysid.loaders.table import TableHead, find_header, read_numbers, table_head
+from sysid.loaders.table import Numbers, TableHead, find_header, read_numbers, table_head
+from sysid.loaders.table_log import RawTable, table_format
 from sysid.loaders.text import Text, read_text, split_line
-from sysid.loaders.thrust_stand import choose_speed, is_static, point_channels
-from sysid.recording import Channel, FloatArray, Recording
+from sysid.loaders.thrust_stand import choose_speed, is_static
+from sysid.recording import Channel
+from sysid.types import FloatArray
 
-_NAME = "rcbenchmark-csv"
 _COMMAND = frozenset({"esc signal", "esc"})
 # channel: (stem in the header, unit that its own is converted to)
 _QUANTITIES = {
@@ -51,8 +52,7 @@ _QUANTITIES = {
     "vibration": ("vibration", "m/s^2"),
 }
 _MEASURED = ("torque", "thrust", "speed_electrical", "speed_optical")
-_SPEEDS = (_QUANTITIES["speed_optical"][0], _QUANTITIES["speed_electrical"][0])
-_UNIT_NAMES = {"N*m": "N·m", "m/s^2": "m/s²"}
+_SPEEDS = ("speed_optical", "speed_electrical")
 _MOST_MESSAGES = 5
 _LARGEST_DSHOT = 2047.0
 # Pulse widths of every speed controller lie within these [µs].
@@ -104,7 +104,7 @@ def _both_speeds(units: Mapping[str, str] | None, columns: tuple[Column, ...]) -
     """Return declared units in which that of ``speed`` is said of both probes, which it is chosen from."""
     if not isinstance(units, Mapping) or "speed" not in units:
         return units
-    probes = {stem for stem in _SPEEDS if any(column.stem == stem for column in columns)}
+    probes = {_QUANTITIES[name][0] for name in _SPEEDS} & {column.stem for column in columns}
     others = {name: unit for name, unit in units.items() if name != "speed"}
     return {**dict.fromkeys(sorted(probes), units["speed"]), **others} if probes else units
 
@@ -124,126 +124,99 @@ def _messages(text: Text, head: TableHead, column: Column) -> list[Finding]:
     return [note("stand-messages", f"messages of the stand's program: {shown}")] if shown else []
 
 
-def read(
-    source: Source,
-    *,
-    units: Mapping[str, str] | None = None,
-    static: bool | None = None,
-    time_back: str = "refuse",
-) -> Recording:
-    """Read an RCbenchmark CSV.
+def _clock(
+    path: str, numbers: Numbers, column: Column | None, seconds: float, options: BenchOptions
+) -> tuple[FloatArray, FloatArray | None, list[Finding]]:
+    """Return the clock [s], and instead of it point numbers and the stand's times where rows are averaged."""
+    written = None if column is None else numbers.columns[column.index] * seconds
+    static = options.static
+    if static is None:
+        static = written is not None and is_static(written)
+    elif static is False and written is not None and is_static(written):
+        raise LogError(
+            f"{path}: rows lie {float(np.nanmedian(np.abs(np.diff(written)))):.3g} s apart (median): "
+            "averaged points, not a running log; leave static out, or record the log at the stand's full rate"
+        )
+    if static or column is None:
+        points = np.arange(numbers.lines.size, dtype=np.float64)
+        return points, points if written is None else written, []
+    time, ordered = order_rows(
+        path, numbers, column.index, seconds, stale_start=True, time_back=options.time_back or "refuse"
+    )
+    return time, None, ordered
 
-    Parameters
-    ----------
-    source : Source
-        The log.
-    units : mapping of str to str, optional
-        Units by channel or column name where the header states none or a wrong one; ``speed`` is that of both
-        probes.
-    static : bool, optional
-        True: rows are averaged points; False: they must be a running log. By default the row spacing decides.
-    time_back : str
-        ``"refuse"`` a log whose time goes back, or ``"drop"`` the rows that do not pass the latest time.
 
-    Returns
-    -------
-    Recording
-        ``command`` [us or dshot], ``speed`` (optical unless that probe is off), ``speed_optical``,
-        ``speed_electrical`` [rad/s], ``thrust`` [N], ``torque`` [N·m], ``voltage`` [V], ``current`` [A] and
-        what else the stand wrote, signs as recorded; ``log_time`` [s] on static maps.
-
-    Raises
-    ------
-    LogError, UnitError
-        One sentence with file, line and cause.
-    """
+def _parse(source: Source, options: BenchOptions) -> RawTable:
     path = source.path
     text = read_text(source)
     head = table_head(text, renames=False)
-    columns = parse_header(head.names)
-    declared = DeclaredUnits(path, _both_speeds(units, columns))
-    command = find_column(path, columns, _COMMAND)
+    header = parse_header(head.names)
+    declared = DeclaredUnits(path, _both_speeds(options.units, header))
+    command = find_column(path, header, _COMMAND)
     if command is None:
-        raise missing_column(path, '"ESC signal" or "ESC"', columns)
-    found = {name: find_column(path, columns, {stem}) for name, (stem, _) in _QUANTITIES.items()}
-    quantities = {name: column for name, column in found.items() if column is not None}
-    if not any(name in quantities for name in _MEASURED):
-        raise missing_column(path, '"Thrust", "Torque" or "Motor Optical Speed"', columns)
-    clock = find_column(path, columns, {"time"})
-    if clock is None and not static:
+        raise missing_column(path, '"ESC signal" or "ESC"', header)
+    matches = {name: (find_column(path, header, {stem}), unit) for name, (stem, unit) in _QUANTITIES.items()}
+    columns = {name: (column, unit) for name, (column, unit) in matches.items() if column is not None}
+    if not any(name in columns for name in _MEASURED):
+        raise missing_column(path, '"Thrust", "Torque" or "Motor Optical Speed"', header)
+    clock = find_column(path, header, {"time"})
+    if clock is None and not options.static:
         raise LogError(
             f'{path}: no column "Time", so rows have no clock; '
             "if each row is one averaged point, say so with static = true"
         )
-    temperatures = [column for column in columns if (column.unit or "") in ("ºC", "°C", "degC")]
+    temperatures = [column for column in header if (column.unit or "") in ("ºC", "°C", "degC")]
 
-    wanted = [command, *quantities.values(), *temperatures, *([clock] if clock else [])]
+    wanted = [
+        command,
+        *(column for column, _ in columns.values()),
+        *temperatures,
+        *([clock] if clock else []),
+    ]
     indices = [column.index for column in wanted]
-    message = find_column(path, columns, {"app message"})
+    message = find_column(path, header, {"app message"})
     words = message.index if message is not None and message.index > max(indices) else None
     # Rows are ragged: a vendor script appends cells to some, behind the message, and a message may hold
     # commas. A row that ends before it, or before the delimiter behind it, has lost cells somewhere.
     least = len(head.names) if words is None else words + 1 + min(head.trailing, 1)
     numbers = read_numbers(text, head, indices, least=least, surplus=True, free_text=words)
-    notes = numbers.notes
-    if message is not None:
-        notes += _messages(text, head, message)
+    notes = [*numbers.notes, *([] if message is None else _messages(text, head, message))]
     del text  # the file's bytes are not needed any more
 
-    time = np.arange(numbers.lines.size, dtype=np.float64)
     seconds = declared.factor(clock, "time", "s") if clock else 1.0
-    if static is None:
-        static = clock is not None and is_static(numbers.columns[clock.index] * seconds)
-    log_time = numbers.columns[clock.index] * seconds if clock else None
-    if static is False and log_time is not None and is_static(log_time):
-        raise LogError(
-            f"{path}: rows lie {float(np.nanmedian(np.abs(np.diff(log_time)))):.3g} s apart (median): "
-            "averaged points, not a running log; leave static out, or record the log at the stand's full rate"
-        )
-    if not static and clock is not None:
-        time, said = order_rows(path, numbers, clock.index, seconds, stale_start=True, time_back=time_back)
-        notes += said
-
-    values = {name: numbers.columns[column.index] for name, column in quantities.items()}
-    unit = _command_unit(path, command, declared, numbers.columns[command.index], notes)
-    channels = {"command": Channel("command", unit, time, numbers.columns[command.index])}
-    blank = []
-    for name, column in quantities.items():
-        wanted_unit = _QUANTITIES[name][1]
-        values[name] = values[name] * declared.factor(column, name, wanted_unit)
-        if np.isnan(values[name]).all():
-            blank.append(column.label)
-            continue
-        channels[name] = Channel(name, _UNIT_NAMES.get(wanted_unit, wanted_unit), time, values[name])
-    speed, said = choose_speed(values.get("speed_optical"), values.get("speed_electrical"))
-    notes += said
+    time, points, ordered = _clock(path, numbers, clock, seconds, options)
+    raw = RawTable("thrust-stand", _device(header), time, [*notes, *ordered])
+    protocol = _command_unit(path, command, declared, numbers.columns[command.index], raw.notes)
+    raw.channels["command"] = Channel("command", protocol, time, numbers.columns[command.index])
+    factors = {name: declared.factor(column, name, unit) for name, (column, unit) in columns.items()}
+    speeds = {
+        name: numbers.columns[columns[name][0].index] * factors[name] for name in _SPEEDS if name in columns
+    }
+    raw.add(numbers.columns, columns, factors)
+    speed, chosen = choose_speed(speeds.get("speed_optical"), speeds.get("speed_electrical"))
+    raw.notes += chosen
     if speed is not None and not np.isnan(speed).all():
-        channels["speed"] = Channel("speed", "rad/s", time, speed)
+        raw.channels["speed"] = Channel("speed", "rad/s", time, speed)
     for column in temperatures:
         name = f"temperature/{column.stem}"
-        channels[name] = Channel(name, "K", time, numbers.columns[column.index] + 273.15)
-    declared.check_used(columns)
-    notes += [*declared.notes, *unread_note(columns, [*wanted, *([message] if message else [])])]
-    if blank:
-        notes.append(note("columns-without-values", f"columns without a single value: {', '.join(blank)}"))
-    if static:
-        if log_time is not None:
-            channels["log_time"] = Channel("log_time", "s", time, log_time)
-        channels = point_channels(channels)
-        notes.append(
-            note(
-                "static-map",
-                "static map: each row is an averaged point, and every clock is the point number, not seconds",
-            )
+        raw.channels[name] = Channel(name, "K", time, numbers.columns[column.index] + 273.15)
+    declared.check_used(header)
+    raw.notes += [*declared.notes, *unread_note(header, [*wanted, *([message] if message else [])])]
+    if points is not None:
+        raw.kind = "static-map"
+        if clock is not None:
+            raw.channels["log_time"] = Channel("log_time", "s", time, points)
+        sentence = (
+            "static map: each row is one averaged point, and every clock is the point number, not seconds"
         )
-    options: dict[str, Any] = {"units": units, "static": static, "time_back": time_back}
-    return Recording(
-        "static-map" if static else "thrust-stand",
-        channels,
-        source.provenance(_NAME, device=_device(columns), options=options, notes=notes),
-    )
+        raw.notes.append(note("static-map", sentence))
+    return raw
 
 
-FORMAT = LogFormat(
-    _NAME, "RCbenchmark / Tyto thrust stand CSV (Series 1520, 1580, 1585, 1780)", _recognize, read
+FORMAT = table_format(
+    "rcbenchmark-csv",
+    "RCbenchmark / Tyto thrust stand CSV (Series 1520, 1580, 1585, 1780)",
+    _recognize,
+    _parse,
+    {"units": (), "static": (), "time_back": ()},
 )

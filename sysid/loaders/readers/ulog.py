@@ -9,7 +9,6 @@ instance is read. What PX4 writes for unknown (current -1 A, 0 V) or marks as no
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,7 +19,7 @@ from sysid.journal import Finding, note
 from sysid.loaders.clock import order_rows
 from sysid.loaders.columns import listing
 from sysid.loaders.motion_capture import body_channels, unit_quaternions
-from sysid.loaders.optional import library
+from sysid.loaders.optional import library, reading
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers
@@ -56,11 +55,6 @@ _PLAIN: tuple[tuple[str, str, tuple[str, ...], str, float], ...] = (
     *(("actuator_outputs", f"output_{i}", (f"output[{i}]",), "", 1.0) for i in range(8)),
     *(("actuator_motors", f"motor_{i}", (f"control[{i}]",), "1", 1.0) for i in range(8)),
 )
-# What pyulog raises on a damaged file besides its own errors.
-_DAMAGE = (
-    OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, RuntimeError, OverflowError,
-    MemoryError, EOFError, struct.error,
-)  # fmt: skip
 
 
 def _recognize(source: Source) -> int:
@@ -136,45 +130,19 @@ def _stack(numbers: Numbers, first: int, width: int) -> FloatArray:
     return np.column_stack([numbers.columns[first + i] for i in range(width)])
 
 
-def _load(source: Source) -> tuple[Any, type[Exception]]:
+def _load(source: Source) -> Any:
     path = source.path
     core = library(path, "pyulog.core", "pyulog")
-    own = library(path, "pyulog.exceptions", "pyulog").ULogException
+    error = library(path, "pyulog.exceptions", "pyulog").ULogException
     if not source.head.startswith(_MAGIC):
         raise LogError(f"{path}: not a ULog (its first bytes do not say so); check the format")
-    try:
-        return core.ULog(path), own
-    except (own, *_DAMAGE) as error:
-        said = " ".join(str(error).split())[:200] or type(error).__name__
-        raise LogError(f"{path}: ULog is damaged or cut ({said}); copy it from the drone again") from error
+    with reading(path, "ULog", "copy it from the drone again", error):
+        return core.ULog(path)
 
 
-def read(source: Source, *, time_back: str = "drop") -> Recording:
-    """Read a ULog.
-
-    Parameters
-    ----------
-    source : Source
-        The log.
-    time_back : str
-        ``"drop"`` messages that do not pass the latest time of their topic, or ``"refuse"`` the log.
-
-    Returns
-    -------
-    Recording
-        Kind ``onboard``: ``vehicle/position``, ``vehicle/orientation`` where odometry was logged,
-        ``attitude``, ``local_position`` [m], ``local_velocity``, ``acceleration``, ``angular_velocity``,
-        ``voltage``, ``current``, ``esc_N/speed`` [rad/s], ``output_N`` (as recorded: µs of PWM, or the
-        levels of DShot or CAN, which the log does not say), ``motor_N`` [1]; each topic on
-        its own clock, seconds since boot.
-
-    Raises
-    ------
-    LogError
-        One sentence with file and cause.
-    """
+def _read(source: Source, *, time_back: str = "drop") -> Recording:
     path = source.path
-    log, _ = _load(source)
+    log = _load(source)
     topics = {topic.name: topic for topic in sorted(log.data_list, key=lambda one: -one.multi_id)}
     notes: list[Finding] = []
     channels: dict[str, Channel] = {}
@@ -269,4 +237,4 @@ def read(source: Source, *, time_back: str = "drop") -> Recording:
     )
 
 
-FORMAT = LogFormat(_NAME, "PX4 ULog (onboard log)", _recognize, read)
+FORMAT = LogFormat(_NAME, "PX4 ULog (onboard log)", _recognize, _read, {"time_back": ()})
