@@ -27,7 +27,8 @@ ADVISED = re.compile(rf"(?<![\w.{{ ])\s?\b({'|'.join(EVERY_OPTION)}) = ")
 # Messages that only a caller with the option lets through: their tests are below.
 DECIDED_BY_THE_CALLER = {
     ("order_rows", "time_back"), ("table_head", "columns"), ("rate_clock", "rate"),
-    ("_marker_bodies", "bodies"), ("_pose_from_markers", "bodies"),
+    ("_marker_bodies", "bodies"), ("_pose_from_markers", "bodies"), ("without_tare", "tare"),
+    ("motor_transform", "transform"),
 }  # fmt: skip
 
 
