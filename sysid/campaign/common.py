@@ -221,3 +221,19 @@ class CampaignTable(Table):
     def _trials_are_usable(self) -> CampaignTable:
         check_trials(self.trials)
         return self
+
+
+class Weights(Table):
+    """`[cost.weights]`: weight of each channel in the mean of a trial."""
+
+    @model_validator(mode="after")
+    def _something_counts(self) -> Weights:
+        if not any(self.model_dump().values()):
+            raise ValueError("all weights are 0; give at least one channel a weight")
+        return self
+
+
+class CostTable(Table):
+    """`[cost]`: the NRMSE."""
+
+    denominator: Literal["std", "range"] = "std"

@@ -18,6 +18,11 @@ Campaign = GearCampaign | MotorCampaign
 _KINDS: dict[str, type[BaseModel]] = {"gear": GearCampaign, "motor": MotorCampaign}
 
 
+def register_campaign(kind: str, model: type[BaseModel]) -> None:
+    """Let `read_campaign` read campaigns of another kind."""
+    _KINDS[kind] = model
+
+
 def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
     """Read a campaign file.
 
@@ -25,7 +30,7 @@ def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
     ----------
     path : str or Path
         The TOML file; logs in it are named relative to its folder.
-    kind : {"gear", "motor"}, optional
+    kind : str, optional
         What the caller needs; another kind is refused.
 
     Raises
@@ -48,7 +53,9 @@ def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
         raise CampaignError(f"{path}: not valid TOML: {error}; correct that line") from None
     found = data.get("kind")
     if found not in _KINDS:
-        raise CampaignError(f"{path}: kind is {found!r}; expected 'motor' or 'gear'")
+        raise CampaignError(
+            f"{path}: kind is {found!r}; expected {' or '.join(map(repr, sorted(_KINDS, reverse=True)))}"
+        )
     if kind is not None and found != kind:
         raise CampaignError(f"{path}: is a {found} campaign, expected {kind}; use 'sysid fit-{found}'")
     try:

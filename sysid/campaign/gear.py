@@ -12,6 +12,7 @@ from sysid.campaign.common import (
     Acceleration,
     Angle,
     CampaignTable,
+    CostTable,
     FitTable,
     Frequency,
     Inertia,
@@ -23,6 +24,7 @@ from sysid.campaign.common import (
     Table,
     Time,
     TrialTable,
+    Weights,
 )
 from sysid.campaign.logs import CaptureLogOptions
 
@@ -55,7 +57,7 @@ class Vehicle(Table):
     gravity: Acceleration = 9.81
 
 
-class Capture(CaptureLogOptions):
+class Capture(CaptureLogOptions):  # type: ignore[misc]
     """`[capture]`: how the motion capture names and orients things, and how its files are read."""
 
     up: CaptureAxis = "+y"
@@ -136,7 +138,7 @@ class KaiserFilter(Table):
     filter_simulation: bool = True
 
 
-class GearWeights(Table):
+class GearWeights(Weights):
     """`[cost.weights]`: weight of each channel in a drop's mean."""
 
     x_B: float = Field(default=1.0, ge=0)
@@ -145,17 +147,10 @@ class GearWeights(Table):
     z_B_rate: float = Field(default=1.0, ge=0)
     q_B: float = Field(default=1.0, ge=0)
 
-    @model_validator(mode="after")
-    def _something_counts(self) -> GearWeights:
-        if not any(self.model_dump().values()):
-            raise ValueError("all weights are 0; give at least one channel a weight")
-        return self
 
-
-class GearCost(Table):
+class GearCost(CostTable):
     """`[cost]`: the NRMSE."""
 
-    denominator: Literal["std", "range"] = "std"
     weights: GearWeights = GearWeights()
 
 

@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from sysid.campaign.common import (
     CampaignTable,
+    CostTable,
     FitTable,
     Frequency,
     Inertia,
@@ -16,6 +17,7 @@ from sysid.campaign.common import (
     Time,
     TrialTable,
     Voltage,
+    Weights,
     _quantity,
 )
 from sysid.campaign.logs import BenchLogOptions, SecondLog, Unit
@@ -100,7 +102,7 @@ class Curves(Table):
     no_load: tuple[StaticLog, ...] = ()
 
 
-class BenchLogs(BenchLogOptions):
+class BenchLogs(BenchLogOptions):  # type: ignore[misc]
     """`[log]`: how the load-cell and thrust-stand files of the campaign are read."""
 
     command_unit: Literal["us", "dshot"] | None = None
@@ -121,23 +123,16 @@ class ChebyshevFilter(Table):
     attenuation_db: float = Field(default=40.0, gt=0, lt=200)
 
 
-class MotorWeights(Table):
+class MotorWeights(Weights):
     """`[cost.weights]`."""
 
     torque: float = Field(default=1.0, ge=0)
     speed: float = Field(default=1.0, ge=0)
 
-    @model_validator(mode="after")
-    def _something_counts(self) -> MotorWeights:
-        if not any(self.model_dump().values()):
-            raise ValueError("all weights are 0; give torque or speed a weight")
-        return self
 
-
-class MotorCost(Table):
+class MotorCost(CostTable):
     """`[cost]`: the NRMSE."""
 
-    denominator: Literal["std", "range"] = "std"
     weights: MotorWeights = MotorWeights()
 
 

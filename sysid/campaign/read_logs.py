@@ -1,13 +1,12 @@
-"""Load a campaign's logs: each is told what its own format can be told."""
+"""Load the logs of a campaign, each with the options that its format takes."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from sysid.errors import SysidWarning
+from sysid.journal import notice
 from sysid.loaders import detect, formats, load
 from sysid.recording import Recording
 
@@ -63,9 +62,8 @@ def warn_of_idle_options(
     taken = {option for name in named if name in known for option in known[name].options}
     for option in sorted({name for name, value in stated.items() if value is not None} - taken):
         near = ", ".join(name for name, one in known.items() if option in one.options)
-        warnings.warn(
+        notice(
+            "idle-log-option",
             f"{table}.{option} has no effect: the logs are {', '.join(sorted(named))}, and it is for {near}; "
             "leave it out, or name the format",
-            SysidWarning,
-            stacklevel=3,
         )

@@ -113,9 +113,7 @@ class LogOptions:
 
     def declared(self) -> dict[str, Any]:
         """Return the options that are declared; an empty table takes a declaration back and is None."""
-        given = {
-            field.name: getattr(self, field.name) for field in fields(type(self)) if field.name in DECLARED
-        }
+        given = {field.name: getattr(self, field.name) for field in fields(type(self))}
         return {
             name: value if isinstance(value, bool) else value or None
             for name, value in given.items()

@@ -110,6 +110,12 @@ def formats() -> dict[str, LogFormat]:
     return found
 
 
+def plug_in_options() -> set[str]:
+    """Return the options of formats that other packages bring."""
+    built_in = _built_in()
+    return {option for name, known in formats().items() if name not in built_in for option in known.options}
+
+
 def _names(candidates: dict[str, LogFormat]) -> str:
     return ", ".join(candidates)
 

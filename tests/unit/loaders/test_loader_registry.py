@@ -62,7 +62,9 @@ def test_tie_names_candidates_and_the_option(write, monkeypatch):
     from sysid.loaders import registry
     from sysid.loaders.readers import load_cell_csv
 
-    keen = registry.LogFormat("keen", "claims all", lambda source: registry.CERTAIN, load_cell_csv.FORMAT.read)
+    keen = registry.LogFormat(
+        "keen", "claims all", lambda source: registry.CERTAIN, load_cell_csv.FORMAT.read
+    )
     known = {**formats(), "keen": keen}
     monkeypatch.setattr(registry, "formats", lambda: known)
     path = write(CELL)

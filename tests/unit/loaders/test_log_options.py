@@ -6,12 +6,13 @@ import warnings
 import numpy as np
 import pytest
 
-from sysid.campaign import read_campaign
+from sysid.campaign import GearCampaign, read_campaign
+from sysid.campaign import file as campaign_file
 from sysid.campaign.logs import BenchLogOptions, CaptureLogOptions, SecondLog
 from sysid.campaign.motor import StaticLog
 from sysid.errors import CampaignError, LogError, SysidError, SysidWarning
 from sysid.gear.drops import prepare_drops
-from sysid.loaders import formats
+from sysid.loaders import LogFormat, formats, registry
 from sysid.motor.bench_logs import check_options, read_log
 from sysid.recording import Channel, Provenance, Recording
 from sysid.trials.common_clock import on_one_clock
@@ -62,6 +63,29 @@ def test_every_option_of_every_format_can_be_said():
     for name, one in formats().items():
         left = set(one.options)
         assert left <= bench or left <= capture, (name, left - bench, left - capture)
+
+
+def test_an_option_of_a_plug_in_format_can_be_stated(tmp_path, monkeypatch):
+    known = formats()
+    wand = LogFormat("wand", "from another package", lambda source: 0, lambda source, *, wand_length="": None)
+    monkeypatch.setattr(registry, "formats", lambda: {**known, "wand": wand})
+    stated, _ = campaign(tmp_path, GEAR.format(capture="wand_length = '5 cm'\nrigid_body = 'a'", trial=""))
+    options = {"wand_length": "5 cm", "rigid_body": "a"}
+    assert stated.capture.loader_options() == options
+    again = CaptureLogOptions.model_validate_json(stated.capture.model_dump_json(include=set(options)))
+    assert again.loader_options() == options
+    with pytest.raises(CampaignError, match=r"unknown key capture\.wnd_length"):
+        campaign(tmp_path, GEAR.format(capture="wnd_length = '5 cm'", trial=""))
+
+
+def test_another_kind_of_campaign_can_be_registered(tmp_path, monkeypatch):
+    monkeypatch.setattr(campaign_file, "_KINDS", dict(campaign_file._KINDS))
+    campaign_file.register_campaign("wing", GearCampaign)
+    text = GEAR.format(capture="", trial="").replace('"gear"', '"wing"')
+    with pytest.raises(CampaignError, match="Input should be 'gear'"):  # validated by the class that is given
+        campaign(tmp_path, text)
+    with pytest.raises(CampaignError, match="expected 'wing' or 'motor' or 'gear'"):
+        campaign(tmp_path, text.replace('"wing"', '"sail"'))
 
 
 @pytest.mark.parametrize(
