@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping
-from contextvars import ContextVar, Token
+from contextlib import ExitStack
+from contextvars import ContextVar
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Literal, Self
@@ -116,18 +117,29 @@ class Journal:
         self.trials = 0
         self._findings: list[Finding] = []
         self._waiting: list[Finding] = []
-        self._token: Token[Journal | None] | None = None
+        self._open = ExitStack()
 
     def __enter__(self) -> Self:
-        self._token = _OPEN.set(self)
+        self._open.enter_context(warnings.catch_warnings())
+        warnings.simplefilter("always", SysidWarning)
+        show = warnings.showwarning
+
+        def hear(message: Warning | str, category: type[Warning], *rest: Any, **more: Any) -> None:
+            # From a thread that knows no journal, or from a loader of someone else.
+            if issubclass(category, SysidWarning):
+                self.add(Finding("warning", str(message)))
+            else:
+                show(message, category, *rest, **more)
+
+        warnings.showwarning = hear
+        self._open.callback(_OPEN.reset, _OPEN.set(self))
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        assert self._token is not None
-        _OPEN.reset(self._token)
         self.fold()
+        self._open.close()
 
     def tell(self, line: str) -> None:
         """Print progress; it is not recorded."""
@@ -186,3 +198,10 @@ def notice(
         journal.add(finding)
     elif severity == "warning":
         warnings.warn(str(finding), SysidWarning, stacklevel=2)
+
+
+def tell(line: str) -> None:
+    """Print progress by the open journal; without one it is lost."""
+    journal = _OPEN.get()
+    if journal is not None:
+        journal.tell(line)

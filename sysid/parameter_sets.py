@@ -122,7 +122,7 @@ class SetsHead(Document):
 
     schema_: Literal["sysid-parameter-sets"] = Field("sysid-parameter-sets", alias="schema")
     version: Literal[1] = 1
-    kind: Literal["motor", "gear"]
+    kind: str
     name: str
     units: str = "SI without exception; angles in rad"
     parameters: tuple[ParameterRecord, ...]
@@ -223,8 +223,8 @@ class ParameterSets:
 
     Parameters
     ----------
-    kind : {"motor", "gear"}
-        The model.
+    kind : str
+        The model: ``motor``, ``gear``.
     name : str
         Of the fit.
     parameters : tuple of ParameterRecord
@@ -253,7 +253,7 @@ class ParameterSets:
         One sentence each.
     """
 
-    kind: Literal["motor", "gear"]
+    kind: str
     name: str
     parameters: tuple[ParameterRecord, ...]
     values: FloatArray
@@ -285,8 +285,6 @@ class ParameterSets:
         for name in (*texts, "runs", "seeds"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         object.__setattr__(self, "channel_weights", tuple(float(w) for w in self.channel_weights))
-        if self.kind not in ("motor", "gear"):
-            raise ValueError(f"kind {self.kind!r}, expected 'motor' or 'gear'")
         n_sets, n = len(self.nrmse), len(self.parameters)
         shapes = {
             "values": (self.values.shape, (n_sets, n)),

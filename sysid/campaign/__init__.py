@@ -5,7 +5,7 @@ names the nearest known one. `read_campaign` is the only door.
 """
 
 from sysid.campaign.common import FitTable, ParameterChoices, TrialUse
-from sysid.campaign.file import Campaign, read_campaign
+from sysid.campaign.file import Campaign, read_campaign, register_campaign
 from sysid.campaign.gear import GearCampaign, GearTrial
 from sysid.campaign.motor import MotorCampaign, MotorTrial
 
@@ -19,4 +19,5 @@ __all__ = [
     "ParameterChoices",
     "TrialUse",
     "read_campaign",
+    "register_campaign",
 ]

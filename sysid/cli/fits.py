@@ -33,7 +33,7 @@ from sysid.workflows.options import (
 @command(app, "fit-motor")
 def fit_motor(campaign: CampaignFile, options: FitOptions, json: Json = False) -> int:
     """Fit a motor to thrust-stand and load-cell logs: five ranked parameter sets."""
-    from sysid.motor.problem import fit_motor as fit
+    from sysid.workflows.fit import fit_motor as fit
 
     return _fit(fit, campaign, options, json)
 
@@ -41,7 +41,7 @@ def fit_motor(campaign: CampaignFile, options: FitOptions, json: Json = False) -
 @command(app, "fit-gear")
 def fit_gear(campaign: CampaignFile, options: FitOptions, surface: Surface = None, json: Json = False) -> int:
     """Fit the landing gear to motion-capture logs of drops: five ranked parameter sets."""
-    from sysid.gear.problem import fit_gear as fit
+    from sysid.workflows.fit import fit_gear as fit
 
     return _fit(fit, campaign, options, json, surface=surface)
 
@@ -93,7 +93,7 @@ def validate(
 ) -> None:
     """Predict trials that a fit has not seen: NRMSE over the noise, when it ends, where it stops."""
     from sysid.report.trust_words import print_validation
-    from sysid.workflows.validate import validate_fit
+    from sysid.workflows.predict import validate_fit
 
     print_validation(validate_fit(fit, campaign, threads=threads, say=unless(quiet or json)), fit, json)
 
@@ -109,7 +109,7 @@ def cross_validate(
 ) -> None:
     """Leave out one trial after the other, fit the rest again, predict the trial left out."""
     from sysid.report.trust_words import print_validation
-    from sysid.workflows.validate import cross_validate as leave_out
+    from sysid.workflows.predict import cross_validate as leave_out
 
     document = leave_out(fit, campaign, threads=threads, dask=dask, say=unless(quiet or json))
     print_validation(document, fit, json)

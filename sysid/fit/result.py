@@ -152,8 +152,8 @@ class FitResult:
 
     Parameters
     ----------
-    kind : {"motor", "gear"}
-        The model.
+    kind : str
+        The model: ``motor``, ``gear``.
     name : str
         Of the campaign.
     state : {"done", "stopped"}
@@ -186,7 +186,7 @@ class FitResult:
         One sentence each.
     """
 
-    kind: Literal["motor", "gear"]
+    kind: str
     name: str
     state: Literal["done", "stopped"]
     parameters: tuple[ParameterRecord, ...]

@@ -1,42 +1,62 @@
-"""`fit-gear`: drops in, five ranked parameter sets out."""
+"""The drops of a campaign as a fit problem: searched, scored, differentiated, predicted."""
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.campaign import GearCampaign, read_campaign
-from sysid.errors import CampaignError, SysidWarning
+from sysid.campaign import GearCampaign
+from sysid.campaign.file import resolve_log
+from sysid.errors import CampaignError
 from sysid.filters import KaiserLowpass
-from sysid.fit.history import summed
 from sysid.fit.nrmse import FilteredNrmse, PopulationCost
-from sysid.fit.objective import Evaluation
-from sysid.fit.result import FitResult, TrialResult, ranked_sets
+from sysid.fit.problem import Block, NoiseModel, Problem, Scores, Trial
+from sysid.fit.result import FitResult
+from sysid.gear.capture_noise import compared_noise, level_error, noise_signals, start_roots
+from sysid.gear.centre_of_mass import centre_of_mass
 from sysid.gear.drop_offsets import offsets, shifted_before, shifted_starts, with_nuisance
-from sysid.gear.drops import PreparedDrop, cost_channels, prepare_drops
-from sysid.gear.lost_drops import CAUSES, first_cause, judged_drops
+from sysid.gear.drops import PreparedDrop, cost_channels, read_drop_log
+from sysid.gear.lost_drops import CAUSES, judged_drops
 from sysid.gear.model import (
     LF_FREE,
     PARAMETERS,
     SURFACES,
     Drops,
+    EventKind,
     PopulationSamples,
     find_surface,
     parameters_on,
     prepare,
+    simulate,
     simulate_population,
 )
-from sysid.parameter_sets import ParameterRecord, parameter_records
+from sysid.gear.resting_place import stopping
+from sysid.journal import Finding, notice, tell
 from sysid.parameters import SearchSpace
-from sysid.types import FloatArray
-from sysid.workflows.fit import FitWalk, Outcome
-from sysid.workflows.search import FitOptions
+from sysid.trials.look import inspect_recording, log_quality
+from sysid.trust.linearized import noise_model
+from sysid.types import BoolArray, FloatArray
+
+# Simulations of trust are this exact: at the fit's 3e-4 the integration's error moves a sum of squares by as
+# much as one standard deviation of a parameter does.
+TRUST_TOLERANCE = 2e-5
+# Touchdowns of one foot closer than this count as one [s].
+_ONE_TOUCHDOWN = 5e-3
+# Rows that are choices of the model rather than measurements.
+CONSTANTS = (
+    "gravity",
+    "leg_mass_fraction",
+    "slip_regularization",
+    *PARAMETERS.group("front leg"),
+)
+# Motors do not run in a drop.
+_NEVER_IN_DROPS = ("thrust_point_dx",)
 
 
 def search_space(campaign: GearCampaign) -> SearchSpace:
@@ -63,15 +83,15 @@ def search_space(campaign: GearCampaign) -> SearchSpace:
 
 
 def _read_by_laws() -> set[str]:
-    """Return the rows that friction laws read, whichever; a law does not depend on those of another."""
-    return {name for own in SURFACES.values() for name in own.reads}
+    """Return the rows that any friction law reads."""
+    return {name for law in SURFACES.values() for name in law.reads}
 
 
-def on_surface(campaign: GearCampaign, law: str) -> tuple[GearCampaign, tuple[str, ...]]:
-    """Return a campaign on another friction law, and the names of what it states of its own surface only.
+def on_surface(campaign: GearCampaign, law: str) -> tuple[GearCampaign, tuple[Finding, ...]]:
+    """Return a campaign on another friction law, and what it states of the first surface and is ignored.
 
-    Friction that was measured or bounded on one surface says nothing of another: stated values, fixed ones,
-    bounds and measured ranges of it are left out where the law differs from the campaign's.
+    Friction that was measured or bounded on one surface says nothing of another: its stated values, fixed
+    values, bounds and measured ranges are left out where the law differs from the campaign's.
 
     Raises
     ------
@@ -82,35 +102,24 @@ def on_surface(campaign: GearCampaign, law: str) -> tuple[GearCampaign, tuple[st
     if law == campaign.surface.law:
         return campaign, ()
     of_surface = {name for name in type(campaign.surface).model_fields if name in PARAMETERS}
-    own = campaign.parameters
+    choices = campaign.parameters
     tables = {
-        table: {name: value for name, value in getattr(own, table).items() if name not in of_surface}
+        table: {name: value for name, value in getattr(choices, table).items() if name not in of_surface}
         for table in ("bounds", "fixed", "measured")
     }
-    said = {name for table in tables for name in getattr(own, table)} | set(measured_values(campaign))
-    nothing = dict.fromkeys(of_surface)
-    surface = campaign.surface.model_copy(update={**nothing, "law": law})
-    changed = {"surface": surface, "parameters": own.model_copy(update=tables)}
-    return campaign.model_copy(update=changed), tuple(
-        name for name in PARAMETERS if name in said & of_surface
-    )
-
-
-def say_dropped(campaign: GearCampaign, dropped: tuple[str, ...]) -> None:
-    """Warn of what `on_surface` left out."""
-    if dropped:
-        warnings.warn(
-            f"surface.law {campaign.surface.law} instead of the campaign's own: {', '.join(dropped)} stated "
-            f"there {'is' if len(dropped) == 1 else 'are'} of the other surface and not used",
-            SysidWarning,
-            stacklevel=2,
-        )
+    stated = {name for table in tables for name in getattr(choices, table)} | set(measured_values(campaign))
+    surface = campaign.surface.model_copy(update={**dict.fromkeys(of_surface), "law": law})
+    changed = {"surface": surface, "parameters": choices.model_copy(update=tables)}
+    ignored = ", ".join(name for name in PARAMETERS if name in stated & of_surface)
+    sentence = f"surface {law}: ignoring {ignored}, which the campaign states for law {campaign.surface.law}"
+    findings = (Finding("other-law", sentence),) if ignored else ()
+    return campaign.model_copy(update=changed), findings
 
 
 def fit_tolerance(campaign: GearCampaign) -> float:
     """Return the bound of the simulations' error per step that a campaign asks for."""
-    own = campaign.fit.tolerance
-    return SURFACES[campaign.surface.law].tolerance if own is None else own
+    stated = campaign.fit.tolerance
+    return SURFACES[campaign.surface.law].tolerance if stated is None else stated
 
 
 def measured_values(campaign: GearCampaign) -> dict[str, float]:
@@ -122,68 +131,36 @@ def measured_values(campaign: GearCampaign) -> dict[str, float]:
     return {name: stated[name] for name in PARAMETERS if name in stated}
 
 
-_DERIVED = (
-    ParameterRecord(
-        "leg_length", "l", "m", "derived", "Length of a leg at rest, joint to foot.", "Table II, note a"
-    ),
-    ParameterRecord(
-        "leg_rest_angle",
-        "q_n",
-        "rad",
-        "derived",
-        "Angle of a leg from the body at rest, outward from straight down.",
-        "Table II, note a",
-    ),
-)
-
-
-def _derived(rows: FloatArray) -> FloatArray:
-    """Return leg length and rest angle (S, 2) of rows of the parameter table (S, n_par)."""
-    column = {name: rows[:, i] for i, name in enumerate(PARAMETERS)}
-    across = column["foot_dx"] - column["joint_dx"]
-    down = column["foot_dz"] - column["joint_dz"]
-    return np.column_stack([np.hypot(across, down), np.arctan2(across, down)])
-
-
 @dataclass(frozen=True, eq=False)
-class GearObjective:
-    """Mean NRMSE of a population over drops.
+class GearProblem(Problem):
+    """Drops of one campaign under one friction law; see `sysid.fit.problem.Problem`.
 
     Parameters
     ----------
+    campaign : GearCampaign
+        Its cost, surface and stated values count.
     space : SearchSpace
         Free parameters and fixed values.
     drops : tuple of PreparedDrop
         What is compared.
-    channels, denominator
-        Of the cost.
-    surface : str
-        Friction law.
     threads : int, optional
-        Cores to use; all by default. The numbers do not depend on it.
-    tolerance : float, optional
-        Bound of the simulation's error per step, the surface's own by default, see
-        `sysid.gear.model.simulate`.
+        Cores; all by default. The numbers do not depend on it.
+    tolerance : float
+        Bound of the simulation's error per step, see `sysid.gear.model.simulate`.
     board_length : float, optional
         Way down-slope from the touchdown to the board's end [m].
+    path : Path, optional
+        Campaign file.
     """
 
+    campaign: GearCampaign
     space: SearchSpace
     drops: tuple[PreparedDrop, ...]
-    cost: FilteredNrmse
-    surface: str
     threads: int | None = None
     tolerance: float | None = None
     board_length: float | None = None
-    _jobs: Drops = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        jobs = Drops(
-            np.array([drop.slope for drop in self.drops]),
-            np.array([drop.initial_state for drop in self.drops]),
-            tuple(drop.simulated_time for drop in self.drops),
-        )
-        object.__setattr__(self, "_jobs", jobs)
+    path: Path | None = None
+    causes = CAUSES
 
     @classmethod
     def build(
@@ -193,273 +170,346 @@ class GearObjective:
         drops: tuple[PreparedDrop, ...],
         threads: int | None = None,
         tolerance: float | None = None,
-    ) -> GearObjective:
-        """Join prepared drops with the campaign's cost; the tolerance is the campaign's by default."""
-        cost = FilteredNrmse(
-            [drop.target for drop in drops], cost_channels(campaign), campaign.cost.denominator
-        )
+        path: Path | None = None,
+    ) -> GearProblem:
+        """Join prepared drops with their campaign; the tolerance is the campaign's by default."""
         accuracy = fit_tolerance(campaign) if tolerance is None else tolerance
-        return cls(space, drops, cost, campaign.surface.law, threads, accuracy, campaign.surface.board_length)
+        return cls(campaign, space, drops, threads, accuracy, campaign.surface.board_length, path)
+
+    # --- what is compared -----------------------------------------------------------------------------------
+
+    @cached_property
+    def trials(self) -> tuple[Trial, ...]:
+        """The drops, counted from their first touchdown."""
+        return tuple(
+            Trial(
+                drop.name, cast(Literal["fit", "validate"], drop.use), drop.time, drop.target.measured,
+                _valid(drop), drop.provenance, drop.touchdown, {"spectrum": drop.spectrum},
+            )
+            for drop in self.drops
+        )  # fmt: skip
 
     @property
-    def causes(self) -> tuple[str, ...]:
-        """The causes of failure that are told apart."""
-        return CAUSES
+    def channels(self) -> tuple[str, ...]:
+        """Position and its rate along x and z, and pitch."""
+        return tuple(channel.name for channel in self.cost.channels)
 
-    def evaluate(self, cube: FloatArray) -> Evaluation:
-        """Simulate and score unit-cube points (P, n_free)."""
-        scored, causes = self.judge(self.space.full(cube))
-        return Evaluation(scored.cost, causes, len(cube) * len(self.drops))
+    @property
+    def units(self) -> tuple[str, ...]:
+        """SI units of the channels."""
+        return tuple(channel.unit for channel in self.cost.channels)
 
-    def score(self, rows: FloatArray) -> PopulationCost:
-        """Simulate and score rows of the whole parameter table (P, n_par) [SI]."""
-        return self.judge(rows)[0]
+    @cached_property
+    def cost(self) -> FilteredNrmse:
+        """The campaign's NRMSE over the drops."""
+        targets = [drop.target for drop in self.drops]
+        return FilteredNrmse(targets, cost_channels(self.campaign), self.campaign.cost.denominator)
 
-    def judge(self, rows: FloatArray) -> tuple[PopulationCost, NDArray[np.int8]]:
-        """Score rows, and tell of each why it failed: the number (from 1) among `causes`, 0 for none."""
+    @cached_property
+    def jobs(self) -> Drops:
+        """What the kernel simulates."""
+        return Drops(
+            np.array([drop.slope for drop in self.drops]),
+            np.array([drop.initial_state for drop in self.drops]),
+            tuple(drop.simulated_time for drop in self.drops),
+        )
+
+    def only(self, names: Collection[str]) -> GearProblem:
+        """Return the problem of some of the drops."""
+        return replace(self, drops=tuple(drop for drop in self.drops if drop.name in names))
+
+    @property
+    def exact(self) -> GearProblem:
+        """The problem at the accuracy of trust, or finer."""
+        return replace(self, tolerance=min(TRUST_TOLERANCE, fit_tolerance(self.campaign)))
+
+    # --- scores and signals ---------------------------------------------------------------------------------
+
+    def score(self, rows: FloatArray) -> Scores:
+        """Simulate and score rows of the parameter table (P, n_table) [SI]."""
         scored, causes = self.judge_samples(*self.simulate(rows))
-        return scored, first_cause(causes)
+        return Scores(scored.by_channel, causes)
 
     def judge_samples(
-        self, samples: FloatArray, result: PopulationSamples
+        self, samples: FloatArray, result: PopulationSamples, scored: PopulationCost | None = None
     ) -> tuple[PopulationCost, NDArray[np.int8]]:
-        """Score what `simulate` returned, and tell of each drop (P, D) why it is lost."""
-        scored = self.cost(samples, result.reached, self.threads)
+        """Score what `simulate` returned, with all penalties, and say of each drop (P, D) why it is lost."""
+        if scored is None:
+            scored = self.cost(samples, result.reached, self.threads)
         return judged_drops(self.cost, self.drops, self.board_length, result, samples, scored)
 
     def simulate(
         self, rows: FloatArray, body_states: FloatArray | None = None
     ) -> tuple[FloatArray, PopulationSamples]:
-        """Return samples (P, n_total, 6) with every drop's margins, and all that the simulation found.
+        """Return samples (P, n_total, 6) with every drop's margins, and all that the simulation gives.
 
-        `body_states` (P, D, 6) are starts of each candidate's own, instead of the measured ones.
+        `body_states` (P, D, 6) are starts of each candidate, instead of the measured ones.
         """
-        own = offsets(self.space.table, rows, self.drops)
-        if body_states is None and own is not None:
-            body_states = shifted_starts(self.drops, *own)
+        shift = offsets(self.space.table, rows, self.drops)
+        if body_states is None and shift is not None:
+            body_states = shifted_starts(self.drops, *shift)
         result = simulate_population(
-            rows[:, : len(PARAMETERS)],
-            self._jobs,
-            surface=self.surface,
-            tolerance=self.tolerance,
-            threads=self.threads,
-            body_states=body_states,
+            rows[:, : len(PARAMETERS)], self.jobs, body_states=body_states, **self._simulation
         )
-        first, ends = self.cost.offsets, self._jobs.offset
+        first, ends = self.cost.offsets, self.jobs.offset
         samples = np.empty((len(rows), self.cost.n_total, 6))
         for d, drop in enumerate(self.drops):
             lead = len(drop.before)
-            before = drop.before if own is None else shifted_before(drop, own[1][:, d])
+            before = drop.before if shift is None else shifted_before(drop, shift[1][:, d])
             samples[:, first[d] : first[d] + lead, :3] = before
             samples[:, first[d] : first[d] + lead, 3:] = np.nan
             samples[:, first[d] + lead : first[d + 1]] = result.samples[:, ends[d] : ends[d + 1]]
-            if own is not None:
-                samples[:, first[d] + lead : first[d + 1], 1] += own[0][:, d, None]
+            if shift is not None:
+                samples[:, first[d] + lead : first[d + 1], 1] += shift[0][:, d, None]
         return samples, result
 
+    @property
+    def _simulation(self) -> dict[str, Any]:
+        law = self.campaign.surface.law
+        return {"surface": law, "tolerance": self.tolerance, "threads": self.threads}
 
-def fit_gear(
-    path: str | Path,
-    options: FitOptions | None = None,
-    *,
-    surface: str | None = None,
-    say: Callable[[str], None] | None = None,
-) -> tuple[FitResult, Path]:
-    """Fit the landing gear to the drops of a campaign and write the fit folder.
+    def _lost(self, samples: FloatArray, result: PopulationSamples) -> BoolArray:
+        """Return which drops (P, D) are lost, unscored."""
+        none = np.zeros((*result.reached.shape, len(self.channels)))
+        unscored = PopulationCost(np.zeros(len(samples)), none, result.reached < 1.0)
+        return self.judge_samples(samples, result, unscored)[0].failed
 
-    Parameters
-    ----------
-    path : str or Path
-        Campaign file of kind ``gear``.
-    options : FitOptions
-        Overrides of the command line.
-    surface : str, optional
-        Overrides the campaign's friction law, as `on_surface` does.
-    say : callable, optional
-        Told, one sentence at a time, what is going on and what is doubtful.
+    def signals(self, rows: FloatArray) -> tuple[tuple[FloatArray, ...], BoolArray]:
+        """Return the signals as compared, (P, n, 5) per drop, and which drops are lost (P, D)."""
+        samples, result = self.simulate(rows)
+        return self.cost.prepared(samples), self._lost(samples, result)
 
-    Returns
-    -------
-    result : FitResult
-        Ranked sets and all that led to them.
-    folder : Path
-        Where it was written.
+    def compared(
+        self, rows: FloatArray, body_states: FloatArray | None = None
+    ) -> tuple[FloatArray, BoolArray]:
+        """Return residuals and failures of rows (P, n_table) [SI], from starts (P, D, 6) where given."""
+        samples, result = self.simulate(rows, body_states)
+        samples = np.nan_to_num(samples, nan=0.0, posinf=0.0, neginf=0.0)
+        out = np.zeros((len(rows), self.blocks[-1].stop))
+        for block in self.blocks:
+            first, last = self.cost.offsets[block.trial], self.cost.offsets[block.trial + 1]
+            column, operator = self._operators[block.trial][block.channel]
+            signal = samples[:, first:last, column] @ operator.T
+            trial = self.trials[block.trial]
+            error = signal - trial.measured[:, block.channel]
+            valid = trial.valid[:, block.channel]
+            out[:, block.start : block.stop] = np.where(valid, error, 0.0) / block.spread
+        return np.nan_to_num(out), np.any(self._lost(samples, result), axis=1)
 
-    Raises
-    ------
-    SysidError
-        When an input cannot be used; nothing has been written then.
-    """
-    campaign = read_campaign(path, "gear")
-    assert isinstance(campaign, GearCampaign)
-    dropped: tuple[str, ...] = ()
-    if surface is not None:
-        campaign, dropped = on_surface(campaign, surface)
-    with FitWalk(path, campaign, options, say) as walk:
-        return _walked(walk, campaign, dropped)
+    @cached_property
+    def _operators(self) -> tuple[tuple[tuple[int, FloatArray], ...], ...]:
+        """Per drop and channel: its column, and filter and difference as a matrix (n, n_samples).
 
+        The way from samples to what is compared is linear: as matrices a whole population takes it at once.
+        """
+        out = []
+        for t in range(len(self.drops)):
+            first, last = int(self.cost.offsets[t]), int(self.cost.offsets[t + 1])
+            pulses = np.zeros((last - first, self.cost.n_total, 6))
+            pulses[np.arange(last - first), np.arange(first, last)] = 1.0
+            response = self.cost.prepared(pulses)[t]
+            out.append(
+                tuple(
+                    (channel.column, np.ascontiguousarray(response[:, :, c].T))
+                    for c, channel in enumerate(self.cost.channels)
+                )
+            )
+        return tuple(out)
 
-def _walked(walk: FitWalk, campaign: GearCampaign, dropped: tuple[str, ...]) -> tuple[FitResult, Path]:
-    """Walk a fit to its end."""
-    path, threads = walk.path, walk.options.threads
-    with walk.prepared():
-        say_dropped(campaign, dropped)
-        space = search_space(campaign)
-        ranges = campaign.parameters.measured_ranges(PARAMETERS)
-        _say_defaults(campaign, space)
-        drops = prepare_drops(campaign, path)
-        fitted = tuple(drop for drop in drops if drop.use == "fit")
-        objective = GearObjective.build(campaign, space, fitted, threads)
-        walk.tell(
-            f"{len(fitted)} drops to fit, {len(drops) - len(fitted)} to validate; {len(space.free)} free "
-            f"parameters"
+    # --- what is uncertain ----------------------------------------------------------------------------------
+
+    @cached_property
+    def noise(self) -> FloatArray:
+        """(D, 5) standard deviation of the capture's noise as compared [channel units]."""
+        return np.array([compared_noise(drop) for drop in self.drops])
+
+    def correlation(self) -> NoiseModel:
+        """Return the correlations of the capture's noise as compared, by filtering noise as the log was."""
+        signals = noise_signals(self.drops[0], 0)
+        used = sorted({block.channel for block in self.blocks})
+        n = len(signals)
+        blocks = [Block(0, c, k * n, (k + 1) * n, n, 1.0, 1.0, 1.0) for k, c in enumerate(used)]
+        model = noise_model(blocks, np.concatenate([signals[:, c] for c in used]))
+        shortest = min(block.stop - block.start for block in self.blocks)
+        return NoiseModel(model.channels, model.covariance[:, :, : max(2, shortest // 3)])
+
+    def disturbances_at(self, row: FloatArray) -> FloatArray:
+        """Return how one standard deviation of every drop's start moves the residuals (K, m)."""
+        rows = row[None]
+        shift = offsets(self.space.table, rows, self.drops)
+        nominal = np.array([[drop.initial_state for drop in self.drops]])
+        if shift is not None:
+            nominal = shifted_starts(self.drops, *shift)
+        roots = [start_roots(drop) for drop in self.drops]
+        kinds = len(roots[0])
+        states = np.repeat(nominal, 2 * kinds, axis=0)
+        for d, root in enumerate(roots):
+            states[:kinds, d] += root
+            states[kinds:, d] -= root
+        values, _ = self.compared(np.repeat(rows, 2 * kinds, axis=0), states)
+        change = (values[:kinds] - values[kinds:]) / 2
+        for block in self.blocks:
+            if self.channels[block.channel] == "q_B":
+                valid = self.trials[block.trial].valid[:, block.channel]
+                level = level_error(self.drops[block.trial])
+                change[-1, block.start : block.stop] = valid * level / block.spread
+        out = np.zeros((kinds * len(self.drops), values.shape[1]))
+        for block in self.blocks:
+            where = slice(block.start, block.stop)
+            out[block.trial * kinds : (block.trial + 1) * kinds, where] = change[:, where]
+        return out
+
+    # --- what a campaign says beside its drops --------------------------------------------------------------
+
+    def begin(self) -> None:
+        """Tell what is fitted and what is not used, and compile the kernel."""
+        self._notice_defaults()
+        count = len(self.fitted.drops)
+        tell(
+            f"{count} drops to fit, {len(self.drops) - count} to validate; {len(self.space.free)} free "
+            "parameters"
         )
-        law = campaign.surface.law
-        walk.tell(f"preparing the {law} kernel: compiled once per version (under a minute), then loaded")
+        law = self.campaign.surface.law
+        tell(f"preparing the {law} kernel: compiled once per version (under a minute), then loaded")
         prepare(law, single=False)
-        expected = _expected(objective, walk.tell) if walk.options.check else {}
-        hashes = {drop.name: str(drop.provenance["sha256"]) for drop in drops}
-        accuracy = {"friction_law": law, "accuracy_of_a_simulation": objective.tolerance}
-        found = walk.search(objective, hashes, "drops", **accuracy)
-    sets = ranked_sets(found.runs, space)
-    records = parameter_records(
-        space,
-        {name: "campaign" for name in measured_values(campaign) if name not in _CONSTANTS},
-        ranges,
-        _DERIVED,
-        stated={name: "campaign" for name in {*measured_values(campaign), *campaign.parameters.fixed}},
-    )
-    trials, lost = trial_results(GearObjective.build(campaign, space, drops, threads), sets.values)
-    outcome = Outcome(
-        records=records,
-        values=np.hstack([sets.values, _derived(sets.values)]),
-        at_bound=np.pad(sets.at_bound, ((0, 0), (0, len(_DERIVED)))),
-        nrmse=sets.cost,
-        trials=trials,
-        channels=[(channel.name, channel.unit, channel.weight) for channel in objective.cost.channels],
-        settings=_settings(campaign, fitted),
-        filters=_filter_design(campaign, fitted[0]),
-        logs={drop.name: drop.provenance for drop in drops},
-        warnings=lost,
-        more={"failures": summed(run.failures for run in found.runs), **expected},
-    )
-    return walk.finish(space, found, sets, outcome)
 
-
-def _expected(objective: GearObjective, tell: Callable[[str], None]) -> dict[str, Any]:
-    """Say what the drops are expected to fix, and return it for the provenance."""
-    # What judges an objective stands above it.
-    from sysid.gear.trust import GearProblem
-    from sysid.trust.verdicts import EXPECTED, sentences
-    from sysid.workflows.check import quick_gear
-
-    found = quick_gear(GearProblem(objective))
-    for sentence in sentences(found):
-        tell(f"expected: {sentence}")
-    return {EXPECTED: [one.document() for one in found]}
-
-
-# Rows that are choices of the model rather than measurements.
-_CONSTANTS = (
-    "gravity",
-    "leg_mass_fraction",
-    "slip_regularization",
-    *PARAMETERS.group("front leg"),
-)
-# Motors do not run in a drop.
-_NEVER_IN_DROPS = ("thrust_point_dx",)
-
-
-def _say_defaults(campaign: GearCampaign, space: SearchSpace) -> None:
-    """Warn of values left to the paper's drone, which another does not share, and of stated ones not used."""
-    law = campaign.surface.law
-    reads = find_surface(law).reads
-    for name in space.names:
-        if name in measured_values(campaign):
-            warnings.warn(
-                f"{name} is stated in the campaign and free on {law}: the search chooses it, the stated "
-                f"value is not used; fix it under [parameters.fixed] to keep it",
-                SysidWarning,
-                stacklevel=2,
+    def _notice_defaults(self) -> None:
+        """Name stated values that are not used, and values of the paper's drone that stand in for others."""
+        law, stated = self.campaign.surface.law, self.stated
+        for name in self.space.names:
+            if name in stated:
+                notice(
+                    "stated-and-free",
+                    f"{name} is stated in the campaign and free on {law}: the search chooses it, the stated "
+                    "value is not used; fix it under [parameters.fixed] to keep it",
+                )
+        reads = find_surface(law).reads
+        given = {*stated, *self.campaign.parameters.fixed, *CONSTANTS, *LF_FREE}
+        left = [
+            f"{name} {value:.4g} {PARAMETERS[name].unit}".removesuffix(" 1")
+            for name, value in self.space.fixed.items()
+            if name not in given and (name in reads or name not in _read_by_laws())
+        ]
+        if left:
+            notice(
+                "values-of-the-paper",
+                f"not in the campaign, so the values of the paper's F450 are used: {', '.join(left)}; "
+                "state your own",
             )
-    given = {*measured_values(campaign), *campaign.parameters.fixed, *_CONSTANTS, *LF_FREE}
-    left = [
-        f"{name} {value:.4g} {PARAMETERS[name].unit}".removesuffix(" 1")
-        for name, value in space.fixed.items()
-        if name not in given and (name in reads or name not in _read_by_laws())
-    ]
-    if left:
-        warnings.warn(
-            f"not in the campaign, so the values of the paper's F450 are used: {', '.join(left)}; "
-            f"state your own",
-            SysidWarning,
-            stacklevel=2,
-        )
+
+    @property
+    def accuracy(self) -> Mapping[str, Any]:
+        """The law and the tolerance."""
+        law = self.campaign.surface.law
+        return {"friction_law": law, "accuracy_of_a_simulation": self.tolerance}
+
+    @property
+    def stated(self) -> Mapping[str, float]:
+        """What the campaign states of the model's parameters."""
+        return measured_values(self.campaign)
+
+    def known(self, fit: FitResult) -> Collection[str]:
+        """Return what the campaign states or fixes."""
+        return {*self.stated, *self.campaign.parameters.fixed}
+
+    @property
+    def filters(self) -> Mapping[str, Any]:
+        """The low-pass at the rate of the first drop."""
+        settings = self.campaign.filter
+        if settings.kind == "none":
+            return {"kind": "none"}
+        rate = self.drops[0].motion.rate
+        lowpass = KaiserLowpass(rate, settings.cutoff, settings.attenuation_db, settings.transition)
+        return {**lowpass.describe(), "simulation filtered too": settings.filter_simulation}
+
+    def contacts(self, trial: int, row: FloatArray) -> FloatArray:
+        """Return when feet touch in a prediction, on the drop's clock [s]; within 5 ms they touch once."""
+        drop = self.drops[trial]
+        run = simulate(
+            row[: len(PARAMETERS)], drop.slope, drop.initial_state, drop.simulated_time,
+            surface=self.campaign.surface.law, tolerance=self.tolerance,
+        )  # fmt: skip
+        out: list[float] = []
+        last: dict[str, float] = {}
+        for event in run.events:
+            if event.kind is EventKind.TOUCHDOWN:
+                if event.time - last.get(event.foot, -1.0) > _ONE_TOUCHDOWN:
+                    out.append(event.time)
+                last[event.foot] = event.time
+        return drop.time[0] + np.array(out)
+
+    def beyond(self, rows: FloatArray) -> list[dict[str, Any]]:
+        """Return slope and resting place of every drop."""
+        return [
+            {
+                "slope_deg": float(np.degrees(drop.slope)),
+                "stop": stopping(drop, rows, self.board_length, **self._simulation),
+            }
+            for drop in self.drops
+        ]
+
+    def quality(self) -> list[dict[str, Any]]:
+        """Return how good every log is, and how its fall begins and ends."""
+        return [self._quality(drop) for drop in self.drops]
+
+    def _quality(self, drop: PreparedDrop) -> dict[str, Any]:
+        assert self.path is not None
+        campaign, flight, motion = self.campaign, drop.flight, drop.motion
+        trial = next(entry for entry in campaign.trials if entry.name == drop.name)
+        log = resolve_log(self.path, trial.log)
+        recording = read_drop_log(campaign, log, trial.rigid_body, trial.log_options.model_dump_json())
+        report = inspect_recording(recording, campaign.vehicle.gravity)
+        window = (motion.time >= drop.time[0]) & (motion.time <= drop.time[-1])
+        tilt = np.nanmax(np.abs([motion.roll[window], motion.yaw[window]]))
+        noise = flight.noise
+        return log_quality(drop.name, drop.use, report) | {
+            "slope_deg": float(np.degrees(drop.slope)),
+            "noise": {"x [m]": float(noise[0]), "z [m]": float(noise[1]), "pitch [rad]": float(noise[2])},
+            "gravity": flight.measured_gravity,
+            "gravity_error": _fall_error(drop),
+            "held": flight.held,
+            "release": flight.start,
+            "touchdown": drop.touchdown,
+            "impact_speed": drop.impact_speed,
+            "lost_in_window": int(np.sum(~motion.valid[window])),
+            "out_of_plane_deg": float(np.degrees(tilt)),
+            "notes": list(drop.provenance["notes"]),
+        }
+
+    def excitation(self) -> dict[str, Any]:
+        """Return the ranges of slopes [deg], impact speeds [m/s] and largest pitch rates [rad/s]."""
+        fitted = self.fitted.drops
+        spans = {
+            "slope_deg": [float(np.degrees(drop.slope)) for drop in fitted],
+            "impact_speed": [drop.impact_speed for drop in fitted],
+            "pitch_rate": [
+                float(np.nanmax(np.abs(np.gradient(d.target.measured[:, 4], 1 / d.motion.rate))))
+                for d in fitted
+            ],
+        }
+        return {name: [min(values), max(values)] for name, values in spans.items()}
+
+    def about(self) -> dict[str, Any]:
+        """Return where the centre of mass lies beside the stated one."""
+        return {"centre_of_mass": centre_of_mass(self.drops, self.campaign)}
 
 
-def trial_results(
-    objective: GearObjective, rows: FloatArray
-) -> tuple[tuple[TrialResult, ...], tuple[str, ...]]:
-    """Score the ranked sets (S, n_par) on every drop, and say of each lost one why.
+def _valid(drop: PreparedDrop) -> BoolArray:
+    valid = np.isfinite(drop.target.measured)
+    if drop.target.valid is not None:
+        given = np.asarray(drop.target.valid, dtype=np.bool_)
+        valid = valid & (given[:, None] if given.ndim == 1 else given)
+    return valid
 
-    Returns
-    -------
-    trials : tuple of TrialResult
-        One per drop.
-    lost : tuple of str
-        A sentence per drop and set whose simulation is no drop that can be compared.
+
+def _fall_error(drop: PreparedDrop) -> float:
+    """Return the standard error of g as the fall itself tells it [m/s²].
+
+    Of a parabola through n samples of noise σ over a time T: σ sqrt(720/n)/T².
     """
-    samples, result = objective.simulate(rows)
-    scored, causes = objective.judge_samples(samples, result)
-    simulated = objective.cost.prepared(samples)
-    out = []
-    for d, drop in enumerate(objective.drops):
-        measured = drop.target.measured
-        valid = np.isfinite(measured)
-        if drop.target.valid is not None:
-            valid &= drop.target.valid[:, None]
-        out.append(
-            TrialResult(
-                name=drop.name,
-                use="fit" if drop.use == "fit" else "validate",
-                time=drop.time,
-                measured=measured,
-                valid=valid,
-                simulated=simulated[d],
-                nrmse=scored.by_channel[:, d],
-                spectrum=drop.spectrum,
-            )
-        )
-    lost = tuple(
-        f"{objective.drops[d].name}, set {s + 1}: {CAUSES[causes[s, d] - 1]}; its NRMSE is a penalty"
-        for d, s in np.argwhere(causes.T > 0)
-    )
-    return tuple(out), lost
-
-
-def _settings(campaign: GearCampaign, drops: tuple[PreparedDrop, ...]) -> dict[str, Any]:
-    """Return what a simulator must know beside the numbers."""
-    return {
-        "surface": campaign.surface.law,
-        "frame": (
-            "x down-slope, z up, y into the page; positive pitch turns z toward x; a slope falls toward +x; "
-            "rear leg up-slope at -x, front leg at +x; every leg value is of the pair at that end"
-        ),
-        "window": {
-            "before_contact [s]": campaign.window.before_contact,
-            "after_contact [s]": campaign.window.after_contact,
-        },
-        "slopes [deg]": {drop.name: float(np.degrees(drop.slope)) for drop in drops},
-        "tolerance": fit_tolerance(campaign),
-    }
-
-
-def _filter_design(campaign: GearCampaign, drop: PreparedDrop) -> dict[str, Any]:
-    settings = campaign.filter
-    if settings.kind == "none":
-        return {"kind": "none"}
-    lowpass = KaiserLowpass(drop.motion.rate, settings.cutoff, settings.attenuation_db, settings.transition)
-    return {**lowpass.describe(), "simulation filtered too": settings.filter_simulation}
+    lasts = drop.touchdown - drop.flight.start
+    count = lasts * drop.motion.rate
+    return float(drop.flight.noise[1] * np.sqrt(720.0 / count) / lasts**2) if count > 3 else np.nan
 
 
 def score_values(
@@ -469,8 +519,7 @@ def score_values(
 
     The way to ask what the truth of a synthetic campaign scores.
     """
-    space = search_space(campaign)
-    default = parameters_on(campaign.surface.law).nominal
-    full = {**default, **measured_values(campaign), **space.fixed, **values}
-    row = np.array([[full[name] for name in PARAMETERS]])
-    return GearObjective.build(campaign, space, drops, **options).score(row)
+    problem = GearProblem.build(campaign, search_space(campaign), drops, **options)
+    known = dict(zip(problem.space.table, problem.base, strict=True))
+    row = np.array([[{**known, **values}[name] for name in PARAMETERS]])
+    return problem.judge_samples(*problem.simulate(row))[0]

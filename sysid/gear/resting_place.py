@@ -12,10 +12,9 @@ import numpy as np
 from scipy import signal
 
 from sysid.filters import bridge_gaps
+from sysid.gear.capture_noise import start_roots
 from sysid.gear.drops import PreparedDrop
 from sysid.gear.model import PARAMETERS, Drops, Ending, simulate_population
-from sysid.gear.problem import GearObjective
-from sysid.gear.trust import start_roots
 from sysid.types import FloatArray
 
 # Starts that are drawn per set.
@@ -25,18 +24,22 @@ _REST = Ending()
 _SMOOTH = 0.11
 
 
-def stopping(objective: GearObjective, rows: FloatArray, drop: PreparedDrop, seed: int = 0) -> dict[str, Any]:
+def stopping(
+    drop: PreparedDrop, rows: FloatArray, board_length: float | None, seed: int = 0, **simulation: Any
+) -> dict[str, Any]:
     """Return place [m, down-slope] and time [s] of the end of a drop since its first touchdown.
 
     Parameters
     ----------
-    objective : GearObjective
-        Law, tolerance and threads.
+    drop : PreparedDrop
     rows : (S, n_table) array
         Sets [SI].
-    drop : PreparedDrop
+    board_length : float or None
+        Way down-slope from the touchdown to the board's end [m].
     seed : int
         Of the drawn starts.
+    **simulation
+        Law, tolerance and threads of `simulate_population`.
 
     Notes
     -----
@@ -46,8 +49,8 @@ def stopping(objective: GearObjective, rows: FloatArray, drop: PreparedDrop, see
     tangent = np.array([np.cos(drop.slope), -np.sin(drop.slope)])
     motion = drop.motion
     last = float(motion.time[-1])
-    if objective.board_length is not None:
-        last = min(last, _leaves_board(drop, tangent, objective.board_length, last))
+    if board_length is not None:
+        last = min(last, _leaves_board(drop, tangent, board_length, last))
     after = motion.time[(motion.time >= drop.time[0]) & (motion.time <= last)]
     measured_time, measured_place, stops = _measured(drop, tangent, after)
     source = np.random.default_rng(seed)
@@ -58,17 +61,14 @@ def stopping(objective: GearObjective, rows: FloatArray, drop: PreparedDrop, see
     beyond = after[-1] + np.arange(1, round(1.5 * _REST.rest_time * motion.rate) + 1) / motion.rate
     clock = np.concatenate([after, beyond])
     jobs = Drops(np.array([drop.slope]), drop.initial_state[None], (clock,))
-    found = simulate_population(
-        many, jobs, surface=objective.surface, tolerance=objective.tolerance,
-        threads=objective.threads, body_states=starts[:, None],
-    )  # fmt: skip
-    good = found.status[:, 0] == 0
+    runs = simulate_population(many, jobs, body_states=starts[:, None], **simulation)
+    good = runs.status[:, 0] == 0
     length = float(after[-1] - after[0])
-    rests = np.nan_to_num(found.rest[:, 0], nan=np.inf) < length
-    end = np.where(rests, found.rest[:, 0], length)
+    rests = np.nan_to_num(runs.rest[:, 0], nan=np.inf) < length
+    end = np.where(rests, runs.rest[:, 0], length)
     since = drop.touchdown - after[0]
     index = np.minimum(np.searchsorted(after - after[0], end), len(after) - 1)
-    at = found.samples[np.arange(len(many)), index, :2] @ tangent
+    at = runs.samples[np.arange(len(many)), index, :2] @ tangent
     touch = drop.flight.at(np.array([drop.touchdown]))[0, :2] @ tangent
     place, moment = (at - touch)[good], (end - since)[good]
     return {

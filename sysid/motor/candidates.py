@@ -1,4 +1,4 @@
-"""Which bench trial to record next: commands are simulated at the default values and ranked by what they add.
+"""Bench trials that could be recorded next, simulated as they would be compared.
 
 Reversals are no candidates: what they tell is I_sat and Ω_min, which are fitted after everything else. Nor is
 a rotor without propeller that coasts down, which tells k_d: it is another motor to the dynamic fit.
@@ -6,21 +6,16 @@ a rotor without propeller that coasts down, which tells k_d: it is another motor
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from sysid.campaign import MotorCampaign
-from sysid.motor.known_values import Bench
-from sysid.motor.objective import MotorObjective
+from sysid.motor.problem import MotorProblem
 from sysid.motor.targets import PreparedTrial
-from sysid.motor.trust import MotorProblem
-from sysid.trust.linearized import NoiseModel
-from sysid.trust.sensitivity import Candidate, Outlook, rank_candidates
-from sysid.types import BoolArray, FloatArray
-from sysid.workflows.reopen import bench_problem
+from sysid.types import FloatArray
 
-# Of a candidate, but the one that is said to be longer [s]; a step is held, a slow command written so often.
+# Length of a candidate, but for the longer one; of a step; between commands of a slow command [s].
 _LASTS, _HELD, _WRITTEN = 4.0, 0.5, 0.01
 # Pairs of commands to step between, and (mean, amplitude, frequency [Hz]) of sines [share of full].
 _STEPS = ((0.3, 0.6), (0.3, 0.9), (0.6, 0.9))
@@ -28,42 +23,34 @@ _SINES = ((0.6, 0.2, 1.0), (0.6, 0.2, 4.0), (0.6, 0.2, 12.0))
 _RAMP = (0.2, 1.0)
 
 
-def suggest_trials(
-    campaign: MotorCampaign,
-    bench: Bench,
-    problem: MotorProblem,
-    here: Outlook,
-    noise: NoiseModel,
-    weak: BoolArray,
-) -> tuple[Candidate, ...]:
-    """Simulate trials that could be made next and rank them by what they add, the best first."""
-    row = problem.objective.complete(problem.space.full(here.point[None]))
+def candidate_trials(problem: MotorProblem, row: FloatArray) -> tuple[MotorProblem, Sequence[str]] | None:
+    """Return trials that could be made next at a row (n_table,) [SI], and what they are called.
+
+    None where none of them can be simulated.
+    """
+    rows = problem.complete(row[None])
     trials: list[PreparedTrial] = []
     titles: list[str] = []
-    levels: list[dict[int, float]] = []
-    for template in problem.objective.trials:
+    noise: list[FloatArray] = []
+    levels = {(b.trial, b.channel): b.noise * b.spread for b in problem.blocks}
+    for t, template in enumerate(problem.prepared):
         if template.entry.direction in {trial.entry.direction for trial in trials}:
             continue
         sign = -1.0 if template.entry.direction == "reverse" else 1.0
-        sigma = _noise_of(problem, template)
         for title, time, command in _commands():
-            made = _candidate(campaign, bench, problem, template, row, time, sign * command)
-            if made is not None:
-                trials.append(made)
+            trial = _candidate(problem, template, rows, time, sign * command)
+            if trial is not None:
+                trials.append(trial)
                 titles.append(f"{title}, {template.entry.direction}")
-                levels.append(sigma)
+                # Simulated samples show no noise.
+                noise.append(np.array([levels.get((t, c), np.nan) for c in range(2)]))
     if not trials:
-        return ()
-    objective = MotorObjective.build(
-        campaign, problem.space, bench, tuple(trials), problem.objective.threads, dynamic=True
-    )
-    others = bench_problem(campaign, bench, objective)
-    # Simulated samples show no noise of their own.
-    known = tuple(
-        replace(block, noise=levels[block.trial][block.channel] / block.spread) for block in others.blocks
-    )
-    object.__setattr__(others, "blocks", known)
-    return rank_candidates(problem, here, noise, others, tuple(titles), weak, common=problem.common)
+        return None
+    return replace(_of(problem, tuple(trials)), stated_noise=np.array(noise)), titles
+
+
+def _of(problem: MotorProblem, trials: tuple[PreparedTrial, ...]) -> MotorProblem:
+    return replace(problem, prepared=trials, targets=tuple(trial.dynamic_target for trial in trials))
 
 
 def _commands() -> list[tuple[str, FloatArray, FloatArray]]:
@@ -87,25 +74,13 @@ def _commands() -> list[tuple[str, FloatArray, FloatArray]]:
     return out
 
 
-def _noise_of(problem: MotorProblem, template: PreparedTrial) -> dict[int, float]:
-    """Return the noise of each channel of a trial as compared [its unit]."""
-    t = problem.objective.trials.index(template)
-    return {b.channel: b.noise * b.spread for b in problem.blocks if b.trial == t}
-
-
 def _candidate(
-    campaign: MotorCampaign,
-    bench: Bench,
-    problem: MotorProblem,
-    template: PreparedTrial,
-    row: FloatArray,
-    time: FloatArray,
-    command: FloatArray,
+    problem: MotorProblem, template: PreparedTrial, row: FloatArray, time: FloatArray, command: FloatArray
 ) -> PreparedTrial | None:
     """Return a trial as it would be compared at a row (1, n) of the table; None where it cannot be simulated.
 
-    With the template's sampling, filter and channels, and its own delay (a new log's would be one more
-    unknown, which steps of the command fix).
+    With the template's sampling, filter, channels and delay. The delay of a new log would be one more
+    unknown, which steps of the command fix.
     """
     before = template.target
     half = max(0, len(before.taps) - 1)
@@ -127,11 +102,9 @@ def _candidate(
         command=np.concatenate([[command[0]], command]), time=grid, supply_time=None, supply_ratio=None,
     )  # fmt: skip
     trial = replace(template, simulated=schedule, target=blank, starts=(), thrust=None)
-    objective = MotorObjective.build(
-        campaign, problem.space, bench, (trial,), problem.objective.threads, dynamic=True
-    )
-    samples, reached = objective.simulate(row)
+    alone = _of(problem, (trial,))
+    samples, reached = alone.simulate(row)
     if np.any(reached < 1.0):
         return None
-    clean = objective.cost.prepared(samples, objective.sensors(row))[0][0]
+    clean = alone.cost.prepared(samples, alone.sensors(row))[0][0]
     return replace(trial, target=replace(blank, measured=clean))

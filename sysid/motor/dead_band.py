@@ -22,7 +22,7 @@ from sysid.fit.search import Hooks, SearchSettings, run_one
 from sysid.motor.known_values import SATURATION, Bench
 from sysid.motor.log_delays import delay_name
 from sysid.motor.model import PARAMETERS, simulate
-from sysid.motor.objective import MotorObjective
+from sysid.motor.problem import MotorProblem
 from sysid.motor.targets import filtered
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 from sysid.trials.bench_log import CommandSteps
@@ -140,7 +140,7 @@ def fit_saturation(
     for row, seed in zip(rows, seeds, strict=True):
         space = saturation_space(campaign, bench, table, named(table, row))
         assert space is not None
-        objective = MotorObjective.build(campaign, space, bench, trials, threads)
+        objective = MotorProblem.build(campaign, space, bench, trials, threads)
         probes = objective.evaluate(np.random.default_rng(seed).random((_PROBES, len(space.free)))).cost
         if np.ptp(probes) <= _FELT * probes.min():
             return None
@@ -202,8 +202,8 @@ def edges_that_serve(
     rows[:, column[edge.name]] = np.repeat(edges, currents.shape[1])
     rows[:, column[current.name]] = currents.ravel()
     space = SearchSpace(table, (), dict(zip(table, row.tolist(), strict=True)))
-    objective = MotorObjective.build(campaign, space, bench, bench.banded, threads)
-    cost = objective.cost.mean(objective.score(rows)[0]).reshape(currents.shape).min(axis=1)
+    objective = MotorProblem.build(campaign, space, bench, bench.banded, threads)
+    cost = objective.cost.mean(objective.score(rows).by_channel).reshape(currents.shape).min(axis=1)
     serve = edges[cost <= (1.0 + _LIMIT) * cost.min()]
     lowest, highest = float(serve.min()), float(serve.max())
     return (lowest, highest) if highest > _WIDE * lowest else None

@@ -1,22 +1,24 @@
-"""What follows the search of a motor fit: dead band, ladder, profile, and what is said about them."""
+"""What follows the search of a motor fit: dead band, ladder, profile, and what is noticed about them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from sysid.campaign import MotorCampaign
+from sysid.fit.problem import Course
 from sysid.fit.result import RankedSets
 from sysid.fit.stopping import CutReason, CutShort
+from sysid.journal import notice, tell
 from sysid.motor.dead_band import (
     SaturationFit,
     edges_that_serve,
     fit_saturation,
     named,
     reversal_delays,
+    saturation_space,
     with_saturation,
 )
 from sysid.motor.inertia import spike_inertia
@@ -24,17 +26,15 @@ from sysid.motor.known_values import CONSTANTS, SATURATION, Bench, untested_rows
 from sysid.motor.ladder import climb, ladder_sentences
 from sysid.motor.log_delays import averaged, delay_name
 from sysid.motor.model import PARAMETERS, unpack
-from sysid.motor.objective import MotorObjective
+from sysid.motor.problem import MotorProblem
 from sysid.motor.profile import profile
 from sysid.motor.static_curves import CurveFit
 from sysid.parameter_sets import COMBINATIONS, NOT_ALONE
 from sysid.parameters import SearchSpace
 from sysid.types import FloatArray
-from sysid.workflows.fit import FitWalk
-from sysid.workflows.search import Search
 
-_INDEX = {name: i for i, name in enumerate(PARAMETERS)}
-# A held-out log's own delay is looked for in these steps [s], so many to either side.
+_INDEX = PARAMETERS.index
+# The delay of a held-out log is looked for in these steps [s], this number of steps to either side.
 _DELAY_STEPS, _DELAY_REACH = (4e-3, 4e-4, 1e-4), 20
 _LADDER, _PROFILES, _PROFILED = "ladder", "profiles", "viscous_damping"
 _WHY: dict[CutReason, str] = {
@@ -50,7 +50,7 @@ class After:
     Parameters
     ----------
     sets : RankedSets
-        Ranked anew by `nrmse`.
+        Ranked by `nrmse`.
     rows : (S, n_table) array
         Sets with the dead band and the delays of logs [SI].
     nrmse : (S,) array
@@ -58,7 +58,8 @@ class After:
     saturation : SaturationFit, optional
     settings : dict
         For the result.
-    warnings : tuple of str
+    cut : {"interrupted", "time"} or None
+        What cut the fit short.
     """
 
     sets: RankedSets
@@ -66,48 +67,44 @@ class After:
     nrmse: FloatArray
     saturation: SaturationFit | None
     settings: dict[str, Any]
-    warnings: tuple[str, ...]
+    cut: CutReason | None = None
 
 
-def after_the_search(
-    campaign: MotorCampaign,
-    bench: Bench,
-    objective: MotorObjective,
-    sets: RankedSets,
-    found: Search,
-    walk: FitWalk,
-) -> After:
-    """Fit the dead band, score the final sets, climb the ladder, walk the profile, say what is doubtful.
+def after_the_search(problem: MotorProblem, course: Course) -> After:
+    """Fit the dead band, score the final sets, climb the ladder, walk the profile, notice what is doubtful.
 
-    Where the fit is cut short, by now or in one of these steps, what is missing is said and left to
-    ``--resume``, and `found` is marked as cut.
+    Where the fit is cut short, by now or in one of these steps, what is missing is noticed and left to
+    ``--resume``.
     """
-    if found.cut is None:
+    cut = course.cut
+    if cut is None:
         try:
-            return _all_that_follows(campaign, bench, objective, sets, found, walk)
-        except CutShort as cut:
-            found.cut = cut.reason
-    space = objective.space
-    rows = averaged(space, objective.complete(sets.values))
-    whole = MotorObjective.build(campaign, space, bench, bench.fitted, objective.threads)
-    why = _WHY[found.cut]
-    out: dict[str, Any] = {"saturation": {"stage": "not fitted", "why": why}}
-    sets, rows, nrmse, _ = _ranked(sets, rows, None, whole)
-    unfinished = f"{why}: {_missing(space, out)}; continue it with --resume"
-    walk.tell(f"warning: {unfinished}")
-    if not bench.scale_known:
-        out |= _scale_free(set(SATURATION) <= {*bench.measured, *campaign.parameters.fixed})
-    return After(sets, rows, nrmse, None, out, (unfinished,))
+            return _all_that_follows(problem, course)
+        except CutShort as error:
+            cut = error.reason
+    sets, rows, nrmse, _ = _ranked(course.sets, _averaged(problem, course.sets), None, _whole(problem))
+    settings: dict[str, Any] = {"saturation": {"stage": "not fitted", "why": _WHY[cut]}}
+    _notice_cut(cut, problem.space, banded=False, done=settings)
+    if not problem.bench.scale_known:
+        settings |= _scale_free(_is_given(problem))
+    return After(sets, rows, nrmse, None, settings, cut)
 
 
-def _all_that_follows(
-    campaign: MotorCampaign,
-    bench: Bench,
-    objective: MotorObjective,
-    sets: RankedSets,
-    found: Search,
-    walk: FitWalk,
-) -> After:
+def _whole(problem: MotorProblem) -> MotorProblem:
+    """Return the trials of the dynamic fit, starts from rest included."""
+    return problem.only([trial.entry.name for trial in problem.bench.fitted])
+
+
+def _averaged(problem: MotorProblem, sets: RankedSets) -> FloatArray:
+    return averaged(problem.space, problem.complete(sets.values))
+
+
+def _is_given(problem: MotorProblem) -> bool:
+    """Return whether the campaign states the dead band."""
+    return set(SATURATION) <= {*problem.bench.measured, *problem.campaign.parameters.fixed}
+
+
+def _all_that_follows(problem: MotorProblem, course: Course) -> After:
     """Take every step that follows a search that was not cut short; the last ones may still be.
 
     Raises
@@ -115,33 +112,32 @@ def _all_that_follows(
     CutShort
         When the fit must end before the dead band was fitted.
     """
-    threads, space, settings, tell = objective.threads, objective.space, walk.settings, walk.tell
-    go_on = walk.deadline.check
-    rows = averaged(space, objective.complete(sets.values))
-    whole = MotorObjective.build(campaign, space, bench, bench.fitted, threads)
-    warned: list[str] = []
-    saturation = fit_saturation(campaign, bench, space.table, rows, settings, sets.seed, threads, go_on)
+    campaign, bench, space, threads = problem.campaign, problem.bench, problem.space, problem.threads
+    settings, go_on, given = course.settings, course.go_on, _is_given(problem)
+    rows = _averaged(problem, course.sets)
+    saturation = fit_saturation(
+        campaign, bench, space.table, rows, settings, course.sets.seed, threads, go_on
+    )
     rows = with_saturation(space.table, rows, saturation)
-    sets, rows, nrmse, saturation = _ranked(sets, rows, saturation, whole)
+    sets, rows, nrmse, saturation = _ranked(course.sets, rows, saturation, _whole(problem))
     best = named(space.table, rows[0])
-    given = set(SATURATION) <= {*bench.measured, *campaign.parameters.fixed}
     out: dict[str, Any] = {
         "reversal delays": reversal_delays(campaign, bench, best),
-        "command delays": log_delays(campaign, bench, whole, rows[0]),
+        "command delays": log_delays(problem, rows[0]),
     }
-    stage, doubts = _about_saturation(bench, saturation, best, given, tell)
+    out["saturation"] = _about_saturation(bench, saturation, best, given)
     if saturation is not None:
         edges = edges_that_serve(campaign, bench, space.table, rows[0], saturation, threads)
-        stage["saturation_speed that serves as well [rad/s]"] = edges
+        out["saturation"]["saturation_speed that serves as well [rad/s]"] = edges
         if edges is not None:
-            doubts.append(
+            notice(
+                "dead-band-edge-open",
                 f"{', '.join(saturation.trials)} do not fix saturation_speed: from {edges[0]:.2g} to "
                 f"{edges[1]:.2g} rad/s, with the saturation_current that fits best beside each, the NRMSE is "
-                "within 1 % of the lowest; its digits mean nothing"
+                "within 1 % of the lowest; its digits mean nothing",
             )
-    out["saturation"] = stage
-    warned += doubts
-    out["static curves of the best set"] = tied_curves(bench, objective, best)
+    out["static curves of the best set"] = tied_curves(problem, best)
+    cut: CutReason | None = None
     try:
         climbed = climb(
             campaign, bench, space, best, saturation is not None or given, settings, sets.seed[0], threads,
@@ -149,38 +145,36 @@ def _all_that_follows(
         )  # fmt: skip
         below = (None, *climbed[:-1])
         out[_LADDER] = [rung.document(other) for rung, other in zip(climbed, below, strict=True)]
-        warned += ladder_sentences(out[_LADDER])
+        for sentence in ladder_sentences(out[_LADDER]):
+            notice("ladder", sentence)
         if _PROFILED in space.names:
             # Of the torque curve's linear coefficient, which stands beside k_d in the equation of the rotor.
             errors = [fit.standard_errors[1] for fit in bench.curves.fits if fit.quantity == "torque"]
-            damping = profile(objective, _PROFILED, sets.cube[0], sets.seed[0], max(errors), go_on)
+            damping = profile(problem.fitted, _PROFILED, sets.cube[0], sets.seed[0], max(errors), go_on)
             out[_PROFILES] = {damping.name: damping.document()}
-            warned += [] if damping.sentence is None else [damping.sentence]
-    except CutShort as cut:
-        found.cut = cut.reason
-        warned.append(f"{_WHY[cut.reason]}: {_missing(space, out)}; continue it with --resume")
-    spikes = spike_inertia(
-        campaign, [trial.log for trial in bench.fitted], unpack(rows[0, : len(PARAMETERS)])
-    )
+            if damping.sentence is not None:
+                notice("not-identifiable", damping.sentence)
+    except CutShort as error:
+        cut = error.reason
+        _notice_cut(cut, space, banded=True, done=out)
+    logs = [trial.log for trial in bench.fitted]
+    spikes = spike_inertia(campaign, logs, unpack(rows[0, : len(PARAMETERS)]))
     out["rotor inertia from torque spikes"] = spikes.document()
-    warned += [] if spikes.sentence is None else [spikes.sentence]
+    if spikes.sentence is not None:
+        notice("inertia-from-spikes", spikes.sentence)
     if not bench.scale_known:
         out |= _scale_free(saturation is not None or given)
-    for sentence in warned:
-        tell(f"warning: {sentence}")
-    return After(sets, rows, nrmse, saturation, out, tuple(warned))
+    return After(sets, rows, nrmse, saturation, out, cut)
 
 
-def _missing(space: SearchSpace, out: Mapping[str, Any]) -> str:
-    """Return what a fit that was cut short has not looked at."""
-    missing = []
-    if out["saturation"].get("why") in _WHY.values():
-        missing.append("the dead band was not fitted")
-    if _LADDER not in out:
+def _notice_cut(cut: CutReason, space: SearchSpace, *, banded: bool, done: Mapping[str, Any]) -> None:
+    """Name what a fit that was cut short has not looked at."""
+    missing = [] if banded else ["the dead band was not fitted"]
+    if _LADDER not in done:
         missing.append("the ladder of simpler models was not climbed")
-    if _PROFILED in space.names and _PROFILES not in out:
+    if _PROFILED in space.names and _PROFILES not in done:
         missing.append(f"{_PROFILED} was not profiled, so its digits may mean nothing")
-    return "; ".join(missing)
+    notice("cut-short", f"{_WHY[cut]}: {'; '.join(missing)}; continue it with --resume")
 
 
 def _scale_free(banded: bool) -> dict[str, Any]:
@@ -191,10 +185,10 @@ def _scale_free(banded: bool) -> dict[str, Any]:
 
 
 def _ranked(
-    sets: RankedSets, rows: FloatArray, saturation: SaturationFit | None, whole: MotorObjective
+    sets: RankedSets, rows: FloatArray, saturation: SaturationFit | None, whole: MotorProblem
 ) -> tuple[RankedSets, FloatArray, FloatArray, SaturationFit | None]:
-    """Rank the sets by the NRMSE of their final values, which the search did not see."""
-    nrmse = whole.cost.mean(whole.score(rows)[0])
+    """Rank the sets by the NRMSE of their final values, which the search has not seen."""
+    nrmse = whole.cost.mean(whole.score(rows).by_channel)
     order = np.argsort(nrmse, kind="stable")
     ranked = RankedSets(
         tuple(sets.run[i] for i in order), tuple(sets.seed[i] for i in order), sets.cube[order],
@@ -207,44 +201,41 @@ def _ranked(
 
 
 def _about_saturation(
-    bench: Bench,
-    saturation: SaturationFit | None,
-    best: Mapping[str, float],
-    given: bool,
-    tell: Callable[[str], None],
-) -> tuple[dict[str, Any], list[str]]:
-    """Return what the result states of the second stage, and what is doubtful about it."""
+    bench: Bench, saturation: SaturationFit | None, best: Mapping[str, float], given: bool
+) -> dict[str, Any]:
+    """Return what the result states of the second stage; notice what is doubtful about it."""
     if saturation is not None:
         tell(
             f"dead band from {saturation.shown_by} of {', '.join(saturation.trials)}: I_sat "
             f"{best['saturation_current']:.3g} A below {best['saturation_speed']:.3g} rad/s; NRMSE there "
             f"{100 * saturation.without[0]:.2f} % without, {100 * saturation.nrmse[0]:.2f} % with it"
         )
-        doubts = []
-        if saturation.shown_by != "reversals":
-            doubts.append(
+        if bench.banded[0].entry.direction != "reversal":
+            notice(
+                "dead-band-from-starts",
                 "the dead band rests on starts from rest alone: a controller that takes another way through "
-                "a reversal is not described by it; add a reversal trial of use = 'fit'"
+                "a reversal is not described by it; add a reversal trial of use = 'fit'",
             )
-        return saturation.document(), doubts
+        return saturation.document()
     if given:
-        return {"stage": "not fitted", "why": "given by the campaign"}, []
+        return {"stage": "not fitted", "why": "given by the campaign"}
     why = "no trial of use = 'fit' shows them, by a reversal or by a start from rest inside its window"
-    return {"stage": "not fitted", "why": why}, [
+    notice(
+        "dead-band-not-fitted",
         f"saturation_current and saturation_speed are not fitted ({why}); they keep Table I's "
-        f"{best['saturation_current']:g} A and {best['saturation_speed']:g} rad/s"
-    ]
+        f"{best['saturation_current']:g} A and {best['saturation_speed']:g} rad/s",
+    )
+    return {"stage": "not fitted", "why": why}
 
 
-def log_delays(
-    campaign: MotorCampaign, bench: Bench, objective: MotorObjective, row: FloatArray
-) -> list[dict[str, Any]]:
+def log_delays(problem: MotorProblem, row: FloatArray) -> list[dict[str, Any]]:
     """Return the command delay of every log: as fitted, or as a log shows it that no stage has seen.
 
-    The second kind is looked for on the log itself with all else held; its scores do not use it.
+    `problem` holds all trials. A delay of the second kind is looked for on the log itself with all else held;
+    the scores of that log do not use it.
     """
-    space = objective.space
-    values = named(space.table, row)
+    bench = problem.bench
+    values = named(problem.space.table, row)
     seen = {trial.entry.log for trial in (*bench.fitted, *bench.banded)}
     column = _INDEX["command_delay"]
     out: list[dict[str, Any]] = []
@@ -252,15 +243,14 @@ def log_delays(
         used = values.get(delay_name(log), values["command_delay"])
         fact: dict[str, Any] = {"log": log, "delay [s]": used, "estimated": log in seen}
         if log not in seen:
-            trials = tuple(trial for trial in bench.trials if trial.entry.log == log)
-            alone = MotorObjective.build(campaign, space, bench, trials, objective.threads)
+            alone = problem.only([trial.entry.name for trial in bench.trials if trial.entry.log == log])
             best, costs = used, np.zeros(1)
             for step in _DELAY_STEPS:
                 around = best + step * np.arange(-_DELAY_REACH, _DELAY_REACH + 1)
                 around = np.concatenate([[used], np.clip(around, 0.0, PARAMETERS["command_delay"].upper)])
                 rows = np.repeat(row[None], around.size, axis=0)
                 rows[:, column] = around
-                costs = alone.cost.mean(alone.score(rows)[0])
+                costs = alone.cost.mean(alone.score(rows).by_channel)
                 best = float(around[np.argmin(costs)])
             fact |= {
                 "own delay [s]": best,
@@ -271,13 +261,13 @@ def log_delays(
     return out
 
 
-def tied_curves(bench: Bench, objective: MotorObjective, best: Mapping[str, float]) -> list[dict[str, Any]]:
+def tied_curves(problem: MotorProblem, best: Mapping[str, float]) -> list[dict[str, Any]]:
     """Return the no-load lines that were fitted together with R, as of the best set."""
     drop = best["winding_resistance"] / (best["torque_constant"] * best["back_emf_constant"])
     fits = [
         tie.fit(d, drop, best["viscous_damping"])
-        for d, tie in bench.curves.ties.items()
-        if d in objective.ties
+        for d, tie in problem.bench.curves.ties.items()
+        if d in problem.ties
     ]
     return [fit.document() for fit in fits]
 
@@ -296,10 +286,16 @@ def curve_sentence(fit: CurveFit) -> str:
     return f"{fit.quantity}, {fit.direction}: {numbers}; {quality}"
 
 
-def say_what_is_fitted(
-    campaign: MotorCampaign, bench: Bench, space: SearchSpace, tell: Callable[[str], None]
-) -> None:
-    """Say what is free and what was found out about the logs, before the search."""
+def begin(problem: MotorProblem) -> None:
+    """Refuse a dead band that cannot be fitted, and tell what is free and what the logs showed.
+
+    Raises
+    ------
+    CampaignError
+        As `saturation_space`.
+    """
+    campaign, bench, space = problem.campaign, problem.bench, problem.space
+    saturation_space(campaign, bench, space.table, PARAMETERS.nominal)
     scored = len(bench.trials) - len(bench.fitted)
     tell(f"{len(bench.fitted)} trials to fit, {scored} to validate; free: {', '.join(space.names)}")
     for fit in bench.curves.fits:
@@ -332,14 +328,14 @@ def say_what_is_fitted(
         tell("nothing was recorded in reverse: its curves and no-load speed are left out of the sets (NaN)")
 
 
-def unresolved_inductance(bench: Bench, row: FloatArray) -> tuple[str, ...]:
-    """Return a sentence where L/R of the best set is shorter than the logs can show."""
+def notice_unresolved_inductance(bench: Bench, row: FloatArray) -> None:
+    """Notice where L/R of the best set is shorter than the logs can show."""
     rise = float(row[_INDEX["winding_inductance"]] / row[_INDEX["winding_resistance"]])
     # A rise within one step of the finest grid that any fitted log is compared on leaves no sample inside it.
     finest = min(float(np.median(np.diff(trial.target.time))) for trial in bench.fitted)
-    if rise > finest:
-        return ()
-    return (
-        f"L/R of the best set is {1e3 * rise:.3g} ms and the finest fitted log is compared every "
-        f"{1e3 * finest:.3g} ms: the logs only say that L is small, not how small",
-    )
+    if rise <= finest:
+        notice(
+            "inductance-unresolved",
+            f"L/R of the best set is {1e3 * rise:.3g} ms and the finest fitted log is compared every "
+            f"{1e3 * finest:.3g} ms: the logs only say that L is small, not how small",
+        )

@@ -48,6 +48,8 @@ class Bench:
         Sources of the measured ones, by name.
     stated : mapping of str to str
         Sources of the others: a rating, a guess.
+    guessed : frozenset of str
+        Which of them are guesses.
     scale_known : bool
         Whether a Kv, a logged motor current or the campaign determines the scale of R, L and I_sat.
     """
@@ -58,6 +60,7 @@ class Bench:
     measured: Mapping[str, str]
     stated: Mapping[str, str]
     scale_known: bool
+    guessed: frozenset[str] = frozenset()
 
     @property
     def hashes(self) -> dict[str, str]:
@@ -111,7 +114,7 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
             "band would hide in R and L"
         )
     curve_logs = read_curve_logs(campaign, path)
-    reference, voltage_source = _reference_voltage(campaign, curve_logs, fitted)
+    reference, voltage_source, guessed = _reference_voltage(campaign, curve_logs, fitted)
     curves = static_curves(campaign, curve_logs, fitted, reference)
     if campaign.motor.kv is not None:
         _check_kv(campaign.motor.kv, reference, curves)
@@ -127,7 +130,10 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
         prepare_trial(campaign, entry, log, reference)
         for entry, log in zip(campaign.trials, logs, strict=True)
     )
-    return Bench(trials, curves, values, measured, stated, scale_known)
+    guesses = {"reference_voltage"} if guessed else set()
+    if campaign.motor.kv is None and current is None:
+        guesses |= {*CONSTANTS} & {*stated}
+    return Bench(trials, curves, values, measured, stated, scale_known, frozenset(guesses))
 
 
 def _check_kv(kv: float, reference: float, curves: StaticCurves) -> None:
@@ -160,20 +166,20 @@ def _check_kv(kv: float, reference: float, curves: StaticCurves) -> None:
 
 def _reference_voltage(
     campaign: MotorCampaign, curve_logs: Sequence[CurveLog], fitted: list[BenchLog]
-) -> tuple[float, str]:
-    """Return V_ref [V] and its source: the campaign, the fitted logs, the static logs, a guess."""
+) -> tuple[float, str, bool]:
+    """Return V_ref [V], its source (the campaign, the fitted logs, the static logs), and if it is a guess."""
     if campaign.motor.reference_voltage is not None:
-        return campaign.motor.reference_voltage, "campaign: motor.reference_voltage"
+        return campaign.motor.reference_voltage, "campaign: motor.reference_voltage", False
     logged = [log.channels["voltage"][1] for log in fitted if "voltage" in log.channels]
     if logged:
-        return float(np.median(np.concatenate(logged))), "median supply voltage of the fitted logs"
+        return float(np.median(np.concatenate(logged))), "median supply voltage of the fitted logs", False
     # Static speeds are divided by the volts beside them: another reference would tilt the no-load line.
     volts = np.concatenate([np.zeros(0), *(log.points.voltage for log in curve_logs)])
     volts = volts[np.isfinite(volts) & (volts > 0)]
     if volts.size:
         source = "median supply voltage of the logs under [curves]: the fitted logs hold none"
-        return float(np.median(volts)), source
-    return PARAMETERS.nominal["reference_voltage"], "guess: no log holds the supply voltage"
+        return float(np.median(volts)), source, False
+    return PARAMETERS.nominal["reference_voltage"], "guess: no log holds the supply voltage", True
 
 
 def _known_values(

@@ -28,7 +28,7 @@ from sysid.motor.cost import CHANNELS, MotorCost, MotorTarget
 from sysid.motor.curves import StaticCurves, supply_ratio
 from sysid.motor.known_values import SATURATION, Bench
 from sysid.motor.log_delays import averaged, own_rows, shifts
-from sysid.motor.objective import MotorObjective, ties_of
+from sysid.motor.problem import MotorProblem
 from sysid.motor.static_curves import turns
 from sysid.motor.targets import PreparedTrial
 from sysid.parallel import LocalThreads
@@ -258,17 +258,16 @@ class _Climb:
         """Fit and score the motor's equations; return the rung and its row (1, n_table)."""
         bench = self.bench
         row, values, spent = self.search(
-            MotorObjective.build(self.campaign, space, bench, bench.fitted, self.threads, dynamic=True)
+            MotorProblem.build(self.campaign, space, bench, bench.fitted, self.threads, dynamic=True)
         )
         return Rung(name, values, self.scored(space, row, ideal=True), spent), row
 
     def scored(self, space: SearchSpace, row: FloatArray, *, ideal: bool) -> dict[str, tuple[float, float]]:
         """Return the means of every group of a row (1, n_table), without a dead band where `ideal`."""
         parts = self.parts
-        jobs = MotorTrials([trial.simulated for trial in parts.trials])
-        ties = ties_of(self.campaign, space, self.bench)
-        every = MotorObjective(space, parts.trials, ties, self.cost(parts.targets), jobs, self.threads, ideal)
-        return parts.means(every.score(row)[0][0])
+        every = MotorProblem.build(self.campaign, space, self.bench, parts.trials, self.threads)
+        every = replace(every, targets=parts.targets, ideal_reversal=ideal)
+        return parts.means(every.score(row).by_channel[0])
 
 
 def climb(
@@ -303,7 +302,7 @@ def climb(
     seed : int
         Of the searches.
     threads : int, optional
-        As in `MotorObjective`.
+        As in `MotorProblem`.
     should_stop : callable, optional
         Asked after every generation; raises where the fit must end.
     """

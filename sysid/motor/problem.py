@@ -1,219 +1,492 @@
-"""`fit-motor`: bench logs in, five ranked parameter sets out."""
+"""The trials of a bench as a fit problem: searched, scored, differentiated, predicted.
+
+The dead band is fitted after the dynamic fit with all else held, so it takes no part in trust; R, L, k_d, the
+delays and whatever else the dynamic fit frees do.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
+import numba
 import numpy as np
 
-from sysid.campaign import MotorCampaign, read_campaign
-from sysid.fit.result import FitResult, TrialResult, ranked_sets
-from sysid.motor.bench_logs import command_range
-from sysid.motor.cost import CHANNEL_UNITS, CHANNELS
-from sysid.motor.dead_band import (
-    SaturationFit,
-    saturation_space,
-)
-from sysid.motor.follow_up import after_the_search, say_what_is_fitted, unresolved_inductance
-from sysid.motor.known_values import Bench, prepare_bench, search_space, untested_rows
-from sysid.motor.log_delays import MEAN_SOURCE, own_rows
-from sysid.motor.model import PARAMETERS, invariants, unpack
-from sysid.motor.objective import FIT_TOLERANCE, MotorObjective
-from sysid.motor.targets import filter_design, measured_spectrum
-from sysid.parameter_sets import ParameterRecord, parameter_records
-from sysid.types import FloatArray
-from sysid.workflows.fit import FitWalk, Outcome
-from sysid.workflows.search import FitOptions
+from sysid.campaign import MotorCampaign
+from sysid.fit.problem import NoiseModel, Problem, Scores, Trial
+from sysid.fit.result import FitResult
+from sysid.motor.batch import MotorTrials, simulate_population
+from sysid.motor.cost import CHANNEL_UNITS, CHANNELS, MotorCost, MotorTarget
+from sysid.motor.curves import NoLoadTie
+from sysid.motor.known_values import CONSTANTS, Bench, search_space
+from sysid.motor.log_delays import delay_name, shifts
+from sysid.motor.model import PARAMETERS, pack
+from sysid.motor.static_curves import CurveFit
+from sysid.motor.targets import PreparedTrial, filter_design, measured_spectrum
+from sysid.parameters import SearchSpace
+from sysid.trials.look import inspect_recording, log_quality
+from sysid.types import BoolArray, FloatArray, Rotation
 
-_INDEX = {name: i for i, name in enumerate(PARAMETERS)}
-_DERIVED = (
-    ("k²/R", "k2_over_R", "N·m·s/rad", "Torque per slip speed; fixed even without a known Kv."),
-    ("R/L", "R_over_L", "1/s", "Rate of the current; fixed even without a known Kv."),
-    ("k·I_sat", "k_I_sat", "N·m", "Torque in the dead band; fixed even without a known Kv."),
-    ("I^r R/k²", "electromechanical_time_constant", "s", "Time constant of the unloaded rotor as L → 0."),
-)
+# Local error of the simulations of a search: 1e-5 keeps the worst candidate within 0.01 % NRMSE.
+FIT_TOLERANCE = 1e-5
+# Simulated samples of a search that are in memory at once, per thread [bytes]: the allocator keeps blocks of
+# this size, while for larger ones it asks the system for fresh pages every time, which cost more than the
+# simulation.
+_MEMORY = 4e6
+# A range is a uniform density: its standard deviation is the width over the root of this.
+_UNIFORM = 12.0
+_INDEX = PARAMETERS.index
 
 
-def fit_motor(
-    path: str | Path,
-    options: FitOptions | None = None,
-    *,
-    say: Callable[[str], None] | None = None,
-) -> tuple[FitResult, Path]:
-    """Fit the motor to the bench logs of a campaign and write the fit folder.
+@dataclass(frozen=True, eq=False)
+class MotorProblem(Problem):
+    """Trials of one bench; see `sysid.fit.problem.Problem`.
 
     Parameters
     ----------
-    path : str or Path
-        Campaign file of kind ``motor``.
-    options : FitOptions
-        Overrides of the command line.
-    say : callable, optional
-        Told, one sentence at a time, what is going on and what is doubtful.
-
-    Returns
-    -------
-    result : FitResult
-        Ranked sets and all that led to them.
-    folder : Path
-        Where it was written.
-
-    Raises
-    ------
-    SysidError
-        When an input cannot be used; nothing has been written then.
+    campaign : MotorCampaign
+    bench : Bench
+        All of its logs.
+    space : SearchSpace
+    prepared : tuple of PreparedTrial
+        The trials.
+    targets : tuple of MotorTarget
+        What is compared of each.
+    ties : mapping of direction to NoLoadTie
+        No-load lines that follow R and k_d.
+    threads : int, optional
+        Cores; the numbers do not depend on it.
+    ideal_reversal : bool
+        No saturation (I_sat = ∞), as in Fig. 11.
+    stated_noise : (T, 2) array, optional
+        Standard deviation of the noise of trials that were never recorded [channel units].
     """
-    campaign = read_campaign(path, "motor")
-    assert isinstance(campaign, MotorCampaign)
-    with FitWalk(path, campaign, options, say) as walk:
-        return _walked(walk, campaign)
 
+    campaign: MotorCampaign
+    bench: Bench
+    space: SearchSpace
+    prepared: tuple[PreparedTrial, ...]
+    targets: tuple[MotorTarget, ...]
+    ties: Mapping[Rotation, NoLoadTie]
+    threads: int | None = None
+    ideal_reversal: bool = False
+    stated_noise: FloatArray | None = None
+    known_words = "static curves and tares; ranges under parameters.measured"
 
-def _walked(walk: FitWalk, campaign: MotorCampaign) -> tuple[FitResult, Path]:
-    """Walk a fit to its end."""
-    path, threads = walk.path, walk.options.threads
-    with walk.prepared():
-        ranges = campaign.parameters.measured_ranges(PARAMETERS)
-        bench = prepare_bench(campaign, path)
-        space = search_space(campaign, bench)
-        # Refused before the search, not after it.
-        saturation_space(campaign, bench, space.table, PARAMETERS.nominal)
-        objective = MotorObjective.build(campaign, space, bench, bench.fitted, threads, dynamic=True)
-        say_what_is_fitted(campaign, bench, space, walk.tell)
-        expected = _expected(campaign, bench, objective, walk.tell) if walk.options.check else {}
-        found = walk.search(objective, bench.hashes, "trials")
-        sets = ranked_sets(found.runs, space)
-        after = after_the_search(campaign, bench, objective, sets, found, walk)
-    sets = after.sets
-    every = MotorObjective.build(campaign, space, bench, bench.trials, threads)
-    rows = after.rows
-    tied = [f"no_load_{what}_{d}" for d in every.ties for what in ("slope", "intercept")]
-    unknown = untested_rows(campaign, bench)
-    table = parameter_records(
-        space,
-        {name: source for name, source in bench.measured.items() if name not in tied},
-        ranges,
-        stated={**bench.stated, **dict.fromkeys(campaign.parameters.fixed, "campaign: parameters.fixed")},
-        unknown=unknown,
-    )
-    records = _records(table, tied, after.saturation, bool(own_rows(space)))
-    exported = rows.copy()
-    exported[:, [_INDEX[name] for name in unknown]] = np.nan
-    derived = np.array([list(invariants(unpack(row)).values()) for row in rows[:, : len(PARAMETERS)]])
-    at_bound = np.hstack([sets.at_bound, np.zeros(derived.shape, dtype=np.int8)])
-    if after.saturation is not None:
-        index = {name: i for i, name in enumerate(space.table)}
-        columns = [index[row.name] for row in after.saturation.free]
-        at_bound[:, columns] = after.saturation.at_bound
-    weights = campaign.cost.weights
-    outcome = Outcome(
-        records=records,
-        values=np.hstack([exported, derived]),
-        at_bound=at_bound,
-        nrmse=after.nrmse,
-        trials=motor_trial_results(every, rows),
-        channels=list(zip(CHANNELS, CHANNEL_UNITS, (weights.torque, weights.speed), strict=True)),
-        settings={**_settings(campaign, bench), **after.settings},
-        filters=filter_design(campaign, [trial.log for trial in bench.trials]),
-        logs=bench.log_provenance,
-        warnings=unresolved_inductance(bench, rows[0]),
-        told=after.warnings,
-        more=expected,
-    )
-    return walk.finish(space, found, sets, outcome)
+    @classmethod
+    def build(
+        cls,
+        campaign: MotorCampaign,
+        space: SearchSpace,
+        bench: Bench,
+        trials: tuple[PreparedTrial, ...],
+        threads: int | None = None,
+        *,
+        dynamic: bool = False,
+    ) -> MotorProblem:
+        """Join prepared trials with their campaign.
 
+        `dynamic`: for the dynamic fit, which looks past the starts from rest: their dead band is not known
+        yet, and a wrong one would be paid for by L and the delay.
+        """
+        targets = tuple(t.dynamic_target if dynamic else t.target for t in trials)
+        return cls(campaign, bench, space, trials, targets, ties_of(campaign, space, bench), threads)
 
-def _expected(
-    campaign: MotorCampaign, bench: Bench, objective: MotorObjective, tell: Callable[[str], None]
-) -> dict[str, Any]:
-    """Say what the trials are expected to fix, and return it for the provenance."""
-    # What judges an objective stands above it.
-    from sysid.trust.verdicts import EXPECTED, sentences
-    from sysid.workflows.check import quick_motor
-    from sysid.workflows.reopen import bench_problem
+    # --- what is compared -----------------------------------------------------------------------------------
 
-    found = quick_motor(bench_problem(campaign, bench, objective))
-    for sentence in sentences(found):
-        tell(f"expected: {sentence}")
-    return {EXPECTED: [one.document() for one in found]}
+    @cached_property
+    def trials(self) -> tuple[Trial, ...]:
+        """The trials, counted from the start of their window."""
+        return tuple(
+            Trial(
+                trial.entry.name, trial.entry.use, target.time, target.measured, target.valid,
+                trial.provenance, float(target.time[0]),
+                {
+                    "spectrum": measured_spectrum(trial.log, target.time) if trial.log.fast else None,
+                    "thrust": trial.thrust,
+                    "commands": np.column_stack([trial.log.steps.time, trial.log.steps.level]),
+                },
+            )
+            for trial, target in zip(self.prepared, self.targets, strict=True)
+        )  # fmt: skip
 
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Stator torque and speed."""
+        return CHANNELS
 
-def _records(
-    records: tuple[ParameterRecord, ...],
-    tied: list[str],
-    saturation: SaturationFit | None,
-    own_delays: bool,
-) -> tuple[ParameterRecord, ...]:
-    """Return the table's records, those of the tie and the second stage marked, then the derived numbers."""
-    if own_delays:
-        records = tuple(
-            ParameterRecord(r.name, r.symbol, r.unit, "derived", r.meaning, MEAN_SOURCE)
-            if r.name == "command_delay"
-            else r
-            for r in records
+    @property
+    def units(self) -> tuple[str, ...]:
+        """SI units of the channels."""
+        return CHANNEL_UNITS
+
+    @cached_property
+    def cost(self) -> MotorCost:
+        """The campaign's NRMSE over the trials."""
+        weights = self.campaign.cost.weights
+        return MotorCost(self.targets, (weights.torque, weights.speed), self.campaign.cost.denominator)
+
+    @cached_property
+    def jobs(self) -> MotorTrials:
+        """What the kernel simulates."""
+        return MotorTrials([trial.simulated for trial in self.prepared])
+
+    def only(self, names: Collection[str]) -> MotorProblem:
+        """Return the problem of some of the trials."""
+        chosen = [t for t, trial in enumerate(self.prepared) if trial.entry.name in names]
+        prepared = tuple(self.prepared[t] for t in chosen)
+        return replace(self, prepared=prepared, targets=tuple(self.targets[t] for t in chosen))
+
+    @property
+    def fitted(self) -> MotorProblem:
+        """The trials of the dynamic fit, without their starts from rest."""
+        trials = self.bench.fitted
+        return replace(self, prepared=trials, targets=tuple(trial.dynamic_target for trial in trials))
+
+    # --- scores and signals ---------------------------------------------------------------------------------
+
+    def complete(self, rows: FloatArray) -> FloatArray:
+        """Return rows (P, n_table) with the no-load lines that belong to their R and k_d."""
+        rows = np.array(rows, dtype=np.float64)
+        drop = rows[:, _INDEX["winding_resistance"]] / (
+            rows[:, _INDEX["torque_constant"]] * rows[:, _INDEX["back_emf_constant"]]
         )
-    if saturation is not None:
-        late = {row.name: row for row in saturation.free}
-        stage = f"second stage: {saturation.shown_by} of {', '.join(saturation.trials)}, all else held"
-        records = tuple(
-            replace(ParameterRecord.of(late[r.name], "free", r.measured_range), source=stage)
-            if r.name in late
-            else r
-            for r in records
+        for direction, tie in self.ties.items():
+            line = tie.line(drop, rows[:, _INDEX["viscous_damping"]])
+            rows[:, _INDEX[f"no_load_slope_{direction}"]] = line[:, 0]
+            rows[:, _INDEX[f"no_load_intercept_{direction}"]] = line[:, 1]
+        return rows
+
+    def score(self, rows: FloatArray) -> Scores:
+        """Simulate and score rows (P, n_table) [SI]; rows of the model's table alone have one delay."""
+        rows = self.complete(rows)
+        threads = min(self.threads or numba.get_num_threads(), numba.get_num_threads())
+        share = max(1, threads, int(threads * _MEMORY / (16 * self.jobs.time.size)))
+        parts = [rows[first : first + share] for first in range(0, len(rows), share)]
+        scored = [self.cost(*self.simulate(part), self.sensors(part), self.threads) for part in parts]
+        by_channel, failed = (np.concatenate(values) for values in zip(*scored, strict=True))
+        return Scores(by_channel, failed.astype(np.int8))
+
+    def signals(self, rows: FloatArray) -> tuple[tuple[FloatArray, ...], BoolArray]:
+        """Return the signals as compared, (P, n, 2) per trial, and which trials are lost (P, T)."""
+        rows = self.complete(rows)
+        samples, reached = self.simulate(rows)
+        return self.cost.prepared(samples, self.sensors(rows)), reached < 1.0
+
+    @property
+    def samples(self) -> int:
+        """Samples of the simulation's grids."""
+        return self.jobs.time.size
+
+    def simulate(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return samples (P, n_total, 2) on the trials' grids, and the share reached (P, T), of full rows."""
+        runs = simulate_population(
+            rows[:, : len(PARAMETERS)],
+            self.jobs,
+            delays=shifts(self.space.table, rows, self.prepared),
+            tolerance=FIT_TOLERANCE,
+            threads=self.threads,
+            ideal_reversal=self.ideal_reversal,
         )
-    source = "loaded steady points and the fitted R: Ω_0 = Ω + R (τ_aero + k_d Ω)/(k_m k_v)"
-    table = tuple(
-        ParameterRecord(r.name, r.symbol, r.unit, "derived", r.meaning, source) if r.name in tied else r
-        for r in records
-    )
-    scale = tuple(
-        ParameterRecord(name, symbol, unit, "derived", meaning, "computed from the set")
-        for symbol, name, unit, meaning in _DERIVED
-    )
-    return (*table, *scale)
+        # Success is a status, not a share that rounding could leave at 1 - 1e-16.
+        return runs.outputs, np.where(runs.status == 0, 1.0, np.minimum(runs.reached, 1.0 - 1e-9))
+
+    @staticmethod
+    def sensors(rows: FloatArray) -> FloatArray:
+        """Return torque delay, torque lag and speed lag (P, 3) [s] of rows."""
+        names = ("torque_sensor_delay", "torque_sensor_lag", "speed_sensor_lag")
+        return np.ascontiguousarray(rows[:, [_INDEX[name] for name in names]])
+
+    # --- what is uncertain ----------------------------------------------------------------------------------
+
+    @cached_property
+    def noise(self) -> FloatArray:
+        """(T, 2) standard deviation of the sensors' noise as compared [channel units]; NaN: none shows."""
+        if self.stated_noise is not None:
+            return self.stated_noise
+        return np.array([[sensor_noise(target, c) for c in range(len(CHANNELS))] for target in self.targets])
+
+    def correlation(self) -> NoiseModel:
+        """Return the correlations of sensor noise as compared: what the filter of fast logs leaves."""
+        channels = tuple(sorted({block.channel for block in self.blocks}))
+        shortest = min(len(target.time) for target in self.targets)
+        lags = max(1, min(20, shortest // 3))
+        # The widest: logs of two kinds in one campaign are rare, and white ones do not mind much.
+        every = (filtered_correlation(target, lags) for target in self.targets)
+        widest = max(every, key=lambda row: float(row.sum()))
+        return NoiseModel(channels, np.eye(len(channels))[:, :, None] * widest)
+
+    def disturbances_at(self, row: FloatArray) -> FloatArray:
+        """Return how one standard deviation of what the fit takes as known moves the residuals (K, m).
+
+        The tare of every trial's torque, static curves, values that the campaign states within a range.
+        """
+        changes = self._changes(row)
+        out = [np.zeros((0, self.blocks[-1].stop)), self._tares()]
+        if len(changes):
+            values, _ = self.compared(np.concatenate([row + changes, row - changes]))
+            out.append((values[: len(changes)] - values[len(changes) :]) / 2)
+        return np.concatenate(out)
+
+    @property
+    def common(self) -> int:
+        """Number of static curves and stated ranges among the disturbances."""
+        return len(self._changes(self.space.full(np.full((1, len(self.space.free)), 0.5))[0]))
+
+    @property
+    def _curve_fits(self) -> tuple[CurveFit, ...]:
+        """Static curves but those that the campaign states, which are no fit to points."""
+        fixed = {*self.campaign.parameters.fixed}
+        return tuple(fit for fit in self.bench.curves.fits if not {*fit.parameters} & fixed)
+
+    @property
+    def _ranges(self) -> Mapping[str, tuple[float, float]]:
+        """Within which values lie that the fit takes as known [SI], such as a Kv or an inertia."""
+        return self.campaign.parameters.measured_ranges(PARAMETERS)
+
+    def _changes(self, row: FloatArray) -> FloatArray:
+        index = self.space.table.index
+        changes = []
+        for fit in self._curve_fits:
+            columns = [index[name] for name in fit.parameters if name in index]
+            free = [name for name in fit.parameters if name in self.space.names]
+            if fit.quantity == "thrust" or len(columns) != 2 or free:
+                continue
+            first, second = fit.standard_errors
+            rho = fit.correlation
+            for root in ((first, rho * second), (0.0, np.sqrt(1 - rho**2) * second)):
+                if np.isfinite(root).all():
+                    change = np.zeros(len(row))
+                    change[columns] = root
+                    changes.append(change)
+        for names, width in self._stated_ranges():
+            change = np.zeros(len(row))
+            change[[index[name] for name in names]] = width / np.sqrt(_UNIFORM)
+            changes.append(change)
+        return np.array(changes).reshape(len(changes), len(row))
+
+    def _stated_ranges(self) -> list[tuple[tuple[str, ...], float]]:
+        """Return names that move together and the width of their range [SI], of what is not free."""
+        out: list[tuple[tuple[str, ...], float]] = []
+        held = {name: pair for name, pair in self._ranges.items() if name not in self.space.names}
+        constants = [held.pop(name) for name in CONSTANTS if name in held]
+        if constants and not {*CONSTANTS} & {*self.space.names}:
+            out.append((CONSTANTS, max(high - low for low, high in constants)))
+        out += [((name,), high - low) for name, (low, high) in held.items() if name in self.space.table]
+        return [(names, width) for names, width in out if width > 0]
+
+    def _tares(self) -> FloatArray:
+        """Return how one standard error of each trial's tare of torque moves the residuals (K, m)."""
+        changes = []
+        for t, trial in enumerate(self.prepared):
+            tare = trial.log.tares.get("torque")
+            for block in self.blocks:
+                if tare is None or block.trial != t or block.channel != 0 or not np.isfinite(tare.error):
+                    continue
+                change = np.zeros(self.blocks[-1].stop)
+                valid = self.targets[t].valid[:, 0]
+                change[block.start : block.stop] = valid * tare.error / block.spread
+                changes.append(change)
+        return np.array(changes).reshape(len(changes), self.blocks[-1].stop)
+
+    def floors(self, row: FloatArray) -> FloatArray:
+        """Return what noise and the errors of what a fit takes as known cost, NRMSE of every block (B,) [1].
+
+        The sensor's noise as compared, and beside it one standard deviation of each static curve, tare and
+        stated range: no dynamic parameter can take those away.
+        """
+        moved = self.disturbances_at(row)
+        known = np.array([np.sum(moved[:, b.start : b.stop] ** 2) / b.count for b in self.blocks])
+        noise = np.array([block.noise for block in self.blocks])
+        return np.asarray(np.sqrt(noise**2 + known))
+
+    def floor_by_channel(self, row: FloatArray) -> FloatArray:
+        """Return the same in channel units, (T, 2); NaN where a channel has no weight."""
+        out = np.full((len(self.prepared), len(CHANNELS)), np.nan)
+        for block, level in zip(self.blocks, self.floors(row), strict=True):
+            out[block.trial, block.channel] = level
+        return out * self.cost.denominators
+
+    # --- what a campaign says beside its trials -------------------------------------------------------------
+
+    @property
+    def stated(self) -> Mapping[str, float]:
+        """What the campaign and its static logs give."""
+        return self.bench.values
+
+    def known(self, fit: FitResult) -> Collection[str]:
+        """Return what the campaign gives that is no guess; not k beside an R that the fit has found."""
+        known = {*self.bench.values, *self.campaign.parameters.fixed} - self.bench.guessed
+        if any(r.name == "winding_resistance" and r.status == "free" for r in fit.parameters):
+            known -= {*CONSTANTS}
+        return known
+
+    @property
+    def instruments(self) -> Collection[str]:
+        """Delays and lags."""
+        return tuple(name for name in self.space.table if name in _INSTRUMENTS)
+
+    @property
+    def row_logs(self) -> Mapping[str, str]:
+        """SHA-256 of the log of every delay, by the name of its row."""
+        return {delay_name(trial.entry.log): trial.provenance["sha256"] for trial in self.bench.trials}
+
+    def completed(self, rows: FloatArray, fit: FitResult) -> FloatArray:
+        """Return adopted rows with a delay for logs that the fit has not seen, and their no-load lines."""
+        index = self.space.table.index
+        fitted = {trial.name for trial in fit.trials if trial.use == "fit"}
+        seen = {log.get("sha256") for name, log in fit.provenance.get("logs", {}).items() if name in fitted}
+        found = {record.name for record in fit.parameters}
+        for name, digest in self.row_logs.items():
+            if name in index and not (digest in seen and name in found):
+                rows[:, index[name]] = rows[:, index["command_delay"]]
+        return self.complete(rows)
+
+    @property
+    def hashes(self) -> Mapping[str, str]:
+        """SHA-256 of every log, of the static logs as well."""
+        return self.bench.hashes
+
+    @property
+    def logs(self) -> Mapping[str, Any]:
+        """What a result states of every log, of the static logs as well."""
+        return self.bench.log_provenance
+
+    @property
+    def filters(self) -> Mapping[str, Any]:
+        """The filter of the fast logs, and which logs went without."""
+        return filter_design(self.campaign, [trial.log for trial in self.bench.trials])
+
+    def quality(self) -> list[dict[str, Any]]:
+        """Return how good every log is, without what reading it has put right: tare and signs."""
+        out = []
+        for trial in self.prepared:
+            report, entry = inspect_recording(trial.log.recording), trial.entry
+            handled = ["no-tare"] * bool(trial.log.tares) + ["thrust-falls"] * (entry.direction != "forward")
+            left = tuple(finding for finding in report.suspicions if finding.code not in handled)
+            quality = log_quality(entry.name, entry.use, replace(report, suspicions=left))
+            out.append(quality | {"second log": trial.log.second})
+        return out
+
+    def excitation(self) -> dict[str, Any]:
+        """Return the ranges of commands and speeds [rad/s], and the numbers of commands and reversals."""
+        commands = [trial.log.steps.level for trial in self.prepared]
+        speeds = [trial.target.measured[:, 1][trial.target.valid[:, 1]] for trial in self.bench.fitted]
+        return {
+            "command": [float(min(c.min() for c in commands)), float(max(c.max() for c in commands))],
+            "commands": int(sum(len(c) for c in commands)),
+            "speed": [float(min(s.min() for s in speeds)), float(max(s.max() for s in speeds))],
+            "reversals": sum(trial.entry.direction == "reversal" for trial in self.prepared),
+        }
+
+    def advice(self, weak: Collection[str]) -> list[str]:
+        """Return what to record next for the parameters that bench trials do not fix well."""
+        out = [sentence for name, sentence in _ADVICE.items() if name in weak]
+        if not any(trial.entry.direction == "reversal" for trial in self.prepared):
+            out.append("no reversal was recorded: nothing fixes I_sat and Ω_min, which decide its delay")
+        return out
+
+    def given(self) -> Mapping[str, str]:
+        """Return what the intervals take as exact."""
+        fixed = self.campaign.parameters.fixed
+        return taken_as_exact(self.space.names, self._ranges, self.bench, fixed)
 
 
-def motor_trial_results(objective: MotorObjective, rows: FloatArray) -> tuple[TrialResult, ...]:
-    """Return every trial of an objective, measured and simulated with full rows (S, n_table) [SI]."""
-    samples, reached = objective.simulate(rows)
-    sensors = objective.sensors(rows)
-    by_channel, _ = objective.cost(samples, reached, sensors, objective.threads)
-    simulated = objective.cost.prepared(samples, sensors)
-    return tuple(
-        TrialResult(
-            name=trial.entry.name,
-            use=trial.entry.use,
-            time=trial.target.time,
-            measured=trial.target.measured,
-            valid=trial.target.valid,
-            simulated=simulated[t],
-            nrmse=by_channel[:, t],
-            spectrum=measured_spectrum(trial.log, trial.target.time) if trial.log.fast else None,
-            thrust=trial.thrust,
-            commands=np.column_stack([trial.log.steps.time, trial.log.steps.level]),
-        )
-        for t, trial in enumerate(objective.trials)
-    )
+_INSTRUMENTS = PARAMETERS.group("instrument")
+_ADVICE = {
+    "viscous_damping": (
+        "to fix k_d: a log without propeller in which the unpowered rotor coasts down; beside a propeller "
+        "its drag is lost in the error of the torque curve"
+    ),
+    "winding_inductance": (
+        "L shows in what follows a step within milliseconds: record with a load cell at 1 kHz or more"
+    ),
+    "winding_resistance": (
+        "R rests on the static curves: record more steady points, with propeller and without"
+    ),
+}
 
 
-def _settings(campaign: MotorCampaign, bench: Bench) -> dict[str, Any]:
-    """Return what a simulator must know beside the numbers."""
-    u_of = command_range(campaign)
+def sensor_noise(target: MotorTarget, channel: int) -> float:
+    """Return the standard deviation of a channel's noise as compared [its unit]; NaN where it shows none.
+
+    From the median third difference, in which a signal that is smooth most of the time leaves little. White
+    noise that has passed the filter of a fast log leaves less there, too, by what the filter's taps say.
+    """
+    known = target.measured[target.valid[:, channel], channel]
+    if len(known) < 20:
+        return float("nan")
+    share = filtered_correlation(target, 3)
+    gain = 20.0 * share[0] - 30.0 * share[1] + 12.0 * share[2] - 2.0 * share[3]
+    sigma = float(np.median(np.abs(np.diff(known, 3)))) / 0.6745 / np.sqrt(gain)
+    return sigma if sigma > 0 else float("nan")
+
+
+def filtered_correlation(target: MotorTarget, lags: int) -> FloatArray:
+    """Return the correlation (lags + 1,) of white noise as compared, by samples apart [1]."""
+    out = np.zeros(lags + 1)
+    out[0] = 1.0
+    if len(target.taps):
+        stride = round(float(np.median(np.diff(target.time))) / target.grid_step)
+        whole = np.concatenate([target.taps[:0:-1], target.taps])
+        overlap = np.correlate(whole, whole, "full")[len(whole) - 1 :: stride][: lags + 1]
+        out[: len(overlap)] = overlap / overlap[0]
+    return out
+
+
+def ties_of(campaign: MotorCampaign, space: SearchSpace, bench: Bench) -> dict[Rotation, NoLoadTie]:
+    """Return the no-load lines that follow R and k_d: neither free nor fixed by the campaign."""
+    chosen = {*space.names} | {*campaign.parameters.fixed}
     return {
-        "command": {
-            "unit": u_of.unit,
-            "minimum": u_of.minimum,
-            "neutral": u_of.neutral,
-            "maximum": u_of.maximum,
-            "bidirectional": u_of.forward_half is not None or u_of.neutral > u_of.minimum,
-            "forward half": u_of.forward_half,
-        },
-        "voltage": "V_c = k_v Ω_0(u) V/V_ref; Ω_0(u) = a u + b sign(u) per direction",
-        "curves": "c2 Ω|Ω| + c1 Ω, one pair of coefficients per direction",
-        "stator torque": "k_m I_eff - k_d Ω, positive when it drives the rotor forward",
-        "static curves": [fit.document() for fit in bench.curves.fits],
-        "tolerance": FIT_TOLERANCE,
+        direction: tie
+        for direction, tie in bench.curves.ties.items()
+        if not {f"no_load_slope_{direction}", f"no_load_intercept_{direction}"} & chosen
     }
+
+
+def taken_as_exact(
+    free: Collection[str], ranges: Collection[str], bench: Bench, fixed: Collection[str]
+) -> dict[str, str]:
+    """Return what a motor's intervals take as exact, in words, by the parameter whose range would count.
+
+    Parameters
+    ----------
+    free, ranges, fixed : collection of str
+        Names that are free, that have a stated range, that the campaign fixes.
+    bench : Bench
+    """
+    out = {}
+    constants = [name for name in CONSTANTS if name not in free]
+    # Either of the pair moves the other.
+    if constants and not {*constants} & {*ranges}:
+        name = constants[0]
+        if name in fixed:
+            words = "k as fixed"
+        elif name in bench.measured:
+            words = "k as torque over the logged current gives it"
+        elif name in bench.stated and name not in bench.guessed:
+            words = "Kv as stated"
+        else:
+            words = "a guessed k, as the campaign states no Kv"
+        out[name] = f"{words} (R and L go as k²)"
+    if "rotor_inertia" not in {*free, *ranges}:
+        stated = "rotor_inertia" in {*fixed, *bench.measured}
+        out["rotor_inertia"] = "I^r as stated" if stated else "I^r of another motor (Table I)"
+    return out
+
+
+def score_values(
+    campaign: MotorCampaign, bench: Bench, values: Mapping[str, float], threads: int | None = None
+) -> FloatArray:
+    """Return the NRMSE (T, 2) of one set of parameter values [SI] on every trial of a prepared bench.
+
+    Names left out take what the campaign fixes. The way to ask what the truth of a synthetic campaign scores.
+    """
+    space = search_space(campaign, bench)
+    problem = MotorProblem.build(campaign, space, bench, bench.trials, threads)
+    left = {d: tie for d, tie in problem.ties.items() if f"no_load_slope_{d}" not in values}
+    known = {name: value for name, value in space.fixed.items() if name in PARAMETERS}
+    row = pack({**bench.values, **known, **values})
+    return replace(problem, ties=left).score(row[None]).by_channel[0]

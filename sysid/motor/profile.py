@@ -16,7 +16,7 @@ import numpy as np
 from sysid.fit.breeders.algorithms import Breeder, Start, breeder
 from sysid.fit.search import Hooks, SearchSettings, run_one
 from sysid.fit.stopping import StopRule
-from sysid.motor.objective import MotorObjective
+from sysid.motor.problem import MotorProblem
 from sysid.parameters import SearchSpace
 from sysid.types import BoolArray, FloatArray
 
@@ -96,7 +96,7 @@ class CostProfile:
 
 
 def profile(
-    objective: MotorObjective,
+    objective: MotorProblem,
     name: str,
     best: FloatArray,
     seed: int,
@@ -107,7 +107,7 @@ def profile(
 
     Parameters
     ----------
-    objective : MotorObjective
+    objective : MotorProblem
         Of the fit.
     name : str
         A free parameter.
@@ -140,7 +140,7 @@ def profile(
 
 
 def _refit(
-    objective: MotorObjective, at: FloatArray, seed_of_value: int, should_stop: Callable[[], bool]
+    objective: MotorProblem, at: FloatArray, seed_of_value: int, should_stop: Callable[[], bool]
 ) -> tuple[float, FloatArray]:
     """Return the lowest NRMSE near a point of the unit cube, and where it is."""
     population, generations, spread = _REFIT

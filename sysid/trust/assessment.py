@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sysid.fit.problem import Block, NoiseModel
 from sysid.trust.jacobian import Jacobian, jacobian
 from sysid.trust.least_squares import solve
 from sysid.trust.linearized import (
     Information,
-    NoiseModel,
     gradient_noise,
     half_widths,
     information,
@@ -19,7 +19,7 @@ from sysid.trust.linearized import (
     undisturbed,
     with_bounds,
 )
-from sysid.trust.problem import Block, Problem, nrmse_of, scales
+from sysid.trust.problem import Residuals, nrmse_of, scales
 from sysid.trust.profiles import Profiles, walk_profiles
 from sysid.trust.resampling import Resampled, bootstrap
 from sysid.types import FloatArray
@@ -64,12 +64,12 @@ class Linearized:
         return _TOLERANCE * float(np.min(self.information.inflation))
 
 
-def linearize(problem: Problem, start: FloatArray, *, refine: bool = True) -> Linearized:
+def linearize(problem: Residuals, start: FloatArray, *, refine: bool = True) -> Linearized:
     """Go to the minimum near a point and find what noise leaves open there.
 
     Parameters
     ----------
-    problem : Problem
+    problem : Residuals
     start : (n,) array
         The best set [unit cube].
     refine : bool
@@ -90,7 +90,7 @@ def linearize(problem: Problem, start: FloatArray, *, refine: bool = True) -> Li
     return found
 
 
-def _linearized(problem: Problem, point: FloatArray) -> Linearized:
+def _linearized(problem: Residuals, point: FloatArray) -> Linearized:
     values, _ = problem.residuals(point[None])
     residuals = values[0]
     levels = nrmse_of(problem.blocks, residuals)
@@ -129,7 +129,7 @@ class Assessment:
 
 
 def assess(
-    problem: Problem,
+    problem: Residuals,
     start: FloatArray,
     *,
     resamples: int = 100,
@@ -140,7 +140,7 @@ def assess(
 
     Parameters
     ----------
-    problem : Problem
+    problem : Residuals
     start : (n,) array
         The best set [unit cube].
     resamples : int

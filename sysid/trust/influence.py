@@ -13,9 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sysid.fit.problem import Block
 from sysid.trust.assessment import Linearized
 from sysid.trust.linearized import gradient_noise, half_widths, information, with_bounds
-from sysid.trust.problem import Block, Problem, trial_rows
+from sysid.trust.problem import Residuals, trial_rows
 from sysid.trust.resampling import leave_one_out
 from sysid.trust.verdicts import WEAKLY
 from sysid.types import FloatArray
@@ -81,12 +82,12 @@ def trial_ratios(blocks: Sequence[Block], levels: FloatArray, floors: FloatArray
     return both[0] / np.where(both[1] > 0, both[1], np.nan)
 
 
-def influence(problem: Problem, linear: Linearized, floors: FloatArray) -> Influence:
+def influence(problem: Residuals, linear: Linearized, floors: FloatArray) -> Influence:
     """Return what each trial scores, and what the fit would be without it.
 
     Parameters
     ----------
-    problem : Problem
+    problem : Residuals
     linear : Linearized
         At the minimum.
     floors : (B,) array

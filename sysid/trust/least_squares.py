@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid.fit.breeders.algorithms import Start, breeder
-from sysid.trust.problem import Problem
+from sysid.trust.problem import Residuals
 from sysid.types import BoolArray, FloatArray
 
 # Damping that is tried in every step, as multiples of the front's own.
@@ -49,7 +49,7 @@ class Solved:
 
 
 def solve(
-    problem: Problem,
+    problem: Residuals,
     starts: FloatArray,
     scale: FloatArray,
     steps: FloatArray,
@@ -63,7 +63,7 @@ def solve(
 
     Parameters
     ----------
-    problem : Problem
+    problem : Residuals
     starts : (F, n) array
         In the unit cube.
     scale : (m,) array
@@ -97,7 +97,7 @@ def solve(
 
 
 def _walk(
-    problem: Problem,
+    problem: Residuals,
     points: FloatArray,
     squares: FloatArray,
     converged: BoolArray,
@@ -195,7 +195,7 @@ def _inside(matrix: FloatArray, gradient: FloatArray, at: FloatArray) -> FloatAr
 
 
 def _columns(
-    problem: Problem, at: FloatArray, fixed: BoolArray, steps: FloatArray
+    problem: Residuals, at: FloatArray, fixed: BoolArray, steps: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return central differences (F, n, m) of the residuals, and which coordinates (F, n) have one."""
     n_fronts, n = at.shape
@@ -218,7 +218,7 @@ def _columns(
 
 
 def search_around(
-    problem: Problem,
+    problem: Residuals,
     start: FloatArray,
     spread: FloatArray,
     scale: FloatArray,

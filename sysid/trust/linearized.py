@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sysid.fit.problem import Block, NoiseModel
 from sysid.parameters import SearchSpace
-from sysid.trust.problem import Block
 from sysid.types import FloatArray
 
 # Standard normal beyond which 5 % lie, on both sides together.
@@ -130,28 +130,6 @@ def _positive(matrix: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
     floor = 1e-12 * max(float(values.max()), 1e-300)
     return np.asarray((vectors * np.maximum(values, floor)) @ vectors.T, dtype=np.float64)
-
-
-@dataclass(frozen=True, eq=False)
-class NoiseModel:
-    """Correlations of residuals, each block scaled to unit variance.
-
-    Parameters
-    ----------
-    channels : tuple of int
-        Which channels, in the order of the arrays.
-    covariance : (C, C, L + 1) array
-        Of channel c at a sample and channel c' so many samples later [1].
-    """
-
-    channels: tuple[int, ...]
-    covariance: FloatArray
-
-    @property
-    def inflation(self) -> FloatArray:
-        """(C,) samples of each channel that carry as much as one independent one [1]."""
-        own = np.array([self.covariance[c, c] for c in range(len(self.channels))])
-        return np.maximum(1.0, (own[:, 0] + 2 * own[:, 1:].sum(axis=1)) / np.maximum(own[:, 0], 1e-300))
 
 
 def noise_model(blocks: Sequence[Block], residuals: FloatArray) -> NoiseModel:

@@ -21,6 +21,7 @@ from typing import Protocol
 
 import numpy as np
 
+from sysid.fit.problem import Block
 from sysid.parallel import Executor
 from sysid.parameters import SearchSpace
 from sysid.types import BoolArray, FloatArray
@@ -29,38 +30,8 @@ from sysid.types import BoolArray, FloatArray
 LEAST_NRMSE = 1e-5
 
 
-@dataclass(frozen=True)
-class Block:
-    """The samples of one channel of one trial.
-
-    Parameters
-    ----------
-    trial, channel : int
-        Numbers from 0.
-    start, stop : int
-        Its residuals are ``[start:stop]``, one per compared sample, 0 where a sample does not count.
-    count : int
-        Samples that count.
-    weight : float
-        In the mean NRMSE; all blocks sum to 1.
-    spread : float
-        What NRMSE divides by [unit of the channel].
-    noise : float
-        NRMSE that measurement noise alone costs [1]; NaN where it is not known.
-    """
-
-    trial: int
-    channel: int
-    start: int
-    stop: int
-    count: int
-    weight: float
-    spread: float
-    noise: float
-
-
-class Problem(Protocol):
-    """A fit as trust sees it. Equal points give equal residuals whatever their neighbours."""
+class Residuals(Protocol):
+    """A `sysid.fit.problem.Problem` as trust sees it. Equal points give equal residuals in any company."""
 
     @property
     def space(self) -> SearchSpace:
@@ -68,8 +39,8 @@ class Problem(Protocol):
         ...
 
     @property
-    def trials(self) -> tuple[str, ...]:
-        """Names of the fitted trials."""
+    def trials(self) -> Sequence[object]:
+        """The fitted trials."""
         ...
 
     @property
@@ -90,11 +61,7 @@ class Problem(Protocol):
         ...
 
     def disturbances(self, cube: FloatArray) -> FloatArray:
-        """Return how one standard deviation of each thing that the fit takes as known moves the residuals (K,
-        m).
-
-        Such as a drop's initial state, which noise has moved as well. Independent of each other.
-        """
+        """Return how one standard deviation of each thing taken as known moves the residuals (K, m)."""
         ...
 
 
@@ -102,7 +69,7 @@ class Problem(Protocol):
 class ResidualWork:
     """A problem as work for an executor."""
 
-    problem: Problem
+    problem: Residuals
 
     def __call__(self, rows: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return the residuals of unit-cube points (P, n_free), and which of them failed."""
@@ -112,7 +79,7 @@ class ResidualWork:
 class SpreadProblem:
     """A problem whose residuals an executor computes; otherwise itself."""
 
-    def __init__(self, problem: Problem, executor: Executor) -> None:
+    def __init__(self, problem: Residuals, executor: Executor) -> None:
         self._problem = problem
         self._work = executor.share(ResidualWork(problem))
         self.space = problem.space

@@ -18,7 +18,7 @@ import numpy as np
 from sysid.parameters import SearchSpace
 from sysid.trust.least_squares import search_around, solve
 from sysid.trust.linearized import CHI2, Information
-from sysid.trust.problem import Problem
+from sysid.trust.problem import Residuals
 from sysid.types import FloatArray
 
 # Square roots of the deviance that the points of a profile aim at.
@@ -112,7 +112,7 @@ class _Side:
 
 
 def walk_profiles(
-    problem: Problem,
+    problem: Residuals,
     best: FloatArray,
     scale: FloatArray,
     steps: FloatArray,
@@ -124,7 +124,7 @@ def walk_profiles(
 
     Parameters
     ----------
-    problem : Problem
+    problem : Residuals
     best : (n,) array
         The minimum of the sum of squares [unit cube].
     scale : (m,) array

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid.trust.least_squares import solve
-from sysid.trust.problem import Problem, trial_rows
+from sysid.trust.problem import Residuals, trial_rows
 from sysid.types import BoolArray, FloatArray
 
 
@@ -41,7 +41,7 @@ class Resampled:
 
 
 def bootstrap(
-    problem: Problem,
+    problem: Residuals,
     best: FloatArray,
     scale: FloatArray,
     steps: FloatArray,
@@ -53,7 +53,7 @@ def bootstrap(
 
     Parameters
     ----------
-    problem : Problem
+    problem : Residuals
     best : (n,) array
         Where every fit starts [unit cube].
     scale : (m,) array
@@ -73,7 +73,7 @@ def bootstrap(
 
 
 def leave_one_out(
-    problem: Problem, best: FloatArray, scale: FloatArray, steps: FloatArray, tolerance: float
+    problem: Residuals, best: FloatArray, scale: FloatArray, steps: FloatArray, tolerance: float
 ) -> Resampled:
     """Fit all trials but one, for each; parameters as of `bootstrap`."""
     count = len(problem.trials)
@@ -81,7 +81,7 @@ def leave_one_out(
 
 
 def _refit(
-    problem: Problem,
+    problem: Residuals,
     best: FloatArray,
     scale: FloatArray,
     steps: FloatArray,

@@ -12,17 +12,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sysid.fit.problem import Block, NoiseModel, Problem
 from sysid.parameters import SearchSpace
 from sysid.trust.jacobian import Jacobian, jacobian
 from sysid.trust.linearized import (
     Information,
-    NoiseModel,
     gradient_noise,
     half_widths,
     information,
     with_bounds,
 )
-from sysid.trust.problem import Block, Problem, nrmse_of, scales
+from sysid.trust.problem import Residuals, nrmse_of, scales
 from sysid.trust.verdicts import Expected
 from sysid.types import BoolArray, FloatArray
 
@@ -59,13 +59,13 @@ class Outlook:
 
 
 def outlook(
-    problem: Problem, point: FloatArray, noise: NoiseModel, levels: FloatArray | None = None
+    problem: Residuals, point: FloatArray, noise: NoiseModel, levels: FloatArray | None = None
 ) -> Outlook:
     """Return what noise would leave open at a point.
 
     Parameters
     ----------
-    problem : Problem
+    problem : Residuals
     point : (n,) array
         In the unit cube.
     noise : NoiseModel
@@ -87,13 +87,13 @@ def outlook(
 
 
 def expectations(
-    problem: Problem, point: FloatArray, noise: NoiseModel, *, over_bounds: bool = True, seed: int = 0
+    problem: Residuals, point: FloatArray, noise: NoiseModel, *, over_bounds: bool = True, seed: int = 0
 ) -> tuple[Outlook, tuple[Expected, ...]]:
     """Return what the trials are expected to fix of every free parameter.
 
     Parameters
     ----------
-    problem : Problem
+    problem : Residuals
     point : (n,) array
         Where it is judged, in the unit cube.
     noise : NoiseModel
@@ -123,7 +123,18 @@ def expectations(
     )  # fmt: skip
 
 
-def morris(problem: Problem, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+def nominal_point(space: SearchSpace) -> FloatArray:
+    """Return the model's default values (n,) in the unit cube: what is known before a fit."""
+    return placed(space, np.array([space.table[name].nominal for name in space.names]))
+
+
+def quick_expectations(problem: Problem) -> tuple[Expected, ...]:
+    """Return what trials are expected to fix at the default values; takes a second."""
+    noise = problem.correlation()
+    return expectations(problem, nominal_point(problem.space), noise, over_bounds=False)[1]
+
+
+def morris(problem: Residuals, seed: int = 0) -> tuple[FloatArray, FloatArray]:
     """Return mean size and standard deviation of the elementary effects on the mean NRMSE (n,), (n,) [1].
 
     Over the whole range of each parameter. Points that cannot be simulated take the largest NRMSE that was
@@ -146,7 +157,7 @@ def morris(problem: Problem, seed: int = 0) -> tuple[FloatArray, FloatArray]:
     return np.asarray(found["mu_star"], dtype=np.float64), np.asarray(found["sigma"], dtype=np.float64)
 
 
-def information_by_channel(problem: Problem, here: Outlook) -> FloatArray:
+def information_by_channel(problem: Residuals, here: Outlook) -> FloatArray:
     """Return which share of what is known about each parameter comes from each channel (n, C) [1].
 
     From the curvature of the weighted sum of squares along the parameter, all others held.
@@ -178,10 +189,10 @@ class Candidate:
 
 
 def rank_candidates(
-    problem: Problem,
+    problem: Residuals,
     here: Outlook,
     noise: NoiseModel,
-    others: Problem,
+    others: Residuals,
     titles: tuple[str, ...],
     weak: BoolArray,
     *,
@@ -191,19 +202,19 @@ def rank_candidates(
 
     Parameters
     ----------
-    problem : Problem
+    problem : Residuals
         What is there.
     here : Outlook
         On it.
     noise : NoiseModel
-    others : Problem
+    others : Residuals
         One trial per candidate, of the same free parameters.
     titles : tuple of str
     weak : (n,) bool array
         Parameters that need more.
     common : int
-        So many of the last disturbances are the same in both problems (an error of a static curve), so that
-        one more trial does not average them.
+        This number of the last disturbances are the same in both problems (an error of a static curve), so
+        that one more trial does not average them.
     """
     _, failed = others.residuals(here.point[None])
     if failed.any():
@@ -238,7 +249,7 @@ def rank_candidates(
     return tuple(sorted(out, key=lambda one: -one.gain))
 
 
-def jacobian_at(problem: Problem, here: Outlook, scale: FloatArray) -> FloatArray:
+def jacobian_at(problem: Residuals, here: Outlook, scale: FloatArray) -> FloatArray:
     """Return the derivatives (m, n) of another problem's weighted residuals at the same point."""
     samples = sum(block.count for block in problem.blocks)
     weight = sum(block.weight * max(block.noise, 1e-9) for block in problem.blocks)

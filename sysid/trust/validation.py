@@ -14,11 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from sysid.types import BoolArray, FloatArray
+from sysid.fit.problem import Trial
+from sysid.types import FloatArray
 
 # Of the NRMSE over its noise floor, mean over trials: whole windows, and up to the third touchdown.
 RATIO, RATIO_EARLY = 1.5, 1.25
-# A sample so many noise deviations away does not belong to the prediction, so many in a row are no outliers.
+# A sample this number of noise deviations away does not belong to the prediction; this number in a row are no
+# outliers.
 LEAVES, IN_A_ROW = 5.0, 3
 
 
@@ -63,30 +65,28 @@ class Judged:
 
 
 def judge(
-    name: str,
-    time: FloatArray,
-    measured: FloatArray,
-    valid: BoolArray,
+    trial: Trial,
+    nrmse: FloatArray,
+    by_channel: FloatArray,
     simulated: FloatArray,
     *,
     spread: FloatArray,
     noise: FloatArray,
     weights: FloatArray,
     channels: Sequence[str],
-    zero: float,
     contacts: FloatArray | None = None,
 ) -> Judged:
-    """Compare a trial with the predictions of all sets.
+    """Compare a trial with its prediction.
 
     Parameters
     ----------
-    name : str
-    time : (n,) array
-        [s]
-    measured, valid : (n, C) arrays
-        As compared [channel units], and which samples count.
-    simulated : (S, n, C) array
-        Best set first.
+    trial : Trial
+    nrmse : (S,) array
+        Weighted mean over channels of every set, best first [1].
+    by_channel : (C,) array
+        Of the best set [1].
+    simulated : (n, C) array
+        With the best set, as compared [channel units].
     spread : (C,) array
         What NRMSE divides by [channel units].
     noise : (C,) array
@@ -94,26 +94,23 @@ def judge(
     weights : (C,) array
         Of the channels.
     channels : sequence of str
-    zero : float
-        First touchdown, or the window's start [s].
     contacts : (k,) array, optional
-        Touchdowns of the best set's prediction on the trial's clock [s]; of a trial without contacts: none.
+        Touchdowns of the prediction on the trial's clock [s]; of a trial without contacts: none.
     """
     used = weights > 0
     share = np.where(used, weights, 0.0) / weights[used].sum()
     safe = np.where(spread > 0, spread, 1.0)
-    error = np.where(valid, simulated - measured, 0.0) / safe
-    count = np.maximum(valid.sum(axis=0), 1)
-    by_channel = np.sqrt(np.sum(error**2, axis=1) / count)
+    time, valid = trial.time, trial.valid
+    error = np.where(valid, simulated - trial.measured, 0.0) / safe
     floor = float(np.sum((share * noise / safe)[used]))
     early, until = None, None
     if contacts is not None:
         end = float(contacts[2]) if len(contacts) > 2 else float(time[-1])
         first = valid & (time <= end)[:, None]
-        some = np.maximum(first.sum(axis=0), 1)
-        rms = np.sqrt(np.sum(np.where(first, error[0], 0.0) ** 2, axis=0) / some)
-        early, until = (float(np.sum(share * rms)), floor), end - zero
-    away = np.abs(error[0]) > LEAVES * noise / safe
+        count = np.maximum(first.sum(axis=0), 1)
+        rms = np.sqrt(np.sum(np.where(first, error, 0.0) ** 2, axis=0) / count)
+        early, until = (float(np.sum(share * rms)), floor), end - trial.zero
+    away = np.abs(error) > LEAVES * noise / safe
     away &= valid & used & np.isfinite(noise)
     leaves = None
     row = np.ones(IN_A_ROW, dtype=np.int64)
@@ -121,13 +118,11 @@ def judge(
         if len(time) < IN_A_ROW:
             break
         runs = np.flatnonzero(np.convolve(away[:, c].astype(np.int64), row, "valid") == IN_A_ROW)
-        if len(runs) and (leaves is None or time[runs[0]] - zero < leaves["time"]):
+        if len(runs) and (leaves is None or time[runs[0]] - trial.zero < leaves["time"]):
             at = float(time[runs[0]])
             before = 0 if contacts is None else int(np.count_nonzero(contacts <= at))
-            leaves = {"time": at - zero, "channel": channels[c], "after_contacts": before}
-    return Judged(
-        name, np.sum(by_channel * share, axis=1), by_channel[0], floor, early, until, leaves
-    )  # fmt: skip
+            leaves = {"time": at - trial.zero, "channel": channels[c], "after_contacts": before}
+    return Judged(trial.name, nrmse, by_channel, floor, early, until, leaves)
 
 
 def reasons(trials: Sequence[Judged]) -> tuple[str, ...]:
@@ -139,10 +134,8 @@ def reasons(trials: Sequence[Judged]) -> tuple[str, ...]:
         worst = trials[int(np.nanargmax(whole))]
         out.append(
             f"NRMSE is {np.nanmean(whole):.2f} × what noise alone costs, mean over {len(trials)} trials "
-            f"(limit "
-            f"{RATIO:g}; worst {worst.name}, {worst.ratio:.2f} ×): the model or its held values are wrong "
-            f"for "
-            "these trials"
+            f"(limit {RATIO:g}; worst {worst.name}, {worst.ratio:.2f} ×): the model or its held values are "
+            "wrong for these trials"
         )
     if np.isfinite(early).any() and np.nanmean(early) > RATIO_EARLY:
         worst = trials[int(np.nanargmax(early))]
@@ -154,16 +147,30 @@ def reasons(trials: Sequence[Judged]) -> tuple[str, ...]:
     return tuple(out)
 
 
-def document(one: Judged, channels: Sequence[str]) -> dict[str, Any]:
+def document(judged: Judged, channels: Sequence[str]) -> dict[str, Any]:
     """Return a judged trial for JSON."""
     return {
-        "name": one.name,
-        "nrmse": one.nrmse,
-        "by_channel": dict(zip(channels, one.by_channel.tolist(), strict=True)),
-        "floor": one.floor,
-        "ratio": one.ratio,
-        "nrmse_third_contact": None if one.early is None else one.early[0],
-        "ratio_third_contact": None if one.early is None else one.early_ratio,
-        "third_contact": one.early_until,
-        "leaves": one.leaves,
+        "name": judged.name,
+        "nrmse": judged.nrmse,
+        "by_channel": dict(zip(channels, judged.by_channel.tolist(), strict=True)),
+        "floor": judged.floor,
+        "ratio": judged.ratio,
+        "nrmse_third_contact": None if judged.early is None else judged.early[0],
+        "ratio_third_contact": None if judged.early is None else judged.early_ratio,
+        "third_contact": judged.early_until,
+        "leaves": judged.leaves,
+    }
+
+
+def summary(trials: Sequence[Judged], nrmse_fitted: float) -> dict[str, Any]:
+    """Return what a validation or cross-validation states of all trials together, for JSON."""
+    why = reasons(trials)
+    return {
+        "flagged": bool(why),
+        "reasons": list(why),
+        "limits": {"ratio": RATIO, "ratio_third_contact": RATIO_EARLY, "leaves": LEAVES},
+        "nrmse": float(np.mean([judged.nrmse[0] for judged in trials])),
+        "nrmse_fitted": nrmse_fitted,
+        "ratio": float(np.mean([judged.ratio for judged in trials])),
+        "ratio_third_contact": float(np.mean([judged.early_ratio for judged in trials])),
     }

@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from sysid.campaign import GearCampaign, MotorCampaign
 from sysid.errors import FitError
-from sysid.gear.problem import GearObjective
-from sysid.motor.objective import MotorObjective
+from sysid.fit.problem import Problem
+from sysid.fit.result import FitResult
+from sysid.journal import Journal
 from sysid.parameter_sets import ParameterSets
 from sysid.trust.comparison import compare_values, unjudged
 from sysid.trust.documents import TRUST, read_part
-from sysid.workflows.predicted_rows import gear_rows, motor_rows
-from sysid.workflows.reopen import OpenedFit, open_fit, table_rows
-from sysid.workflows.search import collected_warnings
+from sysid.types import FloatArray
+from sysid.workflows.predict import open_under, predict
+from sysid.workflows.reopen import OpenedFit, open_fit
 
 
 def compare_fits(
@@ -53,8 +53,7 @@ def compare_fits(
     """
     if len(folders) < 2:
         raise FitError("one fit compares with nothing; name two or more")
-    tell = say or (lambda sentence: None)
-    with collected_warnings(lambda text: tell(f"warning: {text}")) as doubts:
+    with Journal(say) as journal:
         opened = [open_fit(folder, None, threads) for folder in folders]
         kinds = sorted({fit.result.kind for fit in opened})
         if len(kinds) > 1:
@@ -67,18 +66,18 @@ def compare_fits(
         )
         missing = [label for label, found in zip(names, documents, strict=True) if found is None]
         if missing:
-            tell(
+            journal.tell(
                 f"{', '.join(missing)}: no profile intervals, so no difference is judged (runs that reach "
                 "one optimum agree whatever the data leave open); run sysid trust on each"
             )
         differences = compare_values(names, sets, documents)
-        table = _cross(opened) if cross else None
-    said = [one["sentence"] for one in differences if one["differs"]]
-    said += unjudged(differences)
+        table = _cross(opened, threads) if cross else None
+    lines = [one["sentence"] for one in differences if one["differs"]]
+    lines += unjudged(differences)
     if table is not None:
         for j, label in enumerate(names):
             best = int(np.argmin(table[:, j]))
-            said.append(
+            lines.append(
                 f"the trials of {label} are predicted best by {names[best]} ({100 * table[best, j]:.2f} %)"
             )
     document = {
@@ -86,8 +85,8 @@ def compare_fits(
         "kind": kinds[0],
         "differences": differences,
         "cross": None if table is None else table,
-        "sentences": said,
-        "warnings": list(doubts),
+        "sentences": lines,
+        "warnings": journal.sentences(),
     }
     return document, sets
 
@@ -97,44 +96,19 @@ def _labels(folders: Sequence[Path]) -> tuple[str, ...]:
     return tuple(short if len(set(short)) == len(short) else [folder.as_posix() for folder in folders])
 
 
-def _cross(opened: Sequence[OpenedFit]) -> np.ndarray:
-    """Return the NRMSE (F, F) of the best set of each fit (row) on the fitted trials of each (column).
-
-    A set brings what it has found, and what it held where the campaign states nothing of it; what that
-    campaign fixes or measures (vehicle, surface, rotor) and its clocks are its own, and so is the friction,
-    a fitted one as well, where the laws differ.
-    """
+def _cross(opened: Sequence[OpenedFit], threads: int | None) -> FloatArray:
+    """Return the NRMSE (F, F) of the best set of each fit (row) on the fitted trials of each (column)."""
     out = np.full((len(opened), len(opened)), np.nan)
     for j, home in enumerate(opened):
         for i, guest in enumerate(opened):
-            if isinstance(home.campaign, GearCampaign):
-                rows = table_rows(home)[:1]
-                if i != j:
-                    rows = gear_rows(guest.result, home.campaign, rows[0])[:1]
-                out[i, j] = float(_gear_objective(home).score(rows).cost[0])
-            else:
-                assert isinstance(home.campaign, MotorCampaign)
-                rows = table_rows(home)[:1]
-                if i != j:
-                    rows = _motor_rows(guest, home, rows[0])
-                objective = home.problem.objective
-                assert isinstance(objective, MotorObjective)
-                out[i, j] = float(objective.cost.mean(objective.score(rows)[0])[0])
+            predicted = predict(guest.result, _under(guest.result, home, threads))
+            out[i, j] = float(predicted.problem.cost.mean(predicted.found.by_channel)[0])
     return out
 
 
-def _gear_objective(opened: OpenedFit) -> GearObjective:
-    objective = opened.problem.objective
-    assert isinstance(objective, GearObjective)
-    return objective
-
-
-def _motor_rows(guest: OpenedFit, home: OpenedFit, base: np.ndarray) -> np.ndarray:
-    """Return a row of a guest's motor; delays and lags of instruments stay the campaign's own."""
-    assert isinstance(home.campaign, MotorCampaign)
-    assert home.bench is not None
-    rows = motor_rows(guest.result, home.campaign, home.bench, home.space, base)[:1]
-    for k, row in enumerate(home.space.table.values()):
-        if row.group == "instrument":
-            rows[:, k] = base[k]
-    return rows
+def _under(fit: FitResult, home: OpenedFit, threads: int | None) -> Problem:
+    """Return the fitted trials of an opened fit under the law of another fit."""
+    whole = home.whole
+    if home.kind.under(whole.campaign, fit.settings)[0] != whole.campaign:
+        whole = open_under(fit, home.path, threads)[1]
+    return whole.only(whole.fitted.names)

@@ -13,8 +13,8 @@ from sysid.fit.result import FitResult
 from sysid.report.drawing import save_figure
 from sysid.report.fit_figures import figure_convergence, figure_measured_against_simulated
 from sysid.workflows.export_models import export_sets
+from sysid.workflows.options import FitOptions
 from sysid.workflows.report import write_report
-from sysid.workflows.search import FitOptions
 
 
 def find_samples(given: Path | None) -> Path:
@@ -66,8 +66,7 @@ def run_demo(
     dict
         What was written, by what it is.
     """
-    from sysid.gear.problem import fit_gear
-    from sysid.motor.problem import fit_motor
+    from sysid.workflows.fit import fit_gear, fit_motor
 
     samples = find_samples(data)
     tell = say or (lambda sentence: None)

@@ -16,8 +16,8 @@ from sysid.report.html import Html, picture, preformatted
 from sysid.report.inspect_figures import figure_logs
 from sysid.report.kinds import open_fit
 from sysid.trials.look import inspect_recording
+from sysid.workflows.fit import FitOptions
 from sysid.workflows.inspect import print_report
-from sysid.workflows.search import FitOptions
 
 _WIDTH = 96
 
@@ -66,9 +66,9 @@ def first_fit(
         finish="none" if max_generations is not None else None,
     )  # fmt: skip
     if isinstance(read_campaign(campaign), GearCampaign):
-        from sysid.gear.problem import fit_gear
+        from sysid.workflows.fit import fit_gear
 
         return open_fit(fit_gear(campaign, options)[1])
-    from sysid.motor.problem import fit_motor
+    from sysid.workflows.fit import fit_motor
 
     return open_fit(fit_motor(campaign, options)[1])

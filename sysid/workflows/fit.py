@@ -1,195 +1,300 @@
-"""The walk that every fit takes, whatever it fits: campaign, search, ranked sets, fit folder."""
+"""`sysid fit-gear`, `sysid fit-motor`: a campaign in, ranked parameter sets out."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+import os
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
-from sysid.campaign import GearCampaign, MotorCampaign
-from sysid.fit.checkpoint import checkpoint_folder, run_numbers
-from sysid.fit.objective import Objective
-from sysid.fit.optima import loose_warnings
+import numpy as np
+
+from sysid.campaign import FitTable
+from sysid.errors import FitError
+from sysid.fit.breeders.algorithms import DEFAULT_ALGORITHM, POPULATION, breeder
+from sysid.fit.breeders.in_process import BreederApart
+from sysid.fit.checkpoint import PROBES, PROCESSOR, Checkpoint, checkpoint_folder, run_numbers
+from sysid.fit.history import RunHistory, summed
+from sysid.fit.objective import SpreadObjective
+from sysid.fit.optima import agreement, loose_warnings, waterfall
+from sysid.fit.problem import Course, Outcome, Problem
 from sysid.fit.progress import FitProgress
-from sysid.fit.result import FitResult, RankedSets, TrialResult, bound_warnings
-from sysid.fit.search import SearchSettings
-from sysid.fit.stopping import Deadline, stop_on_interrupt
-from sysid.parameter_sets import ParameterRecord
-from sysid.parameters import SearchSpace
-from sysid.workflows.options import FitOptions
-from sysid.workflows.search import (
-    Search,
-    check_start,
-    collected_warnings,
-    fit_identity,
-    naming,
-    provenance,
-    search,
-    search_settings,
-)
+from sysid.fit.result import FitResult, bound_warnings, ranked_sets
+from sysid.fit.search import Hooks, SearchSettings, run_many
+from sysid.fit.stopping import CutReason, Deadline, StopFlag, StopRule, stop_on_interrupt
+from sysid.fit.store import check_new_fit, write_fit
+from sysid.journal import Journal, notice, tell
+from sysid.parallel import executor
+from sysid.resume import held
+from sysid.trust.sensitivity import quick_expectations
+from sysid.trust.verdicts import EXPECTED, sentences
+from sysid.workflows.kinds import naming, open_campaign
+from sysid.workflows.options import FitOptions as FitOptions
+from sysid.workflows.provenance import fit_identity, processor, provenance
+
+# Runs that share a cluster at the same time: while one breeds, the others keep its workers busy.
+_RUNS_AT_ONCE = 8
+# Workers that one process can breed for: a candidate takes 0.1 ms to breed and 3 ms to simulate.
+_FED_BY_ONE = 16
+# Candidates that are scored to recognise an objective.
+_PROBES = 4
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What a fit of one kind makes of its ranked sets.
+def search_settings(options: FitOptions, table: FitTable) -> SearchSettings:
+    """Return the campaign's search settings with the command's overrides."""
 
-    Parameters
-    ----------
-    records : tuple of ParameterRecord
-        One per column of `values`.
-    values, at_bound : (S, n) array
-        Of the sets [SI]; -1, 0, 1 where a value ends at a bound.
-    nrmse : (S,) array
-        Of the sets [1].
-    trials : tuple of TrialResult
-        Scored with the sets.
-    channels : sequence of (name, unit, weight)
-        Compared.
-    settings : mapping
-        What a simulator must know beside the numbers.
-    filters, logs : mapping
-        For the provenance.
-    warnings : tuple of str
-        Doubts about the sets, still to be told.
-    told : tuple of str
-        Doubts that were told already.
-    more : mapping
-        Further provenance.
+    def chosen(name: str) -> int:
+        override = getattr(options, name)
+        return int(getattr(table, name) if override is None else override)
+
+    algorithm = options.algorithm or table.algorithm or DEFAULT_ALGORITHM
+    return SearchSettings(
+        population=options.population or table.population or POPULATION[algorithm],
+        runs=chosen("runs"),
+        seed=chosen("seed"),
+        algorithm=algorithm,
+        finish=options.finish or table.finish,
+        stop=StopRule(
+            reading=table.stop_reading,
+            window=table.stop_window,
+            tolerance=table.stop_tolerance,
+            max_generations=chosen("max_generations"),
+            max_evaluations=options.max_evaluations,
+            time_limit=options.time_limit,
+        ),
+    )
+
+
+def fit_gear(
+    path: str | Path,
+    options: FitOptions | None = None,
+    *,
+    surface: str | None = None,
+    say: Callable[[str], None] | None = None,
+) -> tuple[FitResult, Path]:
+    """Fit the landing gear to the drops of a campaign of kind ``gear``; see `fit_campaign`.
+
+    `surface` fits another friction law than the campaign's. Friction that the campaign states belongs to its
+    own law and is ignored, with a warning.
     """
-
-    records: tuple[ParameterRecord, ...]
-    values: Any
-    at_bound: Any
-    nrmse: Any
-    trials: tuple[TrialResult, ...]
-    channels: Sequence[tuple[str, str, float]]
-    settings: dict[str, Any]
-    filters: Mapping[str, Any]
-    logs: Mapping[str, Any]
-    warnings: tuple[str, ...] = ()
-    told: tuple[str, ...] = ()
-    more: Mapping[str, Any] = field(default_factory=dict)
+    law = {} if surface is None else {"surface": surface}
+    return fit_campaign(path, options, kind="gear", settings=law, say=say)
 
 
-class FitWalk:
-    """One fit under way; enter it, and Ctrl-C keeps what was found from the search's begin to the end.
+def fit_motor(
+    path: str | Path, options: FitOptions | None = None, *, say: Callable[[str], None] | None = None
+) -> tuple[FitResult, Path]:
+    """Fit the motor to the bench logs of a campaign of kind ``motor``; see `fit_campaign`."""
+    return fit_campaign(path, options, kind="motor", say=say)
+
+
+def fit_campaign(
+    path: str | Path,
+    options: FitOptions | None = None,
+    *,
+    kind: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+    say: Callable[[str], None] | None = None,
+) -> tuple[FitResult, Path]:
+    """Fit a model to the trials of a campaign and write the fit folder.
 
     Parameters
     ----------
     path : str or Path
         Campaign file.
-    campaign : GearCampaign or MotorCampaign
-        Its content.
-    options : FitOptions, optional
+    options : FitOptions
         Overrides of the command line.
+    kind : str, optional
+        What the campaign must be of.
+    settings : mapping, optional
+        A law instead of the campaign's, see `sysid.workflows.kinds.open_campaign`.
     say : callable, optional
-        Told, one sentence at a time, what is going on and what is doubtful.
+        Called with one sentence at a time: what is going on, what is doubtful.
+
+    Returns
+    -------
+    result : FitResult
+        Ranked sets and all that led to them.
+    folder : Path
+        Where it was written.
+
+    Raises
+    ------
+    SysidError
+        When an input cannot be used; nothing has been written then.
+    """
+    path, options = Path(path), options or FitOptions()
+    found, campaign, ignored = open_campaign(path, kind, settings)
+    folder, search = options.folder(campaign.name), search_settings(options, campaign.fit)
+    deadline = Deadline(options.time_limit)
+    check_start(folder, options)
+    with Journal(say, found.words.trials) as journal, ExitStack() as until_written:
+        try:
+            with naming(path):
+                for finding in ignored:
+                    journal.add(finding)
+                problem = found.open(campaign, path, options.threads)
+                found.begin(problem)
+            journal.fold(len(problem.trials))
+            fitted = problem.fitted
+            expected = _expected(fitted) if options.check else {}
+            limited = replace(search, stop=replace(search.stop, time_limit=deadline.left))
+            progress = FitProgress(limited, found.words.trials, options.quiet)
+            deadline.flag = until_written.enter_context(stop_on_interrupt(progress.on_stop))
+            identity, candidate_time = _identity(path, search, problem, fitted)
+            checkpoint = Checkpoint(folder, identity, resume=options.resume, force=options.force)
+            until_written.callback(checkpoint.close)
+            runs, cut = _search(fitted, limited, options, checkpoint, progress, deadline.flag, candidate_time)
+            sets = ranked_sets(runs, problem.space)
+            outcome = found.follow_up(problem, Course(sets, search, cut, deadline.check))
+            record = {**provenance(path, search, problem, folder), **expected}
+            result = _result(found.name, problem, runs, outcome, record)
+            result = replace(result, warnings=tuple(journal.sentences()))
+            written = write_fit(result, folder, options.force or options.resume)
+        except KeyboardInterrupt:
+            # Aborted by a second Ctrl-C, or before the first one was listened to.
+            if run_numbers(checkpoint_folder(folder)):
+                tell(f"{folder}: aborted; what was scored is kept, continue with --resume")
+            raise
+        if outcome.cut is None:
+            # What is done needs no checkpoint any more.
+            checkpoint.discard()
+        return result, written
+
+
+def check_start(folder: Path, options: FitOptions) -> None:
+    """Refuse a fit that is there, or one that cannot be continued, before the hours of a fit are spent.
 
     Raises
     ------
     FitError
-        When the folder holds a fit that must not be replaced, or one that cannot be continued.
+        When another process works on the fit; when the folder holds a fit and neither `force` nor `resume`
+        is on; when an unfinished fit is there; when there is nothing to resume.
     """
+    unfinished_runs = run_numbers(checkpoint_folder(folder))
+    if held(checkpoint_folder(folder)):
+        raise FitError(Checkpoint.running(folder))
+    if options.resume:
+        if options.force:
+            raise FitError("--resume continues a fit and --force discards it; choose one")
+        if not unfinished_runs:
+            raise FitError(f"{folder}: no unfinished fit to continue is there; start it without --resume")
+        check_new_fit(folder, force=True)
+        return
+    if unfinished_runs and not options.force:
+        raise FitError(Checkpoint.in_the_way(folder))
+    check_new_fit(folder, options.force)
 
-    def __init__(
-        self,
-        path: str | Path,
-        campaign: GearCampaign | MotorCampaign,
-        options: FitOptions | None,
-        say: Callable[[str], None] | None,
-    ) -> None:
-        self.path, self.campaign = path, campaign
-        self.options = options or FitOptions()
-        self.tell = say or (lambda sentence: None)
-        self.folder = self.options.folder(campaign.name)
-        self.deadline = Deadline(self.options.time_limit)
-        self._doubts: list[str] = []
-        self._open = ExitStack()
-        check_start(self.folder, self.options)
 
-    def __enter__(self) -> Self:
-        return self
+def _expected(fitted: Problem) -> dict[str, Any]:
+    """Tell what the trials are expected to fix, and return it for the provenance."""
+    found = quick_expectations(fitted)
+    for sentence in sentences(found):
+        tell(f"expected: {sentence}")
+    return {EXPECTED: [parameter.document() for parameter in found]}
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._open.close()
-        # Aborted by a second Ctrl-C, or before the first one was listened to.
-        if isinstance(error, KeyboardInterrupt) and run_numbers(checkpoint_folder(self.folder)):
-            self.tell(f"{self.folder}: aborted; what was scored is kept, continue with --resume")
 
-    @property
-    def settings(self) -> SearchSettings:
-        """The search that the campaign and the command line ask for."""
-        return search_settings(self.options, self.campaign.fit)
+def _identity(
+    path: Path, settings: SearchSettings, problem: Problem, fitted: Problem
+) -> tuple[dict[str, Any], float]:
+    """Return what must be equal for the fit to be continued, and the time that a candidate takes [s]."""
+    # What no hash of a log or a table covers (a static log, a kernel) shows in the costs of some candidates.
+    points = np.random.default_rng(0).random((_PROBES, len(fitted.space.free)))
+    began = time.perf_counter()
+    costs = [float(cost).hex() for cost in fitted.evaluate(points).cost]
+    # With what is loaded or compiled on the way rather too long, which only makes the first part shorter.
+    candidate_time = (time.perf_counter() - began) / _PROBES
+    identity = fit_identity(path, settings, problem)
+    return {**identity, PROBES: costs, PROCESSOR: processor()}, candidate_time
 
-    @contextmanager
-    def prepared(self) -> Iterator[None]:
-        """Tell and keep the warnings of what happens inside; complaints name the campaign."""
-        with naming(self.path), collected_warnings(lambda text: self.tell(f"warning: {text}")) as doubts:
-            self._doubts = doubts
-            yield
 
-    def search(
-        self, objective: Objective, hashes: Mapping[str, str], simulated: str, **accuracy: Any
-    ) -> Search:
-        """Search; `hashes` of the logs and `accuracy` must be equal for the fit to be continued."""
-        identity = fit_identity(self.path, self.settings, objective.space, hashes, **accuracy)
-        settings = replace(self.settings, stop=replace(self.settings.stop, time_limit=self.deadline.left))
-        progress = FitProgress(settings, simulated, self.options.quiet)
-        self.deadline.flag = self._open.enter_context(stop_on_interrupt(progress.on_stop))
-        found = search(
-            objective, settings, folder=self.folder, options=self.options, identity=identity,
-            progress=progress, flag=self.deadline.flag, tell=self.tell,
-        )  # fmt: skip
-        self._open.callback(found.close)
-        return found
+def _search(
+    fitted: Problem,
+    settings: SearchSettings,
+    options: FitOptions,
+    checkpoint: Checkpoint,
+    progress: FitProgress,
+    flag: StopFlag,
+    candidate_time: float,
+) -> tuple[tuple[RunHistory, ...], CutReason | None]:
+    """Search with live progress and checkpoints; return the runs that were begun, and what cut them short.
 
-    def finish(
-        self, space: SearchSpace, found: Search, sets: RankedSets, outcome: Outcome
-    ) -> tuple[FitResult, Path]:
-        """Tell what is doubtful, write the fit folder, and return the result and where it was written."""
-        closing = (
-            *bound_warnings(outcome.records, outcome.at_bound),
-            *loose_warnings(found.runs, space),
-            *outcome.warnings,
+    A set flag ends the search and keeps what was scored.
+    """
+    for note in checkpoint.notes:
+        notice("checkpoint", note)
+    if checkpoint.memories:
+        done = sum(len(stage.cost) for memory in checkpoint.memories for stage in memory.stages)
+        tell(f"continuing {len(checkpoint.memories)} runs after {done} generations")
+    with executor(options.dask, min(settings.runs, _RUNS_AT_ONCE)) as where, progress:
+        hooks = Hooks(progress.on_generation, progress.on_run, checkpoint.keep, flag)
+        runs = run_many(
+            SpreadObjective(fitted, where),
+            settings,
+            memories=checkpoint.memories,
+            hooks=hooks,
+            at_once=where.at_once,
+            breeds=BreederApart if _breeds_apart(options.dask) else breeder,
+            candidate_time=candidate_time,
         )
-        for sentence in closing:
-            self.tell(f"warning: {sentence}")
-        names, units, weights = zip(*outcome.channels, strict=True)
-        result = FitResult(
-            kind=self.campaign.kind,
-            name=self.campaign.name,
-            state=found.state,
-            parameters=outcome.records,
-            runs=found.runs,
-            set_runs=sets.run,
-            set_seeds=sets.seed,
-            cube=sets.cube,
-            values=outcome.values,
-            at_bound=outcome.at_bound,
-            nrmse=outcome.nrmse,
-            trials=outcome.trials,
-            channels=names,
-            channel_units=units,
-            channel_weights=weights,
-            settings=outcome.settings,
-            provenance={
-                **provenance(
-                    self.path,
-                    self.settings,
-                    self.campaign.cost.denominator,
-                    outcome.filters,
-                    outcome.logs,
-                    self.folder,
-                    space.names,
-                ),
-                **({} if found.cut is None else {"cut_short": found.cut}),
-                **outcome.more,
-            },
-            warnings=(*self._doubts, *found.warnings, *closing, *outcome.told),
-        )
-        return result, found.write(result, self.folder, self.options)
+    ended = {stage.stop_reason for run in runs for stage in run.stages}
+    # Runs that were not begun have been called off.
+    called_off = "interrupted" in ended or len(runs) < settings.runs
+    cut: CutReason | None = "interrupted" if called_off else "time" if "time" in ended else None
+    found = agreement(runs, settings.runs, fitted.space.free)
+    if len(runs) > 1:
+        for line in waterfall(runs, fitted.space.free):
+            tell(line)
+    if found.agrees and len(runs) > 1:
+        tell(found.sentence())
+    else:
+        notice("runs-apart", found.sentence())
+    return runs, cut
+
+
+def _breeds_apart(dask: str | None) -> bool:
+    """Return whether one process would breed too slowly for the workers; each further one costs a start."""
+    return dask is not None and (dask != "local" or (os.cpu_count() or 1) > _FED_BY_ONE)
+
+
+def _result(
+    kind: str,
+    problem: Problem,
+    runs: tuple[RunHistory, ...],
+    outcome: Outcome,
+    record: Mapping[str, Any],
+) -> FitResult:
+    """Return what a fit has found; notice what is doubtful about it."""
+    trials = problem.results(outcome.rows)
+    for sentence in bound_warnings(outcome.records, outcome.at_bound):
+        notice("at-bound", sentence)
+    for sentence in loose_warnings(runs, problem.space):
+        notice("loose-runs", sentence)
+    failures = summed(run.failures for run in runs)
+    return FitResult(
+        kind=kind,
+        name=problem.campaign.name,
+        state="done" if outcome.cut is None else "stopped",
+        parameters=outcome.records,
+        runs=runs,
+        set_runs=outcome.sets.run,
+        set_seeds=outcome.sets.seed,
+        cube=outcome.sets.cube,
+        values=outcome.values,
+        at_bound=outcome.at_bound,
+        nrmse=outcome.nrmse,
+        trials=trials,
+        channels=problem.channels,
+        channel_units=problem.units,
+        channel_weights=tuple(float(weight) for weight in problem.cost.weights),
+        settings=outcome.settings,
+        provenance={
+            **record,
+            **({} if outcome.cut is None else {"cut_short": outcome.cut}),
+            **({"failures": failures} if len(problem.causes) > 1 else {}),
+            **outcome.provenance,
+        },
+    )

@@ -3,36 +3,34 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sysid.errors import FitError
+from sysid.fit.problem import Words
 from sysid.fit.result import FitResult
-from sysid.motor.known_values import CONSTANTS, Bench
-from sysid.motor.trust import MotorProblem
+from sysid.journal import Journal, notice
 from sysid.parallel import executor
 from sysid.parameters import SearchSpace
 from sysid.recording import file_sha256
 from sysid.trust.assessment import Assessment, assess
 from sysid.trust.documents import TRUST, write_part
 from sysid.trust.influence import FEWEST, Influence, influence
-from sysid.trust.problem import Problem, SpreadProblem
+from sysid.trust.problem import SpreadProblem
 from sysid.trust.resampling import Resampled
 from sysid.trust.verdicts import verdict
 from sysid.types import FloatArray
 from sysid.workflows.options import TrustOptions as TrustOptions
-from sysid.workflows.reopen import OpenedFit, noise_floors, open_fit
-from sysid.workflows.search import collected_warnings
+from sysid.workflows.reopen import OpenedFit, open_fit
 
 _STATEMENT = (
     "the mean NRMSE is minimized by a weighted sum of squares, one noise level per trial and channel "
     "(its NRMSE); the rise of that sum along a profile is divided by the parameter's inflation, which holds "
-    "the "
-    "correlation of the residuals in time and between channels and the uncertainty of what the fit takes as "
-    "known, so that it follows chi-square with one degree of freedom"
+    "the correlation of the residuals in time and between channels and the uncertainty of what the fit takes "
+    "as known, so that it follows chi-square with one degree of freedom"
 )
 # Relative to the standard deviation of the linearization: farther apart is worth a word.
 _MOVED = 2.0
@@ -49,51 +47,70 @@ def assess_fit(
         When the fit or its campaign cannot be used; nothing has been written then.
     """
     options = options or TrustOptions()
-    tell = say or (lambda sentence: None)
     began = time.perf_counter()
-    with collected_warnings(None) as doubts:
+    with Journal(say) as journal:
         opened = open_fit(folder, options.campaign, 1 if options.dask else options.threads)
+        problem = opened.problem
+        journal.noun = opened.kind.words.trials
+        journal.fold(len(opened.whole.trials))
         if not len(opened.space.free):
             raise FitError(f"{folder}: nothing is free")
         with executor(options.dask, 2) as where:
-            problem: Problem = SpreadProblem(opened.problem, where)
+            spread = SpreadProblem(problem, where)
             found = assess(
-                problem, opened.result.cube[0], resamples=options.resamples, seed=options.seed, say=tell
+                spread,
+                opened.result.cube[0],
+                resamples=options.resamples,
+                seed=options.seed,
+                say=journal.tell,
             )
             if len(problem.trials) >= FEWEST:
-                tell("fits without one trial")
-            floors = noise_floors(opened, found.linear.point)
-            trials = influence(problem, found.linear, floors)
-    document, arrays = _document(opened, found, trials, floors, doubts)
-    document["seconds"] = time.perf_counter() - began
-    for sentence in document["warnings"]:
-        tell(f"warning: {sentence}")
+                journal.tell("fits without one trial")
+            floors = problem.floors(problem.space.full(found.linear.point[None])[0])
+            trials = influence(spread, found.linear, floors)
+        rows = _parameters(opened.result, opened.space, found)
+        _notice_trials(problem.names, opened.space.decode(trials.without), trials, rows, opened.kind.words)
+        _notice_parameters(rows, found, _moves(opened.result, found))
+        document, arrays = _document(opened, found, trials, floors, rows)
+        document["warnings"] = journal.sentences()
+        document["seconds"] = time.perf_counter() - began
     write_part(opened.folder, TRUST, document, arrays, fit=opened.result.name, kind=opened.result.kind)
     return document
 
 
-def _document(
-    opened: OpenedFit, found: Assessment, trials: Influence, floors: FloatArray, doubts: list[str]
-) -> tuple[dict[str, Any], dict[str, tuple[Any, str, str]]]:
-    result, space, linear = opened.result, opened.space, found.linear
-    rows = _parameters(result, space, found)
-    warned = [*doubts, *_trial_doubts(opened, found, trials, rows)]
-    for row, jump in zip(rows, _moves(result, found), strict=True):
+def _notice_parameters(rows: list[dict[str, Any]], found: Assessment, moves: FloatArray) -> None:
+    """Notice rough derivatives and a best set that is not the minimum; mark the rows they touch."""
+    for row, jump in zip(rows, moves, strict=True):
         if not row["derivative_trusted"]:
-            warned.append(
+            notice(
+                "rough-derivative",
                 f"{row['name']}: its derivative changes by {100 * row['derivative_doubt']:.0f} % when the "
-                f"step is halved (the cost is rough there, or hardly depends on it): read its profile, not "
-                f"its linearized sigma"
+                "step is halved (the cost is rough there, or hardly depends on it): read its profile, not "
+                "its linearized sigma",
             )
         if jump > _MOVED:
-            warned.append(
+            notice(
+                "not-converged",
                 f"{row['name']}: the best set lies {jump:.1f} standard deviations from where the sum of "
                 "squares is least; the search has not converged, or its simulations are too inexact "
-                "(fit.tolerance)"
+                "(fit.tolerance)",
             )
             _doubt(row, "the best set is not where the sum of squares is least")
     if found.profiles.lowered > 1.0:
-        warned.append("a profile found a better set than the profiles' start: the fit has not converged")
+        notice(
+            "profile-lowered",
+            "a profile found a better set than the profiles' start: the fit has not converged",
+        )
+
+
+def _document(
+    opened: OpenedFit,
+    found: Assessment,
+    trials: Influence,
+    floors: FloatArray,
+    rows: list[dict[str, Any]],
+) -> tuple[dict[str, Any], dict[str, tuple[Any, str, str]]]:
+    result, space, linear = opened.result, opened.space, found.linear
     boot = found.resampled
     without = space.decode(trials.without)
     arrays: dict[str, tuple[Any, str, str]] = {
@@ -119,7 +136,7 @@ def _document(
                 "without": dict(zip(space.names, without[t].tolist(), strict=True)),
                 "shift": dict(zip(space.names, trials.shift[t].tolist(), strict=True)),
             }
-            for t, name in enumerate(opened.problem.trials)
+            for t, name in enumerate(opened.problem.names)
         ],
         "notes": _notes(opened, boot),
         "spread": _spread(result),
@@ -129,7 +146,6 @@ def _document(
         "evaluations": found.profiles.evaluations
         + (0 if boot is None else boot.evaluations)
         + trials.evaluations,
-        "warnings": warned,
     }
     return document, arrays
 
@@ -141,85 +157,51 @@ def _doubt(row: dict[str, Any], why: str) -> None:
         row["verdict"] = "weakly"
 
 
-def _trial_doubts(
-    opened: OpenedFit, found: Assessment, trials: Influence, rows: list[dict[str, Any]]
-) -> list[str]:
-    """Return what is to be said of trials that stand out or hold the fit alone; mark the rows they touch."""
-    names = opened.problem.trials
-    out = []
-    advice = 'look at it, and fit without it (use = "validate")'
-    gear = opened.result.kind == "gear"
-    freed = " or free its start ([nuisance] start_time, height)" if gear else ""
-    cause = "a bounce beside a bifurcation" if gear else "another supply, tare or state of the motor"
-    for t in trials.outliers:
-        others = float(np.median(np.delete(trials.ratio, t)))
-        out.append(
-            f"{names[t]}: {trials.ratio[t]:.1f} × what noise alone costs where the others have {others:.1f}; "
-            f"it bends every parameter: {advice}{freed}"
-        )
-        for row in rows:
-            _doubt(row, f"{names[t]} fits unlike the other trials")
-    values = opened.space.decode(trials.without)
-    for t, far in trials.held_by:
-        moved = ", ".join(
-            f"{rows[i]['symbol']} {values[t, i]:.4g} instead of {rows[i]['refined']:.4g}" for i in far[:3]
-        )
-        out.append(
-            f"the fit hangs on {names[t]} alone: without it {moved}, {abs(trials.shift[t, far[0]]):.0f} × "
-            f"what one trial less explains (standard deviations); {cause} does that: "
-            f"{advice}"
-        )
-        for i in far:
-            _doubt(rows[i], f"it goes elsewhere without {names[t]}")
-    return out
-
-
-def _given(opened: OpenedFit) -> dict[str, str]:
-    """Return what a fit's intervals take as exact; see `taken_as_exact`."""
-    if not isinstance(opened.problem, MotorProblem) or opened.bench is None:
-        return {}
-    fixed = opened.campaign.parameters.fixed
-    return taken_as_exact(opened.space.names, opened.problem.ranges, opened.bench, fixed)
-
-
-def taken_as_exact(
-    free: Collection[str], ranges: Collection[str], bench: Bench, fixed: Collection[str]
-) -> dict[str, str]:
-    """Return what a motor's intervals take as exact, as it is said, by the parameter whose range would count.
+def _notice_trials(
+    names: tuple[str, ...], without: FloatArray, trials: Influence, rows: list[dict[str, Any]], words: Words
+) -> None:
+    """Notice trials that stand out or decide the fit, and mark the rows they touch.
 
     Parameters
     ----------
-    free, ranges, fixed : collection of str
-        Names that are free, that have a stated range, that the campaign fixes.
-    bench : Bench
+    names : tuple of str
+        Of the trials.
+    without : (T, n) array
+        Parameters of the fits without each trial [SI].
+    trials : Influence
+    rows : list of dict
+        Of the parameters.
+    words : Words
     """
-    out = {}
-    constants = [name for name in CONSTANTS if name not in free]
-    # Either of the pair moves the other.
-    if constants and not {*constants} & {*ranges}:
-        name = constants[0]
-        if name in fixed:
-            said = "k as fixed"
-        elif name in bench.measured:
-            said = "k as torque over the logged current gives it"
-        elif bench.stated.get(name, "guess").startswith("guess"):
-            said = "a guessed k, as the campaign states no Kv"
-        else:
-            said = "Kv as stated"
-        out[name] = f"{said} (R and L go as k²)"
-    if "rotor_inertia" not in {*free, *ranges}:
-        stated = "rotor_inertia" in {*fixed, *bench.measured}
-        out["rotor_inertia"] = "I^r as stated" if stated else "I^r of another motor (Table I)"
-    return out
+    advice = 'look at it, and fit without it (use = "validate")'
+    remedy = f" or {words.remedy}" if words.remedy else ""
+    for t in trials.outliers:
+        others = float(np.median(np.delete(trials.ratio, t)))
+        notice(
+            "trial-stands-out",
+            f"{names[t]}: {trials.ratio[t]:.1f} × what noise alone costs where the others have {others:.1f}; "
+            f"it bends every parameter: {advice}{remedy}",
+        )
+        for row in rows:
+            _doubt(row, f"{names[t]} fits unlike the other trials")
+    for t, far in trials.held_by:
+        moved = ", ".join(
+            f"{rows[i]['symbol']} {without[t, i]:.4g} instead of {rows[i]['refined']:.4g}" for i in far[:3]
+        )
+        notice(
+            "hangs-on-one-trial",
+            f"the fit hangs on {names[t]} alone: without it {moved}, {abs(trials.shift[t, far[0]]):.0f} × "
+            f"what one trial less explains (standard deviations); {words.misleads} does that: {advice}",
+        )
+        for i in far:
+            _doubt(rows[i], f"it goes elsewhere without {names[t]}")
 
 
 def _statement(opened: OpenedFit) -> str:
     """Return what the intervals rest on."""
-    if not isinstance(opened.problem, MotorProblem):
-        return _STATEMENT
-    words = " and ".join(_given(opened).values())
-    given = f"; given {words}" if words else ""
-    return _STATEMENT + " (static curves and tares; ranges under parameters.measured)" + given
+    known = opened.problem.known_words
+    words = " and ".join(opened.problem.given().values())
+    return _STATEMENT + (f" ({known})" if known else "") + (f"; given {words}" if words else "")
 
 
 def _notes(opened: OpenedFit, boot: Resampled | None) -> list[str]:
@@ -236,7 +218,7 @@ def _notes(opened: OpenedFit, boot: Resampled | None) -> list[str]:
             f"bootstrap: {lost} of {len(boot.points)} fits of resampled trials did not come to an end and "
             "are left out of its intervals, which may be too narrow for that"
         )
-    given = _given(opened)
+    given = opened.problem.given()
     if given:
         out.append(
             f"all intervals: given {' and '.join(given.values())}; a range under parameters.measured "

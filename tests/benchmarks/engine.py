@@ -47,7 +47,7 @@ from sysid.fit.search import Hooks, SearchSettings, run_many, run_one
 from sysid.fit.stopping import StopRule
 from sysid.parallel import DaskCluster, LocalThreads, chunk_size
 from sysid.synthetic import read_truth, synthesize_gear
-from sysid.workflows.search import processor
+from sysid.workflows.provenance import processor
 
 # Algorithm and population: the paper's 400 (200 for a motor), a quarter of it, CMA-ES of 64 as in a
 # feasibility study.
@@ -71,26 +71,26 @@ the paper's way); "with finisher" counts the candidates of both stages.
 
 def gear(folder, surface, threads=None):
     from sysid.gear.drops import prepare_drops
-    from sysid.gear.problem import GearObjective, score_values, search_space
+    from sysid.gear.problem import GearProblem, score_values, search_space
 
     source = synthesize_gear(Path(folder) / surface, seed=1, surface=surface)
     path = source / "campaign.toml"
     campaign = read_campaign(path, "gear")
     drops = tuple(drop for drop in prepare_drops(campaign, path) if drop.use == "fit")
-    objective = GearObjective.build(campaign, search_space(campaign), drops, threads)
+    objective = GearProblem.build(campaign, search_space(campaign), drops, threads)
     truth = float(score_values(campaign, drops, read_truth(source)["parameters"]).cost[0])
     return objective, truth
 
 
 def motor(threads=None):
     from sysid.motor.known_values import prepare_bench, search_space
-    from sysid.motor.objective import MotorObjective
+    from sysid.motor.problem import MotorProblem
 
     path = SAMPLES / "motor" / "campaign.toml"
     campaign = read_campaign(path, "motor")
     bench = prepare_bench(campaign, path)
     space = search_space(campaign, bench)
-    return MotorObjective.build(campaign, space, bench, bench.fitted, threads), None
+    return MotorProblem.build(campaign, space, bench, bench.fitted, threads), None
 
 
 def problem(name, folder, threads=None):

@@ -154,8 +154,8 @@ def high_friction(drops, population):
 
 def whole_fits():
     """Wall-clock and processor time [s] of fits of each sample campaign."""
-    from sysid.gear.problem import fit_gear
-    from sysid.workflows.search import FitOptions
+    from sysid.workflows.fit import fit_gear
+    from sysid.workflows.options import FitOptions
 
     samples, out = Path(__file__).parents[2] / "data_samples", {}
     for surface in SURFACES:

@@ -28,16 +28,14 @@ from pathlib import Path
 import numpy as np
 
 from sysid.campaign import GearCampaign, MotorCampaign, read_campaign
+from sysid.fit.problem import Problem
 from sysid.gear.drops import prepare_drops
-from sysid.gear.problem import GearObjective, search_space
-from sysid.gear.trust import TRUST_TOLERANCE, GearProblem
-from sysid.motor.known_values import prepare_bench
+from sysid.gear.problem import TRUST_TOLERANCE, GearProblem, search_space
 from sysid.synthetic import synthesize_gear, synthesize_motor
 from sysid.synthetic.motor import TRIALS
 from sysid.trust.assessment import assess
-from sysid.trust.problem import Problem
 from sysid.trust.verdicts import verdict
-from sysid.workflows.reopen import motor_problem
+from sysid.workflows.kinds import find_kind
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,7 @@ def replicate(seed: int, surface: str, folder: Path) -> list[Covered]:
     assert isinstance(campaign, GearCampaign)
     space = search_space(campaign)
     drops = tuple(drop for drop in prepare_drops(campaign, path) if drop.use == "fit")
-    problem = GearProblem(GearObjective.build(campaign, space, drops, None, TRUST_TOLERANCE))
+    problem = GearProblem.build(campaign, space, drops, None, TRUST_TOLERANCE)
     true = json.loads((out / "truth.json").read_text(encoding="utf-8"))["parameters"]
     truth = np.array([true[name] for name in space.names])
     return _covered(problem, truth)
@@ -84,7 +82,7 @@ def replicate_motor(seed: int, folder: Path) -> list[Covered]:
     path = out / "campaign.toml"
     campaign = read_campaign(path, "motor")
     assert isinstance(campaign, MotorCampaign)
-    problem = motor_problem(campaign, prepare_bench(campaign, path))
+    problem = find_kind("motor").open(campaign, path, None).fitted
     true = json.loads((out / "truth.json").read_text(encoding="utf-8"))["parameters"]
     truth = np.array([true[name.split("[")[0]] for name in problem.space.names])
     return [one for one in _covered(problem, truth) if "[" not in one.name]

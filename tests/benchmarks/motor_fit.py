@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.motor.problem import fit_motor
 from sysid.synthetic.motor import TrialPlan, synthesize_motor
-from sysid.workflows.search import FitOptions
+from sysid.workflows.fit import fit_motor
+from sysid.workflows.options import FitOptions
 
 
 def main():

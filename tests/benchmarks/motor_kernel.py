@@ -20,7 +20,7 @@ from scipy.integrate import solve_ivp
 from sysid.motor import model
 from sysid.motor.batch import MotorTrials, SimulatedTrial, simulate_population
 from sysid.motor.kernel import INERTIA, K_D, K_M, K_V, TORQUE, L, R, curve
-from sysid.motor.objective import FIT_TOLERANCE
+from sysid.motor.problem import FIT_TOLERANCE
 
 LIMIT = 1e-3
 GRID = np.arange(0.0, 2.0, 1e-3)

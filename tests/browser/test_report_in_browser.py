@@ -52,11 +52,10 @@ COARSE = {"slopes": "0:45:15", "speeds": "0.3,1", "impulse_slopes": "10,25", "im
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory):
     """Every kind of page, of searches that end at once."""
-    from sysid.gear.problem import fit_gear
-    from sysid.motor.problem import fit_motor
     from sysid.report.notebook import find_notebook, notebook_page, run_notebook
+    from sysid.workflows.fit import fit_gear, fit_motor
+    from sysid.workflows.options import FitOptions
     from sysid.workflows.report import ReportOptions, write_report
-    from sysid.workflows.search import FitOptions
 
     folder = tmp_path_factory.mktemp("fits")
     out = {}

@@ -10,8 +10,8 @@ from sysid.campaign import read_campaign
 from sysid.loaders import load
 from sysid.motor import model
 from sysid.motor.known_values import prepare_bench
-from sysid.motor.problem import fit_motor
-from sysid.workflows.search import FitOptions
+from sysid.workflows.fit import fit_motor
+from sysid.workflows.options import FitOptions
 
 DATA = places.DATA / "rcbenchmark"
 LOGS = {

@@ -27,14 +27,15 @@ from fakes.places import PUBLISHED, SAMPLES
 from sysid.campaign import read_campaign
 from sysid.cli import app
 from sysid.errors import SysidError
-from sysid.gear import problem as gear
 from sysid.gear.drops import prepare_drops
+from sysid.gear.problem import GearProblem, search_space
 from sysid.loaders import load
-from sysid.motor import problem as motor
 from sysid.motor.known_values import prepare_bench
 from sysid.motor.known_values import search_space as motor_space
-from sysid.motor.objective import MotorObjective
-from sysid.workflows.search import FitOptions, processor
+from sysid.motor.problem import MotorProblem
+from sysid.workflows.fit import fit_gear, fit_motor
+from sysid.workflows.options import FitOptions
+from sysid.workflows.provenance import processor
 
 CAMPAIGNS = {name: SAMPLES / name / "campaign.toml" for name in ("gear-lf", "gear-hf", "motor")}
 SMALL = {"population": 16, "runs": 2, "max_generations": 4, "quiet": True, "check": False}
@@ -122,17 +123,15 @@ def verdicts_of(document):
 def _gear_objective(name):
     campaign = read_campaign(CAMPAIGNS[name], "gear")
     drops = tuple(drop for drop in prepare_drops(campaign, CAMPAIGNS[name]) if drop.use == "fit")
-    objective = gear.GearObjective.build(campaign, gear.search_space(campaign), drops)
+    objective = GearProblem.build(campaign, search_space(campaign), drops)
     return objective, lambda rows: objective.score(rows).by_channel
 
 
 def _motor_objective(name):
     campaign = read_campaign(CAMPAIGNS[name], "motor")
     bench = prepare_bench(campaign, CAMPAIGNS[name])
-    objective = MotorObjective.build(
-        campaign, motor_space(campaign, bench), bench, bench.fitted, dynamic=True
-    )
-    return objective, lambda rows: objective.score(rows)[0]
+    objective = MotorProblem.build(campaign, motor_space(campaign, bench), bench, bench.fitted, dynamic=True)
+    return objective, lambda rows: objective.score(rows).by_channel
 
 
 def costs(name):
@@ -158,7 +157,7 @@ def _place():
 
 def _fit(name, out, **more):
     options = FitOptions(out=out, **{**SMALL, **more})
-    walk = motor.fit_motor if name == "motor" else gear.fit_gear
+    walk = fit_motor if name == "motor" else fit_gear
     return walk(CAMPAIGNS[name], options)
 
 

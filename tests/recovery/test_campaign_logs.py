@@ -12,11 +12,11 @@ from sysid.gear.drops import prepare_drops
 from sysid.loaders import load
 from sysid.motor.known_values import prepare_bench
 from sysid.motor.model import PARAMETERS
-from sysid.motor.objective import score_values
-from sysid.motor.problem import fit_motor
+from sysid.motor.problem import score_values
 from sysid.synthetic import synthesize_gear
 from sysid.synthetic.motor import TRIALS, TRUE_MOTOR, synthesize_motor
-from sysid.workflows.search import FitOptions
+from sysid.workflows.fit import fit_motor
+from sysid.workflows.options import FitOptions
 
 BODY = "F450"
 

@@ -11,10 +11,11 @@ from sysid.campaign import read_campaign
 from sysid.errors import LogError
 from sysid.gear.drops import prepare_drops
 from sysid.gear.model import LF_FREE
-from sysid.gear.problem import GearObjective, fit_gear, score_values, search_space
+from sysid.gear.problem import GearProblem, score_values, search_space
 from sysid.journal import Journal
 from sysid.synthetic import LF_DROPS, read_truth, synthesize_gear
-from sysid.workflows.search import FitOptions
+from sysid.workflows.fit import fit_gear
+from sysid.workflows.options import FitOptions
 
 
 def _prepared(folder):
@@ -66,7 +67,7 @@ def test_the_cost_sees_every_parameter_but_ground_damping(clean):
     space = search_space(campaign)
     assert space.names == LF_FREE
     truth = read_truth(clean)["parameters"]
-    objective = GearObjective.build(campaign, space, fitted)
+    objective = GearProblem.build(campaign, space, fitted)
     centre = space.encode(np.array([truth[name] for name in space.names]))
     moved = np.tile(centre, (len(LF_FREE) + 1, 1))
     for i in range(len(LF_FREE)):

@@ -8,14 +8,17 @@ import pytest
 from sysid import exact_json
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError
-from sysid.fit.nrmse import FAILED_NRMSE, FilteredNrmse
+from sysid.fit.nrmse import FAILED_NRMSE
+from sysid.fit.problem import first_cause
 from sysid.fit.store import read_fit
 from sysid.gear.drops import prepare_drops
 from sysid.gear.lost_drops import CAUSES
 from sysid.gear.model import SURFACES, pack, simulate_population
-from sysid.gear.problem import GearObjective, fit_gear, search_space, trial_results
+from sysid.gear.problem import GearProblem, search_space
+from sysid.journal import Journal
 from sysid.synthetic import LF_DROPS, read_truth, synthesize_gear
-from sysid.workflows.search import FitOptions
+from sysid.workflows.fit import fit_gear
+from sysid.workflows.options import FitOptions
 
 EXACT = {"noise_position": 0.0, "noise_angle": 0.0, "occlusions": False, "wobble": 0.0}
 
@@ -34,13 +37,14 @@ def problem(folder):
     prepared = prepare_drops(campaign, path)
     space = search_space(campaign)
     truth = read_truth(folder)["parameters"]
-    return GearObjective.build(campaign, space, prepared), pack(truth)
+    return GearProblem.build(campaign, space, prepared), pack(truth)
 
 
 def cause(objective, row):
-    scored, codes = objective.judge(row[None])
+    scored, causes = objective.judge_samples(*objective.simulate(row[None]))
     assert np.isfinite(scored.by_channel).all()
-    return float(scored.cost[0]), "fine" if not codes[0] else CAUSES[codes[0] - 1]
+    code = first_cause(causes, len(CAUSES))[0]
+    return float(scored.cost[0]), "fine" if not code else CAUSES[code - 1]
 
 
 def lifted(objective, height):
@@ -133,41 +137,35 @@ def test_a_candidate_with_several_causes_is_counted_by_the_first(problem):
     up = np.array([0.0, 5.0, 0.0, 0.0, 0.0, 0.0])
     drops = (replace(high, initial_state=high.initial_state + up), objective.drops[1])
     for order in (drops, drops[::-1]):
-        both = GearObjective(
-            objective.space,
-            order,
-            FilteredNrmse([drop.target for drop in order], objective.cost.channels),
-            objective.surface,
-            board_length=0.05,
-        )
-        assert cause(both, row)[1] == "never touched"
+        assert cause(replace(objective, drops=order, board_length=0.05), row)[1] == "never touched"
+
+
+def lost(objective, rows):
+    """What is noticed of lost sets."""
+    with Journal() as journal:
+        objective.results(rows)
+    return [finding.sentence.split(";")[0] for finding in journal.findings]
 
 
 def test_a_ranked_set_that_is_lost_on_a_drop_says_why(problem):
     objective, row = problem
     # The third set's legs are pushed through their joints; on a short board every set leaves it.
     rows = np.stack([row, row, changed(row, 8, 5.0)])
-    trials, lost = trial_results(objective, rows)
-    assert [text.split(";")[0] for text in lost] == [f"{t.name}, set 3: blew up" for t in trials]
-    short = replace(objective, board_length=0.05)
-    trials, lost = trial_results(short, rows)
-    for trial in trials:
-        assert [text.split(";")[0] for text in lost if text.startswith(f"{trial.name},")] == [
-            f"{trial.name}, set 1: left the board",
-            f"{trial.name}, set 2: left the board",
-            f"{trial.name}, set 3: blew up",
-        ]
-    assert trial_results(objective, rows[:2])[1] == ()
+    both = ", ".join(objective.names)
+    assert lost(objective, rows) == [f"set 3: blew up on {both}"]
+    ways = ("set 1: left the board", "set 2: left the board", "set 3: blew up")
+    assert lost(replace(objective, board_length=0.05), rows) == [f"{way} on {both}" for way in ways]
+    assert lost(objective, rows[:2]) == []
 
 
 def test_none_costs_more_than_five_ordinary_candidates(problem):
     objective, row = problem
-    jobs = objective._jobs
+    jobs = objective.jobs
     rows = np.stack(
         [row, *(changed(row, *change) for change in ((8, 5.0), (12, 1e13), (15, 0.0), (12, 1e300)))]
     )
     spent = simulate_population(rows, jobs).rhs_evaluations
-    high = simulate_population(row, lifted(objective, 5.0)._jobs).rhs_evaluations
+    high = simulate_population(row, lifted(objective, 5.0).jobs).rhs_evaluations
     # In right-hand sides, which is what a candidate costs. Leaving the board is the truth's own drop.
     assert spent[1:].max() <= 5 * spent[0].mean()
     assert high.max() < spent[0].mean()
@@ -209,7 +207,7 @@ def test_the_accuracy_of_a_simulation_is_the_campaigns(folder, problem):
     path = folder / "exact.toml"
     path.write_text(text.replace("[fit]\n", "[fit]\ntolerance = 1e-5\n"), encoding="utf-8")
     campaign = read_campaign(path, "gear")
-    exact = GearObjective.build(campaign, search_space(campaign), objective.drops)
+    exact = GearProblem.build(campaign, search_space(campaign), objective.drops)
     assert exact.tolerance == 1e-5
     # It reaches the kernel: 30 times the accuracy of a method of order 3 takes three times the work where
     # accuracy rules the steps, and none more where the slip's stability does.

@@ -7,9 +7,10 @@ from fakes.sets import assert_sets_agree
 from sysid.campaign import read_campaign
 from sysid.gear.drops import prepare_drops
 from sysid.gear.model import HF_FREE, LF_FREE, PARAMETERS, parameters_on
-from sysid.gear.problem import GearObjective, fit_gear, score_values, search_space
+from sysid.gear.problem import GearProblem, score_values, search_space
 from sysid.synthetic import HF_DROPS, LF_DROPS, read_truth, synthesize_gear
-from sysid.workflows.search import FitOptions
+from sysid.workflows.fit import fit_gear
+from sysid.workflows.options import FitOptions
 
 EXACT = {"noise_position": 0.0, "noise_angle": 0.0, "occlusions": False, "wobble": 0.0}
 
@@ -43,7 +44,7 @@ def test_offsets_of_a_drop_are_found_where_they_were_put(drops):
         f"{kind}[drop-{n}]" for n in (1, 2) for kind in ("height_offset", "start_offset")
     )
     fitted = tuple(drop for drop in prepared if drop.use == "fit")
-    objective = GearObjective.build(campaign, space, fitted)
+    objective = GearProblem.build(campaign, space, fitted)
     truth = read_truth(drops)["parameters"]
     exact = np.array([truth.get(name, 0.0) for name in space.names])
     grid = np.linspace(-1e-3, 1e-3, 9)
@@ -58,7 +59,7 @@ def test_offsets_of_a_drop_are_found_where_they_were_put(drops):
         assert min(cost[0], cost[-1]) > 5 * cost[4]
     # A validation drop has no offset: those of the others leave its score alone to the bit.
     accurate = campaign.model_copy(update={"fit": campaign.fit.model_copy(update={"tolerance": 1e-6})})
-    every = GearObjective.build(accurate, space, prepared)
+    every = GearProblem.build(accurate, space, prepared)
     moved = space.encode(exact)[None].repeat(2, axis=0)
     moved[1, 8:] = 0.9
     none, own = every.score(space.full(moved)).by_channel[:, 2]
@@ -80,7 +81,7 @@ def test_a_surface_that_is_a_millimetre_off_is_found_by_its_offset(drops):
     fitted = tuple(drop for drop in prepared if drop.use == "fit")
     space = search_space(wrong)
     truth = read_truth(drops)["parameters"]
-    objective = GearObjective.build(wrong, space, fitted)
+    objective = GearProblem.build(wrong, space, fitted)
     exact = np.array([truth.get(name, 0.0) for name in space.names])
     corrected = exact.copy()
     corrected[8:] = -1e-3

@@ -12,10 +12,11 @@ from sysid.campaign import read_campaign
 from sysid.fit.search import SearchSettings, run_one
 from sysid.gear.drops import prepare_drops
 from sysid.gear.model import EventKind, simulate
-from sysid.gear.problem import GearObjective, fit_gear, measured_values, score_values, search_space
+from sysid.gear.problem import GearProblem, measured_values, score_values, search_space
 from sysid.parameters import SearchSpace
 from sysid.synthetic import read_truth, synthesize_gear
-from sysid.workflows.search import FitOptions
+from sysid.workflows.fit import fit_gear
+from sysid.workflows.options import FitOptions
 
 # Relative errors that six drops allow [1]; the damper of the ground and, on most campaigns, mu_s - mu_k are
 # not fixed by such data.
@@ -159,7 +160,7 @@ def test_parameters_are_found_within_what_the_data_fix(surface, tmp_path):
         folder = synthesize_gear(tmp_path / str(seed), seed=seed, surface=surface)
         campaign, drops, truth = opened(folder)
         start = exact_start(used(drops, "fit"), read_truth(folder), truth["gravity"])
-        objective = GearObjective.build(campaign, search_space(campaign), start)
+        objective = GearProblem.build(campaign, search_space(campaign), start)
         found.append(errors(objective, truth, seed))
     median = {name: float(np.median([abs(one[name]) for one in found])) for name in found[0]}
     print(f"\n{surface}: relative errors over {len(SEEDS)} draws of noise [%]")
@@ -181,7 +182,7 @@ def test_two_accuracies_find_the_same_high_friction_parameters(tmp_path):
     near = {r.name: (max(r.lower, 0.7 * truth[r.name]), min(r.upper, 1.4 * truth[r.name])) for r in wide.free}
     space = SearchSpace.build(wide.table, wide.names, measured_values(campaign), near)
     found = [
-        errors(GearObjective.build(campaign, space, used(drops, "fit"), tolerance=tolerance), truth, seed=1)
+        errors(GearProblem.build(campaign, space, used(drops, "fit"), tolerance=tolerance), truth, seed=1)
         for tolerance in (1e-3, 1e-4)
     ]
     moved = {name: (1 + found[0][name]) / (1 + found[1][name]) - 1 for name in space.names}

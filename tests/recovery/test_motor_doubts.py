@@ -6,20 +6,21 @@ import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from sysid.campaign import read_campaign
+from sysid.fit.problem import Course
 from sysid.fit.result import ranked_sets
 from sysid.fit.search import SearchSettings, run_one
 from sysid.fit.stopping import StopRule
+from sysid.journal import Journal
 from sysid.motor.curves import NoLoadTie
 from sysid.motor.follow_up import after_the_search, curve_sentence
 from sysid.motor.inertia import SpikeInertia
 from sysid.motor.known_values import prepare_bench, search_space
-from sysid.motor.objective import MotorObjective
+from sysid.motor.problem import MotorProblem
 from sysid.parameter_sets import NOT_ALONE
 from sysid.synthetic.motor import TrialPlan, synthesize_motor
 
@@ -129,19 +130,16 @@ def test_an_interrupted_fit_says_what_it_has_not_looked_at(campaign: Path) -> No
     with pytest.warns(UserWarning, match="fix only k²/R"):
         bench = prepare_bench(read, path)
     space = search_space(read, bench)
-    objective = MotorObjective.build(read, space, bench, bench.fitted, dynamic=True)
-    run = run_one(objective, SearchSettings(8, 1, 1, StopRule(max_generations=1), "cmaes", "none"))
+    problem = MotorProblem.build(read, space, bench, bench.trials)
+    run = run_one(problem.fitted, SearchSettings(8, 1, 1, StopRule(max_generations=1), "cmaes", "none"))
     runs = (replace(run, stages=(replace(run.stages[-1], stop_reason="interrupted"),)),)
-    sets = ranked_sets(runs, space)
-    told: list[str] = []
-    found = SimpleNamespace(runs=runs, cut="interrupted")
-    walk = SimpleNamespace(tell=told.append)
-    after = after_the_search(read, bench, objective, sets, found, walk)
-    # Torque and speed fix no R, L or I_sat of their own, interrupted or not.
+    with Journal() as journal:
+        after = after_the_search(problem, Course(ranked_sets(runs, space), None, "interrupted", bool))
+    # Torque and speed fix no R, L or I_sat alone, interrupted or not.
     assert {"winding_resistance", "winding_inductance", "saturation_current"} <= {*after.settings[NOT_ALONE]}
-    (sentence,) = after.warnings
-    assert "viscous_damping was not profiled" in sentence
-    assert told == [f"warning: {sentence}"]
+    (finding,) = journal.findings
+    assert finding.code == "cut-short"
+    assert "viscous_damping was not profiled" in finding.sentence
 
 
 def test_a_static_curve_is_told_with_its_errors() -> None:

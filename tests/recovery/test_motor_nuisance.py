@@ -20,10 +20,10 @@ from sysid.motor.known_values import prepare_bench, search_space
 from sysid.motor.ladder import climb, ladder_sentences
 from sysid.motor.log_delays import averaged
 from sysid.motor.model import PARAMETERS, simulate
-from sysid.motor.objective import MotorObjective
-from sysid.motor.problem import fit_motor
+from sysid.motor.problem import MotorProblem
 from sysid.synthetic.motor import TRUE_MOTOR, TrialPlan, synthesize_motor
-from sysid.workflows.search import FitOptions
+from sysid.workflows.fit import fit_motor
+from sysid.workflows.options import FitOptions
 from sysid.workflows.show import print_sets
 
 TRUTH = {**PARAMETERS.nominal, **TRUE_MOTOR}
@@ -57,7 +57,7 @@ def _bench(path: Path):
 
 def _dynamic_fit(campaign, bench):
     space = search_space(campaign, bench)
-    objective = MotorObjective.build(campaign, space, bench, bench.fitted, dynamic=True)
+    objective = MotorProblem.build(campaign, space, bench, bench.fitted, dynamic=True)
     best = run_one(objective, SEARCH).best_point
     return space, averaged(space, objective.complete(space.full(best)))
 
@@ -120,8 +120,8 @@ def test_every_log_has_its_own_command_delay(tmp_path: Path) -> None:
     assert values["command_delay[reverse-1.h5]"] == pytest.approx(0.025, abs=5e-4)
     assert values["command_delay"] == pytest.approx(0.0165, abs=5e-4)
     assert values["winding_inductance"] == pytest.approx(0.0038, rel=0.05)
-    whole = MotorObjective.build(campaign, space, bench, bench.fitted)
-    facts = {fact["log"]: fact for fact in log_delays(campaign, bench, whole, rows[0])}
+    every = MotorProblem.build(campaign, space, bench, bench.trials)
+    facts = {fact["log"]: fact for fact in log_delays(every, rows[0])}
     assert facts["reverse-1.h5"] == {
         "log": "reverse-1.h5",
         "delay [s]": pytest.approx(0.025, abs=5e-4),
@@ -327,7 +327,7 @@ def test_refusals_name_the_log_and_the_trial(tmp_path: Path) -> None:
     _write(log, header, dead)
     campaign, bench = _bench(path)
     with pytest.raises(FitError, match=r"trial 'forward-1' of forward-1\.csv, stator_torque: constant"):
-        MotorObjective.build(campaign, search_space(campaign, bench), bench, bench.fitted)
+        MotorProblem.build(campaign, search_space(campaign, bench), bench, bench.fitted)
     _write(log, header, table)
     # Static curves from the trial itself, whose commands change too fast for one steady segment.
     _edit(

@@ -17,10 +17,10 @@ from sysid.motor.dead_band import saturation_space
 from sysid.motor.inertia import spike_inertia
 from sysid.motor.known_values import in_search, prepare_bench, search_space
 from sysid.motor.model import PARAMETERS, simulate
-from sysid.motor.objective import MotorObjective, score_values
-from sysid.motor.problem import fit_motor
+from sysid.motor.problem import MotorProblem, score_values
 from sysid.synthetic.motor import TRUE_MOTOR, synthesize_motor
-from sysid.workflows.search import FitOptions
+from sysid.workflows.fit import fit_motor
+from sysid.workflows.options import FitOptions
 from sysid.workflows.show import print_sets
 
 TRUTH = {**PARAMETERS.nominal, **TRUE_MOTOR}
@@ -75,7 +75,7 @@ def test_simulation_walks_the_way_of_the_log(prepared) -> None:
     # has no memory of the steps, so it must not grow where the torque moves fastest.
     campaign, bench = prepared
     space = search_space(campaign, bench)
-    objective = MotorObjective.build(campaign, space, bench, bench.trials)
+    objective = MotorProblem.build(campaign, space, bench, bench.trials)
     row = np.array([[TRUTH[name] for name in PARAMETERS]])
     samples, _ = objective.simulate(row)
     torque = objective.cost.prepared(samples, objective.sensors(row))[0][0, :, 0]
@@ -220,10 +220,10 @@ def test_numbers_do_not_depend_on_threads(prepared) -> None:
     campaign, bench = prepared
     space = search_space(campaign, bench)
     cube = np.random.default_rng(2).uniform(size=(6, len(space.free)))
-    one = MotorObjective.build(campaign, space, bench, bench.fitted, 1).evaluate(cube)
-    two = MotorObjective.build(campaign, space, bench, bench.fitted, 2).evaluate(cube)
+    one = MotorProblem.build(campaign, space, bench, bench.fitted, 1).evaluate(cube)
+    two = MotorProblem.build(campaign, space, bench, bench.fitted, 2).evaluate(cube)
     np.testing.assert_array_equal(one.cost, two.cost)
-    alone = MotorObjective.build(campaign, space, bench, bench.fitted).evaluate(cube[3:4])
+    alone = MotorProblem.build(campaign, space, bench, bench.fitted).evaluate(cube[3:4])
     assert alone.cost[0] == one.cost[3]
 
 
@@ -332,7 +332,7 @@ def test_without_a_log_without_propeller_the_no_load_line_follows_r(campaign_fil
     bench = prepare_bench(campaign, path)
     space = search_space(campaign, bench)
     assert "viscous_damping" not in space.names
-    objective = MotorObjective.build(campaign, space, bench, bench.fitted)
+    objective = MotorProblem.build(campaign, space, bench, bench.fitted)
     truth = np.array([[TRUTH[name] for name in PARAMETERS]])
     row = dict(zip(PARAMETERS, objective.complete(truth)[0], strict=True))
     for direction in ("forward", "reverse"):

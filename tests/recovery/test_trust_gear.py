@@ -4,7 +4,6 @@ import json
 import math
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,24 +15,25 @@ from sysid.campaign import read_campaign
 from sysid.cli import app
 from sysid.errors import FitError
 from sysid.gear.candidates import centre_of_mass, turning_point
+from sysid.gear.capture_noise import compared_noise, start_roots
 from sysid.gear.drops import prepare_drops
-from sysid.gear.model import PARAMETERS
-from sysid.gear.problem import GearObjective, fit_gear, search_space
-from sysid.gear.trust import TRUST_TOLERANCE, GearProblem, compared_noise, start_roots
+from sysid.gear.problem import TRUST_TOLERANCE, GearProblem, search_space
 from sysid.synthetic import synthesize_gear
 from sysid.synthetic.gear import DropPlan
 from sysid.trust.assessment import linearize
 from sysid.trust.documents import TRUST, parts, read_arrays, read_part
 from sysid.trust.influence import influence
 from sysid.trust.problem import nrmse_of
+from sysid.trust.sensitivity import quick_expectations
 from sysid.trust.verdicts import VERDICTS
-from sysid.workflows.check import check_campaign, quick_gear
+from sysid.workflows.check import check_campaign
 from sysid.workflows.compare import compare_fits
-from sysid.workflows.predicted_rows import gear_rows
-from sysid.workflows.reopen import gear_problem, open_fit
-from sysid.workflows.search import FitOptions
+from sysid.workflows.fit import fit_gear
+from sysid.workflows.kinds import find_kind
+from sysid.workflows.options import FitOptions
+from sysid.workflows.predict import cross_validate, validate_fit
+from sysid.workflows.reopen import open_fit
 from sysid.workflows.trust import TrustOptions, assess_fit
-from sysid.workflows.validate import cross_validate, validate_fit
 
 LF = SAMPLES / "gear-lf" / "campaign.toml"
 
@@ -41,8 +41,8 @@ LF = SAMPLES / "gear-lf" / "campaign.toml"
 @pytest.fixture(scope="module")
 def lf():
     campaign = read_campaign(LF, "gear")
-    drops = prepare_drops(campaign, LF)
-    return campaign, drops, gear_problem(campaign, drops)
+    whole = find_kind("gear").open(campaign, LF, None)
+    return campaign, whole.drops, whole.fitted.exact
 
 
 @pytest.fixture(scope="module")
@@ -75,16 +75,14 @@ def test_residuals_are_those_of_the_cost(lf):
     weights = np.array([block.weight for block in problem.blocks])
     assert not failed.any()
     # The same filter as a matrix: rounding alone.
-    assert nrmse_of(problem.blocks, values) @ weights == pytest.approx(
-        problem.objective.evaluate(point).cost, rel=1e-9
-    )
+    assert nrmse_of(problem.blocks, values) @ weights == pytest.approx(problem.evaluate(point).cost, rel=1e-9)
 
 
 def test_a_candidate_that_the_cost_penalizes_has_failed(lf):
     problem = lf[2]
-    short = replace(problem.objective, board_length=0.05)
+    short = replace(problem, board_length=0.05)
     # Every drop of the sample slides farther than 5 cm.
-    assert GearProblem(short).residuals(_truth(problem)[None])[1].all()
+    assert short.residuals(_truth(problem)[None])[1].all()
 
 
 def test_the_noise_floor_is_what_the_truth_scores(lf):
@@ -123,7 +121,7 @@ def test_disturbances_move_their_own_drop_alone(lf):
 
 def test_six_drops_fix_all_but_the_ground(lf):
     _, _, problem = lf
-    found = {one.name: one for one in quick_gear(problem)}
+    found = {one.name: one for one in quick_expectations(problem)}
     assert found["ground_damping"].verdict == "not identifiable"
     assert found["ground_stiffness"].verdict == "weakly"
     for name in ("joint_dx", "leg_axial_stiffness", "leg_axial_damping", "leg_bending_stiffness"):
@@ -200,45 +198,23 @@ def test_validation_takes_the_trials_that_were_not_fitted(fit):
     assert read_arrays(fit, "validation-synthetic-lf")["trials/1/simulated"].shape[0] == 2
 
 
-def test_what_a_fit_held_predicts_another_campaign(lf):
-    campaign = lf[0]
-    silent = campaign.model_copy(deep=True)
-    records = [
-        SimpleNamespace(name="ground_damping", status="fixed"),
-        SimpleNamespace(name="leg_mass", status="measured"),
-        SimpleNamespace(name="joint_dx", status="free"),
-    ]
-    fit = SimpleNamespace(
-        nrmse=[0.1], parameters=records, values=np.array([[0.5, 0.04, 0.07]]), settings={"surface": "lf"}
-    )
-    at = {name: i for i, name in enumerate(PARAMETERS)}
-    row = gear_rows(fit, silent)[0]
-    # Of b_s the campaign says nothing: what the fit held counts; of the mass it says its own.
-    assert row[at["ground_damping"]] == 0.5
-    assert row[at["joint_dx"]] == 0.07
-    assert row[at["leg_mass"]] == campaign.vehicle.leg_mass != 0.04
-    fixed = campaign.parameters.model_copy(update={"fixed": {"ground_damping": "2 N·s/m"}})
-    own = gear_rows(fit, campaign.model_copy(update={"parameters": fixed}))[0]
-    assert own[at["ground_damping"]] == 2.0
-
-
 @pytest.mark.slow
 def test_the_drop_that_misleads_a_fit_is_named(tmp_path):
     # Seed 1011: at the truth drop-5 alone scores 2.3 times its noise, and the fit bends k_h and b_h to it.
     path = synthesize_gear(tmp_path / "c", seed=1011) / "campaign.toml"
     campaign = read_campaign(path, "gear")
-    problem = gear_problem(campaign, prepare_drops(campaign, path))
+    problem = find_kind("gear").open(campaign, path, None).fitted.exact
     true = json.loads((tmp_path / "c" / "truth.json").read_text(encoding="utf-8"))["parameters"]
     truth = problem.space.encode(np.array([true[name] for name in problem.space.names]))
     linear = linearize(problem, truth)
     found = influence(problem, linear, np.array([block.noise for block in problem.blocks]))
     # Its residual tells nothing, for the fit has bent to it.
     assert found.outliers == ()
-    named = {problem.trials[t]: {problem.space.names[i] for i in far} for t, far in found.held_by}
+    named = {problem.names[t]: {problem.space.names[i] for i in far} for t, far in found.held_by}
     assert {"leg_axial_stiffness", "leg_axial_damping"} <= named["drop-5"]
     # Without it k_h comes back to within one percent, its half-width; with it it is 5 % off.
     stiffness = problem.space.names.index("leg_axial_stiffness")
-    back = problem.space.decode(found.without[problem.trials.index("drop-5")])[stiffness]
+    back = problem.space.decode(found.without[problem.names.index("drop-5")])[stiffness]
     assert back == pytest.approx(true["leg_axial_stiffness"], rel=0.012)
     assert problem.space.decode(linear.point)[stiffness] < 0.97 * true["leg_axial_stiffness"]
 
@@ -352,12 +328,12 @@ def test_trust_tolerance_is_finer_than_the_fit():
     campaign = read_campaign(LF, "gear")
     drops = tuple(drop for drop in prepare_drops(campaign, LF) if drop.use == "fit")
     space = search_space(campaign)
-    exact = GearProblem(GearObjective.build(campaign, space, drops, None, 1e-6))
+    exact = GearProblem.build(campaign, space, drops, None, 1e-6)
     point = _truth(exact)[None]
     best, _ = exact.residuals(point)
     errors = {}
     for tolerance in (TRUST_TOLERANCE, 3e-4):
-        values, _ = GearProblem(GearObjective.build(campaign, space, drops, None, tolerance)).residuals(point)
+        values, _ = GearProblem.build(campaign, space, drops, None, tolerance).residuals(point)
         errors[tolerance] = nrmse_of(exact.blocks, values[0] - best[0]).max()
     # An error of 1e-3 in NRMSE beside noise of 5e-2 to 2e-1 shifts a deviance of 1 by less than a tenth.
     assert errors[TRUST_TOLERANCE] < 1e-3

@@ -11,18 +11,16 @@ import pytest
 
 from sysid.campaign import read_campaign
 from sysid.fit.store import read_fit
-from sysid.motor.known_values import prepare_bench, search_space
-from sysid.motor.problem import fit_motor
 from sysid.report.trust_tables import validation_table
 from sysid.synthetic.motor import TrialPlan, synthesize_motor
 from sysid.trust.problem import nrmse_of
 from sysid.workflows.check import check_campaign
 from sysid.workflows.compare import compare_fits
-from sysid.workflows.predicted_rows import motor_rows
-from sysid.workflows.reopen import motor_problem
-from sysid.workflows.search import FitOptions
+from sysid.workflows.fit import fit_motor
+from sysid.workflows.kinds import find_kind
+from sysid.workflows.options import FitOptions
+from sysid.workflows.predict import cross_validate, validate_fit
 from sysid.workflows.trust import TrustOptions, assess_fit
-from sysid.workflows.validate import cross_validate, validate_fit
 
 PLANS = (
     TrialPlan("forward-1", "forward", "fit", 0.25, (0.62, 0.35, 0.80), 0.45, "csv"),
@@ -68,7 +66,7 @@ def test_the_floor_of_a_bench_is_what_the_truth_scores(bench: Path) -> None:
         bench, bench.with_name("exact.toml"), "[fit]", f"[parameters]\nfixed = {{ {known} }}\n[fit]"
     )
     campaign = read_campaign(exact, "motor")
-    problem = motor_problem(campaign, prepare_bench(campaign, exact))
+    problem = find_kind("motor").open(campaign, exact, None).fitted
     point = problem.space.encode([truth["parameters"][n.split("[")[0]] for n in problem.space.names])
     values, _ = problem.residuals(np.asarray(point)[None])
     ratio = nrmse_of(problem.blocks, values[0]) / np.array([block.noise for block in problem.blocks])
@@ -126,16 +124,14 @@ def test_what_a_fit_held_predicts_another_campaign(fit: Path, bench: Path, tmp_p
         (_edited(held, bench.with_name("own.toml"), "3.8e-5", "7e-5"), 7e-5),
     ):
         campaign = read_campaign(path, "motor")
-        prepared = prepare_bench(campaign, path)
-        space = search_space(campaign, prepared)
-        base = np.array([space.fixed.get(name, row.nominal) for name, row in space.table.items()])
-        row = dict(zip(space.table, motor_rows(result, campaign, prepared, space, base)[0], strict=True))
+        problem = find_kind("motor").open(campaign, path, None)
+        row = dict(zip(problem.space.table, problem.adopt(result)[0], strict=True))
         # A campaign that fixes a value keeps its own, one that says nothing takes the fit's.
         assert row["winding_inductance"] == inductance
         assert row["viscous_damping"] == 9.2e-9
         # What the fit has found is its own, what the other campaign has measured is the campaign's.
         assert row["winding_resistance"] == result.parameter_sets().set_values()["winding_resistance"]
-        assert row["torque_quadratic_forward"] == prepared.values["torque_quadratic_forward"]
+        assert row["torque_quadratic_forward"] == problem.stated["torque_quadratic_forward"]
     table = np.asarray(compare_fits([fit, tmp_path / "held"])[0]["cross"])
     # L a hundred times too small beside a right one: the one whose L it is predicts worse on both.
     assert table[1, 0] > 1.05 * table[0, 0]

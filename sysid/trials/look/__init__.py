@@ -10,6 +10,6 @@ Judges only what one recording shows; nothing is changed, and a suspicion is a s
 from sysid.trials.look.bench import BenchReport
 from sysid.trials.look.channels import ChannelReport
 from sysid.trials.look.drop import DropReport
-from sysid.trials.look.whole import LogReport, inspect_recording
+from sysid.trials.look.whole import LogReport, inspect_recording, log_quality
 
-__all__ = ["BenchReport", "ChannelReport", "DropReport", "LogReport", "inspect_recording"]
+__all__ = ["BenchReport", "ChannelReport", "DropReport", "LogReport", "inspect_recording", "log_quality"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -71,6 +72,21 @@ class LogReport:
         for name in ("suspicions", "notes"):
             stated[name] = [str(finding) for finding in getattr(self, name)]
         return stated
+
+
+def log_quality(name: str, use: str, report: LogReport) -> dict[str, Any]:
+    """Return how good the log of a trial is, as `sysid check` states it."""
+    channels = report.channels
+    return {
+        "name": name,
+        "use": use,
+        "log": Path(report.path).name,
+        "rate": max((channel.rate for channel in channels), default=math.nan),
+        "jitter": max((channel.jitter for channel in channels), default=math.nan),
+        "holes": max((channel.holes for channel in channels), default=0),
+        "saturated": max((channel.saturated for channel in channels), default=0.0),
+        "suspicions": [str(finding) for finding in report.suspicions],
+    }
 
 
 def inspect_recording(recording: Recording, gravity: float = STANDARD_GRAVITY) -> LogReport:

@@ -6,7 +6,7 @@ from fakes.places import SAMPLES
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError, SysidWarning
 from sysid.gear.model import HF_FREE, PARAMETERS, SURFACES, parameters_on
-from sysid.gear.problem import _say_defaults, on_surface, say_dropped, search_space
+from sysid.gear.problem import GearProblem, on_surface, search_space
 
 
 def opened(tmp_path, surface, text="", stated=""):
@@ -60,12 +60,12 @@ def test_a_stated_value_that_is_free_is_said_to_be_unused(tmp_path, recwarn):
     space = search_space(campaign)
     assert space.names == HF_FREE
     with pytest.warns(SysidWarning, match="kinetic_friction is stated in the campaign and free on hf"):
-        _say_defaults(campaign, space)
+        GearProblem.build(campaign, space, ())._notice_defaults()
     fixed = opened(
         tmp_path, "hf", '[parameters.fixed]\nkinetic_friction = "0.8"\n', stated="kinetic_friction = 0.8"
     )
     recwarn.clear()
-    _say_defaults(fixed, search_space(fixed))
+    GearProblem.build(fixed, search_space(fixed), ())._notice_defaults()
     assert not [w for w in recwarn if "is stated" in str(w.message)]
 
 
@@ -92,10 +92,9 @@ def test_a_stated_value_outside_the_surfaces_bounds_is_refused(tmp_path):
 )
 def test_friction_of_another_surface_is_dropped_and_said(surface, other, stated, fixed, names, tmp_path):
     campaign = opened(tmp_path, surface, fixed, stated=stated)
-    moved, dropped = on_surface(campaign, other)
-    assert dropped == names
-    with pytest.warns(SysidWarning, match=f"law {other} instead.*{', '.join(names)} stated there are of the"):
-        say_dropped(moved, dropped)
+    moved, (ignored,) = on_surface(campaign, other)
+    assert ignored.code == "other-law"
+    assert f"ignoring {', '.join(names)}, which the campaign states for law {surface}" in ignored.sentence
     # What is not of the surface is kept.
     assert moved.vehicle == campaign.vehicle
     assert moved.parameters.bounds == campaign.parameters.bounds

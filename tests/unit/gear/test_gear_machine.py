@@ -103,8 +103,8 @@ def test_a_law_typed_in_a_session_has_a_fingerprint():
 MEMORY = """
 import json, sys
 from pathlib import Path
-from sysid.gear.problem import fit_gear
-from sysid.workflows.search import FitOptions
+from sysid.workflows.fit import fit_gear
+from sysid.workflows.options import FitOptions
 options = FitOptions(out=Path(OUT), population=400, runs=2,
                      max_generations=2, algorithm="ga", finish="cmaes", quiet=True)
 fit_gear(CAMPAIGN, options)

@@ -7,11 +7,10 @@ from html.parser import HTMLParser
 import pytest
 
 from fakes.places import SAMPLES
-from sysid.gear.problem import fit_gear
-from sysid.motor.problem import fit_motor
 from sysid.report.notebook import find_notebook, notebook_page, run_notebook
+from sysid.workflows.fit import fit_gear, fit_motor
+from sysid.workflows.options import FitOptions
 from sysid.workflows.report import ReportOptions, write_report
-from sysid.workflows.search import FitOptions
 
 pytestmark = pytest.mark.slow
 

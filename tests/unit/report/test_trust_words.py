@@ -5,28 +5,32 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sysid.journal import Journal
+from sysid.motor.problem import taken_as_exact
 from sysid.report.trust_words import channel_line, check_lines
 from sysid.trust.influence import Influence
-from sysid.workflows.trust import _trial_doubts, taken_as_exact
-from sysid.workflows.validate import _unlike_the_others
+from sysid.workflows.kinds import find_kind
+from sysid.workflows.predict import _notice_unlike
+from sysid.workflows.trust import _notice_trials
 
 R, K, I_R = "winding_resistance", ("back_emf_constant", "torque_constant"), "rotor_inertia"
 
 
-def _bench(stated=None, measured=()):
+def _bench(stated=None, measured=(), guessed=False):
     return SimpleNamespace(
-        stated=dict.fromkeys(K, stated) if stated else {}, measured=dict.fromkeys(measured, "")
-    )
+        stated=dict.fromkeys(K, stated) if stated else {}, measured=dict.fromkeys(measured, ""),
+        guessed={*K} if guessed else set(),
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("bench", "fixed", "words"),
     [
         (_bench("campaign: 1/motor.kv, a rating"), (), "Kv as stated"),
-        (_bench("guess from supply and loaded speed: the campaign gives no Kv"), (), "a guessed k"),
+        (_bench("supply and loaded speed", guessed=True), (), "a guessed k"),
         (_bench(), (), "a guessed k"),
         (_bench(measured=K), (), "k as torque over the logged current gives it"),
-        (_bench("guess from supply"), K, "k as fixed"),
+        (_bench("supply", guessed=True), K, "k as fixed"),
     ],
 )
 def test_a_constant_is_called_what_it_is(bench, fixed, words):
@@ -46,16 +50,14 @@ def test_what_is_free_or_has_a_range_is_not_taken_as_exact():
 
 @pytest.mark.parametrize("kind", ["gear", "motor"])
 def test_advice_on_an_odd_trial_fits_what_was_fitted(kind):
-    opened = SimpleNamespace(
-        problem=SimpleNamespace(trials=("a", "b", "c")),
-        result=SimpleNamespace(kind=kind),
-        space=SimpleNamespace(decode=lambda cube: cube),
-    )
+    words = find_kind(kind).words
     rows = [{"symbol": "p", "refined": 0.5, "doubt": None, "verdict": "well"}]
     odd = Influence(np.array([1.0, 1.0, 4.0]), np.full((3, 1), 0.3), np.array([[0.0], [0.0], [9.0]]))
-    said = _trial_doubts(opened, None, odd, rows)
-    judged = [SimpleNamespace(name=n, ratio=r) for n, r in zip("abc", odd.ratio, strict=True)]
-    said += _unlike_the_others(judged, kind)
+    with Journal() as journal:
+        _notice_trials(("a", "b", "c"), odd.without, odd, rows, words)
+        judged = [SimpleNamespace(name=n, ratio=r) for n, r in zip("abc", odd.ratio, strict=True)]
+        _notice_unlike(judged, words)
+    said = journal.sentences()
     assert len(said) == 3
     of_drops = [word for word in ("bounce", "start_time", "slope") if any(word in one for one in said)]
     assert of_drops == (["bounce", "start_time", "slope"] if kind == "gear" else [])

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
+from sysid.fit.problem import Block, NoiseModel
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 from sysid.trust.assessment import assess, linearize
 from sysid.trust.influence import influence
 from sysid.trust.jacobian import jacobian
 from sysid.trust.least_squares import search_around, solve
-from sysid.trust.linearized import NORMAL_95, NoiseModel, half_widths, information, noise_model, with_bounds
-from sysid.trust.problem import Block, nrmse_of, scales
+from sysid.trust.linearized import NORMAL_95, half_widths, information, noise_model, with_bounds
+from sysid.trust.problem import nrmse_of, scales
 from sysid.trust.profiles import _crossing
 from sysid.trust.resampling import bootstrap, leave_one_out
 from sysid.trust.sensitivity import expectations, morris, rank_candidates

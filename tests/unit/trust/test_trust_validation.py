@@ -8,12 +8,23 @@ import pytest
 
 from sysid import exact_json
 from sysid.errors import FitError
+from sysid.fit.problem import Trial
 from sysid.parameter_sets import ParameterRecord, ParameterSets
 from sysid.trust.comparison import compare_values, unjudged
 from sysid.trust.documents import free_part, parts, read_arrays, read_part, validation_part, write_part
 from sysid.trust.validation import LEAVES, judge, reasons
 
 CHANNELS = ("x_B", "z_B")
+
+
+def _judge(time, measured, simulated, *, spread, noise, weights=(1.0, 1.0), contacts=None, zero=0.0):
+    trial = Trial("one", "validate", time, measured, np.ones(measured.shape, bool), {}, zero)
+    by_channel = np.sqrt(np.mean((simulated - measured) ** 2, axis=1)) / np.where(spread > 0, spread, 1.0)
+    share = np.asarray(weights) / np.sum(weights)
+    return judge(
+        trial, by_channel @ share, by_channel[0], simulated[0], spread=spread, noise=noise,
+        weights=np.asarray(weights), channels=CHANNELS, contacts=contacts,
+    )  # fmt: skip
 
 
 def _judged(offset=0.0, start=60, contacts=None, sets=1, seed=0):
@@ -23,11 +34,9 @@ def _judged(offset=0.0, start=60, contacts=None, sets=1, seed=0):
     truth = np.column_stack([np.sin(10 * time), np.cos(10 * time)])
     simulated = np.repeat(truth[None], sets, axis=0)
     simulated[:, start:, 1] += offset
-    return judge(
-        "one", time, truth + 0.1 * source.standard_normal(truth.shape), np.ones((100, 2), bool), simulated,
-        spread=np.full(2, 0.7), noise=np.full(2, 0.1), weights=np.ones(2), channels=CHANNELS, zero=3.05,
-        contacts=contacts,
-    )  # fmt: skip
+    measured = truth + 0.1 * source.standard_normal(truth.shape)
+    spread, noise = np.full(2, 0.7), np.full(2, 0.1)
+    return _judge(time, measured, simulated, spread=spread, noise=noise, contacts=contacts, zero=3.05)
 
 
 def test_the_true_model_scores_its_noise():
@@ -53,10 +62,7 @@ def test_two_samples_are_no_departure():
     time = np.arange(50) * 0.01
     measured = np.zeros((50, 2))
     measured[20:22] = 10.0
-    found = judge(
-        "one", time, measured, np.ones((50, 2), bool), np.zeros((1, 50, 2)), spread=np.ones(2),
-        noise=np.full(2, 0.1), weights=np.ones(2), channels=CHANNELS, zero=0.0,
-    )  # fmt: skip
+    found = _judge(time, measured, np.zeros((1, 50, 2)), spread=np.ones(2), noise=np.full(2, 0.1))
     assert found.leaves is None
     assert source.early is None
 
@@ -71,10 +77,9 @@ def test_up_to_the_third_contact_nothing_later_counts():
 
 
 def test_a_channel_without_weight_does_not_count():
-    found = judge(
-        "one", np.arange(50.0), np.zeros((50, 2)), np.ones((50, 2), bool),
-        np.stack([np.zeros(50), np.full(50, 9.0)], axis=-1)[None], spread=np.array([1.0, 0.0]),
-        noise=np.array([0.1, np.nan]), weights=np.array([1.0, 0.0]), channels=CHANNELS, zero=0.0,
+    found = _judge(
+        np.arange(50.0), np.zeros((50, 2)), np.stack([np.zeros(50), np.full(50, 9.0)], axis=-1)[None],
+        spread=np.array([1.0, 0.0]), noise=np.array([0.1, np.nan]), weights=(1.0, 0.0),
     )  # fmt: skip
     assert found.nrmse[0] == 0.0
     assert found.floor == pytest.approx(0.1)

@@ -117,7 +117,7 @@ def test_an_aborted_fit_says_how_it_goes_on(campaign, monkeypatch, run):
     """Aborted after its search: nothing is written, nothing is lost, and nobody is kept out."""
     import signal
 
-    from sysid.gear import problem as gear
+    from sysid.workflows import fit as walk
 
     def aborted(*arguments):
         raise KeyboardInterrupt
@@ -125,7 +125,7 @@ def test_an_aborted_fit_says_how_it_goes_on(campaign, monkeypatch, run):
     before = signal.getsignal(signal.SIGINT)
     fit = ("fit-gear", campaign, *(word for word in SMALL if word != "--quiet"))
     with monkeypatch.context() as patched:
-        patched.setattr(gear, "trial_results", aborted)
+        patched.setattr(walk, "_result", aborted)
         code, _, err = run(*fit)
     assert code == 130
     folder = Path("fits") / "synthetic-lf"
@@ -137,11 +137,11 @@ def test_an_aborted_fit_says_how_it_goes_on(campaign, monkeypatch, run):
 
 
 def test_a_fit_whose_last_runs_were_not_begun_is_not_done(campaign, monkeypatch, run):
-    from sysid.workflows import search
+    from sysid.workflows import fit as walk
 
-    real = search.run_many
+    real = walk.run_many
     with monkeypatch.context() as patched:
-        patched.setattr(search, "run_many", lambda *a, **more: real(*a, **more)[:1])
+        patched.setattr(walk, "run_many", lambda *a, **more: real(*a, **more)[:1])
         code, _, _ = run("fit-gear", campaign, *SMALL, "--finish", "none")
     assert code == 130
     cut = read_fit(Path("fits") / "synthetic-lf")
@@ -224,7 +224,7 @@ def test_low_friction_drops_are_fitted_on_the_high_friction_law(campaign, run):
     fit = ("fit-gear", campaign, *SMALL[:-1], "--surface", "hf", "--max-generations", "1", "--finish", "none")
     code, _, err = run(*fit)
     assert code == 0, err
-    said = "kinetic_friction, slip_regularization stated there are of the other surface and not used"
+    said = "surface hf: ignoring kinetic_friction, slip_regularization, which the campaign states for law lf"
     assert " ".join(err.split()).count(said) == 1
     code, _, err = run("fit-gear", campaign, "--surface", "ice", "--force")
     assert code == 2
@@ -264,9 +264,9 @@ def test_another_accuracy_is_not_continued(cut, monkeypatch, run):
 
 
 def test_another_processor_is_noted(cut, monkeypatch, run):
-    from sysid.workflows import search
+    from sysid.workflows import fit as walk
 
-    monkeypatch.setattr(search, "processor", lambda: "Abacus 2")
+    monkeypatch.setattr(walk, "processor", lambda: "Abacus 2")
     code, _, err = run(*cut, "--resume")
     assert code == 0, err
     fit = read_fit(Path("fits") / "synthetic-lf")
@@ -293,8 +293,8 @@ def test_more_runs_keep_the_best_five(campaign, run):
 def test_population_follows_the_algorithm_where_none_is_named():
     from sysid.campaign.common import FitTable
     from sysid.fit.breeders.algorithms import DEFAULT_ALGORITHM, POPULATION
+    from sysid.workflows.fit import search_settings
     from sysid.workflows.options import FitOptions
-    from sysid.workflows.search import search_settings
 
     def searched(table, **options):
         settings = search_settings(FitOptions(**options), FitTable(**table))

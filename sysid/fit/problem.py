@@ -1,0 +1,621 @@
+"""The skeleton of every model: what a verb needs to know of a fit problem, and of a kind of model.
+
+A `Problem` is the prepared trials of one campaign under one model. The search scores it, trust takes its
+residuals, validation and report its predictions; none of them asks which model it is. A `Kind` says how a
+campaign becomes a problem and what a fit of it leaves behind. A third model is one more folder that makes a
+`Problem` and a `Kind`, see `sysid.workflows.kinds.register`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.fit.objective import UNNAMED_CAUSE, Evaluation
+from sysid.fit.result import FitResult, RankedSets, TrialResult
+from sysid.fit.search import SearchSettings
+from sysid.fit.stopping import CutReason
+from sysid.journal import Finding, notice, tell
+from sysid.parameter_sets import ParameterRecord, parameter_records
+from sysid.parameters import SearchSpace
+from sysid.types import BoolArray, FloatArray
+
+# NRMSE of noise where a channel shows none: as coarse as its last digit, so not known any better.
+ASSUMED_NOISE = 0.02
+# Simulated samples of a population that are in memory at once [bytes].
+_MEMORY = 64e6
+
+
+class Cost(Protocol):
+    """An NRMSE: weights of the channels (C,), denominators (T, C) [channel unit]."""
+
+    weights: FloatArray
+    denominators: FloatArray
+
+    def mean(self, by_channel: FloatArray) -> FloatArray:
+        """Return the weighted mean over channels, then over trials, of (..., T, C) NRMSE."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One prepared trial as it is compared.
+
+    Parameters
+    ----------
+    name : str
+    use : {"fit", "validate"}
+    time : (n,) array
+        Compared instants on the log's clock [s].
+    measured, valid : (n, C) arrays
+        As compared [channel units], and which samples count.
+    provenance : mapping
+        Log, hash (``sha256``), what was noticed.
+    zero : float
+        Instant from which times are counted: the first touchdown, the window's start [s].
+    shown : mapping
+        Further fields of `TrialResult`: spectrum, thrust, commands.
+    """
+
+    name: str
+    use: Literal["fit", "validate"]
+    time: FloatArray
+    measured: FloatArray
+    valid: BoolArray
+    provenance: Mapping[str, Any]
+    zero: float
+    shown: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the log."""
+        return str(self.provenance["sha256"])
+
+
+@dataclass(frozen=True)
+class Block:
+    """The samples of one channel of one trial.
+
+    Parameters
+    ----------
+    trial, channel : int
+        Numbers from 0.
+    start, stop : int
+        Its residuals are ``[start:stop]``, one per compared sample, 0 where a sample does not count.
+    count : int
+        Samples that count.
+    weight : float
+        In the mean NRMSE; all blocks sum to 1.
+    spread : float
+        What NRMSE divides by [unit of the channel].
+    noise : float
+        NRMSE that measurement noise alone costs [1].
+    """
+
+    trial: int
+    channel: int
+    start: int
+    stop: int
+    count: int
+    weight: float
+    spread: float
+    noise: float
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """Correlations of residuals, each block scaled to unit variance.
+
+    Parameters
+    ----------
+    channels : tuple of int
+        Which channels, in the order of the arrays.
+    covariance : (C, C, L + 1) array
+        Of channel c at a sample and channel c' as many samples later as the last index says [1].
+    """
+
+    channels: tuple[int, ...]
+    covariance: FloatArray
+
+    @property
+    def inflation(self) -> FloatArray:
+        """(C,) samples of each channel that carry as much as one independent sample [1]."""
+        auto = np.array([self.covariance[c, c] for c in range(len(self.channels))])
+        return np.maximum(1.0, (auto[:, 0] + 2 * auto[:, 1:].sum(axis=1)) / np.maximum(auto[:, 0], 1e-300))
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """What a population scores.
+
+    Parameters
+    ----------
+    by_channel : (P, T, C) array
+        NRMSE [1]; a penalty where the simulation is lost.
+    cause : (P, T) int8 array
+        Why it is lost: a number from 1 among the problem's `causes`; 0 where it is not.
+    """
+
+    by_channel: FloatArray
+    cause: NDArray[np.int8]
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction(Scores):
+    """Scores, and the simulated signals as they are compared: (P, n, C) per trial [channel units]."""
+
+    signals: tuple[FloatArray, ...]
+
+
+class Problem(ABC):
+    """Prepared trials of one campaign under one model.
+
+    Equal rows give equal numbers whatever their neighbours and the number of threads. A subclass is a frozen
+    dataclass; what it computes from its fields are cached properties, which stay behind when it travels to
+    another process.
+
+    Attributes
+    ----------
+    campaign
+        Where the trials come from.
+    space : SearchSpace
+        Free parameters, and the values of all others.
+    causes : tuple of str
+        Causes of a lost simulation that are told apart, in the order in which a candidate is counted.
+    known_words : str
+        What trust counts as uncertain beside the noise, in words.
+    """
+
+    campaign: Any
+    space: SearchSpace
+    causes: tuple[str, ...] = UNNAMED_CAUSE
+    known_words: str = ""
+
+    # --- what a model must say ------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def trials(self) -> tuple[Trial, ...]:
+        """The trials, in the order of every array."""
+
+    @property
+    @abstractmethod
+    def channels(self) -> tuple[str, ...]:
+        """Names of the compared channels."""
+
+    @property
+    @abstractmethod
+    def units(self) -> tuple[str, ...]:
+        """SI units of the channels."""
+
+    @property
+    @abstractmethod
+    def cost(self) -> Cost:
+        """The NRMSE."""
+
+    @abstractmethod
+    def score(self, rows: FloatArray) -> Scores:
+        """Simulate and score rows of the whole parameter table (P, n_table) [SI]."""
+
+    @abstractmethod
+    def signals(self, rows: FloatArray) -> tuple[tuple[FloatArray, ...], BoolArray]:
+        """Return the signals as compared, (P, n, C) per trial [channel units], and which are lost (P, T)."""
+
+    @abstractmethod
+    def only(self, names: Collection[str]) -> Self:
+        """Return the problem of some of the trials."""
+
+    # --- what a model may say -------------------------------------------------------------------------------
+
+    @property
+    def fitted(self) -> Self:
+        """The problem as the search sees it: the trials of use "fit"."""
+        return self.only([trial.name for trial in self.trials if trial.use == "fit"])
+
+    @property
+    def exact(self) -> Self:
+        """The problem with simulations that are exact enough for derivatives."""
+        return self
+
+    @property
+    def noise(self) -> FloatArray:
+        """(T, C) standard deviation of the measurement's noise as compared [channel units]; NaN: unknown."""
+        return np.full((len(self.trials), len(self.channels)), np.nan)
+
+    def correlation(self) -> NoiseModel:
+        """Return the correlations of the measurement's noise as compared; by default it is white."""
+        used = tuple(sorted({block.channel for block in self.blocks}))
+        return NoiseModel(used, np.eye(len(used))[:, :, None])
+
+    def disturbances_at(self, row: FloatArray) -> FloatArray:
+        """Return how one standard deviation of each thing that the fit takes as known moves the residuals.
+
+        (K, m), at a row (n_table,) of the table [SI]. Such as the initial state of a drop, which noise has
+        moved as well. Independent of each other; the last `common` of them concern all trials.
+        """
+        return np.zeros((0, self.blocks[-1].stop))
+
+    @property
+    def common(self) -> int:
+        """How many of the disturbances, the last ones, are of no single trial."""
+        return 0
+
+    def floors(self, row: FloatArray) -> FloatArray:
+        """Return the NRMSE of every block (B,) that a right model scores at a row (n_table,) [SI]."""
+        return np.array([block.noise for block in self.blocks])
+
+    def floor_by_channel(self, row: FloatArray) -> FloatArray:
+        """Return the same in channel units, (T, C); NaN where it is not known."""
+        return self.noise
+
+    def known(self, fit: FitResult) -> Collection[str]:
+        """Return the parameters of which this campaign states a value that stands beside those of a fit."""
+        return self.campaign.parameters.fixed
+
+    @property
+    def instruments(self) -> Collection[str]:
+        """Parameters of logs and instruments, not of what is identified."""
+        return ()
+
+    @property
+    def stated(self) -> Mapping[str, float]:
+        """Values that the campaign states or measures, by name [SI]."""
+        return {}
+
+    def completed(self, rows: FloatArray, fit: FitResult) -> FloatArray:
+        """Return adopted rows with what follows from the other values."""
+        return rows
+
+    @property
+    def row_logs(self) -> Mapping[str, str]:
+        """SHA-256 of the log of every row of the table that belongs to one log, by the row's name."""
+        digest = {trial.name: trial.digest for trial in self.trials}
+        return {row.name: digest.get(row.trial, "") for row in self.space.table.values() if row.trial}
+
+    @property
+    def hashes(self) -> Mapping[str, str]:
+        """SHA-256 of every log that the fit depends on, by name."""
+        return {trial.name: trial.digest for trial in self.trials}
+
+    @property
+    def logs(self) -> Mapping[str, Any]:
+        """What a result states of every log, by name."""
+        return {trial.name: trial.provenance for trial in self.trials}
+
+    @property
+    def accuracy(self) -> Mapping[str, Any]:
+        """Further choices that must be equal for a fit to be continued; see `sysid.resume.Unfinished`."""
+        return {}
+
+    @property
+    def filters(self) -> Mapping[str, Any]:
+        """The filter's design."""
+        return {"kind": "none"}
+
+    def contacts(self, trial: int, row: FloatArray) -> FloatArray | None:
+        """Return when a predicted trial has contacts [s]; None for a model without contacts."""
+        return None
+
+    def beyond(self, rows: FloatArray) -> list[dict[str, Any]]:
+        """Return what a validation states of each trial beside its scores."""
+        return [{} for _ in self.trials]
+
+    def quality(self) -> list[dict[str, Any]]:
+        """Return what `sysid check` states of every log: ``name``, ``use``, ``log`` and more."""
+        return [
+            {"name": one.name, "use": one.use, "log": str(one.provenance.get("log", ""))}
+            for one in self.trials
+        ]
+
+    def excitation(self) -> dict[str, Any]:
+        """Return what the trials excite: a range [low, high] or a number by name."""
+        return {}
+
+    def about(self) -> dict[str, Any]:
+        """Return further keys of the document of `sysid check`."""
+        return {}
+
+    def advice(self, weak: Collection[str]) -> list[str]:
+        """Return what to record for parameters that the trials do not fix well."""
+        return []
+
+    def given(self) -> Mapping[str, str]:
+        """Return what the intervals take as exact, in words, by the parameter whose range would count."""
+        return {}
+
+    # --- what every model shares ----------------------------------------------------------------------------
+
+    def __getstate__(self) -> dict[str, Any]:
+        names = [one.name for one in fields(self)]  # type: ignore[arg-type]
+        return {name: getattr(self, name) for name in names}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the trials."""
+        return tuple(trial.name for trial in self.trials)
+
+    def evaluate(self, cube: FloatArray) -> Evaluation:
+        """Simulate and score unit-cube points (P, n_free)."""
+        scores = self.score(self.space.full(cube))
+        failed = first_cause(scores.cause, len(self.causes))
+        return Evaluation(self.cost.mean(scores.by_channel), failed, scores.cause.size)
+
+    def predict(self, rows: FloatArray) -> Prediction:
+        """Return scores and signals of rows of the whole table (P, n_table) [SI]."""
+        scores = self.score(rows)
+        return Prediction(scores.by_channel, scores.cause, self.signals(rows)[0])
+
+    def results(self, rows: FloatArray) -> tuple[TrialResult, ...]:
+        """Return every trial, measured and simulated with ranked sets (S, n_table) [SI]; name the lost."""
+        found = self.predict(rows)
+        for s, causes in enumerate(found.cause, start=1):
+            for code in np.unique(causes[causes > 0]):
+                where = ", ".join(self.trials[t].name for t in np.flatnonzero(causes == code))
+                cause = self.causes[code - 1]
+                notice("simulation-lost", f"set {s}: {cause} on {where}; its NRMSE there is a penalty")
+        return tuple(
+            TrialResult(
+                trial.name, trial.use, trial.time, trial.measured, trial.valid, found.signals[t],
+                found.by_channel[:, t], **trial.shown,
+            )
+            for t, trial in enumerate(self.trials)
+        )  # fmt: skip
+
+    @cached_property
+    def blocks(self) -> tuple[Block, ...]:
+        """Where the residuals of each trial's channels lie; channels without weight are left out."""
+        weights = self.cost.weights / self.cost.weights.sum() / len(self.trials)
+        out: list[Block] = []
+        start = 0
+        for t, (trial, noise) in enumerate(zip(self.trials, self.noise, strict=True)):
+            for c in np.flatnonzero(weights):
+                stop = start + len(trial.time)
+                spread = float(self.cost.denominators[t, c])
+                level = float(noise[c] / spread)
+                level = level if np.isfinite(level) else ASSUMED_NOISE
+                count = int(np.count_nonzero(trial.valid[:, c]))
+                out.append(Block(t, int(c), start, stop, count, float(weights[c]), spread, level))
+                start = stop
+        return tuple(out)
+
+    @property
+    def without_noise(self) -> tuple[str, ...]:
+        """Channels of trials that show no noise, so that a level is assumed, in words."""
+        noise = self.noise
+        return tuple(
+            f"{self.trials[block.trial].name} ({self.channels[block.channel]})"
+            for block in self.blocks
+            if not np.isfinite(noise[block.trial, block.channel])
+        )
+
+    def residuals(self, cube: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Return residuals (P, m) in units of each channel's spread [1], and which points failed (P,).
+
+        The residuals of a failed point are finite and mean nothing.
+        """
+        return self.compared(self.space.full(cube))
+
+    @property
+    def samples(self) -> int:
+        """Simulated samples of one candidate, which bound how many are compared at once."""
+        return self.blocks[-1].stop
+
+    def compared(self, rows: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Return residuals and failures of rows of the whole table (P, n_table) [SI]."""
+        share = max(1, int(_MEMORY / (16 * self.samples)))
+        out = np.zeros((len(rows), self.blocks[-1].stop))
+        failed = np.zeros(len(rows), dtype=np.bool_)
+        for first in range(0, len(rows), share):
+            part = slice(first, min(first + share, len(rows)))
+            signals, lost = self.signals(rows[part])
+            failed[part] = lost.any(axis=1)
+            for block in self.blocks:
+                trial = self.trials[block.trial]
+                error = signals[block.trial][:, :, block.channel] - trial.measured[:, block.channel]
+                error = np.where(trial.valid[:, block.channel], error, 0.0)
+                out[part, block.start : block.stop] = error / block.spread
+        return np.nan_to_num(out), failed
+
+    def disturbances(self, cube: FloatArray) -> FloatArray:
+        """Return `disturbances_at` of a point of the unit cube (n_free,)."""
+        return self.disturbances_at(self.space.full(np.atleast_2d(cube))[0])
+
+    @property
+    def base(self) -> FloatArray:
+        """(n_table,) what the campaign itself knows of every parameter, else the model's default [SI]."""
+        values = {**self.space.table.nominal, **self.stated, **self.space.fixed}
+        return np.array([values[name] for name in self.space.table])
+
+    def adopt(self, fit: FitResult, values: FloatArray | None = None) -> FloatArray:
+        """Return the rows (S, n_table) with which the sets of a fit predict these trials [SI].
+
+        `values` (S, n) of the fit's parameters stand in for its sets.
+
+        The one rule of every prediction (`validate`, `cross-validate`, `compare`, `report --against`):
+
+        * What the fit has found is the fit's.
+        * What the campaign states or measures (vehicle, surface, rotor, static curves) is the campaign's,
+          where the fit has only taken it as known. Of what the campaign says nothing, the value that the fit
+          took as known counts as well.
+        * Delays and lags of instruments are the campaign's where it states them. Else a log that the fit has
+          seen keeps what the fit found for that log, and any other takes the fit's mean. Tares belong to
+          the log and are read from it.
+        * Friction stays with its law: the campaign is opened under the fit's law (`Kind.under`), where
+          friction stated for another law does not count.
+        * A motor's R stays with its k: torque and speed fix k²/R, so an R that was found keeps the k under
+          which it was found.
+
+        A fit's accuracy plays no part: predictions are simulated as exactly as `exact` does.
+        """
+        known = set(self.known(fit))
+        instruments, row_logs = set(self.instruments), self.row_logs
+        fitted = {trial.name for trial in fit.trials if trial.use == "fit"}
+        logs = fit.provenance.get("logs", {})
+        seen = {str(log.get("sha256")) for name, log in logs.items() if name in fitted}
+        column = self.space.table.index
+        values = fit.values if values is None else values
+        rows = np.repeat(self.base[None], len(values), axis=0)
+        for i, record in enumerate(fit.parameters):
+            name, instrument = record.name, record.name in instruments
+            if name not in column or not np.isfinite(values[:, i]).all():
+                continue
+            if name in row_logs and row_logs[name] not in seen:
+                continue
+            kept = name in known and (record.status != "free" or instrument)
+            # The mean delay of a fit is derived from those of its logs.
+            if not kept and (instrument or record.status in ("free", "fixed", "measured")):
+                rows[:, column[name]] = values[:, i]
+        return self.completed(rows, fit)
+
+
+def first_cause(causes: NDArray[np.int8], count: int) -> NDArray[np.int8] | BoolArray:
+    """Return what a candidate (P,) is counted by, of the causes (P, T) of its trials; one cause: whether."""
+    if count == 1:
+        return np.any(causes > 0, axis=1)
+    codes = np.where(causes > 0, causes, count + 1).min(axis=1)
+    return np.where(codes > count, 0, codes).astype(np.int8)
+
+
+@dataclass(frozen=True)
+class Words:
+    """What a kind's trials are called, and what sentences about them advise.
+
+    Parameters
+    ----------
+    trials : str
+        Plural.
+    single : str
+        A further recording that `sysid check` could suggest.
+    misleads : str
+        What makes a fit hang on one trial.
+    remedy : str
+        What else can be done about a trial that fits unlike the others; empty: nothing.
+    unlike : str
+        What makes one trial predicted far worse than the others.
+    """
+
+    trials: str = "trials"
+    single: str = "trial"
+    misleads: str = "an error of that log"
+    remedy: str = ""
+    unlike: str = "a misread unit, clock or log"
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A fit after its search.
+
+    Parameters
+    ----------
+    sets : RankedSets
+    settings : SearchSettings
+        Of the search.
+    cut : {"interrupted", "time"} or None
+        What cut the search short.
+    go_on : callable
+        Returns False; raises `sysid.fit.stopping.CutShort` where the fit must end.
+    """
+
+    sets: RankedSets
+    settings: SearchSettings
+    cut: CutReason | None
+    go_on: Callable[[], bool]
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a kind makes of the ranked sets of a fit.
+
+    Parameters
+    ----------
+    sets : RankedSets
+        In their final order.
+    rows : (S, n_table) array
+        With which the trials are scored [SI].
+    records : tuple of ParameterRecord
+        One per column of `values`.
+    values, at_bound : (S, n) arrays
+        Of the sets [SI]; -1, 0, 1 where a value ends at a bound.
+    nrmse : (S,) array
+        Of the sets [1].
+    settings : mapping
+        What a simulator must know beside the numbers.
+    provenance : mapping
+        Beside that of every fit.
+    cut : {"interrupted", "time"} or None
+        What cut the search or the follow-up short.
+    """
+
+    sets: RankedSets
+    rows: FloatArray
+    records: tuple[ParameterRecord, ...]
+    values: FloatArray
+    at_bound: NDArray[np.int8]
+    nrmse: FloatArray
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    cut: CutReason | None = None
+
+
+def _as_found(problem: Problem, course: Course) -> Outcome:
+    """Return ranked sets as they are."""
+    sets, choices = course.sets, problem.campaign.parameters
+    ranges = choices.measured_ranges(problem.space.table)
+    records = parameter_records(problem.space, None, ranges, stated=dict.fromkeys(choices.fixed, "campaign"))
+    return Outcome(sets, sets.values, records, sets.values, sets.at_bound, sets.cost, cut=course.cut)
+
+
+def _as_stated(campaign: Any, settings: Mapping[str, Any]) -> tuple[Any, tuple[Finding, ...]]:
+    return campaign, ()
+
+
+def _begin(problem: Problem) -> None:
+    count = len(problem.fitted.trials)
+    free = ", ".join(problem.space.names)
+    tell(f"{count} trials to fit, {len(problem.trials) - count} to validate; free: {free}")
+
+
+def _no_candidates(fitted: Problem, row: FloatArray) -> tuple[Problem, Sequence[str]] | None:
+    return None
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of model.
+
+    Parameters
+    ----------
+    name : str
+        As campaign files and results say it.
+    campaign : type
+        Of the campaign file; a subclass of `sysid.campaign.common.CampaignTable` with the tables ``fit`` and
+        ``cost``.
+    open : callable
+        (campaign, path, threads) -> the problem of all its trials.
+    begin : callable
+        (problem of all trials) -> None: refuses what could not be fitted in the end, tells what is fitted.
+    follow_up : callable
+        (problem of all trials, `Course`) -> `Outcome`.
+    candidates : callable
+        (fitted problem, row (n_table,) [SI]) -> (problem with one trial per recording that could be made
+        next, their titles), or None.
+    under : callable
+        (campaign, settings of a fit) -> (the campaign under the law of that fit, what is noticed).
+    words : Words
+    """
+
+    name: str
+    campaign: type
+    open: Callable[[Any, Path, int | None], Problem]
+    begin: Callable[[Any], None] = _begin
+    follow_up: Callable[[Any, Course], Outcome] = _as_found
+    candidates: Callable[[Any, FloatArray], tuple[Problem, Sequence[str]] | None] = _no_candidates
+    under: Callable[[Any, Mapping[str, Any]], tuple[Any, tuple[Finding, ...]]] = _as_stated
+    words: Words = Words()

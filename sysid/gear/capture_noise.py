@@ -1,0 +1,83 @@
+"""The noise of a capture as it is compared, and what it makes of a drop's start."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sysid.filters import differentiate
+from sysid.gear.drops import PreparedDrop
+from sysid.types import FloatArray
+
+# Position column of each compared channel, and whether it is its rate, as `sysid.gear.drops` orders them.
+_COLUMN, _IS_RATE = (0, 1, 0, 1, 2), (False, False, True, True, False)
+# Samples of the noise that pass the filter to tell what it looks like then.
+_NOISE_SAMPLES = 20_000
+# The fit of the flight looks back into a hold this far at most [s].
+_HOLD = 2.0
+
+
+def start_roots(drop: PreparedDrop) -> FloatArray:
+    """Return a square root (6, 6) of the covariance of a drop's state at the start of its window [SI].
+
+    Rows are independent changes of one standard deviation: height, instant of the release (or downward speed
+    of a body that was thrown), place along x, pitch, and pitch rate; the last row is empty, kept for the
+    error of the measured level (`level_error`). From the noise of the flight and the samples that its fit
+    saw. A body that was held has no speed, and one that was held level has exactly no pitch.
+    """
+    flight, motion = drop.flight, drop.motion
+    before = motion.valid & (motion.time < drop.touchdown) & np.isfinite(motion.z)
+    out = np.zeros((6, 6))
+    noise_x, noise_z, noise_q = flight.noise
+    elapsed_start = float(drop.time[0] - flight.start)
+    if flight.held:
+        seen = motion.time[before & (motion.time > flight.start - _HOLD)]
+        still = max(1, int(np.count_nonzero(seen < flight.start)))
+        fall = np.maximum(0.0, seen - flight.start)
+        design = np.column_stack([np.ones_like(fall), flight.gravity * fall])
+        covariance = noise_z**2 * np.linalg.inv(design.T @ design + 1e-9 * np.eye(2))
+        root = np.linalg.cholesky(covariance).T
+        falling = max(elapsed_start, 0.0)
+        for k in range(2):
+            height, late = root[k]
+            out[k, 1] = height + late * flight.gravity * falling
+            out[k, 4] = late * flight.gravity
+        out[2, 0] = noise_x / np.sqrt(len(seen))
+        if drop.initial_state[2] != 0.0:
+            out[3, 2] = noise_q / np.sqrt(still)
+        return out
+    seen = motion.time[before & (motion.time >= flight.start - 1e-9)] - flight.start
+    design = np.column_stack([np.ones_like(seen), seen])
+    root = np.linalg.cholesky(np.linalg.inv(design.T @ design)).T
+    out[0, [1, 4]] = noise_z * root[0]
+    out[1, [1, 4]] = noise_z * root[1]
+    out[2, [0, 3]] = noise_x * root[0]
+    out[3, [2, 5]] = noise_q * root[0]
+    out[4, [2, 5]] = noise_q * root[1]
+    return out
+
+
+def level_error(drop: PreparedDrop) -> float:
+    """Return how far off the level may be that the pitch is measured from [rad]: as the mean of the hold."""
+    motion, flight = drop.motion, drop.flight
+    if not flight.held or drop.initial_state[2] != 0.0:
+        return 0.0
+    hold = motion.valid & (motion.time < flight.start) & (motion.time > flight.start - _HOLD)
+    return float(flight.noise[2]) / float(np.sqrt(max(1, int(np.count_nonzero(hold)))))
+
+
+def compared_noise(drop: PreparedDrop) -> FloatArray:
+    """Return the standard deviation (5,) of the capture's noise in every compared channel [channel units]."""
+    noise = noise_signals(drop, 0)
+    return np.sqrt(np.mean(noise**2, axis=0))
+
+
+def noise_signals(drop: PreparedDrop, seed: int) -> FloatArray:
+    """Return (n, 5) samples of the capture's noise, filtered and differentiated as the log was."""
+    source = np.random.default_rng(seed)
+    white = source.standard_normal((_NOISE_SAMPLES, 3)) * drop.flight.noise
+    taps = drop.target.taps
+    if taps is not None:
+        white = np.column_stack([np.convolve(white[:, c], taps, "valid") for c in range(3)])
+    rates = differentiate(white, drop.target.rate)
+    both = [rates[:, c] if rate else white[:, c] for c, rate in zip(_COLUMN, _IS_RATE, strict=True)]
+    return np.column_stack(both)[1:-1]

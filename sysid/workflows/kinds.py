@@ -1,0 +1,71 @@
+"""The kinds of models that the verbs know: landing gears, motors, and what else is registered."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from sysid.campaign import read_campaign, register_campaign
+from sysid.errors import CampaignError, UnitError
+from sysid.fit.problem import Kind
+from sysid.gear.kind import GEAR
+from sysid.journal import Finding
+from sysid.motor.kind import MOTOR
+
+_KINDS: dict[str, Kind] = {}
+
+
+def register(kind: Kind) -> None:
+    """Let every verb serve a kind of model."""
+    _KINDS[kind.name] = kind
+    register_campaign(kind.name, kind.campaign)
+
+
+register(GEAR)
+register(MOTOR)
+
+
+def find_kind(name: str) -> Kind:
+    """Return a kind by its name."""
+    return _KINDS[name]
+
+
+def open_campaign(
+    path: str | Path, kind: str | None = None, settings: Mapping[str, Any] | None = None
+) -> tuple[Kind, Any, tuple[Finding, ...]]:
+    """Read a campaign.
+
+    Parameters
+    ----------
+    path : str or Path
+        Campaign file.
+    kind : str, optional
+        What the caller needs; another kind is refused.
+    settings : mapping, optional
+        Of a fit under whose law the campaign is taken, such as ``{"surface": "hf"}``.
+
+    Returns
+    -------
+    kind : Kind
+    campaign
+        Under that law.
+    findings : tuple of Finding
+        What the campaign states and the law ignores.
+    """
+    campaign = read_campaign(path, kind)
+    found = find_kind(campaign.kind)
+    campaign, ignored = found.under(campaign, settings or {})
+    return found, campaign, ignored
+
+
+@contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """Put the campaign's path before a complaint about its content."""
+    try:
+        yield
+    except (CampaignError, UnitError) as error:
+        if str(path) in str(error):
+            raise
+        raise CampaignError(f"{path}: {error}") from error

@@ -1,0 +1,294 @@
+"""`sysid validate`, `sysid cross-validate`: a fit against trials that it has not seen. The one predictor.
+
+Every prediction of a campaign by a fit is `predict` on the campaign opened under the law of the fit; see
+`sysid.fit.problem.Problem.adopt` for what the fit brings and what is the campaign's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid.errors import FitError
+from sysid.fit.problem import ASSUMED_NOISE, Kind, Prediction, Problem, Words
+from sysid.fit.result import FitResult
+from sysid.fit.store import read_fit
+from sysid.journal import Journal, notice
+from sysid.parallel import executor
+from sysid.recording import file_sha256
+from sysid.trust.assessment import linearize
+from sysid.trust.documents import CROSS_VALIDATION, free_part, validation_part, write_part
+from sysid.trust.influence import STANDS_OUT
+from sysid.trust.problem import SpreadProblem
+from sysid.trust.resampling import leave_one_out
+from sysid.trust.validation import Judged, document, judge, summary
+from sysid.types import FloatArray
+from sysid.workflows.kinds import naming, open_campaign
+from sysid.workflows.provenance import seen_from
+from sysid.workflows.reopen import fit_folder, open_fit
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """Trials of a campaign, predicted by the sets of a fit.
+
+    Parameters
+    ----------
+    problem : Problem
+    rows : (S, n_table) array
+        As `Problem.adopt` returns them [SI].
+    found : Prediction
+    """
+
+    problem: Problem
+    rows: FloatArray
+    found: Prediction
+
+    @property
+    def nrmse(self) -> FloatArray:
+        """(S, T) weighted mean over channels [1]."""
+        mean, by_channel = self.problem.cost.mean, self.found.by_channel
+        return np.stack([mean(by_channel[:, [t]]) for t in range(by_channel.shape[1])], axis=1)
+
+    def judge(self, t: int, sets: slice, floor: FloatArray) -> Judged:
+        """Judge a trial as some of the sets predict it, the first of them best; `floor` in channel units."""
+        problem, best = self.problem, sets.start or 0
+        return judge(
+            problem.trials[t],
+            self.nrmse[sets, t],
+            self.found.by_channel[best, t],
+            self.found.signals[t][best],
+            spread=problem.cost.denominators[t],
+            noise=floor[t],
+            weights=problem.cost.weights,
+            channels=problem.channels,
+            contacts=problem.contacts(t, self.rows[best]),
+        )
+
+
+def predict(fit: FitResult, problem: Problem, values: FloatArray | None = None) -> Predicted:
+    """Predict the trials of a problem by a fit, or by other `values` (S, n) of the fit's parameters."""
+    problem = problem.exact
+    rows = problem.adopt(fit, values)
+    return Predicted(problem, rows, problem.predict(rows))
+
+
+def open_under(fit: FitResult, path: Path, threads: int | None = None) -> tuple[Kind, Problem]:
+    """Return the trials of a campaign under the law of a fit.
+
+    Raises
+    ------
+    SysidError
+        When the campaign is of another kind or cannot be used.
+    """
+    with naming(path):
+        kind, campaign, _ = open_campaign(path, fit.kind, fit.settings)
+        return kind, kind.open(campaign, path, threads)
+
+
+def unseen(fit: FitResult, problem: Problem, path: Path) -> list[str]:
+    """Return the names of the trials whose logs the fit was not made from.
+
+    Raises
+    ------
+    FitError
+        When there are none.
+    """
+    fitted = {trial.name for trial in fit.trials if trial.use == "fit"}
+    left = _without_logs(fit, problem, fitted)
+    if not left:
+        raise FitError(
+            f"{path}: the fit was made from every trial in it, so they validate nothing; hold trials back "
+            "with use = 'validate', or ask for sysid cross-validate"
+        )
+    return left
+
+
+def _without_logs(fit: FitResult, problem: Problem, names: Collection[str]) -> list[str]:
+    logs = fit.provenance.get("logs", {})
+    seen = {str(log.get("sha256")) for name, log in logs.items() if name in names}
+    return [trial.name for trial in problem.trials if trial.digest not in seen]
+
+
+def predicted_fit(fit: FitResult, path: Path) -> FitResult:
+    """Return the sets of a fit on the trials of a campaign whose logs the fit does not hold.
+
+    Those that it held back are in its report already.
+
+    Raises
+    ------
+    SysidError
+        When the campaign is of the other kind, cannot be used, or holds nothing but trials of the fit.
+    """
+    with Journal() as journal:
+        _, whole = open_under(fit, path)
+        fresh = set(_without_logs(fit, whole, {trial.name for trial in fit.trials}))
+        names = [name for name in unseen(fit, whole, path) if name in fresh]
+        if not names:
+            raise FitError(
+                f"{path}: every trial in it is one of {fit.name}, whose report shows the ones held back "
+                "anyway; leave --against out, or name a campaign with other logs"
+            )
+        predicted = predict(fit, whole.only(names))
+        problem = predicted.problem
+        trials = problem.results(predicted.rows)
+    logs = {name: log for name, log in problem.logs.items() if name in names}
+    return replace(
+        fit,
+        name=problem.campaign.name,
+        runs=(),
+        trials=tuple(replace(trial, use="validate") for trial in trials),
+        provenance={**fit.provenance, "logs": logs},
+        warnings=tuple(journal.sentences()),
+    )
+
+
+def validate_fit(
+    folder: Path,
+    campaign_path: Path,
+    *,
+    threads: int | None = None,
+    say: Callable[[str], None] | None = None,
+) -> dict[str, Any]:
+    """Score a fit on the trials of a campaign that it was not fitted to, and store that in its folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Fit folder.
+    campaign_path : Path
+        Any campaign of the same kind; of the fit's own, the trials of use "validate".
+    threads : int, optional
+    say : callable, optional
+
+    Raises
+    ------
+    SysidError
+        When nothing is left to validate with, or an input cannot be used; nothing has been written then.
+    """
+    folder, campaign_path = fit_folder(folder), Path(campaign_path)
+    result = read_fit(folder)
+    with Journal(say) as journal:
+        kind, whole = open_under(result, campaign_path, threads)
+        journal.noun = kind.words.trials
+        predicted = predict(result, whole.only(unseen(result, whole, campaign_path)))
+        problem = predicted.problem
+        journal.fold(len(problem.trials))
+        _notice_assumed(problem)
+        floor = problem.floor_by_channel(predicted.rows[0])
+        judged = [predicted.judge(t, slice(None), floor) for t in range(len(problem.trials))]
+        _notice_unlike(judged, kind.words)
+        stated = {
+            "file": campaign_path.name,
+            "sha256": file_sha256(campaign_path),
+            "from_fit_folder": seen_from(folder, campaign_path),
+        }
+        whole_document = {
+            "campaign": stated,
+            **summary(judged, float(result.nrmse[0])),
+            "trials": [
+                {**document(one, result.channels), "slope_deg": None, "stop": None, **more}
+                for one, more in zip(judged, problem.beyond(predicted.rows), strict=True)
+            ],
+            "warnings": journal.sentences(),
+        }
+        for sentence in whole_document["reasons"]:
+            journal.tell(f"warning: {sentence}")
+    units = ", ".join(result.channel_units)
+    arrays: dict[str, tuple[Any, str, str]] = {}
+    for number, (trial, signals) in enumerate(zip(problem.trials, predicted.found.signals, strict=True), 1):
+        root = f"trials/{number}"
+        arrays[f"{root}/time"] = (trial.time, "sample", "s")
+        arrays[f"{root}/measured"] = (trial.measured, "sample, channel", units)
+        arrays[f"{root}/valid"] = (trial.valid, "sample, channel", "1")
+        arrays[f"{root}/simulated"] = (signals, "set, sample, channel", units)
+    part = free_part(folder, validation_part(problem.campaign.name), stated)
+    write_part(folder, part, whole_document, arrays, fit=result.name, kind=result.kind)
+    return whole_document
+
+
+def _notice_unlike(judged: list[Judged], words: Words) -> None:
+    """Name every trial that is predicted far worse than the others are."""
+    ratios = np.array([one.ratio for one in judged])
+    if len(ratios) < 3 or not np.isfinite(ratios).all():
+        return
+    usual = float(np.median(ratios))
+    for one in judged:
+        if one.ratio > max(1.0, STANDS_OUT * usual):
+            notice(
+                "unlike-the-others",
+                f"{one.name}: {one.ratio:.1f} × what noise alone costs where the trials have {usual:.1f} "
+                f"(median): {words.unlike}",
+            )
+
+
+def _notice_assumed(problem: Problem) -> None:
+    silent = problem.without_noise
+    if silent:
+        notice(
+            "no-noise-shown",
+            f"{', '.join(silent)}: the log shows no noise at its resolution, so {100 * ASSUMED_NOISE:g} % "
+            "NRMSE is taken for it: what follows judges it no finer than that",
+        )
+
+
+def cross_validate(
+    folder: Path,
+    campaign: Path | None = None,
+    *,
+    threads: int | None = None,
+    dask: str | None = None,
+    say: Callable[[str], None] | None = None,
+) -> dict[str, Any]:
+    """Leave out each fitted trial in turn, fit the rest from the best set on, predict the trial left out.
+
+    Raises
+    ------
+    FitError
+        When fewer than two trials were fitted.
+    """
+    with Journal(say) as journal:
+        opened = open_fit(folder, campaign, 1 if dask else threads)
+        result, problem = opened.result, opened.problem
+        journal.noun = opened.kind.words.trials
+        journal.fold(len(opened.whole.trials))
+        _notice_assumed(problem)
+        if len(problem.trials) < 2:
+            raise FitError(f"{folder}: a single trial was fitted; leaving it out leaves nothing")
+        with executor(dask, 2) as where:
+            spread = SpreadProblem(problem, where)
+            linear = linearize(spread, result.cube[0])
+            journal.tell(f"{len(problem.trials)} fits, each without one trial")
+            refits = leave_one_out(
+                spread, linear.point, linear.scale, linear.jacobian.steps, linear.tolerance
+            )  # fmt: skip
+        space, names = problem.space, [record.name for record in result.parameters]
+        decoded = space.decode(refits.points)
+        values = np.repeat(result.values[:1], len(decoded), axis=0)
+        values[:, [names.index(name) for name in space.names]] = decoded
+        predicted = predict(result, opened.whole.only(problem.names), values)
+        floor = predicted.problem.floor_by_channel(space.full(linear.point[None])[0])
+        judged = [predicted.judge(t, slice(t, t + 1), floor) for t in range(len(problem.trials))]
+        whole_document = {
+            "campaign": {"file": opened.path.name, "sha256": file_sha256(opened.path)},
+            **summary(judged, float(result.nrmse[0])),
+            "trials": [
+                {
+                    **document(one, result.channels),
+                    "refit": dict(zip(space.names, decoded[t].tolist(), strict=True)),
+                }
+                for t, one in enumerate(judged)
+            ],
+            "warnings": journal.sentences(),
+        }
+        for sentence in whole_document["reasons"]:
+            journal.tell(f"warning: {sentence}")
+    arrays = {"values": (decoded, "trial left out, free parameter", "SI")}
+    write_part(
+        opened.folder, CROSS_VALIDATION, whole_document, arrays, fit=result.name, kind=result.kind
+    )  # fmt: skip
+    return whole_document

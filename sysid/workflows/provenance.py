@@ -1,0 +1,137 @@
+"""Where a fit comes from: what identifies it to be continued, and what its record states."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import subprocess
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from sysid import __version__, exact_json
+from sysid.fit.problem import Problem
+from sysid.fit.search import FINISH_POPULATION, SearchSettings
+from sysid.recording import file_sha256
+
+_LIBRARIES = ("numpy", "scipy", "numba", "pymoo", "cma", "pandas", "h5py")
+
+
+def fit_identity(path: Path, settings: SearchSettings, problem: Problem) -> dict[str, Any]:
+    """Return what must be equal for a fit to be continued; see `sysid.resume.Unfinished`.
+
+    Parameters
+    ----------
+    path : Path
+        Campaign file.
+    settings : SearchSettings
+        More runs, or another time limit, do not hinder.
+    problem : Problem
+        Of all trials.
+    """
+    space = problem.space
+    rows = [[str(value) for value in vars(row).values()] for row in (*space.table.values(), *space.free)]
+    table = exact_json.dumps([rows, dict(space.fixed)], indent=None)
+    stop = settings.stop.share(settings.runs)
+    return {
+        "campaign_file": file_sha256(path),
+        **{f"log {name}": digest for name, digest in problem.hashes.items()},
+        "parameter_table": hashlib.sha256(table.encode()).hexdigest(),
+        "version_of_sysid": __version__,
+        "algorithm": settings.algorithm,
+        "finisher": settings.finish,
+        "population": settings.population,
+        "seed": settings.seed,
+        "stop_rule": [stop.reading, stop.window, stop.tolerance, stop.max_generations],
+        "evaluation_budget_of_a_run": stop.max_evaluations,
+        **problem.accuracy,
+    }  # fmt: skip
+
+
+def provenance(path: Path, settings: SearchSettings, problem: Problem, folder: Path) -> dict[str, Any]:
+    """Return what a reader needs to repeat a fit, or to doubt it.
+
+    Parameters
+    ----------
+    path : Path
+        Campaign file.
+    settings : SearchSettings
+    problem : Problem
+        Of all trials.
+    folder : Path
+        Of the fit: where the campaign lies is stored as seen from there.
+    """
+    return {
+        "sysid": __version__,
+        "git_revision": _git_revision(),
+        "python": platform.python_version(),
+        "libraries": {name: _version(name) for name in _LIBRARIES},
+        "system": f"{platform.system()} {platform.machine()}",
+        "processor": processor(),
+        "cores": os.cpu_count(),
+        "written": datetime.now(UTC).isoformat(timespec="seconds"),
+        "campaign": {
+            "file": path.name,
+            "sha256": file_sha256(path),
+            "from_fit_folder": seen_from(folder, path),
+        },
+        "logs": dict(problem.logs),
+        "filter": dict(problem.filters),
+        "nrmse_denominator": problem.campaign.cost.denominator,
+        "search": {
+            "algorithm": settings.algorithm,
+            "finish": settings.finish,
+            "finish_population": FINISH_POPULATION,
+            "population": settings.population,
+            "runs": settings.runs,
+            "axes": list(problem.space.names),
+            "seed": settings.seed,
+            "run_seeds": list(settings.run_seeds()),
+            "stop_reading": settings.stop.reading,
+            "stop_window": settings.stop.window,
+            "stop_tolerance": settings.stop.tolerance,
+            "max_generations": settings.stop.max_generations,
+            "max_evaluations": settings.stop.max_evaluations,
+            "time_limit": settings.stop.time_limit,
+        },
+    }
+
+
+def seen_from(folder: Path, path: Path) -> str:
+    """Return where a file lies, seen from a folder; absolute where they share no drive."""
+    try:
+        return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+    except ValueError:
+        return path.resolve().as_posix()
+
+
+def processor() -> str:
+    """Return the processor's model: equal bits are promised on equal processors only."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def _git_revision() -> str | None:
+    """Return the revision of the sources that run, where they lie in a git repository."""
+    folder = Path(__file__).resolve().parents[2]
+    if not (folder / ".git").exists():
+        return None
+    command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=40"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "unknown"
