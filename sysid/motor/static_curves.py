@@ -136,7 +136,7 @@ def fit_no_load_line(
     direction : {"forward", "reverse"}
         Commands of the other sign, and u = 0, are left out.
     command, speed : (n,) arrays
-        u in [-1, 1] and the no-load speed [rad/s]; of a loaded log use `no_load_speed_of_loaded` first.
+        u in [-1, 1] and the speed without propeller [rad/s].
     supply_ratio : (n,) array
         V/V_ref of each point; the speed is divided by it.
     """
@@ -144,29 +144,6 @@ def fit_no_load_line(
     u, omega = _of_direction(direction, command, np.asarray(speed, dtype=np.float64) / ratio)
     columns = np.column_stack([u, np.sign(u)])
     return _robust_line("no_load", direction, columns, omega, u, ("rad/s", "rad/s"))
-
-
-def no_load_speed_of_loaded(
-    speed: ArrayLike,
-    torque: ArrayLike,
-    *,
-    winding_resistance: float,
-    back_emf_constant: float,
-    torque_constant: float,
-    viscous_damping: float = 0.0,
-) -> FloatArray:
-    """Return Ω_0 = Ω + R (τ_aero + k_d Ω)/(k_m k_v) [rad/s] of steady points with a propeller on.
-
-    Parameters
-    ----------
-    speed, torque : (n,) arrays
-        Loaded steady speed [rad/s] and aerodynamic torque [N·m], both with the sign of the rotation.
-    winding_resistance, back_emf_constant, torque_constant, viscous_damping : float
-        R [Ω], k_v [V·s/rad], k_m [N·m/A], k_d [N·m·s/rad].
-    """
-    omega, tau = np.asarray(speed, dtype=np.float64), np.asarray(torque, dtype=np.float64)
-    drop = winding_resistance / (torque_constant * back_emf_constant)
-    return omega + drop * (tau + viscous_damping * omega)
 
 
 def soft_weights(columns: FloatArray, y: FloatArray) -> FloatArray:

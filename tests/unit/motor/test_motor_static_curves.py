@@ -7,7 +7,8 @@ import pytest
 
 from fakes import places
 from sysid.errors import FitError
-from sysid.motor.static_curves import fit_no_load_line, fit_speed_curve, no_load_speed_of_loaded
+from sysid.motor.curves import NoLoadTie
+from sysid.motor.static_curves import fit_no_load_line, fit_speed_curve
 
 DATA = places.DATA / "rcbenchmark"
 
@@ -72,7 +73,6 @@ def test_each_direction_takes_its_own_points() -> None:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_no_load_line_from_loaded_points(sign: float) -> None:
-    constants = {"winding_resistance": 0.3, "back_emf_constant": 0.01, "torque_constant": 0.01}
     u = sign * np.linspace(0.2, 1.0, 9)
     ratio = np.linspace(1.0, 0.9, 9)
     omega_0 = (1000.0 * u + sign * 25.0) * ratio
@@ -83,8 +83,12 @@ def test_no_load_line_from_loaded_points(sign: float) -> None:
         too_fast = middle + 3000.0 * 1.65e-7 * middle**2 > np.abs(omega_0)
         low, high = np.where(too_fast, low, middle), np.where(too_fast, middle, high)
     speed = sign * low
-    back = no_load_speed_of_loaded(speed, 1.65e-7 * speed * np.abs(speed), **constants)
-    fit = fit_no_load_line("forward" if sign > 0 else "reverse", u, back, supply_ratio=ratio)
+    direction = "forward" if sign > 0 else "reverse"
+    drag = 1.65e-7 * speed * np.abs(speed)
+    tie = NoLoadTie(np.column_stack([u, np.sign(u)]) * ratio[:, None], np.column_stack([speed, drag]))
+    bare = fit_no_load_line(direction, u, omega_0, supply_ratio=ratio)
+    assert bare.coefficients == pytest.approx((1000.0, 25.0), rel=1e-9)  # noiseless: rounding
+    fit = tie.fit(direction, 3000.0, 0.0)  # R/(k_m k_v) of 0.3 Ω and 0.01 N·m/A
     assert fit.coefficients == pytest.approx((1000.0, 25.0), rel=1e-6)  # noiseless: rounding of the bisection
 
 
