@@ -31,6 +31,7 @@ from sysid.motor.static_curves import (
     coefficient_correlation,
     fit_no_load_line,
     fit_speed_curve,
+    r_squared,
     soft_weights,
     turns,
 )
@@ -211,7 +212,6 @@ class NoLoadTie:
         residual = lifted - self.columns @ line
         sigma = max(float(np.median(np.abs(residual))) / 0.6745, 1e-9 * float(np.max(np.abs(lifted))))
         near = np.abs(residual) <= OUTLIER * sigma
-        total = float(np.sum((lifted[near] - lifted[near].mean()) ** 2))
         # Outliers pull by their weight alone: what the others scatter is the error.
         weight = np.where(near, self.weights, 0.0)
         spread = float(weight @ residual**2) / max(float(weight.sum()) - 2.0, 1.0)
@@ -221,9 +221,8 @@ class NoLoadTie:
         errors = np.sqrt(np.diag(spread * information))
         return CurveFit(
             "no_load", direction, (float(line[0]), float(line[1])), (float(errors[0]), float(errors[1])),
-            ("rad/s", "rad/s"),
-            1.0 - float(np.sum(residual[near] ** 2)) / total if total > 0 else float("nan"),
-            residual.size, int(np.count_nonzero(~near)), coefficient_correlation(information),
+            ("rad/s", "rad/s"), r_squared(lifted, residual, near), residual.size,
+            int(np.count_nonzero(~near)), coefficient_correlation(information),
         )  # fmt: skip
 
 

@@ -47,25 +47,10 @@ from sysid.motor.parameters import FREE_DEFAULT, INSTRUMENT, PARAMETERS, kv_to_s
 from sysid.types import FloatArray
 
 __all__ = [
-    "FREE_DEFAULT",
-    "INSTRUMENT",
-    "PARAMETERS",
-    "MotorTrajectory",
-    "aerodynamic_torque",
-    "complete",
-    "invariants",
-    "kernel_rows",
-    "kv_to_si",
-    "no_load_speed",
-    "pack",
-    "schedule",
-    "simulate",
-    "steady_state",
-    "supply",
-    "thrust",
-    "thrust_slope",
-    "unpack",
-]
+    "FREE_DEFAULT", "INSTRUMENT", "PARAMETERS", "MotorTrajectory", "aerodynamic_torque", "complete",
+    "invariants", "kernel_rows", "kv_to_si", "no_load_speed", "pack", "schedule", "simulate",
+    "steady_state", "supply", "thrust", "thrust_slope", "unpack",
+]  # fmt: skip
 
 
 STATUS_TEXT = {

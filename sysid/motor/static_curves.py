@@ -202,7 +202,6 @@ def _robust_line(
         # A tare from a few points of the same noise shifts all others together.
         shift = np.linalg.solve(scaled.T @ (curvature[:, None] * scaled), scaled.T @ curvature)
         covariance = covariance + spread / zero_rows * np.outer(shift, shift)
-    total = float(np.sum((y[inlier] - y[inlier].mean()) ** 2))
     coefficients = start / size
     errors = np.sqrt(np.diag(covariance)) / size
     return CurveFit(
@@ -211,11 +210,17 @@ def _robust_line(
         (float(coefficients[0]), float(coefficients[1])),
         (float(errors[0]), float(errors[1])),
         units,
-        1.0 - float(np.sum(residual[inlier] ** 2)) / total if total > 0 else float("nan"),
+        r_squared(y, residual, inlier),
         int(y.size),
         int(np.sum(~inlier)),
         coefficient_correlation(covariance),
     )
+
+
+def r_squared(y: FloatArray, residual: FloatArray, inlier: BoolArray) -> float:
+    """Return 1 − Σr²/Σ(y − ȳ)² over the points that are no outliers [1]; NaN where they are all equal."""
+    total = float(np.sum((y[inlier] - y[inlier].mean()) ** 2))
+    return 1.0 - float(np.sum(residual[inlier] ** 2)) / total if total > 0 else float("nan")
 
 
 def coefficient_correlation(covariance: FloatArray) -> float:
