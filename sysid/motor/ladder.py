@@ -20,20 +20,20 @@ import numpy as np
 from sysid.campaign import MotorCampaign
 from sysid.fit.breeders.algorithms import Breeder, Start, breeder
 from sysid.fit.history import RunHistory
-from sysid.fit.objective import Evaluation, Objective, SpreadObjective
+from sysid.fit.objective import SpreadObjective
 from sysid.fit.search import Hooks, SearchSettings, run_many
 from sysid.motor import first_order_lag as lag
-from sysid.motor.batch import MotorTrials
-from sysid.motor.cost import CHANNELS, MotorCost, MotorTarget
+from sysid.motor.cost import CHANNELS, MotorTarget
 from sysid.motor.curves import StaticCurves, supply_ratio
 from sysid.motor.known_values import SATURATION, Bench
 from sysid.motor.log_delays import averaged, own_rows, shifts
+from sysid.motor.parameters import SENSORS
 from sysid.motor.problem import MotorProblem
 from sysid.motor.static_curves import turns
 from sysid.motor.targets import PreparedTrial
 from sysid.parallel import LocalThreads
 from sysid.parameters import ParameterTable, SearchSpace
-from sysid.types import BoolArray, FloatArray
+from sysid.types import FloatArray
 
 # Every rung's search, of two to some ten parameters. From the best set a search keeps to the valley of the
 # full model; 0.3 of the cube's edge, cma's own advice for a bounded one, leaves it where a better one is.
@@ -43,7 +43,6 @@ _POPULATION, _SPREADS = 24, (0.1, 0.3)
 _LEAST, _LEAST_SPREAD = 10, 0.1
 # Rises within a thousandth of any step that a log shows.
 _NO_INDUCTANCE = 1e-8
-_SENSORS = ("torque_sensor_delay", "torque_sensor_lag", "speed_sensor_lag")
 # What is scored, in the order of the table: (use, part of a trial) and its name.
 GROUPS = {
     ("fit", "running"): "fitted",
@@ -135,44 +134,17 @@ def _scorable(whole: MotorTarget, part: MotorTarget, channel: int) -> bool:
     return bool(np.std(values[inside]) >= _LEAST_SPREAD * np.std(values[whole.valid[:, channel]]))
 
 
-@dataclass(frozen=True, eq=False)
-class LagObjective:
-    """Mean NRMSE of first-order lags over bench trials.
+class LagProblem(MotorProblem):
+    """First-order lags on the same trials: rows of the lag's table and the delays of logs."""
 
-    Parameters
-    ----------
-    space : SearchSpace
-        Over the lag's table and the delays of logs.
-    trials : tuple of PreparedTrial
-        What is simulated.
-    cost : MotorCost
-        Of these trials.
-    jobs : MotorTrials
-        The trials end to end.
-    """
+    def complete(self, rows: FloatArray) -> FloatArray:
+        """Return the rows: nothing of a lag follows from the others."""
+        return rows
 
-    space: SearchSpace
-    trials: tuple[PreparedTrial, ...]
-    cost: MotorCost
-    jobs: MotorTrials
-
-    @classmethod
-    def build(cls, space: SearchSpace, trials: tuple[PreparedTrial, ...], cost: MotorCost) -> LagObjective:
-        """Lay the trials end to end."""
-        return cls(space, trials, cost, MotorTrials([trial.simulated for trial in trials]))
-
-    def evaluate(self, cube: FloatArray) -> Evaluation:
-        """Simulate and score unit-cube points (P, n_free)."""
-        by_channel, failed = self.score(self.space.full(cube))
-        return Evaluation(self.cost.mean(by_channel), np.any(failed, axis=1), failed.size)
-
-    def score(self, rows: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return NRMSE (P, T, 2) and failures (P, T) of rows of the lag's table [SI]."""
-        index = lag.PARAMETERS.index
-        sensors = np.ascontiguousarray(rows[:, [index[name] for name in _SENSORS]])
-        delays = shifts(self.space.table, rows, self.trials)
-        samples = lag.simulate_lag(rows[:, : len(lag.PARAMETERS)], self.jobs, delays)
-        return self.cost(samples, np.ones((len(rows), len(self.jobs))), sensors)
+    def simulate(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return samples (P, n_total, 2) on the trials' grids; every lag reaches the end of every trial."""
+        delays = shifts(self.space.table, rows, self.prepared)
+        return lag.simulate_lag(rows, self.jobs, delays), np.ones((len(rows), len(self.jobs)))
 
 
 def lag_space(space: SearchSpace, bench: Bench) -> SearchSpace:
@@ -182,7 +154,7 @@ def lag_space(space: SearchSpace, bench: Bench) -> SearchSpace:
     """
     delays = own_rows(space)
     free = ["rise_time_constant", "fall_time_constant"]
-    free += [name for name in ("command_delay", *_SENSORS, *delays) if name in space.names]
+    free += [name for name in ("command_delay", *SENSORS, *delays) if name in space.names]
     table = ParameterTable([*lag.PARAMETERS.values(), *(space.table[name] for name in delays)])
     values = {name: value for name, value in space.fixed.items() if name in table}
     values |= {name: value for name, value in bench.curves.parameters.items() if name in table}
@@ -213,17 +185,9 @@ class _Climb:
     threads: int | None
     hooks: Hooks
 
-    @property
-    def pair(self) -> tuple[float, float]:
-        """Weights of torque and speed."""
-        return self.campaign.cost.weights.torque, self.campaign.cost.weights.speed
-
-    def cost(self, targets: tuple[MotorTarget, ...]) -> MotorCost:
-        return MotorCost(targets, self.pair, self.campaign.cost.denominator)
-
-    def search(self, objective: Objective) -> tuple[FloatArray, dict[str, float], int]:
+    def search(self, problem: MotorProblem) -> tuple[FloatArray, dict[str, float], int]:
         """Return the best row (1, n_table), its free values by name, and how many candidates were scored."""
-        space = objective.space
+        space = problem.space
         begin = np.array([self.best.get(row.name, row.nominal) for row in space.free])
         point = space.encode(begin).clip(0.0, 1.0)
         spreads = dict(zip(self.budget.run_seeds(), _SPREADS, strict=True))
@@ -234,7 +198,7 @@ class _Climb:
 
         with LocalThreads() as where:
             runs = run_many(
-                SpreadObjective(objective, where), self.budget, hooks=self.hooks, at_once=where.at_once,
+                SpreadObjective(problem, where), self.budget, hooks=self.hooks, at_once=where.at_once,
                 breeds=near,
             )  # fmt: skip
         run: RunHistory = min(runs, key=lambda history: float(history.best[-1]))
@@ -246,26 +210,19 @@ class _Climb:
                 row[:, space.table.index[name]] = self.best[name]
         return row, values, sum(history.evaluations for history in runs)
 
-    def lag(self, space: SearchSpace) -> Rung:
-        """Fit and score the first-order lag."""
+    def rung(self, model: type[MotorProblem], name: str, space: SearchSpace) -> tuple[Rung, FloatArray]:
+        """Fit and score a model without a dead band; return the rung and its row (1, n_table)."""
         fitted = self.bench.fitted
-        targets = tuple(trial.dynamic_target for trial in fitted)
-        row, values, spent = self.search(LagObjective.build(space, fitted, self.cost(targets)))
-        every = LagObjective.build(space, self.parts.trials, self.cost(self.parts.targets))
-        return Rung("first-order lag", values, self.parts.means(every.score(row)[0][0]), spent)
+        problem = model.build(self.campaign, space, self.bench, fitted, self.threads, dynamic=True)
+        row, values, spent = self.search(problem)
+        return Rung(name, values, self.scored(model, space, row, ideal=True), spent), row
 
-    def motor(self, name: str, space: SearchSpace) -> tuple[Rung, FloatArray]:
-        """Fit and score the motor's equations; return the rung and its row (1, n_table)."""
-        bench = self.bench
-        row, values, spent = self.search(
-            MotorProblem.build(self.campaign, space, bench, bench.fitted, self.threads, dynamic=True)
-        )
-        return Rung(name, values, self.scored(space, row, ideal=True), spent), row
-
-    def scored(self, space: SearchSpace, row: FloatArray, *, ideal: bool) -> dict[str, tuple[float, float]]:
+    def scored(
+        self, model: type[MotorProblem], space: SearchSpace, row: FloatArray, *, ideal: bool
+    ) -> dict[str, tuple[float, float]]:
         """Return the means of every group of a row (1, n_table), without a dead band where `ideal`."""
         parts = self.parts
-        every = MotorProblem.build(self.campaign, space, self.bench, parts.trials, self.threads)
+        every = model.build(self.campaign, space, self.bench, parts.trials, self.threads)
         every = replace(every, targets=parts.targets, ideal_reversal=ideal)
         return parts.means(every.score(row).by_channel[0])
 
@@ -313,16 +270,16 @@ def climb(
     weights = campaign.cost.weights
     parts = _Parts.of(bench, (weights.torque, weights.speed))
     up = _Climb(campaign, bench, parts, best, budget, threads, Hooks(should_stop=should_stop))
-    rungs = [up.lag(lag_space(space, bench))]
+    rungs = [up.rung(LagProblem, "first-order lag", lag_space(space, bench))[0]]
     if "winding_inductance" in space.names:
         fixed = {**space.fixed, "winding_inductance": _NO_INDUCTANCE}
         free = tuple(row for row in space.free if row.name != "winding_inductance")
-        rungs.append(up.motor("without L", SearchSpace(space.table, free, fixed))[0])
-    full, row = up.motor("full", space)
+        rungs.append(up.rung(MotorProblem, "without L", SearchSpace(space.table, free, fixed))[0])
+    full, row = up.rung(MotorProblem, "full", space)
     rungs.append(full)
     for name in SATURATION:
         row[:, space.table.index[name]] = best[name]
-    last = up.scored(space, row, ideal=False)
+    last = up.scored(MotorProblem, space, row, ideal=False)
     # A log that starts from rest passes the dead band as well, and a dead band that was not fitted must show.
     if saturated or any(not np.allclose(last[g], full.nrmse[g], rtol=1e-3, equal_nan=True) for g in last):
         values = full.values | {name: float(best[name]) for name in SATURATION}

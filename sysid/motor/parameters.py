@@ -164,3 +164,5 @@ PARAMETERS = ParameterTable(
 
 FREE_DEFAULT = ("winding_resistance", "winding_inductance", "viscous_damping")
 INSTRUMENT = PARAMETERS.group("instrument")
+# Delay and lags of the sensors, in the order in which a comparison takes them.
+SENSORS = ("torque_sensor_delay", "torque_sensor_lag", "speed_sensor_lag")

@@ -23,6 +23,7 @@ from sysid.motor.curves import NoLoadTie
 from sysid.motor.known_values import CONSTANTS, Bench, search_space
 from sysid.motor.log_delays import delay_name, shifts
 from sysid.motor.model import PARAMETERS, pack
+from sysid.motor.parameters import SENSORS
 from sysid.motor.static_curves import CurveFit
 from sysid.motor.targets import PreparedTrial, filter_design, measured_spectrum
 from sysid.parameters import SearchSpace
@@ -193,11 +194,10 @@ class MotorProblem(Problem):
         # Success is a status, not a share that rounding could leave at 1 - 1e-16.
         return runs.outputs, np.where(runs.status == 0, 1.0, np.minimum(runs.reached, 1.0 - 1e-9))
 
-    @staticmethod
-    def sensors(rows: FloatArray) -> FloatArray:
+    def sensors(self, rows: FloatArray) -> FloatArray:
         """Return torque delay, torque lag and speed lag (P, 3) [s] of rows."""
-        names = ("torque_sensor_delay", "torque_sensor_lag", "speed_sensor_lag")
-        return np.ascontiguousarray(rows[:, [_INDEX[name] for name in names]])
+        index = self.space.table.index
+        return np.ascontiguousarray(rows[:, [index[name] for name in SENSORS]])
 
     # --- what is uncertain ----------------------------------------------------------------------------------
 
