@@ -308,11 +308,17 @@ class Problem(ABC):
         return [{} for _ in self.trials]
 
     def quality(self) -> list[dict[str, Any]]:
-        """Return what `sysid check` states of every log: ``name``, ``use``, ``log`` and more."""
-        return [
-            {"name": one.name, "use": one.use, "log": str(one.provenance.get("log", ""))}
-            for one in self.trials
-        ]
+        """Return what `sysid check` states of every log; by default of the compared instants."""
+        out = []
+        for trial in self.trials:
+            steps = np.diff(trial.time)
+            step = float(np.median(steps))
+            log = str(trial.provenance.get("log", ""))
+            holes = int(np.count_nonzero(steps > 1.5 * step))
+            jitter = float(np.median(np.abs(steps - step)) / step)
+            row = {"name": trial.name, "use": trial.use, "log": log, "rate": 1.0 / step, "jitter": jitter}
+            out.append(row | {"holes": holes, "saturated": 0.0, "suspicions": []})
+        return out
 
     def excitation(self) -> dict[str, Any]:
         """Return what the trials excite: a range [low, high] or a number by name."""
