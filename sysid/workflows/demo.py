@@ -13,6 +13,7 @@ from sysid.fit.result import FitResult
 from sysid.report.drawing import save_figure
 from sysid.report.fit_figures import figure_convergence, figure_measured_against_simulated
 from sysid.workflows.export_models import export_sets
+from sysid.workflows.fit import fit_gear, fit_motor
 from sysid.workflows.options import FitOptions
 from sysid.workflows.report import write_report
 
@@ -66,8 +67,6 @@ def run_demo(
     dict
         What was written, by what it is.
     """
-    from sysid.workflows.fit import fit_gear, fit_motor
-
     samples = find_samples(data)
     tell = say or (lambda sentence: None)
     written: dict[str, Path] = {}

@@ -16,8 +16,9 @@ from sysid.report.html import Html, picture, preformatted
 from sysid.report.inspect_figures import figure_logs
 from sysid.report.kinds import open_fit
 from sysid.trials.look import inspect_recording
-from sysid.workflows.fit import FitOptions
+from sysid.workflows.fit import fit_campaign
 from sysid.workflows.inspect import print_report
+from sysid.workflows.options import FitOptions
 
 _WIDTH = 96
 
@@ -65,10 +66,4 @@ def first_fit(
         Path(out), force=True, quiet=True, runs=runs, max_generations=max_generations,
         finish="none" if max_generations is not None else None,
     )  # fmt: skip
-    if isinstance(read_campaign(campaign), GearCampaign):
-        from sysid.workflows.fit import fit_gear
-
-        return open_fit(fit_gear(campaign, options)[1])
-    from sysid.workflows.fit import fit_motor
-
-    return open_fit(fit_motor(campaign, options)[1])
+    return open_fit(fit_campaign(campaign, options)[1])

@@ -313,7 +313,7 @@ def test_convert_refuses_to_replace_and_damage_is_named(tmp_path):
     source, to = tmp_path / "cell.csv", tmp_path / "out.h5"
     source.write_text("Time (s),Fz (N)\n0,1\n1e-3,2\n", encoding="utf-8")
     assert "wrote" in convert_file(source, to)
-    with pytest.raises(LogError, match="exists already.*--force"):
+    with pytest.raises(LogError, match=r"exists already.*--force"):
         convert_file(source, to)
     convert_file(source, to, force=True)
     data = to.read_bytes()
