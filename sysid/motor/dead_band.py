@@ -89,33 +89,24 @@ class SaturationFit:
 
 
 def fit_saturation(
-    campaign: MotorCampaign,
-    bench: Bench,
-    table: ParameterTable,
+    problem: MotorProblem,
     rows: FloatArray,
     settings: SearchSettings,
     seeds: tuple[int, ...],
-    threads: int | None = None,
     should_stop: Callable[[], bool] | None = None,
 ) -> SaturationFit | None:
     """Fit I_sat and Ω_min of every set to the reversal trials.
 
     Parameters
     ----------
-    campaign : MotorCampaign
-        Its bounds count, and its fixed values stay.
-    bench : Bench
-        Its trials.
-    table : ParameterTable
-        Columns of `rows`.
+    problem : MotorProblem
+        Of the dynamic fit; the bounds of its campaign count, and fixed values stay.
     rows : (S, n_table) array
         Sets of the dynamic fit [SI].
     settings : SearchSettings
         Algorithm, finisher and stop rule of the first stage serve the second; not CMA-ES alone.
     seeds : tuple of int
         One per set.
-    threads : int, optional
-        Cores to use; the numbers do not depend on it.
     should_stop : callable, optional
         Asked after every generation; raises where the fit must end.
 
@@ -129,6 +120,7 @@ def fit_saturation(
     CampaignError
         As `saturation_space`.
     """
+    campaign, bench, table = problem.campaign, problem.bench, problem.space.table
     trials = bench.banded
     first = saturation_space(campaign, bench, table, named(table, rows[0]))
     if first is None:
@@ -140,7 +132,7 @@ def fit_saturation(
     for row, seed in zip(rows, seeds, strict=True):
         space = saturation_space(campaign, bench, table, named(table, row))
         assert space is not None
-        objective = MotorProblem.build(campaign, space, bench, trials, threads)
+        objective = MotorProblem.build(campaign, space, bench, trials, problem.threads)
         probes = objective.evaluate(np.random.default_rng(seed).random((_PROBES, len(space.free)))).cost
         if np.ptp(probes) <= _FELT * probes.min():
             return None
@@ -160,19 +152,14 @@ def fit_saturation(
 
 
 def edges_that_serve(
-    campaign: MotorCampaign,
-    bench: Bench,
-    table: ParameterTable,
-    row: FloatArray,
-    fit: SaturationFit,
-    threads: int | None = None,
+    problem: MotorProblem, row: FloatArray, fit: SaturationFit
 ) -> tuple[float, float] | None:
     """Return the range of Ω_min [rad/s] over which the trials fit equally well, the best I_sat beside each.
 
     Parameters
     ----------
-    campaign, bench, table, threads
-        As in `fit_saturation`.
+    problem : MotorProblem
+        Of the dynamic fit.
     row : (n_table,) array
         A set with its dead band [SI].
     fit : SaturationFit
@@ -192,6 +179,7 @@ def edges_that_serve(
     if not {*SATURATION} <= {*free}:
         return None
     current, edge = (free[name] for name in SATURATION)
+    table, bench = problem.space.table, problem.bench
     column = table.index
     ratio = row[column[current.name]] / row[column[edge.name]]
     edges = np.append(np.geomspace(edge.lower, edge.upper, _EDGES), row[column[edge.name]])
@@ -202,7 +190,7 @@ def edges_that_serve(
     rows[:, column[edge.name]] = np.repeat(edges, currents.shape[1])
     rows[:, column[current.name]] = currents.ravel()
     space = SearchSpace(table, (), dict(zip(table, row.tolist(), strict=True)))
-    objective = MotorProblem.build(campaign, space, bench, bench.banded, threads)
+    objective = MotorProblem.build(problem.campaign, space, bench, bench.banded, problem.threads)
     cost = objective.cost.mean(objective.score(rows).by_channel).reshape(currents.shape).min(axis=1)
     serve = edges[cost <= (1.0 + _LIMIT) * cost.min()]
     lowest, highest = float(serve.min()), float(serve.max())

@@ -112,22 +112,20 @@ def _all_that_follows(problem: MotorProblem, course: Course) -> After:
     CutShort
         When the fit must end before the dead band was fitted.
     """
-    campaign, bench, space, threads = problem.campaign, problem.bench, problem.space, problem.threads
+    bench, space = problem.bench, problem.space
     settings, go_on, given = course.settings, course.go_on, _is_given(problem)
     rows = _averaged(problem, course.sets)
-    saturation = fit_saturation(
-        campaign, bench, space.table, rows, settings, course.sets.seed, threads, go_on
-    )
+    saturation = fit_saturation(problem, rows, settings, course.sets.seed, go_on)
     rows = with_saturation(space.table, rows, saturation)
     sets, rows, nrmse, saturation = _ranked(course.sets, rows, saturation, _whole(problem))
     best = named(space.table, rows[0])
     out: dict[str, Any] = {
-        "reversal delays": reversal_delays(campaign, bench, best),
+        "reversal delays": reversal_delays(problem.campaign, bench, best),
         "command delays": log_delays(problem, rows[0]),
     }
     out["saturation"] = _about_saturation(bench, saturation, best, given)
     if saturation is not None:
-        edges = edges_that_serve(campaign, bench, space.table, rows[0], saturation, threads)
+        edges = edges_that_serve(problem, rows[0], saturation)
         out["saturation"]["saturation_speed that serves as well [rad/s]"] = edges
         if edges is not None:
             notice(
@@ -139,10 +137,8 @@ def _all_that_follows(problem: MotorProblem, course: Course) -> After:
     out["static curves of the best set"] = tied_curves(problem, best)
     cut: CutReason | None = None
     try:
-        climbed = climb(
-            campaign, bench, space, best, saturation is not None or given, settings, sets.seed[0], threads,
-            go_on,
-        )  # fmt: skip
+        banded = saturation is not None or given
+        climbed = climb(problem, best, banded, settings, sets.seed[0], go_on)
         below = (None, *climbed[:-1])
         out[_LADDER] = [rung.document(other) for rung, other in zip(climbed, below, strict=True)]
         for sentence in ladder_sentences(out[_LADDER]):
@@ -158,7 +154,7 @@ def _all_that_follows(problem: MotorProblem, course: Course) -> After:
         cut = error.reason
         _notice_cut(cut, space, banded=True, done=out)
     logs = [trial.log for trial in bench.fitted]
-    spikes = spike_inertia(campaign, logs, unpack(rows[0, : len(PARAMETERS)]))
+    spikes = spike_inertia(problem.campaign, logs, unpack(rows[0, : len(PARAMETERS)]))
     out["rotor inertia from torque spikes"] = spikes.document()
     if spikes.sentence is not None:
         notice("inertia-from-spikes", spikes.sentence)

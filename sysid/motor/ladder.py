@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from sysid.campaign import MotorCampaign
 from sysid.fit.breeders.algorithms import Breeder, Start, breeder
 from sysid.fit.history import RunHistory
 from sysid.fit.objective import SpreadObjective
@@ -177,13 +176,18 @@ def _steady_maps(curves: StaticCurves) -> dict[str, float]:
 class _Climb:
     """What every rung is fitted and scored with."""
 
-    campaign: MotorCampaign
-    bench: Bench
+    problem: MotorProblem
     parts: _Parts
     best: Mapping[str, float]
     budget: SearchSettings
-    threads: int | None
     hooks: Hooks
+
+    def build(
+        self, model: type[MotorProblem], space: SearchSpace, trials: tuple[PreparedTrial, ...]
+    ) -> MotorProblem:
+        """Return a model on some trials, without their starts from rest."""
+        p = self.problem
+        return model.build(p.campaign, space, p.bench, trials, p.threads, dynamic=True)
 
     def search(self, problem: MotorProblem) -> tuple[FloatArray, dict[str, float], int]:
         """Return the best row (1, n_table), its free values by name, and how many candidates were scored."""
@@ -212,41 +216,31 @@ class _Climb:
 
     def rung(self, model: type[MotorProblem], name: str, space: SearchSpace) -> tuple[Rung, FloatArray]:
         """Fit and score a model without a dead band; return the rung and its row (1, n_table)."""
-        fitted = self.bench.fitted
-        problem = model.build(self.campaign, space, self.bench, fitted, self.threads, dynamic=True)
-        row, values, spent = self.search(problem)
+        row, values, spent = self.search(self.build(model, space, self.problem.bench.fitted))
         return Rung(name, values, self.scored(model, space, row, ideal=True), spent), row
 
     def scored(
         self, model: type[MotorProblem], space: SearchSpace, row: FloatArray, *, ideal: bool
     ) -> dict[str, tuple[float, float]]:
         """Return the means of every group of a row (1, n_table), without a dead band where `ideal`."""
-        parts = self.parts
-        every = model.build(self.campaign, space, self.bench, parts.trials, self.threads)
-        every = replace(every, targets=parts.targets, ideal_reversal=ideal)
-        return parts.means(every.score(row).by_channel[0])
+        every = self.build(model, space, self.parts.trials)
+        every = replace(every, targets=self.parts.targets, ideal_reversal=ideal)
+        return self.parts.means(every.score(row).by_channel[0])
 
 
 def climb(
-    campaign: MotorCampaign,
-    bench: Bench,
-    space: SearchSpace,
+    problem: MotorProblem,
     best: Mapping[str, float],
     saturated: bool,
     settings: SearchSettings,
     seed: int,
-    threads: int | None = None,
     should_stop: Callable[[], bool] | None = None,
 ) -> tuple[Rung, ...]:
     """Fit every rung to the fitted trials, score it on every trial.
 
     Parameters
     ----------
-    campaign : MotorCampaign
-        Its weights, denominator and fixed values count.
-    bench : Bench
-        Its trials.
-    space : SearchSpace
+    problem : MotorProblem
         Of the dynamic fit.
     best : mapping
         The fit's best set by name [SI], where the searches begin. The last rung takes its dead band, and
@@ -258,8 +252,6 @@ def climb(
         Its stop rule counts.
     seed : int
         Of the searches.
-    threads : int, optional
-        As in `MotorProblem`.
     should_stop : callable, optional
         Asked after every generation; raises where the fit must end.
     """
@@ -267,10 +259,10 @@ def climb(
     generations = 8 * settings.stop.max_generations
     stop = replace(settings.stop, max_generations=generations, time_limit=None, max_evaluations=None)
     budget = SearchSettings(_POPULATION, len(_SPREADS), seed, stop, "cmaes", "none")
-    weights = campaign.cost.weights
-    parts = _Parts.of(bench, (weights.torque, weights.speed))
-    up = _Climb(campaign, bench, parts, best, budget, threads, Hooks(should_stop=should_stop))
-    rungs = [up.rung(LagProblem, "first-order lag", lag_space(space, bench))[0]]
+    space, weights = problem.space, problem.campaign.cost.weights
+    parts = _Parts.of(problem.bench, (weights.torque, weights.speed))
+    up = _Climb(problem, parts, best, budget, Hooks(should_stop=should_stop))
+    rungs = [up.rung(LagProblem, "first-order lag", lag_space(space, problem.bench))[0]]
     if "winding_inductance" in space.names:
         fixed = {**space.fixed, "winding_inductance": _NO_INDUCTANCE}
         free = tuple(row for row in space.free if row.name != "winding_inductance")

@@ -80,7 +80,7 @@ def test_starts_from_rest_do_not_bias_the_winding(tmp_path: Path, reversal: bool
     assert values["winding_resistance"] == pytest.approx(0.299, rel=0.03)  # required
     assert values["winding_inductance"] == pytest.approx(0.0038, rel=0.05)  # required
     assert values["command_delay"] == pytest.approx(0.008, abs=5e-4)  # a quarter of the compared grid
-    found = fit_saturation(campaign, bench, space.table, rows, SEARCH, (1,))
+    found = fit_saturation(MotorProblem.build(campaign, space, bench, bench.trials), rows, SEARCH, (1,))
     assert found is not None
     assert found.shown_by == ("reversals" if reversal else "starts from rest")
     current, speed = found.values[0, :2]
@@ -97,7 +97,7 @@ def test_a_dead_band_that_no_log_feels_is_not_fitted(tmp_path: Path) -> None:
     assert bench.banded == ()
     space = search_space(campaign, bench)
     row = np.array([[TRUTH.get(name, 0.008) for name in space.table]])
-    assert fit_saturation(campaign, bench, space.table, row, SEARCH, (1,)) is None
+    assert fit_saturation(MotorProblem.build(campaign, space, bench, bench.trials), row, SEARCH, (1,)) is None
     # A start that a mask leaves no sample of shows nothing either.
     trial = replace(bench.fitted[0], starts=((0.0, 1e-3),))
     assert not trial.shows_start
@@ -279,7 +279,7 @@ def test_the_ladder_believes_l_only_where_it_pays(tmp_path: Path, inductance: fl
     path = _synthesize(tmp_path / "ladder", 9, winding_inductance=inductance)
     campaign, bench = _bench(path)
     space = search_space(campaign, bench)
-    climbed = climb(campaign, bench, space, TRUTH, False, SEARCH, 1)
+    climbed = climb(MotorProblem.build(campaign, space, bench, bench.trials), TRUTH, False, SEARCH, 1)
     ladder = [rung.document(below) for rung, below in zip(climbed, (None, *climbed[:-1]), strict=True)]
     by_name = {rung["rung"]: rung for rung in ladder}
     assert list(by_name) == ["first-order lag", "without L", "full"]
@@ -357,7 +357,7 @@ def test_bounds_of_either_stage_do_not_hinder_the_other(tmp_path: Path) -> None:
     assert (space.free[0].lower, space.free[0].upper) == (0.1, 1.0)
     row = np.array([[TRUTH.get(name, 0.008) for name in space.table]])
     few = replace(SEARCH, stop=StopRule(max_generations=2))
-    found = fit_saturation(campaign, bench, space.table, row, few, (1,))
+    found = fit_saturation(MotorProblem.build(campaign, space, bench, bench.trials), row, few, (1,))
     assert found is not None
     assert [(r.lower, r.upper) for r in found.free[1:2]] == [(1.0, 50.0)]
     _edit(path, (r"^saturation_speed = .*$", 'rotor_inertia = ["1e-5 kg·m²", "1e-4 kg·m²"]'))
