@@ -34,16 +34,8 @@ _OVERLAP = 0.3
 class ClockOffset:
     """What aligns two clocks.
 
-    Parameters
-    ----------
-    offset : float
-        To be added to the second recording's times [s].
-    correlation : float
-        Of the two channels at that offset, 0 to 1.
-    confidence : float
-        How far the next best offset falls behind: 1 - (second peak / first peak), 0 to 1.
-    reference, other : str
-        The channels that were compared.
+    `offset` [s] is added to the second recording's times; `correlation` is of the channels `reference` and
+    `other` there (0 to 1); `confidence` is 1 - (second peak / first peak), 0 to 1.
     """
 
     offset: float
@@ -95,21 +87,10 @@ def _floor(power: FloatArray | np.float64) -> FloatArray:
 
 
 def find_offset(path: str, reference: Channel, other: Channel, *, sign: bool = True) -> ClockOffset:
-    """Return the offset that brings the other channel's clock onto the reference's.
+    """Return the offset that brings the clock of a channel onto that of the reference.
 
-    Parameters
-    ----------
-    path : str
-        The second file, named in messages.
-    reference, other : Channel
-        One quantity, or two that change together; a speed is squared against a thrust or a torque.
-    sign : bool
-        False: the two may be of opposite sign.
-
-    Raises
-    ------
-    LogError
-        When a channel is too short or never changes.
+    `path` is the second file, for messages. A speed is squared against a thrust or a torque; without `sign`
+    the two may be of opposite sign. A channel that is too short or never changes is a LogError.
     """
     rates = []
     for channel in (reference, other):
@@ -156,19 +137,10 @@ def find_offset(path: str, reference: Channel, other: Channel, *, sign: bool = T
 
 
 def join_recordings(first: Recording, second: Recording, by: str) -> tuple[Recording, ClockOffset]:
-    """Return one recording with the channels of both on the first one's clock, and the offset.
+    """Return one recording with the channels of both on the first clock, and the offset.
 
-    Parameters
-    ----------
-    first, second : Recording
-        The second's channels are added; those whose name the first has are left out.
-    by : str
-        Channel that both have (``"speed"``), or ``"thrust:speed"``: one of the first, one of the second.
-
-    Raises
-    ------
-    LogError
-        When a channel is not there, or the offset is not sure.
+    `by` is a channel that both have (``"speed"``), or one of each (``"thrust:speed"``); of channels of one
+    name the first recording's is kept. A missing channel and an unsure offset are a LogError.
     """
     path = second.provenance.path
     name, _, other = by.partition(":")

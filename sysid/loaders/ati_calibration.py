@@ -34,14 +34,8 @@ _LARGEST = 1 << 20
 class Calibration:
     """A transducer's calibration.
 
-    Parameters
-    ----------
-    device : str
-        Serial number, body and part number.
-    matrix : (6, 6) array
-        From gauge voltages to Fx Fy Fz [N] and Tx Ty Tz [N·m] per volt.
-    limits : (6,) array
-        Largest calibrated load of each axis [N, N·m]; NaN where not stated.
+    `matrix` (6, 6) turns gauge voltages into Fx Fy Fz [N] and Tx Ty Tz [N·m]; `limits` (6,) are the largest
+    calibrated loads, NaN where not stated.
     """
 
     device: str
@@ -65,13 +59,7 @@ def _numbers(path: str, axis: str, text: str) -> list[float]:
 
 
 def read_calibration(path: str | Path) -> Calibration:
-    """Read a ``.cal`` file.
-
-    Raises
-    ------
-    LogError, UnitError
-        When it is missing, not of this kind or of an unknown unit.
-    """
+    """Read a ``.cal`` file; LogError or UnitError where it is missing, of another kind or unit."""
     where = str(path)
     try:
         data = Path(path).read_bytes()
@@ -120,23 +108,10 @@ def read_calibration(path: str | Path) -> Calibration:
 def motor_transform(path: str, transform: Mapping[str, Any] | None) -> NDArray[np.float64]:
     """Return the (6, 6) matrix that turns a load at the transducer into one at the motor's axes.
 
-    Parameters
-    ----------
-    path : str
-        Named in messages.
-    transform : mapping, optional
-        ``dx dy dz``: from the transducer's origin to the motor's, in the transducer's axes (``"10 mm"``);
-        ``rx ry rz``: then turns of the axes about x, the new y, the new z (``"90 deg"``). What is not named
-        is 0.
-
-    Raises
-    ------
-    LogError, UnitError
-        When a key or a quantity is not understood.
-
-    Notes
-    -----
-    F' = Rᵀ F and T' = Rᵀ (T − d × F), with the columns of R the new axes.
+    `transform` has ``dx dy dz``, from the transducer's origin to the motor's in the transducer's axes (``"10
+    mm"``), and ``rx ry rz``, then turns of the axes about x, the new y, the new z (``"90 deg"``); 0 where
+    not named. F' = Rᵀ F and T' = Rᵀ (T − d × F), with the columns of R the new axes. A key or a quantity
+    that is not understood is a LogError or a UnitError.
     """
     if transform is not None and not isinstance(transform, Mapping):
         raise LogError(
@@ -163,10 +138,7 @@ def without_tare(
 ) -> tuple[FloatArray, list[Finding]]:
     """Return values less the mean of the first `tare` seconds of each column, and a note; None takes nothing.
 
-    Raises
-    ------
-    LogError
-        When `tare` is no positive time or holds no sample.
+    A `tare` that is no positive time or holds no sample is a LogError.
     """
     if tare is None:
         return values, []

@@ -23,22 +23,11 @@ from sysid.types import FloatArray
 
 @dataclass
 class Body:
-    """One rigid body.
+    """One rigid body over `time` (n,) [s].
 
-    Parameters
-    ----------
-    name : str
-        As the file names it.
-    time : (n,) array
-        [s]
-    position : (n, 3) array
-        [m]
-    orientation : (n, 4) array
-        Quaternion, w first, body axes to capture axes; NaN where the body is lost.
-    rows : Numbers, optional
-        The rows in the file, of a quaternion as recorded: its length and its sign are still to be checked.
-    extra : dict
-        Other channels of the body, by what they are: ``residual``, ``velocity``.
+    `position` (n, 3) [m]; `orientation` (n, 4), quaternion, w first, body axes to capture axes, NaN where
+    lost. With `rows`, the quaternion is as recorded in these rows of the file: its length and sign are still
+    to be checked. `extra` has (unit, values) of other channels of the body: ``residual``, ``velocity``.
     """
 
     name: str
@@ -53,26 +42,10 @@ class Body:
 class RawCapture:
     """What a motion capture holds.
 
-    Parameters
-    ----------
-    device : str
-        As the file states it.
-    notes : list of Finding
-        What the parser noticed.
-    bodies : list of Body
-        Those to keep.
-    markers : dict
-        (time [s], position (n, 3) [m]) by name.
-    others : dict of str to Channel
-        Signals beside the capture.
-    chosen : bool
-        `bodies` are already those of the option ``rigid_body``, so none is fitted for it.
-    states_length : bool
-        The file states its length unit, so the option ``length_unit`` changes nothing.
-    marks_lost : bool
-        The system writes a frame in which it lost a body, so the lost frames are counted in a note.
-    kind : str
-        Of the recording.
+    `markers` are (time [s], position (n, 3) [m]) by name; `others` are signals beside the capture. `chosen`:
+    `bodies` are already those of the option ``rigid_body``, so none is fitted for it. `states_length`: the
+    file states its length unit, so the option ``length_unit`` changes nothing. `marks_lost`: the system
+    writes frames in which it lost a body, so a note counts them.
     """
 
     device: str
@@ -89,10 +62,8 @@ class RawCapture:
 def capture_recording(source: Source, format: str, raw: RawCapture, options: CaptureOptions) -> Recording:
     """Return the recording of a capture: unit quaternions of continuous sign, poses of marker sets fitted.
 
-    Raises
-    ------
-    LogError
-        When a quaternion has no unit length, a body cannot be fitted, or nothing was ever seen.
+    A quaternion without unit length, a body that cannot be fitted and a capture that never saw anything are
+    a LogError.
     """
     path, notes = source.path, list(raw.notes)
     channels: dict[str, Channel] = {}

@@ -27,13 +27,7 @@ def known_rate(rate: object) -> float:
 
 
 def positive_rate(path: str, rate: object) -> float:
-    """Return a declared sample rate [Hz].
-
-    Raises
-    ------
-    LogError
-        When it is not a positive, finite number.
-    """
+    """Return a declared sample rate [Hz]; LogError when it is not a positive, finite number."""
     try:
         return known_rate(rate)
     except ValueError:
@@ -62,30 +56,11 @@ def order_rows(
 ) -> tuple[FloatArray, list[Finding]]:
     """Return strictly increasing times [s] and notes; `numbers` keeps only the rows they belong to.
 
-    A row without a time is left out; of rows that repeat one time the last is kept.
-
-    Parameters
-    ----------
-    path : str
-        Named in messages.
-    numbers : Numbers
-        Rows as read; changed in place.
-    time_column : int
-        Column of the times.
-    factor : float
-        From the column's unit to seconds.
-    stale_start : bool
-        Drop one or two rows at the start whose time is beyond that of the next.
-    time_back : str
-        ``"drop"`` leaves out rows whose time is not beyond the latest; ``"refuse"`` (and the empty text, of a
-        format without that option) refuses a falling time.
-    coarse : str
-        What to do about a clock that repeats its times: a format with an option for it names that.
-
-    Raises
-    ------
-    LogError
-        When time goes back, or no row has a time.
+    A row without a time is left out; of rows that repeat one time the last is kept. `factor` turns the
+    column `time_column` into seconds. With `stale_start`, one or two rows at the start whose time is beyond
+    the next are dropped. `time_back` ``"drop"`` leaves out rows that do not pass the latest time;
+    ``"refuse"`` (and the empty text, of a format without that option) makes a falling time a LogError, as is
+    a log without times. `coarse` says what to do about a clock that repeats its times.
     """
     if time_back not in ("", "refuse", "drop"):
         raise LogError(f'{path}: time_back = {time_back!r} is unknown; expected "refuse" or "drop"')
@@ -166,28 +141,10 @@ def frame_clock(
 ) -> tuple[FloatArray, list[Finding]]:
     """Return times [s] rebuilt from frame numbers, and notes, where the written ones are times of arrival.
 
-    They lie on the straight line that fits the written times best, so the rate is that of the log itself and
-    a constant delay stays in it. `numbers` keeps only the rows they belong to.
-
-    Parameters
-    ----------
-    path : str
-        Named in messages.
-    numbers : Numbers
-        Rows as read; changed in place.
-    frame_column, time_column : int
-        Columns of the frame numbers and of the written times.
-    factor : float
-        From the time column's unit to seconds.
-    other_clock : str
-        The clock of the format to choose where the frame numbers are of no use.
-    time_back : str
-        As for `order_rows`, of the frame numbers.
-
-    Raises
-    ------
-    LogError
-        When the two columns do not belong together.
+    They lie on the straight line that fits the written times best, so the rate is that of the log and a
+    constant delay stays in it. `numbers` keeps only the rows they belong to; `factor` turns the written
+    times into seconds. `other_clock` is what to choose where the two columns do not belong together (a
+    LogError).
     """
     _, notes = order_rows(path, numbers, frame_column, 1.0, time_back=time_back)
     frames, written = numbers.columns[frame_column], numbers.columns[time_column] * factor
@@ -218,23 +175,10 @@ def frame_clock(
 
 
 def rate_clock(path: str, rate: float, count: int, stated: FloatArray | None = None) -> FloatArray:
-    """Return the times of `count` samples at a declared rate.
+    """Return the times [s] of `count` samples at a declared rate [Hz].
 
-    Parameters
-    ----------
-    path : str
-        Named in messages.
-    rate : float
-        Samples per second.
-    count : int
-        Number of samples.
-    stated : (count,) array, optional
-        The log's own times [s], too coarse or too unsteady to use: they fix the start and check the rate.
-
-    Raises
-    ------
-    LogError
-        When the stated times span another duration than the rate does.
+    `stated` (count,) are the log's times [s], too coarse or too unsteady to use: they fix the start, and a
+    span that contradicts the rate is a LogError.
     """
     time: NDArray[np.float64] = np.arange(count, dtype=np.float64) / rate
     if stated is None:

@@ -29,18 +29,9 @@ COMMAND_UNITS = {"us": "us", "µs": "us", "μs": "us", "dshot": "dshot", "1": "1
 class Column:
     """One column of a header.
 
-    Parameters
-    ----------
-    index : int
-        Position from 0.
-    label : str
-        As the header writes it.
-    stem : str
-        Lower-case name without unit, words separated by one space.
-    unit : str or None
-        Unit as the header states it; None where it states none.
-    guessed : bool
-        The unit is only the end of the name, as in ``px_m``.
+    `index` counts from 0; `label` is as the header writes it; `stem` is the lower-case name without unit,
+    words separated by one space; `unit` is None where none is stated; `guessed`: the unit is only the end of
+    the name, as in ``px_m``.
     """
 
     index: int
@@ -94,13 +85,7 @@ def unread_note(columns: Iterable[Column], read: Iterable[Column]) -> list[Findi
 
 
 def find_column(path: str, columns: Sequence[Column], stems: Collection[str]) -> Column | None:
-    """Return the column whose stem is one of `stems`, or None.
-
-    Raises
-    ------
-    LogError
-        When two columns answer to it.
-    """
+    """Return the column whose stem is one of `stems`, or None; LogError when two columns answer to it."""
     found = [column for column in columns if column.stem in stems]
     if len(found) > 1:
         raise LogError(
@@ -119,15 +104,7 @@ def missing_column(path: str, wanted: str, columns: Sequence[Column]) -> LogErro
 
 
 class DeclaredUnits:
-    """Units that a user declares for columns, by label, stem or channel name.
-
-    Parameters
-    ----------
-    path : str
-        Named in messages.
-    units : mapping of str to str, optional
-        For example ``{"thrust": "N", "Speed": "rpm"}``; it wins over the header.
-    """
+    """Units that a user declares for columns, by label, stem or channel name; they win over the header."""
 
     def __init__(self, path: str, units: Mapping[str, str] | None) -> None:
         self.path = path
@@ -174,13 +151,7 @@ class DeclaredUnits:
         return default if column.unit is None else column.unit
 
     def factor(self, column: Column, channel: str, expected: str, default: str | None = None) -> float:
-        """Return the factor from a column's unit to SI.
-
-        Raises
-        ------
-        UnitError
-            When the column has no unit, an unknown one or one of another dimension.
-        """
+        """Return the factor from a column's unit to SI; UnitError without one or of another dimension."""
         unit = self.unit_of(column, channel, default)
         if unit is None:
             raise UnitError(
@@ -198,13 +169,7 @@ class DeclaredUnits:
             raise UnitError(f'{self.path}: column "{column.label}": {error}{turns}') from error
 
     def command(self, column: Column, default: str | None = None) -> str:
-        """Return the protocol unit of a command column: ``us``, ``dshot`` or ``1`` (a fraction).
-
-        Raises
-        ------
-        UnitError
-            When the command has no unit or one of no protocol.
-        """
+        """Return the unit of a command, ``us``, ``dshot`` or ``1`` (a fraction); UnitError for others."""
         unit = self.unit_of(column, "command", default)
         if unit is None or unit.casefold() not in COMMAND_UNITS:
             found = "states no unit" if unit is None else f"has unit {unit!r}"

@@ -18,15 +18,7 @@ _HEAD = 16
 
 
 def check_heaps(path: str) -> None:
-    """Refuse an HDF5 file whose heaps of texts cannot be walked to their end.
-
-    Valid for files whose lengths are of 8 bytes, as every writer seen makes them.
-
-    Raises
-    ------
-    LogError
-        When a list of objects stands still or leaves its heap.
-    """
+    """Refuse an HDF5 file whose heaps of texts cannot be walked to their end (lengths of 8 bytes)."""
     try:
         with Path(path).open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
             start = data.find(_HEAP)

@@ -22,24 +22,11 @@ _LENGTH_TOLERANCE = 0.02
 def unit_quaternions(
     path: str, body: str, numbers: Numbers, raw: FloatArray
 ) -> tuple[FloatArray, list[Finding]]:
-    """Return unit quaternions of continuous sign, and notes.
+    """Return unit quaternions (n, 4) of continuous sign, in the component order of `raw`, and notes.
 
     A quaternion and its negative are one orientation, and capture systems switch between them; continuous is
-    the one nearest to that of the last recorded frame. A row that lacks a component, or is all zero, is NaN.
-
-    Parameters
-    ----------
-    path, body : str
-        Named in messages.
-    numbers : Numbers
-        For the line numbers of the rows.
-    raw : (n, 4) array
-        Quaternions as recorded, any component order.
-
-    Raises
-    ------
-    LogError
-        When a quaternion's length is not 1 within 2 %.
+    the one nearest to that of the last recorded frame. A row that lacks a component, or is all zero, is NaN;
+    a length that is not 1 within 2 % is a LogError that names the row in `numbers`.
     """
     notes: list[Finding] = []
     with np.errstate(over="ignore"):  # a damaged number may be too large to square: its length is no 1
@@ -96,14 +83,9 @@ def matrix_quaternions(matrix: FloatArray, seen: BoolArray) -> FloatArray:
 
 
 def euler_quaternions(order: str, angles_deg: FloatArray) -> FloatArray:
-    """Return quaternions, w first, of Euler angles about the axes of the turning body (intrinsic).
+    """Return quaternions, w first, of Euler angles (n, 3) [deg] about the axes of the turning body.
 
-    Parameters
-    ----------
-    order : str
-        For example ``"XYZ"``: about X, then the new Y, then the new Z.
-    angles_deg : (n, 3) array
-        Angles [deg] in that order; rows with NaN give NaN.
+    `order` is for example ``"XYZ"``: about X, then the new Y, then the new Z. Rows with NaN give NaN.
     """
     from scipy.spatial.transform import Rotation
 
@@ -134,13 +116,7 @@ def lost_note(body: str, orientation: FloatArray) -> list[Finding]:
 
 
 def declared_length(path: str, declared: str | None, default: str = "m") -> float:
-    """Return the factor to metres of a declared length unit, or of the one that the format means.
-
-    Raises
-    ------
-    UnitError
-        When it is no unit of length.
-    """
+    """Return the factor to metres of a declared length unit, or of `default`; UnitError if none."""
     try:
         return factor_to_si(default if declared is None else str(declared), "m")
     except UnitError as error:
@@ -148,13 +124,7 @@ def declared_length(path: str, declared: str | None, default: str = "m") -> floa
 
 
 def wanted_bodies(path: str, names: Sequence[str], wanted: str | Sequence[str] | None) -> tuple[str, ...]:
-    """Return the bodies to keep.
-
-    Raises
-    ------
-    LogError
-        When one of the wanted bodies is not there; the message names those that are.
-    """
+    """Return the bodies to keep; LogError when a wanted one is not there."""
     if wanted is None:
         return tuple(names)
     kept = tuple(str(name) for name in wanted) if isinstance(wanted, list | tuple) else (str(wanted),)

@@ -19,13 +19,7 @@ _DAMAGE = (
 
 
 def library(path: str, module: str, package: str) -> ModuleType:
-    """Return an optional library.
-
-    Raises
-    ------
-    LogError
-        When it is not installed; the message names the extra that brings it.
-    """
+    """Return an optional library; LogError, which names the extra that brings it, without it."""
     try:
         return import_module(module)
     except ImportError as error:
@@ -37,17 +31,7 @@ def library(path: str, module: str, package: str) -> ModuleType:
 
 @contextmanager
 def reading(path: str, what: str, remedy: str, *errors: type[Exception]) -> Iterator[None]:
-    """Refuse a file whose parser fails.
-
-    Parameters
-    ----------
-    path : str
-        The log, named in the message.
-    what, remedy : str
-        What the file is, and what to do about a damaged one.
-    *errors
-        Errors of the format's library.
-    """
+    """Refuse a file (`what`) whose parser fails, by `errors` of its library or by what it lets through."""
     damage: tuple[type[Exception], ...] = (*errors, *_DAMAGE)
     try:
         yield

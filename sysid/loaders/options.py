@@ -18,16 +18,8 @@ from sysid.units import factor_to_si, parse_quantity
 class Option:
     """One option of loaders.
 
-    Parameters
-    ----------
-    help : str
-        One sentence for the reader.
-    unit : str
-        Of a positive quantity: a number in this unit, or a text that states its unit.
-    choices : tuple of str
-        Values of all formats together; empty: any.
-    check : callable, optional
-        Returns the value, or raises ValueError that says what is wrong with it.
+    `unit` is of a positive quantity, given as a number in it or as a text with a unit; `choices` are the
+    values of all formats together (empty: any); `check` returns the value or raises ValueError.
     """
 
     help: str
@@ -36,13 +28,7 @@ class Option:
     check: Callable[[Any], Any] | None = None
 
     def stated(self, value: Any) -> Any:
-        """Return a value as a campaign states it: a quantity carries its unit.
-
-        Raises
-        ------
-        ValueError
-            In words, for a table that names the option itself.
-        """
+        """Return a value as a campaign states it, a quantity with its unit; ValueError says what is wrong."""
         if value is None:
             return None
         if self.unit:

@@ -28,23 +28,11 @@ _LOOSE = 0.1
 
 
 def fit_rotations(shape: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return rotations, origins and residuals that bring a shape onto points.
+    """Return rotations (n, 3, 3), origins (n, 3) [m] and residuals (n,) that bring a shape onto points.
 
-    Parameters
-    ----------
-    shape : (k, 3) array
-        Markers in the body's frame [m].
-    points : (n, k, 3) array
-        Markers in the capture's frame [m]; NaN where not seen.
-
-    Returns
-    -------
-    rotation : (n, 3, 3) array
-        Body axes to capture axes; NaN in frames with fewer than three markers or markers on one line.
-    origin : (n, 3) array
-        Of the body's frame [m].
-    residual : (n,) array
-        RMS distance of the seen markers from the shape [m].
+    `shape` (k, 3) are markers in the body's frame [m], `points` (n, k, 3) in the capture's, NaN where not
+    seen. Rotations turn body axes into capture axes; they are NaN in frames with fewer than three markers or
+    markers on one line. A residual is the RMS distance of the seen markers from the shape [m].
     """
     seen: BoolArray = np.asarray(np.isfinite(points).all(axis=2))
     weight = seen / np.maximum(seen.sum(axis=1), 1)[:, None]
@@ -90,22 +78,9 @@ def fit_bodies(
 ) -> tuple[dict[str, Channel], list[Finding]]:
     """Return position, orientation and ``NAME/residual`` [m] of bodies fitted to markers, and notes.
 
-    Parameters
-    ----------
-    path : str
-        Named in messages.
-    channels : mapping of str to Channel
-        Among them ``MARKER/position`` of every marker.
-    bodies : mapping of str to sequence of str, optional
-        Markers by body.
-    rigid_body : str or sequence of str, optional
-        Bodies to fit; one that `bodies` does not name is all markers whose name begins with it.
-
-    Raises
-    ------
-    LogError
-        When a body has fewer than three markers in the file (the message names those it has), or they are
-        never seen together or move against each other.
+    `channels` has ``MARKER/position`` of every marker, `bodies` the markers by body; a body of `rigid_body`
+    that it does not name is all markers whose name begins with it. A body with fewer than three markers, or
+    whose markers are never seen together or move against each other, is a LogError.
     """
     markers = [name.removesuffix("/position") for name in channels if name.endswith("/position")]
     fitted: dict[str, Channel] = {}

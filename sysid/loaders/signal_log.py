@@ -23,19 +23,9 @@ _TAKES = ("rate", "units", "datasets", "pulses_per_revolution", "time_back")
 class RawSignals:
     """What a file of named signals holds.
 
-    Parameters
-    ----------
-    signals : sequence of Signal
-        Every signal, with its unit and clock as the file states them.
-    device : str
-        As the file states it.
-    measured : bool
-        Read only known quantities, thrust or torque among them; else other signals keep their names, in SI
-        where their unit is known and as recorded (unit ``""``) where it is not.
-    passed_over : sequence of str
-        What the file holds besides signals.
-    notes : list of Finding
-        What the parser noticed.
+    `measured`: only known quantities are read, thrust or torque among them; else signals of other names are
+    kept too, in SI where their unit is known and as recorded (unit ``""``) where it is not. `passed_over`
+    names what the file holds besides signals.
     """
 
     signals: Sequence[Signal]
@@ -52,16 +42,10 @@ def signal_format(
     parse: Callable[[Source, BenchOptions], AbstractContextManager[RawSignals]],
     extra: Mapping[str, tuple[str, ...]] | None = None,
 ) -> LogFormat:
-    """Return a format of named signals.
+    """Return a `LogFormat` of named signals.
 
-    Parameters
-    ----------
-    name, describes, recognize
-        As of `LogFormat`.
-    parse : callable
-        ``with parse(source, options) as RawSignals:`` keeps the file open while its signals are read.
-    extra : mapping, optional
-        Options of this format alone, as `LogFormat.takes`.
+    ``with parse(source, options) as RawSignals:`` keeps the file open while its signals are read; `extra`
+    are options of this format alone, as `LogFormat.takes`.
     """
 
     def read(source: Source, **given: Any) -> Recording:

@@ -41,26 +41,10 @@ _SPECIAL = {"time": TIME, "command": COMMAND, "tachometer": TACHOMETER}
 class Signal:
     """One signal of a file.
 
-    Parameters
-    ----------
-    name : str
-        As the file names it, with its group: ``/cell/Fz``.
-    unit : str or None
-        As the file states it; None where it states none.
-    read : callable
-        Returns the samples (n,).
-    rate : float, optional
-        Samples per second as the file states them.
-    start : float
-        Time of the first sample [s]; counts with `rate` only.
-    time : (n,) array, optional
-        The signal's own times [s].
-    inherited : bool
-        The rate is that of the whole file, which other signals take too.
-    numbered : bool
-        The label ends in the number of a matrix's column, ``FT[1]``, which is no unit.
-    label : str
-        Name without its group; by default what follows the last ``/``.
+    `name` has its group (``/cell/Fz``) and `label` has not; `unit` is None where the file states none;
+    `read` returns the samples (n,). `rate` [Hz] and `start` [s] are as the file states them, `time` (n,) [s]
+    is the signal's clock; `inherited`: the rate is that of the whole file. `numbered`: the label ends in the
+    number of a matrix's column, ``FT[1]``, which is no unit.
     """
 
     name: str
@@ -141,23 +125,9 @@ def choose_signals(
 ) -> dict[str, str]:
     """Return channel -> signal name, ``time``, ``command`` and ``tachometer`` included.
 
-    Parameters
-    ----------
-    path : str
-        Named in messages.
-    signals : mapping
-        By name.
-    datasets : mapping of str to str, optional
-        What the user names; exactly these are chosen.
-    measured : bool
-        Thrust or torque must be among them.
-    passed_over : sequence of str
-        What the file holds besides signals, and its shape; for messages.
-
-    Raises
-    ------
-    LogError
-        When a named signal is not there, two fit one channel, or what must be measured is not.
+    Exactly the `datasets` are chosen where the user names them. With `measured`, thrust or torque must be
+    among them. A named signal that is not there, two signals of one channel and a missing thrust are a
+    LogError, which shows what the file holds and what was `passed_over`.
     """
     if datasets is not None:
         chosen = _named(path, signals, datasets, passed_over)
@@ -278,24 +248,9 @@ def signal_channels(
     measured: bool,
     passed_over: Sequence[str] = (),
 ) -> tuple[dict[str, Channel], list[Finding]]:
-    """Return the channels of a file's signals and notes.
+    """Return the channels of a file's signals and notes; the parameters are as of `RawSignals`.
 
-    Parameters
-    ----------
-    path : str
-        Named in messages.
-    signals : iterable of Signal
-        All that the file holds.
-    measured : bool
-        True: only known quantities are read and thrust or torque must be among them; False: signals of other
-        names are kept too, in SI where their unit is known and as recorded (unit ``""``) where not.
-    passed_over : sequence of str
-        What the file holds besides signals, complete once `signals` are all taken.
-
-    Raises
-    ------
-    LogError, UnitError
-        One sentence with file, signal and cause.
+    A signal without a clock or a unit, and two that contradict each other, are a LogError or a UnitError.
     """
     datasets, pulses_per_revolution = options.datasets, options.pulses_per_revolution
     rate = None if options.rate is None else positive_rate(path, options.rate)

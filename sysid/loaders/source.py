@@ -16,24 +16,10 @@ _HEAD_BYTES = 65536
 
 
 class Source:
-    """One file on disk.
+    """One file on disk, ordinary, readable and not empty; else a LogError.
 
-    Parameters
-    ----------
-    path : str or Path
-        The log. It must be an ordinary, readable file that is not empty.
-
-    Attributes
-    ----------
-    path : str
-        The file as it was named; every message begins with it.
-    head : bytes
-        The first 64 KiB, enough for detection by content.
-
-    Raises
-    ------
-    LogError
-        When there is no such file, or it is a folder, empty or unreadable.
+    `path` is the file as it was named, with which every message begins; `head` are its first 64 KiB, enough
+    for detection by content.
     """
 
     def __init__(self, path: str | Path) -> None:

@@ -125,20 +125,9 @@ def table_head(
 ) -> TableHead:
     """Return the header of a table.
 
-    Parameters
-    ----------
-    text : Text
-        The log.
-    columns : sequence of str or mapping, optional
-        Names that the user declares, for a log without header or with a wrong one: all of them in order, or
-        new name -> name in the header (or its number from 1).
-    renames : bool
-        The format has an option for `columns`, which a message may advise.
-
-    Raises
-    ------
-    LogError
-        When there is no header, or as many names were declared as the table has not.
+    `columns` are names that the user declares for a log without header or with a wrong one: all of them in
+    order, or new name -> name in the header (or its number from 1). `renames`: the format has an option for
+    them, which a message may advise. A missing header and a wrong number of names are a LogError.
     """
     lines = list(text.lines(_HEADER_SEARCH))
     found = find_header([line for _, _, line in lines])
@@ -179,20 +168,10 @@ def table_head(
 
 @dataclass
 class Numbers:
-    """Rows of numbers.
+    """Rows of numbers: one array per wanted column.
 
-    Parameters
-    ----------
-    columns : dict
-        One array per wanted column.
-    lines : (n,) array
-        Where each row stands in the file, counted from 1, for messages.
-    notes : list of str
-        What was noticed.
-    row_word : str
-        What `lines` counts: ``line`` or ``sample``.
-    open_end : bool
-        The last row is that of a last line without line end, which may be cut inside a number.
+    `lines` (n,) is where each row stands in the file, counted from 1 in `row_word`, for messages.
+    `open_end`: the last row is of a line without line end, which may be cut inside a number.
     """
 
     columns: dict[int, FloatArray]
@@ -233,12 +212,8 @@ def read_numbers(
 
     Parameters
     ----------
-    text : Text
-        The log.
-    head : TableHead
-        Where the rows begin, and the names of the columns.
-    wanted : sequence of int
-        Column numbers from 0.
+    text, head, wanted
+        The log, its header, and column numbers from 0.
     least : int, optional
         Cells that a row must have to be trusted; by default as many as the header names.
     surplus : bool
@@ -335,17 +310,9 @@ def read_numbers(
 
 
 def promised_note(header: str, stated: object, found: int) -> list[Finding]:
-    """Return a note where a header promises more rows than there are: a log cut at the end of a row shows no
-    other trace.
+    """Return a note where a header promises more rows (`stated`, by the name `header`) than there are.
 
-    Parameters
-    ----------
-    header : str
-        What the header calls the number, for the reader.
-    stated : object
-        The number as the header writes it; what is no count promises nothing.
-    found : int
-        Rows in the file.
+    A log cut at the end of a row shows no other trace. What is no count promises nothing.
     """
     try:
         promised = int(str(stated).strip())

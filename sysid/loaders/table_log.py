@@ -25,20 +25,9 @@ _SHOWN = {"N*m": "N·m", "m/s^2": "m/s²"}
 class RawTable:
     """What a table of one instrument holds.
 
-    Parameters
-    ----------
-    kind, device : str
-        Of the recording.
-    time : (n,) array
-        [s]
-    notes : list of Finding
-        What the parser noticed.
-    channels : dict of str to Channel
-        Those that are ready.
-    loads : (n, 6) array, optional
-        Fx Fy Fz Tx Ty Tz, or the gauge voltages of `calibration`, before tare and transform.
-    scale : (6,) array or Calibration, optional
-        From `loads` to N and N·m; None where they are in these.
+    `channels` are those that are ready. `loads` (n, 6) are Fx Fy Fz Tx Ty Tz before tare and transform, to
+    be turned into N and N·m by `scale`: six factors, or a calibration of gauge voltages; None where they
+    are.
     """
 
     kind: str

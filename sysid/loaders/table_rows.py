@@ -37,13 +37,7 @@ _MOST_TRAILING = 64
 
 
 def parse_number(cell: str, decimal: str = ".") -> float:
-    """Return the number in a cell, NaN for a blank cell or a written nan.
-
-    Raises
-    ------
-    ValueError
-        When the cell holds anything else.
-    """
+    """Return the number in a cell, NaN for a blank cell or a written nan; ValueError for anything else."""
     text = cell.strip().strip('"').strip()
     if text.lower() in _MISSING:
         return math.nan
@@ -176,12 +170,8 @@ def decimal_mark(path: str, body: Body, wanted: Sequence[int]) -> str:
     """Return the decimal mark of a table: a comma where wanted cells hold commas and none holds a point.
 
     Judged from the first rows, or where those hold whole numbers alone (a stand at rest) from the first row
-    with a mark. Commas that may all part thousands (``1,000``) tell nothing: the rows behind decide.
-
-    Raises
-    ------
-    LogError
-        When every comma of the table may be either.
+    with a mark. Commas that may all part thousands (``1,000``) tell nothing: the rows behind decide. A table
+    in which every comma may be either is a LogError.
     """
     first = int(body.begins[0])
     if body.delimiter == "," or body.data.find(b",", first) < 0:

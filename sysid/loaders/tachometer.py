@@ -21,13 +21,7 @@ _HOLE = 2.5
 
 
 def check_tachometer(path: str, channels: Collection[str], pulses_per_revolution: object) -> None:
-    """Refuse pulses per revolution that are no number, belong to nothing, or rival a speed channel.
-
-    Raises
-    ------
-    LogError
-        One sentence with the file and the option that decides.
-    """
+    """Refuse pulses per revolution that are no number, belong to nothing, or rival a speed channel."""
     if pulses_per_revolution is None:
         return
     if (
@@ -74,23 +68,9 @@ def pulse_speed(
     """Return the channel ``speed`` [rad/s, never negative] of a pulse train, and notes.
 
     One sample per period, at its middle: 2π / (pulses per revolution · period). Between pulses nothing is
-    known and nothing is filled in; a period that holds a lost sample or a hole in the clock is NaN.
-
-    Parameters
-    ----------
-    path : str
-        Named in messages.
-    time : (n,) array
-        [s]
-    values : (n,) array
-        Level of the tachometer, any unit, either polarity.
-    pulses_per_revolution : float
-        Rising edges per turn of the rotor.
-
-    Raises
-    ------
-    LogError
-        When fewer than two pulses are seen, or they come faster than the samples can tell.
+    known and nothing is filled in; a period that holds a lost sample or a hole in the clock is NaN. `values`
+    are the level of the tachometer, any unit, either polarity. Fewer than two pulses, or pulses too fast for
+    the samples, are a LogError.
     """
     seen = np.isfinite(values)
     low, high = (float(np.min(values[seen])), float(np.max(values[seen]))) if seen.any() else (0.0, 0.0)

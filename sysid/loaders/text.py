@@ -31,19 +31,7 @@ _PIECE = 1 << 20
 def decode(data: bytes, path: str, *, partial: bool = False) -> str:
     """Return the text of `data`: UTF-8 or UTF-16 by its mark, else UTF-8, else Windows-1252.
 
-    Parameters
-    ----------
-    data : bytes
-        Content from the start of the file.
-    path : str
-        Named in messages.
-    partial : bool
-        `data` may end inside a character.
-
-    Raises
-    ------
-    LogError
-        When a file marked UTF-16 is broken.
+    With `partial`, `data` may end inside a character. A broken UTF-16 file is a LogError.
     """
     if data[:2] in _UTF16_MARKS:
         body = data[: len(data) // 2 * 2] if partial else data
@@ -94,13 +82,7 @@ def without_separator(text: str) -> str:
 
 
 def read_text(source: Source) -> Text:
-    """Read a text log whole.
-
-    Raises
-    ------
-    LogError
-        When the file holds NUL bytes (binary, or UTF-16 without a mark).
-    """
+    """Read a text log whole; NUL bytes (binary, or UTF-16 without a mark) are a LogError."""
     data = source.read_bytes()
     notes = []
     if data[:2] in _UTF16_MARKS:
