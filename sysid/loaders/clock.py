@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -172,6 +174,42 @@ def frame_clock(
         )
     )
     return time, notes
+
+
+def counted_clock(
+    path: str,
+    numbers: Numbers,
+    columns: tuple[int, int],
+    first: float,
+    rates: Sequence[float],
+    rounding: float,
+    advice: str,
+    *,
+    check: bool = True,
+) -> tuple[FloatArray, Finding]:
+    """Return times [s], frame numbers over the first rate that the written times fit, and a note.
+
+    `columns` are those of frame numbers (from `first`) and of times, which are printed to `rounding` [s]
+    and may begin later by a constant. With `check`, times that fit no rate are a LogError with `advice`.
+    """
+    counted, written = (numbers.columns[column] for column in columns)
+    seen = np.isfinite(written)
+    refusal = ""
+    for rate in rates:
+        time = (counted - first) / rate
+        offset = float(np.median((written - time)[seen])) if seen.any() else 0.0
+        offset = 0.0 if abs(offset) <= rounding else offset
+        error = np.where(seen, np.abs(written - time - offset), 0.0)
+        if not check or error.max() <= rounding:
+            later = f", beginning {offset:.6g} s later" if offset else ""
+            sentence = f"time rebuilt from frame numbers at {rate:g} Hz{later}"
+            return time + offset, note("time-from-frames", sentence)
+        row = int(error.argmax())
+        refusal = refusal or (
+            f"{path}, line {numbers.lines[row]}: frame {counted[row]:.0f} at {rate:g} Hz is at "
+            f"{(time + offset)[row]:.6g} s but the Time column says {written[row]:.6g} s; {advice}"
+        )
+    raise LogError(refusal)
 
 
 def rate_clock(path: str, rate: float, count: int, stated: FloatArray | None = None) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from sysid.recording import BoolArray, Channel, FloatArray
 from sysid.units import factor_to_si
 
 EULER_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
+# Words of Motive for units.
+_LENGTHS = {"meters": "m", "millimeters": "mm", "centimeters": "cm", "inches": "inch", "feet": "foot"}
 # Logs print quaternions to two decimals or more; a length further from 1 means wrong columns or a damaged
 # number.
 _LENGTH_TOLERANCE = 0.02
@@ -121,6 +123,23 @@ def declared_length(path: str, declared: str | None, default: str = "m") -> floa
         return factor_to_si(default if declared is None else str(declared), "m")
     except UnitError as error:
         raise UnitError(f"{path}: length_unit: {error}") from error
+
+
+def length_factor(where: str, stated: Iterable[str], declared: str | None) -> float:
+    """Return the factor to metres of a unit that is stated or declared; UnitError if they differ."""
+    units = [
+        *sorted({unit.strip() for unit in stated} - {""}),
+        *([] if declared is None else [str(declared)]),
+    ]
+    if not units:
+        raise UnitError(f'{where}: states no length unit; declare it with length_unit = "mm" or "m"')
+    try:
+        factors = {factor_to_si(_LENGTHS.get(unit.casefold(), unit), "m") for unit in units}
+    except UnitError as error:
+        raise UnitError(f"{where}: length unit: {error}") from error
+    if len(factors) > 1:
+        raise UnitError(f"{where}: lengths are in {' and '.join(units)}; correct length_unit or export again")
+    return factors.pop()
 
 
 def wanted_bodies(path: str, names: Sequence[str], wanted: str | Sequence[str] | None) -> tuple[str, ...]:

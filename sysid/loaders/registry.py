@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import difflib
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -116,6 +116,11 @@ def plug_in_options() -> set[str]:
     return {option for name, known in formats().items() if name not in built_in for option in known.options}
 
 
+def _hint(word: str, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(word, list(known), 1)
+    return f'; did you mean "{near[0]}"?' if near else ""
+
+
 def _names(candidates: dict[str, LogFormat]) -> str:
     return ", ".join(candidates)
 
@@ -180,18 +185,15 @@ def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording
         known = _built_in()  # looking through all installed packages takes longer than most logs
         known = known if format in known else formats()
         if format not in known:
-            near = difflib.get_close_matches(str(format), known, 1)
-            hint = f'; did you mean "{near[0]}"?' if near else ""
+            hint = _hint(str(format), known)
             raise LogError(f"{source.path}: unknown format {format!r}; known are {_names(known)}{hint}")
         chosen = known[format]
     given = {name: value for name, value in options.items() if value is not None}
     unknown = sorted(set(given) - set(chosen.options))
     if unknown:
-        near = difflib.get_close_matches(unknown[0], chosen.options, 1)
-        hint = f'; did you mean "{near[0]}"?' if near else ""
         raise LogError(
             f'{source.path}: format {chosen.name} has no option "{unknown[0]}"; '
-            f"it has {', '.join(chosen.options) or 'none'}{hint}"
+            f"it has {', '.join(chosen.options) or 'none'}{_hint(unknown[0], chosen.options)}"
         )
     _check_kinds(source.path, given)
     for name, value in given.items():

@@ -262,6 +262,36 @@ def read_numbers(
     columns = read_rows(path, body, names, len(head.names), decimal, surplus)
     if not body.lines.size:
         raise empty
+    notes += _blank_short(path, body, columns, least, free_text, ends)
+    shifted = _shifted(path, body, head, wanted, surplus, free_text)
+    if shifted.size:
+        for values in columns.values():
+            values[shifted] = np.nan
+        sentence = (
+            f"rows with a cell too many, whose numbers are not below their names: {shifted.size} (first: "
+            f"line {body.lines[shifted[0]]}); taken as missing"
+        )
+        notes.append(note("shifted-rows", sentence))
+    infinite = 0
+    for values in columns.values():
+        wild = np.isinf(values)
+        infinite += int(np.count_nonzero(wild))
+        values[wild] = np.nan
+    if infinite:
+        sentence = f"cells that hold an infinite number: {infinite}; taken as missing"
+        notes.append(note("infinite-cells", sentence))
+    return Numbers(columns, body.lines, notes, open_end=open_end)
+
+
+def _blank_short(
+    path: str,
+    body: Body,
+    columns: Mapping[int, FloatArray],
+    least: int,
+    free_text: int | None,
+    ends: Sequence[int],
+) -> list[Finding]:
+    """Blank rows with too few cells, and return a note; refuse a table where most are."""
     lines, fields = body.lines, body.fields
     short = fields < least
     if free_text is not None:
@@ -270,43 +300,21 @@ def read_numbers(
     for row in np.flatnonzero(short & np.isin(fields - 1, np.asarray(ends, dtype=np.int64))).tolist():
         cells = body.cells(row)
         short[row] = bool(cells[-1].strip()) or not all(cell.strip() for cell in cells[:-1])
-    if short.any():
-        if short.sum() * 2 > short.size:
-            row = int(np.argmax(short))
-            raise LogError(
-                f"{path}, line {lines[row]}: {fields[row]} cells where {least} are expected, as in "
-                "most rows; check the delimiter and the header"
-            )
-        for values in columns.values():
-            values[short] = np.nan
-        notes.append(
-            note(
-                "short-rows",
-                f"rows with fewer than {least} cells: {int(short.sum())} (first: line "
-                f"{lines[np.argmax(short)]}); taken as missing",
-            )
+    if not short.any():
+        return []
+    first = int(np.argmax(short))
+    if short.sum() * 2 > short.size:
+        raise LogError(
+            f"{path}, line {lines[first]}: {fields[first]} cells where {least} are expected, as in "
+            "most rows; check the delimiter and the header"
         )
-    shifted = _shifted(path, body, head, wanted, surplus, free_text)
-    if shifted.size:
-        for values in columns.values():
-            values[shifted] = np.nan
-        notes.append(
-            note(
-                "shifted-rows",
-                f"rows with a cell too many, whose numbers are not below their names: {shifted.size} (first: "
-                f"line {lines[shifted[0]]}); taken as missing",
-            )
-        )
-    infinite = 0
     for values in columns.values():
-        wild = np.isinf(values)
-        infinite += int(np.count_nonzero(wild))
-        values[wild] = np.nan
-    if infinite:
-        notes.append(
-            note("infinite-cells", f"cells that hold an infinite number: {infinite}; taken as missing")
-        )
-    return Numbers(columns, lines, notes, open_end=open_end)
+        values[short] = np.nan
+    sentence = (
+        f"rows with fewer than {least} cells: {int(short.sum())} (first: line {lines[first]}); "
+        "taken as missing"
+    )
+    return [note("short-rows", sentence)]
 
 
 def promised_note(header: str, stated: object, found: int) -> list[Finding]:

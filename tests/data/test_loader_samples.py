@@ -132,7 +132,7 @@ def test_motive_124_euler_parent_row_and_times_rounded_to_milliseconds():
     np.testing.assert_allclose(turned, rz @ ry @ rx, atol=1e-14)
     with pytest.raises(LogError, match="contradicts the header, which says ZYX"):
         load(HERE / "motive_124_zyx_m.csv", euler_order="XYZ")
-    with pytest.raises(UnitError, match="contradicts the header, which says Meters"):
+    with pytest.raises(UnitError, match="lengths are in Meters and mm"):
         load(HERE / "motive_124_zyx_m.csv", length_unit="mm")
 
 

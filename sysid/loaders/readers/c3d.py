@@ -9,17 +9,16 @@ over the rate, from the first frame that the header names. Axes are those of the
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sysid.errors import LogError, UnitError
+from sysid.errors import LogError
 from sysid.journal import Finding, note
 from sysid.loaders.capture_log import Body, RawCapture, capture_format
 from sysid.loaders.clock import known_rate
-from sysid.loaders.motion_capture import matrix_quaternions, wanted_bodies
+from sysid.loaders.motion_capture import length_factor, matrix_quaternions, wanted_bodies
 from sysid.loaders.optional import library, reading
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
@@ -28,7 +27,6 @@ from sysid.loaders.source import Source
 from sysid.loaders.table import promised_note
 from sysid.recording import Channel
 from sysid.types import FloatArray
-from sysid.units import factor_to_si
 
 _BLOCK = 512
 # Where the header counts points and analog samples and names the first and the last frame.
@@ -69,21 +67,8 @@ def _values(parameters: Any, group: str, key: str) -> list[Any]:
     return out
 
 
-def _length_factor(path: str, units: Sequence[str], declared: str | None) -> float:
-    stated = sorted({str(unit).strip() for unit in units} - {""})
-    given = [str(declared)] if declared is not None else []
-    if not stated and not given:
-        raise UnitError(f'{path}: POINT:UNITS is empty; declare the unit with length_unit = "mm" or "m"')
-    try:
-        factors = {factor_to_si(unit, "m") for unit in [*stated, *given]}
-    except UnitError as error:
-        raise UnitError(f"{path}: length unit: {error}") from error
-    if len(factors) > 1:
-        raise UnitError(
-            f"{path}: lengths are in {' and '.join([*stated, *given])}; they must be of one unit, so correct "
-            "length_unit or export again"
-        )
-    return factors.pop()
+def _length_units(file: Any) -> list[str]:
+    return [str(unit).strip() for unit in _values(file["parameters"], "POINT", "UNITS")]
 
 
 def _open(source: Source) -> Any:
@@ -184,7 +169,7 @@ def _add_markers(path: str, file: Any, length_unit: str | None, raw: RawCapture)
     if not count or not frames:
         return
     rate = _rate(path, file["header"]["points"]["frame_rate"])
-    scale = _length_factor(path, _values(parameters, "POINT", "UNITS"), length_unit)
+    scale = length_factor(path, _length_units(file), length_unit)
     residual = file["data"]["meta_points"]["residuals"][0]
     time = (float(file["header"]["points"]["first_frame"]) + np.arange(frames)) / rate
     for i, name in enumerate(_labels(parameters, "POINT", count, "point ")):
@@ -200,7 +185,7 @@ def _add_rotations(path: str, file: Any, length_unit: str | None, raw: RawCaptur
     parameters = file["parameters"]
     rates = _values(parameters, "ROTATION", "RATE") or [file["header"]["points"]["frame_rate"]]
     rate = _rate(path, rates[0])
-    scale = _length_factor(path, _values(parameters, "POINT", "UNITS"), length_unit)
+    scale = length_factor(path, _length_units(file), length_unit)
     time = _first_time(file, rate) + np.arange(poses.shape[3]) / rate
     for i, name in enumerate(_labels(parameters, "ROTATION", poses.shape[2], "body ")):
         matrix = np.moveaxis(poses[:3, :3, i], 2, 0)
@@ -245,7 +230,7 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
         kept = wanted_bodies(path, [body.name for body in raw.bodies], options.rigid_body)
         raw.bodies = [body for body in raw.bodies if body.name in kept]
         raw.chosen = True
-    raw.states_length = any(str(unit).strip() for unit in _values(parameters, "POINT", "UNITS"))
+    raw.states_length = any(_length_units(file))
     raw.notes += [*_cut_note(source, file), *_overflow_note(source, file)]
     return raw
 

@@ -92,17 +92,19 @@ def _recognize(source: Source) -> int:
         return POSSIBLE  # the reader says what is wrong with it
 
 
+def plain(value: Any) -> Any:
+    """Return an attribute as a number or as text, whatever of the two HDF5 wrapped."""
+    value = value.item() if isinstance(value, np.ndarray | np.generic) and value.size == 1 else value
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+
+
 def _attribute(dataset: Any, names: tuple[str, ...]) -> Any:
     """Return the first attribute of one of these names on a dataset, its groups or the file; None if none."""
     node = dataset
     while True:
         for name in names:
             if name in node.attrs:
-                value = node.attrs[name]
-                value = (
-                    value.item() if isinstance(value, np.ndarray | np.generic) and value.size == 1 else value
-                )
-                return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+                return plain(node.attrs[name])
         if node.name == "/":
             return None
         node = node.parent
@@ -139,9 +141,7 @@ def _signals(path: str, name: str, dataset: Any, file_bytes: int) -> list[Signal
 
 def _signal(path: str, name: str, dataset: Any, file_bytes: int, column: int | None) -> Signal:
     """Return a dataset as a signal; what it holds is read and checked only when it is asked for."""
-    unit = dataset.attrs.get("unit", dataset.attrs.get("units"))
-    unit = unit.item() if isinstance(unit, np.ndarray) and unit.size == 1 else unit
-    unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
+    unit = plain(dataset.attrs.get("unit", dataset.attrs.get("units")))
     start = _attribute(dataset, ("start",))
     if start is not None and not (isinstance(start, int | float) and np.isfinite(start)):
         raise LogError(f"{path}: attribute start of {name} is {start!r}; expected seconds")
@@ -166,10 +166,7 @@ def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
             for name, dataset in _datasets(file).items()
             for signal in _signals(path, name, dataset, file_bytes)
         ]
-        device = file.attrs.get("device", "")
-        yield RawSignals(
-            signals, device.decode("utf-8", "replace") if isinstance(device, bytes) else str(device)
-        )
+        yield RawSignals(signals, str(plain(file.attrs.get("device", ""))))
 
 
 FORMAT = signal_format(

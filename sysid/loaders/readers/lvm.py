@@ -17,6 +17,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -192,13 +193,11 @@ def _segment_signals(
         start = seconds * _number(path, segment, "X0", segment.stated(segment.starts, place, first), 0.0)
         rate = 1.0 / step if step > 0 else None
         unit = segment.stated(segment.units, place if len(times) > 1 else column, first)
-
-        def read(values: FloatArray = values) -> FloatArray:
-            return values
-
         time = own_time(own, seconds)
         label = labels[column]
-        signals.append(Signal(f"/{label}", written_unit(unit), read, rate, start, time, label))
+        signals.append(
+            Signal(f"/{label}", written_unit(unit), partial(np.asarray, values), rate, start, time, label)
+        )
     notes += numbers.notes
     counts = [cell for cell in segment.samples if cell.isascii() and cell.isdigit()]
     notes += promised_note("Samples", max(map(int, counts), default=0), numbers.lines.size)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,6 @@ from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.signal_log import RawSignals, signal_format
 from sysid.loaders.signals import Signal, written_unit
 from sysid.loaders.source import Source
-from sysid.types import FloatArray
 
 _V5, _V73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
 _RATES = frozenset({"rate", "fs", "sample_rate", "sampling_rate", "samplerate"})
@@ -129,10 +129,7 @@ def _arrays(
         passed_over.append(_described(name, array))
         return
     for label, values in columns.items():
-
-        def read(values: np.ndarray[Any, Any] = values) -> FloatArray:
-            return np.asarray(values, dtype=np.float64)
-
+        read = partial(np.asarray, values, dtype=np.float64)
         yield Signal(label, written_unit(unit), read, rate, inherited=inherited, numbered=label != name)
 
 

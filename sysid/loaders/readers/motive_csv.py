@@ -19,19 +19,18 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sysid.errors import LogError, UnitError
+from sysid.errors import LogError
 from sysid.journal import Finding, note
 from sysid.loaders.capture_log import Body, RawCapture, capture_format
-from sysid.loaders.clock import began_note, jitter_note, order_rows
+from sysid.loaders.clock import began_note, counted_clock, jitter_note, order_rows
 from sysid.loaders.columns import listing, parse_header, unread_note
-from sysid.loaders.motion_capture import EULER_ORDERS, euler_quaternions, wanted_bodies
+from sysid.loaders.motion_capture import EULER_ORDERS, euler_quaternions, length_factor, wanted_bodies
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers, TableHead, promised_note, read_numbers
 from sysid.loaders.text import Text, read_text, sniff_delimiter, split_line
 from sysid.types import FloatArray
-from sysid.units import factor_to_si
 
 _BODIES = frozenset({"rigid body", "bone"})
 _SOLVED = frozenset({"rigid body marker", "bone marker"})
@@ -50,7 +49,6 @@ _KEYS = (
     "Length Units",
     "Coordinate Space",
 )
-_LENGTHS = {"meters": "m", "millimeters": "mm", "centimeters": "cm", "inches": "inch", "feet": "foot"}
 # The column rows come within the first dozen lines of every version seen.
 _HEADER_LINES = 40
 # Newer versions print times to 1 ms: half of it, and a little for their own rounding.
@@ -161,22 +159,6 @@ def _read_header(text: Text) -> _Header:
     )
 
 
-def _length_factor(path: str, stated: str, declared: str | None) -> float:
-    """Return the factor from the file's length unit to metres."""
-    units = [_LENGTHS.get(unit.casefold(), unit) for unit in (stated, str(declared or "")) if unit]
-    if not units:
-        raise UnitError(
-            f'{path}: the header states no length unit; declare it with length_unit = "m" or "mm"'
-        )
-    try:
-        factors = [factor_to_si(unit, "m") for unit in units]
-    except UnitError as error:
-        raise UnitError(f"{path}: length unit: {error}") from error
-    if len(set(factors)) > 1:
-        raise UnitError(f'{path}: length_unit = "{declared}" contradicts the header, which says {stated}')
-    return factors[0]
-
-
 def _euler_order(path: str, stated: str, declared: str | None) -> str:
     order = stated.upper() if stated.upper() in EULER_ORDERS else ""
     if declared is not None:
@@ -214,39 +196,18 @@ def _clock(path: str, header: _Header, numbers: Numbers, clock: str) -> tuple[Fl
         if "time" not in header.clocks:
             raise LogError(f"{path}: no Time column and no frame rate in the header; export one of them")
         time, notes = order_rows(path, numbers, header.clocks["time"], 1.0)
-        return time, [
-            *notes,
-            note("time-as-written", "time as written in the Time column"),
-            *jitter_note(time),
-        ]
+        notes.append(note("time-as-written", "time as written in the Time column"))
+        return time, [*notes, *jitter_note(time)]
 
     _, notes = order_rows(path, numbers, header.clocks["frame"], 1.0 / known[0])
-    counted = numbers.columns[header.clocks["frame"]]
     if "time" not in header.clocks:
-        return counted / known[0], [
-            *notes,
-            note("time-from-frames", f"time is the frame number over {known[0]:g} Hz"),
-        ]
-    written = numbers.columns[header.clocks["time"]]
-    seen = np.isfinite(written)
-    worst = []
-    for rate in known:
-        rebuilt = counted / rate
-        offset = float(np.median((written - rebuilt)[seen])) if seen.any() else 0.0
-        offset = 0.0 if abs(offset) <= _TIME_ROUNDING else offset
-        error = np.where(seen, np.abs(written - rebuilt - offset), 0.0)
-        if clock == "frame" or error.max() <= _TIME_ROUNDING:
-            later = f", beginning {offset:.6g} s later" if offset else ""
-            said = note("time-from-frames", f"time rebuilt from frame numbers at {rate:g} Hz{later}")
-            return rebuilt + offset, [*notes, said]
-        worst.append((error, rebuilt + offset, rate))
-    error, rebuilt, rate = worst[0]
-    row = int(error.argmax())
-    raise LogError(
-        f"{path}, line {numbers.lines[row]}: frame {counted[row]:.0f} at {rate:g} Hz is at "
-        f"{rebuilt[row]:.6g} s but the "
-        f'Time column says {written[row]:.6g} s; choose with clock = "frame" or clock = "time"'
-    )
+        rebuilt = numbers.columns[header.clocks["frame"]] / known[0]
+        return rebuilt, [*notes, note("time-from-frames", f"time is the frame number over {known[0]:g} Hz")]
+    time, rebuilt_note = counted_clock(
+        path, numbers, (header.clocks["frame"], header.clocks["time"]), 0.0, known, _TIME_ROUNDING,
+        'choose with clock = "frame" or clock = "time"', check=clock == "auto",
+    )  # fmt: skip
+    return time, [*notes, rebuilt_note]
 
 
 def _parse(source: Source, options: CaptureOptions) -> RawCapture:
@@ -254,7 +215,7 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     text = read_text(source)
     header = _read_header(text)
     stated = header.settings
-    scale = _length_factor(path, stated.get("Length Units", ""), options.length_unit)
+    scale = length_factor(path, [stated.get("Length Units", "")], options.length_unit)
     bodies = [asset for asset in header.assets if asset.type in _BODIES]
     kept = wanted_bodies(path, [body.name for body in bodies], options.rigid_body)
     bodies = [body for body in bodies if body.name in kept]

@@ -14,9 +14,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sysid.errors import LogError
-from sysid.journal import Finding, note
+from sysid.journal import note
 from sysid.loaders.capture_log import Body, RawCapture, capture_format
-from sysid.loaders.clock import began_note, known_rate, order_rows, rate_clock
+from sysid.loaders.clock import began_note, counted_clock, known_rate, order_rows, rate_clock
 from sysid.loaders.motion_capture import declared_length, matrix_quaternions, wanted_bodies
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
@@ -106,26 +106,6 @@ def _position(numbers: Numbers, first: int, scale: float) -> FloatArray:
     return position
 
 
-def _checked_clock(path: str, numbers: Numbers, rate: float) -> tuple[FloatArray, Finding]:
-    """Return the times [s] of frame numbers and a note; refuse a rate that the Time column contradicts."""
-    counted, written = numbers.columns[0], numbers.columns[1]
-    time = (counted - 1.0) / rate
-    seen = np.isfinite(written)
-    offset = float(np.median((written - time)[seen])) if seen.any() else 0.0
-    offset = 0.0 if abs(offset) <= _TIME_ROUNDING else offset
-    time = time + offset
-    error = np.where(seen, np.abs(written - time), 0.0)
-    if error.max() > _TIME_ROUNDING:
-        row = int(error.argmax())
-        raise LogError(
-            f"{path}, line {numbers.lines[row]}: frame {counted[row]:.0f} at FREQUENCY {rate:g} Hz is at "
-            f"{time[row]:.6g} s but the Time column says {written[row]:.6g} s; correct the one that is wrong "
-            "or export again"
-        )
-    later = f", beginning {offset:.6g} s later" if offset else ""
-    return time, note("time-from-frames", f"time rebuilt from frame numbers at {rate:g} Hz{later}")
-
-
 def _lead(text: Text, offset: int, cells: int) -> int:
     """Return how many columns stand before the data where columns have no names: 2 or none."""
     row = next((line for _, _, line in text.lines(1, offset)), "")
@@ -164,7 +144,10 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     )
     if lead:
         _, ordered = order_rows(path, numbers, 0, 1.0 / rate)
-        time, checked = _checked_clock(path, numbers, rate)
+        time, checked = counted_clock(
+            path, numbers, (0, 1), 1.0, [rate], _TIME_ROUNDING,
+            "correct FREQUENCY or the times, or export again",
+        )  # fmt: skip
         raw.notes += [*ordered, checked]
     else:
         time = rate_clock(path, rate, numbers.lines.size)

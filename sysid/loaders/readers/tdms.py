@@ -14,6 +14,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -127,11 +128,9 @@ def _signals(path: str, file: Any, notes: list[Finding], declared: float | None)
         stated = restarts.get(channel.path)
         if rate is not None and stated is not None and stated.last != stated.first:
             notes += _check_segments(path, name, channel.path, stated, 1.0 / rate, declared)
-
-        def read(channel: Any = channel) -> FloatArray:
-            return _samples(channel)
-
-        found.append(Signal(name, written_unit(unit), read, rate, begin, label=channel.name))
+        found.append(
+            Signal(name, written_unit(unit), partial(_samples, channel), rate, begin, label=channel.name)
+        )
     if first is not None:
         notes.append(note("recording-began", f"recording began at {first} UTC"))
     if thinned:

@@ -23,7 +23,8 @@ from sysid.loaders.optional import library, reading
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers
-from sysid.recording import Channel, FloatArray, Recording
+from sysid.recording import Channel, Recording
+from sysid.types import FloatArray
 
 _NAME = "ulog"
 _MAGIC = b"ULog\x01\x12\x35"
@@ -42,6 +43,7 @@ _VALID = {
         "xy_valid": ("x", "y"), "z_valid": ("z",), "v_xy_valid": ("vx", "vy"), "v_z_valid": ("vz",),
     },
 }  # fmt: skip
+_QUATERNION = ("q[0]", "q[1]", "q[2]", "q[3]")
 _RPM = 2.0 * np.pi / 60.0
 # topic: (channel, fields, unit, factor); {} in a channel is the number of the topic's instance
 _PLAIN: tuple[tuple[str, str, tuple[str, ...], str, float], ...] = (
@@ -61,15 +63,6 @@ def _recognize(source: Source) -> int:
     return CERTAIN if source.head.startswith(_MAGIC) else NO
 
 
-def _rows(topic: Any, fields: Sequence[str], word: str) -> Numbers:
-    """Return the fields of a topic on its clock [s]; pyulog gives microseconds since boot."""
-    columns: dict[int, FloatArray] = {0: np.asarray(topic.data["timestamp"], dtype=np.float64) * 1e-6}
-    for i, name in enumerate(fields, start=1):
-        values = np.asarray(topic.data[name], dtype=np.float64)
-        columns[i] = np.where(np.isinf(values), np.nan, values)
-    return Numbers(columns, np.arange(1, columns[0].size + 1), row_word=f"{word} message")
-
-
 def _mask_unknown(topic: Any, fields: Sequence[str], numbers: Numbers) -> list[Finding]:
     """Blank what PX4 marks as unknown or not valid; return notes."""
     notes = []
@@ -81,21 +74,14 @@ def _mask_unknown(topic: Any, fields: Sequence[str], numbers: Numbers) -> list[F
                 unknown, why = np.asarray(topic.data[flag]) == 0, f"not valid by {flag}"
         if unknown.any():
             numbers.columns[i] = np.where(unknown, np.nan, numbers.columns[i])
-            notes.append(
-                note(
-                    "marked-unknown",
-                    f"{topic.name}.{name} is {why}, in {int(unknown.sum())} messages; taken as missing",
-                )
-            )
+            sentence = f"{topic.name}.{name} is {why}, in {int(unknown.sum())} messages; taken as missing"
+            notes.append(note("marked-unknown", sentence))
     return notes
 
 
 def _instance_note(topic: Any) -> list[Finding]:
-    return (
-        [note("lowest-instance-read", f"{topic.name} is of instance {topic.multi_id}, the lowest in the log")]
-        if topic.multi_id
-        else []
-    )
+    sentence = f"{topic.name} is of instance {topic.multi_id}, the lowest in the log"
+    return [note("lowest-instance-read", sentence)] if topic.multi_id else []
 
 
 def _frame(topic: Any, body: str) -> tuple[str, list[Finding]]:
@@ -103,31 +89,108 @@ def _frame(topic: Any, body: str) -> tuple[str, list[Finding]]:
     field = next((name for name in _FRAMES if name in topic.data), "")
     if not field:
         return "NED", []  # all that PX4 knew then
-    found = [
-        _FRAMES[field].get(int(one), f"number {int(one)}") for one in np.unique(topic.data[field]).tolist()
-    ]
-    if len(found) > 1:
-        return "", [
-            note("frame-changes", f"{body} was left out: its {field} changes between {' and '.join(found)}")
-        ]
-    if found == ["NED"]:
+    numbers = [int(number) for number in np.unique(topic.data[field]).tolist()]
+    frames = [_FRAMES[field].get(number, f"number {number}") for number in numbers]
+    if len(frames) > 1:
+        sentence = f"{body} was left out: its {field} changes between {' and '.join(frames)}"
+        return "", [note("frame-changes", sentence)]
+    if frames == ["NED"]:
         return "NED", []
     turned = "z is down, but x and y are turned from north and east by an unknown heading"
-    what = turned if found == ["FRD"] else "its axes are not known; check them before use"
-    return found[0], [note("other-frame", f"{field} of {body} is {found[0]}, not NED: {what}")]
+    what = turned if frames == ["FRD"] else "its axes are not known; check them before use"
+    return frames[0], [note("other-frame", f"{field} of {body} is {frames[0]}, not NED: {what}")]
 
 
 def _axes_note(channels: Sequence[str], others: Sequence[str]) -> Finding:
-    """Return a note on the axes of the channels, but not of the bodies `others` in frames of their own."""
-    placed = [one for one in channels if one.endswith("position") or one in ("local_velocity", "attitude")]
+    """Return a note on the axes of the channels, but not of the bodies `others` in other frames."""
+    placed = [
+        name for name in channels if name.endswith("position") or name in ("local_velocity", "attitude")
+    ]
     known = [name for name in placed if name.rpartition("/")[0] not in others]
     whose = f" of {' and '.join(known)}" if others else ""
     north = f"axes{whose}: north, east, down; " if known else "axes: "
     return note("axes", f"{north}body front, right, down, as PX4 defines them")
 
 
-def _stack(numbers: Numbers, first: int, width: int) -> FloatArray:
-    return np.column_stack([numbers.columns[first + i] for i in range(width)])
+class _Topics:
+    """Topics of a log by name, the lowest instance of each, and what became of them."""
+
+    def __init__(self, path: str, log: Any, time_back: str) -> None:
+        self.path, self.time_back = path, time_back
+        self.topics = {
+            topic.name: topic for topic in sorted(log.data_list, key=lambda topic: -topic.multi_id)
+        }
+        self.notes: list[Finding] = []
+        self.channels: dict[str, Channel] = {}
+
+    def rows(self, name: str, fields: Sequence[str]) -> tuple[Any, Numbers] | None:
+        """Return a topic and its fields, unordered, on its clock [s]; None where it has them not."""
+        topic = self.topics.get(name)
+        if (
+            topic is None
+            or any(field not in topic.data for field in fields)
+            or not len(topic.data["timestamp"])
+        ):
+            return None
+        columns: dict[int, FloatArray] = {0: np.asarray(topic.data["timestamp"], dtype=np.float64) * 1e-6}
+        for i, field in enumerate(fields, start=1):
+            values = np.asarray(topic.data[field], dtype=np.float64)
+            columns[i] = np.where(np.isinf(values), np.nan, values)
+        return topic, Numbers(columns, np.arange(1, columns[0].size + 1), row_word=f"{name} message")
+
+    def clock(self, numbers: Numbers) -> FloatArray:
+        """Put rows in order and return their times [s]."""
+        time, ordered = order_rows(self.path, numbers, 0, 1.0, time_back=self.time_back)
+        self.notes += [finding for finding in ordered if finding not in self.notes]
+        return time
+
+    def quaternions(self, body: str, numbers: Numbers, first: int) -> FloatArray:
+        """Return the unit quaternions in four columns."""
+        turn = numbers.stacked(range(first, first + 4))
+        unit, turned = unit_quaternions(self.path, body, numbers, turn)
+        self.notes += turned
+        return unit
+
+    def add_odometry(self, name: str, body: str) -> bool:
+        """Add a body from a topic of odometry; return whether it is in another frame than NED."""
+        topic = self.topics.get(name)
+        place = ("position[0]", "position[1]", "position[2]")
+        if topic is not None and place[0] not in topic.data:
+            place = ("x", "y", "z")  # before PX4 1.14
+        read = self.rows(name, (*place, *_QUATERNION))
+        if read is None:
+            return False
+        frame, notes = _frame(read[0], body)
+        self.notes += notes
+        if frame:
+            time = self.clock(read[1])
+            orientation = self.quaternions(body, read[1], 4)
+            self.channels |= body_channels(body, time, read[1].stacked((1, 2, 3)), orientation)
+        return frame not in ("NED", "")
+
+    def add_attitude(self) -> None:
+        """Add the estimate of attitude."""
+        read = self.rows("vehicle_attitude", _QUATERNION)
+        if read is not None:
+            time = self.clock(read[1])
+            values = self.quaternions("vehicle_attitude", read[1], 1)
+            self.channels["attitude"] = Channel("attitude", "1", time, values)
+
+    def add_plain(self, name: str, channel: str, fields: Sequence[str], unit: str, factor: float) -> None:
+        """Add fields of a topic as a channel; an output, a motor or an ESC of a number only where it ran."""
+        read = self.rows(name, fields)
+        if read is None:
+            return
+        topic, numbers = read
+        masked = _mask_unknown(topic, fields, numbers)
+        time = self.clock(numbers)
+        values = numbers.columns[1] if len(fields) == 1 else numbers.stacked(range(1, len(fields) + 1))
+        if np.isfinite(values).any() and (np.nan_to_num(values).any() or not channel[-1].isdigit()):
+            self.channels[channel] = Channel(channel, unit, time, values * factor)
+            self.notes += [*masked, *_instance_note(topic)]
+        elif masked and np.isnan(values).all():
+            sentence = f"{channel} was left out: no message holds a value that PX4 marks as known"
+            self.notes += [*masked, note("no-known-value", sentence)]
 
 
 def _load(source: Source) -> Any:
@@ -143,90 +206,29 @@ def _load(source: Source) -> Any:
 def _read(source: Source, *, time_back: str = "drop") -> Recording:
     path = source.path
     log = _load(source)
-    topics = {topic.name: topic for topic in sorted(log.data_list, key=lambda one: -one.multi_id)}
-    notes: list[Finding] = []
-    channels: dict[str, Channel] = {}
-    others: list[str] = []
-
-    def clocked(numbers: Numbers) -> FloatArray:
-        time, said = order_rows(path, numbers, 0, 1.0, time_back=time_back)
-        notes.extend(note for note in said if note not in notes)
-        return time
-
-    for topic_name, body in _ODOMETRY.items():
-        topic = topics.get(topic_name)
-        place = ("position[0]", "position[1]", "position[2]")
-        if topic is not None and place[0] not in topic.data:
-            place = ("x", "y", "z")  # before PX4 1.14
-        fields = (*place, "q[0]", "q[1]", "q[2]", "q[3]")
-        if (
-            topic is None
-            or any(name not in topic.data for name in fields)
-            or not len(topic.data["timestamp"])
-        ):
-            continue
-        frame, said = _frame(topic, body)
-        notes += said
-        if not frame:
-            continue
-        others += [body] if frame != "NED" else []
-        numbers = _rows(topic, fields, topic_name)
-        time = clocked(numbers)
-        orientation, said = unit_quaternions(path, body, numbers, _stack(numbers, 4, 4))
-        notes += said
-        channels |= body_channels(body, time, _stack(numbers, 1, 3), orientation)
-    attitude = topics.get("vehicle_attitude")
-    quaternion = [f"q[{i}]" for i in range(4)]
-    if attitude is not None and all(name in attitude.data for name in quaternion):
-        numbers = _rows(attitude, quaternion, "vehicle_attitude")
-        if numbers.lines.size:
-            time = clocked(numbers)
-            values, said = unit_quaternions(path, "vehicle_attitude", numbers, _stack(numbers, 1, 4))
-            notes += said
-            channels["attitude"] = Channel("attitude", "1", time, values)
-    for topic_name, channel, wanted, unit, factor in _PLAIN:
-        topic = topics.get(topic_name)
-        if (
-            topic is None
-            or any(name not in topic.data for name in wanted)
-            or not len(topic.data["timestamp"])
-        ):
-            continue
-        numbers = _rows(topic, wanted, topic_name)
-        said = _mask_unknown(topic, wanted, numbers)
-        time = clocked(numbers)
-        values = numbers.columns[1] if len(wanted) == 1 else _stack(numbers, 1, len(wanted))
-        if np.isfinite(values).any() and (np.nan_to_num(values).any() or not channel[-1].isdigit()):
-            channels[channel] = Channel(channel, unit, time, values * factor)
-            notes += [*said, *_instance_note(topic)]
-        elif said and np.isnan(values).all():
-            notes += [
-                *said,
-                note(
-                    "no-known-value",
-                    f"{channel} was left out: no message holds a value that PX4 marks as known",
-                ),
-            ]
+    topics = _Topics(path, log, time_back)
+    others = [body for name, body in _ODOMETRY.items() if topics.add_odometry(name, body)]
+    topics.add_attitude()
+    for plain in _PLAIN:
+        topics.add_plain(*plain)
+    channels, notes = topics.channels, list(dict.fromkeys(topics.notes))
     if not channels and notes:
-        raise LogError(f"{path}: nothing is left to read: {'; '.join(dict.fromkeys(map(str, notes)))}")
+        raise LogError(f"{path}: nothing is left to read: {'; '.join(map(str, notes))}")
     if not channels:
         raise LogError(
-            f"{path}: none of the topics that sysid reads is in this log; found {listing(sorted(topics))}"
+            f"{path}: none of the topics that sysid reads is in this log; found "
+            f"{listing(sorted(topics.topics))}"
         )
     if any(name.startswith("output_") for name in channels):
-        notes.append(
-            note(
-                "actuator-outputs-as-recorded",
-                "actuator outputs as recorded: µs where the speed controllers take PWM, levels of DShot or "
-                "CAN where they do not",
-            )
+        sentence = (
+            "actuator outputs as recorded: µs where the speed controllers take PWM, levels of DShot or CAN "
+            "where they do not"
         )
-    notes = list(dict.fromkeys(notes))
+        notes.append(note("actuator-outputs-as-recorded", sentence))
     if log.dropouts:
-        lost = 1e-3 * sum(one.duration for one in log.dropouts)
-        notes.append(
-            note("logger-dropouts", f"the logger dropped out {len(log.dropouts)} times, {lost:.3g} s in all")
-        )
+        lost = 1e-3 * sum(dropout.duration for dropout in log.dropouts)
+        sentence = f"the logger dropped out {len(log.dropouts)} times, {lost:.3g} s in all"
+        notes.append(note("logger-dropouts", sentence))
     if log.file_corruption:
         notes.append(note("file-damaged", "parts of the file are damaged and were passed over"))
     device = str(log.msg_info_dict.get("sys_name", "PX4"))

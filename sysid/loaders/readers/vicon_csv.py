@@ -23,7 +23,7 @@ from sysid.journal import Finding, note
 from sysid.loaders.capture_log import Body, RawCapture, capture_format
 from sysid.loaders.clock import known_rate, order_rows
 from sysid.loaders.columns import listing
-from sysid.loaders.motion_capture import EULER_ORDERS, euler_quaternions, wanted_bodies
+from sysid.loaders.motion_capture import EULER_ORDERS, euler_quaternions, length_factor, wanted_bodies
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.signals import plain_unit, unique_names, unknown_units_note
@@ -145,19 +145,8 @@ def _sections(text: Text) -> list[_Section]:
 
 
 def _length(path: str, section: _Section, columns: Sequence[int], declared: str | None) -> float:
-    stated = sorted({section.units[column] for column in columns} - {""})
-    units = [*stated, *([str(declared)] if declared is not None else [])]
-    if not units:
-        raise UnitError(
-            f'{path}, line {section.table.line}: no length unit; declare it with length_unit = "mm" or "m"'
-        )
-    try:
-        factors = {factor_to_si(unit, "m") for unit in units}
-    except UnitError as error:
-        raise UnitError(f"{path}, line {section.table.line}: length unit: {error}") from error
-    if len(factors) > 1:
-        raise UnitError(f"{path}, line {section.table.line}: lengths in {' and '.join(units)} contradict")
-    return factors.pop()
+    where = f"{path}, line {section.table.line}"
+    return length_factor(where, [section.units[column] for column in columns], declared)
 
 
 def _states_length(section: _Section) -> bool:
