@@ -1,4 +1,4 @@
-"""Where many independent candidates are computed: this process's cores, or a Dask cluster.
+"""Where many independent candidates are computed: the cores of this process, or a Dask cluster.
 
 One small interface for fits, maps, profiles and bootstraps: `share` sends the work with all its data once,
 and what it returns computes rows. Each row's numbers depend on that row alone, so neither the cluster's size
@@ -35,7 +35,7 @@ _LEAST_CHUNK = 8
 _FIRST_CHUNK = 16  # before any was measured
 # Of all that is computed at the moment: one would leave workers idle that end early.
 _CHUNKS_PER_WORKER = 2
-# A chunk is submitted anew this often before the cluster is given up.
+# A chunk is submitted again this often before the cluster is given up.
 ATTEMPTS = 6
 # Without any worker [s]; they may be on their way from a queue.
 PATIENCE = 120.0
@@ -71,13 +71,13 @@ class Executor(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of what was taken."""
+        """Release what was taken."""
         ...
 
 
 @contextmanager
 def numba_threads(threads: int | None) -> Iterator[None]:
-    """Compute numba's parallel loops inside with so many threads; None: all that numba offers."""
+    """Compute numba's parallel loops inside with a number of threads; None: all that numba offers."""
     import numba
 
     before = numba.get_num_threads()
@@ -246,7 +246,7 @@ class _Shared:
         self._rows = 0
 
     def _shared(self, lost: Any = None) -> Any:
-        """Return the handle of the data on the workers; anew when they lost it."""
+        """Return the handle of the data on the workers; it is sent again when they lost it."""
         with self._lock:
             if self._data is None or self._data is lost:
                 client = self._cluster._client

@@ -232,6 +232,8 @@ class FileKind:
             (`error_type`) when it is missing, foreign, of another version, damaged or cut off, and when what
             the block takes from it is missing or wrong.
         """
+        if content is None and not Path(path).is_file():
+            raise self.error_type(f"{path}: no such file; name {self.what} of sysid")
         try:
             with h5py.File(path if content is None else io.BytesIO(content), "r") as file:
                 if file.attrs.get("schema") != self.schema:

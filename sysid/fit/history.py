@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid.fit.stopping import StopReason
+from sysid.fit.stopping import REASONS, StopReason
 from sysid.types import FloatArray, IntArray
 
 
 def summed(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
     """Return the sums of counts by name, in the order in which names appear."""
     total: dict[str, int] = {}
-    for one in counts:
-        for name, count in one.items():
+    for part in counts:
+        for name, count in part.items():
             total[name] = total.get(name, 0) + count
     return total
 
@@ -103,6 +103,11 @@ class StageHistory:
     def failures(self) -> dict[str, int]:
         """Failed candidates of the whole stage by cause [1]."""
         return summed(self.causes)
+
+    @property
+    def ended(self) -> str:
+        """Why the stage ended, in words."""
+        return REASONS[self.stop_reason]
 
 
 @dataclass(frozen=True, eq=False)

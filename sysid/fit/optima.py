@@ -2,9 +2,8 @@
 
 Two runs ended in the same optimum when neither their NRMSE nor their place in the unit cube differs by more
 than the search itself could tell: NRMSE by less than 0.2 %, every free parameter by less than 2 % of its
-range plus the widths over which each run's own candidates scored within 0.2 % of its best. A parameter that
-the data do not hold is wide, or is left out, so it does not tear runs apart that agree in all that can be
-known.
+range plus the widths over which the candidates of either run scored within 0.2 % of its best. A parameter
+that the data do not constrain is wide, or is left out, so it does not separate runs that agree otherwise.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from sysid.fit.history import RunHistory
-from sysid.fit.stopping import REASONS
+from sysid.fit.stopping import REASONS, StopReason
 from sysid.parameters import SearchSpace, in_words, with_unit
 from sysid.types import BoolArray, FloatArray, IntArray
 
@@ -27,8 +26,8 @@ SAME_PLACE = 0.02
 # Relative difference of NRMSE within which searches end, three times CMA-ES's tolerance: no further search
 # tells apart what lies within it.
 ENDS_WITHIN = 3e-5
-# Why a run was not ended by its own rule.
-_CUT = ("interrupted", "time", "evaluations", "generations")
+# Reasons that end a run before its stop rule does.
+_CUT: tuple[StopReason, ...] = ("interrupted", "time", "evaluations", "generations")
 # A parameter that such sets spread over by more is held no tighter than that [1].
 _HELD = 0.01
 # Candidates that score as well as the best over more than this do not fix a parameter: a factor (logarithmic
@@ -59,17 +58,17 @@ class Agreement:
         Optimum (from 0, best first) of every run, in the order of the runs.
     cost : (R,) array
         NRMSE of every run, in the order of the runs [1].
-    cut : tuple of str
-        Why every run was cut short, in the order of the runs; empty for one that ended by itself. Where a
-        run was cut is no optimum.
+    cut : tuple of str or None
+        Why every run was cut short, a key of `sysid.fit.stopping.REASONS`, in the order of the runs; None for
+        a run that ended by itself. The place where a run was cut is no optimum.
     asked : int
-        Runs that the fit was to have; those that were not begun are missing above [1].
+        Runs that the fit was to have; runs that were not begun are missing above [1].
     """
 
     order: tuple[int, ...]
     optimum: IntArray
     cost: FloatArray
-    cut: tuple[str, ...]
+    cut: tuple[StopReason | None, ...]
     asked: int
 
     @property
@@ -114,7 +113,7 @@ class Agreement:
         )
 
     def _unfinished(self, runs: int, best: float) -> str:
-        reasons = ", ".join(dict.fromkeys(reason for reason in self.cut if reason))
+        reasons = ", ".join(dict.fromkeys(REASONS[reason] for reason in self.cut if reason))
         cut = sum(bool(reason) for reason in self.cut)
         why = f" ({reasons})" if reasons else ""
         if runs < self.asked:
@@ -132,9 +131,9 @@ class Agreement:
         ended = self.cost[[not reason for reason in self.cut]]
         if len(ended):
             text += f", the finished ones end at {ended.min() / best:.3f} to {ended.max() / best:.3f} × it"
-        if {*self.cut} & {REASONS["time"], REASONS["interrupted"]} or runs < self.asked:
+        if {*self.cut} & {"time", "interrupted"} or runs < self.asked:
             return text + "; continue with --resume"
-        return text + "; start anew with a larger limit"
+        return text + "; start again with a larger limit"
 
 
 def agreement(
@@ -169,26 +168,29 @@ def agreement(
         else:
             optimum[run] = len(first)
             first.append(int(run))
-    cut = tuple(REASONS[run.stop_reason] if run.stop_reason in _CUT else "" for run in runs)
+    cut = tuple(run.stop_reason if run.stop_reason in _CUT else None for run in runs)
     return Agreement(tuple(int(i) for i in order), optimum, cost, cut, asked or len(runs))
 
 
 def _width(run: RunHistory) -> FloatArray:
     """Return the half widths (n_free,) over which a run's candidates scored as well as its best [1]."""
-    limit = float(run.best[-1]) * (1 + SAME_NRMSE)
-    good = np.concatenate([stage.cube[stage.cost <= limit] for stage in run.stages])
-    return np.asarray(np.ptp(good, axis=0)) / 2
+    return np.asarray(np.ptp(_good([run], SAME_NRMSE), axis=0)) / 2
+
+
+def _good(runs: Sequence[RunHistory], within: float) -> FloatArray:
+    """Return all candidates (k, n_free) of runs that score within a share of their best NRMSE."""
+    limit = min(float(run.best[-1]) for run in runs) * (1 + within)
+    return np.concatenate([stage.cube[stage.cost <= limit] for run in runs for stage in run.stages])
 
 
 def unfixed(runs: Sequence[RunHistory], free: Sequence[Searched]) -> BoolArray:
     """Return which free parameters (n_free,) the data do not fix, judged from all candidates of the runs.
 
-    Those that score within 0.2 % of the best NRMSE spread over more than a factor of three (logarithmic
-    scale) or a third of the range (linear). It is a lower bound: a search does not explore what does not pay.
+    A parameter is loose when the candidates within 0.2 % of the best NRMSE spread over more than a factor of
+    three (logarithmic scale) or a third of its range (linear). It is a lower bound: a search does not explore
+    what does not pay.
     """
-    limit = min(float(run.best[-1]) for run in runs) * (1 + SAME_NRMSE)
-    stages = [stage for run in runs for stage in run.stages]
-    width = np.ptp(np.concatenate([stage.cube[stage.cost <= limit] for stage in stages]), axis=0)
+    width = np.ptp(_good(runs, SAME_NRMSE), axis=0)
     out = np.zeros(len(width), dtype=np.bool_)
     for i, (row, share) in enumerate(zip(free, width, strict=True)):
         if row.lower is not None and row.upper is not None:
@@ -198,13 +200,13 @@ def unfixed(runs: Sequence[RunHistory], free: Sequence[Searched]) -> BoolArray:
 
 
 def loose_warnings(runs: Sequence[RunHistory], space: SearchSpace) -> tuple[str, ...]:
-    """Return sentences on the free parameters that the data do not hold, judged from the candidates.
+    """Return sentences on the free parameters that the data do not constrain, judged from the candidates.
 
-    Loose ones (`unfixed`) are named with the values over which the candidates score alike. Of the others
-    those are named whose value differs by more than 1 % between candidates that score within 0.003 % of the
-    best: no search tells these apart. Both are lower bounds on what the data leave open: a search does not
-    explore what does not pay. A run that was cut short is not asked: far from an optimum candidates score
-    alike for other reasons.
+    A loose parameter (`unfixed`) is named with the values over which the candidates score alike. A parameter
+    of the others is named when its value differs by more than 1 % between candidates that score within
+    0.003 % of the best: no search tells them apart. Both are lower bounds on what the data leave open,
+    because a search does not explore what does not pay. A run that was cut short does not count: far from an
+    optimum candidates score alike for other reasons.
     """
     runs = [run for run in runs if run.stop_reason not in _CUT]
     if not runs:
@@ -233,9 +235,7 @@ def loose_warnings(runs: Sequence[RunHistory], space: SearchSpace) -> tuple[str,
 
 def _span(runs: Sequence[RunHistory], space: SearchSpace, within: float) -> tuple[FloatArray, FloatArray]:
     """Return least and largest value (n_free,) [SI] of all candidates within a share of the best NRMSE."""
-    limit = min(float(run.best[-1]) for run in runs) * (1 + within)
-    stages = [stage for run in runs for stage in run.stages]
-    good = np.concatenate([stage.cube[stage.cost <= limit] for stage in stages])
+    good = _good(runs, within)
     return space.decode(good.min(axis=0)), space.decode(good.max(axis=0))
 
 
@@ -244,17 +244,17 @@ def waterfall(runs: Sequence[RunHistory], free: Sequence[Searched] = ()) -> list
 
     A run that was cut short reached no optimum: a dash. `free` as for `agreement`.
     """
-    found = agreement(runs, free=free)
-    best = float(found.cost.min())
+    groups = agreement(runs, free=free)
+    best = float(groups.cost.min())
     lines = [
         f"{'rank':>4}  {'run':>3}  {'NRMSE':>9}  {'× best':>7}  {'optimum':>7}  {'candidates':>10}  ended"
     ]
-    for rank, i in enumerate(found.order, start=1):
+    for rank, i in enumerate(groups.order, start=1):
         run = runs[i]
-        ended = ", ".join(f"{stage.algorithm}: {REASONS[stage.stop_reason]}" for stage in run.stages)
+        ended = ", ".join(f"{stage.algorithm}: {stage.ended}" for stage in run.stages)
         lines.append(
-            f"{rank:>4}  {i + 1:>3}  {100 * found.cost[i]:>7.3f} %  {found.cost[i] / best:>7.4f}  "
-            f"{'-' if found.cut[i] else _letter(int(found.optimum[i])):>7}  {run.evaluations:>10}  {ended}"
+            f"{rank:>4}  {i + 1:>3}  {100 * groups.cost[i]:>7.3f} %  {groups.cost[i] / best:>7.4f}  "
+            f"{'-' if groups.cut[i] else _letter(int(groups.optimum[i])):>7}  {run.evaluations:>10}  {ended}"
         )
     return lines
 

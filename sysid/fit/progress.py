@@ -16,7 +16,6 @@ from rich.text import Text
 
 from sysid.fit.history import Generation, RunHistory
 from sysid.fit.search import SearchSettings
-from sysid.fit.stopping import REASONS
 from sysid.fit.summary import failures
 
 # Between two plain lines [s].
@@ -84,8 +83,7 @@ class FitProgress:
         if self._quiet:
             return
         stages = ", ".join(
-            f"{stage.algorithm} {len(stage.cost)} generations ({REASONS[stage.stop_reason]})"
-            for stage in history.stages
+            f"{stage.algorithm} {len(stage.cost)} generations ({stage.ended})" for stage in history.stages
         )
         self._say(
             f"run {run + 1}/{self._settings.runs} ended: NRMSE {100 * history.best[-1]:.3f} %, "

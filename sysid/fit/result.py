@@ -101,7 +101,7 @@ def ranked_sets(runs: Sequence[RunHistory], space: SearchSpace, keep: int = SETS
     """Return one set per run, the best `keep` of them, ranked by cost; equal costs keep the order of runs.
 
     Five of one population would be clones: the paper's five sets are the best of each run's last
-    generation. A run with a finisher gives the best that it has found.
+    generation. A run with a finisher gives its best.
     """
     if not runs:
         raise FitError("no run has finished a generation, so there is no set; run the fit again")
@@ -220,14 +220,14 @@ class FitResult:
 
     @property
     def agreement(self) -> Agreement:
-        """What the runs say about each other, those that were to be and never begun included."""
+        """What the runs say about each other, runs that were asked for and not begun included."""
         return agreement(self.runs, self.provenance.get("search", {}).get("runs"), self.searched)
 
     @property
     def searched(self) -> tuple[ParameterRecord, ...]:
         """Records of the parameters along the cube's axes, in their order; none where it is not recorded."""
         names = self.provenance.get("search", {}).get("axes", ())
-        by_name = {one.name: one for one in self.parameters}
+        by_name = {record.name: record for record in self.parameters}
         return tuple(by_name[name] for name in names) if {*names} <= {*by_name} else ()
 
     @property

@@ -164,7 +164,7 @@ class StageMemory:
         return FitError(
             f"the checkpoint cannot be continued: generation {generation + 1} of {self.algorithm} asks "
             "for other candidates than were scored, so a library has changed; continue where the fit was "
-            "begun, or start anew with --force"
+            "begun, or start again with --force"
         )
 
     def recalls(self, generation: int, points: FloatArray, elsewhere: bool) -> bool:
@@ -234,7 +234,7 @@ class RunMemory:
     def forget_from(self, stage: StageMemory, generation: int) -> None:
         """Forget a generation (from 0) of a stage and all that came after it."""
         stage.forget_from(generation)
-        del self.stages[next(i for i, own in enumerate(self.stages) if own is stage) + 1 :]
+        del self.stages[next(i for i, other in enumerate(self.stages) if other is stage) + 1 :]
 
     def stage(self, number: int, algorithm: str) -> StageMemory:
         """Return the memory of a stage (from 0), which is begun if it is new."""

@@ -31,7 +31,7 @@ from sysid.fit.stopping import StopReason, StopRule
 from sysid.types import FloatArray
 
 # CMA-ES is not elitist and learns its shape over tens of generations, so its best cost stands still longer
-# than a GA's: its window is cma's own 10 + 30 n/P generations, its tolerance a tenth of the paper's.
+# than a GA's: its window is cma's default of 10 + 30 n/P generations, its tolerance a tenth of the paper's.
 CMAES_TOLERANCE = 1e-5
 # Of half a generation; at the bottom of a valley it is 1e-5 to 1e-4, of a start anywhere 0.1 and above.
 CMAES_SPREAD = 0.01
@@ -56,7 +56,7 @@ class SearchSettings:
     runs : int
         Independent runs [1]; the paper uses 5.
     seed : int
-        Seed of the fit; every run draws from its own child of it.
+        Seed of the fit; every run draws from another child of it.
     stop : StopRule
         When the first stage ends. `time_limit` and `max_evaluations` are those of the whole fit, and
         `max_generations` is that of every stage.
@@ -99,7 +99,7 @@ class SearchSettings:
 
 @dataclass(frozen=True)
 class Hooks:
-    """Who is told what goes on, and who may end it.
+    """What a search calls, and what may end it.
 
     Parameters
     ----------
@@ -151,9 +151,9 @@ def run_one(
     memory : RunMemory, optional
         What was scored before the run was cut off; it is continued, and the memory grows.
     hooks : Hooks, optional
-        Who is told what goes on.
+        What is called while the run goes on.
     breeds : callable, optional
-        `breeder`, or `BreederApart` to breed in a process of its own.
+        `breeder`, or `BreederApart` to breed in another process.
     candidate_time : float, optional
         What a candidate takes to score [s], until it was measured; a first generation that would take over
         a second is then scored in parts.
@@ -172,27 +172,22 @@ def run_one(
     return begun.history()
 
 
+@dataclass
 class _Run:
-    def __init__(
-        self,
-        objective: Objective,
-        settings: SearchSettings,
-        run: int,
-        seed: int,
-        time_limit: float | None,
-        memory: RunMemory,
-        hooks: Hooks,
-        breeds: _Breeds,
-        candidate_time: float | None,
-    ) -> None:
-        self.breeds, self.candidate_time = breeds, candidate_time
-        self.objective, self.settings, self.run, self.seed = objective, settings, run, seed
-        self.memory, self.hooks = memory, hooks
-        self.started = time.perf_counter()
-        self.time_limit = time_limit
-        self.evaluations = self.simulations = 0
-        self.before = 0.0  # wall time of the stages that have ended [s]
-        self.lowest = float("inf")
+    objective: Objective
+    settings: SearchSettings
+    run: int
+    seed: int
+    time_limit: float | None
+    memory: RunMemory
+    hooks: Hooks
+    breeds: _Breeds
+    candidate_time: float | None
+    started: float = field(default_factory=lambda: time.perf_counter())
+    evaluations: int = 0
+    simulations: int = 0
+    before: float = 0.0  # wall time of the stages that have ended [s]
+    lowest: float = float("inf")
 
     def history(self) -> RunHistory:
         stages: list[StageHistory] = []
@@ -224,17 +219,17 @@ class _Run:
     def _stage(self, number: int, name: str, start: Start | None, last: bool) -> StageHistory:
         population = self.settings.population if number == 0 else FINISH_POPULATION
         rule = self._rule(name, population, last)
-        own_seed = self.seed if number == 0 else _child_seed(self.seed, number)
+        seed = self.seed if number == 0 else _child_seed(self.seed, number)
         memory = self.memory.stage(number, name)
-        with closing(self.breeds(name, len(self.objective.space.free), population, own_seed, start)) as bred:
+        with closing(self.breeds(name, len(self.objective.space.free), population, seed, start)) as bred:
             return self._bred(name, bred, rule, memory)
 
     def _bred(
         self, name: str, bred: Breeder | BreederApart, rule: StopRule, memory: StageMemory
     ) -> StageHistory:
         remembered, already = len(memory.cost), memory.spent
-        # A stage that has ended is not ended anew by whoever asks while it is remembered: a later one hangs
-        # on it.
+        # While a checkpoint is replayed, Ctrl-C and the clock do not end a stage that had ended already: the
+        # next stage starts from its last generation.
         open_end = memory.ended is None
         began = time.perf_counter()
         generations: list[Generation] = []
@@ -379,12 +374,12 @@ def run_many(
     memories : sequence of RunMemory, optional
         What runs had scored before they were cut off, by seed.
     hooks : Hooks, optional
-        Who is told what goes on; never from two threads at a time.
+        What is called while the runs go on; never from two threads at a time.
     at_once : int
         Runs that are searched at the same time, so that machines do not idle at a generation's end. The
         numbers do not depend on it.
     breeds : callable, optional
-        `breeder`, or `BreederApart` to breed every run in a process of its own.
+        `breeder`, or `BreederApart` to breed every run in another process.
     candidate_time : float, optional
         As of `run_one`.
 
@@ -406,7 +401,7 @@ def run_many(
     def stop() -> bool:
         return failed.is_set() or (hooks.should_stop is not None and hooks.should_stop())
 
-    def one(run: int) -> RunHistory | None:
+    def search_run(run: int) -> RunHistory | None:
         if run and stop():
             return None
         limit = settings.stop.time_limit
@@ -428,22 +423,22 @@ def run_many(
         return history
 
     if at_once <= 1:
-        found = [one(run) for run in range(settings.runs)]
+        histories = [search_run(run) for run in range(settings.runs)]
     else:
         pool = ThreadPoolExecutor(at_once, thread_name_prefix="run")
-        futures = [pool.submit(one, run) for run in range(settings.runs)]
+        futures = [pool.submit(search_run, run) for run in range(settings.runs)]
         try:
             # With a timeout, so that Ctrl-C is heard on every system while this thread waits.
             while wait(futures, _HEARING, FIRST_EXCEPTION).not_done and not _one_failed(futures):
                 pass
             if _one_failed(futures):
                 failed.set()
-            found = [future.result() for future in futures]
+            histories = [future.result() for future in futures]
         finally:
-            # A run that waits for a cluster is let go by whoever closes the cluster.
+            # A run that waits for a cluster ends when the cluster is closed.
             failed.set()
             pool.shutdown(wait=False, cancel_futures=True)
-    return tuple(history for history in found if history is not None)
+    return tuple(history for history in histories if history is not None)
 
 
 def _one_failed(futures: Sequence[Future[RunHistory | None]]) -> bool:

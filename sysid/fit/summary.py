@@ -1,11 +1,15 @@
-"""The run record: what was run on what, and what it cost."""
+"""A fit in words: the summary that a person reads first, and the record of what was run and what it cost."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from sysid.fit.history import RunHistory
+from sysid.fit.optima import waterfall
 from sysid.fit.result import FitResult
+from sysid.parameter_sets import in_place_of_digits
 
 
 def run_record(result: FitResult) -> dict[str, Any]:
@@ -74,3 +78,63 @@ def _lines(values: dict[str, Any], indent: str) -> list[str]:
             shown = f"{value:.6g}" if isinstance(value, float) else value
             lines.append(f"{indent}{key}: {'-' if value is None or value == [] else shown}")
     return lines
+
+
+def summary(result: FitResult) -> str:
+    """Return what a person reads first: NRMSE of the sets, their values, how each run ended."""
+    denominator = result.provenance.get("nrmse_denominator", "std")
+    lines = [
+        f"{result.kind} fit {result.name}: {result.state}",
+        "",
+        f"NRMSE (rms error / {denominator} of the measurement), mean over channels and trials",
+        "",
+        f"{'rank':>4}  {'run':>3}  {'seed':>10}  {'fitted':>8}  {'validated':>9}",
+    ]
+    fitted, validated = result.nrmse, result.mean_nrmse("validate")
+    for s in range(len(fitted)):
+        other = "-" if np.isnan(validated[s]) else f"{100 * validated[s]:.2f} %"
+        fit = f"{100 * fitted[s]:.2f} %"
+        lines.append(f"{s + 1:>4}  {result.set_runs[s]:>3}  {result.set_seeds[s]:>10}  {fit:>8}  {other:>9}")
+    lines += ["", "sets, best first (SI; * ends at a bound)", ""]
+    for i, record in enumerate(result.parameters):
+        if record.status in ("free", "derived"):
+            instead = in_place_of_digits(result.settings, record.name)
+            cells = "".join(
+                f"{result.values[s, i]:>13.5g}{'*' if result.at_bound[s, i] else ' '}"
+                if instead is None
+                else f"{instead:>13} "
+                for s in range(len(fitted))
+            )
+            head = f"{record.symbol} [{record.unit}]"
+            derived = " (derived)" if record.status == "derived" else ""
+            lines.append(f"{head:<22}{cells}  {record.name}{derived}")
+    lines += ["", "held (SI)", ""]
+    for i, record in enumerate(result.parameters):
+        if record.status in ("measured", "fixed"):
+            value = result.values[0, i] if len(fitted) else np.nan
+            head = f"{record.symbol} [{record.unit}]"
+            lines.append(f"{head:<22}{value:>13.5g}   {record.name} ({record.status})")
+    lines += ["", "NRMSE of the best set by trial and channel [%]", ""]
+    width = max([len(trial.name) for trial in result.trials], default=0)
+    lines.append(" " * (width + 12) + "".join(f"{channel:>14}" for channel in result.channels))
+    for trial in result.trials:
+        cells = "".join(f"{100 * value:>14.2f}" for value in trial.nrmse[0])
+        lines.append(f"{trial.name:<{width}}  {trial.use:<10}{cells}")
+    if result.runs:
+        lines += ["", "runs, best first (runs of one letter ended in the same optimum)", ""]
+        lines += [*waterfall(result.runs, result.searched), "", result.agreement.sentence()]
+    lines += ["", "stages", ""]
+    for number, run in enumerate(result.runs, start=1):
+        lines.append(
+            f"{number:>4}  NRMSE {100 * run.best[-1]:.3f} %, {run.evaluations} candidates "
+            f"({failures(run)}), {run.wall_time:.1f} s"
+        )
+        lines += [
+            f"      {stage.algorithm}: {len(stage.cost)} generations, {stage.evaluations} candidates, "
+            f"NRMSE {100 * stage.cost.min():.3f} %, ended: {stage.ended}"
+            for stage in run.stages
+        ]
+    if result.warnings:
+        lines += ["", "warnings", "", *(f"- {warning}" for warning in result.warnings)]
+    lines += ["", "record", "", *record_lines(run_record(result))]
+    return "\n".join(lines) + "\n"

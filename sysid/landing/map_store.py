@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
-from sysid import exact_json
 from sysid.errors import ExportError
 from sysid.landing.impulse_maps import UNITS, ImpulseMap
 from sysid.landing.maps import CellMap, LandingMap
 from sysid.landing.outcomes import OUTCOMES, Outcome
-from sysid.storage import write_file
+from sysid.storage import FileKind, get_json, get_texts, numbered, put, put_json, put_texts, write_file
 
-SCHEMA = "sysid-landing-maps"
-VERSION = 1
+MAPS = FileKind("sysid-landing-maps", 1, "a file of landing maps", "compute the map again", ExportError)
 # Touchdown speeds of a summary [m/s].
 _USUAL_SPEEDS = (0.3, 0.6, 1.0, 1.5)
 
@@ -43,50 +39,6 @@ class MapFile:
     provenance: Mapping[str, Any]
 
 
-def map_bytes(content: MapFile) -> bytes:
-    """Return the file."""
-    buffer = io.BytesIO()
-    text = h5py.string_dtype()
-    with h5py.File(buffer, "w") as file:
-        file.attrs["schema"], file.attrs["version"] = SCHEMA, VERSION
-        file.create_dataset("settings_json", data=exact_json.dumps(dict(content.settings)), dtype=text)
-        file.create_dataset("provenance_json", data=exact_json.dumps(dict(content.provenance)), dtype=text)
-        for number, one in enumerate(content.maps, start=1):
-            group = _group(file, f"maps/{number}", one)
-            codes = ", ".join(f"{outcome.value}: {outcome.text}" for outcome in Outcome)
-            _array(group, "outcome", one.outcome, codes, "set, slope, speed")
-            _array(group, "distance", one.distance, "m", "set, slope, speed")
-            _array(group, "time", one.time, "s", "set, slope, speed")
-            group.attrs["checked"] = one.checked
-            if one.checked:
-                _array(group, "uncertain", one.uncertain, "1", "set, slope, speed")
-            shares = np.array([one.share(outcome) for outcome in OUTCOMES])
-            _array(group, "probability", shares, "1", "outcome 0 to 3, slope, speed")
-            _array(group, "mean_distance", one.mean_distance, "m", "slope, speed")
-            _array(group, "mean_time", one.mean_time, "s", "slope, speed")
-        for number, best in enumerate(content.impulses, start=1):
-            group = _group(file, f"impulses/{number}", best)
-            for name, values in best.optimum.items():
-                _array(group, name, values, UNITS[name], "set, slope, speed")
-                _array(group, f"mean_{name}", best.mean(name), UNITS[name], "slope, speed")
-                _array(group, f"sigma_{name}", best.sigma(name), UNITS[name], "slope, speed")
-    return buffer.getvalue()
-
-
-def _group(file: h5py.File, name: str, one: CellMap) -> Any:
-    group = file.create_group(name)
-    group.attrs["surface"], group.attrs["controller"] = one.surface, one.controller
-    group.create_dataset("sets", data=list(one.sets), dtype=h5py.string_dtype())
-    _array(group, "slope", one.slopes_deg, "deg", "slope")
-    _array(group, "speed", one.speeds, "m/s", "speed")
-    return group
-
-
-def _array(group: Any, name: str, values: Any, unit: str, axes: str) -> None:
-    data = group.create_dataset(name, data=values)
-    data.attrs["unit"], data.attrs["axes"] = unit, axes
-
-
 def write_maps(path: Path, content: MapFile) -> Path:
     """Write the file whole or not at all.
 
@@ -95,8 +47,42 @@ def write_maps(path: Path, content: MapFile) -> Path:
     ExportError
         When it cannot be written.
     """
-    write_file(path, map_bytes(content), ExportError)
+    write_file(path, MAPS.content(lambda file: _write(file, content)), ExportError)
     return path
+
+
+def _write(file: Any, content: MapFile) -> None:
+    cells, means = "set, slope, speed", "slope, speed"
+    put_json(file, "settings_json", content.settings)
+    put_json(file, "provenance_json", content.provenance)
+    for number, landings in enumerate(content.maps, start=1):
+        group = _group(file, f"maps/{number}", landings)
+        codes = ", ".join(f"{outcome.value}: {outcome.text}" for outcome in Outcome)
+        put(group, "outcome", landings.outcome, cells, codes)
+        put(group, "distance", landings.distance, cells, "m")
+        put(group, "time", landings.time, cells, "s")
+        group.attrs["checked"] = landings.checked
+        if landings.checked:
+            put(group, "uncertain", landings.uncertain, cells)
+        shares = np.array([landings.share(outcome) for outcome in OUTCOMES])
+        put(group, "probability", shares, "outcome 0 to 3, slope, speed")
+        put(group, "mean_distance", landings.mean_distance, means, "m")
+        put(group, "mean_time", landings.mean_time, means, "s")
+    for number, best in enumerate(content.impulses, start=1):
+        group = _group(file, f"impulses/{number}", best)
+        for name, values in best.optimum.items():
+            put(group, name, values, cells, UNITS[name])
+            put(group, f"mean_{name}", best.mean(name), means, UNITS[name])
+            put(group, f"sigma_{name}", best.sigma(name), means, UNITS[name])
+
+
+def _group(file: Any, name: str, cells: CellMap) -> Any:
+    group = file.create_group(name)
+    group.attrs["surface"], group.attrs["controller"] = cells.surface, cells.controller
+    put_texts(group, "sets", cells.sets)
+    put(group, "slope", cells.slopes_deg, "slope", "deg")
+    put(group, "speed", cells.speeds, "speed", "m/s")
+    return group
 
 
 def read_maps(path: str | Path) -> MapFile:
@@ -107,44 +93,34 @@ def read_maps(path: str | Path) -> MapFile:
     ExportError
         When it is missing, foreign, damaged or of an unknown version.
     """
-    path = Path(path)
-    try:
-        with h5py.File(path, "r") as file:
-            if file.attrs.get("schema") != SCHEMA:
-                raise ExportError(f"{path}: holds no landing maps; give a file that sysid landing-map wrote")
-            if file.attrs["version"] != VERSION:
-                raise ExportError(
-                    f"{path}: maps of version {file.attrs['version']}, expected {VERSION}; read it with the "
-                    "version of sysid that wrote it"
-                )
-            maps = [_read_map(file[f"maps/{i + 1}"]) for i in range(len(file.get("maps", ())))]
-            best = [_read_impulse(file[f"impulses/{i + 1}"]) for i in range(len(file.get("impulses", ())))]
-            texts = [
-                exact_json.loads(file[f"{name}_json"].asstr()[()]) for name in ("settings", "provenance")
-            ]
-    except (OSError, KeyError, ValueError, RuntimeError) as error:
-        first = next(iter(str(error).splitlines()), type(error).__name__)
-        raise ExportError(f"{path}: cannot be read ({first}); compute the map again") from error
-    return MapFile(tuple(maps), tuple(best), *texts)
+    with MAPS.opened(path) as file:
+        return MapFile(
+            tuple(map(_read_map, numbered(file, "maps"))),
+            tuple(map(_read_impulse, numbered(file, "impulses"))),
+            get_json(file, "settings_json"),
+            get_json(file, "provenance_json"),
+        )
 
 
-def _head(group: Any) -> tuple[str, str, tuple[str, ...], Any, Any]:
-    names = tuple(group["sets"].asstr()[()])
-    return (
-        str(group.attrs["surface"]), str(group.attrs["controller"]), names, group["slope"][()],
-        group["speed"][()],
-    )  # fmt: skip
+def _head(group: Any) -> dict[str, Any]:
+    return {
+        "surface": str(group.attrs["surface"]),
+        "controller": str(group.attrs["controller"]),
+        "sets": tuple(get_texts(group, "sets")),
+        "slopes_deg": group["slope"][()],
+        "speeds": group["speed"][()],
+    }
 
 
 def _read_map(group: Any) -> LandingMap:
-    arrays = [group[name][()] for name in ("outcome", "distance", "time")]
-    checked = bool(group.attrs.get("checked", True))
-    uncertain = group["uncertain"][()] if checked else np.zeros(arrays[0].shape, dtype=bool)
-    return LandingMap(*_head(group), *[*arrays, uncertain], checked=checked)
+    arrays = {name: group[name][()] for name in ("outcome", "distance", "time")}
+    checked = bool(group.attrs["checked"])
+    uncertain = group["uncertain"][()] if checked else np.zeros(arrays["outcome"].shape, dtype=bool)
+    return LandingMap(**_head(group), **arrays, uncertain=uncertain, checked=checked)
 
 
 def _read_impulse(group: Any) -> ImpulseMap:
-    return ImpulseMap(*_head(group), {name: group[name][()] for name in UNITS})
+    return ImpulseMap(**_head(group), optimum={name: group[name][()] for name in UNITS})
 
 
 def summary(maps: Sequence[LandingMap]) -> list[dict[str, Any]]:

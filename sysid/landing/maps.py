@@ -15,7 +15,7 @@ from sysid.errors import CampaignError
 from sysid.landing.controllers import Controller
 from sysid.landing.drone import Drone
 from sysid.landing.outcomes import LANDED, OUTCOMES, Outcome, Rules
-from sysid.landing.scenario import Scenario
+from sysid.landing.scenario import Scenario, grid
 from sysid.landing.simulate import LANDING_TOLERANCE, Landings, land_many
 from sysid.landing.thrust import Motors
 from sysid.parallel import Columns, Executor, LocalThreads
@@ -64,13 +64,8 @@ class MapSettings:
 
     def cells(self) -> list[Scenario]:
         """Return the scenario of every cell, slopes outside, speeds inside."""
-        return [
-            Scenario(
-                float(np.radians(slope)), speed, pitch=self.pitch, horizontal_speed=self.horizontal_speed
-            )
-            for slope in self.slopes_deg
-            for speed in self.speeds
-        ]
+        more = {"pitch": self.pitch, "horizontal_speed": self.horizontal_speed}
+        return grid(np.radians(self.slopes_deg), self.speeds, **more)
 
     def document(self) -> dict[str, Any]:
         """Return the settings by name, ready for JSON."""

@@ -6,7 +6,7 @@ run that was cut off continues exactly where it was once it has been told the co
 
 The two algorithms of the default search breed on whole arrays (`genetic`, `evolution_strategy`); the others
 go through pymoo's own objects (`PymooBreeder`), whose default operators are shared by every instance and are
-therefore built anew here.
+therefore built again here.
 """
 
 from __future__ import annotations
@@ -82,11 +82,23 @@ class Breeder(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of what was taken."""
-        ...
+        """Release what was taken; by default nothing was."""
+        return
 
 
-class PymooBreeder:
+class ArrayBreeder(Breeder, Protocol):
+    """A breeder that holds its population as arrays."""
+
+    _points: FloatArray
+    _cost: FloatArray
+
+    def population(self) -> tuple[FloatArray, FloatArray]:
+        """Return points (P, n_free) and costs (P,) of the population, best first."""
+        order = np.argsort(self._cost, kind="stable")
+        return self._points[order], self._cost[order]
+
+
+class PymooBreeder(Breeder):
     """One of pymoo's algorithms as ask and tell over the unit cube.
 
     Parameters
@@ -118,8 +130,8 @@ class PymooBreeder:
     def tell(self, cost: FloatArray) -> None:
         """Take the costs (P,) of the candidates last asked for."""
         # pymoo's evaluator would ask every individual several times for constraints that there are not.
-        for individual, own in zip(self._asked, cost, strict=True):
-            individual.F = np.array([own])
+        for individual, value in zip(self._asked, cost, strict=True):
+            individual.F = np.array([value])
             individual.evaluated.update(_SCORED)
         self._algorithm.tell(infills=self._asked)
 
@@ -129,9 +141,6 @@ class PymooBreeder:
         cost = np.array([individual.F[0] for individual in population], dtype=np.float64)
         order = np.argsort(cost, kind="stable")
         return np.array([population[i].X for i in order], dtype=np.float64), cost[order]
-
-    def close(self) -> None:
-        """Let go of what was taken: nothing."""
 
 
 def breeder(name: str, n_free: int, population: int, seed: int, start: Start | None = None) -> Breeder:

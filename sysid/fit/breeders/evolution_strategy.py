@@ -7,47 +7,23 @@ for bit, those of `pymoo.algorithms.soo.nonconvex.cmaes.CMAES` with the same opt
 
 from __future__ import annotations
 
-import sys
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
+import cma
 import numpy as np
+from cma.transformations import BoxConstraintsLinQuadTransformation
 
+from sysid.fit.breeders.algorithms import ArrayBreeder
 from sysid.types import FloatArray
 
-_PYPLOT = "matplotlib.pyplot"
-
-
-@contextmanager
-def _without_pyplot() -> Iterator[None]:
-    """Keep cma from loading pyplot for its plots, which takes longer than a motor's finisher."""
-    if _PYPLOT in sys.modules:
-        yield
-        return
-    sys.modules[_PYPLOT] = None  # type: ignore[assignment]  # how Python is told that it cannot be imported
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Could not import matplotlib")
-            yield
-    finally:
-        sys.modules.pop(_PYPLOT, None)
-
-
-with _without_pyplot():
-    import cma
-    from cma.transformations import BoxConstraintsLinQuadTransformation
-
-
-# Largest standard deviation [1], cma's own share of a bounded range.
+# Largest standard deviation [1]: cma's default for a bounded range.
 _LARGEST_STD = 1 / 3
 
 
 class _Drawn:
     """In the place of cma's archive of what it has drawn, which takes a third of its time.
 
-    cma looks up how a candidate was drawn, in case its user has moved it; here it is told what it drew.
+    cma looks up how a candidate was drawn, in case its user has moved it; no candidate is moved in a fit.
     """
 
     last_iteration = 0
@@ -68,7 +44,7 @@ class _Drawn:
         """Forget nothing."""
 
 
-class EvolutionStrategy:
+class EvolutionStrategy(ArrayBreeder):
     """CMA-ES as ask and tell over the unit cube.
 
     Parameters
@@ -120,11 +96,3 @@ class EvolutionStrategy:
         """Take the costs (P,) of the candidates last asked for."""
         self._cost = np.array(cost, dtype=np.float64)
         self._strategy.tell(self._drawn, self._cost.tolist())
-
-    def population(self) -> tuple[FloatArray, FloatArray]:
-        """Return points (P, n_free) and costs (P,) of the population, best first."""
-        order = np.argsort(self._cost, kind="stable")
-        return self._points[order], self._cost[order]
-
-    def close(self) -> None:
-        """Let go of what was taken: nothing."""

@@ -18,13 +18,14 @@ from pymoo.operators.mutation.pm import PM
 from pymoo.operators.sampling.rnd import FloatRandomSampling
 from pymoo.util.misc import random_permutations
 
+from sysid.fit.breeders.algorithms import ArrayBreeder
 from sysid.types import FloatArray, IntArray
 
 # pymoo's: matings that may be tried before a generation is left with fewer children.
 _MATINGS = 100
 
 
-class GeneticBreeder:
+class GeneticBreeder(ArrayBreeder):
     """pymoo's GA as ask and tell over the unit cube.
 
     Parameters
@@ -64,14 +65,6 @@ class GeneticBreeder:
         points, costs = np.vstack([self._points, self._asked]), np.concatenate([self._cost, cost])
         best = np.lexsort([costs])[: self._size]
         self._points, self._cost = points[best], costs[best]
-
-    def population(self) -> tuple[FloatArray, FloatArray]:
-        """Return points (P, n_free) and costs (P,) of the population, best first."""
-        order = np.argsort(self._cost, kind="stable")
-        return self._points[order], self._cost[order]
-
-    def close(self) -> None:
-        """Let go of what was taken: nothing."""
 
     def _children(self) -> FloatArray:
         children: list[FloatArray] = []

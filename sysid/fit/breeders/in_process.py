@@ -1,4 +1,4 @@
-"""Breeding in a process of its own, so that the runs of a fit on a cluster do not wait for each other.
+"""Breeding in another process, so that the runs of a fit on a cluster do not wait for each other.
 
 Breeding a population of 800 takes tens of milliseconds of one core. Five runs that breed in one process keep
 sixty workers waiting; five processes do not. The numbers are those of
@@ -16,7 +16,7 @@ from sysid.fit.breeders.algorithms import Breeder, Start, breeder
 from sysid.types import FloatArray
 
 # Of the process that breeds; it serves one breeder.
-_OWN: dict[str, Breeder] = {}
+_BREEDER: dict[str, Breeder] = {}
 
 
 class BreederApart:
@@ -55,13 +55,13 @@ def _deaf() -> None:
 
 
 def _begin(name: str, n_free: int, population: int, seed: int, start: Start | None) -> None:
-    _OWN["breeder"] = breeder(name, n_free, population, seed, start)
+    _BREEDER["breeder"] = breeder(name, n_free, population, seed, start)
 
 
 def _ask() -> FloatArray | None:
-    return _OWN["breeder"].ask()
+    return _BREEDER["breeder"].ask()
 
 
 def _tell(cost: FloatArray) -> tuple[FloatArray, FloatArray]:
-    _OWN["breeder"].tell(cost)
-    return _OWN["breeder"].population()
+    _BREEDER["breeder"].tell(cost)
+    return _BREEDER["breeder"].population()

@@ -45,8 +45,8 @@ def test_worse_runs_are_said_to_be_local():
     [
         ("interrupted", "stopped by the user", "continue with --resume"),
         ("time", "time limit", "continue with --resume"),
-        ("evaluations", "evaluation budget", "start anew with a larger limit"),
-        ("generations", "generation limit", "start anew with a larger limit"),
+        ("evaluations", "evaluation budget", "start again with a larger limit"),
+        ("generations", "generation limit", "start again with a larger limit"),
     ],
 )
 def test_where_a_run_was_cut_is_no_optimum(ended, reason, advice):

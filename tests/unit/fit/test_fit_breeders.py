@@ -1,8 +1,5 @@
 """The array breeders of the default search against pymoo's own algorithms, which are slow and obvious."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from pymoo.algorithms.soo.nonconvex.cmaes import CMAES
@@ -57,14 +54,3 @@ def test_cmaes_is_pymoos_bit_for_bit(n_free, population):
     other.tell(np.full(1, np.inf))
     assert assert_same_search(own, other, 40, 12) == 40
     assert np.min(own.population()[0]) < 0.05
-
-
-def test_cma_is_loaded_without_what_it_draws_with_and_leaves_it_to_others():
-    """Pyplot takes a second to load, in every process that breeds."""
-    code = (
-        "import sys, warnings; warnings.simplefilter('error'); import sysid.fit.breeders.evolution_strategy; "
-        "assert 'matplotlib.pyplot' not in sys.modules; import matplotlib.pyplot; "
-        "assert sys.modules['matplotlib.pyplot'] is not None"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
