@@ -81,7 +81,7 @@ def descend(
         raise CampaignError(
             f"descent: height {height:g} m, speed {begin.speed:g} m/s; give both above 0, or no height"
         )
-    own = attitude or AttitudeController()
+    attitude = attitude or AttitudeController()
     m = motor_model.PARAMETERS.nominal | dict(drone.motor)
     hover = drone.hover_command
     legs = drone.value("leg_mass") * (1.0 + drone.value("front_leg_mass_ratio"))
@@ -94,17 +94,17 @@ def descend(
         float(motor_model.thrust(motor_model.steady_state(hover + s * step, m)[1], m)) for s in (-1, 1)
     )
     lift = MOTORS_PER_PAIR * (high - low) / (2 * step)  # of a pair per command [N]
-    gain = own.frequency**2 * inertia / (2 * arm * lift)
-    rate_gain = 2 * own.damping * own.frequency * inertia / (2 * arm * lift)
+    gain = attitude.frequency**2 * inertia / (2 * arm * lift)
+    rate_gain = 2 * attitude.damping * attitude.frequency * inertia / (2 * arm * lift)
 
     def commands(y: FloatArray) -> tuple[float, float]:
         push = gain * y[2] + rate_gain * y[5]
         return float(np.clip(hover - push, 0.0, 1.0)), float(np.clip(hover + push, 0.0, 1.0))
 
     def rates(_: float, y: FloatArray) -> list[float]:
-        told = np.array(commands(y))
+        pair = np.array(commands(y))
         current, speed = y[[6, 8]], y[[7, 9]]
-        volts = m["back_emf_constant"] * (motor_model.no_load_speed(told, m) - speed)
+        volts = m["back_emf_constant"] * (motor_model.no_load_speed(pair, m) - speed)
         winding = (volts - m["winding_resistance"] * current) / m["winding_inductance"]
         drag = motor_model.aerodynamic_torque(speed, m) + m["viscous_damping"] * speed
         spin = (m["torque_constant"] * current - drag) / m["rotor_inertia"]

@@ -1,6 +1,6 @@
-"""Landing controllers: what the motors are told from the impact on, as small declared objects.
+"""Landing controllers: the commands to the motors from the impact on, as small declared objects.
 
-A controller is a list of steps. One's own takes ten lines::
+A controller is a list of steps. A new one takes ten lines::
 
     from sysid.landing.controllers import Step, controller
 
@@ -9,7 +9,7 @@ A controller is a list of steps. One's own takes ten lines::
         "Little thrust for a while, then full reverse."
         return [Step(0.0, 0.3, 0.3), Step(pause, -1.0, -1.0)]
 
-and is then known by its name to every function here, and to the command line with ``--controllers FILE.py``.
+and is then known by its name to this package, and to the command line with ``--controllers FILE.py``.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Controller:
     ideal_reversal : bool
         Motors without saturation (I_sat = ∞), as in Fig. 11.
     sensing : Sensing, optional
-        The drone's own accelerometer as trigger; the first contact of a foot by default.
+        The drone's accelerometer as trigger; the first contact of a foot by default.
     """
 
     name: str
@@ -202,7 +202,7 @@ def find_controller(text: str, *, ideal_reversal: bool = False, sensing: Sensing
     try:
         bound = signature.bind(*given, **named)
     except TypeError as error:
-        wanted = ", ".join(str(one) for one in signature.parameters) or "none"
+        wanted = ", ".join(str(name) for name in signature.parameters) or "none"
         raise CampaignError(
             f"controller {text!r}: {error}; its options are {wanted}, as in impulse:delay=50ms,duration=0.1"
         ) from None

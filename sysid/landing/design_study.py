@@ -54,7 +54,7 @@ class Change:
     kind : {"gear", "motor", "reversal"}
         Where it acts.
     values : tuple of float
-        Factors on the sets' own value [1]; of ``reversal_delay`` what is added to it [s].
+        Factors on the value of the sets [1]; of ``reversal_delay`` what is added to it [s].
     """
 
     name: str
@@ -128,14 +128,14 @@ def find_changes(text: str) -> tuple[Change, ...]:
     CampaignError
         When a name is unknown or a range cannot be read.
     """
-    found = tuple(_change(part.strip()) for part in text.split(",") if part.strip())
-    if not found:
+    changes = tuple(_change(part.strip()) for part in text.split(",") if part.strip())
+    if not changes:
         raise CampaignError("nothing to vary; give for example --vary k_t=0.5:2:5")
-    names = [one.name for one in found]
+    names = [change.name for change in changes]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice:
         raise CampaignError(f"{twice} is varied twice; give it once")
-    return found
+    return changes
 
 
 def _change(text: str) -> Change:
@@ -279,8 +279,8 @@ class DesignStudy:
 
     def bounds(self, design: int) -> list[str]:
         """Return the touchdown speeds, in words, at which a design's largest safe slope is a lower bound."""
-        told = zip(self.settings.speeds, self.at_edge[design].tolist(), strict=True)
-        return [f"{speed:g} m/s" for speed, edge in told if edge]
+        edges = zip(self.settings.speeds, self.at_edge[design].tolist(), strict=True)
+        return [f"{speed:g} m/s" for speed, edge in edges if edge]
 
     @property
     def landable(self) -> FloatArray:
@@ -342,15 +342,15 @@ def designs(changes: Sequence[Change], together: bool = False) -> FloatArray:
     CampaignError
         When a grid is asked for without exactly two changes.
     """
-    neutral = [one.neutral for one in changes]
+    neutral = [change.neutral for change in changes]
     rows = [neutral]
     if together:
         if len(changes) != 2:
             raise CampaignError(f"a map of two changes, but {len(changes)} given; give exactly two to --vary")
-        rows += [list(pair) for pair in product(*(one.axis for one in changes))]
+        rows += [list(pair) for pair in product(*(change.axis for change in changes))]
     else:
-        for c, one in enumerate(changes):
-            rows += [[*neutral[:c], value, *neutral[c + 1 :]] for value in one.values]
+        for c, change in enumerate(changes):
+            rows += [[*neutral[:c], value, *neutral[c + 1 :]] for value in change.values]
     unique = list(dict.fromkeys(tuple(row) for row in rows))
     return np.array(unique, dtype=np.float64)
 
@@ -399,15 +399,15 @@ def design_study(
     Returns
     -------
     DesignStudy or None
-        None where `stop` said so.
+        None where `stop` ended the study.
     """
-    own = settings or StudySettings()
-    points = designs(changes, own.together)
+    settings = settings or StudySettings()
+    points = designs(changes, settings.together)
     fleets = fleets_of(drones, changes, points)
-    grids = own.grids()
+    grids = settings.grids()
     outcomes = []
     for number, grid in enumerate(grids):
-        found: tuple[LandingMap, ...] = landing_maps(
+        maps: tuple[LandingMap, ...] = landing_maps(
             fleets,
             [controller],
             grid,
@@ -417,11 +417,11 @@ def design_study(
             on_block=on_block,
             stop=stop,
         )
-        if not found:
+        if not maps:
             return None
-        outcomes.append(np.array([one.outcome for one in found]))
+        outcomes.append(np.array([landings.outcome for landings in maps]))
     landed, lost = shares_of(np.concatenate(outcomes, axis=1))
-    return DesignStudy(name, controller.label, tuple(changes), own, points, landed, lost)
+    return DesignStudy(name, controller.label, tuple(changes), settings, points, landed, lost)
 
 
 def shares_of(outcome: NDArray[np.int8]) -> tuple[FloatArray, IntArray]:

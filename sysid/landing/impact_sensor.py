@@ -1,4 +1,4 @@
-"""The drone's own impact detection: accelerometer, low-pass, threshold (section III-B)."""
+"""The drone's impact detection: accelerometer, low-pass, threshold (section III-B)."""
 
 from __future__ import annotations
 

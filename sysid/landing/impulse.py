@@ -132,7 +132,7 @@ class ImpulseSettings:
 
 
 def rear_command(front: float = IMPULSE_COMMAND, *, ideal_reversal: bool = False) -> float:
-    """Return what the rear pair is told while the front pair pushes [1]: the paper's two ways.
+    """Return the command of the rear pair while the front pair pushes [1]: the paper's two ways.
 
     Parameters
     ----------
@@ -195,10 +195,10 @@ class Impulses:
     """
 
     def __init__(self, drone: Drone, settings: ImpulseSettings, rules: Rules | None = None) -> None:
-        own = rules or Rules()
+        rules = rules or Rules()
         self._drone = drone
         self._settings = settings
-        self._rules = replace(own, horizon=min(settings.horizon, own.horizon))
+        self._rules = replace(rules, horizon=min(settings.horizon, rules.horizon))
         self._motors = Motors(drone, settings.ideal_reversal)
         self._thrust: dict[tuple[float, float], Propulsion] = {}
 
@@ -206,9 +206,9 @@ class Impulses:
         """Return the thrust of an impulse; an infinite delay idles for ever."""
         key = (delay, duration)
         if key not in self._thrust:
-            own = self._settings
-            forever = [Step(0.0, own.idle, own.idle)]
-            steps = forever if delay == math.inf else own.steps(delay, duration)
+            settings = self._settings
+            forever = [Step(0.0, settings.idle, settings.idle)]
+            steps = forever if delay == math.inf else settings.steps(delay, duration)
             self._thrust[key] = self._motors.propulsion(steps)
         return self._thrust[key]
 
@@ -244,8 +244,8 @@ class Impulses:
         simulated : (n,) int64 array
             How many landings were simulated.
         """
-        own = self._settings
-        delays, durations = np.array(own.delays), np.array(own.durations)
+        settings = self._settings
+        delays, durations = np.array(settings.delays), np.array(settings.durations)
         impacts = np.full((len(cells), len(delays), len(durations), 3), np.nan)
         simulated = np.zeros(len(cells), dtype=np.int64)
 
@@ -273,31 +273,33 @@ class Impulses:
 
     def optimize(self, cells: Sequence[Scenario], tolerance: float, threads: int | None = None) -> Optimum:
         """Return the best impulse of every landing, on the grid and refined."""
-        own = self._settings
+        settings = self._settings
         impacts, simulated = self.search(cells, tolerance, threads)
         flat = impacts.reshape(len(cells), -1, 3)
-        delay, duration = (axis.ravel() for axis in np.meshgrid(own.delays, own.durations, indexing="ij"))
-        if not own.has_none:
+        delay, duration = (
+            axis.ravel() for axis in np.meshgrid(settings.delays, settings.durations, indexing="ij")
+        )
+        if not settings.has_none:
             none = np.zeros(len(cells))
             alone = self.second_impacts(cells, none, none, tolerance, threads)
             flat = np.concatenate([alone[:, None], flat], axis=1)
             delay, duration = np.insert(delay, 0, 0.0), np.insert(duration, 0, 0.0)
             simulated = simulated + 1
-        best = np.array([best_pair(one, delay, duration, own.equal) for one in flat])
+        best = np.array([best_pair(impact, delay, duration, settings.equal) for impact in flat])
         everyone = np.arange(len(cells))
-        least = np.maximum(np.abs(flat[everyone, best, 1]), own.equal)
+        least = np.maximum(np.abs(flat[everyone, best, 1]), settings.equal)
         # The first pair is no impulse. NaN compares as false; where nothing ever touches, it is the best.
-        omitted = (1.0 - own.worth) * np.abs(flat[:, 0, 1]) <= least
+        omitted = (1.0 - settings.worth) * np.abs(flat[:, 0, 1]) <= least
         best[omitted] = 0
-        found = flat[everyone, best]
+        chosen = flat[everyone, best]
         grid_delay, grid_duration = delay[best], duration[best]
-        refined_delay, refined_duration, refined = grid_delay.copy(), grid_duration.copy(), found.copy()
-        step = 0.5 * min([*np.diff(own.delays), *np.diff(own.durations), 0.01])
-        while own.finest > 0 and step >= 0.999 * own.finest:
+        refined_delay, refined_duration, refined = grid_delay.copy(), grid_duration.copy(), chosen.copy()
+        step = 0.5 * min([*np.diff(settings.delays), *np.diff(settings.durations), 0.01])
+        while settings.finest > 0 and step >= 0.999 * settings.finest:
             self._refine(cells, ~omitted, step, refined_delay, refined_duration, refined, tolerance, threads)
             step /= 2
         return Optimum(
-            grid_delay, grid_duration, found[:, 1], found[:, 2],
+            grid_delay, grid_duration, chosen[:, 1], chosen[:, 2],
             refined_delay, refined_duration, refined[:, 1], refined[:, 2], simulated,
         )  # fmt: skip
 
@@ -308,20 +310,20 @@ class Impulses:
         step: float,
         delay: FloatArray,
         duration: FloatArray,
-        found: FloatArray,
+        impacts: FloatArray,
         tolerance: float,
         threads: int | None,
     ) -> None:
         """Move every optimum to the best of its eight neighbours at a distance, where one is better."""
-        own = self._settings
+        settings = self._settings
         # Where the impulse comes too late to matter there is nothing to refine.
-        chosen = np.flatnonzero(which_cells & np.isfinite(found[:, 0]) & (delay < found[:, 0]))
+        chosen = np.flatnonzero(which_cells & np.isfinite(impacts[:, 0]) & (delay < impacts[:, 0]))
         around = np.array([(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b]) * step
         which = np.repeat(chosen, len(around))
         tried = np.tile(around, (len(chosen), 1)) + np.column_stack([delay[which], duration[which]])
         tried = np.round(tried, 9)
-        inside = (tried[:, 0] >= own.delays[0]) & (tried[:, 0] <= own.delays[-1])
-        inside &= (tried[:, 1] >= own.durations[0]) & (tried[:, 1] <= own.durations[-1])
+        inside = (tried[:, 0] >= settings.delays[0]) & (tried[:, 0] <= settings.delays[-1])
+        inside &= (tried[:, 1] >= settings.durations[0]) & (tried[:, 1] <= settings.durations[-1])
         which, tried = which[inside], tried[inside]
         if not len(which):
             return
@@ -329,11 +331,11 @@ class Impulses:
             [cells[i] for i in which.tolist()], tried[:, 0], tried[:, 1], tolerance, threads
         )
         for i in chosen:
-            mine = np.flatnonzero(which == i)
-            trials = np.vstack([found[i], new[mine]])
-            pairs = np.vstack([[delay[i], duration[i]], tried[mine]])
-            best = best_pair(trials, pairs[:, 0], pairs[:, 1], max(_EQUAL_TURN, own.equal))
-            found[i], (delay[i], duration[i]) = trials[best], pairs[best]
+            near = np.flatnonzero(which == i)
+            trials = np.vstack([impacts[i], new[near]])
+            pairs = np.vstack([[delay[i], duration[i]], tried[near]])
+            best = best_pair(trials, pairs[:, 0], pairs[:, 1], max(_EQUAL_TURN, settings.equal))
+            impacts[i], (delay[i], duration[i]) = trials[best], pairs[best]
 
 
 def best_pair(impacts: FloatArray, delay: FloatArray, duration: FloatArray, equal: float = 0.0) -> int:

@@ -82,7 +82,7 @@ class ImpulseWork:
             chosen = np.flatnonzero(rows[:, 0] == drone)
             parts.append((chosen, self._cells(drone, rows[chosen, 1:])))
         order = np.argsort(np.concatenate([chosen for chosen, _ in parts]), kind="stable")
-        columns = [np.concatenate(column) for column in zip(*(found for _, found in parts), strict=True)]
+        columns = [np.concatenate(column) for column in zip(*(column for _, column in parts), strict=True)]
         return tuple(column[order] for column in columns)
 
     def _cells(self, drone: int, cells: FloatArray) -> Columns:
@@ -97,16 +97,16 @@ class ImpulseWork:
             (alone, best.delay, best.duration),
         ):
             thrust = [source.thrust(*pair) for pair in zip(delay.tolist(), duration.tolist(), strict=True)]
-            found = [
+            landings = [
                 run(
                     self.drones[drone], scenarios, thrust, np.zeros(len(cells)), self.settings.rules,
                     self.settings.tolerance / halved, self.threads,
                 )
                 for halved in ((1, 2) if self.settings.check else (1,))
             ]  # fmt: skip
-            over = np.isfinite(found[0].time)
-            out += [found[0].outcome, np.where(over, found[0].distance, np.nan), found[0].time]
-            out.append(found[-1].outcome != found[0].outcome)
+            over = np.isfinite(landings[0].time)
+            out += [landings[0].outcome, np.where(over, landings[0].distance, np.nan), landings[0].time]
+            out.append(landings[-1].outcome != landings[0].outcome)
         return tuple(out)
 
     def _impulses(self, drone: int, after: float) -> Impulses:
@@ -115,8 +115,8 @@ class ImpulseWork:
             # A drone's thousands of thrust histories are hundreds of megabytes: keep those of one.
             for other in [known for known in self._known if known[0] != drone]:
                 del self._known[other]
-            own = replace(self.impulses, after=after)
-            self._known[key] = Impulses(self.drones[drone], own, self.settings.rules)
+            settings = replace(self.impulses, after=after)
+            self._known[key] = Impulses(self.drones[drone], settings, self.settings.rules)
         return self._known[key]
 
 
@@ -156,24 +156,24 @@ def impulse_maps(
     impulse maps, landing maps : tuples
         One and three per surface: impulse and then `impulses.after`, the same refined, the impulse alone (all
         motors off after it, at the delay and duration found with `impulses.after` following).
-        Empty where `stop` said so.
+        Empty where `stop` ended the work.
     """
-    own, tried = settings or MapSettings(), impulses or ImpulseSettings()
+    settings, impulses = settings or MapSettings(), impulses or ImpulseSettings()
     all_drones = tuple(drone for fleet in fleets for drone in fleet)
-    work = ImpulseWork(all_drones, own, tried, threads)
-    cells = np.array([(cell.slope, cell.speed) for cell in own.cells()])
-    by_slope = cells.reshape(len(own.slopes_deg), len(own.speeds), 2)
+    work = ImpulseWork(all_drones, settings, impulses, threads)
+    cells = np.array([(cell.slope, cell.speed) for cell in settings.cells()])
+    by_slope = cells.reshape(len(settings.slopes_deg), len(settings.speeds), 2)
     blocks = {
-        f"set-{d + 1}-slope-{s + 1}": np.column_stack([np.full(len(own.speeds), float(d)), row])
+        f"set-{d + 1}-slope-{s + 1}": np.column_stack([np.full(len(settings.speeds), float(d)), row])
         for d in range(len(all_drones))
         for s, row in enumerate(by_slope)
     }
-    found = compute_blocks(work, blocks, where or LocalThreads(), store=store, on_block=on_block, stop=stop)
-    if len(found) < len(blocks):
+    done = compute_blocks(work, blocks, where or LocalThreads(), store=store, on_block=on_block, stop=stop)
+    if len(done) < len(blocks):
         return (), ()
-    ideal = ", ideal reversal" if tried.ideal_reversal else ""
-    names_of_maps = variants(tried)
-    axes = (np.array(own.slopes_deg), np.array(own.speeds))
+    ideal = ", ideal reversal" if impulses.ideal_reversal else ""
+    names_of_maps = variants(impulses)
+    axes = (np.array(settings.slopes_deg), np.array(settings.speeds))
     searched, landed = [], []
     first = 0
     for fleet in fleets:
@@ -181,7 +181,7 @@ def impulse_maps(
         first += len(fleet)
         names = tuple(drone.name for drone in fleet)
         columns = [
-            np.array([[found[f"set-{d}-slope-{s + 1}"][k] for s in range(len(axes[0]))] for d in numbers])
+            np.array([[done[f"set-{d}-slope-{s + 1}"][k] for s in range(len(axes[0]))] for d in numbers])
             for k in range(len(OPTIMUM) + _LANDING_COLUMNS * len(names_of_maps))
         ]
         optimum = dict(zip(OPTIMUM, columns, strict=False))
@@ -190,6 +190,6 @@ def impulse_maps(
             start = len(OPTIMUM) + _LANDING_COLUMNS * v
             part = columns[start : start + _LANDING_COLUMNS]
             landed.append(
-                LandingMap(fleet[0].surface, f"{variant}{ideal}", names, *axes, *part, checked=own.check)
+                LandingMap(fleet[0].surface, f"{variant}{ideal}", names, *axes, *part, checked=settings.check)
             )
     return tuple(searched), tuple(landed)

@@ -126,45 +126,45 @@ def _read_impulse(group: Any) -> ImpulseMap:
 def summary(maps: Sequence[LandingMap]) -> list[dict[str, Any]]:
     """Return per map what a table or JSON shows: cells by likeliest class, steepest slopes, doubts.
 
-    A steepest slope is told for speeds that the map has; where it is the map's own steepest one, landings may
-    go on beyond it, and it is told as a lower bound. Doubts are None where they were not looked for.
+    Steepest slopes are stated for speeds that the map has. The map's last slope is a lower bound: steeper
+    landings may succeed. Doubts are None where they were not looked for.
     """
     out = []
-    for one in maps:
-        slopes = {f"{speed:g} m/s": one.steepest(speed) for speed in _told_speeds(one)}
-        found, counts = np.unique(one.likeliest, return_counts=True)
-        cells = {Outcome(int(code)).name.lower(): int(n) for code, n in zip(found, counts, strict=True)}
+    for landings in maps:
+        slopes = {f"{speed:g} m/s": landings.steepest(speed) for speed in _summary_speeds(landings)}
+        classes, counts = np.unique(landings.likeliest, return_counts=True)
+        cells = {Outcome(int(code)).name.lower(): int(n) for code, n in zip(classes, counts, strict=True)}
         out.append(
             {
-                "surface": one.surface,
-                "controller": one.controller,
-                "sets": len(one.sets),
+                "surface": landings.surface,
+                "controller": landings.controller,
+                "sets": len(landings.sets),
                 "cells": cells,
                 "steepest slope that half of the sets land on [deg]": slopes,
                 "lower bounds, at the map's edge": [
-                    name for name, slope in slopes.items() if slope == one.slopes_deg[-1]
+                    name for name, slope in slopes.items() if slope == landings.slopes_deg[-1]
                 ],
-                "mean time to rest where landed [s]": _where_landed(one, one.mean_time),
-                "mean distance where landed [m]": _where_landed(one, one.mean_distance),
-                "uncertain [%]": 100.0 * float(one.uncertain.mean()) if one.checked else None,
-                "lost": int(np.sum(one.outcome == Outcome.LOST)),
+                "mean time to rest where landed [s]": _where_landed(landings, landings.mean_time),
+                "mean distance where landed [m]": _where_landed(landings, landings.mean_distance),
+                "uncertain [%]": 100.0 * float(landings.uncertain.mean()) if landings.checked else None,
+                "lost": int(np.sum(landings.outcome == Outcome.LOST)),
             }
         )
     return out
 
 
-def _told_speeds(one: LandingMap) -> list[float]:
-    """Speeds [m/s] whose steepest slope is told: all of up to four, else the usual ones it has, else four."""
-    if len(one.speeds) <= 4:
-        return [float(speed) for speed in one.speeds]
-    usual = [speed for speed in _USUAL_SPEEDS if (abs(one.speeds - speed) < 1e-9).any()]
+def _summary_speeds(landings: LandingMap) -> list[float]:
+    """Speeds [m/s] of a summary: all of up to four, else the usual speeds that it has, else four."""
+    if len(landings.speeds) <= 4:
+        return [float(speed) for speed in landings.speeds]
+    usual = [speed for speed in _USUAL_SPEEDS if (abs(landings.speeds - speed) < 1e-9).any()]
     if usual:
         return usual
-    chosen = np.unique(np.linspace(0, len(one.speeds) - 1, 4).round().astype(int))
-    return [float(one.speeds[k]) for k in chosen]
+    chosen = np.unique(np.linspace(0, len(landings.speeds) - 1, 4).round().astype(int))
+    return [float(landings.speeds[k]) for k in chosen]
 
 
-def _where_landed(one: LandingMap, values: Any) -> float:
+def _where_landed(landings: LandingMap, values: Any) -> float:
     """Mean over the cells where at least half of the sets land, NaN without any."""
-    chosen = (one.landed >= 0.5) & np.isfinite(values)
+    chosen = (landings.landed >= 0.5) & np.isfinite(values)
     return float(values[chosen].mean()) if chosen.any() else float("nan")

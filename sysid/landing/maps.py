@@ -69,9 +69,9 @@ class MapSettings:
 
     def document(self) -> dict[str, Any]:
         """Return the settings by name, ready for JSON."""
-        own = {name: getattr(self, name) for name in ("slopes_deg", "speeds", "tolerance", "check")}
-        own |= {"pitch": self.pitch, "horizontal_speed": self.horizontal_speed}
-        return own | {"rules": self.rules.document()}
+        document = {name: getattr(self, name) for name in ("slopes_deg", "speeds", "tolerance", "check")}
+        document |= {"pitch": self.pitch, "horizontal_speed": self.horizontal_speed}
+        return document | {"rules": self.rules.document()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,15 +133,15 @@ class LandingMap(CellMap):
     @property
     def landed(self) -> FloatArray:
         """Share of the sets (n, m) that come to rest within the long distance."""
-        return np.sum([self.share(one) for one in LANDED], axis=0)
+        return np.sum([self.share(outcome) for outcome in LANDED], axis=0)
 
     @property
     def likeliest(self) -> NDArray[np.int8]:
         """Most frequent class of each cell (n, m), the better one of equals; LOST where every set is lost."""
-        shares = np.array([self.share(one) for one in OUTCOMES])
+        shares = np.array([self.share(outcome) for outcome in OUTCOMES])
         lost = np.isnan(shares).all(axis=0)
-        found = np.argmax(np.nan_to_num(shares), axis=0)
-        return np.where(lost, int(Outcome.LOST), found).astype(np.int8)
+        first = np.argmax(np.nan_to_num(shares), axis=0)
+        return np.where(lost, int(Outcome.LOST), first).astype(np.int8)
 
     @property
     def mean_distance(self) -> FloatArray:
@@ -228,24 +228,24 @@ class LandingWork:
         uncertain = np.zeros(len(rows), dtype=bool)
         for drone, controller in np.unique(rows[:, :2], axis=0).astype(int).tolist():
             chosen = np.flatnonzero((rows[:, 0] == drone) & (rows[:, 1] == controller))
-            found = self._land(drone, controller, rows[chosen, 2:], self.settings.tolerance)
-            outcome[chosen], time[chosen] = found.outcome, found.time
-            distance[chosen] = np.where(np.isfinite(found.time), found.distance, np.nan)
+            landings = self._land(drone, controller, rows[chosen, 2:], self.settings.tolerance)
+            outcome[chosen], time[chosen] = landings.outcome, landings.time
+            distance[chosen] = np.where(np.isfinite(landings.time), landings.distance, np.nan)
             if self.settings.check:
                 again = self._land(drone, controller, rows[chosen, 2:], self.settings.tolerance / 2)
-                uncertain[chosen] = again.outcome != found.outcome
+                uncertain[chosen] = again.outcome != landings.outcome
         return outcome, distance, time, uncertain
 
     def _land(self, drone: int, controller: int, cells: FloatArray, tolerance: float) -> Landings:
-        told = self.controllers[controller]
-        key = (drone, told.ideal_reversal)
+        law = self.controllers[controller]
+        key = (drone, law.ideal_reversal)
         if key not in self._motors:
-            self._motors[key] = Motors(self.drones[drone], told.ideal_reversal)
+            self._motors[key] = Motors(self.drones[drone], law.ideal_reversal)
         more = {"pitch": self.settings.pitch, "horizontal_speed": self.settings.horizontal_speed}
         return land_many(
             self.drones[drone],
             [Scenario(float(slope), float(speed), **more) for slope, speed in cells],
-            told,
+            law,
             rules=self.settings.rules,
             tolerance=tolerance,
             threads=self.threads,
@@ -260,7 +260,7 @@ def map_identity(
     return {
         "version_of_sysid": __version__,
         "parameter_set": digest([[dict(d.gear), dict(d.motor), d.surface] for f in fleets for d in f]),
-        "controller": [one.document() for one in controllers],
+        "controller": [controller.document() for controller in controllers],
         "grid_or_rule": settings.document(),
     }
 
@@ -295,12 +295,12 @@ def landing_maps(
     Returns
     -------
     tuple of LandingMap
-        Fleet by fleet, controller by controller; empty where `stop` said so.
+        Fleet by fleet, controller by controller; empty where `stop` ended the work.
     """
-    own = settings or MapSettings()
+    settings = settings or MapSettings()
     all_drones = tuple(drone for fleet in fleets for drone in fleet)
-    cells = np.array([(cell.slope, cell.speed) for cell in own.cells()])
-    work = LandingWork(all_drones, tuple(controllers), own, threads)
+    cells = np.array([(cell.slope, cell.speed) for cell in settings.cells()])
+    work = LandingWork(all_drones, tuple(controllers), settings, threads)
     blocks = {
         f"set-{d + 1}-controller-{c + 1}": np.column_stack(
             [np.full(len(cells), float(d)), np.full(len(cells), float(c)), cells]
@@ -308,20 +308,21 @@ def landing_maps(
         for d in range(len(all_drones))
         for c in range(len(controllers))
     }
-    found = compute_blocks(work, blocks, where or LocalThreads(), store=store, on_block=on_block, stop=stop)
-    if len(found) < len(blocks):
+    done = compute_blocks(work, blocks, where or LocalThreads(), store=store, on_block=on_block, stop=stop)
+    if len(done) < len(blocks):
         return ()
-    shape = (len(own.slopes_deg), len(own.speeds))
+    axes = np.array(settings.slopes_deg), np.array(settings.speeds)
+    shape = (len(axes[0]), len(axes[1]))
     out = []
     first = 0
     for fleet in fleets:
-        for c, told in enumerate(controllers):
-            parts = [found[f"set-{first + s + 1}-controller-{c + 1}"] for s in range(len(fleet))]
+        for c, controller in enumerate(controllers):
+            parts = [done[f"set-{first + s + 1}-controller-{c + 1}"] for s in range(len(fleet))]
             columns = [np.array([part[k].reshape(shape) for part in parts]) for k in range(4)]
             out.append(
                 LandingMap(
-                    fleet[0].surface, told.label, tuple(drone.name for drone in fleet),
-                    np.array(own.slopes_deg), np.array(own.speeds), *columns, checked=own.check,
+                    fleet[0].surface, controller.label, tuple(drone.name for drone in fleet),
+                    *axes, *columns, checked=settings.check,
                 )
             )  # fmt: skip
         first += len(fleet)

@@ -41,7 +41,7 @@ class Outcome(IntEnum):
         }[self]
 
 
-# The classes that a landing can have; LOST is the simulator's own failure.
+# The classes that a landing can have; LOST is a failure of the simulator.
 OUTCOMES = (Outcome.SHORT, Outcome.NEAR, Outcome.FLIPPED, Outcome.OTHER)
 LANDED = (Outcome.SHORT, Outcome.NEAR)
 # Simulated time of a landing [s]; more is a slip of the pen.
@@ -98,7 +98,7 @@ class Rules:
             )
 
     def ending(self, at: Literal["clock", "rest", "both feet"]) -> Ending:
-        """Return what the kernel is told."""
+        """Return the rules in the form that the kernel takes."""
         return Ending(at, self.rest_speed, self.rest_turn, self.rest_time, self.flip_angle)
 
     def document(self) -> dict[str, Any]:

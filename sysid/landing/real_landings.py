@@ -82,8 +82,8 @@ class Confusion:
             word: dict(zip(names, row, strict=True))
             for word, row in zip(self.words, self.counts.tolist(), strict=True)
         }
-        told = {"agreeing": self.agreeing, "outside": self.outside, "lost": self.lost}
-        return {"counts, observed by simulated": counts, **told}
+        totals = {"agreeing": self.agreeing, "outside": self.outside, "lost": self.lost}
+        return {"counts, observed by simulated": counts, **totals}
 
 
 def read_experiments(path: Path) -> tuple[Experiment, ...]:
@@ -98,14 +98,14 @@ def read_experiments(path: Path) -> tuple[Experiment, ...]:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             reader = csv.DictReader(stream)
             rows = list(reader)
-            found = [name.strip() for name in reader.fieldnames or ()]
+            columns = [name.strip() for name in reader.fieldnames or ()]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise LogError(f"{path}: cannot be read as CSV ({error}); give a table of landings") from error
-    missing = [name for name in COLUMNS if name not in found]
+    missing = [name for name in COLUMNS if name not in columns]
     if missing:
         raise LogError(
-            f"{path}: no column {missing[0]!r}, found {', '.join(found) or 'nothing'}; expected the columns "
-            f"{', '.join(COLUMNS)}"
+            f"{path}: no column {missing[0]!r}, found {', '.join(columns) or 'nothing'}; expected the "
+            f"columns {', '.join(COLUMNS)}"
         )
     out = []
     for number, row in enumerate(rows, start=2):
@@ -129,9 +129,9 @@ def read_experiments(path: Path) -> tuple[Experiment, ...]:
     return tuple(out)
 
 
-def of_map(experiments: Sequence[Experiment], one: LandingMap) -> list[Experiment]:
+def of_map(experiments: Sequence[Experiment], landings: LandingMap) -> list[Experiment]:
     """Return the experiments that were made on the map's surface under its controller."""
-    return [e for e in experiments if _belongs(e, one.surface, one.controller)]
+    return [e for e in experiments if _belongs(e, landings.surface, landings.controller)]
 
 
 def strangers(
@@ -145,29 +145,29 @@ def strangers(
     maps : sequence of (str, str)
         Surface and controller's label of each map.
     """
-    left = [e for e in experiments if not any(_belongs(e, *one) for one in maps)]
+    left = [e for e in experiments if not any(_belongs(e, *pair) for pair in maps)]
     return dict(Counter((e.surface, e.controller) for e in left))
 
 
 def _belongs(experiment: Experiment, surface: str, label: str) -> bool:
     """Say whether an experiment is one of a map; a real drone names neither its trigger nor its motors."""
-    told = _plain(experiment.controller)
-    return experiment.surface == surface and told in (_plain(label), _plain(name_of(label)))
+    name = _plain(experiment.controller)
+    return experiment.surface == surface and name in (_plain(label), _plain(name_of(label)))
 
 
 def _plain(name: str) -> str:
     return "".join(name.lower().split())
 
 
-def confusion(experiments: Sequence[Experiment], one: LandingMap) -> Confusion:
+def confusion(experiments: Sequence[Experiment], landings: LandingMap) -> Confusion:
     """Count what was observed against the likeliest class of the nearest cell of a map."""
     words = tuple(word for word in WORDS if any(e.outcome == word for e in experiments))
     counts = np.zeros((len(words), len(OUTCOMES)), dtype=np.int64)
     agreeing = outside = lost = 0
-    likeliest = one.likeliest
+    likeliest = landings.likeliest
     for experiment in experiments:
-        row = nearest_cell(one.slopes_deg, experiment.slope_deg)
-        column = nearest_cell(one.speeds, experiment.speed)
+        row = nearest_cell(landings.slopes_deg, experiment.slope_deg)
+        column = nearest_cell(landings.speeds, experiment.speed)
         if row is None or column is None:
             outside += 1
             continue

@@ -91,4 +91,4 @@ def along_slope(position: FloatArray, slope: ArrayLike) -> FloatArray:
 
 def slopes_of(scenarios: Sequence[Scenario]) -> FloatArray:
     """Return the slopes (n,) [rad]."""
-    return np.array([one.slope for one in scenarios])
+    return np.array([scenario.slope for scenario in scenarios])

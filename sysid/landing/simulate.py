@@ -115,11 +115,11 @@ def land_many(
     motors : Motors, optional
         Thrust histories of this drone that were computed before.
     """
-    own = rules or Rules()
+    rules = rules or Rules()
     source = motors or Motors(drone, controller.ideal_reversal)
-    triggers = _triggers(drone, scenarios, controller, source, own, tolerance, threads)
-    thrust = _propulsions(source, controller, triggers, own)
-    return run(drone, scenarios, thrust, triggers, own, tolerance, threads)
+    triggers = _triggers(drone, scenarios, controller, source, rules, tolerance, threads)
+    thrust = _propulsions(source, controller, triggers, rules)
+    return run(drone, scenarios, thrust, triggers, rules, tolerance, threads)
 
 
 def run(
@@ -132,24 +132,32 @@ def run(
     threads: int | None = None,
 ) -> Landings:
     """Simulate landings whose thrust is known already; see `land_many`."""
-    starts = np.array([one.start(drone) for one in scenarios])
-    slopes = slopes_of(scenarios)
-    clock = np.array([0.0, rules.horizon])
-    drops = Drops(slopes, starts, [clock] * len(slopes), thrust)
-    found = simulate_population(
+    drops = _drops(drone, scenarios, thrust, np.array([0.0, rules.horizon]))
+    flown = simulate_population(
         drone.row, drops,
         surface=drone.surface, tolerance=tolerance, threads=threads, ending=rules.ending("rest"),
     )  # fmt: skip
-    status = found.status[0]
-    distance = along_slope(found.end_state[0], slopes) - along_slope(starts, slopes)
+    status, rest, flip = flown.status[0], flown.rest[0], flown.flip[0]
+    distance = along_slope(flown.end_state[0], drops.slope) - along_slope(drops.body_state, drops.slope)
     return Landings(
-        outcome=rules.classes(distance, found.rest[0], found.flip[0], np.isin(status, _FAILED)),
+        outcome=rules.classes(distance, rest, flip, np.isin(status, _FAILED)),
         distance=distance,
-        time=found.rest[0],
-        flip=found.flip[0],
+        time=rest,
+        flip=flip,
         trigger=triggers,
         status=status,
     )
+
+
+def _drops(
+    drone: Drone,
+    scenarios: Sequence[Scenario],
+    thrust: Propulsion | Sequence[Propulsion],
+    clock: FloatArray,
+) -> Drops:
+    """Return landings in the form that the gear's kernel takes; all share one clock [s]."""
+    starts = np.array([scenario.start(drone) for scenario in scenarios])
+    return Drops(slopes_of(scenarios), starts, [clock] * len(scenarios), thrust)
 
 
 def second_impacts(
@@ -164,15 +172,13 @@ def second_impacts(
 
     NaN where it does not within the horizon, or not before the drone has flipped.
     """
-    starts = np.array([one.start(drone) for one in scenarios])
-    slopes = slopes_of(scenarios)
-    clock = np.array([0.0, rules.horizon])
-    found = simulate_population(
-        drone.row, Drops(slopes, starts, [clock] * len(slopes), thrust),
+    drops = _drops(drone, scenarios, thrust, np.array([0.0, rules.horizon]))
+    flown = simulate_population(
+        drone.row, drops,
         surface=drone.surface, tolerance=tolerance, threads=threads, ending=rules.ending("both feet"),
     )  # fmt: skip
-    state = found.contact_state[0, :, 1]
-    return np.column_stack([found.first_contact[0, :, 1], state[:, 5], state[:, 2] - slopes])
+    state = flown.contact_state[0, :, 1]
+    return np.column_stack([flown.first_contact[0, :, 1], state[:, 5], state[:, 2] - drops.slope])
 
 
 def land(
@@ -196,33 +202,35 @@ def land(
     motors : Motors, optional
         Whose motors do not hover at touchdown.
     """
-    own = rules or Rules()
-    if not 0.0 < own.horizon * rate <= MOST_SAMPLES:
+    rules = rules or Rules()
+    if not 0.0 < rules.horizon * rate <= MOST_SAMPLES:
         raise CampaignError(
-            f"landing: a history of {own.horizon:g} s at {rate:g} samples per second; expected a rate above "
-            f"0 and at most {MOST_SAMPLES:g} samples, so lower the rate"
+            f"landing: a history of {rules.horizon:g} s at {rate:g} samples per second; expected a rate "
+            f"above 0 and at most {MOST_SAMPLES:g} samples, so lower the rate"
         )
     source = motors or Motors(drone, controller.ideal_reversal)
-    triggers = _triggers(drone, [scenario], controller, source, own, tolerance, 1)
-    (thrust,) = _propulsions(source, controller, triggers, own)
-    clock = np.arange(round(own.horizon * rate) + 1) / rate
+    triggers = _triggers(drone, [scenario], controller, source, rules, tolerance, 1)
+    (thrust,) = _propulsions(source, controller, triggers, rules)
+    clock = np.arange(round(rules.horizon * rate) + 1) / rate
     trajectory = simulate(
         drone.row, scenario.slope, scenario.start(drone), clock,
-        surface=drone.surface, tolerance=tolerance, propulsion=thrust, ending=own.ending("clock"),
+        surface=drone.surface, tolerance=tolerance, propulsion=thrust, ending=rules.ending("clock"),
     )  # fmt: skip
     first = {event.kind: event.time for event in reversed(trajectory.events)}
     rest = first.get(EventKind.REST, math.nan)
     flip = first.get(EventKind.FLIP, math.nan)
-    over = min(flip if math.isfinite(flip) else math.inf, rest + own.rest_time if rest == rest else math.inf)
+    over = min(
+        flip if math.isfinite(flip) else math.inf, rest + rules.rest_time if rest == rest else math.inf
+    )
     down = along_slope(trajectory.state, scenario.slope)
     known = np.isfinite(down)
     distance = float(np.interp(over, clock[known], down[known]) - down[0])
     if flip < rest:
         rest = math.nan  # what comes to rest on its back never landed
     lost = np.array(trajectory.status in _FAILED)
-    code = own.classes(np.array(distance), np.array(rest), np.array(flip), lost)
+    code = rules.classes(np.array(distance), np.array(rest), np.array(flip), lost)
     return Landing(
-        drone, scenario, controller, own, trajectory, Outcome(int(code)), distance, rest, float(triggers[0])
+        drone, scenario, controller, rules, trajectory, Outcome(int(code)), distance, rest, float(triggers[0])
     )
 
 
@@ -249,7 +257,7 @@ def _triggers(
 ) -> FloatArray:
     """Return when the controller begins in each landing [s], NaN where nothing triggers it.
 
-    Landings begin at touchdown. The drone's own sensing looks at what happens with the motors hovering on.
+    Landings begin at touchdown. The drone's sensor sees a flight whose motors go on hovering.
     """
     controller.check_within(rules.horizon)
     if controller.sensing is None:
@@ -257,11 +265,10 @@ def _triggers(
     sensing = controller.sensing
     clock = np.arange(round(sensing.window * sensing.rate) + 1) / sensing.rate
     hovering = motors.propulsion(controller.steps, rules.horizon + 1.0)
-    starts = np.array([one.start(drone) for one in scenarios])
-    drops = Drops(slopes_of(scenarios), starts, [clock] * len(scenarios), hovering)
-    found = simulate_population(drone.row, drops, surface=drone.surface, tolerance=tolerance, threads=threads)
-    states = found.samples[0].reshape(len(scenarios), len(clock), 6)
-    return np.array([sensing.trigger(specific_force(one, sensing.rate, drone)) for one in states])
+    drops = _drops(drone, scenarios, hovering, clock)
+    flown = simulate_population(drone.row, drops, surface=drone.surface, tolerance=tolerance, threads=threads)
+    states = flown.samples[0].reshape(len(scenarios), len(clock), 6)
+    return np.array([sensing.trigger(specific_force(state, sensing.rate, drone)) for state in states])
 
 
 def specific_force(states: FloatArray, rate: float, drone: Drone) -> FloatArray:

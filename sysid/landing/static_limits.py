@@ -1,4 +1,4 @@
-"""The steepest slope on which a drone stays: closed forms for rigid legs, and a slow ramp with its own legs.
+"""The steepest slope on which a drone stays: closed forms for rigid legs, and a slow ramp with bending legs.
 
 A drone that stands with both feet on a slope leaves it in one of two ways. It slides when friction is used
 up, or it tips over its front feet when the rear ones lose their load. Reverse thrust presses it on: it acts
@@ -20,7 +20,7 @@ creeps at ``eps_v r/(1 - r)``, ``r = tan φ/mu``, and reaches a given speed earl
 Bending legs
 ------------
 Legs that bend lower the front and shift the centre of mass over its feet, so the drone tips earlier. There
-is no closed form: the gear's own kernel is taken up a slow ramp. Both legs bend alike and share the force
+is no closed form: the gear's kernel is taken up a slow ramp. Both legs bend alike and share the force
 along the slope about equally, while the rear one carries ever less weight: its feet slip first. Without
 thrust the drone then settles further until the rear feet lift, whatever the friction; pressed on by thrust it
 goes over as soon as they slip, so there friction decides as well.
@@ -32,9 +32,9 @@ Table II's high friction, deg::
     0                35.2    28.6        28.6                        25.5
     12 N             68.3    44.8        42.0                        39.5
 
-So the "about 38" that a drone with bending legs was said to hold under 12 N is no equilibrium: no friction
-makes a slow ramp end below 42 deg, and another simulator's ramp (MuJoCo) ends where this one does. It is
-about what a drone holds that is set down at once.
+The "about 38" reported for a drone with bending legs under 12 N is no equilibrium: no friction makes a slow
+ramp end below 42 deg, and the ramp of another simulator (MuJoCo) ends at the same slope. A drone that is set
+down at once holds about that slope.
 """
 
 from __future__ import annotations
@@ -180,18 +180,18 @@ def rigid_limits(
     creep_speed : float
         For `RigidLimits.creep` [m/s]; 0.05 m/s is the speed below which a landing is at rest.
     """
-    own = find_surface(surface)
-    p = _Rig.of(gear, own, reverse_thrust)
-    kinetic, static = _friction(p.values, own)
+    law = find_surface(surface)
+    p = _Rig.of(gear, law, reverse_thrust)
+    kinetic, static = _friction(p.values, law)
     creep = slide = slide_limit(static, p.ratio)
-    if not own.switching and "slip_regularization" in own.reads:
+    if not law.switching and "slip_regularization" in law.reads:
         share = creep_speed / (creep_speed + p.values["slip_regularization"])
         creep = slide_limit(kinetic * share, p.ratio)
     return RigidLimits(slide, tip_limit(p.distance, p.height, p.ratio, p.values["foot_dx"]), creep)
 
 
 def ramp_limit(gear: Mapping[str, float], surface: str | Surface, reverse_thrust: float = 0.0) -> StaticLimit:
-    """Take a drone with its own, bending legs up a slow ramp until it slides or tips.
+    """Take a drone with its bending legs up a slow ramp until it slides or tips.
 
     Parameters
     ----------
@@ -236,7 +236,7 @@ def set_down_limit(
     *,
     rules: Rules | None = None,
 ) -> StaticLimit:
-    """Put a drone with its own, bending legs on slopes at once and see on which it comes to rest.
+    """Put a drone with its bending legs on slopes at once and see on which it comes to rest.
 
     Parameters
     ----------
@@ -251,11 +251,11 @@ def set_down_limit(
 
     Notes
     -----
-    It starts at rest, level with the slope, the legs unloaded and the thrust settled, and swings as its own
+    It starts at rest, level with the slope, the legs unloaded and the thrust settled, and swings as its
     dampers let it. With legs as lightly damped as the paper's the limit lies below the one of `ramp_limit`.
     """
-    own, how = find_surface(surface), rules or Rules()
-    rig = _Rig.of(gear, own, reverse_thrust)
+    law, rules = find_surface(surface), rules or Rules()
+    rig = _Rig.of(gear, law, reverse_thrust)
     slopes = np.arange(0.0, VERTICAL, _PUT)
     starts = np.zeros((len(slopes), 6))
     starts[:, 0], starts[:, 1] = (
@@ -264,15 +264,15 @@ def set_down_limit(
     )
     starts[:, 2] = slopes
     half = PiecewiseCubic.constant(-0.5 * reverse_thrust)
-    drops = Drops(slopes, starts, [np.array([0.0, how.horizon])] * len(slopes), Propulsion(half, half))
-    found = simulate_population(
-        pack(rig.values, own), drops, surface=own, tolerance=LANDING_TOLERANCE, ending=how.ending("rest")
+    drops = Drops(slopes, starts, [np.array([0.0, rules.horizon])] * len(slopes), Propulsion(half, half))
+    flown = simulate_population(
+        pack(rig.values, law), drops, surface=law, tolerance=LANDING_TOLERANCE, ending=rules.ending("rest")
     )
-    rests = np.isfinite(found.rest[0]) & ~(found.flip[0] < found.rest[0])
+    rests = np.isfinite(flown.rest[0]) & ~(flown.flip[0] < flown.rest[0])
     if rests.all():
         return StaticLimit(VERTICAL, "stays")
     first = int(np.argmin(rests))
-    leaves: How = "tips" if np.isfinite(found.flip[0][first]) else "slides"
+    leaves: How = "tips" if np.isfinite(flown.flip[0][first]) else "slides"
     return StaticLimit(max(float(slopes[first]) - 0.5 * _PUT, 0.0), leaves)
 
 

@@ -67,18 +67,18 @@ class Motors:
         pair : int
             0 rear, 1 front; they differ only in a given `MotorState`.
         """
-        told = _changes(commands)
+        changes = _changes(commands)
         now = self._state
-        key = (0 if now is None else pair, told)
+        key = (0 if now is None else pair, changes)
         if key not in self._histories:
-            times = [-1.0, *(time for time, _ in told)]
+            times = [-1.0, *(time for time, _ in changes)]
             before = self._drone.hover_command if now is None else now.command[pair]
-            levels = [before, *(level for _, level in told)]
+            levels = [before, *(level for _, level in changes)]
             self._histories[key] = thrust_history(
                 self._drone.motor,
                 times,
                 levels,
-                told[-1][0] + SETTLING,
+                changes[-1][0] + SETTLING,
                 motors=MOTORS_PER_PAIR,
                 initial="steady" if now is None else (now.current[pair], now.speed[pair]),
                 ideal_reversal=self._ideal,

@@ -13,6 +13,7 @@ from fakes.places import PUBLISHED
 from sysid import resume as blocks
 from sysid.landing import controllers
 from sysid.landing.map_store import read_maps
+from sysid.landing.maps import LandingWork
 from sysid.landing.outcomes import Outcome
 from sysid.workflows import landing_sources
 from sysid.workflows.landing import COLUMNS
@@ -165,14 +166,16 @@ def test_progress_of_few_landings_is_a_fraction(monkeypatch):
 
 def test_ctrl_c_keeps_the_finished_blocks(run, monkeypatch):
     command = ("landing-map", LF, HF, "--motor", MOTOR, *GRID, "--out", "map.h5", "--no-check")
-    report = BlockProgress.on_block
+    compute, calls = LandingWork.__call__, []
 
-    def pressed(self, rows, computed):
-        report(self, rows, computed)
-        signal.raise_signal(signal.SIGINT)
+    def pressed(self, rows):
+        if not calls:
+            signal.raise_signal(signal.SIGINT)
+        calls.append(rows)
+        return compute(self, rows)
 
     with monkeypatch.context() as patch:
-        patch.setattr(BlockProgress, "on_block", pressed)
+        patch.setattr(LandingWork, "__call__", pressed)
         code, _, err = run(*command)
     assert code == 130
     assert "continue with --resume" in err
