@@ -35,6 +35,26 @@ def run(monkeypatch, capsys):
 
 
 @pytest.fixture
+def refused(run):
+    """A command that must be refused in one sentence with these words; returns what it says.
+
+    ``refused("the seed differs", "fit-gear", file)``, or a sequence of words.
+    """
+
+    def call(words, *arguments):
+        code, out, err = run(*arguments)
+        assert code == 2, (out, err)
+        sentences = [line for line in err.splitlines() if line.startswith("error: ")]
+        assert len(sentences) == 1, err
+        assert "Traceback" not in err
+        for word in [words] if isinstance(words, str) else words:
+            assert word in sentences[0]
+        return err
+
+    return call
+
+
+@pytest.fixture
 def write(tmp_path):
     """Write a file into the test's folder: ``write("a,b\\n1,2\\n", "log.csv")`` returns its path."""
 

@@ -21,6 +21,14 @@ def campaign(tmp_path, monkeypatch):
     return tmp_path / "drops" / "campaign.toml"
 
 
+@pytest.fixture
+def cut(campaign, run):
+    """The command of a fit that its time limit has cut, for `--resume`."""
+    fit = ("fit-gear", campaign, *SMALL)
+    assert run(*fit, "--time-limit", "0.001 s")[0] == 0
+    return fit
+
+
 def assert_same_fit(a, b):
     for x, y in zip(read_fit(a).runs, read_fit(b).runs, strict=True):
         for first, second in zip(x.stages, y.stages, strict=True):
@@ -29,7 +37,7 @@ def assert_same_fit(a, b):
             np.testing.assert_array_equal(first.cost, second.cost)
 
 
-def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, run):
+def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, run, refused):
     assert run("fit-gear", campaign, *SMALL, "--out", "whole")[0] == 0
     assert not Path("whole.checkpoint").exists()
     whole = read_fit("whole")
@@ -43,29 +51,21 @@ def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, run):
     assert {s.stop_reason for r in cut.runs for s in r.stages} == {"time"}
     assert len(cut.nrmse) == 2
 
-    code, _, err = run(*fit)
-    assert code == 2
-    assert "unfinished fit is there; continue it with --resume, or discard it with --force" in err
-    code, _, err = run(*fit, "--resume", "--seed", "9")
-    assert code == 2
-    assert "the seed differs (now 9, then 1)" in err
+    refused("unfinished fit is there; continue it with --resume, or discard it with --force", *fit)
+    refused("the seed differs (now 9, then 1)", *fit, "--resume", "--seed", "9")
     code, _, err = run(*fit, "--resume")
     assert code == 0, err
     assert read_fit("cut").state == "done"
     assert not Path("cut.checkpoint").exists()
     assert_same_fit("cut", "whole")
-    code, _, err = run(*fit, "--resume")
-    assert code == 2
-    assert "no unfinished fit to continue is there" in err
+    refused("no unfinished fit to continue is there", *fit, "--resume")
 
 
-def test_fits_lists_states(campaign, run):
+def test_fits_lists_states(campaign, run, refused):
     from sysid.fit.checkpoint import checkpoint_folder
     from sysid.workflows.fits import list_fits
 
-    code, _, err = run("fits")
-    assert code == 2
-    assert "no such folder" in err
+    refused("no such folder", "fits")
     assert run("fit-gear", campaign, *SMALL, "--out", "fits/whole")[0] == 0
     cut = ("fit-gear", campaign, *SMALL, "--out", "fits/cut", "--time-limit", "0.001 s")
     assert run(*cut)[0] == 0
@@ -81,9 +81,7 @@ def test_fits_lists_states(campaign, run):
     with FileLock(checkpoint_folder("fits/cut") / "lock"):
         assert {entry.name: entry.state for entry in list_fits("fits")}["cut"] == "running"
         for more in ((), ("--resume",), ("--force",)):
-            code, _, err = run(*cut, *more)
-            assert code == 2
-            assert "another process is working on this fit; wait for it" in err
+            refused("another process is working on this fit; wait for it", *cut, *more)
     code, out, _ = run("fits")
     assert code == 0
     assert "whole" in out
@@ -173,22 +171,10 @@ def test_the_record_says_what_was_run(campaign, run):
         assert words in text
 
 
-def test_a_changed_log_is_not_continued(campaign, run):
-    fit = ("fit-gear", campaign, *SMALL)
-    assert run(*fit, "--time-limit", "0.001 s")[0] == 0
+def test_a_changed_log_is_not_continued(cut, campaign, refused):
     log = campaign.parent / "drop-2-10deg-0.80mps.csv"
     log.write_bytes(log.read_bytes() + b"\r\n")
-    code, _, err = run(*fit, "--resume")
-    assert code == 2
-    assert "log drop-2 differs" in err
-
-
-@pytest.fixture
-def cut(campaign, run):
-    """The command of a fit that its time limit has cut, for `--resume`."""
-    fit = ("fit-gear", campaign, *SMALL)
-    assert run(*fit, "--time-limit", "0.001 s")[0] == 0
-    return fit
+    refused("log drop-2 differs", *cut, "--resume")
 
 
 @pytest.mark.parametrize(
@@ -201,45 +187,34 @@ def cut(campaign, run):
         (("--max-evaluations", "900"), "the evaluation budget of a run differs (now 450, then nothing)"),
     ],
 )
-def test_another_search_is_not_continued(more, words, cut, run):
-    code, _, err = run(*cut, "--resume", *more)
-    assert code == 2
-    assert words in err
-    assert "restore it, or start again with --force" in err
+def test_another_search_is_not_continued(more, words, cut, refused):
+    assert "restore it, or start again with --force" in refused(words, *cut, "--resume", *more)
 
 
-def test_another_surface_is_not_continued(campaign, run):
+def test_another_surface_is_not_continued(cut, campaign, refused):
     # Its low friction lies outside the bounds of high friction; it is left out there.
     assert "kinetic_friction = 0.44" in campaign.read_text(encoding="utf-8")
-    fit = ("fit-gear", campaign, *SMALL)
-    assert run(*fit, "--time-limit", "0.001 s")[0] == 0
-    code, _, err = run(*fit, "--resume", "--surface", "hf")
-    assert code == 2
-    assert "the parameter table differs" in err
-    assert "restore it, or start again with --force" in err
+    refused("the parameter table differs", *cut, "--resume", "--surface", "hf")
 
 
-def test_low_friction_drops_are_fitted_on_the_high_friction_law(campaign, run):
+def test_low_friction_drops_are_fitted_on_the_high_friction_law(campaign, run, refused):
     """The stated friction, outside the bounds that high friction has, is of the other surface."""
     fit = ("fit-gear", campaign, *SMALL[:-1], "--surface", "hf", "--max-generations", "1", "--finish", "none")
     code, _, err = run(*fit)
     assert code == 0, err
     said = "surface hf: ignoring kinetic_friction, slip_regularization, which the campaign states for law lf"
     assert " ".join(err.split()).count(said) == 1
-    code, _, err = run("fit-gear", campaign, "--surface", "ice", "--force")
-    assert code == 2
-    assert "no friction law 'ice'; known are lf, hf" in err
+    refused("no friction law 'ice'; known are lf, hf", "fit-gear", campaign, "--surface", "ice", "--force")
 
 
-def test_an_edited_campaign_is_not_continued(cut, run):
+def test_an_edited_campaign_is_not_continued(cut, refused):
     path = cut[1]
     path.write_bytes(path.read_bytes() + b"# measured again in March\n")
-    code, _, err = run(*cut, "--resume")
-    assert code == 2
-    assert "cannot be continued because the campaign file differs" in err
+    refused("cannot be continued because the campaign file differs", *cut, "--resume")
 
 
-def test_another_parameter_table_is_not_continued(cut, monkeypatch, run):
+def test_another_parameter_table_or_accuracy_is_not_continued(cut, monkeypatch, refused):
+    """Both count by themselves, not only as a line of the campaign file."""
     from dataclasses import replace
 
     from sysid.gear import problem as gear
@@ -247,20 +222,11 @@ def test_another_parameter_table_is_not_continued(cut, monkeypatch, run):
 
     rows = gear.parameters_on("lf").values()
     wider = [replace(row, upper=2 * row.upper) if row.name == "ground_stiffness" else row for row in rows]
-    monkeypatch.setattr(gear, "parameters_on", lambda law: ParameterTable(wider))
-    code, _, err = run(*cut, "--resume")
-    assert code == 2
-    assert "cannot be continued because the parameter table differs" in err
-
-
-def test_another_accuracy_is_not_continued(cut, monkeypatch, run):
-    """The accuracy counts by itself, not only as a line of the campaign file."""
-    from sysid.gear import problem as gear
-
+    with monkeypatch.context() as patched:
+        patched.setattr(gear, "parameters_on", lambda law: ParameterTable(wider))
+        refused("cannot be continued because the parameter table differs", *cut, "--resume")
     monkeypatch.setattr(gear, "fit_tolerance", lambda campaign: 1e-4)
-    code, _, err = run(*cut, "--resume")
-    assert code == 2
-    assert "cannot be continued because the accuracy of a simulation differs (now 0.0001, then 0.0003)" in err
+    refused("because the accuracy of a simulation differs (now 0.0001, then 0.0003)", *cut, "--resume")
 
 
 def test_another_processor_is_noted(cut, monkeypatch, run):
