@@ -7,6 +7,7 @@ exactly this; see `sysid.export`.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
@@ -310,8 +311,11 @@ class ParameterSets:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, ParameterSets):
             return NotImplemented
-        # As text NaN equals NaN and 0.0 differs from -0.0: equal means equal bit for bit.
-        return self.document().line() == other.document().line()
+        # As text NaN equals NaN and 0.0 differs from -0.0: equal bit for bit, in any order of keys.
+        this, that = (
+            json.dumps(json.loads(sets.document().line()), sort_keys=True) for sets in (self, other)
+        )
+        return this == that
 
     __hash__ = None  # type: ignore[assignment]
 
