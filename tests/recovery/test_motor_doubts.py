@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fakes.motor_bench import edited
 from sysid.campaign import read_campaign
 from sysid.fit.problem import Course
 from sysid.fit.result import ranked_sets
@@ -59,22 +60,8 @@ def test_one_bad_point_does_not_bend_the_no_load_line(bad: int | None, miss: flo
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One short forward trial, its static logs at 11.1 V and no words on V_ref."""
     trials = (TrialPlan("forward-1", "forward", "fit", 0.25, (0.62, 0.35, 0.80), 0.45, "csv"),)
-    path = (
-        synthesize_motor(tmp_path_factory.mktemp("doubts") / "motor", seed=3, trials=trials) / "campaign.toml"
-    )
-    text = re.sub(r"^reference_voltage = .*\n", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
-def _changed(path: Path, name: str, *pairs: tuple[str, str]) -> Path:
-    text = path.read_text(encoding="utf-8")
-    for pattern, new in pairs:
-        text, count = re.subn(pattern, new, text, flags=re.MULTILINE)
-        assert count, pattern
-    other = path.with_name(name)
-    other.write_text(text, encoding="utf-8")
-    return other
+    folder = synthesize_motor(tmp_path_factory.mktemp("doubts") / "motor", seed=3, trials=trials)
+    return edited(folder / "campaign.toml", (r"^reference_voltage = .*\n", ""))
 
 
 def _bench(path: Path):
@@ -86,7 +73,7 @@ def test_the_voltage_of_the_curves_serves_where_the_fitted_logs_hold_none(tmp_pa
     path = synthesize_motor(
         tmp_path / "14.8 V", seed=3, trials=trials, parameters={"reference_voltage": 14.8}
     )
-    path = _changed(path / "campaign.toml", "silent.toml", (r"^reference_voltage = .*\n", ""))
+    path = edited(path / "campaign.toml", (r"^reference_voltage = .*\n", ""))
     bench = _bench(path)
     # The stand's supply begins 0.05 V above 14.8 V and sags by the current of full thrust, under 1 V.
     assert bench.values["reference_voltage"] == pytest.approx(14.8, rel=0.05)
@@ -99,7 +86,7 @@ def test_one_motor_constant_is_half_a_scale(campaign: Path) -> None:
     half = '[parameters.fixed]\ntorque_constant = "0.00995 N·m/A"\n'
     both = half + 'back_emf_constant = "0.00995 V·s/rad"\n'
     for name, fixed, known in (("half.toml", half, False), ("both.toml", both, True)):
-        path = _changed(campaign, name, (r"^kv = .*\n", ""), (r"^\[fit\]", f"{fixed}\n[fit]"))
+        path = edited(campaign, (r"^kv = .*\n", ""), (r"^\[fit\]", f"{fixed}\n[fit]"), name=name)
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             bench = _bench(path)
@@ -125,7 +112,7 @@ def test_a_trial_that_is_little_but_a_start_is_warned_of(campaign: Path) -> None
 
 
 def test_an_interrupted_fit_says_what_it_has_not_looked_at(campaign: Path) -> None:
-    path = _changed(campaign, "guess.toml", (r"^kv = .*\n", ""))
+    path = edited(campaign, (r"^kv = .*\n", ""), name="guess.toml")
     read = read_campaign(path, "motor")
     with pytest.warns(UserWarning, match="fix only k²/R"):
         bench = prepare_bench(read, path)

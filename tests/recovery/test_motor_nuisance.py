@@ -1,6 +1,5 @@
 """What a log may be off by on its own: starts from rest, command delay, tare, signs; and the scale of R."""
 
-import json
 import re
 import shutil
 import warnings
@@ -10,17 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid.campaign import read_campaign
+from fakes.motor_bench import bench_of, edited, table_of, write_table
 from sysid.errors import CampaignError, FitError, LogError
 from sysid.fit.search import SearchSettings, run_one
 from sysid.fit.stopping import StopRule
 from sysid.motor.dead_band import fit_saturation, named
 from sysid.motor.follow_up import log_delays
-from sysid.motor.known_values import prepare_bench, search_space
+from sysid.motor.known_values import search_space
 from sysid.motor.ladder import climb, ladder_sentences
 from sysid.motor.log_delays import averaged
 from sysid.motor.model import PARAMETERS, simulate
 from sysid.motor.problem import MotorProblem
+from sysid.synthetic import read_truth
 from sysid.synthetic.motor import TRUE_MOTOR, TrialPlan, synthesize_motor
 from sysid.workflows.fit import fit_motor
 from sysid.workflows.options import FitOptions
@@ -41,20 +41,6 @@ def _synthesize(folder: Path, seed: int, trials=SHORT, **true: float) -> Path:
     return synthesize_motor(folder, seed=seed, trials=trials, parameters=true) / "campaign.toml"
 
 
-def _edit(path: Path, *pairs: tuple[str, str]) -> Path:
-    text = path.read_text(encoding="utf-8")
-    for pattern, new in pairs:
-        text, count = re.subn(pattern, new, text, flags=re.MULTILINE)
-        assert count, pattern
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
-def _bench(path: Path):
-    campaign = read_campaign(path, "motor")
-    return campaign, prepare_bench(campaign, path)
-
-
 def _dynamic_fit(campaign, bench):
     space = search_space(campaign, bench)
     objective = MotorProblem.build(campaign, space, bench, bench.fitted, dynamic=True)
@@ -68,7 +54,7 @@ def test_starts_from_rest_do_not_bias_the_winding(tmp_path: Path, reversal: bool
     # band, L comes out 29 % low and the delay 2.6 ms late.
     trials = (*SHORT[:2], REVERSAL) if reversal else SHORT[:2]
     path = _synthesize(tmp_path / "rest", 5, trials, saturation_current=0.25, saturation_speed=11.0)
-    campaign, bench = _bench(_edit(path, (r"^start = .*\n", "")))
+    campaign, bench = bench_of(edited(path, (r"^start = .*\n", "")))
     for trial in bench.fitted:
         ((begin, end),) = trial.starts
         steps = trial.log.steps.time
@@ -93,7 +79,7 @@ def test_starts_from_rest_do_not_bias_the_winding(tmp_path: Path, reversal: bool
 
 def test_a_dead_band_that_no_log_feels_is_not_fitted(tmp_path: Path) -> None:
     path = _synthesize(tmp_path / "steady", 5, SHORT[:2])
-    campaign, bench = _bench(path)
+    campaign, bench = bench_of(path)
     assert bench.banded == ()
     space = search_space(campaign, bench)
     row = np.array([[TRUTH.get(name, 0.008) for name in space.table]])
@@ -113,7 +99,7 @@ def test_every_log_has_its_own_command_delay(tmp_path: Path) -> None:
     late = _synthesize(tmp_path / "late", 7, command_delay=0.025)
     shutil.copy(late.with_name("reverse-1.h5"), path.with_name("reverse-1.h5"))
     shutil.copy(late.with_name("forward-2.h5"), path.with_name("forward-2.h5"))
-    campaign, bench = _bench(path)
+    campaign, bench = bench_of(path)
     space, rows = _dynamic_fit(campaign, bench)
     values = named(space.table, rows[0])
     assert values["command_delay[forward-1.csv]"] == pytest.approx(0.008, abs=5e-4)
@@ -131,33 +117,23 @@ def test_every_log_has_its_own_command_delay(tmp_path: Path) -> None:
     held_out = facts["forward-2.h5"]
     assert held_out["own delay [s]"] == pytest.approx(0.025, abs=5e-4)
     assert held_out["nrmse with its own delay"] < 0.01 < held_out["nrmse"]
-    common = _edit(path, (r"^\[fit\]", '[nuisance]\ncommand_delay = "common"\n\n[fit]'))
-    campaign, bench = _bench(common)
+    common = edited(path, (r"^\[fit\]", '[nuisance]\ncommand_delay = "common"\n\n[fit]'))
+    campaign, bench = bench_of(common)
     assert "command_delay" in search_space(campaign, bench).names
-
-
-def _table_of(path: Path) -> tuple[str, np.ndarray]:
-    lines = path.read_text(encoding="utf-8-sig").splitlines()
-    return lines[0], np.array([[float(cell or "nan") for cell in line.split(",")] for line in lines[1:]])
-
-
-def _write(path: Path, header: str, table: np.ndarray) -> None:
-    np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g", encoding="utf-8")
 
 
 def test_a_tare_without_rows_at_rest_is_estimated(tmp_path: Path) -> None:
     path = _synthesize(tmp_path / "tare", 3, SHORT[:2])
     log = path.with_name("forward-1.csv")
-    header, table = _table_of(log)
+    header, table = table_of(log)
     start = float(re.search(r'start = "([\d.]+) s"', path.read_text(encoding="utf-8")).group(1))
-    _, rested = _bench(path)
-    _write(log, header, table[table[:, 0] > start - 0.3])
+    _, rested = bench_of(path)
+    write_table(log, header, table[table[:, 0] > start - 0.3])
     with pytest.warns(
         UserWarning, match=r"no row at rest: the tare of torque, .* ± .* mN·m.*record a second"
     ):
-        _, bench = _bench(path)
-    truth = json.loads(path.with_name("truth.json").read_text(encoding="utf-8"))
-    fact = next(t for t in _trials(truth) if t["name"] == "forward-1")
+        _, bench = bench_of(path)
+    fact = next(t for t in read_truth(path.parent)["trials"] if t["name"] == "forward-1")
     tares = bench.trials[0].log.tares
     # 2000 rows of 1.5 mN·m per point, six points of which the slowest is at 260 rad/s: 0.1 mN·m.
     assert tares["torque"].value == pytest.approx(fact["tare torque [N·m]"], abs=3e-4)
@@ -170,52 +146,42 @@ def test_a_tare_without_rows_at_rest_is_estimated(tmp_path: Path) -> None:
     assert bench.trials[0].provenance["tare"]["torque"]["error"] > 0
 
 
-def _trials(document: object) -> list[dict]:
-    if isinstance(document, dict):
-        if isinstance(document.get("trials"), list):
-            return document["trials"]
-        for value in document.values():
-            if found := _trials(value):
-                return found
-    return []
-
-
 def test_signs_of_torque_and_thrust_are_settled(tmp_path: Path) -> None:
     path = _synthesize(tmp_path / "signs", 4, SHORT[:2])
     log = path.with_name("forward-1.csv")
-    _, plain = _bench(path)
-    header, table = _table_of(log)
+    _, plain = bench_of(path)
+    header, table = table_of(log)
     columns = [i for i, name in enumerate(header.split(",")) if name.startswith(("Fz", "Mz"))]
     assert len(columns) == 2
     table[:, columns] *= -1.0
-    _write(log, header, table)
-    _, bench = _bench(path)
+    write_table(log, header, table)
+    _, bench = bench_of(path)
     turned, before = bench.trials[0].log, plain.trials[0].log
     assert (turned.torque_sign, turned.thrust_sign) == (-before.torque_sign, -before.thrust_sign)
     for name in ("torque", "thrust"):
         # Written with nine digits.
         np.testing.assert_allclose(turned.channels[name][1], before.channels[name][1], rtol=1e-6, atol=1e-6)
     stated = "+" if turned.thrust_sign < 0 else "-"
-    _edit(path, (r"^\[curves\]", f'[log]\nthrust_sign = "{stated}"\n\n[curves]'))
+    edited(path, (r"^\[curves\]", f'[log]\nthrust_sign = "{stated}"\n\n[curves]'))
     with pytest.raises(
         LogError, match=r"forward-1\.csv, trial 'forward-1': log\.thrust_sign = '.' gives .* mN"
     ):
-        _bench(path)
+        bench_of(path)
 
 
 def test_a_logged_motor_current_fixes_the_scale(tmp_path: Path) -> None:
     path = _synthesize(tmp_path / "current", 6, SHORT[:1])
     log = path.with_name("forward-1.csv")
-    header, table = _table_of(log)
-    truth = json.loads(path.with_name("truth.json").read_text(encoding="utf-8"))
-    steps = np.array(_trials(truth)[0]["command steps"])
+    header, table = table_of(log)
+    steps = np.array(read_truth(path.parent)["trials"][0]["command steps"])
     run = simulate(TRUTH, steps[:, 0], steps[:, 1], table[:, 0])
     noise = 0.05 * np.random.default_rng(0).standard_normal(len(table))
-    _write(log, header + ",Motor current (A)", np.column_stack([table, run.effective_current + noise + 0.2]))
-    _edit(path, (r"^kv = .*\n", ""), (r"^\[curves\]", '[log]\ncurrent = "motor"\n\n[curves]'))
+    wider = header + ",Motor current (A)"
+    write_table(log, wider, np.column_stack([table, run.effective_current + noise + 0.2]))
+    edited(path, (r"^kv = .*\n", ""), (r"^\[curves\]", '[log]\ncurrent = "motor"\n\n[curves]'))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        campaign, bench = _bench(path)
+        campaign, bench = bench_of(path)
     assert bench.scale_known
     # 0.2 A of zero offset is tared; 0.05 A of noise over 500 rows and more: 0.1 % of 2 to 10 A.
     assert bench.values["torque_constant"] == pytest.approx(0.00995, rel=5e-3)
@@ -223,26 +189,26 @@ def test_a_logged_motor_current_fixes_the_scale(tmp_path: Path) -> None:
     # 2 mN·m of bearings and iron, which the current pays for and the load cell does not feel: 5 % of hover's
     # torque, and of k_m where it is not told apart. A second coefficient triples the error.
     paid = run.effective_current + noise + 0.002 / 0.00995 * (run.speed > 1.0)
-    _write(log, header + ",Motor current (A)", np.column_stack([table, paid]))
-    rubbed = _bench(path)[1]
+    write_table(log, wider, np.column_stack([table, paid]))
+    rubbed = bench_of(path)[1]
     assert rubbed.values["torque_constant"] == pytest.approx(0.00995, rel=0.015)
     assert re.search(r"less (1\.[5-9]|2(\.\d)?) mN·m of friction", rubbed.measured["torque_constant"])
     space, rows = _dynamic_fit(campaign, bench)
     values = named(space.table, rows[0])
     assert values["winding_resistance"] == pytest.approx(0.299, rel=0.03)
     assert values["winding_inductance"] == pytest.approx(0.0038, rel=0.05)
-    _edit(path, (r"^\[motor\]", '[motor]\nkv = "480 rpm/V"'))
+    edited(path, (r"^\[motor\]", '[motor]\nkv = "480 rpm/V"'))
     with pytest.warns(
         UserWarning, match=r"motor\.kv says 0\.01989 N·m/A, torque over the logged motor current 0\.0099"
     ):
-        _bench(path)
-    _write(log, header, table)
+        bench_of(path)
+    write_table(log, header, table)
     with pytest.raises(LogError, match=r"forward-1\.csv, trial 'forward-1': .* holds no current"):
-        _bench(path)
+        bench_of(path)
 
 
 def test_without_a_scale_only_its_combinations_are_reported(tmp_path: Path, capsys) -> None:
-    path = _edit(_synthesize(tmp_path / "scale", 8, (*SHORT, REVERSAL)), (r"^kv = .*\n", ""))
+    path = edited(_synthesize(tmp_path / "scale", 8, (*SHORT, REVERSAL)), (r"^kv = .*\n", ""))
     options = FitOptions(
         tmp_path / "fit", population=24, runs=2, max_generations=40, seed=1, quiet=True,
         algorithm="cmaes", finish="none",
@@ -277,7 +243,7 @@ def test_without_a_scale_only_its_combinations_are_reported(tmp_path: Path, caps
 )
 def test_the_ladder_believes_l_only_where_it_pays(tmp_path: Path, inductance: float, useful: bool) -> None:
     path = _synthesize(tmp_path / "ladder", 9, winding_inductance=inductance)
-    campaign, bench = _bench(path)
+    campaign, bench = bench_of(path)
     space = search_space(campaign, bench)
     climbed = climb(MotorProblem.build(campaign, space, bench, bench.trials), TRUTH, False, SEARCH, 1)
     ladder = [rung.document(below) for rung, below in zip(climbed, (None, *climbed[:-1]), strict=True)]
@@ -298,8 +264,8 @@ def test_the_ladder_believes_l_only_where_it_pays(tmp_path: Path, inductance: fl
 
 
 def test_no_load_line_fitted_with_r_has_its_quality(tmp_path: Path) -> None:
-    path = _edit(_synthesize(tmp_path / "tied", 10, SHORT[:2]), (r"^no_load = \[(.|\n)*?^\]\n", ""))
-    _, bench = _bench(path)
+    path = edited(_synthesize(tmp_path / "tied", 10, SHORT[:2]), (r"^no_load = \[(.|\n)*?^\]\n", ""))
+    _, bench = bench_of(path)
     assert set(bench.curves.ties) == {"forward", "reverse"}
     for direction, tie in bench.curves.ties.items():
         fit = tie.fit(direction, 0.299 / 0.00995**2, 9.2e-9)
@@ -314,7 +280,7 @@ def test_refusals_name_the_log_and_the_trial(tmp_path: Path) -> None:
     path = _synthesize(tmp_path / "refusals", 12, SHORT[:2])
     original = path.read_text(encoding="utf-8")
     log = path.with_name("forward-1.csv")
-    header, table = _table_of(log)
+    header, table = table_of(log)
     names = header.split(",")
     column = {
         short: next(i for i, n in enumerate(names) if n.startswith(short)) for short in ("Mz", "Command")
@@ -324,13 +290,13 @@ def test_refusals_name_the_log_and_the_trial(tmp_path: Path) -> None:
     # A window at one steady command, and a torque that never moves in it.
     dead = table.copy()
     dead[:, column["Mz"]] = 0.01
-    _write(log, header, dead)
-    campaign, bench = _bench(path)
+    write_table(log, header, dead)
+    campaign, bench = bench_of(path)
     with pytest.raises(FitError, match=r"trial 'forward-1' of forward-1\.csv, stator_torque: constant"):
         MotorProblem.build(campaign, search_space(campaign, bench), bench, bench.fitted)
-    _write(log, header, table)
+    write_table(log, header, table)
     # Static curves from the trial itself, whose commands change too fast for one steady segment.
-    _edit(
+    edited(
         path,
         (r"^static = \[(.|\n)*?^\]\n", ""),
         (rf'^start = "{start} s"', f'start = "{start} s"\nend = "{end} s"'),
@@ -338,13 +304,13 @@ def test_refusals_name_the_log_and_the_trial(tmp_path: Path) -> None:
     with pytest.raises(
         (LogError, FitError), match=r"forward-1\.csv, trial 'forward-1'.*(no steady segment|at least 3)"
     ):
-        _bench(path)
+        bench_of(path)
     path.write_text(original, encoding="utf-8")
     blank = table.copy()
     blank[:, column["Command"]] = np.nan
-    _write(log, header, blank)
+    write_table(log, header, blank)
     with pytest.raises(LogError, match=r"forward-1\.csv"):
-        _bench(path)
+        bench_of(path)
 
 
 def test_bounds_of_either_stage_do_not_hinder_the_other(tmp_path: Path) -> None:
@@ -352,7 +318,7 @@ def test_bounds_of_either_stage_do_not_hinder_the_other(tmp_path: Path) -> None:
     path = _synthesize(tmp_path / "bounds", 13, (*SHORT[:1], REVERSAL))
     text = '[parameters.bounds]\nwinding_resistance = ["0.1 ohm", "1 ohm"]\n'
     text += 'saturation_speed = ["1 rad/s", "50 rad/s"]\n'
-    campaign, bench = _bench(_edit(path, (r"^\[fit\]", text + "\n[fit]")))
+    campaign, bench = bench_of(edited(path, (r"^\[fit\]", text + "\n[fit]")))
     space = search_space(campaign, bench)
     assert (space.free[0].lower, space.free[0].upper) == (0.1, 1.0)
     row = np.array([[TRUTH.get(name, 0.008) for name in space.table]])
@@ -360,7 +326,7 @@ def test_bounds_of_either_stage_do_not_hinder_the_other(tmp_path: Path) -> None:
     found = fit_saturation(MotorProblem.build(campaign, space, bench, bench.trials), row, few, (1,))
     assert found is not None
     assert [(r.lower, r.upper) for r in found.free[1:2]] == [(1.0, 50.0)]
-    _edit(path, (r"^saturation_speed = .*$", 'rotor_inertia = ["1e-5 kg·m²", "1e-4 kg·m²"]'))
-    campaign, bench = _bench(path)
+    edited(path, (r"^saturation_speed = .*$", 'rotor_inertia = ["1e-5 kg·m²", "1e-4 kg·m²"]'))
+    campaign, bench = bench_of(path)
     with pytest.raises(CampaignError, match=r"parameters\.bounds\.rotor_inertia: the parameter is not free"):
         search_space(campaign, bench)

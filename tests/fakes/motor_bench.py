@@ -1,0 +1,45 @@
+"""Small motor campaigns on disk: written, edited and read by the tests of motor fits."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from sysid.campaign import read_campaign
+from sysid.motor.known_values import prepare_bench
+
+
+def edited(path: Path, *pairs: tuple[str, str], name: str = "") -> Path:
+    """Replace patterns, every one of which must occur, in a campaign or in a copy of that name beside it."""
+    text = path.read_text(encoding="utf-8")
+    for pattern, new in pairs:
+        text, count = re.subn(pattern, new, text, flags=re.MULTILINE)
+        assert count, pattern
+    other = path.with_name(name or path.name)
+    other.write_text(text, encoding="utf-8")
+    return other
+
+
+def with_trials(path: Path, keep, name: str, *pairs: tuple[str, str]) -> Path:
+    """Write a copy with the `[[trials]]` tables that `keep` accepts, edited."""
+    head, *trials = path.read_text(encoding="utf-8").split("[[trials]]")
+    other = path.with_name(name)
+    other.write_text("[[trials]]".join([head, *filter(keep, trials)]), encoding="utf-8")
+    return edited(other, *pairs)
+
+
+def bench_of(path: Path):
+    """Return a campaign and its prepared bench."""
+    campaign = read_campaign(path, "motor")
+    return campaign, prepare_bench(campaign, path)
+
+
+def table_of(path: Path) -> tuple[str, np.ndarray]:
+    """Return the header of a CSV log and its numbers; NaN where a cell is blank."""
+    lines = path.read_text(encoding="utf-8-sig").splitlines()
+    return lines[0], np.array([[float(cell or "nan") for cell in line.split(",")] for line in lines[1:]])
+
+
+def write_table(path: Path, header: str, table: np.ndarray) -> None:
+    """Write a CSV log with nine digits."""
+    np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g", encoding="utf-8")
