@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from sysid.errors import ExportError
 from sysid.fit.result import FitResult
@@ -46,6 +47,7 @@ _DISPLAY: dict[str, tuple[str, str, float]] = {
 }
 # Residuals of some units are easier to read in a smaller one.
 _FINER = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _FORMATS = (".png", ".pdf", ".svg")
 _INDEXED = re.compile(r"(\w[^\W_]*)_([^\W_]+)")
 
@@ -106,6 +108,19 @@ def percent_axis(axes: Axes, values: FloatArray) -> None:
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0), numticks=12))
         axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:.4g}"))
+
+
+def plain_powers(*axis: Axis) -> None:
+    """Label the powers of ten of logarithmic axes as plain text, which draws faster than formulas."""
+    for each in axis:
+        low, high = each.get_view_interval()
+        if high > 10 * low:
+            each.set_major_formatter(FuncFormatter(lambda value, _: _power(value)))
+            each.set_minor_formatter(NullFormatter())
+
+
+def _power(value: float) -> str:
+    return "10" + str(round(np.log10(value))).translate(_RAISED) if value > 0 else ""
 
 
 def percent_text(share: float) -> str:

@@ -34,6 +34,7 @@ from sysid.report.drawing import (
     panel,
     percent_axis,
     percent_text,
+    plain_powers,
     thinned,
     tidy,
 )
@@ -65,7 +66,9 @@ def figure_channel(fit: FitResult, trial: TrialResult, channel: int, *, bars: Ba
     _draw_signals(top, fit, trial, channel, bars or {})
     _draw_residual(bottom, fit, trial, channel)
     name, _, _ = display_of(fit, channel)
-    top.set_title(f"{name}: NRMSE {percent_text(_best_nrmse(trial, channel))}", fontsize=9.5, loc="left")
+    # Apart, because formulas are slow to set and this one is set once for all trials.
+    top.set_title(name, fontsize=9.5, loc="left")
+    top.set_title(f"NRMSE {percent_text(_best_nrmse(trial, channel))}", fontsize=9.5, loc="right")
     bottom.set_xlabel("time in the window [s]")
     figure.align_ylabels([top, bottom])
     return figure
@@ -240,9 +243,9 @@ def _draw_bars(axes: Axes, bars: Bars) -> None:
     axes.set_ylim(bottom, high)
     for i, intervals in enumerate(bars.values()):
         y = bottom + row * (0.7 + i)
-        for start, end in intervals:
-            look: dict[str, Any] = {"color": _BARS[i % len(_BARS)], "linewidth": 3, "zorder": 5}
-            axes.plot([start, max(end, start + _SHORTEST_BAR)], [y, y], solid_capstyle="butt", **look)
+        starts = [start for start, _ in intervals]
+        ends = [max(end, start + _SHORTEST_BAR) for start, end in intervals]
+        axes.hlines([y] * len(starts), starts, ends, color=_BARS[i % len(_BARS)], linewidth=3, zorder=5)
 
 
 def _shade(axes: Axes, trial: TrialResult) -> None:
@@ -393,46 +396,28 @@ def figure_spread(fit: FitResult) -> Figure:
 
 
 def figure_spectrum(
-    fit: FitResult,
-    spectra: Sequence[tuple[str, Spectrum]],
-    channel: int,
-    gain: tuple[FloatArray, FloatArray] | None,
+    fit: FitResult, spectra: Sequence[Spectrum], channel: int, gain: tuple[FloatArray, FloatArray] | None
 ) -> Figure:
-    """Draw the spectra of one channel before the filter, and the filter's gain over them.
-
-    Parameters
-    ----------
-    fit : FitResult
-    spectra : sequence of (trial, Spectrum)
-    channel : int
-    gain : (frequency [Hz], gain [dB]), optional
-        Of the filter.
-    """
-    figure = panel(3.2)
-    axes = figure.add_subplot()
+    """Draw the spectra of one channel before the filter, and the filter's gain [dB] over frequency [Hz]."""
+    figure = Figure(figsize=(WIDTH, 3.2))
+    axes = figure.add_axes((0.19, 0.15, 0.64, 0.81))
     name, unit, factor = display_of(fit, channel)
-    for number, (_, spectrum) in enumerate(spectra):
+    for spectrum in spectra:
         density = factor * spectrum.density[:, channel]
         if np.any(np.isfinite(density)):
-            axes.loglog(
-                spectrum.frequency,
-                density,
-                color="0.6",
-                linewidth=0.7,
-                label="trials, unfiltered" if number == 0 else None,
-            )
+            axes.loglog(spectrum.frequency, density, color="0.6", linewidth=0.7)
+    plain_powers(axes.xaxis, axes.yaxis)
     axes.set_xlabel("frequency [Hz]")
     axes.set_ylabel(f"{name} [{unit}/√Hz]")
     axes.grid(True, color="0.92")
+    handles = [Line2D([], [], color="0.6", linewidth=0.7, label="trials, unfiltered")]
     if gain is not None:
         right = axes.twinx()
-        right.plot(*gain, color=BEST, linewidth=1.5, label="filter")
+        handles += right.plot(*gain, color=BEST, linewidth=1.5, label="filter")
         right.set_ylim(-90, 6)
         right.set_ylabel("gain of the filter [dB]", color=BEST)
         right.tick_params(axis="y", colors=BEST)
-        handles = [*axes.get_legend_handles_labels()[0], *right.get_legend_handles_labels()[0]]
         axes.legend(handles=handles, frameon=False, fontsize=8, loc="lower left")
-        axes.set_zorder(0)
     return figure
 
 

@@ -431,10 +431,10 @@ class FitReport:
         return [(known[name], each) for name, each in (self.fit.settings.get("profiles") or {}).items()]
 
     def _spectra(self) -> dict[str, Figure]:
-        spectra = [(trial.name, trial.spectrum) for trial in self.trials if trial.spectrum is not None]
+        spectra = [trial.spectrum for trial in self.trials if trial.spectrum is not None]
         if not spectra:
             return {}
-        highest = max(float(spectrum.frequency[-1]) for _, spectrum in spectra)
+        highest = max(float(spectrum.frequency[-1]) for spectrum in spectra)
         gain = filter_gain(self.fit.provenance.get("filter", {}), highest)
         return {
             channel: figure_spectrum(self.fit, spectra, c, gain)
