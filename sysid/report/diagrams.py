@@ -17,7 +17,13 @@ from sysid.report.snapshots import BODY, FRICTION, GROUND, NORMAL
 from sysid.types import FloatArray
 
 _DIMENSION, _WEIGHT, _THRUST, _AXES = "#009E73", "#7A5195", "#E69F00", "#555555"
-MODES = ("both slip", "rear sticks", "front sticks", "both stick")
+# What the rear and the front foot do in each.
+_FEET = {
+    "both slip": ("slips", "slips"),
+    "rear sticks": ("sticks", "slips"),
+    "front sticks": ("slips", "sticks"),
+    "both stick": ("sticks", "sticks"),
+}
 
 
 def figure_geometry(values: Mapping[str, float], slope: float) -> Figure:
@@ -30,10 +36,8 @@ def figure_geometry(values: Mapping[str, float], slope: float) -> Figure:
     slope : float
         [rad]
     """
-    v = {
-        name: 1e3 * values[f"{name}"]
-        for name in ("joint_dx", "joint_dz", "foot_dx", "foot_dz", "thrust_point_dx")
-    }
+    lengths = ("joint_dx", "joint_dz", "foot_dx", "foot_dz", "thrust_point_dx")
+    v = {name: 1e3 * values[name] for name in lengths}
     # As wide as a phone shows it: letters keep their size.
     figure = Figure(figsize=(WIDTH, 4.1), layout="constrained")
     axes = figure.add_subplot()
@@ -54,26 +58,14 @@ def figure_geometry(values: Mapping[str, float], slope: float) -> Figure:
         axes.plot(*foot, marker="o", markersize=5, color=BODY, zorder=4)
         motor = np.array([side * v["thrust_point_dx"], 0.0])
         axes.plot([motor[0], motor[0]], [0, 0.14 * unit], color=BODY, linewidth=2)
-        axes.plot(
-            [motor[0] - 0.42 * unit, motor[0] + 0.42 * unit], [0.14 * unit] * 2, color=BODY, linewidth=2
-        )
+        blade = [motor[0] - 0.42 * unit, motor[0] + 0.42 * unit]
+        axes.plot(blade, [0.14 * unit] * 2, color=BODY, linewidth=2)
         _arrow(axes, (motor[0], 0.14 * unit), (0, 0.42 * unit), _THRUST)
-        name = r"$T_r$" if side < 0 else r"$T_f$"
-        axes.text(
-            motor[0] + side * 8,
-            0.5 * unit,
-            name,
-            color=_THRUST,
-            fontsize=9,
-            ha="left" if side > 0 else "right",
-        )
+        name, way = (r"$T_r$", "right") if side < 0 else (r"$T_f$", "left")
+        _write(axes, (motor[0] + side * 8, 0.5 * unit), name, _THRUST, ha=way, va="baseline")
     axes.plot([-v["thrust_point_dx"], v["thrust_point_dx"]], [0, 0], color=BODY, linewidth=3, zorder=3)
-    hull = [
-        (-v["joint_dx"], -v["joint_dz"]),
-        (v["joint_dx"], -v["joint_dz"]),
-        (0.3 * unit, 0.09 * unit),
-        (-0.3 * unit, 0.09 * unit),
-    ]
+    low, high = (v["joint_dx"], -v["joint_dz"]), (0.3 * unit, 0.09 * unit)
+    hull = [(-low[0], low[1]), low, high, (-high[0], high[1])]
     axes.add_patch(Polygon(hull, facecolor="#DDDDDD", edgecolor=BODY, linewidth=1.2, zorder=2))
     axes.plot(0, 0, marker="o", markersize=6, color="black", zorder=5)
     _lengths(axes, v, unit)
@@ -85,7 +77,7 @@ def figure_geometry(values: Mapping[str, float], slope: float) -> Figure:
 
 
 def _lengths(axes: Axes, v: Mapping[str, float], unit: float) -> None:
-    look: dict[str, Any] = {"fontsize": 8, "color": _DIMENSION, "va": "center"}
+    look: dict[str, Any] = {"fontsize": 8}
     axes.plot([0, 0], [0.55 * unit, 1.17 * unit], color=_DIMENSION, linewidth=0.6)
     for level, name, symbol, foot in (
         (0.72, "joint_dx", "dx_j", -v["joint_dz"]),
@@ -95,7 +87,7 @@ def _lengths(axes: Axes, v: Mapping[str, float], unit: float) -> None:
         x, z = v[name], level * unit
         axes.plot([x, x], [foot, z + 0.05 * unit], color=_DIMENSION, linewidth=0.6, zorder=1)
         _dimension(axes, (0, z), (x, z))
-        axes.text(-6, z, f"${symbol}$ = {x:.0f} mm", ha="right", **look)
+        _write(axes, (-6, z), f"${symbol}$ = {x:.0f} mm", _DIMENSION, **look)
     # The feet's depth on the left, the joints' on the right.
     left, right = -v["thrust_point_dx"] - 0.3 * unit, v["thrust_point_dx"] + 0.12 * unit
     for x, start, name, symbol in (
@@ -109,41 +101,35 @@ def _lengths(axes: Axes, v: Mapping[str, float], unit: float) -> None:
         _dimension(axes, (x, 0), (x, z))
         words = f"${symbol}$ = {v[name]:.0f} mm"
         if x < 0:
-            axes.text(x - 5, 0.3 * z, words, ha="right", rotation=90, **look)
+            _write(axes, (x - 5, 0.3 * z), words, _DIMENSION, rotation=90, **look)
         else:
-            axes.text(x + 5, 0.5 * z, words, ha="left", **look)
+            _write(axes, (x + 5, 0.5 * z), words, _DIMENSION, ha="left", **look)
 
 
 def _forces(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, normal: FloatArray) -> None:
     _arrow(axes, np.zeros(2), np.array([0, -0.5 * unit]), _WEIGHT)
     # To the left: the angle of the leg is written to the right.
-    axes.text(-6, -0.5 * unit, r"$m_B\,g$", color=_WEIGHT, fontsize=9, ha="right", va="center")
+    _write(axes, (-6, -0.5 * unit), r"$m_B\,g$", _WEIGHT)
     joint, foot = np.array([v["joint_dx"], -v["joint_dz"]]), np.array([v["foot_dx"], -v["foot_dz"]])
     middle = 0.5 * (joint + foot)
     _arrow(axes, middle, np.array([0, -0.34 * unit]), _WEIGHT)
-    axes.text(
-        middle[0] - 5,
-        middle[1] - 0.32 * unit,
-        r"$m_{leg}\,g$",
-        color=_WEIGHT,
-        fontsize=9,
-        ha="right",
-        va="center",
-    )
+    _write(axes, (middle[0] - 5, middle[1] - 0.32 * unit), r"$m_{leg}\,g$", _WEIGHT)
     rear = np.array([-v["foot_dx"], -v["foot_dz"]])
     _arrow(axes, rear, 0.5 * unit * normal, NORMAL)
     tip = rear + 0.52 * unit * normal
-    axes.text(tip[0] + 2, tip[1], r"$F_n$", color=NORMAL, fontsize=9, ha="left", va="center")
+    _write(axes, (tip[0] + 2, tip[1]), r"$F_n$", NORMAL, ha="left")
     _arrow(axes, rear, -0.42 * unit * along, FRICTION)
     tip = rear - 0.46 * unit * along
-    axes.text(tip[0], tip[1] + 0.07 * unit, r"$F_t$", color=FRICTION, fontsize=9, ha="right", va="bottom")
-    _named(
-        axes,
-        "axial: $k_h$, $b_h$\nbending: $k_t$, $b_t$",
-        joint,
-        (v["thrust_point_dx"] + 0.12 * unit, -0.42 * unit),
-    )
+    _write(axes, (tip[0], tip[1] + 0.07 * unit), r"$F_t$", FRICTION, va="bottom")
+    place = (v["thrust_point_dx"] + 0.12 * unit, -0.42 * unit)
+    _named(axes, "axial: $k_h$, $b_h$\nbending: $k_t$, $b_t$", joint, place)
     _named(axes, "ground: $k_s$, $b_s$, $\\mu$", rear, (rear[0] + 0.3 * unit, rear[1] - 0.55 * unit))
+
+
+def _write(axes: Axes, place: Any, words: str, colour: str, **look: Any) -> None:
+    """Write words at a place, by default to its left."""
+    chosen: dict[str, Any] = {"fontsize": 9, "ha": "right", "va": "center"} | look
+    axes.text(float(place[0]), float(place[1]), words, color=colour, **chosen)
 
 
 def _named(axes: Axes, words: str, what: FloatArray, place: tuple[float, float]) -> None:
@@ -159,44 +145,24 @@ def _frames(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, 
     origin = rear + (2 * v["foot_dx"] + 0.12 * unit) * along
     up, right = np.array([0.0, 1.0]), np.array([1.0, 0.0])
     _axes(axes, origin, along, normal, size, "A")
-    _axes(
-        axes, np.array([-v["thrust_point_dx"] - 0.5 * unit, -v["foot_dz"] - 0.6 * unit]), right, up, size, "N"
-    )
+    corner = np.array([-v["thrust_point_dx"] - 0.5 * unit, -v["foot_dz"] - 0.6 * unit])
+    _axes(axes, corner, right, up, size, "N")
     _axes(axes, np.zeros(2), right, up, size, "B")
     joint, foot = np.array([v["joint_dx"], -v["joint_dz"]]), np.array([v["foot_dx"], -v["foot_dz"]])
     for side, name in ((-1, "C"), (1, "D")):
         # Along the leg and across it, drawn beside it on the outer side.
         leg = np.array([side, 1.0]) * (joint - foot)
         z = leg / np.hypot(*leg)
-        outer = 0.62 * unit if side < 0 else 0.3 * unit
-        middle = np.array([side, 1.0]) * (0.5 * joint + 0.5 * foot) + np.array(
-            [side * outer, (0.12 if side < 0 else -0.08) * unit]
-        )
+        aside = unit * np.array([-0.62, 0.12] if side < 0 else [0.3, -0.08])
+        middle = np.array([side, 1.0]) * (0.5 * joint + 0.5 * foot) + aside
         _axes(axes, middle, np.array([z[1], -z[0]]), z, 0.8 * size, name)
     # The angle at rest, from straight down to the leg, at the front joint.
     angle = float(np.degrees(np.arctan2(foot[0] - joint[0], joint[1] - foot[1])))
-    axes.plot(
-        [joint[0]] * 2, [joint[1], joint[1] - 0.5 * unit], color=_DIMENSION, linewidth=0.6, linestyle="--"
-    )
-    axes.add_patch(
-        Arc(
-            (float(joint[0]), float(joint[1])),
-            0.8 * unit,
-            0.8 * unit,
-            theta1=-90,
-            theta2=-90 + angle,
-            color=_DIMENSION,
-        )
-    )
-    axes.text(
-        joint[0] - 3,
-        joint[1] - 0.62 * unit,
-        f"$q_n$ = {angle:.0f}°",
-        fontsize=8,
-        color=_DIMENSION,
-        ha="right",
-        va="center",
-    )
+    x, z = map(float, joint)
+    axes.plot([x, x], [z, z - 0.5 * unit], color=_DIMENSION, linewidth=0.6, linestyle="--")
+    size = 0.8 * unit
+    axes.add_patch(Arc((x, z), size, size, theta1=-90, theta2=-90 + angle, color=_DIMENSION))
+    _write(axes, (x - 3, z - 0.62 * unit), f"$q_n$ = {angle:.0f}°", _DIMENSION, fontsize=8)
 
 
 def _axes(axes: Axes, origin: FloatArray, x: FloatArray, z: FloatArray, size: float, name: str) -> None:
@@ -206,7 +172,7 @@ def _axes(axes: Axes, origin: FloatArray, x: FloatArray, z: FloatArray, size: fl
         if way is x and name in "AB":  # beside the slope's line and the arms, not on them
             place = place + (0.35 if name == "B" else -0.3) * size * z
         words = rf"$\hat{{{symbol}}}_{name}$"
-        axes.text(place[0], place[1], words, fontsize=8.5, ha="center", va="center", color=_AXES)
+        _write(axes, place, words, _AXES, fontsize=8.5, ha="center")
 
 
 def _arrow(axes: Axes, start: Any, step: Any, colour: str, *, width: float = 2.0) -> None:
@@ -252,13 +218,12 @@ def foot_transitions() -> tuple[tuple[str, str, str], ...]:
 
 def mode_shares(drops: Sequence[DropReplay]) -> dict[str, float]:
     """Return the share of time in each mode while a foot is down, from samples of a millisecond."""
-    counts = dict.fromkeys(MODES, 0)
+    counts = dict.fromkeys(_FEET, 0)
     for drop in drops:
-        down = np.nan_to_num(drop.normal_force) > 0.0
-        for mode, chosen in zip(MODES, ((0, 0), (1, 0), (0, 1), (1, 1)), strict=True):
-            counts[mode] += int(
-                np.sum(down.any(axis=1) & (drop.sticks == np.array(chosen, dtype=bool)).all(axis=1))
-            )
+        grounded = (np.nan_to_num(drop.normal_force) > 0.0).any(axis=1)
+        for mode, feet in _FEET.items():
+            stuck = np.array([foot == "sticks" for foot in feet])
+            counts[mode] += int(np.sum(grounded & (drop.sticks == stuck).all(axis=1)))
     total = sum(counts.values())
     return {mode: count / total for mode, count in counts.items()} if total else {}
 
@@ -274,57 +239,34 @@ def figure_modes(shares: Mapping[str, float] | None = None) -> Figure:
     figure = Figure(figsize=(4.9, 4.4), layout="constrained")
     axes = figure.add_subplot()
     axes.set_axis_off()
-    places = {
-        "both slip": (0.0, 0.0),
-        "rear sticks": (1.0, 1.0),
-        "front sticks": (1.0, -1.0),
-        "both stick": (2.0, 0.0),
-    }
-    feet = {
-        "both slip": ("slips", "slips"),
-        "rear sticks": ("sticks", "slips"),
-        "front sticks": ("slips", "sticks"),
-        "both stick": ("sticks", "sticks"),
-    }
+    places = dict(zip(_FEET, ((0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (2.0, 0.0)), strict=True))
     for mode, (x, y) in places.items():
-        box = FancyBboxPatch(
-            (x - 0.36, y - 0.2),
-            0.72,
-            0.4,
-            boxstyle="round,pad=0.02,rounding_size=0.1",
-            facecolor="white",
-            edgecolor=BODY,
-            linewidth=1.4,
-            zorder=3,
-        )
-        axes.add_patch(box)
+        look: dict[str, Any] = {"facecolor": "white", "edgecolor": BODY, "linewidth": 1.4, "zorder": 3}
+        style = "round,pad=0.02,rounding_size=0.1"
+        axes.add_patch(FancyBboxPatch((x - 0.36, y - 0.2), 0.72, 0.4, boxstyle=style, **look))
         # Shares are of the time on the ground.
         flight = "\n(also in flight)" if mode == "both slip" and not shares else ""
         share = f"\n{100 * shares[mode]:.0f} % on the ground" if shares else ""
-        axes.text(x, y, f"{mode}{flight}{share}", ha="center", va="center", fontsize=8, zorder=4)
+        _write(axes, (x, y), f"{mode}{flight}{share}", "black", ha="center", fontsize=8, zorder=4)
     colours = {("slips", "sticks"): NORMAL, ("sticks", "slips"): FRICTION}
-    told: dict[str, str] = {}
+    conditions: dict[str, str] = {}
     for before, condition, after in foot_transitions():
         if before == after:
             continue
         colour = colours[before, after]
-        told[colour] = f"{before} to {after}: {condition}"
-        for start, own in feet.items():
+        conditions[colour] = f"{before} to {after}: {condition}"
+        for start, feet in _FEET.items():
             for foot in (0, 1):
-                if own[foot] != before:
+                if feet[foot] != before:
                     continue
-                changed = tuple(after if k == foot else own[k] for k in (0, 1))
-                end = next(mode for mode, other in feet.items() if other == changed)
+                changed = tuple(after if k == foot else feet[k] for k in (0, 1))
+                end = next(mode for mode, other in _FEET.items() if other == changed)
                 _edge(axes, places[start], places[end], colour)
-    for row, (colour, text) in enumerate(told.items()):
-        axes.text(1.0, -1.55 - 0.22 * row, text, color=colour, fontsize=9.5, ha="center", va="center")
-    for x, y, mover in (
-        (0.22, 0.74, "rear"),
-        (1.78, 0.74, "front"),
-        (0.22, -0.74, "front"),
-        (1.78, -0.74, "rear"),
-    ):
-        axes.text(x, y, f"{mover} foot", fontsize=8, color="0.35", ha="center", va="center")
+    for row, (colour, text) in enumerate(conditions.items()):
+        _write(axes, (1.0, -1.55 - 0.22 * row), text, colour, ha="center", fontsize=9.5)
+    for x, y in ((0.22, 0.74), (1.78, 0.74), (0.22, -0.74), (1.78, -0.74)):
+        mover = "rear" if (x < 1) == (y > 0) else "front"
+        _write(axes, (x, y), f"{mover} foot", "0.35", ha="center", fontsize=8)
     axes.set_xlim(-0.5, 2.5)
     axes.set_ylim(-2.0, 1.3)
     return figure

@@ -51,6 +51,17 @@ _LONGEST_NAME = 30
 # Markers of optima, best first.
 _MARKERS = "osD^vP*X"
 
+# Filters by the kind that a result states, and the keys of their arguments.
+_FILTERS: dict[str, tuple[Any, ...]] = {
+    "kaiser, zero phase": (
+        KaiserLowpass, "rate [Hz]", "cut-off [Hz]", "attenuation [dB]", "transition [Hz]",
+    ),
+    "chebyshev-2, forward-backward": (
+        ChebyshevLowpass, "rate [Hz]", "stop-band edge [Hz]", "order of one pass",
+        "attenuation of one pass [dB]",
+    ),
+}  # fmt: skip
+
 # Intervals (start, end) [s] since the window's start by what happens in them, such as a foot on the ground.
 Bars = Mapping[str, Sequence[tuple[float, float]]]
 # A colour, the way it is drawn (``line``, ``thick``, ``dots``, ``bar`` or ``area``), and words.
@@ -354,37 +365,19 @@ def figure_spread(fit: FitResult) -> Figure:
     free = [i for i, r in enumerate(fit.parameters) if r.status == "free" and None not in (r.lower, r.upper)]
     figure = panel(0.9 + 0.36 * max(1, len(free)))
     axes = figure.add_subplot()
+    labels = []
     for row, i in enumerate(free):
-        record = fit.parameters[i]
-        assert record.lower is not None
-        assert record.upper is not None
-        low, high, values = record.lower, record.upper, fit.values[:, i]
-        if record.scale == "log":
-            place = np.log(values / low) / np.log(high / low)
-        else:
-            place = (values - low) / (high - low)
+        record, values = fit.parameters[i], fit.values[:, i]
+        low, high = float(record.lower or 0.0), float(record.upper or 0.0)
+        logarithmic = record.scale == "log"
+        place = np.log(values / low) / np.log(high / low) if logarithmic else (values - low) / (high - low)
         axes.plot([0, 1], [row, row], color="0.85", linewidth=4, solid_capstyle="butt", zorder=1)
-        axes.plot(
-            place[1:],
-            np.full(len(place) - 1, row),
-            linestyle="none",
-            marker="o",
-            markersize=5,
-            color=OTHERS,
-            zorder=3,
-        )
-        axes.plot(place[:1], [row], linestyle="none", marker="D", markersize=6, color=BEST, zorder=4)
+        axes.plot(place[1:], [row] * (len(place) - 1), "o", markersize=5, color=OTHERS, zorder=3)
+        axes.plot(place[:1], [row], "D", markersize=6, color=BEST, zorder=4)
         axes.text(-0.08, row, f"{low:g}", ha="right", va="center", fontsize=7.5)
         axes.text(1.05, row, f"{high:g}", ha="left", va="center", fontsize=7.5)
-    axes.set_yticks(range(len(free)))
-    axes.set_yticklabels(
-        [
-            axis_label(as_math(fit.parameters[i].symbol), fit.parameters[i].unit)
-            + (" (log)" if fit.parameters[i].scale == "log" else "")
-            for i in free
-        ],
-        fontsize=8,
-    )
+        labels.append(axis_label(as_math(record.symbol), record.unit) + (" (log)" if logarithmic else ""))
+    axes.set_yticks(range(len(free)), labels, fontsize=8)
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(free) - 0.4, -0.6)
     axes.set_xlim(-0.26, 1.26)
@@ -421,23 +414,11 @@ def figure_spectrum(
     return figure
 
 
-def filter_gain(design: dict[str, Any], highest: float) -> tuple[FloatArray, FloatArray] | None:
+def filter_gain(design: Mapping[str, Any], highest: float) -> tuple[FloatArray, FloatArray] | None:
     """Return the gain of a filter as it stands in a result: frequency [Hz] and gain [dB]."""
-    kind = str(design.get("kind", "none"))
-    frequency = np.geomspace(1.0, highest, 400)
-    if kind.startswith("kaiser"):
-        kaiser = KaiserLowpass(
-            design["rate [Hz]"], design["cut-off [Hz]"], design["attenuation [dB]"], design["transition [Hz]"]
-        )
-        gain = np.abs(kaiser.gain(frequency))
-    elif kind.startswith("chebyshev"):
-        cheby = ChebyshevLowpass(
-            design["rate [Hz]"],
-            design["stop-band edge [Hz]"],
-            design["order of one pass"],
-            design["attenuation of one pass [dB]"],
-        )
-        gain = cheby.gain(frequency)
-    else:
+    if design.get("kind") not in _FILTERS:
         return None
+    make, *keys = _FILTERS[design["kind"]]
+    frequency = np.geomspace(1.0, highest, 400)
+    gain = np.abs(make(*(design[key] for key in keys)).gain(frequency))
     return frequency, 20 * np.log10(np.maximum(gain, 1e-6))

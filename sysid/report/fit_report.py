@@ -69,44 +69,56 @@ class Section:
     text: str = ""
 
 
-PARAMETERS = Section(
-    "Parameters",
-    ("parameters",),
-    "Identified values first, set by set; then their mean and spread over the runs, beside what was measured "
-    "independently and the bounds of the search, in the layout of the paper's Tables I and II.",
-)
-MEASURED = Section(
-    "Measured and simulated",
-    ("measured_against_simulated",),
-    "Dots or a black line: measured, filtered as the campaign says. Orange: the best set.",
-)
-ERRORS = Section("Errors", ("trial_errors",), "rms error over the spread of the measurement, by channel.")
-CONVERGENCE = Section(
-    "Convergence",
-    ("convergence",),
-    "Every run starts from its own random seed. Runs that end in the same optimum are a good sign, not a "
-    "proof.",
-)
-SPREAD = Section("Spread", ("spread",))
-PROFILES = Section(
-    "Profiles",
-    ("profiles",),
-    "One parameter is kept at each value of the axis while all others are fitted again. Where the curve "
-    "stays low, the data do not tell the values apart.",
-)
-CORRELATION = Section(
-    "Correlation",
-    ("correlation",),
-    "Parameters that stand in for each other cannot be told apart by these trials.",
-)
-VALIDATION = Section("Validation", ("validation",), "The same sets on trials that the search never saw.")
-FILTER = Section(
-    "Filter",
-    ("filter_response",),
-    "What was measured, over frequency, and what the filter leaves of it. Signal that the filter takes away "
-    "is not compared.",
-)
-PROVENANCE = Section("Provenance", ("provenance",))
+# The sections of every fit.
+SECTIONS = {
+    section.title: section
+    for section in (
+        Section(
+            "Parameters",
+            ("parameters",),
+            "Identified values first, set by set; then their mean and spread over the runs, beside what was "
+            "measured independently and the bounds of the search, in the layout of the paper's Tables I and "
+            "II.",
+        ),
+        Section(
+            "Measured and simulated",
+            ("measured_against_simulated",),
+            "Dots or a black line: measured, filtered as the campaign says. Orange: the best set.",
+        ),
+        Section("Errors", ("trial_errors",), "rms error over the spread of the measurement, by channel."),
+        Section(
+            "Convergence",
+            ("convergence",),
+            "Every run starts from its own random seed. Runs that end in the same optimum are a good sign, "
+            "not a proof.",
+        ),
+        Section("Spread", ("spread",)),
+        Section(
+            "Profiles",
+            ("profiles",),
+            "One parameter is kept at each value of the axis while all others are fitted again. Where the "
+            "curve stays low, the data do not tell the values apart.",
+        ),
+        Section(
+            "Correlation",
+            ("correlation",),
+            "Parameters that stand in for each other cannot be told apart by these trials.",
+        ),
+        Section("Validation", ("validation",), "The same sets on trials that the search never saw."),
+        Section(
+            "Filter",
+            ("filter_response",),
+            "What was measured, over frequency, and what the filter leaves of it. Signal that the filter "
+            "takes away is not compared.",
+        ),
+        Section("Provenance", ("provenance",)),
+    )
+}
+
+
+def arranged(*sections: Section | str) -> tuple[Section, ...]:
+    """Return sections in an order; those of every fit by their titles."""
+    return tuple(SECTIONS[section] if isinstance(section, str) else section for section in sections)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,10 +140,7 @@ class FitReport:
 
     title: ClassVar[str] = "What the trials say"
     noun: ClassVar[str] = "trial"
-    sections: ClassVar[tuple[Section, ...]] = (
-        PARAMETERS, MEASURED, ERRORS, CONVERGENCE, SPREAD, PROFILES, CORRELATION, VALIDATION, FILTER,
-        PROVENANCE,
-    )  # fmt: skip
+    sections: ClassVar[tuple[Section, ...]] = tuple(SECTIONS.values())
 
     # What a kind may add.
 

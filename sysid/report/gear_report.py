@@ -15,20 +15,7 @@ from sysid.report.animation import animation
 from sysid.report.diagrams import figure_geometry, figure_modes, mode_shares
 from sysid.report.drop_replay import FEET, DropReplay, replay_drop
 from sysid.report.fit_figures import Bars
-from sysid.report.fit_report import (
-    CONVERGENCE,
-    CORRELATION,
-    ERRORS,
-    FILTER,
-    MEASURED,
-    PARAMETERS,
-    PROFILES,
-    PROVENANCE,
-    SPREAD,
-    VALIDATION,
-    FitReport,
-    Section,
-)
+from sysid.report.fit_report import SECTIONS, FitReport, Section, arranged
 from sysid.report.html import NOTHING, Html, paragraph, picture
 from sysid.report.snapshots import figure_snapshots
 
@@ -44,10 +31,11 @@ ANIMATION = Section(
     ("animation", "snapshots"),
     "One drop at a time, slowed down. The numbered buttons go to the instants of the paper's Fig. 7.",
 )
+_MEASURED = SECTIONS["Measured and simulated"]
 CONTACTS = replace(
-    MEASURED,
-    text=f"{MEASURED.text} The simulated signals have passed through the same filter. Bars at the bottom of "
-    "each figure: the rear and the front foot of the best set's simulation are on the ground.",
+    _MEASURED,
+    text=f"{_MEASURED.text} The simulated signals have passed through the same filter. Bars at the bottom "
+    "of each figure: the rear and the front foot of the best set's simulation are on the ground.",
 )
 FRICTION = Section(
     "Friction",
@@ -71,9 +59,9 @@ class GearReport(FitReport):
 
     title: ClassVar[str] = "Landing gear: what the drops say"
     noun: ClassVar[str] = "drop"
-    sections: ClassVar[tuple[Section, ...]] = (
-        PARAMETERS, GEOMETRY, ANIMATION, CONTACTS, ERRORS, CONVERGENCE, SPREAD, PROFILES, CORRELATION,
-        VALIDATION, FRICTION, FILTER, PROVENANCE,
+    sections: ClassVar[tuple[Section, ...]] = arranged(
+        "Parameters", GEOMETRY, ANIMATION, CONTACTS, "Errors", "Convergence", "Spread", "Profiles",
+        "Correlation", "Validation", FRICTION, "Filter", "Provenance",
     )  # fmt: skip
 
     @property

@@ -12,28 +12,16 @@ from matplotlib.figure import Figure
 from sysid.fit.result import FitResult, TrialResult
 from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.motor.model import thrust as static_thrust
-from sysid.report.fit_report import (
-    CONVERGENCE,
-    CORRELATION,
-    ERRORS,
-    FILTER,
-    MEASURED,
-    PARAMETERS,
-    PROFILES,
-    PROVENANCE,
-    SPREAD,
-    VALIDATION,
-    FitReport,
-    Section,
-)
+from sysid.report.fit_report import SECTIONS, FitReport, Section, arranged
 from sysid.report.html import Html, definitions, grid, markup_table, paragraph, picture
 from sysid.report.motor_figures import figure_reversal, figure_thrust, reversal_commands
 from sysid.report.set_tables import ladder_table
 from sysid.types import FloatArray
 
+_MEASURED = SECTIONS["Measured and simulated"]
 THRUST = replace(
-    MEASURED,
-    text=f"{MEASURED.text} The thrust is not compared in the fit: it follows from the speed and the static "
+    _MEASURED,
+    text=f"{_MEASURED.text} The thrust is not compared in the fit: it follows from the speed and the static "
     "curve, and so tells whether both hold.",
 )
 REVERSALS = Section(
@@ -55,9 +43,9 @@ class MotorReport(FitReport):
     """The report of a motor."""
 
     title: ClassVar[str] = "Motor: what the bench logs say"
-    sections: ClassVar[tuple[Section, ...]] = (
-        PARAMETERS, THRUST, REVERSALS, ERRORS, STEPS, CONVERGENCE, SPREAD, PROFILES, CORRELATION, VALIDATION,
-        FILTER, PROVENANCE,
+    sections: ClassVar[tuple[Section, ...]] = arranged(
+        "Parameters", THRUST, REVERSALS, "Errors", STEPS, "Convergence", "Spread", "Profiles",
+        "Correlation", "Validation", "Filter", "Provenance",
     )  # fmt: skip
 
     @property

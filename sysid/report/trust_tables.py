@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
+from operator import itemgetter
 from typing import Any
 
 from sysid.export.mean_table import mean_sigma, plain
@@ -54,8 +55,12 @@ def _span(ends: Sequence[float] | None) -> str:
     return NONE if ends is None else " to ".join(map(plain, ends))
 
 
-def _plus_minus(mean: float | None, sigma: float | None, digits: int = 3) -> str:
-    return f"{number(mean, digits)} ± {number(sigma, 2)}"
+def _plus_minus(mean: float | None, sigma: float | None, digits: int = 3, of_sigma: int = 2) -> str:
+    return f"{number(mean, digits)} ± {number(sigma, of_sigma)}"
+
+
+def _name(header: str, key: str = "name") -> Column:
+    return words(header, itemgetter(key))
 
 
 _PARAMETER = words("parameter", lambda row: with_unit(row["symbol"], row["unit"]))
@@ -78,6 +83,7 @@ def interval_table(document: Row) -> Table:
         ``trust`` of `sysid.trust.documents`.
     """
     rows = document["parameters"]
+    drawn, measured = (any(row.get(key) for row in rows) for key in ("bootstrap_95", "measured"))
     return table(
         "what the data fix: intervals of the profile likelihood",
         rows,
@@ -89,12 +95,8 @@ def interval_table(document: Row) -> Table:
             numbers("half-width", lambda row: half_width(row["half_width"])),
             _VERDICT,
             _TRADES,
-            numbers("bootstrap 95 %", lambda row: _span(row["bootstrap_95"]))
-            if any(row.get("bootstrap_95") for row in rows)
-            else None,
-            numbers("measured", lambda row: _span(row["measured"]))
-            if any(row["measured"] for row in rows)
-            else None,
+            numbers("bootstrap 95 %", lambda row: _span(row["bootstrap_95"])) if drawn else None,
+            numbers("measured", lambda row: _span(row["measured"])) if measured else None,
         ),
         f"{_OPEN}; * the best set ends at a bound",
     )
@@ -128,8 +130,8 @@ def spread_table(document: Row) -> Table:
         "predictions of the sets around their mean",
         spread["trials"],
         (
-            words("trial", lambda row: row["name"]),
-            words("use", lambda row: row["use"]),
+            _name("trial"),
+            _name("use", "use"),
             *(numbers(name, partial(pair, c), "" if unit == "1" else unit) for c, (name, unit) in channels),
         ),
         "rms, largest",
@@ -142,13 +144,11 @@ def noise_table(document: Row) -> Table:
         "residuals",
         document["noise"]["channels"],
         (
-            words("channel", lambda row: row["name"]),
-            words("unit", lambda row: row["unit"]),
+            _name("channel"),
+            _name("unit", "unit"),
             numbers("rms residual", lambda row: number(row["residual"], 3)),
             numbers("noise floor", lambda row: number(row["floor"], 3)),
-            numbers(
-                "ratio", lambda row: number(row["residual"] / row["floor"] if row["floor"] else math.nan, 3)
-            ),
+            numbers("ratio", lambda row: number(row["residual"] / (row["floor"] or math.nan), 3)),
             numbers("samples", lambda row: str(row["samples"])),
             numbers("independent", lambda row: f"{row['independent_samples']:.0f}"),
         ),
@@ -175,48 +175,31 @@ def expected_table(document: Row) -> Table:
 
 
 def quality_table(document: Row) -> Table:
-    """Return what the logs of a campaign look like, a row each; columns that no log fills are left out."""
-
-    drops = any("impact_speed" in row for row in document["quality"])
-
-    def known(key: str, column: Column) -> Column | None:
-        return column if any(key in row for row in document["quality"]) else None
+    """Return what the logs of a campaign look like, a row each."""
 
     def noise(row: Row) -> str:
         return f"{1000 * row['noise']['x [m]']:.2f}, {1000 * row['noise']['z [m]']:.2f}"
 
-    return table(
-        f"{document['campaign']['name']}: logs",
-        document["quality"],
-        (
-            words("trial", lambda row: row["name"]),
-            words("use", lambda row: row["use"]),
-            numbers("rate", lambda row: number(row["rate"]), "Hz"),
-            numbers("jitter", lambda row: percent(row["jitter"], 1), "%"),
-            numbers("holes", lambda row: str(row["holes"])),
-            known("lost_in_window", numbers("lost", lambda row: str(row["lost_in_window"]))),
-            known("noise", numbers("noise x, z", noise, "mm")),
-            known(
-                "noise",
-                numbers("pitch", lambda row: f"{math.degrees(row['noise']['pitch [rad]']):.2f}", "deg"),
-            ),
-            known(
-                "gravity",
-                numbers(
-                    "fall g",
-                    lambda row: f"{number(row['gravity'], 3)} ± {number(row['gravity_error'], 1)}",
-                    "m/s²",
-                ),
-            ),
-            known("slope_deg", numbers("slope", lambda row: number(row["slope_deg"], 3), "deg")),
-            known("impact_speed", numbers("impact", lambda row: number(row["impact_speed"], 3), "m/s")),
-            known(
-                "out_of_plane_deg",
-                numbers("out of plane", lambda row: number(row["out_of_plane_deg"], 2), "deg"),
-            ),
-            None if drops else numbers("at its limit", lambda row: percent(row["saturated"], 1), "%"),
-        ),
-    )
+    columns = [
+        _name("trial"),
+        _name("use", "use"),
+        numbers("rate", lambda row: number(row["rate"]), "Hz"),
+        numbers("jitter", lambda row: percent(row["jitter"], 1), "%"),
+        numbers("holes", lambda row: str(row["holes"])),
+    ]
+    if any("impact_speed" in row for row in document["quality"]):
+        columns += [
+            numbers("lost", lambda row: str(row["lost_in_window"])),
+            numbers("noise x, z", noise, "mm"),
+            numbers("pitch", lambda row: f"{math.degrees(row['noise']['pitch [rad]']):.2f}", "deg"),
+            numbers("fall g", lambda row: _plus_minus(row["gravity"], row["gravity_error"], 3, 1), "m/s²"),
+            numbers("slope", lambda row: number(row["slope_deg"], 3), "deg"),
+            numbers("impact", lambda row: number(row["impact_speed"], 3), "m/s"),
+            numbers("out of plane", lambda row: number(row["out_of_plane_deg"], 2), "deg"),
+        ]
+    else:
+        columns.append(numbers("at its limit", lambda row: percent(row["saturated"], 1), "%"))
+    return table(f"{document['campaign']['name']}: logs", document["quality"], columns)
 
 
 def validation_table(name: str, document: Row) -> Table:
@@ -247,19 +230,20 @@ def validation_table(name: str, document: Row) -> Table:
             numbers(f"{what}, predicted", lambda row: stop(what, row, True), unit),
         )
 
+    third = (
+        numbers("to 3rd contact", lambda row: percent(row.get("nrmse_third_contact")), "%"),
+        numbers("ratio there", lambda row: number(row.get("ratio_third_contact"), 3)),
+    )
     flag = "flagged" if document.get("flagged") else "not flagged"
     return table(
         f"prediction of trials that were not fitted, {name}: {flag}",
         rows,
         (
-            words("trial", lambda row: row["name"]),
+            _name("trial"),
             numbers("NRMSE", lambda row: percent(row["nrmse"][0]), "%"),
             numbers("noise alone", lambda row: percent(row.get("floor")), "%"),
             numbers("ratio", lambda row: number(row.get("ratio"), 3)),
-            numbers("to 3rd contact", lambda row: percent(row.get("nrmse_third_contact")), "%")
-            if early
-            else None,
-            numbers("ratio there", lambda row: number(row.get("ratio_third_contact"), 3)) if early else None,
+            *(third if early else ()),
             numbers("leaves the noise at", leaves, "s") if leaving else None,
             *(stopping("place", "m") + stopping("time", "s") if stops else ()),
         ),
@@ -268,6 +252,10 @@ def validation_table(name: str, document: Row) -> Table:
 
 def comparison_table(document: Row) -> Table:
     """Return which parameters differ between fits by more than their intervals allow."""
+
+    def allowed(row: Row) -> str:
+        return f"± {row['allowed']:.2g}" if math.isfinite(row["allowed"]) else "open"
+
     differs = {True: Cell("yes", "bad"), False: Cell("no"), None: Cell("not known")}
     return table(
         "differences between the fits",
@@ -277,11 +265,8 @@ def comparison_table(document: Row) -> Table:
             words("fits", lambda row: " / ".join(row["fits"])),
             numbers("values", lambda row: f"{number(row['values'][0])} / {number(row['values'][1])}"),
             numbers("difference", lambda row: percent(row["difference"], 1), "%"),
-            numbers(
-                "allowed",
-                lambda row: f"± {row['allowed']:.2g}" if math.isfinite(row["allowed"]) else "open",
-            ),
-            words("by", lambda row: row["by"]),
+            numbers("allowed", allowed),
+            _name("by", "by"),
             words("differs", lambda row: differs[row["differs"]]),
         ),
         "values: minima of the profiles (best sets where there are none); allowed: 95 % of the difference; "
