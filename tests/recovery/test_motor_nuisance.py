@@ -293,7 +293,7 @@ def test_refusals_name_the_log_and_the_trial(tmp_path: Path) -> None:
     write_table(log, header, dead)
     campaign, bench = bench_of(path)
     with pytest.raises(FitError, match=r"trial 'forward-1' of forward-1\.csv, stator_torque: constant"):
-        MotorProblem.build(campaign, search_space(campaign, bench), bench, bench.fitted)
+        assert MotorProblem.build(campaign, search_space(campaign, bench), bench, bench.fitted).cost
     write_table(log, header, table)
     # Static curves from the trial itself, whose commands change too fast for one steady segment.
     edited(
