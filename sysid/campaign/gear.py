@@ -75,7 +75,7 @@ class Capture(CaptureLogOptions):  # type: ignore[misc]
         return self
 
 
-class Surface(Table):
+class SurfaceTable(Table):
     """`[surface]`: the friction law and where the plane lies in the capture frame (one way of three)."""
 
     law: str = "lf"  # a declared friction law, resolved where the model is known
@@ -89,7 +89,7 @@ class Surface(Table):
     board_length: PositiveLength | None = None
 
     @model_validator(mode="after")
-    def _one_plane(self) -> Surface:
+    def _one_plane(self) -> SurfaceTable:
         ways = [k for k in ("point", "markers", "rest_log") if getattr(self, k) is not None]
         if len(ways) > 1:
             raise ValueError(f"the plane is given twice, by {' and '.join(ways)}; keep one")
@@ -178,7 +178,7 @@ class GearCampaign(CampaignTable):
     kind: Literal["gear"]
     vehicle: Vehicle
     capture: Capture = Capture()
-    surface: Surface = Surface()
+    surface: SurfaceTable = SurfaceTable()
     window: Window = Window()
     nuisance: Nuisance = Nuisance()
     filter: KaiserFilter = KaiserFilter()

@@ -45,7 +45,7 @@ import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -160,7 +160,7 @@ def simulate(
     state : (14,) array, optional
         All coordinates and rates at time[0] instead of `body_state`.
     surface : str or Surface
-        Friction law: ``lf``, continuous (8), ``hf``, slipping and sticking feet (9, 10), or one's own.
+        Friction law: ``lf``, continuous (8), ``hf``, slipping and sticking feet (9, 10), or one of yours.
     tolerance : float, optional
         Bound of the weighted rms error of the rates per step; by default what a fit on the surface needs,
         and at most 3e-5 where switches of modes are logged: a fit's setting misses short releases.
@@ -177,31 +177,19 @@ def simulate(
     CampaignError
         If the input cannot be used; a simulation that fails returns its status instead.
     """
-    own = find_surface(surface)
-    if tolerance is None and events and own.switching:
-        tolerance = min(own.tolerance, _LOGGED_TOLERANCE)
+    law = find_surface(surface)
+    if tolerance is None and events and law.switching:
+        tolerance = min(law.tolerance, _LOGGED_TOLERANCE)
     if isinstance(parameters, Mapping):
-        row = pack(parameters, own)
-    else:
-        row = np.asarray(parameters, dtype=np.float64)
-    legs = np.empty(0)
-    if state is not None:
-        start = np.asarray(state, dtype=np.float64)
-        if start.shape != (14,) or not np.isfinite(start).all():
-            raise CampaignError(
-                f"state: found shape {start.shape}; give 14 finite numbers, coordinates first"
-            )
-        body_state = start[[0, 1, 2, 7, 8, 9]]
-        legs = np.ascontiguousarray(start[[3, 4, 5, 6, 10, 11, 12, 13]])
-    if body_state is None:
-        raise CampaignError("simulate: no initial state; give body_state (6 numbers) or state (14 numbers)")
+        parameters = pack(parameters, law)
+    rows = _checked(np.asarray(parameters, dtype=np.float64)[None])
+    body, legs = _one_start(body_state, state)
     clock = np.asarray(time, dtype=np.float64)
-    start = np.atleast_2d(np.asarray(body_state, dtype=np.float64))
-    drops = Drops(np.array([slope]), start, (clock,), propulsion)
-    checked, room = _checked(row[None]), _MARKS if events else 0
+    drops = Drops(np.array([slope]), body, (clock,), propulsion)
+    start, room = _Start(drops.body_state[None], legs), _MARKS if events else 0
     while True:
         result = _run(
-            checked, drops, legs, own, tolerance,
+            rows, drops, start, law, tolerance,
             lanes=1 if events else _LANES, columns=16, threads=1, ending=ending, room=room,
         )  # fmt: skip
         if not events or len(result.marks) < room:
@@ -209,18 +197,15 @@ def simulate(
         room *= 8
     states = result.samples[0, :, :14]
     forces = np.empty((len(states), 4))
-    _force_reader(own)(kernel_rows_of(checked, own)[0], float(slope), states, forces)
-    if own.switching:
+    _force_reader(law)(in_kernel_order(rows, law)[0], float(slope), states, forces)
+    if law.switching:
         forces[:, 2:] = result.samples[0, :, 14:]
-    marks = result.marks[np.argsort(result.marks[:, 0], kind="stable")]
-    modes = np.isin(marks[:, 1], (EventKind.SLIP, EventKind.STICK))
-    switches = marks[modes][:, [0, 2, 1, 3, 4, 5, 6]]
-    switches[:, 2] = switches[:, 2] == EventKind.STICK
     thrust = np.zeros((len(clock), 2))
     if propulsion is not None:
         touches = result.first_contact[0, 0]
         first = np.nanmin(touches) if np.isfinite(touches).any() else np.inf
         thrust = propulsion.at(clock - clock[0], float(first))
+    switches, happened = _log(result.marks)
     return GearTrajectory(
         time=clock,
         state=states,
@@ -230,12 +215,39 @@ def simulate(
         reached=float(result.reached[0, 0] * (clock[-1] - clock[0])),
         rhs_evaluations=int(result.rhs_evaluations[0, 0]),
         switches=switches,
-        events=tuple(
-            Event(float(t), EventKind(int(kind)), ("rear", "front", "body")[int(foot)])
-            for t, kind, foot in marks[:, :3]
-        ),
+        events=happened,
         thrust=thrust,
     )
+
+
+def _one_start(body_state: ArrayLike | None, state: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
+    """Return the body (1, 6) and the legs (8,) of a single drop's start; no legs: they start at rest."""
+    legs = np.empty(0)
+    if state is not None:
+        start = np.asarray(state, dtype=np.float64)
+        if start.shape != (14,) or not np.isfinite(start).all():
+            raise CampaignError(
+                f"state: found shape {start.shape}; give 14 finite numbers, coordinates first"
+            )
+        coordinates, rates = start[:7], start[7:]
+        body_state = np.concatenate([coordinates[:3], rates[:3]])
+        legs = np.concatenate([coordinates[3:], rates[3:]])
+    if body_state is None:
+        raise CampaignError("simulate: no initial state; give body_state (6 numbers) or state (14 numbers)")
+    return np.atleast_2d(np.asarray(body_state, dtype=np.float64)), legs
+
+
+def _log(marks: FloatArray) -> tuple[FloatArray, tuple[Event, ...]]:
+    """Return the switches and the events of a single drop, in the order of time."""
+    marks = marks[np.argsort(marks[:, 0], kind="stable")]
+    time, kind, foot = marks[:, :3].T
+    modes = np.isin(kind, (EventKind.SLIP, EventKind.STICK))
+    switches = np.column_stack([time, foot, kind == EventKind.STICK, marks[:, 3:]])[modes]
+    names: tuple[Literal["rear", "front", "body"], ...] = ("rear", "front", "body")
+    events = [
+        Event(float(t), EventKind(int(k)), names[int(f)]) for t, k, f in zip(time, kind, foot, strict=True)
+    ]
+    return switches, tuple(events)
 
 
 def simulate_population(
@@ -260,21 +272,21 @@ def simulate_population(
     drops : Drops
         What each candidate is dropped on.
     surface : str or Surface
-        Friction law: ``lf``, continuous (8), ``hf``, slipping and sticking feet (9, 10), or one's own.
+        Friction law: ``lf``, continuous (8), ``hf``, slipping and sticking feet (9, 10), or one of yours.
     tolerance : float, optional
         Bound of the weighted rms error of the rates per step; by default what a fit on the surface needs.
     threads : int, optional
         Number of threads; all cores by default.
     body_states : (P, D, 6) array, optional
-        A start of each candidate's own instead of the drops'.
+        A start for every candidate and drop, instead of one per drop.
     ending : Ending
         When a drop is over; samples later than an early end are NaN.
     """
     rows = _checked(np.atleast_2d(np.asarray(parameters, dtype=np.float64)))
-    bodies = None
+    bodies = drops.body_state[None]
     if body_states is not None:
         bodies = np.ascontiguousarray(body_states, dtype=np.float64).view()
-        # Locked like the drops' own starts: numba compiles a second driver for an array that is not.
+        # Locked like the starts in `Drops`: numba compiles a second driver for an array that is not.
         bodies.flags.writeable = False
         if bodies.shape != (len(rows), len(drops.slope), 6):
             raise CampaignError(
@@ -282,8 +294,8 @@ def simulate_population(
                 "start per candidate and drop"
             )
     return _run(
-        rows, drops, np.empty(0), find_surface(surface), tolerance,
-        lanes=_LANES, columns=6, threads=threads, bodies=bodies, ending=ending,
+        rows, drops, _Start(bodies, np.empty(0)), find_surface(surface), tolerance,
+        lanes=_LANES, columns=6, threads=threads, ending=ending,
     )  # fmt: skip
 
 
@@ -300,11 +312,11 @@ def prepare(surface: str | Surface = "lf", *, single: bool = True) -> None:
     single : bool
         Prepare the driver of single drops as well.
     """
-    own = find_surface(surface)
+    law = find_surface(surface)
     drops = Drops(np.zeros(1), np.array([[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]]), [np.array([0.0, 1e-3])])
-    simulate_population(pack({}, own), drops, surface=own)
+    simulate_population(pack({}, law), drops, surface=law)
     if single:
-        simulate(pack({}, own), 0.0, drops.body_state[0], drops.time[0], surface=own)
+        simulate(pack({}, law), 0.0, drops.body_state[0], drops.time[0], surface=law)
 
 
 @lru_cache(maxsize=16)
@@ -317,24 +329,30 @@ def _force_reader(surface: Surface) -> Any:
     return forces.force_reader(surface)
 
 
-def kernel_rows_of(rows: FloatArray, surface: Surface) -> FloatArray:
+def in_kernel_order(rows: FloatArray, surface: Surface) -> FloatArray:
     """Return rows of the table in the kernel's order, then the columns that the friction law reads."""
     index = PARAMETERS.index
     columns = [index[PARAMETERS[name].name] for name in (*parameter_row.NAMES, *surface.reads)]
     return np.ascontiguousarray(rows[:, columns])
 
 
+class _Start(NamedTuple):
+    """Where drops begin: the body (P or 1, D, 6) in frame N, and the legs (8,), empty for legs at rest."""
+
+    body: FloatArray
+    legs: FloatArray
+
+
 def _run(
     rows: FloatArray,
     drops: Drops,
-    legs: FloatArray,
+    start: _Start,
     surface: Surface,
     tolerance: float | None,
     *,
     lanes: int,
     columns: int,
     threads: int | None,
-    bodies: FloatArray | None = None,
     ending: Ending = TO_THE_CLOCK,
     room: int = 0,
 ) -> PopulationSamples:
@@ -354,8 +372,7 @@ def _run(
     moments = np.full((count, width, 4), np.nan)
     states = np.full((count, width, 3, 6), np.nan)
     marks = np.full((room, 7), np.nan)
-    body = drops.body_state[None] if bodies is None else bodies
-    kernel_rows = kernel_rows_of(rows, surface)
+    kernel_rows = in_kernel_order(rows, surface)
     drive = _driver(lanes, surface)
     # A method of order 3 takes tolerance**(-1/3) more steps.
     cost = surface.budget * max(1.0, surface.tolerance / tolerance) ** (1 / 3)
@@ -368,7 +385,7 @@ def _run(
         jobs = np.ascontiguousarray(deck[share::shares])
         if len(jobs):
             drive(
-                kernel_rows, drops.slope, body, legs, drops.clock, drops.offset, drops.segments, drops.plans,
+                kernel_rows, drops.slope, *start, drops.clock, drops.offset, drops.segments, drops.plans,
                 jobs, tolerance, _LONGEST_STEP, cost, ending.packed, samples, reached, status, spent,
                 switches, moments, states, marks,
             )  # fmt: skip

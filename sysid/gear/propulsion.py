@@ -10,7 +10,14 @@ from typing import Literal
 import numpy as np
 
 from sysid.errors import CampaignError
-from sysid.gear.kernel.work_buffer import PLAN_COLUMNS, SEGMENT_COLUMNS
+from sysid.gear.kernel.work_buffer import (
+    PLAN_COLUMNS,
+    SEGMENT_COLUMNS,
+    SEGMENT_FROM,
+    SEGMENT_FRONT,
+    SEGMENT_REAR,
+    SEGMENT_TO,
+)
 from sysid.integrate.piecewise import PiecewiseCubic
 from sysid.types import FloatArray
 
@@ -29,8 +36,8 @@ class Propulsion:
     delay : float
         Added to the first contact [s].
     settled : float, optional
-        Last command on the history's clock [s]: before it nothing counts as at rest, because the motors are
-        still to be told something.
+        Last command on the history's clock [s]: before it nothing counts as at rest, because the motors still
+        wait for a command.
     """
 
     rear: PiecewiseCubic
@@ -55,8 +62,8 @@ class Propulsion:
     def at(self, time: FloatArray, first_contact: float) -> FloatArray:
         """Return rear and front thrust (n, 2) [N] at times since the drop's start, given a first contact."""
         start = first_contact + self.delay if isinstance(self.begins, str) else self.begins
-        own = np.maximum(0.0, time - start) if np.isfinite(start) else np.zeros(np.shape(time))
-        return np.column_stack([self.rear(own), self.front(own)])
+        elapsed = np.maximum(0.0, time - start) if np.isfinite(start) else np.zeros(np.shape(time))
+        return np.column_stack([self.rear(elapsed), self.front(elapsed)])
 
     @cached_property
     def segments(self) -> FloatArray:
@@ -64,13 +71,12 @@ class Propulsion:
         knots = np.unique(np.concatenate([[0.0], self.rear.knots, self.front.knots]))
         knots = knots[knots >= 0.0]
         out = np.zeros((len(knots) + 1, SEGMENT_COLUMNS))
-        out[1:-1, 0], out[1:-1, 1] = knots[:-1], knots[1:]
-        out[1:-1, 2:6], out[1:-1, 6:10] = self.rear.on(knots), self.front.on(knots)
-        for column, history in ((2, self.rear), (6, self.front)):
+        out[1:, SEGMENT_FROM] = knots
+        out[1:, SEGMENT_TO] = [*knots[1:], np.inf]
+        for column, history in ((SEGMENT_REAR, self.rear), (SEGMENT_FRONT, self.front)):
+            out[1:-1, column : column + 4] = history.on(knots)
             out[0, column] = float(history(0.0))
             out[-1, column] = float(history(knots[-1]))
-        out[-1, 0] = knots[-1]
-        out[-1, 1] = np.inf
         return out
 
 
@@ -83,18 +89,15 @@ def plans(propulsion: Sequence[Propulsion | None]) -> tuple[FloatArray, FloatArr
     places: dict[int, tuple[int, int]] = {}
     rows = []
     total = 1
-    for one in propulsion:
-        if one is None:
+    for thrust in propulsion:
+        if thrust is None:
             rows.append([0, 1, np.inf, 1.0, -1.0])  # a start at infinity: no thrust, for ever
             continue
-        if id(one) not in places:
-            table = one.segments
-            places[id(one)] = (total, total + len(table))
-            tables.append(table)
-            total += len(table)
-        first, stop = places[id(one)]
-        start = one.delay if isinstance(one.begins, str) else float(one.begins)
-        rows.append(
-            [first, stop, start, float(one.waits_for_contact), -1.0 if one.settled is None else one.settled]
-        )
+        if id(thrust) not in places:
+            tables.append(thrust.segments)
+            places[id(thrust)] = (total, total + len(thrust.segments))
+            total += len(thrust.segments)
+        start = thrust.delay if isinstance(thrust.begins, str) else float(thrust.begins)
+        settled = -1.0 if thrust.settled is None else thrust.settled
+        rows.append([*places[id(thrust)], start, float(thrust.waits_for_contact), settled])
     return np.concatenate(tables), np.array(rows, dtype=np.float64).reshape(-1, PLAN_COLUMNS)

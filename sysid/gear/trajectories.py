@@ -207,21 +207,25 @@ class Drops:
                 raise CampaignError(
                     f"drop {number}: sample times do not increase; give one or more increasing times"
                 )
-        own = self.propulsion
-        each = (own,) * len(slope) if own is None or isinstance(own, Propulsion) else tuple(own)
+        given = self.propulsion
+        each = (given,) * len(slope) if given is None or isinstance(given, Propulsion) else tuple(given)
         if len(each) != len(slope):
             raise CampaignError(
                 f"drops: found {len(each)} propulsions for {len(slope)} drops; give one for all, or one each"
             )
         segments, plan = plans(each)
-        object.__setattr__(self, "propulsion", each)
-        object.__setattr__(self, "segments", _frozen(segments))
-        object.__setattr__(self, "plans", _frozen(plan))
-        object.__setattr__(self, "slope", slope)
-        object.__setattr__(self, "body_state", body)
-        object.__setattr__(self, "time", times)
-        object.__setattr__(self, "clock", _frozen(np.concatenate([t - t[0] for t in times])))
-        object.__setattr__(self, "offset", np.cumsum([0, *(len(t) for t in times)], dtype=np.int64))
+        derived = {
+            "propulsion": each,
+            "segments": _frozen(segments),
+            "plans": _frozen(plan),
+            "slope": slope,
+            "body_state": body,
+            "time": times,
+            "clock": _frozen(np.concatenate([t - t[0] for t in times])),
+            "offset": np.cumsum([0, *(len(t) for t in times)], dtype=np.int64),
+        }
+        for name, value in derived.items():
+            object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True, eq=False)

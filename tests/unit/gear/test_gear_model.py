@@ -192,7 +192,7 @@ def test_lanes_become_packed_instructions(surface):
         np.empty((1, 1, 3, 6)),
         np.empty((0, 7)),
     )
-    rows = model.kernel_rows_of(pack({})[None], own)
+    rows = model.in_kernel_order(pack({})[None], own)
     start = (drops.slope, drops.body_state[None], np.empty(0), drops.clock, drops.offset)
     thrust = (drops.segments, drops.plans)
     ending = (0.0, 0.05, 0.2, 0.2, 1.4)  # to the clock's end; rest and flip as by default
