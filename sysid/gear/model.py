@@ -98,7 +98,7 @@ HF_FREE = SURFACES["hf"].free
 COORDINATES = ("x_B", "z_B", "q_B", "h_C", "q_C", "h_D", "q_D")
 
 # Bound of the weighted rms error of the seven rates per step that keeps every channel of the converged
-# references within 1e-4 of its deviation. What a fit needs is the surface's own.
+# references within 1e-4 of its deviation. The tolerance that a fit needs is stated by each surface.
 TIGHT_TOLERANCE = 1e-6
 
 # Of a single drop on a law with modes whose switches are logged: what a fit needs steps over short releases.

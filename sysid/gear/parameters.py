@@ -127,12 +127,12 @@ PARAMETERS = ParameterTable(
 
 
 def parameters_on(surface: str | Surface) -> ParameterTable:
-    """Return the table with a surface's own defaults and bounds, such as Table II's high-friction means."""
-    own = find_surface(surface)
+    """Return the table with the defaults and bounds of a surface, such as Table II's high-friction means."""
+    law = find_surface(surface)
     rows = []
     for name, row in PARAMETERS.items():
-        if name in own.nominal:
-            row = replace(row, nominal=own.nominal[name], source=f"{own.source}; bounds guessed")
-        lower, upper = own.bounds.get(name, (row.lower, row.upper))
+        if name in law.nominal:
+            row = replace(row, nominal=law.nominal[name], source=f"{law.source}; bounds guessed")
+        lower, upper = law.bounds.get(name, (row.lower, row.upper))
         rows.append(replace(row, lower=lower, upper=upper))
     return ParameterTable(rows)

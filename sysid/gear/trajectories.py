@@ -38,7 +38,7 @@ class Status(IntEnum):
                 "needed many times an ordinary drop's work: a contact or leg too stiff, or too many bounces "
                 "and mode switches"
             ),
-            Status.BLEW_UP: "a leg was pushed through its own joint: the legs are too soft for this impact",
+            Status.BLEW_UP: "a leg was pushed through its joint: the legs are too soft for this impact",
             Status.CAME_TO_REST: "ended at rest, as asked",
             Status.FLIPPED_OVER: "ended when it had flipped, as asked",
             Status.BOTH_TOUCHED: "ended when both feet had touched, as asked",
@@ -128,7 +128,7 @@ class GearTrajectory:
     switches : (n_switches, 7) array
         Mode switches on a high-friction surface: time since the start [s], foot (0 rear, 1 front), 1 if it
         sticks from then on and 0 if it slips, friction available to the rear and front foot and required by
-        them [N]; no rows on a low-friction surface. The available friction is that of the mode that the foot
+        them [N]; no rows on a low-friction surface. The available friction belongs to the mode that the foot
         has or has just lost: mu_k F_n where a slip came to zero, mu_s F_n where a stuck foot was released. A
         slipping foot that fails to stick slips back: a row with 0 for a foot that had not stuck. A release
         that heals within a step may be missed: 4 of 20 on a flat board at a tolerance of 1e-3 or 3e-4, none

@@ -18,12 +18,12 @@ from typing import Any
 from numba import types as numba_types
 from numba.extending import intrinsic
 
-# What a rewritten function calls it; no formula of ours has such a name.
+# The name under which rewritten functions call it.
 _NAME = "_fused_multiply_add"
 
 
 def _has_instruction(context: Any) -> bool:
-    """Return whether the CPU that is compiled for has it; what a library does instead takes far longer."""
+    """Return whether the CPU that is compiled for has the instruction; a library call takes far longer."""
     _, _, features = context.codegen().magic_tuple()
     return "+fma" in features.split(",") or platform.machine().lower() in ("arm64", "aarch64")
 
@@ -103,7 +103,7 @@ def fused(function: Callable[..., Any]) -> Callable[..., Any]:
     fitted = ast.fix_missing_locations(_Fusing().visit(tree))
     ast.increment_lineno(fitted, first - 1)
     module = compile(fitted, inspect.getfile(function), "exec")
-    (code,) = [one for one in module.co_consts if isinstance(one, types.CodeType)]
+    (code,) = [constant for constant in module.co_consts if isinstance(constant, types.CodeType)]
     function.__globals__[_NAME] = fused_multiply_add
     out = types.FunctionType(code, function.__globals__, function.__name__, function.__defaults__)
     for name in ("__doc__", "__qualname__", "__module__"):

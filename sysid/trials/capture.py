@@ -54,13 +54,13 @@ class SpatialMotion:
     Parameters
     ----------
     time : (n,) array
-        Uniform, on the file's own clock [s].
+        Uniform, on the clock of the file [s].
     rate : float
         Sample rate [Hz].
     position : (n, 3) array
         Of the centre of mass [m]; NaN where the body was lost.
     rotation : (n, 3, 3) array
-        From the body's own axes to (x, y, z); NaN where lost.
+        From the axes of the body to (x, y, z); NaN where lost.
     valid : (n,) array
         True where the body was seen.
     notes : tuple of str
@@ -94,7 +94,7 @@ def spatial_motion(
     frame : CaptureFrame
         Axes.
     centre_of_mass_offset : 3 floats
-        From the rigid body's origin to the centre of mass, in the body's own axes [m].
+        From the rigid body's origin to the centre of mass, in the axes of the body [m].
     rate : float, optional
         Rate of the capture [Hz] where the file's clock is the arrival time.
 
@@ -134,8 +134,7 @@ def spatial_motion(
     seen = np.asarray(np.isfinite(placed).all(axis=1), dtype=np.bool_)
 
     turn = np.full((len(time), 3, 3), np.nan)
-    own = Rotation.from_quat(placed[seen][:, [4, 5, 6, 3]])
-    turn[seen] = frame.matrix @ own.as_matrix()
+    turn[seen] = frame.matrix @ Rotation.from_quat(placed[seen][:, [4, 5, 6, 3]]).as_matrix()
     centre = placed[:, :3] @ frame.matrix.T + turn @ np.asarray(centre_of_mass_offset)
     return SpatialMotion(time, found_rate, centre, turn, seen, notes)
 
@@ -287,8 +286,8 @@ def marker_plane(
     centres = []
     for name in markers:
         if name not in recording.markers:
-            found = ", ".join(recording.markers) or "none"
-            raise LogError(f"{where}: no marker {name!r}; found {found}; set surface.markers")
+            known = ", ".join(recording.markers) or "none"
+            raise LogError(f"{where}: no marker {name!r}; found {known}; set surface.markers")
         channel = recording[f"{name}/position"]
         if not channel.valid.any():
             raise LogError(f"{where}: marker {name!r} was never seen; name another one")

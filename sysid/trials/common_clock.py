@@ -1,8 +1,8 @@
 """Channels of several sensors on the clock of one of them.
 
-A load cell, a tachometer and a second logger each sample at their own times; a fit compares rows. A command
-holds until the next one, every other quantity is taken linear between two of its samples that lie close
-together. Valid for sensors faster than what is looked at; how far apart their samples lie is said.
+A load cell, a tachometer and a second logger sample at different times; a fit compares rows. A command holds
+until the next command; every other quantity is interpolated linearly between two samples that lie close
+together. Valid for sensors faster than the motion; a note states how far apart their samples lie.
 """
 
 from __future__ import annotations
@@ -59,26 +59,26 @@ def on_one_clock(recording: Recording, names: Sequence[str], reference: Sequence
         Rows before the first or after the last known command are left out; notes say what was done.
     """
     channels = dict(recording.channels)
-    own = next((channels[name] for name in reference if name in channels), None)
+    clock = next((channels[name] for name in reference if name in channels), None)
     present = [name for name in names if name in channels]
-    if own is None or all(np.array_equal(channels[name].time, own.time) for name in present):
+    if clock is None or all(np.array_equal(channels[name].time, clock.time) for name in present):
         return recording
     moved: dict[str, FloatArray] = {}
     notes: list[Finding] = []
     for name in present:
         channel = channels[name]
-        if np.array_equal(channel.time, own.time):
+        if np.array_equal(channel.time, clock.time):
             moved[name] = channel.values
         elif name == "command":
-            moved[name] = _held(channel, own.time)
+            moved[name] = _held(channel, clock.time)
         else:
-            moved[name] = _between(channel, own.time)
+            moved[name] = _between(channel, clock.time)
             steps = np.diff(channel.time[channel.valid])
             middle = f", {1e3 * float(np.median(steps)):.3g} ms apart (median)" if steps.size else ""
             sentence = f"{name}: {channel.valid.sum()} samples{middle}, taken linear between them"
             notes.append(note("interpolated", sentence))
-    rows = np.isfinite(moved["command"]) if "command" in moved else np.ones(own.time.size, dtype=np.bool_)
-    if "command" in moved and not np.array_equal(channels["command"].time, own.time) and rows.any():
+    rows = np.isfinite(moved["command"]) if "command" in moved else np.ones(clock.time.size, dtype=np.bool_)
+    if "command" in moved and not np.array_equal(channels["command"].time, clock.time) and rows.any():
         inside = np.flatnonzero(rows)
         rows = np.zeros(rows.size, dtype=np.bool_)
         rows[inside[0] : inside[-1] + 1] = True
@@ -86,9 +86,9 @@ def on_one_clock(recording: Recording, names: Sequence[str], reference: Sequence
             sentence = f"rows at which the other log gives no command, left out: {int((~rows).sum())}"
             notes.append(note("rows-without-command", sentence))
     else:
-        rows = np.ones(own.time.size, dtype=np.bool_)
-    time = own.time[rows]
+        rows = np.ones(clock.time.size, dtype=np.bool_)
+    time = clock.time[rows]
     for name, values in moved.items():
         channels[name] = Channel(name, channels[name].unit, time, values[rows])
-    said = replace(recording.provenance, notes=(*recording.provenance.notes, *notes))
-    return Recording(recording.kind, channels, said)
+    provenance = replace(recording.provenance, notes=(*recording.provenance.notes, *notes))
+    return Recording(recording.kind, channels, provenance)

@@ -26,7 +26,7 @@ DEAD_BAND = 0.05
 SLOW = 1.5
 # The final value is taken over this last part of the hold; a hold shorter than this has none [s].
 _LAST, _LEAST_HOLD = 0.25, 0.2
-# A repetition has settled when the halves of that part agree to the first share of its own value, and the
+# A repetition has settled when the halves of that part agree to the first share of the value, and the
 # value is at least the second share of the largest: a battery that sags by a fifth keeps 0.64 of the thrust,
 # a rotor that has not started has none.
 _DRIFT, _LEAST_FINAL = 0.1, 0.6
@@ -46,7 +46,7 @@ class Reversal:
     Parameters
     ----------
     time : float
-        Of the command on the log's own clock [s].
+        Of the command on the clock of the log [s].
     before, after : float
         Commands u [1].
     hold : float
@@ -58,8 +58,8 @@ class Reversal:
     to_level : float
         Until the thrust was 90 % of its final value; NaN: never before the next command.
     final_thrust : float
-        What `to_level` refers to: the repetition's own where it settled [N], with the sign of `after`; NaN
-        where no repetition did.
+        What `to_level` refers to: of the repetition itself where it settled [N], with the sign of `after`;
+        NaN where no repetition did.
     """
 
     time: float
@@ -88,7 +88,7 @@ def held_commands(steps: CommandSteps) -> CommandSteps:
     """
     if steps.time.size < 2:
         return steps
-    # The last hold has no end here; as long as the one before it will do for a vote.
+    # The last hold has no end in the log; for the vote it counts as long as the hold before it.
     held = np.append(np.diff(steps.time), np.diff(steps.time[-2:]))
     values, which = np.unique(steps.level, return_inverse=True)
     weight = np.bincount(which, weights=held)
@@ -132,7 +132,7 @@ def find_reversals(
     thrust : (times [s], values [N])
         Real samples; crossings between two are interpolated.
     speed : (times [s], values [rad/s]), optional
-        Signed. With it, zero crossing and dead band are those of the speed, else those of the thrust.
+        Signed. With it, zero crossing and dead band are read from the speed, else from the thrust.
     skip : sequence of (start, end)
         Intervals whose commands the logger lost [s]; their reversals are left out.
     sense : {"to-reverse", "to-forward", "both"}
@@ -142,27 +142,27 @@ def find_reversals(
 
     Notes
     -----
-    The final thrust of a repetition is the mean over the last quarter of its own hold: a supply that sags
-    weakens later repetitions and is no failure of theirs. One that has not settled by then (its halves differ
+    The final thrust of a repetition is the mean over the last quarter of its hold: a supply that sags
+    weakens later repetitions and does not make them fail. One that has not settled by then (its halves differ
     by over 10 %, or it has less than 60 % of the largest) must not be measured against itself; it takes the
     final thrust of the nearest repetition in time that has. Where none has, final thrust and time to 90 % of
     it are not known: both are NaN. Commands are read as `held_commands` gives them.
     """
     steps = held_commands(steps)
     ends = np.append(steps.time[1:], float(time[-1]))
-    found: list[tuple[float, float, float, float]] = []
+    commands: list[tuple[float, float, float, float]] = []
     for i in range(1, steps.time.size):
         before, after = float(steps.level[i - 1]), float(steps.level[i])
         hold = float(ends[i] - steps.time[i])
         if before * after >= 0 or hold < _LEAST_HOLD or not outside(steps.time[i : i + 1], skip)[0]:
             continue
         if sense == "both" or (after < 0) == (sense == "to-reverse"):
-            found.append((float(steps.time[i]), before, after, hold))
+            commands.append((float(steps.time[i]), before, after, hold))
     signed = speed is not None and speed[1].size > 0 and float(np.min(speed[1])) < 0 < float(np.max(speed[1]))
     signal = speed if signed and speed is not None else thrust
-    finals, scales = _finals(found, thrust), _finals(found, signal)
+    finals, scales = _finals(commands, thrust), _finals(commands, signal)
     out = []
-    for (start, before, after, hold), final, scale in zip(found, finals, scales, strict=True):
+    for (start, before, after, hold), final, scale in zip(commands, finals, scales, strict=True):
         sign = 1.0 if after > 0 else -1.0
         t, values = _part(thrust, start, start + hold)
         reached = _first(t, sign * values, level * final) if final > 0 else float("nan")
@@ -183,31 +183,31 @@ def _part(signal: tuple[FloatArray, FloatArray], start: float, end: float) -> tu
 
 
 def _finals(
-    found: Sequence[tuple[float, float, float, float]], signal: tuple[FloatArray, FloatArray]
+    commands: Sequence[tuple[float, float, float, float]], signal: tuple[FloatArray, FloatArray]
 ) -> list[float]:
     """Return the final value of every reversal, positive along its command; NaN where none is known."""
-    own, drift = np.full(len(found), np.nan), np.zeros(len(found))
-    for i, (start, _, after, hold) in enumerate(found):
+    last, drift = np.full(len(commands), np.nan), np.zeros(len(commands))
+    for i, (start, _, after, hold) in enumerate(commands):
         _, values = _part(signal, start + (1.0 - _LAST) * hold, start + hold)
         if values.size:
-            own[i] = np.sign(after) * float(np.mean(values))
+            last[i] = np.sign(after) * float(np.mean(values))
             half = values.size // 2
             # Two samples of a slow sensor say nothing about a drift.
             if half > 1:
                 drift[i] = abs(float(np.mean(values[half:])) - float(np.mean(values[:half])))
-    times, levels = np.array([f[0] for f in found]), np.array([f[2] for f in found])
+    times, levels = np.array([f[0] for f in commands]), np.array([f[2] for f in commands])
     out = []
-    for i in range(len(found)):
-        same = np.flatnonzero((levels == levels[i]) & np.isfinite(own))
+    for i in range(len(commands)):
+        same = np.flatnonzero((levels == levels[i]) & np.isfinite(last))
         if not same.size:
             out.append(float("nan"))
             continue
-        largest = float(np.max(own[same]))
-        settled = same[(own[same] >= _LEAST_FINAL * largest) & (drift[same] <= _DRIFT * own[same])]
+        largest = float(np.max(last[same]))
+        settled = same[(last[same] >= _LEAST_FINAL * largest) & (drift[same] <= _DRIFT * last[same])]
         if not settled.size:
             out.append(float("nan"))
             continue
-        out.append(float(own[settled[np.argmin(np.abs(times[settled] - times[i]))]]))
+        out.append(float(last[settled[np.argmin(np.abs(times[settled] - times[i]))]]))
     return out
 
 

@@ -1,7 +1,7 @@
 """Signs and zeros that a bench log does not state: of torque and thrust against the rotation.
 
 Knows no motor model, only that a propeller's drag and thrust have the sign of its speed and grow with its
-square. Used where an instrument's sign convention is its own and nothing was recorded at rest.
+square. Used where the sign convention of an instrument is unknown and nothing was recorded at rest.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ import numpy as np
 from sysid.trials.bench_log import Tare
 from sysid.types import FloatArray
 
-# Steady points from which a zero is read: so many different speeds (one
-# more where both directions turn), in a direction the fastest so many times the slowest.
+# A zero is read from steady points at this many different speeds (one more where both directions turn), if in
+# one direction the fastest is this many times the slowest.
 _SPEEDS, _SPAN = 3, 1.3
 
 
 def zero_of_steady(values: FloatArray, speed: FloatArray) -> Tare | None:
     """Return the value at standstill of steady values (n,) against their speeds (n,), or None.
 
-    Valid where the values grow with Ω|Ω|, by a factor of its own in each direction: a propeller thrusts twice
+    Valid where the values grow with Ω|Ω|, with one factor per direction: a propeller thrusts twice
     as hard forward. Ignores a linear term, whose share passes into the zero. None where the speeds are too
     few, or in each direction too close to each other.
     """
@@ -33,11 +33,11 @@ def zero_of_steady(values: FloatArray, speed: FloatArray) -> Tare | None:
         return None
     square = omega * size / float(size.max()) ** 2
     columns = np.column_stack([*(square * side for side in sides), np.ones(omega.size)])
-    found = np.linalg.lstsq(columns, y, rcond=None)[0]
-    residual = y - columns @ found
-    spread = float(residual @ residual) / max(y.size - len(found), 1)
+    solution = np.linalg.lstsq(columns, y, rcond=None)[0]
+    residual = y - columns @ solution
+    spread = float(residual @ residual) / max(y.size - len(solution), 1)
     error = float(np.sqrt(spread * np.linalg.inv(columns.T @ columns)[-1, -1]))
-    return Tare(float(found[-1]), error, 0, "steady points over Ω|Ω|")
+    return Tare(float(solution[-1]), error, 0, "steady points over Ω|Ω|")
 
 
 def sign_against_speed(values: FloatArray, speed: FloatArray) -> int:

@@ -43,17 +43,17 @@ def find_starts(
     if not size.size:
         return ()
     edge = min(edge, _SLOW * float(size.max()))
-    found: list[tuple[float, float]] = []
+    intervals: list[tuple[float, float]] = []
     for i in range(steps.time.size):
         start = float(steps.time[i])
         at = int(np.searchsorted(time, start, side="right")) - 1
-        # A command that was there before the first sample found the rotor as that sample does.
+        # A command from before the first sample finds the rotor in the state of that sample.
         if abs(steps.level[i]) < AT_REST or size[max(at, 0)] >= edge:
             continue
         after = np.flatnonzero(size[max(at, 0) :] >= edge)
         until = min(float(time[max(at, 0) + after[0]]) + SETTLE, end) if after.size else end
-        if found and start <= found[-1][1]:
-            found[-1] = (found[-1][0], max(until, found[-1][1]))
+        if intervals and start <= intervals[-1][1]:
+            intervals[-1] = (intervals[-1][0], max(until, intervals[-1][1]))
         else:
-            found.append((start, until))
-    return tuple(found)
+            intervals.append((start, until))
+    return tuple(intervals)

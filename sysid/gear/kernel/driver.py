@@ -1,17 +1,16 @@
 """The landing gear in time: many drops side by side in lanes, one drop alone with a single lane.
 
 `drop_driver(lanes, surface)` makes the compiled driver; the scalar form is the same code with one lane. Each
-lane integrates its own job (a parameter row on a drop) with its own adaptive step and takes the next job when
-its drop ends; loops over lanes become packed instructions. Lanes never exchange numbers, so a result depends
-neither on the number of lanes and threads nor on the order of jobs, and a lane that is lost leaves the others
-alone.
+lane integrates one job (a parameter row on a drop) with an adaptive step and takes the next job when its drop
+ends; loops over lanes become packed instructions. Lanes never exchange numbers. A result therefore depends
+neither on the number of lanes and threads nor on the order of jobs, and a lost lane does not disturb others.
 
 The method is the explicit pair of `sysid.integrate.tableau`; samples between steps come from the cubic
 Hermite polynomial of the step (order 3), and so do the times of touchdown, lift-off, flip and rest. A step
-does not exceed what the method's stability allows for the slip of a creeping foot and for a leg that rings on
-the ground (else every fourth step there grows unstable and is repeated); on a surface with modes it ends
-where a foot loses its mode (`sysid.gear.surfaces.high_friction`); under thrust it ends where a segment of the
-thrust's history does.
+stays within the stability limit of the method for the slip of a creeping foot and for a leg that rings on the
+ground; without that limit every fourth step there grows unstable and is repeated. On a surface with modes a
+step ends where a foot loses its mode (`sysid.gear.surfaces.high_friction`). Under thrust it ends where a
+segment of the thrust history ends.
 
 Status codes of a job: see `OK` ... `BOTH_TOUCHED`.
 """

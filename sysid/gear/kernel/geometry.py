@@ -1,6 +1,6 @@
 """Where the joints, legs and feet are, and how fast: planar kinematics in the frame of the slope.
 
-The kernel works in the slope's own frame: ``s`` along the surface (down-slope), ``w`` along its normal, and
+The kernel works in the frame of the slope: ``s`` along the surface (down-slope), ``w`` along its normal, and
 every angle measured from the surface. With ``ex(a) = (cos a, -sin a)`` and ``ez(a) = (sin a, cos a)`` the
 body has the axes ``ex(phi), ez(phi)``, a leg the axes ``ex(theta), ez(theta)``. Both legs obey the same
 formulas; only the sign ``side`` of the joint's offset differs (+1 rear leg C, -1 front leg D).
@@ -71,7 +71,7 @@ def joint_position(cos_phi, sin_phi, side, dx_j, dz_j):
 def foot_motion(w, s_rate, w_rate, omega, joint_s, joint_w, length, h_rate, cos_theta, sin_theta, theta_rate):
     """Penetration [m] of a foot into the surface, its rate [m/s] and the foot's slip speed down-slope [m/s].
 
-    `length` is that of the deflected leg, l + h [m]; foot = joint - length ez(theta).
+    `length` is the length of the deflected leg, l + h [m]; foot = joint - length ez(theta).
     """
     penetration = -(w + joint_w - length * cos_theta)
     penetration_rate = -(w_rate - omega * joint_s - h_rate * cos_theta + length * theta_rate * sin_theta)

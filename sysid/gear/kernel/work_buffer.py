@@ -49,7 +49,7 @@ SWITCH = _rows(2)  # at the step's end a foot loses its mode: slipping (1), stic
 # Thrust: cubics of (time - origin) in the current segment, four coefficients each.
 LIFT = _rows(4)  # [m/s², ...]
 TILT = _rows(4)  # [rad/s², ...]
-ORIGIN = _rows()  # lane time at which the segment's own clock is 0
+ORIGIN = _rows()  # lane time at which the clock of the segment is 0
 SEGMENT_END = _rows()  # lane time at which the segment ends
 # What has happened.
 TOUCHED = _rows(2)  # foot touches (one lane) or has touched (several lanes)

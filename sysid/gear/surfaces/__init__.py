@@ -1,4 +1,4 @@
-"""Friction laws, one file each: every module here that holds a `SURFACE` is a surface of its name."""
+"""Friction laws, one file each: every module of this folder that defines `SURFACE` adds a surface."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ __all__ = ["LAW_SLOTS", "SURFACES", "Surface", "continuous_law", "find_surface"]
 
 
 def _discover() -> dict[str, Surface]:
-    found = {}
+    surfaces = {}
     for module in pkgutil.iter_modules(__path__):
         declared = getattr(importlib.import_module(f"{__name__}.{module.name}"), "SURFACE", None)
         if isinstance(declared, Surface):
-            found[declared.name] = declared
-    # The paper's own two first, whatever their files are called.
-    return dict(sorted(found.items(), key=lambda item: (item[0] not in ("lf", "hf"), item[0] == "hf")))
+            surfaces[declared.name] = declared
+    # The two surfaces of the paper come first, whatever their files are called.
+    return dict(sorted(surfaces.items(), key=lambda item: (item[0] not in ("lf", "hf"), item[0] == "hf")))
 
 
 SURFACES = _discover()

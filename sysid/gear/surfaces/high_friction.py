@@ -12,10 +12,10 @@ so no speed below which a foot may stick has to be chosen. Sticking ends where `
 ``|f_req|``; the foot then slips against that force. A foot in the air slips with ``F_n = 0``.
 
 A loss of a mode shows at the step's end, or, where it heals before that, at one of the step's inner stages:
-such a step is repeated to end there. A loss that falls between two stages is missed: at the fit's setting 4
-of the 20 switches in 0.5 s of a drop at 5 deg and 0.5 m/s and 4 of 25 at 8 deg and 0.3 m/s, none in ten
-others (8 to 22 switches each); at a tolerance of 3e-4 still 4 of the 20, at 1e-4 2 of them, and at 3e-5, that
-of a single drop whose switches are logged, none in all twelve.
+such a step is repeated to end there. A loss between two stages is missed. At the fit's setting these are 4 of
+the 20 switches in 0.5 s of a drop at 5 deg and 0.5 m/s and 4 of 25 at 8 deg and 0.3 m/s, none in ten other
+drops (8 to 22 switches each). At a tolerance of 3e-4 still 4 of the 20 are missed, at 1e-4 two, and at 3e-5,
+which a single drop with logged switches uses, none in all twelve drops.
 """
 
 from numba import njit
@@ -53,7 +53,7 @@ _INNER_SHARE = 0.1
 @njit(error_model="numpy", forceinline=True)
 @fused
 def along_slope(joints, h_c, h_d, l, acceleration):  # noqa: E741
-    """Acceleration of both feet along the slope as far as it is linear in those of the coordinates."""
+    """Acceleration of both feet along the slope, as far as it is linear in the accelerations of the state."""
     cos_c, sin_c, cos_d, sin_d, _, c_w, _, d_w, _, _ = joints
     a_s, _, alpha, h_c_acc, theta_c_acc, h_d_acc, theta_d_acc = acceleration
     rear = a_s + alpha * c_w - h_c_acc * sin_c - (l + h_c) * theta_c_acc * cos_c
@@ -121,8 +121,8 @@ def high_friction(free, response, forces, slips, stuck_c, stuck_d, way_c, way_d,
 def event(stuck, way, normal, slip, required, margin, mu_s):
     """Margin of a foot's mode at a step's end, whether it was lost within the step, and at which share of it.
 
-    `margin` is that of the step's start: the static friction left over (sticking) [N] or the speed along the
-    direction of slip (slipping) [m/s].
+    `margin` is the margin at the step's start: static friction left over (sticking) [N] or the speed along
+    the direction of slip (slipping) [m/s].
     """
     force = required if required > 0.0 else -required
     now = slip * way if normal > 0.0 else 1.0

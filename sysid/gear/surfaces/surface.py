@@ -14,7 +14,7 @@ from numba import njit
 from sysid.gear.kernel.dynamics import accelerations, foot_looseness
 from sysid.gear.kernel.parameter_row import LAW_SLOTS
 
-# Bound to a law's own by `continuous_law`.
+# Bound to the formulas of a law by `continuous_law`.
 friction: Any = None
 damping: Any = None
 
@@ -111,31 +111,31 @@ def law_text(surface: Surface) -> bytes:
     file = Path(inspect.getfile(law.py_func))
     if file.is_file():
         return file.read_bytes()
-    found: dict[Any, bytes] = {}
+    texts: dict[Any, bytes] = {}
     for function in (surface.friction, surface.solve, surface.after_step):
         if function is not None:
-            _collect(function.py_func, found)
-    return b"".join(found.values())
+            _collect(function.py_func, texts)
+    return b"".join(texts.values())
 
 
-def _collect(function: Any, found: dict[Any, bytes]) -> None:
+def _collect(function: Any, texts: dict[Any, bytes]) -> None:
     """Add the code, constants and called functions of a Python function, each once."""
-    if function in found:
+    if function in texts:
         return
-    found[function] = b""
+    texts[function] = b""
     code, text = [function.__code__], b""
     seen = {**function.__globals__, **inspect.getclosurevars(function).nonlocals}
-    for one in code:
-        code += [inner for inner in one.co_consts if isinstance(inner, types.CodeType)]
-        plain = [repr(value) for value in one.co_consts if not isinstance(value, types.CodeType)]
-        text += one.co_code + repr((plain, one.co_names, one.co_varnames, one.co_freevars)).encode()
-        for name in (*one.co_names, *one.co_freevars):
+    for part in code:
+        code += [inner for inner in part.co_consts if isinstance(inner, types.CodeType)]
+        plain = [repr(value) for value in part.co_consts if not isinstance(value, types.CodeType)]
+        text += part.co_code + repr((plain, part.co_names, part.co_varnames, part.co_freevars)).encode()
+        for name in (*part.co_names, *part.co_freevars):
             value: Any = seen.get(name)
             if hasattr(value, "py_func"):
-                _collect(value.py_func, found)
+                _collect(value.py_func, texts)
             elif isinstance(value, bool | int | float | tuple):
                 text += f"{name}={value!r}".encode()
-    found[function] = text
+    texts[function] = text
 
 
 def continuous_law(friction: Any, damping: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What to do about a wrong unit: only an option that the log's own format takes, else the place to mend."""
+"""What to do about a wrong unit: an option that the format of the log takes, else the place to correct."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ _STATES_LENGTHS = frozenset({"motive-csv", "pose-table", "vicon-csv", "c3d"})
 
 
 def _mend(recording: Recording, option: str) -> str:
-    """Return where to mend what this recording's file cannot be told by `option`; empty if it can."""
-    said = recording.provenance
-    if any(finding.code == "converted" for finding in said.notes[-1:]):
+    """Return where to correct the unit if the file's format has no `option`; empty if it has."""
+    provenance = recording.provenance
+    if any(finding.code == "converted" for finding in provenance.notes[-1:]):
         return "convert the original log again with its true unit"
-    known = formats().get(said.format)
+    known = formats().get(provenance.format)
     if known is None or option not in known.options:
         return "correct it where the log was written, or in its header"
     return ""
@@ -35,12 +35,12 @@ def unit_advice(recording: Recording, channel: str, unit: str) -> str:
     mend = _mend(recording, "units")
     if mend:
         return mend
-    said = recording.provenance
-    if channel == "speed" and "pulses_per_revolution" in said.options:
+    provenance = recording.provenance
+    if channel == "speed" and "pulses_per_revolution" in provenance.options:
         return "check pulses_per_revolution"
-    if said.format == "ati-text":  # six channels by place share two units
-        if "calibration" in said.options:
-            return "check that calibration is that of this transducer"
+    if provenance.format == "ati-text":  # six channels by place share two units
+        if "calibration" in provenance.options:
+            return "check that the calibration belongs to this transducer"
         return f'correct {"torque" if channel == "torque" else "force"} = "{unit}" in units'
     return f'declare units = {{{channel} = "{unit}"}}'
 
@@ -50,9 +50,9 @@ def length_advice(recording: Recording, unit: str) -> str:
     mend = _mend(recording, "length_unit")
     if mend:
         return mend
-    said = recording.provenance
-    if said.format in _STATES_LENGTHS and "length_unit" not in said.options:
-        if said.format == "pose-table":
+    provenance = recording.provenance
+    if provenance.format in _STATES_LENGTHS and "length_unit" not in provenance.options:
+        if provenance.format == "pose-table":
             return f'declare units = {{x = "{unit}", y = "{unit}", z = "{unit}"}}'
         return "the file states its length unit, so correct it there or export again"
     return f'declare length_unit = "{unit}"'

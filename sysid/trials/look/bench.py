@@ -98,22 +98,22 @@ def inspect_bench(recording: Recording) -> tuple[BenchReport, list[Finding]]:
 
 def _suspicions(recording: Recording, report: BenchReport) -> list[Finding]:
     channels = recording.channels
-    found = []
+    findings = []
     if report.top_speed > _FASTEST:
         advice = unit_advice(recording, "speed", "rpm")
         sentence = (
             f"speed reaches {report.top_speed:.4g} rad/s, faster than any such motor: probably rpm; {advice}"
         )
-        found.append(Finding("speed-unit", sentence))
+        findings.append(Finding("speed-unit", sentence))
     elif report.top_speed == 0.0:
-        found.append(Finding("no-speed", "speed is zero throughout: the probe was off or saw no mark"))
+        findings.append(Finding("no-speed", "speed is zero throughout: the probe was off or saw no mark"))
     largest = _largest(channels.get("thrust"))
     if largest > _STRONGEST:
         advice = unit_advice(recording, "thrust", "gf")
-        found.append(Finding("thrust-unit", f"thrust reaches {largest:.4g} N: probably grams; {advice}"))
+        findings.append(Finding("thrust-unit", f"thrust reaches {largest:.4g} N: probably grams; {advice}"))
     if _largest(channels.get("torque")) > _LARGEST_TORQUE:
         advice = unit_advice(recording, "torque", "mN*m")
-        found.append(Finding("torque-unit", f"torque exceeds 100 N·m: probably mN·m; {advice}"))
+        findings.append(Finding("torque-unit", f"torque exceeds 100 N·m: probably mN·m; {advice}"))
     for name, rest, unit in (
         ("thrust", report.rest_thrust, "N"), ("torque", report.rest_torque, "N·m"),
     ):  # fmt: skip
@@ -123,8 +123,8 @@ def _suspicions(recording: Recording, report: BenchReport) -> list[Finding]:
         span = float(np.nanmax(channel.values) - np.nanmin(channel.values))
         if span > 0 and abs(rest) > _TARE * span:
             sentence = f"{name} reads {rest:.3g} {unit} before anything turns: no tare; subtract it"
-            found.append(Finding("no-tare", sentence))
-    found += _signs(channels.get("speed"), channels.get("thrust"))
+            findings.append(Finding("no-tare", sentence))
+    findings += _signs(channels.get("speed"), channels.get("thrust"))
     thrust = channels.get("thrust")
     for name in ("force_x", "force_y"):
         side = channels.get(name)
@@ -132,8 +132,8 @@ def _suspicions(recording: Recording, report: BenchReport) -> list[Finding]:
             continue
         if np.nanstd(side.values) > 2.0 * np.nanstd(thrust.values) > 0.0:
             sentence = f"{name} changes more than thrust (Fz): the cell's axes may be swapped"
-            found.append(Finding("cell-axes-swapped", sentence))
-    return found
+            findings.append(Finding("cell-axes-swapped", sentence))
+    return findings
 
 
 def _signs(speed: Channel | None, thrust: Channel | None) -> list[Finding]:

@@ -12,7 +12,7 @@ from sysid.recording import Channel, FloatArray
 
 # A step this many times the median is a hole in the clock.
 _HOLE = 2.5
-# A sensor at its limit repeats its largest value: so many samples in a row, and this share of all.
+# A sensor at its limit repeats its largest value: at least this many samples in a row, and this share of all.
 _FLAT_RUN, _FLAT_SHARE = 5, 0.005
 
 
@@ -62,7 +62,7 @@ class ChannelReport:
 
 
 def without_clock(one: ChannelReport) -> ChannelReport:
-    """Return the numbers of a channel whose rows have a number and no time; those of its clock are NaN."""
+    """Return the numbers of a channel whose rows have no time: NaN for all that its clock would tell."""
     unknown = float("nan")
     return replace(one, rate=unknown, jitter=unknown, holes=0, longest_hole=unknown, longest_blank=unknown)
 

@@ -34,13 +34,13 @@ _SCALES = {
     1 / 0.3048: "feet",
     1e-3: "metres, read as mm",
 }
-# A unit is told apart from a wrong rate only by how well g fits; two readings of one long fall lie so near.
+# Only g distinguishes a wrong unit from a wrong rate; two readings of one long fall differ by less than this.
 _NEAR_UNIT = 0.1
-# What a wrong rate or scale may make of g, the nearest first, in steps that leave a fall of 60 ms within the
-# half millimetre by which its end is told; and how long such a fall must be [s].
+# Factors on g that a wrong rate or scale may cause, the nearest first; one step moves the end of a fall of
+# 60 ms by less than the half millimetre that shows it. Such a fall must be this long [s].
 _ODD_GRAVITIES = tuple(1.06 ** (sign * power) for power in range(2, 26) for sign in (1, -1))
 _LONG_ODD_FALL = 0.1
-# Legs yield softly: a body leaves its flight visibly so long after the feet touch [s].
+# Legs yield softly: this long after the feet touch the body visibly leaves its flight [s].
 _YIELDING = 0.010
 # A shallower board has no direction that its markers could tell; a way further off an axis lies between two.
 _SHALLOW, _OFF_AXIS = np.radians(2.0), np.radians(30.0)
@@ -146,7 +146,7 @@ def inspect_drop(recording: Recording, gravity: float = STANDARD_GRAVITY) -> Dro
 
 
 def _falls_freely(report: DropReport, gravity: float) -> bool:
-    """Return whether a lone marker falls: those on a person's limbs accelerate as much, but not as evenly."""
+    """Return whether a lone marker falls: a marker on a limb accelerates as much, but not as evenly."""
     even = abs(report.gravity / gravity - 1.0) < 0.05 and report.up_error < 0.05 and not report.length_unit
     return even and (report.release is not None or report.fall_height > 0.1)
 
@@ -160,21 +160,21 @@ def _inspect_body(recording: Recording, body: str, channel: Channel, gravity: fl
     acceleration = accelerations(position, half, step)
     for scale, unit in _SCALES.items():
         place = position / scale
-        found = held_fall(time, place, acceleration / scale, sure, gravity)
-        if found is None and scale == 1.0:  # a slow motion in a wrong unit looks like a throw
-            found = thrown(time, place, acceleration, sure, gravity)
-        if found is None or not lands(time, place, *found):
+        flight = held_fall(time, place, acceleration / scale, sure, gravity)
+        if flight is None and scale == 1.0:  # a slow motion in a wrong unit looks like a throw
+            flight = thrown(time, place, acceleration, sure, gravity)
+        if flight is None or not lands(time, place, *flight):
             continue
-        own = float(np.linalg.norm(found[0].acceleration))
-        if not unit or abs(own / gravity - 1.0) < _NEAR_UNIT:
-            return _report(recording, body, channel, time, place, *found, unit)
+        measured = float(np.linalg.norm(flight[0].acceleration))
+        if not unit or abs(measured / gravity - 1.0) < _NEAR_UNIT:
+            return _report(recording, body, channel, time, place, *flight, unit)
     # A wrong rate changes g by its square: the fall is reported with the g that it has.
     for share in _ODD_GRAVITIES:
-        found = held_fall(time, position, acceleration, sure, share * gravity)
-        if found is None or time[found[1]] - found[0].start < _LONG_ODD_FALL:
+        flight = held_fall(time, position, acceleration, sure, share * gravity)
+        if flight is None or time[flight[1]] - flight[0].start < _LONG_ODD_FALL:
             continue
-        if lands(time, position, *found, stops=True):
-            return _report(recording, body, channel, time, position, *found, "")
+        if lands(time, position, *flight, stops=True):
+            return _report(recording, body, channel, time, position, *flight, "")
     return None
 
 
@@ -240,8 +240,8 @@ def _slope(
     still = []
     for marker in recording.markers:
         points = recording[f"{marker}/position"]
-        own = marker.startswith(body) or marker.endswith("(solved)")
-        if own or points.valid.sum() < 5:
+        on_body = marker.startswith(body) or marker.endswith("(solved)")
+        if on_body or points.valid.sum() < 5:
             continue
         seen = points.values[points.valid]
         if np.max(np.std(seen, axis=0)) < 2e-3:

@@ -105,8 +105,8 @@ def inspect_recording(recording: Recording, gravity: float = STANDARD_GRAVITY) -
     suspicions = [finding for finding in recording.provenance.notes if finding.severity == "warning"]
     drop, bench = None, None
     if recording.kind in ("thrust-stand", "load-cell"):
-        bench, found = inspect_bench(recording)
-        suspicions += found
+        bench, findings = inspect_bench(recording)
+        suspicions += findings
     if recording.kind == "motion-capture":
         drop = inspect_drop(recording, gravity)
         suspicions += _capture_suspicions(recording, drop, gravity)
@@ -124,27 +124,27 @@ def inspect_recording(recording: Recording, gravity: float = STANDARD_GRAVITY) -
     ]
     first = min((c.time[0] for c in recording.channels.values() if c.time.size), default=0.0)
     last = max((c.time[-1] for c in recording.channels.values() if c.time.size), default=0.0)
-    said = recording.provenance
+    provenance = recording.provenance
     return LogReport(
-        said.path,
-        said.sha256,
-        said.format,
-        said.device,
+        provenance.path,
+        provenance.sha256,
+        provenance.format,
+        provenance.device,
         recording.kind,
         float("nan") if recording.kind == "static-map" else float(last - first),
         channels,
         drop,
         bench,
         tuple(suspicions),
-        said.notes,
+        provenance.notes,
     )
 
 
 def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: float) -> list[Finding]:
-    found: list[Finding] = []
+    findings: list[Finding] = []
 
     def suspect(code: str, sentence: str) -> None:
-        found.append(Finding(code, sentence))
+        findings.append(Finding(code, sentence))
 
     far = [
         (name, float(np.nanmax(np.abs(channel.values))))
@@ -158,14 +158,14 @@ def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: 
             f"{name} reaches {distance:.4g} m: lengths are probably mm; {length_advice(recording, 'mm')}",
         )
     if drop is None:
-        return found
+        return findings
     if drop.length_unit:
         unit = _WRITTEN.get(drop.length_unit, drop.length_unit)
         suspect(
             "length-unit",
             f"{drop.body} falls as if lengths were in {drop.length_unit}; {length_advice(recording, unit)}",
         )
-        return found
+        return findings
     # 3 % over a flight of 0.2 s is a few sample errors; shorter flights tell g worse.
     flight = drop.touchdown - (drop.release if drop.release is not None else drop.touchdown - 0.1)
     if abs(drop.gravity / gravity - 1.0) > max(_WRONG_GRAVITY, 0.01 / max(flight, 1e-3)):
@@ -187,4 +187,4 @@ def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: 
         )
     elif drop.up[1] == "x":
         suspect("axes-swapped", f'{drop.body} falls along x: axes may be swapped; set up = "{drop.up}"')
-    return found
+    return findings
