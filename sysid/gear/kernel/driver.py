@@ -23,6 +23,7 @@ import numpy as np
 from numba import njit
 
 from sysid.gear.kernel import stage as stages
+from sysid.gear.kernel import work_buffer as at
 from sysid.gear.kernel.lane import (
     MOTION,
     TURN,
@@ -36,46 +37,6 @@ from sysid.gear.kernel.lane import (
     thrust_segment,
 )
 from sysid.gear.kernel.parameter_row import THRUST_POINT_DX
-from sysid.gear.kernel.work_buffer import (
-    COORDINATES,
-    COUNT,
-    END,
-    FLIPPED,
-    FRESH,
-    FRICTION,
-    FRICTION_0,
-    H_C,
-    H_D,
-    HOLD,
-    LENGTH,
-    LIMIT,
-    MOVED,
-    NEW_STEP,
-    NEXT,
-    NORMAL,
-    PHI,
-    PLAN_FIRST,
-    PLAN_SETTLED,
-    PLAN_START,
-    PLAN_STOP,
-    PLAN_WAITS,
-    RATES,
-    REQUIRED,
-    RESTED,
-    ROWS,
-    SEGMENT_END,
-    SEGMENT_TO,
-    START,
-    STEP,
-    STIFF,
-    STUCK,
-    SWITCH,
-    TAKEN,
-    TIME,
-    TOUCHED,
-    S,
-    W,
-)
 from sysid.gear.surfaces.surface import Surface, law_text, specialized
 from sysid.integrate.fused import fused
 from sysid.integrate.tableau import STAGES, E
@@ -114,10 +75,10 @@ _SAME = 1e-10
 def _error(work, lane, lanes):
     """Sum of the squared, weighted errors of a step's rates over its length squared."""
     total = 0.0
-    for i in range(COORDINATES):
+    for i in range(at.COORDINATES):
         gap = 0.0
         for j in range(STAGES + 1):
-            gap += E[j] * work[(RATES + COORDINATES * j + i) * lanes + lane]
+            gap += E[j] * work[(at.RATES + at.COORDINATES * j + i) * lanes + lane]
         gap = gap * WEIGHTS[i]
         total += gap * gap
     return total
@@ -215,7 +176,7 @@ def drop_driver(lanes: int, surface: Surface):
         ends_at, rest_speed, rest_turn, rest_time, flip_angle = ending
         ends = ends_at > 0.0
         drops = len(slope)
-        work = np.ones(ROWS * lanes)
+        work = np.ones(at.ROWS * lanes)
         job = np.full(lanes, -1, np.int64)
         cursor = np.zeros(lanes, np.int64)
         segment = np.zeros(lanes, np.int64)
@@ -248,7 +209,7 @@ def drop_driver(lanes: int, surface: Surface):
             attention = 0
             for lane in range(lanes):
                 total = _error(work, lane, lanes)
-                h = work[STEP * lanes + lane]
+                h = work[at.STEP * lanes + lane]
                 total = total * h * h * per_tolerance
                 # Fourth root of the error (of its square, the eighth): close to the cube root, and packed.
                 root = np.sqrt(np.sqrt(np.sqrt(total + 1e-9)))
@@ -259,63 +220,63 @@ def drop_driver(lanes: int, surface: Surface):
                 taken = 1.0 if total <= 1.0 else 0.0
                 new_h = h * factor
                 new_h = new_h if new_h < h_max else h_max
-                stable_h = 1.0 / (work[STIFF * lanes + lane] + 1e-3)
+                stable_h = 1.0 / (work[at.STIFF * lanes + lane] + 1e-3)
                 stable_h = stable_h if taken > 0.0 else new_h
                 new_h = new_h if new_h < stable_h else stable_h
-                fresh = work[FRESH * lanes + lane]
+                fresh = work[at.FRESH * lanes + lane]
                 new_h = FIRST_STEP * taken if fresh > 0.0 else new_h
                 new_h = 1e-8 if fresh > 1.0 else new_h
                 if modes:
                     taken, new_h = after_step(work, lane, lanes, h, taken, new_h)
-                t = work[TIME * lanes + lane]
+                t = work[at.TIME * lanes + lane]
                 now = t + h * taken
-                left = work[SEGMENT_END * lanes + lane] - now
+                left = work[at.SEGMENT_END * lanes + lane] - now
                 over = 1.0 if left <= _SAME else 0.0
                 new_h = new_h if new_h < left or over > 0.0 else left
-                work[NEW_STEP * lanes + lane] = new_h
-                work[TAKEN * lanes + lane] = taken
-                count = work[COUNT * lanes + lane] + STAGES
-                work[COUNT * lanes + lane] = count
+                work[at.NEW_STEP * lanes + lane] = new_h
+                work[at.TAKEN * lanes + lane] = taken
+                count = work[at.COUNT * lanes + lane] + STAGES
+                work[at.COUNT * lanes + lane] = count
                 # What happened in the step: contact, turning over, coming to rest.
-                touch_c = 1.0 if work[NORMAL * lanes + lane] > 0.0 else 0.0
-                touch_d = 1.0 if work[(NORMAL + 1) * lanes + lane] > 0.0 else 0.0
-                change_c = touch_c - work[TOUCHED * lanes + lane]
-                change_d = touch_d - work[(TOUCHED + 1) * lanes + lane]
+                touch_c = 1.0 if work[at.NORMAL * lanes + lane] > 0.0 else 0.0
+                touch_d = 1.0 if work[(at.NORMAL + 1) * lanes + lane] > 0.0 else 0.0
+                change_c = touch_c - work[at.TOUCHED * lanes + lane]
+                change_d = touch_d - work[(at.TOUCHED + 1) * lanes + lane]
                 if lanes == 1:
                     change_c = change_c * change_c
                     change_d = change_d * change_d
                 news = change_c if change_c > change_d else change_d
-                turn = work[(END + PHI) * lanes + lane]
+                turn = work[(at.END + at.PHI) * lanes + lane]
                 turn = turn if turn > 0.0 else -turn
                 turned = 1.0 if turn > flip_angle else 0.0
-                turned = turned - work[FLIPPED * lanes + lane]
+                turned = turned - work[at.FLIPPED * lanes + lane]
                 news = news if news > turned else turned
-                s_rate = work[(END + COORDINATES + S) * lanes + lane]
-                w_rate = work[(END + COORDINATES + W) * lanes + lane]
-                omega = work[(END + COORDINATES + PHI) * lanes + lane]
+                s_rate = work[(at.END + at.COORDINATES + at.S) * lanes + lane]
+                w_rate = work[(at.END + at.COORDINATES + at.W) * lanes + lane]
+                omega = work[(at.END + at.COORDINATES + at.PHI) * lanes + lane]
                 speed = s_rate * s_rate + w_rate * w_rate - rest_speed * rest_speed
                 spin = omega * omega - rest_turn * rest_turn
                 motion = speed if speed > spin else spin
-                motion = motion if now >= work[HOLD * lanes + lane] else 1.0
-                moved = work[MOVED * lanes + lane]
+                motion = motion if now >= work[at.HOLD * lanes + lane] else 1.0
+                moved = work[at.MOVED * lanes + lane]
                 if lanes == 1:
                     calm = 1.0 if moved >= t else 0.0
                     calm = calm if motion < 0.0 else 0.0
                     news = news if news > calm else calm
                 moved = now if motion >= 0.0 else moved
-                moved = moved if taken > 0.0 else work[MOVED * lanes + lane]
-                work[MOVED * lanes + lane] = moved
+                moved = moved if taken > 0.0 else work[at.MOVED * lanes + lane]
+                work[at.MOVED * lanes + lane] = moved
                 rested = 1.0 if now - moved >= rest_time else 0.0
-                rested = rested - work[RESTED * lanes + lane]
+                rested = rested - work[at.RESTED * lanes + lane]
                 news = news if news > rested else rested
                 news = news * taken
                 news = news if news > over else over
-                due = t + h - work[NEXT * lanes + lane]
-                stretch_c = work[(END + H_C) * lanes + lane] + work[LENGTH * lanes + lane]
-                stretch_d = work[(END + H_D) * lanes + lane] + work[LENGTH * lanes + lane]
+                due = t + h - work[at.NEXT * lanes + lane]
+                stretch_c = work[(at.END + at.H_C) * lanes + lane] + work[at.LENGTH * lanes + lane]
+                stretch_d = work[(at.END + at.H_D) * lanes + lane] + work[at.LENGTH * lanes + lane]
                 sound = stretch_c if stretch_c < stretch_d else stretch_d
                 sound = sound if new_h > 1e-9 else -1.0
-                sound = sound if count < work[LIMIT * lanes + lane] else -1.0
+                sound = sound if count < work[at.LIMIT * lanes + lane] else -1.0
                 due = due if taken > 0.0 else -1.0
                 due = due if sound > 0.0 else 1.0
                 due = due if news <= 0.0 else 1.0
@@ -328,82 +289,84 @@ def drop_driver(lanes: int, surface: Surface):
                     candidate = number // drops
                     drop = number % drops
                     end = offset[drop + 1]
-                    h = work[STEP * lanes + lane]
-                    t = work[TIME * lanes + lane]
+                    h = work[at.STEP * lanes + lane]
+                    t = work[at.TIME * lanes + lane]
                     length = clock[end - 1]
                     code = OK
-                    taken = work[TAKEN * lanes + lane] > 0.0
+                    taken = work[at.TAKEN * lanes + lane] > 0.0
                     if taken:
                         for foot in range(2):
-                            touch = 1.0 if work[(NORMAL + foot) * lanes + lane] > 0.0 else 0.0
-                            before = work[(TOUCHED + foot) * lanes + lane]
+                            touch = 1.0 if work[(at.NORMAL + foot) * lanes + lane] > 0.0 else 0.0
+                            before = work[(at.TOUCHED + foot) * lanes + lane]
                             if touch > before or (lanes == 1 and touch < before):
                                 share = locate(work, lane, lanes, foot, ending) if h > 0.0 else 0.0
-                                work[(TOUCHED + foot) * lanes + lane] = touch
+                                work[(at.TOUCHED + foot) * lanes + lane] = touch
                                 if touch > 0.0 and np.isnan(moments[candidate, drop, foot]):
                                     moments[candidate, drop, foot] = t + share * h
                                     row = states[candidate, drop, foot]
                                     sample(work, lane, lanes, share, slope[drop], row)
-                                    begins = t + share * h + plans[drop, PLAN_START]
-                                    waits = plans[drop, PLAN_WAITS] > 0.0
-                                    waits = waits and segment[lane] == plans[drop, PLAN_FIRST]
-                                    if waits and begins < work[SEGMENT_END * lanes + lane]:
+                                    begins = t + share * h + plans[drop, at.PLAN_START]
+                                    waits = plans[drop, at.PLAN_WAITS] > 0.0
+                                    waits = waits and segment[lane] == plans[drop, at.PLAN_FIRST]
+                                    if waits and begins < work[at.SEGMENT_END * lanes + lane]:
                                         origin[lane] = begins
-                                        work[SEGMENT_END * lanes + lane] = begins
-                                        hold_rest(plans[drop, PLAN_SETTLED], begins, work, lane, lanes)
+                                        work[at.SEGMENT_END * lanes + lane] = begins
+                                        hold_rest(plans[drop, at.PLAN_SETTLED], begins, work, lane, lanes)
                                     if ends_at > 1.0 and moments[candidate, drop, 1 - foot] >= 0.0:
                                         code = BOTH_TOUCHED
                                 kind = TOUCHDOWN if touch > 0.0 else LIFT_OFF
                                 marked = _mark(marks, marked, t + share * h, kind, foot)
-                            if modes and work[(SWITCH + foot) * lanes + lane] > 0.0:
+                            if modes and work[(at.SWITCH + foot) * lanes + lane] > 0.0:
                                 switches[candidate, drop] += 1
                                 if marked < len(marks):
                                     for other in range(2):
                                         friction[other] = available(work, lane, lanes, other)
-                                        friction[2 + other] = work[(REQUIRED + other) * lanes + lane]
-                                    kind = STICK if work[(STUCK + foot) * lanes + lane] > 0.0 else SLIP
+                                        friction[2 + other] = work[(at.REQUIRED + other) * lanes + lane]
+                                    kind = STICK if work[(at.STUCK + foot) * lanes + lane] > 0.0 else SLIP
                                     marked = _mark(marks, marked, t + h, kind, foot)
                                     marks[marked - 1, 3:] = friction
-                        if abs(work[(END + PHI) * lanes + lane]) > flip_angle and h > 0.0:
-                            if work[FLIPPED * lanes + lane] == 0.0:
-                                work[FLIPPED * lanes + lane] = 1.0
+                        if abs(work[(at.END + at.PHI) * lanes + lane]) > flip_angle and h > 0.0:
+                            if work[at.FLIPPED * lanes + lane] == 0.0:
+                                work[at.FLIPPED * lanes + lane] = 1.0
                                 turned_at = t + h * locate(work, lane, lanes, TURN, ending)
                                 moments[candidate, drop, FLIP_AT] = turned_at
                                 marked = _mark(marks, marked, turned_at, FLIP, BODY)
                             code = FLIPPED_OVER if ends else code
-                        if lanes == 1 and h > 0.0 and work[MOVED * lanes + lane] == t:
-                            work[MOVED * lanes + lane] = t + h * locate(work, lane, lanes, MOTION, ending)
-                        if t + h - work[MOVED * lanes + lane] >= rest_time:
-                            if work[RESTED * lanes + lane] == 0.0:
-                                work[RESTED * lanes + lane] = 1.0
-                                moments[candidate, drop, REST_AT] = work[MOVED * lanes + lane]
-                                marked = _mark(marks, marked, work[MOVED * lanes + lane], REST, BODY)
+                        if lanes == 1 and h > 0.0 and work[at.MOVED * lanes + lane] == t:
+                            work[at.MOVED * lanes + lane] = t + h * locate(work, lane, lanes, MOTION, ending)
+                        if t + h - work[at.MOVED * lanes + lane] >= rest_time:
+                            if work[at.RESTED * lanes + lane] == 0.0:
+                                work[at.RESTED * lanes + lane] = 1.0
+                                moments[candidate, drop, REST_AT] = work[at.MOVED * lanes + lane]
+                                marked = _mark(marks, marked, work[at.MOVED * lanes + lane], REST, BODY)
                             code = CAME_TO_REST if ends and code == OK else code
                         while cursor[lane] < end and clock[cursor[lane]] <= t + h:
                             share = (clock[cursor[lane]] - t) / h if h > 0.0 else 1.0
                             row = samples[candidate, cursor[lane]]
                             sample(work, lane, lanes, share, slope[drop], row)
                             cursor[lane] += 1
-                        stretch = min(work[(END + H_C) * lanes + lane], work[(END + H_D) * lanes + lane])
-                        if not stretch + work[LENGTH * lanes + lane] > 0.0:
+                        stretch = min(
+                            work[(at.END + at.H_C) * lanes + lane], work[(at.END + at.H_D) * lanes + lane]
+                        )
+                        if not stretch + work[at.LENGTH * lanes + lane] > 0.0:
                             code = BLEW_UP
                         now = t + h
-                        while work[SEGMENT_END * lanes + lane] - now <= _SAME:
+                        while work[at.SEGMENT_END * lanes + lane] - now <= _SAME:
                             segment[lane] += 1
                             until = np.inf
-                            if segment[lane] < plans[drop, PLAN_STOP]:
-                                until = origin[lane] + segments[segment[lane], SEGMENT_TO]
-                            at, begun = parameters[candidate, THRUST_POINT_DX], origin[lane]
-                            thrust_segment(segments, segment[lane], begun, until, at, work, lane, lanes)
-                        work[NEW_STEP * lanes + lane] = min(
-                            work[NEW_STEP * lanes + lane], work[SEGMENT_END * lanes + lane] - now
+                            if segment[lane] < plans[drop, at.PLAN_STOP]:
+                                until = origin[lane] + segments[segment[lane], at.SEGMENT_TO]
+                            lever, begun = parameters[candidate, THRUST_POINT_DX], origin[lane]
+                            thrust_segment(segments, segment[lane], begun, until, lever, work, lane, lanes)
+                        work[at.NEW_STEP * lanes + lane] = min(
+                            work[at.NEW_STEP * lanes + lane], work[at.SEGMENT_END * lanes + lane] - now
                         )
-                    elif not work[NEW_STEP * lanes + lane] > 1e-9:
+                    elif not work[at.NEW_STEP * lanes + lane] > 1e-9:
                         code = STEP_COLLAPSED
-                    if work[COUNT * lanes + lane] >= work[LIMIT * lanes + lane]:
+                    if work[at.COUNT * lanes + lane] >= work[at.LIMIT * lanes + lane]:
                         code = TOO_EXPENSIVE
                     if cursor[lane] < end:
-                        work[NEXT * lanes + lane] = clock[cursor[lane]]
+                        work[at.NEXT * lanes + lane] = clock[cursor[lane]]
                         if code == OK:
                             continue
                         reached[candidate, drop] = min(t / length, 1.0) if length > 0.0 else 0.0
@@ -416,14 +379,14 @@ def drop_driver(lanes: int, surface: Surface):
                         share = (length - t) / h if h > 0.0 else 0.0
                     sample(work, lane, lanes, share, slope[drop], states[candidate, drop, AT_END])
                     status[candidate, drop] = code
-                    spent[candidate, drop] = np.int64(work[COUNT * lanes + lane])
+                    spent[candidate, drop] = np.int64(work[at.COUNT * lanes + lane])
                     if waiting < len(jobs):
                         number = jobs[waiting]
                     load(
                         number, parameters, slope, body, legs, segments, plans, segment, origin,
                         work, lane, lanes,
                     )  # fmt: skip
-                    work[TAKEN * lanes + lane] = -1.0
+                    work[at.TAKEN * lanes + lane] = -1.0
                     if waiting < len(jobs):
                         assign(number, lane, job, cursor, clock, offset, cost, work)
                         waiting += 1
@@ -431,30 +394,30 @@ def drop_driver(lanes: int, surface: Surface):
                         idle(lane, job, work)
                         active -= 1
             for lane in range(lanes):
-                taken = work[TAKEN * lanes + lane]
-                h = work[STEP * lanes + lane]
-                work[TIME * lanes + lane] = work[TIME * lanes + lane] + (h if taken > 0.0 else 0.0)
-                work[STEP * lanes + lane] = work[NEW_STEP * lanes + lane] if taken >= 0.0 else 0.0
-                fresh = work[FRESH * lanes + lane]
+                taken = work[at.TAKEN * lanes + lane]
+                h = work[at.STEP * lanes + lane]
+                work[at.TIME * lanes + lane] = work[at.TIME * lanes + lane] + (h if taken > 0.0 else 0.0)
+                work[at.STEP * lanes + lane] = work[at.NEW_STEP * lanes + lane] if taken >= 0.0 else 0.0
+                fresh = work[at.FRESH * lanes + lane]
                 fresh = 0.0 if taken >= 0.0 and fresh == 1.0 else fresh
                 if modes:
-                    switched = work[SWITCH * lanes + lane] + work[(SWITCH + 1) * lanes + lane]
+                    switched = work[at.SWITCH * lanes + lane] + work[(at.SWITCH + 1) * lanes + lane]
                     fresh = 1.0 if switched > 0.0 and fresh == 0.0 else fresh
                 for foot in range(2):
-                    before = work[(FRICTION_0 + foot) * lanes + lane]
-                    now = work[(FRICTION + foot) * lanes + lane]
-                    work[(FRICTION_0 + foot) * lanes + lane] = now if taken > 0.0 else before
-                work[FRESH * lanes + lane] = fresh
-            for i in range(2 * COORDINATES):
+                    before = work[(at.FRICTION_0 + foot) * lanes + lane]
+                    now = work[(at.FRICTION + foot) * lanes + lane]
+                    work[(at.FRICTION_0 + foot) * lanes + lane] = now if taken > 0.0 else before
+                work[at.FRESH * lanes + lane] = fresh
+            for i in range(2 * at.COORDINATES):
                 for lane in range(lanes):
-                    old = work[(START + i) * lanes + lane]
-                    new = work[(END + i) * lanes + lane]
-                    work[(START + i) * lanes + lane] = new if work[TAKEN * lanes + lane] > 0.0 else old
-            for i in range(COORDINATES):
+                    old = work[(at.START + i) * lanes + lane]
+                    new = work[(at.END + i) * lanes + lane]
+                    work[(at.START + i) * lanes + lane] = new if work[at.TAKEN * lanes + lane] > 0.0 else old
+            for i in range(at.COORDINATES):
                 for lane in range(lanes):
-                    old = work[(RATES + i) * lanes + lane]
-                    new = work[(RATES + COORDINATES * STAGES + i) * lanes + lane]
-                    work[(RATES + i) * lanes + lane] = new if work[TAKEN * lanes + lane] > 0.0 else old
+                    old = work[(at.RATES + i) * lanes + lane]
+                    new = work[(at.RATES + at.COORDINATES * STAGES + i) * lanes + lane]
+                    work[(at.RATES + i) * lanes + lane] = new if work[at.TAKEN * lanes + lane] > 0.0 else old
 
     text = specialized(stages.evaluate, solve=surface.solve, modes=surface.switching)
     stage = njit(error_model="numpy", inline="always")(text)

@@ -19,100 +19,47 @@ where ``p = ex.r'``, ``n = ez.r'`` and ``r' = (r_w, -r_s)`` is the joint's offse
 Eliminating all but the two ``lam`` leaves one symmetric, positive definite 2 x 2 system: a single division.
 """
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numba import njit
 
+from sysid.gear.kernel import parameter_row as column
 from sysid.gear.kernel.geometry import foot_motion, joint_position, sine_cosine
-from sysid.gear.kernel.parameter_row import (
-    AXIAL_DAMPING_RATIO,
-    AXIAL_STIFFNESS_RATIO,
-    BENDING_DAMPING_RATIO,
-    BENDING_STIFFNESS_RATIO,
-    BODY_INERTIA,
-    BODY_MASS,
-    FOOT_DX,
-    FOOT_DZ,
-    GRAVITY,
-    INERTIA_RATIO,
-    JOINT_DX,
-    JOINT_DZ,
-    LEG_AXIAL_DAMPING,
-    LEG_AXIAL_STIFFNESS,
-    LEG_BENDING_DAMPING,
-    LEG_BENDING_STIFFNESS,
-    LEG_INERTIA,
-    LEG_MASS,
-    LEG_MASS_FRACTION,
-    MASS_RATIO,
-)
 from sysid.integrate.fused import fused
 
-
-class Coefficients(NamedTuple):
-    """What the equations of motion read: C is the rear leg, D the front leg.
-
-    k_h, b_h: axial spring and damper; k_t, b_t: bending spring and damper; dx_j, dz_j: joints; l, q_n: length
-    and angle of a leg at rest; arm, rho_0: distance of its centre of mass from the foot and the joint at
-    rest; per_m, per_i: 1/m_B, 1/I_B; per_mc, per_ic: 1/m_leg, 1/I_leg; g_s, g_w: gravity along the slope's
-    tangent and normal.
-    """
-
-    k_h_c: float
-    b_h_c: float
-    k_t_c: float
-    b_t_c: float
-    k_h_d: float
-    b_h_d: float
-    k_t_d: float
-    b_t_d: float
-    dx_j: float
-    dz_j: float
-    length: float
-    q_n: float
-    arm: float
-    rho_0: float
-    per_m: float
-    per_i: float
-    per_mc: float
-    per_ic: float
-    per_md: float
-    per_id: float
-    g_s: float
-    g_w: float
+# What the equations of motion read; C is the rear leg, D the front leg. k_h, b_h: axial spring and damper; k_t,
+# b_t: bending; dx_j, dz_j: joints; length, q_n: length and angle of a leg at rest; arm, rho_0: distance of its
+# centre of mass from the foot and, at rest, from the joint; per_m, per_i: 1/m_B, 1/I_B; per_mc, per_ic, per_md,
+# per_id: 1/m_leg, 1/I_leg; g_s, g_w: gravity along the slope's tangent and normal.
+Coefficients = namedtuple(
+    "Coefficients",
+    "k_h_c b_h_c k_t_c b_t_c k_h_d b_h_d k_t_d b_t_d dx_j dz_j length q_n arm rho_0 "
+    "per_m per_i per_mc per_ic per_md per_id g_s g_w",
+)
 
 
 @njit(error_model="numpy")
 def derived(p, slope):
     """`Coefficients` of a row of `sysid.gear.kernel.parameter_row` on a slope [rad]."""
-    span = p[FOOT_DX] - p[JOINT_DX]
-    drop = p[FOOT_DZ] - p[JOINT_DZ]
+    k_h, b_h = p[column.LEG_AXIAL_STIFFNESS], p[column.LEG_AXIAL_DAMPING]
+    k_t, b_t = p[column.LEG_BENDING_STIFFNESS], p[column.LEG_BENDING_DAMPING]
+    mass, inertia, fraction = p[column.LEG_MASS], p[column.LEG_INERTIA], p[column.LEG_MASS_FRACTION]
+    front_mass = mass * p[column.FRONT_LEG_MASS_RATIO]
+    front_inertia = inertia * p[column.FRONT_LEG_INERTIA_RATIO]
+    dx_j, dz_j = p[column.JOINT_DX], p[column.JOINT_DZ]
+    span, drop = p[column.FOOT_DX] - dx_j, p[column.FOOT_DZ] - dz_j
     length = np.sqrt(span * span + drop * drop)
+    g = p[column.GRAVITY]
     return Coefficients(
-        p[LEG_AXIAL_STIFFNESS],
-        p[LEG_AXIAL_DAMPING],
-        p[LEG_BENDING_STIFFNESS],
-        p[LEG_BENDING_DAMPING],
-        p[LEG_AXIAL_STIFFNESS] * p[AXIAL_STIFFNESS_RATIO],
-        p[LEG_AXIAL_DAMPING] * p[AXIAL_DAMPING_RATIO],
-        p[LEG_BENDING_STIFFNESS] * p[BENDING_STIFFNESS_RATIO],
-        p[LEG_BENDING_DAMPING] * p[BENDING_DAMPING_RATIO],
-        p[JOINT_DX],
-        p[JOINT_DZ],
-        length,
-        np.arctan2(span, drop),
-        p[LEG_MASS_FRACTION] * length,
-        (1.0 - p[LEG_MASS_FRACTION]) * length,
-        1.0 / p[BODY_MASS],
-        1.0 / p[BODY_INERTIA],
-        1.0 / p[LEG_MASS],
-        1.0 / p[LEG_INERTIA],
-        1.0 / (p[LEG_MASS] * p[MASS_RATIO]),
-        1.0 / (p[LEG_INERTIA] * p[INERTIA_RATIO]),
-        p[GRAVITY] * np.sin(slope),
-        -p[GRAVITY] * np.cos(slope),
-    )
+        k_h, b_h, k_t, b_t,
+        k_h * p[column.FRONT_LEG_AXIAL_STIFFNESS_RATIO], b_h * p[column.FRONT_LEG_AXIAL_DAMPING_RATIO],
+        k_t * p[column.FRONT_LEG_BENDING_STIFFNESS_RATIO], b_t * p[column.FRONT_LEG_BENDING_DAMPING_RATIO],
+        dx_j, dz_j, length, np.arctan2(span, drop), fraction * length, (1.0 - fraction) * length,
+        1.0 / p[column.BODY_MASS], 1.0 / p[column.BODY_INERTIA],
+        1.0 / mass, 1.0 / inertia, 1.0 / front_mass, 1.0 / front_inertia,
+        g * np.sin(slope), -g * np.cos(slope),
+    )  # fmt: skip
 
 
 @njit(error_model="numpy", forceinline=True)

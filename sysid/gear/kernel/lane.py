@@ -3,6 +3,7 @@
 import numpy as np
 from numba import njit
 
+from sysid.gear.kernel import work_buffer as at
 from sysid.gear.kernel.dynamics import derived, feet, pose
 from sysid.gear.kernel.parameter_row import (
     GROUND_DAMPING,
@@ -12,52 +13,6 @@ from sysid.gear.kernel.parameter_row import (
     THRUST_POINT_DX,
 )
 from sysid.gear.kernel.stage import coefficients_at
-from sysid.gear.kernel.work_buffer import (
-    COEFFICIENTS,
-    COORDINATES,
-    COUNT,
-    END,
-    FLIPPED,
-    FRESH,
-    FRICTION,
-    FRICTION_0,
-    GROUND_DAMPER,
-    GROUND_SPRING,
-    H_C,
-    H_D,
-    HOLD,
-    LAW,
-    LIFT,
-    LIMIT,
-    MARGIN,
-    MOVED,
-    NEXT,
-    NORMAL,
-    ORIGIN,
-    PHI,
-    PLAN_FIRST,
-    PLAN_SETTLED,
-    PLAN_START,
-    PLAN_WAITS,
-    RATES,
-    RESTED,
-    SEGMENT_END,
-    SEGMENT_FROM,
-    SEGMENT_FRONT,
-    SEGMENT_REAR,
-    START,
-    STEP,
-    STUCK,
-    SWITCH,
-    THETA_C,
-    THETA_D,
-    TILT,
-    TIME,
-    TOUCHED,
-    WAY,
-    S,
-    W,
-)
 from sysid.integrate.tableau import STAGES
 
 # What `locate` looks for: the penetration of a foot, a turn beyond the flip, an excess of motion.
@@ -68,7 +23,7 @@ REAR_FOOT, FRONT_FOOT, TURN, MOTION = range(4)
 def _feet(coordinates, rates, work, lane, lanes):
     """Penetration, its rate and slip speed of the rear foot, then of the front foot, from a lane's state."""
     _, w, phi, h_c, theta_c, h_d, theta_d = coordinates
-    coefficients = coefficients_at(work, COEFFICIENTS * lanes + lane, lanes)
+    coefficients = coefficients_at(work, at.COEFFICIENTS * lanes + lane, lanes)
     joints = pose(phi, theta_c, theta_d, coefficients.dx_j, coefficients.dz_j)
     return feet(joints, w, h_c, h_d, rates, coefficients.length)
 
@@ -76,22 +31,19 @@ def _feet(coordinates, rates, work, lane, lanes):
 @njit(error_model="numpy")
 def _seven(work, row, lane, lanes):
     """Seven rows of a lane."""
+    p = row * lanes + lane
+    n = lanes
     return (
-        work[row * lanes + lane],
-        work[(row + 1) * lanes + lane],
-        work[(row + 2) * lanes + lane],
-        work[(row + 3) * lanes + lane],
-        work[(row + 4) * lanes + lane],
-        work[(row + 5) * lanes + lane],
-        work[(row + 6) * lanes + lane],
-    )
+        work[p], work[p + n], work[p + 2 * n], work[p + 3 * n],
+        work[p + 4 * n], work[p + 5 * n], work[p + 6 * n],
+    )  # fmt: skip
 
 
 @njit(error_model="numpy")
 def feet_at_start(work, lane, lanes):
     """Penetration, its rate and slip speed of the rear foot, then of the front foot, at the step's start."""
-    coordinates = _seven(work, START, lane, lanes)
-    rates = _seven(work, START + COORDINATES, lane, lanes)
+    coordinates = _seven(work, at.START, lane, lanes)
+    rates = _seven(work, at.START + at.COORDINATES, lane, lanes)
     return _feet(coordinates, rates, work, lane, lanes)
 
 
@@ -100,12 +52,12 @@ def begin(parameters, slope, body, legs, work, lane, lanes):
     """Load a job into a lane: coefficients, state in the slope's frame, a first step of length 0."""
     coefficients = derived(parameters, slope)
     for i in range(len(coefficients)):
-        work[(COEFFICIENTS + i) * lanes + lane] = coefficients[i]
-    work[GROUND_SPRING * lanes + lane] = parameters[GROUND_STIFFNESS]
-    work[GROUND_DAMPER * lanes + lane] = parameters[GROUND_DAMPING]
+        work[(at.COEFFICIENTS + i) * lanes + lane] = coefficients[i]
+    work[at.GROUND_SPRING * lanes + lane] = parameters[GROUND_STIFFNESS]
+    work[at.GROUND_DAMPER * lanes + lane] = parameters[GROUND_DAMPING]
     for i in range(LAW_SLOTS):
         reads = LAW_READS + i
-        work[(LAW + i) * lanes + lane] = parameters[reads] if reads < len(parameters) else 0.0
+        work[(at.LAW + i) * lanes + lane] = parameters[reads] if reads < len(parameters) else 0.0
     c = np.cos(slope)
     s = np.sin(slope)
     x, z, pitch, x_rate, z_rate, omega = body[0], body[1], body[2], body[3], body[4], body[5]
@@ -118,32 +70,32 @@ def begin(parameters, slope, body, legs, work, lane, lanes):
     coordinates = (c * x - s * z, s * x + c * z, phi, h_c, theta_c, h_d, theta_d)
     along, normal = c * x_rate - s * z_rate, s * x_rate + c * z_rate
     rates = (along, normal, omega, h_c_rate, theta_c_rate, h_d_rate, theta_d_rate)
-    for i in range(COORDINATES):
-        work[(START + i) * lanes + lane] = coordinates[i]
-        work[(START + COORDINATES + i) * lanes + lane] = rates[i]
-        work[(RATES + i) * lanes + lane] = 0.0
+    for i in range(at.COORDINATES):
+        work[(at.START + i) * lanes + lane] = coordinates[i]
+        work[(at.START + at.COORDINATES + i) * lanes + lane] = rates[i]
+        work[(at.RATES + i) * lanes + lane] = 0.0
     p_c, _, v_c, p_d, _, v_d = feet_at_start(work, lane, lanes)
     # Direction of slip: the direction of the motion of a foot that touches, +1 in the air.
-    work[WAY * lanes + lane] = -1.0 if p_c > 0.0 and v_c < 0.0 else 1.0
-    work[(WAY + 1) * lanes + lane] = -1.0 if p_d > 0.0 and v_d < 0.0 else 1.0
+    work[at.WAY * lanes + lane] = -1.0 if p_c > 0.0 and v_c < 0.0 else 1.0
+    work[(at.WAY + 1) * lanes + lane] = -1.0 if p_d > 0.0 and v_d < 0.0 else 1.0
     for foot in range(2):
-        work[(STUCK + foot) * lanes + lane] = 0.0
-        work[(MARGIN + foot) * lanes + lane] = -1e30
-        work[(SWITCH + foot) * lanes + lane] = 0.0
-        work[(FRICTION_0 + foot) * lanes + lane] = 0.0
-        work[(TOUCHED + foot) * lanes + lane] = 0.0
+        work[(at.STUCK + foot) * lanes + lane] = 0.0
+        work[(at.MARGIN + foot) * lanes + lane] = -1e30
+        work[(at.SWITCH + foot) * lanes + lane] = 0.0
+        work[(at.FRICTION_0 + foot) * lanes + lane] = 0.0
+        work[(at.TOUCHED + foot) * lanes + lane] = 0.0
     for i in range(4):
-        work[(LIFT + i) * lanes + lane] = 0.0
-        work[(TILT + i) * lanes + lane] = 0.0
-    work[ORIGIN * lanes + lane] = 0.0
-    work[SEGMENT_END * lanes + lane] = np.inf
-    work[FLIPPED * lanes + lane] = 0.0
-    work[RESTED * lanes + lane] = 0.0
-    work[MOVED * lanes + lane] = 0.0
-    work[TIME * lanes + lane] = 0.0
-    work[STEP * lanes + lane] = 0.0
-    work[FRESH * lanes + lane] = 1.0
-    work[COUNT * lanes + lane] = 0.0
+        work[(at.LIFT + i) * lanes + lane] = 0.0
+        work[(at.TILT + i) * lanes + lane] = 0.0
+    work[at.ORIGIN * lanes + lane] = 0.0
+    work[at.SEGMENT_END * lanes + lane] = np.inf
+    work[at.FLIPPED * lanes + lane] = 0.0
+    work[at.RESTED * lanes + lane] = 0.0
+    work[at.MOVED * lanes + lane] = 0.0
+    work[at.TIME * lanes + lane] = 0.0
+    work[at.STEP * lanes + lane] = 0.0
+    work[at.FRESH * lanes + lane] = 1.0
+    work[at.COUNT * lanes + lane] = 0.0
 
 
 @njit(error_model="numpy")
@@ -153,12 +105,12 @@ def load(number, parameters, slope, body, legs, segments, plans, segment, origin
     drop = number % len(slope)
     start = body[candidate if len(body) > 1 else 0, drop]
     begin(parameters[candidate], slope[drop], start, legs, work, lane, lanes)
-    segment[lane] = np.int64(plans[drop, PLAN_FIRST])
-    origin[lane] = plans[drop, PLAN_START]
-    until = np.inf if plans[drop, PLAN_WAITS] > 0.0 else origin[lane]
+    segment[lane] = np.int64(plans[drop, at.PLAN_FIRST])
+    origin[lane] = plans[drop, at.PLAN_START]
+    until = np.inf if plans[drop, at.PLAN_WAITS] > 0.0 else origin[lane]
     thrust_dx = parameters[candidate, THRUST_POINT_DX]
     thrust_segment(segments, segment[lane], 0.0, until, thrust_dx, work, lane, lanes)
-    hold_rest(plans[drop, PLAN_SETTLED], until, work, lane, lanes)
+    hold_rest(plans[drop, at.PLAN_SETTLED], until, work, lane, lanes)
 
 
 @njit(error_model="numpy")
@@ -168,8 +120,8 @@ def assign(number, lane, job, cursor, clock, offset, cost, work):
     drop = number % (len(offset) - 1)
     job[lane] = number
     cursor[lane] = offset[drop]
-    work[NEXT * lanes + lane] = 0.0
-    work[LIMIT * lanes + lane] = max(1000.0, cost * clock[offset[drop + 1] - 1])
+    work[at.NEXT * lanes + lane] = 0.0
+    work[at.LIMIT * lanes + lane] = max(1000.0, cost * clock[offset[drop + 1] - 1])
 
 
 @njit(error_model="numpy")
@@ -177,45 +129,45 @@ def idle(lane, job, work):
     """Let a lane crawl from the start it holds: its numbers stay ordinary and nobody reads them."""
     lanes = len(job)
     job[lane] = -1
-    work[NEXT * lanes + lane] = np.inf
-    work[LIMIT * lanes + lane] = np.inf
-    work[FRESH * lanes + lane] = 2.0
+    work[at.NEXT * lanes + lane] = np.inf
+    work[at.LIMIT * lanes + lane] = np.inf
+    work[at.FRESH * lanes + lane] = 2.0
 
 
 @njit(error_model="numpy")
-def thrust_segment(segments, at, origin, until, thrust_dx, work, lane, lanes):
-    """Load segment `at` of a thrust history whose clock started at lane time `origin`; it ends at `until`."""
-    coefficients = coefficients_at(work, COEFFICIENTS * lanes + lane, lanes)
+def thrust_segment(segments, number, origin, until, thrust_dx, work, lane, lanes):
+    """Load a segment of a thrust history; lane times: the clock starts at `origin`, the segment ends at `until`."""
+    coefficients = coefficients_at(work, at.COEFFICIENTS * lanes + lane, lanes)
     for i in range(4):
-        rear = segments[at, SEGMENT_REAR + i]
-        front = segments[at, SEGMENT_FRONT + i]
-        work[(LIFT + i) * lanes + lane] = (rear + front) * coefficients.per_m
-        work[(TILT + i) * lanes + lane] = thrust_dx * (rear - front) * coefficients.per_i
-    work[ORIGIN * lanes + lane] = origin + segments[at, SEGMENT_FROM]
-    work[SEGMENT_END * lanes + lane] = until
+        rear = segments[number, at.SEGMENT_REAR + i]
+        front = segments[number, at.SEGMENT_FRONT + i]
+        work[(at.LIFT + i) * lanes + lane] = (rear + front) * coefficients.per_m
+        work[(at.TILT + i) * lanes + lane] = thrust_dx * (rear - front) * coefficients.per_i
+    work[at.ORIGIN * lanes + lane] = origin + segments[number, at.SEGMENT_FROM]
+    work[at.SEGMENT_END * lanes + lane] = until
 
 
 @njit(error_model="numpy")
 def hold_rest(settled, origin, work, lane, lanes):
     """Count no rest until a history whose clock starts at `origin` shows `settled`, if not negative."""
-    work[HOLD * lanes + lane] = origin + settled if settled >= 0.0 else 0.0
+    work[at.HOLD * lanes + lane] = origin + settled if settled >= 0.0 else 0.0
 
 
 @njit(error_model="numpy")
 def interpolated(work, lane, lanes, share, i):
     """Coordinate `i` and its rate at `share` (0..1) of the lane's step, from cubic Hermite polynomials."""
-    h = work[STEP * lanes + lane]
+    h = work[at.STEP * lanes + lane]
     rest = 1.0 - share
     b00 = (1.0 + 2.0 * share) * rest * rest
     b01 = share * share * (3.0 - 2.0 * share)
     b10 = h * share * rest * rest
     b11 = -h * share * share * rest
-    x0 = work[(START + i) * lanes + lane]
-    v0 = work[(START + COORDINATES + i) * lanes + lane]
-    x1 = work[(END + i) * lanes + lane]
-    v1 = work[(END + COORDINATES + i) * lanes + lane]
-    a0 = work[(RATES + i) * lanes + lane]
-    a1 = work[(RATES + COORDINATES * STAGES + i) * lanes + lane]
+    x0 = work[(at.START + i) * lanes + lane]
+    v0 = work[(at.START + at.COORDINATES + i) * lanes + lane]
+    x1 = work[(at.END + i) * lanes + lane]
+    v1 = work[(at.END + at.COORDINATES + i) * lanes + lane]
+    a0 = work[(at.RATES + i) * lanes + lane]
+    a1 = work[(at.RATES + at.COORDINATES * STAGES + i) * lanes + lane]
     return b00 * x0 + b01 * x1 + b10 * v0 + b11 * v1, b00 * v0 + b01 * v1 + b10 * a0 + b11 * a1
 
 
@@ -244,8 +196,8 @@ def sample(work, lane, lanes, share, slope, row):
     row[2] = row[2] + slope
     if columns == 16:
         for foot in range(2):
-            before = work[(FRICTION_0 + foot) * lanes + lane]
-            row[14 + foot] = (1.0 - share) * before + share * work[(FRICTION + foot) * lanes + lane]
+            before = work[(at.FRICTION_0 + foot) * lanes + lane]
+            row[14 + foot] = (1.0 - share) * before + share * work[(at.FRICTION + foot) * lanes + lane]
 
 
 @njit(error_model="numpy")
@@ -253,20 +205,20 @@ def _gap(work, lane, lanes, share, kind, ending):
     """The number whose change of sign is the event: see `REAR_FOOT` ... `MOTION`."""
     _, rest_speed, rest_turn, _, flip_angle = ending
     if kind == TURN:
-        phi, _ = interpolated(work, lane, lanes, share, PHI)
+        phi, _ = interpolated(work, lane, lanes, share, at.PHI)
         return abs(phi) - flip_angle
     if kind == MOTION:
-        _, s_rate = interpolated(work, lane, lanes, share, S)
-        _, w_rate = interpolated(work, lane, lanes, share, W)
-        _, omega = interpolated(work, lane, lanes, share, PHI)
+        _, s_rate = interpolated(work, lane, lanes, share, at.S)
+        _, w_rate = interpolated(work, lane, lanes, share, at.W)
+        _, omega = interpolated(work, lane, lanes, share, at.PHI)
         speed = np.sqrt(s_rate * s_rate + w_rate * w_rate)
         return max(speed / rest_speed, abs(omega) / rest_turn) - 1.0
-    w, _ = interpolated(work, lane, lanes, share, W)
-    phi, _ = interpolated(work, lane, lanes, share, PHI)
-    h_c, _ = interpolated(work, lane, lanes, share, H_C)
-    theta_c, _ = interpolated(work, lane, lanes, share, THETA_C)
-    h_d, _ = interpolated(work, lane, lanes, share, H_D)
-    theta_d, _ = interpolated(work, lane, lanes, share, THETA_D)
+    w, _ = interpolated(work, lane, lanes, share, at.W)
+    phi, _ = interpolated(work, lane, lanes, share, at.PHI)
+    h_c, _ = interpolated(work, lane, lanes, share, at.H_C)
+    theta_c, _ = interpolated(work, lane, lanes, share, at.THETA_C)
+    h_d, _ = interpolated(work, lane, lanes, share, at.H_D)
+    theta_d, _ = interpolated(work, lane, lanes, share, at.THETA_D)
     still = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     p_c, _, _, p_d, _, _ = _feet((0.0, w, phi, h_c, theta_c, h_d, theta_d), still, work, lane, lanes)
     return p_c if kind == REAR_FOOT else p_d
@@ -284,7 +236,7 @@ def locate(work, lane, lanes, kind, ending):
     for _ in range(40):
         share = (low * at_high - high * at_low) / (at_high - at_low)
         gap = _gap(work, lane, lanes, share, kind, ending)
-        if (high - low) * work[STEP * lanes + lane] < 1e-9 or abs(gap) < 1e-12:
+        if (high - low) * work[at.STEP * lanes + lane] < 1e-9 or abs(gap) < 1e-12:
             return share
         if gap * at_high > 0.0:
             high, at_high = share, gap
@@ -304,9 +256,9 @@ def available(work, lane, lanes, foot):
     The mode is the one that the foot has or has just lost: a foot whose slip has come to zero is judged by
     mu_k, whether it sticks then or slips back; a foot that is released is judged by mu_s.
     """
-    lost = work[(SWITCH + foot) * lanes + lane]
-    sticks = work[(STUCK + foot) * lanes + lane]
+    lost = work[(at.SWITCH + foot) * lanes + lane]
+    sticks = work[(at.STUCK + foot) * lanes + lane]
     sticks = lost - 1.0 if lost > 0.0 else sticks
-    mu = work[LAW * lanes + lane]
-    mu = mu + work[(LAW + 1) * lanes + lane] if sticks > 0.0 else mu
-    return mu * work[(NORMAL + foot) * lanes + lane]
+    mu = work[at.LAW * lanes + lane]
+    mu = mu + work[(at.LAW + 1) * lanes + lane] if sticks > 0.0 else mu
+    return mu * work[(at.NORMAL + foot) * lanes + lane]

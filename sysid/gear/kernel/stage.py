@@ -4,42 +4,9 @@ from typing import Any
 
 from numba import njit
 
+from sysid.gear.kernel import work_buffer as at
 from sysid.gear.kernel.contact import normal_force
 from sysid.gear.kernel.dynamics import Coefficients, feet, pose, ringing
-from sysid.gear.kernel.work_buffer import (
-    COEFFICIENTS,
-    COORDINATES,
-    END,
-    FRICTION,
-    GROUND_DAMPER,
-    GROUND_SPRING,
-    H_C,
-    H_D,
-    INNER,
-    INNER_NORMAL,
-    INNER_REQUIRED,
-    INNER_ROWS,
-    INNER_SLIP,
-    LAW,
-    LIFT,
-    NORMAL,
-    ORIGIN,
-    PHI,
-    RATES,
-    REQUIRED,
-    SLIP,
-    START,
-    STEP,
-    STIFF,
-    STUCK,
-    THETA_C,
-    THETA_D,
-    TILT,
-    TIME,
-    WAY,
-    S,
-    W,
-)
 from sysid.integrate.fused import fused
 from sysid.integrate.tableau import A_TWICE, REAL_LIMIT, RING_GAIN, RING_LIMIT, RING_MOST, STAGES, A, C
 
@@ -60,15 +27,15 @@ def advanced(work, stage, i, lane, lanes):
     A coordinate's derivative is its rate, so stages of coordinates are sums over accelerations alone (Nystrom
     form).
     """
-    h = work[STEP * lanes + lane]
-    rate = work[(START + COORDINATES + i) * lanes + lane]
+    h = work[at.STEP * lanes + lane]
+    rate = work[(at.START + at.COORDINATES + i) * lanes + lane]
     along = 0.0
     twice = 0.0
     for j in range(stage):
-        k = work[(RATES + COORDINATES * j + i) * lanes + lane]
+        k = work[(at.RATES + at.COORDINATES * j + i) * lanes + lane]
         along += A[stage, j] * k
         twice += A_TWICE[stage, j] * k
-    return work[(START + i) * lanes + lane] + h * (C[stage] * rate + h * twice), rate + h * along
+    return work[(at.START + i) * lanes + lane] + h * (C[stage] * rate + h * twice), rate + h * along
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -86,29 +53,12 @@ def cubic(work, row, elapsed, lane, lanes):
 def coefficients_at(work, p, n):
     """The coefficients that a lane keeps from place `p` on, `n` apart."""
     return Coefficients(
-        work[p],
-        work[p + 1 * n],
-        work[p + 2 * n],
-        work[p + 3 * n],
-        work[p + 4 * n],
-        work[p + 5 * n],
-        work[p + 6 * n],
-        work[p + 7 * n],
-        work[p + 8 * n],
-        work[p + 9 * n],
-        work[p + 10 * n],
-        work[p + 11 * n],
-        work[p + 12 * n],
-        work[p + 13 * n],
-        work[p + 14 * n],
-        work[p + 15 * n],
-        work[p + 16 * n],
-        work[p + 17 * n],
-        work[p + 18 * n],
-        work[p + 19 * n],
-        work[p + 20 * n],
+        work[p], work[p + n], work[p + 2 * n], work[p + 3 * n], work[p + 4 * n], work[p + 5 * n],
+        work[p + 6 * n], work[p + 7 * n], work[p + 8 * n], work[p + 9 * n], work[p + 10 * n],
+        work[p + 11 * n], work[p + 12 * n], work[p + 13 * n], work[p + 14 * n], work[p + 15 * n],
+        work[p + 16 * n], work[p + 17 * n], work[p + 18 * n], work[p + 19 * n], work[p + 20 * n],
         work[p + 21 * n],
-    )
+    )  # fmt: skip
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -124,33 +74,37 @@ def evaluate(work, stage, lane, lanes):
 
     A text, compiled once per surface: `solve` belongs to the friction law, `modes` says whether it switches.
     """
-    s, s_rate = advanced(work, stage, S, lane, lanes)
-    w, w_rate = advanced(work, stage, W, lane, lanes)
-    phi, omega = advanced(work, stage, PHI, lane, lanes)
-    h_c, h_c_rate = advanced(work, stage, H_C, lane, lanes)
-    theta_c, theta_c_rate = advanced(work, stage, THETA_C, lane, lanes)
-    h_d, h_d_rate = advanced(work, stage, H_D, lane, lanes)
-    theta_d, theta_d_rate = advanced(work, stage, THETA_D, lane, lanes)
+    s, s_rate = advanced(work, stage, at.S, lane, lanes)
+    w, w_rate = advanced(work, stage, at.W, lane, lanes)
+    phi, omega = advanced(work, stage, at.PHI, lane, lanes)
+    h_c, h_c_rate = advanced(work, stage, at.H_C, lane, lanes)
+    theta_c, theta_c_rate = advanced(work, stage, at.THETA_C, lane, lanes)
+    h_d, h_d_rate = advanced(work, stage, at.H_D, lane, lanes)
+    theta_d, theta_d_rate = advanced(work, stage, at.THETA_D, lane, lanes)
     rates = (s_rate, w_rate, omega, h_c_rate, theta_c_rate, h_d_rate, theta_d_rate)
     if stage == STAGES:
         state = (s, w, phi, h_c, theta_c, h_d, theta_d)
-        for i in range(COORDINATES):
-            work[(END + i) * lanes + lane] = state[i]
-            work[(END + COORDINATES + i) * lanes + lane] = rates[i]
-    coefficients = coefficients_at(work, COEFFICIENTS * lanes + lane, lanes)
-    law = law_at(work, LAW * lanes + lane, lanes)
+        for i in range(at.COORDINATES):
+            work[(at.END + i) * lanes + lane] = state[i]
+            work[(at.END + at.COORDINATES + i) * lanes + lane] = rates[i]
+    coefficients = coefficients_at(work, at.COEFFICIENTS * lanes + lane, lanes)
+    law = law_at(work, at.LAW * lanes + lane, lanes)
     mode = (
-        work[STUCK * lanes + lane],
-        work[(STUCK + 1) * lanes + lane],
-        work[WAY * lanes + lane],
-        work[(WAY + 1) * lanes + lane],
+        work[at.STUCK * lanes + lane],
+        work[(at.STUCK + 1) * lanes + lane],
+        work[at.WAY * lanes + lane],
+        work[(at.WAY + 1) * lanes + lane],
     )
-    elapsed = work[TIME * lanes + lane] + C[stage] * work[STEP * lanes + lane] - work[ORIGIN * lanes + lane]
-    thrust = (cubic(work, LIFT, elapsed, lane, lanes), cubic(work, TILT, elapsed, lane, lanes))
+    elapsed = (
+        work[at.TIME * lanes + lane]
+        + C[stage] * work[at.STEP * lanes + lane]
+        - work[at.ORIGIN * lanes + lane]
+    )
+    thrust = (cubic(work, at.LIFT, elapsed, lane, lanes), cubic(work, at.TILT, elapsed, lane, lanes))
     joints = pose(phi, theta_c, theta_d, coefficients.dx_j, coefficients.dz_j)
     p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, w, h_c, h_d, rates, coefficients.length)
-    k_s = work[GROUND_SPRING * lanes + lane]
-    b_s = work[GROUND_DAMPER * lanes + lane]
+    k_s = work[at.GROUND_SPRING * lanes + lane]
+    b_s = work[at.GROUND_DAMPER * lanes + lane]
     n_c = normal_force(p_c, dp_c, k_s, b_s)
     n_d = normal_force(p_d, dp_d, k_s, b_s)
     angles = (phi, h_c, theta_c, h_d, theta_d)
@@ -162,22 +116,22 @@ def evaluate(work, stage, lane, lanes):
         reach = RING_LIMIT + RING_GAIN * damping
         rate = rate / (reach if reach < RING_MOST else RING_MOST)
         stiff = stiff * (1.0 / (STABLE * REAL_LIMIT))
-        work[STIFF * lanes + lane] = stiff if stiff > rate else rate
-        work[NORMAL * lanes + lane] = n_c
-        work[(NORMAL + 1) * lanes + lane] = n_d
-        work[SLIP * lanes + lane] = v_c
-        work[(SLIP + 1) * lanes + lane] = v_d
-        work[FRICTION * lanes + lane] = f_c
-        work[(FRICTION + 1) * lanes + lane] = f_d
-        work[REQUIRED * lanes + lane] = required_c
-        work[(REQUIRED + 1) * lanes + lane] = required_d
+        work[at.STIFF * lanes + lane] = stiff if stiff > rate else rate
+        work[at.NORMAL * lanes + lane] = n_c
+        work[(at.NORMAL + 1) * lanes + lane] = n_d
+        work[at.SLIP * lanes + lane] = v_c
+        work[(at.SLIP + 1) * lanes + lane] = v_d
+        work[at.FRICTION * lanes + lane] = f_c
+        work[(at.FRICTION + 1) * lanes + lane] = f_d
+        work[at.REQUIRED * lanes + lane] = required_c
+        work[(at.REQUIRED + 1) * lanes + lane] = required_d
     elif modes:
-        inner = (INNER + INNER_ROWS * (stage - 1)) * lanes + lane
-        work[inner + INNER_NORMAL * lanes] = n_c
-        work[inner + (INNER_NORMAL + 1) * lanes] = n_d
-        work[inner + INNER_SLIP * lanes] = v_c
-        work[inner + (INNER_SLIP + 1) * lanes] = v_d
-        work[inner + INNER_REQUIRED * lanes] = required_c
-        work[inner + (INNER_REQUIRED + 1) * lanes] = required_d
-    for i in range(COORDINATES):
-        work[(RATES + COORDINATES * stage + i) * lanes + lane] = acceleration[i]
+        inner = (at.INNER + at.INNER_ROWS * (stage - 1)) * lanes + lane
+        work[inner + at.INNER_NORMAL * lanes] = n_c
+        work[inner + (at.INNER_NORMAL + 1) * lanes] = n_d
+        work[inner + at.INNER_SLIP * lanes] = v_c
+        work[inner + (at.INNER_SLIP + 1) * lanes] = v_d
+        work[inner + at.INNER_REQUIRED * lanes] = required_c
+        work[inner + (at.INNER_REQUIRED + 1) * lanes] = required_d
+    for i in range(at.COORDINATES):
+        work[(at.RATES + at.COORDINATES * stage + i) * lanes + lane] = acceleration[i]

@@ -20,22 +20,8 @@ which a single drop with logged switches uses, none in all twelve drops.
 
 from numba import njit
 
+from sysid.gear.kernel import work_buffer as at
 from sysid.gear.kernel.dynamics import accelerations, friction_responses
-from sysid.gear.kernel.work_buffer import (
-    INNER,
-    INNER_NORMAL,
-    INNER_REQUIRED,
-    INNER_ROWS,
-    INNER_SLIP,
-    LAW,
-    MARGIN,
-    NORMAL,
-    REQUIRED,
-    SLIP,
-    STUCK,
-    SWITCH,
-    WAY,
-)
 from sysid.gear.surfaces.surface import Surface
 from sysid.integrate.fused import fused
 from sysid.integrate.tableau import STAGES, C
@@ -144,11 +130,11 @@ def inner_share(work, foot, lane, lanes, h, stuck, way, margin, mu_s):
     share = 1.0
     start = margin if margin > 0.0 else 0.0
     for stage in range(1, STAGES):
-        row = (INNER + INNER_ROWS * (stage - 1) + foot) * lanes + lane
-        normal = work[row + INNER_NORMAL * lanes]
-        required = work[row + INNER_REQUIRED * lanes]
+        row = (at.INNER + at.INNER_ROWS * (stage - 1) + foot) * lanes + lane
+        normal = work[row + at.INNER_NORMAL * lanes]
+        required = work[row + at.INNER_REQUIRED * lanes]
         force = required if required > 0.0 else -required
-        now = work[row + INNER_SLIP * lanes] * way if normal > 0.0 else 1.0
+        now = work[row + at.INNER_SLIP * lanes] * way if normal > 0.0 else 1.0
         now = mu_s * normal - force if stuck > 0.0 else now
         falling = 1.0 if now < margin else 0.0
         lost = falling if now < 0.0 else 0.0
@@ -231,14 +217,22 @@ def solve(joints, angles, rates, thrust, normals, slips, modes, law, coefficient
 @fused
 def after_step(work, lane, lanes, h, taken, new_h):
     """Cut a step at the first loss of a foot's mode and switch modes there; returns taken and next step."""
-    mu_k = work[LAW * lanes + lane]
-    mu_s = mu_k + work[(LAW + 1) * lanes + lane]
+    mu_k = work[at.LAW * lanes + lane]
+    mu_s = mu_k + work[(at.LAW + 1) * lanes + lane]
     c = lane
     d = lanes + lane
-    stuck_c, way_c, margin_c = work[STUCK * lanes + c], work[WAY * lanes + c], work[MARGIN * lanes + c]
-    stuck_d, way_d, margin_d = work[STUCK * lanes + d], work[WAY * lanes + d], work[MARGIN * lanes + d]
-    n_c, v_c, r_c = work[NORMAL * lanes + c], work[SLIP * lanes + c], work[REQUIRED * lanes + c]
-    n_d, v_d, r_d = work[NORMAL * lanes + d], work[SLIP * lanes + d], work[REQUIRED * lanes + d]
+    stuck_c, way_c, margin_c = (
+        work[at.STUCK * lanes + c],
+        work[at.WAY * lanes + c],
+        work[at.MARGIN * lanes + c],
+    )
+    stuck_d, way_d, margin_d = (
+        work[at.STUCK * lanes + d],
+        work[at.WAY * lanes + d],
+        work[at.MARGIN * lanes + d],
+    )
+    n_c, v_c, r_c = work[at.NORMAL * lanes + c], work[at.SLIP * lanes + c], work[at.REQUIRED * lanes + c]
+    n_d, v_d, r_d = work[at.NORMAL * lanes + d], work[at.SLIP * lanes + d], work[at.REQUIRED * lanes + d]
     now_c, lost_c, share_c = event(stuck_c, way_c, n_c, v_c, r_c, margin_c, mu_s)
     now_d, lost_d, share_d = event(stuck_d, way_d, n_d, v_d, r_d, margin_d, mu_s)
     inner_c = inner_share(work, 0, lane, lanes, h, stuck_c, way_c, margin_c, mu_s)
@@ -256,14 +250,14 @@ def after_step(work, lane, lanes, h, taken, new_h):
     stuck_d, way_d, margin_d = next_mode(
         switch_d, stuck_d, way_d, n_d, v_d, r_d, margin_d, now_d, taken, mu_k
     )
-    work[STUCK * lanes + c] = stuck_c
-    work[STUCK * lanes + d] = stuck_d
-    work[WAY * lanes + c] = way_c
-    work[WAY * lanes + d] = way_d
-    work[MARGIN * lanes + c] = margin_c
-    work[MARGIN * lanes + d] = margin_d
-    work[SWITCH * lanes + c] = lost_mode_c
-    work[SWITCH * lanes + d] = lost_mode_d
+    work[at.STUCK * lanes + c] = stuck_c
+    work[at.STUCK * lanes + d] = stuck_d
+    work[at.WAY * lanes + c] = way_c
+    work[at.WAY * lanes + d] = way_d
+    work[at.MARGIN * lanes + c] = margin_c
+    work[at.MARGIN * lanes + d] = margin_d
+    work[at.SWITCH * lanes + c] = lost_mode_c
+    work[at.SWITCH * lanes + d] = lost_mode_d
     return taken, new_h
 
 
