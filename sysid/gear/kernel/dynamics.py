@@ -28,10 +28,10 @@ from sysid.gear.kernel import parameter_row as column
 from sysid.gear.kernel.geometry import foot_motion, joint_position, sine_cosine
 from sysid.integrate.fused import fused
 
-# What the equations of motion read; C is the rear leg, D the front leg. k_h, b_h: axial spring and damper; k_t,
-# b_t: bending; dx_j, dz_j: joints; length, q_n: length and angle of a leg at rest; arm, rho_0: distance of its
-# centre of mass from the foot and, at rest, from the joint; per_m, per_i: 1/m_B, 1/I_B; per_mc, per_ic, per_md,
-# per_id: 1/m_leg, 1/I_leg; g_s, g_w: gravity along the slope's tangent and normal.
+# What the equations of motion read; C is the rear leg, D the front leg. k_h, b_h: axial spring and damper;
+# k_t, b_t: bending; dx_j, dz_j: joints; length, q_n: length and angle of a leg at rest; arm, rho_0:
+# distance of its centre of mass from the foot and, at rest, from the joint; per_m, per_i: 1/m_B, 1/I_B;
+# per_mc, per_ic, per_md, per_id: 1/m_leg, 1/I_leg; g_s, g_w: gravity along the slope's tangent and normal.
 Coefficients = namedtuple(
     "Coefficients",
     "k_h_c b_h_c k_t_c b_t_c k_h_d b_h_d k_t_d b_t_d dx_j dz_j length q_n arm rho_0 "

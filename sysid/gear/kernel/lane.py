@@ -136,7 +136,7 @@ def idle(lane, job, work):
 
 @njit(error_model="numpy")
 def thrust_segment(segments, number, origin, until, thrust_dx, work, lane, lanes):
-    """Load a segment of a thrust history; lane times: the clock starts at `origin`, the segment ends at `until`."""
+    """Load a segment of a thrust history whose clock starts at lane time `origin`; it ends at `until`."""
     coefficients = coefficients_at(work, at.COEFFICIENTS * lanes + lane, lanes)
     for i in range(4):
         rear = segments[number, at.SEGMENT_REAR + i]
