@@ -20,7 +20,7 @@ import numpy as np
 from scipy import signal
 
 from sysid.errors import CampaignError, LogError
-from sysid.spectrum import Spectrum as Spectrum
+from sysid.spectrum import Spectrum
 from sysid.types import BoolArray, FloatArray
 
 

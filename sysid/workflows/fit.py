@@ -32,7 +32,7 @@ from sysid.resume import held
 from sysid.trust.sensitivity import quick_expectations
 from sysid.trust.verdicts import EXPECTED, sentences
 from sysid.workflows.kinds import naming, open_campaign
-from sysid.workflows.options import FitOptions as FitOptions
+from sysid.workflows.options import FitOptions
 from sysid.workflows.provenance import fit_identity, processor, provenance
 
 # Runs that share a cluster at the same time: while one breeds, the others keep its workers busy.

@@ -17,7 +17,7 @@ from sysid.report.fit_report import FitReport
 from sysid.report.kinds import open_fit
 from sysid.report.snapshots import check_film, write_film
 from sysid.storage import write_file
-from sysid.workflows.options import ReportOptions as ReportOptions
+from sysid.workflows.options import ReportOptions
 from sysid.workflows.predict import predicted_fit
 
 

@@ -44,7 +44,7 @@ from sysid.trials.reversal import (
 from sysid.trials.signs import zero_of_steady
 from sysid.trials.steady import steady_points
 from sysid.types import BoolArray, FloatArray
-from sysid.workflows.options import ReversalOptions as ReversalOptions
+from sysid.workflows.options import ReversalOptions
 
 # A log is filtered when it has this many samples per period of the stop-band edge.
 _FAST = 10.0

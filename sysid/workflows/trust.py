@@ -23,7 +23,7 @@ from sysid.trust.problem import SpreadProblem
 from sysid.trust.resampling import Resampled
 from sysid.trust.verdicts import verdict
 from sysid.types import FloatArray
-from sysid.workflows.options import TrustOptions as TrustOptions
+from sysid.workflows.options import TrustOptions
 from sysid.workflows.reopen import OpenedFit, open_fit
 
 _STATEMENT = (

@@ -54,8 +54,8 @@ def pages(tmp_path_factory):
     """Every kind of page, of searches that end at once."""
     from sysid.report.notebook import find_notebook, notebook_page, run_notebook
     from sysid.workflows.fit import fit_gear, fit_motor
-    from sysid.workflows.options import FitOptions
-    from sysid.workflows.report import ReportOptions, write_report
+    from sysid.workflows.options import FitOptions, ReportOptions
+    from sysid.workflows.report import write_report
 
     folder = tmp_path_factory.mktemp("fits")
     out = {}

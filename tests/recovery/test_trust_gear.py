@@ -30,10 +30,10 @@ from sysid.workflows.check import check_campaign
 from sysid.workflows.compare import compare_fits
 from sysid.workflows.fit import fit_gear
 from sysid.workflows.kinds import find_kind
-from sysid.workflows.options import FitOptions
+from sysid.workflows.options import FitOptions, TrustOptions
 from sysid.workflows.predict import cross_validate, validate_fit
 from sysid.workflows.reopen import open_fit
-from sysid.workflows.trust import TrustOptions, assess_fit
+from sysid.workflows.trust import assess_fit
 
 LF = SAMPLES / "gear-lf" / "campaign.toml"
 

@@ -18,9 +18,9 @@ from sysid.workflows.check import check_campaign
 from sysid.workflows.compare import compare_fits
 from sysid.workflows.fit import fit_motor
 from sysid.workflows.kinds import find_kind
-from sysid.workflows.options import FitOptions
+from sysid.workflows.options import FitOptions, TrustOptions
 from sysid.workflows.predict import cross_validate, validate_fit
-from sysid.workflows.trust import TrustOptions, assess_fit
+from sysid.workflows.trust import assess_fit
 
 PLANS = (
     TrialPlan("forward-1", "forward", "fit", 0.25, (0.62, 0.35, 0.80), 0.45, "csv"),

@@ -9,8 +9,8 @@ import pytest
 from fakes.places import SAMPLES
 from sysid.report.notebook import find_notebook, notebook_page, run_notebook
 from sysid.workflows.fit import fit_gear, fit_motor
-from sysid.workflows.options import FitOptions
-from sysid.workflows.report import ReportOptions, write_report
+from sysid.workflows.options import FitOptions, ReportOptions
+from sysid.workflows.report import write_report
 
 pytestmark = pytest.mark.slow
 

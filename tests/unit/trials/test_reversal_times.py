@@ -16,7 +16,8 @@ from sysid.recording import Channel, Recording
 from sysid.synthetic.motor import TRIALS, synthesize_motor
 from sysid.trials.bench_log import CommandSteps, command_steps
 from sysid.trials.reversal import find_reversals, repetitions
-from sysid.workflows.reversal import ReversalOptions, log_reversals
+from sysid.workflows.options import ReversalOptions
+from sysid.workflows.reversal import log_reversals
 
 CAMPAIGN = SimpleNamespace(filter=ChebyshevFilter())
 SAMPLES = places.SAMPLES / "motor"
