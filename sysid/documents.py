@@ -65,6 +65,11 @@ class Part(BaseModel):
             return values
         return {k: v.tolist() if isinstance(v, np.ndarray | np.generic) else v for k, v in values.items()}
 
+    @classmethod
+    def json_schema(cls) -> dict[str, Any]:
+        """Return the JSON Schema."""
+        return cls.model_json_schema(by_alias=True, schema_generator=_Schema, mode="serialization")
+
 
 class _Schema(GenerateJsonSchema):
     def float_schema(self, schema: core_schema.FloatSchema) -> JsonSchemaValue:
@@ -146,8 +151,3 @@ class Document(Part):
         first = error.errors(include_url=False)[0]
         where = ".".join(str(key) for key in first["loc"])
         return f"{place}: damaged or cut off ({where}: {first['msg']}); {cls.REMEDY}"
-
-    @classmethod
-    def json_schema(cls) -> dict[str, Any]:
-        """Return the JSON Schema of the file."""
-        return cls.model_json_schema(by_alias=True, schema_generator=_Schema, mode="serialization")

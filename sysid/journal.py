@@ -169,9 +169,13 @@ class Journal:
         """All findings until now, repeats joined."""
         return (*self._findings, *folded(self._waiting))
 
-    def sentences(self) -> list[str]:
-        """Return the line of every finding."""
-        return [spoken(finding, self.trials, self.noun) for finding in self.findings]
+    def sentences(self, severity: Severity = "warning") -> list[str]:
+        """Return the lines of the findings of one severity."""
+        return [
+            spoken(finding, self.trials, self.noun)
+            for finding in self.findings
+            if finding.severity == severity
+        ]
 
     def _print(self, finding: Finding) -> None:
         self._say(f"{finding.severity}: {spoken(finding, self.trials, self.noun)}")

@@ -43,6 +43,16 @@ class SearchRecord(TypedDict, total=False):
 
 
 @with_config(CONFIG)
+class FindingRecord(TypedDict, total=False):
+    """A `sysid.journal.Finding`."""
+
+    code: str
+    severity: str
+    sentence: str
+    trials: list[str]
+
+
+@with_config(CONFIG)
 class FitProvenance(TypedDict, total=False):
     """What a reader needs to repeat a fit, or to doubt it."""
 
@@ -64,6 +74,8 @@ class FitProvenance(TypedDict, total=False):
     cut_short: CutReason
     # Failed candidates by cause.
     failures: dict[str, int]
+    # What was noticed, repeats over trials joined; the sentences of its warnings are `warnings`.
+    findings: list[FindingRecord]
     # What the trials were expected to fix, per parameter.
     expected: list[Open]
 

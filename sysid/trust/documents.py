@@ -1,79 +1,13 @@
-"""What is known about a fit's trustworthiness, stored beside it: ``NAME.json`` and ``NAME.h5`` in the fit
-folder.
+"""What is known about how far a fit can be trusted: ``NAME.json`` and ``NAME.h5`` in the fit folder.
 
-Three documents, each with the keys ``schema`` ("sysid-trust"), ``version`` (1), ``part``, ``fit`` (name),
-``kind``, ``fit_sha256`` (of the ``fit.h5`` that it speaks of), ``written`` (UTC) and ``warnings``
-(sentences). Units are SI, shares are 1, unknown numbers are "NaN" (`sysid.exact_json`). Arrays of the same
-names lie in the HDF5 file, every dataset with the attributes ``axes`` and ``unit``.
+Three documents: ``trust`` (one per fit), ``validation-CAMPAIGN`` (of a second file of that name ``validation-
+CAMPAIGN-HASH``) and ``cross-validation``. Units are SI, shares are 1. Arrays lie in the HDF5 file, every
+dataset with the attributes ``axes`` and ``unit``:
 
-``trust`` (one per fit)
-    ``parameters``: list, one per free parameter, in the order of the fit:
-
-    ====================  ====================================================================================
-    name, symbol, unit    as everywhere
-    lower, upper, scale   bounds of the search
-    value                 of the best set
-    refined               where the sum of squares is least at the accuracy of trust; differs from `value` by
-                          less than the interval, or a warning says so
-    mean, sigma           over the fit's sets (Table II)
-    fisher_sigma          linearized standard deviation (relative for a logarithmic scale times the value, so
-                          always in `unit`)
-    derivative_doubt      share by which the derivative changes when its step is halved
-    derivative_trusted    false from a tenth on
-    interval_68/95        [low, high] of the profile; a bound of the search where open
-    open_68/95            [low is open, high is open]
-    half_width            half of interval_95 over the profile's best value; Infinity where open
-    verdict               "well" below 0.1, "weakly" below 0.5, "not identifiable" beyond; never "well" where
-                          there is a doubt
-    doubt                 why the interval may not hold the truth: the best set is elsewhere, or one trial
-                          decides; null: no reason known
-    expected_half_width   the same from the linearization (what `sysid check` tells before a fit)
-    partners              list of {"name", "correlation"}, the strongest first, from 0.8 on
-    at_bound              -1, 0, 1: the best set ends within 1 % of a bound
-    measured              [low, high] of the campaign's independent measurement, or null
-    bootstrap_95          [low, high], or null where there was none
-    rough_points          points of the profile that needed a random search
-    ====================  ====================================================================================
-
-    ``correlation``: (n, n). ``noise``: {"statement", "channels": list of {"name", "unit", "residual",
-    "floor", "samples", "independent_samples"}}: rms of the residuals and of the measurement's own noise
-    [unit], or NaN. ``spread``: {"channels", "units", "trials": list of {"name", "use", "rms", "largest"}}: of
-    the predictions of all sets around their mean, one number per channel. ``bootstrap``: {"resamples",
-    "failed"} or null; the failed ones are not in `bootstrap_95`. ``trials``: list of {"name", "ratio"
-    (residual over what noise alone costs), "without" ({parameter: value of the fit without it}), "shift"
-    ({parameter: how far that is, in standard deviations of what one trial less explains})}. ``notes``:
-    sentences on what the numbers leave out. ``campaign``: {"file", "sha256"}. ``evaluations``, ``seconds``.
-
-    HDF5: ``correlation``, ``covariance`` (unit cube), ``profiles/NAME/{value, deviance, others}`` (ascending
-    values; deviance is chi-square-like, limits 0.989 and 3.841; others (k, n) are all free parameters),
-    ``bootstrap/values`` (B, n).
-
-``validation-CAMPAIGN`` (of a second file of that name ``validation-CAMPAIGN-HASH``) and ``cross-validation``
-    ``campaign``: {"file", "sha256"}, of a validation also "from_fit_folder" (its path). ``flagged``: true
-    where the prediction is off by more than the limit; ``reasons``: sentences that name the number.
-    ``ratio``, ``ratio_third_contact``: means over the trials. ``limits``: {number: limit}. ``nrmse``:
-    mean of the best set over all trials; ``nrmse_fitted``: of the fit. ``trials``: list of
-
-    ====================  ====================================================================================
-    name, slope_deg       slope only of drops
-    nrmse                 mean over channels of each set, best first; in cross-validation of the one refit
-    by_channel            {channel: NRMSE of the best set}
-    floor                 what the measurement's noise alone would cost, mean over channels; NaN if unknown
-    ratio                 nrmse of the best set over the floor
-    nrmse_third_contact   best set up to its third touchdown, ratio_third_contact over the floor there; null
-                          for motors
-    third_contact         [s] after the first touchdown, or null
-    leaves                {"time" [s since the first touchdown or the window's start], "channel",
-                          "after_contacts"} of the first of three samples in a row beyond `limits.leaves`
-                          noise deviations; null: never
-    stop                  of drops: {"place": {measured, mean, sigma}, "time": ..., "measured_stops",
-                          "share_stops"} [m] down-slope and [s], both since the first touchdown, over the sets
-                          with starts drawn from their uncertainty; null for motors
-    refit                 cross-validation: {parameter: value without this trial}
-    ====================  ====================================================================================
-
-    HDF5: ``trials/NUMBER/{time, measured, valid, simulated}`` (in order, from 1) as in ``fit.h5``; for
-    cross-validation ``values`` (T, n).
+``trust``: ``correlation``, ``covariance`` (unit cube), ``profiles/NAME/{value, deviance, others}`` (ascending
+values; deviance is chi-square-like, limits 0.989 and 3.841; others (k, n) are all free parameters),
+``bootstrap/values`` (B, n). Validation: ``trials/NUMBER/{time, measured, valid, simulated}`` (in order, from
+1) as in ``fit.h5``. Cross-validation: ``values`` (T, n).
 """
 
 from __future__ import annotations
@@ -84,17 +18,278 @@ import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar, Literal
 
 import h5py
-import numpy as np
+from pydantic import Field
 
-from sysid import exact_json
+from sysid.documents import Document, OpenMapping, Part
 from sysid.errors import FitError
-from sysid.storage import write_file
+from sysid.storage import put, write_file
 
-SCHEMA, VERSION = "sysid-trust", 1
 TRUST, CROSS_VALIDATION, VALIDATION = "trust", "cross-validation", "validation-"
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+Flags = Annotated[list[bool], Field(min_length=2, max_length=2)]
+
+
+class CampaignFile(Part):
+    """A campaign file; a validation also states its path seen from the fit folder."""
+
+    file: str
+    sha256: str
+    from_fit_folder: str | None = None
+
+
+class Partner(Part):
+    """A parameter that another one trades with, and the correlation of their estimates [1]."""
+
+    name: str
+    correlation: float
+
+
+class FreeParameter(Part):
+    """What is known of one free parameter, in its unit.
+
+    ``value`` is of the best set. ``refined`` is where the sum of squares is least at the accuracy of trust;
+    it differs from ``value`` by less than the interval, or a warning says so. ``mean`` and ``sigma`` are over
+    the fit's sets (Table II). ``fisher_sigma`` is the linearized standard deviation. ``derivative_doubt`` is
+    the share by which the derivative changes when its step is halved; from a tenth on it is not trusted.
+    Intervals [low, high] come from the profile; an open end is a bound of the search. ``half_width`` is half
+    of ``interval_95`` over the profile's best value, infinite where open; ``expected_half_width`` comes from
+    the linearization, which `sysid check` tells before a fit. ``verdict`` is "well" below 0.1, "weakly" below
+    0.5, else "not identifiable", and never "well" where there is a ``doubt``: why the interval may not
+    contain the truth. ``partners`` come strongest first, from a correlation of 0.8 on. ``at_bound`` is -1, 0
+    or 1: the best set ends within 1 % of a bound. ``measured`` is the campaign's independent measurement.
+    ``rough_points`` of the profile needed a random search.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    lower: float
+    upper: float
+    scale: str
+    value: float
+    refined: float
+    mean: float
+    sigma: float
+    fisher_sigma: float
+    derivative_doubt: float
+    derivative_trusted: bool
+    interval_68: Pair
+    interval_95: Pair
+    open_68: Flags
+    open_95: Flags
+    half_width: float
+    verdict: str
+    doubt: str | None
+    expected_half_width: float
+    partners: list[Partner]
+    at_bound: int
+    measured: Pair | None
+    bootstrap_95: Pair | None
+    rough_points: int
+
+
+class ChannelNoise(Part):
+    """Rms of the residuals and of the measurement's noise [unit], over all trials; NaN where not known."""
+
+    name: str
+    unit: str
+    residual: float
+    floor: float
+    samples: int
+    independent_samples: float
+
+
+class Noise(Part):
+    """What the intervals rest on, in words, and the noise of every channel."""
+
+    statement: str
+    channels: list[ChannelNoise]
+
+
+class SpreadOfTrial(Part):
+    """How far the predictions of all sets lie around their mean, one number per channel [its unit]."""
+
+    name: str
+    use: str
+    rms: list[float]
+    largest: list[float]
+
+
+class Spread(Part):
+    """The spread of every trial's predictions."""
+
+    channels: list[str]
+    units: list[str]
+    trials: list[SpreadOfTrial]
+
+
+class TrialInfluence(Part):
+    """Residual over what noise alone costs; parameters of the fit without the trial.
+
+    ``shift`` is how far they move, in standard deviations of what one trial less explains.
+    """
+
+    name: str
+    ratio: float
+    without: dict[str, float]
+    shift: dict[str, float]
+
+
+class Bootstrap(Part):
+    """Fits of resampled trials; the failed ones count in no interval."""
+
+    resamples: int
+    failed: int
+
+
+class JudgedTrial(Part):
+    """A predicted trial. ``nrmse`` is of each set, best first; all else of the best set [1].
+
+    ``floor`` is what the measurement's noise alone would cost, ``ratio`` the NRMSE over it; both also up to
+    the prediction's third touchdown, which is at ``third_contact`` after the first [s]. ``leaves`` is the
+    first of three samples in a row beyond ``limits.leaves`` noise deviations: time [s], channel, contacts
+    before.
+    """
+
+    name: str
+    nrmse: list[float]
+    by_channel: dict[str, float]
+    floor: float
+    ratio: float
+    nrmse_third_contact: float | None
+    ratio_third_contact: float | None
+    third_contact: float | None
+    leaves: OpenMapping | None
+
+
+class ValidatedTrial(JudgedTrial):
+    """A validated trial; of a drop its slope and where it stops, over the sets and the starts' uncertainty.
+
+    ``stop``: place [m, down-slope] and time [s] since the first touchdown, each measured, mean and sigma.
+    """
+
+    slope_deg: float | None
+    stop: OpenMapping | None
+
+
+class LeftOutTrial(JudgedTrial):
+    """A trial that was left out, and the parameters of the fit without it."""
+
+    refit: dict[str, float]
+
+
+class TrustPart(Document):
+    """What every document of trust states."""
+
+    WHAT: ClassVar[str] = "a document of trust"
+    REMEDY: ClassVar[str] = "run it again"
+
+    schema_: Literal["sysid-trust"] = Field("sysid-trust", alias="schema")
+    version: Literal[1] = 1
+    part: str
+    fit: str
+    kind: str
+    fit_sha256: str
+    written: str
+    campaign: CampaignFile
+    warnings: list[str]
+
+
+class TrustDocument(TrustPart):
+    """``trust.json``: intervals, verdicts and influence of trials."""
+
+    parameters: list[FreeParameter]
+    correlation: list[list[float]]
+    noise: Noise
+    trials: list[TrialInfluence]
+    notes: list[str]
+    spread: Spread
+    bootstrap: Bootstrap | None
+    evaluations: int
+    seconds: float
+
+
+class Judgement(TrustPart):
+    """Predictions over all trials: flagged where they are off by more than a limit, and why."""
+
+    flagged: bool
+    reasons: list[str]
+    limits: dict[str, float]
+    nrmse: float
+    nrmse_fitted: float
+    ratio: float
+    ratio_third_contact: float
+
+
+class ValidationDocument(Judgement):
+    """``validation-CAMPAIGN.json``: trials that were not fitted."""
+
+    trials: list[ValidatedTrial]
+
+
+class CrossValidationDocument(Judgement):
+    """``cross-validation.json``: every fitted trial, predicted by the fit of the others."""
+
+    trials: list[LeftOutTrial]
+
+
+class CheckedCampaign(CampaignFile):
+    """The campaign that is checked."""
+
+    name: str
+
+
+class ExpectedParameter(Part):
+    """What the trials are expected to determine of a parameter; see `sysid.trust.verdicts.Expected`.
+
+    ``channels``: share of what is known that comes from each channel [1].
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    value: float
+    half_width: float
+    half_width_over_bounds: float
+    effect: float
+    interaction: float
+    partners: list[Partner]
+    verdict: str
+    channels: dict[str, float]
+
+
+class CandidateRecording(Part):
+    """A recording that could be made next: half-widths [1] and verdicts with it, by parameter."""
+
+    title: str
+    gain: float
+    half_widths: dict[str, float]
+    verdicts: dict[str, str]
+
+
+class CheckDocument(Part):
+    """What `sysid check` prints as JSON. Quality and excitation are in the words of the kind."""
+
+    campaign: CheckedCampaign
+    kind: str
+    parameters: list[ExpectedParameter]
+    limits: dict[str, float]
+    candidates: list[CandidateRecording]
+    sentences: list[str]
+    quality: list[OpenMapping]
+    excitation: OpenMapping
+    centre_of_mass: OpenMapping | None = None
+    warnings: list[str]
+    seconds: float
+
+
+def model_of(part: str) -> type[TrustPart]:
+    """Return the model of a document."""
+    named: dict[str, type[TrustPart]] = {TRUST: TrustDocument, CROSS_VALIDATION: CrossValidationDocument}
+    return named.get(part, ValidationDocument)
 
 
 def fit_digest(folder: Path) -> str:
@@ -120,7 +315,7 @@ def write_part(
     part : str
         ``trust``, ``cross-validation`` or ``validation-CAMPAIGN``.
     document : mapping
-        See the module.
+        What `model_of` the part declares beside `TrustPart`, and its campaign and warnings.
     arrays : mapping
         By path in the HDF5 file: (values, axes, unit).
     fit, kind : str
@@ -131,25 +326,15 @@ def write_part(
     FitError
         When it cannot be written; what was there is unchanged then.
     """
-    whole = {
-        "schema": SCHEMA,
-        "version": VERSION,
-        "part": part,
-        "fit": fit,
-        "kind": kind,
-        "fit_sha256": fit_digest(folder),
-        "written": datetime.now(UTC).isoformat(timespec="seconds"),
-        **document,
-    }
+    text = model_of(part)(
+        part=part, fit=fit, kind=kind, fit_sha256=fit_digest(folder),
+        written=datetime.now(UTC).isoformat(timespec="seconds"), **document,
+    ).text()  # fmt: skip
     numbers = io.BytesIO()
     with h5py.File(numbers, "w") as file:
-        file.attrs["schema"], file.attrs["version"], file.attrs["part"] = SCHEMA, VERSION, part
+        file.attrs["schema"], file.attrs["version"], file.attrs["part"] = "sysid-trust", 1, part
         for path, (values, axes, unit) in arrays.items():
-            data = np.asarray(values)
-            packed = {"compression": "gzip", "shuffle": True} if data.size > 64 else {}
-            dataset = file.create_dataset(path, data=data, **packed)
-            dataset.attrs["axes"], dataset.attrs["unit"] = axes, unit
-    text = exact_json.dumps(whole) + "\n"
+            put(file, path, values, axes, unit)
     target = folder / f"{part}.json"
     write_file(folder / f"{part}.h5", numbers.getvalue(), FitError)
     write_file(target, text.encode("utf-8"), FitError)
@@ -168,13 +353,11 @@ def read_part(folder: Path, part: str) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     try:
-        document: dict[str, Any] = exact_json.loads(path.read_text(encoding="utf-8"))
-        if document["schema"] != SCHEMA or document["version"] != VERSION:
-            raise FitError(f"{path}: schema {document['schema']!r} {document['version']!r}; run it again")
-        stale = document["fit_sha256"] != fit_digest(folder)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise FitError(f"{path}: damaged or cut off ({error}); run it again") from error
-    return None if stale else document
+        text = path.read_bytes()
+    except OSError as error:
+        raise FitError(f"{path}: cannot be read ({error}); run it again") from error
+    document = model_of(part).parse(text, path, FitError)
+    return None if document.fit_sha256 != fit_digest(folder) else document.model_dump()
 
 
 def read_arrays(folder: Path, part: str) -> dict[str, Any]:

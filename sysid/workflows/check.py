@@ -12,6 +12,7 @@ import numpy as np
 from sysid.fit.problem import Problem
 from sysid.journal import Journal
 from sysid.recording import file_sha256
+from sysid.trust.documents import CheckDocument, CheckedCampaign
 from sysid.trust.sensitivity import (
     Candidate,
     Outlook,
@@ -82,13 +83,14 @@ def check_campaign(
             out["sentences"] += whole.advice([row.name for row in expected if row.verdict != "well"])
             out |= {"quality": whole.quality(), "excitation": whole.excitation(), **whole.about()}
             warnings = journal.sentences()
-    return {
-        "campaign": {"file": path.name, "sha256": file_sha256(path), "name": campaign.name},
-        "kind": kind.name,
+    document = CheckDocument(
+        campaign=CheckedCampaign(file=path.name, sha256=file_sha256(path), name=campaign.name),
+        kind=kind.name,
+        warnings=warnings,
+        seconds=time.perf_counter() - began,
         **out,
-        "warnings": warnings,
-        "seconds": time.perf_counter() - began,
-    }
+    )
+    return document.model_dump(exclude_unset=True)
 
 
 def _verdicts(

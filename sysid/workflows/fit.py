@@ -152,7 +152,12 @@ def fit_campaign(
             outcome = found.follow_up(problem, Course(sets, search, cut, deadline.check))
             record = {**provenance(path, search, problem, folder), **expected}
             result = _result(found.name, problem, runs, outcome, record)
-            result = replace(result, warnings=tuple(journal.sentences()))
+            noticed = [finding.document() for finding in journal.findings]
+            result = replace(
+                result,
+                provenance={**result.provenance, "findings": noticed},
+                warnings=tuple(journal.sentences()),
+            )
             written = write_fit(result, folder, options.force or options.resume)
         except KeyboardInterrupt:
             # Aborted by a second Ctrl-C, or before the first one was listened to.

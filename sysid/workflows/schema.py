@@ -4,14 +4,24 @@ from __future__ import annotations
 
 import json
 
-from sysid.documents import Document
+from sysid.documents import Part
 from sysid.errors import SysidError
 from sysid.fit.provenance import FitDocument
 from sysid.parameter_sets import SetsDocument
+from sysid.trust.documents import (
+    CheckDocument,
+    CrossValidationDocument,
+    TrustDocument,
+    ValidationDocument,
+)
 
-DOCUMENTS: dict[str, type[Document]] = {
+DOCUMENTS: dict[str, type[Part]] = {
     "fit": FitDocument,
     "parameter-sets": SetsDocument,
+    "check": CheckDocument,
+    "trust": TrustDocument,
+    "validation": ValidationDocument,
+    "cross-validation": CrossValidationDocument,
 }
 
 

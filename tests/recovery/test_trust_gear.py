@@ -14,8 +14,8 @@ from sysid import exact_json
 from sysid.campaign import read_campaign
 from sysid.cli import app
 from sysid.errors import FitError
-from sysid.gear.candidates import centre_of_mass, turning_point
 from sysid.gear.capture_noise import compared_noise, start_roots
+from sysid.gear.centre_of_mass import centre_of_mass, turning_point
 from sysid.gear.drops import prepare_drops
 from sysid.gear.problem import TRUST_TOLERANCE, GearProblem, search_space
 from sysid.synthetic import synthesize_gear
