@@ -50,7 +50,7 @@ class Table(BaseModel):
 class ParameterChoices(Table):
     """`[parameters]`: which rows of the model are free, between which bounds, and what others are fixed to.
 
-    Quantities stay text here: their unit is checked against the model's own row by `search_space`.
+    Quantities stay text here: `search_space` checks their unit against the model's row.
     """
 
     free: tuple[str, ...] | None = None
@@ -177,7 +177,7 @@ def _in_table(where: str) -> Iterator[None]:
 
 
 class FitTable(Table):
-    """`[fit]`: the search; an algorithm or a population that is not named is the search's own default."""
+    """`[fit]`: the search; the search chooses an algorithm or a population that is not named."""
 
     population: int | None = Field(default=None, ge=8, le=100_000)
     runs: int = Field(default=5, ge=1, le=1000)
@@ -205,7 +205,7 @@ def check_trials(trials: tuple[TrialTable, ...]) -> None:
         raise ValueError("no [[trials]]; add at least one with name and log")
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise ValueError(f"two trials are called {twice[0]!r}; give each its own name")
+        raise ValueError(f"two trials are called {twice[0]!r}; give each another name")
     if not any(trial.use == "fit" for trial in trials):
         raise ValueError("every trial has use = 'validate'; at least one must have use = 'fit'")
 

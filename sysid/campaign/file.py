@@ -51,17 +51,17 @@ def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise CampaignError(f"{path}: not valid TOML: {error}; correct that line") from None
-    found = data.get("kind")
-    if found not in _KINDS:
+    stated = data.get("kind")
+    if stated not in _KINDS:
         raise CampaignError(
-            f"{path}: kind is {found!r}; expected {' or '.join(map(repr, sorted(_KINDS, reverse=True)))}"
+            f"{path}: kind is {stated!r}; expected {' or '.join(map(repr, sorted(_KINDS, reverse=True)))}"
         )
-    if kind is not None and found != kind:
-        raise CampaignError(f"{path}: is a {found} campaign, expected {kind}; use 'sysid fit-{found}'")
+    if kind is not None and stated != kind:
+        raise CampaignError(f"{path}: is a {stated} campaign, expected {kind}; use 'sysid fit-{stated}'")
     try:
-        return _KINDS[found].model_validate(data)  # type: ignore[return-value]
+        return _KINDS[stated].model_validate(data)  # type: ignore[return-value]
     except ValidationError as error:
-        raise CampaignError(f"{path}: {_first_sentence(error, _KINDS[found], data)}") from None
+        raise CampaignError(f"{path}: {_first_sentence(error, _KINDS[stated], data)}") from None
 
 
 def resolve_log(campaign_path: str | Path, log: str) -> Path:
@@ -137,7 +137,7 @@ def _model_in(annotation: Any) -> type[BaseModel] | None:
         return annotation
     if get_origin(annotation) in (tuple, Union, UnionType):
         for inner in get_args(annotation):
-            found = _model_in(inner)
-            if found is not None:
-                return found
+            model = _model_in(inner)
+            if model is not None:
+                return model
     return None

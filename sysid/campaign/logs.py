@@ -1,8 +1,9 @@
 """What a campaign may tell a loader about its logs: every option of every format, checked before one is read.
 
 `[log]` of a motor campaign and `[capture]` of a gear campaign hold for all logs whose format takes the
-option; `log_options` of one trial holds for its log, wins over them, and must fit its format. The options and
-their checks are those of `sysid.loaders.options`; options of installed plug-in formats may be stated too.
+option; `log_options` of one trial holds for its log, wins over them, and must fit its format.
+`sysid.loaders.options` declares the options and their checks; options of installed plug-in formats may be
+stated too.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ class BenchLogOptions(LogTable, BenchOptions):  # type: ignore[misc]
 
 
 class SecondLog(BenchLogOptions):  # type: ignore[misc]
-    """`second_log`: a file of the same run with its own clock, brought onto the first one's."""
+    """`second_log`: a file of the same run with another clock, brought onto the first."""
 
     log: str = Field(min_length=1)
     align_by: str = Field(default="speed", pattern=r"^[^:]+(:[^:]+)?$")

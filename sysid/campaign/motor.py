@@ -137,13 +137,13 @@ class MotorCost(CostTable):
 
 
 class MotorNuisance(Table):
-    """`[nuisance]`: what a log may be off by on its own, estimated and reported."""
+    """`[nuisance]`: an offset of each log, estimated and reported."""
 
     command_delay: Literal["log", "common"] = "log"
 
 
 class MotorTrial(TrialTable):
-    """One log of commands: which way it spins, and its window on the log's own clock."""
+    """One log of commands: which way it spins, and its window on the log's clock."""
 
     direction: Direction
     log_options: BenchLogOptions = BenchLogOptions()

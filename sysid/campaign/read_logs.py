@@ -12,9 +12,9 @@ from sysid.recording import Recording
 
 
 def load_stated(
-    path: Path, format_name: str | None, stated: Mapping[str, Any], own: Mapping[str, Any] | None = None
+    path: Path, format_name: str | None, stated: Mapping[str, Any], for_log: Mapping[str, Any] | None = None
 ) -> Recording:
-    """Load a log with those of the campaign's statements that its format takes.
+    """Load a log with the options of the campaign that its format takes.
 
     A campaign may mix formats: a quaternion order is for its pose tables, not for its Motive exports. What is
     stated for one log must fit its format.
@@ -27,7 +27,7 @@ def load_stated(
         Name of the format; judged by content where it is None or ``"auto"``.
     stated : mapping
         Loader options of the whole campaign, by name; None counts as not stated.
-    own : mapping, optional
+    for_log : mapping, optional
         Of this log alone; they win, and None takes a statement of the campaign back.
 
     Raises
@@ -39,7 +39,7 @@ def load_stated(
         format_name = detect(path)
     known = formats()
     takes = known[format_name].options if format_name in known else ()
-    options = {name: stated[name] for name in takes if name in stated} | dict(own or {})
+    options = {name: stated[name] for name in takes if name in stated} | dict(for_log or {})
     return load(path, format=format_name, **options)
 
 
@@ -61,7 +61,7 @@ def warn_of_idle_options(
     known = formats()
     taken = {option for name in named if name in known for option in known[name].options}
     for option in sorted({name for name, value in stated.items() if value is not None} - taken):
-        near = ", ".join(name for name, one in known.items() if option in one.options)
+        near = ", ".join(name for name, format_of in known.items() if option in format_of.options)
         notice(
             "idle-log-option",
             f"{table}.{option} has no effect: the logs are {', '.join(sorted(named))}, and it is for {near}; "

@@ -87,7 +87,7 @@ def _floor(power: FloatArray | np.float64) -> FloatArray:
 
 
 def find_offset(path: str, reference: Channel, other: Channel, *, sign: bool = True) -> ClockOffset:
-    """Return the offset that brings the clock of a channel onto that of the reference.
+    """Return the offset that brings the clock of a channel onto the reference.
 
     `path` is the second file, for messages. A speed is squared against a thrust or a torque; without `sign`
     the two may be of opposite sign. A channel that is too short or never changes is a LogError.
@@ -144,26 +144,26 @@ def join_recordings(first: Recording, second: Recording, by: str) -> tuple[Recor
     """
     path = second.provenance.path
     name, _, other = by.partition(":")
-    found = find_offset(path, first[name], second[other or name], sign=not other)
-    if not found.sure:
+    offset = find_offset(path, first[name], second[other or name], sign=not other)
+    if not offset.sure:
         raise LogError(
             f"{path}: cannot be aligned with {first.provenance.path} by {by}: correlation "
-            f"{found.correlation:.2f}, confidence {found.confidence:.2f} at {found.offset:+.4g} s; choose "
+            f"{offset.correlation:.2f}, confidence {offset.confidence:.2f} at {offset.offset:+.4g} s; choose "
             "another channel or record a common event"
         )
     channels = dict(first.channels)
     added = []
     for key, channel in second.channels.items():
         if key not in channels:
-            channels[key] = Channel(key, channel.unit, channel.time + found.offset, channel.values)
+            channels[key] = Channel(key, channel.unit, channel.time + offset.offset, channel.values)
             added.append(key)
-    said = first.provenance
+    provenance = first.provenance
     notes = (
-        *said.notes,
+        *provenance.notes,
         note(
             "logs-joined",
             f"joined with {path} (SHA-256 {second.provenance.sha256}), which adds "
-            f"{', '.join(added) or 'nothing'}; {found.sentence()}",
+            f"{', '.join(added) or 'nothing'}; {offset.sentence()}",
         ),
     )
-    return Recording(first.kind, channels, replace(said, notes=notes)), found
+    return Recording(first.kind, channels, replace(provenance, notes=notes)), offset

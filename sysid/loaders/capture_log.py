@@ -93,7 +93,7 @@ def capture_recording(source: Source, format: str, raw: RawCapture, options: Cap
         notes.append(note("markers-never-seen", f"markers never seen, left out: {listing(blank)}"))
     channels = {
         **channels,
-        **{name: one for name, one in markers.items() if name not in channels},
+        **{name: marker for name, marker in markers.items() if name not in channels},
         **raw.others,
     }
     if not channels:

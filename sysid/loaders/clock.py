@@ -1,4 +1,4 @@
-"""Clocks of logs: rows in order, declared rates, jitter said in words."""
+"""Clocks of logs: rows in order, declared rates, jitter in words."""
 
 from __future__ import annotations
 

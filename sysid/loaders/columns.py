@@ -86,13 +86,13 @@ def unread_note(columns: Iterable[Column], read: Iterable[Column]) -> list[Findi
 
 def find_column(path: str, columns: Sequence[Column], stems: Collection[str]) -> Column | None:
     """Return the column whose stem is one of `stems`, or None; LogError when two columns answer to it."""
-    found = [column for column in columns if column.stem in stems]
-    if len(found) > 1:
+    matches = [column for column in columns if column.stem in stems]
+    if len(matches) > 1:
         raise LogError(
-            f"{path}: columns {found[0].index + 1} and {found[1].index + 1} are both named "
-            f'"{shortened(found[1].label, 80)}"; rename or remove one'
+            f"{path}: columns {matches[0].index + 1} and {matches[1].index + 1} are both named "
+            f'"{shortened(matches[1].label, 80)}"; rename or remove one'
         )
-    return found[0] if found else None
+    return matches[0] if matches else None
 
 
 def missing_column(path: str, wanted: str, columns: Sequence[Column]) -> LogError:
@@ -121,7 +121,7 @@ class DeclaredUnits:
         if not self._guessed:
             return self._said
         by_unit = {
-            unit: listing(label for label, own in self._guessed.items() if own == unit)
+            unit: listing(label for label, known in self._guessed.items() if known == unit)
             for unit in dict.fromkeys(self._guessed.values())
         }
         guessed = "; ".join(f"{unit} of {labels}" for unit, labels in by_unit.items())
@@ -172,9 +172,9 @@ class DeclaredUnits:
         """Return the unit of a command, ``us``, ``dshot`` or ``1`` (a fraction); UnitError for others."""
         unit = self.unit_of(column, "command", default)
         if unit is None or unit.casefold() not in COMMAND_UNITS:
-            found = "states no unit" if unit is None else f"has unit {unit!r}"
+            fault = "states no unit" if unit is None else f"has unit {unit!r}"
             raise UnitError(
-                f'{self.path}: command column "{column.label}" {found}; expected us, dshot or 1, '
+                f'{self.path}: command column "{column.label}" {fault}; expected us, dshot or 1, '
                 'declared for example as units = {command = "us"}'
             )
         return COMMAND_UNITS[unit.casefold()]

@@ -40,7 +40,7 @@ QUANTITIES = {
 MEASURED = ("thrust", "torque")
 # Names that only a force sensor has.
 CELL_AXES = (QUANTITIES["thrust"].stems - {"thrust"}) | {"mz", "moment z"}
-# A log beside the cell's own may hold nothing but these.
+# A second log beside the cell's may hold nothing but these.
 BESIDE = QUANTITIES["speed"].stems | QUANTITIES["voltage"].stems | QUANTITIES["current"].stems | TACHOMETER
 
 

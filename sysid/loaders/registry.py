@@ -1,6 +1,6 @@
 """The formats that sysid reads: one module each, one line here, or an entry point from outside.
 
-A package adds a format by declaring, in its own pyproject.toml::
+Another package adds a format by declaring, in its pyproject.toml::
 
     [project.entry-points."sysid.loaders"]
     my-format = "my_package.my_format:FORMAT"
@@ -65,7 +65,7 @@ class LogFormat:
         return tuple(p.name for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY)
 
 
-# One line per format; the order is that of lists and messages.
+# One line per format, in the order of lists and messages.
 _BUILT_IN = (
     "sysid.loaders.readers.rcbenchmark_csv",
     "sysid.loaders.readers.load_cell_csv",
@@ -94,20 +94,22 @@ def _built_in() -> dict[str, LogFormat]:
 
 
 def formats() -> dict[str, LogFormat]:
-    """Return every format by name: the built-in ones, then those of installed packages."""
-    found = _built_in()
+    """Return every format by name: the built-in ones, then what installed packages bring."""
+    known = _built_in()
     for point in entry_points(group=ENTRY_POINT_GROUP):
         try:
             entry = point.load()
-        except Exception as error:  # another package's code: whatever it raises must not stop our own formats
+        except (
+            Exception
+        ) as error:  # another package's code: whatever it raises must not stop the built-in formats
             notice("format-not-loaded", f"log format {point.name!r} cannot be loaded: {error}")
             continue
-        if not isinstance(entry, LogFormat) or entry.name in found:
+        if not isinstance(entry, LogFormat) or entry.name in known:
             reason = "is no LogFormat" if not isinstance(entry, LogFormat) else f"repeats {entry.name!r}"
             notice("format-left-out", f"log format {point.name!r} {reason}; left out")
             continue
-        found[entry.name] = entry
-    return found
+        known[entry.name] = entry
+    return known
 
 
 def plug_in_options() -> set[str]:
@@ -164,7 +166,7 @@ def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording
     format : str
         Name of the format, or ``"auto"`` to judge by content.
     **options
-        What the log itself does not state, see `sysid.loaders.options`; a format takes those of its
+        What the log itself does not state, see `sysid.loaders.options`; a format takes the options in
         `LogFormat.options`. A rate [Hz] or a tare [s] may be a text with its unit (``"10 kHz"``). None counts
         as not given.
 

@@ -1,8 +1,8 @@
 """Pose of a rigid body from its markers, frame by frame (Kabsch), with residuals.
 
-The body's own frame has its origin at the centre of the markers and axes parallel to those of the capture in
-the frame that shows most of them first. Its shape is the mean over all frames, so that no single frame's
-noise stays in it. Valid for three markers or more that do not lie on one line; a frame with fewer is lost.
+The origin of the body's frame is the centre of the markers; its axes are parallel to the capture's in the
+frame that shows most markers first. The shape is the mean over all frames, so that the noise of no single
+frame stays in it. Valid for three markers or more that do not lie on one line; a frame with fewer is lost.
 
 References
 ----------
@@ -38,17 +38,17 @@ def fit_rotations(shape: FloatArray, points: FloatArray) -> tuple[FloatArray, Fl
     weight = seen / np.maximum(seen.sum(axis=1), 1)[:, None]
     known = np.where(seen[..., None], points, 0.0)
     middle = np.einsum("nk,nki->ni", weight, known)
-    own_middle = weight @ shape
+    local_middle = weight @ shape
     centred = np.where(seen[..., None], known - middle[:, None], 0.0)
-    own = np.where(seen[..., None], shape[None] - own_middle[:, None], 0.0)
-    u, spread, vt = np.linalg.svd(np.einsum("nki,nkj->nij", centred, own))
+    local = np.where(seen[..., None], shape[None] - local_middle[:, None], 0.0)
+    u, spread, vt = np.linalg.svd(np.einsum("nki,nkj->nij", centred, local))
     # The nearest rotation: a reflection is turned back about the direction that the points tell least.
     turn = np.sign(np.linalg.det(u @ vt))
     vt = vt.copy()
     vt[:, 2] *= turn[:, None]
     rotation = u @ vt
-    origin = middle - np.einsum("nij,nj->ni", rotation, own_middle)
-    error = np.where(seen[..., None], centred - np.einsum("nij,nkj->nki", rotation, own), 0.0)
+    origin = middle - np.einsum("nij,nj->ni", rotation, local_middle)
+    error = np.where(seen[..., None], centred - np.einsum("nij,nkj->nki", rotation, local), 0.0)
     residual = np.sqrt(np.einsum("nki,nki->n", error, error) / np.maximum(seen.sum(axis=1), 1))
     lost = (seen.sum(axis=1) < 3) | (spread[:, 1] <= _FLAT**2 * spread[:, 0])
     rotation[lost], origin[lost], residual[lost] = np.nan, np.nan, np.nan
@@ -63,11 +63,11 @@ def _mean_shape(points: FloatArray) -> FloatArray:
     for _ in range(3):  # markers hidden in the first frame join; three rounds settle to far below the noise
         use = np.isfinite(shape).all(axis=1)
         rotation, origin, _ = fit_rotations(shape[use], points[:, use])
-        own = np.einsum("nji,nkj->nki", rotation, points - origin[:, None])
-        if not np.isfinite(own).any():
+        local = np.einsum("nji,nkj->nki", rotation, points - origin[:, None])
+        if not np.isfinite(local).any():
             break  # markers on one line: no frame has a rotation
-        counted = np.isfinite(own).all(axis=2).sum(axis=0)
-        total = np.nansum(own, axis=0)
+        counted = np.isfinite(local).all(axis=2).sum(axis=0)
+        total = np.nansum(local, axis=0)
         shape = np.where(counted[:, None] > 0, total / np.maximum(counted, 1)[:, None], np.nan)
         shape -= np.nanmean(shape, axis=0)
     return np.asarray(shape)
@@ -86,24 +86,24 @@ def fit_bodies(
     fitted: dict[str, Channel] = {}
     notes: list[Finding] = []
     for name, listed in _marker_bodies(path, markers, bodies, rigid_body).items():
-        found, said = _pose_from_markers(path, channels, name, listed)
-        fitted |= found
-        notes += said
+        pose, found_notes = _pose_from_markers(path, channels, name, listed)
+        fitted |= pose
+        notes += found_notes
     return fitted, notes
 
 
 def _marker_bodies(
     path: str, markers: Sequence[str], bodies: Mapping[str, Sequence[str]] | None, rigid_body: object
 ) -> dict[str, list[str]]:
-    """Return body name -> its markers, as declared, or all whose name begins with that of the body."""
+    """Return body name -> its markers, as declared, or all whose name begins with the body's."""
     if bodies is not None and not isinstance(bodies, Mapping):
         raise LogError(
             f'{path}: bodies = {bodies!r} is no table; expected for example {{quad = ["q1", "q2", "q3"]}}'
         )
     wanted: dict[str, list[str]] = {}
     for name, chosen in (bodies or {}).items():
-        listed = [chosen] if isinstance(chosen, str) else [str(one) for one in chosen]
-        missing = [one for one in listed if one not in markers]
+        listed = [chosen] if isinstance(chosen, str) else [str(marker) for marker in chosen]
+        missing = [marker for marker in listed if marker not in markers]
         if missing:
             raise LogError(
                 f'{path}: body "{name}" names marker "{missing[0]}"; found {listing(markers)}; correct bodies'
@@ -111,11 +111,13 @@ def _marker_bodies(
         wanted[str(name)] = listed
     if rigid_body is not None:
         names = (
-            [str(one) for one in rigid_body] if isinstance(rigid_body, list | tuple) else [str(rigid_body)]
+            [str(marker) for marker in rigid_body]
+            if isinstance(rigid_body, list | tuple)
+            else [str(rigid_body)]
         )
         for name in names:
             if name not in wanted:
-                wanted[name] = [one for one in markers if one.startswith(name) and one != name]
+                wanted[name] = [marker for marker in markers if marker.startswith(name) and marker != name]
         wanted = {name: wanted[name] for name in names}
     for name, listed in wanted.items():
         if len(set(listed)) < 3:
@@ -148,8 +150,8 @@ def _pose_from_markers(
             f'{path}: the markers of "{name}" move by {1e3 * rms:.3g} mm against each other, so they are not '
             f"one rigid body ({listing(markers)}); name its markers with bodies = {{{name} = [...]}}"
         )
-    found = body_channels(name, first.time, origin, matrix_quaternions(rotation, seen))
-    found[f"{name}/residual"] = Channel(f"{name}/residual", "m", first.time, residual)
+    pose = body_channels(name, first.time, origin, matrix_quaternions(rotation, seen))
+    pose[f"{name}/residual"] = Channel(f"{name}/residual", "m", first.time, residual)
     notes = [
         note(
             "pose-from-markers",
@@ -158,4 +160,4 @@ def _pose_from_markers(
             "frames; origin at the centre of the markers",
         )
     ]
-    return found, notes
+    return pose, notes

@@ -1,10 +1,10 @@
 """Named signals of a data-acquisition file (HDF5, MAT, TDMS, LVM): which one is thrust, and on which clock.
 
 A signal is found by the name that its file gives it, in any case, or by the option ``datasets``; its unit is
-that of the file or declared; its clock is, in this order, the declared rate, its own times, a signal named
-time beside it (whose unit must be stated or declared too), the rate that the file states. A unit that is only
-the end of a name (``Fz_N``) is taken for known quantities, whose dimension tells a mistake, and noted; of
-other signals it is not.
+stated by the file or declared; its clock is, in this order, the declared rate, the times that come with it, a
+signal named time beside it (whose unit must be stated or declared too), the rate that the file states. A unit
+that is only the end of a name (``Fz_N``) is taken for known quantities, whose dimension tells a mistake, and
+noted; of other signals it is not.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _OTHER_UNITS = {
     "rad/s": "rad/s", "rad": "rad", "m": "m", "s": "s", "Hz": "Hz", "1": "1",
 }  # fmt: skip
 # Lengths of signals on one rate that differ by this share were not recorded over one span, and a stated rate
-# that differs by this from that of the times is another rate: no clock drifts by as much.
+# that differs by this from the rate of the times is another one: no clock drifts by as much.
 _LENGTHS, _RATES = 0.02, 0.1
 _SPECIAL = {"time": TIME, "command": COMMAND, "tachometer": TACHOMETER}
 
@@ -187,14 +187,14 @@ class _Clocks:
 
     def _clock(self, name: str, signal: Signal, size: int, *, known: bool) -> tuple[object, FloatArray]:
         if self.rate is None and signal.time is not None:
-            said = self._off_rate(name, signal, signal.time, "its column of times")
+            doubt = self._off_rate(name, signal, signal.time, "its column of times")
             # A program that paces itself writes a Delta_X without meaning; the times are what it saw.
-            self.notes += [note("rate-contradicts-times", f"{said}; the times were taken")] if said else []
+            self.notes += [note("rate-contradicts-times", f"{doubt}; the times were taken")] if doubt else []
             return id(signal.time), signal.time
         beside = [
             other
-            for other, one in self.signals.items()
-            if one.group == signal.group and one.is_time and other != name
+            for other, signal_there in self.signals.items()
+            if signal_there.group == signal.group and signal_there.is_time and other != name
         ]
         clock = beside[0] if len(beside) == 1 else self.time
         if self.rate is None and clock is not None:
@@ -204,9 +204,9 @@ class _Clocks:
                     f"{self.path}: dataset {name} has {size} samples but its clock {clock} has "
                     f"{time.size}; they must be of one length"
                 )
-            if said := self._off_rate(name, signal, time, f"its clock {clock}"):
+            if doubt := self._off_rate(name, signal, time, f"its clock {clock}"):
                 raise LogError(
-                    f"{self.path}: {said}; declare the true one with rate = ..., or correct the file"
+                    f"{self.path}: {doubt}; declare the true one with rate = ..., or correct the file"
                 )
             return clock, time
         stated = signal.rate if self.rate is None else self.rate
@@ -215,21 +215,21 @@ class _Clocks:
                 f"{self.path}: dataset {name} has no clock: no dataset time beside it and no attribute rate; "
                 "declare the sample rate [Hz] with rate = ..."
             )
-        own = positive_rate(self.path, stated)
+        hertz = positive_rate(self.path, stated)
         if known and (signal.inherited or self.rate is not None):
-            first, length = self.shared.setdefault(own, (name, size))
+            first, length = self.shared.setdefault(hertz, (name, size))
             if abs(size - length) > max(1.0, _LENGTHS * length):
                 raise LogError(
                     f"{self.path}: {first} has {length} samples and {name} has {size}, but both take "
-                    f"one rate of {own:g} Hz, so one would last "
+                    f"one rate of {hertz:g} Hz, so one would last "
                     f"{max(size, length) / min(size, length):.3g} times as long as the other; give each "
-                    "dataset its own rate or time, or choose those of one rate with datasets = {...}"
+                    "dataset a rate or a time, or choose those of one rate with datasets = {...}"
                 )
-        return (own, signal.start, size), rate_clock(self.path, own, size) + signal.start
+        return (hertz, signal.start, size), rate_clock(self.path, hertz, size) + signal.start
 
     @staticmethod
     def _off_rate(name: str, signal: Signal, time: FloatArray, what: str) -> str:
-        """Return what contradicts where the rate of the file is not that of its times, else nothing."""
+        """Return how the rate and the times of a file contradict each other; empty where they agree."""
         steps = np.diff(time[np.isfinite(time)])
         rate = signal.rate
         if isinstance(rate, bool) or not isinstance(rate, int | float) or not steps.size:
@@ -281,10 +281,10 @@ def signal_channels(
     channels: dict[str, Channel] = {}
     unknown: list[str] = []
     for key, names in clocks.members.items():
-        time, said = order_rows(
+        time, ordered = order_rows(
             path, clocks.numbers[key], 0, 1.0, time_back=options.time_back or "refuse", coarse=DECLARE_RATE
         )
-        notes += [note for note in said if note not in notes]
+        notes += [note for note in ordered if note not in notes]
         for index, channel in enumerate(names, start=1):
             values = clocks.numbers[key].columns[index]
             column = columns[channel if channel in others else chosen[channel]]

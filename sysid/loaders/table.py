@@ -103,16 +103,16 @@ def _header_cells(line: str, delimiter: str) -> list[str]:
 def _renamed(path: str, names: Sequence[str], columns: Mapping[str, object]) -> list[str]:
     """Return the names of a header with some replaced; a unit in brackets stays with its column."""
     out = list(names)
-    for new, found in columns.items():
-        place = names.index(found) if isinstance(found, str) and found in names else -1
-        if isinstance(found, int) and not isinstance(found, bool) and 1 <= found <= len(names):
-            place = found - 1
+    for new, stated in columns.items():
+        place = names.index(stated) if isinstance(stated, str) and stated in names else -1
+        if isinstance(stated, int) and not isinstance(stated, bool) and 1 <= stated <= len(names):
+            place = stated - 1
         stems = [split_label(name)[0] for name in names]
-        if place < 0 and isinstance(found, str) and stems.count(split_label(found)[0]) == 1:
-            place = stems.index(split_label(found)[0])
+        if place < 0 and isinstance(stated, str) and stems.count(split_label(stated)[0]) == 1:
+            place = stems.index(split_label(stated)[0])
         if place < 0:
             raise LogError(
-                f"{path}: columns says that {new} is {found!r}, which is neither a column nor its number "
+                f"{path}: columns says that {new} is {stated!r}, which is neither a column nor its number "
                 f"from 1; found {listing(names)}"
             )
         unit = split_label(names[place])[1]
@@ -130,12 +130,12 @@ def table_head(
     them, which a message may advise. A missing header and a wrong number of names are a LogError.
     """
     lines = list(text.lines(_HEADER_SEARCH))
-    found = find_header([line for _, _, line in lines])
-    if found is None:
+    header = find_header([line for _, _, line in lines])
+    if header is None:
         raise LogError(
             f"{text.path}: only blank or comment lines; expected a header line and rows of numbers"
         )
-    index, delimiter, names = found
+    index, delimiter, names = header
     number, offset, _ = lines[index]
     headless = _all_numeric(names)
     if headless:
@@ -317,7 +317,7 @@ def _blank_short(
     return [note("short-rows", sentence)]
 
 
-def promised_note(header: str, stated: object, found: int) -> list[Finding]:
+def promised_note(header: str, stated: object, rows: int) -> list[Finding]:
     """Return a note where a header promises more rows (`stated`, by the name `header`) than there are.
 
     A log cut at the end of a row shows no other trace. What is no count promises nothing.
@@ -326,12 +326,12 @@ def promised_note(header: str, stated: object, found: int) -> list[Finding]:
         promised = int(str(stated).strip())
     except ValueError:
         return []
-    if promised <= found:
+    if promised <= rows:
         return []
     return [
         note(
             "fewer-rows-than-stated",
-            f"{header} is {promised} but {found} rows are there: the log was cut, or rows were left out",
+            f"{header} is {promised} but {rows} rows are there: the log was cut, or rows were left out",
         )
     ]
 
@@ -341,7 +341,7 @@ def _is_words(cells: Sequence[str], column: int | None) -> bool:
 
 
 def _appended(cells: Sequence[str], free_text: int | None) -> bool:
-    """Return whether the cells too many are behind those that are read: parts of words, or a script's own.
+    """Return whether the cells too many are behind those that are read: words, or what a script added.
 
     With a delimiter too many in front, the number that belongs before the words stands in their place.
     """
@@ -368,15 +368,15 @@ def _shifted(
             f"{path}, line {body.lines[row]}: {len(cells)} cells where the header has "
             f"{width + head.trailing}, as in most rows; check the header for a name that is lost"
         )
-    found = [row for row, cells in long if not _appended(cells, free_text)]
+    shifted = [row for row, cells in long if not _appended(cells, free_text)]
     if free_text is not None and width == free_text + 1 and full.size * 2 < fields.size:
         # Most rows end before the words; in some a number stands there and a blank in front of it.
         for row in np.flatnonzero(fields == width).tolist():
             cells = body.cells(row)
             blank = any(not cells[column].strip() for column in wanted if column)  # 0 may be an unused clock
             if blank and cells[free_text].strip() and not _is_words(cells, free_text):
-                found.append(row)
-    return np.array(sorted(found), dtype=np.int64)
+                shifted.append(row)
+    return np.array(sorted(shifted), dtype=np.int64)
 
 
 def _is_whole(cells: Sequence[str], wanted: Sequence[int], least: int, decimal: str) -> bool:

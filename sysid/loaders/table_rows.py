@@ -94,8 +94,8 @@ class Body:
 
     def part(self, rows: slice | NDArray[np.bool_]) -> Body:
         """Return some of the rows; `data` is shared."""
-        own = (self.lines[rows], self.begins[rows], self.lengths[rows], self.fields[rows])
-        return Body(self.data, self.delimiter, *own)
+        chosen = (self.lines[rows], self.begins[rows], self.lengths[rows], self.fields[rows])
+        return Body(self.data, self.delimiter, *chosen)
 
     def parts(self) -> Iterator[slice]:
         """Yield the rows in runs of some megabytes."""
@@ -274,11 +274,11 @@ def read_rows(
     for place in body.parts():
         part = body.part(place)
         fast = _plain_rows(part, width, surplus)
-        found = _read_fast(part.part(fast), list(names), decimal) if fast.mean() >= 0.5 else None
-        if found is None:
+        read = _read_fast(part.part(fast), list(names), decimal) if fast.mean() >= 0.5 else None
+        if read is None:
             fast[:] = False
         else:
-            for index, values in found.items():
+            for index, values in read.items():
                 columns[index][place][fast] = values
         if not fast.all():
             few = part.part(~fast)

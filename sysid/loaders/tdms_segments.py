@@ -1,7 +1,7 @@
 """When each waveform of a TDMS file began, segment by segment.
 
-A program that appends to a TDMS file states ``wf_start_time`` anew in each segment; npTDMS keeps the last one
-and joins the samples. Here the first and the last statement are read off the segments, so that a pause
+A program that appends to a TDMS file states ``wf_start_time`` again in each segment; npTDMS keeps the last
+one and joins the samples. Here the first and the last statement are read off the segments, so that a pause
 between two recordings is seen. Lead-in of a segment: ``TDSm``, 32 flags, version, offset of the next segment,
 offset of the raw data (National Instruments, TDMS File Format Internal Structure).
 """
@@ -43,7 +43,7 @@ def _time(raw: bytes, big: bool) -> np.datetime64:
 
 def waveform_starts(path: str) -> dict[str, Starts]:
     """Return the starts of the channels that state one, by their path in the file, ``/'group'/'channel'``."""
-    found: dict[str, Starts] = {}
+    starts: dict[str, Starts] = {}
     with Path(path).open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         at = 0
         while data[at : at + 4] == b"TDSm" and at + _LEAD_IN <= len(data):
@@ -51,19 +51,21 @@ def waveform_starts(path: str) -> dict[str, Starts]:
             big = bool(flags & _BIG_ENDIAN)
             behind, raw = struct.unpack_from(">QQ" if big else "<QQ", data, at + 12)
             channel = ""
-            for said in _SAID.finditer(data[at + _LEAD_IN : at + _LEAD_IN + raw]):
-                if said["path"] is not None:
-                    channel = said["path"].decode("utf-8", "replace")
+            for match in _SAID.finditer(data[at + _LEAD_IN : at + _LEAD_IN + raw]):
+                if match["path"] is not None:
+                    channel = match["path"].decode("utf-8", "replace")
                     continue
-                seconds = struct.unpack(">q" if big else "<q", said["time"][:8] if big else said["time"][8:])
+                seconds = struct.unpack(
+                    ">q" if big else "<q", match["time"][:8] if big else match["time"][8:]
+                )
                 if seconds[0] <= 0 or seconds[0] > 1 << 33:  # not set, or no time
                     continue
-                start = _time(said["time"], big)
-                known = found.setdefault(channel, Starts(start, start, at))
+                start = _time(match["time"], big)
+                known = starts.setdefault(channel, Starts(start, start, at))
                 if start != known.last:
                     known.last, known.offset = start, at
             at += _LEAD_IN + behind
-    return found
+    return starts
 
 
 def samples_before(path: str, offset: int, channel: str) -> int:
@@ -73,5 +75,11 @@ def samples_before(path: str, offset: int, channel: str) -> int:
     with Path(path).open("rb") as stream, mmap.mmap(stream.fileno(), offset, access=mmap.ACCESS_READ) as data:
         file = TdmsFile.read_metadata(data)
         return next(
-            (len(one) for group in file.groups() for one in group.channels() if one.path == channel), 0
+            (
+                len(waveform)
+                for group in file.groups()
+                for waveform in group.channels()
+                if waveform.path == channel
+            ),
+            0,
         )

@@ -19,7 +19,7 @@ from sysid.loaders.source import Source
 
 _DELIMITERS = ",;\t"
 SPACES = " "
-# A table of fewer columns than this is not told from prose by its spaces.
+# A line of fewer words than this may be prose: its spaces part no columns.
 _FEWEST_WORDS = 4
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 # What Excel writes before a table, to itself: which character parts its cells. The line's end stays.
@@ -77,7 +77,7 @@ class Text:
 
 
 def without_separator(text: str) -> str:
-    """Return text whose first line is blank where it only told Excel the separator (``sep=;``)."""
+    """Return text with a blank first line where that line names the separator for Excel (``sep=;``)."""
     return _SEPARATOR.sub(b"", text[:40].encode("utf-8", "surrogatepass")).decode("utf-8") + text[40:]
 
 

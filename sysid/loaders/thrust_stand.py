@@ -26,7 +26,7 @@ def choose_speed(
     """Return the speed to use [rad/s] and notes: the optical one unless it is off.
 
     A probe that is off writes zeros. Where both run and differ by one constant ratio, the pole count set in
-    the stand's program is wrong: said, never averaged away.
+    the stand's program is wrong: a warning says so, and nothing is averaged.
     """
 
     def running(speed: FloatArray | None) -> int:

@@ -33,11 +33,11 @@ _HEADER_LINES = 20
 _UNIT_KEYS = ("force", "torque")
 # No force/torque log is sampled this slowly [s]: its first column counts rows or is not in seconds.
 _SLOWEST_STEP = 0.5
-# So many equal steps in a row no load takes.
+# No load takes this many equal steps in a row.
 _FEW_STEPS = 20
 _STEADY = 0.5
-# A clock with pauses, repeated stamps or a damaged number still falls in fewer than so many of its steps that
-# are not zero; noise makes half of those of a load fall.
+# Share of the steps, zeros left out, in which a clock falls at most, through pauses, repeated stamps or a
+# damaged number; noise makes a load fall in half of its steps.
 _FALLS = 0.02
 _NO_BRACKETS = bytes.maketrans(b"[]", b"  ")
 
@@ -157,7 +157,7 @@ def _factors(path: str, units: Mapping[str, str] | None) -> FloatArray:
 
 
 def _time_factor(path: str, units: Mapping[str, str] | None) -> tuple[Mapping[str, str] | None, float | None]:
-    """Return the units without that of the time column, and its factor to seconds where it is declared."""
+    """Return the units of the loads, and the factor of the time column to seconds where it is declared."""
     if not isinstance(units, Mapping) or "time" not in units:
         return units, None
     try:
@@ -193,12 +193,12 @@ def _check_last(path: str, numbers: Numbers) -> None:
     if not steady and (first_rises or not _mostly_rises(numbers.columns[6])):
         return
     if first_rises:
-        found = "the first and the last of seven columns rise steadily, so either may be the time"
+        fault = "the first and the last of seven columns rise steadily, so either may be the time"
     else:
         how = "rises steadily" if steady else "hardly ever falls"
-        found = f"the last of seven columns {how}, as a time does, and the first does not"
+        fault = f"the last of seven columns {how}, as a time does, and the first does not"
     raise LogError(
-        f"{path}: {found}; expected the time and then Fx Fy Fz Tx Ty Tz: move or remove the column that is "
+        f"{path}: {fault}; expected the time and then Fx Fy Fz Tx Ty Tz: move or remove the column that is "
         'no load, or, where the first is the time, say so with units = {time = "s"}'
     )
 
@@ -248,7 +248,7 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     if seconds is not None and not lead:
         raise UnitError(f"{path}: units names a time, but rows hold six numbers and no time; leave it out")
     if lead and rate is None:
-        time, said = order_rows(path, numbers, 0, seconds or 1.0, time_back=time_back, coarse=DECLARE_RATE)
+        time, ordered = order_rows(path, numbers, 0, seconds or 1.0, time_back=time_back, coarse=DECLARE_RATE)
         if seconds is None:
             _check_steps(path, time)
             notes.append(
@@ -257,7 +257,7 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
                     "the first of seven columns is taken as the time in seconds, which no label says",
                 )
             )
-        notes += [*said, *jitter_note(time)]
+        notes += [*ordered, *jitter_note(time)]
     elif rate is not None:
         counted = lead and seconds is None and _counts_rows(numbers.columns[0])
         written = numbers.columns[0] * (seconds or 1.0) if lead and not counted else None

@@ -56,14 +56,14 @@ def _recognize(source: Source) -> int:
 def _values(parameters: Any, group: str, key: str) -> list[Any]:
     """Return a parameter as a list, its numbered continuations (LABELS2, ...) appended."""
     try:
-        found = parameters[group]
+        parameter = parameters[group]
     except KeyError:
         return []
     out: list[Any] = []
     for suffix in ("", *map(str, range(2, 20))):
-        if key + suffix not in found:
+        if key + suffix not in parameter:
             break
-        out += list(np.ravel(found[key + suffix]["value"]))
+        out += list(np.ravel(parameter[key + suffix]["value"]))
     return out
 
 

@@ -2,7 +2,7 @@
 
     Time (s),Command (us),Speed (rad/s),Fx (N),Fy (N),Fz (N),Mx (N·m),My (N·m),Mz (N·m)
 
-Any of the columns may be missing but Fz or Mz (a log beside the cell's own may hold speed, voltage or current
+Any of the columns may be missing but Fz or Mz (a log beside the cell's may hold speed, voltage or current
 alone and is of kind ``signals``); the order is free, and the delimiter comma, semicolon or TAB.
 Thrust is Fz and torque Mz with the sign of the file: the mounting of the cell is not the log's to know.
 Ignores cross-talk and temperature: the writer's calibration is taken as it is.
@@ -39,16 +39,16 @@ from sysid.loaders.tachometer import check_tachometer, speed_channel
 from sysid.loaders.text import read_text
 from sysid.recording import Channel
 
-# What stands above or in the header of ATI's own logs, which have loaders of their own.
+# What stands above or in the header of ATI's logs, which other loaders read.
 _OTHERS = ("rdt sequence", "sampling freq")
 
 
 def _recognize(source: Source) -> int:
-    found = find_header(source.head_lines)
-    if found is None:
+    header = find_header(source.head_lines)
+    if header is None:
         return NO
-    stems = {column.stem for column in parse_header(found[2])}
-    if any(mark in line.casefold() for line in source.head_lines[: found[0] + 1] for mark in _OTHERS):
+    stems = {column.stem for column in parse_header(header[2])}
+    if any(mark in line.casefold() for line in source.head_lines[: header[0] + 1] for mark in _OTHERS):
         return NO
     if stems & CELL_AXES:
         return CERTAIN

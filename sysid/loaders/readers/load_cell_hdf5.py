@@ -11,7 +11,7 @@ There is no common layout, so this one is ours; everything but Fz or Mz may be m
     /FT        (n, k)  is k datasets /FT[1] ... /FT[k], named with the option ``datasets``
 
 Datasets may lie in a group; ``rate`` and ``start`` may be attributes of the dataset, of its group or of the
-file, the nearest wins, and a dataset of its own rate has its own clock. NaN marks a sample that was not
+file, the nearest wins, and a dataset with another rate has another clock. NaN marks a sample that was not
 delivered. Names are those that `load_cell_csv` knows, in any case; other names are given by the option
 ``datasets``.
 """
@@ -69,14 +69,14 @@ def _datasets(file: Any) -> dict[str, Any]:
     """Return path -> dataset of a file, links to other files not followed."""
     import h5py
 
-    found: dict[str, Any] = {}
+    datasets: dict[str, Any] = {}
 
     def visit(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset):
-            found["/" + name] = item
+            datasets["/" + name] = item
 
     file.visititems(visit)
-    return found
+    return datasets
 
 
 def _recognize(source: Source) -> int:
@@ -122,8 +122,8 @@ def _values(path: str, name: str, dataset: Any, file_bytes: int, column: int | N
         raise LogError(
             f"{path}: dataset {name} claims {dataset.size} samples, more than the file holds; it is damaged"
         )
-    found = dataset[()] if column is None else dataset[:, column]
-    return np.asarray(found, dtype=np.float64).reshape(-1)
+    samples = dataset[()] if column is None else dataset[:, column]
+    return np.asarray(samples, dtype=np.float64).reshape(-1)
 
 
 def _signals(path: str, name: str, dataset: Any, file_bytes: int) -> list[Signal]:

@@ -1,6 +1,6 @@
 """LabVIEW text measurements (LVM): segments of channels with one, several or no columns of times.
 
-Layout: ``LabVIEW Measurement``, a file header, then for every segment its own header (``Channels``,
+Layout: ``LabVIEW Measurement``, a file header, then a header for every segment (``Channels``,
 ``Samples``, units, ``X0``, ``Delta_X``), the row ``X_Value name ... Comment`` and the samples. Times are the
 written ones where there are any (``X_Columns One`` or ``Multi``), else X0 + i · Delta_X; both are seconds
 unless ``X_Unit_Label`` says another unit of time, and an ``X_Dimension`` that is no time is refused. A
@@ -74,10 +74,10 @@ class _Segment:
 
 
 def _separator(path: str, settings: Mapping[str, str]) -> str:
-    said = settings.get("separator", "Tab").strip().casefold()
-    if said not in _SEPARATORS:
-        raise LogError(f'{path}: the header\'s Separator is {said!r}; expected "Tab" or "Comma"')
-    return _SEPARATORS[said]
+    separator = settings.get("separator", "Tab").strip().casefold()
+    if separator not in _SEPARATORS:
+        raise LogError(f'{path}: the header\'s Separator is {separator!r}; expected "Tab" or "Comma"')
+    return _SEPARATORS[separator]
 
 
 def _cells(line: str, delimiter: str) -> tuple[str, ...]:
@@ -149,7 +149,7 @@ def _segment_signals(
 ) -> list[Signal]:
     """Return the signals of one segment; `text` holds nothing behind its rows.
 
-    With `rated` the user has declared the clock, and that of the header is not looked at.
+    With `rated` the user has declared the clock, and the header's is ignored.
     """
     path = text.path
     names = list(segment.names)
@@ -175,7 +175,7 @@ def _segment_signals(
         clocks[place] = numbers.columns[place] if seen.any() else None
     scaled: dict[tuple[int, float], FloatArray] = {}
 
-    def own_time(column: int | None, seconds: float) -> FloatArray | None:
+    def times_of(column: int | None, seconds: float) -> FloatArray | None:
         """Return the times of a column [s], one array for all signals that share them."""
         clock = None if column is None else clocks[column]
         if column is None or clock is None or seconds == 1.0:
@@ -186,14 +186,16 @@ def _segment_signals(
         values = numbers.columns[column]
         if np.isnan(values).all():
             continue
-        own = max((one for one in times if one < column), default=None)
-        place = own if len(times) > 1 and own is not None else column
+        clock_column = max(
+            (column_of_times for column_of_times in times if column_of_times < column), default=None
+        )
+        place = clock_column if len(times) > 1 and clock_column is not None else column
         seconds = 1.0 if rated else _seconds(path, segment, labels[column], place, first)
         step = seconds * _number(path, segment, "Delta_X", segment.stated(segment.steps, place, first), 0.0)
         start = seconds * _number(path, segment, "X0", segment.stated(segment.starts, place, first), 0.0)
         rate = 1.0 / step if step > 0 else None
         unit = segment.stated(segment.units, place if len(times) > 1 else column, first)
-        time = own_time(own, seconds)
+        time = times_of(clock_column, seconds)
         label = labels[column]
         signals.append(
             Signal(f"/{label}", written_unit(unit), partial(np.asarray, values), rate, start, time, label)

@@ -4,7 +4,7 @@
     time  or  rate (fs)             beside them: in the same struct, or at the top
     FT                              an (n, k) matrix is k signals FT[1] ... FT[k]
 
-Units that no struct states are declared, that of time among them. Ignores objects (timeseries, tables), which
+Units that no struct states, also of time, must be declared. Ignores objects (timeseries, tables), which
 hold no plain arrays.
 """
 
@@ -87,8 +87,8 @@ def _described(name: str, value: object) -> str:
 
 
 def _walk(branch: Tree, where: str, rate: float | None, passed_over: list[str]) -> Iterator[Signal]:
-    own = _rate_in(branch)
-    rate = rate if own is None else own
+    stated = _rate_in(branch)
+    rate = rate if stated is None else stated
     for name, value in branch.items():
         full = f"{where}/{name}"
         if isinstance(value, dict):

@@ -5,11 +5,11 @@ of type, name, ID, (1.24 on) parent and component, then ``Frame,Time,X,Y,Z,W,...
 they hold, not by number. A column without axis label is an error or a quality and is not read.
 
 Valid for quaternions and for the six Euler orders, which Motive defines as relative: about X, then the new Y,
-then the new Z for ``XYZ`` (vendor's note on Motive 1.6 and later), right-handed, degrees. Axes are those of
-the export: a remapping at export leaves no trace in the file, so which axis is up is the campaign's to say.
+then the new Z for ``XYZ`` (vendor's note on Motive 1.6 and later), right-handed, degrees. The axes are of the
+export: a remapping at export leaves no trace in the file, so which axis is up is the campaign's to say.
 
 Lost bodies and markers are blank cells, here NaN. Columns of type ``Rigid Body Marker`` are positions solved
-from the body; those of type ``Marker`` are measured, and keep the plain name where both have the same.
+from the body; columns of type ``Marker`` are measured, and keep the plain name where both have the same.
 """
 
 from __future__ import annotations

@@ -71,24 +71,24 @@ def _add_frame(frames: _Frames, names: dict[str, str], number: int, cells: Seque
     index, time = parse_number(cells[1]), parse_number(cells[2])
     place = 4
     for _ in range(_count(cells[3])):
-        own = cells[place : place + _BODY_CELLS]
-        if len(own) < _BODY_CELLS:
+        part = cells[place : place + _BODY_CELLS]
+        if len(part) < _BODY_CELLS:
             raise IndexError
-        name = names.get(own[0].strip(), f"body {own[0].strip()}")
+        name = names.get(part[0].strip(), f"body {part[0].strip()}")
         if name in bodies:
             raise ValueError(f"{name} twice")
-        bodies[name] = [parse_number(cell) for cell in own[1:8]]
+        bodies[name] = [parse_number(cell) for cell in part[1:8]]
         place += _BODY_CELLS
     count = _count(cells[place])
     place += 1
     for _ in range(count):
-        own = cells[place : place + _MARKER_CELLS]
-        if len(own) < _MARKER_CELLS:
+        part = cells[place : place + _MARKER_CELLS]
+        if len(part) < _MARKER_CELLS:
             raise IndexError
-        name = own[4].strip() or f"marker {own[3].strip()}"
+        name = part[4].strip() or f"marker {part[3].strip()}"
         if name in markers:
-            name = f"{name} {own[3].strip()}"
-        markers[name] = [parse_number(cell) for cell in own[:3]]
+            name = f"{name} {part[3].strip()}"
+        markers[name] = [parse_number(cell) for cell in part[:3]]
         place += _MARKER_CELLS
     if any(cell.strip() for cell in cells[place:]):
         raise ValueError("cells left over")

@@ -50,7 +50,7 @@ def _header(text: Text) -> tuple[dict[str, str], TableHead]:
         if _SEQUENCE in [name.casefold() for name in names]:
             return stated, TableHead(tuple(names), ",", number, offset)
         key, _, value = line.strip(' ",').partition(":")
-        if not value:  # the value may be in a cell of its own
+        if not value:  # the value may be in the next cell
             key, _, value = line.strip(' ",').partition(",")
         stated[key.strip(' "').casefold()] = value.strip(' ",')
     raise LogError(f'{text.path}: no header row with "RDT Sequence" in the first {_HEADER_LINES} lines')
@@ -60,8 +60,8 @@ def _positive(path: str, stated: Mapping[str, str], key: str) -> float:
     try:
         return known_rate(parse_number(stated[key]))
     except (KeyError, ValueError):
-        found = f"is {stated[key][:40]!r}" if key in stated else "is missing"
-        raise LogError(f'{path}: "{key}" in the header {found}; expected a positive number') from None
+        fault = f"is {stated[key][:40]!r}" if key in stated else "is missing"
+        raise LogError(f'{path}: "{key}" in the header {fault}; expected a positive number') from None
 
 
 def _unit(path: str, stated: Mapping[str, str], key: str, expected: str) -> float:
@@ -76,7 +76,8 @@ def _unit(path: str, stated: Mapping[str, str], key: str, expected: str) -> floa
 def _status_note(text: Text, table: TableHead, known: list[str]) -> list[Finding]:
     """Return a note of the rows whose status is not 0: the transducer doubts them (saturated, off its range).
 
-    The word is hexadecimal. What each bit means differs between boxes, so the values are told, not explained.
+    The word is hexadecimal. What each bit means differs between boxes, so the note lists the values and does
+    not explain them.
     """
     place = next((index for index, name in enumerate(known) if name.startswith("status")), None)
     if place is None:
@@ -84,15 +85,15 @@ def _status_note(text: Text, table: TableHead, known: list[str]) -> list[Finding
     wrong = re.compile(
         rb"^(?:[^,\n]*,){%d}[ \t\"]*((?:0[xX])?0*[1-9A-Fa-f][0-9A-Fa-f]*)" % place, re.MULTILINE
     )
-    found = list(wrong.finditer(text.data, table.offset))
-    if not found:
+    matches = list(wrong.finditer(text.data, table.offset))
+    if not matches:
         return []
-    first = text.data.count(b"\n", 0, found[0].start()) + 1
-    words = listing(dict.fromkeys(shortened(one[1].decode(), 20) for one in found))
+    first = text.data.count(b"\n", 0, matches[0].start()) + 1
+    words = listing(dict.fromkeys(shortened(match[1].decode(), 20) for match in matches))
     return [
         note(
             "status-not-zero",
-            f"rows with a status other than 0: {len(found)} (first: line {first}; {words}); the "
+            f"rows with a status other than 0: {len(matches)} (first: line {first}; {words}); the "
             "transducer reports an error or an overload there, so check them",
         )
     ]
@@ -123,9 +124,9 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     if not first.size:
         raise LogError(f"{path}: no row has an RDT sequence number; the log is empty")
     numbers.columns[sequence] = counted - first[0]
-    time, said = order_rows(path, numbers, sequence, 1.0 / rate, time_back=options.time_back or "refuse")
+    time, ordered = order_rows(path, numbers, sequence, 1.0 / rate, time_back=options.time_back or "refuse")
     lost = round(float(time[-1] * rate)) + 1 - time.size
-    notes += [*said, *([note("packets-lost", f"packets lost, left as holes: {lost}")] if lost > 0 else [])]
+    notes += [*ordered, *([note("packets-lost", f"packets lost, left as holes: {lost}")] if lost > 0 else [])]
     notes.append(note("time-from-sequence", f"time rebuilt from RDT sequence numbers at {rate:g} Hz"))
     scale = np.repeat([force / per_force, torque / per_torque], 3)
     load = numbers.stacked(places) * scale

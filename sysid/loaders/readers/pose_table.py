@@ -5,8 +5,9 @@ declared.
     t_s,qw,qx,qy,qz,px_m,py_m,pz_m,vx_m_s,...            nothing to declare
     t [ms];x (mm);y (mm);z (mm);q0;q1;q2;q3              quaternion_order = "wxyz" or "xyzw" declared
 
-Times are those of the file, seconds where no unit is stated and the steps are those of a capture; where a
-network stamped them on arrival their jitter is kept and noted, or, with frame numbers, taken out on demand.
+Times are kept as written; without a unit they are seconds, if their steps are as short as those of a
+capture. A network that stamps them on arrival adds jitter: it is kept and noted, or, with frame numbers,
+taken out on demand.
 Velocities, where the table has them, are kept as channels; the frame of an angular velocity is not in the
 file.
 """
@@ -60,18 +61,18 @@ _LONGEST_STEP = 0.5
 
 def _matched(path: str, columns: Sequence[Column], pattern: re.Pattern[str]) -> dict[str, Column]:
     """Return axis -> column of the columns whose stem fits a pattern."""
-    found: dict[str, Column] = {}
+    matched: dict[str, Column] = {}
     for column in columns:
         match = pattern.match(column.stem)
         if match:
             axis = next(group for group in match.groups() if group)
-            if axis in found:
+            if axis in matched:
                 raise LogError(
-                    f'{path}: columns "{found[axis].label}" and "{column.label}" both name component {axis}; '
-                    "this format holds one body, so remove or rename one"
+                    f'{path}: columns "{matched[axis].label}" and "{column.label}" both name component '
+                    f"{axis}; this format holds one body, so remove or rename one"
                 )
-            found[axis] = column
-    return found
+            matched[axis] = column
+    return matched
 
 
 def _recognize(source: Source) -> int:

@@ -109,13 +109,13 @@ def _position(numbers: Numbers, first: int, scale: float) -> FloatArray:
 def _lead(text: Text, offset: int, cells: int) -> int:
     """Return how many columns stand before the data where columns have no names: 2 or none."""
     row = next((line for _, _, line in text.lines(1, offset)), "")
-    found = len(row.rstrip("\t").split("\t"))
-    if found not in (cells, cells + 2):
+    count = len(row.rstrip("\t").split("\t"))
+    if count not in (cells, cells + 2):
         raise LogError(
-            f"{text.path}: rows have {found} cells where the header names {cells} (or {cells + 2} with Frame "
+            f"{text.path}: rows have {count} cells where the header names {cells} (or {cells + 2} with Frame "
             "and Time); export again with the header"
         )
-    return found - cells
+    return count - cells
 
 
 def _parse(source: Source, options: CaptureOptions) -> RawCapture:

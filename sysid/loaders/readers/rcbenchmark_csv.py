@@ -36,7 +36,7 @@ from sysid.recording import Channel
 from sysid.types import FloatArray
 
 _COMMAND = frozenset({"esc signal", "esc"})
-# channel: (stem in the header, unit that its own is converted to)
+# channel: (stem in the header, unit of the channel)
 _QUANTITIES = {
     "torque": ("torque", "N*m"),
     "thrust": ("thrust", "N"),
@@ -60,10 +60,10 @@ _PULSE = (700.0, 2300.0)
 
 
 def _recognize(source: Source) -> int:
-    found = find_header(source.head_lines)
-    if found is None:
+    header = find_header(source.head_lines)
+    if header is None:
         return NO
-    stems = {column.stem for column in parse_header(found[2])}
+    stems = {column.stem for column in parse_header(header[2])}
     measured = {_QUANTITIES[name][0] for name in _MEASURED}
     return CERTAIN if stems & _COMMAND and stems & measured else NO
 
@@ -101,7 +101,7 @@ def _command_unit(
 
 
 def _both_speeds(units: Mapping[str, str] | None, columns: tuple[Column, ...]) -> Mapping[str, str] | None:
-    """Return declared units in which that of ``speed`` is said of both probes, which it is chosen from."""
+    """Return declared units in which the unit of ``speed`` counts for both probes."""
     if not isinstance(units, Mapping) or "speed" not in units:
         return units
     probes = {_QUANTITIES[name][0] for name in _SPEEDS} & {column.stem for column in columns}
@@ -110,17 +110,17 @@ def _both_speeds(units: Mapping[str, str] | None, columns: tuple[Column, ...]) -
 
 
 def _messages(text: Text, head: TableHead, column: Column) -> list[Finding]:
-    """Return a note with what the stand's program said during the log, each message once with its line."""
-    said: dict[str, int] = {}
+    """Return a note with the messages of the stand's program, each once with its line."""
+    messages: dict[str, int] = {}
     for number, _, line in text.lines(-1, head.offset, head.line):
         # Of most rows the message is blank: a row without a letter or a quote cannot hold one.
         if line.startswith("#") or not any(letter.isalpha() and letter not in "eE" for letter in line):
             continue
         cells = split_line(line, head.delimiter)
         message = cells[column.index].strip() if column.index < len(cells) else ""
-        if message and len(said) < _MOST_MESSAGES:
-            said.setdefault(message[:80], number)
-    shown = "; ".join(f"{message!r} (line {number})" for message, number in said.items())
+        if message and len(messages) < _MOST_MESSAGES:
+            messages.setdefault(message[:80], number)
+    shown = "; ".join(f"{message!r} (line {number})" for message, number in messages.items())
     return [note("stand-messages", f"messages of the stand's program: {shown}")] if shown else []
 
 

@@ -57,24 +57,29 @@ def _open(source: Source) -> tuple[Any, bool]:
 
 
 def _typestore(path: str, connections: Sequence[Any]) -> Any:
-    """Return the message types that the file defines, else those of ROS 2 Humble."""
+    """Return the message types that the file defines, else of ROS 2 Humble."""
     types = library(path, "rosbags.typesys", "rosbags")
     formats = library(path, "rosbags.interfaces", "rosbags").MessageDefinitionFormat
-    found: dict[str, Any] = {}
+    messages: dict[str, Any] = {}
     for connection in connections:
         if connection.msgdef.format == formats.MSG:
-            found.update(types.get_types_from_msg(connection.msgdef.data, connection.msgtype))
-    store = types.get_typestore(types.Stores.EMPTY if found else types.Stores.ROS2_HUMBLE)
-    if found:
-        store.register(found)
+            messages.update(types.get_types_from_msg(connection.msgdef.data, connection.msgtype))
+    store = types.get_typestore(types.Stores.EMPTY if messages else types.Stores.ROS2_HUMBLE)
+    if messages:
+        store.register(messages)
     return store
 
 
 def _poses(kind: str, message: Any) -> Iterator[tuple[str, Any, Any, Any]]:
     """Yield (child frame or "", header, position, orientation) of a message."""
     if kind == "TFMessage":
-        for one in message.transforms:
-            yield one.child_frame_id, one.header, one.transform.translation, one.transform.rotation
+        for transform in message.transforms:
+            yield (
+                transform.child_frame_id,
+                transform.header,
+                transform.transform.translation,
+                transform.transform.rotation,
+            )
     elif kind == "TransformStamped":
         yield "", message.header, message.transform.translation, message.transform.rotation
     else:
@@ -89,17 +94,17 @@ def _read_tracks(source: Source, topic: str | None, clock: str) -> tuple[dict[st
     reader.open()
     try:
         connections = list(reader.connections)
-        known = {one.topic: one.msgtype for one in connections}
+        known = {topic_of.topic: topic_of.msgtype for topic_of in connections}
         if topic is not None and topic not in known:
             raise LogError(f'{path}: no topic "{topic}"; found {listing(sorted(known))}')
         chosen = [
-            one
-            for one in connections
-            if one.msgtype.rsplit("/", 1)[-1] in _POSES and topic in (None, one.topic)
+            topic_of
+            for topic_of in connections
+            if topic_of.msgtype.rsplit("/", 1)[-1] in _POSES and topic in (None, topic_of.topic)
         ]
         if not chosen:
-            found = [f"{name} ({kind})" for name, kind in sorted(known.items())]
-            raise LogError(f"{path}: no topic of poses; found {listing(found)}; record a PoseStamped")
+            topics = [f"{name} ({kind})" for name, kind in sorted(known.items())]
+            raise LogError(f"{path}: no topic of poses; found {listing(topics)}; record a PoseStamped")
         store = _typestore(path, chosen)
         decode = store.deserialize_ros1 if first_form else store.deserialize_cdr
         for connection, arrival, data in reader.messages(chosen):
@@ -109,7 +114,7 @@ def _read_tracks(source: Source, topic: str | None, clock: str) -> tuple[dict[st
                 stamp = arrival if clock == "arrival" else header.stamp.sec * 10**9 + header.stamp.nanosec
                 track.stamps.append(stamp * 1e-9)
                 track.rows.append((place.x, place.y, place.z, turn.w, turn.x, turn.y, turn.z))
-        left_out = sorted(set(known) - {one.topic for one in chosen})
+        left_out = sorted(set(known) - {topic_of.topic for topic_of in chosen})
     finally:
         reader.close()
     return tracks, left_out
@@ -142,7 +147,9 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
         time, ordered = order_rows(
             path, numbers, 0, 1.0, time_back=options.time_back or "refuse", coarse=coarse
         )
-        raw.notes += [replace(one, sentence=f"{name}: {one}") for one in (*ordered, *jitter_note(time))]
+        raw.notes += [
+            replace(finding, sentence=f"{name}: {finding}") for finding in (*ordered, *jitter_note(time))
+        ]
         position = numbers.stacked((1, 2, 3)) * scale
         raw.bodies.append(Body(name, time, position, numbers.stacked((4, 5, 6, 7)), numbers))
     return raw

@@ -2,9 +2,9 @@
 
     %time,field.header.seq,field.header.stamp,field.header.frame_id,field.pose.position.x,...
 
-Stamps are integer nanoseconds (seconds where they have fractions, with a note); the header's stamp is that
-of the sender and is used where it runs, ``%time`` is that of arrival. Lengths are metres and quaternions
-x, y, z, w by the definition of the messages.
+Stamps are integer nanoseconds (seconds where they have fractions, with a note); the sender writes the
+header's stamp, which is used where it runs; ``%time`` is the time of arrival. Lengths are metres and
+quaternions x, y, z, w by the definition of the messages.
 """
 
 from __future__ import annotations
@@ -34,28 +34,28 @@ _TURN = ("orientation", "rotation")
 
 
 def _recognize(source: Source) -> int:
-    found = find_header(source.head_lines)
-    names = [name.strip() for name in found[2]] if found else []
+    header = find_header(source.head_lines)
+    names = [name.strip() for name in header[2]] if header else []
     return CERTAIN if names[:1] == [_ARRIVAL] and any(name.startswith("field.") for name in names) else NO
 
 
 def _axes(path: str, columns: Sequence[Column], words: Sequence[str], axes: str) -> list[Column]:
-    found: dict[str, Column] = {}
+    axis_columns: dict[str, Column] = {}
     for column in columns:
         parts = column.stem.split()
         if len(parts) > 2 and parts[-2] in words and parts[-1] in axes and "covariance" not in parts:
-            if parts[-1] in found:
+            if parts[-1] in axis_columns:
                 raise LogError(
-                    f'{path}: columns "{found[parts[-1]].label}" and "{column.label}" are both {words[0]} '
-                    f"{parts[-1]}; record one pose per file"
+                    f'{path}: columns "{axis_columns[parts[-1]].label}" and "{column.label}" are both '
+                    f"{words[0]} {parts[-1]}; record one pose per file"
                 )
-            found[parts[-1]] = column
-    if len(found) < len(axes):
+            axis_columns[parts[-1]] = column
+    if len(axis_columns) < len(axes):
         raise LogError(
             f"{path}: no columns {words[0]} {', '.join(axes)}; found "
             f"{listing(one.label for one in columns)}; echo a PoseStamped, TransformStamped or Odometry topic"
         )
-    return [found[axis] for axis in axes]
+    return [axis_columns[axis] for axis in axes]
 
 
 def _stamp_unit(path: str, numbers: Numbers, column: Column) -> tuple[float, list[Finding]]:

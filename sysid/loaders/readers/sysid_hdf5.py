@@ -133,14 +133,14 @@ def _read_open(source: Source, file: Any) -> Recording:
     version = int(attributes[LAYOUT_ATTRIBUTE])
     if version > _VERSION:
         raise LogError(f"{path}: layout version {version}, this sysid reads {_VERSION}; update sysid")
-    found: list[Any] = []
+    items: list[Any] = []
     file["channels"].visititems(
-        lambda _, item: found.append(item) if isinstance(item, h5py.Dataset) else None
+        lambda _, item: items.append(item) if isinstance(item, h5py.Dataset) else None
     )
-    found.sort(key=lambda item: int(item.attrs["index"]))
+    items.sort(key=lambda item: int(item.attrs["index"]))
     clocks = {name: np.asarray(item[()], dtype=np.float64) for name, item in file["clocks"].items()}
     channels = {}
-    for item in found:
+    for item in items:
         name, time = _text(item.attrs, "name"), clocks[str(int(item.attrs["clock"]))]
         values = np.asarray(item[()], dtype=np.float64)
         channels[name] = Channel(name, _text(item.attrs, "unit"), time, values)

@@ -2,7 +2,7 @@
 
 Valid for waveform channels: time = ``wf_start_offset`` + i · ``wf_increment``, counted from the earliest
 ``wf_start_time`` of the file, of which 1904-01-01 means not set. The number of samples is that of the data:
-``wf_samples`` is the size of one block. Segments that begin anew after a pause are refused (`tdms_segments`),
+``wf_samples`` is the size of one block. Segments that begin after a pause are refused (`tdms_segments`),
 because the samples of a channel are on one clock. Both count in ``wf_xunit_string``, seconds where it is not
 set; a channel over another axis (a spectrum) is left out. Channels without ``wf_increment`` take a time
 channel beside them or the declared rate. The thinned copies that SignalExpress adds
@@ -65,21 +65,21 @@ def _samples(channel: Any) -> FloatArray:
 def _check_segments(
     path: str, name: str, channel: str, stated: Starts, step: float, declared: float | None
 ) -> list[Finding]:
-    """Refuse a channel whose segments begin anew after a pause; return a note when `declared` joins them."""
+    """Refuse a channel with a segment that begins after a pause; return a note when `declared` joins them."""
     lasted = samples_before(path, stated.offset, channel) * step
     began = float((stated.last - stated.first) / np.timedelta64(1, "ns")) * 1e-9
     if abs(began - lasted) <= max(1.5 * step, _DRIFT * lasted):
         return []
-    said = (
+    doubt = (
         f"{name} was recorded in parts: its last part began {began:.6g} s after the first, but the samples "
         f"before it last {lasted:.6g} s"
     )
     if declared is None:
         raise LogError(
-            f"{path}: {said}; save each recording in a file of its own, or take all samples as consecutive "
+            f"{path}: {doubt}; save each recording in a separate file, or take all samples as consecutive "
             f"with rate = {1.0 / step:g}"
         )
-    return [note("parts-joined", f"{said}; all samples taken as consecutive, as declared by rate")]
+    return [note("parts-joined", f"{doubt}; all samples taken as consecutive, as declared by rate")]
 
 
 def _number(value: object) -> float | None:
@@ -90,7 +90,7 @@ def _number(value: object) -> float | None:
 
 def _signals(path: str, file: Any, notes: list[Finding], declared: float | None) -> list[Signal]:
     restarts = waveform_starts(path)
-    found, thinned, other, spectra = [], [], [], []
+    signals, thinned, other, spectra = [], [], [], []
     waves = [(group, channel) for group in file.groups() for channel in group.channels()]
     begins = {}
     for _, channel in waves:
@@ -128,7 +128,7 @@ def _signals(path: str, file: Any, notes: list[Finding], declared: float | None)
         stated = restarts.get(channel.path)
         if rate is not None and stated is not None and stated.last != stated.first:
             notes += _check_segments(path, name, channel.path, stated, 1.0 / rate, declared)
-        found.append(
+        signals.append(
             Signal(name, written_unit(unit), partial(_samples, channel), rate, begin, label=channel.name)
         )
     if first is not None:
@@ -146,7 +146,7 @@ def _signals(path: str, file: Any, notes: list[Finding], declared: float | None)
         notes.append(
             note("channels-without-numbers", f"channels that hold no numbers, left out: {listing(other)}")
         )
-    return found
+    return signals
 
 
 @contextmanager

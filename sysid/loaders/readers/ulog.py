@@ -3,7 +3,7 @@
 Frames are those of PX4: positions north, east, down from the point of take-off; body axes front, right, down;
 quaternions w first, body to world. A body ``vehicle`` needs position and attitude on one clock, which
 ``vehicle_odometry`` or ``vehicle_visual_odometry`` has; the estimates of ``vehicle_attitude`` and
-``vehicle_local_position`` are channels of their own. Of a topic that several sensors publish the lowest
+``vehicle_local_position`` are further channels. Of a topic that several sensors publish the lowest
 instance is read. What PX4 writes for unknown (current -1 A, 0 V) or marks as not valid is missing.
 """
 

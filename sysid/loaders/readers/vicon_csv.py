@@ -58,11 +58,11 @@ class _Section:
 
     def groups(self) -> dict[str, list[int]]:
         """Return name -> columns, in order; the first two columns are the clock."""
-        found: dict[str, list[int]] = {}
+        groups: dict[str, list[int]] = {}
         for column in range(2, len(self.fields)):
             if self.names[column] and self.fields[column]:
-                found.setdefault(self.names[column], []).append(column)
-        return found
+                groups.setdefault(self.names[column], []).append(column)
+        return groups
 
 
 def _title(line: str) -> str:
@@ -135,13 +135,13 @@ def _section(text: Text, number: int, offset: int) -> _Section | None:
 
 
 def _sections(text: Text) -> list[_Section]:
-    found: list[_Section] = []
+    sections: list[_Section] = []
     number, offset = 0, 0
     while (section := _section(text, number, offset)) is not None:
-        found.append(section)
+        sections.append(section)
         number = text.data.count(b"\n", 0, section.end)
         offset = section.end
-    return found
+    return sections
 
 
 def _length(path: str, section: _Section, columns: Sequence[int], declared: str | None) -> float:
@@ -225,9 +225,9 @@ def _check_whole(path: str, section: _Section, name: str, group: Sequence[int]) 
     missing = [field for field in wanted if field not in fields]
     twice = sorted({field for field in fields if field in wanted and fields.count(field) > 1})
     if twice or (missing and len(missing) < len(wanted)):
-        said = f"has {', '.join(twice)} twice" if twice else f"lacks {', '.join(missing)}"
+        fault = f"has {', '.join(twice)} twice" if twice else f"lacks {', '.join(missing)}"
         raise LogError(
-            f'{path}, line {section.table.line - 1}: "{name}" {said}; export the file again with whole '
+            f'{path}, line {section.table.line - 1}: "{name}" {fault}; export the file again with whole '
             "markers and bodies"
         )
 
