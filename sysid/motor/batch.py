@@ -40,7 +40,7 @@ class SimulatedTrial:
     supply_ratio: FloatArray | None = None
 
 
-class MotorTrials:
+class SimulatedTrials:
     """Trials laid end to end for `simulate_population`; trial j owns ``slice(first[j], first[j + 1])``.
 
     `excitation` holds command instants, commands, first of each trial, supply knots, V/V_ref, first of each
@@ -114,7 +114,7 @@ class PopulationResult:
 
 def simulate_population(
     parameters: FloatArray,
-    trials: MotorTrials,
+    trials: SimulatedTrials,
     *,
     delays: FloatArray | None = None,
     ideal_reversal: bool = False,
@@ -130,7 +130,7 @@ def simulate_population(
     ----------
     parameters : (P, n_table) array
         Rows in the order of `sysid.motor.model.PARAMETERS` [SI].
-    trials : MotorTrials
+    trials : SimulatedTrials
         What drives the motor, and when its outputs are wanted.
     delays : (P, n_trials) array, optional
         Added to ``command_delay`` per candidate and trial [s].

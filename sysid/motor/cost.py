@@ -55,7 +55,7 @@ class MotorTarget:
     taps: FloatArray
 
 
-class MotorCost:
+class BenchCost:
     """Compiled NRMSE of a population on several trials; the same numbers on any number of threads.
 
     Parameters

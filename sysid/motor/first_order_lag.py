@@ -15,7 +15,7 @@ from math import exp, log
 import numpy as np
 from numba import njit, prange
 
-from sysid.motor.batch import MotorTrials
+from sysid.motor.batch import SimulatedTrials
 from sysid.motor.parameters import instrument_rows
 from sysid.parameters import Parameter, ParameterTable
 from sysid.types import FloatArray
@@ -169,14 +169,14 @@ def _population(
             out[i, m, 1] = speed
 
 
-def simulate_lag(rows: FloatArray, trials: MotorTrials, delays: FloatArray | None = None) -> FloatArray:
+def simulate_lag(rows: FloatArray, trials: SimulatedTrials, delays: FloatArray | None = None) -> FloatArray:
     """Simulate every candidate on every trial.
 
     Parameters
     ----------
     rows : (P, n_table) array
         In the order of `PARAMETERS` [SI].
-    trials : MotorTrials
+    trials : SimulatedTrials
         What drives the rotor, and when its outputs are wanted.
     delays : (P, n_trials) array, optional
         Added to ``command_delay`` per candidate and trial [s].

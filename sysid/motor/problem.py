@@ -17,8 +17,8 @@ import numpy as np
 from sysid.campaign import MotorCampaign
 from sysid.fit.problem import NoiseModel, Problem, Scores, Trial
 from sysid.fit.result import FitResult
-from sysid.motor.batch import MotorTrials, simulate_population
-from sysid.motor.cost import CHANNEL_UNITS, CHANNELS, MotorCost, MotorTarget
+from sysid.motor.batch import SimulatedTrials, simulate_population
+from sysid.motor.cost import CHANNEL_UNITS, CHANNELS, BenchCost, MotorTarget
 from sysid.motor.curves import NoLoadTie
 from sysid.motor.known_values import CONSTANTS, Bench, search_space
 from sysid.motor.log_delays import delay_name, shifts
@@ -124,15 +124,15 @@ class MotorProblem(Problem):
         return CHANNEL_UNITS
 
     @cached_property
-    def cost(self) -> MotorCost:
+    def cost(self) -> BenchCost:
         """The campaign's NRMSE over the trials."""
         weights = self.campaign.cost.weights
-        return MotorCost(self.targets, (weights.torque, weights.speed), self.campaign.cost.denominator)
+        return BenchCost(self.targets, (weights.torque, weights.speed), self.campaign.cost.denominator)
 
     @cached_property
-    def jobs(self) -> MotorTrials:
+    def jobs(self) -> SimulatedTrials:
         """What the kernel simulates."""
-        return MotorTrials([trial.simulated for trial in self.prepared])
+        return SimulatedTrials([trial.simulated for trial in self.prepared])
 
     def only(self, names: Collection[str]) -> MotorProblem:
         """Return the problem of some of the trials."""

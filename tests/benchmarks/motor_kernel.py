@@ -18,7 +18,7 @@ from numba import njit
 from scipy.integrate import solve_ivp
 
 from sysid.motor import model
-from sysid.motor.batch import MotorTrials, SimulatedTrial, simulate_population
+from sysid.motor.batch import SimulatedTrial, SimulatedTrials, simulate_population
 from sysid.motor.kernel import INERTIA, K_D, K_M, K_V, TORQUE, L, R, curve
 from sysid.motor.problem import FIT_TOLERANCE
 
@@ -84,7 +84,7 @@ def main():
     source = np.random.default_rng(0)
     levels = source.uniform(0.25, 1.0, (8, 4))
     row = model.kernel_rows(model.pack({}))
-    trials = MotorTrials([SimulatedTrial(INSTANTS, u, GRID) for u in levels])
+    trials = SimulatedTrials([SimulatedTrial(INSTANTS, u, GRID) for u in levels])
     rows = np.repeat(model.pack({})[None], arguments.population, axis=0)
     simulate_population(rows[:2], trials, tolerance=FIT_TOLERANCE)
     derivative(np.zeros(2), 1.0, row)

@@ -5,7 +5,7 @@ import pytest
 
 from sysid.errors import CampaignError, FitError, UnitError
 from sysid.motor import model
-from sysid.motor.batch import MotorTrials, SimulatedTrial, simulate_population
+from sysid.motor.batch import SimulatedTrial, SimulatedTrials, simulate_population
 from sysid.motor.model import kv_to_si, pack, simulate, unpack
 
 FREE_OF_DRAG = dict.fromkeys(("torque_quadratic_forward", "torque_quadratic_reverse", "viscous_damping"), 0.0)
@@ -184,7 +184,7 @@ def test_population_equals_single_simulations() -> None:
     rows = _rows(5)
     grid = np.linspace(0.0, 1.0, 501)
     fine = np.linspace(0.0, 1.0, 50_001)
-    trials = MotorTrials(
+    trials = SimulatedTrials(
         [
             SimulatedTrial(np.array([0.0, 0.4]), np.array([0.3, 0.8]), grid),
             SimulatedTrial(np.array([0.0, 0.5]), np.array([0.6, -0.8]), grid[::2], initial=(0.0, 0.0)),
@@ -212,15 +212,15 @@ def test_delays_per_trial_add_to_the_parameter() -> None:
     grid = np.linspace(0.0, 0.6, 301)
     trial = SimulatedTrial(np.array([0.0, 0.2]), np.array([0.5, 0.9]), grid)
     both = simulate_population(
-        pack({"command_delay": 0.02})[None], MotorTrials([trial, trial]), delays=np.array([[0.0, 0.03]])
+        pack({"command_delay": 0.02})[None], SimulatedTrials([trial, trial]), delays=np.array([[0.0, 0.03]])
     )
-    second = simulate_population(pack({"command_delay": 0.05})[None], MotorTrials([trial]))
+    second = simulate_population(pack({"command_delay": 0.05})[None], SimulatedTrials([trial]))
     np.testing.assert_allclose(both.outputs[0, 301:], second.outputs[0], atol=1e-9)  # rounding of 0.02 + 0.03
 
 
 def test_hopeless_candidate_has_a_status_and_harms_no_other() -> None:
     grid = np.linspace(0.0, 0.6, 301)
-    trials = MotorTrials([SimulatedTrial(np.array([0.0]), np.array([0.5]), grid)])
+    trials = SimulatedTrials([SimulatedTrial(np.array([0.0]), np.array([0.5]), grid)])
     rows = np.tile(pack({}), (3, 1))
     for name in model.PARAMETERS.group("torque curve"):
         rows[1, COLUMN[name]] = -1.0  # drag that drives: no equilibrium

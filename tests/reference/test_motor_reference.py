@@ -9,7 +9,7 @@ import pytest
 from sysid.export.published import table_1
 from sysid.motor import batch, model
 from sysid.motor import first_order_lag as lag
-from sysid.motor.batch import MotorTrials, SimulatedTrial, simulate_population
+from sysid.motor.batch import SimulatedTrial, SimulatedTrials, simulate_population
 from sysid.motor.model import PARAMETERS, pack, simulate, steady_state
 from sysid.motor.pair_thrust import thrust_history
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
@@ -42,7 +42,7 @@ def test_trajectory_matches_the_reference(name: str) -> None:
 def test_population_speed_matches_the_reference() -> None:
     table, instants, command = _reference("motor-reversal")
     trial = SimulatedTrial(instants, command, table["time"].to_numpy(), initial=(0.0, 0.0))
-    found = simulate_population(pack(REFERENCE)[None], MotorTrials([trial]))
+    found = simulate_population(pack(REFERENCE)[None], SimulatedTrials([trial]))
     expected = table["speed"].to_numpy()
     # As above: the grid of the reference.
     assert np.sqrt(np.mean((found.outputs[0, :, 1] - expected) ** 2)) / expected.std() < 1e-4
@@ -50,7 +50,7 @@ def test_population_speed_matches_the_reference() -> None:
 
 def test_a_row_inserted_in_the_table_changes_no_result(monkeypatch) -> None:
     table, instants, command = _reference("motor-reversal")
-    trials = MotorTrials([SimulatedTrial(instants, command, table["time"].to_numpy())])
+    trials = SimulatedTrials([SimulatedTrial(instants, command, table["time"].to_numpy())])
     cube = np.random.default_rng(2).random((6, len(PARAMETERS)))
     values = SearchSpace(PARAMETERS, tuple(PARAMETERS.values()), {}).decode(cube)
     values[0] = pack(REFERENCE)

@@ -6,7 +6,7 @@ import pytest
 from sysid.errors import FitError
 from sysid.filters import ChebyshevLowpass
 from sysid.fit.nrmse import FAILED_NRMSE, nrmse
-from sysid.motor.cost import MotorCost, MotorTarget
+from sysid.motor.cost import BenchCost, MotorTarget
 
 RNG = np.random.default_rng(8)
 
@@ -19,7 +19,7 @@ def _slow(measured: np.ndarray, time: np.ndarray, valid: np.ndarray | None = Non
 def test_sensor_delay_and_lag_of_a_ramp() -> None:
     grid = 0.002 * np.arange(1001)
     time = np.sort(RNG.uniform(0.5, 1.9, 80))
-    cost = MotorCost((_slow(np.column_stack([time, time]), time),), (1.0, 1.0), "std")
+    cost = BenchCost((_slow(np.column_stack([time, time]), time),), (1.0, 1.0), "std")
     ramp = np.column_stack([grid, grid])[None]
     (plain,) = cost.prepared(ramp, np.zeros((1, 3)))
     np.testing.assert_allclose(plain[0], np.column_stack([time, time]), atol=1e-12)
@@ -36,7 +36,7 @@ def test_slow_score_is_the_plain_nrmse_over_valid_samples() -> None:
     time = np.linspace(0.01, 1.9, 150)
     measured = RNG.normal(size=(150, 2))
     valid = RNG.uniform(size=(150, 2)) < 0.6
-    cost = MotorCost((_slow(measured, time, valid),), (1.0, 3.0), "std")
+    cost = BenchCost((_slow(measured, time, valid),), (1.0, 3.0), "std")
     samples = RNG.normal(size=(2, 1001, 2))
     by_channel, failed = cost(samples, np.ones((2, 1)), np.zeros((2, 3)))
     (simulated,) = cost.prepared(samples, np.zeros((2, 3)))
@@ -57,7 +57,7 @@ def test_fast_score_filters_as_the_taps_say() -> None:
     target = MotorTarget(
         "fast", time, RNG.normal(size=(rows.size, 2)), np.ones((rows.size, 2), bool), 2.0, step, grid, half
     )
-    cost = MotorCost((target,), (1.0, 1.0), "std")
+    cost = BenchCost((target,), (1.0, 1.0), "std")
     samples = RNG.normal(size=(1, grid, 2))
     (found,) = cost.prepared(samples, np.zeros((1, 3)))
     for c in range(2):
@@ -83,7 +83,7 @@ def test_taps_of_a_fast_log_are_the_filter() -> None:
 
 def test_failed_simulation_scores_its_graded_penalty() -> None:
     time = np.linspace(0.01, 1.9, 50)
-    cost = MotorCost((_slow(RNG.normal(size=(50, 2)), time),), (1.0, 1.0), "std")
+    cost = BenchCost((_slow(RNG.normal(size=(50, 2)), time),), (1.0, 1.0), "std")
     samples = np.zeros((3, 1001, 2))
     samples[1, 400:] = np.nan
     by_channel, failed = cost(samples, np.array([[1.0], [1.0], [0.25]]), np.zeros((3, 3)))
@@ -97,29 +97,29 @@ def test_channel_without_samples_is_refused_unless_it_has_no_weight() -> None:
     time = np.linspace(0.01, 1.9, 50)
     measured = np.column_stack([np.full(50, np.nan), RNG.normal(size=50)])
     with pytest.raises(FitError, match="slow, stator_torque: no valid sample"):
-        MotorCost((_slow(measured, time),), (1.0, 1.0), "std")
-    cost = MotorCost((_slow(measured, time),), (0.0, 1.0), "std")
+        BenchCost((_slow(measured, time),), (1.0, 1.0), "std")
+    cost = BenchCost((_slow(measured, time),), (0.0, 1.0), "std")
     by_channel, failed = cost(np.zeros((1, 1001, 2)), np.ones((1, 1)), np.zeros((1, 3)))
     assert not failed.any()
     assert np.isfinite(cost.mean(by_channel)).all()
     # No number where nothing was recorded, instead of a perfect one.
     assert np.isnan(by_channel[0, 0, 0])
     with pytest.raises(FitError, match="speed: constant"):
-        MotorCost((_slow(np.ones((50, 2)), time),), (0.0, 1.0), "range")
+        BenchCost((_slow(np.ones((50, 2)), time),), (0.0, 1.0), "range")
 
 
 def test_a_channel_without_weight_has_its_nrmse_and_no_say() -> None:
     time = np.linspace(0.01, 1.9, 50)
     # Torque of 10 mN·m: its rms error in N·m would be a hundredth of its NRMSE.
     measured = RNG.normal(size=(50, 2)) * (0.01, 1.0)
-    cost = MotorCost((_slow(measured, time),), (0.0, 1.0), "std")
+    cost = BenchCost((_slow(measured, time),), (0.0, 1.0), "std")
     by_channel, _ = cost(np.zeros((1, 1001, 2)), np.ones((1, 1)), np.zeros((1, 3)))
     for c in range(2):
         assert by_channel[0, 0, c] == pytest.approx(nrmse(np.zeros(50), measured[:, c]), rel=1e-12)
     assert cost.mean(by_channel)[0] == by_channel[0, 0, 1]
     # A constant one has none.
     flat = np.column_stack([np.full(50, 0.01), measured[:, 1]])
-    by_channel, failed = MotorCost((_slow(flat, time),), (0.0, 1.0), "std")(
+    by_channel, failed = BenchCost((_slow(flat, time),), (0.0, 1.0), "std")(
         np.zeros((1, 1001, 2)), np.ones((1, 1)), np.zeros((1, 3))
     )
     assert np.isnan(by_channel[0, 0, 0])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sysid.motor import first_order_lag as lag
-from sysid.motor.batch import MotorTrials, SimulatedTrial
+from sysid.motor.batch import SimulatedTrial, SimulatedTrials
 
 VALUES = {
     "rise_time_constant": 0.05, "fall_time_constant": 0.12, "command_delay": 0.013,
@@ -20,7 +20,7 @@ def _row(**changes):
 
 
 def _trial(instants, levels, time, **more):
-    return MotorTrials([SimulatedTrial(np.array(instants), np.array(levels), time, "steady", **more)])
+    return SimulatedTrials([SimulatedTrial(np.array(instants), np.array(levels), time, "steady", **more)])
 
 
 def test_steps_up_and_down_have_their_own_time_constants():
