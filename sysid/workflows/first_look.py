@@ -41,7 +41,7 @@ def look_at_log(campaign: str | Path, trial: int = 0) -> Html:
     return preformatted(text.getvalue()) + picture(figure, words, f"{path.name}, as recorded.", vector=False)
 
 
-def campaignpreformatted(campaign: str | Path) -> Html:
+def campaign_text(campaign: str | Path) -> Html:
     """Return a campaign file as it stands."""
     return preformatted(Path(campaign).read_text(encoding="utf-8"))
 
