@@ -232,7 +232,6 @@ class StaticCurves:
 
     Parameters
     ----------
-    fits : tuple of CurveFit
     ties : dict of direction to NoLoadTie
         Where Ω_0 comes from loaded points.
     reference_voltage : float

@@ -209,7 +209,6 @@ def reversal_delays(campaign: MotorCampaign, bench: Bench, best: Mapping[str, fl
     ----------
     campaign : MotorCampaign
         Its filter serves the fast logs.
-    bench : Bench
     best : mapping
         The best set with the delays of logs, by name [SI].
     """

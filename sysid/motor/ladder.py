@@ -59,7 +59,6 @@ class Rung:
 
     Parameters
     ----------
-    name : str
     values : dict
         Free parameters by name [SI].
     nrmse : dict of group to (torque, speed)

@@ -33,7 +33,6 @@ class CostProfile:
 
     Parameters
     ----------
-    name, unit : str
     values : (n,) array
         Of the parameter [SI], ascending.
     nrmse : (n,) array

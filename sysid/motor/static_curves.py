@@ -37,7 +37,6 @@ class CurveFit:
         Of c2 Ω|Ω| + c1 Ω, or of a u + b sign(u).
     standard_errors : same pair
         One standard deviation.
-    units : same pair
     r_squared : float
         1 − Σr²/Σ(y − ȳ)² over the points that are no outliers.
     points, outliers : int

@@ -76,10 +76,6 @@ def torque_spikes(bench, result) -> np.ndarray:
     return np.array(spikes)
 
 
-def values_of(result) -> dict[str, float]:
-    return result.parameter_sets().set_values(1)
-
-
 @pytest.mark.parametrize(("motor", "stalls"), [("IM", 2), ("SOV5", 16)])
 def test_bench_is_prepared(tmp_path: Path, motor: str, stalls: int) -> None:
     path = _campaign(tmp_path, motor, split=False)
@@ -127,16 +123,16 @@ def test_real_motor_is_fitted_and_carries_over(
     assert any("do not fix saturation_speed" in sentence for sentence in result.warnings)
     # No inductance is worth believing in rows of 9 to 12 ms; without a held-out trial the result says that.
     assert any("the ladder cannot say" in sentence for sentence in result.warnings)
+    values = result.parameter_sets().set_values(1)
     spikes = result.settings["rotor inertia from torque spikes"]
     up, down = (spikes[kind]["inertia [kg·m²]"] for kind in ("up", "down"))
     if motor == "IM":
         assert up == pytest.approx(down, rel=0.15)  # required; found: 2 to 5 %
-        assert values_of(result)["rotor_inertia"] == pytest.approx(0.5 * (up + down), rel=0.15)
+        assert values["rotor_inertia"] == pytest.approx(0.5 * (up + down), rel=0.15)
     else:
         # Every up-step but one, from rest, is lost to a stall of the logger.
         assert spikes["up"]["steps"] <= 1
-        assert values_of(result)["rotor_inertia"] == pytest.approx(down, rel=0.15)
-    values = result.parameter_sets().set_values(1)
+        assert values["rotor_inertia"] == pytest.approx(down, rel=0.15)
     # Rows of the first movement: 20 to 40 ms after a command; the torque follows as much later again.
     assert 0.015 < values["command_delay"] < 0.05
     # Averaged points of the same motor two months later, on another charge: speed from command and voltage.

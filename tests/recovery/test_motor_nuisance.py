@@ -263,19 +263,6 @@ def test_the_ladder_believes_l_only_where_it_pays(tmp_path: Path, inductance: fl
     assert max(spent) < 4 * min(spent)
 
 
-def test_no_load_line_fitted_with_r_has_its_quality(tmp_path: Path) -> None:
-    path = edited(_synthesize(tmp_path / "tied", 10, SHORT[:2]), (r"^no_load = \[(.|\n)*?^\]\n", ""))
-    _, bench = bench_of(path)
-    assert set(bench.curves.ties) == {"forward", "reverse"}
-    for direction, tie in bench.curves.ties.items():
-        fit = tie.fit(direction, 0.299 / 0.00995**2, 9.2e-9)
-        assert fit.r_squared > 0.998  # the paper's
-        assert fit.points > 15
-        # Slope and its error from the points: three of them, and 0.1 % of the curve's own.
-        assert abs(fit.coefficients[0] - 1030.0) < 3.0 * fit.standard_errors[0] + 1.0
-        assert 0 < fit.standard_errors[0] < 2.0
-
-
 def test_refusals_name_the_log_and_the_trial(tmp_path: Path) -> None:
     path = _synthesize(tmp_path / "refusals", 12, SHORT[:2])
     original = path.read_text(encoding="utf-8")

@@ -39,15 +39,6 @@ def test_trajectory_matches_the_reference(name: str) -> None:
         assert error < (1e-4 if name == "motor-reversal" else 1e-5), (channel, error)
 
 
-def test_population_speed_matches_the_reference() -> None:
-    table, instants, command = _reference("motor-reversal")
-    trial = SimulatedTrial(instants, command, table["time"].to_numpy(), initial=(0.0, 0.0))
-    found = simulate_population(pack(REFERENCE)[None], SimulatedTrials([trial]))
-    expected = table["speed"].to_numpy()
-    # As above: the grid of the reference.
-    assert np.sqrt(np.mean((found.outputs[0, :, 1] - expected) ** 2)) / expected.std() < 1e-4
-
-
 def test_a_row_inserted_in_the_table_changes_no_result(monkeypatch) -> None:
     table, instants, command = _reference("motor-reversal")
     trials = SimulatedTrials([SimulatedTrial(instants, command, table["time"].to_numpy())])
