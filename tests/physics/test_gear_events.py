@@ -7,6 +7,7 @@ import pytest
 from numba import njit
 from typer.testing import CliRunner
 
+from fakes.gear_drops import foot_depths, level_start
 from sysid.cli import app
 from sysid.errors import CampaignError
 from sysid.fit.store import read_fit
@@ -26,29 +27,11 @@ from sysid.synthetic import synthesize_gear
 from sysid.synthetic.gear import LF_DROPS
 
 
-def start(p, slope, speed, height=1e-3):
-    z = p["foot_dz"] + (height + p["foot_dx"] * math.sin(slope)) / math.cos(slope)
-    return [0.0, z, 0.0, 0.0, -speed, 0.0]
-
-
-def foot_depths(p, slope, state):
-    """Penetration of both feet (n, 2) from states (n, 14) [m]."""
-    x, z, q, h_c, q_c, h_d, q_d = state[:, :7].T
-    length = math.hypot(p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"])
-    out = []
-    for side, h, theta in ((1, h_c, q + q_c), (-1, h_d, q - q_d)):
-        jx = x - side * p["joint_dx"] * np.cos(q) - p["joint_dz"] * np.sin(q)
-        jz = z + side * p["joint_dx"] * np.sin(q) - p["joint_dz"] * np.cos(q)
-        fx, fz = jx - (length + h) * np.sin(theta), jz - (length + h) * np.cos(theta)
-        out.append(-(fx * math.sin(slope) + fz * math.cos(slope)))
-    return np.stack(out, 1)
-
-
 @pytest.mark.parametrize("surface", ["lf", "hf"])
 @pytest.mark.parametrize("slope_deg", [10, 27])
 def test_events_are_located_to_a_microsecond(surface, slope_deg):
     p, slope = parameters_on(surface).nominal, math.radians(slope_deg)
-    body = start(p, slope, 0.7)
+    body = level_start(slope, 0.7)
     clock = np.array([0.0, 0.16])
     ours = simulate(p, slope, body, clock, surface=surface, tolerance=TIGHT_TOLERANCE)
     exact = simulate(p, slope, body, clock, surface=surface, tolerance=1e-9)
@@ -69,7 +52,7 @@ def test_events_are_located_to_a_microsecond(surface, slope_deg):
 def test_touchdown_and_lift_off_alternate(surface):
     p, slope = parameters_on(surface).nominal, math.radians(15)
     time = np.arange(0, 0.7, 1e-4)
-    run = simulate(p, slope, start(p, slope, 0.8), time, surface=surface, tolerance=1e-6)
+    run = simulate(p, slope, level_start(slope, 0.8), time, surface=surface, tolerance=1e-6)
     assert [e.time for e in run.events] == sorted(e.time for e in run.events)
     for number, foot in enumerate(("rear", "front")):
         kinds = [e for e in run.events if e.foot == foot and e.kind <= EventKind.LIFT_OFF]
@@ -87,13 +70,13 @@ def test_touchdown_and_lift_off_alternate(surface):
 def test_flip_and_rest():
     p = parameters_on("hf").nominal
     slope = math.radians(40)
-    run = simulate(p, slope, start(p, slope, 1.2), np.arange(0, 2, 1e-3), surface="hf")
+    run = simulate(p, slope, level_start(slope, 1.2), np.arange(0, 2, 1e-3), surface="hf")
     (flip,) = [e for e in run.events if e.kind is EventKind.FLIP]
     turn = np.abs(run.state[:, 2] - slope)
     assert flip.foot == "body"
     assert flip.time == pytest.approx(run.time[np.argmax(turn > math.radians(80))], abs=1e-3)
     slope = math.radians(5)
-    run = simulate(p, slope, start(p, slope, 0.2), np.arange(0, 3, 1e-3), surface="hf")
+    run = simulate(p, slope, level_start(slope, 0.2), np.arange(0, 3, 1e-3), surface="hf")
     (rest,) = [e for e in run.events if e.kind is EventKind.REST]
     calm = (np.hypot(run.state[:, 7], run.state[:, 8]) < 0.05) & (np.abs(run.state[:, 9]) < 0.2)
     begin = int(np.ceil(rest.time / 1e-3))
@@ -109,7 +92,7 @@ def test_flip_and_rest():
 )
 def test_flip_and_rest_are_located_to_a_microsecond(kind, slope_deg, speed, horizon):
     p, slope = parameters_on("hf").nominal, math.radians(slope_deg)
-    body = start(p, slope, speed)
+    body = level_start(slope, speed)
     clock = np.array([0.0, horizon])
     (event,) = [e for e in simulate(p, slope, body, clock, surface="hf").events if e.kind is kind]
     around = np.array([0.0, event.time - 1e-6, event.time + 1e-6, horizon])
@@ -128,7 +111,7 @@ def test_slide_limit_is_the_friction_angle():
     gained = []
     for slope_deg in (limit - 0.5, limit + 0.5):
         slope = math.radians(slope_deg)
-        run = simulate(p, slope, start(p, slope, 0.05, 1e-4), np.linspace(0, 80, 81))
+        run = simulate(p, slope, level_start(slope, 0.05, 1e-4), np.linspace(0, 80, 81))
         along = run.state[:, 7] * math.cos(slope) - run.state[:, 8] * math.sin(slope)
         gained.append(along[-1] - along[40])
     # Over 40 s: below it a terminal speed (which the ringing legs let waver by 0.1 m/s); above it the steady
@@ -187,7 +170,7 @@ def test_a_third_law_is_one_declaration(monkeypatch, tmp_path):
         friction=viscous,
     )
     p, slope = PARAMETERS.nominal | {"kinetic_friction": 1.0}, math.radians(10)
-    run = simulate(p, slope, start(p, slope, 0.1), np.linspace(0, 4, 41), surface=wet)
+    run = simulate(p, slope, level_start(slope, 0.1), np.linspace(0, 4, 41), surface=wet)
     along = run.state[:, 7] * math.cos(slope) - run.state[:, 8] * math.sin(slope)
     # Terminal speed tan(slope)/c.
     assert along[-1] == pytest.approx(math.tan(slope), rel=0.02)

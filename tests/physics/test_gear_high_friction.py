@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fakes.gear_drops import SIX, level_drops, level_start, nrmse, touchdowns
 from fakes.gear_energy import legs
 from sysid.export.published import table_2
 from sysid.gear import model
@@ -14,7 +15,6 @@ from sysid.gear.model import (
     PARAMETERS,
     SURFACES,
     TIGHT_TOLERANCE,
-    Drops,
     Status,
     pack,
     simulate,
@@ -26,18 +26,13 @@ REFERENCES = Path(__file__).resolve().parents[1] / "reference"
 P = table_2("hf").set_values(1)
 # What a fit simulates with; a single drop takes a tighter one by default.
 FIT = SURFACES["hf"].tolerance
-SIX = [(5, 0.5), (10, 0.8), (15, 0.6), (20, 1.0), (27, 0.7), (35, 0.45)]
-
-
-def start(slope, speed):
-    """Level, rear foot 1 mm above the slope along its normal, falling."""
-    z = P["foot_dz"] + (1e-3 + P["foot_dx"] * math.sin(slope)) / math.cos(slope)
-    return [0.0, z, 0.0, 0.0, -speed, 0.0]
 
 
 def run(slope_deg, speed, time, tolerance=None, **changes):
     slope = math.radians(slope_deg)
-    return simulate(P | changes, slope, start(slope, speed), time, surface="hf", tolerance=tolerance)
+    return simulate(
+        P | changes, slope, level_start(slope, speed, p=P), time, surface="hf", tolerance=tolerance
+    )
 
 
 def feet(slope, state):
@@ -75,36 +70,21 @@ def test_references(name, slope_deg):
     time, state = table[:, 0], table[:, 1:15]
     body = state[0, [0, 1, 2, 7, 8, 9]]
     ours = simulate(P, math.radians(slope_deg), body, time, surface="hf", tolerance=TIGHT_TOLERANCE)
-    error = np.sqrt(np.mean((ours.state - state) ** 2, axis=0)) / state.std(axis=0)
+    error = nrmse(ours.state, state)
     # The references damp a stuck foot's residual slip of 1e-3 m/s and are converged to 3e-5 in the body.
     assert error[[0, 1, 2, 7, 8, 9]].max() < 1e-3
-
-
-def touchdowns(trajectory):
-    """Times of touchdowns [s]; those of one foot less than 5 ms apart count as one."""
-    found = []
-    for foot in range(2):
-        touching, last = trajectory.normal_force[:, foot] > 0, -1.0
-        for i in range(1, len(touching)):
-            if touching[i] and not touching[i - 1] and trajectory.time[i] - last > 5e-3:
-                found.append(trajectory.time[i])
-            if touching[i]:
-                last = trajectory.time[i]
-    return sorted(found)
 
 
 @pytest.mark.parametrize(("slope_deg", "speed"), SIX)
 def test_fit_setting_up_to_the_third_contact(slope_deg, speed):
     dense = run(slope_deg, speed, np.arange(0, 0.5, 2e-4), tolerance=1e-7)
-    until = [*touchdowns(dense), 0.5, 0.5, 0.5][2]
+    until = [*(t for t, _ in touchdowns(dense)), 0.5, 0.5, 0.5][2]
     last = max(4, int(until / 5e-3))
     ours = run(slope_deg, speed, np.arange(0, 0.5, 5e-3), tolerance=FIT)
     exact, fit = dense.state[::25][:last], ours.state[:last]
-    channels = [0, 1, 2, 7, 8]
-    error = np.sqrt(np.mean((fit - exact) ** 2, axis=0))[channels] / exact.std(axis=0)[channels]
     # 0.3 % mean NRMSE is what a fit may carry; 0.01 % at most is what the surface's setting claims, tested
     # here with room for another machine's rounding. The bounces after the third contact are chaotic.
-    assert error.mean() < 2e-4
+    assert nrmse(fit, exact)[[0, 1, 2, 7, 8]].mean() < 2e-4
 
 
 @pytest.mark.parametrize("slope_deg", [5, 20, 35])
@@ -220,9 +200,8 @@ def test_releases_that_the_fit_setting_misses_do_not_matter(slope, speed):
     clock = np.arange(0.0, 0.5, 1e-5)
     apart = stuck_feet(clock, fit.switches) != stuck_feet(clock, exact.switches)
     assert 1e-5 * apart.sum() < 5e-3
-    error = np.sqrt(np.mean((fit.state - exact.state) ** 2, axis=0)) / exact.state.std(axis=0)
     # ... and the body's motion over all 0.5 s stays within what is allowed up to the third contact.
-    assert error[[0, 1, 2, 7, 8]].mean() < 3e-3
+    assert nrmse(fit.state, exact.state)[[0, 1, 2, 7, 8]].mean() < 3e-3
 
 
 @pytest.mark.parametrize(("slope", "speed"), [(8, 0.3), (5, 0.5), (15, 0.6)])
@@ -294,14 +273,8 @@ def test_rest_on_a_slope_below_the_friction_angle():
     assert trajectory.normal_force[-1].sum() == pytest.approx(weight * math.cos(math.radians(15)), rel=1e-2)
 
 
-def make_drops():
-    slopes = np.radians([case[0] for case in SIX])
-    states = np.array([start(q, case[1]) for q, case in zip(slopes, SIX, strict=True)])
-    return Drops(slopes, states, [np.arange(0, 0.7001, 0.005)] * len(SIX))
-
-
 def test_population_equals_single_drops_for_any_threads():
-    drops = make_drops()
+    drops = level_drops()
     space = SearchSpace.build(PARAMETERS, HF_FREE, {})
     rows = np.concatenate([pack(P)[None], space.full(np.random.default_rng(5).random((12, len(HF_FREE))))])
     one = simulate_population(rows, drops, surface="hf", threads=1)

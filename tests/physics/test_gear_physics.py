@@ -5,17 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from fakes.gear_drops import level_start as start
 from fakes.gear_energy import legs
 from sysid.gear.model import PARAMETERS, Drops, Status, pack, simulate, simulate_population
 
 NOMINAL = PARAMETERS.nominal
-
-
-def start(slope, speed, height=1e-3):
-    """Level, rear foot `height` above the slope along its normal, falling."""
-    q = abs(slope)
-    z = NOMINAL["foot_dz"] + (height + NOMINAL["foot_dx"] * math.sin(q)) / math.cos(q)
-    return [0.0, z, 0.0, 0.0, -speed, 0.0]
 
 
 def energy(p, slope, state):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numba import njit
 
+from fakes.gear_drops import level_start as start
 from sysid.errors import CampaignError
 from sysid.gear.kernel.contact import normal_force
 from sysid.gear.kernel.dynamics import Coefficients, accelerations, feet, pose
@@ -36,11 +37,6 @@ M = MOTOR.nominal | {
 # A landing at half command: idle at first contact, an impulse of the front motors, then full reverse.
 REAR = ([-1.0, 0.0, 0.09], [0.5, 0.1, -1.0])
 FRONT = ([-1.0, 0.0, 0.02, 0.09], [0.5, 0.1, 0.8, -1.0])
-
-
-def start(slope, speed, height=1e-3):
-    z = P["foot_dz"] + (height + P["foot_dx"] * math.sin(slope)) / math.cos(slope)
-    return [0.0, z, 0.0, 0.0, -speed, 0.0]
 
 
 @njit(error_model="numpy")

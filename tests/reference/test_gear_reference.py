@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fakes.gear_drops import level_start, nrmse, touchdowns
 from sysid.gear.model import COORDINATES, TIGHT_TOLERANCE, Status, pack, simulate
 
 HERE = Path(__file__).parent
@@ -29,7 +30,7 @@ def test_tight_setting_follows_every_channel(name, slope_deg):
     _, state, _, _ = reference(name)
     ours = drop(name, slope_deg, TIGHT_TOLERANCE)
     assert ours.status is Status.OK
-    error = np.sqrt(np.mean((ours.state - state) ** 2, axis=0)) / state.std(axis=0)
+    error = nrmse(ours.state, state)
     # The references are converged to 1e-8 in the body's motion; 1e-4 of the deviation is what sysid promises.
     worst = int(np.argmax(error))
     assert error.max() < 1e-4, f"channel {worst} of {COORDINATES} and rates: {error.max():.2e}"
@@ -40,7 +41,7 @@ def test_fit_setting_keeps_a_tenth_of_a_percent(name, slope_deg):
     _, state, _, _ = reference(name)
     ours = drop(name, slope_deg, None)
     channels = [0, 1, 7, 8, 2]
-    error = np.sqrt(np.mean((ours.state - state) ** 2, axis=0)) / state.std(axis=0)
+    error = nrmse(ours.state, state)
     # 0.1 % mean NRMSE per drop: a larger integration error moves the fitted parameters.
     assert error[channels].mean() < 1e-3
 
@@ -64,24 +65,6 @@ def test_full_state_start_is_the_same_as_legs_at_rest():
     np.testing.assert_allclose(full.state[:12], at_rest.state[:12], rtol=0, atol=1e-4)
 
 
-def touchdowns(slope_deg, speed, horizon=0.25):
-    """Times [s] and feet of touchdowns; those of one foot less than 5 ms apart count as one."""
-    q = math.radians(slope_deg)
-    z = 0.151 + (1e-3 + 0.105 * math.sin(q)) / math.cos(q)
-    time = np.arange(0.0, horizon, 1e-4)
-    ours = simulate(pack({}), q, [0.0, z, 0.0, 0.0, -speed, 0.0], time)
-    found = []
-    for foot, label in ((0, "rear"), (1, "front")):
-        touching = ours.normal_force[:, foot] > 0
-        last_contact = -1.0
-        for i in range(1, len(time)):
-            if touching[i] and not touching[i - 1] and time[i] - last_contact > 5e-3:
-                found.append((time[i], label))
-            if touching[i]:
-                last_contact = time[i]
-    return sorted(found)
-
-
 @pytest.mark.parametrize(
     ("slope_deg", "speed", "expected"),
     [
@@ -90,7 +73,9 @@ def touchdowns(slope_deg, speed, horizon=0.25):
     ],
 )
 def test_order_of_first_contacts(slope_deg, speed, expected):
-    found = touchdowns(slope_deg, speed)[:3]
+    slope = math.radians(slope_deg)
+    run = simulate(pack({}), slope, level_start(slope, speed), np.arange(0.0, 0.25, 1e-4))
+    found = touchdowns(run)[:3]
     assert [foot for _, foot in found] == [foot for foot, _ in expected]
     # The expected times are given in whole milliseconds.
     np.testing.assert_allclose([t for t, _ in found], [t for _, t in expected], atol=1e-3)

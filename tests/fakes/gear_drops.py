@@ -1,0 +1,47 @@
+"""Level drops onto a slope, and what tests read from their trajectories."""
+
+import math
+
+import numpy as np
+
+from fakes.gear_energy import legs
+from sysid.gear.model import PARAMETERS, Drops
+
+# Slope [deg] and speed [m/s].
+SIX = [(5, 0.5), (10, 0.8), (15, 0.6), (20, 1.0), (27, 0.7), (35, 0.45)]
+
+
+def level_start(slope, speed, height=1e-3, p=PARAMETERS.nominal):
+    """Body's state, level, the upper foot `height` above the slope along its normal, falling."""
+    q = abs(slope)
+    return [0.0, p["foot_dz"] + (height + p["foot_dx"] * math.sin(q)) / math.cos(q), 0.0, 0.0, -speed, 0.0]
+
+
+def level_drops(cases=SIX, length=0.7):
+    slopes = [math.radians(slope_deg) for slope_deg, _ in cases]
+    states = [level_start(q, speed) for q, (_, speed) in zip(slopes, cases, strict=True)]
+    return Drops(np.array(slopes), np.array(states), [np.arange(0, length + 1e-9, 0.005)] * len(cases))
+
+
+def nrmse(ours, exact):
+    """RMS error of every channel over its deviation."""
+    return np.sqrt(np.mean((ours - exact) ** 2, axis=0)) / exact.std(axis=0)
+
+
+def foot_depths(p, slope, state):
+    """Penetration of both feet (n, 2) from states (n, 14) [m]."""
+    feet = [foot for foot, *_ in legs(p, state)]
+    return np.stack([-(foot[0] * math.sin(slope) + foot[1] * math.cos(slope)) for foot in feet], 1)
+
+
+def touchdowns(trajectory):
+    """Times [s] and feet of touchdowns; those of one foot less than 5 ms apart count as one."""
+    events = []
+    for foot, label in enumerate(("rear", "front")):
+        touching, last = trajectory.normal_force[:, foot] > 0, -1.0
+        for i in range(1, len(touching)):
+            if touching[i] and not touching[i - 1] and trajectory.time[i] - last > 5e-3:
+                events.append((trajectory.time[i], label))
+            if touching[i]:
+                last = trajectory.time[i]
+    return sorted(events)
