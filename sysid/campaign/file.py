@@ -57,7 +57,10 @@ def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
             f"{path}: kind is {stated!r}; expected {' or '.join(map(repr, sorted(_KINDS, reverse=True)))}"
         )
     if kind is not None and stated != kind:
-        raise CampaignError(f"{path}: is a {stated} campaign, expected {kind}; use 'sysid fit-{stated}'")
+        raise CampaignError(
+            f"{path}: is a {stated} campaign, expected {kind}; use 'sysid fit-{stated}', "
+            f"or name a {kind} campaign"
+        )
     try:
         return _KINDS[stated].model_validate(data)  # type: ignore[return-value]
     except ValidationError as error:

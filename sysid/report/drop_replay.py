@@ -103,14 +103,13 @@ class DropReplay:
         first = self.contacts[0]
         other = next((c for c in self.contacts if c.foot != first.foot), None)
         last = float(self.time[-1])
-        found = [(first.start, f"the {FEET[first.foot]} leg touches")]
-        if first.end < last:
-            found.append((first.end, f"the {FEET[first.foot]} leg lifts off"))
-        if other is not None:
-            found.append((other.start, f"the {FEET[other.foot]} leg touches"))
-            if other.end < last:
-                found.append((other.end, f"the {FEET[other.foot]} leg lifts off"))
-        return tuple(sorted(found))
+        instants = []
+        for contact in (first, other) if other is not None else (first,):
+            leg = f"the {FEET[contact.foot]} leg"
+            instants.append((contact.start, f"{leg} touches"))
+            if contact.end < last:
+                instants.append((contact.end, f"{leg} lifts off"))
+        return tuple(sorted(instants))
 
     def index(self, time: float) -> int:
         """Return the sample nearest to an instant since the window's start [s]."""
@@ -123,15 +122,15 @@ def replay_drop(fit: FitResult, trial: TrialResult, rank: int = 1) -> DropReplay
     Raises
     ------
     ExportError
-        When the fit is none of a gear, or does not hold the drop's start.
+        When the fit does not hold the state in which the drop starts.
     """
     log = fit.provenance.get("logs", {}).get(trial.name, {})
-    if fit.kind != "gear" or START not in log or "slope [deg]" not in log:
+    if START not in log or "slope [deg]" not in log:
         raise ExportError(
             f"{fit.name}, {trial.name}: the fit does not hold the state in which the drop starts; fit again"
         )
     values = dict(zip((r.name for r in fit.parameters), map(float, fit.values[rank - 1]), strict=True))
-    height, start = _own_start(values, trial.name, np.array(log[START], dtype=np.float64))
+    height, start = _start_of(values, trial.name, np.array(log[START], dtype=np.float64))
     slope = float(np.radians(log["slope [deg]"]))
     span = float(trial.time[-1] - trial.time[0])
     time = np.arange(0.0, span + 0.5 / RATE, 1.0 / RATE)
@@ -142,20 +141,12 @@ def replay_drop(fit: FitResult, trial: TrialResult, rank: int = 1) -> DropReplay
     joints, feet = leg_points(run.state, values)
     lift = np.array([0.0, height])
     return DropReplay(
-        name=trial.name,
-        use=trial.use,
-        slope=slope,
-        time=time,
-        body=run.state[:, :3] + [0.0, height, 0.0],
-        joints=joints + lift,
-        feet=feet + lift,
-        normal_force=run.normal_force,
-        friction_force=run.friction_force,
-        measured=_measured(fit, trial, time),
-        contacts=_contacts(time, run.normal_force),
-        values=values,
+        trial.name, trial.use, slope, time, body=run.state[:, :3] + [0.0, height, 0.0],
+        joints=joints + lift, feet=feet + lift, normal_force=run.normal_force,
+        friction_force=run.friction_force, measured=_measured(fit, trial, time),
+        contacts=_contacts(time, run.normal_force), values=values,
         slip_speed=_slip_speed(run.state, values, slope),
-    )
+    )  # fmt: skip
 
 
 def leg_points(state: FloatArray, values: dict[str, float]) -> tuple[FloatArray, FloatArray]:
@@ -182,8 +173,8 @@ def _slip_speed(state: FloatArray, values: dict[str, float], slope: float) -> Fl
     return np.asarray(moved @ [np.cos(slope), -np.sin(slope)] / span)
 
 
-def _own_start(values: dict[str, float], name: str, state: FloatArray) -> tuple[float, FloatArray]:
-    """Return the surface's height offset of a drop and its start with the drop's own offsets, if any."""
+def _start_of(values: dict[str, float], name: str, state: FloatArray) -> tuple[float, FloatArray]:
+    """Return a drop's height offset, if any, and its start shifted by its offsets of height and time."""
     height = values.get(f"height_offset[{name}]", 0.0)
     delay = values.get(f"start_offset[{name}]", 0.0)
     out = state.copy()
@@ -195,28 +186,28 @@ def _own_start(values: dict[str, float], name: str, state: FloatArray) -> tuple[
 
 def _measured(fit: FitResult, trial: TrialResult, time: FloatArray) -> FloatArray:
     out = np.full((len(time), 3), np.nan)
-    own = trial.time - trial.time[0]
+    frames = trial.time - trial.time[0]
     for column, name in enumerate(("x_B", "z_B", "q_B")):
         c = fit.channels.index(name)
         values = np.where(trial.valid[:, c], trial.measured[:, c], np.nan)
-        out[:, column] = np.interp(time, own, values)
+        out[:, column] = np.interp(time, frames, values)
     return out
 
 
 def _contacts(time: FloatArray, normal_force: FloatArray) -> tuple[Contact, ...]:
-    found: list[Contact] = []
+    contacts: list[Contact] = []
     for foot in (0, 1):
         on = np.concatenate([[False], np.nan_to_num(normal_force[:, foot]) > 0.0, [False]])
         edges = np.flatnonzero(np.diff(on.astype(np.int8)))
-        own: list[Contact] = []
+        of_foot: list[Contact] = []
         for first, end in zip(edges[::2], edges[1::2], strict=True):
             start, stop = float(time[first]), float(time[min(int(end), len(time) - 1)])
-            if own and start - own[-1].end < _ONE_CONTACT:
-                own[-1] = Contact(foot, own[-1].start, stop)
+            if of_foot and start - of_foot[-1].end < _ONE_CONTACT:
+                of_foot[-1] = Contact(foot, of_foot[-1].start, stop)
             else:
-                own.append(Contact(foot, start, stop))
-        found += own
-    return tuple(sorted(found, key=lambda contact: contact.start))
+                of_foot.append(Contact(foot, start, stop))
+        contacts += of_foot
+    return tuple(sorted(contacts, key=lambda contact: contact.start))
 
 
 def animation_data(replays: list[DropReplay], every: int = 2) -> dict[str, Any]:
@@ -228,7 +219,7 @@ def animation_data(replays: list[DropReplay], every: int = 2) -> dict[str, Any]:
     ----------
     replays : list of DropReplay
     every : int
-        Take every so-many-th sample.
+        Step between the samples that are kept.
     """
     out = []
     for drop in replays:
@@ -236,15 +227,8 @@ def animation_data(replays: list[DropReplay], every: int = 2) -> dict[str, Any]:
         # The script draws no ghost that is 9 m away.
         measured = np.where(np.isfinite(drop.measured), drop.measured, 9.0)[kept]
         points = np.concatenate([drop.joints, drop.feet], axis=1)[kept].reshape(-1, 8)
-        frames = np.column_stack(
-            [
-                1e4 * drop.body[kept],
-                1e4 * points,
-                drop.normal_force[kept],
-                drop.friction_force[kept],
-                1e4 * measured,
-            ]
-        )
+        forces = drop.normal_force[kept], drop.friction_force[kept]
+        frames = np.column_stack([1e4 * drop.body[kept], 1e4 * points, *forces, 1e4 * measured])
         out.append(
             {
                 "name": drop.name,

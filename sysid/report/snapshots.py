@@ -31,7 +31,7 @@ FILM_RATE, SLOW = 20, 10.0
 
 
 def figure_snapshots(drop: DropReplay, *, columns: int = 2, legend: bool = False) -> Figure:
-    """Draw the instants (1) to (4) of Fig. 7 of a drop, so many beside each other.
+    """Draw the instants (1) to (4) of Fig. 7 of a drop, in so many columns.
 
     At the very instant of a touch or a lift-off the foot's force is zero: arrows are of the sample within
     8 ms in which the feet bear most.
@@ -118,20 +118,11 @@ def _draw_body(
         # The joint hangs below the arm.
         hang = centre + float((joint - centre) @ ex) * ex
         axes.plot(*np.stack([hang, joint]).T, color=colour, linewidth=width, zorder=zorder)
-        axes.plot(
-            *np.stack([joint, foot]).T,
-            color=colour,
-            linewidth=width + 0.6,
-            zorder=zorder,
-            solid_capstyle="round",
-        )
+        (leg,) = axes.plot(*np.stack([joint, foot]).T, color=colour, linewidth=width + 0.6, zorder=zorder)
+        leg.set_solid_capstyle("round")
         axes.plot(*foot, marker="o", markersize=3 + width, color=colour, zorder=zorder)
-    axes.plot(
-        *np.stack([centre - arm * ex, centre + arm * ex]).T,
-        color=colour,
-        linewidth=width + 0.6,
-        zorder=zorder,
-    )
+    arms = np.stack([centre - arm * ex, centre + arm * ex])
+    axes.plot(*arms.T, color=colour, linewidth=width + 0.6, zorder=zorder)
     hub = [centre + a * _HUB * ex + b * _HUB_HEIGHT * ez for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     face = "none" if colour == GHOST else "#DDDDDD"
     axes.add_patch(Polygon(hub, facecolor=face, edgecolor=colour, linewidth=width, zorder=zorder))

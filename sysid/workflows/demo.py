@@ -13,9 +13,15 @@ from sysid.fit.result import FitResult
 from sysid.report.drawing import save_figure
 from sysid.report.fit_figures import figure_convergence, figure_measured_against_simulated
 from sysid.workflows.export_models import export_sets
-from sysid.workflows.fit import fit_gear, fit_motor
+from sysid.workflows.fit import fit_campaign
 from sysid.workflows.options import FitOptions
 from sysid.workflows.report import write_report
+
+# Campaigns of the samples, and what the demo says about them.
+_CAMPAIGNS = {
+    "motor": "motor: load-cell logs of forward and reverse commands",
+    "gear-lf": "landing gear on the low-friction surface: six drops to fit, two to validate",
+}
 
 
 def find_samples(given: Path | None) -> Path:
@@ -26,17 +32,14 @@ def find_samples(given: Path | None) -> Path:
     SysidError
         When it is not there.
     """
-    candidates = [given] if given is not None else [
-        Path("data_samples"), Path(sysid.__file__).resolve().parents[1] / "data_samples",
-    ]  # fmt: skip
+    beside = Path(sysid.__file__).resolve().parents[1] / "data_samples"
+    candidates = [given] if given is not None else [Path("data_samples"), beside]
     for folder in candidates:
-        if (folder / "motor" / "campaign.toml").is_file() and (
-            folder / "gear-lf" / "campaign.toml"
-        ).is_file():
+        if all((folder / name / "campaign.toml").is_file() for name in _CAMPAIGNS):
             return folder
     raise SysidError(
-        f"no sample data at {' or '.join(str(folder) for folder in candidates)}; run the demo from the "
-        f"project's folder, or name the samples with --data"
+        f"no sample data at {' or '.join(map(str, candidates))}; run the demo from the project's folder, or "
+        "name the samples with --data"
     )
 
 
@@ -58,64 +61,48 @@ def run_demo(
     quiet : bool
         No progress and no table.
     say : callable, optional
-        Told what is going on.
+        Called with one line of progress at a time.
     json : bool
-        Print what was written as JSON.
+        Print the written files as JSON.
 
     Returns
     -------
     dict
-        What was written, by what it is.
+        The written files by their description.
     """
-    samples = find_samples(data)
+    samples, started = find_samples(data), time.perf_counter()
     tell = say or (lambda sentence: None)
     written: dict[str, Path] = {}
-    started = time.perf_counter()
-
-    def keep(name: str, result: FitResult, folder: Path) -> None:
-        shares = "  ".join(f"{100 * value:.2f}" for value in result.nrmse)
-        written[f"{name}, all of the fit (NRMSE of its sets: {shares} %)"] = folder
-        for suffix in ("json", "csv"):
-            (target,) = export_sets(folder, folder / f"sets.{suffix}", force=True)
-            written[f"{name}, parameter sets as {suffix.upper()}"] = target
-        figures = {
-            "measured against simulated": figure_measured_against_simulated(result),
-            "convergence": figure_convergence(result, wide=True),
-        }
-        for title, figure in figures.items():
-            target = save_figure(figure, folder / f"{title.replace(' ', '-')}.png")
-            written[f"{name}, {title}"] = target
-        tell(f"report of the {name}")
-        written[f"{name}, report to read in a browser"] = write_report(folder)["report"]
-
-    tell("1/2 motor: load-cell logs of forward and reverse commands")
-    keep(
-        "motor",
-        *fit_motor(
-            samples / "motor" / "campaign.toml",
-            FitOptions(out / "motor", force=True, quiet=quiet or json),
-            say=say,
-        ),
-    )
-    tell("2/2 landing gear on the low-friction surface: six drops to fit, two to validate")
-    keep(
-        "gear",
-        *fit_gear(
-            samples / "gear-lf" / "campaign.toml",
-            FitOptions(out / "gear-lf", force=True, quiet=quiet or json),
-            say=say,
-        ),
-    )
+    for number, (name, words) in enumerate(_CAMPAIGNS.items(), start=1):
+        tell(f"{number}/{len(_CAMPAIGNS)} {words}")
+        options = FitOptions(out / name, force=True, quiet=quiet or json)
+        result, folder = fit_campaign(samples / name / "campaign.toml", options, say=say)
+        tell(f"report of the {result.kind}")
+        for description, path in _outputs(result, folder).items():
+            written[f"{result.kind}, {description}"] = path
     if json:
-        spent = time.perf_counter() - started
         paths = {what: str(path) for what, path in written.items()}
-        print(exact_json.dumps({"written": paths, "seconds": spent}))
+        print(exact_json.dumps({"written": paths, "seconds": time.perf_counter() - started}))
     elif not quiet:
         # Plain lines: a path that a table folds cannot be copied.
         for what, path in written.items():
             print(f"{path}  {what}")
-        reports = [path for what, path in written.items() if "report" in what]
         print(f"done in {time.perf_counter() - started:.0f} s")
-        if reports:
-            print(f"look: open {reports[-1].resolve()} in a browser")
+        print(f"look: open {(folder / 'report.html').resolve()} in a browser")
     return written
+
+
+def _outputs(result: FitResult, folder: Path) -> dict[str, Path]:
+    """Write exports, figures and the report of a fit; return the files by their description."""
+    shares = "  ".join(f"{100 * value:.2f}" for value in result.nrmse)
+    out = {f"all of the fit (NRMSE of its sets: {shares} %)": folder}
+    for suffix in ("json", "csv"):
+        (out[f"parameter sets as {suffix.upper()}"],) = export_sets(
+            folder, folder / f"sets.{suffix}", force=True
+        )
+    for title, figure in (
+        ("measured against simulated", figure_measured_against_simulated(result)),
+        ("convergence", figure_convergence(result, wide=True)),
+    ):
+        out[title] = save_figure(figure, folder / f"{title.replace(' ', '-')}.png")
+    return out | {"report to read in a browser": write_report(folder)["report"]}

@@ -101,7 +101,7 @@ def test_what_report_refuses(tmp_path, run):
     refused(run("report", fit, "--out", tmp_path, "--force"), "is a folder", "report.html")
     motor = ROOT / "data_samples" / "motor" / "campaign.toml"
     code, out, err = run("report", fit, "--against", motor, "--quiet")
-    refused((code, out, err), "is a motor campaign, and bench is a fit of a gear; name a gear campaign")
+    refused((code, out, err), "is a motor campaign, expected gear", "name a gear campaign")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["fit", "there.html"]
 
 

@@ -35,24 +35,12 @@ def made_sets(**changes):
     at_bound = np.zeros((3, 4), dtype=np.int8)
     at_bound[0, 2] = -1
     by_trial = np.arange(18, dtype=float).reshape(3, 3, 2) / 100
-    settings = {
-        "kind": "gear",
-        "name": "lab",
-        "parameters": records,
-        "values": values,
-        "nrmse": np.array([0.08, 0.09, 0.1]),
-        "runs": (3, 1, 2),
-        "seeds": (33, 11, 22),
-        "at_bound": at_bound,
-        "trials": ("drop-1", "drop-2", "drop-7"),
-        "uses": ("fit", "fit", "validate"),
-        "channels": ("x_B", "q_B"),
-        "channel_units": ("m", "rad"),
-        "channel_weights": (1.0, 3.0),
-        "nrmse_by_trial": by_trial,
-        "settings": {},
-        "provenance": {},
-    }
+    settings = dict(
+        kind="gear", name="lab", parameters=records, values=values, nrmse=np.array([0.08, 0.09, 0.1]),
+        runs=(3, 1, 2), seeds=(33, 11, 22), at_bound=at_bound, trials=("drop-1", "drop-2", "drop-7"),
+        uses=("fit", "fit", "validate"), channels=("x_B", "q_B"), channel_units=("m", "rad"),
+        channel_weights=(1.0, 3.0), nrmse_by_trial=by_trial, settings={}, provenance={},
+    )  # fmt: skip
     return ParameterSets(**(settings | changes))
 
 
@@ -85,13 +73,9 @@ def test_report_ranked_table_fits_a_narrow_terminal():
     wide = made_sets()
     values = np.repeat(wide.values, 2, axis=0)[:5]
     five = made_sets(
-        values=values,
-        nrmse=np.full(5, 0.1),
-        runs=(1, 2, 3, 4, 5),
-        seeds=(1, 2, 3, 4, 5),
-        at_bound=np.zeros((5, 4), dtype=np.int8),
-        nrmse_by_trial=np.zeros((5, 3, 2)),
-    )
+        values=values, nrmse=np.full(5, 0.1), runs=(1, 2, 3, 4, 5), seeds=(1, 2, 3, 4, 5),
+        at_bound=np.zeros((5, 4), dtype=np.int8), nrmse_by_trial=np.zeros((5, 3, 2)),
+    )  # fmt: skip
     lines = lines_of(ranked_table(five), width=80)
     assert line_with(lines, "k_h [N/m]")[1:] == ["6000", "6000", "6500", "6500", "7000"]
 
@@ -115,18 +99,10 @@ def test_report_trial_table_shows_the_best_and_the_worst_set():
 
 def test_report_tables_of_printed_sets_without_trials_or_scores():
     bare = made_sets(
-        values=made_sets().values[:1],
-        nrmse=np.array([np.nan]),
-        runs=(0,),
-        seeds=(0,),
-        at_bound=np.zeros((1, 4), dtype=np.int8),
-        trials=(),
-        uses=(),
-        channels=(),
-        channel_units=(),
-        channel_weights=(),
-        nrmse_by_trial=np.empty((1, 0, 0)),
-    )
+        values=made_sets().values[:1], nrmse=np.array([np.nan]), runs=(0,), seeds=(0,),
+        at_bound=np.zeros((1, 4), dtype=np.int8), trials=(), uses=(), channels=(), channel_units=(),
+        channel_weights=(), nrmse_by_trial=np.empty((1, 0, 0)),
+    )  # fmt: skip
     lines = lines_of(ranked_table(bare))
     assert line_with(lines, "NRMSE fitted")[1:] == ["—"]
     assert not any("validated" in line or "run " in line for line in lines)
