@@ -195,13 +195,13 @@ class FitReport:
     @cached_property
     def validations(self) -> dict[str, dict[str, Any]]:
         """Validations and the cross-validation of this fit, by name."""
-        found = {}
+        out = {}
         for part in documents.parts(self.folder) if self.folder.is_dir() else ():
             document = None if part == documents.TRUST else documents.read_part(self.folder, part)
             if document is not None:
                 cross = part == documents.CROSS_VALIDATION
-                found["leave-one-trial-out" if cross else part.removeprefix(documents.VALIDATION)] = document
-        return found
+                out["leave-one-trial-out" if cross else part.removeprefix(documents.VALIDATION)] = document
+        return out
 
     @cached_property
     def likelihood_profiles(self) -> list[tuple[dict[str, Any], FloatArray, FloatArray]]:

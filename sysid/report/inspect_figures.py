@@ -29,8 +29,8 @@ def _chosen(recording: Recording, report: LogReport) -> list[Channel]:
         names = [f"{body}/{part}" for body in recording.rigid_bodies for part in ("position", "orientation")]
         names = names or [f"{marker}/position" for marker in recording.markers]
         if report.drop is not None:
-            own = [f"{report.drop.body}/{part}" for part in ("position", "orientation")]
-            names = [*own, *(name for name in names if name not in own)]
+            first = [f"{report.drop.body}/{part}" for part in ("position", "orientation")]
+            names = [*first, *(name for name in names if name not in first)]
     else:
         names = [name for name in _FIRST if name in channels]
         names += [name for name in channels if name not in names]

@@ -140,41 +140,41 @@ def figure_landing_maps(
     which half the tolerance changes the class of a set. Slopes above a map, for limits a little higher, are
     hatched.
     """
-    surfaces = list(dict.fromkeys(one.surface for one in maps))
-    columns = list(dict.fromkeys(one.controller for one in maps))
+    surfaces = list(dict.fromkeys(chart.surface for chart in maps))
+    columns = list(dict.fromkeys(chart.controller for chart in maps))
     figure = Figure(layout="constrained")
     grid = figure.subplots(len(surfaces), len(columns), sharex=True, squeeze=False)
     for axes in grid.ravel():
         axes.set_visible(False)
-    own = limits or {}
-    highest = max(_top(one, own.get((one.surface, one.controller))) for one in maps)
-    own_legend = legend is None
+    chosen_limits = limits or {}
+    highest = max(_top(chart, chosen_limits.get((chart.surface, chart.controller))) for chart in maps)
+    alone = legend is None
     legend = legend or MapLegend()
     _name_colours(legend, maps, short, long)
-    for one in maps:
-        axes = grid[surfaces.index(one.surface), columns.index(one.controller)]
+    for chart in maps:
+        axes = grid[surfaces.index(chart.surface), columns.index(chart.controller)]
         axes.set_visible(True)
-        bounds = _mesh(axes, one, _blend(one))
+        bounds = _mesh(axes, chart, _blend(chart))
         axes.set_ylim(bounds[0], highest)
         _draw_beyond(axes, bounds[1], highest, legend)
-        _draw_uncertain(axes, one, legend)
-        told = own.get((one.surface, one.controller))
-        taken = _draw_letters(axes, one, (told.rigid, told.bending) if told else ())
-        beyond = _draw_limits(axes, told) if told is not None else ""
-        axes.set_title(one.title + (f"\n{beyond}" if beyond else ""), fontsize=10)
-        real = of_map(experiments, one)
+        _draw_uncertain(axes, chart, legend)
+        limit = chosen_limits.get((chart.surface, chart.controller))
+        taken = _draw_letters(axes, chart, (limit.rigid, limit.bending) if limit else ())
+        beyond = _draw_limits(axes, limit) if limit is not None else ""
+        axes.set_title(chart.title + (f"\n{beyond}" if beyond else ""), fontsize=10)
+        real = of_map(experiments, chart)
         if real:
             taken += list(_relative(axes, np.array([(e.speed, e.slope_deg) for e in real])))
-        if lines and min(one.landed.shape) > 1:
-            _draw_contours(axes, one, taken, legend)
+        if lines and min(chart.landed.shape) > 1:
+            _draw_contours(axes, chart, taken, legend)
         _draw_experiments(axes, real, legend)
-    if own:
-        _name_limits(legend, maps, own, highest)
+    if chosen_limits:
+        _name_limits(legend, maps, chosen_limits, highest)
     for axes in grid[-1]:
         axes.set_xlabel("touchdown speed [m/s]")
     for axes in grid[:, 0]:
         axes.set_ylabel("slope [deg]")
-    if not own_legend:
+    if not alone:
         figure.set_size_inches(WIDTH * len(columns), 3.4 * len(surfaces))
         return figure
     ncols = min(len(columns), 3)
@@ -193,16 +193,16 @@ def figure_landing_maps(
 
 
 def _caption(maps: Sequence[LandingMap]) -> str:
-    counts = sorted({len(one.sets) for one in maps})
+    counts = sorted({len(chart.sets) for chart in maps})
     if counts == [1]:
         return "one set per map"
     many = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
     return f"{many} sets per map; blended colours are shares of the sets"
 
 
-def _top(one: LandingMap, limits: DrawnLimits | None) -> float:
+def _top(chart: LandingMap, limits: DrawnLimits | None) -> float:
     """Upper end of a map's axis [deg]: its own, or a little above a limit that lies not far beyond."""
-    edge = float(cell_edges(one.slopes_deg)[-1])
+    edge = float(cell_edges(chart.slopes_deg)[-1])
     reach = [s + 1.0 for s in ((limits.rigid, limits.bending) if limits else ()) if s <= edge + _ROOM]
     return max([edge, *reach])
 
@@ -215,25 +215,25 @@ def _name_colours(legend: MapLegend, maps: Sequence[LandingMap], short: float, l
         Outcome.OTHER: "B: neither",
     }
     for outcome, name in names.items():
-        if any(np.any(one.outcome == outcome) for one in maps):
+        if any(np.any(chart.outcome == outcome) for chart in maps):
             legend.patch(name, facecolor=COLOURS[outcome])
-    if any(np.any(one.likeliest == Outcome.LOST) for one in maps):
+    if any(np.any(chart.likeliest == Outcome.LOST) for chart in maps):
         legend.patch("every simulation failed", facecolor=_LOST_COLOUR)
 
 
-def _blend(one: LandingMap) -> FloatArray:
-    image = np.zeros((*one.landed.shape, 3))
+def _blend(chart: LandingMap) -> FloatArray:
+    image = np.zeros((*chart.landed.shape, 3))
     for outcome in OUTCOMES:
-        image += np.nan_to_num(one.share(outcome))[..., None] * np.array(to_rgb(COLOURS[outcome]))
-    image[one.likeliest == Outcome.LOST] = to_rgb(_LOST_COLOUR)
+        image += np.nan_to_num(chart.share(outcome))[..., None] * np.array(to_rgb(COLOURS[outcome]))
+    image[chart.likeliest == Outcome.LOST] = to_rgb(_LOST_COLOUR)
     return np.clip(image, 0.0, 1.0)
 
 
 def _mesh(
-    axes: Axes, one: LandingMap | ImpulseMap, values: FloatArray, **look: object
+    axes: Axes, chart: LandingMap | ImpulseMap, values: FloatArray, **look: object
 ) -> tuple[float, float]:
     """Draw the cells between their edges, which need not be even; return the outer slopes [deg]."""
-    across, up = cell_edges(one.speeds), cell_edges(one.slopes_deg)
+    across, up = cell_edges(chart.speeds), cell_edges(chart.slopes_deg)
     drawn = axes.pcolormesh(across, up, values, rasterized=True, **look)  # type: ignore[arg-type]
     if values.ndim == 2:
         beyond = "max" if np.nanmax(values, initial=0.0) > float(look["vmax"]) else "neither"  # type: ignore[arg-type]
@@ -241,10 +241,10 @@ def _mesh(
     axes.set_xlim(across[0], across[-1])
     axes.set_ylim(up[0], up[-1])
     # A single cell's width and height mean nothing; only its middle does.
-    if len(one.speeds) == 1:
-        axes.set_xticks(one.speeds)
-    if len(one.slopes_deg) == 1:
-        axes.set_yticks(one.slopes_deg)
+    if len(chart.speeds) == 1:
+        axes.set_xticks(chart.speeds)
+    if len(chart.slopes_deg) == 1:
+        axes.set_yticks(chart.slopes_deg)
     return float(up[0]), float(up[-1])
 
 
@@ -255,26 +255,26 @@ def _draw_beyond(axes: Axes, edge: float, top: float, legend: MapLegend) -> None
         legend.patch("not simulated", **look)
 
 
-def _draw_uncertain(axes: Axes, one: LandingMap, legend: MapLegend) -> None:
-    rows, columns = np.nonzero(one.uncertain.any(axis=0))
+def _draw_uncertain(axes: Axes, chart: LandingMap, legend: MapLegend) -> None:
+    rows, columns = np.nonzero(chart.uncertain.any(axis=0))
     if len(rows):
         label = "class of a set changes with half the tolerance"
         axes.scatter(
-            one.speeds[columns], one.slopes_deg[rows], s=5, color="black", edgecolors="white",
+            chart.speeds[columns], chart.slopes_deg[rows], s=5, color="black", edgecolors="white",
             linewidths=0.4, zorder=3, label=label,
         )  # fmt: skip
         legend.line(label, color="black", marker=".", linestyle="none")
 
 
-def _draw_letters(axes: Axes, one: LandingMap, lines: Sequence[float]) -> list[FloatArray]:
+def _draw_letters(axes: Axes, chart: LandingMap, lines: Sequence[float]) -> list[FloatArray]:
     """Name the zones A and B, clear of level lines [deg]; return where, in widths of the axes."""
     taken = []
     low, high = axes.get_ylim()
-    clear = np.all([np.abs(one.slopes_deg - line) > _APART * (high - low) / 2 for line in lines], axis=0)
+    clear = np.all([np.abs(chart.slopes_deg - line) > _APART * (high - low) / 2 for line in lines], axis=0)
     for outcome, letter in ((Outcome.FLIPPED, "A"), (Outcome.OTHER, "B")):
-        place = _middle(one.likeliest == outcome, np.broadcast_to(clear, one.slopes_deg.shape))
+        place = _middle(chart.likeliest == outcome, np.broadcast_to(clear, chart.slopes_deg.shape))
         if place is not None:
-            spot = np.array([one.speeds[place[1]], one.slopes_deg[place[0]]])
+            spot = np.array([chart.speeds[place[1]], chart.slopes_deg[place[0]]])
             around = [withStroke(linewidth=5, foreground=COLOURS[outcome])]
             axes.text(
                 spot[0], spot[1], letter, fontsize=13, ha="center", va="center", zorder=5,
@@ -290,12 +290,12 @@ def _relative(axes: Axes, points: FloatArray) -> FloatArray:
     return np.asarray((points - [left, low]) / [right - left, high - low])
 
 
-def _draw_contours(axes: Axes, one: LandingMap, taken: list[FloatArray], legend: MapLegend) -> None:
+def _draw_contours(axes: Axes, chart: LandingMap, taken: list[FloatArray], legend: MapLegend) -> None:
     """Draw mean distance and time; one label per level, where it is clear of all others, or none."""
-    landed = one.landed >= 0.5
+    landed = chart.landed >= 0.5
     for values, levels, colour, style, unit, name in (
-        (one.mean_distance, _DISTANCES, _DISTANCE_COLOUR, "solid", "m", "mean distance to rest"),
-        (one.mean_time, _TIMES, _TIME_COLOUR, _TIME_STYLE, "s", "mean time to rest"),
+        (chart.mean_distance, _DISTANCES, _DISTANCE_COLOUR, "solid", "m", "mean distance to rest"),
+        (chart.mean_time, _TIMES, _TIME_COLOUR, _TIME_STYLE, "s", "mean time to rest"),
     ):
         # Where hardly anything lands a mean says little, and its contours are a tangle.
         known = np.where(landed & np.isfinite(values), values, np.nan)
@@ -304,13 +304,15 @@ def _draw_contours(axes: Axes, one: LandingMap, taken: list[FloatArray], legend:
         if not inside:
             continue
         drawn = axes.contour(
-            one.speeds, one.slopes_deg, np.ma.masked_invalid(known), levels=inside,
+            chart.speeds, chart.slopes_deg, np.ma.masked_invalid(known), levels=inside,
             colors=colour, linestyles=[style], linewidths=1.1,
         )  # fmt: skip
         drawn.set_label(name)
         legend.line(name, color=colour, linestyle=style)
-        levels_pieces = [[one for one in pieces if _is_long(axes, one)] for pieces in drawn.allsegs]
-        drawn.set_paths([Path.make_compound_path(*(Path(one) for one in pieces)) for pieces in levels_pieces])
+        levels_pieces = [[piece for piece in pieces if _is_long(axes, piece)] for pieces in drawn.allsegs]
+        drawn.set_paths(
+            [Path.make_compound_path(*(Path(piece) for piece in pieces)) for pieces in levels_pieces]
+        )
         for level, pieces in zip(inside, levels_pieces, strict=True):
             spot = _clear_spot(axes, pieces, taken)
             if spot is not None:
@@ -345,11 +347,11 @@ def _clear_spot(axes: Axes, pieces: Sequence[FloatArray], taken: Sequence[FloatA
     return np.asarray(piece[best]) if away[best] >= _APART else None
 
 
-def _draw_limits(axes: Axes, told: DrawnLimits) -> str:
+def _draw_limits(axes: Axes, limit: DrawnLimits) -> str:
     """Draw the limits within the axes as lines; return words on the others."""
     low, high = axes.get_ylim()
     outside: dict[str, list[str]] = {}
-    for slope, legs in ((told.rigid, "rigid"), (told.bending, "bending")):
+    for slope, legs in ((limit.rigid, "rigid"), (limit.bending, "bending")):
         if low <= slope <= high:
             axes.axhline(slope, color=_LIMIT_COLOUR, linestyle=_LIMIT_STYLES[legs], linewidth=1.6)
         else:
@@ -362,14 +364,14 @@ def _name_limits(legend: MapLegend, maps: Sequence[LandingMap], limits: Limits, 
     """Say which thrust the drawn limits are for: it differs between controllers, hardly between surfaces."""
     drawn: set[str] = set()
     thrusts: dict[str, dict[str, None]] = {}
-    for one in maps:
-        told = limits.get((one.surface, one.controller))
-        if told is not None:
-            low = float(cell_edges(one.slopes_deg)[0])
-            here = {"rigid": told.rigid, "bending": told.bending}
-            drawn |= {legs for legs, slope in here.items() if low <= slope <= highest}
+    for chart in maps:
+        limit = limits.get((chart.surface, chart.controller))
+        if limit is not None:
+            low = float(cell_edges(chart.slopes_deg)[0])
+            slopes = {"rigid": limit.rigid, "bending": limit.bending}
+            drawn |= {legs for legs, slope in slopes.items() if low <= slope <= highest}
             # Idle motors leave some -1e-12 N, which is 0, not -0.
-            thrusts.setdefault(f"{round(told.thrust, 1) + 0.0:g} N", {})[one.controller] = None
+            thrusts.setdefault(f"{round(limit.thrust, 1) + 0.0:g} N", {})[chart.controller] = None
     names = [f"{' / '.join(controllers)}: {thrust}" for thrust, controllers in thrusts.items()]
     together = "; ".join(names)
     # Three long names of one thrust would make the legend wider than the figure.
@@ -417,20 +419,20 @@ def figure_impulse(
 
     With `stacked`, for a narrow page, they stand below each other; then `best` is of one surface.
     """
-    shown = ("mean", "sigma") if any(len(one.sets) > 1 for one in best) else ("mean",)
+    shown = ("mean", "sigma") if any(len(chart.sets) > 1 for chart in best) else ("mean",)
     columns = [(which, name) for name in names for which in shown]
     across, down = (1, len(columns)) if stacked else (len(columns), len(best))
     size = (WIDTH, 0.4 + 2.9 * down) if stacked else (0.5 + 3.5 * across, 0.9 + 3.1 * down)
     figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
     grid = grid.reshape(len(best), len(columns))
-    for row, one in zip(grid, best, strict=True):
+    for row, chart in zip(grid, best, strict=True):
         for axes, (which, name) in zip(row, columns, strict=True):
-            values = 1e3 * (one.mean(name) if which == "mean" else one.sigma(name))
+            values = 1e3 * (chart.mean(name) if which == "mean" else chart.sigma(name))
             top = (260.0 if name == "delay" else 160.0) if which == "mean" else 100.0
-            _mesh(axes, one, values, cmap="viridis", vmin=0.0, vmax=top)
+            _mesh(axes, chart, values, cmap="viridis", vmin=0.0, vmax=top)
             what = f"{name}, {'mean' if which == 'mean' else 'σ'} [ms]"
-            axes.set_title(f"{one.surface.upper()}: {what}", fontsize=10)
+            axes.set_title(f"{chart.surface.upper()}: {what}", fontsize=10)
         for axes in row if stacked else row[:1]:
             axes.set_ylabel("slope [deg]")
     for axes in grid[-1, -1:] if stacked else grid[-1]:

@@ -34,7 +34,7 @@ def print_check(document: Mapping[str, Any], json: bool) -> None:
         return
     print_table(quality_table(document))
     for row in document["quality"]:
-        print_lines([f"{row['name']}: suspicious: {one}" for one in row["suspicions"]], "bold yellow")
+        print_lines([f"{row['name']}: suspicious: {finding}" for finding in row["suspicions"]], "bold yellow")
     print_lines([*check_lines(document), ""])
     print_table(expected_table(document))
     print_lines([channel_line(document), "", *document["sentences"]])

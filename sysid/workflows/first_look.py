@@ -27,8 +27,8 @@ def look_at_log(campaign: str | Path, trial: int = 0) -> Html:
     """Return what `sysid inspect` says and draws of the log of a campaign's trial."""
     stated = read_campaign(campaign)
     path = resolve_log(campaign, stated.trials[trial].log)
-    own = stated.capture if isinstance(stated, GearCampaign) else stated.log
-    recording = load_stated(path, own.format, own.loader_options(), {})
+    options = stated.capture if isinstance(stated, GearCampaign) else stated.log
+    recording = load_stated(path, options.format, options.loader_options(), {})
     report = inspect_recording(recording)
     text = io.StringIO()
     # Inside a notebook rich would show every line by itself instead of writing it, with codes of colours.
@@ -37,7 +37,7 @@ def look_at_log(campaign: str | Path, trial: int = 0) -> Html:
     )
     print_report(console, report)
     figure = figure_logs([recording], [report], width=WIDTH)
-    words = f"channels of {path.name} over time: {', '.join(one.name for one in report.channels[:8])}"
+    words = f"channels of {path.name} over time: {', '.join(channel.name for channel in report.channels[:8])}"
     return preformatted(text.getvalue()) + picture(figure, words, f"{path.name}, as recorded.", vector=False)
 
 

@@ -75,26 +75,26 @@ def impulse_pictures(
     impulses = ImpulseSettings(*tried, rear=rear, ideal_reversal=ideal_reversal)
     best, maps = impulse_maps(fleets, settings, impulses)
     pieces = []
-    for one in best:
-        figure = figure_impulse([one], stacked=True)
-        words = f"delay and duration of the best impulse over touchdown speed and slope, {one.surface}"
+    for chart in best:
+        figure = figure_impulse([chart], stacked=True)
+        words = f"delay and duration of the best impulse over touchdown speed and slope, {chart.surface}"
         pieces.append(picture(figure, words))
     return _pictures(maps, static_lines(fleets, after_impulses(impulses))) + grid(pieces)
 
 
 def _pictures(maps: Sequence[LandingMap], limits: Any) -> Html:
-    pieces, told = [], MapLegend()
-    for one in maps:
-        figure = figure_landing_maps([one], limits=limits, legend=told)
-        pieces.append(picture(figure, _words(one)))
-    return legend(told.entries()) + grid(pieces)
+    pieces, key = [], MapLegend()
+    for chart in maps:
+        figure = figure_landing_maps([chart], limits=limits, legend=key)
+        pieces.append(picture(figure, _words(chart)))
+    return legend(key.entries()) + grid(pieces)
 
 
-def _words(one: LandingMap) -> str:
-    safe = one.share(Outcome.SHORT) + one.share(Outcome.NEAR)
+def _words(chart: LandingMap) -> str:
+    safe = chart.share(Outcome.SHORT) + chart.share(Outcome.NEAR)
     rows = np.flatnonzero(np.nan_to_num(safe).max(axis=1) >= 0.5)
-    steepest = f"{one.slopes_deg[rows[-1]]:g}°" if len(rows) else "none"
+    steepest = f"{chart.slopes_deg[rows[-1]]:g}°" if len(rows) else "none"
     return (
-        f"{one.title}: outcome of landings over touchdown speed in m/s and slope in degrees; steepest slope "
-        f"of the grid on which half of the sets come to rest within 1 m at some speed: {steepest}"
+        f"{chart.title}: outcome of landings over touchdown speed in m/s and slope in degrees; steepest "
+        f"slope of the grid on which half of the sets come to rest within 1 m at some speed: {steepest}"
     )
