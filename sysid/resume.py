@@ -13,6 +13,7 @@ import shutil
 import zipfile
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -21,7 +22,7 @@ from filelock import FileLock, Timeout
 
 from sysid import exact_json
 from sysid.errors import ExportError, SysidError
-from sysid.parallel import Columns, Executor, Work
+from sysid.parallel import Columns, Executor, LocalThreads, Work
 from sysid.storage import write_file
 from sysid.types import FloatArray
 
@@ -220,69 +221,73 @@ class BlockStore(Unfinished):
         write_file(self.folder / f"{name}.npz", buffer.getvalue(), self.ERROR)
 
 
-def compute_blocks(
-    work: Work,
-    blocks: Mapping[str, FloatArray],
-    where: Executor,
-    *,
-    store: BlockStore | None = None,
-    on_block: Callable[[int, bool], None] | None = None,
-    stop: Callable[[], bool] | None = None,
-) -> dict[str, Columns]:
-    """Compute the rows of every block that is not kept already.
+@dataclass(frozen=True)
+class Computing:
+    """Where blocks of rows are computed, and who hears of them.
 
     Parameters
     ----------
-    work : Work
-        Rows to columns.
-    blocks : mapping of str to (n, k) array
-        Rows by the block's name.
     where : Executor
-        Whose workers compute.
-    store : BlockStore, optional
-        What is finished already, and where to keep the others.
+        Whose workers compute; this process by default.
+    threads : int, optional
+        Cores of this process; the result does not depend on it.
+    stores : tuple of BlockStore
+        What is finished already, and where to keep the others: one per computation; none by default.
     on_block : callable, optional
         Called in the caller's thread with the rows of each block and whether it was computed now.
     stop : callable, optional
         Asked between blocks; True ends the work.
-
-    Returns
-    -------
-    dict
-        Columns by the block's name; some are missing only where `stop` ended the work.
     """
-    done: dict[str, Columns] = {}
-    todo: list[str] = []
-    for name, rows in blocks.items():
-        kept = store.load(name) if store is not None else None
-        if kept is None:
-            todo.append(name)
-        else:
-            done[name] = kept
-            if on_block is not None:
-                on_block(len(rows), False)
-    shared = where.share(work)
 
-    def compute(name: str) -> Columns | None:
-        return None if stop is not None and stop() else shared(blocks[name])
+    where: Executor = field(default_factory=LocalThreads)
+    threads: int | None = None
+    stores: tuple[BlockStore, ...] = ()
+    on_block: Callable[[int, bool], None] = lambda rows, new: None
+    stop: Callable[[], bool] = lambda: False
 
-    with ThreadPoolExecutor(where.at_once) as pool:
-        waiting: dict[Future[Columns | None], str] = {pool.submit(compute, name): name for name in todo}
-        try:
-            for future in as_completed(waiting):
-                columns = future.result()
-                if columns is None:
-                    continue
-                name = waiting[future]
-                if store is not None:
-                    store.save(name, columns)
-                done[name] = columns
-                if on_block is not None:
-                    on_block(len(blocks[name]), True)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    return done
+    def part(self, number: int) -> Computing:
+        """Return the same for one of several computations (from 0)."""
+        return replace(self, stores=self.stores[number : number + 1])
+
+    def blocks(self, work: Work, blocks: Mapping[str, FloatArray]) -> dict[str, Columns]:
+        """Compute the rows (n, k) of every block that is not kept already.
+
+        Returns
+        -------
+        dict
+            Columns by the block's name; some are missing only where `stop` ended the work.
+        """
+        store = self.stores[0] if self.stores else None
+        done: dict[str, Columns] = {}
+        todo: list[str] = []
+        for name, rows in blocks.items():
+            kept = store.load(name) if store is not None else None
+            if kept is None:
+                todo.append(name)
+            else:
+                done[name] = kept
+                self.on_block(len(rows), False)
+        shared = self.where.share(work)
+
+        def compute(name: str) -> Columns | None:
+            return None if self.stop() else shared(blocks[name])
+
+        with ThreadPoolExecutor(self.where.at_once) as pool:
+            waiting: dict[Future[Columns | None], str] = {pool.submit(compute, name): name for name in todo}
+            try:
+                for future in as_completed(waiting):
+                    columns = future.result()
+                    if columns is None:
+                        continue
+                    name = waiting[future]
+                    if store is not None:
+                        store.save(name, columns)
+                    done[name] = columns
+                    self.on_block(len(blocks[name]), True)
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+        return done
 
 
 def digest(value: Any) -> str:

@@ -18,6 +18,7 @@ import numpy as np
 
 from sysid.errors import ExportError
 from sysid.parameter_sets import ParameterSets, SetsMetadata
+from sysid.storage import FileKind, put, put_texts
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 MAT_SIGNATURE = b"MATLAB 5.0 MAT-file"
@@ -38,30 +39,24 @@ def _records(sets: ParameterSets) -> dict[str, list[Any]]:
 
 def to_hdf5(sets: ParameterSets) -> bytes:
     """Return the file."""
-    stream = io.BytesIO()
-    text = h5py.string_dtype()
     metadata = sets.metadata()
-    with h5py.File(stream, "w") as file:
-        file.attrs["schema"] = metadata.schema_
-        file.attrs["version"] = metadata.version
+
+    def write(file: Any) -> None:
         file.attrs["kind"] = sets.kind
-        file["values"] = sets.values
-        file["values"].attrs["axes"] = "set (best first), parameter; units in parameters/unit"
-        file["nrmse"] = sets.nrmse
-        file["nrmse"].attrs["axes"] = "set"
-        file["nrmse_by_trial"] = sets.nrmse_by_trial
-        file["nrmse_by_trial"].attrs["axes"] = "set, trial, channel"
-        file["at_bound"] = sets.at_bound
-        file["at_bound"].attrs["axes"] = "set, parameter: -1 lower bound, +1 upper bound"
+        put(file, "values", sets.values, "set (best first), parameter", "in parameters/unit")
+        put(file, "nrmse", sets.nrmse, "set")
+        put(file, "nrmse_by_trial", sets.nrmse_by_trial, "set, trial, channel")
+        put(file, "at_bound", sets.at_bound, "set, parameter: -1 lower bound, +1 upper bound")
         for key, column in _records(sets).items():
             if key in _NUMBERS:
-                file[f"parameters/{key}"] = np.array(column, dtype=np.float64)
+                put(file, f"parameters/{key}", np.array(column, dtype=np.float64), "parameter", "its unit")
             else:
-                file.create_dataset(f"parameters/{key}", data=[_no_nul(c) for c in column], dtype=text)
-        for key, names in (("trials", sets.trials), ("channels", sets.channels)):
-            file.create_dataset(key, data=[_no_nul(n) for n in names], dtype=text, shape=(len(names),))
-        file.create_dataset("metadata_json", data=metadata.line(), dtype=text)
-    return stream.getvalue()
+                put_texts(file, f"parameters/{key}", map(_no_nul, column))
+        put_texts(file, "trials", map(_no_nul, sets.trials))
+        put_texts(file, "channels", map(_no_nul, sets.channels))
+        put_texts(file, "metadata_json", metadata.line())
+
+    return FileKind(metadata.schema_, metadata.version, metadata.WHAT, metadata.REMEDY).content(write)
 
 
 def _no_nul(text: str) -> str:

@@ -22,7 +22,8 @@ from typing import Protocol
 import numpy as np
 
 from sysid.errors import FitError
-from sysid.fit.breeders.algorithms import ALGORITHMS, DEFAULT_ALGORITHM, POPULATION, Breeder, Start, breeder
+from sysid.fit.breeders.algorithms import ALGORITHMS, DEFAULT_ALGORITHM, POPULATION, Start, breeder
+from sysid.fit.breeders.breeder import Breeder
 from sysid.fit.breeders.in_process import BreederApart
 from sysid.fit.history import Generation, RunHistory, StageHistory
 from sysid.fit.objective import Evaluation, Objective, causes_of

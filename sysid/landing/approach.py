@@ -58,12 +58,10 @@ def descend(
 
     Parameters
     ----------
-    drone : Drone
     begin : Scenario
         Slope, and what the drone has at the beginning: pitch, rates, speed of descent.
     height : float
         Way down at the beginning [m], of the body, above its touchdown at that pitch.
-    attitude : AttitudeController, optional
 
     Raises
     ------

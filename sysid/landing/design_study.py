@@ -11,7 +11,7 @@ leg of the same mass and inertia. The paper names this study as future work.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any, Literal
@@ -23,11 +23,10 @@ from sysid.errors import CampaignError
 from sysid.gear.model import PARAMETERS as GEAR
 from sysid.landing.controllers import Controller
 from sysid.landing.drone import Drone
-from sysid.landing.maps import LandingMap, MapSettings, landing_maps
+from sysid.landing.maps import MapSettings, landing_maps
 from sysid.landing.outcomes import LANDED, Outcome
 from sysid.motor.model import PARAMETERS as MOTOR
-from sysid.parallel import Executor
-from sysid.resume import BlockStore
+from sysid.resume import Computing
 from sysid.types import BoolArray, FloatArray, IntArray
 from sysid.units import parse_quantity
 
@@ -242,8 +241,6 @@ class DesignStudy:
     ----------
     name, controller : str
         Of the sets, and the controller's label.
-    changes : tuple of Change
-    settings : StudySettings
     points : (p, c) array
         Value of each change in every design; the first is the sets as they are.
     landed : (p, n, m) array
@@ -373,12 +370,7 @@ def design_study(
     changes: Sequence[Change],
     controller: Controller,
     settings: StudySettings | None = None,
-    *,
-    where: Executor | None = None,
-    threads: int | None = None,
-    stores: Sequence[BlockStore | None] | None = None,
-    on_block: Callable[[int, bool], None] | None = None,
-    stop: Callable[[], bool] | None = None,
+    how: Computing | None = None,
 ) -> DesignStudy | None:
     """Land every design on every slope at every speed.
 
@@ -388,35 +380,21 @@ def design_study(
         Of the sets.
     drones : sequence of Drone
         The sets as they are.
-    changes : sequence of Change
-    controller : Controller
-    settings : StudySettings, optional
-    where, threads, on_block, stop
-        As in `sysid.landing.maps.landing_maps`.
-    stores : sequence of BlockStore or None, optional
-        One per attitude of `StudySettings.grids`.
+    how : Computing, optional
+        As in `sysid.landing.maps.landing_maps`, with a store per attitude of `StudySettings.grids`.
 
     Returns
     -------
     DesignStudy or None
-        None where `stop` ended the study.
+        None where the work was stopped.
     """
     settings = settings or StudySettings()
     points = designs(changes, settings.together)
     fleets = fleets_of(drones, changes, points)
-    grids = settings.grids()
+    how = how or Computing()
     outcomes = []
-    for number, grid in enumerate(grids):
-        maps: tuple[LandingMap, ...] = landing_maps(
-            fleets,
-            [controller],
-            grid,
-            where=where,
-            threads=threads,
-            store=stores[number] if stores else None,
-            on_block=on_block,
-            stop=stop,
-        )
+    for number, grid in enumerate(settings.grids()):
+        maps = landing_maps(fleets, [controller], grid, how.part(number))
         if not maps:
             return None
         outcomes.append(np.array([landings.outcome for landings in maps]))

@@ -187,8 +187,6 @@ class Impulses:
 
     Parameters
     ----------
-    drone : Drone
-    settings : ImpulseSettings
     rules : Rules, optional
         Those of the landings: a drone that has flipped by them has no second impact, and none is looked for
         after their horizon.

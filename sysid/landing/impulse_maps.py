@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,8 +14,8 @@ from sysid.landing.impulse import Impulses, ImpulseSettings, Optimum
 from sysid.landing.maps import CellMap, LandingMap, MapSettings, map_identity
 from sysid.landing.scenario import Scenario
 from sysid.landing.simulate import run
-from sysid.parallel import Columns, Executor, LocalThreads
-from sysid.resume import BlockStore, compute_blocks
+from sysid.parallel import Columns
+from sysid.resume import Computing
 from sysid.types import FloatArray
 
 OPTIMUM = tuple(Optimum.__dataclass_fields__)
@@ -131,12 +131,7 @@ def impulse_maps(
     fleets: Sequence[Sequence[Drone]],
     settings: MapSettings | None = None,
     impulses: ImpulseSettings | None = None,
-    *,
-    where: Executor | None = None,
-    threads: int | None = None,
-    store: BlockStore | None = None,
-    on_block: Callable[[int, bool], None] | None = None,
-    stop: Callable[[], bool] | None = None,
+    how: Computing | None = None,
 ) -> tuple[tuple[ImpulseMap, ...], tuple[LandingMap, ...]]:
     """Search the best impulse of every cell and set, and land with it.
 
@@ -148,7 +143,7 @@ def impulse_maps(
         Cells, rules, tolerance; the paper's grid without.
     impulses : ImpulseSettings, optional
         What is tried; the paper's grid of pairs without.
-    where, threads, store, on_block, stop
+    how : Computing, optional
         As in `sysid.landing.maps.landing_maps`.
 
     Returns
@@ -156,11 +151,12 @@ def impulse_maps(
     impulse maps, landing maps : tuples
         One and three per surface: impulse and then `impulses.after`, the same refined, the impulse alone (all
         motors off after it, at the delay and duration found with `impulses.after` following).
-        Empty where `stop` ended the work.
+        Empty where the work was stopped.
     """
     settings, impulses = settings or MapSettings(), impulses or ImpulseSettings()
     all_drones = tuple(drone for fleet in fleets for drone in fleet)
-    work = ImpulseWork(all_drones, settings, impulses, threads)
+    how = how or Computing()
+    work = ImpulseWork(all_drones, settings, impulses, how.threads)
     cells = np.array([(cell.slope, cell.speed) for cell in settings.cells()])
     by_slope = cells.reshape(len(settings.slopes_deg), len(settings.speeds), 2)
     blocks = {
@@ -168,7 +164,7 @@ def impulse_maps(
         for d in range(len(all_drones))
         for s, row in enumerate(by_slope)
     }
-    done = compute_blocks(work, blocks, where or LocalThreads(), store=store, on_block=on_block, stop=stop)
+    done = how.blocks(work, blocks)
     if len(done) < len(blocks):
         return (), ()
     ideal = ", ideal reversal" if impulses.ideal_reversal else ""

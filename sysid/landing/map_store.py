@@ -26,7 +26,6 @@ class MapFile:
 
     Parameters
     ----------
-    maps : tuple of LandingMap
     impulses : tuple of ImpulseMap
         Empty but for impulse control.
     settings, provenance : mapping

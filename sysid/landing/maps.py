@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -18,8 +18,8 @@ from sysid.landing.outcomes import LANDED, OUTCOMES, Outcome, Rules
 from sysid.landing.scenario import Scenario, grid
 from sysid.landing.simulate import LANDING_TOLERANCE, Landings, land_many
 from sysid.landing.thrust import Motors
-from sysid.parallel import Columns, Executor, LocalThreads
-from sysid.resume import BlockStore, compute_blocks, digest
+from sysid.parallel import Columns
+from sysid.resume import Computing, digest
 from sysid.types import BoolArray, FloatArray
 
 # The paper's grid.
@@ -269,12 +269,7 @@ def landing_maps(
     fleets: Sequence[Sequence[Drone]],
     controllers: Sequence[Controller],
     settings: MapSettings | None = None,
-    *,
-    where: Executor | None = None,
-    threads: int | None = None,
-    store: BlockStore | None = None,
-    on_block: Callable[[int, bool], None] | None = None,
-    stop: Callable[[], bool] | None = None,
+    how: Computing | None = None,
 ) -> tuple[LandingMap, ...]:
     """Compute the map of every surface under every controller.
 
@@ -282,25 +277,21 @@ def landing_maps(
     ----------
     fleets : sequence of sequences of Drone
         The sets of each surface, for example five on low and five on high friction.
-    controllers : sequence of Controller
     settings : MapSettings, optional
         The paper's grid without.
-    where : Executor, optional
-        This process by default.
-    threads : int, optional
-        Cores of this process; the result does not depend on it.
-    store, on_block, stop
-        As in `sysid.resume.compute_blocks`.
+    how : Computing, optional
+        Where it is computed, and what is kept; this process and nothing by default.
 
     Returns
     -------
     tuple of LandingMap
-        Fleet by fleet, controller by controller; empty where `stop` ended the work.
+        Fleet by fleet, controller by controller; empty where the work was stopped.
     """
     settings = settings or MapSettings()
     all_drones = tuple(drone for fleet in fleets for drone in fleet)
     cells = np.array([(cell.slope, cell.speed) for cell in settings.cells()])
-    work = LandingWork(all_drones, tuple(controllers), settings, threads)
+    how = how or Computing()
+    work = LandingWork(all_drones, tuple(controllers), settings, how.threads)
     blocks = {
         f"set-{d + 1}-controller-{c + 1}": np.column_stack(
             [np.full(len(cells), float(d)), np.full(len(cells), float(c)), cells]
@@ -308,7 +299,7 @@ def landing_maps(
         for d in range(len(all_drones))
         for c in range(len(controllers))
     }
-    done = compute_blocks(work, blocks, where or LocalThreads(), store=store, on_block=on_block, stop=stop)
+    done = how.blocks(work, blocks)
     if len(done) < len(blocks):
         return ()
     axes = np.array(settings.slopes_deg), np.array(settings.speeds)

@@ -141,7 +141,6 @@ def strangers(
 
     Parameters
     ----------
-    experiments : sequence of Experiment
     maps : sequence of (str, str)
         Surface and controller's label of each map.
     """

@@ -102,10 +102,8 @@ def land_many(
 
     Parameters
     ----------
-    drone : Drone
     scenarios : sequence of Scenario
         n touchdowns.
-    controller : Controller
     rules : Rules, optional
         When a landing is over; the defaults without.
     tolerance : float

@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from sysid.fit.breeders.algorithms import Breeder, Start, breeder
+from sysid.fit.breeders.algorithms import Start, breeder
+from sysid.fit.breeders.breeder import Breeder
 from sysid.fit.history import RunHistory
 from sysid.fit.objective import SpreadObjective
 from sysid.fit.search import Hooks, SearchSettings, run_many

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from sysid.fit.breeders.algorithms import Breeder, Start, breeder
+from sysid.fit.breeders.algorithms import Start, breeder
+from sysid.fit.breeders.breeder import Breeder
 from sysid.fit.search import Hooks, SearchSettings, run_one
 from sysid.fit.stopping import StopRule
 from sysid.motor.problem import MotorProblem

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from sysid.report.design_figures import figure_design_study
 from sysid.report.drawing import save_figure
 from sysid.report.fold import print_table
 from sysid.report.landing_tables import gains_table
-from sysid.resume import BlockStore
+from sysid.resume import BlockStore, Computing
 from sysid.workflows.landing_sources import (
     BlockProgress,
     Fleets,
@@ -65,9 +65,9 @@ def study_designs(options: DesignStudyOptions, say: Say = None) -> DesignStudy |
     for grid in settings.grids():
         grid.cells()  # refuses an attitude that cannot touch down before any map is computed
 
-    def compute(stores: Sequence[BlockStore], **where: Any) -> DesignStudy | None:
+    def compute(where: Computing) -> DesignStudy | None:
         name = fleet[0].name.removesuffix(" set 1")
-        return design_study(name, fleet, changes, controller, settings, stores=stores, **where)
+        return design_study(name, fleet, changes, controller, settings, where)
 
     def write(study: DesignStudy) -> DesignStudy:
         write_study(options.out, study, origin | {"controller": controller.document()})

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 from rich import box
@@ -23,12 +21,12 @@ from sysid.landing.approach import descend
 from sysid.landing.scenario import Scenario
 from sysid.landing.simulate import Landing, land
 from sysid.landing.thrust import Motors
-from sysid.storage import check_file, write_file
+from sysid.storage import FileKind, check_file, put, put_json, put_texts, write_file
 from sysid.workflows.landing_sources import chosen_controllers, open_fleets, rules_of
 from sysid.workflows.options import SimulateOptions
 
 EVENT = ("time [s]", "event", "of")
-SCHEMA, VERSION = "sysid-landings", 1
+LANDINGS = FileKind("sysid-landings", 1, "a file of landings", "simulate again", ExportError)
 COLUMNS = (
     "time [s]",
     "x_B [m]", "z_B [m]", "q_B [rad]", "h_C [m]", "q_C [rad]", "h_D [m]", "q_D [rad]",
@@ -143,7 +141,7 @@ def _write(files: Sequence[Path], landings: Sequence[Landing], sources: dict[str
         return
     rows = [outcome_row(rank, landing) for rank, landing in enumerate(landings, start=1)]
     if len(files) == 1:
-        write_file(files[0], _hdf5(landings, rows, sources), ExportError)
+        write_file(files[0], LANDINGS.content(lambda file: _hdf5(file, landings, rows, sources)), ExportError)
         return
     events, histories = [], []
     for rank, landing in enumerate(landings, start=1):
@@ -157,32 +155,27 @@ def _write(files: Sequence[Path], landings: Sequence[Landing], sources: dict[str
         write_file(path, text.encode("utf-8"), ExportError)
 
 
-def _hdf5(landings: Sequence[Landing], rows: Sequence[dict[str, Any]], sources: dict[str, Any]) -> bytes:
-    buffer = io.BytesIO()
-    text = h5py.string_dtype()
-    with h5py.File(buffer, "w") as file:
-        file.attrs["schema"], file.attrs["version"] = SCHEMA, VERSION
-        first = landings[0]
-        settings = {
-            "scenario": [landing.scenario.document() for landing in landings],
-            "controller": first.controller.document(),
-            "rules": first.rules.document(),
-        }
-        file.create_dataset("settings_json", data=exact_json.dumps(settings), dtype=text)
-        file.create_dataset("provenance_json", data=exact_json.dumps(sources), dtype=text)
-        for row, landing in zip(rows, landings, strict=True):
-            group = file.create_group(f"sets/{row['set']}")
-            for name, value in row.items():
-                group.attrs[name] = value
-            for name, values in zip(COLUMNS, samples(landing).T, strict=True):
-                quantity, _, unit = name.partition(" [")
-                group.create_dataset(quantity, data=values).attrs["unit"] = unit.rstrip("]")
-            events = event_rows(landing)
-            group["events/time"] = np.array([event["time [s]"] for event in events])
-            group["events/time"].attrs["unit"] = "s"
-            for key in ("event", "of"):
-                group.create_dataset(f"events/{key}", data=[event[key] for event in events], dtype=text)
-    return buffer.getvalue()
+def _hdf5(
+    file: Any, landings: Sequence[Landing], rows: Sequence[dict[str, Any]], sources: dict[str, Any]
+) -> None:
+    first = landings[0]
+    settings = {
+        "scenario": [landing.scenario.document() for landing in landings],
+        "controller": first.controller.document(),
+        "rules": first.rules.document(),
+    }
+    put_json(file, "settings_json", settings)
+    put_json(file, "provenance_json", sources)
+    for row, landing in zip(rows, landings, strict=True):
+        group = file.create_group(f"sets/{row['set']}")
+        group.attrs.update(row)
+        for name, values in zip(COLUMNS, samples(landing).T, strict=True):
+            quantity, _, unit = name.partition(" [")
+            put(group, quantity, values, "sample", unit.rstrip("]"))
+        events = event_rows(landing)
+        put(group, "events/time", [event["time [s]"] for event in events], "event", "s")
+        for key in ("event", "of"):
+            put_texts(group, f"events/{key}", [event[key] for event in events])
 
 
 def _table(rows: Sequence[dict[str, Any]], first: Landing) -> Table:

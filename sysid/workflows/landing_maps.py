@@ -26,7 +26,7 @@ from sysid.landing.static_limits import ramp_limit, rigid_limits
 from sysid.landing.thrust import Motors
 from sysid.report.drawing import save_figure
 from sysid.report.landing_figures import DrawnLimits, figure_impulse, figure_landing_maps
-from sysid.resume import BlockStore
+from sysid.resume import BlockStore, Computing
 from sysid.workflows.landing_sources import (
     BlockProgress,
     Fleets,
@@ -57,8 +57,8 @@ def compute_landing_maps(options: LandingMapOptions, say: Say = None) -> MapFile
     maps = [(fleet[0].surface, controller.label) for fleet in fleets for controller in controllers]
     _warn_of_strangers(options.experiments, real, maps, say)
 
-    def compute(stores: Sequence[BlockStore], **how: Any) -> MapFile | None:
-        maps = landing_maps(fleets, controllers, settings, store=stores[0], **how)
+    def compute(how: Computing) -> MapFile | None:
+        maps = landing_maps(fleets, controllers, settings, how)
         document = settings.document() | {
             "controllers": [controller.document() for controller in controllers]
         }
@@ -91,8 +91,8 @@ def compute_impulse_maps(options: ImpulseMapOptions, say: Say = None) -> MapFile
     impulses.check_within(settings.rules.horizon)
     fleets, origin = open_fleets(options.motors, options.sets)
 
-    def compute(stores: Sequence[BlockStore], **how: Any) -> MapFile | None:
-        best, maps = impulse_maps(fleets, settings, impulses, store=stores[0], **how)
+    def compute(how: Computing) -> MapFile | None:
+        best, maps = impulse_maps(fleets, settings, impulses, how)
         document = settings.document() | {"impulses": impulses.document()}
         return MapFile(maps, best, document, origin) if maps else None
 

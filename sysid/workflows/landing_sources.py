@@ -23,7 +23,7 @@ from sysid.landing.outcomes import Rules
 from sysid.parallel import executor
 from sysid.parameter_sets import ParameterSets
 from sysid.report.drawing import check_figure_name
-from sysid.resume import BlockStore
+from sysid.resume import BlockStore, Computing
 from sysid.storage import check_file
 from sysid.workflows.options import ComputeOptions, MotorOptions, RulesOptions
 from sysid.workflows.show import load_sets
@@ -135,7 +135,7 @@ def check_result(what: str, out: Path, force: bool, *pictures: Path) -> None:
 def compute_and_write(
     out: Path,
     stores: Iterable[BlockStore],
-    compute: Callable[..., Computed | None],
+    compute: Callable[[Computing], Computed | None],
     write: Callable[[Computed], Written],
     *,
     progress: BlockProgress,
@@ -151,7 +151,7 @@ def compute_and_write(
     stores : iterable of BlockStore
         Opened one after the other.
     compute : callable
-        Takes the stores, ``where``, ``threads``, ``on_block`` and ``stop``; returns None if stopped.
+        Takes where it is computed; returns None if stopped.
     write : callable
         Writes what was computed, and returns what the caller wants of it.
     progress : BlockProgress
@@ -170,10 +170,8 @@ def compute_and_write(
             stop_on_interrupt(progress.on_stop) as stop,
             progress,
         ):
-            result = compute(
-                opened, where=where, threads=1 if options.dask is not None else options.threads,
-                on_block=progress.on_block, stop=stop,
-            )  # fmt: skip
+            threads = 1 if options.dask is not None else options.threads
+            result = compute(Computing(where, threads, tuple(opened), progress.on_block, stop))
         for note in (note for store in opened for note in store.notes):
             tell(f"warning: {note}")
         if result is None:

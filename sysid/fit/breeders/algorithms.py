@@ -12,11 +12,12 @@ therefore built again here.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from sysid.errors import FitError
+from sysid.fit.breeders.breeder import Breeder
 from sysid.types import FloatArray
 
 # Name in campaigns and on the command line: what it is.
@@ -64,38 +65,6 @@ class Start:
     def of_population(cls, cube: FloatArray) -> Start:
         """Return mean and spread of a population (P, n_free); the spread is kept between 0.05 and 0.3."""
         return cls(cube.mean(axis=0), np.clip(cube.std(axis=0), _LEAST_SPREAD, _RANDOM_SPREAD))
-
-
-class Breeder(Protocol):
-    """One algorithm as ask and tell over the unit cube."""
-
-    def ask(self) -> FloatArray | None:
-        """Return the candidates (P, n_free) to score next, or None when no new one can be bred."""
-        ...
-
-    def tell(self, cost: FloatArray) -> None:
-        """Take the costs (P,) of the candidates last asked for."""
-        ...
-
-    def population(self) -> tuple[FloatArray, FloatArray]:
-        """Return points (P, n_free) and costs (P,) of the population, best first."""
-        ...
-
-    def close(self) -> None:
-        """Release what was taken; by default nothing was."""
-        return
-
-
-class ArrayBreeder(Breeder, Protocol):
-    """A breeder that holds its population as arrays."""
-
-    _points: FloatArray
-    _cost: FloatArray
-
-    def population(self) -> tuple[FloatArray, FloatArray]:
-        """Return points (P, n_free) and costs (P,) of the population, best first."""
-        order = np.argsort(self._cost, kind="stable")
-        return self._points[order], self._cost[order]
 
 
 class PymooBreeder(Breeder):

@@ -13,7 +13,7 @@ import cma
 import numpy as np
 from cma.transformations import BoxConstraintsLinQuadTransformation
 
-from sysid.fit.breeders.algorithms import ArrayBreeder
+from sysid.fit.breeders.breeder import ArrayBreeder
 from sysid.types import FloatArray
 
 # Largest standard deviation [1]: cma's default for a bounded range.

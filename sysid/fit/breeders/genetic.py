@@ -18,7 +18,7 @@ from pymoo.operators.mutation.pm import PM
 from pymoo.operators.sampling.rnd import FloatRandomSampling
 from pymoo.util.misc import random_permutations
 
-from sysid.fit.breeders.algorithms import ArrayBreeder
+from sysid.fit.breeders.breeder import ArrayBreeder
 from sysid.types import FloatArray, IntArray
 
 # pymoo's: matings that may be tried before a generation is left with fewer children.

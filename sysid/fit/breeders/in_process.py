@@ -12,7 +12,8 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import Any
 
-from sysid.fit.breeders.algorithms import Breeder, Start, breeder
+from sysid.fit.breeders.algorithms import Start, breeder
+from sysid.fit.breeders.breeder import Breeder
 from sysid.types import FloatArray
 
 # Of the process that breeds; it serves one breeder.

@@ -16,10 +16,9 @@ from sysid.landing.map_store import MapFile, read_maps, summary, write_maps
 from sysid.landing.maps import SLOPES_DEG, SPEEDS, LandingMap, MapSettings, cell_edges, nearest_cell
 from sysid.landing.outcomes import Outcome
 from sysid.landing.real_landings import Experiment, confusion, of_map, read_experiments
-from sysid.parallel import LocalThreads
 from sysid.report.drawing import save_figure
 from sysid.report.landing_figures import DrawnLimits, MapLegend, figure_impulse, figure_landing_maps
-from sysid.resume import BlockStore, compute_blocks
+from sysid.resume import BlockStore, Computing
 from sysid.workflows.landing_maps import _summary_table
 from sysid.workflows.options import span
 
@@ -73,19 +72,15 @@ def test_the_papers_grid():
 
 def test_blocks_stop_and_go_on(tmp_path):
     result = tmp_path / "map.h5"
-    work, seen = Squares(), []
+    work = Squares()
     store = BlockStore(result, {"grid": 1})
-    part = compute_blocks(
-        work, BLOCKS, LocalThreads(), store=store,
-        on_block=lambda rows, new: seen.append(new), stop=lambda: work.calls >= 2,
-    )  # fmt: skip
+    stopping = Computing(stores=(store,), stop=lambda: work.calls >= 2)
+    part = stopping.blocks(work, BLOCKS)
     store.close()
     assert 2 <= len(part) < len(BLOCKS)
     again, seen = Squares(), []
     store = BlockStore(result, {"grid": 1}, resume=True)
-    whole = compute_blocks(
-        again, BLOCKS, LocalThreads(), store=store, on_block=lambda rows, new: seen.append(new)
-    )
+    whole = Computing(stores=(store,), on_block=lambda rows, new: seen.append(new)).blocks(again, BLOCKS)
     assert again.calls == len(BLOCKS) - len(part)
     assert seen.count(False) == len(part)
     for name, rows in BLOCKS.items():
@@ -98,7 +93,7 @@ def test_blocks_stop_and_go_on(tmp_path):
 def test_blocks_that_are_damaged_are_computed_again(tmp_path):
     result = tmp_path / "map.h5"
     store = BlockStore(result, {})
-    compute_blocks(Squares(), BLOCKS, LocalThreads(), store=store)
+    Computing(stores=(store,)).blocks(Squares(), BLOCKS)
     store.close()
     folder = BlockStore.folder_of(result)
     cut = folder / "block-0.npz"
@@ -109,7 +104,7 @@ def test_blocks_that_are_damaged_are_computed_again(tmp_path):
     flipped.write_bytes(data)
     work = Squares()
     store = BlockStore(result, {}, resume=True)
-    found = compute_blocks(work, BLOCKS, LocalThreads(), store=store)
+    found = Computing(stores=(store,)).blocks(work, BLOCKS)
     store.close()
     assert work.calls == 2
     assert len(store.notes) == 2
@@ -124,7 +119,7 @@ def test_blocks_are_never_mixed_up(tmp_path):
     store = BlockStore(result, {"controller": "off"})
     with pytest.raises(ExportError, match="another process"):
         BlockStore(result, {"controller": "off"})
-    compute_blocks(Squares(), BLOCKS, LocalThreads(), store=store)
+    Computing(stores=(store,)).blocks(Squares(), BLOCKS)
     store.close()
     with pytest.raises(ExportError, match="continue it with --resume"):
         BlockStore(result, {"controller": "off"})

@@ -197,7 +197,6 @@ def test_inconsistent_json_is_refused(tmp_path):
         lambda d: d["parameters"][0].update(status="liked"),
         lambda d: d["sets"][0]["values"].update(body_mass=[1, 2]),
         lambda d: d.pop("channels"),
-        lambda d: d.update(kind="boat"),
     ):
         document = json.loads(made_sets().document().text())
         change(document)
