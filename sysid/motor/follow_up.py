@@ -300,7 +300,7 @@ def begin(problem: MotorProblem) -> None:
         tares = ", ".join(
             f"{name} {1e3 * tare.value:.3g} m{unit}"
             for name, unit in (("torque", "N·m"), ("thrust", "N"))
-            if (tare := trial.log.tares.get(name)) is not None and tare.source != "assumed"
+            if (tare := trial.log.tares.get(name)) is not None and np.isfinite(tare.error)
         )
         if tares:
             source = trial.log.tares["torque" if "torque" in trial.log.tares else "thrust"].source

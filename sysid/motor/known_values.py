@@ -238,11 +238,8 @@ def untested_rows(campaign: MotorCampaign, bench: Bench) -> tuple[str, ...]:
     """Return the rows of a direction of which no log says anything: its curves and no-load speed."""
     known = {*bench.values, *campaign.parameters.fixed, *(campaign.parameters.free or ())}
     tied = {f"no_load_{what}_{d}" for d in bench.curves.ties for what in ("slope", "intercept")}
-    return tuple(
-        name
-        for name in PARAMETERS
-        if name.endswith(("_forward", "_reverse")) and name not in known and name not in tied
-    )
+    curves = PARAMETERS.group("no-load line", "thrust curve", "torque curve")
+    return tuple(name for name in curves if name not in known | tied)
 
 
 def _warn_of_starts(campaign: MotorCampaign, bench: Bench) -> None:
