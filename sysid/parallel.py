@@ -53,7 +53,7 @@ class ClosedError(RuntimeError):
 class Work(Protocol):
     """A pure function of rows: equal rows give equal numbers whatever their neighbours."""
 
-    def __call__(self, rows: FloatArray) -> Columns:
+    def __call__(self, rows: FloatArray, /) -> Columns:
         """Return arrays with one entry per row (P, n)."""
         ...
 

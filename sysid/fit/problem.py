@@ -50,7 +50,6 @@ class Trial:
 
     Parameters
     ----------
-    name : str
     use : {"fit", "validate"}
     time : (n,) array
         Compared instants on the log's clock [s].
@@ -360,16 +359,16 @@ class Problem(ABC):
 
     def results(self, rows: FloatArray) -> tuple[TrialResult, ...]:
         """Return every trial, measured and simulated with ranked sets (S, n_table) [SI]; name the lost."""
-        found = self.predict(rows)
-        for s, causes in enumerate(found.cause, start=1):
+        prediction = self.predict(rows)
+        for s, causes in enumerate(prediction.cause, start=1):
             for code in np.unique(causes[causes > 0]):
                 where = ", ".join(self.trials[t].name for t in np.flatnonzero(causes == code))
                 cause = self.causes[code - 1]
                 notice("simulation-lost", f"set {s}: {cause} on {where}; its NRMSE there is a penalty")
         return tuple(
             TrialResult(
-                trial.name, trial.use, trial.time, trial.measured, trial.valid, found.signals[t],
-                found.by_channel[:, t], **trial.shown,
+                trial.name, trial.use, trial.time, trial.measured, trial.valid, prediction.signals[t],
+                prediction.by_channel[:, t], **trial.shown,
             )
             for t, trial in enumerate(self.trials)
         )  # fmt: skip
@@ -520,7 +519,6 @@ class Course:
 
     Parameters
     ----------
-    sets : RankedSets
     settings : SearchSettings
         Of the search.
     cut : {"interrupted", "time"} or None
@@ -614,7 +612,6 @@ class Kind:
         next, their titles), or None.
     under : callable
         (campaign, settings of a fit) -> (the campaign under the law of that fit, what is noticed).
-    words : Words
     """
 
     name: str

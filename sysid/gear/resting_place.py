@@ -31,7 +31,6 @@ def stopping(
 
     Parameters
     ----------
-    drop : PreparedDrop
     rows : (S, n_table) array
         Sets [SI].
     board_length : float or None

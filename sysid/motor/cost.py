@@ -29,7 +29,6 @@ class MotorTarget:
 
     Parameters
     ----------
-    name : str
     time : (n,) array
         Compared instants [s].
     measured : (n, 2) array
@@ -60,7 +59,6 @@ class BenchCost:
 
     Parameters
     ----------
-    targets : sequence of MotorTarget
     weights : (torque, speed)
         In the mean over channels.
     denominator : {"std", "range"}
@@ -123,7 +121,6 @@ class BenchCost:
             Share of each trial that was simulated; below 1 it failed.
         sensors : (P, 3) array
             Torque delay, torque lag, speed lag [s]; slow logs only.
-        threads : int, optional
 
         Returns
         -------

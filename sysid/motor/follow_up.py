@@ -55,7 +55,6 @@ class After:
         Sets with the dead band and the delays of logs [SI].
     nrmse : (S,) array
         Of the final values over the fitted forward and reverse trials, starts from rest included [1].
-    saturation : SaturationFit, optional
     settings : dict
         For the result.
     cut : {"interrupted", "time"} or None

@@ -47,10 +47,8 @@ class MotorProblem(Problem):
 
     Parameters
     ----------
-    campaign : MotorCampaign
     bench : Bench
         All of its logs.
-    space : SearchSpace
     prepared : tuple of PreparedTrial
         The trials.
     targets : tuple of MotorTarget
@@ -455,7 +453,6 @@ def taken_as_exact(
     ----------
     free, ranges, fixed : collection of str
         Names that are free, that have a stated range, that the campaign fixes.
-    bench : Bench
     """
     out = {}
     constants = [name for name in CONSTANTS if name not in free]

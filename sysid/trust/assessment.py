@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.fit.problem import Block, NoiseModel
+from sysid.fit.problem import Block, NoiseModel, Problem
 from sysid.trust.jacobian import Jacobian, jacobian
 from sysid.trust.least_squares import solve
 from sysid.trust.linearized import (
@@ -19,7 +19,7 @@ from sysid.trust.linearized import (
     undisturbed,
     with_bounds,
 )
-from sysid.trust.problem import Residuals, nrmse_of, scales
+from sysid.trust.problem import nrmse_of, scales
 from sysid.trust.profiles import Profiles, walk_profiles
 from sysid.trust.resampling import Resampled, bootstrap
 from sysid.types import FloatArray
@@ -44,10 +44,8 @@ class Linearized:
         Unweighted [1].
     levels : (B,) array
         NRMSE of every block [1].
-    jacobian : Jacobian
     noise : NoiseModel
         Of the residuals.
-    information : Information
     """
 
     point: FloatArray
@@ -64,33 +62,32 @@ class Linearized:
         return _TOLERANCE * float(np.min(self.information.inflation))
 
 
-def linearize(problem: Residuals, start: FloatArray, *, refine: bool = True) -> Linearized:
+def linearize(problem: Problem, start: FloatArray, *, refine: bool = True) -> Linearized:
     """Go to the minimum near a point and find what noise leaves open there.
 
     Parameters
     ----------
-    problem : Residuals
     start : (n,) array
         The best set [unit cube].
     refine : bool
         False: stay there.
     """
     point = np.clip(np.asarray(start, dtype=np.float64), 0.0, 1.0)
-    found = _linearized(problem, point)
+    linear = _linearized(problem, point)
     for _ in range(_ROUNDS if refine else 0):
-        before = found
+        before = linear
         solved = solve(
-            problem, found.point[None], found.scale, found.jacobian.steps,
-            tolerance=found.tolerance, iterations=20,
+            problem, linear.point[None], linear.scale, linear.jacobian.steps,
+            tolerance=linear.tolerance, iterations=20,
         )  # fmt: skip
-        found = _linearized(problem, solved.points[0])
-        moved = np.abs(found.point - before.point) / np.maximum(before.information.sigma, 1e-12)
+        linear = _linearized(problem, solved.points[0])
+        moved = np.abs(linear.point - before.point) / np.maximum(before.information.sigma, 1e-12)
         if np.max(moved) < 0.1:
             break
-    return found
+    return linear
 
 
-def _linearized(problem: Residuals, point: FloatArray) -> Linearized:
+def _linearized(problem: Problem, point: FloatArray) -> Linearized:
     values, _ = problem.residuals(point[None])
     residuals = values[0]
     levels = nrmse_of(problem.blocks, residuals)
@@ -102,11 +99,11 @@ def _linearized(problem: Residuals, point: FloatArray) -> Linearized:
     changes = problem.disturbances(point)
     noise = noise_model(problem.blocks, undisturbed(problem.blocks, residuals, changes))
     spread = gradient_noise(problem.blocks, derived.values, scale, levels, noise, changes)
-    found = with_bounds(information(derived.values, spread), derived.values, spread, point)
+    known = with_bounds(information(derived.values, spread), derived.values, spread, point)
     # An inflation that rests on a derivative which depends on the step is worth nothing: the largest serves.
-    rise = np.where(derived.trusted, found.inflation, found.inflation.max())
-    found = replace(found, inflation=rise)
-    return Linearized(point, scale, residuals, levels, derived, noise, found)  # fmt: skip
+    rise = np.where(derived.trusted, known.inflation, known.inflation.max())
+    known = replace(known, inflation=rise)
+    return Linearized(point, scale, residuals, levels, derived, noise, known)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,11 +112,8 @@ class Assessment:
 
     Parameters
     ----------
-    linear : Linearized
     expected : (n,) array
         Relative 95 % half-widths of the linearization [1].
-    profiles : Profiles
-    resampled : Resampled or None
     """
 
     linear: Linearized
@@ -129,7 +123,7 @@ class Assessment:
 
 
 def assess(
-    problem: Residuals,
+    problem: Problem,
     start: FloatArray,
     *,
     resamples: int = 100,
@@ -140,12 +134,10 @@ def assess(
 
     Parameters
     ----------
-    problem : Residuals
     start : (n,) array
         The best set [unit cube].
     resamples : int
         Of the bootstrap; 0: none. With fewer than three trials there is none either.
-    seed : int
     say : callable, optional
         Told what is going on.
     """

@@ -24,7 +24,6 @@ def compare_values(
     ----------
     names : sequence of str
         Of the fits.
-    sets : sequence of ParameterSets
     documents : sequence of mapping or None
         ``trust`` of each (`sysid.trust.documents`): intervals; None: only the spread of the sets is known,
         which judges nothing (runs that reach one optimum agree whatever the data leave open).
@@ -111,9 +110,9 @@ def _doubt(
 def unjudged(differences: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return one sentence per reason why differences are not judged, with the parameters it holds for."""
     why: dict[str, list[str]] = {}
-    for one in differences:
-        if one["doubt"]:
-            why.setdefault(one["doubt"], []).append(one["symbol"])
+    for row in differences:
+        if row["doubt"]:
+            why.setdefault(row["doubt"], []).append(row["symbol"])
     return [f"not judged: {', '.join(dict.fromkeys(of))} ({reason})" for reason, of in why.items()]
 
 

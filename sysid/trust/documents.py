@@ -385,8 +385,8 @@ def read_arrays(folder: Path, part: str) -> dict[str, Any]:
 
 def parts(folder: Path) -> tuple[str, ...]:
     """Return which documents a fit folder holds, whether or not the fit has changed since."""
-    found = sorted(path.stem for path in folder.glob("*.json") if (folder / f"{path.stem}.h5").is_file())
-    return tuple(name for name in found if name in (TRUST, CROSS_VALIDATION) or name.startswith(VALIDATION))
+    stems = sorted(path.stem for path in folder.glob("*.json") if (folder / f"{path.stem}.h5").is_file())
+    return tuple(name for name in stems if name in (TRUST, CROSS_VALIDATION) or name.startswith(VALIDATION))
 
 
 def free_part(folder: Path, part: str, campaign: Mapping[str, str]) -> str:
@@ -407,13 +407,13 @@ def free_part(folder: Path, part: str, campaign: Mapping[str, str]) -> str:
     for name in parts(folder):
         if name == part or hashed.fullmatch(name):
             try:
-                found = read_part(folder, name)
+                document = read_part(folder, name)
             except FitError:
                 continue
-            if found is not None:
-                there[name] = found["campaign"]
+            if document is not None:
+                there[name] = document["campaign"]
     for key in ("from_fit_folder", "sha256"):
-        same = [name for name, one in there.items() if one.get(key, "") == campaign.get(key)]
+        same = [name for name, stated in there.items() if stated.get(key, "") == campaign.get(key)]
         if same:
             return same[0]
     return part if part not in there else f"{part}-{campaign['sha256'][:8]}"

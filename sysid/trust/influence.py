@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid.fit.problem import Block
+from sysid.fit.problem import Block, Problem
 from sysid.trust.assessment import Linearized
 from sysid.trust.linearized import gradient_noise, half_widths, information, with_bounds
-from sysid.trust.problem import Residuals, trial_rows
+from sysid.trust.problem import trial_rows
 from sysid.trust.resampling import leave_one_out
 from sysid.trust.verdicts import WEAKLY
 from sysid.types import FloatArray
@@ -82,12 +82,11 @@ def trial_ratios(blocks: Sequence[Block], levels: FloatArray, floors: FloatArray
     return both[0] / np.where(both[1] > 0, both[1], np.nan)
 
 
-def influence(problem: Residuals, linear: Linearized, floors: FloatArray) -> Influence:
+def influence(problem: Problem, linear: Linearized, floors: FloatArray) -> Influence:
     """Return what each trial scores, and what the fit would be without it.
 
     Parameters
     ----------
-    problem : Residuals
     linear : Linearized
         At the minimum.
     floors : (B,) array
@@ -98,7 +97,7 @@ def influence(problem: Residuals, linear: Linearized, floors: FloatArray) -> Inf
     count, n = len(problem.trials), len(linear.point)
     if count < FEWEST:
         return Influence(ratio, np.full((count, n), np.nan), np.zeros((count, n)))
-    found = leave_one_out(problem, linear.point, linear.scale, linear.jacobian.steps, linear.tolerance)
+    refits = leave_one_out(problem, linear.point, linear.scale, linear.jacobian.steps, linear.tolerance)
     shift = np.zeros((count, n))
     changes = problem.disturbances(linear.point)
     for t in range(count):
@@ -110,12 +109,12 @@ def influence(problem: Residuals, linear: Linearized, floors: FloatArray) -> Inf
         )  # fmt: skip
         # With the same rule of bounds as the fit's own: what one trial less explains is their difference.
         less = with_bounds(information(values, spread), values, spread, linear.point)
-        own = np.diag(less.covariance)
-        expected = np.maximum(own - np.diag(linear.information.covariance), _LEAST * own)
-        shift[t] = (found.points[t] - linear.point) / np.sqrt(np.maximum(expected, 1e-24))
+        variance = np.diag(less.covariance)
+        expected = np.maximum(variance - np.diag(linear.information.covariance), _LEAST * variance)
+        shift[t] = (refits.points[t] - linear.point) / np.sqrt(np.maximum(expected, 1e-24))
     widths = half_widths(problem.space, linear.point, linear.information.sigma)
     shift *= widths < WEAKLY
-    usable = np.isfinite(found.squares)[:, None]
+    usable = np.isfinite(refits.squares)[:, None]
     return Influence(
-        ratio, np.where(usable, found.points, np.nan), np.where(usable, shift, 0.0), found.evaluations
+        ratio, np.where(usable, refits.points, np.nan), np.where(usable, shift, 0.0), refits.evaluations
     )

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid.trust.problem import Residuals
+from sysid.fit.problem import Problem
 from sysid.types import BoolArray, FloatArray
 
 # Of the unit cube: the first guess, and what a step may become.
@@ -51,12 +51,11 @@ class Jacobian:
         return np.asarray(self.doubt < TRUSTED, dtype=np.bool_)
 
 
-def jacobian(problem: Residuals, point: FloatArray, scale: FloatArray, noise: float = 1.0) -> Jacobian:
+def jacobian(problem: Problem, point: FloatArray, scale: FloatArray, noise: float = 1.0) -> Jacobian:
     """Return the derivatives at a point of the unit cube.
 
     Parameters
     ----------
-    problem : Residuals
     point : (n,) array
     scale : (m,) array
         What weights the residuals, see `sysid.trust.problem.scales`.
@@ -87,7 +86,7 @@ def jacobian(problem: Residuals, point: FloatArray, scale: FloatArray, noise: fl
 
 
 def _differences(
-    problem: Residuals, point: FloatArray, scale: FloatArray, steps: FloatArray
+    problem: Problem, point: FloatArray, scale: FloatArray, steps: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return residuals (m,) and central differences (m, n); one-sided at the cube's faces."""
     n = len(point)

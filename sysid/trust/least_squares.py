@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid.fit.breeders.algorithms import Start, breeder
-from sysid.trust.problem import Residuals
+from sysid.fit.problem import Problem
 from sysid.types import BoolArray, FloatArray
 
 # Damping that is tried in every step, as multiples of the front's own.
 _FACTORS = (0.1, 1.0, 10.0)
 _DAMPING = (1e-8, 1e-3, 1e6)
-# Residuals that are held at once [bytes].
+# Problem that are held at once [bytes].
 _MEMORY = 256e6
 # A front in CMA-ES: population, generations.
 _POPULATION, _GENERATIONS = 12, 16
@@ -49,7 +49,7 @@ class Solved:
 
 
 def solve(
-    problem: Residuals,
+    problem: Problem,
     starts: FloatArray,
     scale: FloatArray,
     steps: FloatArray,
@@ -63,7 +63,6 @@ def solve(
 
     Parameters
     ----------
-    problem : Residuals
     starts : (F, n) array
         In the unit cube.
     scale : (m,) array
@@ -97,7 +96,7 @@ def solve(
 
 
 def _walk(
-    problem: Residuals,
+    problem: Problem,
     points: FloatArray,
     squares: FloatArray,
     converged: BoolArray,
@@ -114,9 +113,9 @@ def _walk(
     damping = np.full(len(points), _DAMPING[1])
     active = np.ones(len(points), dtype=np.bool_)
     little = np.zeros(len(points), dtype=np.int64)
-    here, failed = problem.residuals(points)
-    here = here * root
-    squares[:] = np.where(failed, np.inf, np.sum(here**2, axis=1))
+    current, failed = problem.residuals(points)
+    current = current * root
+    squares[:] = np.where(failed, np.inf, np.sum(current**2, axis=1))
     evaluations = len(points)
     for _ in range(iterations):
         fronts = np.flatnonzero(active & np.isfinite(squares))
@@ -129,7 +128,7 @@ def _walk(
         trials = np.empty((len(fronts), len(_FACTORS), n))
         promised = np.zeros(len(fronts))
         for f in range(len(fronts)):
-            gradient = columns[f] @ here[fronts[f]]
+            gradient = columns[f] @ current[fronts[f]]
             hessian = columns[f] @ columns[f].T
             # A coordinate at its bound whose descent leads out of the cube stays there.
             stuck = ((at[f] <= 0) & (gradient > 0)) | ((at[f] >= 1) & (gradient < 0)) | ~usable[f]
@@ -140,8 +139,8 @@ def _walk(
                     inner = hessian[np.ix_(free, free)]
                     # What the data hardly see must not be thrown across the cube by the noise of its
                     # derivative: a way of half the cube costs the tolerance.
-                    own = damping[fronts[f]] * times * np.diag(inner) + 4 * tolerance
-                    step = _inside(inner + np.diag(own), gradient[free], at[f, free])
+                    damped = damping[fronts[f]] * times * np.diag(inner) + 4 * tolerance
+                    step = _inside(inner + np.diag(damped), gradient[free], at[f, free])
                     trials[f, k, free] = at[f, free] + step
                     # Of the last, the most damped one: what the sum of squares should lose.
                     promised[f] = -(2 * gradient[free] @ step + step @ inner @ step)
@@ -158,7 +157,7 @@ def _walk(
             gain = squares[front] - lowest[f]
             if gain > 0:
                 points[front], squares[front] = trials[f, best[f]], lowest[f]
-                here[front] = values[f, best[f]]
+                current[front] = values[f, best[f]]
                 damping[front] = np.clip(damping[front] * _FACTORS[best[f]], _DAMPING[0], _DAMPING[2])
             else:
                 damping[front] = np.clip(damping[front] * 100.0, _DAMPING[0], _DAMPING[2])
@@ -195,7 +194,7 @@ def _inside(matrix: FloatArray, gradient: FloatArray, at: FloatArray) -> FloatAr
 
 
 def _columns(
-    problem: Residuals, at: FloatArray, fixed: BoolArray, steps: FloatArray
+    problem: Problem, at: FloatArray, fixed: BoolArray, steps: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return central differences (F, n, m) of the residuals, and which coordinates (F, n) have one."""
     n_fronts, n = at.shape
@@ -218,7 +217,7 @@ def _columns(
 
 
 def search_around(
-    problem: Residuals,
+    problem: Problem,
     start: FloatArray,
     spread: FloatArray,
     scale: FloatArray,

@@ -93,8 +93,8 @@ def information(jacobian: FloatArray, gradient_noise: FloatArray) -> Information
     hessian = curvature / np.outer(size, size)
     noise = _positive(gradient_noise / np.outer(size, size))
     # What the data say, H V⁻¹ H, and what the bounds say, add up as information.
-    said = hessian @ np.linalg.pinv(noise, rcond=1e-10, hermitian=True) @ hessian * np.outer(size, size)
-    covariance = np.linalg.inv(_positive(said) + _OF_BOUNDS * np.eye(n))
+    data = hessian @ np.linalg.pinv(noise, rcond=1e-10, hermitian=True) @ hessian * np.outer(size, size)
+    covariance = np.linalg.inv(_positive(data) + _OF_BOUNDS * np.eye(n))
     # Directions that the data do not see at all would make the inverse infinite.
     inverse = np.linalg.pinv(hessian + 1e-12 * np.eye(n), hermitian=True)
     sandwich = inverse @ noise @ inverse
@@ -105,7 +105,7 @@ def information(jacobian: FloatArray, gradient_noise: FloatArray) -> Information
 
 
 def with_bounds(
-    found: Information, jacobian: FloatArray, gradient_noise: FloatArray, point: FloatArray
+    known: Information, jacobian: FloatArray, gradient_noise: FloatArray, point: FloatArray
 ) -> Information:
     """Return the uncertainty at a point (n,) of the unit cube, where some parameters may not move.
 
@@ -113,17 +113,17 @@ def with_bounds(
     they bear alone. Freed, it would take a share (a motor's k_d takes the error of the torque curve), which
     the linearization counts as knowledge. The larger uncertainty of both is taken.
     """
-    lost = found.sigma > _UNSEEN / np.sqrt(_OF_BOUNDS)
+    lost = known.sigma > _UNSEEN / np.sqrt(_OF_BOUNDS)
     held = (point <= _AT_BOUND) | (point >= 1.0 - _AT_BOUND) | lost
     kept = np.flatnonzero(~held)
     if len(kept) in (0, len(point)):
-        return found
+        return known
     alone = information(jacobian[:, kept], gradient_noise[np.ix_(kept, kept)])
-    rise = np.array(found.inflation)
+    rise = np.array(known.inflation)
     rise[kept] = np.maximum(rise[kept], alone.inflation)
     wider = np.ones(len(point))
-    wider[kept] = np.maximum(1.0, alone.sigma / found.sigma[kept])
-    return replace(found, inflation=rise, covariance=found.covariance * np.outer(wider, wider))
+    wider[kept] = np.maximum(1.0, alone.sigma / known.sigma[kept])
+    return replace(known, inflation=rise, covariance=known.covariance * np.outer(wider, wider))
 
 
 def _positive(matrix: FloatArray) -> FloatArray:
@@ -197,14 +197,12 @@ def gradient_noise(
 
     Parameters
     ----------
-    blocks : sequence of Block
     jacobian : (m, n) array
         Of the weighted residuals.
     scale : (m,) array
         Their weights.
     levels : (B,) array
         NRMSE of the noise in every block [1].
-    noise : NoiseModel
     disturbances : (K, m) array
         See `Problem.disturbances`; unweighted.
     """

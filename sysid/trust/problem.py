@@ -16,85 +16,23 @@ unlike independent data, neighbouring samples are correlated and rates are deriv
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from copy import copy
 
 import numpy as np
 
-from sysid.fit.problem import Block
+from sysid.fit.problem import Block, Problem
 from sysid.parallel import Executor
-from sysid.parameters import SearchSpace
-from sysid.types import BoolArray, FloatArray
+from sysid.types import FloatArray
 
 # A channel that fits better than this is not weighted up any further: noise-free samples have no scale [1].
 LEAST_NRMSE = 1e-5
 
 
-class Residuals(Protocol):
-    """A `sysid.fit.problem.Problem` as trust sees it. Equal points give equal residuals in any company."""
-
-    @property
-    def space(self) -> SearchSpace:
-        """The free parameters."""
-        ...
-
-    @property
-    def trials(self) -> Sequence[object]:
-        """The fitted trials."""
-        ...
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the compared channels."""
-        ...
-
-    @property
-    def blocks(self) -> tuple[Block, ...]:
-        """Where the residuals of each trial's channels lie; those without weight are left out."""
-        ...
-
-    def residuals(self, cube: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return residuals (P, m) in units of each channel's spread [1], and which of the points failed (P,).
-
-        The residuals of a failed point are finite and mean nothing.
-        """
-        ...
-
-    def disturbances(self, cube: FloatArray) -> FloatArray:
-        """Return how one standard deviation of each thing taken as known moves the residuals (K, m)."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class ResidualWork:
-    """A problem as work for an executor."""
-
-    problem: Residuals
-
-    def __call__(self, rows: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return the residuals of unit-cube points (P, n_free), and which of them failed."""
-        return self.problem.residuals(rows)
-
-
-class SpreadProblem:
-    """A problem whose residuals an executor computes; otherwise itself."""
-
-    def __init__(self, problem: Residuals, executor: Executor) -> None:
-        self._problem = problem
-        self._work = executor.share(ResidualWork(problem))
-        self.space = problem.space
-        self.trials = problem.trials
-        self.channels = problem.channels
-        self.blocks = problem.blocks
-
-    def residuals(self, cube: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return residuals (P, m) and failures (P,)."""
-        values, failed = self._work(np.ascontiguousarray(cube, dtype=np.float64))
-        return values, failed
-
-    def disturbances(self, cube: FloatArray) -> FloatArray:
-        """Return the residuals' changes (K, m), computed here."""
-        return self._problem.disturbances(cube)
+def spread_over(problem: Problem, executor: Executor) -> Problem:
+    """Return a problem whose residuals an executor computes."""
+    spread = copy(problem)
+    object.__setattr__(spread, "residuals", executor.share(problem.residuals))
+    return spread
 
 
 def nrmse_of(blocks: Sequence[Block], residuals: FloatArray) -> FloatArray:

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sysid.fit.problem import Problem
 from sysid.parameters import SearchSpace
 from sysid.trust.least_squares import search_around, solve
 from sysid.trust.linearized import CHI2, Information
-from sysid.trust.problem import Residuals
 from sysid.types import FloatArray
 
 # Square roots of the deviance that the points of a profile aim at.
@@ -39,7 +39,6 @@ class Profile:
 
     Parameters
     ----------
-    name, unit : str
     values : (k,) array
         Held values, ascending [SI].
     deviance : (k,) array
@@ -112,7 +111,7 @@ class _Side:
 
 
 def walk_profiles(
-    problem: Residuals,
+    problem: Problem,
     best: FloatArray,
     scale: FloatArray,
     steps: FloatArray,
@@ -124,7 +123,6 @@ def walk_profiles(
 
     Parameters
     ----------
-    problem : Residuals
     best : (n,) array
         The minimum of the sum of squares [unit cube].
     scale : (m,) array
@@ -160,15 +158,15 @@ def walk_profiles(
             starts[f] = _next(side, best, unit, tangent, info, lowest)
             held[f, side.parameter] = True
         tolerance = 0.02 * float(np.min(info.inflation))
-        found = solve(problem, starts, scale, steps, held=held, tolerance=tolerance, iterations=6)
-        evaluations += found.evaluations
+        solved = solve(problem, starts, scale, steps, held=held, tolerance=tolerance, iterations=6)
+        evaluations += solved.evaluations
         for f, side in enumerate(moving):
             i = side.parameter
-            point, squares = found.points[f], float(found.squares[f])
+            point, squares = solved.points[f], float(solved.squares[f])
             last = side.squares[-1]
             aimed = (abs(point[i] - best[i]) / unit[i]) ** 2
             bumped = (squares - last) / info.inflation[i] > max(_BUMP, 2.0 * aimed)
-            if not np.isfinite(squares) or (bumped and not found.converged[f]):
+            if not np.isfinite(squares) or (bumped and not solved.converged[f]):
                 around = np.clip(3 * steps, 1e-3, 0.05)
                 again, lower, spent = search_around(
                     problem, starts[f], around, scale, held[f], seed + 2 * i + (side.sign > 0)

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sysid.fit.problem import Problem
 from sysid.trust.least_squares import solve
-from sysid.trust.problem import Residuals, trial_rows
+from sysid.trust.problem import trial_rows
 from sysid.types import BoolArray, FloatArray
 
 
@@ -30,7 +31,6 @@ class Resampled:
     converged : (B,) bool array
     squares : (B,) array
         Sum of squares that each was left with; infinite where it could not be simulated.
-    evaluations : int
     """
 
     points: FloatArray
@@ -41,7 +41,7 @@ class Resampled:
 
 
 def bootstrap(
-    problem: Residuals,
+    problem: Problem,
     best: FloatArray,
     scale: FloatArray,
     steps: FloatArray,
@@ -53,15 +53,12 @@ def bootstrap(
 
     Parameters
     ----------
-    problem : Residuals
     best : (n,) array
         Where every fit starts [unit cube].
     scale : (m,) array
         Weights of the residuals.
     steps : (n,) array
         Of difference Jacobians.
-    resamples : int
-    seed : int
     tolerance : float
         Of the sum of squares.
     """
@@ -73,7 +70,7 @@ def bootstrap(
 
 
 def leave_one_out(
-    problem: Residuals, best: FloatArray, scale: FloatArray, steps: FloatArray, tolerance: float
+    problem: Problem, best: FloatArray, scale: FloatArray, steps: FloatArray, tolerance: float
 ) -> Resampled:
     """Fit all trials but one, for each; parameters as of `bootstrap`."""
     count = len(problem.trials)
@@ -81,17 +78,17 @@ def leave_one_out(
 
 
 def _refit(
-    problem: Residuals,
+    problem: Problem,
     best: FloatArray,
     scale: FloatArray,
     steps: FloatArray,
     weights: FloatArray,
     tolerance: float,
 ) -> Resampled:
-    found = solve(
+    solved = solve(
         problem, np.tile(best, (len(weights), 1)), scale, steps,
         weights=lambda part: trial_rows(problem.blocks, weights[part], len(scale)),
         tolerance=tolerance, iterations=8,
     )  # fmt: skip
-    good = found.converged & np.isfinite(found.squares)
-    return Resampled(found.points, weights, good, found.squares, found.evaluations)
+    good = solved.converged & np.isfinite(solved.squares)
+    return Resampled(solved.points, weights, good, solved.squares, solved.evaluations)

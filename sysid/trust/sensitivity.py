@@ -22,7 +22,7 @@ from sysid.trust.linearized import (
     information,
     with_bounds,
 )
-from sysid.trust.problem import Residuals, nrmse_of, scales
+from sysid.trust.problem import nrmse_of, scales
 from sysid.trust.verdicts import Expected
 from sysid.types import BoolArray, FloatArray
 
@@ -41,11 +41,9 @@ class Outlook:
     Parameters
     ----------
     point : (n,) array
-    jacobian : Jacobian
     scale : (m,) array
     levels : (B,) array
         NRMSE of noise alone in every block [1].
-    information : Information
     half_widths : (n,) array
         Relative, 95 % [1].
     """
@@ -59,13 +57,12 @@ class Outlook:
 
 
 def outlook(
-    problem: Residuals, point: FloatArray, noise: NoiseModel, levels: FloatArray | None = None
+    problem: Problem, point: FloatArray, noise: NoiseModel, levels: FloatArray | None = None
 ) -> Outlook:
     """Return what noise would leave open at a point.
 
     Parameters
     ----------
-    problem : Residuals
     point : (n,) array
         In the unit cube.
     noise : NoiseModel
@@ -73,35 +70,32 @@ def outlook(
     levels : (B,) array, optional
         NRMSE of noise; default: what the blocks say.
     """
-    own = np.array([block.noise for block in problem.blocks]) if levels is None else levels
-    scale = scales(problem.blocks, own, problem.blocks[-1].stop)
+    floor = np.array([block.noise for block in problem.blocks]) if levels is None else levels
+    scale = scales(problem.blocks, floor, problem.blocks[-1].stop)
     samples = sum(block.count for block in problem.blocks)
-    weight = sum(block.weight * level for block, level in zip(problem.blocks, own, strict=True))
+    weight = sum(block.weight * level for block, level in zip(problem.blocks, floor, strict=True))
     derived = jacobian(problem, point, scale, float(np.sqrt(weight / samples)))
     spread = gradient_noise(
-        problem.blocks, derived.values, scale, own, noise, problem.disturbances(point)
+        problem.blocks, derived.values, scale, floor, noise, problem.disturbances(point)
     )  # fmt: skip
-    found = with_bounds(information(derived.values, spread), derived.values, spread, point)
-    widths = half_widths(problem.space, point, found.sigma)
-    return Outlook(point, derived, scale, own, found, widths)
+    known = with_bounds(information(derived.values, spread), derived.values, spread, point)
+    widths = half_widths(problem.space, point, known.sigma)
+    return Outlook(point, derived, scale, floor, known, widths)
 
 
 def expectations(
-    problem: Residuals, point: FloatArray, noise: NoiseModel, *, over_bounds: bool = True, seed: int = 0
+    problem: Problem, point: FloatArray, noise: NoiseModel, *, over_bounds: bool = True, seed: int = 0
 ) -> tuple[Outlook, tuple[Expected, ...]]:
     """Return what the trials are expected to fix of every free parameter.
 
     Parameters
     ----------
-    problem : Residuals
     point : (n,) array
         Where it is judged, in the unit cube.
-    noise : NoiseModel
     over_bounds : bool
         Look at points drawn from the bounds too, and at elementary effects.
-    seed : int
     """
-    here = outlook(problem, point, noise)
+    view = outlook(problem, point, noise)
     n = len(point)
     elsewhere, effect, interaction = (np.full(n, np.nan) for _ in range(3))
     if over_bounds:
@@ -112,11 +106,11 @@ def expectations(
         if widths:
             elsewhere = np.median(widths, axis=0)
         effect, interaction = morris(problem, seed)
-    partners = here.information.partners(problem.space.names)
+    partners = view.information.partners(problem.space.names)
     value = problem.space.decode(point)
-    return here, tuple(
+    return view, tuple(
         Expected(
-            row.name, row.symbol, row.unit, float(value[i]), float(here.half_widths[i]),
+            row.name, row.symbol, row.unit, float(value[i]), float(view.half_widths[i]),
             float(elsewhere[i]), float(effect[i]), float(interaction[i]), partners[i],
         )
         for i, row in enumerate(problem.space.free)
@@ -134,7 +128,7 @@ def quick_expectations(problem: Problem) -> tuple[Expected, ...]:
     return expectations(problem, nominal_point(problem.space), noise, over_bounds=False)[1]
 
 
-def morris(problem: Residuals, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+def morris(problem: Problem, seed: int = 0) -> tuple[FloatArray, FloatArray]:
     """Return mean size and standard deviation of the elementary effects on the mean NRMSE (n,), (n,) [1].
 
     Over the whole range of each parameter. Points that cannot be simulated take the largest NRMSE that was
@@ -153,18 +147,18 @@ def morris(problem: Residuals, seed: int = 0) -> tuple[FloatArray, FloatArray]:
     if failed.all():
         return np.full(n, np.nan), np.full(n, np.nan)
     cost[failed] = cost[~failed].max()
-    found = analysis.analyze(frame, points, cost, num_levels=_LEVELS, seed=seed)
-    return np.asarray(found["mu_star"], dtype=np.float64), np.asarray(found["sigma"], dtype=np.float64)
+    effects = analysis.analyze(frame, points, cost, num_levels=_LEVELS, seed=seed)
+    return np.asarray(effects["mu_star"], dtype=np.float64), np.asarray(effects["sigma"], dtype=np.float64)
 
 
-def information_by_channel(problem: Residuals, here: Outlook) -> FloatArray:
+def information_by_channel(problem: Problem, view: Outlook) -> FloatArray:
     """Return which share of what is known about each parameter comes from each channel (n, C) [1].
 
     From the curvature of the weighted sum of squares along the parameter, all others held.
     """
-    out = np.zeros((len(here.point), len(problem.channels)))
+    out = np.zeros((len(view.point), len(problem.channels)))
     for block in problem.blocks:
-        part = here.jacobian.values[block.start : block.stop]
+        part = view.jacobian.values[block.start : block.stop]
         out[:, block.channel] += np.sum(part**2, axis=0)
     return out / np.maximum(out.sum(axis=1, keepdims=True), 1e-300)
 
@@ -189,10 +183,10 @@ class Candidate:
 
 
 def rank_candidates(
-    problem: Residuals,
-    here: Outlook,
+    problem: Problem,
+    view: Outlook,
     noise: NoiseModel,
-    others: Residuals,
+    others: Problem,
     titles: tuple[str, ...],
     weak: BoolArray,
     *,
@@ -202,21 +196,19 @@ def rank_candidates(
 
     Parameters
     ----------
-    problem : Residuals
+    problem : Problem
         What is there.
-    here : Outlook
+    view : Outlook
         On it.
-    noise : NoiseModel
-    others : Residuals
+    others : Problem
         One trial per candidate, of the same free parameters.
-    titles : tuple of str
     weak : (n,) bool array
         Parameters that need more.
     common : int
         This number of the last disturbances are the same in both problems (an error of a static curve), so
         that one more trial does not average them.
     """
-    _, failed = others.residuals(here.point[None])
+    _, failed = others.residuals(view.point[None])
     if failed.any():
         return ()
     levels = np.array([block.noise for block in others.blocks])
@@ -227,33 +219,35 @@ def rank_candidates(
         for b in others.blocks
     ]
     scale = scales(blocks, levels, blocks[-1].stop)
-    derived = jacobian_at(others, here, scale)
-    changes = others.disturbances(here.point)
+    derived = jacobian_at(others, view, scale)
+    changes = others.disturbances(view.point)
     first = len(changes) - common
-    shared = problem.disturbances(here.point)[-common:] * here.scale if common else changes[:0]
-    before = here.jacobian.values.T @ shared.T if common else np.zeros((len(here.point), 0))
+    shared = problem.disturbances(view.point)[-common:] * view.scale if common else changes[:0]
+    before = view.jacobian.values.T @ shared.T if common else np.zeros((len(view.point), 0))
     out = []
     for t, title in enumerate(titles):
-        mine = [b for b, block in enumerate(blocks) if block.trial == t]
-        own = np.zeros_like(derived)
-        for b in mine:
-            own[blocks[b].start : blocks[b].stop] = derived[blocks[b].start : blocks[b].stop]
-        spread = gradient_noise([blocks[b] for b in mine], own, scale, levels[mine], noise, changes[:first])
-        after = before + own.T @ (changes[first:] * scale).T
-        both = np.concatenate([here.jacobian.values, own])
-        whole = here.information.gradient_noise + spread + after @ after.T - before @ before.T
-        found = with_bounds(information(both, whole), both, whole, here.point)
-        widths = half_widths(problem.space, here.point, found.sigma)
-        lowered = np.log(np.maximum(here.half_widths, 1e-12) / np.maximum(widths, 1e-12))
+        chosen = [b for b, block in enumerate(blocks) if block.trial == t]
+        alone = np.zeros_like(derived)
+        for b in chosen:
+            alone[blocks[b].start : blocks[b].stop] = derived[blocks[b].start : blocks[b].stop]
+        spread = gradient_noise(
+            [blocks[b] for b in chosen], alone, scale, levels[chosen], noise, changes[:first]
+        )
+        after = before + alone.T @ (changes[first:] * scale).T
+        both = np.concatenate([view.jacobian.values, alone])
+        whole = view.information.gradient_noise + spread + after @ after.T - before @ before.T
+        known = with_bounds(information(both, whole), both, whole, view.point)
+        widths = half_widths(problem.space, view.point, known.sigma)
+        lowered = np.log(np.maximum(view.half_widths, 1e-12) / np.maximum(widths, 1e-12))
         out.append(Candidate(title, widths, float(np.sum(lowered[weak]))))
-    return tuple(sorted(out, key=lambda one: -one.gain))
+    return tuple(sorted(out, key=lambda candidate: -candidate.gain))
 
 
-def jacobian_at(problem: Residuals, here: Outlook, scale: FloatArray) -> FloatArray:
+def jacobian_at(problem: Problem, view: Outlook, scale: FloatArray) -> FloatArray:
     """Return the derivatives (m, n) of another problem's weighted residuals at the same point."""
     samples = sum(block.count for block in problem.blocks)
     weight = sum(block.weight * max(block.noise, 1e-9) for block in problem.blocks)
-    return jacobian(problem, here.point, scale, float(np.sqrt(weight / samples))).values
+    return jacobian(problem, view.point, scale, float(np.sqrt(weight / samples))).values
 
 
 def placed(space: SearchSpace, values: FloatArray) -> FloatArray:

@@ -30,7 +30,6 @@ class Judged:
 
     Parameters
     ----------
-    name : str
     nrmse : (S,) array
         Weighted mean over channels of every set [1].
     by_channel : (C,) array
@@ -80,7 +79,6 @@ def judge(
 
     Parameters
     ----------
-    trial : Trial
     nrmse : (S,) array
         Weighted mean over channels of every set, best first [1].
     by_channel : (C,) array
@@ -93,7 +91,6 @@ def judge(
         Standard deviation of the noise as compared [channel units]; NaN where not known.
     weights : (C,) array
         Of the channels.
-    channels : sequence of str
     contacts : (k,) array, optional
         Touchdowns of the prediction on the trial's clock [s]; of a trial without contacts: none.
     """

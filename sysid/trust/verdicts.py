@@ -27,7 +27,6 @@ class Expected:
 
     Parameters
     ----------
-    name, symbol, unit : str
     value : float
         At which it is judged [unit].
     half_width : float

@@ -43,8 +43,6 @@ def check_campaign(
         Campaign file.
     surface : str, optional
         Overrides a gear campaign's friction law.
-    threads : int, optional
-    say : callable, optional
 
     Returns
     -------
@@ -70,16 +68,16 @@ def check_campaign(
             journal.fold(len(whole.trials))
             problem = whole.fitted.exact
             noise = problem.correlation()
-            here, expected = expectations(problem, nominal_point(problem.space), noise)
+            view, expected = expectations(problem, nominal_point(problem.space), noise)
             weak = np.array([row.verdict != "well" for row in expected])
             candidates: tuple[Candidate, ...] = ()
             if weak.any():
-                made = kind.candidates(problem, problem.space.full(here.point[None])[0])
+                made = kind.candidates(problem, problem.space.full(view.point[None])[0])
                 if made is not None:
                     candidates = rank_candidates(
-                        problem, here, noise, made[0], tuple(made[1]), weak, common=problem.common
+                        problem, view, noise, made[0], tuple(made[1]), weak, common=problem.common
                     )
-            out = _verdicts(problem, here, expected, candidates, kind.words.single)
+            out = _verdicts(problem, view, expected, candidates, kind.words.single)
             out["sentences"] += whole.advice([row.name for row in expected if row.verdict != "well"])
             out |= {"quality": whole.quality(), "excitation": whole.excitation(), **whole.about()}
             warnings = journal.sentences()
@@ -95,17 +93,17 @@ def check_campaign(
 
 def _verdicts(
     problem: Problem,
-    here: Outlook,
+    view: Outlook,
     expected: tuple[Expected, ...],
     candidates: tuple[Candidate, ...],
     single: str,
 ) -> dict[str, Any]:
     """Return verdicts, the candidates, and what they say in sentences; `single` is what a candidate is."""
-    shares = information_by_channel(problem, here)
+    shares = information_by_channel(problem, view)
     lines = list(sentences(expected))
     names = problem.space.names
     # Derivatives that depend on the step make a verdict a guess.
-    rough = [name for name, good in zip(names, here.jacobian.trusted, strict=True) if not good]
+    rough = [name for name, good in zip(names, view.jacobian.trusted, strict=True) if not good]
     if rough:
         lines.append(f"derivatives of {', '.join(rough)} change with the step: their verdicts are rough")
     for i, row in enumerate(expected):

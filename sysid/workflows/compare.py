@@ -36,8 +36,6 @@ def compare_fits(
         Fit folders, two or more; their campaigns must lie where they lay.
     cross : bool
         Predict every fit's trials with every other fit's best set.
-    threads : int, optional
-    say : callable, optional
 
     Returns
     -------

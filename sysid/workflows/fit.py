@@ -127,31 +127,31 @@ def fit_campaign(
         When an input cannot be used; nothing has been written then.
     """
     path, options = Path(path), options or FitOptions()
-    found, campaign, ignored = open_campaign(path, kind, settings)
+    model, campaign, ignored = open_campaign(path, kind, settings)
     folder, search = options.folder(campaign.name), search_settings(options, campaign.fit)
     deadline = Deadline(options.time_limit)
     check_start(folder, options)
-    with Journal(say, found.words.trials) as journal, ExitStack() as until_written:
+    with Journal(say, model.words.trials) as journal, ExitStack() as until_written:
         try:
             with naming(path):
                 for finding in ignored:
                     journal.add(finding)
-                problem = found.open(campaign, path, options.threads)
-                found.begin(problem)
+                problem = model.open(campaign, path, options.threads)
+                model.begin(problem)
             journal.fold(len(problem.trials))
             fitted = problem.fitted
             expected = _expected(fitted) if options.check else {}
             limited = replace(search, stop=replace(search.stop, time_limit=deadline.left))
-            progress = FitProgress(limited, found.words.trials, options.quiet)
+            progress = FitProgress(limited, model.words.trials, options.quiet)
             deadline.flag = until_written.enter_context(stop_on_interrupt(progress.on_stop))
             identity, candidate_time = _identity(path, search, problem, fitted)
             checkpoint = Checkpoint(folder, identity, resume=options.resume, force=options.force)
             until_written.callback(checkpoint.close)
             runs, cut = _search(fitted, limited, options, checkpoint, progress, deadline.flag, candidate_time)
             sets = ranked_sets(runs, problem.space)
-            outcome = found.follow_up(problem, Course(sets, search, cut, deadline.check))
+            outcome = model.follow_up(problem, Course(sets, search, cut, deadline.check))
             record = {**provenance(path, search, problem, folder), **expected}
-            result = _result(found.name, problem, runs, outcome, record)
+            result = _result(model.name, problem, runs, outcome, record)
             noticed = [finding.document() for finding in journal.findings]
             result = replace(
                 result,
@@ -196,10 +196,10 @@ def check_start(folder: Path, options: FitOptions) -> None:
 
 def _expected(fitted: Problem) -> dict[str, Any]:
     """Tell what the trials are expected to fix, and return it for the provenance."""
-    found = quick_expectations(fitted)
-    for sentence in sentences(found):
+    rows = quick_expectations(fitted)
+    for sentence in sentences(rows):
         tell(f"expected: {sentence}")
-    return {EXPECTED: [parameter.document() for parameter in found]}
+    return {EXPECTED: [parameter.document() for parameter in rows]}
 
 
 def _identity(
@@ -249,14 +249,14 @@ def _search(
     # Runs that were not begun have been called off.
     called_off = "interrupted" in ended or len(runs) < settings.runs
     cut: CutReason | None = "interrupted" if called_off else "time" if "time" in ended else None
-    found = agreement(runs, settings.runs, fitted.space.free)
+    agreed = agreement(runs, settings.runs, fitted.space.free)
     if len(runs) > 1:
         for line in waterfall(runs, fitted.space.free):
             tell(line)
-    if found.agrees and len(runs) > 1:
-        tell(found.sentence())
+    if agreed.agrees and len(runs) > 1:
+        tell(agreed.sentence())
     else:
-        notice("runs-apart", found.sentence())
+        notice("runs-apart", agreed.sentence())
     return runs, cut
 
 

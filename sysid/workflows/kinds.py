@@ -55,9 +55,9 @@ def open_campaign(
         What the campaign states and the law ignores.
     """
     campaign = read_campaign(path, kind)
-    found = find_kind(campaign.kind)
-    campaign, ignored = found.under(campaign, settings or {})
-    return found, campaign, ignored
+    model = find_kind(campaign.kind)
+    campaign, ignored = model.under(campaign, settings or {})
+    return model, campaign, ignored
 
 
 @contextmanager

@@ -23,7 +23,7 @@ from sysid.recording import file_sha256
 from sysid.trust.assessment import linearize
 from sysid.trust.documents import CROSS_VALIDATION, free_part, validation_part, write_part
 from sysid.trust.influence import STANDS_OUT
-from sysid.trust.problem import SpreadProblem
+from sysid.trust.problem import spread_over
 from sysid.trust.resampling import leave_one_out
 from sysid.trust.validation import Judged, document, judge, summary
 from sysid.types import FloatArray
@@ -38,10 +38,8 @@ class Predicted:
 
     Parameters
     ----------
-    problem : Problem
     rows : (S, n_table) array
         As `Problem.adopt` returns them [SI].
-    found : Prediction
     """
 
     problem: Problem
@@ -162,8 +160,6 @@ def validate_fit(
         Fit folder.
     campaign_path : Path
         Any campaign of the same kind; of the fit's own, the trials of use "validate".
-    threads : int, optional
-    say : callable, optional
 
     Raises
     ------
@@ -191,8 +187,8 @@ def validate_fit(
             "campaign": stated,
             **summary(judged, float(result.nrmse[0])),
             "trials": [
-                {**document(one, result.channels), "slope_deg": None, "stop": None, **more}
-                for one, more in zip(judged, problem.beyond(predicted.rows), strict=True)
+                {**document(trial_judged, result.channels), "slope_deg": None, "stop": None, **more}
+                for trial_judged, more in zip(judged, problem.beyond(predicted.rows), strict=True)
             ],
             "warnings": journal.sentences(),
         }
@@ -213,15 +209,15 @@ def validate_fit(
 
 def _notice_unlike(judged: list[Judged], words: Words) -> None:
     """Name every trial that is predicted far worse than the others are."""
-    ratios = np.array([one.ratio for one in judged])
+    ratios = np.array([trial.ratio for trial in judged])
     if len(ratios) < 3 or not np.isfinite(ratios).all():
         return
     usual = float(np.median(ratios))
-    for one in judged:
-        if one.ratio > max(1.0, STANDS_OUT * usual):
+    for trial in judged:
+        if trial.ratio > max(1.0, STANDS_OUT * usual):
             notice(
                 "unlike-the-others",
-                f"{one.name}: {one.ratio:.1f} × what noise alone costs where the trials have {usual:.1f} "
+                f"{trial.name}: {trial.ratio:.1f} × what noise alone costs where the trials have {usual:.1f} "
                 f"(median): {words.unlike}",
             )
 
@@ -260,7 +256,7 @@ def cross_validate(
         if len(problem.trials) < 2:
             raise FitError(f"{folder}: a single trial was fitted; leaving it out leaves nothing")
         with executor(dask, 2) as where:
-            spread = SpreadProblem(problem, where)
+            spread = spread_over(problem, where)
             linear = linearize(spread, result.cube[0])
             journal.tell(f"{len(problem.trials)} fits, each without one trial")
             refits = leave_one_out(

@@ -57,7 +57,6 @@ def provenance(path: Path, settings: SearchSettings, problem: Problem, folder: P
     ----------
     path : Path
         Campaign file.
-    settings : SearchSettings
     problem : Problem
         Of all trials.
     folder : Path

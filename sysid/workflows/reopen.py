@@ -55,11 +55,8 @@ class OpenedFit:
 
     Parameters
     ----------
-    folder : Path
-    result : FitResult
     path : Path
         Campaign file.
-    kind : Kind
     whole : Problem
         All trials of the campaign under the law of the fit.
     """

@@ -19,7 +19,7 @@ from sysid.recording import file_sha256
 from sysid.trust.assessment import Assessment, assess
 from sysid.trust.documents import TRUST, write_part
 from sysid.trust.influence import FEWEST, Influence, influence
-from sysid.trust.problem import SpreadProblem
+from sysid.trust.problem import spread_over
 from sysid.trust.resampling import Resampled
 from sysid.trust.verdicts import verdict
 from sysid.types import FloatArray
@@ -56,8 +56,8 @@ def assess_fit(
         if not len(opened.space.free):
             raise FitError(f"{folder}: nothing is free")
         with executor(options.dask, 2) as where:
-            spread = SpreadProblem(problem, where)
-            found = assess(
+            spread = spread_over(problem, where)
+            assessed = assess(
                 spread,
                 opened.result.cube[0],
                 resamples=options.resamples,
@@ -66,19 +66,19 @@ def assess_fit(
             )
             if len(problem.trials) >= FEWEST:
                 journal.tell("fits without one trial")
-            floors = problem.floors(problem.space.full(found.linear.point[None])[0])
-            trials = influence(spread, found.linear, floors)
-        rows = _parameters(opened.result, opened.space, found)
+            floors = problem.floors(problem.space.full(assessed.linear.point[None])[0])
+            trials = influence(spread, assessed.linear, floors)
+        rows = _parameters(opened.result, opened.space, assessed)
         _notice_trials(problem.names, opened.space.decode(trials.without), trials, rows, opened.kind.words)
-        _notice_parameters(rows, found, _moves(opened.result, found))
-        document, arrays = _document(opened, found, trials, floors, rows)
+        _notice_parameters(rows, assessed, _moves(opened.result, assessed))
+        document, arrays = _document(opened, assessed, trials, floors, rows)
         document["warnings"] = journal.sentences()
         document["seconds"] = time.perf_counter() - began
     write_part(opened.folder, TRUST, document, arrays, fit=opened.result.name, kind=opened.result.kind)
     return document
 
 
-def _notice_parameters(rows: list[dict[str, Any]], found: Assessment, moves: FloatArray) -> None:
+def _notice_parameters(rows: list[dict[str, Any]], assessed: Assessment, moves: FloatArray) -> None:
     """Notice rough derivatives and a best set that is not the minimum; mark the rows they touch."""
     for row, jump in zip(rows, moves, strict=True):
         if not row["derivative_trusted"]:
@@ -96,7 +96,7 @@ def _notice_parameters(rows: list[dict[str, Any]], found: Assessment, moves: Flo
                 "(fit.tolerance)",
             )
             _doubt(row, "the best set is not where the sum of squares is least")
-    if found.profiles.lowered > 1.0:
+    if assessed.profiles.lowered > 1.0:
         notice(
             "profile-lowered",
             "a profile found a better set than the profiles' start: the fit has not converged",
@@ -105,19 +105,19 @@ def _notice_parameters(rows: list[dict[str, Any]], found: Assessment, moves: Flo
 
 def _document(
     opened: OpenedFit,
-    found: Assessment,
+    assessed: Assessment,
     trials: Influence,
     floors: FloatArray,
     rows: list[dict[str, Any]],
 ) -> tuple[dict[str, Any], dict[str, tuple[Any, str, str]]]:
-    result, space, linear = opened.result, opened.space, found.linear
-    boot = found.resampled
+    result, space, linear = opened.result, opened.space, assessed.linear
+    boot = assessed.resampled
     without = space.decode(trials.without)
     arrays: dict[str, tuple[Any, str, str]] = {
         "correlation": (linear.information.correlation, "parameter, parameter", "1"),
         "covariance": (linear.information.covariance, "parameter, parameter", "1, unit cube"),
     }
-    for profile in found.profiles.profiles:
+    for profile in assessed.profiles.profiles:
         root = f"profiles/{profile.name}"
         arrays[f"{root}/value"] = (profile.values, "point", profile.unit)
         arrays[f"{root}/deviance"] = (profile.deviance, "point", "1")
@@ -128,7 +128,7 @@ def _document(
         "campaign": {"file": opened.path.name, "sha256": file_sha256(opened.path)},
         "parameters": rows,
         "correlation": linear.information.correlation,
-        "noise": {"statement": _statement(opened), "channels": _channels(opened, found, floors)},
+        "noise": {"statement": _statement(opened), "channels": _channels(opened, assessed, floors)},
         "trials": [
             {
                 "name": name,
@@ -143,7 +143,7 @@ def _document(
         "bootstrap": None
         if boot is None
         else {"resamples": len(boot.points), "failed": int(np.count_nonzero(~boot.converged))},
-        "evaluations": found.profiles.evaluations
+        "evaluations": assessed.profiles.evaluations
         + (0 if boot is None else boot.evaluations)
         + trials.evaluations,
     }
@@ -168,10 +168,8 @@ def _notice_trials(
         Of the trials.
     without : (T, n) array
         Parameters of the fits without each trial [SI].
-    trials : Influence
     rows : list of dict
         Of the parameters.
-    words : Words
     """
     advice = 'look at it, and fit without it (use = "validate")'
     remedy = f" or {words.remedy}" if words.remedy else ""
@@ -227,12 +225,14 @@ def _notes(opened: OpenedFit, boot: Resampled | None) -> list[str]:
     return out
 
 
-def _moves(result: FitResult, found: Assessment) -> FloatArray:
-    return np.abs(found.linear.point - result.cube[0]) / np.maximum(found.linear.information.sigma, 1e-12)
+def _moves(result: FitResult, assessed: Assessment) -> FloatArray:
+    return np.abs(assessed.linear.point - result.cube[0]) / np.maximum(
+        assessed.linear.information.sigma, 1e-12
+    )
 
 
-def _parameters(result: FitResult, space: SearchSpace, found: Assessment) -> list[dict[str, Any]]:
-    linear = found.linear
+def _parameters(result: FitResult, space: SearchSpace, assessed: Assessment) -> list[dict[str, Any]]:
+    linear = assessed.linear
     index = {record.name: i for i, record in enumerate(result.parameters)}
     sets = result.parameter_sets()
     refined, best = space.decode(linear.point), space.decode(result.cube[0])
@@ -241,10 +241,10 @@ def _parameters(result: FitResult, space: SearchSpace, found: Assessment) -> lis
     down = refined - space.decode(np.maximum(linear.point - sigma, 0.0))
     partners = linear.information.partners(space.names)
     boot = None
-    if found.resampled is not None:
-        boot = space.decode(found.resampled.points[found.resampled.converged])
+    if assessed.resampled is not None:
+        boot = space.decode(assessed.resampled.points[assessed.resampled.converged])
     out = []
-    for i, (row, profile) in enumerate(zip(space.free, found.profiles.profiles, strict=True)):
+    for i, (row, profile) in enumerate(zip(space.free, assessed.profiles.profiles, strict=True)):
         record = result.parameters[index[row.name]]
         quantiles = None
         if boot is not None and len(boot) >= 10:
@@ -271,7 +271,7 @@ def _parameters(result: FitResult, space: SearchSpace, found: Assessment) -> lis
                 "half_width": profile.half_width,
                 "verdict": verdict(profile.half_width),
                 "doubt": None,
-                "expected_half_width": float(found.expected[i]),
+                "expected_half_width": float(assessed.expected[i]),
                 "partners": [{"name": name, "correlation": rho} for name, rho in partners[i]],
                 "at_bound": int(result.at_bound[0, index[row.name]]),
                 "measured": None if record.measured_range is None else list(record.measured_range),
@@ -282,18 +282,20 @@ def _parameters(result: FitResult, space: SearchSpace, found: Assessment) -> lis
     return out
 
 
-def _channels(opened: OpenedFit, found: Assessment, floors: FloatArray) -> list[dict[str, Any]]:
+def _channels(opened: OpenedFit, assessed: Assessment, floors: FloatArray) -> list[dict[str, Any]]:
     """Return, per channel over all trials, rms residual, noise floor and independent samples."""
-    result, linear = opened.result, found.linear
+    result, linear = opened.result, assessed.linear
     out = []
     for c, name in enumerate(result.channels):
         pairs = zip(opened.problem.blocks, linear.levels, floors, strict=True)
-        mine = [(block, level, least) for block, level, least in pairs if block.channel == c]
-        if not mine:
+        levels = [(block, level, least) for block, level, least in pairs if block.channel == c]
+        if not levels:
             continue
-        count = sum(block.count for block, *_ in mine)
-        residual = np.sqrt(sum(block.count * (level * block.spread) ** 2 for block, level, _ in mine) / count)
-        floor = np.sqrt(sum(block.count * (least * block.spread) ** 2 for block, _, least in mine) / count)
+        count = sum(block.count for block, *_ in levels)
+        residual = np.sqrt(
+            sum(block.count * (level * block.spread) ** 2 for block, level, _ in levels) / count
+        )
+        floor = np.sqrt(sum(block.count * (least * block.spread) ** 2 for block, _, least in levels) / count)
         inflation = linear.noise.inflation[linear.noise.channels.index(c)]
         out.append(
             {
