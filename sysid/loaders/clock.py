@@ -71,12 +71,8 @@ def order_rows(
     if not timed.all():
         first = numbers.lines[np.argmin(timed)]
         count = int((~timed).sum())
-        notes.append(
-            note(
-                "rows-without-time",
-                f"rows without a time, left out: {count} (first: {numbers.row_word} {first})",
-            )
-        )
+        sentence = f"rows without a time, left out: {count} (first: {numbers.row_word} {first})"
+        notes.append(note("rows-without-time", sentence))
         numbers.keep(timed)
     if not numbers.lines.size:
         raise LogError(f"{path}: no row has a time; the log is empty")
@@ -100,12 +96,8 @@ def order_rows(
         )
     if back.size:
         later = np.append(True, time[1:] > np.maximum.accumulate(time)[:-1])
-        notes.append(
-            note(
-                "rows-out-of-order",
-                f"rows whose time does not pass the latest, left out: {int((~later).sum())}",
-            )
-        )
+        sentence = f"rows whose time does not pass the latest, left out: {int((~later).sum())}"
+        notes.append(note("rows-out-of-order", sentence))
         numbers.keep(later)
         return time[later], notes
     repeats = steps == 0
@@ -118,14 +110,12 @@ def order_rows(
                 f"so the clock is too coarse; {coarse}"
             )
         last: BoolArray = np.append(~repeats, True)
-        notes.append(
-            note(
-                "repeated-times",
-                f"rows that repeat the time of the row before: {int(repeats.sum())} "
-                f"(first: {numbers.row_word} {numbers.lines[np.argmax(repeats) + 1]}); "
-                "the last of each was kept",
-            )
+        sentence = (
+            f"rows that repeat the time of the row before: {int(repeats.sum())} "
+            f"(first: {numbers.row_word} {numbers.lines[np.argmax(repeats) + 1]}); "
+            "the last of each was kept"
         )
+        notes.append(note("repeated-times", sentence))
         numbers.keep(last)
         time = time[last]
     return time, notes
@@ -165,14 +155,12 @@ def frame_clock(
             f"{time[row]:.6g} s but the time column says {written[row]:.6g} s; the two columns do not belong "
             f'together, so choose clock = "{other_clock}"'
         )
-    notes.append(
-        note(
-            "time-from-frames",
-            f"time rebuilt from frame numbers at {1 / period:.6g} Hz: the written times lie "
-            f"{1e3 * float(np.sqrt(np.mean(off[seen] ** 2))):.2g} ms rms and up to "
-            f"{1e3 * float(off.max()):.3g} ms beside it",
-        )
+    sentence = (
+        f"time rebuilt from frame numbers at {1 / period:.6g} Hz: the written times lie "
+        f"{1e3 * float(np.sqrt(np.mean(off[seen] ** 2))):.2g} ms rms and up to "
+        f"{1e3 * float(off.max()):.3g} ms beside it"
     )
+    notes.append(note("time-from-frames", sentence))
     return time, notes
 
 

@@ -36,12 +36,8 @@ def unit_quaternions(
     lost = np.isnan(length)
     zero = length == 0.0
     if zero.any():
-        notes.append(
-            note(
-                "zero-quaternions",
-                f"frames with an all-zero quaternion of {body}, taken as lost: {int(zero.sum())}",
-            )
-        )
+        sentence = f"frames with an all-zero quaternion of {body}, taken as lost: {int(zero.sum())}"
+        notes.append(note("zero-quaternions", sentence))
     wrong = ~lost & ~zero & (np.abs(length - 1.0) > _LENGTH_TOLERANCE)
     if numbers.open_end and wrong.any() and wrong.argmax() == wrong.size - 1:
         notes.append(note("last-quaternion-cut", f"the last quaternion of {body} is cut; taken as lost"))
@@ -55,12 +51,8 @@ def unit_quaternions(
     unit = np.where((lost | zero)[:, None], np.nan, raw / np.where(lost | zero, 1.0, length)[:, None])
     unit, turned = continuous_quaternions(unit)
     if turned:
-        notes.append(
-            note(
-                "quaternion-sign-made-continuous",
-                f"the quaternion of {body} changes sign {turned} times; made continuous",
-            )
-        )
+        sentence = f"the quaternion of {body} changes sign {turned} times; made continuous"
+        notes.append(note("quaternion-sign-made-continuous", sentence))
     return unit, notes
 
 

@@ -251,12 +251,8 @@ def read_numbers(
         body = body.part(slice(0, -1))
         open_end = False
     elif open_end:
-        notes.append(
-            note(
-                "last-line-open",
-                f"line {body.lines[-1]}, the last, has no line end: its last number may be cut",
-            )
-        )
+        sentence = f"line {body.lines[-1]}, the last, has no line end: its last number may be cut"
+        notes.append(note("last-line-open", sentence))
 
     names = {index: head.names[index] for index in wanted}
     columns = read_rows(path, body, names, len(head.names), decimal, surplus)

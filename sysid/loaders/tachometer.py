@@ -108,13 +108,11 @@ def pulse_speed(
         )
     ]
     if torn.any():
-        notes.append(
-            note(
-                "tachometer-holes",
-                f"holes in the clock of the tachometer: {missing.size} (the longest {float(steps.max()):.3g} "
-                f"s); the {int(torn.sum())} periods across them have no speed",
-            )
+        sentence = (
+            f"holes in the clock of the tachometer: {missing.size} (the longest {float(steps.max()):.3g} "
+            f"s); the {int(torn.sum())} periods across them have no speed"
         )
+        notes.append(note("tachometer-holes", sentence))
     return Channel("speed", "rad/s", 0.5 * (edges[1:] + edges[:-1]), speed), notes
 
 

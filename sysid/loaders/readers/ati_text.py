@@ -251,12 +251,8 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
         time, ordered = order_rows(path, numbers, 0, seconds or 1.0, time_back=time_back, coarse=DECLARE_RATE)
         if seconds is None:
             _check_steps(path, time)
-            notes.append(
-                note(
-                    "first-column-is-time",
-                    "the first of seven columns is taken as the time in seconds, which no label says",
-                )
-            )
+            sentence = "the first of seven columns is taken as the time in seconds, which no label says"
+            notes.append(note("first-column-is-time", sentence))
         notes += [*ordered, *jitter_note(time)]
     elif rate is not None:
         counted = lead and seconds is None and _counts_rows(numbers.columns[0])

@@ -206,13 +206,11 @@ def _segment_signals(
     timed = any(clock is not None for clock in clocks.values())
     rounded = sorted({cell for cell in segment.steps if cell and not timed and _few_digits(cell)})
     if rounded:
-        notes.append(
-            note(
-                "rounded-clock-step",
-                f"Delta_X is written as {', '.join(rounded)}: the clock is no better than these digits; "
-                "declare the true rate if it is known",
-            )
+        sentence = (
+            f"Delta_X is written as {', '.join(rounded)}: the clock is no better than these digits; "
+            "declare the true rate if it is known"
         )
+        notes.append(note("rounded-clock-step", sentence))
     return signals
 
 

@@ -132,12 +132,8 @@ def _frames(text: Text, notes: list[Finding]) -> _Frames:
         elif word and word not in _WORDS and frames.lines:
             strange.append(number)
     if strange:
-        notes.append(
-            note(
-                "unknown-lines",
-                f"lines that begin with no known word, left out: {len(strange)} (first: line {strange[0]})",
-            )
-        )
+        sentence = f"lines that begin with no known word, left out: {len(strange)} (first: line {strange[0]})"
+        notes.append(note("unknown-lines", sentence))
     notes += promised_note("framecount", promised, len(frames.lines))
     if handed == "lefthanded":
         raise LogError(f"{text.path}: axes are left-handed; export again with right-handed axes")

@@ -136,12 +136,8 @@ def _signals(path: str, file: Any, notes: list[Finding], declared: float | None)
     if thinned:
         notes.append(note("thinned-copies-left-out", f"thinned copies, left out: {len(thinned)}"))
     if spectra:
-        notes.append(
-            note(
-                "channels-not-over-time",
-                f"channels over another axis than time, left out: {listing(spectra)}",
-            )
-        )
+        sentence = f"channels over another axis than time, left out: {listing(spectra)}"
+        notes.append(note("channels-not-over-time", sentence))
     if other:
         notes.append(
             note("channels-without-numbers", f"channels that hold no numbers, left out: {listing(other)}")
