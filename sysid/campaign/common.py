@@ -63,21 +63,11 @@ class ParameterChoices(Table):
     ) -> SearchSpace:
         """Resolve names and units against the model's table.
 
-        Parameters
-        ----------
-        table : ParameterTable
-            The model's rows.
-        default_free : iterable of str
-            The paper's free parameters, taken where the campaign names none.
-        campaign_values : mapping of str to float
-            Values measured elsewhere in the campaign (vehicle, surface), SI; a fixed parameter takes
-            its value from there, or from `fixed`, or from the row's nominal.
-
-        Raises
-        ------
-        CampaignError
-            For an unknown parameter, a wrong unit, bounds that cross, a fixed parameter that is also
-            free, and bounds that exclude the value measured for a free parameter.
+        `default_free` are the free parameters of the paper, taken where the campaign names none.
+        `campaign_values` are measured elsewhere in the campaign (vehicle, surface), SI: a fixed parameter
+        takes its value from `fixed`, from there, or from the row's nominal. An unknown parameter, a wrong
+        unit, bounds that cross or exclude a measured value, and a parameter both fixed and free are a
+        CampaignError.
         """
         # A parameter that the campaign fixes leaves the default list; one that it frees as well is a mistake.
         free = tuple(n for n in default_free if n not in self.fixed) if self.free is None else self.free

@@ -24,19 +24,10 @@ def register_campaign(kind: str, model: type[BaseModel]) -> None:
 
 
 def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
-    """Read a campaign file.
+    """Read a campaign file (TOML; logs in it are named relative to its folder).
 
-    Parameters
-    ----------
-    path : str or Path
-        The TOML file; logs in it are named relative to its folder.
-    kind : str, optional
-        What the caller needs; another kind is refused.
-
-    Raises
-    ------
-    CampaignError
-        When the file is missing, is no TOML, is of another kind, or breaks the schema.
+    A file that is missing, is no TOML, is of another `kind` than the caller needs, or breaks the schema is a
+    CampaignError.
     """
     path = Path(path)
     if path.is_dir():
@@ -68,13 +59,7 @@ def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
 
 
 def resolve_log(campaign_path: str | Path, log: str) -> Path:
-    """Return the path of a log named in a campaign.
-
-    Raises
-    ------
-    CampaignError
-        When there is no such file.
-    """
+    """Return the path of a log named in a campaign; CampaignError when there is no such file."""
     path = Path(campaign_path).parent / log
     if not path.is_file():
         raise CampaignError(f"{campaign_path}: log {log!r} does not exist at {path}; correct its path")

@@ -21,19 +21,12 @@ def load_stated(
 
     Parameters
     ----------
-    path : Path
-        The log.
-    format_name : str, optional
-        Name of the format; judged by content where it is None or ``"auto"``.
+    path, format_name
+        The log and its format, which is judged by content where it is None or ``"auto"``.
     stated : mapping
         Loader options of the whole campaign, by name; None counts as not stated.
     for_log : mapping, optional
         Of this log alone; they win, and None takes a statement of the campaign back.
-
-    Raises
-    ------
-    LogError, UnitError
-        One sentence with file, line and cause.
     """
     if format_name is None or format_name == "auto":
         format_name = detect(path)
@@ -46,17 +39,7 @@ def load_stated(
 def warn_of_idle_options(
     table: str, stated: Mapping[str, Any], logs: Iterable[tuple[Path, str | None]]
 ) -> None:
-    """Warn of what a campaign says to its loaders and none of its logs' formats takes.
-
-    Parameters
-    ----------
-    table : str
-        Of the campaign, named in the warning.
-    stated : mapping
-        Loader options of the whole campaign, by name.
-    logs : iterable of (Path, str or None)
-        Every log and the format that is declared for it.
-    """
+    """Warn of options of a campaign's `table` (all of them: `stated`) that no format of its `logs` takes."""
     named = {detect(path) if name in (None, "auto") else str(name) for path, name in logs}
     known = formats()
     taken = {option for name in named if name in known for option in known[name].options}

@@ -1,5 +1,6 @@
 """What a log means and does not say: units at the ends of names, axes that are no time, times of arrival."""
 
+import h5py
 import numpy as np
 import pytest
 
@@ -178,8 +179,6 @@ def test_a_time_column_of_another_language_is_named(write):
 
 
 def test_one_rate_for_datasets_of_other_lengths_and_a_rate_against_times_are_refused(tmp_path):
-    import h5py
-
     path = tmp_path / "log.h5"
 
     def log(lengths, rate=None, time=None, own=None, **options):
@@ -218,3 +217,35 @@ def test_a_delta_x_that_the_times_contradict_is_said(write):
         text = LVM.format(columns="One", axis="").replace("Delta_X\t0.5", f"Delta_X\t{step}")
         notes = load(write(text + rows_)).provenance.sentences
         assert any("states 1000 Hz but its column of times steps by 1 s" in note for note in notes) is said
+
+
+_VICON = (
+    "Trajectories,,,,\n100,,,,\n,,a:m1,,\nFrame,Sub Frame,X,Y,Z\n,,mm,mm,mm\n1,0,0,2,3\n2,0,1,2,3\n{blank}\n"
+    "Devices,,,,\n200,,,,\n,,cell,,\nFrame,Sub Frame,Fz,,\n,,N,,\n1,0,5,,\n1,1,6,,\n{last},0,7,,\n2,1,8,,\n"
+)
+
+
+@pytest.mark.parametrize("blank", ["", ",,,,", "  ", ";\t "])
+def test_vicon_sections_are_parted_by_any_blank_line(tmp_path, blank):
+    path = tmp_path / "log.csv"
+    path.write_text(_VICON.format(blank=blank, last=2), encoding="utf-8", newline="\n")
+    log = load(path)
+    assert list(log["a:m1/position"].values[:, 0]) == [0.0, 1e-3]
+    assert list(log["cell/Fz"].values) == [5.0, 6.0, 7.0, 8.0]
+
+
+def test_a_format_without_time_back_does_not_advise_it(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(_VICON.format(blank="", last=0), encoding="utf-8", newline="\n")
+    with pytest.raises(LogError, match="time goes back") as refusal:
+        load(path)
+    assert "time_back" not in str(refusal.value)
+
+
+def test_hdf5_unit_may_be_an_array_of_one_text(tmp_path):
+    path = tmp_path / "log.h5"
+    with h5py.File(path, "w") as file:
+        file.attrs["rate"] = 100.0
+        file["Fz"] = np.arange(20.0)
+        file["Fz"].attrs["unit"] = np.array([b"mN"])
+    assert load(path)["thrust"].values[10] == pytest.approx(0.01, rel=1e-12)

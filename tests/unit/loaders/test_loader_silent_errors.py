@@ -25,6 +25,11 @@ def said(log):
     return " | ".join(log.provenance.sentences)
 
 
+def write(path, text):
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
 def test_the_number_of_a_matrix_column_is_no_unit(tmp_path):
     io = pytest.importorskip("scipy.io")
     path = tmp_path / "log.mat"
@@ -105,6 +110,7 @@ def test_a_whole_wf_increment_is_a_clock_and_a_temperature_is_none(tmp_path):
 
 def ulog(path, *topics):
     """Write a ULog of topics (name, format, rows of bytes, instance)."""
+    pytest.importorskip("pyulog", reason="pyulog comes with the test extra")
 
     def message(kind, body):
         return struct.pack("<HB", len(body), ord(kind)) + body
@@ -121,7 +127,6 @@ def ulog(path, *topics):
 
 
 def test_what_px4_marks_as_unknown_is_missing(tmp_path):
-    pytest.importorskip("pyulog", reason="pyulog comes with the test extra")
     stamps = [10**6 + 10**4 * i for i in range(50)]
     battery = [struct.pack("<Qff", t, 16.0 if i > 9 else 0.0, 3.0 if i > 4 else -1.0)
                for i, t in enumerate(stamps)]  # fmt: skip
@@ -151,7 +156,6 @@ BATTERY = "uint64_t timestamp;float voltage_v;float current_a;"
 
 
 def test_a_px4_channel_without_any_known_value_is_named(tmp_path):
-    pytest.importorskip("pyulog", reason="pyulog comes with the test extra")
     rows = [struct.pack("<Qff", 10**6 + 10**4 * i, 16.0, -1.0) for i in range(9)]
     log = load(ulog(tmp_path / "a.ulg", ("battery_status", BATTERY, rows, 0)))
     assert list(log.channels) == ["voltage"]
@@ -163,7 +167,6 @@ def test_a_px4_channel_without_any_known_value_is_named(tmp_path):
 
 
 def test_px4_velocities_count_only_where_their_own_flags_are_set(tmp_path):
-    pytest.importorskip("pyulog", reason="pyulog comes with the test extra")
     fields = ("uint64_t timestamp;float x;float y;float z;float vx;float vy;float vz;"
               "bool xy_valid;bool z_valid;bool v_xy_valid;bool v_z_valid;")  # fmt: skip
     rows = [struct.pack("<Q6f4?", 10**6 + 10**4 * i, 1, 2, 3, 4, 5, 6, True, i > 1, i > 3, i > 6)
@@ -190,7 +193,6 @@ def test_px4_velocities_count_only_where_their_own_flags_are_set(tmp_path):
     ],
 )
 def test_the_frame_of_px4_odometry_is_said(tmp_path, field, frames, words):
-    pytest.importorskip("pyulog", reason="pyulog comes with the test extra")
     fields = f"uint64_t timestamp;float[3] position;float[4] q;uint8_t {field};uint8_t[3] _padding0;"
     rows = [struct.pack("<Q3f4fB", 10**6 + 10**4 * i, i, 2, -3, 1, 0, 0, 0, frames[i % 2]) for i in range(9)]
     battery = [struct.pack("<Qff", 10**6 + 10**4 * i, 16.0, 1.0) for i in range(9)]
@@ -209,7 +211,6 @@ def test_the_frame_of_px4_odometry_is_said(tmp_path, field, frames, words):
 
 
 def test_px4_axes_are_claimed_of_the_channels_that_have_them(tmp_path):
-    pytest.importorskip("pyulog", reason="pyulog comes with the test extra")
     fields = "uint64_t timestamp;float[3] position;float[4] q;uint8_t pose_frame;uint8_t[3] _padding0;"
     rows = [struct.pack("<Q3f4fB", 10**6 + 10**4 * i, i, 2, -3, 1, 0, 0, 0, 2) for i in range(9)]
     place = [struct.pack("<Q3f", 10**6 + 10**4 * i, i, 2, -3) for i in range(9)]
@@ -233,7 +234,7 @@ def test_a_lost_tracker_object_is_missing_and_takes_no_other_with_it(tmp_path):
         first = "0,0,0,0,0,0," if 10 <= i < 15 else f"0,0,0.1,1,2,{i},"
         rows.append(f"{i + 1},0,{first}" + ("" if i in (20, 21) else "0,0,0.2,5,6,7,"))
     path = tmp_path / "tracker.csv"
-    path.write_text(tracker(rows), encoding="utf-8")
+    write(path, tracker(rows))
     log = load(path)
     assert log["d/position"].values[20, 2] == pytest.approx(0.020, rel=1e-12)
     lost = np.isnan(log["d/position"].values).any(axis=1)
@@ -243,7 +244,7 @@ def test_a_lost_tracker_object_is_missing_and_takes_no_other_with_it(tmp_path):
     assert "frames of d that are all zeros, taken as lost: 5" in said(log)
     # A row cut inside a number has no delimiter behind it and is not trusted.
     rows[20] = rows[20].rstrip(",")
-    path.write_text(tracker(rows), encoding="utf-8")
+    write(path, tracker(rows))
     assert 0.020 not in load(path)["d/position"].values[:, 2]
 
 
@@ -292,7 +293,7 @@ def test_signals_of_unknown_unit_are_named(tmp_path):
         assert factor_to_si(unit, "N*m") == pytest.approx(1.3558179483314004 * factor, rel=1e-12)
     device = "Devices\n100\n,,Load\nFrame,Sub Frame,Pin 1\n,,quux\n"
     path = tmp_path / "vicon.csv"
-    path.write_text(device + "".join(f"{i + 1},0,{i}\n" for i in range(30)), encoding="utf-8")
+    write(path, device + "".join(f"{i + 1},0,{i}\n" for i in range(30)))
     assert 'kept as recorded: "Load/Pin 1 [quux]"' in said(load(path))
 
 
@@ -300,11 +301,11 @@ def test_an_ati_time_in_the_last_column_is_refused(tmp_path):
     path = tmp_path / "ati.csv"
     units = {"force": "N", "torque": "N*m"}
     loads = [f"{np.sin(i):.6f},1,2,0.1,0.2,0.3" for i in range(60)]
-    path.write_text("".join(f"{row},{0.01 * i:.2f}\n" for i, row in enumerate(loads)), encoding="utf-8")
+    write(path, "".join(f"{row},{0.01 * i:.2f}\n" for i, row in enumerate(loads)))
     with pytest.raises(LogError, match="the last of seven columns rises steadily"):
         load(path, format="ati-text", units=units, rate=100)
     both = "".join(f"{0.1 * i:.1f},1,2,3,4,5,{0.01 * i:.2f}\n" for i in range(60))
-    path.write_text(both, encoding="utf-8")
+    write(path, both)
     with pytest.raises(LogError, match="either may be the time"):
         load(path, format="ati-text", units=units)
     assert load(path, format="ati-text", units={**units, "time": "s"})["thrust"].values[0] == 3.0
@@ -319,7 +320,7 @@ def test_an_unsteady_ati_time_in_the_last_column_is_refused_too(tmp_path, fault)
     load_x = np.sin(7.0 * np.arange(300))
     path = tmp_path / "ati.csv"
     rows = [f"{x:.6f},1,2,0.1,0.2,0.3,{t:.3f}" for x, t in zip(load_x, time, strict=True)]
-    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    write(path, "\n".join(rows) + "\n")
     units = {"force": "N", "torque": "N*m"}
     how = "rises steadily" if fault == "none" else "hardly ever falls"
     with pytest.raises(LogError, match=f"the last of seven columns {how}, as a time does, and the first"):
@@ -327,19 +328,18 @@ def test_an_unsteady_ati_time_in_the_last_column_is_refused_too(tmp_path, fault)
     # The time in front and, behind it, a torque that drifts up in steps of the converter's last bit.
     drift = np.round(np.linspace(0, 0.03, 300) + 2e-3 * np.sin(7.0 * np.arange(300)), 3)
     rows = [f"{t:.3f},1,2,3,4,5,{z:.3f}" for t, z in zip(0.01 * np.arange(300), drift, strict=True)]
-    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    write(path, "\n".join(rows) + "\n")
     np.testing.assert_allclose(load(path, format="ati-text", units=units)["torque"].values, drift)
     # The same with a time in whole seconds, which hardly rises.
     rows = [f"{i // 100},1,2,3,4,5,{z:.3f}" for i, z in enumerate(drift)]
-    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    write(path, "\n".join(rows) + "\n")
     coarse = load(path, format="ati-text", units=units, rate=100)
     np.testing.assert_allclose(coarse["torque"].values, drift)
 
 
 @pytest.mark.parametrize("options", [{"rate": 100}, {"time_back": "drop"}])
 def test_six_ati_loads_and_a_status_are_not_read_as_a_time_and_six_loads(tmp_path, options):
-    path = tmp_path / "ati.csv"
-    path.write_text("".join(f"{np.sin(7 * i):.6f},1,2,3,4,5,0\n" for i in range(300)), encoding="utf-8")
+    path = write(tmp_path / "ati.csv", "".join(f"{np.sin(7 * i):.6f},1,2,3,4,5,0\n" for i in range(300)))
     with pytest.raises(LogError, match=r"the first of seven columns falls in \d+ steps, so it is no time"):
         load(path, format="ati-text", units={"force": "N", "torque": "N*m"}, **options)
 
@@ -347,7 +347,7 @@ def test_six_ati_loads_and_a_status_are_not_read_as_a_time_and_six_loads(tmp_pat
 def test_speed_in_hertz_is_advised_to_be_revolutions(tmp_path):
     path = tmp_path / "cell.csv"
     rows = "".join(f"{0.01 * i:.2f},{i},{i}\n" for i in range(30))
-    path.write_text("Time (s),Speed (Hz),Fz (N)\n" + rows, encoding="utf-8")
+    write(path, "Time (s),Speed (Hz),Fz (N)\n" + rows)
     with pytest.raises(UnitError, match=r'declare units = \{speed = "rev/s"\}'):
         load(path)
     log = load(path, units={"speed": "rev/s"})
@@ -359,7 +359,7 @@ def test_the_advice_for_a_stand_that_writes_hertz_works(tmp_path, probe):
     label = f"Motor {probe.removeprefix('speed_').title()} Speed (Hz)"
     path = tmp_path / "stand.csv"
     rows = "".join(f"{0.1 * i:.1f},{1000 + i},{i},{i}\n" for i in range(30))
-    path.write_text(f"Time (s),ESC signal (µs),Thrust (N),{label}\n" + rows, encoding="utf-8")
+    write(path, f"Time (s),ESC signal (µs),Thrust (N),{label}\n" + rows)
     with pytest.raises(UnitError) as refusal:
         load(path)
     assert f'declare units = {{{probe} = "rev/s"}}' in str(refusal.value)
@@ -427,6 +427,6 @@ def test_a_qualisys_cell_is_named_as_the_file_names_it(tmp_path):
     matrix = "1\t0\t0\t0\t1\t0\t0\t0\t1"
     head += "\t".join(f"Rot[{i}]" for i in range(9)) + "\n"
     rows = f"1\t0.00\tx9\t1\t1\t0\t0\t0\t0\t{matrix}\n2\t0.01\t1\t1\t1\t0\t0\t0\t0\t{matrix}\n"
-    path.write_text(head + rows, encoding="utf-8")
+    write(path, head + rows)
     with pytest.raises(LogError, match="'x9' in column 'B2 X'"):
         load(path)

@@ -1,11 +1,17 @@
 """Unit strings of instruments and campaigns to SI; recordings that cannot be changed."""
 
+import json
 import math
 
+import h5py
 import numpy as np
 import pytest
 
 from sysid.errors import LogError, UnitError
+from sysid.journal import Finding, note
+from sysid.loaders import load
+from sysid.loaders.readers.sysid_hdf5 import write_recording
+from sysid.loaders.signals import plain_unit
 from sysid.recording import Channel, Provenance, Recording
 from sysid.units import factor_to_si, parse_quantity
 
@@ -81,3 +87,42 @@ def test_a_missing_channel_names_those_there_are():
     )
     with pytest.raises(LogError, match=r"a\.csv: no channel 'torque'; found speed"):
         recording["torque"]
+
+
+@pytest.mark.parametrize(
+    ("stated", "unit", "factor"),
+    [
+        ("%", "1", 0.01),
+        ("strain", "1", 1.0),
+        ("dB", "", 1.0),
+        ("dBm", "", 1.0),
+        ("mrad", "rad", 1e-3),
+        ("rad/s", "rad/s", 1.0),
+        ("mV", "V", 1e-3),
+    ],
+)
+def test_plain_units(stated, unit, factor):
+    assert plain_unit(stated) == (unit, pytest.approx(factor))
+
+
+def test_a_log_is_never_replaced_by_its_conversion(tmp_path, run):
+    log = tmp_path / "log.csv"
+    log.write_text("Time (s),Speed (rad/s)\n0,1\n0.01,2\n0.02,3\n", encoding="utf-8")
+    before = log.read_bytes()
+    code, _, err = run("convert", log, log, "--force")
+    assert code == 2
+    assert "is the log itself" in err
+    assert log.read_bytes() == before
+
+
+def test_notes_of_a_conversion_keep_their_codes_and_plain_texts_are_read(tmp_path):
+    """Files of older versions hold the sentence of a note alone."""
+    channels = {"speed": Channel("speed", "rad/s", [0.0], [1.0])}
+    noted = (note("speed-source", "speed is the optical one"), Finding("pole-count", "wrong poles"))
+    path = write_recording(
+        Recording("thrust-stand", channels, Provenance("a.csv", "", "x", notes=noted)), tmp_path / "a.h5"
+    )
+    assert load(path).provenance.notes[:-1] == noted
+    with h5py.File(path, "a") as file:
+        file.attrs["notes"] = json.dumps(["an old note"])
+    assert load(path).provenance.notes[:-1] == (note("stated", "an old note"),)
