@@ -283,3 +283,15 @@ def get_json(group: Any, name: str) -> Any:
 def numbered(file: Any, name: str) -> list[Any]:
     """Return the groups ``NAME/1``, ``NAME/2``, … in order."""
     return [file[f"{name}/{i + 1}"] for i in range(len(file.get(name, ())))]
+
+
+def datasets(file: Any) -> dict[str, Any]:
+    """Return all arrays of a file by their path."""
+    arrays: dict[str, Any] = {}
+
+    def take(path: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset):
+            arrays[path] = item[()]
+
+    file.visititems(take)
+    return arrays

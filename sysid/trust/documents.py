@@ -13,19 +13,17 @@ values; deviance is chi-square-like, limits 0.989 and 3.841; others (k, n) are a
 from __future__ import annotations
 
 import hashlib
-import io
 import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-import h5py
 from pydantic import Field
 
 from sysid.documents import Document, OpenMapping, Part
 from sysid.errors import FitError
-from sysid.storage import put, write_file
+from sysid.storage import FileKind, datasets, put, write_file
 
 TRUST, CROSS_VALIDATION, VALIDATION = "trust", "cross-validation", "validation-"
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -292,6 +290,9 @@ def model_of(part: str) -> type[TrustPart]:
     return named.get(part, ValidationDocument)
 
 
+ARRAYS = FileKind("sysid-trust", 1, "the arrays of a trust document", "run it again", FitError)
+
+
 def fit_digest(folder: Path) -> str:
     """Return the SHA-256 of a fit folder's ``fit.h5``."""
     return hashlib.sha256((folder / "fit.h5").read_bytes()).hexdigest()
@@ -330,13 +331,14 @@ def write_part(
         part=part, fit=fit, kind=kind, fit_sha256=fit_digest(folder),
         written=datetime.now(UTC).isoformat(timespec="seconds"), **document,
     ).text()  # fmt: skip
-    numbers = io.BytesIO()
-    with h5py.File(numbers, "w") as file:
-        file.attrs["schema"], file.attrs["version"], file.attrs["part"] = "sysid-trust", 1, part
+
+    def write(file: Any) -> None:
+        file.attrs["part"] = part
         for path, (values, axes, unit) in arrays.items():
             put(file, path, values, axes, unit)
+
     target = folder / f"{part}.json"
-    write_file(folder / f"{part}.h5", numbers.getvalue(), FitError)
+    write_file(folder / f"{part}.h5", ARRAYS.content(write), FitError)
     write_file(target, text.encode("utf-8"), FitError)
     return target
 
@@ -368,19 +370,8 @@ def read_arrays(folder: Path, part: str) -> dict[str, Any]:
     FitError
         When the file is missing or damaged.
     """
-    out: dict[str, Any] = {}
-    path = folder / f"{part}.h5"
-
-    def take(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset):
-            out[name] = item[()]
-
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems(take)
-    except (OSError, KeyError, RuntimeError) as error:
-        raise FitError(f"{path}: missing, damaged or cut off ({error}); run it again") from error
-    return out
+    with ARRAYS.opened(folder / f"{part}.h5") as file:
+        return datasets(file)
 
 
 def parts(folder: Path) -> tuple[str, ...]:
