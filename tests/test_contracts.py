@@ -125,8 +125,6 @@ def climbs(imports: dict[str, list[tuple[str, int, bool]]]) -> list[str]:
 LAZY = ("sysid.fit.breeders.algorithms",)
 # Still to be parted.
 OPEN = {
-    "sysid.loaders.source",
-    "sysid.loaders.text",
     "sysid.fit.breeders.algorithms",
     "sysid.fit.breeders.evolution_strategy",
     "sysid.fit.breeders.genetic",

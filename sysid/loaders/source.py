@@ -10,6 +10,7 @@ from pathlib import Path
 from sysid.errors import LogError
 from sysid.journal import Finding
 from sysid.loaders.options import LogOptions
+from sysid.loaders.text import decode, without_separator
 from sysid.recording import Provenance, file_sha256
 
 _HEAD_BYTES = 65536
@@ -61,8 +62,6 @@ class Source:
     @cached_property
     def head_lines(self) -> tuple[str, ...]:
         """Lines of `head` as text without their line ends; none for a binary file."""
-        from sysid.loaders.text import decode, without_separator
-
         try:
             text = without_separator(decode(self.head, self.path, partial=True))
         except LogError:

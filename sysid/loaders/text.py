@@ -12,10 +12,10 @@ import io
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.source import Source
 
 _DELIMITERS = ",;\t"
 SPACES = " "
@@ -47,6 +47,14 @@ def decode(data: bytes, path: str, *, partial: bool = False) -> str:
         if partial and error.start >= len(data) - 3:
             return data[: error.start].decode("utf-8-sig")
         return data.decode("cp1252", errors="replace")
+
+
+class _File(Protocol):
+    """What is read: a `Source`."""
+
+    path: str
+
+    def read_bytes(self) -> bytes: ...
 
 
 @dataclass(frozen=True)
@@ -81,7 +89,7 @@ def without_separator(text: str) -> str:
     return _SEPARATOR.sub(b"", text[:40].encode("utf-8", "surrogatepass")).decode("utf-8") + text[40:]
 
 
-def read_text(source: Source) -> Text:
+def read_text(source: _File) -> Text:
     """Read a text log whole; NUL bytes (binary, or UTF-16 without a mark) are a LogError."""
     data = source.read_bytes()
     notes = []
