@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from sysid import exact_json
 from sysid.errors import ExportError
 from sysid.landing.controllers import Controller
 from sysid.landing.design_store import write_study
@@ -24,7 +23,7 @@ from sysid.landing.design_study import (
 from sysid.landing.maps import MapSettings, map_identity
 from sysid.report.design_figures import figure_design_study
 from sysid.report.drawing import save_figure
-from sysid.report.fold import print_table
+from sysid.report.fold import print_result, print_table
 from sysid.report.landing_tables import gains_table
 from sysid.resume import BlockStore, Computing
 from sysid.workflows.landing_sources import (
@@ -121,7 +120,7 @@ def _print(study: DesignStudy, options: DesignStudyOptions, picture: Path, say: 
         document: dict[str, Any] = {"name": study.name, "controller": study.controller}
         document |= {"as it is, largest safe slope [deg]": base, LOWER_BOUNDS: study.bounds(0)}
         document |= {"changes": gains, "lost": lost, "file": str(options.out)}
-        print(exact_json.dumps(document))
+        print_result(document, json=True)
     elif not options.compute.quiet:
         print_table(gains_table(study.name, base, gains, study.bounds(0)))
         print(f"wrote {options.out} and {picture}")

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict, dataclass
+from operator import attrgetter
 from pathlib import Path
 
-from rich.table import Table
-
-from sysid import exact_json
 from sysid.errors import FitError
 from sysid.fit.checkpoint import read_state, run_numbers, state_files
 from sysid.fit.store import FIT_FILE
-from sysid.report.fold import print_table
+from sysid.report.fold import print_result, print_table
+from sysid.report.table import numbers, table, words
 from sysid.resume import held
 
 _SUFFIX = ".checkpoint"
@@ -92,23 +91,20 @@ def _unfinished(path: Path) -> FitEntry:
 def print_fits(folder: Path, json: bool = False) -> None:
     """Print the fits of a folder: state, NRMSE, runs, age."""
     entries = list_fits(folder)
-    if json:
-        print(exact_json.dumps([asdict(entry) for entry in entries]))
+    if print_result([asdict(entry) for entry in entries], json):
         return
     if not entries:
         print(f"no fits in {folder}; sysid fit-motor and sysid fit-gear write there")
         return
-    table = Table(box=None, pad_edge=False)
-    for head in ("fit", "state"):
-        table.add_column(head)
-    for head in ("NRMSE", "runs", "age"):
-        table.add_column(head, justify="right")
     now = time.time()
-    for entry in entries:
-        nrmse = "-" if entry.nrmse is None else f"{100 * entry.nrmse:.3f} %"
-        age = _age(now - entry.changed) if entry.changed else "-"
-        table.add_row(entry.name, entry.state, nrmse, str(entry.runs), age)
-    print_table(table)
+    columns = (
+        words("fit", attrgetter("name")),
+        words("state", attrgetter("state")),
+        numbers("NRMSE", lambda entry: "-" if entry.nrmse is None else f"{100 * entry.nrmse:.3f} %"),
+        numbers("runs", lambda entry: str(entry.runs)),
+        numbers("age", lambda entry: _age(now - entry.changed) if entry.changed else "-"),
+    )
+    print_table(table("", entries, columns))
     if any(entry.state == "stopped" for entry in entries):
         print("a stopped fit goes on with its command and --resume")
 

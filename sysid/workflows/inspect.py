@@ -6,12 +6,12 @@ import json
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from sysid.errors import CampaignError, LogError, SysidError
@@ -20,6 +20,7 @@ from sysid.loaders.alignment import join_recordings
 from sysid.loaders.readers.sysid_hdf5 import write_recording
 from sysid.recording import Recording
 from sysid.report.fold import print_table
+from sysid.report.table import number, numbers, table, words
 from sysid.storage import check_file
 from sysid.trials.look import BenchReport, ChannelReport, DropReport, LogReport, inspect_recording
 
@@ -170,24 +171,20 @@ def print_formats(as_json: bool = False) -> None:
         ]
         print(json.dumps(rows, ensure_ascii=False, indent=2))
         return
-    table = Table(box=None, pad_edge=True)
-    for title in ("format", "reads", "options"):
-        table.add_column(title, no_wrap=title == "format")
-    for name, kind in formats().items():
-        table.add_row(*(Text(cell) for cell in (name, kind.describes, ", ".join(kind.options) or "none")))
-    Console().print(table)
-
-
-def _number(value: float, digits: int = 4) -> str:
-    return "—" if not np.isfinite(value) else f"{value:.{digits}g}"
+    columns = (
+        words("format", itemgetter(0)),
+        words("reads", lambda row: row[1].describes),
+        words("options", lambda row: ", ".join(row[1].options) or "none"),
+    )
+    print_table(table("", formats().items(), columns))
 
 
 def _clock_words(channel: ChannelReport) -> str:
-    words = [f"{channel.samples} samples", f"{_number(channel.rate, 5)} Hz"]
+    words = [f"{channel.samples} samples", f"{number(channel.rate, 5)} Hz"]
     if channel.jitter > 0.01:
         words.append(f"jitter {100 * channel.jitter:.0f} %")
     if channel.holes:
-        words.append(f"holes {channel.holes}, longest {_number(channel.longest_hole, 3)} s")
+        words.append(f"holes {channel.holes}, longest {number(channel.longest_hole, 3)} s")
     return ", ".join(words)
 
 
@@ -210,12 +207,6 @@ def print_report(console: Console, report: LogReport) -> None:
     )
     if np.isfinite(report.duration):
         console.print(Text(f"  {report.duration:.4g} s"))
-    table = Table(box=None, pad_edge=True)
-    table.add_column("channel", no_wrap=True)
-    table.add_column("unit")
-    for name in ("lowest", "highest"):
-        table.add_column(name, justify="right")
-    table.add_column("")
     points = report.kind == "static-map"
     clocks = {
         channel.name: f"{channel.samples} points" if points else _clock_words(channel)
@@ -225,17 +216,15 @@ def print_report(console: Console, report: LogReport) -> None:
     if common and report.channels:
         title = "rows" if points else "clock of all channels"
         console.print(Text(f"  {title}: {clocks[report.channels[0].name]}"))
-    for channel in report.channels[:_MOST_ROWS]:
-        words = [word for word in ("" if common else clocks[channel.name], _value_words(channel)) if word]
-        cells = [
-            channel.name,
-            channel.unit,
-            _number(channel.lowest),
-            _number(channel.highest),
-            "; ".join(words),
-        ]
-        table.add_row(*(Text(cell) for cell in cells))
-    print_table(table, console)
+    columns = (
+        words("channel", attrgetter("name")),
+        words("unit", attrgetter("unit")),
+        numbers("lowest", lambda channel: number(channel.lowest)),
+        numbers("highest", lambda channel: number(channel.highest)),
+        None if common else words("clock", lambda channel: clocks[channel.name]),
+        words("", _value_words),
+    )
+    print_table(table("", report.channels[:_MOST_ROWS], columns), console)
     if len(report.channels) > _MOST_ROWS:
         console.print(Text(f"  and {len(report.channels) - _MOST_ROWS} channels more (--json lists them)"))
     for line in (*_drop_lines(report.drop), *_bench_lines(report.bench)):
@@ -273,17 +262,17 @@ def _bench_lines(bench: BenchReport | None) -> list[str]:
     lines = []
     if np.isfinite(bench.top_speed):
         lines.append(
-            f"top speed {_number(bench.top_speed)} rad/s ({_number(bench.top_speed * 30 / np.pi)} rpm)"
+            f"top speed {number(bench.top_speed)} rad/s ({number(bench.top_speed * 30 / np.pi)} rpm)"
         )
     if bench.commands:
         lines.append(
-            f"{bench.commands} command levels from {_number(bench.lowest_command)} to "
-            f"{_number(bench.highest_command)}; logger stalls: {bench.stalls}, of which "
+            f"{bench.commands} command levels from {number(bench.lowest_command)} to "
+            f"{number(bench.highest_command)}; logger stalls: {bench.stalls}, of which "
             f"{bench.stalls_at_commands} hide when a command was given"
         )
     if np.isfinite(bench.rest_thrust) or np.isfinite(bench.rest_torque):
         lines.append(
-            f"before anything turns: thrust {_number(bench.rest_thrust, 3)} N, torque "
-            f"{_number(bench.rest_torque, 3)} N·m"
+            f"before anything turns: thrust {number(bench.rest_thrust, 3)} N, torque "
+            f"{number(bench.rest_torque, 3)} N·m"
         )
     return lines

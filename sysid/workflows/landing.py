@@ -9,18 +9,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich import box
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
-from sysid import exact_json
 from sysid.errors import ExportError
 from sysid.export.spreadsheet import csv_text
 from sysid.landing.approach import descend
 from sysid.landing.scenario import Scenario
 from sysid.landing.simulate import Landing, land
 from sysid.landing.thrust import Motors
+from sysid.report.fold import print_result, print_table
+from sysid.report.table import Column, Table, numbers, table, words
 from sysid.storage import FileKind, check_file, put, put_json, put_texts, write_file
 from sysid.workflows.landing_sources import chosen_controllers, open_fleets, rules_of
 from sysid.workflows.options import SimulateOptions
@@ -66,11 +63,9 @@ def simulate_landings(options: SimulateOptions) -> list[Landing]:
         landings.append(land(drone, begin, controller, rules=rules, rate=options.rate, motors=motors))
     _write(files, landings, origin)
     rows = [outcome_row(rank, landing) for rank, landing in enumerate(landings, start=1)]
-    if options.json:
-        events = [event_rows(landing) for landing in landings]
-        print(exact_json.dumps([row | {"events": e} for row, e in zip(rows, events, strict=True)]))
-    else:
-        Console().print(_table(rows, landings[0]))
+    document = [row | {"events": event_rows(landing)} for row, landing in zip(rows, landings, strict=True)]
+    if not print_result(document, options.json):
+        print_table(_table(rows, landings[0]))
         for path in files:
             print(f"wrote {path}")
     return landings
@@ -179,14 +174,12 @@ def _hdf5(
 
 
 def _table(rows: Sequence[dict[str, Any]], first: Landing) -> Table:
-    scenario = first.scenario
-    table = Table(
-        box=box.SIMPLE_HEAD,
-        title=f"{first.drone.surface.upper()}, {math.degrees(scenario.slope):g} deg, {scenario.speed:g} m/s: "
-        f"{first.controller.label}",
-    )
-    for name in rows[0]:
-        table.add_column(Text(name), justify="left" if name == "outcome" else "right")
-    for row in rows:
-        table.add_row(*(f"{v:.3f}" if isinstance(v, float) else str(v) for v in row.values()))
-    return table
+    def cell(name: str) -> Column:
+        column = words if name == "outcome" else numbers
+        return column(
+            name, lambda row: f"{row[name]:.3f}" if isinstance(row[name], float) else str(row[name])
+        )
+
+    title = f"{first.drone.surface.upper()}, {math.degrees(first.scenario.slope):g} deg, "
+    title += f"{first.scenario.speed:g} m/s: {first.controller.label}"
+    return table(title, rows, [cell(name) for name in rows[0]])

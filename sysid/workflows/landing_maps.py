@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich import box
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
-from sysid import exact_json
 from sysid.landing.controllers import Controller
 from sysid.landing.drone import Drone
 from sysid.landing.impulse import ImpulseSettings, rear_command
@@ -25,7 +21,9 @@ from sysid.landing.real_landings import Experiment, confusion, of_map, read_expe
 from sysid.landing.static_limits import ramp_limit, rigid_limits
 from sysid.landing.thrust import Motors
 from sysid.report.drawing import save_figure
+from sysid.report.fold import print_lines, print_result, print_table
 from sysid.report.landing_figures import DrawnLimits, figure_impulse, figure_landing_maps
+from sysid.report.table import Column, Table, numbers, table, words
 from sysid.resume import BlockStore, Computing
 from sysid.workflows.landing_sources import (
     BlockProgress,
@@ -204,43 +202,38 @@ def _print(
             say(f"warning: {drawn.title}: {entry['lost']} landings could not be simulated and count nowhere")
         if real is not None:
             entry["real landings"] = confusion(of_map(real, drawn), drawn).document()
-    if options.compute.json:
-        print(exact_json.dumps({"file": str(options.out), "figure": str(picture), "maps": counts}))
-    elif not options.compute.quiet:
-        console = Console()
-        console.print(_summary_table(counts))
-        for drawn in content.maps:
-            chosen = of_map(real or (), drawn)
-            if chosen:
-                _print_confusion(console, drawn, chosen)
-        print(f"wrote {options.out} and {picture}")
+    document = {"file": str(options.out), "figure": str(picture), "maps": counts}
+    if print_result(document, options.compute.json) or options.compute.quiet:
+        return
+    print_table(_summary_table(counts))
+    for drawn in content.maps:
+        chosen = of_map(real or (), drawn)
+        if chosen:
+            _print_confusion(drawn, chosen)
+    print(f"wrote {options.out} and {picture}")
 
 
 def _summary_table(counts: Sequence[dict[str, Any]]) -> Table:
-    speeds = list(next(iter(counts))["steepest slope that half of the sets land on [deg]"])
-    table = Table(
-        title=Text("Steepest slope [deg] that half of the sets land on, by touchdown speed [m/s]"),
-        box=box.SIMPLE_HEAD,
+    steepest, edge = "steepest slope that half of the sets land on [deg]", "lower bounds, at the map's edge"
+
+    def slope(speed: str) -> Column:
+        head = speed.removesuffix(" m/s")
+        return numbers(head, lambda entry: _slope(entry[steepest][speed], speed in entry[edge]))
+
+    def doubt(entry: dict[str, Any]) -> str:
+        return "–" if entry["uncertain [%]"] is None else f"{entry['uncertain [%]']:.2f}"
+
+    return table(
+        "Steepest slope [deg] that half of the sets land on, by touchdown speed [m/s]",
+        counts,
+        (
+            words("map", lambda entry: f"{entry['surface'].upper()}, {entry['controller']}"),
+            *(slope(speed) for speed in counts[0][steepest]),
+            numbers("time [s]", lambda entry: f"{entry['mean time to rest where landed [s]']:.2f}"),
+            numbers("way [m]", lambda entry: f"{entry['mean distance where landed [m]']:.2f}"),
+            numbers("doubt [%]", doubt),
+        ),
     )
-    table.add_column("map", min_width=22)
-    for speed in speeds:
-        table.add_column(speed.removesuffix(" m/s"), justify="right")
-    for name in ("time [s]", "way [m]", "doubt [%]"):
-        table.add_column(Text(name), justify="right")
-    for entry in counts:
-        slopes = entry["steepest slope that half of the sets land on [deg]"]
-        edge = entry["lower bounds, at the map's edge"]
-        means = (
-            entry[f"mean {name} where landed {unit}"]
-            for name, unit in (("time to rest", "[s]"), ("distance", "[m]"))
-        )
-        table.add_row(
-            f"{entry['surface'].upper()}, {entry['controller']}",
-            *(_slope(slopes[speed], speed in edge) for speed in speeds),
-            *(f"{value:.2f}" for value in means),
-            "–" if entry["uncertain [%]"] is None else f"{entry['uncertain [%]']:.2f}",
-        )
-    return table
 
 
 def _slope(value: float, at_edge: bool) -> str:
@@ -248,7 +241,7 @@ def _slope(value: float, at_edge: bool) -> str:
     return f"{'≥ ' if at_edge else ''}{value:g}" if np.isfinite(value) else "–"
 
 
-def _print_confusion(console: Console, drawn: LandingMap, chosen: Sequence[Experiment]) -> None:
+def _print_confusion(drawn: LandingMap, chosen: Sequence[Experiment]) -> None:
     compared = confusion(chosen, drawn)
     total = int(compared.counts.sum())
     title = f"{drawn.title}: {compared.agreeing} of {total} real landings agree with the likeliest class of "
@@ -256,10 +249,13 @@ def _print_confusion(console: Console, drawn: LandingMap, chosen: Sequence[Exper
     title += f", {compared.outside} outside the map" if compared.outside else ""
     title += f", {compared.lost} in cells that could not be simulated" if compared.lost else ""
     # Above the table: a title would be folded to the width of the few short columns.
-    console.print(Text(title))
-    table = Table(box=box.SIMPLE_HEAD)
-    for head in ("observed", "simulated:", *(outcome.name.lower() for outcome in OUTCOMES)):
-        table.add_column(head, justify="left" if head == "observed" else "right")
-    for word, row in zip(compared.words, compared.counts, strict=True):
-        table.add_row(word, "", *(str(int(count)) for count in row))
-    console.print(table)
+    print_lines([title])
+    heads = [outcome.name.lower() for outcome in OUTCOMES]
+    cells = (numbers(head, itemgetter(k)) for k, head in enumerate(heads, start=2))
+    rows = [
+        (word, "", *(str(int(count)) for count in counts))
+        for word, counts in zip(compared.words, compared.counts, strict=True)
+    ]
+    print_table(
+        table("", rows, (words("observed", itemgetter(0)), words("simulated:", itemgetter(1)), *cells))
+    )

@@ -9,19 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich import box
-from rich.table import Table
-from rich.text import Text
 
-from sysid import exact_json
 from sysid.errors import LogError
 from sysid.filters import ChebyshevLowpass
 from sysid.loaders import load
 from sysid.motor.targets import uniform_filtered
 from sysid.recording import Channel
 from sysid.report.drawing import save_figure
-from sysid.report.fold import print_table
+from sysid.report.fold import print_result, print_table
 from sysid.report.motor_figures import ReversalCurves, figure_reversals
+from sysid.report.table import Table, numbers, table, words
 from sysid.trials.bench_log import (
     CommandRange,
     CommandSteps,
@@ -285,9 +282,8 @@ def reversal_times(
     if figure is not None:
         curves = [ReversalCurves(log.name, log.groups, log.thrust) for log in timed]
         save_figure(figure_reversals(curves), figure)
-    if json:
-        print(exact_json.dumps({"level": LEVEL, "logs": [log.document(options.slow) for log in timed]}))
-    else:
+    document = {"level": LEVEL, "logs": [log.document(options.slow) for log in timed]}
+    if not print_result(document, json):
         print_table(_table(timed, options.slow))
         for log in timed:
             for note in log.notes:
@@ -300,35 +296,30 @@ def reversal_times(
 
 
 def _table(timed: Sequence[LogReversals], slow: float) -> Table:
-    table = Table(
-        title=Text("reversal times from the command, median (quartiles) [ms]"), title_justify="left",
-        caption=Text(
-            f"outliers: over {slow:g} times the quickest, or 90 % not seen to be reached; zero crossing and "
-            "dead band of the speed where it is signed, else (T) of the thrust"
+    rows = [
+        (log, group, "" if log.crossing_from == "speed" else " T") for log in timed for group in log.groups
+    ]
+
+    def outliers(group: Repetitions) -> str:
+        # A single repetition is the quickest of its group.
+        count = len(group.reversals)
+        return f"{100 * group.outliers(slow) / count:.0f} %" if count > 1 else "–"
+
+    return table(
+        "reversal times from the command, median (quartiles) [ms]",
+        rows,
+        (
+            words("log", lambda row: row[0].name),
+            words("u", lambda row: f"{row[1].before:+.2f} → {row[1].after:+.2f}"),
+            numbers("n", lambda row: str(len(row[1].reversals))),
+            numbers("to 90 %", lambda row: _milliseconds(row[1], "to_level")),
+            numbers("to zero", lambda row: _milliseconds(row[1], "zero_crossing") + row[2]),
+            numbers("dead band", lambda row: _milliseconds(row[1], "dead_band") + row[2]),
+            numbers("outliers", lambda row: outliers(row[1])),
         ),
-        caption_justify="left", header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0),
-        pad_edge=False,
-    )  # fmt: skip
-    for title, right in (
-        ("log", False), ("u", False), ("n", True), ("to 90 %", True), ("to zero", True),
-        ("dead band", True), ("outliers", True),
-    ):  # fmt: skip
-        table.add_column(title, justify="right" if right else "left")
-    for log in timed:
-        mark = "" if log.crossing_from == "speed" else " T"
-        for group in log.groups:
-            count = len(group.reversals)
-            table.add_row(
-                Text(log.name),
-                f"{group.before:+.2f} → {group.after:+.2f}",
-                str(count),
-                _milliseconds(group, "to_level"),
-                _milliseconds(group, "zero_crossing") + mark,
-                _milliseconds(group, "dead_band") + mark,
-                # A single repetition is the quickest of its group.
-                f"{100 * group.outliers(slow) / count:.0f} %" if count > 1 else "–",
-            )
-    return table
+        f"outliers: over {slow:g} times the quickest, or 90 % not seen to be reached; zero crossing and "
+        "dead band of the speed where it is signed, else (T) of the thrust",
+    )
 
 
 def _milliseconds(group: Repetitions, name: str) -> str:

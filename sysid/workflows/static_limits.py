@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sysid import exact_json
 from sysid.errors import ExportError
 from sysid.gear.surfaces import find_surface
 from sysid.landing.static_limits import RigidLimits, StaticLimit, ramp_limit, rigid_limits, set_down_limit
-from sysid.report.fold import print_table
+from sysid.report.fold import print_result, print_table
 from sysid.report.landing_tables import limits_table
 from sysid.workflows.show import load_sets
 
@@ -78,7 +77,6 @@ def print_static_limits(source: str | Path, thrusts: Sequence[float], json: bool
     """Print the static limits of every set of a fit folder or file."""
     name, rows = static_limits(source, thrusts)
     documents = [row.document() for row in rows]
-    if json:
-        print(exact_json.dumps({"name": name, "limits": documents}))
+    if print_result({"name": name, "limits": documents}, json):
         return
     print_table(limits_table(name, documents))
