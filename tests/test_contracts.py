@@ -123,12 +123,6 @@ def climbs(imports: dict[str, list[tuple[str, int, bool]]]) -> list[str]:
 
 # Loads pymoo or cma only for the algorithm that a fit asks for: half a second of every start.
 LAZY = ("sysid.fit.breeders.algorithms",)
-# Still to be parted.
-OPEN = {
-    "sysid.fit.breeders.algorithms",
-    "sysid.fit.breeders.evolution_strategy",
-    "sysid.fit.breeders.genetic",
-}
 
 
 def local_imports(imports: dict[str, list[tuple[str, int, bool]]]) -> list[str]:
@@ -141,7 +135,6 @@ def local_imports(imports: dict[str, list[tuple[str, int, bool]]]) -> list[str]:
         and not name.startswith("sysid.cli")
         and MODULES[name].name != "__init__.py"
         and name not in LAZY
-        and name not in OPEN
     ]
 
 
@@ -151,7 +144,7 @@ def sources():
 
 
 def test_no_import_circles(sources):
-    assert [circle for circle in circles(graph(sources)) if not {*circle} <= OPEN] == []
+    assert circles(graph(sources)) == []
 
 
 def test_rooms_import_downward(sources):
