@@ -38,7 +38,7 @@ def print_lines(lines: Iterable[str], style: str = "") -> None:
         console.print(Text(line, style=style))
 
 
-def print_table(table: Table | RichTable, console: Console | None = None) -> None:
+def print_table(table: Table, console: Console | None = None) -> None:
     """Print a table; where it is wider than the terminal, its columns follow below each other.
 
     The first column, which names the rows, is repeated. A column of numbers and one that must not wrap are
@@ -46,13 +46,12 @@ def print_table(table: Table | RichTable, console: Console | None = None) -> Non
 
     Parameters
     ----------
-    table : Table or rich.table.Table
-        Of cells that are text.
+    table : Table
     console : rich.console.Console, optional
         The standard output by default.
     """
     console = console or Console()
-    for part in folded(rich_table(table) if isinstance(table, Table) else table, console.width):
+    for part in folded(rich_table(table), console.width):
         needed = _whole_width(part)
         if needed <= console.width:
             console.print(part)
