@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from sysid.errors import CampaignError, UnitError
+from sysid.loaders.options import quantity
 from sysid.parameters import ParameterTable, SearchSpace
 from sysid.units import parse_quantity
 
@@ -16,16 +18,7 @@ TrialUse = Literal["fit", "validate"]
 
 
 def _quantity(expected: str) -> Callable[[Any], float]:
-    def convert(value: Any) -> float:
-        if isinstance(value, bool) or not isinstance(value, str | int | float):
-            raise ValueError(f"expected a quantity such as '1 {expected}'")
-        text = value if isinstance(value, str) else repr(value)
-        try:
-            return parse_quantity(text, expected)
-        except UnitError as error:
-            raise ValueError(str(error)) from error
-
-    return convert
+    return partial(quantity, unit=expected)
 
 
 Mass = Annotated[float, BeforeValidator(_quantity("kg")), Field(gt=0)]

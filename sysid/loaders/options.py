@@ -14,6 +14,16 @@ from sysid.errors import UnitError
 from sysid.units import factor_to_si, parse_quantity
 
 
+def quantity(value: Any, unit: str) -> float:
+    """Return the SI value of a quantity of a campaign, such as ``"5 kHz"``; ValueError for anything else."""
+    if isinstance(value, bool) or not isinstance(value, str | int | float):
+        raise ValueError(f"expected a quantity such as '1 {unit}'")
+    try:
+        return parse_quantity(value if isinstance(value, str) else repr(value), unit)
+    except UnitError as error:
+        raise ValueError(str(error)) from error
+
+
 @dataclass(frozen=True)
 class Option:
     """One option of loaders.
@@ -32,14 +42,9 @@ class Option:
         if value is None:
             return None
         if self.unit:
-            if isinstance(value, bool) or not isinstance(value, str | int | float):
-                raise ValueError(f"expected a quantity such as '1 {self.unit}'")
-            try:
-                value = parse_quantity(value if isinstance(value, str) else repr(value), self.unit)
-            except UnitError as error:
-                raise ValueError(str(error)) from error
+            value = quantity(value, self.unit)
             if not value > 0:
-                raise ValueError(f"Input should be greater than 0, as {self.unit}")
+                raise ValueError(f"expected more than 0 {self.unit}")
         if self.choices and value not in self.choices:
             raise ValueError(f"expected one of {', '.join(self.choices)}")
         return value if self.check is None else self.check(value)

@@ -64,6 +64,11 @@ class LogFormat:
         parameters = inspect.signature(self.read).parameters.values()
         return tuple(p.name for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY)
 
+    @property
+    def help(self) -> dict[str, str]:
+        """A sentence for each option that sysid knows."""
+        return {name: DECLARED[name].help for name in self.options if name in DECLARED}
+
 
 # One line per format, in the order of lists and messages.
 _BUILT_IN = (

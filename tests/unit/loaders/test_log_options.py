@@ -63,6 +63,7 @@ def test_every_option_of_every_format_can_be_said():
     for name, one in formats().items():
         left = set(one.options)
         assert left <= bench or left <= capture, (name, left - bench, left - capture)
+        assert set(one.help) == left
 
 
 def test_an_option_of_a_plug_in_format_can_be_stated(tmp_path, monkeypatch):
