@@ -130,13 +130,7 @@ def to_mat(sets: ParameterSets) -> bytes:
     from scipy.io import savemat  # takes as long to import as all else that `sysid show` needs
 
     stream: Any = io.BytesIO()
-    savemat(
-        stream,
-        {"sysid": content},
-        long_field_names=True,
-        do_compression=True,
-        oned_as="row",
-    )
+    savemat(stream, {"sysid": content}, long_field_names=True, do_compression=True, oned_as="row")
     return stream.getvalue()
 
 

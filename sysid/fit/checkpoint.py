@@ -21,14 +21,7 @@ from sysid.errors import FitError
 from sysid.fit.run_log import Begun, RunMemory, StageMemory
 from sysid.fit.stopping import REASONS
 from sysid.resume import PROBES, Unfinished
-from sysid.storage import (
-    FileKind,
-    get_json,
-    numbered,
-    put_json,
-    replace_file,
-    write_file,
-)
+from sysid.storage import FileKind, get_json, numbered, put_json, replace_file, write_file
 
 STATE_FILE = FileKind(
     "sysid-checkpoint", 4, "the state of a fit", "start the fit again with --force", FitError

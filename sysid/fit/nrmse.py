@@ -214,10 +214,7 @@ class FilteredNrmse:
     """
 
     def __init__(
-        self,
-        trials: Sequence[TrialTarget],
-        channels: Sequence[CostChannel],
-        denominator: Denominator = "std",
+        self, trials: Sequence[TrialTarget], channels: Sequence[CostChannel], denominator: Denominator = "std"
     ) -> None:
         self.trials = tuple(trials)
         self.channels = tuple(channels)

@@ -116,11 +116,7 @@ class StageMemory:
         return self.begun.elapsed if self.begun is not None else self.elapsed[-1] if self.elapsed else 0.0
 
     def append(
-        self,
-        points: FloatArray,
-        scored: Evaluation,
-        elapsed: float,
-        causes: tuple[str, ...] = UNNAMED_CAUSE,
+        self, points: FloatArray, scored: Evaluation, elapsed: float, causes: tuple[str, ...] = UNNAMED_CAUSE
     ) -> None:
         """Remember a generation."""
         self.cost.append(np.array(scored.cost, dtype=np.float64))

@@ -148,10 +148,7 @@ def run(
 
 
 def _drops(
-    drone: Drone,
-    scenarios: Sequence[Scenario],
-    thrust: Propulsion | Sequence[Propulsion],
-    clock: FloatArray,
+    drone: Drone, scenarios: Sequence[Scenario], thrust: Propulsion | Sequence[Propulsion], clock: FloatArray
 ) -> Drops:
     """Return landings in the form that the gear's kernel takes; all share one clock [s]."""
     starts = np.array([scenario.start(drone) for scenario in scenarios])

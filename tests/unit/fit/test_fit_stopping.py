@@ -9,14 +9,10 @@ import pytest
 
 from sysid.errors import FitError
 from sysid.fit import stopping
-from sysid.fit.stopping import REASONS, CutShort, Deadline, StopFlag, StopRule, stop_on_interrupt
+from sysid.fit.stopping import REASONS, CutShort, Deadline, StopRule, stop_on_interrupt
 
 RELATIVE = StopRule(reading="relative")
 MATLAB = StopRule(reading="matlab")
-
-
-def stops(rule, best):
-    return rule.reason(best, evaluations=0, next_evaluations=1, elapsed=0.0)
 
 
 def test_change_by_hand():
@@ -28,27 +24,27 @@ def test_change_by_hand():
     assert MATLAB.change([2.02, 2.0, 2.0, 2.0, 2.0]) == pytest.approx(0.02 / 4 / 2.0, rel=1e-12)
 
 
-def test_the_two_readings_differ_where_they_should():
-    # 0.1 % relative change of an NRMSE of 0.1 is 2.5e-5 per generation in MATLAB's reading.
-    history = [0.1001, 0.10007, 0.10005, 0.10002, 0.1]
-    assert stops(RELATIVE, history) is None
-    assert stops(MATLAB, history) == "converged"
+FALLING = [1.0 / g for g in range(1, 30)]
+# 0.1 % relative change of an NRMSE of 0.1 is 2.5e-5 per generation in MATLAB's reading.
+FLAT = [0.1001, 0.10007, 0.10005, 0.10002, 0.1]
 
 
-def test_not_before_window_is_full():
-    assert stops(RELATIVE, [0.1] * 4) is None
-    assert stops(RELATIVE, [0.1] * 5) == "converged"
-    assert StopRule(window=2).reason([0.1] * 3, 0, 1, 0.0) == "converged"
-
-
-def test_still_improving_goes_on():
-    history = [1.0 / g for g in range(1, 30)]
-    assert stops(RELATIVE, history) is None
-    assert stops(RELATIVE, [*history, *[history[-1]] * 4]) == "converged"
-
-
-def test_tolerance_is_not_included_and_zero_never_converges():
-    assert StopRule(tolerance=0.0).reason([0.1] * 9, 0, 1, 0.0) is None
+@pytest.mark.parametrize(
+    ("rule", "best", "converged"),
+    [
+        (RELATIVE, FLAT, False),
+        (MATLAB, FLAT, True),
+        (RELATIVE, [0.1] * 4, False),  # the window is not full
+        (RELATIVE, [0.1] * 5, True),
+        (StopRule(window=2), [0.1] * 3, True),
+        (RELATIVE, FALLING, False),
+        (RELATIVE, [*FALLING, *[FALLING[-1]] * 4], True),
+        (StopRule(tolerance=0.0), [0.1] * 9, False),  # zero is never undercut
+    ],
+)
+def test_converged(rule, best, converged):
+    reason = rule.reason(best, evaluations=0, next_evaluations=1, elapsed=0.0)
+    assert reason == ("converged" if converged else None)
 
 
 def test_a_search_that_has_found_no_valley_goes_on():
@@ -132,13 +128,6 @@ def test_other_threads_get_a_flag_and_no_handler():
     thread.start()
     thread.join()
     assert seen == [True, True]
-
-
-def test_flag():
-    flag = StopFlag()
-    assert not flag()
-    flag.set()
-    assert flag()
 
 
 def test_a_deadline_is_over_when_its_time_is_or_the_user_says_so(monkeypatch):

@@ -34,12 +34,7 @@ IMPULSE = (
     "--motor",
     MOTOR,
     *CELLS,
-    "--delays",
-    "0",
-    "--durations",
-    "0",
-    "--out",
-    "map.h5",
+    *["--delays", "0", "--durations", "0", "--out", "map.h5"],
 )
 
 
@@ -289,20 +284,8 @@ def test_what_flips_first_has_no_time_to_rest():
 
 
 def test_tables_of_landings_say_under_what_they_happened(run):
-    code, _, err = run(
-        "simulate",
-        LF,
-        "--motor",
-        MOTOR,
-        "--slope-deg",
-        10,
-        "--speed",
-        0.5,
-        "--flip-deg",
-        70,
-        "--out",
-        "x.csv",
-    )
+    rest = ["--slope-deg", "10", "--speed", "0.5", "--flip-deg", "70", "--out", "x.csv"]
+    code, _, err = run("simulate", LF, "--motor", MOTOR, *rest)
     assert code == 0, err
     with Path("x-outcomes.csv").open(newline="", encoding="utf-8") as stream:
         (row,) = csv.DictReader(stream)
