@@ -53,6 +53,9 @@ class ParameterRecord:
         What an independent measurement of a free number found [unit] (Table II, "measured").
     stated_sigma : float or None
         Standard deviation stated by the source [unit], where the sets themselves do not carry it.
+    group, trial : str
+        What the number belongs to, and the trial that alone has it, see `sysid.parameters.Parameter`; empty
+        where there is none.
     """
 
     name: str
@@ -67,6 +70,8 @@ class ParameterRecord:
     scale: Literal["linear", "log"] | None = None
     measured_range: tuple[float, float] | None = None
     stated_sigma: float | None = None
+    group: str = ""
+    trial: str = ""
 
     def __post_init__(self) -> None:
         if self.status not in STATUS_MEANING:
@@ -85,6 +90,14 @@ class ParameterRecord:
         return cls(
             row.name, row.symbol, row.unit, status, row.meaning, row.source,
             row.nominal, row.lower, row.upper, row.scale, measured_range,
+            group=row.group, trial=row.trial,
+        )  # fmt: skip
+
+    def computed(self, source: str) -> ParameterRecord:
+        """Return the record of the same number, computed from other values."""
+        return ParameterRecord(
+            self.name, self.symbol, self.unit, "derived", self.meaning, source,
+            group=self.group, trial=self.trial,
         )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import difflib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +77,7 @@ class Parameter:
     @property
     def common_name(self) -> str:
         """The name without the trial: ``command_delay`` of ``command_delay[step-1.csv]``."""
-        return self.name.removesuffix(f"[{self.trial}]") if self.trial else self.name
+        return self.name.removesuffix(f"[{self.trial}]")
 
     def of_trial(self, trial: str) -> Parameter:
         """Return the row of the same number for one trial alone, named ``name[trial]``."""
@@ -213,11 +213,22 @@ class SearchSpace:
         return np.where(cube < AT_BOUND, -1, np.where(cube > 1 - AT_BOUND, 1, 0)).astype(np.int8)
 
 
-def in_words(name: str, symbol: str) -> str:
+class Named(Protocol):
+    """A parameter's name and symbol, and the trial that alone has it; a row or a record."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def symbol(self) -> str: ...
+    @property
+    def trial(self) -> str: ...
+
+
+def in_words(parameter: Named) -> str:
     """Return a parameter as a sentence names it: ``ground damping (b_s)``."""
-    head, bracket, rest = name.partition("[")
-    words = head.replace("_", " ") + (f" of {rest.removesuffix(']')}" if bracket else "")
-    return words if symbol in ("", words) else f"{words} ({symbol})"
+    words = parameter.name.removesuffix(f"[{parameter.trial}]").replace("_", " ")
+    words += f" of {parameter.trial}" if parameter.trial else ""
+    return words if parameter.symbol in ("", words) else f"{words} ({parameter.symbol})"
 
 
 def with_unit(text: str, unit: str) -> str:

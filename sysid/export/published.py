@@ -137,7 +137,7 @@ def _sets(
         records.append(
             ParameterRecord(
                 row.name, row.symbol, row.unit, status, row.meaning, source,
-                measured_range=measured, stated_sigma=stated,
+                measured_range=measured, stated_sigma=stated, group=row.group,
             )
         )  # fmt: skip
     return ParameterSets(

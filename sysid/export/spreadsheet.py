@@ -20,7 +20,10 @@ from sysid.parameter_sets import ParameterSets, SetsMetadata
 
 SIGNATURE = b"row,name,symbol,unit,status,"
 _FIXED = ("row", "name", "symbol", "unit", "status", "lower", "upper", "scale", "nominal", "mean", "sigma")
-_RECORD = ("name", "symbol", "unit", "status", "lower", "upper", "scale", "nominal")
+_TEXTS = ("meaning", "source", "group", "trial")
+_RECORD = (
+    "name", "symbol", "unit", "status", "lower", "upper", "scale", "nominal", "stated_sigma", *_TEXTS
+)  # fmt: skip
 
 
 def to_csv(sets: ParameterSets) -> bytes:
@@ -33,8 +36,7 @@ def to_csv(sets: ParameterSets) -> bytes:
         "measured_low",
         "measured_high",
         "stated_sigma",
-        "meaning",
-        "source",
+        *_TEXTS,
     ]
     metadata = sets.metadata().model_dump()
     records = metadata.pop("parameters")
@@ -44,11 +46,6 @@ def to_csv(sets: ParameterSets) -> bytes:
     mean, sigma = (sets.mean, sets.sigma) if n_sets else (None, None)
     for i, record in enumerate(records):
         row = {"row": "parameter", **{key: record[key] for key in _RECORD}}
-        row |= {
-            "meaning": record["meaning"],
-            "source": record["source"],
-            "stated_sigma": record["stated_sigma"],
-        }
         if record["measured_range"] is not None:
             row["measured_low"], row["measured_high"] = record["measured_range"]
         if mean is not None and sigma is not None:
@@ -140,7 +137,9 @@ def _rows(text: str) -> list[dict[str, str]]:
 
 def _record(row: dict[str, str]) -> dict[str, Any]:
     record: dict[str, Any] = {
-        key: row[key] for key in ("name", "symbol", "unit", "status", "meaning", "source")
+        # Files of earlier versions have neither group nor trial.
+        key: row.get(key, "")
+        for key in ("name", "symbol", "unit", "status", *_TEXTS)
     }
     record |= {key: _number(row[key]) for key in ("lower", "upper", "nominal", "stated_sigma")}
     record["scale"] = row["scale"] or None

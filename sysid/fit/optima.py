@@ -219,12 +219,12 @@ def loose_warnings(runs: Sequence[RunHistory], space: SearchSpace) -> tuple[str,
     for i, row in enumerate(space.free):
         if wide[i]:
             out.append(
-                f"{in_words(row.name, row.symbol)} is not fixed by the data: sets from {low[i]:.2g} to "
+                f"{in_words(row)} is not fixed by the data: sets from {low[i]:.2g} to "
                 f"{with_unit(f'{high[i]:.2g}', row.unit)} "
                 f"score within {100 * SAME_NRMSE:g} % of the best NRMSE; do not read digits into it"
             )
         elif len(runs) > 1 and spread[i] > _HELD:
-            held.append(f"{in_words(row.name, row.symbol)} {100 * spread[i]:.2g} %")
+            held.append(f"{in_words(row)} {100 * spread[i]:.2g} %")
     if held:
         out.append(
             f"held no tighter than this, over sets that score within {100 * ENDS_WITHIN:g} % of the best "

@@ -136,7 +136,7 @@ def bound_warnings(parameters: Sequence[ParameterRecord], at_bound: NDArray[np.i
         for side, bound, word in ((-1, record.lower, "lower"), (1, record.upper, "upper")):
             count = int(np.count_nonzero(flags == side))
             if count and bound is not None:
-                words = in_words(record.name, record.symbol)
+                words = in_words(record)
                 edge = with_unit(f"{bound:g}", record.unit)
                 verb = "ends" if count == 1 else "end"
                 out.append(

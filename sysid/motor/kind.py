@@ -77,12 +77,7 @@ def _records(
 ) -> tuple[ParameterRecord, ...]:
     """Return the table's records, those of the tie and the second stage marked, then the derived numbers."""
     if delays_of_logs:
-        records = tuple(
-            ParameterRecord(r.name, r.symbol, r.unit, "derived", r.meaning, MEAN_SOURCE)
-            if r.name == "command_delay"
-            else r
-            for r in records
-        )
+        records = tuple(r.computed(MEAN_SOURCE) if r.name == "command_delay" else r for r in records)
     if saturation is not None:
         late = {row.name: row for row in saturation.free}
         stage = f"second stage: {saturation.shown_by} of {', '.join(saturation.trials)}, all else held"
@@ -93,10 +88,7 @@ def _records(
             for r in records
         )
     source = "loaded steady points and the fitted R: Ω_0 = Ω + R (τ_aero + k_d Ω)/(k_m k_v)"
-    table = tuple(
-        ParameterRecord(r.name, r.symbol, r.unit, "derived", r.meaning, source) if r.name in tied else r
-        for r in records
-    )
+    table = tuple(r.computed(source) if r.name in tied else r for r in records)
     scale = tuple(
         ParameterRecord(name, symbol, unit, "derived", meaning, "computed from the set")
         for symbol, name, unit, meaning in _DERIVED

@@ -118,25 +118,25 @@ def _fixed(fit: FitResult, trust: Mapping[str, Any] | None) -> list[str]:
         out.append("The search was not finished: nothing is known about what the data fix.")
         if trust is None:
             return out
+    named = {record.name: in_words(record) for record in fit.parameters}
     if trust is not None:
         groups: dict[str, list[str]] = {}
         for row in trust["parameters"]:
-            groups.setdefault(row["verdict"], []).append(in_words(row["name"], row["symbol"]))
+            groups.setdefault(row["verdict"], []).append(named[row["name"]])
         parts = [f"{verdict_words(verdict)}: {', '.join(names)}" for verdict, names in groups.items()]
         where = "around the unfinished best set" if out else "by profile"
         return [*out, f"What the data fix, {where}: {'; '.join(parts)}."]
-    symbols = {record.name: record.symbol for record in fit.parameters}
     opened = open_parameters(fit)
     free = [record.name for record in fit.parameters if record.status == "free"]
-    closed = [in_words(name, symbols[name]) for name in free if name not in opened]
+    closed = [named[name] for name in free if name not in opened]
     if closed:
         out.append(f"The data hold {', '.join(closed)}.")
     if opened:
-        names = ", ".join(in_words(name, symbols[name]) for name in opened)
+        names = ", ".join(named[name] for name in opened)
         out.append(f"They do not fix {names}: read no digits into that.")
     flagged = sorted({fit.parameters[i].name for i in np.flatnonzero((fit.at_bound != 0).any(axis=0))})
     if flagged:
-        names = ", ".join(in_words(name, symbols[name]) for name in flagged)
+        names = ", ".join(named[name] for name in flagged)
         out.append(f"Sets end at a bound in {names}.")
     out.append("Intervals have not been computed: this judges by the spread of the search alone.")
     return out

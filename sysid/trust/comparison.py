@@ -44,9 +44,12 @@ def compare_values(
     """
     out = []
     for a, b in combinations(range(len(sets)), 2):
-        first = {r.name: i for i, r in enumerate(sets[a].parameters) if r.status == "free"}
-        second = {r.name: i for i, r in enumerate(sets[b].parameters) if r.status == "free"}
-        for name in [name for name in first if name in second and "[" not in name]:
+        # What belongs to a trial alone is not compared.
+        first, second = (
+            {r.name: i for i, r in enumerate(sets[k].parameters) if r.status == "free" and not r.trial}
+            for k in (a, b)
+        )
+        for name in [name for name in first if name in second]:
             record = sets[a].parameters[first[name]]
             rows = [_row(documents[k], name) for k in (a, b)]
             pair = [float(sets[a].values[0, first[name]]), float(sets[b].values[0, second[name]])]

@@ -84,8 +84,9 @@ def replicate_motor(seed: int, folder: Path) -> list[Covered]:
     assert isinstance(campaign, MotorCampaign)
     problem = find_kind("motor").open(campaign, path, None).fitted
     true = json.loads((out / "truth.json").read_text(encoding="utf-8"))["parameters"]
-    truth = np.array([true[name.split("[")[0]] for name in problem.space.names])
-    return [one for one in _covered(problem, truth) if "[" not in one.name]
+    truth = np.array([true[row.common_name] for row in problem.space.free])
+    rows = zip(_covered(problem, truth), problem.space.free, strict=True)
+    return [covered for covered, row in rows if not row.trial]
 
 
 def _covered(problem: Problem, truth: np.ndarray) -> list[Covered]:

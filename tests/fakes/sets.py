@@ -13,7 +13,7 @@ def assert_sets_agree(result):
     held = {
         record.name: column
         for record, column in zip(result.parameters, result.values[best].T, strict=True)
-        if record.status == "free" and in_words(record.name, record.symbol) not in doubts
+        if record.status == "free" and in_words(record) not in doubts
     }
     for name, column in held.items():
         assert np.ptp(column) <= 0.01 * abs(column.mean()), name

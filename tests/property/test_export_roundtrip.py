@@ -53,6 +53,8 @@ def parameter_sets(draw):
             scale=draw(st.sampled_from(["linear", "log", None])),
             measured_range=draw(st.none() | st.tuples(FLOATS, FLOATS)),
             stated_sigma=draw(OPTIONAL),
+            group=draw(TEXTS),
+            trial=draw(TEXTS),
         )
         for name in names
     ]

@@ -67,7 +67,7 @@ def test_the_floor_of_a_bench_is_what_the_truth_scores(bench: Path) -> None:
     )
     campaign = read_campaign(exact, "motor")
     problem = find_kind("motor").open(campaign, exact, None).fitted
-    point = problem.space.encode([truth["parameters"][n.split("[")[0]] for n in problem.space.names])
+    point = problem.space.encode([truth["parameters"][row.common_name] for row in problem.space.free])
     values, _ = problem.residuals(np.asarray(point)[None])
     ratio = nrmse_of(problem.blocks, values[0]) / np.array([block.noise for block in problem.blocks])
     # A median of 390 third differences of filtered noise is good to 8 %, and a tenth of them lie in steps,
