@@ -87,13 +87,10 @@ class ChebyshevLowpass:
         below = self.gain(frequency) < 10 ** (-3 / 20)
         return float(frequency[int(np.argmax(below))])
 
-    def apply(self, values: FloatArray, valid: BoolArray | None = None) -> FloatArray:
-        """Filter (n,) or (n, k) along time; samples that are not valid come back NaN.
+    def apply(self, values: FloatArray) -> FloatArray:
+        """Filter (n,) or (n, k) along time; unknown samples (NaN) come back NaN.
 
-        Raises
-        ------
-        LogError
-            When there are fewer samples than the filter needs.
+        Raises LogError for fewer samples than the filter needs.
         """
         values = np.asarray(values, dtype=np.float64)
         if len(values) < self.minimum_samples:
@@ -101,7 +98,7 @@ class ChebyshevLowpass:
                 f"{len(values)} samples are fewer than the {self.minimum_samples} that the Chebyshev filter "
                 f"needs; record longer or switch the filter off"
             )
-        bridged, known = _bridged(values, valid)
+        bridged, known = _bridged(values)
         out = np.asarray(signal.sosfiltfilt(self.sections, bridged, axis=0), dtype=np.float64)
         out[~known] = np.nan
         return out
@@ -164,32 +161,24 @@ class KaiserLowpass:
         """Samples lost at each end: half of the taps."""
         return len(self.taps) // 2
 
-    @property
-    def minimum_samples(self) -> int:
-        """Shortest signal that leaves one valid sample."""
-        return len(self.taps)
-
     def gain(self, frequency: FloatArray) -> FloatArray:
         """Return the (real, signed) gain at `frequency` [Hz]."""
         offset = np.arange(len(self.taps)) - self.edge_samples
         phase = 2 * np.pi * np.asarray(frequency, dtype=np.float64)[..., None] * offset / self.rate
         return np.cos(phase) @ self.taps
 
-    def apply(self, values: FloatArray, valid: BoolArray | None = None) -> FloatArray:
-        """Filter (n,) or (n, k) along time; the two edges and samples that are not valid come back NaN.
+    def apply(self, values: FloatArray) -> FloatArray:
+        """Filter (n,) or (n, k) along time; the two edges and unknown samples (NaN) come back NaN.
 
-        Raises
-        ------
-        LogError
-            When there are fewer samples than taps.
+        Raises LogError for fewer samples than taps.
         """
         values = np.asarray(values, dtype=np.float64)
-        if len(values) < self.minimum_samples:
+        if len(values) < len(self.taps):
             raise LogError(
-                f"{len(values)} samples are fewer than the {self.minimum_samples} that the Kaiser filter "
-                f"needs; record longer or widen its transition band"
+                f"{len(values)} samples are fewer than the {len(self.taps)} that the Kaiser filter needs; "
+                "record longer or widen its transition band"
             )
-        bridged, known = _bridged(values, valid)
+        bridged, known = _bridged(values)
         out = np.full(values.shape, np.nan)
         edge = self.edge_samples
         taps = self.taps if values.ndim == 1 else self.taps[:, None]
@@ -209,11 +198,10 @@ class KaiserLowpass:
         }
 
 
-def _bridged(values: FloatArray, valid: BoolArray | None) -> tuple[FloatArray, BoolArray]:
+def _bridged(values: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return (n,) or (n, k) values with their gaps bridged, and which samples (n,) are known."""
     finite = np.isfinite(values)
     known = np.asarray(finite if values.ndim == 1 else finite.all(axis=1), dtype=np.bool_)
-    if valid is not None:
-        known = known & valid
     if known.all():
         return values, known
     if not known.any():
@@ -227,10 +215,9 @@ def bridge_gaps(values: FloatArray, valid: BoolArray) -> FloatArray:
     Linear in the valid samples. Before the first and after the last valid sample the value is held.
     """
     index = np.arange(len(values), dtype=np.float64)
-    columns = values.reshape(len(values), -1)
-    out = columns.copy()
-    for column in range(columns.shape[1]):
-        out[~valid, column] = np.interp(index[~valid], index[valid], columns[valid, column])
+    out = values.reshape(len(values), -1).copy()
+    for column in out.T:
+        column[~valid] = np.interp(index[~valid], index[valid], column[valid])
     return out.reshape(values.shape)
 
 

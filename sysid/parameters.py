@@ -30,20 +30,16 @@ class Parameter:
 
     Parameters
     ----------
-    name : str
-        Words of the field, e.g. ``leg_axial_stiffness``.
-    symbol : str
-        As in equations and tables, e.g. ``k_h``.
+    name, symbol : str
+        Words of the field, e.g. ``leg_axial_stiffness``; as in equations and tables, e.g. ``k_h``.
     unit : str
         SI unit of every number in this row.
     nominal, lower, upper : float
         Default value and search bounds [unit].
     scale : {"linear", "log"}
         How the unit cube is laid between the bounds.
-    meaning : str
-        One sentence.
-    source : str
-        Where nominal and bounds come from ("guess" is an answer, silence is not).
+    meaning, source : str
+        One sentence; where nominal and bounds come from ("guess" is an answer, silence is not).
     group : str
         What the number belongs to, e.g. ``leg``, ``ground``, ``instrument``, ``nuisance``.
     trial : str
@@ -163,17 +159,14 @@ class SearchSpace:
         bounds: Mapping[str, tuple[float, float]] | None = None,
     ) -> SearchSpace:
         """Choose the free rows, override bounds, and fix the others to `values` or their nominal."""
-        names = tuple(free)
-        rows = []
-        for name in names:
-            row = table[name]
-            if bounds and name in bounds:
-                row = replace(row, lower=bounds[name][0], upper=bounds[name][1])
-            rows.append(row)
+        rows = {name: table[name] for name in free}
+        for name, (lower, upper) in (bounds or {}).items():
+            if name in rows:
+                rows[name] = replace(rows[name], lower=lower, upper=upper)
         fixed = {
-            name: float(values.get(name, row.nominal)) for name, row in table.items() if name not in names
+            name: float(values.get(name, row.nominal)) for name, row in table.items() if name not in rows
         }
-        return cls(table, tuple(rows), fixed)
+        return cls(table, tuple(rows.values()), fixed)
 
     def __reduce__(self) -> tuple[type[SearchSpace], tuple[object, ...]]:
         # A read-only view of a mapping cannot travel to another process; its content can.

@@ -48,11 +48,9 @@ def start_roots(drop: PreparedDrop) -> FloatArray:
     seen = motion.time[before & (motion.time >= flight.start - 1e-9)] - flight.start
     design = np.column_stack([np.ones_like(seen), seen])
     root = np.linalg.cholesky(np.linalg.inv(design.T @ design)).T
-    out[0, [1, 4]] = noise_z * root[0]
-    out[1, [1, 4]] = noise_z * root[1]
+    out[:2, [1, 4]] = noise_z * root
     out[2, [0, 3]] = noise_x * root[0]
-    out[3, [2, 5]] = noise_q * root[0]
-    out[4, [2, 5]] = noise_q * root[1]
+    out[3:5, [2, 5]] = noise_q * root
     return out
 
 
@@ -67,8 +65,7 @@ def level_error(drop: PreparedDrop) -> float:
 
 def compared_noise(drop: PreparedDrop) -> FloatArray:
     """Return the standard deviation (5,) of the capture's noise in every compared channel [channel units]."""
-    noise = noise_signals(drop, 0)
-    return np.sqrt(np.mean(noise**2, axis=0))
+    return np.sqrt(np.mean(noise_signals(drop, 0) ** 2, axis=0))
 
 
 def noise_signals(drop: PreparedDrop, seed: int) -> FloatArray:

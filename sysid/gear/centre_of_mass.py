@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sysid.campaign import GearCampaign
+from sysid.filters import runs
 from sysid.gear.drops import PreparedDrop
 from sysid.journal import notice
 from sysid.trials.fall import Feet, SlopedPlane
@@ -51,14 +52,7 @@ def turning_point(
 ) -> tuple[FloatArray, FloatArray]:
     """Return where in the body the point lies that moves on parabolas (2,), and the standard errors (2,) [m].
 
-    Parameters
-    ----------
-    flights : sequence of (time, x, z, pitch)
-        Of a point of the body [s, m, m, rad].
-    gravity : float
-        [m/s²]
-    noise : float
-        Standard deviation of the positions [m].
+    Flights are (time, x, z, pitch) of a point of the body [s, m, m, rad], whose positions have a noise [m].
 
     Notes
     -----
@@ -79,10 +73,10 @@ def turning_point(
             rows.append(left[:, :2])
             values.append(left[:, 2])
     design, target = np.concatenate(rows), np.concatenate(values)
-    found, *_ = np.linalg.lstsq(design, target, rcond=None)
-    rest = float(np.sqrt(np.mean((target - design @ found) ** 2)))
+    offset, *_ = np.linalg.lstsq(design, target, rcond=None)
+    rest = float(np.sqrt(np.mean((target - design @ offset) ** 2)))
     error = max(noise, rest) * np.sqrt(np.diag(np.linalg.pinv(design.T @ design)))
-    return -found, np.asarray(error)
+    return -offset, np.asarray(error)
 
 
 def _flights(drop: PreparedDrop, feet: Feet) -> list[FlightPhase]:
@@ -91,10 +85,8 @@ def _flights(drop: PreparedDrop, feet: Feet) -> list[FlightPhase]:
     inside = (motion.time > drop.touchdown + 0.02) & (motion.time < drop.time[-1]) & motion.valid
     clear = feet.clearances(SlopedPlane(drop.slope), motion.x, motion.z, motion.pitch).min(axis=1)
     free = inside & (np.nan_to_num(clear, nan=-1.0) > _CLEAR)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], free.astype(np.int8), [0]])))
-    out = []
-    for first, last in zip(edges[::2], edges[1::2], strict=True):
-        if last - first >= _LEAST_FLIGHT:
-            part = slice(first, last)
-            out.append((motion.time[part], motion.x[part], motion.z[part], motion.pitch[part]))
-    return out
+    return [
+        (motion.time[first:last], motion.x[first:last], motion.z[first:last], motion.pitch[first:last])
+        for first, last in runs(free)
+        if last - first >= _LEAST_FLIGHT
+    ]

@@ -49,18 +49,12 @@ class PreparedDrop:
 
     Parameters
     ----------
-    name, use : str
-        As in the campaign.
-    slope : float
-        [rad]
-    motion : PlanarMotion
-        The whole log, relative to a point of the surface.
-    flight : Flight
-        Hold and fall before contact.
-    touchdown : float
-        First contact on the log's clock [s].
-    impact_speed : float
-        Downward speed there [m/s].
+    name, use, slope
+        As in the campaign; slope [rad].
+    motion, flight
+        The whole log, relative to a point of the surface; hold and fall before contact.
+    touchdown, impact_speed : float
+        First contact on the log's clock [s], and the downward speed there [m/s].
     time : (n,) array
         Sample times of the window on the log's clock [s].
     initial_state : (6,) array
@@ -108,23 +102,10 @@ def cost_channels(campaign: GearCampaign) -> tuple[CostChannel, ...]:
 
 
 def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDrop, ...]:
-    """Load, project, filter and cut every drop of a campaign.
+    """Load, project, filter and cut every drop of a campaign, whose logs are named relative to its file.
 
-    Parameters
-    ----------
-    campaign : GearCampaign
-        Validated.
-    path : str or Path
-        Its file; logs are named relative to its folder.
-
-    Raises
-    ------
-    SysidError
-        For the first drop that cannot be used.
-
-    Notes
-    -----
-    A doubtful drop is noticed in the journal: rotation out of the plane, an unlikely g, a doubtful touchdown.
+    Raises SysidError for the first drop that cannot be used. A doubtful drop is noticed in the journal:
+    rotation out of the plane, an unlikely g, a doubtful touchdown.
     """
     # Several drops may lie in one long take: keep the last files read.
     read = lru_cache(maxsize=2)(partial(read_drop_log, campaign))
@@ -165,17 +146,17 @@ def read_drop_log(campaign: GearCampaign, path: Path, body: str | None, options:
 def _prepare(
     campaign: GearCampaign, trial: GearTrial, recording: Recording, rest: Recording | None
 ) -> PreparedDrop:
-    where = f"{recording.provenance.path}, trial {trial.name!r}"
+    origin = recording.provenance
+    where = f"{origin.path}, trial {trial.name!r}"
     frame = CaptureFrame(campaign.capture.up, trial.down_slope or campaign.capture.down_slope)
     motion = _motion(campaign, trial, recording, frame)
-    notes = [*recording.provenance.sentences, *motion.notes]
+    notes = [*origin.sentences, *motion.notes]
     slope, point = _surface(campaign, trial, recording, rest, frame, notes)
     plane, feet = SlopedPlane(slope), Feet(campaign.vehicle.foot_dx, campaign.vehicle.foot_dz)
     gravity = campaign.vehicle.gravity
 
     held = find_fall(motion, gravity, where, trial.release)
-    hangs = held.stop > held.start
-    levels = hangs and campaign.capture.level == "release"
+    levels = held.stop > held.start and campaign.capture.level == "release"
     level = held_level(motion, held) if levels else np.eye(3)
     planar = planar_motion(motion, point, level)
     flight, touchdown = fit_flight(planar, plane, feet, held, gravity, where, levels)
@@ -186,9 +167,9 @@ def _prepare(
     if campaign.filter.kind == "kaiser":
         settings = campaign.filter
         lowpass = KaiserLowpass(planar.rate, settings.cutoff, settings.attenuation_db, settings.transition)
-    margin = _margin(lowpass)
+    margin = (0 if lowpass is None else lowpass.edge_samples) + 1
     window = _window(campaign, trial, planar, plane, flight, touchdown, margin, where, notes)
-    target, spectrum, before_time, after = _target(campaign, trial, planar, window, lowpass)
+    target, spectrum, before_time, after = _target(campaign, trial, planar, window, lowpass, margin)
     initial_state = flight.at(planar.time[window.start : window.start + 1])[0]
     impact_speed = float(-flight.at(np.array([touchdown]))[0, 4])
     _doubts(trial, planar, window, flight, touchdown, gravity)
@@ -207,10 +188,10 @@ def _prepare(
         target=target,
         spectrum=spectrum,
         provenance={
-            "log": Path(recording.provenance.path).name,
-            "sha256": recording.provenance.sha256,
-            "format": recording.provenance.format,
-            "device": recording.provenance.device,
+            "log": Path(origin.path).name,
+            "sha256": origin.sha256,
+            "format": origin.format,
+            "device": origin.device,
             "rate [Hz]": planar.rate,
             "slope [deg]": float(np.degrees(slope)),
             "held before release": flight.held,
@@ -228,14 +209,12 @@ def _prepare(
 def _motion(
     campaign: GearCampaign, trial: GearTrial | None, recording: Recording, frame: CaptureFrame
 ) -> SpatialMotion:
+    capture = campaign.capture
     stated = (trial.rigid_body or trial.log_options.rigid_body) if trial is not None else None
     return spatial_motion(
-        recording,
-        stated or campaign.capture.rigid_body,
-        frame,
-        centre_of_mass_offset=campaign.capture.centre_of_mass_offset,
-        rate=campaign.capture.rate,
-    )
+        recording, stated or capture.rigid_body, frame,
+        centre_of_mass_offset=capture.centre_of_mass_offset, rate=capture.rate,
+    )  # fmt: skip
 
 
 def _surface(
@@ -251,19 +230,20 @@ def _surface(
     point = trial.point if trial.point is not None else surface.point
     slope, on_surface = trial.slope, None
     if point is None and surface.markers:
-        plane = marker_plane(recording, surface.markers, frame, surface.marker_height, slope)
-        if plane.slope is not None:
-            notes.append(f"board markers lie {1000 * plane.residual:.2f} mm rms off their plane")
-            if slope is not None and abs(slope - plane.slope) > _SLOPE_DOUBT:
+        on_surface, measured, residual = marker_plane(
+            recording, surface.markers, frame, surface.marker_height, slope
+        )
+        if measured is not None:
+            notes.append(f"board markers lie {1000 * residual:.2f} mm rms off their plane")
+            if slope is not None and abs(slope - measured) > _SLOPE_DOUBT:
                 notice(
                     "slopes-differ",
-                    f"the board markers say {np.degrees(plane.slope):.1f} deg, the campaign "
+                    f"the board markers say {np.degrees(measured):.1f} deg, the campaign "
                     f"{np.degrees(slope):.1f} deg; the campaign's slope is used",
                     trial=trial.name,
-                    size=abs(slope - plane.slope),
+                    size=abs(slope - measured),
                 )
-            slope = plane.slope if slope is None else slope
-        on_surface = plane.point
+            slope = measured if slope is None else slope
     if slope is None:
         raise LogError(f"trial {trial.name!r}: no slope; give it")
     if on_surface is not None:
@@ -281,12 +261,9 @@ def _static_sag(campaign: GearCampaign) -> float:
     """Return how far the body sinks on its nominal legs at rest [m]: axial, bending and ground in series."""
     value = parameters_on(campaign.surface.law).nominal
     vehicle = campaign.vehicle
+    axial, bending, ground = (value[f"{name}_stiffness"] for name in ("leg_axial", "leg_bending", "ground"))
     span = vehicle.foot_dx - value["joint_dx"]
-    compliance = (
-        1 / value["leg_axial_stiffness"]
-        + span**2 / value["leg_bending_stiffness"]
-        + 1 / value["ground_stiffness"]
-    )
+    compliance = 1 / axial + span**2 / bending + 1 / ground
     return 0.5 * vehicle.body_mass * vehicle.gravity * compliance
 
 
@@ -372,23 +349,19 @@ def _off_board(
     return at_touchdown + int(left[0]) if len(left) else None
 
 
-def _margin(lowpass: KaiserLowpass | None) -> int:
-    return (0 if lowpass is None else lowpass.edge_samples) + 1
-
-
 def _target(
     campaign: GearCampaign,
     trial: GearTrial,
     motion: PlanarMotion,
     window: slice,
     lowpass: KaiserLowpass | None,
+    margin: int,
 ) -> tuple[TrialTarget, Spectrum | None, FloatArray, int]:
     """Filter and differentiate the measured window with its margins.
 
     Returns the target, the spectrum before the filter, the sample times of the margin before the window and
     the samples of the one after.
     """
-    margin = _margin(lowpass)
     wide = slice(window.start - margin, window.stop + margin)
     seen = motion.valid[wide]
     filled = bridge_gaps(motion.coordinates()[wide], seen)
@@ -430,7 +403,7 @@ def _doubts(
             )
     measured = flight.measured_gravity
     wrong = abs(measured / gravity - 1)
-    if np.isfinite(measured) and touchdown - flight.start > _TELLS_GRAVITY and wrong > _GRAVITY_DOUBT:
+    if touchdown - flight.start > _TELLS_GRAVITY and wrong > _GRAVITY_DOUBT:  # False of an unknown g, NaN
         notice(
             "unlikely-gravity",
             f"the fall shows {measured:.1f} m/s² instead of {gravity:.2f}; check the length unit, capture.up "

@@ -18,18 +18,12 @@ from sysid.journal import Finding
 from sysid.parameter_sets import ParameterRecord, parameter_records
 from sysid.types import FloatArray
 
-_DERIVED = (
-    ParameterRecord(
-        "leg_length", "l", "m", "derived", "Length of a leg at rest, joint to foot.", "Table II, note a"
-    ),
-    ParameterRecord(
-        "leg_rest_angle",
-        "q_n",
-        "rad",
-        "derived",
-        "Angle of a leg from the body at rest, outward from straight down.",
-        "Table II, note a",
-    ),
+_DERIVED = tuple(
+    ParameterRecord(name, symbol, unit, "derived", meaning, "Table II, note a")
+    for name, symbol, unit, meaning in (
+        ("leg_length", "l", "m", "Length of a leg at rest, joint to foot."),
+        ("leg_rest_angle", "q_n", "rad", "Angle of a leg from the body at rest, outward from straight down."),
+    )
 )
 
 
@@ -59,22 +53,8 @@ def _follow_up(problem: GearProblem, course: Course) -> Outcome:
         _DERIVED,
         stated=dict.fromkeys({*stated, *campaign.parameters.fixed}, "campaign"),
     )
-    return Outcome(
-        sets=sets,
-        rows=sets.values,
-        records=records,
-        values=np.hstack([sets.values, _derived(sets.values)]),
-        at_bound=np.pad(sets.at_bound, ((0, 0), (0, len(_DERIVED)))),
-        nrmse=sets.cost,
-        settings=_settings(problem),
-        cut=course.cut,
-    )
-
-
-def _settings(problem: GearProblem) -> dict[str, Any]:
-    """Return what a simulator must know beside the numbers."""
-    campaign = problem.campaign
-    return {
+    # What a simulator must know beside the numbers.
+    settings = {
         "surface": campaign.surface.law,
         "frame": (
             "x down-slope, z up, y into the page; positive pitch turns z toward x; a slope falls toward +x; "
@@ -87,6 +67,16 @@ def _settings(problem: GearProblem) -> dict[str, Any]:
         "slopes [deg]": {drop.name: float(np.degrees(drop.slope)) for drop in problem.fitted.drops},
         "tolerance": fit_tolerance(campaign),
     }
+    return Outcome(
+        sets=sets,
+        rows=sets.values,
+        records=records,
+        values=np.hstack([sets.values, _derived(sets.values)]),
+        at_bound=np.pad(sets.at_bound, ((0, 0), (0, len(_DERIVED)))),
+        nrmse=sets.cost,
+        settings=settings,
+        cut=course.cut,
+    )
 
 
 def _under(campaign: GearCampaign, settings: Mapping[str, Any]) -> tuple[GearCampaign, tuple[Finding, ...]]:

@@ -40,20 +40,8 @@ def judged_drops(
 ) -> tuple[PopulationCost, NDArray[np.int8]]:
     """Return the scores with all penalties, and why (from 1) each drop (P, D) is lost, 0 where it is not.
 
-    Parameters
-    ----------
-    cost : FilteredNrmse
-        The cost that scored.
-    drops : sequence of PreparedDrop
-        What was simulated.
-    board_length : float or None
-        Way down-slope from the touchdown to the board's end [m]; None: endless.
-    result : PopulationSamples
-        The simulation.
-    samples : (P, n_total, 6) array
-        Its samples with every drop's margins.
-    scored : PopulationCost
-        What they scored.
+    `samples` (P, n_total, 6) are those of the simulation with every drop's margins, `scored` is what they
+    scored; the board ends this way down-slope of the touchdown [m], None: never.
     """
     cause = np.zeros(scored.failed.shape, dtype=np.int8)
     for status, number in _OF_STATUS.items():
@@ -73,12 +61,6 @@ def judged_drops(
     missing[scored.failed] = 0.0
     by_channel = scored.by_channel + FAILED_NRMSE * missing[:, :, None]
     return PopulationCost(cost.mean(by_channel), by_channel, cause > 0), cause
-
-
-def first_cause(causes: NDArray[np.int8]) -> NDArray[np.int8]:
-    """Return the cause (P,) that a candidate is counted by, of those (P, D) of its drops."""
-    codes = np.where(causes > 0, causes, len(CAUSES) + 1).min(axis=1)
-    return np.where(codes > len(CAUSES), 0, codes).astype(np.int8)
 
 
 def _share_on_board(

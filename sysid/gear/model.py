@@ -45,7 +45,7 @@ import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -113,19 +113,9 @@ _LANES = 8
 
 
 def pack(values: Mapping[str, float], surface: str | Surface = "lf") -> FloatArray:
-    """Lay values [SI] into the kernel's row (n_par,), `PARAMETERS` order; absent names take the default.
+    """Lay values [SI] by name into a row (n_par,) of `PARAMETERS`; absent names take the surface's default.
 
-    Parameters
-    ----------
-    values : mapping
-        By name.
-    surface : str or Surface
-        Whose default values.
-
-    Raises
-    ------
-    CampaignError
-        For an unknown name.
+    Raises CampaignError for an unknown name.
     """
     for name in values:
         PARAMETERS[name]
@@ -186,7 +176,7 @@ def simulate(
     body, legs = _one_start(body_state, state)
     clock = np.asarray(time, dtype=np.float64)
     drops = Drops(np.array([slope]), body, (clock,), propulsion)
-    start, room = _Start(drops.body_state[None], legs), _MARKS if events else 0
+    start, room = (drops.body_state[None], legs), _MARKS if events else 0
     while True:
         result = _run(
             rows, drops, start, law, tolerance,
@@ -244,9 +234,9 @@ def _log(marks: FloatArray) -> tuple[FloatArray, tuple[Event, ...]]:
     modes = np.isin(kind, (EventKind.SLIP, EventKind.STICK))
     switches = np.column_stack([time, foot, kind == EventKind.STICK, marks[:, 3:]])[modes]
     names: tuple[Literal["rear", "front", "body"], ...] = ("rear", "front", "body")
-    events = [
+    events = (
         Event(float(t), EventKind(int(k)), names[int(f)]) for t, k, f in zip(time, kind, foot, strict=True)
-    ]
+    )
     return switches, tuple(events)
 
 
@@ -294,23 +284,16 @@ def simulate_population(
                 "start per candidate and drop"
             )
     return _run(
-        rows, drops, _Start(bodies, np.empty(0)), find_surface(surface), tolerance,
+        rows, drops, (bodies, np.empty(0)), find_surface(surface), tolerance,
         lanes=_LANES, columns=6, threads=threads, ending=ending,
     )  # fmt: skip
 
 
 def prepare(surface: str | Surface = "lf", *, single: bool = True) -> None:
-    """Compile a surface's driver of populations, or load it from the disk cache.
+    """Compile a surface's driver of populations, and of `single` drops, or load them from the disk cache.
 
     The first call after an installation compiles for some 40 s of processor time per surface, both drivers;
     say so before. Every simulation does it on demand.
-
-    Parameters
-    ----------
-    surface : str or Surface
-        Only its drivers are compiled.
-    single : bool
-        Prepare the driver of single drops as well.
     """
     law = find_surface(surface)
     drops = Drops(np.zeros(1), np.array([[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]]), [np.array([0.0, 1e-3])])
@@ -336,17 +319,10 @@ def in_kernel_order(rows: FloatArray, surface: Surface) -> FloatArray:
     return np.ascontiguousarray(rows[:, columns])
 
 
-class _Start(NamedTuple):
-    """Where drops begin: the body (P or 1, D, 6) in frame N, and the legs (8,), empty for legs at rest."""
-
-    body: FloatArray
-    legs: FloatArray
-
-
 def _run(
     rows: FloatArray,
     drops: Drops,
-    start: _Start,
+    start: tuple[FloatArray, FloatArray],
     surface: Surface,
     tolerance: float | None,
     *,
@@ -356,6 +332,7 @@ def _run(
     ending: Ending = TO_THE_CLOCK,
     room: int = 0,
 ) -> PopulationSamples:
+    """Simulate from the body's start (P or 1, D, 6) in frame N and the legs' (8,), empty for legs at rest."""
     if tolerance is None:
         tolerance = surface.tolerance
     if not 0 < tolerance < 1:
@@ -365,10 +342,8 @@ def _run(
         )
     count, width = len(rows), len(drops.slope)
     samples = np.full((count, len(drops.clock), columns), np.nan)
-    reached = np.zeros((count, width))
-    status = np.zeros((count, width), dtype=np.int8)
-    spent = np.zeros((count, width), dtype=np.int64)
-    switches = np.zeros((count, width), dtype=np.int64)
+    reached, status = np.zeros((count, width)), np.zeros((count, width), dtype=np.int8)
+    spent, switches = (np.zeros((count, width), dtype=np.int64) for _ in range(2))
     moments = np.full((count, width, 4), np.nan)
     states = np.full((count, width, 3, 6), np.nan)
     marks = np.full((room, 7), np.nan)

@@ -49,12 +49,7 @@ TRUST_TOLERANCE = 2e-5
 # Touchdowns of one foot closer than this count as one [s].
 _ONE_TOUCHDOWN = 5e-3
 # Rows that are choices of the model rather than measurements.
-CONSTANTS = (
-    "gravity",
-    "leg_mass_fraction",
-    "slip_regularization",
-    *PARAMETERS.group("front leg"),
-)
+CONSTANTS = ("gravity", "leg_mass_fraction", "slip_regularization", *PARAMETERS.group("front leg"))
 # Motors do not run in a drop.
 _NEVER_IN_DROPS = ("thrust_point_dx",)
 
@@ -72,9 +67,9 @@ def search_space(campaign: GearCampaign) -> SearchSpace:
     space = campaign.parameters.search_space(
         parameters_on(law), SURFACES[law].free, measured_values(campaign)
     )
-    unread = {*_NEVER_IN_DROPS, *_read_by_laws()}
+    unread = {*_NEVER_IN_DROPS, *_read_by_laws()}.difference(SURFACES[law].reads)
     for name in space.names:
-        if name in unread.difference(SURFACES[law].reads):
+        if name in unread:
             raise CampaignError(
                 f"parameters.free: nothing in a drop on surface.law {law!r} depends on {name}; remove it "
                 "from the list"
@@ -124,10 +119,9 @@ def fit_tolerance(campaign: GearCampaign) -> float:
 
 def measured_values(campaign: GearCampaign) -> dict[str, float]:
     """Return what the campaign states of the model's parameters, by name [SI]; defaults are not measured."""
-    stated = {
-        **campaign.vehicle.model_dump(exclude_unset=True, exclude_none=True),
-        **campaign.surface.model_dump(exclude_unset=True, exclude_none=True),
-    }
+    stated: dict[str, Any] = {}
+    for table in (campaign.vehicle, campaign.surface):
+        stated |= table.model_dump(exclude_unset=True, exclude_none=True)
     return {name: stated[name] for name in PARAMETERS if name in stated}
 
 
@@ -135,22 +129,9 @@ def measured_values(campaign: GearCampaign) -> dict[str, float]:
 class GearProblem(Problem):
     """Drops of one campaign under one friction law; see `sysid.fit.problem.Problem`.
 
-    Parameters
-    ----------
-    campaign : GearCampaign
-        Its cost, surface and stated values count.
-    space : SearchSpace
-        Free parameters and fixed values.
-    drops : tuple of PreparedDrop
-        What is compared.
-    threads : int, optional
-        Cores; all by default. The numbers do not depend on it.
-    tolerance : float
-        Bound of the simulation's error per step, see `sysid.gear.model.simulate`.
-    board_length : float, optional
-        Way down-slope from the touchdown to the board's end [m].
-    path : Path, optional
-        Campaign file.
+    The campaign's cost, surface and stated values count; the numbers do not depend on the threads (all cores
+    by default). The tolerance bounds the simulation's error per step (`sysid.gear.model.simulate`); the board
+    ends this way down-slope of the touchdown [m]; the path is the campaign's file.
     """
 
     campaign: GearCampaign
@@ -365,10 +346,8 @@ class GearProblem(Problem):
         """Tell what is fitted and what is not used, and compile the kernel."""
         self._notice_defaults()
         count = len(self.fitted.drops)
-        tell(
-            f"{count} drops to fit, {len(self.drops) - count} to validate; {len(self.space.free)} free "
-            "parameters"
-        )
+        validated, free = len(self.drops) - count, len(self.space.free)
+        tell(f"{count} drops to fit, {validated} to validate; {free} free parameters")
         law = self.campaign.surface.law
         tell(f"preparing the {law} kernel: compiled once per version (under a minute), then loaded")
         prepare(law, single=False)
@@ -440,12 +419,10 @@ class GearProblem(Problem):
 
     def beyond(self, rows: FloatArray) -> list[dict[str, Any]]:
         """Return slope and resting place of every drop."""
+        stops = [stopping(drop, rows, self.board_length, **self._simulation) for drop in self.drops]
         return [
-            {
-                "slope_deg": float(np.degrees(drop.slope)),
-                "stop": stopping(drop, rows, self.board_length, **self._simulation),
-            }
-            for drop in self.drops
+            {"slope_deg": float(np.degrees(drop.slope)), "stop": stop}
+            for drop, stop in zip(self.drops, stops, strict=True)
         ]
 
     def quality(self) -> list[dict[str, Any]]:
@@ -461,10 +438,10 @@ class GearProblem(Problem):
         report = inspect_recording(recording, campaign.vehicle.gravity)
         window = (motion.time >= drop.time[0]) & (motion.time <= drop.time[-1])
         tilt = np.nanmax(np.abs([motion.roll[window], motion.yaw[window]]))
-        noise = flight.noise
+        noise = zip(("x [m]", "z [m]", "pitch [rad]"), flight.noise.tolist(), strict=True)
         return log_quality(drop.name, drop.use, report) | {
             "slope_deg": float(np.degrees(drop.slope)),
-            "noise": {"x [m]": float(noise[0]), "z [m]": float(noise[1]), "pitch [rad]": float(noise[2])},
+            "noise": dict(noise),
             "gravity": flight.measured_gravity,
             "gravity_error": _fall_error(drop),
             "held": flight.held,
@@ -478,14 +455,12 @@ class GearProblem(Problem):
 
     def excitation(self) -> dict[str, Any]:
         """Return the ranges of slopes [deg], impact speeds [m/s] and largest pitch rates [rad/s]."""
-        fitted = self.fitted.drops
+        drops = self.fitted.drops
+        rates = [np.gradient(drop.target.measured[:, 4], 1 / drop.motion.rate) for drop in drops]
         spans = {
-            "slope_deg": [float(np.degrees(drop.slope)) for drop in fitted],
-            "impact_speed": [drop.impact_speed for drop in fitted],
-            "pitch_rate": [
-                float(np.nanmax(np.abs(np.gradient(d.target.measured[:, 4], 1 / d.motion.rate))))
-                for d in fitted
-            ],
+            "slope_deg": [float(np.degrees(drop.slope)) for drop in drops],
+            "impact_speed": [drop.impact_speed for drop in drops],
+            "pitch_rate": [float(np.nanmax(np.abs(rate))) for rate in rates],
         }
         return {name: [min(values), max(values)] for name, values in spans.items()}
 

@@ -54,11 +54,6 @@ class Propulsion:
                 "seconds or 'first contact', and a delay of 0 or more"
             )
 
-    @property
-    def waits_for_contact(self) -> bool:
-        """Whether the first contact starts the clock."""
-        return isinstance(self.begins, str)
-
     def at(self, time: FloatArray, first_contact: float) -> FloatArray:
         """Return rear and front thrust (n, 2) [N] at times since the drop's start, given a first contact."""
         start = first_contact + self.delay if isinstance(self.begins, str) else self.begins
@@ -97,7 +92,8 @@ def plans(propulsion: Sequence[Propulsion | None]) -> tuple[FloatArray, FloatArr
             tables.append(thrust.segments)
             places[id(thrust)] = (total, total + len(thrust.segments))
             total += len(thrust.segments)
-        start = thrust.delay if isinstance(thrust.begins, str) else float(thrust.begins)
+        waits = isinstance(thrust.begins, str)
+        start = thrust.delay if waits else float(thrust.begins)
         settled = -1.0 if thrust.settled is None else thrust.settled
-        rows.append([*places[id(thrust)], start, float(thrust.waits_for_contact), settled])
+        rows.append([*places[id(thrust)], start, float(waits), settled])
     return np.concatenate(tables), np.array(rows, dtype=np.float64).reshape(-1, PLAN_COLUMNS)

@@ -29,16 +29,8 @@ def stopping(
 ) -> dict[str, Any]:
     """Return place [m, down-slope] and time [s] of the end of a drop since its first touchdown.
 
-    Parameters
-    ----------
-    rows : (S, n_table) array
-        Sets [SI].
-    board_length : float or None
-        Way down-slope from the touchdown to the board's end [m].
-    seed : int
-        Of the drawn starts.
-    **simulation
-        Law, tolerance and threads of `simulate_population`.
+    `rows` (S, n_table) are the sets [SI]; the board ends this way down-slope of the touchdown [m]; `seed`
+    draws the starts; `simulation` gives law, tolerance and threads of `simulate_population`.
 
     Notes
     -----
@@ -52,9 +44,9 @@ def stopping(
         last = min(last, _leaves_board(drop, tangent, board_length, last))
     after = motion.time[(motion.time >= drop.time[0]) & (motion.time <= last)]
     measured_time, measured_place, stops = _measured(drop, tangent, after)
-    source = np.random.default_rng(seed)
     roots = start_roots(drop)
-    starts = drop.initial_state + source.standard_normal((len(rows) * _STARTS, len(roots))) @ roots
+    normal = np.random.default_rng(seed).standard_normal((len(rows) * _STARTS, len(roots)))
+    starts = drop.initial_state + normal @ roots
     many = np.repeat(rows[:, : len(PARAMETERS)], _STARTS, axis=0)
     # Rest is seen once it has lasted: simulated on, it shows up to the end of the log.
     beyond = after[-1] + np.arange(1, round(1.5 * _REST.rest_time * motion.rate) + 1) / motion.rate
@@ -79,13 +71,8 @@ def stopping(
 
 
 def _three(measured: float, simulated: FloatArray) -> dict[str, float]:
-    if not len(simulated):
-        return {"measured": float(measured), "mean": float("nan"), "sigma": float("nan")}
-    return {
-        "measured": float(measured),
-        "mean": float(simulated.mean()),
-        "sigma": float(simulated.std()),
-    }
+    mean, sigma = (simulated.mean(), simulated.std()) if len(simulated) else (np.nan, np.nan)
+    return {"measured": float(measured), "mean": float(mean), "sigma": float(sigma)}
 
 
 def _leaves_board(drop: PreparedDrop, tangent: FloatArray, board: float, last: float) -> float:

@@ -198,12 +198,8 @@ class Drops:
                     f"drop {number}: slope {angle:g} rad or initial state {state.tolist()} is not usable; "
                     "give finite numbers and a slope between -pi/2 and pi/2"
                 )
-            if (
-                clock.ndim != 1
-                or not len(clock)
-                or not np.isfinite(clock).all()
-                or (np.diff(clock) <= 0).any()
-            ):
+            increasing = clock.ndim == 1 and np.isfinite(clock).all() and (np.diff(clock) > 0).all()
+            if not (increasing and len(clock)):
                 raise CampaignError(
                     f"drop {number}: sample times do not increase; give one or more increasing times"
                 )

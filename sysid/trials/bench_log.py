@@ -38,17 +38,11 @@ _COMMANDED = 0.02
 
 @dataclass(frozen=True)
 class CommandRange:
-    """Which logged numbers mean full reverse, rest and full forward.
+    """Which logged numbers, in `unit` ("us" or "dshot"), mean full reverse, rest and full forward.
 
-    Parameters
-    ----------
-    unit : {"us", "dshot"}
-        Of the log.
-    minimum, neutral, maximum : float
-        In that unit. A controller of one direction has neutral = minimum.
-    forward_half : {"low", "high"}, optional
-        Of bidirectional DShot, whose two halves each run from slowest to fastest (48 to 1047, 1048 to 2047;
-        below them the motor stands): the half that turns forward. The three numbers do not count then.
+    A controller of one direction has neutral = minimum. `forward_half` is the half of bidirectional DShot
+    that turns forward: each half runs from slowest to fastest (48 to 1047, 1048 to 2047; below them the motor
+    stands), and the three numbers do not count then.
     """
 
     unit: str
@@ -60,10 +54,7 @@ class CommandRange:
     def to_u(self, command: FloatArray, unit: str, where: str) -> FloatArray:
         """Return u (n,) in [-1, 1] of logged commands (n,); below the neutral of one direction is rest.
 
-        Raises
-        ------
-        LogError
-            When the log's unit is another one, or a command lies outside the range.
+        Raises LogError for another unit of the log and for commands outside the range.
         """
         values = np.asarray(command, dtype=np.float64)
         if unit != self.unit:
@@ -123,14 +114,10 @@ def command_steps(time: FloatArray, u: FloatArray) -> CommandSteps:
 
 @dataclass(frozen=True)
 class Stall:
-    """A pause of the logger, and the interval that it makes doubtful (None: no command was in flight).
+    """A pause of the logger from the last row before it to the first one after it [s].
 
-    Parameters
-    ----------
-    start, end : float
-        Last row before and first row after the pause [s].
-    doubtful : (float, float) or None
-        From the command whose time was lost until its response is over [s].
+    `doubtful` runs from the command whose time was lost until its response is over [s]; None: no command was
+    in flight.
     """
 
     start: float
@@ -143,14 +130,7 @@ def find_stalls(time: FloatArray, steps: CommandSteps) -> tuple[Stall, ...]:
 
     A logger that stalls around a command writes the command's row before the pause although the motor gets
     it, or is read, some unknown time later: the rotor seems to wait for up to 0.1 s. The interval from the
-    command to 0.15 s after the pause then says nothing about the motor.
-
-    Parameters
-    ----------
-    time : (n,) array
-        Row times of the log [s].
-    steps : CommandSteps
-        Its commands.
+    command to 0.15 s after the pause then says nothing about the motor. `time` (n,) are the rows [s].
     """
     interval = np.diff(time)
     if interval.size == 0:
@@ -161,9 +141,7 @@ def find_stalls(time: FloatArray, steps: CommandSteps) -> tuple[Stall, ...]:
         start, end = float(time[i]), float(time[i + 1])
         # The command's own row may be the first after the pause.
         in_flight = steps.time[1:][(steps.time[1:] >= start - _REACH) & (steps.time[1:] <= end + 1e-9)]
-        doubtful = None
-        if in_flight.size:
-            doubtful = (min(float(in_flight[0]), start), end + _RECOVERY)
+        doubtful = (min(float(in_flight[0]), start), end + _RECOVERY) if in_flight.size else None
         out.append(Stall(start, end, doubtful))
     return tuple(out)
 
@@ -192,18 +170,9 @@ def real_samples(values: FloatArray) -> BoolArray:
 
 @dataclass(frozen=True)
 class Tare:
-    """Reading of a sensor while nothing turned.
+    """Reading of a sensor while nothing turned, to subtract, and its standard error [unit of the channel].
 
-    Parameters
-    ----------
-    value : float
-        To subtract [unit of the channel]; 0 where there was no row at rest.
-    error : float
-        Standard error of `value` [same]; NaN without rows.
-    rows : int
-        Samples at rest behind it.
-    source : str
-        Where it comes from.
+    Without a row at rest the value is 0 and its error NaN. `rows` counts the samples at rest behind it.
     """
 
     value: float
@@ -221,14 +190,9 @@ def tare(values: FloatArray, at_rest: BoolArray) -> Tare:
 
 
 def rows_at_rest(time: FloatArray, u: FloatArray, speed: FloatArray | None) -> BoolArray:
-    """Return True (n,) where no command is given and nothing turns, nor has turned for the last 0.5 s.
+    """Return True (n,) where no command u is given and nothing turns, nor has turned for the last 0.5 s.
 
-    Parameters
-    ----------
-    time, u : (n,) arrays
-        Rows [s] and their command in [-1, 1].
-    speed : (n,) array, optional
-        [rad/s]; a probe that sees nothing pass reads zero.
+    A probe of the speed [rad/s] that sees nothing pass reads zero.
     """
     rest = np.abs(u) < AT_REST
     if speed is not None:
@@ -244,10 +208,8 @@ def rows_at_rest(time: FloatArray, u: FloatArray, speed: FloatArray | None) -> B
 def signed_speed(speed: FloatArray, direction: Direction, where: str) -> FloatArray:
     """Return speeds (n,) with the sign of the direction; optical probes see none.
 
-    Raises
-    ------
-    LogError
-        When the channel is all zero, a log of one direction turns both ways, or one of reversals never does.
+    Raises LogError for a channel of zeros, a log of one direction that turns both ways, and one of reversals
+    that never does.
     """
     known = speed[np.isfinite(speed)]
     if known.size == 0 or not np.any(known):
@@ -273,17 +235,10 @@ def signed_speed(speed: FloatArray, direction: Direction, where: str) -> FloatAr
 
 
 def check_command_direction(u: FloatArray, direction: Direction, where: str) -> None:
-    """Refuse a log whose commands (n,) contradict its direction; a probe without sign would not show it.
-
-    Raises
-    ------
-    LogError
-        When a forward log is commanded backward, a reverse log forward, or a reversal log only one way.
-    """
-    known = u[np.isfinite(u)]
-    if not known.size:
+    """Refuse a log whose commands (n,) contradict its direction; a probe without sign would not show it."""
+    if not np.isfinite(u).any():
         return
-    low, high = float(known.min()), float(known.max())
+    low, high = float(np.nanmin(u)), float(np.nanmax(u))
     backward, ahead = low < -_COMMANDED, high > _COMMANDED
     if direction == "reversal":
         if not (backward and ahead):
@@ -304,33 +259,24 @@ def standing_command(
     """Return the u under which a rotor stands that a wrong unit or neutral explains; None: there is none.
 
     It stands throughout a hold of over 0.5 s, and either turns under a smaller |u| elsewhere, or the log
-    never commands less. A late start, one above some throttle and a stand's safety cut are neither.
-
-    Parameters
-    ----------
-    time, speed : (n,) arrays
-        Known samples of the speed [s], [rad/s].
-    steps : CommandSteps
-    window : (start, end)
-        Part of the log that counts [s].
+    never commands less. A late start, one above some throttle and a stand's safety cut are neither. `time`
+    and `speed` (n,) are known samples [s], [rad/s]; `window` is the part of the log that counts [s].
     """
     if not speed.size or not (top := float(np.abs(speed).max())) > 0.0:
         return None
     starts = np.maximum(steps.time, window[0])
     ends = np.minimum(np.append(steps.time[1:], np.inf), window[1])
-    held, stands, turns = [], [], []
+    holds = []  # u, whether the rotor stands throughout, whether it mostly turns
     for start, end, level in zip(starts, ends, steps.level, strict=True):
         inside = (time >= start) & (time < end)
         if np.count_nonzero(inside) >= 2 and time[inside][-1] - time[inside][0] > _STANDING:
             share = np.abs(speed[inside]) / top
-            held.append(float(level))
-            stands.append(bool(share.max() < _STANDS))
-            turns.append(bool(np.median(share) > _TURNS))
-    least = min(map(abs, held), default=0.0)
-    least_turning = min((abs(u) for u, runs in zip(held, turns, strict=True) if runs), default=np.inf)
-    for level, still in zip(held, stands, strict=True):
-        if still and abs(level) > _DRIVEN and (abs(level) > least_turning or abs(level) <= least):
-            return level
+            holds.append((float(level), share.max() < _STANDS, np.median(share) > _TURNS))
+    least = min((abs(u) for u, _, _ in holds), default=0.0)
+    least_turning = min((abs(u) for u, _, turns in holds if turns), default=np.inf)
+    for u, stands, _ in holds:
+        if stands and abs(u) > _DRIVEN and (abs(u) > least_turning or abs(u) <= least):
+            return u
     return None
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError
-from sysid.filters import bridge_gaps
 from sysid.recording import Channel, Recording
 from sysid.types import BoolArray, FloatArray
 
@@ -26,10 +25,7 @@ PLANAR_LIMIT = np.radians(10.0)
 class CaptureFrame:
     """Rotation from capture axes to (x down-slope, y into the page, z up).
 
-    Parameters
-    ----------
-    up, down_slope : str
-        Signed capture axes such as ``"+y"``; they must not lie on one axis.
+    `up` and `down_slope` are signed capture axes such as ``"+y"``; they must not lie on one axis.
     """
 
     up: str
@@ -37,11 +33,12 @@ class CaptureFrame:
     matrix: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        z, x = _axis(self.up), _axis(self.down_slope)
+        z, x = signed_axis(self.up), signed_axis(self.down_slope)
         object.__setattr__(self, "matrix", np.array([x, np.cross(z, x), z]))
 
 
-def _axis(name: str) -> FloatArray:
+def signed_axis(name: str) -> FloatArray:
+    """Return the unit vector (3,) of a signed axis such as ``"-y"``."""
     vector = np.zeros(3)
     vector["xyz".index(name[1])] = 1.0 if name[0] == "+" else -1.0
     return vector
@@ -49,14 +46,10 @@ def _axis(name: str) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class SpatialMotion:
-    """A rigid body on the recording's uniform clock, in the (x, y, z) of a `CaptureFrame`.
+    """A rigid body on the recording's uniform clock [s] of a rate [Hz], in the (x, y, z) of a `CaptureFrame`.
 
     Parameters
     ----------
-    time : (n,) array
-        Uniform, on the clock of the file [s].
-    rate : float
-        Sample rate [Hz].
     position : (n, 3) array
         Of the centre of mass [m]; NaN where the body was lost.
     rotation : (n, 3, 3) array
@@ -87,12 +80,8 @@ def spatial_motion(
 
     Parameters
     ----------
-    recording : Recording
-        Of kind motion capture.
     rigid_body : str or None
         Name in the file; None where it holds just one.
-    frame : CaptureFrame
-        Axes.
     centre_of_mass_offset : 3 floats
         From the rigid body's origin to the centre of mass, in the axes of the body [m].
     rate : float, optional
@@ -113,10 +102,8 @@ def spatial_motion(
             )
         rigid_body = bodies[0]
     elif rigid_body not in bodies:
-        raise LogError(
-            f"{where}: no rigid body {rigid_body!r}; found {', '.join(bodies) or 'none'}; "
-            f"set capture.rigid_body"
-        )
+        known = ", ".join(bodies) or "none"
+        raise LogError(f"{where}: no rigid body {rigid_body!r}; found {known}; set capture.rigid_body")
     position = recording[f"{rigid_body}/position"]
     orientation = recording[f"{rigid_body}/orientation"]
     valid = position.valid & orientation.valid
@@ -174,18 +161,8 @@ def _place(source: FloatArray, values: FloatArray, time: FloatArray, rate: float
 class PlanarMotion:
     """Centre of mass and pitch in the plane of motion, relative to a point of the sloped surface.
 
-    Parameters
-    ----------
-    time, rate
-        As in `SpatialMotion` [s], [Hz].
-    x, z : (n,) array
-        Down-slope (horizontal) and up [m]; NaN where lost.
-    pitch : (n,) array
-        Continuous [rad].
-    roll, yaw : (n,) array
-        Rotation out of the plane [rad].
-    valid : (n,) array
-        True where seen.
+    Arrays (n,): x down-slope (horizontal) and z up [m], NaN where lost; continuous pitch [rad]; roll and yaw
+    out of the plane [rad]. Time [s], rate [Hz] and valid as in `SpatialMotion`.
     """
 
     time: FloatArray
@@ -203,31 +180,19 @@ class PlanarMotion:
 
 
 def planar_motion(motion: SpatialMotion, point: FloatArray, level: FloatArray) -> PlanarMotion:
-    """Project onto the plane of motion.
+    """Project onto the plane of motion, relative to a point (3,) of the surface in (x, y, z) [m].
 
-    Parameters
-    ----------
-    motion : SpatialMotion
-        The body.
-    point : (3,) array
-        A point of the surface in (x, y, z) [m].
-    level : (3, 3) array
-        Rotation that counts as level: `held_level` of the samples before release, or the identity.
+    `level` (3, 3) is the rotation that counts as level: `held_level` of the samples before release, or the
+    identity.
     """
     turn = motion.rotation @ level.T
     relative = motion.position - point
     pitch = np.full(len(motion.time), np.nan)
     angle = np.arctan2(turn[motion.valid, 0, 2], turn[motion.valid, 2, 2])
     pitch[motion.valid] = np.unwrap(angle)
+    roll, yaw = -np.arcsin(np.clip(turn[:, 1, 2], -1, 1)), np.arcsin(np.clip(turn[:, 1, 0], -1, 1))
     return PlanarMotion(
-        motion.time,
-        motion.rate,
-        relative[:, 0],
-        relative[:, 2],
-        pitch,
-        -np.arcsin(np.clip(turn[:, 1, 2], -1, 1)),
-        np.arcsin(np.clip(turn[:, 1, 0], -1, 1)),
-        motion.valid,
+        motion.time, motion.rate, relative[:, 0], relative[:, 2], pitch, roll, yaw, motion.valid
     )
 
 
@@ -237,45 +202,21 @@ def held_level(motion: SpatialMotion, held: slice) -> FloatArray:
     return np.asarray(Rotation.from_matrix(turn).mean().as_matrix())
 
 
-@dataclass(frozen=True, eq=False)
-class MarkerPlane:
-    """A plane through markers on the board, in (x, y, z).
-
-    Parameters
-    ----------
-    point : (3,) array
-        On the surface, below the markers' centroid [m].
-    slope : float or None
-        Fall toward +x [rad]; None with fewer than three markers.
-    tilt : float
-        Fall across the plane of motion [rad].
-    residual : float
-        RMS distance of the markers from the plane [m].
-    """
-
-    point: FloatArray
-    slope: float | None
-    tilt: float = 0.0
-    residual: float = 0.0
-
-
 def marker_plane(
     recording: Recording, markers: tuple[str, ...], frame: CaptureFrame, height: float, slope: float | None
-) -> MarkerPlane:
-    """Fit the surface through board markers.
+) -> tuple[FloatArray, float | None, float]:
+    """Fit the surface through board markers whose centres lie at a height above it [m].
 
-    Parameters
-    ----------
-    recording : Recording
-        Holds the markers.
-    markers : tuple of str
-        Their names; three or more, not on one line, also give the slope.
-    frame : CaptureFrame
-        Axes.
-    height : float
-        Of a marker's centre above the surface [m].
+    Three or more markers that do not lie on one line give the slope; with fewer it must be known [rad].
+
+    Returns
+    -------
+    point : (3,) array
+        On the surface, below the markers' centroid, in (x, y, z) [m].
     slope : float or None
-        Known slope [rad], needed with fewer than three markers.
+        Fall toward +x [rad]; None with fewer than three markers.
+    residual : float
+        RMS distance of the markers from the plane [m].
 
     Raises
     ------
@@ -299,20 +240,10 @@ def marker_plane(
         if slope is None:
             raise LogError(f"{where}: {len(points)} markers cannot give a slope; give it or name three")
         normal = np.array([np.sin(slope), 0.0, np.cos(slope)])
-        return MarkerPlane(centre - height * normal, None)
+        return centre - height * normal, None, 0.0
     _, singular, axes = np.linalg.svd(points - centre)
     if singular[1] < 0.02 * singular[0]:
         raise LogError(f"{where}: markers {', '.join(markers)} lie on one line; name one beside it")
     normal = axes[2] * np.sign(axes[2][2] or 1.0)
     residual = float(np.sqrt(np.mean(((points - centre) @ normal) ** 2)))
-    return MarkerPlane(
-        centre - height * normal,
-        float(np.arctan2(normal[0], normal[2])),
-        float(np.arctan2(normal[1], normal[2])),
-        residual,
-    )
-
-
-def smooth_height(motion: SpatialMotion) -> FloatArray:
-    """Return the height of the centre of mass with gaps bridged, for finding events only [m]."""
-    return bridge_gaps(motion.position[:, 2], motion.valid)
+    return centre - height * normal, float(np.arctan2(normal[0], normal[2])), residual

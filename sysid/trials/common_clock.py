@@ -44,50 +44,39 @@ def _held(channel: Channel, time: FloatArray) -> FloatArray:
 def on_one_clock(recording: Recording, names: Sequence[str], reference: Sequence[str]) -> Recording:
     """Return a recording whose channels `names` share a clock; unchanged where they do already.
 
-    Parameters
-    ----------
-    recording : Recording
-        As loaded, or joined from two files.
-    names : sequence of str
-        Channels that are needed on one clock; those that the recording lacks are passed over.
-    reference : sequence of str
-        Whose clock it is: the first of these that the recording has.
-
-    Returns
-    -------
-    Recording
-        Rows before the first or after the last known command are left out; notes say what was done.
+    The clock is the one of the first of `reference` that the recording has; names that it lacks are passed
+    over. Rows before the first or after the last known command are left out; notes say what was done.
     """
     channels = dict(recording.channels)
-    clock = next((channels[name] for name in reference if name in channels), None)
-    present = [name for name in names if name in channels]
-    if clock is None or all(np.array_equal(channels[name].time, clock.time) for name in present):
+    clock = next((channels[name].time for name in reference if name in channels), None)
+    if clock is None:
+        return recording
+    on_clock = {name: np.array_equal(channels[name].time, clock) for name in names if name in channels}
+    if all(on_clock.values()):
         return recording
     moved: dict[str, FloatArray] = {}
     notes: list[Finding] = []
-    for name in present:
+    for name, there in on_clock.items():
         channel = channels[name]
-        if np.array_equal(channel.time, clock.time):
+        if there:
             moved[name] = channel.values
         elif name == "command":
-            moved[name] = _held(channel, clock.time)
+            moved[name] = _held(channel, clock)
         else:
-            moved[name] = _between(channel, clock.time)
+            moved[name] = _between(channel, clock)
             steps = np.diff(channel.time[channel.valid])
             middle = f", {1e3 * float(np.median(steps)):.3g} ms apart (median)" if steps.size else ""
             sentence = f"{name}: {channel.valid.sum()} samples{middle}, taken linear between them"
             notes.append(note("interpolated", sentence))
-    rows = np.isfinite(moved["command"]) if "command" in moved else np.ones(clock.time.size, dtype=np.bool_)
-    if "command" in moved and not np.array_equal(channels["command"].time, clock.time) and rows.any():
-        inside = np.flatnonzero(rows)
-        rows = np.zeros(rows.size, dtype=np.bool_)
-        rows[inside[0] : inside[-1] + 1] = True
-        if not rows.all():
-            sentence = f"rows at which the other log gives no command, left out: {int((~rows).sum())}"
+    rows = slice(0, clock.size)
+    if not on_clock.get("command", True) and np.isfinite(moved["command"]).any():
+        known = np.flatnonzero(np.isfinite(moved["command"]))
+        rows = slice(int(known[0]), int(known[-1]) + 1)
+        left_out = clock.size - (rows.stop - rows.start)
+        if left_out:
+            sentence = f"rows at which the other log gives no command, left out: {left_out}"
             notes.append(note("rows-without-command", sentence))
-    else:
-        rows = np.ones(clock.time.size, dtype=np.bool_)
-    time = clock.time[rows]
+    time = clock[rows]
     for name, values in moved.items():
         channels[name] = Channel(name, channels[name].unit, time, values[rows])
     provenance = replace(recording.provenance, notes=(*recording.provenance.notes, *notes))

@@ -13,7 +13,8 @@ import numpy as np
 from scipy import optimize
 
 from sysid.errors import LogError
-from sysid.trials.capture import PlanarMotion, SpatialMotion, held_level, smooth_height
+from sysid.filters import bridge_gaps
+from sysid.trials.capture import PlanarMotion, SpatialMotion, held_level
 from sysid.trials.flight import HALF_WINDOW, accelerations, fall_onset, half_window, hold_before, release_time
 from sysid.types import FloatArray
 
@@ -47,14 +48,11 @@ class Feet:
     def clearances(self, plane: SlopedPlane, x: FloatArray, z: FloatArray, pitch: FloatArray) -> FloatArray:
         """Return (n, 2): distance of the rear and the front foot above the plane, legs unloaded [m]."""
         cos, sin = np.cos(pitch), np.sin(pitch)
-        out = []
-        for side in (-1.0, 1.0):
-            out.append(
-                plane.height(
-                    x + side * self.dx * cos - self.dz * sin, z - side * self.dx * sin - self.dz * cos
-                )
-            )
-        return np.stack(out, axis=-1)
+        feet = [
+            (x + side * self.dx * cos - self.dz * sin, z - side * self.dx * sin - self.dz * cos)
+            for side in (-1.0, 1.0)
+        ]
+        return np.stack([plane.height(*foot) for foot in feet], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +67,8 @@ class Flight:
         True where the body hung still before `start`.
     state : (6,) array
         x, z, pitch [m, m, rad] and their rates at `start`.
-    gravity : float
-        Of the model [m/s²].
-    measured_gravity : float
-        What the fall itself says [m/s²]; NaN where too short.
+    gravity, measured_gravity : float
+        Of the model, and what the fall itself says [m/s²]; NaN where too short.
     noise : (3,) array
         RMS of the residuals [m, m, rad].
     """
@@ -106,23 +102,10 @@ class Flight:
 def find_fall(motion: SpatialMotion, gravity: float, where: str, release: float | None = None) -> slice:
     """Return the samples during which the body hung still before its fall; empty where it did not.
 
-    Parameters
-    ----------
-    motion : SpatialMotion
-        The whole log.
-    gravity : float
-        [m/s²]
-    where : str
-        File and trial, for the message.
-    release : float, optional
-        Known release on the log's clock [s].
-
-    Raises
-    ------
-    LogError
-        When nothing falls.
+    `where` names file and trial in the refusal of a log in which nothing falls; `release` is known on the
+    log's clock [s].
     """
-    height = smooth_height(motion)
+    height = bridge_gaps(motion.position[:, 2], motion.valid)
     half = half_window(HALF_WINDOW * motion.rate)
     if len(height) < 4 * half:
         raise LogError(f"{where}: {len(height)} samples are too few for a drop; check the log")
@@ -170,14 +153,10 @@ def fit_flight(
 
     Parameters
     ----------
-    motion : PlanarMotion
-        Relative to a point of the surface.
     plane, feet
         Where contact happens.
     held : slice
         Samples of the hold (`find_fall`); empty: ballistic flight from there.
-    gravity : float
-        [m/s²]
     where : str
         File and trial, for the message.
     level : bool
@@ -185,10 +164,8 @@ def fit_flight(
 
     Returns
     -------
-    flight : Flight
-        Model of the motion before contact.
-    touchdown : float
-        First contact of a foot [s].
+    flight, touchdown
+        Model of the motion before contact, and the first contact of a foot [s].
 
     Raises
     ------
@@ -276,9 +253,7 @@ def _fit_ballistic(time: FloatArray, coordinates: FloatArray, gravity: float) ->
     target[:, 1] += 0.5 * gravity * elapsed**2
     solution, *_ = np.linalg.lstsq(design, target, rcond=None)
     noise = np.std(target - design @ solution, axis=0)
-    measured = float("nan")
-    if len(time) >= 5:
-        measured = float(-2 * np.polyfit(elapsed, coordinates[:, 1], 2)[0])
+    measured = float(-2 * np.polyfit(elapsed, coordinates[:, 1], 2)[0]) if len(time) >= 5 else float("nan")
     return Flight(start, False, np.concatenate([solution[0], solution[1]]), gravity, measured, noise)
 
 

@@ -62,17 +62,10 @@ def hold_before(onset: int, half: int, rate: float, position: FloatArray) -> sli
 def release_time(
     since: FloatArray, height: FloatArray, gravity: float, bounds: tuple[float, float], tolerance: float
 ) -> float:
-    """Return when a body that hung still was let go, from the heights of hold and fall.
+    """Return when a body that hung still was let go [s], from heights (n,) of hold and fall [m].
 
-    Parameters
-    ----------
-    since, height : (n,) arrays
-        Times from any instant near the release [s] (a solver steps in shares of the number itself, which may
-        be Unix seconds) and heights [m].
-    gravity : float
-        [m/s²]
-    bounds, tolerance
-        Where the release is searched, and how closely [s].
+    Times count from any instant near the release, because the solver steps in shares of the number itself,
+    which may be Unix seconds. The release is searched within `bounds` to a tolerance [s].
     """
 
     def misfit(start: float) -> float:
@@ -114,12 +107,11 @@ class FreeFlight:
         return np.asarray(self.rate + (time - self.start) * self.acceleration)
 
 
-def _free_fall(time: FloatArray, position: FloatArray, release: float) -> FreeFlight:
-    """Return the flight whose acceleration the positions tell themselves, in size and direction."""
-    shape = 0.5 * np.maximum(0.0, time - release) ** 2
+def _parabola(elapsed: FloatArray, position: FloatArray) -> FloatArray:
+    """Return place and acceleration (2, ...) of hold and fall, `elapsed` (n,) since the release [s]."""
+    shape = 0.5 * np.maximum(0.0, elapsed) ** 2
     design = np.column_stack([np.ones_like(shape), shape])
-    solution = np.asarray(np.linalg.lstsq(design, position, rcond=None)[0], dtype=np.float64)
-    return FreeFlight(release, True, solution[0], np.zeros(3), solution[1])
+    return np.asarray(np.linalg.lstsq(design, position, rcond=None)[0], dtype=np.float64)
 
 
 def held_fall(
@@ -150,7 +142,9 @@ def held_fall(
             end = min(away, end + max(2, (end - hold.stop) // 4))
         if time[end] - release > _LONG_FALL:  # long enough to tell g itself, which a wrong rate changes
             end, release = _longer(time, height, hold, end, release)
-        flight = _free_fall(time[hold.start : end], position[hold.start : end], release)
+        # The positions tell the acceleration, in size and direction.
+        place, fall = _parabola(time[hold.start : end] - release, position[hold.start : end])
+        flight = FreeFlight(release, True, place, np.zeros(3), fall)
         size = float(np.linalg.norm(flight.acceleration))
         if abs(size / gravity - 1.0) < _NEAR and time[end] - release > _SHORTEST_FALL:
             return flight, end
@@ -164,19 +158,14 @@ def _longer(time: FloatArray, height: FloatArray, hold: slice, end: int, release
     for _ in range(40):
         since, known = time[hold.start : end] - release, height[hold.start : end]
 
-        def parabola(start: float, since: FloatArray = since, known: FloatArray = known) -> FloatArray:
-            shape = 0.5 * np.maximum(0.0, since - start) ** 2
-            design = np.column_stack([np.ones_like(shape), shape])
-            return np.asarray(np.linalg.lstsq(design, known, rcond=None)[0])
-
         def misfit(start: float, since: FloatArray = since, known: FloatArray = known) -> float:
-            place, fall = parabola(start)
+            place, fall = _parabola(since - start, known)
             return float(np.sum((known - place - 0.5 * fall * np.maximum(0.0, since - start) ** 2) ** 2))
 
         found = optimize.minimize_scalar(
             misfit, bounds=(-4.0 * step, 4.0 * step), method="bounded", options={"xatol": 1e-6}
         )
-        place, fall = parabola(float(found.x))
+        place, fall = _parabola(since - float(found.x), known)
         release += float(found.x)
         error = height - place - 0.5 * fall * np.maximum(0.0, time - release) ** 2
         away = _leaves(np.abs(error), hold.stop, limit)

@@ -48,13 +48,9 @@ class Reversal:
     time : float
         Of the command on the clock of the log [s].
     before, after : float
-        Commands u [1].
-    hold : float
-        How long the second one was held [s].
-    zero_crossing : float
-        Until the rotor stood still (or the thrust was zero).
-    dead_band : float
-        Spent inside the dead band.
+        Commands u [1]; the second one was held for `hold` [s].
+    zero_crossing, dead_band : float
+        Until the rotor stood still (or the thrust was zero), and time spent inside the dead band.
     to_level : float
         Until the thrust was 90 % of its final value; NaN: never before the next command.
     final_thrust : float
@@ -73,18 +69,10 @@ class Reversal:
 
 
 def held_commands(steps: CommandSteps) -> CommandSteps:
-    """Return the commands that were meant: jitter taken out, a neutral in passing left out.
+    """Return the commands u that were meant: jitter taken out, a neutral in passing left out.
 
-    Parameters
-    ----------
-    steps : CommandSteps
-        As logged, in u.
-
-    Returns
-    -------
-    CommandSteps
-        Levels within 0.005 of each other are the one of them that was held longest, and 0 when they are that
-        close to it; a neutral of less than 50 ms between two commands belongs to the first.
+    Levels within 0.005 of each other become the one of them that was held longest, and 0 when they are that
+    close to it; a neutral of less than 50 ms between two commands belongs to the first.
     """
     if steps.time.size < 2:
         return steps
@@ -118,8 +106,6 @@ def find_reversals(
     *,
     skip: Sequence[tuple[float, float]] = (),
     sense: Sense = "to-reverse",
-    level: float = LEVEL,
-    dead_band: float = DEAD_BAND,
 ) -> tuple[Reversal, ...]:
     """Find the reversals of a log and time them.
 
@@ -135,10 +121,6 @@ def find_reversals(
         Signed. With it, zero crossing and dead band are read from the speed, else from the thrust.
     skip : sequence of (start, end)
         Intervals whose commands the logger lost [s]; their reversals are left out.
-    sense : {"to-reverse", "to-forward", "both"}
-        Which reversals.
-    level, dead_band : float
-        Shares of the final value [1].
 
     Notes
     -----
@@ -165,9 +147,9 @@ def find_reversals(
     for (start, before, after, hold), final, scale in zip(commands, finals, scales, strict=True):
         sign = 1.0 if after > 0 else -1.0
         t, values = _part(thrust, start, start + hold)
-        reached = _first(t, sign * values, level * final) if final > 0 else float("nan")
+        reached = _first(t, sign * values, LEVEL * final) if final > 0 else float("nan")
         t, values = _part(signal, start, start + hold)
-        band = dead_band * scale
+        band = DEAD_BAND * scale
         entered, zero, left = (
             _passed(t, sign * values, threshold, 0.5 * scale) for threshold in (-band, 0.0, band)
         )
@@ -196,18 +178,13 @@ def _finals(
             if half > 1:
                 drift[i] = abs(float(np.mean(values[half:])) - float(np.mean(values[:half])))
     times, levels = np.array([f[0] for f in commands]), np.array([f[2] for f in commands])
-    out = []
+    out = [float("nan")] * len(commands)
     for i in range(len(commands)):
         same = np.flatnonzero((levels == levels[i]) & np.isfinite(last))
-        if not same.size:
-            out.append(float("nan"))
-            continue
-        largest = float(np.max(last[same]))
+        largest = np.max(last[same], initial=-np.inf)
         settled = same[(last[same] >= _LEAST_FINAL * largest) & (drift[same] <= _DRIFT * last[same])]
-        if not settled.size:
-            out.append(float("nan"))
-            continue
-        out.append(float(last[settled[np.argmin(np.abs(times[settled] - times[i]))]]))
+        if settled.size:
+            out[i] = float(last[settled[np.argmin(np.abs(times[settled] - times[i]))]])
     return out
 
 
@@ -244,14 +221,7 @@ def _passed(time: FloatArray, values: FloatArray, threshold: float, beyond: floa
 
 @dataclass(frozen=True)
 class Repetitions:
-    """Reversals of one pair of commands.
-
-    Parameters
-    ----------
-    before, after : float
-        Commands u [1].
-    reversals : tuple of Reversal
-    """
+    """Reversals of one pair of commands u [1]."""
 
     before: float
     after: float
@@ -265,9 +235,7 @@ class Repetitions:
     def quartiles(self, name: str) -> tuple[float, float]:
         """Return the quartiles of a time over the repetitions that show it [s]."""
         values = self._values(name)
-        if not values.size:
-            return float("nan"), float("nan")
-        low, high = np.percentile(values, [25.0, 75.0])
+        low, high = np.percentile(values, [25.0, 75.0]) if values.size else (np.nan, np.nan)
         return float(low), float(high)
 
     def outliers(self, slow: float = SLOW) -> int:

@@ -20,24 +20,12 @@ _SLOW = 0.25
 def find_starts(
     time: FloatArray, speed: FloatArray, steps: CommandSteps, edge: float, end: float
 ) -> tuple[tuple[float, float], ...]:
-    """Find the spin-ups that begin inside a dead band.
+    """Return (start, end) [s] of the spin-ups that begin inside a dead band.
 
-    Parameters
-    ----------
-    time, speed : (n,) arrays
-        Real samples of the speed [s], [rad/s]; its sign does not matter.
-    steps : CommandSteps
-        In u.
-    edge : float
-        The widest dead band to reckon with [rad/s].
-    end : float
-        Of the log [s].
-
-    Returns
-    -------
-    tuple of (start, end)
-        From the command that finds the rotor inside the band until `SETTLE` after it has left it [s];
-        spin-ups that overlap are one.
+    Each runs from the command that finds the rotor inside the band until `SETTLE` after the rotor has left
+    it, at most to the `end` of the log [s]; spin-ups that overlap are one. `time` and `speed` (n,) are real
+    samples of the speed [s], [rad/s], whose sign does not matter; `edge` is the widest dead band to reckon
+    with [rad/s].
     """
     size = np.abs(speed)
     if not size.size:
@@ -46,12 +34,12 @@ def find_starts(
     intervals: list[tuple[float, float]] = []
     for i in range(steps.time.size):
         start = float(steps.time[i])
-        at = int(np.searchsorted(time, start, side="right")) - 1
         # A command from before the first sample finds the rotor in the state of that sample.
-        if abs(steps.level[i]) < AT_REST or size[max(at, 0)] >= edge:
+        at = max(int(np.searchsorted(time, start, side="right")) - 1, 0)
+        if abs(steps.level[i]) < AT_REST or size[at] >= edge:
             continue
-        after = np.flatnonzero(size[max(at, 0) :] >= edge)
-        until = min(float(time[max(at, 0) + after[0]]) + SETTLE, end) if after.size else end
+        after = np.flatnonzero(size[at:] >= edge)
+        until = min(float(time[at + after[0]]) + SETTLE, end) if after.size else end
         if intervals and start <= intervals[-1][1]:
             intervals[-1] = (intervals[-1][0], max(until, intervals[-1][1]))
         else:

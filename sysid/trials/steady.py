@@ -23,14 +23,8 @@ _RAMP_TRAVEL, _RAMP_DRIFT = 0.05, 0.01
 class SteadyPoints:
     """Averages over stretches at one command, or rows of an averaged log; all arrays (n,), NaN where unknown.
 
-    Parameters
-    ----------
-    u : command [1]
-    speed : signed [rad/s]
-    thrust, torque : tare subtracted, sign of the speed [N], [N·m]
-    voltage : supply [V]
-    samples : rows behind each point
-    thrust_zero, torque_zero : rows at rest behind the tare that was subtracted
+    Command [1], signed speed [rad/s], thrust and torque with the tare subtracted and the sign of the speed
+    [N], [N·m], supply [V], rows behind each point, rows at rest behind the two tares.
     """
 
     u: FloatArray
@@ -57,33 +51,26 @@ def steady_points(
     steps: CommandSteps,
     channels: dict[str, tuple[FloatArray, FloatArray]],
     skip: Sequence[tuple[float, float]] = (),
-    settle: float = SETTLE,
     zero_rows: Mapping[str, int] | None = None,
 ) -> SteadyPoints:
-    """Average every stretch at one command, `settle` after the command and until the next.
+    """Average every stretch at one command, from 0.4 s after the command until the next.
+
+    Only stretches that turn and whose speed is the same in both halves to 2 % count.
 
     Parameters
     ----------
     time : (n,) array
         Rows of the log [s]; their first and last bound the stretches.
-    steps : CommandSteps
     channels : dict of name to (times, values)
         ``speed`` and, where the log has them, ``thrust``, ``torque``, ``voltage``: real samples only.
     skip : sequence of (start, end)
         Intervals that do not count [s].
-    settle : float
-        Time that a response needs [s].
     zero_rows : mapping of str to int, optional
         Rows at rest behind the tare of ``thrust`` and ``torque``.
-
-    Returns
-    -------
-    SteadyPoints
-        Only stretches that turn and whose speed is the same in both halves to 2 %.
     """
     ends = np.append(steps.time[1:], time[-1] + 1e-9)
     stretches = [
-        (max(start, float(time[0])) + settle, end, level)
+        (max(start, float(time[0])) + SETTLE, end, level)
         for start, end, level in zip(steps.time, ends, steps.level, strict=True)
     ]
     return _averages(stretches, channels, skip, _DRIFT, zero_rows or {})
@@ -99,16 +86,7 @@ def ramp_points(
     """Average windows of 0.4 s of a command that creeps, so slowly that the rotor keeps up with it.
 
     Valid for ramps of 20 s or more from rest to full; ignores what the rotor trails by (0.5 % of its speed).
-
-    Parameters
-    ----------
-    time, steps, channels, skip, zero_rows
-        As of `steady_points`.
-
-    Returns
-    -------
-    SteadyPoints
-        `u` is the mean over the window.
+    Arguments as of `steady_points`; `u` is the mean over the window.
     """
     windows = []
     for start in np.arange(float(time[0]) + SETTLE, float(time[-1]) - SETTLE, SETTLE):

@@ -1,15 +1,14 @@
 """Known truth through the whole gear pipeline: written logs, window, filter, cost, and the fit itself."""
 
+import shutil
 from math import radians
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fakes.gear_campaigns import EXACT, opened, used
 from fakes.sets import assert_sets_agree
-from sysid.campaign import read_campaign
 from sysid.errors import LogError
-from sysid.gear.drops import prepare_drops
 from sysid.gear.model import LF_FREE
 from sysid.gear.problem import GearProblem, score_values, search_space
 from sysid.journal import Journal
@@ -18,36 +17,20 @@ from sysid.workflows.fit import fit_gear
 from sysid.workflows.options import FitOptions
 
 
-def _prepared(folder):
-    path = folder / "campaign.toml"
-    campaign = read_campaign(path, "gear")
-    return campaign, prepare_drops(campaign, path)
-
-
-def _change(folder, old, new):
-    path = folder / "campaign.toml"
-    text = path.read_text(encoding="utf-8")
-    assert old in text
-    path.write_text(text.replace(old, new, 1), encoding="utf-8")
-
-
 @pytest.fixture(scope="module")
 def clean(tmp_path_factory):
     """Drops without noise, occlusions and wobble: what is left is quantization."""
-    folder = tmp_path_factory.mktemp("clean") / "drops"
-    options = {"noise_position": 0.0, "noise_angle": 0.0, "occlusions": False, "wobble": 0.0}
-    return synthesize_gear(folder, seed=3, **options)
+    return synthesize_gear(tmp_path_factory.mktemp("clean") / "drops", seed=3, **EXACT)
 
 
 def test_truth_scores_nothing_but_quantization(clean):
-    campaign, drops = _prepared(clean)
-    truth = read_truth(clean)
-    for drop, facts in zip(drops, truth["drops"], strict=True):
+    campaign, drops, truth = opened(clean)
+    for drop, facts in zip(drops, read_truth(clean)["drops"], strict=True):
         # A millimetre export writes three decimals, a metre export six: 1e-6 m is 0.01 ms at 0.1 m/s.
         assert drop.flight.start == pytest.approx(facts["release [s]"], abs=2e-5)
         assert drop.touchdown == pytest.approx(facts["touchdown [s]"], abs=2e-5)
         assert drop.impact_speed == pytest.approx(facts["impact speed [m/s]"], abs=1e-3)
-    scored = score_values(campaign, drops, truth["parameters"])
+    scored = score_values(campaign, drops, truth)
     # The window is integrated to 0.1 % per drop; the validation drops bounce as long.
     assert not scored.failed.any()
     assert scored.by_channel.mean(axis=2).max() < 2e-3
@@ -55,19 +38,17 @@ def test_truth_scores_nothing_but_quantization(clean):
 
 def test_level_at_release_is_told_to_the_flight(tmp_path):
     folder = synthesize_gear(tmp_path / "noisy", seed=3, drops=LF_DROPS[:2])
-    campaign, drops = _prepared(folder)
+    campaign, drops, _ = opened(folder)
     assert campaign.capture.level == "release"
     # The hold says what level is: a drop starts exactly there, not at the mean of the noise of its fall.
     assert [drop.initial_state[2] for drop in drops] == [0.0, 0.0]
 
 
 def test_the_cost_sees_every_parameter_but_ground_damping(clean):
-    campaign, drops = _prepared(clean)
-    fitted = tuple(drop for drop in drops if drop.use == "fit")
+    campaign, drops, truth = opened(clean)
     space = search_space(campaign)
     assert space.names == LF_FREE
-    truth = read_truth(clean)["parameters"]
-    objective = GearProblem.build(campaign, space, fitted)
+    objective = GearProblem.build(campaign, space, used(drops))
     centre = space.encode(np.array([truth[name] for name in space.names]))
     moved = np.tile(centre, (len(LF_FREE) + 1, 1))
     for i in range(len(LF_FREE)):
@@ -80,76 +61,53 @@ def test_the_cost_sees_every_parameter_but_ground_damping(clean):
 
 
 @pytest.mark.parametrize(
-    ("old", "new"),
+    "choice",
     [
-        ("[fit]\n", '[filter]\nkind = "none"\n[fit]\n'),
-        ("[fit]\n", "[filter]\nfilter_simulation = false\n[fit]\n"),
-        ("[fit]\n", '[cost]\ndenominator = "range"\n[fit]\n'),
-        ("[fit]\n", "[cost.weights]\nx_B_rate = 0\nz_B_rate = 0\n[fit]\n"),
+        '[filter]\nkind = "none"',
+        "[filter]\nfilter_simulation = false",
+        '[cost]\ndenominator = "range"',
+        "[cost.weights]\nx_B_rate = 0\nz_B_rate = 0",
     ],
 )
-def test_every_choice_of_filter_and_cost_finds_the_truth_best(old, new, clean, tmp_path):
-    import shutil
-
-    folder = tmp_path / "drops"
-    shutil.copytree(clean, folder)
-    _change(folder, old, new)
-    campaign, drops = _prepared(folder)
-    truth = read_truth(folder)["parameters"]
+def test_every_choice_of_filter_and_cost_finds_the_truth_best(choice, clean):
+    campaign, drops, truth = opened(clean, choice)
     at_truth = score_values(campaign, drops, truth).cost[0]
     beside = score_values(campaign, drops, {**truth, "leg_bending_stiffness": 12.0}).cost[0]
     assert beside > 3 * at_truth
 
 
-def test_one_sided_filtering_biases(clean, tmp_path):
+def test_one_sided_filtering_biases(clean):
     """An impact is broadband: filtering the measurement only leaves an error that no parameter explains."""
-    import shutil
-
-    folder = tmp_path / "drops"
-    shutil.copytree(clean, folder)
-    _change(folder, "[fit]\n", "[filter]\nfilter_simulation = false\n[fit]\n")
-    truth = read_truth(folder)["parameters"]
-    one_sided = score_values(*_prepared(folder), truth).cost[0]
-    both = score_values(*_prepared(clean), truth).cost[0]
-    assert one_sided > 10 * both
+    one_sided = score_values(*opened(clean, "[filter]\nfilter_simulation = false")).cost[0]
+    assert one_sided > 10 * score_values(*opened(clean)).cost[0]
 
 
 def test_plane_from_board_markers(tmp_path):
     folder = synthesize_gear(
         tmp_path / "drops", seed=4, drops=LF_DROPS[:3], noise_position=0.0, noise_angle=0.0, plane="markers"
     )
-    campaign, drops = _prepared(folder)
+    campaign, drops, _ = opened(folder)
     assert campaign.surface.markers is not None
     for drop, facts in zip(drops, read_truth(folder)["drops"], strict=True):
         # Markers are written to 1e-6 m or 1e-3 mm.
         assert drop.touchdown == pytest.approx(facts["touchdown [s]"], abs=5e-5)
 
 
-def test_a_wrong_plane_is_doubted(clean, tmp_path):
-    import shutil
-
-    folder = tmp_path / "drops"
-    shutil.copytree(clean, folder)
-    point = read_truth(folder)["capture"]["surface point [m]"]
-    text = (folder / "campaign.toml").read_text(encoding="utf-8")
+def test_a_wrong_plane_is_doubted(clean):
+    point = read_truth(clean)["capture"]["surface point [m]"]
+    text = (clean / "campaign.toml").read_text(encoding="utf-8")
     line = next(line for line in text.splitlines() if line.startswith("point = "))
-    # The board 10 mm higher than it is: the slow drops seem to touch 28 ms before the drone feels it.
-    _change(folder, line, f'point = ["{point[0]} m", "{point[1] + 0.01} m", "{point[2]} m"]')
     with Journal() as journal:
-        _prepared(folder)
+        # The board 10 mm higher than it is: the slow drops seem to touch 28 ms before the drone feels it.
+        opened(clean, f'point = ["{point[0]} m", "{point[1] + 0.01} m", "{point[2]} m"]', line)
     (doubt,) = [finding for finding in journal.findings if finding.code == "doubtful-surface"]
     assert "drop-1" in doubt.trials
     assert "after the feet" in doubt.sentence
     assert "too high" in doubt.sentence
 
 
-def test_the_board_ends_the_window(clean, tmp_path):
-    import shutil
-
-    folder = tmp_path / "drops"
-    shutil.copytree(clean, folder)
-    _change(folder, 'board_length = "1.2 m"', 'board_length = "0.2 m"')
-    _, drops = _prepared(folder)
+def test_the_board_ends_the_window(clean):
+    _, drops, _ = opened(clean, 'board_length = "0.2 m"', 'board_length = "1.2 m"')
     steep = next(drop for drop in drops if drop.slope > radians(30))
     along = (
         np.cos(steep.slope) * steep.target.measured[:, 0] - np.sin(steep.slope) * steep.target.measured[:, 1]
@@ -161,17 +119,14 @@ def test_the_board_ends_the_window(clean, tmp_path):
 
 
 def test_a_log_that_starts_too_late_is_refused(clean, tmp_path):
-    import shutil
-
-    folder = tmp_path / "drops"
-    shutil.copytree(clean, folder)
+    folder = shutil.copytree(clean, tmp_path / "drops")
     facts = read_truth(folder)["drops"][0]
     path = folder / facts["log"]
     lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
     keep = int(facts["release [s]"] * 200) - facts["first frame"] - 15
     path.write_text("".join(lines[:7] + lines[7 + keep :]), encoding="utf-8", newline="")
     with pytest.raises(LogError, match="start recording earlier"):
-        _prepared(folder)
+        opened(folder)
 
 
 def _excess(nrmse, truth):
@@ -185,11 +140,9 @@ def test_low_noise_fit_finds_stiffnesses_and_joint(tmp_path):
     Population 800, the upper end of the paper's 400 to 800. The GA alone leaves k_t up to a fifth off.
     """
     folder = synthesize_gear(tmp_path / "drops", seed=1, noise_position=0.05e-3, noise_angle=radians(0.05))
-    campaign, drops = _prepared(folder)
-    truth = read_truth(folder)["parameters"]
-    fitted = tuple(drop for drop in drops if drop.use == "fit")
-    own = float(score_values(campaign, fitted, truth).cost[0])
-    options = FitOptions(out=Path(tmp_path / "fit"), algorithm="ga", population=800, quiet=True)
+    campaign, drops, truth = opened(folder)
+    own = float(score_values(campaign, used(drops), truth).cost[0])
+    options = FitOptions(out=tmp_path / "fit", algorithm="ga", population=800, quiet=True)
     result, _ = fit_gear(folder / "campaign.toml", options)
     plain = np.array([run.stages[0].cost.min() for run in result.runs])
     print(f"truth {own:.4%}, sets {result.nrmse}, of the GA alone {plain}, excess {_excess(plain, own)}")
@@ -205,10 +158,8 @@ def test_low_noise_fit_finds_stiffnesses_and_joint(tmp_path):
 def test_full_noise_plain_and_finished(tmp_path):
     """0.3 mm and 0.2 deg: the paper's GA of 400 ends above the truth on many seeds, finished runs agree."""
     folder = synthesize_gear(tmp_path / "drops", seed=1)
-    campaign, drops = _prepared(folder)
-    truth = read_truth(folder)["parameters"]
-    fitted = tuple(drop for drop in drops if drop.use == "fit")
-    own = float(score_values(campaign, fitted, truth).cost[0])
+    campaign, drops, truth = opened(folder)
+    own = float(score_values(campaign, used(drops), truth).cost[0])
     path = folder / "campaign.toml"
     paper = FitOptions(out=tmp_path / "plain", algorithm="ga", population=400, finish="none", quiet=True)
     plain, _ = fit_gear(path, paper)

@@ -3,16 +3,14 @@
 import numpy as np
 import pytest
 
+from fakes.gear_campaigns import EXACT, opened, used
 from fakes.sets import assert_sets_agree
-from sysid.campaign import read_campaign
 from sysid.gear.drops import prepare_drops
 from sysid.gear.model import HF_FREE, LF_FREE, PARAMETERS, parameters_on
 from sysid.gear.problem import GearProblem, score_values, search_space
 from sysid.synthetic import HF_DROPS, LF_DROPS, read_truth, synthesize_gear
 from sysid.workflows.fit import fit_gear
 from sysid.workflows.options import FitOptions
-
-EXACT = {"noise_position": 0.0, "noise_angle": 0.0, "occlusions": False, "wobble": 0.0}
 
 
 @pytest.fixture(scope="module")
@@ -22,30 +20,14 @@ def drops(tmp_path_factory):
     )
 
 
-def opened(folder, text=""):
-    path = folder / "campaign.toml"
-    changed = path.with_name("changed.toml")
-    changed.write_text(
-        path.read_text(encoding="utf-8").replace("[fit]\n", f"{text}\n[fit]\n"), encoding="utf-8"
-    )
-    campaign = read_campaign(changed, "gear")
-    return campaign, prepare_drops(campaign, changed)
-
-
-def test_offsets_are_off_by_default(drops):
-    campaign, _ = opened(drops)
-    assert search_space(campaign).names == LF_FREE
-
-
 def test_offsets_of_a_drop_are_found_where_they_were_put(drops):
-    campaign, prepared = opened(drops, '[nuisance]\nheight = "2 mm"\nstart_time = "2 ms"\n')
+    assert search_space(opened(drops)[0]).names == LF_FREE  # there are none by default
+    campaign, prepared, truth = opened(drops, '[nuisance]\nheight = "2 mm"\nstart_time = "2 ms"\n')
     space = search_space(campaign)
     assert space.names[8:] == tuple(
         f"{kind}[drop-{n}]" for n in (1, 2) for kind in ("height_offset", "start_offset")
     )
-    fitted = tuple(drop for drop in prepared if drop.use == "fit")
-    objective = GearProblem.build(campaign, space, fitted)
-    truth = read_truth(drops)["parameters"]
+    objective = GearProblem.build(campaign, space, used(prepared))
     exact = np.array([truth.get(name, 0.0) for name in space.names])
     grid = np.linspace(-1e-3, 1e-3, 9)
     for column in range(8, 12):
@@ -73,15 +55,12 @@ def test_offsets_of_a_drop_are_found_where_they_were_put(drops):
 
 def test_a_surface_that_is_a_millimetre_off_is_found_by_its_offset(drops):
     point = read_truth(drops)["capture"]["surface point [m]"]
-    campaign, prepared = opened(drops, '[nuisance]\nheight = "3 mm"\n')
+    campaign, _, truth = opened(drops, '[nuisance]\nheight = "3 mm"\n')
     moved = (point[0], point[1] + 1e-3, point[2])
     surface = campaign.surface.model_copy(update={"point": moved})
     wrong = campaign.model_copy(update={"surface": surface})
-    prepared = prepare_drops(wrong, drops / "changed.toml")
-    fitted = tuple(drop for drop in prepared if drop.use == "fit")
     space = search_space(wrong)
-    truth = read_truth(drops)["parameters"]
-    objective = GearProblem.build(wrong, space, fitted)
+    objective = GearProblem.build(wrong, space, used(prepare_drops(wrong, drops / "changed.toml")))
     exact = np.array([truth.get(name, 0.0) for name in space.names])
     corrected = exact.copy()
     corrected[8:] = -1e-3
@@ -94,10 +73,8 @@ def test_a_surface_that_is_a_millimetre_off_is_found_by_its_offset(drops):
 
 def test_the_truth_of_high_friction_drops_scores_nothing(tmp_path):
     folder = synthesize_gear(tmp_path / "hf", seed=3, surface="hf", drops=HF_DROPS[:3], **EXACT)
-    campaign, prepared = opened(folder)
-    truth = read_truth(folder)["parameters"]
-    space = search_space(campaign)
-    assert space.names == HF_FREE
+    campaign, prepared, truth = opened(folder)
+    assert search_space(campaign).names == HF_FREE
     assert {name: truth[name] for name in HF_FREE} == {n: parameters_on("hf").nominal[n] for n in HF_FREE}
     scored = score_values(campaign, prepared, truth)
     # Quantization, and 0.3 % of integration where a foot switches its mode.
@@ -110,8 +87,7 @@ def test_the_truth_of_high_friction_drops_scores_nothing(tmp_path):
 
 
 def test_front_legs_may_differ(drops):
-    campaign, prepared = opened(drops)
-    truth = read_truth(drops)["parameters"]
+    campaign, prepared, truth = opened(drops)
     equal = score_values(campaign, prepared, truth).cost[0]
     names = [name for name in PARAMETERS if name.startswith("front_")]
     assert len(names) == 6
@@ -123,10 +99,8 @@ def test_front_legs_may_differ(drops):
 def test_high_friction_fit_recovers_the_truth(tmp_path):
     """Twelve free parameters, 0.3 mm and 0.2 deg: at least 4 of 5 finished runs within 1.005 of the truth."""
     folder = synthesize_gear(tmp_path / "hf", seed=1, surface="hf")
-    campaign, prepared = opened(folder)
-    truth = read_truth(folder)["parameters"]
-    fitted = tuple(drop for drop in prepared if drop.use == "fit")
-    own = float(score_values(campaign, fitted, truth).cost[0])
+    campaign, prepared, truth = opened(folder)
+    own = float(score_values(campaign, used(prepared), truth).cost[0])
     result, _ = fit_gear(folder / "campaign.toml", FitOptions(out=tmp_path / "fit", quiet=True))
     print(f"truth {own:.4%}, sets over truth {result.nrmse / own}")
     assert np.sum(result.nrmse <= 1.005 * own) >= 4

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid.campaign import read_campaign
+from fakes.gear_campaigns import opened, used
 from sysid.fit.search import SearchSettings, run_one
-from sysid.gear.drops import prepare_drops
 from sysid.gear.model import EventKind, simulate
 from sysid.gear.problem import GearProblem, measured_values, score_values, search_space
 from sysid.parameters import SearchSpace
@@ -20,58 +19,30 @@ from sysid.workflows.options import FitOptions
 
 # Relative errors that six drops allow [1]; the damper of the ground and, on most campaigns, mu_s - mu_k are
 # not fixed by such data.
+_LEGS = {
+    "leg_axial_stiffness": 0.02, "leg_axial_damping": 0.02, "leg_bending_stiffness": 0.02,
+    "ground_stiffness": 0.15,
+}  # fmt: skip
 BOUNDS = {
-    "lf": {
-        "joint_dx": 0.005,
-        "joint_dz": 0.06,
-        "leg_axial_stiffness": 0.02,
-        "leg_axial_damping": 0.02,
-        "leg_bending_stiffness": 0.02,
-        "leg_bending_damping": 0.02,
-        "ground_stiffness": 0.15,
-    },
-    "hf": {
-        "kinetic_friction": 0.01,
-        "leg_axial_stiffness": 0.02,
-        "leg_axial_damping": 0.02,
-        "leg_bending_stiffness": 0.02,
-        "leg_mass": 0.05,
-        "leg_inertia": 0.05,
-        "joint_dz": 0.05,
-        "ground_stiffness": 0.15,
-    },
-}
+    "lf": _LEGS | {"joint_dx": 0.005, "joint_dz": 0.06, "leg_bending_damping": 0.02},
+    "hf": _LEGS | {"kinetic_friction": 0.01, "leg_mass": 0.05, "leg_inertia": 0.05, "joint_dz": 0.05},
+}  # fmt: skip
 SEEDS = (1, 2, 3, 4, 5)
 
 
-def opened(folder):
-    """Campaign, prepared drops, true values."""
-    path = folder / "campaign.toml"
-    campaign = read_campaign(path, "gear")
-    return campaign, prepare_drops(campaign, path), read_truth(folder)["parameters"]
-
-
-def used(drops, use):
-    return tuple(drop for drop in drops if drop.use == use)
-
-
 def third_contact(drop, truth, surface):
-    """Time of the third touchdown of the true drop on the log's clock [s].
-
-    Touchdowns of one foot less than 5 ms apart are one.
-    """
+    """Time of the third touchdown of the true drop on the log's clock [s]."""
     run = simulate(
         truth, drop.slope, drop.initial_state, drop.simulated_time, surface=surface, tolerance=1e-6
     )
-    found = []
-    for foot in ("rear", "front"):
-        last = -1.0
-        for event in run.events:
-            if event.foot == foot and event.kind is EventKind.TOUCHDOWN:
-                found += [event.time] if event.time - last > 5e-3 else []
-            if event.foot == foot and event.kind in (EventKind.TOUCHDOWN, EventKind.LIFT_OFF):
-                last = event.time
-    return drop.time[0] + sorted(found)[2]
+    # Touchdowns of one foot less than 5 ms after it was last loaded are one.
+    found, last = [], {"rear": -1.0, "front": -1.0}
+    for event in run.events:
+        if event.kind in (EventKind.TOUCHDOWN, EventKind.LIFT_OFF):
+            if event.kind is EventKind.TOUCHDOWN and event.time - last[event.foot] > 5e-3:
+                found.append(event.time)
+            last[event.foot] = event.time
+    return drop.time[0] + found[2]
 
 
 def up_to_third_contact(drops, truth, surface):
@@ -99,7 +70,7 @@ def fitted(request, tmp_path_factory):
 @pytest.mark.slow
 def test_every_run_ends_where_the_truth_scores(fitted):
     surface, (campaign, drops, truth), result = fitted
-    own = float(score_values(campaign, used(drops, "fit"), truth).cost[0])
+    own = float(score_values(campaign, used(drops), truth).cost[0])
     ratio = result.nrmse / own
     print(f"\n{surface}: truth {own:.4%}, five runs over it {ratio.round(5)}")
     assert len(ratio) == 5

@@ -21,16 +21,9 @@ def _mend(recording: Recording, option: str) -> str:
 
 
 def unit_advice(recording: Recording, channel: str, unit: str) -> str:
-    """Return how to say the unit of a bench log's channel.
+    """Return how to say the unit that the speed, thrust or torque of a bench log is probably in.
 
-    Parameters
-    ----------
-    recording : Recording
-        As loaded; its format and options decide.
-    channel : str
-        ``speed``, ``thrust`` or ``torque``.
-    unit : str
-        What the values probably are in.
+    The recording's format and options decide.
     """
     mend = _mend(recording, "units")
     if mend:

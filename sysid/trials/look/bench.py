@@ -21,22 +21,11 @@ _TARE = 0.02
 
 @dataclass(frozen=True)
 class BenchReport:
-    """What happens in a log of one motor.
+    """What happens in a log of one motor; NaN where unknown.
 
-    Parameters
-    ----------
-    commands : int
-        Levels that were commanded one after the other.
-    lowest_command, highest_command : float
-        In the protocol's unit; NaN without a command channel.
-    stalls : int
-        Pauses of the logger.
-    stalls_at_commands : int
-        Those that hide when a command was given.
-    rest_thrust, rest_torque : float
-        Readings before anything turns [N], [N·m]; NaN where unknown.
-    top_speed : float
-        [rad/s]; NaN without a speed.
+    How many levels were commanded one after the other, the lowest and the highest [unit of the protocol];
+    pauses of the logger, and which of them hide when a command was given; readings before anything turns [N],
+    [N·m]; the top speed [rad/s].
     """
 
     commands: int
@@ -73,13 +62,7 @@ def _at_rest(recording: Recording, channel: Channel | None) -> float:
 
 
 def inspect_bench(recording: Recording) -> tuple[BenchReport, list[Finding]]:
-    """Return the report of a running log and its suspicions.
-
-    Parameters
-    ----------
-    recording : Recording
-        Of kind thrust-stand or load-cell.
-    """
+    """Return the report of a running log of a thrust stand or load cell, and its suspicions."""
     channels = recording.channels
     command, speed = channels.get("command"), channels.get("speed")
     thrust, torque = channels.get("thrust"), channels.get("torque")
@@ -98,6 +81,7 @@ def inspect_bench(recording: Recording) -> tuple[BenchReport, list[Finding]]:
 
 def _suspicions(recording: Recording, report: BenchReport) -> list[Finding]:
     channels = recording.channels
+    thrust, torque = channels.get("thrust"), channels.get("torque")
     findings = []
     if report.top_speed > _FASTEST:
         advice = unit_advice(recording, "speed", "rpm")
@@ -107,25 +91,28 @@ def _suspicions(recording: Recording, report: BenchReport) -> list[Finding]:
         findings.append(Finding("speed-unit", sentence))
     elif report.top_speed == 0.0:
         findings.append(Finding("no-speed", "speed is zero throughout: the probe was off or saw no mark"))
-    largest = _largest(channels.get("thrust"))
+    largest = _largest(thrust)
     if largest > _STRONGEST:
         advice = unit_advice(recording, "thrust", "gf")
         findings.append(Finding("thrust-unit", f"thrust reaches {largest:.4g} N: probably grams; {advice}"))
-    if _largest(channels.get("torque")) > _LARGEST_TORQUE:
+    if _largest(torque) > _LARGEST_TORQUE:
         advice = unit_advice(recording, "torque", "mN*m")
         findings.append(Finding("torque-unit", f"torque exceeds 100 N·m: probably mN·m; {advice}"))
-    for name, rest, unit in (
-        ("thrust", report.rest_thrust, "N"), ("torque", report.rest_torque, "N·m"),
+    for name, channel, rest, unit in (
+        ("thrust", thrust, report.rest_thrust, "N"), ("torque", torque, report.rest_torque, "N·m"),
     ):  # fmt: skip
-        channel = channels.get(name)
         if channel is None or not np.isfinite(rest):
             continue
         span = float(np.nanmax(channel.values) - np.nanmin(channel.values))
         if span > 0 and abs(rest) > _TARE * span:
             sentence = f"{name} reads {rest:.3g} {unit} before anything turns: no tare; subtract it"
             findings.append(Finding("no-tare", sentence))
-    findings += _signs(channels.get("speed"), channels.get("thrust"))
-    thrust = channels.get("thrust")
+    if _falls(channels.get("speed"), thrust):
+        sentence = (
+            "thrust falls when the speed rises: the sign of the axis is reversed, or the propeller turns in "
+            "reverse"
+        )
+        findings.append(Finding("thrust-falls", sentence))
     for name in ("force_x", "force_y"):
         side = channels.get(name)
         if thrust is None or side is None or not side.valid.any():
@@ -136,23 +123,15 @@ def _suspicions(recording: Recording, report: BenchReport) -> list[Finding]:
     return findings
 
 
-def _signs(speed: Channel | None, thrust: Channel | None) -> list[Finding]:
+def _falls(speed: Channel | None, thrust: Channel | None) -> bool:
+    """Return whether thrust falls when the speed rises."""
     if speed is None or thrust is None or not speed.valid.any() or not thrust.valid.any():
-        return []
+        return False
     turning: FloatArray = np.interp(thrust.time, speed.time[speed.valid], np.abs(speed.values[speed.valid]))
     known = thrust.valid
     fast = known & (turning > 0.7 * turning.max())
     slow = known & (turning < 0.2 * turning.max())
     if fast.sum() < 5 or slow.sum() < 5:
-        return []
-    change = float(np.median(thrust.values[fast]) - np.median(thrust.values[slow]))
-    noise = float(np.std(thrust.values[slow]))
-    if change < -3.0 * noise:
-        return [
-            Finding(
-                "thrust-falls",
-                "thrust falls when the speed rises: the sign of the axis is reversed, or the propeller turns "
-                "in reverse",
-            )
-        ]
-    return []
+        return False
+    change = np.median(thrust.values[fast]) - np.median(thrust.values[slow])
+    return bool(change < -3.0 * np.std(thrust.values[slow]))

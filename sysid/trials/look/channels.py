@@ -22,28 +22,20 @@ class ChannelReport:
 
     Parameters
     ----------
-    name, unit : str
-        Of the channel.
-    samples : int
-        Rows on its clock.
-    blank : float
-        Share of them without a value [1].
-    lowest, highest : float
+    samples, blank
+        Rows on its clock, and the share of them without a value [1].
+    lowest, highest
         Of all components [unit]; NaN without a value.
-    rate : float
-        Median sample rate [Hz]; NaN below two samples.
-    jitter : float
-        90th percentile of the deviation of a step from the median one, as a share of it [1].
-    holes : int
-        Steps longer than 2.5 times the median.
-    longest_hole : float
-        The longest step of the clock [s]; NaN, as rate, jitter and longest_blank, where rows have no time.
-    longest_blank : float
-        The longest time without a value, before the first and behind the last one too [s].
-    repeated : float
-        Share of values equal to the one before [1].
-    saturated : float
-        Share of values in runs of five or more at the lowest or highest value [1].
+    rate, jitter
+        Median sample rate [Hz], NaN below two samples; 90th percentile of the deviation of a step from the
+        median one, as a share of it [1].
+    holes, longest_hole
+        Steps longer than 2.5 times the median; the longest step of the clock [s].
+    longest_blank
+        The longest time without a value, before the first and behind the last one too [s]. Rate, jitter,
+        longest_hole and longest_blank are NaN where rows have no time.
+    repeated, saturated
+        Share of values equal to the one before, and in runs of five or more at either extreme [1].
     """
 
     name: str
@@ -59,12 +51,6 @@ class ChannelReport:
     longest_blank: float
     repeated: float
     saturated: float
-
-
-def without_clock(one: ChannelReport) -> ChannelReport:
-    """Return the numbers of a channel whose rows have no time: NaN for all that its clock would tell."""
-    unknown = float("nan")
-    return replace(one, rate=unknown, jitter=unknown, holes=0, longest_hole=unknown, longest_blank=unknown)
 
 
 def _saturated(values: FloatArray) -> float:
@@ -91,8 +77,8 @@ def _longest_blank(time: FloatArray, valid: NDArray[np.bool_]) -> float:
     return max(*ends, float(np.diff(time[known])[between].max(initial=0.0)))
 
 
-def inspect_channel(channel: Channel) -> ChannelReport:
-    """Return the numbers of a channel."""
+def inspect_channel(channel: Channel, clock: bool = True) -> ChannelReport:
+    """Return the numbers of a channel; without a clock all is NaN that a clock would tell."""
     time, valid = channel.time, channel.valid
     steps = np.diff(time)
     median = float(np.median(steps)) if steps.size else float("nan")
@@ -103,7 +89,7 @@ def inspect_channel(channel: Channel) -> ChannelReport:
     repeats = np.diff(known, axis=0) == 0
     equal = repeats if repeats.ndim == 1 else repeats.all(axis=1)
     discrete = channel.unit in ("us", "dshot", "rad/s") or channel.name in ("command", "log_time")
-    return ChannelReport(
+    report = ChannelReport(
         channel.name,
         channel.unit,
         int(time.size),
@@ -118,3 +104,7 @@ def inspect_channel(channel: Channel) -> ChannelReport:
         float(equal.mean()) if equal.size else 0.0,
         0.0 if discrete or known.ndim > 1 or not known.size else _saturated(known),
     )
+    if clock:
+        return report
+    unknown = float("nan")
+    return replace(report, rate=unknown, jitter=unknown, holes=0, longest_hole=unknown, longest_blank=unknown)

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sysid.recording import Channel, Recording
+from sysid.trials.capture import signed_axis
 from sysid.trials.flight import (
     HALF_WINDOW,
     FreeFlight,
@@ -27,13 +28,8 @@ from sysid.types import BoolArray, FloatArray
 STANDARD_GRAVITY = 9.80665
 # Units that a length may have been read in: its factor on g, and what it means.
 _SCALES = {
-    1.0: "",
-    1e3: "mm",
-    1e2: "cm",
-    1 / 0.0254: "inches",
-    1 / 0.3048: "feet",
-    1e-3: "metres, read as mm",
-}
+    1.0: "", 1e3: "mm", 1e2: "cm", 1 / 0.0254: "inches", 1 / 0.3048: "feet", 1e-3: "metres, read as mm",
+}  # fmt: skip
 # Only g distinguishes a wrong unit from a wrong rate; two readings of one long fall differ by less than this.
 _NEAR_UNIT = 0.1
 # Factors on g that a wrong rate or scale may cause, the nearest first; one step moves the end of a fall of
@@ -52,39 +48,28 @@ class DropReport:
 
     Parameters
     ----------
-    body : str
+    body
         Rigid body or marker that falls.
-    up : str
-        Capture axis nearest to up, such as ``"+z"``.
-    up_error : float
-        Angle between that axis and the fall [rad].
-    gravity : float
+    up, up_error
+        Capture axis nearest to up, such as ``"+z"``, and the angle between it and the fall [rad].
+    gravity
         What the fall itself says [m/s²].
-    length_unit : str
+    length_unit
         Empty; else the unit that the lengths seem to be in although they were read in another.
-    release : float or None
-        [s]; None where the body was thrown or carried into the flight.
-    touchdown : float
-        [s]
-    impact_speed : float
-        Downward speed at touchdown [m/s].
-    fall_height : float
-        From release (or the top of the flight) to touchdown [m].
-    slide : (3,) tuple
-        Horizontal way from touchdown to the end of the log, capture axes [m].
-    down_slope : str or None
-        Capture axis nearest to where the board's markers fall, else to that way, where it is over 20 mm long.
-    down_slope_doubt : str
-        Why that axis may be wrong; empty where nothing speaks against it.
-    slope : float or None
-        Suggested slope [rad], from board markers or from the tilt between hold and rest.
-    slope_source : str
-        Where it comes from, and what to check.
-    release_error, touchdown_error : float
+    release, touchdown
+        [s]; no release where the body was thrown or carried into the flight.
+    impact_speed, fall_height
+        Downward speed at touchdown [m/s]; from release (or the top of the flight) to touchdown [m].
+    slide
+        Horizontal way (3,) from touchdown to the end of the log, capture axes [m].
+    down_slope, down_slope_doubt
+        Capture axis nearest to where the board's markers fall, else to that way, where it is over 20 mm long;
+        why that axis may be wrong, empty where nothing speaks against it.
+    slope, slope_source
+        Suggested slope [rad], from board markers or from the tilt between hold and rest, and what to check.
+    release_error, touchdown_error, impact_speed_error
         How far off the two times may be [s]: a sample period; one and a half, and the 10 ms in which legs
-        give way before the body shows it. NaN without a release.
-    impact_speed_error : float
-        What that time makes of the speed [m/s].
+        give way before the body shows it. NaN without a release. What that makes of the speed [m/s].
     """
 
     body: str
@@ -123,21 +108,10 @@ def _uniform(channel: Channel) -> tuple[FloatArray, FloatArray, BoolArray]:
 
 
 def inspect_drop(recording: Recording, gravity: float = STANDARD_GRAVITY) -> DropReport | None:
-    """Return the drop in a recording, None where nothing falls.
-
-    Parameters
-    ----------
-    recording : Recording
-        With rigid bodies or markers.
-    gravity : float
-        [m/s²]
-    """
+    """Return the drop in a recording, under a gravity [m/s²]; None where nothing falls."""
     for body in (*recording.rigid_bodies, *recording.markers):
-        name = f"{body}/position"
-        if name not in recording.channels:
-            continue
-        channel = recording[name]
-        if channel.valid.sum() < 20 or channel.values.ndim != 2:
+        channel = recording.channels.get(f"{body}/position")
+        if channel is None or channel.valid.sum() < 20 or channel.values.ndim != 2:
             continue
         report = _inspect_body(recording, body, channel, gravity)
         if report is not None and (body in recording.rigid_bodies or _falls_freely(report, gravity)):
@@ -191,8 +165,7 @@ def _report(
     measured = float(np.linalg.norm(flight.acceleration))
     up_vector = -flight.acceleration / measured
     up = _axis_name(up_vector)
-    axis = np.zeros(3)
-    axis["xyz".index(up[1])] = 1.0 if up[0] == "+" else -1.0
+    axis = signed_axis(up)
     touchdown = contact_time(time, (position - flight.at(time)) @ axis, end)
     speed = -float(flight.velocity(touchdown) @ axis)
     # Of a throw, from the top of its parabola, or from where the log begins to show it.
@@ -229,12 +202,7 @@ def _down_slope(way: FloatArray, downhill: FloatArray | None, held: bool) -> tup
 
 
 def _slope(
-    recording: Recording,
-    body: str,
-    channel: Channel,
-    up: FloatArray,
-    release: float | None,
-    touchdown: float,
+    recording: Recording, body: str, channel: Channel, up: FloatArray, release: float | None, touchdown: float
 ) -> tuple[float | None, str, FloatArray | None]:
     """Return a suggested slope [rad], where it comes from, and the way down where markers tell it."""
     still = []
@@ -260,17 +228,18 @@ def _slope(
                 f"plane of {len(still)} markers that stand still, {sure}: check that they lie on the board"
             )
             return angle, source, normal - up * (normal @ up) if angle > _SHALLOW else None
+    unknown = (None, "", None)
     orientation = recording.channels.get(f"{body}/orientation")
     if orientation is None or release is None:
-        return None, "", None
+        return unknown
     valid = orientation.valid
     before = valid & (orientation.time < release) & (orientation.time > release - 0.3)
     rest = valid & (orientation.time > orientation.time[-1] - 0.15) & (orientation.time > touchdown + 0.2)
     if before.sum() < 3 or rest.sum() < 3:
-        return None, "", None
+        return unknown
     seen = channel.values[channel.valid & (channel.time > channel.time[-1] - 0.15)]
     if np.max(np.ptp(seen, axis=0)) > 5e-3:
-        return None, "", None  # it still moves
+        return unknown  # it still moves
     held, lying = (
         Rotation.from_quat(np.roll(orientation.values[part], -1, axis=1)).mean() for part in (before, rest)
     )

@@ -13,7 +13,7 @@ from sysid.journal import Finding
 from sysid.recording import Recording
 from sysid.trials.look.advice import length_advice
 from sysid.trials.look.bench import BenchReport, inspect_bench
-from sysid.trials.look.channels import ChannelReport, inspect_channel, without_clock
+from sysid.trials.look.channels import ChannelReport, inspect_channel
 from sysid.trials.look.drop import STANDARD_GRAVITY, DropReport, inspect_drop
 
 # A capture volume is no larger [m].
@@ -28,22 +28,9 @@ _WRITTEN = {"inches": "inch", "feet": "foot", "metres, read as mm": "m"}
 class LogReport:
     """What is known about one log.
 
-    Parameters
-    ----------
-    path, sha256, format, device, kind : str
-        Of the recording.
-    duration : float
-        From the first to the last sample of any channel [s]; of a static map: NaN.
-    channels : tuple of ChannelReport
-        In file order.
-    drop : DropReport or None
-        Where a body falls.
-    bench : BenchReport or None
-        Of a running thrust-stand or load-cell log.
-    suspicions : tuple of Finding
-        What looks like a mistake.
-    notes : tuple of Finding
-        What the loader noticed and did.
+    Its duration is the time from the first to the last sample of any channel [s], NaN for a static map; its
+    channels are in file order. A drop is there where a body falls, a bench for a running log of a thrust
+    stand or load cell. Suspicions say what looks like a mistake, notes what the loader noticed and did.
     """
 
     path: str
@@ -63,9 +50,9 @@ class LogReport:
 
         def plain(value: Any) -> Any:
             if isinstance(value, dict):
-                return {key: plain(one) for key, one in value.items()}
+                return {key: plain(item) for key, item in value.items()}
             if isinstance(value, list | tuple):
-                return [plain(one) for one in value]
+                return [plain(item) for item in value]
             return None if isinstance(value, float) and not math.isfinite(value) else value
 
         stated: dict[str, Any] = plain(asdict(self))
@@ -90,18 +77,9 @@ def log_quality(name: str, use: str, report: LogReport) -> dict[str, Any]:
 
 
 def inspect_recording(recording: Recording, gravity: float = STANDARD_GRAVITY) -> LogReport:
-    """Return what a recording holds and what looks wrong with it.
-
-    Parameters
-    ----------
-    recording : Recording
-        As loaded.
-    gravity : float
-        [m/s²]
-    """
-    channels = tuple(inspect_channel(channel) for channel in recording.channels.values())
-    if recording.kind == "static-map":  # points follow one another in no time
-        channels = tuple(without_clock(one) for one in channels)
+    """Return what a recording holds and what looks wrong with it, under a gravity [m/s²]."""
+    clock = recording.kind != "static-map"  # its points follow one another in no time
+    channels = tuple(inspect_channel(channel, clock) for channel in recording.channels.values())
     suspicions = [finding for finding in recording.provenance.notes if finding.severity == "warning"]
     drop, bench = None, None
     if recording.kind in ("thrust-stand", "load-cell"):
@@ -113,31 +91,26 @@ def inspect_recording(recording: Recording, gravity: float = STANDARD_GRAVITY) -
     suspicions += [
         Finding(
             "saturated",
-            f"{one.name} sits at its limit ({one.highest:.4g} {one.unit}) for {100 * one.saturated:.2g} % of "
-            "the samples: the sensor may be saturated",
+            f"{c.name} sits at its limit ({c.highest:.4g} {c.unit}) for {100 * c.saturated:.2g} % of the "
+            "samples: the sensor may be saturated",
         )
-        for one in channels
-        if one.saturated > 0
+        for c in channels
+        if c.saturated > 0
     ]
     suspicions += [
-        Finding("blank-channel", f"{one.name} holds no value at all") for one in channels if one.blank == 1.0
+        Finding("blank-channel", f"{c.name} holds no value at all") for c in channels if c.blank == 1.0
     ]
-    first = min((c.time[0] for c in recording.channels.values() if c.time.size), default=0.0)
-    last = max((c.time[-1] for c in recording.channels.values() if c.time.size), default=0.0)
+    times = [channel.time for channel in recording.channels.values() if channel.time.size]
+    first, last = (
+        min((time[0] for time in times), default=0.0),
+        max((time[-1] for time in times), default=0.0),
+    )
     provenance = recording.provenance
     return LogReport(
-        provenance.path,
-        provenance.sha256,
-        provenance.format,
-        provenance.device,
-        recording.kind,
-        float("nan") if recording.kind == "static-map" else float(last - first),
-        channels,
-        drop,
-        bench,
-        tuple(suspicions),
-        provenance.notes,
-    )
+        provenance.path, provenance.sha256, provenance.format, provenance.device, recording.kind,
+        float(last - first) if clock else float("nan"),
+        channels, drop, bench, tuple(suspicions), provenance.notes,
+    )  # fmt: skip
 
 
 def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: float) -> list[Finding]:
@@ -151,7 +124,7 @@ def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: 
         for name, channel in recording.channels.items()
         if name.endswith("/position") and channel.valid.any()
     ]
-    name, distance = max(far, key=lambda one: one[1], default=("", 0.0))
+    name, distance = max(far, key=lambda place: place[1], default=("", 0.0))
     if distance > _FARTHEST and (drop is None or not drop.length_unit):  # one unit is suspected, not two
         suspect(
             "length-unit",

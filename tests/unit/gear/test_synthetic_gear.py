@@ -247,12 +247,13 @@ def test_synthetic_gear_board_markers_give_the_plane(tmp_path):
     campaign = read_campaign(path / "campaign.toml", "gear")
     truth = read_truth(path)
     frame = CaptureFrame(campaign.capture.up, campaign.capture.down_slope)
-    plane = marker_plane(load(path / truth["drops"][0]["log"]), campaign.surface.markers, frame, 7e-3, None)
+    log = load(path / truth["drops"][0]["log"])
+    point, slope, _ = marker_plane(log, campaign.surface.markers, frame, 7e-3, None)
     # Markers are written in micrometres, half a metre apart.
-    assert plane.slope == pytest.approx(ONE_DROP[0].slope, abs=5e-6)
-    normal = np.array([math.sin(plane.slope), 0.0, math.cos(plane.slope)])
+    assert slope == pytest.approx(ONE_DROP[0].slope, abs=5e-6)
+    normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
     hinge = frame.matrix @ np.array(truth["capture"]["surface point [m]"])
-    assert (plane.point - hinge) @ normal == pytest.approx(0.0, abs=5e-6)
+    assert (point - hinge) @ normal == pytest.approx(0.0, abs=5e-6)
 
 
 def test_synthetic_gear_same_seed_same_bytes(tmp_path):

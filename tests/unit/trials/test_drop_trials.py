@@ -171,11 +171,11 @@ def test_plane_from_markers():
         for i, p in enumerate(places)
     }
     recording = Recording("motion-capture", channels, Provenance("board.csv", "", "made"))
-    plane = marker_plane(recording, ("m0", "m1", "m2"), frame, 0.007, None)
-    assert plane.slope == pytest.approx(SLOPE, abs=1e-12)
-    assert (plane.point - origin) @ normal == pytest.approx(0, abs=1e-12)
-    single = marker_plane(recording, ("m1",), frame, 0.007, SLOPE)
-    assert (single.point - origin) @ normal == pytest.approx(0, abs=1e-12)
+    point, slope, _ = marker_plane(recording, ("m0", "m1", "m2"), frame, 0.007, None)
+    assert slope == pytest.approx(SLOPE, abs=1e-12)
+    assert (point - origin) @ normal == pytest.approx(0, abs=1e-12)
+    single, *_ = marker_plane(recording, ("m1",), frame, 0.007, SLOPE)
+    assert (single - origin) @ normal == pytest.approx(0, abs=1e-12)
     with pytest.raises(LogError, match=r"board.csv: no marker 'm9'; found m0, m1, m2"):
         marker_plane(recording, ("m9",), frame, 0.0, SLOPE)
 
