@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid.errors import LogError, SysidError, UnitError
+from fakes.log_files import refuses
+from sysid.errors import SysidError, UnitError
 from sysid.loaders import detect, load
 
 HERE = Path(__file__).parent
@@ -45,10 +46,9 @@ def test_stand_semicolon_decimal_comma_cp1252_old_line_ends_stale_row():
 
 
 def test_stand_time_back_is_refused_or_dropped_on_demand():
-    with pytest.raises(
-        LogError, match=r"stand_time_back.csv, line 5: time goes back from 3.214 s to 3.209 s"
-    ):
-        load(HERE / "stand_time_back.csv")
+    refuses(
+        HERE / "stand_time_back.csv", r"stand_time_back.csv, line 5: time goes back from 3.214 s to 3.209 s"
+    )
     log = load(HERE / "stand_time_back.csv", time_back="drop")
     np.testing.assert_array_equal(log["thrust"].time, [3.19, 3.20, 3.214, 3.22])
 
@@ -67,10 +67,8 @@ def test_load_cell_csv():
 
 def test_load_cell_without_clock_needs_a_rate_and_command_unit():
     path = HERE / "load_cell_lbf.csv"
-    with pytest.raises(LogError, match=r"no time column among .*columns = .*, or declare the sample rate"):
-        load(path)
-    with pytest.raises(UnitError, match=r'command column "Command" states no unit; expected us, dshot'):
-        load(path, rate=10000)
+    refuses(path, r"no time column among .*columns = .*, or declare the sample rate")
+    refuses(path, r'command column "Command" states no unit; expected us, dshot', UnitError, rate=10000)
     log = load(path, rate=10000, units={"command": "us"})
     np.testing.assert_array_equal(log["thrust"].time, [0, 1e-4])
     # 1 lbf and 1 lbf-in as the cell's maker states them, to the digits given there.
@@ -80,10 +78,10 @@ def test_load_cell_without_clock_needs_a_rate_and_command_unit():
 
 
 def test_text_in_a_number_names_line_and_column():
-    with pytest.raises(
-        LogError, match=r"load_cell_text.csv, line 3: 'over' in column 'Fz \(N\)' is not a number"
-    ):
-        load(HERE / "load_cell_text.csv")
+    refuses(
+        HERE / "load_cell_text.csv",
+        r"load_cell_text.csv, line 3: 'over' in column 'Fz \(N\)' is not a number",
+    )
 
 
 def test_motive_121_millimetres_gap_flip_and_cut_last_line():
@@ -130,21 +128,19 @@ def test_motive_124_euler_parent_row_and_times_rounded_to_milliseconds():
         ]
     )
     np.testing.assert_allclose(turned, rz @ ry @ rx, atol=1e-14)
-    with pytest.raises(LogError, match="contradicts the header, which says ZYX"):
-        load(HERE / "motive_124_zyx_m.csv", euler_order="XYZ")
-    with pytest.raises(UnitError, match="lengths are in Meters and mm"):
-        load(HERE / "motive_124_zyx_m.csv", length_unit="mm")
+    refuses(HERE / "motive_124_zyx_m.csv", "contradicts the header, which says ZYX", euler_order="XYZ")
+    refuses(HERE / "motive_124_zyx_m.csv", "lengths are in Meters and mm", UnitError, length_unit="mm")
 
 
 def test_motive_body_that_is_not_there():
-    with pytest.raises(LogError, match=re.escape('no rigid body "F450"; found "quad"')):
-        load(HERE / "motive_121_mm_cut.csv", rigid_body="F450")
+    refuses(
+        HERE / "motive_121_mm_cut.csv", re.escape('no rigid body "F450"; found "quad"'), rigid_body="F450"
+    )
 
 
 def test_pose_table_w_last_cut_and_duplicate_stamp():
     path = HERE / "pose_xyzw_cut.csv"
-    with pytest.raises(UnitError, match="state no unit"):
-        load(path)
+    refuses(path, "state no unit", UnitError)
     log = load(path, length_unit="m", rigid_body="cf")
     assert log.rigid_bodies == ("cf",)
     np.testing.assert_array_equal(log["cf/position"].values[:, 2], [0.3, 0.32, 0.33])
@@ -156,8 +152,7 @@ def test_pose_table_w_last_cut_and_duplicate_stamp():
 
 def test_pose_table_numbered_quaternion_needs_its_order():
     path = HERE / "pose_numbered.tsv"
-    with pytest.raises(LogError, match="do not say which of them is w"):
-        load(path)
+    refuses(path, "do not say which of them is w")
     first = load(path, quaternion_order="wxyz")
     np.testing.assert_allclose(first["body/orientation"].values, [[1, 0, 0, 0], [0.8, 0.6, 0, 0]])
     np.testing.assert_allclose(first["body/position"].values[1], [0.1, 0.2, 0.301])
@@ -174,8 +169,12 @@ def test_pose_table_commented_header_in_nanoseconds():
 
 
 def test_named_quaternion_contradicts_declared_order():
-    with pytest.raises(LogError, match="contradicts the columns, which are named in the order xyzw"):
-        load(HERE / "pose_xyzw_cut.csv", length_unit="m", quaternion_order="wxyz")
+    refuses(
+        HERE / "pose_xyzw_cut.csv",
+        "contradicts the columns, which are named in the order xyzw",
+        length_unit="m",
+        quaternion_order="wxyz",
+    )
 
 
 def test_suffix_does_not_decide(tmp_path):

@@ -13,16 +13,8 @@ from sysid.synthetic import read_truth, synthesize_gear, synthesize_motor
 # Ten times the quantization or a third of the noise, whichever is smaller: rounding on another processor may
 # move a last digit, and a bouncing body multiplies it; a change of physics, seed or format moves far more.
 TOLERANCE = {
-    "m": 1e-4,
-    "1": 1e-3,
-    "rad/s": 0.3,
-    "N": 0.02,
-    "N·m": 5e-4,
-    "us": 0.0,
-    "V": 1e-3,
-    "A": 1e-2,
-    "s": 1e-6,
-}
+    "m": 1e-4, "1": 1e-3, "rad/s": 0.3, "N": 0.02, "N·m": 5e-4, "us": 0.0, "V": 1e-3, "A": 1e-2, "s": 1e-6,
+}  # fmt: skip
 MAKERS = {
     "motor": (synthesize_motor, "motor"),
     "gear-lf": (synthesize_gear, "gear"),

@@ -72,12 +72,10 @@ def by_name(data, quantities, command, clock, *, message=None, stale, plain_seco
 
 
 STAND = {
-    "torque": ({"torque"}, "torque"),
-    "thrust": ({"thrust"}, "force"),
-    "speed_optical": ({"motor optical speed"}, "angular speed"),
-    "voltage": ({"voltage"}, "voltage"),
+    "torque": ({"torque"}, "torque"), "thrust": ({"thrust"}, "force"),
+    "speed_optical": ({"motor optical speed"}, "angular speed"), "voltage": ({"voltage"}, "voltage"),
     "current": ({"current"}, "current"),
-}
+}  # fmt: skip
 
 
 def rcbenchmark_csv(data, recording):

@@ -1,21 +1,19 @@
 """Random valid logs of the formats with headers of their own read back equal to what was written in them."""
 
-import io
-
+import h5py
 import numpy as np
-import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
+from scipy.io import savemat
 
+from fakes.log_files import LBF, LBF_IN, assert_turns, quaternions_of, small_turns
+from fakes.log_files import tdms as write_tdms
 from sysid.loaders import load
 
 SETTINGS = settings(
     max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 SEEDS = st.integers(0, 2**32 - 1)
-# One pound-force and one pound-force-inch as the transducer's maker states them.
-UNITS = st.sampled_from([("N", "Nm", 1.0, 1.0), ("lbf", "lbf-in", 4.4482216152605, 0.1129848290276167)])
 # How the lines of a text log end, and its encoding.
 ENDS = st.tuples(st.sampled_from(["\n", "\r\n", "\r"]), st.sampled_from(["utf-8", "utf-8-sig", "utf-16"]))
 
@@ -27,19 +25,11 @@ def write(tmp_path, lines, dress):
     return path
 
 
-def unit_quaternions(random, count):
-    """Unit quaternions, w first, in steps of less than half a turn."""
-    turns = [Rotation.random(rng=random)]
-    for step in random.uniform(-0.5, 0.5, (count - 1, 3)):
-        turns.append(turns[-1] * Rotation.from_rotvec(step))
-    return turns
-
-
-def assert_turn(channel, turns, lost, atol):
-    np.testing.assert_array_equal(channel.valid, ~lost)
-    got = channel.values[~lost]
-    wanted = np.array([np.roll(turn.as_quat(), 1) for turn in turns])[~lost]
-    np.testing.assert_allclose(np.abs(np.sum(got * wanted, axis=1)), 1, atol=atol)
+def assert_poses(log, name, time, place, turns, lost, atol):
+    np.testing.assert_allclose(log[f"{name}/position"].time, time, rtol=1e-14)
+    # The places are written to nine decimals of a millimetre or more.
+    np.testing.assert_allclose(log[f"{name}/position"].values[~lost], place[~lost], atol=1e-12)
+    assert_turns(log[f"{name}/orientation"], quaternions_of(turns), lost, atol)
 
 
 @SETTINGS
@@ -58,16 +48,11 @@ def test_lvm(tmp_path, seed, end, times, decimal, comments):
     def row(key, cells):
         return "\t".join([key, *(("\t".join([c, ""]) if times == "Multi" else c) for c in cells)])
 
-    lines = ["LabVIEW Measurement", "Separator\tTab", f"Decimal_Separator\t{decimal}", f"X_Columns\t{times}"]
-    lines += [
-        "***End_of_Header***",
-        "",
-        row("Channels", [str(len(names))]),
-        row("Samples", ["9"] * len(names)),
-    ]
-    lines += [row("Y_Unit_Label", [units[name] for name in names])]
-    lines += [row("X0", [text(0.5)] * len(names)), row("Delta_X", [text(step)] * len(names))]
-    lines += ["***End_of_Header***"]
+    lines = ["LabVIEW Measurement", "Separator\tTab", f"Decimal_Separator\t{decimal}", f"X_Columns\t{times}",
+             "***End_of_Header***", "", row("Channels", [str(len(names))]),
+             row("Samples", ["9"] * len(names)),
+             row("Y_Unit_Label", [units[name] for name in names]), row("X0", [text(0.5)] * len(names)),
+             row("Delta_X", [text(step)] * len(names)), "***End_of_Header***"]  # fmt: skip
     if times == "Multi":
         lines.append("\t".join([*(f"X_Value\t{name}" for name in names), "Comment"]))
         lines += [
@@ -92,7 +77,7 @@ def test_lvm(tmp_path, seed, end, times, decimal, comments):
 def test_vicon_objects_and_trajectories(tmp_path, seed, end, delimiter, angles):
     random = np.random.default_rng(seed)
     count = int(random.integers(3, 20))
-    turns = unit_quaternions(random, count)
+    turns = small_turns(random, count)
     place = random.uniform(-2, 2, (count, 3))
     lost = random.uniform(size=count) < 0.2
     lost[: count // 2 + 1] = False
@@ -104,48 +89,34 @@ def test_vicon_objects_and_trajectories(tmp_path, seed, end, delimiter, angles):
         said = f"{x:.10f}"
         return said.replace(".", ",") if delimiter == ";" else said
 
-    quaternion = angles == "quaternion"
-    cells = []
-    for turn in turns:
-        if quaternion:
-            cells.append(turn.as_quat() * random.choice([-1, 1]))
-        elif angles == "helical":
-            cells.append(turn.as_rotvec())
-        else:
-            found = turn.as_euler(angles, degrees=True)
-            cells.append([found[angles.index(axis)] for axis in "XYZ"])
-    width = 7 if quaternion else 6
-    label = "Global Angle (Quaternion) quad:quad" if quaternion else "Global Angle quad:quad"
-    if angles in ("XYZ", "ZYX"):
-        label = "quad"
-    fields = ["RX", "RY", "RZ", *(["RW"] if quaternion else []), "TX", "TY", "TZ"]
-    unit = ["", "", "", ""] if quaternion else [{"helical": "rad"}.get(angles, "deg")] * 3
-    lines = ["Segments" if angles in ("XYZ", "ZYX") else "Objects", "100"]
-    lines += [delimiter.join(["", "", label, *[""] * (width - 1)])]
-    lines += [
-        delimiter.join(["Frame", "Sub Frame", *fields]),
-        delimiter.join(["", "", *unit, "mm", "mm", "mm"]),
-    ]
-    for i in range(count):
-        row = [*map(text, cells[i]), *(text(1e3 * x) for x in place[i])]
-        lines.append(delimiter.join([str(i + 5), "0", *([""] * width if lost[i] else row)]))
-    lines += ["", "Trajectories", "200", delimiter.join(["", "", "board:a", "", ""])]
-    lines += [
-        delimiter.join(["Frame", "Sub Frame", "X", "Y", "Z"]),
-        delimiter.join(["", "", "mm", "mm", "mm"]),
-    ]
-    for i in range(count):
-        row = [""] * 3 if hidden[i] else [text(1e3 * x) for x in marker[i]]
-        lines.append(delimiter.join([str(i + 1), "0", *row]))
-    options = {} if angles in ("quaternion", "helical") else {"angles": angles}
+    def head(*cells):
+        return delimiter.join(["", "", *cells])
+
+    def body(cells, gone):
+        return delimiter.join([""] * len(cells) if gone else map(text, cells))
+
+    whole, euler = angles == "quaternion", angles in ("XYZ", "ZYX")
+    turned = {
+        "quaternion": lambda turn: turn.as_quat() * random.choice([-1, 1]),
+        "helical": lambda turn: turn.as_rotvec(),
+    }.get(angles, lambda turn: turn.as_euler(angles, degrees=True)[[angles.index(axis) for axis in "XYZ"]])
+    label = "quad" if euler else f"Global Angle {'(Quaternion) ' * whole}quad:quad"
+    fields = ["RX", "RY", "RZ", *["RW"] * whole, "TX", "TY", "TZ"]
+    unit = [""] * 4 if whole else ["deg" if euler else "rad"] * 3
+    lines = ["Segments" if euler else "Objects", "100", head(label, *[""] * (len(fields) - 1)),
+             delimiter.join(["Frame", "Sub Frame", *fields]), head(*unit, "mm", "mm", "mm")]  # fmt: skip
+    for i, turn in enumerate(turns):
+        row = body([*turned(turn), *(1e3 * place[i])], lost[i])
+        lines.append(delimiter.join([str(i + 5), "0", row]))
+    lines += ["", "Trajectories", "200", head("board:a", "", ""),
+              delimiter.join(["Frame", "Sub Frame", "X", "Y", "Z"]), head("mm", "mm", "mm")]  # fmt: skip
+    lines += [delimiter.join([str(i + 1), "0", body(1e3 * marker[i], hidden[i])]) for i in range(count)]
+    options = {"angles": angles} if euler else {}
     log = load(write(tmp_path, lines, end), **options)
-    np.testing.assert_allclose(log["quad/position"].time, (np.arange(count) + 5) / 100, rtol=1e-14)
+    assert_poses(log, "quad", (np.arange(count) + 5) / 100, place, turns, lost, 1e-9)
     np.testing.assert_allclose(log["board:a/position"].time, (np.arange(count) + 1) / 200, rtol=1e-14)
-    # Ten decimals of a millimetre.
-    np.testing.assert_allclose(log["quad/position"].values[~lost], place[~lost], atol=1e-13)
     np.testing.assert_array_equal(log["board:a/position"].valid, ~hidden)
     np.testing.assert_allclose(log["board:a/position"].values[~hidden], marker[~hidden], atol=1e-13)
-    assert_turn(log["quad/orientation"], turns, lost, 1e-9)
 
 
 @SETTINGS
@@ -154,7 +125,7 @@ def test_qualisys_6d(tmp_path, seed, end, named, clocked):
     random = np.random.default_rng(seed)
     count = int(random.integers(2, 15))
     bodies = ["quad", "board"][: int(random.integers(1, 3))]
-    turns = {name: unit_quaternions(random, count) for name in bodies}
+    turns = {name: small_turns(random, count) for name in bodies}
     place = {name: random.uniform(-2, 2, (count, 3)) for name in bodies}
     lost = {name: random.uniform(size=count) < 0.2 for name in bodies}
     lines = [f"NO_OF_FRAMES\t{count}", f"NO_OF_BODIES\t{len(bodies)}", "FREQUENCY\t250", "DATA_INCLUDED\t6D"]
@@ -174,12 +145,9 @@ def test_qualisys_6d(tmp_path, seed, end, named, clocked):
     log = load(write(tmp_path, lines, end))
     assert log.rigid_bodies == tuple(bodies)
     for name in bodies:
-        seen = ~lost[name]
-        np.testing.assert_allclose(log[f"{name}/position"].time, np.arange(count) / 250, rtol=1e-14)
-        np.testing.assert_allclose(log[f"{name}/position"].values[seen], place[name][seen], atol=1e-12)
-        # Nine decimals of a matrix.
-        assert_turn(log[f"{name}/orientation"], turns[name], lost[name], 1e-8)
-        np.testing.assert_allclose(log[f"{name}/residual"].values[seen], 0.5e-3, rtol=1e-12)
+        # The matrix has nine decimals.
+        assert_poses(log, name, np.arange(count) / 250, place[name], turns[name], lost[name], 1e-8)
+        np.testing.assert_allclose(log[f"{name}/residual"].values[~lost[name]], 0.5e-3, rtol=1e-12)
 
 
 @SETTINGS
@@ -215,7 +183,7 @@ def test_qualisys_3d_and_legacy_motive_hold_the_same_markers(tmp_path, seed, end
 def test_ros_csv(tmp_path, seed, end, clock, field):
     random = np.random.default_rng(seed)
     count = int(random.integers(2, 20))
-    turns = unit_quaternions(random, count)
+    turns = small_turns(random, count)
     place = random.uniform(-5, 5, (count, 3))
     stamps = 1538000000123456789 + np.cumsum(random.integers(1_000_000, 20_000_000, count))
     names = ["%time", "field.header.seq", "field.header.stamp", "field.header.frame_id"]
@@ -230,14 +198,14 @@ def test_ros_csv(tmp_path, seed, end, clock, field):
     # 1.5e9 s in double precision resolves 0.24 µs.
     np.testing.assert_allclose(log["body/position"].time, wanted, rtol=0, atol=5e-7)
     np.testing.assert_array_equal(log["body/position"].values, place)
-    assert_turn(log["body/orientation"], turns, np.zeros(count, dtype=bool), 1e-14)
+    assert_turns(log["body/orientation"], quaternions_of(turns), np.zeros(count, dtype=bool), 1e-14)
 
 
 @SETTINGS
 @given(
     SEEDS,
     ENDS,
-    st.sampled_from([("N", "Nm", 1.0, 1.0), ("lbf", "lbf-in", 4.4482216152605, 0.1129848290276167)]),
+    st.sampled_from([("N", "Nm", 1.0, 1.0), ("lbf", "lbf-in", LBF, LBF_IN)]),
 )
 def test_net_ft_counts_and_lost_packets(tmp_path, seed, end, units):
     random = np.random.default_rng(seed)
@@ -289,8 +257,8 @@ def test_ati_text(tmp_path, seed, end, form):
     log = load(write(tmp_path, lines, end), format="ati-text", **options)
     wanted = time if form in ("time", "numbered") else np.arange(count) / 150
     np.testing.assert_allclose(log["thrust"].time, wanted, rtol=1e-14)
-    np.testing.assert_allclose(log["force_x"].values, load_6[:, 0] * 4.4482216152605, rtol=1e-12)
-    np.testing.assert_allclose(log["torque"].values, load_6[:, 5] * 0.1129848290276167, rtol=1e-12)
+    np.testing.assert_allclose(log["force_x"].values, load_6[:, 0] * LBF, rtol=1e-12)
+    np.testing.assert_allclose(log["torque"].values, load_6[:, 5] * LBF_IN, rtol=1e-12)
 
 
 @SETTINGS
@@ -298,7 +266,7 @@ def test_ati_text(tmp_path, seed, end, form):
 def test_tables_parted_by_spaces(tmp_path, seed, gap, led):
     random = np.random.default_rng(seed)
     count = int(random.integers(2, 20))
-    turns = unit_quaternions(random, count)
+    turns = small_turns(random, count)
     place = random.normal(size=(count, 3))
     time = 1.5e9 + np.arange(count) * 0.01
     lines = ["# timestamp tx ty tz qx qy qz qw"]
@@ -308,31 +276,25 @@ def test_tables_parted_by_spaces(tmp_path, seed, gap, led):
     log = load(write(tmp_path, lines, ("\n", "utf-8")), length_unit="m")
     np.testing.assert_array_equal(log["body/position"].values, place)
     np.testing.assert_array_equal(log["body/position"].time, time)
-    assert_turn(log["body/orientation"], turns, np.zeros(count, dtype=bool), 1e-14)
+    assert_turns(log["body/orientation"], quaternions_of(turns), np.zeros(count, dtype=bool), 1e-14)
 
 
 @SETTINGS
 @given(SEEDS, st.sampled_from(["5", "7.3"]), st.sampled_from(["vectors", "struct", "matrix"]))
 def test_mat(tmp_path, seed, version, form):
-    import h5py
-    from scipy.io import savemat
 
     random = np.random.default_rng(seed)
     count = int(random.integers(2, 40))
     thrust, torque = random.normal(size=(2, count))
-    options = {}
+    options = {"units": {"thrust": "N", "torque": "N*m"}}
     if form == "vectors":
         content = {"Fz": thrust, "Mz": torque, "fs": 5000.0}
-        options["units"] = {"thrust": "N", "torque": "N*m"}
     elif form == "struct":
-        content = {
-            "cell": {"Fz": {"data": thrust, "unit": "kN"}, "Mz": {"data": torque, "unit": "Nm"}, "rate": 5e3}
-        }
-        thrust = 1000 * thrust
+        cells = {"Fz": {"data": thrust, "unit": "kN"}, "Mz": {"data": torque, "unit": "Nm"}, "rate": 5e3}
+        content, options, thrust = {"cell": cells}, {}, 1000 * thrust
     else:
         content = {"FT": np.column_stack([thrust, torque])}
-        options = {"rate": 5000, "datasets": {"thrust": "FT[1]", "torque": "FT[2]"}}
-        options["units"] = {"thrust": "N", "torque": "N*m"}
+        options |= {"rate": 5000, "datasets": {"thrust": "FT[1]", "torque": "FT[2]"}}
     path = tmp_path / "log.bin"
     if version == "5":
         savemat(path, content)
@@ -364,26 +326,17 @@ def write_mat73(group, content):
 @SETTINGS
 @given(SEEDS, st.booleans())
 def test_tdms(tmp_path, seed, big):
-    nptdms = pytest.importorskip("nptdms", reason="npTDMS comes with the test extra")
     random = np.random.default_rng(seed)
     count = int(random.integers(1, 50))
     thrust = random.normal(size=count)
     step = float(random.choice([1e-4, 0.001]))
-    stream = io.BytesIO()
-    with nptdms.TdmsWriter(stream) as writer:
-        properties = {
-            "wf_increment": step,
-            "wf_start_offset": 0.25,
-            "wf_samples": 7,
-            "unit_string": "Newtons",
-        }
-        channels = [nptdms.ChannelObject("ft / raw", "Fz", thrust.astype("f4" if big else "f8"), properties)]
-        channels.append(nptdms.ChannelObject("ft - Decimated Data_Level1", "Fz", thrust[:1], properties))
-        channels.append(nptdms.ChannelObject("other", "First  Channel", thrust, {"wf_increment": 2 * step}))
-        writer.write_segment(channels)
-    path = tmp_path / "log.bin"
-    path.write_bytes(stream.getvalue())
-    log = load(path)
+    stated = {"wf_increment": step, "wf_start_offset": 0.25, "wf_samples": 7, "unit_string": "Newtons"}
+    channels = [
+        ("ft / raw", "Fz", thrust.astype("f4" if big else "f8"), stated),
+        ("ft - Decimated Data_Level1", "Fz", thrust[:1], stated),
+        ("other", "First  Channel", thrust, {"wf_increment": 2 * step}),
+    ]
+    log = load(write_tdms(tmp_path / "log.bin", channels))
     assert log.kind == "load-cell"
     np.testing.assert_array_equal(log["thrust"].values, thrust.astype("f4" if big else "f8").astype(float))
     np.testing.assert_allclose(log["thrust"].time, 0.25 + np.arange(count) * step, rtol=1e-12)

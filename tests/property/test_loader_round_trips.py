@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from fakes.log_files import assert_turns, quaternions_of, small_turns
 from sysid.loaders import load
 
 # A file is written per case, so the first one may be slow on a cold disk.
@@ -44,9 +45,8 @@ def columns(draw, count, number=NUMBER, gaps=True):
 
 
 @st.composite
-def dress(draw, names, table, sure=()):
-    """Write a table with a random delimiter, line end, encoding, blank rendering, comments and "
-    "trailing commas."""
+def dress(draw, names, table):
+    """Write a table with a random delimiter, line end, encoding and blanks, and with comments."""
     delimiter = draw(st.sampled_from([",", ";", "\t"]))
     line_end = draw(st.sampled_from(["\n", "\r\n", "\r"]))
     encoding = draw(st.sampled_from(["utf-8", "utf-8-sig", "cp1252", "utf-16"]))
@@ -189,30 +189,16 @@ def test_load_cell_hdf5(tmp_path, values, rate, start, by_time, group, kind, sha
 
 @st.composite
 def turns(draw, count, gaps=True):
-    """Unit quaternions, w first, never near a half turn apart so that their sign is decided; rows "
-    "may be lost."""
+    """Return unit quaternions in steps of less than half a turn: of one sign, as written, and lost rows."""
     seed = draw(st.integers(0, 2**32 - 1))
     random = np.random.default_rng(seed)
-    steps = Rotation.from_rotvec(random.uniform(-0.5, 0.5, (count, 3)))
-    turned = [Rotation.random(rng=random)]
-    for step in steps[1:]:
-        turned.append(turned[-1] * step)
-    q = np.roll(np.array([r.as_quat() for r in turned]), 1, axis=1)
+    q = quaternions_of(small_turns(random, count))
     continuous = q.copy()
     for i in range(1, count):
         continuous[i] *= np.sign(continuous[i] @ continuous[i - 1])
     flips = random.choice([-1.0, 1.0], count)
     lost = random.uniform(size=count) < (0.3 if gaps else 0.0)
     return continuous, continuous * flips[:, None], lost
-
-
-def assert_same_turn(channel, expected, lost, atol):
-    np.testing.assert_array_equal(channel.valid, ~lost)
-    got, wanted = channel.values[~lost], expected[~lost]
-    np.testing.assert_allclose(np.abs(np.sum(got * wanted, axis=1)), 1, atol=atol)
-    # Continuous: one sign for the whole log, whatever was written (steps of half a radian and fewer than 6
-    # lost).
-    assert np.all(np.sum(got[1:] * got[:-1], axis=1) >= 0)
 
 
 MOTIVE_TURNS = ["Quaternion", "XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"]
@@ -294,7 +280,7 @@ def test_motive(tmp_path, case):
         np.testing.assert_allclose(got, position[~lost], atol=0.51 * 10.0**-digits / scale + 1e-15)
         # Twelve decimals of a quaternion or an angle; the last is squared away in a dot product, but not its
         # rounding.
-        assert_same_turn(log[f"{name}/orientation"], continuous, lost, 1e-12)
+        assert_turns(log[f"{name}/orientation"], continuous, lost, 1e-12)
 
 
 @st.composite
@@ -329,7 +315,7 @@ def test_pose_table(tmp_path, case):
     log = load(path, **options)
     np.testing.assert_array_equal(log["body/position"].time, time)
     np.testing.assert_allclose(log["body/position"].values, position, rtol=ULPS)
-    assert_same_turn(log["body/orientation"], continuous, lost, 1e-14)
+    assert_turns(log["body/orientation"], continuous, lost, 1e-14)
 
 
 @pytest.mark.parametrize("dialect", ["spaces", "quoted", "utf-16"])

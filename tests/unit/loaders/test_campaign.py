@@ -51,49 +51,32 @@ def test_quantities_become_si(tmp_path):
     assert motor.motor.kv == pytest.approx(100.53, rel=1e-4)  # 960 rpm/V
 
 
-@pytest.mark.parametrize(
-    ("kind", "old", "new", "sentence"),
-    [
-        (
-            "gear",
-            "body_mass =",
-            "body_mas =",
-            "unknown key vehicle.body_mas; nearest known key is 'body_mass'",
-        ),
-        ("gear", '"1.242 kg"', '"1.242"', "vehicle.body_mass: '1.242' has no unit"),
-        ("gear", '"1.242 kg"', '"1.242 furlong"', "not a 'kg'"),
-        ("gear", '"1.242 kg"', '"1.242 kgg"', "unknown unit 'kgg'"),
-        ("gear", '"1.242 kg"', '"-1 kg"', "greater than 0"),
-        (
-            "gear",
-            'slope = "15 deg"',
-            'slope = "95 deg"',
-            "trials['drop-1'].slope: a slope of 95 deg is outside",
-        ),
-        ("gear", 'slope = "15 deg"', 'slop = "15 deg"', "unknown key trials['drop-1'].slop; nearest known"),
-        ("gear", 'down_slope = "+x"', 'down_slope = "-y"', "lie on one axis"),
-        ("gear", 'use = "fit"', 'use = "validate"', "every trial has use = 'validate'"),
-        ("gear", "[[trials]]", "[[trails]]", "unknown key trails; nearest known key is 'trials'"),
-        ("gear", 'point = ["0 m", "0 m", "0 m"] ', "#", "nothing says where the surface lies"),
-        ("gear", 'name = "my-drops"', "name = 'a b'", "name: String should match pattern"),
-        ("gear", 'kind = "gear"', 'kind = "glider"', "kind is 'glider'; expected 'motor' or 'gear'"),
-        ("gear", "[fit]", "[fit", "not valid TOML"),
-        ("gear", '# height = "1 mm"', 'height = "2 m"', "nuisance.height: 2000 mm is more than 20 mm"),
-        ("gear", '# height = "1 mm"', 'height = "20.1 mm"', "nuisance.height: 20.1 mm is more than 20 mm"),
-        ("gear", '# start_time = "1 ms"', 'start_time = "1 s"', "start_time: 1000 ms is more than 20 ms"),
-        ("motor", "maximum = 2000", "maximum = 900", "are not in order"),
-        ("motor", "maximum = 2000", "", "maximum is missing; state the logged numbers"),
-        ("motor", "maximum = 2000", 'forward_half = "low"', "forward_half belongs to unit = 'dshot'"),
-        (
-            "motor",
-            'unit = "us"                              # or',
-            'unit = "dshot"\nforward_half = "low" #',
-            "forward_half says what every DShot number means; drop minimum, neutral, maximum",
-        ),
-        ("motor", 'kv = "960 rpm/V"', 'kv = "960 V"', "unit 'V' is not a 'rad/s/V'"),
-        ("motor", 'direction = "forward"                    #', 'direction = "sideways" #', "forward"),
-    ],
-)
+@pytest.mark.parametrize(("kind", "old", "new", "sentence"), [
+    ("gear", "body_mass =", "body_mas =", "unknown key vehicle.body_mas; nearest known key is 'body_mass'"),
+    ("gear", '"1.242 kg"', '"1.242"', "vehicle.body_mass: '1.242' has no unit"),
+    ("gear", '"1.242 kg"', '"1.242 furlong"', "not a 'kg'"),
+    ("gear", '"1.242 kg"', '"1.242 kgg"', "unknown unit 'kgg'"),
+    ("gear", '"1.242 kg"', '"-1 kg"', "greater than 0"),
+    ("gear", 'slope = "15 deg"', 'slope = "95 deg"', "trials['drop-1'].slope: a slope of 95 deg is outside"),
+    ("gear", 'slope = "15 deg"', 'slop = "15 deg"', "unknown key trials['drop-1'].slop; nearest known"),
+    ("gear", 'down_slope = "+x"', 'down_slope = "-y"', "lie on one axis"),
+    ("gear", 'use = "fit"', 'use = "validate"', "every trial has use = 'validate'"),
+    ("gear", "[[trials]]", "[[trails]]", "unknown key trails; nearest known key is 'trials'"),
+    ("gear", 'point = ["0 m", "0 m", "0 m"] ', "#", "nothing says where the surface lies"),
+    ("gear", 'name = "my-drops"', "name = 'a b'", "name: String should match pattern"),
+    ("gear", 'kind = "gear"', 'kind = "glider"', "kind is 'glider'; expected 'motor' or 'gear'"),
+    ("gear", "[fit]", "[fit", "not valid TOML"),
+    ("gear", '# height = "1 mm"', 'height = "2 m"', "nuisance.height: 2000 mm is more than 20 mm"),
+    ("gear", '# height = "1 mm"', 'height = "20.1 mm"', "nuisance.height: 20.1 mm is more than 20 mm"),
+    ("gear", '# start_time = "1 ms"', 'start_time = "1 s"', "start_time: 1000 ms is more than 20 ms"),
+    ("motor", "maximum = 2000", "maximum = 900", "are not in order"),
+    ("motor", "maximum = 2000", "", "maximum is missing; state the logged numbers"),
+    ("motor", "maximum = 2000", 'forward_half = "low"', "forward_half belongs to unit = 'dshot'"),
+    ("motor", 'unit = "us"                              # or', 'unit = "dshot"\nforward_half = "low" #',
+     "forward_half says what every DShot number means; drop minimum, neutral, maximum"),
+    ("motor", 'kv = "960 rpm/V"', 'kv = "960 V"', "unit 'V' is not a 'rad/s/V'"),
+    ("motor", 'direction = "forward"                    #', 'direction = "sideways" #', "forward"),
+])  # fmt: skip
 def test_mistakes_are_one_sentence(kind, old, new, sentence, tmp_path):
     text = TEMPLATES[kind]
     assert old in text
@@ -151,38 +134,27 @@ def test_search_space_takes_bounds_and_fixed_values(tmp_path):
     assert space.encode(space.decode([[0.3]]))[0, 0] == pytest.approx(0.3)
 
 
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
-        ('[parameters]\nfree=["stifness"]\n', "no parameter 'stifness'; nearest is 'stiffness'"),
-        ("[parameters]\nfree=[]\n", "free is empty"),
-        (
-            '[parameters.bounds]\nmass=["2 kg","1 kg"]\n',
-            "parameters.bounds.mass: lower bound 2 kg is not below",
-        ),
-        ('[parameters.bounds]\nmass=["2 N","3 N"]\n', "parameters.bounds.mass: unit 'N' is not a 'kg'"),
-        ('[parameters]\nfree=["mass"]\n[parameters.fixed]\nmass="1 kg"\n', "both name mass"),
-        ('[parameters.fixed]\nmass="1 kg"\n', "free is empty"),
-        ('[parameters.fixed]\nstiffness="-1 N/m"\n', "parameters.fixed.stiffness: -1 N/m is negative"),
-        (
-            '[parameters.bounds]\nstiffness=["20 N/m","30 N/m"]\n',
-            "bounds.stiffness: the parameter is not free",
-        ),
-        (
-            '[parameters.bounds]\nmas=["1 kg","2 kg"]\n',
-            "parameters.bounds: no parameter 'mas'; nearest is 'mass'",
-        ),
-        # Against the model's own bounds too, 0.5 to 2 kg.
-        ('[parameters.measured]\nmass=["2.5 kg","3 kg"]\n', "exclude the measured 2.5 to 3"),
-        ('[parameters.bounds]\nmass=["1.5 kg","2 kg"]\n', "exclude the measured value 1"),
-        (
-            '[parameters.bounds]\nmass=["0.5 kg","0.9 kg"]\n'
-            '[parameters.measured]\nmass=["1.5 kg","1.6 kg"]\n',
-            "exclude the measured 1.5 to 1.6",
-        ),
-        ('[parameters.measured]\nmass=["2 kg","1 kg"]\n', "2 kg is above 1 kg; swap them"),
-    ],
-)
+@pytest.mark.parametrize(("text", "sentence"), [
+    ('[parameters]\nfree=["stifness"]\n', "no parameter 'stifness'; nearest is 'stiffness'"),
+    ("[parameters]\nfree=[]\n", "free is empty"),
+    ('[parameters.bounds]\nmass=["2 kg","1 kg"]\n', "parameters.bounds.mass: lower bound 2 kg is not below"),
+    ('[parameters.bounds]\nmass=["2 N","3 N"]\n', "parameters.bounds.mass: unit 'N' is not a 'kg'"),
+    ('[parameters]\nfree=["mass"]\n[parameters.fixed]\nmass="1 kg"\n', "both name mass"),
+    ('[parameters.fixed]\nmass="1 kg"\n', "free is empty"),
+    ('[parameters.fixed]\nstiffness="-1 N/m"\n', "parameters.fixed.stiffness: -1 N/m is negative"),
+    ('[parameters.bounds]\nstiffness=["20 N/m","30 N/m"]\n', "bounds.stiffness: the parameter is not free"),
+    ('[parameters.bounds]\nmas=["1 kg","2 kg"]\n',
+     "parameters.bounds: no parameter 'mas'; nearest is 'mass'"),
+    # Against the model's own bounds too, 0.5 to 2 kg.
+    ('[parameters.measured]\nmass=["2.5 kg","3 kg"]\n', "exclude the measured 2.5 to 3"),
+    ('[parameters.bounds]\nmass=["1.5 kg","2 kg"]\n', "exclude the measured value 1"),
+    (
+        '[parameters.bounds]\nmass=["0.5 kg","0.9 kg"]\n'
+        '[parameters.measured]\nmass=["1.5 kg","1.6 kg"]\n',
+        "exclude the measured 1.5 to 1.6",
+    ),
+    ('[parameters.measured]\nmass=["2 kg","1 kg"]\n', "2 kg is above 1 kg; swap them"),
+])  # fmt: skip
 def test_search_space_refusals(text, sentence, tmp_path):
     with pytest.raises(CampaignError, match=sentence):
         _choices(tmp_path, text).search_space(TABLE, ["mass"], {"mass": 1.0})

@@ -12,6 +12,7 @@ import pytest
 import scipy.io
 
 import sysid.loaders
+from fakes.log_files import refuses
 from sysid.errors import LogError, SysidError
 from sysid.journal import note
 from sysid.loaders import formats, load
@@ -348,8 +349,7 @@ def test_a_rate_and_a_tare_may_say_their_unit(tmp_path):
     np.testing.assert_array_equal(log["thrust"].values, 0.0)
     for words, said in [(["tare=1 N"], "tare = '1 N': unit 'N' is not a 's'"),
                         (["rate=fast"], "rate = 'fast': 'fast' is not a number with a unit")]:  # fmt: skip
-        with pytest.raises(SysidError, match=re.escape(said)):
-            load(path, format="ati-text", **parse_options(words))
+        refuses(path, re.escape(said), SysidError, format="ati-text", **parse_options(words))
 
 
 def test_the_advice_of_this_file_is_toml():

@@ -4,6 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
+from fakes.log_files import refuses
 from sysid.errors import LogError, SysidError, UnitError
 from sysid.loaders import load
 from sysid.trials.look import inspect_recording
@@ -29,8 +30,7 @@ def test_a_unit_at_the_end_of_a_name_is_said(write):
     np.testing.assert_allclose(declared["thrust"].values, 9.80665e-3)
     assert not any("ends of names" in note for note in declared.provenance.sentences)
     # A suffix of another dimension than the quantity's is refused, as a bracket is.
-    with pytest.raises(UnitError, match=r'column "Fz_V": .*dimension'):
-        load(write("Time (s),Fz_V\n" + rows(5, "{t:.2f},1")))
+    refuses(write("Time (s),Fz_V\n" + rows(5, "{t:.2f},1")), r'column "Fz_V": .*dimension', UnitError)
 
 
 LVM = (
@@ -39,15 +39,12 @@ LVM = (
 )
 
 
-@pytest.mark.parametrize(
-    ("axis", "factor"),
-    [
-        ("", 1.0),
-        ("X_Dimension\tTime\n", 1.0),
-        ("X_Dimension\tTime\nX_Unit_Label\tms\n", 1e-3),
-        ("X_Unit_Label\tSeconds\n", 1.0),
-    ],
-)
+@pytest.mark.parametrize(("axis", "factor"), [
+    ("", 1.0),
+    ("X_Dimension\tTime\n", 1.0),
+    ("X_Dimension\tTime\nX_Unit_Label\tms\n", 1e-3),
+    ("X_Unit_Label\tSeconds\n", 1.0),
+])  # fmt: skip
 def test_the_x_axis_of_lvm_is_time_in_the_unit_that_it_states(write, axis, factor):
     implied = load(write(LVM.format(columns="No", axis=axis) + "\t1\n\t2\n\t3\n"))["thrust"]
     np.testing.assert_allclose(implied.time, factor * np.array([2.0, 2.5, 3.0]))
@@ -58,10 +55,7 @@ def test_the_x_axis_of_lvm_is_time_in_the_unit_that_it_states(write, axis, facto
 @pytest.mark.parametrize("axis", ["X_Dimension\tFrequency\n", "X_Unit_Label\tHz\n", "X_Unit_Label\tmm\n"])
 def test_an_x_axis_of_lvm_that_is_no_time_is_refused(write, axis):
     path = write(LVM.format(columns="No", axis=axis) + "\t1\n\t2\n\t3\n")
-    with pytest.raises(
-        LogError, match=r"the header above line \d+ gives 'Fz' over \w+ in \w+, not over time"
-    ):
-        load(path)
+    refuses(path, r"the header above line \d+ gives 'Fz' over \w+ in \w+, not over time")
     np.testing.assert_allclose(load(path, rate=4.0)["thrust"].time, [2.0, 2.25, 2.5])
 
 
@@ -94,8 +88,7 @@ def test_the_axis_of_a_tdms_waveform_counts_in_its_own_unit(tmp_path):
 def test_times_beside_a_signal_say_their_unit_or_are_asked_for(tmp_path):
     values, said = np.arange(4.0), {"unit_string": "N"}
     path = tdms(tmp_path / "a.tdms", [("Fz", values, said), ("Time", values, {})])
-    with pytest.raises(UnitError, match='column "Time" states no unit'):
-        load(path)
+    refuses(path, 'column "Time" states no unit', UnitError)
     np.testing.assert_allclose(load(path, units={"time": "ms"})["thrust"].time, 1e-3 * values)
     stamps = np.datetime64("2026-01-01T00:00:00") + (500 * np.arange(4)).astype("timedelta64[ms]")
     path = tdms(tmp_path / "b.tdms", [("Fz", values, said), ("Time", stamps.astype("datetime64[us]"), {})])
@@ -120,8 +113,7 @@ def test_a_command_without_unit_is_dshot_only_where_no_pulse_width_looks_so(writ
     if known:
         assert load(path)["command"].unit == "dshot"
         return
-    with pytest.raises(UnitError, match=f"runs from {low} to {high}, as pulse widths in us do"):
-        load(path)
+    refuses(path, f"runs from {low} to {high}, as pulse widths in us do", UnitError)
     assert load(path, units={"command": "us"})["command"].unit == "us"
 
 
@@ -145,13 +137,12 @@ def test_jitter_of_arrival_is_taken_out_by_frame_numbers(write):
     np.testing.assert_allclose(log.time - frames / 100, 0.024, atol=4e-3)
     np.testing.assert_allclose(np.diff(log.time), np.diff(frames) / 100, rtol=2e-3)
     np.testing.assert_array_equal(log.values[:, 0], frames)
-    with pytest.raises(LogError, match='no column "frame"'):
-        load(write(text.replace("frame,", "n,")), length_unit="m", clock="frame")
+    refuses(write(text.replace("frame,", "n,")), 'no column "frame"', length_unit="m", clock="frame")
     other = "".join(f"{f},{t:.6f},1,2,3,0,0,0,1\n" for f, t in zip(frames, 3 * np.sqrt(late), strict=True))
-    with pytest.raises(LogError, match="do not belong together"):
-        load(write(text.splitlines()[0] + "\n" + other), length_unit="m", clock="frame")
-    with pytest.raises(LogError, match='expected "auto", "time" or "frame"'):
-        load(path, length_unit="m", clock="soon")
+    refuses(
+        write(text.splitlines()[0] + "\n" + other), "do not belong together", length_unit="m", clock="frame"
+    )
+    refuses(path, 'expected "auto", "time" or "frame"', length_unit="m", clock="soon")
 
 
 def test_sequence_numbers_of_ros_messages_are_frames(write):
@@ -166,14 +157,12 @@ def test_sequence_numbers_of_ros_messages_are_frames(write):
     log = load(write("\n".join([head, *lines, ""])), clock="frame")["body/position"]
     np.testing.assert_allclose(np.diff(log.time), np.diff(frames) / 100, rtol=2e-3)
     bare = "\n".join([head.replace("seq", "other"), *lines, ""])
-    with pytest.raises(SysidError, match=r"no column field\.header\.seq"):
-        load(write(bare), clock="frame")
+    refuses(write(bare), r"no column field\.header\.seq", SysidError, clock="frame")
 
 
 def test_a_time_column_of_another_language_is_named(write):
     path = write("Zeit (s);Befehl (us);Fz (N)\n" + rows(5, "{t:.2f};1000;1"))
-    with pytest.raises(LogError, match=r'no time column among "Zeit \(s\)", .* name it with columns'):
-        load(path)
+    refuses(path, r'no time column among "Zeit \(s\)", .* name it with columns')
     log = load(path, columns={"time": "Zeit", "command": "Befehl"})
     assert (log["command"].unit, log["thrust"].time[1]) == ("us", 0.01)
 
@@ -198,8 +187,7 @@ def test_one_rate_for_datasets_of_other_lengths_and_a_rate_against_times_are_ref
     other = {"Fz": 10000, "Speed": 1000}
     with pytest.raises(LogError, match=r"/Speed has 1000 samples and /Fz has 10000, but both take one rate"):
         log(other, rate=10000)
-    with pytest.raises(LogError, match=r"both take one rate of 5000 Hz"):
-        load(path, rate=5000)
+    refuses(path, r"both take one rate of 5000 Hz", rate=5000)
     log(other, rate=10000, own=1000)
     assert load(path)["speed"].time[-1] == pytest.approx(0.999, rel=1e-12)
     # A sample more or less is how two devices stop.

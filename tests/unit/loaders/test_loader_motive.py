@@ -133,22 +133,16 @@ def test_kept_bodies(read):
         read(data, rigid_body="F450")
 
 
-@pytest.mark.parametrize(
-    ("data", "message"),
-    [
-        (take(QUAD, []), "no rows of numbers after line 7"),
-        (take(QUAD[:-1], [row[:-2] for row in ROWS]), '"quad" lacks one of Position X, Y, Z'),
-        (
-            take(asset("Rigid Body", "quad", POINT), ["0,0,1,2,3"]),
-            'rigid body "quad" has no rotation columns',
-        ),
-        (take([*QUAD, *QUAD], ROWS), 'repeats Rotation X of "quad"'),
-        (take(asset("Skeleton", "man", BODY), ROWS), "no rows of types and components"),
-        (take(QUAD, ROWS).replace(b"Frame,", b"Bild,"), 'no column row "Frame,Time,..."'),
-        (take(QUAD, [ROWS[0].replace("3", "x")]), "line 8: 'x' in column 'quad Position Z' is not a number"),
-        (take(QUAD, [ROWS[0].replace("0,0,0,1", "0,0,0,2")]), "line 8: the quaternion of quad has length 2"),
-    ],
-)
+@pytest.mark.parametrize(("data", "message"), [
+    (take(QUAD, []), "no rows of numbers after line 7"),
+    (take(QUAD[:-1], [row[:-2] for row in ROWS]), '"quad" lacks one of Position X, Y, Z'),
+    (take(asset("Rigid Body", "quad", POINT), ["0,0,1,2,3"]), 'rigid body "quad" has no rotation columns'),
+    (take([*QUAD, *QUAD], ROWS), 'repeats Rotation X of "quad"'),
+    (take(asset("Skeleton", "man", BODY), ROWS), "no rows of types and components"),
+    (take(QUAD, ROWS).replace(b"Frame,", b"Bild,"), 'no column row "Frame,Time,..."'),
+    (take(QUAD, [ROWS[0].replace("3", "x")]), "line 8: 'x' in column 'quad Position Z' is not a number"),
+    (take(QUAD, [ROWS[0].replace("0,0,0,1", "0,0,0,2")]), "line 8: the quaternion of quad has length 2"),
+])  # fmt: skip
 def test_refusals(read, data, message):
     with pytest.raises(SysidError, match=message):
         read(data)

@@ -7,7 +7,8 @@ import h5py
 import numpy as np
 import pytest
 
-from sysid.errors import LogError, UnitError
+from fakes.log_files import refuses
+from sysid.errors import UnitError
 from sysid.loaders import load
 
 
@@ -41,19 +42,12 @@ ROS = (
 )
 
 
-@pytest.mark.parametrize(
-    ("head", "row", "named"),
-    [
-        (STAND, "{t},1000,1500,2,{i},,7,\n", '"Servo 1 (µs)", "Mark"'),
-        (CELL, "{t},1,{i},20\n", '"Note no", "Temp (degC)"'),
-        (POSE, "{t},0,0,0,1,0,0,0,0.1\n", '"error_m"'),
-        (
-            ROS + ",field.extra\n",
-            "{n},{i},{n},0,0,0,0,0,0,1,5\n",
-            '"%time", "field.header.seq", "field.extra"',
-        ),
-    ],
-)
+@pytest.mark.parametrize(("head", "row", "named"), [
+    (STAND, "{t},1000,1500,2,{i},,7,\n", '"Servo 1 (µs)", "Mark"'),
+    (CELL, "{t},1,{i},20\n", '"Note no", "Temp (degC)"'),
+    (POSE, "{t},0,0,0,1,0,0,0,0.1\n", '"error_m"'),
+    (ROS + ",field.extra\n", "{n},{i},{n},0,0,0,0,0,0,1,5\n", '"%time", "field.header.seq", "field.extra"'),
+])  # fmt: skip
 def test_columns_that_are_not_read_are_named(write, head, row, named):
     rows = "".join(row.format(t=f"{i * 0.01:.2f}", i=i, n=10**18 + i * 10**7) for i in range(20))
     said = notes(load(write(head + rows)))
@@ -96,16 +90,17 @@ def test_ros_stamps_in_seconds(write):
     assert "as seconds" not in notes(load(write(stamped([10**18 + i * 10**7 for i in range(40)]))))
     # Microseconds or milliseconds as whole numbers are neither: not guessed.
     for step in (10, 1):
-        with pytest.raises(LogError, match=re.escape(f"steps by {step}, too little for nanoseconds")):
-            load(write(stamped([1_600_000_000_000 + i * step for i in range(40)])))
+        refuses(
+            write(stamped([1_600_000_000_000 + i * step for i in range(40)])),
+            re.escape(f"steps by {step}, too little for nanoseconds"),
+        )
 
 
 def test_qualisys_frequency_with_a_decimal_comma(write):
     head = "NO_OF_FRAMES\t9\nNO_OF_MARKERS\t1\nFREQUENCY\t{}\nDATA_INCLUDED\t3D\nMARKER_NAMES\tm\n"
     rows = "".join(f"{i}\t2\t3\n" for i in range(1, 10))
     assert load(write(head.format("99,5") + rows))["m/position"].rate == pytest.approx(99.5)
-    with pytest.raises(LogError, match="the header states no FREQUENCY"):
-        load(write(head.format("1,000,5") + rows))
+    refuses(write(head.format("1,000,5") + rows), "the header states no FREQUENCY")
 
 
 def test_a_log_cut_at_the_end_of_a_row_is_told_by_its_header(write, tmp_path):
@@ -161,25 +156,17 @@ def test_lines_that_are_no_frames_are_named(write):
 TABLE = "Time (s){0}Speed (rad/s){0}Fz (N)\n" + "".join(f"{i}.5{{0}}{i}.25{{0}}7.125\n" for i in range(12))
 
 
-@pytest.mark.parametrize(
-    "before",
-    [
-        "sep=;\n",
-        '"sep=;"\r\n',
-        "SEP=;;;\n",
-        "Recorded by Bob\n\n",
-        "thrust stand log of 3 May 2024;;\n",
-        "# a\nRun 7\n",
-    ],
-)
+@pytest.mark.parametrize("before", [
+    "sep=;\n", '"sep=;"\r\n', "SEP=;;;\n", "Recorded by Bob\n\n", "thrust stand log of 3 May 2024;;\n",
+    "# a\nRun 7\n",
+])  # fmt: skip
 def test_lines_before_the_header(write, before):
     text = TABLE.format(";").replace(".", ",")
     plain, found = load(write(text)), load(write(before + text, "other"))
     for name, channel in plain.channels.items():
         np.testing.assert_array_equal(found[name].values, channel.values)
         np.testing.assert_array_equal(found[name].time, channel.time)
-    with pytest.raises(LogError, match=f"line {before.count(chr(10)) + 4}: 'x' in column"):
-        load(write(before + text.replace("2,5;", "x;")))
+    refuses(write(before + text.replace("2,5;", "x;")), f"line {before.count(chr(10)) + 4}: 'x' in column")
 
 
 def test_the_separator_line_of_excel_before_a_capture(write):
@@ -187,13 +174,11 @@ def test_the_separator_line_of_excel_before_a_capture(write):
     rows = "".join(f"{i + 1};0;{i};2;3\n" for i in range(9))
     log = load(write("sep=;\n" + vicon + rows))
     np.testing.assert_array_equal(log["a/position"].values[:, 0], np.arange(9) * 1e-3)
-    with pytest.raises(LogError, match="line 8: 'x' in column"):
-        load(write("sep=;\n" + vicon + rows.replace("2;0;1;", "2;0;x;")))
+    refuses(write("sep=;\n" + vicon + rows.replace("2;0;1;", "2;0;x;")), "line 8: 'x' in column")
 
 
 def test_a_table_of_settings_before_the_header_is_refused(write):
-    with pytest.raises(LogError, match=r"not recognized|no column"):
-        load(write("Operator;Bob\nDate;2024-05-03\n" + TABLE.format(";")))
+    refuses(write("Operator;Bob\nDate;2024-05-03\n" + TABLE.format(";")), r"not recognized|no column")
 
 
 @pytest.mark.parametrize("rate", ["150;75;500", "150,0;75;500"])
@@ -214,13 +199,10 @@ def test_marks_between_thousands_are_never_decimals(write):
 
     # One thousand, or one: nothing in the table tells.
     for cells in (["950", "1,000", "1,050"], ["1,000"] * 3, ["-2,500", "0", "0"], ["1,000,000"] * 3):
-        with pytest.raises(LogError, match="may have three decimals or be one of thousands, and no other"):
-            load(write(table(cells)))
+        refuses(write(table(cells)), "may have three decimals or be one of thousands, and no other")
     for cells in (["1,000.5", "2", "3"], ["1,5", "1,000,000", "2"], ["1.000,5", "1", "2"]):
-        with pytest.raises(LogError, match="is not a number"):
-            load(write(table(cells)))
-    with pytest.raises(LogError, match="is not a number"):
-        load(write('Time (s),Fz (N)\n0,1\n1,"1,000"\n2,3\n'))
+        refuses(write(table(cells)), "is not a number")
+    refuses(write('Time (s),Fz (N)\n0,1\n1,"1,000"\n2,3\n'), "is not a number")
     # A decimal in another cell, however late, tells.
     for cells, time in ((["1,000", "2,500", "3,250"], "0,{i}"), (["1,000", "2,500", "0,125"], "{i}")):
         values = load(write(table(cells, time)))["thrust"].values

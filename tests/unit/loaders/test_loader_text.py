@@ -127,22 +127,19 @@ def test_split_and_sniff():
     assert split_line('1,"x, y",2', ",") == ["1", "x, y", "2"]
 
 
-@pytest.mark.parametrize(
-    ("label", "stem", "unit"),
-    [
-        ("Thrust (gf)", "thrust", "gf"),
-        ("x [mm]", "x", "mm"),
-        ("px_m", "px", "m"),
-        ("wx_rad_s", "wx", "rad/s"),
-        ("t_s", "t", "s"),
-        ("p_RS_R_x [m]", "p rs r x", "m"),
-        ("q_RS_w []", "q rs w", ""),
-        ("ESC signal", "esc signal", None),
-        ("qx", "qx", None),
-        ("Thrust_N", "thrust", "N"),
-        ("Motor  Optical Speed (RPM) ", "motor optical speed", "RPM"),
-    ],
-)
+@pytest.mark.parametrize(("label", "stem", "unit"), [
+    ("Thrust (gf)", "thrust", "gf"),
+    ("x [mm]", "x", "mm"),
+    ("px_m", "px", "m"),
+    ("wx_rad_s", "wx", "rad/s"),
+    ("t_s", "t", "s"),
+    ("p_RS_R_x [m]", "p rs r x", "m"),
+    ("q_RS_w []", "q rs w", ""),
+    ("ESC signal", "esc signal", None),
+    ("qx", "qx", None),
+    ("Thrust_N", "thrust", "N"),
+    ("Motor  Optical Speed (RPM) ", "motor optical speed", "RPM"),
+])  # fmt: skip
 def test_labels(label, stem, unit):
     assert split_label(label) == (stem, unit)
 

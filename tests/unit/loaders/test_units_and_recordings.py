@@ -16,29 +16,26 @@ from sysid.recording import Channel, Provenance, Recording
 from sysid.units import factor_to_si, parse_quantity
 
 
-@pytest.mark.parametrize(
-    ("unit", "factor"),
-    [
-        ("RPM", math.pi / 30),
-        ("rev/s", 2 * math.pi),
-        ("gf", 9.80665e-3),
-        ("kgf", 9.80665),
-        ("lbf", 4.4482216152605),
-        ("lbf-in", 0.1129848290276167),
-        ("N·m", 1.0),
-        ("mNm", 1e-3),
-        ("µs", 1e-6),  # both code points of micro
-        ("μs", 1e-6),
-        ("kg·m²", 1.0),
-        ("kg.m2", 1.0),
-        ("g·cm²", 1e-7),
-        ("rpm/V", math.pi / 30),
-        ("N·s/m", 1.0),
-        ("deg", math.pi / 180),
-        ("mH", 1e-3),
-        ("kHz", 1e3),
-    ],
-)
+@pytest.mark.parametrize(("unit", "factor"), [
+    ("RPM", math.pi / 30),
+    ("rev/s", 2 * math.pi),
+    ("gf", 9.80665e-3),
+    ("kgf", 9.80665),
+    ("lbf", 4.4482216152605),
+    ("lbf-in", 0.1129848290276167),
+    ("N·m", 1.0),
+    ("mNm", 1e-3),
+    ("µs", 1e-6),  # both code points of micro
+    ("μs", 1e-6),
+    ("kg·m²", 1.0),
+    ("kg.m2", 1.0),
+    ("g·cm²", 1e-7),
+    ("rpm/V", math.pi / 30),
+    ("N·s/m", 1.0),
+    ("deg", math.pi / 180),
+    ("mH", 1e-3),
+    ("kHz", 1e3),
+])  # fmt: skip
 def test_units_of_the_field(unit, factor):
     assert factor_to_si(unit) == pytest.approx(factor, rel=1e-12)
 
@@ -50,17 +47,14 @@ def test_quantities():
     assert parse_quantity("30min", "s") == 1800
 
 
-@pytest.mark.parametrize(
-    ("text", "expected", "sentence"),
-    [
-        ("1.242", "kg", "has no unit"),
-        ("heavy", "kg", "is not a number with a unit"),
-        ("1 kgg", "kg", "unknown unit 'kgg'"),
-        ("1 N", "kg", "unit 'N' is not a 'kg'"),
-        # A frequency is no angular speed: 50 Hz would silently be 50 rad/s.
-        ("50 Hz", "rad/s", "unit 'Hz' is not a 'rad/s'"),
-    ],
-)
+@pytest.mark.parametrize(("text", "expected", "sentence"), [
+    ("1.242", "kg", "has no unit"),
+    ("heavy", "kg", "is not a number with a unit"),
+    ("1 kgg", "kg", "unknown unit 'kgg'"),
+    ("1 N", "kg", "unit 'N' is not a 'kg'"),
+    # A frequency is no angular speed: 50 Hz would silently be 50 rad/s.
+    ("50 Hz", "rad/s", "unit 'Hz' is not a 'rad/s'"),
+])  # fmt: skip
 def test_refused_quantities(text, expected, sentence):
     with pytest.raises(UnitError, match=sentence):
         parse_quantity(text, expected)
@@ -89,18 +83,15 @@ def test_a_missing_channel_names_those_there_are():
         recording["torque"]
 
 
-@pytest.mark.parametrize(
-    ("stated", "unit", "factor"),
-    [
-        ("%", "1", 0.01),
-        ("strain", "1", 1.0),
-        ("dB", "", 1.0),
-        ("dBm", "", 1.0),
-        ("mrad", "rad", 1e-3),
-        ("rad/s", "rad/s", 1.0),
-        ("mV", "V", 1e-3),
-    ],
-)
+@pytest.mark.parametrize(("stated", "unit", "factor"), [
+    ("%", "1", 0.01),
+    ("strain", "1", 1.0),
+    ("dB", "", 1.0),
+    ("dBm", "", 1.0),
+    ("mrad", "rad", 1e-3),
+    ("rad/s", "rad/s", 1.0),
+    ("mV", "V", 1e-3),
+])  # fmt: skip
 def test_plain_units(stated, unit, factor):
     assert plain_unit(stated) == (unit, pytest.approx(factor))
 
