@@ -67,8 +67,7 @@ class ParameterChoices(Table):
         if not free:
             raise CampaignError("parameters.free is empty; name at least one parameter to identify")
         for name in free:
-            if name not in table:
-                raise _unknown("free", name, table)
+            _unit_of("free", name, table)
         duplicates = {name for name in free if free.count(name) > 1}
         if duplicates:
             raise CampaignError(f"parameters.free names {', '.join(sorted(duplicates))} twice; name it once")
@@ -103,7 +102,7 @@ class ParameterChoices(Table):
                     f"parameters.bounds.{name}: {pair[0]} is negative; a {name.replace('_', ' ')} cannot be"
                 )
             bounds[name] = (low, high)
-        with _in_table("parameters.bounds"):
+        with _prefixed("parameters.bounds."):
             space = SearchSpace.build(table, free, values, bounds)
         ranges = self.measured_ranges(table)
         for row in space.free:
@@ -133,30 +132,24 @@ class ParameterChoices(Table):
         return out
 
 
-def _unknown(where: str, name: str, table: ParameterTable) -> CampaignError:
+@contextmanager
+def _prefixed(prefix: str) -> Iterator[None]:
     try:
-        table[name]
-    except CampaignError as error:
-        return CampaignError(f"parameters.{where}: {error}")
-    raise KeyError(name)
+        yield
+    except (CampaignError, UnitError) as error:
+        raise CampaignError(f"{prefix}{error}") from error
+
+
+def _unit_of(where: str, name: str, table: ParameterTable) -> str:
+    with _prefixed(f"parameters.{where}: "):
+        return table[name].unit
 
 
 def _quantity_of(where: str, name: str, text: str, table: ParameterTable) -> float:
     """Return a quantity of `parameters.WHERE.NAME` in the unit of the model's row."""
-    if name not in table:
-        raise _unknown(where, name, table)
-    try:
-        return parse_quantity(text, table[name].unit)
-    except UnitError as error:
-        raise CampaignError(f"parameters.{where}.{name}: {error}") from error
-
-
-@contextmanager
-def _in_table(where: str) -> Iterator[None]:
-    try:
-        yield
-    except CampaignError as error:
-        raise CampaignError(f"{where}.{error}") from error
+    unit = _unit_of(where, name, table)
+    with _prefixed(f"parameters.{where}.{name}: "):
+        return parse_quantity(text, unit)
 
 
 class FitTable(Table):
@@ -181,18 +174,6 @@ class TrialTable(Table):
     use: TrialUse = "fit"
 
 
-def check_trials(trials: tuple[TrialTable, ...]) -> None:
-    """Refuse an empty list, two trials of one name, and a list without anything to fit."""
-    names = [trial.name for trial in trials]
-    if not names:
-        raise ValueError("no [[trials]]; add at least one with name and log")
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise ValueError(f"two trials are called {twice[0]!r}; give each another name")
-    if not any(trial.use == "fit" for trial in trials):
-        raise ValueError("every trial has use = 'validate'; at least one must have use = 'fit'")
-
-
 class CampaignTable(Table):
     """Top level of every campaign."""
 
@@ -202,7 +183,14 @@ class CampaignTable(Table):
 
     @model_validator(mode="after")
     def _trials_are_usable(self) -> CampaignTable:
-        check_trials(self.trials)
+        names = [trial.name for trial in self.trials]
+        if not names:
+            raise ValueError("no [[trials]]; add at least one with name and log")
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"two trials are called {twice[0]!r}; give each another name")
+        if not any(trial.use == "fit" for trial in self.trials):
+            raise ValueError("every trial has use = 'validate'; at least one must have use = 'fit'")
         return self
 
 

@@ -187,18 +187,13 @@ class GearCampaign(CampaignTable):
     trials: tuple[GearTrial, ...]
 
     @model_validator(mode="after")
-    def _one_body_per_drop(self) -> GearCampaign:
+    def _every_drop_has_one_body_and_a_plane(self) -> GearCampaign:
         for trial in self.trials:
             if trial.rigid_body is not None and trial.log_options.rigid_body is not None:
                 raise ValueError(
                     f"trial {trial.name!r}: rigid_body is given twice, in the trial and in its log_options; "
                     "keep one"
                 )
-        return self
-
-    @model_validator(mode="after")
-    def _every_drop_has_a_plane(self) -> GearCampaign:
-        for trial in self.trials:
             if trial.down_slope is not None and trial.down_slope[1] == self.capture.up[1]:
                 raise ValueError(
                     f"trial {trial.name!r}: down_slope = {trial.down_slope!r} lies on the axis of "

@@ -19,12 +19,11 @@ from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
-from sysid.loaders.load_cell import quantity_channel
-from sysid.recording import Channel, FloatArray
+from sysid.loaders.columns import naming
+from sysid.types import FloatArray
 from sysid.units import factor_to_si, parse_quantity
 
 AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
-_CHANNELS = ("force_x", "force_y", "thrust", "torque_x", "torque_y", "torque")
 _LENGTHS = ("dx", "dy", "dz")
 _ANGLES = ("rx", "ry", "rz")
 _LARGEST = 1 << 20
@@ -88,10 +87,8 @@ def read_calibration(path: str | Path) -> Calibration:
         unit = node.get(key, "")
         if not unit:
             raise UnitError(f"{where}: states no {key}; use the file as ATI sent it")
-        try:
+        with naming(f"{where}: {key}"):
             factors.append(factor_to_si(unit, expected))
-        except UnitError as error:
-            raise UnitError(f"{where}: {key}: {error}") from error
     scale = np.repeat(factors, 3)
     matrix = np.array([_numbers(where, axis, rows[axis].get("values", "")) for axis in AXES]) * scale[:, None]
     limits = []
@@ -99,7 +96,7 @@ def read_calibration(path: str | Path) -> Calibration:
         try:
             limits.append(float(rows[axis].get("max", "nan")))
         except ValueError:
-            limits.append(float("nan"))
+            limits.append(np.nan)
     parts = [root.get("BodyStyle", ""), root.get("Serial", ""), node.get("PartNumber", "")]
     device = " ".join(["ATI", *(part for part in parts if part)])
     return Calibration(device, matrix, np.array(limits) * scale)
@@ -121,11 +118,9 @@ def motor_transform(path: str, transform: Mapping[str, Any] | None) -> NDArray[n
     unknown = sorted(set(given) - {*_LENGTHS, *_ANGLES})
     if unknown:
         raise LogError(f'{path}: transform names "{unknown[0]}"; it can name dx, dy, dz, rx, ry, rz')
-    try:
+    with naming(f"{path}: transform"):
         d = np.array([parse_quantity(str(given.get(key, "0 m")), "m") for key in _LENGTHS])
         angles = [parse_quantity(str(given.get(key, "0 rad")), "rad") for key in _ANGLES]
-    except UnitError as error:
-        raise UnitError(f"{path}: transform: {error}") from error
     back = Rotation.from_euler("XYZ", angles).as_matrix().T
     cross = np.array([[0.0, -d[2], d[1]], [d[2], 0.0, -d[0]], [-d[1], d[0], 0.0]])
     out = np.zeros((6, 6))
@@ -152,11 +147,5 @@ def without_tare(
     if not seen.any(axis=0).all():
         raise LogError(f"{path}: the first {float(tare):g} s hold no sample to take the tare from")
     offset = np.asarray(np.nanmean(values[first], axis=0))
-    return values - offset, [
-        note("tare-subtracted", f"tare: the mean of the first {tare:g} s was subtracted")
-    ]
-
-
-def load_channels(time: FloatArray, load: FloatArray) -> dict[str, Channel]:
-    """Return the channels of loads (n, 6) in the order of `AXES` [N, N·m]."""
-    return {name: quantity_channel(name, time, load[:, i].copy()) for i, name in enumerate(_CHANNELS)}
+    sentence = f"tare: the mean of the first {tare:g} s was subtracted"
+    return values - offset, [note("tare-subtracted", sentence)]

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import partial
 
 import numpy as np
 
 from sysid.errors import LogError
-from sysid.journal import Finding, note
-from sysid.loaders.columns import listing
+from sysid.journal import Finding
+from sysid.loaders.columns import listing_note
 from sysid.loaders.motion_capture import body_channels, lost_note, unit_quaternions
 from sysid.loaders.options import CaptureOptions
-from sysid.loaders.registry import LogFormat
+from sysid.loaders.registry import family_format
 from sysid.loaders.rigid_pose import fit_bodies
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers
@@ -59,12 +59,15 @@ class RawCapture:
     kind: str = "motion-capture"
 
 
-def capture_recording(source: Source, format: str, raw: RawCapture, options: CaptureOptions) -> Recording:
+def _recording(
+    source: Source, name: str, parse: Callable[[Source, CaptureOptions], RawCapture], options: CaptureOptions
+) -> Recording:
     """Return the recording of a capture: unit quaternions of continuous sign, poses of marker sets fitted.
 
     A quaternion without unit length, a body that cannot be fitted and a capture that never saw anything are
     a LogError.
     """
+    raw = parse(source, options)
     path, notes = source.path, list(raw.notes)
     channels: dict[str, Channel] = {}
     for body in raw.bodies:
@@ -77,45 +80,26 @@ def capture_recording(source: Source, format: str, raw: RawCapture, options: Cap
             channels[f"{body.name}/{what}"] = Channel(f"{body.name}/{what}", unit, body.time, values)
         if raw.marks_lost:
             notes += lost_note(body.name, orientation)
-    blank = [name for name, (_, place) in raw.markers.items() if not np.isfinite(place).all(axis=1).any()]
+    blank = [key for key, (_, place) in raw.markers.items() if not np.isfinite(place).all(axis=1).any()]
     markers = {
-        f"{name}/position": Channel(f"{name}/position", "m", time, place)
-        for name, (time, place) in raw.markers.items()
+        f"{marker}/position": Channel(f"{marker}/position", "m", time, place)
+        for marker, (time, place) in raw.markers.items()
     }
     if options.bodies is not None or (options.rigid_body is not None and not raw.chosen):
         rigid_body = None if raw.chosen else options.rigid_body
         fitted, poses = fit_bodies(path, markers, options.bodies, rigid_body)
         channels |= fitted
         notes += poses
-    for name in blank:
-        del markers[f"{name}/position"]
-    if blank:
-        notes.append(note("markers-never-seen", f"markers never seen, left out: {listing(blank)}"))
-    channels = {
-        **channels,
-        **{name: marker for name, marker in markers.items() if name not in channels},
-        **raw.others,
-    }
+    for marker in blank:
+        del markers[f"{marker}/position"]
+    notes += listing_note("markers-never-seen", "markers never seen, left out", blank)
+    channels |= {key: marker for key, marker in markers.items() if key not in channels}
+    channels |= raw.others
     if not channels:
         raise LogError(f"{path}: no body, marker or signal is ever seen; the capture is empty")
     stated = replace(options, length_unit=None) if raw.states_length else options
-    return Recording(
-        raw.kind, channels, source.provenance(format, device=raw.device, options=stated, notes=notes)
-    )
+    provenance = source.provenance(name, device=raw.device, options=stated, notes=notes)
+    return Recording(raw.kind, channels, provenance)
 
 
-def capture_format(
-    name: str,
-    describes: str,
-    recognize: Callable[[Source], int],
-    parse: Callable[[Source, CaptureOptions], RawCapture],
-    takes: Mapping[str, tuple[str, ...]],
-) -> LogFormat:
-    """Return a `LogFormat` of motion captures, whose files `parse` reads."""
-
-    def read(source: Source, **given: Any) -> Recording:
-        options = CaptureOptions(**given)
-        return capture_recording(source, name, parse(source, options), options)
-
-    read.__module__ = parse.__module__
-    return LogFormat(name, describes, recognize, read, takes)
+capture_format = partial(family_format, CaptureOptions, _recording)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from sysid.errors import LogError, UnitError
@@ -77,11 +78,25 @@ def listing(names: Iterable[str]) -> str:
     return (f"{shown} and {len(names) - 12} more" if len(names) > 12 else shown) or "none"
 
 
+@contextmanager
+def naming(where: str) -> Iterator[None]:
+    """Put `where` before the message of an error of units."""
+    try:
+        yield
+    except UnitError as error:
+        raise UnitError(f"{where}: {error}") from error
+
+
+def listing_note(code: str, what: str, names: Collection[str]) -> list[Finding]:
+    """Return a note that lists names; none without a name."""
+    return [note(code, f"{what}: {listing(names)}")] if names else []
+
+
 def unread_note(columns: Iterable[Column], read: Iterable[Column]) -> list[Finding]:
     """Return a note that names the columns of a header that are not read, so that none is missed."""
     known = {column.index for column in read}
     left = [column.label for column in columns if column.index not in known and column.label.strip()]
-    return [note("columns-not-read", f"columns not read: {listing(left)}")] if left else []
+    return listing_note("columns-not-read", "columns not read", left)
 
 
 def find_column(path: str, columns: Sequence[Column], stems: Collection[str]) -> Column | None:

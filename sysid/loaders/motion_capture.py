@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
-from sysid.loaders.columns import listing
+from sysid.loaders.columns import listing, naming
 from sysid.loaders.table import Numbers
 from sysid.recording import BoolArray, Channel, FloatArray
 from sysid.units import factor_to_si
@@ -66,14 +68,20 @@ def continuous_quaternions(unit: FloatArray) -> tuple[FloatArray, int]:
     return unit, int(turned.sum())
 
 
+def rotation_quaternions(
+    rotation: Callable[[FloatArray], Rotation], values: FloatArray, seen: BoolArray | None = None
+) -> FloatArray:
+    """Return quaternions (n, 4), w first, of `values` (n, k) or (n, 3, 3); NaN where not `seen` (finite)."""
+    seen = np.asarray(np.isfinite(values).all(axis=1)) if seen is None else seen
+    quaternions = np.full((len(values), 4), np.nan)
+    if seen.any():
+        quaternions[seen] = np.roll(rotation(values[seen]).as_quat(), 1, axis=1)
+    return quaternions
+
+
 def matrix_quaternions(matrix: FloatArray, seen: BoolArray) -> FloatArray:
     """Return quaternions, w first, of continuous sign, of matrices (n, 3, 3); NaN where not `seen`."""
-    from scipy.spatial.transform import Rotation
-
-    result = np.full((len(matrix), 4), np.nan)
-    if seen.any():
-        result[seen] = np.roll(Rotation.from_matrix(matrix[seen]).as_quat(), 1, axis=1)
-    return continuous_quaternions(result)[0]
+    return continuous_quaternions(rotation_quaternions(Rotation.from_matrix, matrix, seen))[0]
 
 
 def euler_quaternions(order: str, angles_deg: FloatArray) -> FloatArray:
@@ -81,16 +89,8 @@ def euler_quaternions(order: str, angles_deg: FloatArray) -> FloatArray:
 
     `order` is for example ``"XYZ"``: about X, then the new Y, then the new Z. Rows with NaN give NaN.
     """
-    from scipy.spatial.transform import Rotation
-
-    result = np.full((len(angles_deg), 4), np.nan)
-    seen = np.isfinite(angles_deg).all(axis=1)
-    if seen.any():
-        # Upper-case letters are scipy's sign for intrinsic rotations.
-        result[seen] = np.roll(
-            Rotation.from_euler(order, angles_deg[seen], degrees=True).as_quat(), 1, axis=1
-        )
-    return result
+    # Upper-case letters are scipy's sign for intrinsic rotations.
+    return rotation_quaternions(partial(Rotation.from_euler, order, degrees=True), angles_deg)
 
 
 def body_channels(
@@ -111,24 +111,17 @@ def lost_note(body: str, orientation: FloatArray) -> list[Finding]:
 
 def declared_length(path: str, declared: str | None, default: str = "m") -> float:
     """Return the factor to metres of a declared length unit, or of `default`; UnitError if none."""
-    try:
+    with naming(f"{path}: length_unit"):
         return factor_to_si(default if declared is None else str(declared), "m")
-    except UnitError as error:
-        raise UnitError(f"{path}: length_unit: {error}") from error
 
 
 def length_factor(where: str, stated: Iterable[str], declared: str | None) -> float:
     """Return the factor to metres of a unit that is stated or declared; UnitError if they differ."""
-    units = [
-        *sorted({unit.strip() for unit in stated} - {""}),
-        *([] if declared is None else [str(declared)]),
-    ]
+    units = sorted({unit.strip() for unit in stated} - {""}) + ([] if declared is None else [str(declared)])
     if not units:
         raise UnitError(f'{where}: states no length unit; declare it with length_unit = "mm" or "m"')
-    try:
+    with naming(f"{where}: length unit"):
         factors = {factor_to_si(_LENGTHS.get(unit.casefold(), unit), "m") for unit in units}
-    except UnitError as error:
-        raise UnitError(f"{where}: length unit: {error}") from error
     if len(factors) > 1:
         raise UnitError(f"{where}: lengths are in {' and '.join(units)}; correct length_unit or export again")
     return factors.pop()

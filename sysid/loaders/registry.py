@@ -19,8 +19,9 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from sysid.errors import LogError, UnitError
+from sysid.errors import LogError
 from sysid.journal import notice
+from sysid.loaders.columns import naming
 from sysid.loaders.options import DECLARED
 from sysid.loaders.source import Source
 from sysid.recording import Recording
@@ -70,31 +71,16 @@ class LogFormat:
         return {name: DECLARED[name].help for name in self.options if name in DECLARED}
 
 
-# One line per format, in the order of lists and messages.
+# Modules in `sysid.loaders.readers`, in the order of lists and messages.
 _BUILT_IN = (
-    "sysid.loaders.readers.rcbenchmark_csv",
-    "sysid.loaders.readers.load_cell_csv",
-    "sysid.loaders.readers.load_cell_hdf5",
-    "sysid.loaders.readers.ati_text",
-    "sysid.loaders.readers.net_ft_csv",
-    "sysid.loaders.readers.tdms",
-    "sysid.loaders.readers.lvm",
-    "sysid.loaders.readers.mat",
-    "sysid.loaders.readers.motive_csv",
-    "sysid.loaders.readers.pose_table",
-    "sysid.loaders.readers.motive_legacy",
-    "sysid.loaders.readers.vicon_csv",
-    "sysid.loaders.readers.qualisys_tsv",
-    "sysid.loaders.readers.c3d",
-    "sysid.loaders.readers.ros_csv",
-    "sysid.loaders.readers.ros_bag",
-    "sysid.loaders.readers.ulog",
-    "sysid.loaders.readers.sysid_hdf5",
-)
+    "rcbenchmark_csv", "load_cell_csv", "load_cell_hdf5", "ati_text", "net_ft_csv", "tdms", "lvm", "mat",
+    "motive_csv", "pose_table", "motive_legacy", "vicon_csv", "qualisys_tsv", "c3d", "ros_csv", "ros_bag",
+    "ulog", "sysid_hdf5",
+)  # fmt: skip
 
 
 def _built_in() -> dict[str, LogFormat]:
-    entries = [import_module(module).FORMAT for module in _BUILT_IN]
+    entries = [import_module(f"sysid.loaders.readers.{module}").FORMAT for module in _BUILT_IN]
     return {entry.name: entry for entry in entries}
 
 
@@ -104,9 +90,7 @@ def formats() -> dict[str, LogFormat]:
     for point in entry_points(group=ENTRY_POINT_GROUP):
         try:
             entry = point.load()
-        except (
-            Exception
-        ) as error:  # another package's code: whatever it raises must not stop the built-in formats
+        except Exception as error:  # another package's code must not stop the built-in formats
             notice("format-not-loaded", f"log format {point.name!r} cannot be loaded: {error}")
             continue
         if not isinstance(entry, LogFormat) or entry.name in known:
@@ -115,6 +99,24 @@ def formats() -> dict[str, LogFormat]:
             continue
         known[entry.name] = entry
     return known
+
+
+def family_format(
+    options: Callable[..., Any],
+    record: Callable[[Source, str, Callable[[Source, Any], Any], Any], Recording],
+    name: str,
+    describes: str,
+    recognize: Callable[[Source], int],
+    parse: Callable[[Source, Any], Any],
+    takes: Mapping[str, tuple[str, ...]],
+) -> LogFormat:
+    """Return a format of a family, which makes a recording of what ``parse(source, options)`` returns."""
+
+    def read(source: Source, **given: Any) -> Recording:
+        return record(source, name, parse, options(**given))
+
+    read.__module__ = parse.__module__
+    return LogFormat(name, describes, recognize, read, takes)
 
 
 def plug_in_options() -> set[str]:
@@ -126,10 +128,6 @@ def plug_in_options() -> set[str]:
 def _hint(word: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(word, list(known), 1)
     return f'; did you mean "{near[0]}"?' if near else ""
-
-
-def _names(candidates: dict[str, LogFormat]) -> str:
-    return ", ".join(candidates)
 
 
 def _detect(source: Source) -> LogFormat:
@@ -146,7 +144,7 @@ def _detect(source: Source) -> LogFormat:
             )
     raise LogError(
         f"{source.path}: not recognized as any log format by its content; "
-        f'if it is one of {_names(known)}, say so with format = "..."'
+        f'if it is one of {", ".join(known)}, say so with format = "..."'
     )
 
 
@@ -193,7 +191,7 @@ def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording
         known = known if format in known else formats()
         if format not in known:
             hint = _hint(str(format), known)
-            raise LogError(f"{source.path}: unknown format {format!r}; known are {_names(known)}{hint}")
+            raise LogError(f"{source.path}: unknown format {format!r}; known are {', '.join(known)}{hint}")
         chosen = known[format]
     given = {name: value for name, value in options.items() if value is not None}
     unknown = sorted(set(given) - set(chosen.options))
@@ -209,10 +207,8 @@ def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording
             expected = " or ".join(", ".join(f'"{word}"' for word in choices).rsplit(", ", 1))
             raise LogError(f"{source.path}: {name} = {value!r} is unknown; expected {expected}")
         if name in DECLARED and DECLARED[name].unit and isinstance(value, str):
-            try:
+            with naming(f"{source.path}: {name} = {value!r}"):
                 given[name] = parse_quantity(value, DECLARED[name].unit)
-            except UnitError as error:
-                raise UnitError(f"{source.path}: {name} = {value!r}: {error}") from error
     return chosen.read(source, **given)
 
 

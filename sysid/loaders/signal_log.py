@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import Any
+from functools import partial
 
 from sysid.errors import LogError
 from sysid.journal import Finding
 from sysid.loaders.load_cell import MEASURED
 from sysid.loaders.options import BenchOptions
-from sysid.loaders.registry import LogFormat
+from sysid.loaders.registry import family_format
 from sysid.loaders.signals import Signal, signal_channels
 from sysid.loaders.source import Source
 from sysid.recording import Recording
 
-_TAKES = ("rate", "units", "datasets", "pulses_per_revolution", "time_back")
+# Options of every format of named signals.
+SIGNAL_OPTIONS = dict.fromkeys(("rate", "units", "datasets", "pulses_per_revolution", "time_back"), ())
 
 
 @dataclass
@@ -35,33 +36,19 @@ class RawSignals:
     notes: list[Finding] = field(default_factory=list)
 
 
-def signal_format(
-    name: str,
-    describes: str,
-    recognize: Callable[[Source], int],
-    parse: Callable[[Source, BenchOptions], AbstractContextManager[RawSignals]],
-    extra: Mapping[str, tuple[str, ...]] | None = None,
-) -> LogFormat:
-    """Return a `LogFormat` of named signals.
+_Parse = Callable[[Source, BenchOptions], AbstractContextManager[RawSignals]]
 
-    ``with parse(source, options) as RawSignals:`` keeps the file open while its signals are read; `extra`
-    are options of this format alone, as `LogFormat.takes`.
-    """
 
-    def read(source: Source, **given: Any) -> Recording:
-        options = BenchOptions(**given)
-        with parse(source, options) as raw:
-            channels, notes = signal_channels(
-                source.path, raw.signals, options, measured=raw.measured, passed_over=raw.passed_over
-            )
-        if not channels:
-            raise LogError(f"{source.path}: holds no signal with a value; the log is empty")
-        return Recording(
-            "load-cell" if any(channel in channels for channel in MEASURED) else "signals",
-            channels,
-            source.provenance(name, device=raw.device, options=options, notes=[*raw.notes, *notes]),
+def _recording(source: Source, name: str, parse: _Parse, options: BenchOptions) -> Recording:
+    with parse(source, options) as raw:  # the file stays open while its signals are read
+        channels, notes = signal_channels(
+            source.path, raw.signals, options, measured=raw.measured, passed_over=raw.passed_over
         )
+    if not channels:
+        raise LogError(f"{source.path}: holds no signal with a value; the log is empty")
+    kind = "load-cell" if any(channel in channels for channel in MEASURED) else "signals"
+    provenance = source.provenance(name, device=raw.device, options=options, notes=[*raw.notes, *notes])
+    return Recording(kind, channels, provenance)
 
-    takes = {option: () for option in _TAKES} | dict(extra or {})
-    read.__module__ = parse.__module__
-    return LogFormat(name, describes, recognize, read, takes)
+
+signal_format = partial(family_format, BenchOptions, _recording)

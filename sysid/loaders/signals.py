@@ -17,7 +17,7 @@ import numpy as np
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
 from sysid.loaders.clock import DECLARE_RATE, order_rows, positive_rate, rate_clock
-from sysid.loaders.columns import Column, DeclaredUnits, listing, split_label, suffix_unit
+from sysid.loaders.columns import Column, DeclaredUnits, listing, listing_note, split_label, suffix_unit
 from sysid.loaders.load_cell import COMMAND, MEASURED, QUANTITIES, TACHOMETER, TIME, quantity_channel
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.table import Numbers
@@ -252,11 +252,11 @@ def signal_channels(
 
     A signal without a clock or a unit, and two that contradict each other, are a LogError or a UnitError.
     """
-    datasets, pulses_per_revolution = options.datasets, options.pulses_per_revolution
+    datasets, per_revolution = options.datasets, options.pulses_per_revolution
     rate = None if options.rate is None else positive_rate(path, options.rate)
     by_name = {signal.name: signal for signal in signals}
     chosen = choose_signals(path, by_name, datasets, measured=measured, passed_over=passed_over)
-    check_tachometer(path, chosen, pulses_per_revolution)
+    check_tachometer(path, chosen, per_revolution)
     declared = DeclaredUnits(path, options.units)
     columns = {}
     for index, (name, signal) in enumerate(by_name.items()):
@@ -277,7 +277,7 @@ def signal_channels(
 
     notes = clocks.notes
     left = [name for name in by_name if name not in chosen.values()] if measured and datasets is None else []
-    notes += [note("datasets-not-read", f"datasets not read: {listing(left)}")] if left else []
+    notes += listing_note("datasets-not-read", "datasets not read", left)
     channels: dict[str, Channel] = {}
     unknown: list[str] = []
     for key, names in clocks.members.items():
@@ -294,42 +294,38 @@ def signal_channels(
                     column = replace(column, unit=None, guessed=False)
                 unit, factor = plain_unit(declared.unit_of(column, column.label))
                 unknown += [] if unit else [by_name[channel].label]
-                shown = _free_name(by_name[channel], channels)
+                label = " ".join(by_name[channel].label.split()) or channel
+                shown = label if label not in channels else channel
                 channels[shown] = Channel(shown, unit, time, values * factor)
             elif channel == "command":
                 channels[channel] = Channel(channel, declared.command(column), time, values)
             elif channel == "tachometer":
-                channels |= speed_channel(path, column.label, time, values, pulses_per_revolution, notes)
+                channels |= speed_channel(path, column.label, time, values, per_revolution, notes)
             else:
                 default = "rpm" if column.stem == "rpm" else None
                 scale = declared.factor(column, channel, QUANTITIES[channel].unit, default)
                 channels[channel] = quantity_channel(channel, time, values * scale)
     notes += unknown_units_note(unknown)
-    notes += (
-        [note("passed-over", f"passed over, as no rows of numbers: {listing(passed_over)}")]
-        if passed_over
-        else []
-    )
+    notes += listing_note("passed-over", "passed over, as no rows of numbers", passed_over)
     declared.check_used(tuple(columns.values()))
     return channels, [*notes, *declared.notes]
 
 
 def unknown_units_note(names: Sequence[str]) -> list[Finding]:
     """Return a note that names the signals whose unit is not known."""
-    return (
-        [note("unknown-units", f"signals without a known unit, kept as recorded: {listing(names)}")]
-        if names
-        else []
-    )
+    return listing_note("unknown-units", "signals without a known unit, kept as recorded", names)
 
 
 def plain_unit(stated: str | None) -> tuple[str, float]:
     """Return (SI unit, factor) of a signal that is no known quantity; ``("", 1)`` if unknown."""
     stated = (stated or "").strip()
-    if stated in ("", "g", "G") or "deg" in stated or "°" in stated or "º" in stated:
+    # A decibel is logarithmic: no factor turns it into anything.
+    if (
+        stated in ("", "g", "G")
+        or stated.startswith("dB")
+        or any(mark in stated for mark in ("deg", "°", "º"))
+    ):
         return "", 1.0
-    if stated.startswith("dB"):
-        return "", 1.0  # logarithmic: no factor turns it into anything
     for expected, shown in _OTHER_UNITS.items():
         # A radian is a pure number to the units library: per cent, strain and counts are no angles.
         if expected == "rad" and "rad" not in stated:
@@ -339,12 +335,6 @@ def plain_unit(stated: str | None) -> tuple[str, float]:
         except UnitError:
             continue
     return "", 1.0
-
-
-def _free_name(signal: Signal, taken: Mapping[str, Channel]) -> str:
-    """Return the label of a signal, or its whole name where the label is taken."""
-    label = " ".join(signal.label.split()) or signal.name
-    return label if label not in taken else signal.name
 
 
 def written_unit(unit: str | None) -> str | None:

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from functools import partial
 
 import numpy as np
 
 from sysid.journal import Finding, note
-from sysid.loaders.ati_calibration import Calibration, load_channels, motor_transform, without_tare
-from sysid.loaders.columns import Column, listing
+from sysid.loaders.ati_calibration import Calibration, motor_transform, without_tare
+from sysid.loaders.columns import Column, listing_note
+from sysid.loaders.load_cell import quantity_channel
 from sysid.loaders.options import BenchOptions
-from sysid.loaders.registry import LogFormat
+from sysid.loaders.registry import family_format
 from sysid.loaders.source import Source
 from sysid.recording import Channel, Recording
 from sysid.types import FloatArray
 
+# Channels of the loads Fx Fy Fz Tx Ty Tz.
+_LOADS = ("force_x", "force_y", "thrust", "torque_x", "torque_y", "torque")
 # Units as a channel shows them.
 _SHOWN = {"N*m": "N·m", "m/s^2": "m/s²"}
 
@@ -53,21 +56,18 @@ class RawTable:
                 continue
             scaled = column_values * factors[name] if factors[name] != 1.0 else column_values
             self.channels[name] = Channel(name, _SHOWN.get(unit, unit), self.time, scaled)
-        if blank:
-            self.notes.append(
-                note("columns-without-values", f"columns without a single value: {listing(blank)}")
-            )
+        self.notes += listing_note("columns-without-values", "columns without a single value", blank)
 
 
-def _add_loads(path: str, raw: RawTable, options: BenchOptions) -> None:
-    """Add the six loads: tare off, scaled, at the motor's axes."""
-    assert raw.loads is not None
+def _loads(path: str, raw: RawTable, options: BenchOptions) -> dict[str, Channel]:
+    """Return the six loads: tare off, scaled, at the motor's axes."""
+    if raw.loads is None:
+        return {}
     load, tared = without_tare(path, raw.loads, raw.time, options.tare)
     raw.notes += tared
     if isinstance(raw.scale, Calibration):
         load = load @ raw.scale.matrix.T
-        beyond = raw.scale.beyond(load)
-        if beyond:
+        if beyond := raw.scale.beyond(load):
             raw.notes.append(
                 note("beyond-calibrated-range", f"beyond the calibrated range: {', '.join(beyond)}")
             )
@@ -76,30 +76,18 @@ def _add_loads(path: str, raw: RawTable, options: BenchOptions) -> None:
     if options.transform:
         load = load @ motor_transform(path, options.transform).T  # a blank cell blanks all that it counts in
         raw.notes.append(note("loads-transformed", "loads are at the motor's axes, as declared by transform"))
-    raw.channels |= load_channels(raw.time, load)
+    return {name: quantity_channel(name, raw.time, load[:, i].copy()) for i, name in enumerate(_LOADS)}
 
 
-def table_format(
-    name: str,
-    describes: str,
-    recognize: Callable[[Source], int],
-    parse: Callable[[Source, BenchOptions], RawTable],
-    takes: Mapping[str, tuple[str, ...]],
-) -> LogFormat:
-    """Return a `LogFormat` of tables, which `parse` reads."""
+def _recording(
+    source: Source, name: str, parse: Callable[[Source, BenchOptions], RawTable], options: BenchOptions
+) -> Recording:
+    if options.transform is not None:
+        motor_transform(source.path, options.transform)  # refused before the file is read
+    raw = parse(source, options)
+    channels = raw.channels | _loads(source.path, raw, options)
+    provenance = source.provenance(name, device=raw.device, options=options, notes=raw.notes)
+    return Recording(raw.kind, channels, provenance)
 
-    def read(source: Source, **given: Any) -> Recording:
-        options = BenchOptions(**given)
-        if options.transform is not None:
-            motor_transform(source.path, options.transform)  # refused before the file is read
-        raw = parse(source, options)
-        if raw.loads is not None:
-            _add_loads(source.path, raw, options)
-        return Recording(
-            raw.kind,
-            raw.channels,
-            source.provenance(name, device=raw.device, options=options, notes=raw.notes),
-        )
 
-    read.__module__ = parse.__module__
-    return LogFormat(name, describes, recognize, read, takes)
+table_format = partial(family_format, BenchOptions, _recording)

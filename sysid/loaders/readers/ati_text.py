@@ -9,6 +9,7 @@ transducer's ``.cal`` file) the six are gauge voltages. Units are not in the fil
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -17,7 +18,8 @@ import numpy as np
 from sysid.errors import LogError, UnitError
 from sysid.journal import note
 from sysid.loaders.ati_calibration import AXES, Calibration, read_calibration
-from sysid.loaders.clock import DECLARE_RATE, jitter_note, order_rows, positive_rate, rate_clock
+from sysid.loaders.clock import DECLARE_RATE, jitter_note, known_rate, order_rows, positive_rate, rate_clock
+from sysid.loaders.columns import naming
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
 from sysid.loaders.source import Source
@@ -47,8 +49,12 @@ def _delimiter(line: str) -> str:
     return next((mark for mark in ";\t" if mark in line), "") or sniff_delimiter(line)
 
 
-def _number(cell: str) -> float:
-    return parse_number(cell, "," if "," in cell else ".")
+def _value(cell: str) -> float | None:
+    """Return the number in a cell, NaN for a blank one; None for words."""
+    try:
+        return parse_number(cell, "," if "," in cell else ".")
+    except ValueError:
+        return None
 
 
 def _cells(line: str) -> list[str]:
@@ -59,57 +65,30 @@ def _cells(line: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
+def _is_number(cell: str) -> bool:
+    value = _value(cell)
+    return value is not None and math.isfinite(value)
+
+
 def _is_row(cells: list[str]) -> bool:
-    if len(cells) not in (6, 7):
-        return False
-    try:
-        return all(np.isfinite(_number(cell)) for cell in cells)
-    except ValueError:
-        return False
-
-
-def _is_words(cells: list[str]) -> bool:
-    """Return whether a line holds labels: something, and no number."""
-    numbers = 0
-    for cell in cells:
-        try:
-            numbers += bool(np.isfinite(_number(cell)))
-        except ValueError:
-            continue
-    return bool(cells) and not numbers
+    return len(cells) in (6, 7) and all(map(_is_number, cells))
 
 
 def _recognize(source: Source) -> int:
     lines = [line for line in source.head_lines if line.strip()][:_HEADER_LINES]
     if not lines:
         return NO
-    if _STATES_RATE in lines[0].casefold():
-        return CERTAIN
-    if lines[0].startswith("[") and _is_row(_cells(lines[0])):
-        return CERTAIN
-    numbered = [f"column{i + 1}" for i in range(7)]
-    if [cell.casefold() for cell in _cells(lines[0])] in (numbered, numbered[:6]):
+    first, numbered = _cells(lines[0]), [f"column{i + 1}" for i in range(7)]
+    labelled = [cell.casefold() for cell in first] in (numbered, numbered[:6])
+    if _STATES_RATE in lines[0].casefold() or labelled or (lines[0].startswith("[") and _is_row(first)):
         return CERTAIN
     return POSSIBLE if all(_is_row(_cells(line)) for line in lines[:3]) else NO
 
 
-def _check_settings(path: str, line: int, cells: list[str]) -> None:
-    """Refuse a line of settings with words in it: damaged, it may have swallowed the first row."""
-    for cell in cells:
-        try:
-            _number(cell)
-        except ValueError:
-            raise LogError(
-                f"{path}, line {line}: {cell[:40]!r} is no number in the line that states the rate; "
-                "mend or delete that line and declare rate = ..."
-            ) from None
-
-
 def _table(text: Text, path: str) -> tuple[Text, TableHead, float | None]:
     """Return the text with one delimiter, where its rows are and how many columns they have, and the rate."""
-    if text.data.lstrip().startswith(b"[") or not any(
-        mark in text.data[:4096] for mark in (b",", b";", b"\t")
-    ):
+    start = text.data[:4096]
+    if text.data.lstrip().startswith(b"[") or not any(mark in start for mark in (b",", b";", b"\t")):
         # Rows printed by numpy, or parted by spaces.
         text = Text(path, text.data.translate(_NO_BRACKETS), text.notes)
     rate = None
@@ -122,15 +101,23 @@ def _table(text: Text, path: str) -> tuple[Text, TableHead, float | None]:
         elif _is_row(cells):
             # A row with a damaged or blank cell above this one is not passed over: its line is read too.
             names = ("t", *AXES) if len(cells) == 7 else AXES
-            before, start = begin or (number - 1, offset - len(line.encode("utf-8")) - 1)
-            return text, TableHead(names, _delimiter(line), before, max(start, 0)), rate
+            before, place = begin or (number - 1, offset - len(line.encode("utf-8")) - 1)
+            return text, TableHead(names, _delimiter(line), before, max(place, 0)), rate
         elif states and rate is None:
             try:
-                rate = positive_rate(path, _number(cells[0])) if len(cells) > 1 else None
-            except (ValueError, LogError):
+                rate = known_rate(_value(cells[0])) if len(cells) > 1 else None
+            except ValueError:
                 continue
-            _check_settings(path, number, cells)
-        elif begin is None and line.strip() and (rate is not None or number == 1) and not _is_words(cells):
+            # Words in the line of settings: damaged, it may have swallowed the first row.
+            word = next((cell for cell in cells if _value(cell) is None), None)
+            if word is not None:
+                raise LogError(
+                    f"{path}, line {number}: {word[:40]!r} is no number in the line that states the rate; "
+                    "mend or delete that line and declare rate = ..."
+                )
+        elif begin is not None or not line.strip() or (rate is None and number > 1):
+            continue
+        elif not cells or any(map(_is_number, cells)):  # labels hold no number
             begin = number - 1, offset - len(line.encode("utf-8")) - 1
     raise LogError(
         f"{path}: no row of six numbers, or of a time and six, in the first {_HEADER_LINES} "
@@ -148,28 +135,19 @@ def _factors(path: str, units: Mapping[str, str] | None) -> FloatArray:
         units = {("force" if name == "thrust" else name): unit for name, unit in units.items()}
     if not isinstance(units, Mapping) or set(units) != set(_UNIT_KEYS):
         raise UnitError(f'{path}: units = {units!r}; expected {{force = "N", torque = "N*m"}}')
-    try:
+    with naming(path):
         return np.repeat(
             [factor_to_si(str(units["force"]), "N"), factor_to_si(str(units["torque"]), "N*m")], 3
         )
-    except UnitError as error:
-        raise UnitError(f"{path}: {error}") from error
 
 
 def _time_factor(path: str, units: Mapping[str, str] | None) -> tuple[Mapping[str, str] | None, float | None]:
     """Return the units of the loads, and the factor of the time column to seconds where it is declared."""
     if not isinstance(units, Mapping) or "time" not in units:
         return units, None
-    try:
+    with naming(f"{path}: time"):
         factor = factor_to_si(str(units["time"]), "s")
-    except UnitError as error:
-        raise UnitError(f"{path}: time: {error}") from error
     return {name: unit for name, unit in units.items() if name != "time"} or None, factor
-
-
-def _counts_rows(column: FloatArray) -> bool:
-    seen = np.flatnonzero(np.isfinite(column))
-    return bool(seen.size > 1 and np.ptp(column[seen] - seen) == 0)
 
 
 def _is_steady(column: FloatArray) -> bool:
@@ -180,11 +158,16 @@ def _is_steady(column: FloatArray) -> bool:
     )
 
 
+def _turns(column: FloatArray) -> tuple[int, int]:
+    """Return in how many steps a column rises, and in how many it falls."""
+    steps = np.diff(column[np.isfinite(column)])
+    return int(np.count_nonzero(steps > 0)), int(np.count_nonzero(steps < 0))
+
+
 def _mostly_rises(column: FloatArray) -> bool:
     """Return whether a column hardly ever falls, as an unsteady clock does and no load that is not flat."""
-    steps = np.diff(column[np.isfinite(column)])
-    rises, falls = np.count_nonzero(steps > 0), np.count_nonzero(steps < 0)
-    return bool(rises > _FEW_STEPS and falls <= _FALLS * rises)
+    rises, falls = _turns(column)
+    return rises > _FEW_STEPS and falls <= _FALLS * rises
 
 
 def _check_last(path: str, numbers: Numbers) -> None:
@@ -205,8 +188,7 @@ def _check_last(path: str, numbers: Numbers) -> None:
 
 def _check_first(path: str, column: FloatArray) -> None:
     """Refuse rows of seven whose first number is no time, where the clock is not made of it."""
-    steps = np.diff(column[np.isfinite(column)])
-    rises, falls = np.count_nonzero(steps > 0), np.count_nonzero(steps < 0)
+    rises, falls = _turns(column)
     if falls > max(1.0, _FALLS * rises):
         raise LogError(
             f"{path}: the first of seven columns falls in {falls} steps, so it is no time; expected the time "
@@ -255,14 +237,14 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
             notes.append(note("first-column-is-time", sentence))
         notes += [*ordered, *jitter_note(time)]
     elif rate is not None:
-        counted = lead and seconds is None and _counts_rows(numbers.columns[0])
+        rows = np.flatnonzero(np.isfinite(numbers.columns[0]))
+        counts = rows.size > 1 and np.ptp(numbers.columns[0][rows] - rows) == 0
+        counted = lead and seconds is None and counts
         written = numbers.columns[0] * (seconds or 1.0) if lead and not counted else None
         time = rate_clock(path, rate, numbers.lines.size, written)
-        notes += (
-            [note("first-column-counts-rows", "the first of seven columns counts rows and was left out")]
-            if counted
-            else []
-        )
+        if counted:
+            sentence = "the first of seven columns counts rows and was left out"
+            notes.append(note("first-column-counts-rows", sentence))
         notes.append(note("time-from-rate", f"time rebuilt from the rate of {rate:g} Hz"))
     else:
         raise LogError(f"{path}: no time column and no rate in the header; declare it [Hz] with rate = ...")

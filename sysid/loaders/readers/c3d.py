@@ -53,6 +53,10 @@ def _recognize(source: Source) -> int:
     return CERTAIN if _processor(source) else NO
 
 
+def _texts(file: Any, group: str, key: str) -> list[str]:
+    return [str(text).strip() for text in _values(file["parameters"], group, key)]
+
+
 def _values(parameters: Any, group: str, key: str) -> list[Any]:
     """Return a parameter as a list, its numbered continuations (LABELS2, ...) appended."""
     try:
@@ -65,10 +69,6 @@ def _values(parameters: Any, group: str, key: str) -> list[Any]:
             break
         out += list(np.ravel(parameter[key + suffix]["value"]))
     return out
-
-
-def _length_units(file: Any) -> list[str]:
-    return [str(unit).strip() for unit in _values(file["parameters"], "POINT", "UNITS")]
 
 
 def _open(source: Source) -> Any:
@@ -93,42 +93,34 @@ def _open(source: Source) -> Any:
     return file
 
 
-def _cut_note(source: Source, file: Any) -> list[Finding]:
-    """Return a note where the header names more frames than are there; the library reads what is left."""
-    points, _, first, last = struct.unpack_from("<4H", source.head, _COUNTS)
-    frames = file["data"]["points"].shape[2]
-    return promised_note("the header's number of frames", last - first + 1, frames) if points else []
-
-
-def _overflow_note(source: Source, file: Any) -> list[Finding]:
-    """Return a note where the capture goes, or may go, on behind the last frame that a header can name."""
+def _frame_notes(source: Source, file: Any) -> list[Finding]:
+    """Return notes where the header names more frames than are there, or cannot name all that are."""
     points, analogs, first, last = struct.unpack_from("<4H", source.head, _COUNTS)
+    frames = file["data"]["points"].shape[2]
+    # The library reads what is left of a file that is cut.
+    cut = promised_note("the header's number of frames", last - first + 1, frames) if points else []
     if last != _LAST_FRAME:
-        return []
+        return cut
     scale = _values(file["parameters"], "POINT", "SCALE")
     frame = (4 * points + analogs) * (2 if scale and float(scale[0]) > 0 else 4)
     (begin,) = struct.unpack_from("<H", source.head, _DATA_START)
     there = (Path(source.path).stat().st_size - (begin - 1) * _BLOCK - (_BLOCK - 1)) / max(frame, 1)
-    frames = file["data"]["points"].shape[2] or last - first + 1
+    frames = frames or last - first + 1
     stated = _actual_frames(file)
     if max(there, stated or 0) > frames:
         held = f"{np.ceil(there):.0f} or more" if stated is None or there > stated else f"{stated}"
-        return [
-            note(
-                "frames-beyond-header",
-                f"only the first {frames} frames were read: a C3D header counts to {_LAST_FRAME}, and the "
-                f"capture has {held}; export it in shorter pieces",
-            )
-        ]
-    if stated is not None:
-        return []
-    return [
-        note(
-            "frames-beyond-header",
-            f"the last frame is number {_LAST_FRAME}, the last that a C3D header can name: the capture "
-            "may have gone on, so check its duration",
+        sentence = (
+            f"only the first {frames} frames were read: a C3D header counts to {_LAST_FRAME}, and the "
+            f"capture has {held}; export it in shorter pieces"
         )
-    ]
+    elif stated is not None:
+        return cut
+    else:
+        sentence = (
+            f"the last frame is number {_LAST_FRAME}, the last that a C3D header can name: the capture "
+            "may have gone on, so check its duration"
+        )
+    return [*cut, note("frames-beyond-header", sentence)]
 
 
 def _actual_frames(file: Any) -> int | None:
@@ -157,22 +149,22 @@ def _first_time(file: Any, rate: float) -> float:
     return float(points["first_frame"]) / (float(points["frame_rate"]) or rate)
 
 
-def _labels(parameters: Any, group: str, count: int, default: str) -> list[str]:
-    stated = [str(label).strip() for label in _values(parameters, group, "LABELS")][:count]
+def _labels(file: Any, group: str, count: int, default: str) -> list[str]:
+    stated = _texts(file, group, "LABELS")[:count]
     stated += [""] * (count - len(stated))
     return unique_names([label or f"{default}{i + 1}" for i, label in enumerate(stated)])
 
 
 def _add_markers(path: str, file: Any, length_unit: str | None, raw: RawCapture) -> None:
-    parameters, points = file["parameters"], file["data"]["points"]
-    count, frames = points.shape[1], points.shape[2]
+    points = file["data"]["points"]
+    _, count, frames = points.shape
     if not count or not frames:
         return
     rate = _rate(path, file["header"]["points"]["frame_rate"])
-    scale = length_factor(path, _length_units(file), length_unit)
+    scale = length_factor(path, _texts(file, "POINT", "UNITS"), length_unit)
     residual = file["data"]["meta_points"]["residuals"][0]
     time = (float(file["header"]["points"]["first_frame"]) + np.arange(frames)) / rate
-    for i, name in enumerate(_labels(parameters, "POINT", count, "point ")):
+    for i, name in enumerate(_labels(file, "POINT", count, "point ")):
         position = np.asarray(points[:3, i].T, dtype=np.float64) * scale
         position[~np.isfinite(position).all(axis=1) | (residual[i] < 0.0)] = np.nan
         raw.markers[name] = time, position
@@ -182,12 +174,11 @@ def _add_rotations(path: str, file: Any, length_unit: str | None, raw: RawCaptur
     poses = file["data"]["rotations"]
     if poses.ndim != 4 or not poses.shape[2] or not poses.shape[3]:
         return
-    parameters = file["parameters"]
-    rates = _values(parameters, "ROTATION", "RATE") or [file["header"]["points"]["frame_rate"]]
+    rates = _values(file["parameters"], "ROTATION", "RATE") or [file["header"]["points"]["frame_rate"]]
     rate = _rate(path, rates[0])
-    scale = length_factor(path, _length_units(file), length_unit)
+    scale = length_factor(path, _texts(file, "POINT", "UNITS"), length_unit)
     time = _first_time(file, rate) + np.arange(poses.shape[3]) / rate
-    for i, name in enumerate(_labels(parameters, "ROTATION", poses.shape[2], "body ")):
+    for i, name in enumerate(_labels(file, "ROTATION", poses.shape[2], "body ")):
         matrix = np.moveaxis(poses[:3, :3, i], 2, 0)
         whole = np.isfinite(matrix).all(axis=(1, 2))
         square = np.einsum("nij,nik->njk", matrix, matrix)
@@ -199,15 +190,14 @@ def _add_rotations(path: str, file: Any, length_unit: str | None, raw: RawCaptur
 
 def _add_analogs(path: str, file: Any, raw: RawCapture) -> None:
     values = file["data"]["analogs"]
-    count, samples = values.shape[1], values.shape[2]
+    _, count, samples = values.shape
     rate = float(file["header"]["analogs"]["frame_rate"])
     if not count or not samples or not rate > 0:
         return
-    parameters = file["parameters"]
-    units = [str(unit).strip() for unit in _values(parameters, "ANALOG", "UNITS")]
+    units = _texts(file, "ANALOG", "UNITS")
     time = _first_time(file, rate) + np.arange(samples) / rate
     unknown = []
-    for i, label in enumerate(_labels(parameters, "ANALOG", count, "")):
+    for i, label in enumerate(_labels(file, "ANALOG", count, "")):
         stated = units[i] if i < len(units) else ""
         unit, factor = plain_unit(_ANALOG_UNITS.get(stated.casefold(), stated))
         name = f"analog/{label}"
@@ -219,8 +209,7 @@ def _add_analogs(path: str, file: Any, raw: RawCapture) -> None:
 def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     path = source.path
     file = _open(source)
-    parameters = file["parameters"]
-    maker = [str(company) for company in _values(parameters, "MANUFACTURER", "COMPANY")]
+    maker = map(str, _values(file["parameters"], "MANUFACTURER", "COMPANY"))
     raw = RawCapture(" ".join(["C3D", *maker]), [], chosen=False)
     with reading(path, "C3D file", "export it again"):
         _add_rotations(path, file, options.length_unit, raw)
@@ -230,8 +219,8 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
         kept = wanted_bodies(path, [body.name for body in raw.bodies], options.rigid_body)
         raw.bodies = [body for body in raw.bodies if body.name in kept]
         raw.chosen = True
-    raw.states_length = any(_length_units(file))
-    raw.notes += [*_cut_note(source, file), *_overflow_note(source, file)]
+    raw.states_length = any(_texts(file, "POINT", "UNITS"))
+    raw.notes += _frame_notes(source, file)
     return raw
 
 

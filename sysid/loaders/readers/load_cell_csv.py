@@ -21,15 +21,7 @@ from sysid.loaders.columns import (
     parse_header,
     unread_note,
 )  # fmt: skip
-from sysid.loaders.load_cell import (
-    BESIDE,
-    CELL_AXES,
-    COMMAND,
-    MEASURED,
-    QUANTITIES,
-    TACHOMETER,
-    TIME,
-)
+from sysid.loaders.load_cell import BESIDE, CELL_AXES, COMMAND, MEASURED, QUANTITIES, TACHOMETER, TIME
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
 from sysid.loaders.source import Source

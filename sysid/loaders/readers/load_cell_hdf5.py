@@ -18,7 +18,7 @@ delivered. Names are those that `load_cell_csv` knows, in any case; other names 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ from sysid.loaders.load_cell import CELL_AXES
 from sysid.loaders.optional import reading
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
-from sysid.loaders.signal_log import RawSignals, signal_format
+from sysid.loaders.signal_log import SIGNAL_OPTIONS, RawSignals, signal_format
 from sysid.loaders.signals import Signal
 from sysid.loaders.source import Source
 from sysid.types import FloatArray
@@ -65,8 +65,8 @@ def open_hdf5(source: Source, remedy: str) -> Iterator[Any]:
         yield file
 
 
-def _datasets(file: Any) -> dict[str, Any]:
-    """Return path -> dataset of a file, links to other files not followed."""
+def hdf5_datasets(file: Any) -> dict[str, Any]:
+    """Return path -> dataset of a file or a group, links to other files not followed."""
     import h5py
 
     datasets: dict[str, Any] = {}
@@ -86,7 +86,7 @@ def _recognize(source: Source) -> int:
         with open_hdf5(source, "") as file:
             if LAYOUT_ATTRIBUTE in file.attrs:
                 return NO
-            stems = {split_label(name.rsplit("/", 1)[-1])[0] for name in _datasets(file)}
+            stems = {split_label(name.rsplit("/", 1)[-1])[0] for name in hdf5_datasets(file)}
             return CERTAIN if stems & CELL_AXES else POSSIBLE
     except LogError:
         return POSSIBLE  # the reader says what is wrong with it
@@ -126,17 +126,11 @@ def _values(path: str, name: str, dataset: Any, file_bytes: int, column: int | N
     return np.asarray(samples, dtype=np.float64).reshape(-1)
 
 
-def _signals(path: str, name: str, dataset: Any, file_bytes: int) -> list[Signal]:
-    """Return a dataset as signals, a matrix as one by column."""
+def _columns(dataset: Any) -> Sequence[int | None]:
+    """Return the columns of a matrix of signals, or None alone for a dataset that is one signal."""
     shape: tuple[int, ...] = dataset.shape or ()
-    if (
-        len(shape) != 2
-        or not 1 < shape[1] <= _MOST_COLUMNS
-        or shape[0] < 2
-        or dataset.dtype.kind not in "iuf"
-    ):
-        return [_signal(path, name, dataset, file_bytes, None)]
-    return [_signal(path, name, dataset, file_bytes, column) for column in range(shape[1])]
+    matrix = len(shape) == 2 and 1 < shape[1] <= _MOST_COLUMNS and shape[0] >= 2
+    return range(shape[1]) if matrix and dataset.dtype.kind in "iuf" else (None,)
 
 
 def _signal(path: str, name: str, dataset: Any, file_bytes: int, column: int | None) -> Signal:
@@ -162,13 +156,17 @@ def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
     with open_hdf5(source, "copy or export it again") as file:
         file_bytes = Path(path).stat().st_size
         signals = [
-            signal
-            for name, dataset in _datasets(file).items()
-            for signal in _signals(path, name, dataset, file_bytes)
+            _signal(path, name, dataset, file_bytes, column)
+            for name, dataset in hdf5_datasets(file).items()
+            for column in _columns(dataset)
         ]
         yield RawSignals(signals, str(plain(file.attrs.get("device", ""))))
 
 
 FORMAT = signal_format(
-    "load-cell-hdf5", "six-axis load cell HDF5 (datasets by name, attribute unit, rate)", _recognize, _parse
+    "load-cell-hdf5",
+    "six-axis load cell HDF5 (datasets by name, attribute unit, rate)",
+    _recognize,
+    _parse,
+    SIGNAL_OPTIONS,
 )

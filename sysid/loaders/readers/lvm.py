@@ -14,7 +14,7 @@ reader that the field uses (lvm_read) turns such cells into gaps and loads pickl
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -26,7 +26,7 @@ from sysid.journal import Finding, note
 from sysid.loaders.clock import began_note
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.signal_log import RawSignals, signal_format
+from sysid.loaders.signal_log import SIGNAL_OPTIONS, RawSignals, signal_format
 from sysid.loaders.signals import Signal, unique_names, written_unit
 from sysid.loaders.source import Source
 from sysid.loaders.table import TableHead, promised_note, read_numbers
@@ -58,30 +58,18 @@ class _Segment:
     """Header of one segment; `rows` is where its samples begin and end in the file."""
 
     line: int
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    starts: tuple[str, ...]
-    steps: tuple[str, ...]
-    samples: tuple[str, ...]
-    axes: tuple[str, ...]
-    axis_units: tuple[str, ...]
+    names: list[str]
+    header: dict[str, list[str]]
     rows: tuple[int, int]
 
-    def stated(self, cells: tuple[str, ...], column: int, first: int) -> str:
-        """Return what a header row states for a column: rows begin with the first column's."""
-        place = column - first
-        return cells[place].strip() if 0 <= place < len(cells) else ""
+    def stated(self, key: str, column: int) -> str:
+        """Return what the header row `key` states for a column.
 
-
-def _separator(path: str, settings: Mapping[str, str]) -> str:
-    separator = settings.get("separator", "Tab").strip().casefold()
-    if separator not in _SEPARATORS:
-        raise LogError(f'{path}: the header\'s Separator is {separator!r}; expected "Tab" or "Comma"')
-    return _SEPARATORS[separator]
-
-
-def _cells(line: str, delimiter: str) -> tuple[str, ...]:
-    return tuple(cell.strip() for cell in line.split(delimiter))
+        With several columns of times a row has one cell per column, else one per channel behind X_Value.
+        """
+        place = column - (0 if self.names.count("X_Value") > 1 else 1)
+        cells = self.header.get(key, [])
+        return cells[place] if 0 <= place < len(cells) else ""
 
 
 def _segments(text: Text) -> tuple[dict[str, str], str, list[_Segment]]:
@@ -96,13 +84,16 @@ def _segments(text: Text) -> tuple[dict[str, str], str, list[_Segment]]:
         settings[key.strip().casefold()] = value.strip()
     else:
         raise LogError(f"{text.path}: no line {_END} in the first {_HEADER_LINES} lines; the header is cut")
-    delimiter = _separator(text.path, settings)
+    separator = settings.get("separator", "Tab").strip().casefold()
+    if separator not in _SEPARATORS:
+        raise LogError(f'{text.path}: the header\'s Separator is {separator!r}; expected "Tab" or "Comma"')
+    delimiter = _SEPARATORS[separator]
     segments: list[_Segment] = []
     while True:
-        header: dict[str, tuple[str, ...]] = {}
-        names: tuple[str, ...] = ()
+        header: dict[str, list[str]] = {}
+        names: list[str] = []
         for number, offset, line in text.lines(_HEADER_LINES, *ends):
-            cells = _cells(line, delimiter)
+            cells = [cell.strip() for cell in line.split(delimiter)]
             if cells[0] == "X_Value":
                 names, ends = cells, (offset, number)
                 break
@@ -117,27 +108,14 @@ def _segments(text: Text) -> tuple[dict[str, str], str, list[_Segment]]:
         begin, line_of_names = ends
         blank = _BLANK.search(text.data, begin - 1)
         end = len(text.data) if blank is None else blank.start() + 1
-        segments.append(_segment(names, header, line_of_names, begin, end))
+        segments.append(_Segment(line_of_names, names, header, (begin, end)))
         ends = (end, line_of_names + text.data.count(b"\n", begin, end))
 
 
-def _segment(
-    names: tuple[str, ...], header: Mapping[str, tuple[str, ...]], line: int, begin: int, end: int
-) -> _Segment:
-    def row(key: str) -> tuple[str, ...]:
-        return header.get(key, ())
-
-    return _Segment(
-        line, names, row("y_unit_label"), row("x0"), row("delta_x"), row("samples"),
-        row("x_dimension"), row("x_unit_label"), (begin, end),
-    )  # fmt: skip
-
-
-def _number(path: str, segment: _Segment, what: str, cell: str, default: float) -> float:
-    if not cell:
-        return default
+def _number(path: str, segment: _Segment, what: str, column: int) -> float:
+    cell = segment.stated(what.casefold(), column)
     try:
-        return float(cell.replace(",", "."))
+        return float(cell.replace(",", ".")) if cell else 0.0
     except ValueError:
         raise LogError(
             f"{path}: the header above line {segment.line} states {what} as {cell[:40]!r}; expected a number"
@@ -152,7 +130,7 @@ def _segment_signals(
     With `rated` the user has declared the clock, and the header's is ignored.
     """
     path = text.path
-    names = list(segment.names)
+    names = segment.names.copy()
     while names and not names[-1]:
         names.pop()
     text_columns = {i for i, name in enumerate(names) if name == "Comment" and i == len(names) - 1}
@@ -166,18 +144,13 @@ def _segment_signals(
         free_text=max(text_columns, default=None), decimal=decimal,
     )  # fmt: skip
     labels = dict(zip(wanted, unique_names([names[i] for i in wanted]), strict=True))
-    # X_Columns Multi: header rows have one cell per column; else one per channel, after the X column.
-    first = 0 if len(times) > 1 else 1
     signals = []
-    clocks: dict[int, FloatArray | None] = {}
-    for place in times:
-        seen = np.isfinite(numbers.columns[place])
-        clocks[place] = numbers.columns[place] if seen.any() else None
+    clocks = {place: numbers.columns[place] for place in times if np.isfinite(numbers.columns[place]).any()}
     scaled: dict[tuple[int, float], FloatArray] = {}
 
     def times_of(column: int | None, seconds: float) -> FloatArray | None:
         """Return the times of a column [s], one array for all signals that share them."""
-        clock = None if column is None else clocks[column]
+        clock = None if column is None else clocks.get(column)
         if column is None or clock is None or seconds == 1.0:
             return clock
         return scaled.setdefault((column, seconds), clock * seconds)
@@ -186,26 +159,23 @@ def _segment_signals(
         values = numbers.columns[column]
         if np.isnan(values).all():
             continue
-        clock_column = max(
-            (column_of_times for column_of_times in times if column_of_times < column), default=None
-        )
+        clock_column = max((place for place in times if place < column), default=None)
         place = clock_column if len(times) > 1 and clock_column is not None else column
-        seconds = 1.0 if rated else _seconds(path, segment, labels[column], place, first)
-        step = seconds * _number(path, segment, "Delta_X", segment.stated(segment.steps, place, first), 0.0)
-        start = seconds * _number(path, segment, "X0", segment.stated(segment.starts, place, first), 0.0)
-        rate = 1.0 / step if step > 0 else None
-        unit = segment.stated(segment.units, place if len(times) > 1 else column, first)
-        time = times_of(clock_column, seconds)
         label = labels[column]
+        seconds = 1.0 if rated else _seconds(path, segment, label, place)
+        step = seconds * _number(path, segment, "Delta_X", place)
+        start = seconds * _number(path, segment, "X0", place)
+        rate = 1.0 / step if step > 0 else None
+        unit = segment.stated("y_unit_label", place)
+        time = times_of(clock_column, seconds)
         signals.append(
             Signal(f"/{label}", written_unit(unit), partial(np.asarray, values), rate, start, time, label)
         )
     notes += numbers.notes
-    counts = [cell for cell in segment.samples if cell.isascii() and cell.isdigit()]
+    counts = [cell for cell in segment.header.get("samples", []) if cell.isascii() and cell.isdigit()]
     notes += promised_note("Samples", max(map(int, counts), default=0), numbers.lines.size)
-    timed = any(clock is not None for clock in clocks.values())
-    rounded = sorted({cell for cell in segment.steps if cell and not timed and _few_digits(cell)})
-    if rounded:
+    rounded = sorted({cell for cell in segment.header.get("delta_x", []) if cell and _few_digits(cell)})
+    if rounded and not clocks:
         sentence = (
             f"Delta_X is written as {', '.join(rounded)}: the clock is no better than these digits; "
             "declare the true rate if it is known"
@@ -214,14 +184,14 @@ def _segment_signals(
     return signals
 
 
-def _seconds(path: str, segment: _Segment, label: str, place: int, first: int) -> float:
+def _seconds(path: str, segment: _Segment, label: str, place: int) -> float:
     """Return the factor from the X axis of a channel to seconds.
 
     Without ``X_Dimension`` the axis is time, and without ``X_Unit_Label`` it is in seconds: so the format
     defines it.
     """
-    axis = segment.stated(segment.axes, place, first) or "Time"
-    unit = segment.stated(segment.axis_units, place, first) or "s"
+    axis = segment.stated("x_dimension", place) or "Time"
+    unit = segment.stated("x_unit_label", place) or "s"
     try:
         factor = factor_to_si(str(written_unit(unit)), "s")
     except UnitError:
@@ -273,5 +243,9 @@ def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
 
 
 FORMAT = signal_format(
-    "lvm", "LabVIEW text measurement LVM (channels by name)", _recognize, _parse, {"segment": ()}
+    "lvm",
+    "LabVIEW text measurement LVM (channels by name)",
+    _recognize,
+    _parse,
+    SIGNAL_OPTIONS | {"segment": ()},
 )

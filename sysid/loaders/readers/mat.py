@@ -22,7 +22,7 @@ from sysid.loaders.hdf5_damage import check_heaps
 from sysid.loaders.optional import reading
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.signal_log import RawSignals, signal_format
+from sysid.loaders.signal_log import SIGNAL_OPTIONS, RawSignals, signal_format
 from sysid.loaders.signals import Signal, written_unit
 from sysid.loaders.source import Source
 
@@ -147,4 +147,6 @@ def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
         yield RawSignals(list(_walk(tree, "", None, passed_over)), passed_over=passed_over)
 
 
-FORMAT = signal_format("mat", "MATLAB file 5 or 7.3 (variables by name, rate)", _recognize, _parse)
+FORMAT = signal_format(
+    "mat", "MATLAB file 5 or 7.3 (variables by name, rate)", _recognize, _parse, SIGNAL_OPTIONS
+)

@@ -23,7 +23,7 @@ from sysid.errors import LogError
 from sysid.journal import Finding, note
 from sysid.loaders.capture_log import Body, RawCapture, capture_format
 from sysid.loaders.clock import began_note, counted_clock, jitter_note, order_rows
-from sysid.loaders.columns import listing, parse_header, unread_note
+from sysid.loaders.columns import listing_note, parse_header, unread_note
 from sysid.loaders.motion_capture import EULER_ORDERS, euler_quaternions, length_factor, wanted_bodies
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
@@ -268,10 +268,10 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
         while name in taken:
             name, repeat = f"{marker.name} #{repeat}", repeat + 1
         raw.markers[name] = time, places[k]
-    solved_names = [marker.name for marker in markers if marker.type in _SOLVED]
-    if solved_names:
-        sentence = f"positions solved from the body, not measured: {listing(solved_names)}"
-        raw.notes.append(note("positions-solved-from-body", sentence))
+    solved = [marker.name for marker in markers if marker.type in _SOLVED]
+    raw.notes += listing_note(
+        "positions-solved-from-body", "positions solved from the body, not measured", solved
+    )
     raw.notes += began_note("capture", stated.get("Capture Start Time", ""))
     return raw
 

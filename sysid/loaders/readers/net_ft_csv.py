@@ -23,7 +23,7 @@ from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
 from sysid.loaders.ati_calibration import AXES
 from sysid.loaders.clock import began_note, known_rate, order_rows
-from sysid.loaders.columns import listing
+from sysid.loaders.columns import listing, naming
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source
@@ -67,10 +67,8 @@ def _positive(path: str, stated: Mapping[str, str], key: str) -> float:
 def _unit(path: str, stated: Mapping[str, str], key: str, expected: str) -> float:
     if not stated.get(key):
         raise UnitError(f'{path}: "{key}" is missing in the header; record again with the header')
-    try:
+    with naming(f"{path}: {key}"):
         return factor_to_si(stated[key], expected)
-    except UnitError as error:
-        raise UnitError(f"{path}: {key}: {error}") from error
 
 
 def _status_note(text: Text, table: TableHead, known: list[str]) -> list[Finding]:

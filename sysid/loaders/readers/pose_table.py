@@ -36,7 +36,7 @@ from sysid.loaders.motion_capture import body_name, declared_length
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
 from sysid.loaders.source import Source
-from sysid.loaders.table import Numbers, find_header, read_numbers, table_head
+from sysid.loaders.table import find_header, read_numbers, table_head
 from sysid.loaders.text import read_text
 from sysid.types import FloatArray
 from sysid.units import factor_to_si
@@ -82,9 +82,7 @@ def _recognize(source: Source) -> int:
     columns = parse_header(header[2])
     try:
         position = _matched(source.path, columns, _POSITION)
-        named = len(_matched(source.path, columns, _QUATERNION)) + len(
-            _matched(source.path, columns, _NUMBERED)
-        )
+        named = sum(len(_matched(source.path, columns, names)) for names in (_QUATERNION, _NUMBERED))
         clock = find_column(source.path, columns, _TIME)
     except LogError:
         return POSSIBLE if any(column.stem in _TIME for column in columns) else NO
@@ -139,16 +137,6 @@ def _scales(
             raise UnitError(f'{path}: length_unit = "{length_unit}" contradicts column "{column.label}"')
         factors.append(factor)
     return factors, stated
-
-
-def _clock(
-    path: str, numbers: Numbers, stamp: Column, frame: Column | None, seconds: float, options: CaptureOptions
-) -> tuple[FloatArray, list[Finding]]:
-    time_back = options.time_back or "refuse"
-    if frame is not None and options.clock == "frame":
-        return frame_clock(path, numbers, frame.index, stamp.index, seconds, time_back=time_back)
-    coarse = EXPORT_FINER if frame is None else 'choose clock = "frame"'
-    return order_rows(path, numbers, stamp.index, seconds, time_back=time_back, coarse=coarse)
 
 
 def _clock_notes(
@@ -209,16 +197,16 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     wanted = [stamp, *counted, *position.values(), *quaternion, *triples]
     numbers = read_numbers(text, head, [column.index for column in wanted])
     del text  # the file's bytes are not needed any more
-    time, ordered = _clock(path, numbers, stamp, frame, seconds, options)
+    time_back = options.time_back or "refuse"
+    if frame is not None and options.clock == "frame":
+        time, ordered = frame_clock(path, numbers, frame.index, stamp.index, seconds, time_back=time_back)
+    else:
+        coarse = EXPORT_FINER if frame is None else 'choose clock = "frame"'
+        time, ordered = order_rows(path, numbers, stamp.index, seconds, time_back=time_back, coarse=coarse)
     notes = [*numbers.notes, *ordered, *unread_note(header, wanted)]
     notes += _clock_notes(path, time, stamp, frame, stated=states_time)
-    pose = Body(
-        body,
-        time,
-        numbers.stacked(position[axis].index for axis in "xyz") * scale,
-        numbers.stacked(column.index for column in quaternion),
-        numbers,
-    )
+    place = numbers.stacked(position[axis].index for axis in "xyz") * scale
+    pose = Body(body, time, place, numbers.stacked(column.index for column in quaternion), numbers)
     for name, columns in extra.items():
         values = numbers.stacked(columns[axis].index for axis in "xyz") * rates[name]
         pose.extra[name] = (_TRIPLES[name][0], values)

@@ -86,9 +86,8 @@ def _orientation(path: str, name: str, numbers: Numbers, columns: Sequence[int])
     matrix = cells.reshape(-1, 3, 3).transpose(0, 2, 1)
     seen = np.asarray(np.isfinite(cells).all(axis=1) & cells.any(axis=1))
     error = np.abs(np.einsum("nij,nik->njk", matrix, matrix) - np.eye(3)).max(axis=(1, 2))
-    wrong = np.asarray(
-        seen & ((error > _ORTHOGONAL) | (np.linalg.det(np.where(seen[:, None, None], matrix, 0.0)) <= 0))
-    )
+    mirrored = np.linalg.det(np.where(seen[:, None, None], matrix, 0.0)) <= 0
+    wrong = np.asarray(seen & ((error > _ORTHOGONAL) | mirrored))
     if numbers.open_end and wrong.any() and wrong.argmax() == wrong.size - 1:
         wrong[-1] = seen[-1] = False
     if wrong.any():
@@ -98,12 +97,6 @@ def _orientation(path: str, name: str, numbers: Numbers, columns: Sequence[int])
             "columns were exported"
         )
     return matrix_quaternions(matrix, seen)
-
-
-def _position(numbers: Numbers, first: int, scale: float) -> FloatArray:
-    position = numbers.stacked(range(first, first + 3)) * scale
-    position[~position.any(axis=1)] = np.nan
-    return position
 
 
 def _lead(text: Text, offset: int, cells: int) -> int:
@@ -156,12 +149,14 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     kept = wanted_bodies(path, names, options.rigid_body) if included == "6D" else names
     for place, name in enumerate(names):
         first = lead + place * width
+        position = numbers.stacked(range(first, first + 3)) * scale
+        position[~position.any(axis=1)] = np.nan
         if included == "3D":
-            raw.markers[name] = time, _position(numbers, first, scale)
+            raw.markers[name] = time, position
         elif name in kept:
             quaternion = _orientation(path, name, numbers, range(first + _MATRIX, first + _BODY_WIDTH))
             seen = np.isfinite(quaternion[:, 0])
-            position = np.where(seen[:, None], _position(numbers, first, scale), np.nan)
+            position[~seen] = np.nan
             residual = np.where(seen, numbers.columns[first + 6] * scale, np.nan)
             raw.bodies.append(Body(name, time, position, quaternion, extra={"residual": ("m", residual)}))
     raw.notes += began_note("capture", " ".join((keys.get("TIME_STAMP") or [""])[:1]))

@@ -68,15 +68,6 @@ def _recognize(source: Source) -> int:
     return CERTAIN if stems & _COMMAND and stems & measured else NO
 
 
-def _device(columns: tuple[Column, ...]) -> str:
-    stems = {column.stem for column in columns}
-    if "accx" in stems:
-        return "RCbenchmark Series 1580/1585"
-    if "esc" in stems:
-        return "RCbenchmark Series 1780"
-    return "RCbenchmark Series 1520" if "torque" not in stems else "RCbenchmark"
-
-
 def _command_unit(
     path: str, column: Column, declared: DeclaredUnits, values: FloatArray, notes: list[Finding]
 ) -> str:
@@ -85,15 +76,14 @@ def _command_unit(
         return declared.command(column)
     known = values[np.isfinite(values)]
     smallest, largest = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    fault = (
+        f'{path}: command column "{column.label}" states no unit and runs from {smallest:g} to {largest:g}, '
+    )
     if largest > _LARGEST_DSHOT or smallest < 0.0:
-        raise UnitError(
-            f'{path}: command column "{column.label}" states no unit and runs from {smallest:g} '
-            f'to {largest:g}, beyond DShot 0 to 2047; declare it, for example units = {{command = "us"}}'
-        )
+        raise UnitError(f'{fault}beyond DShot 0 to 2047; declare it, for example units = {{command = "us"}}')
     if smallest >= _PULSE[0] and largest <= _PULSE[1]:
         raise UnitError(
-            f'{path}: command column "{column.label}" states no unit and runs from {smallest:g} '
-            f"to {largest:g}, as pulse widths in us do and DShot from rest does not; declare it, for example "
+            f"{fault}as pulse widths in us do and DShot from rest does not; declare it, for example "
             'units = {command = "us"} or {command = "dshot"} (in a campaign, log.command_unit)'
         )
     notes.append(note("command-unit-assumed", "the command column states no unit: read as DShot 0 to 2047"))
@@ -185,7 +175,10 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
 
     seconds = declared.factor(clock, "time", "s") if clock else 1.0
     time, points, ordered = _clock(path, numbers, clock, seconds, options)
-    raw = RawTable("thrust-stand", _device(header), time, [*notes, *ordered])
+    stems = {column.stem for column in header}
+    series = " Series 1580/1585" if "accx" in stems else " Series 1780" if "esc" in stems else ""
+    series = series or ("" if "torque" in stems else " Series 1520")
+    raw = RawTable("thrust-stand", f"RCbenchmark{series}", time, [*notes, *ordered])
     protocol = _command_unit(path, command, declared, numbers.columns[command.index], raw.notes)
     raw.channels["command"] = Channel("command", protocol, time, numbers.columns[command.index])
     factors = {name: declared.factor(column, name, unit) for name, (column, unit) in columns.items()}

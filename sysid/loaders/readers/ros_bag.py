@@ -8,17 +8,16 @@ of arrival; lengths are metres and quaternions x, y, z, w by the definition of t
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sysid.errors import LogError
-from sysid.journal import note
 from sysid.loaders.capture_log import Body, RawCapture, capture_format
 from sysid.loaders.clock import EXPORT_FINER, jitter_note, order_rows
-from sysid.loaders.columns import listing
+from sysid.loaders.columns import listing, listing_note
 from sysid.loaders.motion_capture import declared_length, wanted_bodies
 from sysid.loaders.optional import library, reading
 from sysid.loaders.options import CaptureOptions
@@ -27,6 +26,7 @@ from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers
 
 _BAG, _MCAP, _SQLITE = b"#ROSBAG V2.0", b"\x89MCAP0\r\n", b"SQLite format 3\0"
+_Rows = list[tuple[float, ...]]
 _POSES = ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "Odometry", "TFMessage")
 
 
@@ -34,14 +34,6 @@ def _recognize(source: Source) -> int:
     head = source.head
     rows = b"topics" in head and b"messages" in head
     return CERTAIN if head.startswith((_BAG, _MCAP)) or (head.startswith(_SQLITE) and rows) else NO
-
-
-@dataclass
-class _Track:
-    """Poses of one body as they come."""
-
-    stamps: list[float] = field(default_factory=list)
-    rows: list[tuple[float, ...]] = field(default_factory=list)
 
 
 def _open(source: Source) -> tuple[Any, bool]:
@@ -74,12 +66,8 @@ def _poses(kind: str, message: Any) -> Iterator[tuple[str, Any, Any, Any]]:
     """Yield (child frame or "", header, position, orientation) of a message."""
     if kind == "TFMessage":
         for transform in message.transforms:
-            yield (
-                transform.child_frame_id,
-                transform.header,
-                transform.transform.translation,
-                transform.transform.rotation,
-            )
+            pose = transform.transform
+            yield transform.child_frame_id, transform.header, pose.translation, pose.rotation
     elif kind == "TransformStamped":
         yield "", message.header, message.transform.translation, message.transform.rotation
     else:
@@ -87,10 +75,11 @@ def _poses(kind: str, message: Any) -> Iterator[tuple[str, Any, Any, Any]]:
         yield "", message.header, pose.position, pose.orientation
 
 
-def _read_tracks(source: Source, topic: str | None, clock: str) -> tuple[dict[str, _Track], list[str]]:
+def _read_tracks(source: Source, topic: str | None, clock: str) -> tuple[dict[str, _Rows], list[str]]:
+    """Return rows of (time [s], x, y, z, w, x, y, z) by body, and the topics without poses."""
     path = source.path
     reader, first_form = _open(source)
-    tracks: dict[str, _Track] = {}
+    tracks: dict[str, _Rows] = {}
     reader.open()
     try:
         connections = list(reader.connections)
@@ -110,10 +99,9 @@ def _read_tracks(source: Source, topic: str | None, clock: str) -> tuple[dict[st
         for connection, arrival, data in reader.messages(chosen):
             kind = connection.msgtype.rsplit("/", 1)[-1]
             for child, header, place, turn in _poses(kind, decode(data, connection.msgtype)):
-                track = tracks.setdefault(child or connection.topic.strip("/"), _Track())
                 stamp = arrival if clock == "arrival" else header.stamp.sec * 10**9 + header.stamp.nanosec
-                track.stamps.append(stamp * 1e-9)
-                track.rows.append((place.x, place.y, place.z, turn.w, turn.x, turn.y, turn.z))
+                row = (stamp * 1e-9, place.x, place.y, place.z, turn.w, turn.x, turn.y, turn.z)
+                tracks.setdefault(child or connection.topic.strip("/"), []).append(row)
         left_out = sorted(set(known) - {topic_of.topic for topic_of in chosen})
     finally:
         reader.close()
@@ -134,15 +122,14 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     if not tracks:
         raise LogError(f"{path}: its topics of poses hold no message; record it again")
     raw = RawCapture("ROS", [])
-    if left_out:
-        raw.notes.append(note("topics-left-out", f"topics that hold no pose, left out: {listing(left_out)}"))
+    raw.notes += listing_note("topics-left-out", "topics that hold no pose, left out", left_out)
     for name in wanted_bodies(path, list(tracks), options.rigid_body):
-        track = tracks[name]
-        table = np.array(track.rows, dtype=np.float64)
-        if clock == "header" and not any(track.stamps):
+        table = np.array(tracks[name], dtype=np.float64)
+        if clock == "header" and not table[:, 0].any():
             raise LogError(f'{path}: every header stamp of {name} is 0; choose clock = "arrival"')
-        columns = {0: np.array(track.stamps), **{i + 1: table[:, i] for i in range(7)}}
-        numbers = Numbers(columns, np.arange(1, len(table) + 1), row_word=f"{name} message")
+        numbers = Numbers(
+            dict(enumerate(table.T.copy())), np.arange(1, len(table) + 1), row_word=f"{name} message"
+        )
         coarse = 'choose clock = "arrival"' if clock == "header" else EXPORT_FINER
         time, ordered = order_rows(
             path, numbers, 0, 1.0, time_back=options.time_back or "refuse", coarse=coarse

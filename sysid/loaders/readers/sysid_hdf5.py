@@ -23,7 +23,13 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.readers.load_cell_hdf5 import LAYOUT_ATTRIBUTE, is_hdf5, open_hdf5
+from sysid.loaders.readers.load_cell_hdf5 import (
+    LAYOUT_ATTRIBUTE,
+    hdf5_datasets,
+    is_hdf5,
+    open_hdf5,
+    plain,
+)
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
 from sysid.recording import Channel, FloatArray, Provenance, Recording
@@ -56,14 +62,17 @@ def write_recording(recording: Recording, path: str | Path) -> Path:
     provenance = recording.provenance
     stream = io.BytesIO()
     with h5py.File(stream, "w") as file:
-        file.attrs[LAYOUT_ATTRIBUTE] = _VERSION
-        file.attrs["kind"] = recording.kind
-        file.attrs["format"] = provenance.format
-        file.attrs["device"] = provenance.device
-        file.attrs["source"] = Path(provenance.path).name
-        file.attrs["source_sha256"] = provenance.sha256
-        file.attrs["options"] = json.dumps(dict(provenance.options), ensure_ascii=False)
-        file.attrs["notes"] = json.dumps(list(map(_noted, provenance.notes)), ensure_ascii=False)
+        notes = [
+            {key: getattr(finding, key) for key in ("code", "severity", "sentence")}
+            for finding in provenance.notes
+        ]
+        file.attrs.update({
+            LAYOUT_ATTRIBUTE: _VERSION,
+            "kind": recording.kind, "format": provenance.format, "device": provenance.device,
+            "source": Path(provenance.path).name, "source_sha256": provenance.sha256,
+            "options": json.dumps(dict(provenance.options), ensure_ascii=False),
+            "notes": json.dumps(notes, ensure_ascii=False),
+        })  # fmt: skip
         clocks: list[FloatArray] = []
         group = file.create_group("channels")
         for index, (name, channel) in enumerate(recording.channels.items()):
@@ -100,10 +109,6 @@ def _dataset(group: Any, name: str, values: FloatArray) -> Any:
     return group.create_dataset(name, data=values, **packed)
 
 
-def _noted(finding: Finding) -> dict[str, str]:
-    return {"code": finding.code, "severity": finding.severity, "sentence": finding.sentence}
-
-
 def _note(stated: Any) -> Finding:
     """Return a note as it was written; files of older versions hold its sentence alone."""
     if isinstance(stated, dict):
@@ -112,8 +117,7 @@ def _note(stated: Any) -> Finding:
 
 
 def _text(attributes: Any, key: str) -> str:
-    value = attributes.get(key, "")
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+    return str(plain(attributes.get(key, "")))
 
 
 def _read(source: Source) -> Recording:
@@ -123,8 +127,6 @@ def _read(source: Source) -> Recording:
 
 
 def _read_open(source: Source, file: Any) -> Recording:
-    import h5py
-
     path, attributes = source.path, file.attrs
     if LAYOUT_ATTRIBUTE not in attributes:
         raise LogError(
@@ -133,38 +135,21 @@ def _read_open(source: Source, file: Any) -> Recording:
     version = int(attributes[LAYOUT_ATTRIBUTE])
     if version > _VERSION:
         raise LogError(f"{path}: layout version {version}, this sysid reads {_VERSION}; update sysid")
-    items: list[Any] = []
-    file["channels"].visititems(
-        lambda _, item: items.append(item) if isinstance(item, h5py.Dataset) else None
-    )
-    items.sort(key=lambda item: int(item.attrs["index"]))
+    items = sorted(hdf5_datasets(file["channels"]).values(), key=lambda item: int(item.attrs["index"]))
     clocks = {name: np.asarray(item[()], dtype=np.float64) for name, item in file["clocks"].items()}
     channels = {}
     for item in items:
         name, time = _text(item.attrs, "name"), clocks[str(int(item.attrs["clock"]))]
         values = np.asarray(item[()], dtype=np.float64)
         channels[name] = Channel(name, _text(item.attrs, "unit"), time, values)
-    origin = _text(attributes, "source")
-    stated = json.loads(_text(attributes, "notes") or "[]")
-    notes = [
-        *map(_note, stated),
-        note("converted", f"converted from {origin} (SHA-256 {_text(attributes, 'source_sha256')})"),
-    ]
-    options = {
-        str(key): str(value) for key, value in json.loads(_text(attributes, "options") or "{}").items()
-    }
-    return Recording(
-        _text(attributes, "kind"),
-        channels,
-        Provenance(
-            path,
-            source.sha256,
-            _text(attributes, "format"),
-            _text(attributes, "device"),
-            options,
-            tuple(notes),
-        ),
+    kind, origin, origin_sha256, form, device, stated, options = (
+        _text(attributes, key)
+        for key in ("kind", "source", "source_sha256", "format", "device", "notes", "options")
     )
+    converted = note("converted", f"converted from {origin} (SHA-256 {origin_sha256})")
+    notes = (*map(_note, json.loads(stated or "[]")), converted)
+    given = {str(key): str(value) for key, value in json.loads(options or "{}").items()}
+    return Recording(kind, channels, Provenance(path, source.sha256, form, device, given, notes))
 
 
 FORMAT = LogFormat(_NAME, "HDF5 written by sysid convert", _recognize, _read, {})

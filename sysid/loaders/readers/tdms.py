@@ -12,7 +12,7 @@ channel beside them or the declared rate. The thinned copies that SignalExpress 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
@@ -21,11 +21,11 @@ import numpy as np
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
-from sysid.loaders.columns import listing
+from sysid.loaders.columns import listing_note
 from sysid.loaders.optional import library, reading
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.signal_log import RawSignals, signal_format
+from sysid.loaders.signal_log import SIGNAL_OPTIONS, RawSignals, signal_format
 from sysid.loaders.signals import Signal, written_unit
 from sysid.loaders.source import Source
 from sysid.loaders.tdms_segments import Starts, samples_before, waveform_starts
@@ -39,12 +39,6 @@ _DRIFT = 1e-4
 
 def _recognize(source: Source) -> int:
     return CERTAIN if source.head.startswith(b"TDSm") else NO
-
-
-def _start(properties: Mapping[str, Any]) -> np.datetime64 | None:
-    """Return when a waveform began, or None where the file does not say (LabVIEW's zero is the year 1904)."""
-    start = properties.get("wf_start_time")
-    return start if isinstance(start, np.datetime64) and start > np.datetime64("1905-01-01") else None
 
 
 def _seconds(unit: str) -> float | None:
@@ -82,22 +76,18 @@ def _check_segments(
     return [note("parts-joined", f"{doubt}; all samples taken as consecutive, as declared by rate")]
 
 
-def _number(value: object) -> float | None:
-    """Return a property that is a number, whole or not."""
-    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    return float(value) if number else None  # type: ignore[arg-type]
-
-
 def _signals(path: str, file: Any, notes: list[Finding], declared: float | None) -> list[Signal]:
     restarts = waveform_starts(path)
     signals, thinned, other, spectra = [], [], [], []
     waves = [(group, channel) for group in file.groups() for channel in group.channels()]
     begins = {}
     for _, channel in waves:
-        stated = restarts.get(channel.path)
-        begins[channel.path] = _start(channel.properties) if stated is None else stated.first
-    starts = [start for start in begins.values() if start is not None]
-    first = min(starts) if starts else None
+        start = channel.properties.get("wf_start_time")
+        if channel.path in restarts:
+            begins[channel.path] = restarts[channel.path].first
+        elif isinstance(start, np.datetime64) and start > np.datetime64("1905-01-01"):
+            begins[channel.path] = start  # LabVIEW's zero, the year 1904, is no start
+    first: Any = min(begins.values(), default=None)
     for group, channel in waves:
         name = f"/{group.name}/{channel.name}"
         properties = channel.properties
@@ -115,16 +105,17 @@ def _signals(path: str, file: Any, notes: list[Finding], declared: float | None)
         )
         if np.dtype(channel.dtype).kind == "M":
             unit = "s"  # what `_samples` makes of time stamps
-        step = _number(properties.get("wf_increment"))
+        step = properties.get("wf_increment")
+        if isinstance(step, bool) or not isinstance(step, int | float | np.integer | np.floating):
+            step = 0.0
         seconds = _seconds(str(properties.get("wf_xunit_string") or "s").strip())
         if seconds is None:
             spectra.append(name)
             continue
-        start = begins[channel.path]
         begin = float(properties.get("wf_start_offset", 0.0) or 0.0) * seconds
-        if start is not None and first is not None:
-            begin += float((start - first) / np.timedelta64(1, "ns")) * 1e-9
-        rate = 1.0 / (step * seconds) if step is not None and step > 0 else None
+        if channel.path in begins:
+            begin += float((begins[channel.path] - first) / np.timedelta64(1, "ns")) * 1e-9
+        rate = 1.0 / (float(step) * seconds) if step > 0 else None
         stated = restarts.get(channel.path)
         if rate is not None and stated is not None and stated.last != stated.first:
             notes += _check_segments(path, name, channel.path, stated, 1.0 / rate, declared)
@@ -135,13 +126,8 @@ def _signals(path: str, file: Any, notes: list[Finding], declared: float | None)
         notes.append(note("recording-began", f"recording began at {first} UTC"))
     if thinned:
         notes.append(note("thinned-copies-left-out", f"thinned copies, left out: {len(thinned)}"))
-    if spectra:
-        sentence = f"channels over another axis than time, left out: {listing(spectra)}"
-        notes.append(note("channels-not-over-time", sentence))
-    if other:
-        notes.append(
-            note("channels-without-numbers", f"channels that hold no numbers, left out: {listing(other)}")
-        )
+    notes += listing_note("channels-not-over-time", "channels over another axis than time, left out", spectra)
+    notes += listing_note("channels-without-numbers", "channels that hold no numbers, left out", other)
     return signals
 
 
@@ -157,4 +143,6 @@ def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
         yield RawSignals(_signals(path, file, notes, options.rate), device, measured=False, notes=notes)
 
 
-FORMAT = signal_format("tdms", "National Instruments TDMS (channels by name)", _recognize, _parse)
+FORMAT = signal_format(
+    "tdms", "National Instruments TDMS (channels by name)", _recognize, _parse, SIGNAL_OPTIONS
+)

@@ -79,11 +79,6 @@ def _mask_unknown(topic: Any, fields: Sequence[str], numbers: Numbers) -> list[F
     return notes
 
 
-def _instance_note(topic: Any) -> list[Finding]:
-    sentence = f"{topic.name} is of instance {topic.multi_id}, the lowest in the log"
-    return [note("lowest-instance-read", sentence)] if topic.multi_id else []
-
-
 def _frame(topic: Any, body: str) -> tuple[str, list[Finding]]:
     """Return the frame of the poses of an odometry topic (empty where it changes), and notes."""
     field = next((name for name in _FRAMES if name in topic.data), "")
@@ -117,20 +112,15 @@ class _Topics:
 
     def __init__(self, path: str, log: Any, time_back: str) -> None:
         self.path, self.time_back = path, time_back
-        self.topics = {
-            topic.name: topic for topic in sorted(log.data_list, key=lambda topic: -topic.multi_id)
-        }
+        by_instance = sorted(log.data_list, key=lambda topic: -topic.multi_id)
+        self.topics = {topic.name: topic for topic in by_instance}
         self.notes: list[Finding] = []
         self.channels: dict[str, Channel] = {}
 
     def rows(self, name: str, fields: Sequence[str]) -> tuple[Any, Numbers] | None:
         """Return a topic and its fields, unordered, on its clock [s]; None where it has them not."""
         topic = self.topics.get(name)
-        if (
-            topic is None
-            or any(field not in topic.data for field in fields)
-            or not len(topic.data["timestamp"])
-        ):
+        if topic is None or not set(fields) <= set(topic.data) or not len(topic.data["timestamp"]):
             return None
         columns: dict[int, FloatArray] = {0: np.asarray(topic.data["timestamp"], dtype=np.float64) * 1e-6}
         for i, field in enumerate(fields, start=1):
@@ -187,25 +177,23 @@ class _Topics:
         values = numbers.columns[1] if len(fields) == 1 else numbers.stacked(range(1, len(fields) + 1))
         if np.isfinite(values).any() and (np.nan_to_num(values).any() or not channel[-1].isdigit()):
             self.channels[channel] = Channel(channel, unit, time, values * factor)
-            self.notes += [*masked, *_instance_note(topic)]
+            self.notes += masked
+            if topic.multi_id:
+                sentence = f"{topic.name} is of instance {topic.multi_id}, the lowest in the log"
+                self.notes.append(note("lowest-instance-read", sentence))
         elif masked and np.isnan(values).all():
             sentence = f"{channel} was left out: no message holds a value that PX4 marks as known"
             self.notes += [*masked, note("no-known-value", sentence)]
 
 
-def _load(source: Source) -> Any:
+def _read(source: Source, *, time_back: str = "drop") -> Recording:
     path = source.path
     core = library(path, "pyulog.core", "pyulog")
     error = library(path, "pyulog.exceptions", "pyulog").ULogException
     if not source.head.startswith(_MAGIC):
         raise LogError(f"{path}: not a ULog (its first bytes do not say so); check the format")
     with reading(path, "ULog", "copy it from the drone again", error):
-        return core.ULog(path)
-
-
-def _read(source: Source, *, time_back: str = "drop") -> Recording:
-    path = source.path
-    log = _load(source)
+        log = core.ULog(path)
     topics = _Topics(path, log, time_back)
     others = [body for name, body in _ODOMETRY.items() if topics.add_odometry(name, body)]
     topics.add_attitude()
@@ -234,9 +222,8 @@ def _read(source: Source, *, time_back: str = "drop") -> Recording:
     device = str(log.msg_info_dict.get("sys_name", "PX4"))
     version = str(log.msg_info_dict.get("ver_hw", "")).strip()
     notes.append(_axes_note(list(channels), others))
-    return Recording(
-        "onboard", channels, source.provenance(_NAME, device=f"{device} {version}".strip(), notes=notes)
-    )
+    provenance = source.provenance(_NAME, device=f"{device} {version}".strip(), notes=notes)
+    return Recording("onboard", channels, provenance)
 
 
 FORMAT = LogFormat(_NAME, "PX4 ULog (onboard log)", _recognize, _read, {"time_back": ()})

@@ -22,8 +22,14 @@ from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
 from sysid.loaders.capture_log import Body, RawCapture, capture_format
 from sysid.loaders.clock import known_rate, order_rows
-from sysid.loaders.columns import listing
-from sysid.loaders.motion_capture import EULER_ORDERS, euler_quaternions, length_factor, wanted_bodies
+from sysid.loaders.columns import listing, naming
+from sysid.loaders.motion_capture import (
+    EULER_ORDERS,
+    euler_quaternions,
+    length_factor,
+    rotation_quaternions,
+    wanted_bodies,
+)  # fmt: skip
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.signals import plain_unit, unique_names, unknown_units_note
@@ -35,6 +41,7 @@ from sysid.recording import Channel
 from sysid.types import FloatArray
 from sysid.units import factor_to_si
 
+_TRACKS = ("trajectories", "segments", "objects")
 _TITLES = ("trajectories", "segments", "objects", "devices", "model outputs", "joints")
 _HEADER_LINES = 5
 _BLANK_LINE = re.compile(rb"\n[,; \t]*\n")
@@ -42,6 +49,7 @@ _BLANK_LINE = re.compile(rb"\n[,; \t]*\n")
 _MOST_SUBS = 1e6
 # The fields of which a marker or a body must have all.
 _PLACE, _BODY = ("X", "Y", "Z"), ("RX", "RY", "RZ", "TX", "TY", "TZ")
+_LENGTHS = (*_PLACE, *_BODY[3:])
 
 
 @dataclass(frozen=True)
@@ -55,6 +63,17 @@ class _Section:
     names: tuple[str, ...]
     fields: tuple[str, ...]
     units: tuple[str, ...]
+
+    @property
+    def states_length(self) -> bool:
+        """Whether it has markers or bodies and states their length unit."""
+        pairs = zip(self.fields, self.units, strict=True)
+        return self.title in _TRACKS and any(unit for field, unit in pairs if field.upper() in _LENGTHS)
+
+    def length(self, path: str, columns: Sequence[int], declared: str | None) -> float:
+        """Return the factor to metres of columns."""
+        where = f"{path}, line {self.table.line}"
+        return length_factor(where, [self.units[column] for column in columns], declared)
 
     def groups(self) -> dict[str, list[int]]:
         """Return name -> columns, in order; the first two columns are the clock."""
@@ -124,7 +143,7 @@ def _section(text: Text, number: int, offset: int) -> _Section | None:
             f"{path}, line {rows[2][0]}: column {nameless + 1} has no name above its field "
             f"{fields[nameless]!r}; export the file again"
         )
-    units = [*units, *[""] * width][:width]
+    units = (units + [""] * width)[:width]
     labels = [f"{name} {cell}".strip() for name, cell in zip(filled, fields, strict=True)]
     line_number, behind, _ = rows[-1]
     # A program that saved the file again may leave delimiters or spaces on the blank line.
@@ -136,26 +155,11 @@ def _section(text: Text, number: int, offset: int) -> _Section | None:
 
 def _sections(text: Text) -> list[_Section]:
     sections: list[_Section] = []
-    number, offset = 0, 0
-    while (section := _section(text, number, offset)) is not None:
+    offset = 0
+    while (section := _section(text, text.data.count(b"\n", 0, offset), offset)) is not None:
         sections.append(section)
-        number = text.data.count(b"\n", 0, section.end)
         offset = section.end
     return sections
-
-
-def _length(path: str, section: _Section, columns: Sequence[int], declared: str | None) -> float:
-    where = f"{path}, line {section.table.line}"
-    return length_factor(where, [section.units[column] for column in columns], declared)
-
-
-def _states_length(section: _Section) -> bool:
-    """Return whether a section of markers or bodies states their length unit."""
-    lengths = (*_PLACE, *_BODY[3:])
-    tracks = section.title in ("trajectories", "segments", "objects")
-    return tracks and any(
-        unit for field, unit in zip(section.fields, section.units, strict=True) if field.upper() in lengths
-    )
 
 
 def _clock(path: str, section: _Section, numbers: Numbers) -> tuple[FloatArray, list[Finding]]:
@@ -187,32 +191,22 @@ def _rotation(
 
     if "RW" in fields:
         return stacked(("RW", "RX", "RY", "RZ"))
-    chosen = angles
-    if chosen is None:
-        if section.title != "objects":
-            raise LogError(
-                f'{path}: the angles of "{name}" depend on the pipeline that made them; '
-                f'declare angles = "helical" or an Euler order such as "XYZ"'
-            )
-        chosen = "helical"
+    if angles is None and section.title != "objects":
+        raise LogError(
+            f'{path}: the angles of "{name}" depend on the pipeline that made them; '
+            f'declare angles = "helical" or an Euler order such as "XYZ"'
+        )
+    chosen = angles or "helical"
     stated_units = {section.units[fields[f"R{axis}"]] for axis in "XYZ"}
     if len(stated_units) > 1:
         raise UnitError(
             f'{path}, line {section.table.line}: the angles of "{name}" are in '
             f"{' and '.join(sorted(one or 'no unit' for one in stated_units))}; correct the row of units"
         )
-    unit = stated_units.pop() or "rad"
-    try:
-        factor = factor_to_si(unit, "rad")
-    except UnitError as error:
-        raise UnitError(f'{path}: angles of "{name}": {error}') from error
+    with naming(f'{path}: angles of "{name}"'):
+        factor = factor_to_si(stated_units.pop() or "rad", "rad")
     if chosen == "helical":
-        vectors = stacked(("RX", "RY", "RZ")) * factor
-        out = np.full((len(vectors), 4), np.nan)
-        seen = np.isfinite(vectors).all(axis=1)
-        if seen.any():
-            out[seen] = np.roll(Rotation.from_rotvec(vectors[seen]).as_quat(), 1, axis=1)
-        return out
+        return rotation_quaternions(Rotation.from_rotvec, stacked(("RX", "RY", "RZ")) * factor)
     return euler_quaternions(chosen, np.degrees(stacked([f"R{axis}" for axis in chosen]) * factor))
 
 
@@ -268,7 +262,7 @@ def _read_section(
             place = [fields[axis] for axis in "XYZ"]
             position = numbers.stacked(place)
             if np.isfinite(position).all(axis=1).any():
-                position *= _length(path, section, place, options.length_unit)
+                position *= section.length(path, place, options.length_unit)
             raw.markers[free(name)] = time, position
         elif section.title in ("segments", "objects") and set(_BODY) <= set(fields):
             body = _body_name(name)
@@ -283,8 +277,8 @@ def _read_section(
                 position[zeros], turn[zeros] = np.nan, np.nan
                 sentence = f"frames of {body} that are all zeros, taken as lost: {int(zeros.sum())}"
                 raw.notes.append(note("zero-poses", sentence))
-            scale = _length(path, section, place, options.length_unit)
-            raw.bodies.append(Body(free(body), time, position * scale, turn, numbers))
+            position = position * section.length(path, place, options.length_unit)
+            raw.bodies.append(Body(free(body), time, position, turn, numbers))
         else:
             labels = unique_names([f"{name}/{section.fields[column]}" for column in group])
             for label, column in zip(labels, group, strict=True):
@@ -313,7 +307,7 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     for section in sections:
         _read_section(text, section, kept, options, raw)
     raw.chosen, raw.marks_lost = kept is not None, True
-    raw.states_length = any(map(_states_length, sections))
+    raw.states_length = any(section.states_length for section in sections)
     raw.kind = "motion-capture" if raw.bodies or raw.markers else "signals"
     return raw
 
