@@ -157,13 +157,9 @@ def join_recordings(first: Recording, second: Recording, by: str) -> tuple[Recor
         if key not in channels:
             channels[key] = Channel(key, channel.unit, channel.time + offset.offset, channel.values)
             added.append(key)
-    provenance = first.provenance
-    notes = (
-        *provenance.notes,
-        note(
-            "logs-joined",
-            f"joined with {path} (SHA-256 {second.provenance.sha256}), which adds "
-            f"{', '.join(added) or 'nothing'}; {offset.sentence()}",
-        ),
+    sentence = (
+        f"joined with {path} (SHA-256 {second.provenance.sha256}), which adds "
+        f"{', '.join(added) or 'nothing'}; {offset.sentence()}"
     )
-    return Recording(first.kind, channels, replace(provenance, notes=notes)), offset
+    notes = (*first.provenance.notes, note("logs-joined", sentence))
+    return Recording(first.kind, channels, replace(first.provenance, notes=notes)), offset

@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
 from sysid.loaders.columns import naming
+from sysid.loaders.options import is_positive
 from sysid.types import FloatArray
 from sysid.units import factor_to_si, parse_quantity
 
@@ -129,7 +130,7 @@ def motor_transform(path: str, transform: Mapping[str, Any] | None) -> NDArray[n
 
 
 def without_tare(
-    path: str, values: FloatArray, time: FloatArray, tare: object
+    path: str, values: FloatArray, time: FloatArray, tare: Any
 ) -> tuple[FloatArray, list[Finding]]:
     """Return values less the mean of the first `tare` seconds of each column, and a note; None takes nothing.
 
@@ -137,7 +138,7 @@ def without_tare(
     """
     if tare is None:
         return values, []
-    if isinstance(tare, bool) or not isinstance(tare, int | float) or not np.isfinite(tare) or tare <= 0:
+    if not is_positive(tare):
         raise LogError(
             f"{path}: tare = {tare!r}; expected seconds at the start of the log without load, or with their "
             'unit: tare = "1 s"'

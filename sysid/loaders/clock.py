@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
+from sysid.loaders.options import is_positive
 from sysid.loaders.table import Numbers
 from sysid.recording import BoolArray, FloatArray
 
@@ -23,9 +24,9 @@ _FEWEST_FRAMES, _LONGEST_DELAY = 10, 0.1
 
 def known_rate(rate: object) -> float:
     """Return a sample rate [Hz] that a file states; ValueError when it is not a positive, finite number."""
-    if isinstance(rate, bool) or not isinstance(rate, int | float) or not np.isfinite(rate) or rate <= 0:
+    if not is_positive(rate):
         raise ValueError(f"{rate!r} is no sample rate")
-    return float(rate)
+    return float(rate)  # type: ignore[arg-type]
 
 
 def positive_rate(path: str, rate: object) -> float:
@@ -232,13 +233,11 @@ def jitter_note(time: FloatArray) -> list[Finding]:
     if float(np.percentile(np.abs(steps - median), 90)) <= 0.1 * median:
         return []
     least, middle, most = (1e3 * float(step) for step in (steps.min(), median, steps.max()))
-    return [
-        note(
-            "unsteady-clock",
-            f"time steps vary from {least:.3g} to {most:.3g} ms (median {middle:.3g} ms): "
-            "they look like times of arrival and are kept as recorded",
-        )
-    ]
+    sentence = (
+        f"time steps vary from {least:.3g} to {most:.3g} ms (median {middle:.3g} ms): "
+        "they look like times of arrival and are kept as recorded"
+    )
+    return [note("unsteady-clock", sentence)]
 
 
 def began_note(what: str, when: str) -> list[Finding]:

@@ -56,9 +56,7 @@ def split_label(label: str) -> tuple[str, str | None]:
 
 def suffix_unit(label: str) -> str | None:
     """Return the unit that a label without brackets seems to end in (``Fz_N``), or None."""
-    text = label.strip().strip('"').strip()
-    match = None if _BRACKETED.match(text) else _SUFFIXED.match(text)
-    return _SUFFIX_UNITS.get(match["unit"], match["unit"]) if match else None
+    return None if _BRACKETED.match(label.strip().strip('"').strip()) else split_label(label)[1]
 
 
 def parse_header(names: Sequence[str]) -> tuple[Column, ...]:
@@ -135,15 +133,12 @@ class DeclaredUnits:
         """What a reader should know about the units, one sentence each."""
         if not self._guessed:
             return self._said
-        by_unit = {
-            unit: listing(label for label, known in self._guessed.items() if known == unit)
-            for unit in dict.fromkeys(self._guessed.values())
-        }
-        guessed = "; ".join(f"{unit} of {labels}" for unit, labels in by_unit.items())
-        return [
-            *self._said,
-            note("units-from-names", f"units taken from the ends of names, so check them: {guessed}"),
-        ]
+        by_unit: dict[str, list[str]] = {}
+        for label, unit in self._guessed.items():
+            by_unit.setdefault(unit, []).append(label)
+        guessed = "; ".join(f"{unit} of {listing(labels)}" for unit, labels in by_unit.items())
+        sentence = f"units taken from the ends of names, so check them: {guessed}"
+        return [*self._said, note("units-from-names", sentence)]
 
     def unit_of(self, column: Column, channel: str, default: str | None = None) -> str | None:
         """Return the unit of a column: declared, else of the header, else `default`."""

@@ -6,6 +6,7 @@ A format names the options that it takes; `sysid.loaders.load`, the refusals and
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, get_type_hints
@@ -77,8 +78,13 @@ def _columns(value: Any) -> Any:
     )
 
 
+def is_positive(value: object) -> bool:
+    """Return whether an option is a number, finite and greater than 0."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf
+
+
 def _positive(value: Any) -> Any:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+    if not is_positive(value):
         raise ValueError("expected a number greater than 0")
     return value
 
@@ -170,12 +176,8 @@ class CaptureOptions(LogOptions):
 
 
 def _options(*families: type) -> dict[str, Option]:
-    hints = {
-        name: hint
-        for family in families
-        for name, hint in get_type_hints(family, include_extras=True).items()
-    }
-    return {name: hint.__metadata__[0] for name, hint in hints.items()}
+    hints = [get_type_hints(family, include_extras=True) for family in families]
+    return {name: hint.__metadata__[0] for family in hints for name, hint in family.items()}
 
 
 DECLARED = _options(BenchOptions, CaptureOptions)

@@ -86,9 +86,9 @@ def fit_bodies(
     fitted: dict[str, Channel] = {}
     notes: list[Finding] = []
     for name, listed in _marker_bodies(path, markers, bodies, rigid_body).items():
-        pose, found_notes = _pose_from_markers(path, channels, name, listed)
+        pose, residuals = _pose_from_markers(path, channels, name, listed)
         fitted |= pose
-        notes += found_notes
+        notes += residuals
     return fitted, notes
 
 
@@ -110,11 +110,7 @@ def _marker_bodies(
             )
         wanted[str(name)] = listed
     if rigid_body is not None:
-        names = (
-            [str(marker) for marker in rigid_body]
-            if isinstance(rigid_body, list | tuple)
-            else [str(rigid_body)]
-        )
+        names = [str(name) for name in (rigid_body if isinstance(rigid_body, list | tuple) else [rigid_body])]
         for name in names:
             if name not in wanted:
                 wanted[name] = [marker for marker in markers if marker.startswith(name) and marker != name]
@@ -152,12 +148,9 @@ def _pose_from_markers(
         )
     pose = body_channels(name, first.time, origin, matrix_quaternions(rotation, seen))
     pose[f"{name}/residual"] = Channel(f"{name}/residual", "m", first.time, residual)
-    notes = [
-        note(
-            "pose-from-markers",
-            f"pose of {name} from {int(use.sum())} markers: residual {1e3 * rms:.3g} mm rms, at most "
-            f"{1e3 * float(residual[seen].max()):.3g} mm; lost in {int((~seen).sum())} of {seen.size} "
-            "frames; origin at the centre of the markers",
-        )
-    ]
-    return pose, notes
+    sentence = (
+        f"pose of {name} from {int(use.sum())} markers: residual {1e3 * rms:.3g} mm rms, at most "
+        f"{1e3 * float(residual[seen].max()):.3g} mm; lost in {int((~seen).sum())} of {seen.size} "
+        "frames; origin at the centre of the markers"
+    )
+    return pose, [note("pose-from-markers", sentence)]

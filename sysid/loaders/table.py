@@ -140,12 +140,17 @@ def table_head(
     headless = _all_numeric(names)
     if headless:
         number, offset = number - 1, lines[index - 1][1] if index else 0
+    if headless and (columns is None or isinstance(columns, Mapping)):
+        advice = (
+            "declare all of them in order, columns = [...]"
+            if renames
+            else "put the instrument's header line back"
+        )
+        raise LogError(
+            f"{text.path}, line {lines[index][0]}: found numbers where the header line should name the "
+            f"columns; {advice}"
+        )
     if isinstance(columns, Mapping):
-        if headless:
-            raise LogError(
-                f"{text.path}, line {lines[index][0]}: found numbers where the header line should name the "
-                "columns; declare all of them in order, columns = [...]"
-            )
         names = _renamed(text.path, names, columns)
     elif columns is not None:
         if isinstance(columns, str) or not isinstance(columns, Sequence):
@@ -156,12 +161,6 @@ def table_head(
                 f"{len(names)} cells; name every column, in order"
             )
         names = [str(name) for name in columns]
-    elif headless:
-        raise LogError(
-            f"{text.path}, line {lines[index][0]}: found numbers where the header line should name "
-            "the columns; "
-            + ("declare them with columns = [...]" if renames else "put the instrument's header line back")
-        )
     trailing = 0 if delimiter == SPACES else len(split_line(lines[index][2], delimiter)) - len(names)
     return TableHead(tuple(names), delimiter, number, offset, trailing)
 
@@ -268,12 +267,10 @@ def read_numbers(
             f"line {body.lines[shifted[0]]}); taken as missing"
         )
         notes.append(note("shifted-rows", sentence))
-    infinite = 0
-    for values in columns.values():
-        wild = np.isinf(values)
-        infinite += int(np.count_nonzero(wild))
-        values[wild] = np.nan
+    infinite = sum(int(np.count_nonzero(np.isinf(values))) for values in columns.values())
     if infinite:
+        for values in columns.values():
+            values[np.isinf(values)] = np.nan
         sentence = f"cells that hold an infinite number: {infinite}; taken as missing"
         notes.append(note("infinite-cells", sentence))
     return Numbers(columns, body.lines, notes, open_end=open_end)
@@ -324,12 +321,8 @@ def promised_note(header: str, stated: object, rows: int) -> list[Finding]:
         return []
     if promised <= rows:
         return []
-    return [
-        note(
-            "fewer-rows-than-stated",
-            f"{header} is {promised} but {rows} rows are there: the log was cut, or rows were left out",
-        )
-    ]
+    sentence = f"{header} is {promised} but {rows} rows are there: the log was cut, or rows were left out"
+    return [note("fewer-rows-than-stated", sentence)]
 
 
 def _is_words(cells: Sequence[str], column: int | None) -> bool:

@@ -206,21 +206,11 @@ def _read_fast(body: Body, wanted: Sequence[int], decimal: str) -> dict[int, Flo
         text, delimiter = _tabbed(text), "\t"
     try:
         frame = pd.read_csv(
-            io.BytesIO(text),
-            sep=delimiter,
-            header=None,
-            names=list(range(int(body.fields.max()))),
-            usecols=list(wanted),
-            nrows=rows,
-            dtype=np.float64,
-            engine="c",
-            decimal=decimal,
-            na_values=["", "nan", "NaN", "NAN"],
-            keep_default_na=False,
-            skip_blank_lines=False,
-            encoding="utf-8",
-            **exact,
-        )
+            io.BytesIO(text), sep=delimiter, header=None, names=list(range(int(body.fields.max()))),
+            usecols=list(wanted), nrows=rows, dtype=np.float64, engine="c", decimal=decimal,
+            na_values=["", "nan", "NaN", "NAN"], keep_default_na=False, skip_blank_lines=False,
+            encoding="utf-8", **exact,
+        )  # fmt: skip
     except (ValueError, OverflowError, IndexError):
         return None
     if len(frame) != rows or not isinstance(frame.index, pd.RangeIndex):

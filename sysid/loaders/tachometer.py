@@ -12,6 +12,7 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
+from sysid.loaders.options import is_positive
 from sysid.recording import Channel, FloatArray
 
 # Width of the band around the middle level that noise must not cross twice, as a share of the pulse's height.
@@ -24,12 +25,7 @@ def check_tachometer(path: str, channels: Collection[str], pulses_per_revolution
     """Refuse pulses per revolution that are no number, belong to nothing, or rival a speed channel."""
     if pulses_per_revolution is None:
         return
-    if (
-        isinstance(pulses_per_revolution, bool)
-        or not isinstance(pulses_per_revolution, int | float)
-        or not np.isfinite(pulses_per_revolution)
-        or pulses_per_revolution <= 0
-    ):
+    if not is_positive(pulses_per_revolution):
         raise LogError(
             f"{path}: pulses_per_revolution = {pulses_per_revolution!r} is no positive number; "
             "count the marks on the rotor"
@@ -100,13 +96,11 @@ def pulse_speed(
     ended = np.searchsorted(time[missing + 1], edges[:-1], side="right")
     torn = begun > ended
     speed = np.where(holes | torn, np.nan, speed)
-    notes = [
-        note(
-            "speed-from-pulses",
-            f"speed from {edges.size} pulses at {pulses_per_revolution:g} per revolution, one value per "
-            f"period (edges resolve {100 * step / float(np.median(periods)):.2g} % of a period at worst)",
-        )
-    ]
+    sentence = (
+        f"speed from {edges.size} pulses at {pulses_per_revolution:g} per revolution, one value per "
+        f"period (edges resolve {100 * step / float(np.median(periods)):.2g} % of a period at worst)"
+    )
+    notes = [note("speed-from-pulses", sentence)]
     if torn.any():
         sentence = (
             f"holes in the clock of the tachometer: {missing.size} (the longest {float(steps.max()):.3g} "

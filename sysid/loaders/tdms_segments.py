@@ -36,11 +36,6 @@ class Starts:
     offset: int = 0
 
 
-def _time(raw: bytes, big: bool) -> np.datetime64:
-    seconds, fraction = struct.unpack(">qQ", raw) if big else struct.unpack("<Qq", raw)[::-1]
-    return _EPOCH + np.timedelta64(seconds * _NANOSECONDS + (fraction * _NANOSECONDS >> 64), "ns")
-
-
 def waveform_starts(path: str) -> dict[str, Starts]:
     """Return the starts of the channels that state one, by their path in the file, ``/'group'/'channel'``."""
     starts: dict[str, Starts] = {}
@@ -55,12 +50,13 @@ def waveform_starts(path: str) -> dict[str, Starts]:
                 if match["path"] is not None:
                     channel = match["path"].decode("utf-8", "replace")
                     continue
-                seconds = struct.unpack(
-                    ">q" if big else "<q", match["time"][:8] if big else match["time"][8:]
+                seconds, fraction = (
+                    struct.unpack(">qQ", match["time"]) if big else struct.unpack("<Qq", match["time"])[::-1]
                 )
-                if seconds[0] <= 0 or seconds[0] > 1 << 33:  # not set, or no time
+                if seconds <= 0 or seconds > 1 << 33:  # not set, or no time
                     continue
-                start = _time(match["time"], big)
+                passed = seconds * _NANOSECONDS + (fraction * _NANOSECONDS >> 64)
+                start = _EPOCH + np.timedelta64(passed, "ns")
                 known = starts.setdefault(channel, Starts(start, start, at))
                 if start != known.last:
                     known.last, known.offset = start, at
@@ -73,13 +69,5 @@ def samples_before(path: str, offset: int, channel: str) -> int:
     from nptdms import TdmsFile
 
     with Path(path).open("rb") as stream, mmap.mmap(stream.fileno(), offset, access=mmap.ACCESS_READ) as data:
-        file = TdmsFile.read_metadata(data)
-        return next(
-            (
-                len(waveform)
-                for group in file.groups()
-                for waveform in group.channels()
-                if waveform.path == channel
-            ),
-            0,
-        )
+        groups = TdmsFile.read_metadata(data).groups()
+        return sum(len(wave) for group in groups for wave in group.channels() if wave.path == channel)

@@ -257,9 +257,6 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
 
 
 FORMAT = table_format(
-    "ati-text",
-    "ATI force/torque text (six channels by place, .cal)",
-    _recognize,
-    _parse,
+    "ati-text", "ATI force/torque text (six channels by place, .cal)", _recognize, _parse,
     {"rate": (), "units": (), "calibration": (), "transform": (), "tare": (), "time_back": ()},
-)
+)  # fmt: skip

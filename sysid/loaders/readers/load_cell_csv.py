@@ -108,9 +108,6 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
 
 
 FORMAT = table_format(
-    "load-cell-csv",
-    "six-axis load cell CSV (time or rate, command, speed, Fz, Mz)",
-    _recognize,
-    _parse,
+    "load-cell-csv", "six-axis load cell CSV (time or rate, command, speed, Fz, Mz)", _recognize, _parse,
     {"rate": (), "units": (), "columns": (), "pulses_per_revolution": (), "time_back": ()},
-)
+)  # fmt: skip

@@ -164,9 +164,6 @@ def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
 
 
 FORMAT = signal_format(
-    "load-cell-hdf5",
-    "six-axis load cell HDF5 (datasets by name, attribute unit, rate)",
-    _recognize,
-    _parse,
+    "load-cell-hdf5", "six-axis load cell HDF5 (datasets by name, attribute unit, rate)", _recognize, _parse,
     SIGNAL_OPTIONS,
-)
+)  # fmt: skip

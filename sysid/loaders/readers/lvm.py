@@ -243,9 +243,6 @@ def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
 
 
 FORMAT = signal_format(
-    "lvm",
-    "LabVIEW text measurement LVM (channels by name)",
-    _recognize,
-    _parse,
+    "lvm", "LabVIEW text measurement LVM (channels by name)", _recognize, _parse,
     SIGNAL_OPTIONS | {"segment": ()},
-)
+)  # fmt: skip

@@ -36,19 +36,10 @@ _BODIES = frozenset({"rigid body", "bone"})
 _SOLVED = frozenset({"rigid body marker", "bone marker"})
 _MEASURED = frozenset({"marker"})
 _KEYS = (
-    "Format Version",
-    "Take Name",
-    "Take Notes",
-    "Capture Frame Rate",
-    "Export Frame Rate",
-    "Capture Start Time",
-    "Capture Start Frame",
-    "Total Frames in Take",
-    "Total Exported Frames",
-    "Rotation Type",
-    "Length Units",
-    "Coordinate Space",
-)
+    "Format Version", "Take Name", "Take Notes", "Capture Frame Rate", "Export Frame Rate",
+    "Capture Start Time", "Capture Start Frame", "Total Frames in Take", "Total Exported Frames",
+    "Rotation Type", "Length Units", "Coordinate Space",
+)  # fmt: skip
 # The column rows come within the first dozen lines of every version seen.
 _HEADER_LINES = 40
 # Newer versions print times to 1 ms: half of it, and a little for their own rounding.
@@ -85,18 +76,7 @@ def _recognize(source: Source) -> int:
 def _settings(cells: list[str]) -> dict[str, str]:
     """Return the key,value pairs of row 1; keys are looked for, because a take's name may hold commas."""
     stripped = [cell.strip().strip('"') for cell in cells]
-    return {
-        key: stripped[i + 1]
-        for key in _KEYS
-        if key in stripped
-        for i in [stripped.index(key)]
-        if i + 1 < len(cells)
-    }
-
-
-def _is_column_row(cells: list[str]) -> bool:
-    first = cells[0].casefold()
-    return first == "frame" or first.startswith("time")
+    return {key: stripped[stripped.index(key) + 1] for key in _KEYS if key in stripped[:-1]}
 
 
 def _read_header(text: Text) -> _Header:
@@ -104,7 +84,8 @@ def _read_header(text: Text) -> _Header:
     filled = [line for _, _, line in lines if line.strip()]
     delimiter = sniff_delimiter(filled[0], spaces=False) if filled else ","
     rows = [[cell.strip().strip('"').strip() for cell in split_line(line, delimiter)] for _, _, line in lines]
-    last = next((index for index, row in enumerate(rows) if _is_column_row(row)), None)
+    firsts = [row[0].casefold() for row in rows]
+    last = next((i for i, word in enumerate(firsts) if word == "frame" or word.startswith("time")), None)
     if last is None:
         raise LogError(
             f'{text.path}: no column row "Frame,Time,..." in the first {_HEADER_LINES} lines; '
@@ -129,12 +110,8 @@ def _read_header(text: Text) -> _Header:
     def cell(row: list[str], index: int) -> str:
         return row[index] if index < len(row) else ""
 
-    clocks = {
-        word: i
-        for i, name in enumerate(axes[:2])
-        for word in ("frame", "time")
-        if name.casefold().startswith(word)
-    }
+    words = [name.casefold() for name in axes[:2]]
+    clocks = {key: i for i, word in enumerate(words) for key in ("frame", "time") if word.startswith(key)}
     assets: dict[tuple[str, str, str], _Asset] = {}
     labels = list(axes)
     for index in range(len(clocks), len(axes)):
@@ -243,12 +220,8 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     read = wanted | columns(header.assets)
     unread = unread_note(named, [column for column in named if column.index in read])
     version = f"OptiTrack Motive CSV {stated.get('Format Version', '')}".strip()
-    raw = RawCapture(
-        version,
-        [*numbers.notes, *promised, *ordered, *unread],
-        states_length=bool(stated.get("Length Units")),
-        marks_lost=True,
-    )
+    raw = RawCapture(version, [*numbers.notes, *promised, *ordered, *unread], marks_lost=True)
+    raw.states_length = bool(stated.get("Length Units"))
     for body in bodies:
         quaternion = body.columns("Rotation", "WXYZ")
         if quaternion:
@@ -277,9 +250,6 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
 
 
 FORMAT = capture_format(
-    "motive-csv",
-    "OptiTrack Motive CSV 1.21 to 1.25 (rigid bodies, markers)",
-    _recognize,
-    _parse,
+    "motive-csv", "OptiTrack Motive CSV 1.21 to 1.25 (rigid bodies, markers)", _recognize, _parse,
     {"rigid_body": (), "euler_order": (), "length_unit": (), "clock": ("auto", "frame", "time")},
-)
+)  # fmt: skip

@@ -41,10 +41,9 @@ def _recognize(source: Source) -> int:
 
 @dataclass
 class _Frames:
-    """Rows gathered while reading: index, time, bodies and markers by name."""
+    """Rows gathered while reading: time, bodies and markers by name."""
 
     lines: list[int] = field(default_factory=list)
-    index: list[float] = field(default_factory=list)
     time: list[float] = field(default_factory=list)
     bodies: dict[str, dict[int, list[float]]] = field(default_factory=dict)
     markers: dict[str, dict[int, list[float]]] = field(default_factory=dict)
@@ -68,7 +67,8 @@ def _add_frame(frames: _Frames, names: dict[str, str], number: int, cells: Seque
     """Add one row; ValueError or IndexError where its counts and its cells do not agree."""
     bodies: dict[str, list[float]] = {}
     markers: dict[str, list[float]] = {}
-    index, time = parse_number(cells[1]), parse_number(cells[2])
+    parse_number(cells[1])  # refuses an index that is no number
+    time = parse_number(cells[2])
     place = 4
     for _ in range(_count(cells[3])):
         part = cells[place : place + _BODY_CELLS]
@@ -94,7 +94,6 @@ def _add_frame(frames: _Frames, names: dict[str, str], number: int, cells: Seque
         raise ValueError("cells left over")
     row = len(frames.lines)
     frames.lines.append(number)
-    frames.index.append(index)
     frames.time.append(time)
     for name, values in bodies.items():
         frames.bodies.setdefault(name, {})[row] = values
@@ -172,9 +171,6 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
 
 
 FORMAT = capture_format(
-    "motive-legacy",
-    "OptiTrack CSV 1.1 (one row per frame)",
-    _recognize,
-    _parse,
+    "motive-legacy", "OptiTrack CSV 1.1 (one row per frame)", _recognize, _parse,
     {"rigid_body": (), "length_unit": ()},
-)
+)  # fmt: skip

@@ -88,13 +88,11 @@ def _status_note(text: Text, table: TableHead, known: list[str]) -> list[Finding
         return []
     first = text.data.count(b"\n", 0, matches[0].start()) + 1
     words = listing(dict.fromkeys(shortened(match[1].decode(), 20) for match in matches))
-    return [
-        note(
-            "status-not-zero",
-            f"rows with a status other than 0: {len(matches)} (first: line {first}; {words}); the "
-            "transducer reports an error or an overload there, so check them",
-        )
-    ]
+    sentence = (
+        f"rows with a status other than 0: {len(matches)} (first: line {first}; {words}); the "
+        "transducer reports an error or an overload there, so check them"
+    )
+    return [note("status-not-zero", sentence)]
 
 
 def _parse(source: Source, options: BenchOptions) -> RawTable:
@@ -133,9 +131,6 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
 
 
 FORMAT = table_format(
-    "net-ft-csv",
-    "ATI Net F/T CSV (counts)",
-    _recognize,
-    _parse,
+    "net-ft-csv", "ATI Net F/T CSV (counts)", _recognize, _parse,
     {"transform": (), "tare": (), "time_back": ()},
-)
+)  # fmt: skip

@@ -217,10 +217,7 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
 
 
 FORMAT = capture_format(
-    "pose-table",
-    "plain pose table t,x,y,z,q... of one body",
-    _recognize,
-    _parse,
+    "pose-table", "plain pose table t,x,y,z,q... of one body", _recognize, _parse,
     {
         "quaternion_order": ("wxyz", "xyzw"), "length_unit": (), "units": (), "columns": (), "rigid_body": (),
         "clock": ("auto", "time", "frame"), "time_back": (),

@@ -164,9 +164,6 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
 
 
 FORMAT = capture_format(
-    "qualisys-tsv",
-    "Qualisys QTM TSV (3D markers, 6D bodies)",
-    _recognize,
-    _parse,
+    "qualisys-tsv", "Qualisys QTM TSV (3D markers, 6D bodies)", _recognize, _parse,
     {"rigid_body": (), "bodies": (), "length_unit": ()},
-)
+)  # fmt: skip

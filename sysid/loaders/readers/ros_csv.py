@@ -124,9 +124,6 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
 
 
 FORMAT = capture_format(
-    "ros-csv",
-    "ROS pose topic as CSV (rostopic echo -p)",
-    _recognize,
-    _parse,
+    "ros-csv", "ROS pose topic as CSV (rostopic echo -p)", _recognize, _parse,
     {"rigid_body": (), "length_unit": (), "clock": ("header", "arrival", "frame"), "time_back": ()},
-)
+)  # fmt: skip

@@ -313,9 +313,6 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
 
 
 FORMAT = capture_format(
-    "vicon-csv",
-    "Vicon Nexus / Tracker CSV (markers, segments, objects, devices)",
-    _recognize,
-    _parse,
+    "vicon-csv", "Vicon Nexus / Tracker CSV (markers, segments, objects, devices)", _recognize, _parse,
     {"rigid_body": (), "bodies": (), "length_unit": (), "angles": ("helical", *EULER_ORDERS)},
-)
+)  # fmt: skip
