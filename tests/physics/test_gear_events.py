@@ -122,13 +122,10 @@ def test_slide_limit_is_the_friction_angle():
 
 def test_tip_limit_of_rigid_legs():
     p = parameters_on("hf").nominal
-    stiff = p | {
-        "leg_axial_stiffness": 1e3 * p["leg_axial_stiffness"],
-        "leg_bending_stiffness": 1e3 * p["leg_bending_stiffness"],
-        "leg_axial_damping": 30 * p["leg_axial_damping"],
-        "leg_bending_damping": 30 * p["leg_bending_damping"],
-        "kinetic_friction": 1.2,
-    }
+    stiff = p | {"kinetic_friction": 1.2}
+    for way in ("axial", "bending"):
+        stiff[f"leg_{way}_stiffness"] *= 1e3
+        stiff[f"leg_{way}_damping"] *= 30
     limit = math.degrees(math.atan(p["foot_dx"] / p["foot_dz"]))
     assert limit == pytest.approx(34.8, abs=0.1)
     turned = []

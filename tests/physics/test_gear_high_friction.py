@@ -9,6 +9,7 @@ import pytest
 from fakes.gear_drops import SIX, level_drops, level_start, nrmse, touchdowns
 from fakes.gear_energy import legs
 from sysid.export.published import table_2
+from sysid.filters import runs
 from sysid.gear import model
 from sysid.gear.model import (
     HF_FREE,
@@ -95,8 +96,7 @@ def test_stuck_feet_stay_where_they_are(slope_deg):
     place, _ = feet(math.radians(slope_deg), trajectory.state)
     assert stuck.any()
     for foot in range(2):
-        edges = np.flatnonzero(np.diff(np.r_[False, stuck[:, foot], False].astype(int)))
-        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        for begin, end in runs(stuck[:, foot]):
             # The multiplier holds the foot's acceleration at zero; 10 um over a contact is promised.
             assert np.ptp(place[begin:end, foot]) < 1e-5
 
@@ -267,10 +267,9 @@ def test_rest_on_a_slope_below_the_friction_angle():
     assert np.ptp(place, axis=0).max() < 1e-5
     weight = (P["body_mass"] + 2 * P["leg_mass"]) * P["gravity"]
     # Statics of the whole on both feet.
-    assert trajectory.friction_force[-1].sum() == pytest.approx(
-        -weight * math.sin(math.radians(15)), rel=1e-2
-    )
-    assert trajectory.normal_force[-1].sum() == pytest.approx(weight * math.cos(math.radians(15)), rel=1e-2)
+    slope = math.radians(15)
+    assert trajectory.friction_force[-1].sum() == pytest.approx(-weight * math.sin(slope), rel=1e-2)
+    assert trajectory.normal_force[-1].sum() == pytest.approx(weight * math.cos(slope), rel=1e-2)
 
 
 def test_population_equals_single_drops_for_any_threads():

@@ -41,12 +41,8 @@ def test_energy_never_grows(slope_deg, surface, friction):
 
 
 def test_energy_is_conserved_without_damping_and_friction():
-    p = NOMINAL | {
-        "leg_axial_damping": 0.0,
-        "leg_bending_damping": 0.0,
-        "ground_damping": 0.0,
-        "kinetic_friction": 0.0,
-    }
+    lossy = ("leg_axial_damping", "leg_bending_damping", "ground_damping", "kinetic_friction")
+    p = NOMINAL | dict.fromkeys(lossy, 0.0)
     slope = math.radians(15)
     run = simulate(p, slope, start(slope, 0.8), np.linspace(0, 0.3, 301), tolerance=1e-9)
     total = energy(p, slope, run.state)

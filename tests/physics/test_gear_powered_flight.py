@@ -119,9 +119,7 @@ def test_histories_equal_a_joint_integration_of_18_states():
     slope, speed = math.radians(15), 0.6
     span, depth = P["foot_dx"] - P["joint_dx"], P["foot_dz"] - P["joint_dz"]
     length, rest = math.hypot(span, depth), math.atan2(span, depth)
-    leg = [
-        P[f"leg_{n}"] for n in ("axial_stiffness", "axial_damping", "bending_stiffness", "bending_damping")
-    ]
+    leg = [P[f"leg_{way}_{what}"] for way in ("axial", "bending") for what in ("stiffness", "damping")]
     inverse = (1 / P["leg_mass"], 1 / P["leg_inertia"])
     c = Coefficients(*leg, *leg, P["joint_dx"], P["joint_dz"], length, rest, 0.5 * length, 0.5 * length,
          1 / P["body_mass"], 1 / P["body_inertia"], *inverse, *inverse,
@@ -136,13 +134,8 @@ def test_histories_equal_a_joint_integration_of_18_states():
              M["viscous_damping"], M["saturation_current"], M["saturation_speed"],
              M["torque_quadratic_forward"], M["torque_quadratic_reverse"])  # fmt: skip
     assert M["torque_constant"] == M["back_emf_constant"]
-    body = (
-        P["body_mass"],
-        P["body_inertia"],
-        P["thrust_point_dx"],
-        P["ground_stiffness"],
-        P["ground_damping"],
-    )
+    names = ("body_mass", "body_inertia", "thrust_point_dx", "ground_stiffness", "ground_damping")
+    body = tuple(P[name] for name in names)
     exact = march(
         y, 1e-6, 5000, 60, np.array(REAR[0][1:]), np.array([no_load(u) for u in REAR[1][1:]]),
         np.array(FRONT[0][1:]), np.array([no_load(u) for u in FRONT[1][1:]]), motor,
@@ -195,15 +188,12 @@ def constant(rear, front, **options):
 def test_hover_and_roll_moment():
     weight = (P["body_mass"] + 2 * P["leg_mass"]) * P["gravity"]
     time = np.linspace(0, 0.4, 41)
-    hover = simulate(
-        P, 0.1, [0, 5, 0, 0, 0, 0], time, propulsion=constant(weight / 2, weight / 2), tolerance=1e-8
-    )
+    high, half = [0, 5, 0, 0, 0, 0], weight / 2
+    hover = simulate(P, 0.1, high, time, propulsion=constant(half, half), tolerance=1e-8)
     # Thrust acts on the body, weight on the legs too: they sag by m_leg g/k_h, 0.03 mm, and nothing falls.
     assert np.abs(hover.state[:, 1] - 5.0).max() < 1e-4
     assert np.abs(hover.state[:, 2]).max() < 1e-9
-    tilted = simulate(
-        P, 0.1, [0, 5, 0, 0, 0, 0], time, propulsion=constant(weight / 2 + 0.1, weight / 2 - 0.1)
-    )
+    tilted = simulate(P, 0.1, high, time, propulsion=constant(half + 0.1, half - 0.1))
     # More thrust at the rear pitches the nose down, which is positive.
     assert tilted.state[-1, 2] > 0.05
     assert tilted.state[-1, 0] > 0.0

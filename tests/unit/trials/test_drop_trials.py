@@ -6,13 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError
 from sysid.recording import Channel, Provenance, Recording
-from sysid.trials.capture import (
-    CaptureFrame,
-    held_level,
-    marker_plane,
-    planar_motion,
-    spatial_motion,
-)
+from sysid.trials.capture import CaptureFrame, held_level, marker_plane, planar_motion, spatial_motion
 from sysid.trials.fall import Feet, SlopedPlane, find_fall, fit_flight
 
 G = 9.81
@@ -21,6 +15,14 @@ SLOPE = np.radians(15.0)
 RELEASE = 7.4137  # on a clock that starts at 6.2 s
 SPEED = 0.6
 X = 0.3  # down-slope of the surface's origin
+
+
+def _log(time, position, quaternion=(1.0, 0.0, 0.0, 0.0)):
+    channels = {
+        "F450/position": Channel("F450/position", "m", time, position),
+        "F450/orientation": Channel("F450/orientation", "1", time, quaternion * np.ones((len(time), 1))),
+    }
+    return Recording("motion-capture", channels, Provenance("drop.csv", "", "made"))
 
 
 def _fall(time, speed=SPEED):
@@ -48,11 +50,7 @@ def _recording(
     position = plane @ frame.matrix - rotation @ np.asarray(offset)
     quaternion = Rotation.from_matrix(rotation).as_quat()[:, [3, 0, 1, 2]]
     keep = np.setdiff1d(np.arange(time.size), drop_rows)
-    channels = {
-        "F450/position": Channel("F450/position", "m", time[keep], position[keep]),
-        "F450/orientation": Channel("F450/orientation", "1", time[keep], quaternion[keep]),
-    }
-    return Recording("motion-capture", channels, Provenance("drop.csv", "", "made"))
+    return _log(time[keep], position[keep], quaternion[keep])
 
 
 def _prepare(recording, frame, **options):
@@ -116,16 +114,8 @@ def test_signs_of_roll_and_yaw():
         "yaw": Rotation.from_rotvec([0, 0, 0.3]),
     }
     for name, turn in turns.items():
-        quaternion = np.tile(turn.as_quat()[[3, 0, 1, 2]], (10, 1))
-        recording = Recording(
-            "motion-capture",
-            {
-                "B/position": Channel("B/position", "m", time, np.zeros((10, 3))),
-                "B/orientation": Channel("B/orientation", "1", time, quaternion),
-            },
-            Provenance("made", "", "made"),
-        )
-        planar = planar_motion(spatial_motion(recording, "B", frame), np.zeros(3), np.eye(3))
+        recording = _log(time, np.zeros((10, 3)), turn.as_quat()[[3, 0, 1, 2]])
+        planar = planar_motion(spatial_motion(recording, "F450", frame), np.zeros(3), np.eye(3))
         expected = {"roll": 0.0, "pitch": 0.0, "yaw": 0.0, name: np.linalg.norm(turn.as_rotvec())}
         for angle, value in expected.items():
             assert getattr(planar, angle) == pytest.approx(np.full(10, value), abs=1e-12)
@@ -142,20 +132,11 @@ def test_missing_frames_become_masked_slots_of_the_same_clock():
 def test_arrival_jitter_is_interpolated_and_said():
     rng = np.random.default_rng(3)
     time = np.arange(300) / 100 + rng.uniform(-0.002, 0.002, 300)
-    recording = Recording(
-        "motion-capture",
-        {
-            "B/position": Channel("B/position", "m", time, np.outer(time, [1.0, 2.0, 3.0])),
-            "B/orientation": Channel("B/orientation", "1", time, np.tile([1.0, 0, 0, 0], (300, 1))),
-        },
-        Provenance("made", "", "made"),
-    )
-    frame = CaptureFrame("+z", "+x")
-    motion = spatial_motion(recording, "B", frame, rate=100.0)
+    recording = _log(time, np.outer(time, [1.0, 2.0, 3.0]))
+    motion = spatial_motion(recording, None, CaptureFrame("+z", "+x"), rate=100.0)
     assert "jitters" in motion.notes[0]
-    inside = motion.valid
-    assert inside.mean() > 0.97
-    assert motion.position[inside, 0] == pytest.approx(motion.time[inside], abs=1e-9)
+    assert motion.valid.mean() > 0.97
+    assert motion.position[motion.valid, 0] == pytest.approx(motion.time[motion.valid], abs=1e-9)
 
 
 def test_plane_from_markers():
@@ -181,18 +162,9 @@ def test_plane_from_markers():
 
 
 def test_a_thrown_body_is_ballistic():
-    frame = CaptureFrame("+z", "+x")
     time = np.arange(60) / 200
     position = np.column_stack([0.5 * time, 0 * time, 0.30 + 0.4 * time - 0.5 * G * time**2])
-    recording = Recording(
-        "motion-capture",
-        {
-            "B/position": Channel("B/position", "m", time, position),
-            "B/orientation": Channel("B/orientation", "1", time, np.tile([1.0, 0, 0, 0], (60, 1))),
-        },
-        Provenance("made", "", "made"),
-    )
-    motion = spatial_motion(recording, "B", frame)
+    motion = spatial_motion(_log(time, position), None, CaptureFrame("+z", "+x"))
     held = find_fall(motion, G, "made")
     assert held.start == held.stop
     planar = planar_motion(motion, np.zeros(3), np.eye(3))
@@ -214,14 +186,7 @@ def _long_hold(moved_at=None, turned_at=None, noise_deg=0.0, seconds=4.0):
     angle = np.random.default_rng(4).normal(scale=np.radians(noise_deg), size=time.size)
     if turned_at is not None:
         angle[time < turned_at] += np.radians(3.0)
-    quaternion = np.column_stack(
-        [np.cos(angle / 2), 0 * angle, np.sin(angle / 2) * np.ones(time.size), 0 * angle]
-    )
-    channels = {
-        "F450/position": Channel("F450/position", "m", time, position),
-        "F450/orientation": Channel("F450/orientation", "1", time, quaternion),
-    }
-    return Recording("motion-capture", channels, Provenance("drop.csv", "", "made"))
+    return _log(time, position, np.column_stack([np.cos(angle / 2), 0 * angle, np.sin(angle / 2), 0 * angle]))
 
 
 @pytest.mark.parametrize(
@@ -253,8 +218,7 @@ def test_a_level_release_has_exactly_no_pitch():
         fit_flight(planar, SlopedPlane(SLOPE), FEET, held, G, "drop.csv", level)[0].state
         for level in (True, False)
     ]
-    assert states[0][2] == 0.0
-    assert states[0][5] == 0.0
+    assert (states[0][2], states[0][5]) == (0.0, 0.0)
     # Without that word it is the mean of the fall's samples too: 0.2 deg over the root of 400 samples.
     assert 0 < abs(states[1][2]) < np.radians(0.04)
 

@@ -36,6 +36,15 @@ def _schedule(delays, hold=1.0):
     return time, CommandSteps(np.array(instants), np.array(levels)), (time, thrust)
 
 
+def _turned(step, **options):
+    """A simulated motor's reversal from u 0.62 to -1 after 0.5 s: rows [s], command, thrust, speed."""
+    time = np.arange(0.0, 1.5, step)
+    given, options = options.pop("parameters", {}), {"initial": "steady", **options}
+    run = simulate(given, [0.0, 0.5], [0.62, -1.0], time, **options)
+    steps = CommandSteps(np.array([0.0, 0.5]), np.array([0.62, -1.0]))
+    return time, steps, (time, run.thrust), (time, run.speed)
+
+
 def test_times_of_a_made_thrust():
     time, steps, thrust = _schedule([0.2])
     (one,) = find_reversals(time, steps, thrust)
@@ -61,9 +70,7 @@ def test_a_controller_that_fails_half_of_the_time_has_outliers():
     assert group.outliers() == 1
     assert np.isnan(group.reversals[2].to_level)
     assert group.reversals[2].final_thrust == pytest.approx(-1.0)
-
-
-def test_a_controller_that_fails_four_times_of_five_has_outliers():
+    # One that fails four times of five has its quick repetitions still.
     for count in (5, 20):
         delays = [0.12 if i % 5 == 3 else 0.65 for i in range(count)]
         (group,) = repetitions(find_reversals(*_schedule(delays)))
@@ -159,15 +166,9 @@ def test_half_of_the_thrust_is_no_final_thrust():
 
 
 def test_dead_band_of_a_simulated_motor():
-    time = np.arange(0.0, 1.5, 1e-4)
-    found = simulate({"command_delay": 0.01}, [0.0, 0.5], [0.62, -1.0], time, initial="steady")
-    steps = CommandSteps(np.array([0.0, 0.5]), np.array([0.62, -1.0]))
-    (one,) = find_reversals(time, steps, (time, found.thrust), (time, found.speed))
-    (ideal,) = find_reversals(
-        time, steps,
-        *[(time, getattr(simulate({"command_delay": 0.01}, [0.0, 0.5], [0.62, -1.0], time, initial="steady",
-                                  ideal_reversal=True), name)) for name in ("thrust", "speed")],
-    )  # fmt: skip
+    late = {"command_delay": 0.01}
+    (one,) = find_reversals(*_turned(1e-4, parameters=late))
+    (ideal,) = find_reversals(*_turned(1e-4, parameters=late, ideal_reversal=True))
     # I^r Ω_min/(k_m I_sat) = 49 ms from standstill to the band's edge; the rest is passed in 5 to 10 ms.
     assert 0.049 < one.dead_band < 0.060
     assert ideal.dead_band < 0.012
@@ -179,23 +180,19 @@ def test_dead_band_of_a_simulated_motor():
 
 
 def test_noise_leaves_the_dead_band_as_long_as_it_is():
-    time = np.arange(0.0, 1.5, 1e-3)
-    found = simulate({}, [0.0, 0.5], [0.62, -1.0], time, initial="steady")
-    steps = CommandSteps(np.array([0.0, 0.5]), np.array([0.62, -1.0]))
-    (quiet,) = find_reversals(time, steps, (time, found.thrust))
+    time, steps, (_, thrust), _ = _turned(1e-3)
+    (quiet,) = find_reversals(time, steps, (time, thrust))
     # 3 % of the final thrust: a first crossing of either edge comes by noise alone.
     noise = 0.03 * abs(quiet.final_thrust) * np.random.default_rng(3).standard_normal(time.size)
-    (noisy,) = find_reversals(time, steps, (time, found.thrust + noise))
+    (noisy,) = find_reversals(time, steps, (time, thrust + noise))
     assert noisy.dead_band == pytest.approx(quiet.dead_band, abs=0.02)
     assert noisy.to_level == pytest.approx(quiet.to_level, abs=0.02)
 
 
 def test_thrust_alone_serves():
-    time = np.arange(0.0, 1.5, 1e-3)
-    found = simulate({}, [0.0, 0.5], [0.62, -1.0], time, initial="steady")
-    steps = CommandSteps(np.array([0.0, 0.5]), np.array([0.62, -1.0]))
-    (by_thrust,) = find_reversals(time, steps, (time, found.thrust))
-    (unsigned,) = find_reversals(time, steps, (time, found.thrust), (time, np.abs(found.speed)))
+    time, steps, thrust, (_, speed) = _turned(1e-3)
+    (by_thrust,) = find_reversals(time, steps, thrust)
+    (unsigned,) = find_reversals(time, steps, thrust, (time, np.abs(speed)))
     assert unsigned == by_thrust
     # 5 % of the thrust is 22 % of the speed: a wider band.
     assert 0.06 < by_thrust.dead_band < 0.12

@@ -7,6 +7,7 @@ import pytest
 
 from fakes import places
 from sysid.errors import LogError
+from sysid.loaders import load
 from sysid.trials.bench_log import (
     CommandRange,
     check_command_direction,
@@ -24,16 +25,33 @@ from sysid.trials.steady import ramp_points, steady_points
 
 DATA = places.DATA / "rcbenchmark"
 PULSES = CommandRange("us", 1000.0, 1500.0, 2000.0)
+DSHOT = CommandRange("dshot", 0.0, 0.0, 2047.0, "low")
 
 
-def test_command_range_in_both_directions() -> None:
+def test_command_range_in_both_directions_and_in_one() -> None:
     u = PULSES.to_u(np.array([1000.0, 1250.0, 1500.0, 1810.0, 2000.0]), "us", "log")
     np.testing.assert_allclose(u, [-1.0, -0.5, 0.0, 0.62, 1.0], atol=1e-15)
-
-
-def test_command_range_of_one_direction() -> None:
     throttle = CommandRange("us", 1000.0, 1000.0, 2000.0)
     np.testing.assert_allclose(throttle.to_u(np.array([950.0, 1000.0, 1500.0]), "us", "log"), [0, 0, 0.5])
+
+
+@pytest.mark.parametrize(
+    ("protocol", "commands", "unit", "words"),
+    [
+        (PULSES, [1500, 2047], "us", r"a\.csv: 1 commands lie outside 1000 to 2000 us, for example 2047"),
+        (PULSES, [1000, np.nan, 2000], "dshot", "run from 1000 to 2000 and are read as dshot, .* says us"),
+        (
+            DSHOT,
+            [48, 2048],
+            "dshot",
+            r"a\.csv: 1 commands are no DShot number of 0 to 2047, for example 2048",
+        ),
+        (DSHOT, [1500], "us", "are read as us, the campaign says dshot"),
+    ],
+)
+def test_command_refusals(protocol, commands: list[float], unit: str, words: str) -> None:
+    with pytest.raises(LogError, match=words):
+        protocol.to_u(np.array(commands), unit, "a.csv")
 
 
 @pytest.mark.parametrize(("half", "sign"), [("low", 1.0), ("high", -1.0)])
@@ -43,12 +61,6 @@ def test_command_range_of_bidirectional_dshot(half, sign: float) -> None:
     logged = np.array([0.0, 47.0, 48.0, 547.0, 1047.0, 1048.0, 1547.0, 2047.0, np.nan])
     u = sign * np.array([0.0, 0.0, 0.001, 0.5, 1.0, -0.001, -0.5, -1.0, np.nan])
     np.testing.assert_allclose(protocol.to_u(logged, "dshot", "log"), u, atol=1e-15)
-    with pytest.raises(
-        LogError, match=r"a\.csv: 1 commands are no DShot number of 0 to 2047, for example 2048"
-    ):
-        protocol.to_u(np.array([48.0, 2048.0]), "dshot", "a.csv")
-    with pytest.raises(LogError, match="are read as us, the campaign says dshot"):
-        protocol.to_u(np.array([1500.0]), "us", "a.csv")
 
 
 def test_sign_and_zero_from_the_log_itself() -> None:
@@ -61,26 +73,16 @@ def test_sign_and_zero_from_the_log_itself() -> None:
     assert sign_of_log((np.zeros(0), np.zeros(0)), (time, speed)) == 0
     assert sign_against_speed(np.array([np.nan]), np.array([100.0])) == 0
     steady = np.array([300.0, 450.0, 600.0])
-    found = zero_of_steady(-1.6e-7 * steady**2 + 0.02, steady)
-    assert found is not None
-    assert found.value == pytest.approx(0.02, abs=1e-12)
-    assert found.rows == 0
     # Both directions, of which one thrusts half as hard: the difference is no zero.
     turned = np.array([300.0, 600.0, 900.0, -400.0, -700.0])
-    found = zero_of_steady(np.where(turned > 0, 1.2e-5, -0.6e-5) * turned**2 + 0.02, turned)
-    assert found is not None
-    assert found.value == pytest.approx(0.02, abs=1e-12)
+    for omega, curve in ((steady, -1.6e-7), (turned, np.where(turned > 0, 1.2e-5, -0.6e-5))):
+        found = zero_of_steady(curve * omega**2 + 0.02, omega)
+        assert found is not None
+        assert (found.value, found.rows) == (pytest.approx(0.02, abs=1e-12), 0)
     assert zero_of_steady(np.array([5.0, 3.0, -1.0]), turned[[0, 1, 3]]) is None
     # Two speeds, or speeds within 30 % of each other, say nothing about standstill.
     assert zero_of_steady(np.array([1.0, 2.0]), np.array([300.0, 600.0])) is None
     assert zero_of_steady(np.array([1.0, 1.1, 1.2]), np.array([500.0, 550.0, 600.0])) is None
-
-
-def test_command_refusals() -> None:
-    with pytest.raises(LogError, match="dshot"):
-        PULSES.to_u(np.array([100.0]), "dshot", "a.csv")
-    with pytest.raises(LogError, match=r"a\.csv: 1 commands lie outside 1000 to 2000 us, for example 2047"):
-        PULSES.to_u(np.array([1500.0, 2047.0]), "us", "a.csv")
 
 
 def test_steps_of_a_log_with_blank_commands() -> None:
@@ -143,10 +145,8 @@ def test_steady_points_of_a_step_log() -> None:
     speed = 1000.0 * u
     speed[time >= 4.0] *= np.linspace(1.0, 1.5, np.sum(time >= 4.0))  # never settles
     torque = 1e-7 * speed**2
-    torque_time = time[::3]
-    points = steady_points(
-        time, command_steps(time, u), {"speed": (time, speed), "torque": (torque_time, torque[::3])}
-    )
+    channels = {"speed": (time, speed), "torque": (time[::3], torque[::3])}
+    points = steady_points(time, command_steps(time, u), channels)
     np.testing.assert_allclose(points.u, [0.3, 0.6])
     np.testing.assert_allclose(points.speed, [300.0, 600.0])
     np.testing.assert_allclose(points.torque, [0.009, 0.036])
@@ -208,11 +208,6 @@ def test_wrong_pole_count_names_the_poles(ratio: float, words: str) -> None:
     assert re.search(words, wrong_poles(ratio))
 
 
-def test_command_unit_that_contradicts_the_log_is_said_with_numbers() -> None:
-    with pytest.raises(LogError, match=r"run from 1000 to 2000 and are read as dshot, the campaign says us"):
-        CommandRange("us", 1000.0, 1500.0, 2000.0).to_u(np.array([1000.0, np.nan, 2000.0]), "dshot", "a.csv")
-
-
 def test_signs() -> None:
     unsigned = np.array([0.0, 100.0, 200.0])
     np.testing.assert_array_equal(signed_speed(unsigned, "reverse", "log"), -unsigned)
@@ -238,16 +233,13 @@ def test_known_stall_of_a_real_log() -> None:
     path = DATA / "sar_SOV5_TimeConstant_Test_2023-12-16_130840.csv"
     if not path.exists():
         pytest.skip("the real log is not beside the project (shared/data/rcbenchmark)")
-    from sysid.loaders import load
-
     recording = load(path)
     command = recording["command"]
     u = CommandRange("dshot", 0.0, 0.0, 2047.0).to_u(command.values, command.unit, path.name)
     stalls = find_stalls(command.time, command_steps(command.time, u))
-    known = [s for s in stalls if abs(s.start - 12.2953) < 1e-3 and abs(s.end - 12.3828) < 1e-3]
-    assert len(known) == 1
-    assert known[0].doubtful is not None
+    (known,) = [s for s in stalls if abs(s.start - 12.2953) < 1e-3 and abs(s.end - 12.3828) < 1e-3]
     # Command 702 is in the row at 12.2874 s.
-    assert known[0].doubtful[0] == pytest.approx(12.2874, abs=1e-4)
+    assert known.doubtful is not None
+    assert known.doubtful[0] == pytest.approx(12.2874, abs=1e-4)
     # 15 of its 27 commands (all up-steps) have a pause of 84 to 97 ms within 150 ms, one of them two.
     assert sum(s.doubtful is not None for s in stalls) == 16
