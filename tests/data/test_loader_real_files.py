@@ -200,14 +200,6 @@ def test_c3d_pose_of_three_markers():
     )
 
 
-def test_c3d_of_another_byte_order_is_refused(tmp_path):
-    data = bytearray((DATA / "c3d" / "ktk_pc_int.c3d").read_bytes())
-    data[(data[0] - 1) * 512 + 3] = 86  # the mark of SGI/MIPS
-    path = tmp_path / "sgi.c3d"
-    path.write_bytes(data)
-    refuses(path, r"sgi\.c3d: numbers are in the byte order of SGI/MIPS.*convert the file")
-
-
 def test_vicon_markers_and_devices():
     log = load(DATA / "vicon" / "pyomeca_nexus_markers.csv")
     box = log["boite:gauche_ext/position"]

@@ -122,10 +122,9 @@ def check(tmp_path, format_name, damage, count, seed):
 
 
 @pytest.mark.parametrize("format_name", LOGS)
-def test_whole_logs_are_what_the_oracle_reads(tmp_path, format_name):
+def test_whole_logs_are_what_the_oracle_reads(write, format_name):
     log = LOGS[format_name]
-    path = tmp_path / "log.csv"
-    path.write_bytes(log.data)
+    path = write(log.data, "log.csv")
     for asked in (format_name, "auto"):
         if asked == "auto" and log.options:
             continue
@@ -203,7 +202,7 @@ SEEN_BY_THE_LOADER = {
     # A body all of whose cells are zero is a lost one to Qualisys: filling with zeros changes nothing there.
     [(name, f) for name in LOGS for f in FAULTS if (name, f) != ("qualisys-tsv", zero_filled)],
 )
-def test_the_oracle_objects_to_a_planted_fault(tmp_path, monkeypatch, format_name, fault):
+def test_the_oracle_objects_to_a_planted_fault(write, monkeypatch, format_name, fault):
     log, module = LOGS[format_name], import_module(f"sysid.loaders.readers.{format_name.replace('-', '_')}")
 
     def faulty(*arguments, **options):
@@ -223,8 +222,7 @@ def test_the_oracle_objects_to_a_planted_fault(tmp_path, monkeypatch, format_nam
     monkeypatch.setattr(module, name, faulty)
     if format_name == "motive-legacy":
         monkeypatch.setitem(CLOCKS, format_name, {0})
-    path = tmp_path / "log.csv"
-    path.write_bytes(log.data)
+    path = write(log.data, "log.csv")
     if (format_name, fault) in SEEN_BY_THE_LOADER:
         with pytest.raises(SysidError):
             load(path, format=format_name)
@@ -240,12 +238,11 @@ def test_the_oracle_objects_to_a_planted_fault(tmp_path, monkeypatch, format_nam
     ("pose-table", 0, 'no column "t"'),
     ("ros-csv", 2, "no column field.header.stamp"),
 ])  # fmt: skip
-def test_a_log_without_time_is_refused(tmp_path, format_name, column, said):
+def test_a_log_without_time_is_refused(write, format_name, column, said):
     log = LOGS[format_name]
     lines = [line.split(log.delimiter) for line in log.data.decode("utf-8").split("\n")]
-    path = tmp_path / "log.csv"
     rest = "\n".join(log.delimiter.join(c for k, c in enumerate(cells) if k != column) for cells in lines)
-    path.write_bytes(rest.encode("utf-8"))
+    path = write(rest.encode("utf-8"), "log.csv")
     refuses(path, re.escape(said), SysidError, format=format_name)
 
 
@@ -313,15 +310,14 @@ def hdf5_cases(tmp_path, count, seed):
     ("object_number", "length"),
     [(4, 0), (4, 8), (4, 20), (0, 0), (2, 0), (2, 2**20), (4, 2**50), (1, 2**64 - 1)],
 )
-def test_damaged_list_of_texts_in_hdf5(tmp_path, object_number, length):
+def test_damaged_list_of_texts_in_hdf5(write, object_number, length):
     """A free space of no length keeps the HDF5 library at one place for ever (seen: no end after 14 s)."""
     data = bytearray(cell_hdf5())
     place = data.find(b"GCOL") + 16
     for _ in range(object_number):
         place += 16 + (struct.unpack_from("<Q", data, place + 8)[0] + 7) // 8 * 8
     struct.pack_into("<Q", data, place + 8, length)
-    path = tmp_path / "log.h5"
-    path.write_bytes(data)
+    path = write(data, "log.h5")
     with watchdog():
         assert outcome(path, "load-cell-hdf5") is None
         assert outcome(path, "auto") is None
@@ -338,15 +334,14 @@ def test_damaged_hdf5_many(tmp_path):
 
 @pytest.mark.parametrize("filling", [" ", "(", "p ", "_m"])
 @pytest.mark.parametrize("format_name", LOGS)
-def test_a_name_of_a_hundred_kilobytes_is_no_matter_of_minutes(tmp_path, format_name, filling):
+def test_a_name_of_a_hundred_kilobytes_is_no_matter_of_minutes(write, format_name, filling):
     """Patterns that look for units and axes in a name must not try every way to part it."""
     log = LOGS[format_name]
     lines = log.data.decode("utf-8").split("\n")
     at = 0 if log.names is None else log.names
     lines[at] = lines[at].replace(log.delimiter, filling * 100_000 + "x" + log.delimiter, 1)
-    path = tmp_path / "log.csv"
     data = "\n".join(lines).encode("utf-8")
-    path.write_bytes(data)
+    path = write(data, "log.csv")
     with watchdog():
         recording = outcome(path, format_name, log.options)
     if recording is not None:

@@ -23,11 +23,6 @@ def _write(tmp_path, text):
     return path
 
 
-@pytest.mark.parametrize(("kind", "model"), [("gear", GearCampaign), ("motor", MotorCampaign)])
-def test_template_is_valid(kind, model, tmp_path):
-    assert isinstance(read_campaign(_write(tmp_path, TEMPLATES[kind]), kind), model)
-
-
 def _keys(model: type[BaseModel]):
     for name, field in model.model_fields.items():
         yield name
@@ -42,12 +37,14 @@ def test_template_shows_every_key_of_the_schema(kind, model):
     assert not missing
 
 
-def test_quantities_become_si(tmp_path):
-    campaign = read_campaign(_write(tmp_path, TEMPLATES["gear"]))
-    assert campaign.vehicle.foot_dx == pytest.approx(0.105)
-    assert campaign.trials[0].slope == pytest.approx(0.2617993878)
-    assert campaign.window.before_contact == pytest.approx(0.05)
-    motor = read_campaign(_write(tmp_path, TEMPLATES["motor"]))
+def test_templates_are_valid_and_their_quantities_become_si(tmp_path):
+    gear = read_campaign(_write(tmp_path, TEMPLATES["gear"]), "gear")
+    assert isinstance(gear, GearCampaign)
+    assert gear.vehicle.foot_dx == pytest.approx(0.105)
+    assert gear.trials[0].slope == pytest.approx(0.2617993878)
+    assert gear.window.before_contact == pytest.approx(0.05)
+    motor = read_campaign(_write(tmp_path, TEMPLATES["motor"]), "motor")
+    assert isinstance(motor, MotorCampaign)
     assert motor.motor.kv == pytest.approx(100.53, rel=1e-4)  # 960 rpm/V
 
 
@@ -86,12 +83,6 @@ def test_mistakes_are_one_sentence(kind, old, new, sentence, tmp_path):
     assert sentence in str(caught.value)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_a_mistyped_required_key_is_one_mistake(tmp_path):
-    path = _write(tmp_path, TEMPLATES["gear"].replace("body_mass =", "body_mas ="))
-    with pytest.raises(CampaignError) as caught:
-        read_campaign(path)
     assert "more)" not in str(caught.value)
 
 

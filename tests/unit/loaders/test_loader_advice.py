@@ -263,11 +263,10 @@ def capture_logs(tmp_path, stated, number):
 
 
 @pytest.mark.parametrize("stated", ["", "m"])
-def test_length_advice_of_every_capture_format_helps(tmp_path, stated):
+def test_length_advice_of_every_capture_format_helps(tmp_path, write, stated):
     walked = set()
     for name, (head, rows) in capture_logs(tmp_path, stated, 1000.0):
-        path = tmp_path / name
-        path.write_bytes(bench_csv(head, rows))
+        path = write(bench_csv(head, rows), name)
         options = {}
         if not stated and name in ("pose-table", "motive-csv", "vicon-csv"):
             options["length_unit"] = "m"
@@ -308,7 +307,7 @@ def test_length_advice_by_format():
 COARSE = np.repeat(np.arange(30) * 0.1, 4)
 
 
-def test_a_coarse_clock_is_answered_by_what_the_format_has(tmp_path):
+def test_a_coarse_clock_is_answered_by_what_the_format_has(write):
     cell = "Time (s),Fz (N)\n" + "".join(f"{t:.1f},{i}\n" for i, t in enumerate(COARSE))
     stand = "Time (s),ESC signal (µs),Thrust (N)\n" + "".join(f"{t:.1f},1000,2\n" for t in COARSE)
     table = "t,frame,x_m,y_m,z_m,qw,qx,qy,qz\n" + "".join(
@@ -321,8 +320,7 @@ def test_a_coarse_clock_is_answered_by_what_the_format_has(tmp_path):
         ("pose-table", table, 'choose clock = "frame"', {"clock": "frame"}),
         ("pose-table", still, "export the log again with finer times", None),
     ]:
-        path = tmp_path / "log"
-        path.write_text(text, encoding="utf-8")
+        path = write(text)
         with pytest.raises(LogError, match="the clock is too coarse") as caught:
             load(path, format=name)
         assert str(caught.value).endswith(advice)
@@ -332,17 +330,15 @@ def test_a_coarse_clock_is_answered_by_what_the_format_has(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["rcbenchmark-csv", "ros-csv", "load-cell-csv", "pose-table"])
-def test_names_are_asked_for_where_they_can_be_said(tmp_path, name):
-    path = tmp_path / "log"
-    path.write_text("".join(f"{i},1,2,3,4,5,6,7\n" for i in range(9)), encoding="utf-8")
+def test_names_are_asked_for_where_they_can_be_said(write, name):
+    path = write("".join(f"{i},1,2,3,4,5,6,7\n" for i in range(9)))
     with pytest.raises(LogError, match="found numbers where the header line should name") as caught:
         load(path, format=name)
     assert ("columns = [...]" in str(caught.value)) == ("columns" in FORMATS[name].options)
 
 
-def test_a_rate_and_a_tare_may_say_their_unit(tmp_path):
-    path = tmp_path / "log"
-    path.write_text("".join("0,0,5,0,0,1\n" for _ in range(60)), encoding="utf-8")
+def test_a_rate_and_a_tare_may_say_their_unit(write):
+    path = write("".join("0,0,5,0,0,1\n" for _ in range(60)))
     words = ['units={force="N",torque="N*m"}', 'rate="0.02 kHz"', "tare=1 s"]  # as a shell hands them over
     log = load(path, format="ati-text", **parse_options(words))
     assert log["thrust"].rate == pytest.approx(20.0)

@@ -129,10 +129,9 @@ def test_a_period_across_missing_rows_has_no_speed(shift):
     assert "holes in the clock of the tachometer: 1 (the longest 0.3" in str(notes[-1])
 
 
-def test_tachometer_column_of_a_load_cell(tmp_path):
-    path = tmp_path / "cell.csv"
+def test_tachometer_column_of_a_load_cell(write):
     rows = "".join(f"{i * 1e-3:.3f},{i},{5 * (i % 20 < 10)}\n" for i in range(200))
-    path.write_text("Time (s),Fz (N),Tachometer (V)\n" + rows, encoding="utf-8")
+    path = write("Time (s),Fz (N),Tachometer (V)\n" + rows, "cell.csv")
     assert "declare pulses_per_revolution" in " ".join(load(path).provenance.sentences)
     log = load(path, pulses_per_revolution=2)
     np.testing.assert_allclose(log["speed"].values, 2 * np.pi / (2 * 0.02), rtol=1e-9)

@@ -4,33 +4,34 @@ import h5py
 import numpy as np
 import pytest
 
-from fakes.log_files import refuses
+from fakes.log_files import hdf5, refuses, row_lines
+from fakes.log_files import tdms as write_tdms
 from sysid.errors import LogError, SysidError, UnitError
 from sysid.loaders import load
 from sysid.trials.look import inspect_recording
 
 
-def rows(count, line):
-    return "".join(line.format(t=0.01 * i, i=i) + "\n" for i in range(count))
-
-
 def test_a_unit_at_the_end_of_a_name_is_said(write):
-    path = write("t_s,px_m,py_m,pz_m,qw,qx,qy,qz\n" + rows(5, "{t:.2f},1,2,3,1,0,0,0"))
+    path = write("t_s,px_m,py_m,pz_m,qw,qx,qy,qz\n" + row_lines(5, "{t},1,2,3,1,0,0,0"))
     notes = load(path).provenance.sentences
     assert any(note.startswith("units taken from the ends of names") for note in notes)
     assert [str(note) for note in inspect_recording(load(path)).notes] == notes
     for name in ("t_s", "px_m", "py_m", "pz_m"):
         assert any(f'"{name}"' in note for note in notes)
     # In brackets, or declared, nothing was guessed.
-    path = write("t (s),px (m),py (m),pz (m),qw,qx,qy,qz\n" + rows(5, "{t:.2f},1,2,3,1,0,0,0"))
+    path = write("t (s),px (m),py (m),pz (m),qw,qx,qy,qz\n" + row_lines(5, "{t},1,2,3,1,0,0,0"))
     assert not any("ends of names" in note for note in load(path).provenance.sentences)
-    path = write("Time (s),Fz_N\n" + rows(5, "{t:.2f},1"))
+    path = write("Time (s),Fz_N\n" + row_lines(5, "{t},1"))
     assert any('N of "Fz_N"' in note for note in load(path).provenance.sentences)
     declared = load(path, units={"thrust": "gf"})
     np.testing.assert_allclose(declared["thrust"].values, 9.80665e-3)
     assert not any("ends of names" in note for note in declared.provenance.sentences)
     # A suffix of another dimension than the quantity's is refused, as a bracket is.
-    refuses(write("Time (s),Fz_V\n" + rows(5, "{t:.2f},1")), r'column "Fz_V": .*dimension', UnitError)
+    refuses(write("Time (s),Fz_V\n" + row_lines(5, "{t},1")), r'column "Fz_V": .*dimension', UnitError)
+
+
+def tdms(path, channels):
+    return write_tdms(path, [("cell", *channel) for channel in channels])
 
 
 LVM = (
@@ -57,15 +58,6 @@ def test_an_x_axis_of_lvm_that_is_no_time_is_refused(write, axis):
     path = write(LVM.format(columns="No", axis=axis) + "\t1\n\t2\n\t3\n")
     refuses(path, r"the header above line \d+ gives 'Fz' over \w+ in \w+, not over time")
     np.testing.assert_allclose(load(path, rate=4.0)["thrust"].time, [2.0, 2.25, 2.5])
-
-
-def tdms(path, channels):
-    nptdms = pytest.importorskip("nptdms", reason="npTDMS comes with the test extra")
-    with nptdms.TdmsWriter(str(path)) as writer:
-        writer.write_segment(
-            [nptdms.ChannelObject("cell", name, values, properties=said) for name, values, said in channels]
-        )
-    return path
 
 
 def test_the_axis_of_a_tdms_waveform_counts_in_its_own_unit(tmp_path):
@@ -109,7 +101,7 @@ STAND = "Time (s),ESC signal,Thrust (N),Motor Optical Speed (RPM)\n"
 
 @pytest.mark.parametrize(("low", "high", "known"), [(1000, 1800, False), (0, 2047, True), (48, 1046, True)])
 def test_a_command_without_unit_is_dshot_only_where_no_pulse_width_looks_so(write, low, high, known):
-    path = write(STAND + rows(9, f"{{t:.2f}},{low},1,2") + rows(9, f"1{{t:.2f}},{high},1,2"))
+    path = write(STAND + row_lines(9, f"{{t}},{low},1,2") + row_lines(9, f"1{{t}},{high},1,2"))
     if known:
         assert load(path)["command"].unit == "dshot"
         return
@@ -161,7 +153,7 @@ def test_sequence_numbers_of_ros_messages_are_frames(write):
 
 
 def test_a_time_column_of_another_language_is_named(write):
-    path = write("Zeit (s);Befehl (us);Fz (N)\n" + rows(5, "{t:.2f};1000;1"))
+    path = write("Zeit (s);Befehl (us);Fz (N)\n" + row_lines(5, "{t};1000;1"))
     refuses(path, r'no time column among "Zeit \(s\)", .* name it with columns')
     log = load(path, columns={"time": "Zeit", "command": "Befehl"})
     assert (log["command"].unit, log["thrust"].time[1]) == ("us", 0.01)
@@ -170,25 +162,22 @@ def test_a_time_column_of_another_language_is_named(write):
 def test_one_rate_for_datasets_of_other_lengths_and_a_rate_against_times_are_refused(tmp_path):
     path = tmp_path / "log.h5"
 
-    def log(lengths, rate=None, time=None, own=None, **options):
-        with h5py.File(path, "w") as file:
-            for name, length in lengths.items():
-                file[name] = np.arange(float(length))
-                file[name].attrs["unit"] = {"Fz": "N", "Speed": "rad/s"}[name]
-            if rate is not None:
-                file.attrs["rate"] = rate
-            if own is not None:
-                file["Speed"].attrs["rate"] = own
-            if time is not None:
-                file["time"] = time
-                file["time"].attrs["unit"] = "s"
-        return load(path, **options)
+    def log(lengths, rate=None, time=None, speed_rate=None):
+        signals = {
+            name: ({"Fz": "N", "Speed": "rad/s"}[name], np.arange(float(n))) for name, n in lengths.items()
+        }
+        stated = {} if rate is None else {"rate": rate}
+        hdf5(path, signals | ({} if time is None else {"time": ("s", time)}), **stated)
+        if speed_rate is not None:
+            with h5py.File(path, "a") as file:
+                file["Speed"].attrs["rate"] = speed_rate
+        return load(path)
 
     other = {"Fz": 10000, "Speed": 1000}
     with pytest.raises(LogError, match=r"/Speed has 1000 samples and /Fz has 10000, but both take one rate"):
         log(other, rate=10000)
     refuses(path, r"both take one rate of 5000 Hz", rate=5000)
-    log(other, rate=10000, own=1000)
+    log(other, rate=10000, speed_rate=1000)
     assert load(path)["speed"].time[-1] == pytest.approx(0.999, rel=1e-12)
     # A sample more or less is how two devices stop.
     assert log({"Fz": 1000, "Speed": 999}, rate=1000)["speed"].time.size == 999
@@ -214,17 +203,15 @@ _VICON = (
 
 
 @pytest.mark.parametrize("blank", ["", ",,,,", "  ", ";\t "])
-def test_vicon_sections_are_parted_by_any_blank_line(tmp_path, blank):
-    path = tmp_path / "log.csv"
-    path.write_text(_VICON.format(blank=blank, last=2), encoding="utf-8", newline="\n")
+def test_vicon_sections_are_parted_by_any_blank_line(write, blank):
+    path = write(_VICON.format(blank=blank, last=2), "log.csv")
     log = load(path)
     assert list(log["a:m1/position"].values[:, 0]) == [0.0, 1e-3]
     assert list(log["cell/Fz"].values) == [5.0, 6.0, 7.0, 8.0]
 
 
-def test_a_format_without_time_back_does_not_advise_it(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text(_VICON.format(blank="", last=0), encoding="utf-8", newline="\n")
+def test_a_format_without_time_back_does_not_advise_it(write):
+    path = write(_VICON.format(blank="", last=0), "log.csv")
     with pytest.raises(LogError, match="time goes back") as refusal:
         load(path)
     assert "time_back" not in str(refusal.value)
@@ -232,8 +219,5 @@ def test_a_format_without_time_back_does_not_advise_it(tmp_path):
 
 def test_hdf5_unit_may_be_an_array_of_one_text(tmp_path):
     path = tmp_path / "log.h5"
-    with h5py.File(path, "w") as file:
-        file.attrs["rate"] = 100.0
-        file["Fz"] = np.arange(20.0)
-        file["Fz"].attrs["unit"] = np.array([b"mN"])
+    hdf5(path, {"Fz": (np.array([b"mN"]), np.arange(20.0))}, rate=100.0)
     assert load(path)["thrust"].values[10] == pytest.approx(0.01, rel=1e-12)

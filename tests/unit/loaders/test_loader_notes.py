@@ -3,18 +3,12 @@
 import re
 import struct
 
-import h5py
 import numpy as np
 import pytest
 
-from fakes.log_files import refuses
+from fakes.log_files import c3d, hdf5, notes, refuses
 from sysid.errors import UnitError
 from sysid.loaders import load
-
-
-def notes(recording):
-    return " | ".join(recording.provenance.sentences)
-
 
 NET = (
     "RDT Sample Rate: 100\nForce Units: N\nCounts per Unit Force: 10\nTorque Units: Nm\n"
@@ -56,11 +50,8 @@ def test_columns_that_are_not_read_are_named(write, head, row, named):
 
 
 def test_datasets_that_are_not_read_are_named(tmp_path):
-    path = tmp_path / "log.h5"
-    with h5py.File(path, "w") as file:
-        file.attrs["rate"] = 100.0
-        for name in ("Fz", "Mz", "Strain 1"):
-            file.create_dataset(name, data=np.arange(50.0)).attrs["unit"] = "N*m" if name == "Mz" else "N"
+    signals = {"Fz": "N", "Mz": "N*m", "Strain 1": "N"}
+    path = hdf5(tmp_path / "log.h5", {k: (unit, np.arange(50.0)) for k, unit in signals.items()}, rate=100.0)
     assert 'datasets not read: "/Strain 1"' in notes(load(path))
     # Named by the user, the others are left out on purpose.
     assert "not read" not in notes(load(path, datasets={"thrust": "Fz"}))
@@ -128,14 +119,7 @@ def test_a_log_cut_at_the_end_of_a_row_is_told_by_its_header(write, tmp_path):
 
 
 def test_a_c3d_cut_between_frames(tmp_path):
-    ezc3d = pytest.importorskip("ezc3d", reason="ezc3d comes with the test extra")
-    file = ezc3d.c3d()
-    file["parameters"]["POINT"]["RATE"]["value"] = [100.0]
-    file["parameters"]["POINT"]["LABELS"]["value"] = ["a", "b"]
-    file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
-    file["data"]["points"] = np.ones((4, 2, 50))
-    path = tmp_path / "log.c3d"
-    file.write(str(path))
+    path = c3d(tmp_path / "log.c3d", np.ones((50, 2, 3)), labels=["a", "b"])
     assert "was cut" not in notes(load(path))
     data = path.read_bytes()
     begin = (struct.unpack_from("<H", data, 16)[0] - 1) * 512  # of two points of four floats of four bytes

@@ -7,9 +7,10 @@ import h5py
 import numpy as np
 import pytest
 
-from fakes.log_files import refuses
+from fakes.log_files import hdf5, refuses
 from sysid.errors import LogError, SysidError, SysidWarning, UnitError
-from sysid.loaders import detect, formats, load
+from sysid.loaders import LogFormat, detect, formats, load, registry
+from sysid.loaders.readers import load_cell_csv
 
 STAND = (
     "Time (s),ESC signal (µs),Thrust (N),Torque (N·m),Motor Optical Speed (RPM)\n"
@@ -49,19 +50,11 @@ def test_unknown_content_names_the_formats(write, content):
 
 
 def test_tie_names_candidates_and_the_option(write, monkeypatch):
-    from sysid.loaders import registry
-    from sysid.loaders.readers import load_cell_csv
-
-    keen = registry.LogFormat(
-        "keen", "claims all", lambda source: registry.CERTAIN, load_cell_csv.FORMAT.read
-    )
+    keen = LogFormat("keen", "claims all", lambda source: registry.CERTAIN, load_cell_csv.FORMAT.read)
     known = {**formats(), "keen": keen}
     monkeypatch.setattr(registry, "formats", lambda: known)
     path = write(CELL)
-    with pytest.raises(
-        LogError, match=r'fits load-cell-csv and keen; choose one with format = "load-cell-csv"'
-    ):
-        detect(path)
+    refuses(path, r'fits load-cell-csv and keen; choose one with format = "load-cell-csv"')
     assert load(path, format="load-cell-csv").kind == "load-cell"
 
 
@@ -93,9 +86,8 @@ def test_unknown_format_and_option_name_the_nearest(write):
     (STAND + STAND, "line 4: 'Time .s.' in column 'Time .s.' is not a number"),
 ])  # fmt: skip
 def test_thrust_stand_refusals(write, content, message):
-    with pytest.raises(SysidError, match=message) as caught:
-        load(write(content), format="rcbenchmark-csv")
-    assert "log" in str(caught.value).split(":")[0]
+    sentence = refuses(write(content), message, SysidError, format="rcbenchmark-csv")
+    assert "log" in sentence.split(":")[0]
 
 
 @pytest.mark.parametrize(("content", "options", "message"), [
@@ -175,9 +167,8 @@ def test_format_from_another_package(tmp_path, write, monkeypatch):
     (tmp_path / "toy_format.py").write_text(textwrap.dedent(TOY), encoding="utf-8")
     info = tmp_path / "toy_format-1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text(
-        "Metadata-Version: 2.1\nName: toy-format\nVersion: 1.0\n", encoding="utf-8"
-    )
+    metadata = "Metadata-Version: 2.1\nName: toy-format\nVersion: 1.0\n"
+    (info / "METADATA").write_text(metadata, encoding="utf-8")
     (info / "entry_points.txt").write_text("[sysid.loaders]\ntoy = toy_format:FORMAT\n", encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
     try:
@@ -207,24 +198,15 @@ def test_points_without_time_are_read_as_a_static_map_on_demand(write):
 
 
 def test_hdf5_layouts_and_refusals(tmp_path):
-    path = tmp_path / "log.bin"
-    with h5py.File(path, "w") as file:
-        file.attrs["device"] = "cell 7"
-        for group in ("a", "b"):
-            file[f"{group}/Fz"] = np.arange(4.0)
-            file[f"{group}/Fz"].attrs["unit"] = "gf"
-        file["a/time"] = [0.0, 0.1, 0.2, 0.3]
-        file["raw/volts"] = np.arange(4)
-        file["words"] = ["no", "numbers"]
-        file["Mz"] = np.zeros((2, 2))
+    signals = {
+        "a/Fz": ("gf", np.arange(4.0)), "b/Fz": ("gf", np.arange(4.0)), "a/time": (None, [0, 0.1, 0.2, 0.3]),
+        "raw/volts": (None, np.arange(4)), "words": (None, ["no", "numbers"]), "Mz": (None, np.zeros((2, 2))),
+    }  # fmt: skip
+    path = hdf5(tmp_path / "log.bin", signals, device="cell 7")
     refuses(path, r"datasets /a/Fz and /b/Fz both look like thrust; choose with datasets")
     # Seconds or milliseconds: a file that does not say it is asked.
-    refuses(
-        path,
-        r'column "time" states no unit; declare it, .* units = .time = "s"',
-        SysidError,
-        datasets={"thrust": "a/Fz"},
-    )
+    question = r'column "time" states no unit; declare it, .* units = .time = "s"'
+    refuses(path, question, SysidError, datasets={"thrust": "a/Fz"})
     milli = load(path, datasets={"thrust": "a/Fz"}, units={"time": "ms"})
     np.testing.assert_allclose(milli["thrust"].time, [0, 1e-4, 2e-4, 3e-4])
     with h5py.File(path, "a") as file:
@@ -259,14 +241,10 @@ def test_a_time_of_a_stand_without_unit_is_asked_for(write):
     assert load(path, units={"time": "ms"})["thrust"].time[-1] == pytest.approx(0.19, rel=1e-12)
 
 
-@pytest.mark.parametrize(("options", "message"), [
-    ({"static": "no"}, "static = 'no' is neither true nor false"),
-    ({"static": "False"}, "static = 'False' is neither true nor false"),
-    ({"static": 1}, "static = 1 is neither true nor false"),
-])  # fmt: skip
-def test_an_option_of_another_kind_is_refused(write, options, message):
+def test_an_option_of_another_kind_is_refused(write):
     path = write("Time (s),ESC signal (µs),Thrust (N)\n0,1000,0\n0.1,1000,1\n")
-    refuses(path, message, **options)
+    for value in ("no", "False", 1):
+        refuses(path, f"static = {value!r} is neither true nor false", static=value)
     refuses(write("1,0,5,0,0,0.1\n" * 5), "calibration = 5 is no path", format="ati-text", calibration=5)
     capture = "NO_OF_FRAMES\t2\nFREQUENCY\t100\nDATA_INCLUDED\t3D\nMARKER_NAMES\ta\n1\t2\t3\n1\t2\t3\n"
     refuses(write(capture), "bodies gives q as 5, which is no list of markers", bodies={"q": 5})

@@ -68,45 +68,41 @@ def test_rows_that_lost_a_column_are_refused(stand):
     refuses(stand(rows), r"line 2: 4 cells where 7 are expected, as in most rows")
 
 
-def test_a_table_without_words_of_its_own(tmp_path):
-    path = tmp_path / "log.csv"
+def test_a_table_without_words_of_its_own(write):
     rows = [f"{1e-3 * i:.3f},{i},0.5," for i in range(20)]
     rows[4] = "0.004,,4,,"  # blank at the end: nothing stands beyond the header, and yet 4 is no torque
-    path.write_text("\n".join(["t (s),Fz (N),Mz (N·m),", *rows, ""]), encoding="utf-8")
+    path = write("\n".join(["t (s),Fz (N),Mz (N·m),", *rows, ""]), "log.csv")
     log = load(path)
     assert log["torque"].values.size == 19
     assert np.all(log["torque"].values == 0.5)
 
 
-def test_a_number_among_the_remarks_of_labview(tmp_path):
+def test_a_number_among_the_remarks_of_labview(write):
     head = ["LabVIEW Measurement", "Separator\tTab", "X_Columns\tOne", "***End_of_Header***", ""]
     head += ["Channels\t2\t", "Y_Unit_Label\tN\tN*m\t", "***End_of_Header***\t\t", "X_Value\tFz\tMz\tComment"]
     rows = [f"{0.001 * i:.3f}\t{i}\t0.5" for i in range(20)]
     rows[4] = "0.004\t\t4\t0.5"  # shifted
     rows[6] += "\t2"  # a remark: all its numbers are there
-    path = tmp_path / "log.lvm"
-    path.write_text("\n".join([*head, *rows, ""]), encoding="utf-8")
+    path = write("\n".join([*head, *rows, ""]), "log.lvm")
     log = load(path)
     np.testing.assert_array_equal(log["thrust"].values, np.delete(np.arange(20.0), 4))
 
 
-def test_short_rows_of_a_lost_body_do_not_make_the_whole_ones_long(tmp_path):
+def test_short_rows_of_a_lost_body_do_not_make_the_whole_ones_long(write):
     head = ["Objects", "100", ",,Global Angle (Quaternion) quad:quad,,,,,,,"]
     head += ["Frame,Sub Frame,RX,RY,RZ,RW,TX,TY,TZ,", ",,,,,,mm,mm,mm,"]
     rows = [f"{i + 1},0," + ("0.6,0,0,0.8,1,2,3," if i < 15 else "") for i in range(20)]
     rows[6:15] = [f"{i + 1},0," for i in range(6, 15)]
-    path = tmp_path / "log.csv"
-    path.write_text(
-        "\n".join([*head, *(row + ",,,,,," * (i > 14) for i, row in enumerate(rows)), ""]), encoding="utf-8"
+    path = write(
+        "\n".join([*head, *(row + ",,,,,," * (i > 14) for i, row in enumerate(rows)), ""]), "log.csv"
     )
     # 9 rows of 3 cells are the most usual ones; 6 have 10 cells and 5, blank ones, 9.
     assert load(path)["quad/position"].valid.sum() == 6
 
 
-def test_words_among_the_settings_of_ati_are_refused(tmp_path):
+def test_words_among_the_settings_of_ati_are_refused(write):
     head = ["First line indicates sampling freq [Hz], samples per channel", "Fx, Fy, Fz, Mx, My, Mz"]
-    path = tmp_path / "log.csv"
-    path.write_text("\n".join([*head, "150,75,500,x#.2,-0.5,-0.3,-0.5", *["1,2,3,4,5,6"] * 5, ""]), "utf-8")
+    path = write("\n".join([*head, "150,75,500,x#.2,-0.5,-0.3,-0.5", *["1,2,3,4,5,6"] * 5, ""]), "log.csv")
     refuses(
         path,
         r"line 3: 'x#\.2' is no number in the line that states the rate",

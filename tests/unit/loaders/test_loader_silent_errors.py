@@ -11,7 +11,7 @@ import pytest
 from scipy.io import savemat
 from typer.testing import CliRunner
 
-from fakes.log_files import LBF_IN, c3d, hdf5, notes, refuses, tdms, ulog
+from fakes.log_files import LBF_IN, c3d, hdf5, notes, refuses, row_lines, tdms, ulog
 from sysid.cli import app
 from sysid.errors import LogError, UnitError
 from sysid.loaders import load
@@ -21,11 +21,6 @@ from sysid.workflows.inspect import inspect_files
 
 COUNT = 300
 RAMP = np.linspace(0.0, 6.0, COUNT)
-
-
-def write(path, text):
-    path.write_text(text, encoding="utf-8")
-    return path
 
 
 def test_the_number_of_a_matrix_column_is_no_unit(tmp_path):
@@ -185,13 +180,12 @@ def tracker(rows):
     return "\n".join([*head, *rows]) + "\n"
 
 
-def test_a_lost_tracker_object_is_missing_and_takes_no_other_with_it(tmp_path):
+def test_a_lost_tracker_object_is_missing_and_takes_no_other_with_it(write):
     rows = []
     for i in range(40):
         first = "0,0,0,0,0,0," if 10 <= i < 15 else f"0,0,0.1,1,2,{i},"
         rows.append(f"{i + 1},0,{first}" + ("" if i in (20, 21) else "0,0,0.2,5,6,7,"))
-    path = tmp_path / "tracker.csv"
-    write(path, tracker(rows))
+    path = write(tracker(rows), "tracker.csv")
     log = load(path)
     assert log["d/position"].values[20, 2] == pytest.approx(0.020, rel=1e-12)
     lost = np.isnan(log["d/position"].values).any(axis=1)
@@ -201,7 +195,7 @@ def test_a_lost_tracker_object_is_missing_and_takes_no_other_with_it(tmp_path):
     assert "frames of d that are all zeros, taken as lost: 5" in notes(log)
     # A row cut inside a number has no delimiter behind it and is not trusted.
     rows[20] = rows[20].rstrip(",")
-    write(path, tracker(rows))
+    path.write_text(tracker(rows), encoding="utf-8")
     assert 0.020 not in load(path)["d/position"].values[:, 2]
 
 
@@ -226,7 +220,7 @@ def test_a_c3d_says_in_its_trial_how_long_the_capture_is(tmp_path, trial, words)
     assert "may have gone on" not in found
 
 
-def test_signals_of_unknown_unit_are_named(tmp_path):
+def test_signals_of_unknown_unit_are_named(tmp_path, write):
     ones = np.ones(50)
     log = load(
         c3d(tmp_path / "a.c3d", np.ones((50, 1, 3)), analogs={"a0": ("in-lb", ones), "a1": ("quux", ones)})
@@ -236,99 +230,75 @@ def test_signals_of_unknown_unit_are_named(tmp_path):
     for unit, factor in (("in-lbs", 1 / 12), ("ft-lb", 1.0), ("ft-lbs", 1.0)):
         assert factor_to_si(unit, "N*m") == pytest.approx(1.3558179483314004 * factor, rel=1e-12)
     device = "Devices\n100\n,,Load\nFrame,Sub Frame,Pin 1\n,,quux\n"
-    path = tmp_path / "vicon.csv"
-    write(path, device + "".join(f"{i + 1},0,{i}\n" for i in range(30)))
+    path = write(device + "".join(f"{i + 1},0,{i}\n" for i in range(30)), "vicon.csv")
     assert 'kept as recorded: "Load/Pin 1 [quux]"' in notes(load(path))
 
 
-def test_an_ati_time_in_the_last_column_is_refused(tmp_path):
-    path = tmp_path / "ati.csv"
-    units = {"force": "N", "torque": "N*m"}
+ATI = {"format": "ati-text", "units": {"force": "N", "torque": "N*m"}}
+
+
+def test_an_ati_time_in_the_last_column_is_refused(write):
     loads = [f"{np.sin(i):.6f},1,2,0.1,0.2,0.3" for i in range(60)]
-    write(path, "".join(f"{row},{0.01 * i:.2f}\n" for i, row in enumerate(loads)))
-    refuses(path, "the last of seven columns rises steadily", format="ati-text", units=units, rate=100)
-    both = "".join(f"{0.1 * i:.1f},1,2,3,4,5,{0.01 * i:.2f}\n" for i in range(60))
-    write(path, both)
-    refuses(path, "either may be the time", format="ati-text", units=units)
-    assert load(path, format="ati-text", units={**units, "time": "s"})["thrust"].values[0] == 3.0
+    path = write("".join(f"{row},{0.01 * i:.2f}\n" for i, row in enumerate(loads)))
+    refuses(path, "the last of seven columns rises steadily", **ATI, rate=100)
+    path = write("".join(f"{0.1 * i:.1f},1,2,3,4,5,{0.01 * i:.2f}\n" for i in range(60)))
+    refuses(path, "either may be the time", **ATI)
+    stated = ATI | {"units": {**ATI["units"], "time": "s"}}
+    assert load(path, **stated)["thrust"].values[0] == 3.0
 
 
 @pytest.mark.parametrize("fault", ["pause", "repeated", "damaged", "none"])
-def test_an_unsteady_ati_time_in_the_last_column_is_refused_too(tmp_path, fault):
+def test_an_unsteady_ati_time_in_the_last_column_is_refused_too(write, fault):
     time = 0.01 * np.arange(300)
     time[150:] += 2.0 * (fault == "pause")
     time = np.floor(time / 0.03) * 0.03 if fault == "repeated" else time
     time[77] += 50.0 * (fault == "damaged")
-    load_x = np.sin(7.0 * np.arange(300))
-    path = tmp_path / "ati.csv"
-    rows = [f"{x:.6f},1,2,0.1,0.2,0.3,{t:.3f}" for x, t in zip(load_x, time, strict=True)]
-    write(path, "\n".join(rows) + "\n")
-    units = {"force": "N", "torque": "N*m"}
+    path = write("".join(f"{np.sin(7.0 * i):.6f},1,2,0.1,0.2,0.3,{t:.3f}\n" for i, t in enumerate(time)))
     how = "rises steadily" if fault == "none" else "hardly ever falls"
-    refuses(
-        path,
-        f"the last of seven columns {how}, as a time does, and the first",
-        format="ati-text",
-        units=units,
-        rate=100,
-    )
-    # The time in front and, behind it, a torque that drifts up in steps of the converter's last bit.
+    refuses(path, f"the last of seven columns {how}, as a time does, and the first", **ATI, rate=100)
+
+
+def test_a_time_in_front_of_an_ati_torque_that_drifts_up_is_the_time(write):
+    # The torque drifts up in steps of the converter's last bit.
     drift = np.round(np.linspace(0, 0.03, 300) + 2e-3 * np.sin(7.0 * np.arange(300)), 3)
-    rows = [f"{t:.3f},1,2,3,4,5,{z:.3f}" for t, z in zip(0.01 * np.arange(300), drift, strict=True)]
-    write(path, "\n".join(rows) + "\n")
-    np.testing.assert_allclose(load(path, format="ati-text", units=units)["torque"].values, drift)
-    # The same with a time in whole seconds, which hardly rises.
-    rows = [f"{i // 100},1,2,3,4,5,{z:.3f}" for i, z in enumerate(drift)]
-    write(path, "\n".join(rows) + "\n")
-    coarse = load(path, format="ati-text", units=units, rate=100)
-    np.testing.assert_allclose(coarse["torque"].values, drift)
+    path = write("".join(f"{0.01 * i:.3f},1,2,3,4,5,{z:.3f}\n" for i, z in enumerate(drift)))
+    np.testing.assert_allclose(load(path, **ATI)["torque"].values, drift)
+    # A time in whole seconds hardly rises.
+    path = write("".join(f"{i // 100},1,2,3,4,5,{z:.3f}\n" for i, z in enumerate(drift)))
+    np.testing.assert_allclose(load(path, **ATI, rate=100)["torque"].values, drift)
 
 
 @pytest.mark.parametrize("options", [{"rate": 100}, {"time_back": "drop"}])
-def test_six_ati_loads_and_a_status_are_not_read_as_a_time_and_six_loads(tmp_path, options):
-    path = write(tmp_path / "ati.csv", "".join(f"{np.sin(7 * i):.6f},1,2,3,4,5,0\n" for i in range(300)))
-    refuses(
-        path,
-        r"the first of seven columns falls in \d+ steps, so it is no time",
-        format="ati-text",
-        units={"force": "N", "torque": "N*m"},
-        **options,
-    )
+def test_six_ati_loads_and_a_status_are_not_read_as_a_time_and_six_loads(write, options):
+    path = write("".join(f"{np.sin(7 * i):.6f},1,2,3,4,5,0\n" for i in range(300)))
+    refuses(path, r"the first of seven columns falls in \d+ steps, so it is no time", **ATI, **options)
 
 
-def test_speed_in_hertz_is_advised_to_be_revolutions(tmp_path):
-    path = tmp_path / "cell.csv"
-    rows = "".join(f"{0.01 * i:.2f},{i},{i}\n" for i in range(30))
-    write(path, "Time (s),Speed (Hz),Fz (N)\n" + rows)
+def test_speed_in_hertz_is_advised_to_be_revolutions(write):
+    path = write("Time (s),Speed (Hz),Fz (N)\n" + row_lines(30, "{t},{i},{i}"))
     refuses(path, r'declare units = \{speed = "rev/s"\}', UnitError)
-    log = load(path, units={"speed": "rev/s"})
-    np.testing.assert_allclose(log["speed"].values, 2 * np.pi * np.arange(30), rtol=1e-12)
+    speed = load(path, units={"speed": "rev/s"})["speed"].values
+    np.testing.assert_allclose(speed, 2 * np.pi * np.arange(30), rtol=1e-12)
 
 
 @pytest.mark.parametrize("probe", ["speed_electrical", "speed_optical"])
-def test_the_advice_for_a_stand_that_writes_hertz_works(tmp_path, probe):
+def test_the_advice_for_a_stand_that_writes_hertz_works(write, probe):
     label = f"Motor {probe.removeprefix('speed_').title()} Speed (Hz)"
-    path = tmp_path / "stand.csv"
-    rows = "".join(f"{0.1 * i:.1f},{1000 + i},{i},{i}\n" for i in range(30))
-    write(path, f"Time (s),ESC signal (µs),Thrust (N),{label}\n" + rows)
-    with pytest.raises(UnitError) as refusal:
-        load(path)
-    assert f'declare units = {{{probe} = "rev/s"}}' in str(refusal.value)
+    path = write(f"Time (s),ESC signal (µs),Thrust (N),{label}\n" + row_lines(30, "{t},1000,{i},{i}"))
+    refuses(path, f'declare units = {{{probe} = "rev/s"}}', UnitError)
     log = load(path, units={probe: "rev/s"})
     for name in (probe, "speed"):
         np.testing.assert_allclose(log[name].values, 2 * np.pi * np.arange(30), rtol=1e-12)
     assert "read in the declared unit 'rev/s'" in notes(log)
 
 
-def test_inspect_reports_each_log_and_refuses_at_the_end(tmp_path, capsys):
-    good, bad = tmp_path / "good.csv", tmp_path / "bad.csv"
-    rows = "".join(f"{0.01 * i:.2f},{i}\n" for i in range(30))
-    good.write_text("Time (s),Fz (N)\n" + rows, encoding="utf-8")
-    bad.write_text("Time (s),Fz (N)\n", encoding="utf-8")
+def test_inspect_reports_each_log_and_refuses_at_the_end(write, capsys):
+    good = write("Time (s),Fz (N)\n" + row_lines(30, "{t},{i}"), "good.csv")
+    bad = write("Time (s),Fz (N)\n", "bad.csv")
     with pytest.raises(LogError, match=r"bad\.csv.*1 of 3 logs refused"):
         inspect_files([good, bad, good], as_json=True)
-    found = json.loads(capsys.readouterr().out)
-    assert [("error" in one) for one in found] == [False, True, False]
+    entries = json.loads(capsys.readouterr().out)
+    assert [("error" in entry) for entry in entries] == [False, True, False]
     with pytest.raises(LogError):
         inspect_files([good, bad, good])
     shown = capsys.readouterr().out
@@ -371,12 +341,9 @@ def test_a_missing_folder_is_not_a_full_disk(tmp_path):
         write_file(tmp_path / "nowhere" / "x.h5", b"1", LogError)
 
 
-def test_a_qualisys_cell_is_named_as_the_file_names_it(tmp_path):
-    path = tmp_path / "q.tsv"
-    head = ("NO_OF_FRAMES\t2\nNO_OF_BODIES\t1\nFREQUENCY\t100\nDATA_INCLUDED\t6D\nBODY_NAMES\tB2\n"
-            "Frame\tTime\tB2 X\tY\tZ\tRoll\tPitch\tYaw\tResidual\t")  # fmt: skip
-    matrix = "1\t0\t0\t0\t1\t0\t0\t0\t1"
-    head += "\t".join(f"Rot[{i}]" for i in range(9)) + "\n"
-    rows = f"1\t0.00\tx9\t1\t1\t0\t0\t0\t0\t{matrix}\n2\t0.01\t1\t1\t1\t0\t0\t0\t0\t{matrix}\n"
-    write(path, head + rows)
-    refuses(path, "'x9' in column 'B2 X'")
+def test_a_qualisys_cell_is_named_as_the_file_names_it(write):
+    head = "NO_OF_FRAMES\t2\nNO_OF_BODIES\t1\nFREQUENCY\t100\nDATA_INCLUDED\t6D\nBODY_NAMES\tB2\n"
+    names = ["Frame", "Time", "B2 X", "Y", "Z", "Roll", "Pitch", "Yaw", "Residual"]
+    head += "\t".join([*names, *(f"Rot[{i}]" for i in range(9))]) + "\n"
+    rest = "\t1\t1" + "\t0" * 4 + "\t1\t0\t0\t0\t1\t0\t0\t0\t1\n"
+    refuses(write(head + "1\t0.00\tx9" + rest + "2\t0.01\t1" + rest), "'x9' in column 'B2 X'")

@@ -1,6 +1,5 @@
 """What a campaign can tell a loader: every option of every format, a typo named, the nearest word winning."""
 
-import re
 import warnings
 
 import numpy as np
@@ -122,30 +121,25 @@ def test_a_typo_is_one_sentence(tmp_path, text, sentence):
 CELL = "Time (s),Command (us),Speed,Fz (N)\n" + "".join(f"{i * 0.01:.2f},1000,{i},{i}\n" for i in range(9))
 
 
+def first_log(tmp_path, log, trial=""):
+    """Return the recording of the first trial of a motor campaign with this [log] and these trial keys."""
+    stated, path = campaign(tmp_path, MOTOR.format(log=log, trial=trial))
+    return read_log(stated, path, stated.trials[0]).recording
+
+
 def test_a_trial_wins_over_the_campaign_and_must_fit_its_format(tmp_path):
     (tmp_path / "log.csv").write_text(CELL, encoding="utf-8")
     # The campaign says datasets and static, which this log's format does not take: not meant for it.
     wide = "speed_unit = 'rpm'\ndatasets = { speed = 'n' }\nstatic = true"
-    found, path = campaign(tmp_path, MOTOR.format(log=wide, trial=""))
-    speed = read_log(found, path, found.trials[0]).recording["speed"].values
-    np.testing.assert_allclose(speed, np.arange(9) * np.pi / 30)
-    found, path = campaign(
-        tmp_path, MOTOR.format(log=wide, trial="log_options = { units = { speed = 'deg/s' } }")
-    )
-    speed = read_log(found, path, found.trials[0]).recording["speed"].values
-    np.testing.assert_allclose(speed, np.arange(9) * np.pi / 180)
-    found, path = campaign(tmp_path, MOTOR.format(log=wide, trial="log_options = { static = true }"))
+    for trial, factor in (("", np.pi / 30), ("log_options = { units = { speed = 'deg/s' } }", np.pi / 180)):
+        np.testing.assert_allclose(first_log(tmp_path, wide, trial)["speed"].values, np.arange(9) * factor)
     with pytest.raises(LogError, match='format load-cell-csv has no option "static"'):
-        read_log(found, path, found.trials[0])
-    # A rate that contradicts the log, taken back for one trial by an empty table of the same name.
-    found, path = campaign(tmp_path, MOTOR.format(log="units = { Fy = 'N' }\nspeed_unit = 'rpm'", trial=""))
+        first_log(tmp_path, wide, "log_options = { static = true }")
+    # A unit that contradicts the log is taken back for one trial by another table of the same name.
     with pytest.raises(SysidError, match='units names "Fy"'):
-        read_log(found, path, found.trials[0])
-    found, path = campaign(
-        tmp_path,
-        MOTOR.format(log="units = { Fy = 'N' }", trial="log_options = { units = { speed = 'rpm' } }"),
-    )
-    assert "thrust" in read_log(found, path, found.trials[0]).recording.channels
+        first_log(tmp_path, "units = { Fy = 'N' }\nspeed_unit = 'rpm'")
+    other = first_log(tmp_path, "units = { Fy = 'N' }", "log_options = { units = { speed = 'rpm' } }")
+    assert "thrust" in other.channels
 
 
 def test_an_option_that_no_log_takes_is_said(tmp_path):
@@ -167,29 +161,22 @@ def test_an_option_that_no_log_takes_is_said(tmp_path):
 def test_columns_of_other_names(tmp_path):
     text = CELL.replace("Speed", "n [rpm]").replace("Fz", "F").replace("Time (s)", "Zeit (s)")
     (tmp_path / "log.csv").write_text(text, encoding="utf-8")
-    log = "format = 'load-cell-csv'\ncolumns = { time = 'Zeit', speed = 'n [rpm]', Fz = 4 }"
-    found, path = campaign(tmp_path, MOTOR.format(log=log, trial=""))
-    recording = read_log(found, path, found.trials[0]).recording
+    log = "format = 'load-cell-csv'\ncolumns = "
+    recording = first_log(tmp_path, log + "{ time = 'Zeit', speed = 'n [rpm]', Fz = 4 }")
     # A column keeps the unit that stands beside its old name.
     np.testing.assert_allclose(recording["speed"].values, np.arange(9) * np.pi / 30)
     np.testing.assert_array_equal(recording["thrust"].values, np.arange(9))
-    for columns, said in [
-        (
-            "{ speed = 'm' }",
-            "columns says that speed is 'm', which is neither a column nor its number from 1",
-        ),
-        ("{ speed = 9 }", "columns says that speed is 9"),
-        ("{ speed = 0 }", "columns says that speed is 0"),
+    for columns, sentence in [
+        ("{ speed = 'm' }", "speed is 'm', which is neither a column nor its number from 1"),
+        ("{ speed = 9 }", "speed is 9"),
+        ("{ speed = 0 }", "speed is 0"),
     ]:
-        log = f"format = 'load-cell-csv'\ncolumns = {columns}"
-        found, path = campaign(tmp_path, MOTOR.format(log=log, trial=""))
-        with pytest.raises(LogError, match=re.escape(said)):
-            read_log(found, path, found.trials[0])
-    # All of them, of a log without header.
+        with pytest.raises(LogError, match=f"columns says that {sentence}"):
+            first_log(tmp_path, log + columns)
+    # A list names all columns of a log without header.
     (tmp_path / "log.csv").write_text("\n".join(CELL.splitlines()[1:]) + "\n", encoding="utf-8")
-    log = "format = 'load-cell-csv'\ncolumns = ['Time (s)', 'Command (us)', 'Speed (rpm)', 'Fz (N)']"
-    found, path = campaign(tmp_path, MOTOR.format(log=log, trial=""))
-    assert set(read_log(found, path, found.trials[0]).recording.channels) == {"command", "speed", "thrust"}
+    recording = first_log(tmp_path, log + "['Time (s)', 'Command (us)', 'Speed (rpm)', 'Fz (N)']")
+    assert set(recording.channels) == {"command", "speed", "thrust"}
 
 
 def test_a_drop_may_name_another_body_than_the_campaign(tmp_path):

@@ -96,9 +96,8 @@ def test_plain_units(stated, unit, factor):
     assert plain_unit(stated) == (unit, pytest.approx(factor))
 
 
-def test_a_log_is_never_replaced_by_its_conversion(tmp_path, run):
-    log = tmp_path / "log.csv"
-    log.write_text("Time (s),Speed (rad/s)\n0,1\n0.01,2\n0.02,3\n", encoding="utf-8")
+def test_a_log_is_never_replaced_by_its_conversion(write, run):
+    log = write("Time (s),Speed (rad/s)\n0,1\n0.01,2\n0.02,3\n", "log.csv")
     before = log.read_bytes()
     code, _, err = run("convert", log, log, "--force")
     assert code == 2
