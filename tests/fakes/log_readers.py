@@ -115,44 +115,48 @@ def load_cell_csv(data, recording):
     return [by_name(data, CELL, CELL_COMMAND, CELL_TIME, stale=0)]
 
 
-def pose_table(data, recording):
-    lines, closed = lines_of(data)
-    first, delimiter, cells = header_of(lines)
-    labels = [label_of(cell) for cell in cells]
-    columns = {}
-    for k, letter in enumerate("xyz"):
-        named = (letter, f"p{letter}", f"t{letter}")
-        column = need(next((i for i, (name, _) in enumerate(labels) if name in named), None), letter)
-        columns["body/position", k] = (column, need(factor_of(labels[column][1] or "", "length"), "a length"))
-    for k, letter in enumerate("wxyz"):
-        names = (f"q{letter}", f"q {letter}")
-        found = [i for i, (name, _) in enumerate(labels) if name in names]
-        columns["body/orientation", k] = (need(found[0] if len(found) == 1 else None, letter), 1.0)
-    time = need(only(cells, {"t", "time", "timestamp", "time stamp", "stamp"}), "the clock")
-    unit = labels[time][1]
-    seconds = need(1.0 if unit is None else factor_of(unit, "time"), "a unit of time")
+def poses(lines, closed, first, delimiter, cells, places, time, factors, seconds):
+    """Return the table of one body; `places` are the columns of x, y, z and of w, x, y, z of its turn."""
+    columns = {("body/position", k): (places[k], factors[k]) for k in range(3)}
+    columns |= {("body/orientation", k): (places[3 + k], 1.0) for k in range(4)}
     table = Table(turns={"body/orientation": quaternion})
     fill(table, lines, closed, first + 1, len(lines), delimiter, columns, lambda at: (at(time) * seconds,),
          least=len(cells), most=len(cells_of(lines[first], delimiter)), skip=(time,))  # fmt: skip
     return [table]
 
 
+def single(columns, what):
+    return need(columns[0] if len(columns) == 1 else None, what)
+
+
+def pose_table(data, recording):
+    lines, closed = lines_of(data)
+    first, delimiter, cells = header_of(lines)
+    labels = [label_of(cell) for cell in cells]
+
+    def named(*names):
+        return [i for i, (name, _) in enumerate(labels) if name in names]
+
+    places = [need(next(iter(named(a, f"p{a}", f"t{a}")), None), a) for a in "xyz"]
+    factors = [need(factor_of(labels[i][1] or "", "length"), "a length") for i in places]
+    places += [single(named(f"q{a}", f"q {a}"), a) for a in "wxyz"]
+    time = need(only(cells, {"t", "time", "timestamp", "time stamp", "stamp"}), "the clock")
+    unit = labels[time][1]
+    seconds = need(1.0 if unit is None else factor_of(unit, "time"), "a unit of time")
+    return poses(lines, closed, first, delimiter, cells, places, time, factors, seconds)
+
+
 def ros_csv(data, recording):
     lines, closed = lines_of(data)
     first, delimiter, cells = header_of(lines)
-    columns = {}
-    for channel, words, letters in (("body/position", ("position", "translation"), "xyz"),
-                                    ("body/orientation", ("orientation", "rotation"), "wxyz")):  # fmt: skip
-        for k, letter in enumerate(letters):
-            ends = [[word, letter] for word in words]
-            found = [i for i, cell in enumerate(cells)
-                     if len(parts := label_of(cell)[0].split()) > 2 and parts[-2:] in ends]  # fmt: skip
-            columns[channel, k] = (need(found[0] if len(found) == 1 else None, letter), 1.0)
+    names = [label_of(cell)[0].split() for cell in cells]
+    places = [
+        single([i for i, name in enumerate(names) if name[2:] and name[-1] == a and name[-2] in words], a)
+        for words, axes in ((("position", "translation"), "xyz"), (("orientation", "rotation"), "wxyz"))
+        for a in axes
+    ]
     stamp = need(only(cells, {"field header stamp"}), "the stamp")
-    table = Table(turns={"body/orientation": quaternion})
-    fill(table, lines, closed, first + 1, len(lines), delimiter, columns, lambda at: (at(stamp) * 1e-9,),
-         least=len(cells), most=len(cells_of(lines[first], delimiter)), skip=(stamp,))  # fmt: skip
-    return [table]
+    return poses(lines, closed, first, delimiter, cells, places, stamp, (1.0,) * 3, 1e-9)
 
 
 def motive_csv(data, recording):

@@ -39,22 +39,15 @@ def parameter_sets(draw):
     def array(*shape):
         return draw(hnp.arrays(np.float64, shape, elements=FLOATS))
 
+    texts, numbers = ("symbol", "unit", "meaning", "source"), ("nominal", "lower", "upper", "stated_sigma")
     records = [
         ParameterRecord(
             name=name,
-            symbol=draw(TEXTS),
-            unit=draw(TEXTS),
             status=draw(st.sampled_from(sorted(STATUS_MEANING))),
-            meaning=draw(TEXTS),
-            source=draw(TEXTS),
-            nominal=draw(OPTIONAL),
-            lower=draw(OPTIONAL),
-            upper=draw(OPTIONAL),
             scale=draw(st.sampled_from(["linear", "log", None])),
             measured_range=draw(st.none() | st.tuples(FLOATS, FLOATS)),
-            stated_sigma=draw(OPTIONAL),
-            group=draw(TEXTS),
-            trial=draw(TEXTS),
+            **{key: draw(TEXTS) for key in texts},
+            **{key: draw(OPTIONAL) for key in numbers},
         )
         for name in names
     ]
@@ -100,17 +93,13 @@ def test_round_trip(sets, suffix, tmp_path_factory):
     for name in ("values", "nrmse", "nrmse_by_trial"):
         assert_bits(getattr(sets, name), getattr(back, name))
     np.testing.assert_array_equal(sets.at_bound, back.at_bound)
-    assert back.parameters == sets.parameters or any(
-        isinstance(v, float) and math.isnan(v)
+    numbers = [
+        number
         for record in sets.parameters
-        for v in (
-            record.nominal,
-            record.lower,
-            record.upper,
-            record.stated_sigma,
-            *(record.measured_range or ()),
-        )
-    )
+        for number in (record.nominal, record.lower, record.upper, record.stated_sigma,
+                       *(record.measured_range or ()))
+    ]  # fmt: skip
+    assert back.parameters == sets.parameters or any(x is not None and math.isnan(x) for x in numbers)
 
 
 @given(value=JSON)

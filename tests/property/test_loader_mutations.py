@@ -153,10 +153,6 @@ def interpolated(values):
     return np.interp(np.arange(values.size), known, values[known]) if known.size else values
 
 
-def zero_filled(values):
-    return np.nan_to_num(values)
-
-
 def smoothed(values):
     return np.where(np.isnan(values), np.nan, np.convolve(np.nan_to_num(values), [0.25, 0.5, 0.25], "same"))
 
@@ -178,17 +174,15 @@ def neighbours_swapped(numbers):
 
 def row_made_up(numbers):
     """A row between two others is halfway between them."""
-    count = numbers.lines.size
     between = {k: (v[21:22] + v[22:23]) / 2 for k, v in numbers.columns.items()}
     numbers.columns = {k: np.insert(v, 22, between[k]) for k, v in numbers.columns.items()}
     numbers.lines = np.insert(numbers.lines, 22, numbers.lines[21])
-    assert numbers.lines.size == count + 1
 
 
 # The columns that are clocks, where the others are samples.
 CLOCKS = {"rcbenchmark-csv": {0}, "load-cell-csv": {0}, "motive-csv": {0, 1}, "pose-table": {0}, "lvm": {0},
           "vicon-csv": {0, 1}, "qualisys-tsv": {0, 1}, "ros-csv": {0, 2}, "net-ft-csv": {1}}  # fmt: skip
-SAMPLE_FAULTS = (shifted, scaled, filled_forward, interpolated, zero_filled, smoothed, gapped)
+SAMPLE_FAULTS = (shifted, scaled, filled_forward, interpolated, np.nan_to_num, smoothed, gapped)
 ROW_FAULTS = (left_out, neighbours_swapped, row_made_up)
 FAULTS = (*SAMPLE_FAULTS, *ROW_FAULTS)
 # Frame numbers against times, and matrices that are no rotations.
@@ -200,7 +194,7 @@ SEEN_BY_THE_LOADER = {
 @pytest.mark.parametrize(
     ("format_name", "fault"),
     # A body all of whose cells are zero is a lost one to Qualisys: filling with zeros changes nothing there.
-    [(name, f) for name in LOGS for f in FAULTS if (name, f) != ("qualisys-tsv", zero_filled)],
+    [(name, f) for name in LOGS for f in FAULTS if (name, f) != ("qualisys-tsv", np.nan_to_num)],
 )
 def test_the_oracle_objects_to_a_planted_fault(write, monkeypatch, format_name, fault):
     log, module = LOGS[format_name], import_module(f"sysid.loaders.readers.{format_name.replace('-', '_')}")
@@ -317,7 +311,7 @@ def test_damaged_list_of_texts_in_hdf5(write, object_number, length):
     for _ in range(object_number):
         place += 16 + (struct.unpack_from("<Q", data, place + 8)[0] + 7) // 8 * 8
     struct.pack_into("<Q", data, place + 8, length)
-    path = write(data, "log.h5")
+    path = write(bytes(data), "log.h5")
     with watchdog():
         assert outcome(path, "load-cell-hdf5") is None
         assert outcome(path, "auto") is None

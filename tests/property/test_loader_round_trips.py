@@ -1,6 +1,5 @@
 """Random valid logs of each format read back equal to what was written in them."""
 
-import io
 import json
 import subprocess
 import sys
@@ -218,50 +217,40 @@ def takes(draw):
     version = draw(st.sampled_from(["1.21", "1.22", "1.23", "1.24", "1.25"]))
     bodies = {}
     for name in draw(st.sampled_from([["quad"], ["quad", "board"], ["b 2", "quad"]])):
-        continuous, written, lost = draw(turns(count))
         place = draw(st.integers(0, 2**32 - 1))
-        bodies[name] = (np.random.default_rng(place).uniform(-3, 3, (count, 3)), continuous, written, lost)
+        bodies[name] = (np.random.default_rng(place).uniform(-3, 3, (count, 3)), *draw(turns(count)))
     axes = "XYZW" if rotation == "Quaternion" else "XYZ"
-    lead = {"1.21": ["", ""]}.get(version)
-    kinds, names, ids, parents, parts, labels = ([] for _ in range(6))
-    cells = [
-        [str(frame) for frame in frames],
-        [f"{frame / rate:.{3 if version == '1.23' else 6}f}" for frame in frames],
-    ]
-    for name, (position, _, written, lost) in bodies.items():
-        if rotation == "Quaternion":
-            angles = np.roll(written, -1, axis=1)
-        else:
-            found = Rotation.from_quat(np.roll(written, -1, axis=1)).as_euler(rotation, degrees=True)
-            angles = np.column_stack([found[:, rotation.index(axis)] for axis in "XYZ"])
+    width = len(axes) + 4
+    decimals = [12] * len(axes) + [digits] * 4
+    cells = [[str(f), f"{f / rate:.{3 if version == '1.23' else 6}f}"] for f in frames]
+    for position, _, written, lost in bodies.values():
+        angles = np.roll(written, -1, axis=1)
+        if rotation != "Quaternion":
+            turned = Rotation.from_quat(angles).as_euler(rotation, degrees=True)
+            angles = turned[:, [rotation.index(axis) for axis in "XYZ"]]
         block = np.column_stack([angles, position * scale, np.full(count, 1e-4)])
-        kinds += ["Rigid Body"] * block.shape[1]
-        names += [name] * block.shape[1]
-        ids += ['"AB12"' if name == "quad" else "CD34"] * block.shape[1]
-        parents += ['"0"'] * block.shape[1]
-        parts += ["Rotation"] * len(axes) + ["Position"] * 3 + ["Mean Marker Error"]
-        labels += [*axes, "X", "Y", "Z", ""]
-        for column in range(block.shape[1]):
-            places = 12 if column < len(axes) else digits
-            cells.append(
-                ["" if gone else f"{x:.{places}f}" for x, gone in zip(block[:, column], lost, strict=True)]
-            )
-    upper = [("Type", kinds), ("Name", names), ("ID", ids)]
-    upper += [("Parent", parents)] if version >= "1.24" else []
-    out = io.StringIO()
-    end = draw(st.sampled_from(["\n", "\r\n"]))
+        for row, numbers, gone in zip(cells, block, lost, strict=True):
+            row += [""] * width if gone else [f"{x:.{n}f}" for x, n in zip(numbers, decimals, strict=True)]
+    labels = [("Type", "Rigid Body"), ("Name", None), ("ID", '"AB12"')]
+    labels += [("Parent", '"0"')] if version >= "1.24" else []
+    lead = version == "1.21"
     head = (
         f"Format Version,{version},Take Name,a, b,Capture Frame Rate,{rate:.6f},Export Frame Rate,{rate:.6f},"
+        f"Capture Start Time,2023-03-29 06.23.40.520 下午,Rotation Type,{rotation},Length Units,{unit},"
+        "Coordinate Space,Global"
     )
-    head += f"Capture Start Time,2023-03-29 06.23.40.520 下午,Rotation Type,{rotation},Length Units,{unit}"
-    out.write(head + ",Coordinate Space,Global" + end + end)
-    for label, row in [*upper, ("", parts)]:
-        out.write(",".join([*(lead or ["", label]), *row]) + end)
-    out.write(",".join(["Frame", "Time" if lead else "Time (Seconds)", *labels]) + end)
-    for row in zip(*cells, strict=True):
-        out.write(",".join(row) + end)
+    rows = [[head], []]
+    rows += [["", "" if lead else k, *(v or n for n in bodies for _ in range(width))] for k, v in labels]
+    parts = ["Rotation"] * len(axes) + ["Position"] * 3 + ["Mean Marker Error"]
+    rows += [["", "", *parts * len(bodies)]]
+    rows += [
+        ["Frame", "Time" if lead else "Time (Seconds)", *[*axes, "X", "Y", "Z", ""] * len(bodies)],
+        *cells,
+    ]
+    end = draw(st.sampled_from(["\n", "\r\n"]))
+    text = "".join(",".join(row) + end for row in rows)
     encoding = draw(st.sampled_from(["utf-8", "utf-8-sig", "utf-16"]))
-    return frames / rate, bodies, digits, scale, out.getvalue().encode(encoding)
+    return frames / rate, bodies, digits, scale, text.encode(encoding)
 
 
 @SETTINGS

@@ -6,13 +6,12 @@ import tomllib
 from importlib import import_module
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 import scipy.io
 
 import sysid.loaders
-from fakes.log_files import refuses
+from fakes.log_files import hdf5, refuses, tdms
 from sysid.errors import LogError, SysidError
 from sysid.journal import note
 from sysid.loaders import formats, load
@@ -147,30 +146,16 @@ def bench_logs(tmp_path):
         path = tmp_path / name
         path.write_bytes(bench_csv(head, lines))
         yield name, path, options
-    named = {"Command": ("us", rows[0][1]), "Speed": ("rad/s", SPEED), "Fz": ("N", THRUST),
-             "Mz": ("N*m", TORQUE)}  # fmt: skip
-    named["Command"] = ("us", np.where(RUN < 100, 1000.0, 1500.0))
-    path = tmp_path / "log.h5"
-    with h5py.File(path, "w") as file:
-        file.attrs["rate"] = 100.0
-        for name, (unit, values) in named.items():
-            file.create_dataset(name, data=values).attrs["unit"] = unit
-    yield "load-cell-hdf5", path, {}
+    named = {"Command": ("us", np.where(RUN < 100, 1000.0, 1500.0)), "Speed": ("rad/s", SPEED),
+             "Fz": ("N", THRUST), "Mz": ("N*m", TORQUE)}  # fmt: skip
+    yield "load-cell-hdf5", hdf5(tmp_path / "log.h5", named, rate=100.0), {}
     path = tmp_path / "log.mat"
-    scipy.io.savemat(path, {f"{name}": values for name, (_, values) in named.items()})
+    scipy.io.savemat(path, {name: values for name, (_, values) in named.items()})
     stated = {"command": "us", "speed": "rad/s", "thrust": "N", "torque": "N*m"}
     yield "mat", path, {"units": stated, "rate": 100.0}
-    tdms = pytest.importorskip("nptdms", reason="npTDMS comes with the test extra")
-    path = tmp_path / "log.tdms"
-    with tdms.TdmsWriter(path) as writer:
-        writer.write_segment(
-            [
-                tdms.ChannelObject("g", name, values, {"wf_increment": 0.01, "wf_samples": 400,
-                                                       "wf_start_offset": 0.0, "unit_string": unit})
-                for name, (unit, values) in named.items()
-            ]
-        )  # fmt: skip
-    yield "tdms", path, {}
+    wave = {"wf_increment": 0.01, "wf_samples": 400, "wf_start_offset": 0.0}
+    channels = [("g", name, values, wave | {"unit_string": unit}) for name, (unit, values) in named.items()]
+    yield "tdms", tdms(tmp_path / "log.tdms", channels), {}
     path = tmp_path / "converted.h5"
     write_recording(load(tmp_path / "load-cell-csv"), path)
     yield "sysid-hdf5", path, {}
