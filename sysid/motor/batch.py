@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,9 +25,8 @@ class SimulatedTrial:
     command_time, command : (m,) arrays
         Instants [s] and u in [-1, 1] from each on.
     time : (n,) array
-        Samples at which torque and speed are wanted [s], strictly increasing.
-    initial : (current [A], speed [rad/s]) or "steady"
-        State at ``time[0]``.
+        Samples at which torque and speed are wanted [s], strictly increasing; at the first one the state is
+        `initial`, a current [A] and a speed [rad/s].
     supply_time, supply_ratio : (k,) arrays, optional
         Knots [s] of V/V_ref; left out: 1.
     """
@@ -50,19 +49,16 @@ class SimulatedTrials:
     def __init__(self, trials: Sequence[SimulatedTrial]) -> None:
         if not trials:
             raise FitError("no motor trial to simulate; expected at least one log in the campaign")
-        schedules = [schedule(trial.command_time, trial.command) for trial in trials]
-        supplies = [
-            (np.zeros(1), np.ones(1))
-            if trial.supply_time is None or trial.supply_ratio is None
-            else supply((trial.supply_time, trial.supply_ratio), 1.0)
-            for trial in trials
-        ]
         self.trials = tuple(trials)
-        instants, command_first = _end_to_end([s[0] for s in schedules])
-        levels, _ = _end_to_end([s[1] for s in schedules])
-        knots, supply_first = _end_to_end([s[0] for s in supplies])
-        ratios, _ = _end_to_end([s[1] for s in supplies])
-        self.excitation = (instants, levels, command_first, knots, ratios, supply_first)
+        instants, levels = zip(
+            *(schedule(trial.command_time, trial.command) for trial in trials), strict=True
+        )
+        known = [
+            None if t.supply_time is None or t.supply_ratio is None else (t.supply_time, t.supply_ratio)
+            for t in trials
+        ]
+        knots, ratios = zip(*(supply(volts, 1.0) for volts in known), strict=True)
+        self.excitation = (*_joined(instants, levels), *_joined(knots, ratios))
         self.time, self.first = _end_to_end([trial.time for trial in trials])
         self.edges, _ = _end_to_end([_edges(trial.time) for trial in trials])
         self.starts = np.array(
@@ -79,6 +75,13 @@ class SimulatedTrials:
         return np.zeros(shape) if delays is None else np.ascontiguousarray(np.broadcast_to(delays, shape))
 
 
+def _joined(
+    times: Sequence[FloatArray], values: Sequence[FloatArray]
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    joined, first = _end_to_end(times)
+    return joined, _end_to_end(values)[0], first
+
+
 def _end_to_end(parts: Sequence[ArrayLike]) -> tuple[FloatArray, IntArray]:
     arrays = [np.asarray(part, dtype=np.float64) for part in parts]
     first = np.concatenate([[0], np.cumsum([a.size for a in arrays])]).astype(np.int64)
@@ -93,18 +96,12 @@ def _edges(time: ArrayLike) -> FloatArray:
     return np.concatenate([t[:1], 0.5 * (t[1:] + t[:-1]), t[-1:]])
 
 
-@dataclass(frozen=True, eq=False)
-class PopulationResult:
+class PopulationResult(NamedTuple):
     """Outputs of `simulate_population`.
 
-    Parameters
-    ----------
-    outputs : (P, n_total, 2) array
-        Stator torque [N·m], averaged over each sample's cell, and speed [rad/s]; NaN past a failure.
-    status : (P, n_trials) array
-        0 where the simulation reached the end; texts in `sysid.motor.model.STATUS_TEXT`.
-    reached : (P, n_trials) array
-        Share of the trial's duration that was simulated.
+    `outputs` (P, n_total, 2): stator torque [N·m], averaged over each sample's cell, and speed [rad/s]; NaN
+    past a failure. `status` (P, n_trials): 0 where the simulation reached the end; texts in
+    `sysid.motor.model.STATUS_TEXT`. `reached` (P, n_trials): share of the duration that was simulated.
     """
 
     outputs: FloatArray
@@ -130,8 +127,6 @@ def simulate_population(
     ----------
     parameters : (P, n_table) array
         Rows in the order of `sysid.motor.model.PARAMETERS` [SI].
-    trials : SimulatedTrials
-        What drives the motor, and when its outputs are wanted.
     delays : (P, n_trials) array, optional
         Added to ``command_delay`` per candidate and trial [s].
     ideal_reversal, tolerance

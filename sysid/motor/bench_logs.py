@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,6 +41,8 @@ from sysid.types import BoolArray, FloatArray
 
 # Times [s] and values of a channel.
 Samples = tuple[FloatArray, FloatArray]
+# Of a second file that was joined: name, hash, format, device, clock offset [s], correlation, confidence.
+SecondFile = dict[str, Any] | None
 
 _NEEDED = ("command", "speed", "torque", "thrust", "voltage", "current")
 _CLOCK_OF = ("torque", "thrust", "speed")
@@ -52,33 +54,12 @@ _SHOWN = 3.0
 STATED_SIGNS = {"+": 1, "-": -1}
 
 
-@dataclass(frozen=True, eq=False)
-class BenchFile:
-    """A log of the campaign as a fit needs it.
+def read_log(
+    campaign: MotorCampaign, path: str | Path, entry: MotorTrial | StaticLog
+) -> tuple[Recording, SecondFile]:
+    """Load a log of the campaign, joined with its second file where it has one, all channels on one clock.
 
-    Parameters
-    ----------
-    recording : Recording
-        Command, speed, torque, thrust, voltage and current on one clock.
-    second : dict or None
-        Of a second file: name, hash, format, device, clock offset [s] with its correlation and confidence.
-    """
-
-    recording: Recording
-    second: dict[str, Any] | None = None
-
-
-def read_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial | StaticLog) -> BenchFile:
-    """Load a log of the campaign, joined with its second file where it has one.
-
-    Parameters
-    ----------
-    campaign : MotorCampaign
-        Its `[log]` table serves every log whose format takes the option.
-    path : str or Path
-        The campaign's file; logs are named relative to its folder.
-    entry : MotorTrial or StaticLog
-        Names the log; its `log_options` win over `[log]`.
+    The `[log]` table serves every log whose format takes the option; the entry's `log_options` win over it.
 
     Raises
     ------
@@ -106,7 +87,7 @@ def read_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial | Stat
             "confidence": alignment.confidence,
             "notes": beside.provenance.sentences,
         }
-    return BenchFile(on_one_clock(recording, _NEEDED, _CLOCK_OF), second)
+    return on_one_clock(recording, _NEEDED, _CLOCK_OF), second
 
 
 def source_of(recording: Recording) -> dict[str, Any]:
@@ -157,18 +138,12 @@ def _electrical_share(recording: Recording) -> float | None:
     return float(middle) if abs(middle - 1.0) > 0.02 and high - low < 0.02 * middle else None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class BenchLog:
     """One log with signs, tare and doubtful intervals settled.
 
     Parameters
     ----------
-    name : str
-        Of its trial.
-    recording : Recording
-        As loaded.
-    steps : CommandSteps
-        In u.
     time : (n,) array
         Row times [s].
     channels : dict of name to (times, values)
@@ -180,29 +155,22 @@ class BenchLog:
         Intervals inside it whose command the logger lost [s].
     fast : bool
         Fast enough for the filter.
-    tares : dict of name to Tare
-        What was subtracted.
-    torque_sign, thrust_sign : int
+    signs : dict of name to int
         What the recorded torque and thrust were multiplied by.
-    notes : tuple of Finding
-        What was noticed about the log, and done to it.
-    second : dict or None
-        Of a second file that was joined: what it is and how its clock was found.
     """
 
     name: str
     recording: Recording
+    second: SecondFile
     steps: CommandSteps
     time: FloatArray
     channels: dict[str, Samples]
     window: tuple[float, float]
     doubtful: tuple[tuple[float, float], ...]
     fast: bool
+    notes: list[Finding]
     tares: dict[str, Tare] = field(default_factory=dict)
-    torque_sign: int = 1
-    thrust_sign: int = 1
-    notes: tuple[Finding, ...] = ()
-    second: dict[str, Any] | None = None
+    signs: dict[str, int] = field(default_factory=lambda: {"torque": 1, "thrust": 1})
 
     @property
     def where(self) -> str:
@@ -235,8 +203,7 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> B
     LogError
         When command, speed or torque is missing, or the log turns another way than its direction says.
     """
-    file = read_log(campaign, path, entry)
-    recording = file.recording
+    recording, second = read_log(campaign, path, entry)
     where = _where(recording, entry.name)
     if recording.kind == "static-map":
         raise LogError(f"{where}: holds averaged points, no transients; name it under curves.static")
@@ -247,29 +214,30 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> B
     speed = _signed_speed(entry, recording, u, window, where)
     stalls = [s for s in find_stalls(time, steps) if s.end >= window[0] and s.start <= window[1]]
     log = BenchLog(
-        entry.name, recording, steps, time, {"speed": speed}, window,
+        entry.name, recording, second, steps, time, {"speed": speed}, window,
         tuple(s.doubtful for s in stalls if s.doubtful is not None), _is_fast(campaign, time, where),
-        notes=tuple(recording.provenance.notes), second=file.second,
+        list(recording.provenance.notes),
     )  # fmt: skip
     _warn_of_standing(log, u)
-    log = _with_channels(campaign, log, u)
+    _add_channels(campaign, log, u)
     if "torque" not in log.channels and campaign.cost.weights.torque > 0:
         raise LogError(
             f"{where}: no torque; record it, or set cost.weights.torque = 0 and name a log "
             "with torque in curves.static"
         )
-    log = _with_signs(campaign, _with_zeros_from_steady(campaign, log))
-    more = []
+    _estimate_zeros(campaign, log)
+    _settle_signs(campaign, log)
     if not log.fast:
-        more.append(note("unfiltered", f"rows every {1e3 * log.interval:.1f} ms: compared unfiltered"))
+        sentence = f"rows every {1e3 * log.interval:.1f} ms: compared unfiltered"
+        log.notes.append(note("unfiltered", sentence))
     for stall in stalls:
         if stall.doubtful is not None:
             sentence = (
                 f"the logger stalls from {stall.start:.4f} to {stall.end:.4f} s around a command: "
                 f"{stall.doubtful[0]:.4f} to {stall.doubtful[1]:.4f} s is left out of the cost"
             )
-            more.append(note("logger-stalls", sentence))
-    return replace(log, notes=(*log.notes, *more))
+            log.notes.append(note("logger-stalls", sentence))
+    return log
 
 
 def _command(campaign: MotorCampaign, recording: Recording, where: str) -> FloatArray:
@@ -335,11 +303,10 @@ def _warn_of_standing(log: BenchLog, u: FloatArray) -> None:
         )
 
 
-def _with_channels(campaign: MotorCampaign, log: BenchLog, u: FloatArray) -> BenchLog:
-    """Return the log with torque, thrust, voltage and current, as far as recorded, tares subtracted."""
+def _add_channels(campaign: MotorCampaign, log: BenchLog, u: FloatArray) -> None:
+    """Add torque, thrust, voltage and current, as far as recorded, tares subtracted."""
     raw = log.recording["speed"]
     rest = rows_at_rest(log.time, u, np.interp(log.time, raw.time, np.nan_to_num(raw.values)))
-    channels, tares, notes = dict(log.channels), dict(log.tares), list(log.notes)
     for name in ("torque", "thrust", "voltage", "current"):
         if name not in log.recording.channels or (name == "current" and campaign.log.current != "motor"):
             continue
@@ -351,42 +318,39 @@ def _with_channels(campaign: MotorCampaign, log: BenchLog, u: FloatArray) -> Ben
             keep = keep & (np.nan_to_num(values) > 0)
             if not keep.any():
                 sentence = "the voltage is nowhere above 0: left out, the supply counts as constant"
-                notes.append(note("no-voltage", sentence))
+                log.notes.append(note("no-voltage", sentence))
                 continue
         else:
             row = np.minimum(np.searchsorted(log.time, channel.time), log.time.size - 1)
-            tares[name] = tare(values, rest[row])
-            values = values - tares[name].value
-        channels[name] = (channel.time[keep], values[keep])
-    return replace(log, channels=channels, tares=tares, notes=tuple(notes))
+            log.tares[name] = tare(values, rest[row])
+            values = values - log.tares[name].value
+        log.channels[name] = (channel.time[keep], values[keep])
 
 
-def _with_zeros_from_steady(campaign: MotorCampaign, log: BenchLog) -> BenchLog:
-    """Return the log with the tare of torque and thrust estimated where it has no row at rest."""
+def _estimate_zeros(campaign: MotorCampaign, log: BenchLog) -> None:
+    """Estimate the tare of torque and thrust from steady points where the log has no row at rest."""
     points = log_points(log)
-    channels, tares, notes = dict(log.channels), dict(log.tares), list(log.notes)
     for name, unit in (("torque", "N·m"), ("thrust", "N")):
-        if name not in channels or tares[name].rows > 0:
+        if name not in log.channels or log.tares[name].rows > 0:
             continue
         zero = zero_of_steady(getattr(points, name), points.speed)
         if zero is None:
             sentence = f"no row at rest and too few steady points: the tare of {name} is taken as 0"
         else:
-            tares[name] = zero
-            t, values = channels[name]
-            channels[name] = (t, values - zero.value)
+            log.tares[name] = zero
+            t, values = log.channels[name]
+            log.channels[name] = (t, values - zero.value)
             sentence = (
                 f"no row at rest: the tare of {name}, {1e3 * zero.value:.3g} ± {1e3 * zero.error:.2g} "
                 f"m{unit}, is what its steady points over Ω|Ω| leave at standstill"
             )
-        notes.append(note("no-row-at-rest", sentence))
+        log.notes.append(note("no-row-at-rest", sentence))
         if name == "torque" and campaign.cost.weights.torque > 0:
             notice("no-row-at-rest", f"{sentence}; record a second before the motor starts", trial=log.name)
-    return replace(log, channels=channels, tares=tares, notes=tuple(notes))
 
 
-def _with_signs(campaign: MotorCampaign, log: BenchLog) -> BenchLog:
-    """Return the log with torque and thrust turned so that steady values have the sign of their speed.
+def _settle_signs(campaign: MotorCampaign, log: BenchLog) -> None:
+    """Turn torque and thrust so that steady values have the sign of their speed.
 
     Raises
     ------
@@ -394,25 +358,18 @@ def _with_signs(campaign: MotorCampaign, log: BenchLog) -> BenchLog:
         When a stated sign contradicts the steady points.
     """
     points = log_points(log)
-    stated = {"torque": campaign.log.torque_sign, "thrust": campaign.log.thrust_sign}
-    channels, notes, signs = dict(log.channels), list(log.notes), {"torque": 1, "thrust": 1}
-    for name in signs:
-        if name in channels:
-            signs[name], more = _sign(name, stated[name], log, points)
-            t, values = channels[name]
-            channels[name] = (t, signs[name] * values)
-            notes += more
-    return replace(
-        log, channels=channels, torque_sign=signs["torque"], thrust_sign=signs["thrust"], notes=tuple(notes)
-    )
+    for name, stated in (("torque", campaign.log.torque_sign), ("thrust", campaign.log.thrust_sign)):
+        if name in log.channels:
+            log.signs[name] = _sign(name, stated, log, points)
+            t, values = log.channels[name]
+            log.channels[name] = (t, log.signs[name] * values)
 
 
-def _sign(name: str, stated: str, log: BenchLog, points: SteadyPoints) -> tuple[int, list[Finding]]:
-    """Return what a channel is multiplied by, and notes about it."""
+def _sign(name: str, stated: str, log: BenchLog, points: SteadyPoints) -> int:
+    """Return what a channel is multiplied by; note how it was found."""
     steady = getattr(points, name)
     seen = sign_against_speed(steady, points.speed)
     sign = STATED_SIGNS.get(stated, seen)
-    notes: list[Finding] = []
     if seen and sign != seen:
         worst, unit = int(np.nanargmax(np.abs(steady))), "mN·m" if name == "torque" else "mN"
         what = "a drag that drives the rotor" if name == "torque" else "a thrust against the rotation"
@@ -423,19 +380,15 @@ def _sign(name: str, stated: str, log: BenchLog, points: SteadyPoints) -> tuple[
     if sign == 0:
         sign = sign_of_log(log.channels[name], log.channels["speed"])
         sentence = f"no steady stretch: the whole log against its speed gives the sign of {name}"
-        notes.append(note("sign-of-whole-log", sentence))
+        log.notes.append(note("sign-of-whole-log", sentence))
     if sign == 0:
-        notice(
-            "sign-unknown",
-            f"nothing tells the sign of {name}, so it is taken as recorded; state "
-            f"log.{name}_sign = '+' or '-'",
-            trial=log.name,
-        )
-        return 1, notes
+        sentence = f"nothing tells the sign of {name}, so it is taken as recorded; state log.{name}_sign"
+        notice("sign-unknown", f"{sentence} = '+' or '-'", trial=log.name)
+        return 1
     if sign < 0:
         sentence = f"the recorded {name} opposes the rotation at steady speed: its sign was turned"
-        notes.append(note("sign-turned", sentence))
-    return sign, notes
+        log.notes.append(note("sign-turned", sentence))
+    return sign
 
 
 def log_points(log: BenchLog) -> SteadyPoints:
@@ -449,19 +402,11 @@ def log_points(log: BenchLog) -> SteadyPoints:
     return SteadyPoints.join([points, ramp_points(log.time, log.steps, log.channels, skip, zeros)])
 
 
-@dataclass(frozen=True)
-class TorquePerCurrent:
-    """Torque constant of a logged motor current.
+class TorquePerCurrent(NamedTuple):
+    """Torque constant k_m of a logged motor current and its standard error [N·m/A].
 
-    Parameters
-    ----------
-    value, error : float
-        k_m and its standard error [N·m/A].
-    points : int
-        Steady points behind it.
-    friction : float
-        Torque of bearings and iron that the current pays for and the load cell does not feel [N·m]; 0 where
-        the points do not show it.
+    `friction` is the torque of bearings and iron that the current pays for and the load cell does not feel
+    [N·m]; 0 where the points do not show it.
     """
 
     value: float
@@ -490,10 +435,7 @@ def torque_per_current(logs: Sequence[BenchLog]) -> TorquePerCurrent:
                 f"{log.where}: log.current = 'motor', but the log holds no {missing}; record it, or leave "
                 "log.current out"
             )
-        channels = {
-            "speed": log.channels["speed"], "torque": log.channels["torque"],
-            "thrust": log.channels["current"],
-        }  # fmt: skip
+        channels = {**log.channels, "thrust": log.channels["current"]}
         points = log_points(replace(log, channels=channels, tares={}))
         pairs.append(np.column_stack([np.abs(points.thrust), np.abs(points.torque)]))
     current, torque = np.concatenate(pairs).T
@@ -505,19 +447,19 @@ def torque_per_current(logs: Sequence[BenchLog]) -> TorquePerCurrent:
             "current; expected at least 3: hold more commands for over "
             f"{SETTLE:g} s, or leave log.current out"
         )
-    plain = _torque_line(current[:, None], torque)
-    friction = _torque_line(np.column_stack([current, -np.ones(current.size)]), torque)
-    if friction is not None and friction[0][1] > _SHOWN * friction[1][1]:
-        value, error = friction
-        return TorquePerCurrent(float(value[0]), float(error[0]), int(current.size), float(value[1]))
+    plain = _torque_line(current[:, None], torque, 1)
+    rubbed = _torque_line(np.column_stack([current, -np.ones(current.size)]), torque, 3)
+    if rubbed is not None and rubbed[0][1] > _SHOWN * rubbed[1][1]:
+        (value, friction), (error, _) = rubbed
+        return TorquePerCurrent(float(value), float(error), int(current.size), float(friction))
     assert plain is not None
     return TorquePerCurrent(float(plain[0][0]), float(plain[1][0]), int(current.size))
 
 
-def _torque_line(columns: FloatArray, torque: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+def _torque_line(columns: FloatArray, torque: FloatArray, least: int) -> tuple[FloatArray, FloatArray] | None:
     """Return coefficients and their standard errors; None where the points leave nothing to judge them by."""
     freedom = len(torque) - columns.shape[1]
-    if freedom < (1 if columns.shape[1] == 1 else 3) or np.linalg.matrix_rank(columns) < columns.shape[1]:
+    if freedom < least or np.linalg.matrix_rank(columns) < columns.shape[1]:
         return None
     value: FloatArray = np.linalg.lstsq(columns, torque, rcond=None)[0].astype(np.float64)
     residual = torque - columns @ value

@@ -46,11 +46,7 @@ def candidate_trials(problem: MotorProblem, row: FloatArray) -> tuple[MotorProbl
                 noise.append(np.array([levels.get((t, c), np.nan) for c in range(2)]))
     if not trials:
         return None
-    return replace(_of(problem, tuple(trials)), stated_noise=np.array(noise)), titles
-
-
-def _of(problem: MotorProblem, trials: tuple[PreparedTrial, ...]) -> MotorProblem:
-    return replace(problem, prepared=trials, targets=tuple(trial.dynamic_target for trial in trials))
+    return replace(problem.of(tuple(trials)), stated_noise=np.array(noise)), titles
 
 
 def _commands() -> list[tuple[str, FloatArray, FloatArray]]:
@@ -102,7 +98,7 @@ def _candidate(
         command=np.concatenate([[command[0]], command]), time=grid, supply_time=None, supply_ratio=None,
     )  # fmt: skip
     trial = replace(template, simulated=schedule, target=blank, starts=(), thrust=None)
-    alone = _of(problem, (trial,))
+    alone = problem.of((trial,))
     samples, reached = alone.simulate(row)
     if np.any(reached < 1.0):
         return None

@@ -32,13 +32,9 @@ class MotorTarget:
     time : (n,) array
         Compared instants [s].
     measured : (n, 2) array
-        Stator torque [N·m] and speed [rad/s].
-    valid : (n, 2) bool array
-        Samples that count.
-    grid_start, grid_step : float
-        First time and step of the simulated samples [s].
-    grid_size : int
-        Number of simulated samples.
+        Stator torque [N·m] and speed [rad/s]; those samples count that are `valid` (n, 2).
+    grid_start, grid_step, grid_size
+        First time and step [s], and number of the simulated samples.
     taps : (h + 1,) array
         Centre and one side of the symmetric filter of a fast log; empty for a slow one. With a filter,
         `time` is every so-many-th sample of the grid, at least h samples from both ends.

@@ -20,7 +20,6 @@ from sysid.motor.bench_logs import (
     BenchLog,
     bench_log,
     command_range,
-    log_hashes,
     log_points,
     read_log,
     source_of,
@@ -48,16 +47,8 @@ _ROTATIONS: tuple[Rotation, Rotation] = ("forward", "reverse")
 class CurveLog:
     """A log under `[curves]` after it was read.
 
-    Parameters
-    ----------
-    entry : StaticLog
-        Of the campaign.
-    table : {"static", "no_load"}
-        Where it stands there.
-    points : SteadyPoints
-        Rows of averaged points, or steady stretches of steps.
-    provenance : dict
-        Its file, hash, format and what was noticed.
+    `points` are rows of averaged points, or steady stretches of steps; `provenance` is the file, its hash and
+    format, and what was noticed.
     """
 
     entry: StaticLog
@@ -70,20 +61,9 @@ class CurveLog:
         """How a result calls it; no trial is called so."""
         return f"{self.entry.log} (curves.{self.table}, {self.entry.direction})"
 
-    @property
-    def hashes(self) -> str:
-        """SHA-256 of its file, and of the second one where there is one."""
-        return log_hashes(self.provenance)
-
 
 def read_curve_logs(campaign: MotorCampaign, path: str | Path) -> tuple[CurveLog, ...]:
-    """Read every log that the campaign names under `[curves]`.
-
-    Raises
-    ------
-    SysidError
-        For the first log that cannot be read, or has no steady point.
-    """
+    """Read every log that the campaign names under `[curves]`; refuse those without a steady point."""
     curves = campaign.curves
     return (
         *(_curve_log(campaign, path, entry, "static") for entry in curves.static),
@@ -95,8 +75,7 @@ def _curve_log(
     campaign: MotorCampaign, path: str | Path, static: StaticLog, table: Literal["static", "no_load"]
 ) -> CurveLog:
     """Return a log with its points: rows of averaged points, or steady stretches of steps."""
-    file = read_log(campaign, path, static)
-    recording = file.recording
+    recording, second = read_log(campaign, path, static)
     if recording.kind == "static-map":
         points = _rows_as_points(campaign, recording, static.direction)
     else:
@@ -114,7 +93,7 @@ def _curve_log(
         **source_of(recording),
         "direction": static.direction,
         "steady points": len(points),
-        **({} if file.second is None else {"second log": file.second}),
+        **({} if second is None else {"second log": second}),
         "notes": recording.provenance.sentences,
     }
     return CurveLog(static, table, points, provenance)
@@ -154,12 +133,8 @@ def supply_ratio(points: SteadyPoints, reference_voltage: float) -> FloatArray:
 class NoLoadTie:
     """No-load line of loaded steady points, which moves with R: Ω_0 = Ω + R (τ + k_d Ω)/(k_m k_v).
 
-    Parameters
-    ----------
-    columns : (n, 2) array
-        u and sign(u) of the points, times V/V_ref.
-    points : (n, 2) array
-        Their loaded speed Ω [rad/s] and drag τ [N·m].
+    `columns` (n, 2) are u and sign(u) of the points, times V/V_ref; `points` (n, 2) are their loaded speed Ω
+    [rad/s] and drag τ [N·m].
 
     Notes
     -----
@@ -179,28 +154,17 @@ class NoLoadTie:
         return soft_weights(np.column_stack([u, sign, u * u / sign]), self.points[:, 0])
 
     @cached_property
-    def speed(self) -> FloatArray:
-        """(2,) slope and intercept of the weighted least-squares line of Ω over u, at V_ref [rad/s]."""
-        return self._line(self.points[:, 0])
-
-    @cached_property
-    def torque(self) -> FloatArray:
-        """(2,) the same of τ [N·m]."""
-        return self._line(self.points[:, 1])
-
-    def _line(self, values: FloatArray) -> FloatArray:
+    def lines(self) -> tuple[FloatArray, FloatArray]:
+        """Slope and intercept (2,) of the weighted lines of Ω [rad/s] and of τ [N·m] over u, at V_ref."""
         root = np.sqrt(self.weights)
-        return np.asarray(np.linalg.lstsq(root[:, None] * self.columns, root * values, rcond=None)[0])
-
-    def _lifted(self, drop: float, damping: float) -> FloatArray:
-        """Return Ω_0 (n,) of the points [rad/s]."""
-        speed, torque = self.points.T
-        return np.asarray(speed + drop * (torque + damping * speed), dtype=np.float64)
+        columns = root[:, None] * self.columns
+        speed, torque = (np.linalg.lstsq(columns, root * values, rcond=None)[0] for values in self.points.T)
+        return speed, torque
 
     def line(self, drop: FloatArray, damping: FloatArray) -> FloatArray:
         """Return slope and intercept (P, 2) of Ω_0 for R/(k_m k_v) (P,) [rad/s per N·m] and k_d (P,)."""
-        loaded = (1.0 + drop * damping)[:, None] * self.speed
-        return np.asarray(loaded + drop[:, None] * self.torque, dtype=np.float64)
+        speed, torque = self.lines
+        return np.asarray((1.0 + drop * damping)[:, None] * speed + drop[:, None] * torque, dtype=np.float64)
 
     def fit(self, direction: Rotation, drop: float, damping: float) -> CurveFit:
         """Return the line at one R/(k_m k_v) and k_d, and how well the points lie on it.
@@ -208,7 +172,8 @@ class NoLoadTie:
         The standard errors come from the points. An error of R moves all points together; they leave it out.
         """
         line = self.line(np.array([drop]), np.array([damping]))[0]
-        lifted = self._lifted(drop, damping)
+        speed, torque = self.points.T
+        lifted = np.asarray(speed + drop * (torque + damping * speed), dtype=np.float64)
         residual = lifted - self.columns @ line
         sigma = max(float(np.median(np.abs(residual))) / 0.6745, 1e-9 * float(np.max(np.abs(lifted))))
         near = np.abs(residual) <= OUTLIER * sigma
@@ -230,16 +195,8 @@ class NoLoadTie:
 class StaticCurves:
     """Curves of the campaign by direction.
 
-    Parameters
-    ----------
-    ties : dict of direction to NoLoadTie
-        Where Ω_0 comes from loaded points.
-    reference_voltage : float
-        V_ref [V].
-    loaded : dict of direction to SteadyPoints
-        What thrust, torque and loaded speed were read from.
-    logs : tuple of CurveLog
-        Those that the campaign names under `[curves]`.
+    `ties` are the no-load lines that come from loaded points; `loaded` holds the points that thrust, torque
+    and loaded speed were read from; V_ref is in V.
     """
 
     fits: tuple[CurveFit, ...]

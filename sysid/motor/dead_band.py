@@ -52,18 +52,14 @@ class SaturationFit:
     ----------
     free : tuple of Parameter
         Rows with the bounds that were searched.
-    trials : tuple of str
-        Trials that were fitted.
     shown_by : {"reversals", "starts from rest"}
-        What they show the dead band by.
+        What the trials show the dead band by.
     values : (S, n) array
         Of the rows in `free` [SI].
     at_bound : (S, n) int8 array
         -1 within 1 % of the lower bound, +1 of the upper, else 0.
     nrmse, without : (S,) arrays
         NRMSE over those trials with the fitted dead band, and with none (I_sat = ∞) [1].
-    evaluations : int
-        Candidates scored.
     """
 
     free: tuple[Parameter, ...]
@@ -107,8 +103,6 @@ def fit_saturation(
         Algorithm, finisher and stop rule of the first stage serve the second; not CMA-ES alone.
     seeds : tuple of int
         One per set.
-    should_stop : callable, optional
-        Asked after every generation; raises where the fit must end.
 
     Returns
     -------
@@ -145,9 +139,10 @@ def fit_saturation(
         without.append(float(ideal.evaluate(run.best_point[None]).cost[0]))
         count += run.evaluations
     turned = trials[0].entry.direction == "reversal"
+    shown_by = "reversals" if turned else "starts from rest"
     return SaturationFit(
-        first.free, tuple(t.entry.name for t in trials), "reversals" if turned else "starts from rest",
-        np.array(values), np.array(flags, dtype=np.int8), np.array(costs), np.array(without), count,
+        first.free, tuple(t.entry.name for t in trials), shown_by, np.array(values),
+        np.array(flags, dtype=np.int8), np.array(costs), np.array(without), count,
     )  # fmt: skip
 
 
@@ -156,19 +151,8 @@ def edges_that_serve(
 ) -> tuple[float, float] | None:
     """Return the range of Ω_min [rad/s] over which the trials fit equally well, the best I_sat beside each.
 
-    Parameters
-    ----------
-    problem : MotorProblem
-        Of the dynamic fit.
-    row : (n_table,) array
-        A set with its dead band [SI].
-    fit : SaturationFit
-        How it was found.
-
-    Returns
-    -------
-    (lowest, highest) or None
-        None where the stage did not free both numbers, or the trials bound Ω_min within a factor of 1.5.
+    `row` (n_table,) is a set with its dead band [SI]. None where the stage did not free both numbers, or the
+    trials bound Ω_min within a factor of 1.5.
 
     Notes
     -----
@@ -205,12 +189,7 @@ def named(table: ParameterTable, row: FloatArray) -> dict[str, float]:
 def reversal_delays(campaign: MotorCampaign, bench: Bench, best: Mapping[str, float]) -> list[dict[str, Any]]:
     """Return, per reversal inside every trial's window, the measured and the simulated time to 90 % [s].
 
-    Parameters
-    ----------
-    campaign : MotorCampaign
-        Its filter serves the fast logs.
-    best : mapping
-        The best set with the delays of logs, by name [SI].
+    `best` is the best set with the delays of logs, by name [SI].
     """
     out: list[dict[str, Any]] = []
     for trial in bench.trials:
@@ -235,26 +214,12 @@ def reversal_delays(campaign: MotorCampaign, bench: Bench, best: Mapping[str, fl
             find_reversals(log.time[log.time <= end], steps, samples, skip=log.doubtful, sense="both")
             for samples in ((time[known], thrust[known]), (grid, run.thrust))
         )
+        names = ("trial", "use", "command before", "command after", "measured [s]", "simulated [s]")
         out += [
-            {
-                "trial": entry.name,
-                "use": entry.use,
-                "command before": a.before,
-                "command after": a.after,
-                "measured [s]": a.to_level,
-                "simulated [s]": b.to_level,
-            }
+            dict(zip(names, (entry.name, entry.use, a.before, a.after, a.to_level, b.to_level), strict=True))
             for a, b in zip(measured, simulated, strict=True)
         ]
     return out
-
-
-def with_saturation(table: ParameterTable, rows: FloatArray, fit: SaturationFit | None) -> FloatArray:
-    """Return the sets (S, n_table) with the fitted dead band."""
-    rows = np.array(rows, dtype=np.float64)
-    if fit is not None:
-        rows[:, [table.index[row.name] for row in fit.free]] = fit.values
-    return rows
 
 
 def saturation_space(

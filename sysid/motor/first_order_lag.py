@@ -61,10 +61,8 @@ PARAMETERS = ParameterTable(
 def steady_speed_map(command: FloatArray, speed: FloatArray, ratio: FloatArray) -> FloatArray:
     """Return p0, p1, p2 (3,) of |Ω| = V/V_ref (p0 + p1 |u| + p2 u²) through steady points of one direction.
 
-    Parameters
-    ----------
-    command, speed, ratio : (n,) arrays
-        u [1], Ω [rad/s] and V/V_ref [1]. Below four different commands a straight line.
+    Commands u [1], speeds Ω [rad/s] and V/V_ref [1] are (n,) each. Below four different commands a straight
+    line.
     """
     u = np.abs(command)
     degree = 2 if np.unique(u).size >= 4 else 1
@@ -74,21 +72,16 @@ def steady_speed_map(command: FloatArray, speed: FloatArray, ratio: FloatArray) 
 
 
 def simulate_lag(rows: FloatArray, trials: SimulatedTrials, delays: FloatArray | None = None) -> FloatArray:
-    """Simulate every candidate on every trial.
+    """Return torque [N·m] and speed [rad/s] (P, n_total, 2) of every candidate on the trials' samples.
+
+    The supply is constant between two knots.
 
     Parameters
     ----------
     rows : (P, n_table) array
         In the order of `PARAMETERS` [SI].
-    trials : SimulatedTrials
-        What drives the rotor, and when its outputs are wanted.
     delays : (P, n_trials) array, optional
         Added to ``command_delay`` per candidate and trial [s].
-
-    Returns
-    -------
-    (P, n_total, 2) array
-        Torque [N·m] and speed [rad/s] on the trials' samples. The supply is constant between two knots.
     """
     index = PARAMETERS.index
     reads = np.ascontiguousarray(rows[:, [index[name] for name in READS]], dtype=np.float64)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from sysid.motor.dead_band import (
     named,
     reversal_delays,
     saturation_space,
-    with_saturation,
 )
 from sysid.motor.inertia import spike_inertia
 from sysid.motor.known_values import CONSTANTS, SATURATION, Bench, untested_rows
@@ -43,22 +42,11 @@ _WHY: dict[CutReason, str] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class After:
-    """What follows the search.
+class After(NamedTuple):
+    """What follows the search: the sets ranked by `nrmse`, and their rows (S, n_table) [SI].
 
-    Parameters
-    ----------
-    sets : RankedSets
-        Ranked by `nrmse`.
-    rows : (S, n_table) array
-        Sets with the dead band and the delays of logs [SI].
-    nrmse : (S,) array
-        Of the final values over the fitted forward and reverse trials, starts from rest included [1].
-    settings : dict
-        For the result.
-    cut : {"interrupted", "time"} or None
-        What cut the fit short.
+    Rows have the dead band and the delays of logs. `nrmse` (S,) is that of the final values over the fitted
+    forward and reverse trials, starts from rest included. `settings` go into the result.
     """
 
     sets: RankedSets
@@ -66,7 +54,7 @@ class After:
     nrmse: FloatArray
     saturation: SaturationFit | None
     settings: dict[str, Any]
-    cut: CutReason | None = None
+    cut: CutReason | None
 
 
 def after_the_search(problem: MotorProblem, course: Course) -> After:
@@ -81,7 +69,8 @@ def after_the_search(problem: MotorProblem, course: Course) -> After:
             return _all_that_follows(problem, course)
         except CutShort as error:
             cut = error.reason
-    sets, rows, nrmse, _ = _ranked(course.sets, _averaged(problem, course.sets), None, _whole(problem))
+    rows = averaged(problem.space, problem.complete(course.sets.values))
+    sets, rows, nrmse, _ = _ranked(course.sets, rows, None, _whole(problem))
     settings: dict[str, Any] = {"saturation": {"stage": "not fitted", "why": _WHY[cut]}}
     _notice_cut(cut, problem.space, banded=False, done=settings)
     if not problem.bench.scale_known:
@@ -92,10 +81,6 @@ def after_the_search(problem: MotorProblem, course: Course) -> After:
 def _whole(problem: MotorProblem) -> MotorProblem:
     """Return the trials of the dynamic fit, starts from rest included."""
     return problem.only([trial.entry.name for trial in problem.bench.fitted])
-
-
-def _averaged(problem: MotorProblem, sets: RankedSets) -> FloatArray:
-    return averaged(problem.space, problem.complete(sets.values))
 
 
 def _is_given(problem: MotorProblem) -> bool:
@@ -113,9 +98,10 @@ def _all_that_follows(problem: MotorProblem, course: Course) -> After:
     """
     bench, space = problem.bench, problem.space
     settings, go_on, given = course.settings, course.go_on, _is_given(problem)
-    rows = _averaged(problem, course.sets)
+    rows = averaged(space, problem.complete(course.sets.values))
     saturation = fit_saturation(problem, rows, settings, course.sets.seed, go_on)
-    rows = with_saturation(space.table, rows, saturation)
+    if saturation is not None:
+        rows[:, [space.table.index[row.name] for row in saturation.free]] = saturation.values
     sets, rows, nrmse, saturation = _ranked(course.sets, rows, saturation, _whole(problem))
     best = named(space.table, rows[0])
     out: dict[str, Any] = {
@@ -133,7 +119,11 @@ def _all_that_follows(problem: MotorProblem, course: Course) -> After:
                 f"{edges[1]:.2g} rad/s, with the saturation_current that fits best beside each, the NRMSE is "
                 "within 1 % of the lowest; its digits mean nothing",
             )
-    out["static curves of the best set"] = tied_curves(problem, best)
+    drop = best["winding_resistance"] / (best["torque_constant"] * best["back_emf_constant"])
+    tied = ((d, tie) for d, tie in bench.curves.ties.items() if d in problem.ties)
+    out["static curves of the best set"] = [
+        tie.fit(d, drop, best["viscous_damping"]).document() for d, tie in tied
+    ]
     cut: CutReason | None = None
     try:
         banded = saturation is not None or given
@@ -247,48 +237,24 @@ def log_delays(problem: MotorProblem, row: FloatArray) -> list[dict[str, Any]]:
                 rows[:, column] = around
                 costs = alone.cost.mean(alone.score(rows).by_channel)
                 best = float(around[np.argmin(costs)])
-            fact |= {
-                "own delay [s]": best,
-                "nrmse": float(costs[0]),
-                "nrmse with its own delay": float(costs.min()),
-            }
+            fact |= {"own delay [s]": best, "nrmse": float(costs[0])}
+            fact["nrmse with its own delay"] = float(costs.min())
         out.append(fact)
     return out
-
-
-def tied_curves(problem: MotorProblem, best: Mapping[str, float]) -> list[dict[str, Any]]:
-    """Return the no-load lines that were fitted together with R, as of the best set."""
-    drop = best["winding_resistance"] / (best["torque_constant"] * best["back_emf_constant"])
-    fits = [
-        tie.fit(d, drop, best["viscous_damping"])
-        for d, tie in problem.bench.curves.ties.items()
-        if d in problem.ties
-    ]
-    return [fit.document() for fit in fits]
 
 
 def curve_sentence(fit: CurveFit) -> str:
     """Return a static curve in a sentence: coefficients, standard errors, how well the points lie on it."""
     names = ("a", "b") if fit.quantity == "no_load" else ("c2", "c1")
-    numbers = ", ".join(
-        f"{name} = {value:.5g} ± {error:.2g} {unit}"
-        for name, value, error, unit in zip(
-            names, fit.coefficients, fit.standard_errors, fit.units, strict=True
-        )
-    )
+    each = zip(names, fit.coefficients, fit.standard_errors, fit.units, strict=True)
+    numbers = ", ".join(f"{name} = {value:.5g} ± {error:.2g} {unit}" for name, value, error, unit in each)
     outliers = f", {fit.outliers} of them outliers" if fit.outliers else ""
     quality = f"R² {fit.r_squared:.5f} over {fit.points} points{outliers}"
     return f"{fit.quantity}, {fit.direction}: {numbers}; {quality}"
 
 
 def begin(problem: MotorProblem) -> None:
-    """Refuse a dead band that cannot be fitted, and tell what is free and what the logs showed.
-
-    Raises
-    ------
-    CampaignError
-        As `saturation_space`.
-    """
+    """Refuse a dead band that cannot be fitted, and tell what is free and what the logs showed."""
     campaign, bench, space = problem.campaign, problem.bench, problem.space
     saturation_space(campaign, bench, space.table, PARAMETERS.nominal)
     scored = len(bench.trials) - len(bench.fitted)
@@ -304,8 +270,7 @@ def begin(problem: MotorProblem) -> None:
         if tares:
             source = trial.log.tares["torque" if "torque" in trial.log.tares else "thrust"].source
             tell(f"trial {trial.entry.name}: tare from its {source}: {tares}")
-        signs = (("torque", trial.log.torque_sign), ("thrust", trial.log.thrust_sign))
-        turned = " and ".join(name for name, sign in signs if sign < 0 and name in trial.log.channels)
+        turned = " and ".join(name for name, sign in trial.log.signs.items() if sign < 0)
         if turned:
             tell(f"trial {trial.entry.name}: sign of {turned} turned")
         lost = sum(end - start for start, end in trial.log.doubtful)

@@ -30,18 +30,14 @@ _MEMORY = 3.0
 AGREEMENT = 0.15
 # Steps of each kind below which they show nothing.
 _FEWEST = 2
+_Seen = tuple[FloatArray, FloatArray, FloatArray, BoolArray]
 
 
 @dataclass(frozen=True)
 class SpikeInertia:
-    """Inertia by kind of step.
+    """Inertia [kg·m²] with its standard error (NaN without steps), by kind of step: "up" and "down".
 
-    Parameters
-    ----------
-    value, error : dict of "up" and "down" to float
-        [kg·m²], one standard error; NaN without steps.
-    steps : dict of "up" and "down" to int
-        Steps whose transient is whole in the log.
+    `steps` counts those whose transient is whole in the log.
     """
 
     value: dict[str, float]
@@ -50,12 +46,9 @@ class SpikeInertia:
 
     def document(self) -> dict[str, Any]:
         """Return what a result states."""
+        names = ("inertia [kg·m²]", "standard error [kg·m²]", "steps")
         return {
-            kind: {
-                "inertia [kg·m²]": self.value[kind],
-                "standard error [kg·m²]": self.error[kind],
-                "steps": self.steps[kind],
-            }
+            kind: dict(zip(names, (self.value[kind], self.error[kind], self.steps[kind]), strict=True))
             for kind in ("up", "down")
         }
 
@@ -82,23 +75,16 @@ def spike_inertia(
 ) -> SpikeInertia:
     """Return the inertia that the torque spikes of some logs of one direction each show.
 
-    Parameters
-    ----------
-    campaign : MotorCampaign
-        Its filter serves the fast logs.
-    logs : sequence of BenchLog
-        Forward or reverse logs; logs without torque are passed over.
-    parameters : mapping
-        Torque curve, delay and lag of the torque sensor, by name [SI].
+    Logs are forward or reverse; those without torque are passed over. `parameters` are the torque curve, the
+    delay and the lag of the torque sensor, by name [SI].
     """
     sums = {kind: np.zeros(4) for kind in ("up", "down")}  # Σ a², Σ a y, Σ y², n
     steps = {"up": 0, "down": 0}
     for log in logs:
         if "torque" not in log.channels:
             continue
-        time, acceleration, excess, whole = (
-            _fast(campaign, log, parameters) if log.fast else _slow(log, parameters)
-        )
+        seen = _fast(campaign, log, parameters) if log.fast else _slow(log, parameters)
+        time, acceleration, excess, whole = seen
         levels = log.steps.level
         ends = np.append(log.steps.time[1:], np.inf)
         for i in range(1, levels.size):
@@ -122,21 +108,16 @@ def spike_inertia(
     return SpikeInertia(value, error, steps)
 
 
-def _fast(
-    campaign: MotorCampaign, log: BenchLog, parameters: Mapping[str, float]
-) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+def _fast(campaign: MotorCampaign, log: BenchLog, parameters: Mapping[str, float]) -> _Seen:
     """Return time, dΩ/dt, torque above the static one, and where the log is whole: both filtered alike."""
     time, speed = filtered(campaign, log, "speed")
     torque = np.interp(time, *filtered(campaign, log, "torque"))
     acceleration = np.gradient(speed, time)
     excess = torque - aerodynamic_torque(speed, parameters)
-    whole = np.isfinite(acceleration) & np.isfinite(excess)
-    return time, acceleration, excess, whole
+    return time, acceleration, excess, np.isfinite(acceleration) & np.isfinite(excess)
 
 
-def _slow(
-    log: BenchLog, parameters: Mapping[str, float]
-) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+def _slow(log: BenchLog, parameters: Mapping[str, float]) -> _Seen:
     """Return the same of a slow log: the speed walks through the torque sensor's lag to its real samples."""
     rows, speed = log.channels["speed"]
     time, torque = log.channels["torque"]

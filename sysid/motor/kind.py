@@ -76,20 +76,20 @@ def _records(
     delays_of_logs: bool,
 ) -> tuple[ParameterRecord, ...]:
     """Return the table's records, those of the tie and the second stage marked, then the derived numbers."""
-    if delays_of_logs:
-        records = tuple(r.computed(MEAN_SOURCE) if r.name == "command_delay" else r for r in records)
+    source = "loaded steady points and the fitted R: Ω_0 = Ω + R (τ_aero + k_d Ω)/(k_m k_v)"
+    derived = dict.fromkeys(tied, source) | ({"command_delay": MEAN_SOURCE} if delays_of_logs else {})
+    late, stage = {}, ""
     if saturation is not None:
         late = {row.name: row for row in saturation.free}
         stage = f"second stage: {saturation.shown_by} of {', '.join(saturation.trials)}, all else held"
-        records = tuple(
-            replace(ParameterRecord.of(late[r.name], "free", r.measured_range), source=stage)
-            if r.name in late
-            else r
-            for r in records
-        )
-    source = "loaded steady points and the fitted R: Ω_0 = Ω + R (τ_aero + k_d Ω)/(k_m k_v)"
-    table = tuple(r.computed(source) if r.name in tied else r for r in records)
-    scale = tuple(
+    table = []
+    for r in records:
+        if r.name in derived:
+            r = r.computed(derived[r.name])
+        elif r.name in late:
+            r = replace(ParameterRecord.of(late[r.name], "free", r.measured_range), source=stage)
+        table.append(r)
+    scale = (
         ParameterRecord(name, symbol, unit, "derived", meaning, "computed from the set")
         for symbol, name, unit, meaning in _DERIVED
     )

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from sysid.campaign import MotorCampaign
+from sysid.campaign import MotorCampaign, MotorTrial
 from sysid.errors import CampaignError
 from sysid.journal import notice
 from sysid.motor.bench_logs import BenchLog, TorquePerCurrent, bench_log, check_options, torque_per_current
@@ -40,18 +39,14 @@ class Bench:
     ----------
     trials : tuple of PreparedTrial
         In the order of the campaign.
-    curves : StaticCurves
-        Of every direction that the trials turn.
     values : dict
         Parameters that the campaign or its static logs state, by name [SI].
-    measured : mapping of str to str
-        Sources of the measured ones, by name.
-    stated : mapping of str to str
-        Sources of the others: a rating, a guess.
-    guessed : frozenset of str
-        Which of them are guesses.
+    measured, stated : mapping of str to str
+        Sources of the measured ones, and of the others (a rating, a guess), by name.
     scale_known : bool
         Whether a Kv, a logged motor current or the campaign determines the scale of R, L and I_sat.
+    guessed : frozenset of str
+        Which of the values are guesses.
     """
 
     trials: tuple[PreparedTrial, ...]
@@ -60,26 +55,12 @@ class Bench:
     measured: Mapping[str, str]
     stated: Mapping[str, str]
     scale_known: bool
-    guessed: frozenset[str] = frozenset()
-
-    @property
-    def hashes(self) -> dict[str, str]:
-        """SHA-256 of every log, those under `[curves]` included, by name."""
-        return {trial.entry.name: trial.hashes for trial in self.trials} | {
-            log.name: log.hashes for log in self.curves.logs
-        }
-
-    @property
-    def log_provenance(self) -> dict[str, dict[str, Any]]:
-        """What a result states of every log, those under `[curves]` included, by name."""
-        return {trial.entry.name: trial.provenance for trial in self.trials} | {
-            log.name: log.provenance for log in self.curves.logs
-        }
+    guessed: frozenset[str]
 
     @property
     def fitted(self) -> tuple[PreparedTrial, ...]:
         """Trials of the dynamic fit: use "fit", and no reversal."""
-        return tuple(t for t in self.trials if in_search(t))
+        return tuple(t for t in self.trials if in_search(t.entry))
 
     @property
     def banded(self) -> tuple[PreparedTrial, ...]:
@@ -88,9 +69,9 @@ class Bench:
         return tuple(reversals) or tuple(t for t in self.fitted if t.shows_start)
 
 
-def in_search(trial: PreparedTrial) -> bool:
+def in_search(entry: MotorTrial) -> bool:
     """Return whether the dynamic fit sees a trial; reversals come after it, as in the paper."""
-    return trial.entry.use == "fit" and trial.entry.direction != "reversal"
+    return entry.use == "fit" and entry.direction != "reversal"
 
 
 def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
@@ -103,11 +84,7 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
     """
     check_options(campaign, path)
     logs = [bench_log(campaign, path, entry) for entry in campaign.trials]
-    fitted = [
-        log
-        for log, entry in zip(logs, campaign.trials, strict=True)
-        if entry.use == "fit" and entry.direction != "reversal"
-    ]
+    fitted = [log for log, entry in zip(logs, campaign.trials, strict=True) if in_search(entry)]
     if not fitted:
         raise CampaignError(
             "no forward or reverse trial has use = 'fit'; reversals alone cannot serve, because the dead "
@@ -137,15 +114,9 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
 
 
 def _check_kv(kv: float, reference: float, curves: StaticCurves) -> None:
-    """Refuse a Kv whose unit the logs contradict; warn of one that they merely find odd.
-
-    Raises
-    ------
-    CampaignError
-        When Kv V_ref and the speed at full command differ by about 60/(2π) either way.
-    """
+    """Refuse a Kv that is off by about 60/(2π), its unit; notice one that the logs merely find odd."""
     bare = {fit.direction: sum(fit.coefficients) for fit in curves.fits if fit.quantity == "no_load"}
-    seen = [*bare.values(), *(float(np.sum(tie.speed)) for tie in curves.ties.values())]
+    seen = [*bare.values(), *(float(np.sum(tie.lines[0])) for tie in curves.ties.values())]
     top = max(abs(speed) for speed in seen)
     what = "without" if bare else "with"
     ratio = kv * reference / top
@@ -194,14 +165,10 @@ def _known_values(
     values = {**curves.parameters, "reference_voltage": reference}
     measured = dict.fromkeys(curves.parameters, "steady points of the logs")
     stated: dict[str, str] = {}
-    constants = CONSTANTS
-    if motor.reference_voltage is not None:
-        measured["reference_voltage"] = voltage_source
-    else:
-        stated["reference_voltage"] = voltage_source
+    (stated if motor.reference_voltage is None else measured)["reference_voltage"] = voltage_source
     if motor.kv is not None:
-        values |= dict.fromkeys(constants, 1.0 / motor.kv)
-        stated |= dict.fromkeys(constants, "campaign: 1/motor.kv, a rating")
+        values |= dict.fromkeys(CONSTANTS, 1.0 / motor.kv)
+        stated |= dict.fromkeys(CONSTANTS, "campaign: 1/motor.kv, a rating")
         if current is not None and abs(current.value * motor.kv - 1.0) > _SCALE_AGREES:
             notice(
                 "kv-against-current",
@@ -210,16 +177,16 @@ def _known_values(
                 "use the current, or correct log.current",
             )
     elif current is not None:
-        values |= dict.fromkeys(constants, current.value)
+        values |= dict.fromkeys(CONSTANTS, current.value)
         source = f"torque over the logged motor current, {current.points} steady points"
         if current.friction > 0:
             source += f" less {1e3 * current.friction:.2g} mN·m of friction"
-        measured |= dict.fromkeys(constants, f"{source}, ± {current.error:.2g} N·m/A; k_v = k_m")
+        measured |= dict.fromkeys(CONSTANTS, f"{source}, ± {current.error:.2g} N·m/A; k_v = k_m")
     elif curves.ties:
-        top = max(float(np.sum(tie.speed)) for tie in curves.ties.values())
-        values |= dict.fromkeys(constants, _LOADED_SHARE * reference / top)
-        stated |= dict.fromkeys(constants, "guess from supply and loaded speed: the campaign gives no Kv")
-    if motor.kv is None and current is None and not set(constants) <= set(campaign.parameters.fixed):
+        top = max(float(np.sum(tie.lines[0])) for tie in curves.ties.values())
+        values |= dict.fromkeys(CONSTANTS, _LOADED_SHARE * reference / top)
+        stated |= dict.fromkeys(CONSTANTS, "guess from supply and loaded speed: the campaign gives no Kv")
+    if motor.kv is None and current is None and not set(CONSTANTS) <= set(campaign.parameters.fixed):
         notice(
             "no-kv",
             "no Kv in the campaign: R, L and I_sat rest on a guessed motor constant of "
@@ -242,40 +209,9 @@ def untested_rows(campaign: MotorCampaign, bench: Bench) -> tuple[str, ...]:
     return tuple(name for name in curves if name not in known | tied)
 
 
-def _warn_of_starts(campaign: MotorCampaign, bench: Bench) -> None:
-    """Warn of fitted trials that are little but a start from rest, where the dead band is not known.
-
-    Freeing the dead band beside R, L and the delay does not help: they hide in one another.
-    """
-    given = {*campaign.parameters.fixed, *bench.measured}
-    starts = [trial.entry.name for trial in bench.fitted if trial.only_starts]
-    if starts and not set(SATURATION) <= given:
-        for name in starts:
-            notice(
-                "little-but-a-start",
-                "little but a start from rest, so R, L and the delay rest on Table I's dead band; add steps "
-                "between running speeds, or state motor.saturation_current and motor.saturation_speed",
-                trial=name,
-            )
-
-
-def _wanted(campaign: MotorCampaign, bench: Bench) -> list[str]:
-    """Return the names that the dynamic fit frees unless the campaign fixes them."""
-    choices = campaign.parameters
-    default = [name for name in FREE_DEFAULT if name != "viscous_damping" or not bench.curves.ties]
-    needed = ["command_delay"]
-    if any(not trial.log.fast for trial in bench.fitted):
-        needed += ["torque_sensor_delay", "torque_sensor_lag"]
-    if campaign.motor.rotor_inertia is None and choices.free is None:
-        needed.append("rotor_inertia")
-    names = list(default if choices.free is None else choices.free)
-    names += [name for name in needed if name not in names]
-    return [name for name in names if name not in SATURATION]
-
-
-def _check_choice(campaign: MotorCampaign, bench: Bench, chosen: tuple[str, ...]) -> None:
+def _check_choice(chosen: tuple[str, ...], given: Collection[str], scale_known: bool) -> None:
     """Refuse a free parameter that no trial depends on; warn of free ones that the logs leave arbitrary."""
-    if not {"rotor_inertia"} & {*chosen, *campaign.parameters.fixed, *bench.values}:
+    if "rotor_inertia" not in {*chosen, *given}:
         notice(
             "inertia-of-another-motor",
             f"the rotor's inertia is neither measured nor free, so Table I's "
@@ -289,7 +225,7 @@ def _check_choice(campaign: MotorCampaign, bench: Bench, chosen: tuple[str, ...]
             "comes from the static curves, so take it off the list"
         )
     scale = [name for name in CONSTANTS if name in chosen]
-    if scale and "winding_resistance" in chosen and not bench.scale_known:
+    if scale and "winding_resistance" in chosen and not scale_known:
         notice(
             "scale-free",
             f"{' and '.join(scale)} free beside winding_resistance, and no log holds the motor's current: "
@@ -312,12 +248,30 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
         For an unknown parameter, a wrong unit, crossed bounds, bounds that exclude a measured value, a
         parameter that neither torque nor speed depends on.
     """
-    choices = campaign.parameters
-    _warn_of_starts(campaign, bench)
+    choices, fixed = campaign.parameters, campaign.parameters.fixed
+    if not set(SATURATION) <= {*fixed, *bench.measured}:
+        # Freeing the dead band beside R, L and the delay does not help: they hide in one another.
+        for trial in bench.fitted:
+            if trial.only_starts:
+                notice(
+                    "little-but-a-start",
+                    "little but a start from rest, so R, L and the delay rest on Table I's dead band; add "
+                    "steps between running speeds, or state motor.saturation_current and "
+                    "motor.saturation_speed",
+                    trial=trial.entry.name,
+                )
+    default = [name for name in FREE_DEFAULT if name != "viscous_damping" or not bench.curves.ties]
+    needed = ["command_delay"]
+    if any(not trial.log.fast for trial in bench.fitted):
+        needed += ["torque_sensor_delay", "torque_sensor_lag"]
+    if campaign.motor.rotor_inertia is None and choices.free is None:
+        needed.append("rotor_inertia")
+    wanted = default if choices.free is None else [*choices.free]
+    wanted += [name for name in needed if name not in wanted]
     # A name that the campaign both frees and fixes stays in the list, to be refused.
     asked = set(choices.free or ())
-    chosen = tuple(n for n in _wanted(campaign, bench) if n not in choices.fixed or n in asked)
-    _check_choice(campaign, bench, chosen)
+    chosen = tuple(n for n in wanted if n not in SATURATION and (n not in fixed or n in asked))
+    _check_choice(chosen, {*fixed, *bench.values}, bench.scale_known)
     # Bounds of the dead band belong to the second stage.
     bounds = {name: pair for name, pair in choices.bounds.items() if name not in SATURATION}
     choices = choices.model_copy(update={"free": chosen, "bounds": bounds})

@@ -58,14 +58,8 @@ GROUPS = {
 class Rung:
     """One model of the ladder.
 
-    Parameters
-    ----------
-    values : dict
-        Free parameters by name [SI].
-    nrmse : dict of group to (torque, speed)
-        Means over the parts of trials of each group [1].
-    evaluations : int
-        Candidates that its search scored.
+    `values` are the free parameters by name [SI], `nrmse` the means (torque, speed) over the parts of trials
+    of each group [1], `evaluations` the candidates that its search scored.
     """
 
     name: str
@@ -75,18 +69,15 @@ class Rung:
 
     def document(self, below: Rung | None) -> dict[str, Any]:
         """Return the rung as a result states it, with what it takes off the NRMSE of the rung below."""
-        return {
-            "rung": self.name,
-            "values": self.values,
-            "evaluations": self.evaluations,
-            "nrmse": {group: dict(zip(CHANNELS, pair, strict=True)) for group, pair in self.nrmse.items()},
-            "buys": {}
-            if below is None
-            else {
-                group: {c: below.nrmse[group][i] - pair[i] for i, c in enumerate(CHANNELS)}
-                for group, pair in self.nrmse.items()
-            },
-        }
+        less: dict[str, tuple[float, float]] = {}
+        if below is not None:
+            less = {g: (below.nrmse[g][0] - t, below.nrmse[g][1] - s) for g, (t, s) in self.nrmse.items()}
+        nrmse, buys = (
+            {group: dict(zip(CHANNELS, pair, strict=True)) for group, pair in pairs.items()}
+            for pairs in (self.nrmse, less)
+        )
+        names = ("rung", "values", "evaluations", "nrmse", "buys")
+        return dict(zip(names, (self.name, self.values, self.evaluations, nrmse, buys), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,14 +188,11 @@ class _Climb:
         spreads = dict(zip(self.budget.run_seeds(), _SPREADS, strict=True))
 
         def near(name: str, n_free: int, population: int, seed: int, start: Start | None) -> Breeder:
-            beside = Start(point, np.full(n_free, spreads[seed])) if start is None else start
-            return breeder(name, n_free, population, seed, beside)
+            return breeder(name, n_free, population, seed, Start(point, np.full(n_free, spreads[seed])))
 
         with LocalThreads() as where:
-            runs = run_many(
-                SpreadObjective(problem, where), self.budget, hooks=self.hooks, at_once=where.at_once,
-                breeds=near,
-            )  # fmt: skip
+            spread = SpreadObjective(problem, where)
+            runs = run_many(spread, self.budget, hooks=self.hooks, at_once=where.at_once, breeds=near)
         run: RunHistory = min(runs, key=lambda history: float(history.best[-1]))
         values = dict(zip(space.names, space.decode(run.best_point).tolist(), strict=True))
         row = averaged(space, space.full(run.best_point))
@@ -238,22 +226,10 @@ def climb(
 ) -> tuple[Rung, ...]:
     """Fit every rung to the fitted trials, score it on every trial.
 
-    Parameters
-    ----------
-    problem : MotorProblem
-        Of the dynamic fit.
-    best : mapping
-        The fit's best set by name [SI], where the searches begin. The last rung takes its dead band, and
-        every rung its delays of the logs that only the stage of the dead band saw. Names left out begin at
-        their nominal values.
-    saturated : bool
-        Whether the dead band was fitted or given.
-    settings : SearchSettings
-        Its stop rule counts.
-    seed : int
-        Of the searches.
-    should_stop : callable, optional
-        Asked after every generation; raises where the fit must end.
+    The searches begin at `best`, the fit's best set by name [SI]; names left out begin at their nominal
+    values. The last rung takes its dead band, which was fitted or given where `saturated`, and every rung its
+    delays of the logs that only the stage of the dead band saw. The stop rule of `settings` counts;
+    `should_stop` is asked after every generation, and raises where the fit must end.
     """
     # An eighth of the paper's population may take eight times the generations of a run.
     generations = 8 * settings.stop.max_generations

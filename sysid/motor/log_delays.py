@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from sysid.motor.targets import PreparedTrial
-from sysid.parameters import Parameter, ParameterTable, SearchSpace
+from sysid.parameters import ParameterTable, SearchSpace
 from sysid.types import FloatArray
 
 _NAME = "command_delay"
@@ -29,31 +29,27 @@ def with_log_delays(
 ) -> SearchSpace:
     """Give every log its own delay where the common one is free and there are several logs.
 
-    Parameters
-    ----------
-    space : SearchSpace
-        Of the dynamic fit.
-    fitted, late : sequence of PreparedTrial
-        Trials of the dynamic fit, whose delays become free, and of the stage after it, whose delays are
-        held at the mean until then.
+    The delays of the logs of `fitted`, the trials of the dynamic fit, become free; those of `late`, which the
+    stage after it sees, are held at the mean until then.
     """
     first = list(dict.fromkeys(trial.entry.log for trial in fitted))
     others = [log for log in dict.fromkeys(t.entry.log for t in late) if log not in first]
     if _NAME not in space.names or len(first) + len(others) < 2:
         return space
     common = next(row for row in space.free if row.name == _NAME)
-    rows = [_row(common, log) for log in (*first, *others)]
+    rows = [
+        replace(
+            common.of_trial(log),
+            meaning=f"Time from a command in {log} to the voltage, instruments included; no motor physics.",
+        )
+        for log in (*first, *others)
+    ]
     free = tuple(row for row in space.free if row.name != _NAME)
     return SearchSpace(
         ParameterTable([*space.table.values(), *rows]),
         (*free, *rows[: len(first)]),
         {**space.fixed, _NAME: common.nominal, **{row.name: common.nominal for row in rows[len(first) :]}},
     )
-
-
-def _row(common: Parameter, log: str) -> Parameter:
-    meaning = f"Time from a command in {log} to the voltage, instruments included; no motor physics."
-    return replace(common.of_trial(log), meaning=meaning)
 
 
 def own_rows(space: SearchSpace) -> tuple[str, ...]:
@@ -63,7 +59,7 @@ def own_rows(space: SearchSpace) -> tuple[str, ...]:
 
 def averaged(space: SearchSpace, rows: FloatArray) -> FloatArray:
     """Return rows (P, n) whose common delay, and that of logs not fitted yet, is the mean of the free."""
-    index = {name: i for i, name in enumerate(space.table)}
+    index = space.table.index
     own = own_rows(space)
     free = [index[name] for name in own if name in space.names]
     if free:
@@ -76,8 +72,9 @@ def averaged(space: SearchSpace, rows: FloatArray) -> FloatArray:
 
 def shifts(table: ParameterTable, rows: FloatArray, trials: Sequence[PreparedTrial]) -> FloatArray | None:
     """Return what each trial adds to the common delay (P, T) [s]; None where no row has delays of logs."""
-    index = {name: i for i, name in enumerate(table)}
-    columns = [index.get(delay_name(trial.entry.log), index[_NAME]) for trial in trials]
-    if rows.shape[1] != len(table) or all(column == index[_NAME] for column in columns):
+    index = table.index
+    common = index[_NAME]
+    columns = [index.get(delay_name(trial.entry.log), common) for trial in trials]
+    if rows.shape[1] != len(table) or {*columns} == {common}:
         return None
-    return np.asarray(rows[:, columns] - rows[:, [index[_NAME]]], dtype=np.float64)
+    return np.asarray(rows[:, columns] - rows[:, [common]], dtype=np.float64)

@@ -98,11 +98,8 @@ def kernel_rows(rows: FloatArray) -> FloatArray:
 def invariants(parameters: Mapping[str, float]) -> dict[str, float]:
     """Return what torque and speed alone can fix when Kv is unknown and no current is logged.
 
-    Returns
-    -------
-    dict
-        ``k²/R`` [N·m·s/rad], ``R/L`` [1/s], ``k·I_sat`` [N·m] and the electromechanical time constant
-        ``I^r R/k²`` [s], with k² = k_v k_m.
+    ``k²/R`` [N·m·s/rad], ``R/L`` [1/s], ``k·I_sat`` [N·m] and the electromechanical time constant
+    ``I^r R/k²`` [s], with k² = k_v k_m.
     """
     p = complete(parameters)
     k2 = p["back_emf_constant"] * p["torque_constant"]
@@ -161,14 +158,7 @@ def steady_state(
 ) -> tuple[FloatArray, FloatArray]:
     """Return current [A] and speed [rad/s] in equilibrium with a constant command, saturation aside.
 
-    Parameters
-    ----------
-    command : (...) array
-        u in [-1, 1].
-    parameters : mapping
-        Parameters by name [SI].
-    voltage : (...) array, optional
-        Supply [V]; V_ref where left out.
+    Commands u (...) in [-1, 1]; the supply (...) [V] is V_ref where left out.
     """
     p = complete(parameters)
     row = kernel_rows(pack(parameters))
@@ -232,10 +222,6 @@ def simulate(
         No saturation (I_sat = ∞), as in Fig. 11.
     tolerance : float
         Relative local error of a step.
-
-    Returns
-    -------
-    MotorTrajectory
 
     Raises
     ------

@@ -31,22 +31,10 @@ _BOUNDS = (1e-4, 1.0)
 class FirstOrderRotor:
     """Constants of a first-order rotor with a quadratic thrust curve.
 
-    Parameters
-    ----------
-    time_constant_up, time_constant_down : float
-        T_up and T_down [s].
-    misfit_up, misfit_down : float
-        Rms distance of the lag from the motor's speed over the steps, over the size of the step [1].
-    maximum_speed : float
-        Loaded steady speed at full forward command [rad/s].
-    thrust_constant : float
-        k_T [N·s²/rad²], forward.
-    thrust_misfit : float
-        Largest distance of k_T Ω² from the identified curve, over the largest thrust [1].
-    moment_constant : float
-        k_M [m], forward.
-    reverse_maximum_speed, reverse_thrust_constant : float
-        The same of reverse rotation, for which the simulators' symmetric rotor has no place.
+    Time constants T_up and T_down [s], and the rms distance of the lag from the motor's speed over the steps,
+    over the size of the step [1]; the loaded steady speed at full forward command [rad/s]; k_T [N·s²/rad²]
+    and the largest distance of k_T Ω² from the identified curve over the largest thrust [1]; k_M [m]. Speed
+    and thrust are forward; simulators' symmetric rotors have no place for those of reverse rotation.
     """
 
     time_constant_up: float
@@ -64,11 +52,8 @@ class FirstOrderRotor:
 def first_order_rotor(parameters: Mapping[str, float]) -> FirstOrderRotor:
     """Return the first-order rotor nearest to a motor.
 
-    Parameters
-    ----------
-    parameters : mapping
-        By name, as in `sysid.motor.model.PARAMETERS` [SI]; the command delay of the log's instruments is
-        left out.
+    `parameters` are named as in `sysid.motor.model.PARAMETERS` [SI]; the command delay of the log's
+    instruments is left out.
 
     Raises
     ------

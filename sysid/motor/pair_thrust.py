@@ -58,10 +58,8 @@ def thrust_history(
         Number of motors that share the schedule.
     initial : (current [A], speed [rad/s]) or "steady"
         At time 0; "steady" takes the equilibrium under the command just before it.
-    ideal_reversal : bool
-        No saturation (I_sat = ∞), as in Fig. 11.
-    tolerance : float
-        Relative local error of the motor's steps.
+    ideal_reversal, tolerance
+        As in `sysid.motor.model.simulate`.
 
     Raises
     ------
@@ -80,25 +78,15 @@ def thrust_history(
     inertia, delay = p["rotor_inertia"], p["command_delay"]
     start = initial
     if isinstance(initial, str):
-        before = simulate(
-            {**parameters, "command_delay": 0.0},
-            [0.0],
-            [levels[max(0, int(np.searchsorted(instants + delay, 0.0, side="left")) - 1)]],
-            [0.0],
-            initial="steady",
-        )
+        level = levels[max(0, int(np.searchsorted(instants + delay, 0.0, side="left")) - 1)]
+        before = simulate({**parameters, "command_delay": 0.0}, [0.0], [level], [0.0], initial="steady")
         start = (float(before.current[0]), float(before.speed[0]))
 
     def sample(time: FloatArray) -> tuple[FloatArray, FloatArray]:
         run = simulate(
-            parameters,
-            instants,
-            levels,
-            time,
-            initial=start,
-            ideal_reversal=ideal_reversal,
+            parameters, instants, levels, time, initial=start, ideal_reversal=ideal_reversal,
             tolerance=tolerance,
-        )
+        )  # fmt: skip
         rise = (run.stator_torque - aerodynamic_torque(run.speed, parameters)) / inertia
         return motors * run.thrust, motors * thrust_slope(run.speed, parameters) * rise
 

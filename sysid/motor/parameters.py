@@ -15,17 +15,7 @@ _KV_PLAUSIBLE_RPM = (10.0, 60_000.0)
 
 
 def kv_to_si(kv_rpm_per_volt: float) -> float:
-    """Turn a Kv rating into the back-EMF constant 60/(2π Kv), which equals the torque constant in SI.
-
-    Parameters
-    ----------
-    kv_rpm_per_volt : float
-        Kv as motors are sold [rpm/V], e.g. 960.
-
-    Returns
-    -------
-    float
-        k_v [V·s/rad] = k_m [N·m/A].
+    """Return k_v [V·s/rad] = k_m [N·m/A] = 60/(2π Kv) of a Kv rating [rpm/V], as motors are sold, e.g. 960.
 
     Raises
     ------

@@ -18,13 +18,13 @@ from sysid.campaign import MotorCampaign
 from sysid.fit.problem import NoiseModel, Problem, Scores, Trial
 from sysid.fit.result import FitResult
 from sysid.motor.batch import SimulatedTrials, simulate_population
+from sysid.motor.bench_logs import log_hashes
 from sysid.motor.cost import CHANNEL_UNITS, CHANNELS, BenchCost, MotorTarget
 from sysid.motor.curves import NoLoadTie
-from sysid.motor.known_values import CONSTANTS, Bench, search_space
+from sysid.motor.known_values import CONSTANTS, Bench
 from sysid.motor.log_delays import delay_name, shifts
-from sysid.motor.model import PARAMETERS, pack
+from sysid.motor.model import PARAMETERS
 from sysid.motor.parameters import SENSORS
-from sysid.motor.static_curves import CurveFit
 from sysid.motor.targets import PreparedTrial, filter_design, measured_spectrum
 from sysid.parameters import SearchSpace
 from sysid.trials.look import inspect_recording, log_quality
@@ -48,11 +48,7 @@ class MotorProblem(Problem):
     Parameters
     ----------
     bench : Bench
-        All of its logs.
-    prepared : tuple of PreparedTrial
-        The trials.
-    targets : tuple of MotorTarget
-        What is compared of each.
+        All logs of the campaign. `prepared` are the trials of this problem, `targets` what each compares.
     ties : mapping of direction to NoLoadTie
         No-load lines that follow R and k_d.
     threads : int, optional
@@ -72,6 +68,8 @@ class MotorProblem(Problem):
     threads: int | None = None
     ideal_reversal: bool = False
     stated_noise: FloatArray | None = None
+    channels = CHANNELS
+    units = CHANNEL_UNITS
     known_words = "static curves and tares; ranges under parameters.measured"
 
     @classmethod
@@ -91,7 +89,14 @@ class MotorProblem(Problem):
         yet, and a wrong one would be paid for by L and the delay.
         """
         targets = tuple(t.dynamic_target if dynamic else t.target for t in trials)
-        return cls(campaign, bench, space, trials, targets, ties_of(campaign, space, bench), threads)
+        # No-load lines that are neither free nor fixed by the campaign follow R and k_d.
+        chosen = {*space.names, *campaign.parameters.fixed}
+        ties = {
+            direction: tie
+            for direction, tie in bench.curves.ties.items()
+            if not {f"no_load_slope_{direction}", f"no_load_intercept_{direction}"} & chosen
+        }
+        return cls(campaign, bench, space, trials, targets, ties, threads)
 
     # --- what is compared -----------------------------------------------------------------------------------
 
@@ -111,16 +116,6 @@ class MotorProblem(Problem):
             for trial, target in zip(self.prepared, self.targets, strict=True)
         )  # fmt: skip
 
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Stator torque and speed."""
-        return CHANNELS
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """SI units of the channels."""
-        return CHANNEL_UNITS
-
     @cached_property
     def cost(self) -> BenchCost:
         """The campaign's NRMSE over the trials."""
@@ -138,11 +133,14 @@ class MotorProblem(Problem):
         prepared = tuple(self.prepared[t] for t in chosen)
         return replace(self, prepared=prepared, targets=tuple(self.targets[t] for t in chosen))
 
+    def of(self, trials: tuple[PreparedTrial, ...]) -> MotorProblem:
+        """Return the problem of other trials, without their starts from rest."""
+        return replace(self, prepared=trials, targets=tuple(trial.dynamic_target for trial in trials))
+
     @property
     def fitted(self) -> MotorProblem:
         """The trials of the dynamic fit, without their starts from rest."""
-        trials = self.bench.fitted
-        return replace(self, prepared=trials, targets=tuple(trial.dynamic_target for trial in trials))
+        return self.of(self.bench.fitted)
 
     # --- scores and signals ---------------------------------------------------------------------------------
 
@@ -221,49 +219,46 @@ class MotorProblem(Problem):
 
         The tare of every trial's torque, static curves, values that the campaign states within a range.
         """
-        changes = self._changes(row)
-        out = [np.zeros((0, self.blocks[-1].stop)), self._tares()]
-        if len(changes):
-            values, _ = self.compared(np.concatenate([row + changes, row - changes]))
-            out.append((values[: len(changes)] - values[len(changes) :]) / 2)
-        return np.concatenate(out)
+        moved = self._tares()
+        if len(self._changes):
+            values, _ = self.compared(np.concatenate([row + self._changes, row - self._changes]))
+            up, down = np.split(values, 2)
+            moved = np.concatenate([moved, (up - down) / 2])
+        return moved
 
     @property
     def common(self) -> int:
         """Number of static curves and stated ranges among the disturbances."""
-        return len(self._changes(self.space.full(np.full((1, len(self.space.free)), 0.5))[0]))
-
-    @property
-    def _curve_fits(self) -> tuple[CurveFit, ...]:
-        """Static curves but those that the campaign states, which are no fit to points."""
-        fixed = {*self.campaign.parameters.fixed}
-        return tuple(fit for fit in self.bench.curves.fits if not {*fit.parameters} & fixed)
+        return len(self._changes)
 
     @property
     def _ranges(self) -> Mapping[str, tuple[float, float]]:
         """Within which values lie that the fit takes as known [SI], such as a Kv or an inertia."""
         return self.campaign.parameters.measured_ranges(PARAMETERS)
 
-    def _changes(self, row: FloatArray) -> FloatArray:
-        index = self.space.table.index
+    @cached_property
+    def _changes(self) -> FloatArray:
+        """(K, n_table) one standard deviation of each static curve and each stated range [SI]."""
+        index, fixed, searched = self.space.table.index, self.campaign.parameters.fixed, self.space.names
         changes = []
-        for fit in self._curve_fits:
+        for fit in self.bench.curves.fits:
             columns = [index[name] for name in fit.parameters if name in index]
-            free = [name for name in fit.parameters if name in self.space.names]
-            if fit.quantity == "thrust" or len(columns) != 2 or free:
+            # Curves that the campaign states are no fit to points.
+            if fit.quantity == "thrust" or len(columns) != 2 or {*fit.parameters} & {*fixed, *searched}:
                 continue
             first, second = fit.standard_errors
             rho = fit.correlation
             for root in ((first, rho * second), (0.0, np.sqrt(1 - rho**2) * second)):
                 if np.isfinite(root).all():
-                    change = np.zeros(len(row))
-                    change[columns] = root
-                    changes.append(change)
+                    changes.append(self._change(columns, root))
         for names, width in self._stated_ranges():
-            change = np.zeros(len(row))
-            change[[index[name] for name in names]] = width / np.sqrt(_UNIFORM)
-            changes.append(change)
-        return np.array(changes).reshape(len(changes), len(row))
+            changes.append(self._change([index[name] for name in names], width / np.sqrt(_UNIFORM)))
+        return np.array(changes).reshape(len(changes), len(index))
+
+    def _change(self, columns: list[int], size: Any) -> FloatArray:
+        change = np.zeros(len(self.space.table))
+        change[columns] = size
+        return change
 
     def _stated_ranges(self) -> list[tuple[tuple[str, ...], float]]:
         """Return names that move together and the width of their range [SI], of what is not free."""
@@ -278,13 +273,11 @@ class MotorProblem(Problem):
     def _tares(self) -> FloatArray:
         """Return how one standard error of each trial's tare of torque moves the residuals (K, m)."""
         changes = []
-        for t, trial in enumerate(self.prepared):
-            tare = trial.log.tares.get("torque")
-            for block in self.blocks:
-                if tare is None or block.trial != t or block.channel != 0 or not np.isfinite(tare.error):
-                    continue
+        for block in self.blocks:
+            tare = self.prepared[block.trial].log.tares.get("torque")
+            if block.channel == 0 and tare is not None and np.isfinite(tare.error):
                 change = np.zeros(self.blocks[-1].stop)
-                valid = self.targets[t].valid[:, 0]
+                valid = self.targets[block.trial].valid[:, 0]
                 change[block.start : block.stop] = valid * tare.error / block.spread
                 changes.append(change)
         return np.array(changes).reshape(len(changes), self.blocks[-1].stop)
@@ -345,12 +338,14 @@ class MotorProblem(Problem):
     @property
     def hashes(self) -> Mapping[str, str]:
         """SHA-256 of every log, of the static logs as well."""
-        return self.bench.hashes
+        return {name: log_hashes(provenance) for name, provenance in self.logs.items()}
 
     @property
     def logs(self) -> Mapping[str, Any]:
         """What a result states of every log, of the static logs as well."""
-        return self.bench.log_provenance
+        return {trial.entry.name: trial.provenance for trial in self.bench.trials} | {
+            log.name: log.provenance for log in self.bench.curves.logs
+        }
 
     @property
     def filters(self) -> Mapping[str, Any]:
@@ -370,12 +365,13 @@ class MotorProblem(Problem):
 
     def excitation(self) -> dict[str, Any]:
         """Return the ranges of commands and speeds [rad/s], and the numbers of commands and reversals."""
-        commands = [trial.log.steps.level for trial in self.prepared]
-        speeds = [trial.target.measured[:, 1][trial.target.valid[:, 1]] for trial in self.bench.fitted]
+        commands = np.concatenate([trial.log.steps.level for trial in self.prepared])
+        targets = (trial.target for trial in self.bench.fitted)
+        speeds = np.concatenate([target.measured[target.valid[:, 1], 1] for target in targets])
         return {
-            "command": [float(min(c.min() for c in commands)), float(max(c.max() for c in commands))],
-            "commands": int(sum(len(c) for c in commands)),
-            "speed": [float(min(s.min() for s in speeds)), float(max(s.max() for s in speeds))],
+            "command": [float(commands.min()), float(commands.max())],
+            "commands": commands.size,
+            "speed": [float(speeds.min()), float(speeds.max())],
             "reversals": sum(trial.entry.direction == "reversal" for trial in self.prepared),
         }
 
@@ -434,25 +430,12 @@ def filtered_correlation(target: MotorTarget, lags: int) -> FloatArray:
     return out
 
 
-def ties_of(campaign: MotorCampaign, space: SearchSpace, bench: Bench) -> dict[Rotation, NoLoadTie]:
-    """Return the no-load lines that follow R and k_d: neither free nor fixed by the campaign."""
-    chosen = {*space.names} | {*campaign.parameters.fixed}
-    return {
-        direction: tie
-        for direction, tie in bench.curves.ties.items()
-        if not {f"no_load_slope_{direction}", f"no_load_intercept_{direction}"} & chosen
-    }
-
-
 def taken_as_exact(
     free: Collection[str], ranges: Collection[str], bench: Bench, fixed: Collection[str]
 ) -> dict[str, str]:
     """Return what a motor's intervals take as exact, in words, by the parameter whose range would count.
 
-    Parameters
-    ----------
-    free, ranges, fixed : collection of str
-        Names that are free, that have a stated range, that the campaign fixes.
+    `free`, `ranges` and `fixed` name what is free, what has a stated range, what the campaign fixes.
     """
     out = {}
     constants = [name for name in CONSTANTS if name not in free]
@@ -472,18 +455,3 @@ def taken_as_exact(
         stated = "rotor_inertia" in {*fixed, *bench.measured}
         out["rotor_inertia"] = "I^r as stated" if stated else "I^r of another motor (Table I)"
     return out
-
-
-def score_values(
-    campaign: MotorCampaign, bench: Bench, values: Mapping[str, float], threads: int | None = None
-) -> FloatArray:
-    """Return the NRMSE (T, 2) of one set of parameter values [SI] on every trial of a prepared bench.
-
-    Names left out take what the campaign fixes. The way to ask what the truth of a synthetic campaign scores.
-    """
-    space = search_space(campaign, bench)
-    problem = MotorProblem.build(campaign, space, bench, bench.trials, threads)
-    left = {d: tie for d, tie in problem.ties.items() if f"no_load_slope_{d}" not in values}
-    known = {name: value for name, value in space.fixed.items() if name in PARAMETERS}
-    row = pack({**bench.values, **known, **values})
-    return replace(problem, ties=left).score(row[None]).by_channel[0]

@@ -32,16 +32,9 @@ _REFIT = (12, 16, 0.02)
 class CostProfile:
     """NRMSE over one parameter, the others fitted at each of its values.
 
-    Parameters
-    ----------
-    values : (n,) array
-        Of the parameter [SI], ascending.
-    nrmse : (n,) array
-        Of the best refit [1].
-    best : float
-        Lowest NRMSE, the fit's own included [1].
-    resolution : float
-        What the static curves hide [SI]: a linear drag below their standard error cannot be seen.
+    `values` (n,) ascend [SI], `nrmse` (n,) is that of the best refit, `best` the lowest, the fit's included.
+    What the static curves hide is the `resolution` [SI]: a linear drag below their standard error cannot be
+    seen.
     """
 
     name: str
@@ -49,7 +42,7 @@ class CostProfile:
     values: FloatArray
     nrmse: FloatArray
     best: float
-    resolution: float = 0.0
+    resolution: float
 
     @property
     def within(self) -> BoolArray:
@@ -100,25 +93,14 @@ def profile(
     name: str,
     best: FloatArray,
     seed: int,
-    resolution: float = 0.0,
-    should_stop: Callable[[], bool] = lambda: False,
+    resolution: float,
+    should_stop: Callable[[], bool] | None,
 ) -> CostProfile:
     """Walk a free parameter through its bounds and fit the others at every step.
 
-    Parameters
-    ----------
-    objective : MotorProblem
-        Of the fit.
-    name : str
-        A free parameter.
-    best : (n_free,) array
-        The best set in the unit cube.
-    seed : int
-        Of the first value's search; every further value adds 1.
-    resolution : float
-        Of the static curves [SI].
-    should_stop : callable
-        Asked after every generation; raises where the fit must end.
+    `best` (n_free,) is the best set in the unit cube, `resolution` that of the static curves [SI]. `seed`
+    serves the first value's search; every further value adds 1. `should_stop` is asked after every
+    generation, and raises where the fit must end.
     """
     space = objective.space
     column = space.names.index(name)
@@ -140,16 +122,15 @@ def profile(
 
 
 def _refit(
-    objective: MotorProblem, at: FloatArray, seed_of_value: int, should_stop: Callable[[], bool]
+    objective: MotorProblem, at: FloatArray, seed_of_value: int, should_stop: Callable[[], bool] | None
 ) -> tuple[float, FloatArray]:
     """Return the lowest NRMSE near a point of the unit cube, and where it is."""
-    population, generations, spread = _REFIT
+    many, generations, spread = _REFIT
 
     def near(name: str, n_free: int, population: int, seed: int, start: Start | None) -> Breeder:
         return breeder(name, n_free, population, seed_of_value, Start(at, np.full(n_free, spread)))
 
-    rule = StopRule(max_generations=generations)
-    settings = SearchSettings(population, 1, seed_of_value, rule, "cmaes", "none")
+    settings = SearchSettings(many, 1, seed_of_value, StopRule(max_generations=generations), "cmaes", "none")
     run = run_one(objective, settings, hooks=Hooks(should_stop=should_stop), breeds=near)
     before = float(objective.evaluate(at[None]).cost[0])
     after = float(run.best[-1])

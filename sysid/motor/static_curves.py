@@ -29,10 +29,8 @@ class CurveFit:
 
     Parameters
     ----------
-    quantity : str
-        ``thrust``, ``torque`` or ``no_load``.
-    direction : {"forward", "reverse"}
-        Sense of rotation.
+    quantity : {"thrust", "torque", "no_load"}
+        Whose curve it is.
     coefficients : (c2, c1) or (a, b)
         Of c2 Ω|Ω| + c1 Ω, or of a u + b sign(u).
     standard_errors : same pair
@@ -93,10 +91,9 @@ def fit_speed_curve(
     ----------
     quantity : {"thrust", "torque"}
         What `value` is; it has the sign of the speed (tare and sign already put right).
-    direction : {"forward", "reverse"}
-        Points that turn the other way are left out.
     speed, value : (n,) arrays
-        Steady speed [rad/s] and thrust [N] or aerodynamic torque [N·m]; NaN pairs are left out.
+        Steady speed [rad/s] and thrust [N] or aerodynamic torque [N·m]; NaN pairs, and points that turn the
+        other way, are left out.
     zero_rows : int
         Points at rest whose mean was subtracted as the tare; its error, common to all points, then counts in
         the standard errors. 0: the zero is exact.
@@ -122,22 +119,11 @@ def fit_speed_curve(
 
 
 def fit_no_load_line(
-    direction: Rotation,
-    command: ArrayLike,
-    speed: ArrayLike,
-    *,
-    supply_ratio: ArrayLike = 1.0,
+    direction: Rotation, command: ArrayLike, speed: ArrayLike, *, supply_ratio: ArrayLike = 1.0
 ) -> CurveFit:
-    """Fit Ω_0 = a u + b sign(u) to no-load speeds of one direction.
+    """Fit Ω_0 = a u + b sign(u) to no-load speeds (n,) [rad/s] of one direction, divided by V/V_ref (n,).
 
-    Parameters
-    ----------
-    direction : {"forward", "reverse"}
-        Commands of the other sign, and u = 0, are left out.
-    command, speed : (n,) arrays
-        u in [-1, 1] and the speed without propeller [rad/s].
-    supply_ratio : (n,) array
-        V/V_ref of each point; the speed is divided by it.
+    Commands u (n,) of the other sign, and u = 0, are left out.
     """
     ratio = np.broadcast_to(np.asarray(supply_ratio, dtype=np.float64), np.shape(speed))
     u, omega = _of_direction(direction, command, np.asarray(speed, dtype=np.float64) / ratio)
@@ -204,16 +190,10 @@ def _robust_line(
     coefficients = start / size
     errors = np.sqrt(np.diag(covariance)) / size
     return CurveFit(
-        quantity,
-        direction,
-        (float(coefficients[0]), float(coefficients[1])),
-        (float(errors[0]), float(errors[1])),
-        units,
-        r_squared(y, residual, inlier),
-        int(y.size),
-        int(np.sum(~inlier)),
-        coefficient_correlation(covariance),
-    )
+        quantity, direction, (float(coefficients[0]), float(coefficients[1])),
+        (float(errors[0]), float(errors[1])), units, r_squared(y, residual, inlier), int(y.size),
+        int(np.sum(~inlier)), coefficient_correlation(covariance),
+    )  # fmt: skip
 
 
 def r_squared(y: FloatArray, residual: FloatArray, inlier: BoolArray) -> float:
@@ -249,7 +229,8 @@ def _soft_line(columns: FloatArray, y: FloatArray, start: FloatArray) -> FloatAr
     def residual(coefficients: FloatArray) -> FloatArray:
         return columns @ coefficients - y
 
-    def jacobian(coefficients: FloatArray) -> FloatArray:
+    def jacobian(_: FloatArray) -> FloatArray:
         return columns
 
-    return np.asarray(least_squares(residual, start, jac=jacobian, loss="soft_l1").x, dtype=np.float64)
+    fit = least_squares(residual, start, jac=jacobian, loss="soft_l1")
+    return np.asarray(fit.x, dtype=np.float64)

@@ -12,10 +12,10 @@ from sysid.campaign import MotorCampaign, MotorTrial
 from sysid.errors import LogError
 from sysid.filters import ChebyshevLowpass, Spectrum, amplitude_spectrum
 from sysid.motor.batch import SimulatedTrial
-from sysid.motor.bench_logs import BenchLog, Samples, log_hashes, source_of
+from sysid.motor.bench_logs import BenchLog, Samples, source_of
 from sysid.motor.cost import MotorTarget
 from sysid.motor.parameters import PARAMETERS
-from sysid.trials.bench_log import outside
+from sysid.trials.bench_log import Tare, outside
 from sysid.trials.spin_up import find_starts
 from sysid.trials.steady import SETTLE
 from sysid.types import BoolArray, FloatArray, IntArray
@@ -44,14 +44,6 @@ class PreparedTrial:
 
     Parameters
     ----------
-    entry : MotorTrial
-        As the campaign states it.
-    log : BenchLog
-        Its log.
-    simulated : SimulatedTrial
-        What drives the motor, and when its outputs are wanted.
-    target : MotorTarget
-        What is compared.
     starts : tuple of (start, end)
         Spin-ups from rest inside the window [s], as far as the filter carries them.
     thrust : (n,) array or None
@@ -67,11 +59,6 @@ class PreparedTrial:
     starts: tuple[tuple[float, float], ...]
     thrust: FloatArray | None
     provenance: dict[str, Any]
-
-    @property
-    def hashes(self) -> str:
-        """SHA-256 of its log, and of the second one where there is one."""
-        return log_hashes(self.provenance)
 
     @property
     def started(self) -> BoolArray:
@@ -116,41 +103,30 @@ def prepare_trial(
     )
     starts = tuple((a - reach, b + reach) for a, b in starts if b + reach > start and a - reach < window[1])
     knots, ratio = _supply(log, reference_voltage)
-    return PreparedTrial(
-        entry=entry,
-        log=log,
-        simulated=SimulatedTrial(log.steps.time, log.steps.level, grid, "steady", knots, ratio),
-        target=target,
-        starts=starts,
-        thrust=measured_thrust(campaign, log, target.time),
-        provenance=_provenance(entry, log, starts),
-    )
-
-
-def _provenance(entry: MotorTrial, log: BenchLog, starts: tuple[tuple[float, float], ...]) -> dict[str, Any]:
-    """Return what a result states of a trial's log."""
-    return {
+    thrust = None
+    if "thrust" in log.channels:
+        samples = filtered(campaign, log, "thrust") if log.fast else log.channels["thrust"]
+        thrust = np.interp(target.time, *samples)
+    provenance = {
         **source_of(log.recording),
         "direction": entry.direction,
         "rate [Hz]": 1.0 / log.interval,
         "window [s]": [float(w) for w in log.window],
         "commands": int(log.steps.time.size),
-        "torque sign": log.torque_sign,
-        "thrust sign": log.thrust_sign,
-        "tare": {
-            name: {
-                "value": t.value,
-                "error": t.error if np.isfinite(t.error) else None,
-                "rows": t.rows,
-                "from": t.source,
-            }
-            for name, t in log.tares.items()
-        },
+        **{f"{name} sign": sign for name, sign in log.signs.items()},
+        "tare": {name: _tare(tare) for name, tare in log.tares.items()},
         "doubtful [s]": [list(interval) for interval in log.doubtful],
         "starts from rest [s]": [list(interval) for interval in starts],
         **({} if log.second is None else {"second log": log.second}),
         "notes": [str(note) for note in log.notes],
     }
+    simulated = SimulatedTrial(log.steps.time, log.steps.level, grid, "steady", knots, ratio)
+    return PreparedTrial(entry, log, simulated, target, starts, thrust, provenance)
+
+
+def _tare(tare: Tare) -> dict[str, Any]:
+    error = tare.error if np.isfinite(tare.error) else None
+    return {"value": tare.value, "error": error, "rows": tare.rows, "from": tare.source}
 
 
 def filter_design(campaign: MotorCampaign, logs: Sequence[BenchLog]) -> dict[str, Any]:
@@ -210,7 +186,8 @@ def _fast_target(
     for c, channel in enumerate(_COMPARED_CHANNELS):
         if channel in log.channels:
             measured[:, c] = np.interp(grid[rows], *filtered(campaign, log, channel))
-    return _target(log, name, grid[rows], measured, (start, step, grid.size), taps)
+    valid = np.isfinite(measured) & outside(grid[rows], log.doubtful)[:, None]
+    return MotorTarget(name, grid[rows], measured, valid, start, step, grid.size, taps)
 
 
 def _slow_target(log: BenchLog, name: str, start: float) -> MotorTarget:
@@ -225,19 +202,8 @@ def _slow_target(log: BenchLog, name: str, start: float) -> MotorTarget:
             hit = (at < rows.size) & (rows[np.minimum(at, rows.size - 1)] == t)
             measured[at[hit], c] = values[hit]
     size = int(np.ceil((rows[-1] - start) / step)) + 2
-    return _target(log, name, rows, measured, (start, step, size), np.zeros(0))
-
-
-def _target(
-    log: BenchLog,
-    name: str,
-    time: FloatArray,
-    measured: FloatArray,
-    grid: tuple[float, float, int],
-    taps: FloatArray,
-) -> MotorTarget:
-    valid = np.isfinite(measured) & outside(time, log.doubtful)[:, None]
-    return MotorTarget(name, time, measured, valid, *grid, taps)
+    valid = np.isfinite(measured) & outside(rows, log.doubtful)[:, None]
+    return MotorTarget(name, rows, measured, valid, start, step, size, np.zeros(0))
 
 
 def measured_spectrum(log: BenchLog, time: FloatArray) -> Spectrum | None:
@@ -255,14 +221,6 @@ def measured_spectrum(log: BenchLog, time: FloatArray) -> Spectrum | None:
             known = np.isfinite(values)
             raw[:, c] = np.interp(clock, t[known], values[known])
     return amplitude_spectrum(raw, 1.0 / log.interval)
-
-
-def measured_thrust(campaign: MotorCampaign, log: BenchLog, time: FloatArray) -> FloatArray | None:
-    """Return the thrust at the compared instants [N], filtered where the log is; None if not recorded."""
-    if "thrust" not in log.channels:
-        return None
-    samples = filtered(campaign, log, "thrust") if log.fast else log.channels["thrust"]
-    return np.interp(time, *samples)
 
 
 def filtered(campaign: MotorCampaign, log: BenchLog, channel: str) -> Samples:
@@ -297,13 +255,10 @@ def _steady_start(log: BenchLog, start: float) -> float:
 
 
 def _supply(log: BenchLog, reference_voltage: float) -> tuple[FloatArray | None, FloatArray | None]:
+    """Return knots [s] of V/V_ref and its values there (k,); None where the log does not hold the supply."""
     if "voltage" not in log.channels:
         return None, None
     t, volts = log.channels["voltage"]
-    keep = volts > 0
-    t, volts = t[keep], volts[keep]
-    if t.size == 0:
-        return None, None
     block = np.floor((t - t[0]) / _SUPPLY_MEAN).astype(np.int64)
     _, index, count = np.unique(block, return_inverse=True, return_counts=True)
     mean_time = np.bincount(index, t) / count

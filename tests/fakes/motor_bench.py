@@ -1,12 +1,15 @@
 """Small motor campaigns on disk: written, edited and read by the tests of motor fits."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from sysid.campaign import read_campaign
-from sysid.motor.known_values import prepare_bench
+from sysid.motor.known_values import prepare_bench, search_space
+from sysid.motor.model import PARAMETERS, pack
+from sysid.motor.problem import MotorProblem
 
 
 def edited(path: Path, *pairs: tuple[str, str], name: str = "") -> Path:
@@ -43,3 +46,13 @@ def table_of(path: Path) -> tuple[str, np.ndarray]:
 def write_table(path: Path, header: str, table: np.ndarray) -> None:
     """Write a CSV log with nine digits."""
     np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g", encoding="utf-8")
+
+
+def score_values(campaign, bench, values) -> np.ndarray:
+    """Return the NRMSE (T, 2) of values by name [SI] on every trial; what is left out the campaign states."""
+    space = search_space(campaign, bench)
+    problem = MotorProblem.build(campaign, space, bench, bench.trials)
+    left = {d: tie for d, tie in problem.ties.items() if f"no_load_slope_{d}" not in values}
+    known = {name: value for name, value in space.fixed.items() if name in PARAMETERS}
+    row = pack({**bench.values, **known, **values})
+    return replace(problem, ties=left).score(row[None]).by_channel[0]

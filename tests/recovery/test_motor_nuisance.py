@@ -157,11 +157,11 @@ def test_signs_of_torque_and_thrust_are_settled(tmp_path: Path) -> None:
     write_table(log, header, table)
     _, bench = bench_of(path)
     turned, before = bench.trials[0].log, plain.trials[0].log
-    assert (turned.torque_sign, turned.thrust_sign) == (-before.torque_sign, -before.thrust_sign)
+    assert turned.signs == {name: -sign for name, sign in before.signs.items()}
     for name in ("torque", "thrust"):
         # Written with nine digits.
         np.testing.assert_allclose(turned.channels[name][1], before.channels[name][1], rtol=1e-6, atol=1e-6)
-    stated = "+" if turned.thrust_sign < 0 else "-"
+    stated = "+" if turned.signs["thrust"] < 0 else "-"
     edited(path, (r"^\[curves\]", f'[log]\nthrust_sign = "{stated}"\n\n[curves]'))
     with pytest.raises(
         LogError, match=r"forward-1\.csv, trial 'forward-1': log\.thrust_sign = '.' gives .* mN"

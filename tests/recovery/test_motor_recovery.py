@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fakes.motor_bench import bench_of, edited, table_of, with_trials, write_table
+from fakes.motor_bench import bench_of, edited, score_values, table_of, with_trials, write_table
 from sysid.errors import CampaignError, LogError, UnitError
 from sysid.fit.optima import SAME_NRMSE
 from sysid.journal import Journal
@@ -16,7 +16,7 @@ from sysid.motor.dead_band import saturation_space
 from sysid.motor.inertia import spike_inertia
 from sysid.motor.known_values import in_search, search_space
 from sysid.motor.model import PARAMETERS, simulate
-from sysid.motor.problem import MotorProblem, score_values
+from sysid.motor.problem import MotorProblem
 from sysid.synthetic import read_truth
 from sysid.synthetic.motor import TRUE_MOTOR, synthesize_motor
 from sysid.workflows.fit import fit_motor
@@ -226,7 +226,7 @@ def test_numbers_do_not_depend_on_threads(prepared) -> None:
 def test_reversals_stay_out_of_the_dynamic_fit(prepared) -> None:
     _, bench = prepared
     assert {t.entry.name for t in bench.fitted} == {"forward-1", "reverse-1"}
-    assert not any(in_search(t) for t in bench.trials if t.entry.direction == "reversal")
+    assert not any(in_search(t.entry) for t in bench.trials if t.entry.direction == "reversal")
     assert [t.entry.name for t in bench.banded] == ["reversal-1"]
 
 

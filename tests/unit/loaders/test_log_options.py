@@ -124,7 +124,7 @@ CELL = "Time (s),Command (us),Speed,Fz (N)\n" + "".join(f"{i * 0.01:.2f},1000,{i
 def first_log(tmp_path, log, trial=""):
     """Return the recording of the first trial of a motor campaign with this [log] and these trial keys."""
     stated, path = campaign(tmp_path, MOTOR.format(log=log, trial=trial))
-    return read_log(stated, path, stated.trials[0]).recording
+    return read_log(stated, path, stated.trials[0])[0]
 
 
 def test_a_trial_wins_over_the_campaign_and_must_fit_its_format(tmp_path):
