@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import ExportError
+from sysid.filters import runs
 from sysid.fit.result import FitResult, TrialResult
 from sysid.gear.model import PARAMETERS, simulate
 from sysid.types import BoolArray, FloatArray
@@ -197,11 +198,9 @@ def _measured(fit: FitResult, trial: TrialResult, time: FloatArray) -> FloatArra
 def _contacts(time: FloatArray, normal_force: FloatArray) -> tuple[Contact, ...]:
     contacts: list[Contact] = []
     for foot in (0, 1):
-        on = np.concatenate([[False], np.nan_to_num(normal_force[:, foot]) > 0.0, [False]])
-        edges = np.flatnonzero(np.diff(on.astype(np.int8)))
         of_foot: list[Contact] = []
-        for first, end in zip(edges[::2], edges[1::2], strict=True):
-            start, stop = float(time[first]), float(time[min(int(end), len(time) - 1)])
+        for first, end in runs(np.nan_to_num(normal_force[:, foot]) > 0.0):
+            start, stop = float(time[first]), float(time[min(end, len(time) - 1)])
             if of_foot and start - of_foot[-1].end < _ONE_CONTACT:
                 of_foot[-1] = Contact(foot, of_foot[-1].start, stop)
             else:

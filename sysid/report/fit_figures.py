@@ -17,7 +17,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from sysid.errors import ExportError
-from sysid.filters import ChebyshevLowpass, KaiserLowpass, Spectrum
+from sysid.filters import ChebyshevLowpass, KaiserLowpass, Spectrum, runs
 from sysid.fit.optima import SAME_NRMSE
 from sysid.fit.result import FitResult, TrialResult
 from sysid.report.drawing import (
@@ -269,9 +269,7 @@ def _shade(axes: Axes, trial: TrialResult) -> None:
 
 def masked_runs(trial: TrialResult) -> list[tuple[int, int]]:
     """Return (first, last) sample of every run that counts for no channel."""
-    lost = np.concatenate([[False], ~trial.valid.any(axis=1), [False]])
-    edges = np.flatnonzero(np.diff(lost.astype(np.int8)))
-    return [(int(first), int(end) - 1) for first, end in zip(edges[::2], edges[1::2], strict=True)]
+    return [(first, end - 1) for first, end in runs(~trial.valid.any(axis=1))]
 
 
 def _best_nrmse(trial: TrialResult, c: int) -> float:

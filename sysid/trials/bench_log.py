@@ -160,11 +160,8 @@ def real_samples(values: FloatArray) -> BoolArray:
     For thrust stands, whose load cells update more slowly than rows are written. A new value that happens to
     equal the last one is lost with the repeats.
     """
-    known = np.flatnonzero(np.isfinite(values))
-    keep = np.zeros(values.size, dtype=np.bool_)
-    if known.size:
-        new = np.concatenate([[True], np.diff(values[known]) != 0])
-        keep[known[new]] = True
+    keep = np.isfinite(values)
+    keep[keep] = np.diff(values[keep], prepend=np.nan) != 0
     return keep
 
 

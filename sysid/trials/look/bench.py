@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,28 +77,27 @@ def inspect_bench(recording: Recording) -> tuple[BenchReport, list[Finding]]:
         low, high = float(steps.level.min()), float(steps.level.max())
     rest_thrust, rest_torque = _at_rest(recording, thrust), _at_rest(recording, torque)
     report = BenchReport(levels, low, high, len(stalls), hidden, rest_thrust, rest_torque, _largest(speed))
-    return report, _suspicions(recording, report)
+    return report, list(_suspicions(recording, report))
 
 
-def _suspicions(recording: Recording, report: BenchReport) -> list[Finding]:
+def _suspicions(recording: Recording, report: BenchReport) -> Iterator[Finding]:
     channels = recording.channels
     thrust, torque = channels.get("thrust"), channels.get("torque")
-    findings = []
     if report.top_speed > _FASTEST:
         advice = unit_advice(recording, "speed", "rpm")
         sentence = (
             f"speed reaches {report.top_speed:.4g} rad/s, faster than any such motor: probably rpm; {advice}"
         )
-        findings.append(Finding("speed-unit", sentence))
+        yield Finding("speed-unit", sentence)
     elif report.top_speed == 0.0:
-        findings.append(Finding("no-speed", "speed is zero throughout: the probe was off or saw no mark"))
+        yield Finding("no-speed", "speed is zero throughout: the probe was off or saw no mark")
     largest = _largest(thrust)
     if largest > _STRONGEST:
         advice = unit_advice(recording, "thrust", "gf")
-        findings.append(Finding("thrust-unit", f"thrust reaches {largest:.4g} N: probably grams; {advice}"))
+        yield Finding("thrust-unit", f"thrust reaches {largest:.4g} N: probably grams; {advice}")
     if _largest(torque) > _LARGEST_TORQUE:
         advice = unit_advice(recording, "torque", "mN*m")
-        findings.append(Finding("torque-unit", f"torque exceeds 100 N·m: probably mN·m; {advice}"))
+        yield Finding("torque-unit", f"torque exceeds 100 N·m: probably mN·m; {advice}")
     for name, channel, rest, unit in (
         ("thrust", thrust, report.rest_thrust, "N"), ("torque", torque, report.rest_torque, "N·m"),
     ):  # fmt: skip
@@ -106,21 +106,20 @@ def _suspicions(recording: Recording, report: BenchReport) -> list[Finding]:
         span = float(np.nanmax(channel.values) - np.nanmin(channel.values))
         if span > 0 and abs(rest) > _TARE * span:
             sentence = f"{name} reads {rest:.3g} {unit} before anything turns: no tare; subtract it"
-            findings.append(Finding("no-tare", sentence))
+            yield Finding("no-tare", sentence)
     if _falls(channels.get("speed"), thrust):
         sentence = (
             "thrust falls when the speed rises: the sign of the axis is reversed, or the propeller turns in "
             "reverse"
         )
-        findings.append(Finding("thrust-falls", sentence))
+        yield Finding("thrust-falls", sentence)
     for name in ("force_x", "force_y"):
         side = channels.get(name)
         if thrust is None or side is None or not side.valid.any():
             continue
         if np.nanstd(side.values) > 2.0 * np.nanstd(thrust.values) > 0.0:
             sentence = f"{name} changes more than thrust (Fz): the cell's axes may be swapped"
-            findings.append(Finding("cell-axes-swapped", sentence))
-    return findings
+            yield Finding("cell-axes-swapped", sentence)
 
 
 def _falls(speed: Channel | None, thrust: Channel | None) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -113,12 +114,7 @@ def inspect_recording(recording: Recording, gravity: float = STANDARD_GRAVITY) -
     )  # fmt: skip
 
 
-def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: float) -> list[Finding]:
-    findings: list[Finding] = []
-
-    def suspect(code: str, sentence: str) -> None:
-        findings.append(Finding(code, sentence))
-
+def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: float) -> Iterator[Finding]:
     far = [
         (name, float(np.nanmax(np.abs(channel.values))))
         for name, channel in recording.channels.items()
@@ -126,38 +122,36 @@ def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: 
     ]
     name, distance = max(far, key=lambda place: place[1], default=("", 0.0))
     if distance > _FARTHEST and (drop is None or not drop.length_unit):  # one unit is suspected, not two
-        suspect(
+        yield Finding(
             "length-unit",
             f"{name} reaches {distance:.4g} m: lengths are probably mm; {length_advice(recording, 'mm')}",
         )
     if drop is None:
-        return findings
+        return
     if drop.length_unit:
         unit = _WRITTEN.get(drop.length_unit, drop.length_unit)
-        suspect(
+        yield Finding(
             "length-unit",
             f"{drop.body} falls as if lengths were in {drop.length_unit}; {length_advice(recording, unit)}",
         )
-        return findings
+        return
     # 3 % over a flight of 0.2 s is a few sample errors; shorter flights tell g worse.
     flight = drop.touchdown - (drop.release if drop.release is not None else drop.touchdown - 0.1)
     if abs(drop.gravity / gravity - 1.0) > max(_WRONG_GRAVITY, 0.01 / max(flight, 1e-3)):
-        suspect(
+        yield Finding(
             "wrong-gravity",
             f"{drop.body} falls with {drop.gravity:.3g} m/s² instead of {gravity:.4g}: check the rate, the "
             "length unit and that nothing brakes it",
         )
     if drop.up_error > _CROOKED:
-        suspect(
+        yield Finding(
             "tilted-capture",
             f"the fall is {np.degrees(drop.up_error):.0f} deg off the axis {drop.up}: the capture's ground "
             "plane is tilted",
         )
     if drop.up[0] == "-":
-        suspect(
-            "axis-down",
-            f'{drop.body} falls toward +{drop.up[1]}: that axis points down; set up = "{drop.up}"',
-        )
+        sentence = f'{drop.body} falls toward +{drop.up[1]}: that axis points down; set up = "{drop.up}"'
+        yield Finding("axis-down", sentence)
     elif drop.up[1] == "x":
-        suspect("axes-swapped", f'{drop.body} falls along x: axes may be swapped; set up = "{drop.up}"')
-    return findings
+        sentence = f'{drop.body} falls along x: axes may be swapped; set up = "{drop.up}"'
+        yield Finding("axes-swapped", sentence)

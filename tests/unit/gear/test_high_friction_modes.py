@@ -27,22 +27,27 @@ from sysid.integrate.tableau import STAGES
 MU_K, EXCESS, LOAD = 0.8, 0.1, 10.0
 
 
-def decided(foot, *, stuck, way, slip, required, margin, load=LOAD, length=1e-8, seen=None):
-    """State of a foot (stuck, way, switched) after a step in which nothing befalls the other; the step."""
+def end_of_step(foot, at_foot, other):
+    """Memory at the end of a step, rows of a foot and of the other one; the stages within it saw the same."""
     work = np.zeros(ROWS)
     work[LAW : LAW + 2] = MU_K, EXCESS
-    # The other foot slips on far from a switch.
-    for row, value in ((WAY, 1.0), (SLIP, 0.5), (NORMAL, LOAD), (REQUIRED, 5.0), (MARGIN, 0.5)):
-        work[row : row + 2] = value
-    rows = {STUCK: stuck, WAY: way, SLIP: slip, NORMAL: load, REQUIRED: required, MARGIN: margin}
-    for row, value in rows.items():
-        work[row + foot] = value
+    for place, rows in ((foot, at_foot), (1 - foot, other)):
+        for row, value in rows.items():
+            work[row + place] = value
     for stage in range(STAGES - 1):
-        # Normal forces, slips and required forces of both feet at the stage: those of the end.
-        for n, row in enumerate((NORMAL, SLIP, REQUIRED)):
-            first = INNER + INNER_ROWS * stage + (INNER_NORMAL, INNER_SLIP, INNER_REQUIRED)[n]
+        for inner, row in ((INNER_NORMAL, NORMAL), (INNER_SLIP, SLIP), (INNER_REQUIRED, REQUIRED)):
+            first = INNER + INNER_ROWS * stage + inner
             work[first : first + 2] = work[row : row + 2]
-        if seen is not None:
+    return work
+
+
+def decided(foot, *, stuck, way, slip, required, margin, load=LOAD, length=1e-8, seen=None):
+    """State of a foot (stuck, way, switched) after a step in which nothing befalls the other; the step."""
+    rows = {STUCK: stuck, WAY: way, SLIP: slip, NORMAL: load, REQUIRED: required, MARGIN: margin}
+    # The other foot slips on far from a switch.
+    work = end_of_step(foot, rows, {WAY: 1.0, SLIP: 0.5, NORMAL: LOAD, REQUIRED: 5.0, MARGIN: 0.5})
+    if seen is not None:
+        for stage in range(STAGES - 1):
             work[INNER + INNER_ROWS * stage + INNER_REQUIRED + foot] = seen
     step = after_step(work, 0, 1, length, 1.0, 1e-4)
     other = 1 - foot
@@ -96,19 +101,13 @@ def test_a_loss_within_a_step_repeats_it(foot):
 @pytest.mark.parametrize("shares", [(1.0, 1.0), (0.25, 0.75), (0.75, 0.25)])
 def test_both_stuck_feet_may_be_released(shares):
     """At one instant both are, each against its own force; else the step ends at the earlier release."""
-    work = np.zeros(ROWS)
-    work[LAW : LAW + 2] = MU_K, EXCESS
-    work[STUCK : STUCK + 2] = 1.0
-    work[WAY : WAY + 2] = 1.0
-    work[NORMAL : NORMAL + 2] = LOAD
+    stuck = {STUCK: 1.0, WAY: 1.0, NORMAL: LOAD}
+    work = end_of_step(0, stuck, stuck)  # the stages within the step see no loss
     # Static friction of 9 N; what is left of it falls to -0.1 N within the step, through zero at the shares.
     work[REQUIRED : REQUIRED + 2] = 9.1, -9.1
     for foot, share in enumerate(shares):
         work[MARGIN + foot] = 0.1 * share / (1.0 - share) if share < 1.0 else 1e-12
     together = shares == (1.0, 1.0)
-    for stage in range(STAGES - 1):
-        # The stages within the step saw no loss.
-        work[INNER + 6 * stage : INNER + 6 * stage + 2] = LOAD
     length = 1e-8 if together else 1e-4
     taken, step = after_step(work, 0, 1, length, 1.0, 1e-4)
     if together:
@@ -128,17 +127,10 @@ def test_both_stuck_feet_may_be_released(shares):
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_one_foot_may_stick_as_the_other_is_released(sticks, sign):
     """At one instant: each by its own force, as it was with both feet in their modes before."""
-    work = np.zeros(ROWS)
-    releases = 1 - sticks
-    work[LAW : LAW + 2] = MU_K, EXCESS
-    work[NORMAL : NORMAL + 2] = LOAD
-    work[WAY : WAY + 2] = 1.0
-    work[STUCK + releases] = 1.0
-    work[REQUIRED + releases], work[MARGIN + releases] = 9.1 * sign, 1e-3
-    work[REQUIRED + sticks], work[MARGIN + sticks], work[SLIP + sticks] = 7.9 * sign, 1e-6, -1e-9
-    for stage in range(STAGES - 1):
-        for n, row in enumerate((NORMAL, SLIP, REQUIRED)):
-            work[INNER + 6 * stage + 2 * n : INNER + 6 * stage + 2 * n + 2] = work[row : row + 2]
+    releases, loaded = 1 - sticks, {NORMAL: LOAD, WAY: 1.0}
+    held = loaded | {STUCK: 1.0, REQUIRED: 9.1 * sign, MARGIN: 1e-3}
+    slips = loaded | {REQUIRED: 7.9 * sign, MARGIN: 1e-6, SLIP: -1e-9}
+    work = end_of_step(releases, held, slips)
     assert after_step(work, 0, 1, 1e-8, 1.0, 1e-4) == (1.0, 0.0)
     assert (work[STUCK + sticks], work[SWITCH + sticks]) == (1.0, 1.0)
     assert (work[STUCK + releases], work[SWITCH + releases]) == (0.0, 2.0)
