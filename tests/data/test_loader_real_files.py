@@ -137,8 +137,8 @@ def test_tdms_lengths_rates_and_starts():
 def test_lvm_is_what_the_library_of_the_field_reads(path):
     lvm_read = pytest.importorskip("lvm_read", reason="lvm_read comes with the test extra")
     # Not lvm_read.read, which unpickles what lies beside the file.
-    found = lvm_read.read_str(path.read_bytes().decode("utf-8", "replace"))[0]
-    names, data = found["Channel names"], found["data"]
+    channels = lvm_read.read_str(path.read_bytes().decode("utf-8", "replace"))[0]
+    names, data = channels["Channel names"], channels["data"]
     ours = load(path)
     free = list(ours.channels.values())
     for name, values in zip(names, data.T, strict=False):
@@ -147,7 +147,7 @@ def test_lvm_is_what_the_library_of_the_field_reads(path):
         channel = free.pop(0)
         factor = 1e6 if "MPa" in name else 1.0
         np.testing.assert_allclose(channel.values, values * factor, rtol=1e-15)
-        times = found["Channel names"].index("X_Value") if "X_Value" in names else None
+        times = channels["Channel names"].index("X_Value") if "X_Value" in names else None
         if times is not None:
             np.testing.assert_array_equal(channel.time, data[:, times])
     assert not free
@@ -169,11 +169,11 @@ def test_lvm_rounded_clock_is_said():
 ])  # fmt: skip
 def test_c3d_points_and_gaps(name, points, frames, missing):
     log = load(DATA / "c3d" / f"{name}.c3d")
-    found = [log[f"{marker}/position"] for marker in log.markers]
-    assert (len(found), len(found[0].time)) == (points, frames)
-    assert np.mean([~channel.valid for channel in found]) == pytest.approx(missing, abs=5e-5)
+    channels = [log[f"{marker}/position"] for marker in log.markers]
+    assert (len(channels), len(channels[0].time)) == (points, frames)
+    assert np.mean([~channel.valid for channel in channels]) == pytest.approx(missing, abs=5e-5)
     # A person: no marker further than some metres from the origin, in metres.
-    assert 0.1 < np.nanmax([np.nanmax(np.abs(channel.values)) for channel in found]) < 10
+    assert 0.1 < np.nanmax([np.nanmax(np.abs(channel.values)) for channel in channels]) < 10
 
 
 def test_c3d_integer_and_real_numbers_agree():

@@ -94,10 +94,10 @@ def test_motive_121_millimetres_gap_flip_and_cut_last_line():
         [[1, 0, 0, 0], [1, 0, 0, 0], [np.nan] * 4, [0.8, 0, 0, -0.6], [0.8, 0, 0, 0.6]],
         atol=1e-15,
     )
-    said = notes(log)
-    assert "line 13, the last, is cut" in said
-    assert "changes sign" in said
-    assert "03.49.50.755 PM" in said
+    stated = notes(log)
+    assert "line 13, the last, is cut" in stated
+    assert "changes sign" in stated
+    assert "03.49.50.755 PM" in stated
     assert log.provenance.device == "OptiTrack Motive CSV 1.21"
 
 
@@ -134,9 +134,9 @@ def test_pose_table_w_last_cut_and_duplicate_stamp():
     assert log.rigid_bodies == ("cf",)
     np.testing.assert_array_equal(log["cf/position"].values[:, 2], [0.3, 0.32, 0.33])
     np.testing.assert_array_equal(log["cf/orientation"].values, [[1, 0, 0, 0]] * 3)
-    said = notes(log)
-    assert "line 6, the last, is cut" in said
-    assert "repeat the time" in said
+    stated = notes(log)
+    assert "line 6, the last, is cut" in stated
+    assert "repeat the time" in stated
 
 
 def test_pose_table_numbered_quaternion_needs_its_order():
@@ -170,19 +170,19 @@ def test_provenance_names_file_hash_and_options():
     import hashlib
 
     path = HERE / "pose_numbered.tsv"
-    said = load(path, quaternion_order="wxyz").provenance
-    assert said.path == str(path)
-    assert said.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
-    assert said.format == "pose-table"
-    assert dict(said.options) == {"quaternion_order": "wxyz"}
+    stated = load(path, quaternion_order="wxyz").provenance
+    assert stated.path == str(path)
+    assert stated.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert stated.format == "pose-table"
+    assert dict(stated.options) == {"quaternion_order": "wxyz"}
 
 
 @pytest.mark.parametrize("sample", sorted(p.name for p in HERE.glob("*.?sv")))
 def test_every_message_begins_with_the_file_and_is_one_line(sample):
-    said = ""
+    stated = ""
     try:
         load(HERE / sample)
     except SysidError as error:
-        said = str(error)
-    assert said == "" or said.startswith(str(HERE / sample))
-    assert "\n" not in said
+        stated = str(error)
+    assert stated == "" or stated.startswith(str(HERE / sample))
+    assert "\n" not in stated

@@ -45,9 +45,9 @@ def test_synthetic_samples_are_current(folder, tmp_path):
     for file in sorted(committed.iterdir()):
         if file.suffix in (".toml", ".json"):
             continue
-        one, two = numbers_of(file), numbers_of(fresh / file.name)
-        assert list(one) == list(two), file.name
-        for name, channel in one.items():
+        item, two = numbers_of(file), numbers_of(fresh / file.name)
+        assert list(item) == list(two), file.name
+        for name, channel in item.items():
             np.testing.assert_array_equal(channel.valid, two[name].valid, err_msg=f"{file.name} {name}")
             tolerance = TOLERANCE.get(channel.unit)
             if tolerance is not None and channel.valid.any():

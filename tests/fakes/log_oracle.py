@@ -1,4 +1,4 @@
-"""What a text log says, read a second time: slowly, cell by cell, with none of the package's code.
+"""A second reader of text logs: slow, cell by cell, with none of the package's code.
 
 The readers of `log_readers` turn the bytes of a log into tables of rows, each number in SI with the channel
 that it belongs to; `assert_matches` then walks a recording row by row and finds each row in a line of the
@@ -75,13 +75,13 @@ class SaysNothing(Exception):
 
 def is_title(lines, i):
     """Whether a line of one cell stands above names of columns, which stand above a number."""
-    told = [line for line in lines[i:100] if line.strip() and not line.lstrip().startswith("#")]
-    for k, line in enumerate(told[:-1]):
+    stated = [line for line in lines[i:100] if line.strip() and not line.lstrip().startswith("#")]
+    for k, line in enumerate(stated[:-1]):
         mark = delimiter_of(line, spaces=False)
         words = [cell for cell in cells_of(line, mark) if cell.strip()]
         if len(words) == 1 and isinstance(number(words[0]), Wrong):
             continue
-        below = cells_of(told[k + 1], mark)
+        below = cells_of(stated[k + 1], mark)
         plain = len(words) > 1 and all(isinstance(number(word), Wrong) for word in words)
         first = number(below[0], "," if mark != "," and "," in below[0] else ".")
         return bool(
@@ -126,9 +126,9 @@ COMMANDS = ("us", "µs", "μs", "dshot", "1", "-", "")
 
 def factor_of(unit, quantity):
     """Return the factor of a printed unit to SI; None where it is no unit of that quantity."""
-    found = BASES[quantity].get(unit)
-    if found is not None:
-        return found
+    match = BASES[quantity].get(unit)
+    if match is not None:
+        return match
     for prefix, factor in PREFIXES.items():
         base = BASES[quantity].get(unit.removeprefix(prefix)) if prefix and unit.startswith(prefix) else None
         if base is not None:
@@ -143,16 +143,16 @@ SUFFIX = re.compile(r"(.+?)_(rad_s|deg_s|m_s2|m_s|N_m|mm|cm|ms|us|ns|Nm|rpm|deg|
 def label_of(cell):
     """Return (name in lower case, printed unit or None) of a column's label."""
     text = cell.strip().strip('"').strip()[:200]
-    found = BRACKETS.fullmatch(text) or SUFFIX.fullmatch(text)
+    match = BRACKETS.fullmatch(text) or SUFFIX.fullmatch(text)
     unit = None
-    if found:
-        text, unit = found[1], {"rad_s": "rad/s", "N_m": "N*m", "deg_s": "deg/s"}.get(found[2], found[2])
+    if match:
+        text, unit = match[1], {"rad_s": "rad/s", "N_m": "N*m", "deg_s": "deg/s"}.get(match[2], match[2])
     return re.sub(r"[\s_.:/]+", " ", text).strip().casefold(), unit
 
 
 @dataclass
 class Row:
-    """One line: when, the numbers by (channel, component), and if the line has every cell of the header."""
+    """One line: its times, its numbers by (channel, component), and whether it has all the header's cells."""
 
     line: int
     times: tuple
@@ -168,11 +168,11 @@ class Table:
     rows: list = field(default_factory=list)
     widths: dict = field(default_factory=dict)
     turns: dict = field(default_factory=dict)
-    # Rows that a stand left over from an earlier run, at the most.
+    # The most rows that a stand may have left over from an earlier run.
     stale: int = 0
     # The clock may begin later than the times say, by one number for all rows.
     offset: bool = False
-    # Rows have no times but their number: none of them may vanish.
+    # Rows have no times but their number, so no row may vanish.
     counted: bool = False
 
 
@@ -234,9 +234,9 @@ def assert_matches(recording, tables):
     assert not strangers, f"channels that the file does not have: {strangers}"
     assert recording.channels
     for table in tables:
-        own = [recording[name] for name in table.widths if name in recording.channels]
-        if own:
-            assert_rows(own, table, recording.kind == "static-map")
+        channels = [recording[name] for name in table.widths if name in recording.channels]
+        if channels:
+            assert_rows(channels, table, recording.kind == "static-map")
         for name in set(table.widths) - set(recording.channels):
             lost = [row.line for row in table.rows if row.whole and known(row, name, table) and row.times]
             assert not lost, f"{name} stands in line {lost[0]} but is not in the recording"
@@ -283,8 +283,8 @@ def walk(channels, clock, rows, table, points, shift):
             if not vanishes(rows, at - 1, points, table):
                 return f"sample {i} at {time!r} s, line {row.line}: {why}"
         else:
-            said = f"; line {passed[0][0].line}: {passed[0][1]}" if passed else ""
-            return f"sample {i} at {time!r} s is in no line that is left{said}"
+            reason = f"; line {passed[0][0].line}: {passed[0][1]}" if passed else ""
+            return f"sample {i} at {time!r} s is in no line that is left{reason}"
     left = [rows[k].line for k in range(at, len(rows)) if not vanishes(rows, k, points, table)]
     return f"line {left[0]} is not in the recording" if left else ""
 
@@ -319,66 +319,66 @@ def mismatch(channels, i, time, row, table, points, shift):
         got = np.atleast_1d(channel.values[i])
         if row.open_end and np.isnan(got).all():
             continue  # a cut number is not to be trusted
-        told = [row.numbers.get((channel.name, k), math.nan) for k in range(table.widths[channel.name])]
+        stated = [row.numbers.get((channel.name, k), math.nan) for k in range(table.widths[channel.name])]
         if not row.whole:
-            told = [math.nan] * len(told)
-        if any(isinstance(x, Wrong) for x in told):
+            stated = [math.nan] * len(stated)
+        if any(isinstance(x, Wrong) for x in stated):
             return f"{channel.name} is no number in the line"
-        told = np.array([x if math.isfinite(x) else math.nan for x in told])
+        stated = np.array([x if math.isfinite(x) else math.nan for x in stated])
         if channel.name in table.turns:
-            told = table.turns[channel.name](told, got)
-            if told is None and not row.open_end:
+            stated = table.turns[channel.name](stated, got)
+            if stated is None and not row.open_end:
                 return f"{channel.name} is no unit quaternion in the line"
-            told = np.full(len(got), np.nan) if told is None else told
-            fits = len(told) == len(got) and all(map(close_units, got.tolist(), told.tolist()))
+            stated = np.full(len(got), np.nan) if stated is None else stated
+            fits = len(stated) == len(got) and all(map(close_units, got.tolist(), stated.tolist()))
         else:
-            fits = len(told) == len(got) and all(map(close, got, told))
+            fits = len(stated) == len(got) and all(map(close, got, stated))
         if not fits:
-            return f"{channel.name} is {got}, the line says {told}"
+            return f"{channel.name} is {got}, the line says {stated}"
     return ""
 
 
-def close_units(got, told):
+def close_units(got, stated):
     # Numbers of size 1, normalised once.
-    return abs(got - told) <= 1e-12 or (math.isnan(got) and math.isnan(told))
+    return abs(got - stated) <= 1e-12 or (math.isnan(got) and math.isnan(stated))
 
 
-def close(got, told):
-    if math.isnan(told) or math.isnan(got):
-        return math.isnan(told) and math.isnan(got)
-    return abs(got - told) <= FACTOR * abs(told)
+def close(got, stated):
+    if math.isnan(stated) or math.isnan(got):
+        return math.isnan(stated) and math.isnan(got)
+    return abs(got - stated) <= FACTOR * abs(stated)
 
 
-def same_time(got, told, shift):
+def same_time(got, stated, shift):
     # A shift is a difference of rounded times; without one, a product and a quotient are rounded.
-    return abs(got - shift - told) <= (1e-9 if shift else 4 * math.ulp(max(abs(told), 1e-3)))
+    return abs(got - shift - stated) <= (1e-9 if shift else 4 * math.ulp(max(abs(stated), 1e-3)))
 
 
-def quaternion(told, got):
+def quaternion(stated, got):
     """Return the unit quaternion of four printed numbers, of the sign that was recorded."""
-    length = float(np.linalg.norm(told))
+    length = float(np.linalg.norm(stated))
     if math.isnan(length) or length == 0:
         return np.full(4, np.nan)
     if abs(length - 1) > 0.02:
         return None
-    unit = told / length
+    unit = stated / length
     return unit if not np.isfinite(got).all() or unit @ got >= 0 else -unit
 
 
-def of_vector(told, got):
+def of_vector(stated, got):
     """Return the unit quaternion of a rotation vector [rad]."""
-    angle = float(np.linalg.norm(told))
+    angle = float(np.linalg.norm(stated))
     if math.isnan(angle):
         return np.full(4, np.nan)
-    unit = np.append(math.cos(angle / 2), 0.5 * np.sinc(angle / (2 * math.pi)) * told)
+    unit = np.append(math.cos(angle / 2), 0.5 * np.sinc(angle / (2 * math.pi)) * stated)
     return unit if not np.isfinite(got).all() or unit @ got >= 0 else -unit
 
 
-def turned(told, got):
+def turned(stated, got):
     """Return the unit quaternion of nine printed numbers of a matrix, by columns."""
-    if not np.isfinite(told).all() or not told.any():
+    if not np.isfinite(stated).all() or not stated.any():
         return np.full(4, np.nan)
-    matrix = told.reshape(3, 3).T
+    matrix = stated.reshape(3, 3).T
     if np.abs(matrix.T @ matrix - np.eye(3)).max() > 0.02 or np.linalg.det(matrix) <= 0:
         return None
     left, _, right = np.linalg.svd(matrix)

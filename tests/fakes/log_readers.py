@@ -1,4 +1,4 @@
-"""What each text format says, by the slow reader of `log_oracle`: which cell is which channel, in which unit.
+"""Which cell of each text format is which channel, in which unit, for the slow reader of `log_oracle`.
 
 The layouts are those that the instruments' makers and users write; nothing here comes from the package.
 A reader may raise anything on a log so damaged that it says nothing: then nothing may be loaded from it.
@@ -33,10 +33,10 @@ def need(value, what):
 
 
 def only(cells, names):
-    found = [i for i, cell in enumerate(cells) if label_of(cell)[0] in names]
-    if len(found) > 1:
+    matches = [i for i, cell in enumerate(cells) if label_of(cell)[0] in names]
+    if len(matches) > 1:
         raise SaysNothing(f"which of two columns {names} is")
-    return found[0] if found else None
+    return matches[0] if matches else None
 
 
 def by_name(data, quantities, command, clock, *, message=None, stale, plain_seconds=False):
@@ -93,7 +93,7 @@ def rcbenchmark_csv(data, recording):
 
 
 def axis(letters, word, axis):
-    return {f"{one}{axis}" for one in letters} | {f"{word} {axis}", f"{letters[0]} {axis}"}
+    return {f"{item}{axis}" for item in letters} | {f"{word} {axis}", f"{letters[0]} {axis}"}
 
 
 CELL = {
@@ -192,8 +192,13 @@ def motive_csv(data, recording):
         rate = rate or (stated if stated > 0 and math.isfinite(stated) else None)
     other = number(settings.get("Capture Frame Rate", ""))
 
-    said = " ".join(recording.provenance.sentences)
-    if math.isfinite(other) and other > 0 and f"at {other:g} Hz" in said and f"at {rate:g} Hz" not in said:
+    sentences = " ".join(recording.provenance.sentences)
+    if (
+        math.isfinite(other)
+        and other > 0
+        and f"at {other:g} Hz" in sentences
+        and f"at {rate:g} Hz" not in sentences
+    ):
         rate = other  # frames are numbered at the rate of the capture where that is what Time says
 
     def time(at):
@@ -238,17 +243,17 @@ def vicon_csv(data, recording):
         for column in range(2, len(fields)):
             name = (names[column] if column < len(names) else "") or name
             unit = units[column] if column < len(units) else ""
-            own = re.sub(r"^Global Angle *(\(Quaternion\))? *", "", name)
-            own = own.split(":")[0] if len(set(own.split(":", 1))) == 1 else own
+            body = re.sub(r"^Global Angle *(\(Quaternion\))? *", "", name)
+            body = body.split(":")[0] if len(set(body.split(":", 1))) == 1 else body
             part = fields[column].upper()
             if title == "trajectories" and part in ("X", "Y", "Z"):
                 add(f"{name}/position", "XYZ".index(part), column, unit)
             elif title in ("objects", "segments") and part in ("TX", "TY", "TZ"):
-                add(f"{own}/position", "XYZ".index(part[1]), column, unit)
+                add(f"{body}/position", "XYZ".index(part[1]), column, unit)
             elif title in ("objects", "segments") and part in ("RW", "RX", "RY", "RZ"):
                 whole = "RW" in fields or "(Quaternion)" in name
-                add(f"{own}/orientation", ("WXYZ" if whole else "XYZ").index(part[1]), column, 1.0)
-                table.turns[f"{own}/orientation"] = quaternion if whole else of_vector
+                add(f"{body}/orientation", ("WXYZ" if whole else "XYZ").index(part[1]), column, 1.0)
+                table.turns[f"{body}/orientation"] = quaternion if whole else of_vector
         stated = {unit for _, unit in columns.values() if unit not in ("", 1.0)}
         factors = {factor_of(unit, "length") for unit in stated}
         scale = factors.pop() if len(factors) == 1 else None

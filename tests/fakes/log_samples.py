@@ -104,7 +104,7 @@ def qualisys():
 def legacy():
     lines = ['comment,"OptiTrack Export Data"', "righthanded", "info,version,1.1", "info,framecount,40"]
     for i, place in enumerate(np.random.default_rng(8).normal(size=(40, 9))):
-        x = [f"{one:.6f}" for one in place]
+        x = [f"{number:.6f}" for number in place]
         markers = [f"{x[3 * k]},{x[3 * k + 1]},{x[3 * k + 2]},{k},M{k}" for k in range(i % 4)]
         body = f"1,{x[0]},{x[1]},{x[2]},0,0,0.6,0.8,0,0,73.7"
         lines.append(",".join([f"frame,{i},{i / 120:.8f},1", body, str(len(markers)), *markers]))
@@ -130,7 +130,7 @@ def net_ft():
         "Status (hex), RDT Sequence, F/T Sequence, Fx, Fy, Fz, Tx, Ty, Tz, Time",
     ]  # fmt: skip
     for i, row in enumerate(np.random.default_rng(10).integers(-(10**7), 10**7, size=(40, 6))):
-        counts = ", ".join(str(int(one)) if i % 9 or k else "" for k, one in enumerate(row))
+        counts = ", ".join(str(int(number)) if i % 9 or k else "" for k, number in enumerate(row))
         lines.append(f"0, {500 + i + (i > 20)}, {9000 + 7 * i}, {counts}, 3:04:05.{i:03d} PM")
     return "\n".join([*lines, ""]).encode("utf-8")
 

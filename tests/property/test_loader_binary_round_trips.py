@@ -171,7 +171,7 @@ def test_ros_recordings(tmp_path_factory, seed, form, kind, names):
     for name, (stamps, position, quaternions, delay) in topics.items():
         body = name.strip("/")
         for clock, log in by_clock.items():
-            assert set(log.rigid_bodies) == {one.strip("/") for one in names}
+            assert set(log.rigid_bodies) == {item.strip("/") for item in names}
             told = (stamps + (delay if clock == "arrival" else 0)) * 1e-9
             np.testing.assert_allclose(log[f"{body}/position"].time, told, rtol=0, atol=STAMP)
             np.testing.assert_array_equal(log[f"{body}/position"].values, position)

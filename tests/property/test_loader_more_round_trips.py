@@ -86,8 +86,8 @@ def test_vicon_objects_and_trajectories(tmp_path, seed, end, delimiter, angles):
     hidden[0] = False
 
     def text(x):
-        said = f"{x:.10f}"
-        return said.replace(".", ",") if delimiter == ";" else said
+        shown = f"{x:.10f}"
+        return shown.replace(".", ",") if delimiter == ";" else shown
 
     def head(*cells):
         return delimiter.join(["", "", *cells])
@@ -164,12 +164,12 @@ def test_qualisys_3d_and_legacy_motive_hold_the_same_markers(tmp_path, seed, end
     for i in range(count):
         shown = [["", "", ""] if hidden[i, k] else [f"{1e3 * x:.9f}" for x in points[i, k]] for k in range(2)]
         lines.append("\t".join([*shown[0], *shown[1]]))
-        own = [
+        seen = [
             f"{','.join(f'{x:.12f}' for x in points[i, k])},{k},{names[k]}"
             for k in range(2)
             if not hidden[i, k]
         ]
-        old.append(",".join([f"frame,{i},{i / 100:.8f},0,{len(own)}", *own]))
+        old.append(",".join([f"frame,{i},{i / 100:.8f},0,{len(seen)}", *seen]))
     for log in (load(write(tmp_path, lines, end)), load(write(tmp_path, old, end))):
         for k, name in enumerate(names):
             channel = log[f"{name}/position"]

@@ -1,7 +1,7 @@
 """Damaged logs end in a recording of what the file says, or in one sentence; never in a traceback or a hang.
 
-What a damaged file says is read a second time by the oracle of `log_oracle`; that it can object is shown by
-faults planted in the loaders.
+The oracle of `log_oracle` reads each damaged file a second time. Faults planted in the loaders show that the
+oracle can object.
 """
 
 import _thread
@@ -29,7 +29,7 @@ from sysid.loaders import load
 QUICK, MANY = 12, 5000
 # Far above any load of these 40-row logs (some ms): only a hang reaches it.
 HANG = 5.0
-# By the clock, which a busy machine makes run on.
+# This limit is by the clock, which runs on while a busy machine does other work.
 STUCK = 300.0
 
 

@@ -57,8 +57,8 @@ def dress(draw, names, table):
     def text(value):
         if np.isnan(value):
             return blank
-        said = repr(float(value))
-        return said.replace(".", ",") if comma else said
+        shown = repr(float(value))
+        return shown.replace(".", ",") if comma else shown
 
     lines = [delimiter.join(names) + trailing]
     lines += [delimiter.join(text(value) for value in row) + trailing for row in table]

@@ -1,8 +1,9 @@
-"""What a sentence advises must work: every option that is named is one of the format's own, and helps."""
+"""Advice must work: a sentence names only options that its format has, and the option helps."""
 
 import ast
 import re
 import tomllib
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -10,7 +11,6 @@ import numpy as np
 import pytest
 import scipy.io
 
-import sysid.loaders
 from fakes.log_files import hdf5, refuses, tdms
 from sysid.errors import LogError, SysidError
 from sysid.journal import note
@@ -22,9 +22,9 @@ from sysid.trials.look.advice import length_advice, unit_advice
 from sysid.workflows.inspect import parse_options
 
 FORMATS = formats()
-EVERY_OPTION = sorted({option for one in FORMATS.values() for option in one.options})
+EVERY_OPTION = sorted({option for log_format in FORMATS.values() for option in log_format.options})
 ADVISED = re.compile(rf"(?<![\w.{{ ])\s?\b({'|'.join(EVERY_OPTION)}) = ")
-# Messages that only a caller with the option lets through: their tests are below.
+# Messages that only appear for a caller with the option; their tests are below.
 DECIDED_BY_THE_CALLER = {
     ("order_rows", "time_back"), ("table_head", "columns"), ("rate_clock", "rate"),
     ("_marker_bodies", "bodies"), ("_pose_from_markers", "bodies"), ("without_tare", "tare"),
@@ -32,79 +32,66 @@ DECIDED_BY_THE_CALLER = {
 }  # fmt: skip
 
 
-def strings(node):
-    for one in ast.walk(node):
-        if isinstance(one, ast.Constant) and isinstance(one.value, str):
-            yield one.value
-
-
-def without_docstrings(tree):
+@cache
+def definitions(module):
+    """Return name -> node of what a module defines at its top, and name -> module of what it imports."""
+    tree = ast.parse(Path(import_module(module).__file__).read_text(encoding="utf-8"))
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module) and ast.get_docstring(node):
             node.body = node.body[1:]
-    return tree
-
-
-def parts(module):
-    """Return name -> node of what a module of the loaders defines at its top."""
-    tree = without_docstrings(ast.parse(Path(module.__file__).read_text(encoding="utf-8")))
-    found = {}
+    nodes, origin = {}, {}
     for node in tree.body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
-            found[node.name] = node
+            nodes[node.name] = node
         elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
-            found[node.targets[0].id] = node
-    return tree, found
+            nodes[node.targets[0].id] = node
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("sysid.loaders"):
+            origin |= {alias.asname or alias.name: node.module for alias in node.names}
+    return nodes, origin
 
 
-def reached(module_name, names=None, seen=None):
+def reached(module, names=None, seen=None):
     """Yield (name, node) of all definitions in the loaders that a module, or names in it, leads to."""
     seen = set() if seen is None else seen
-    module = import_module(module_name)
-    tree, own = parts(module)
-    origin = {
-        alias.asname or alias.name: node.module
-        for node in tree.body
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("sysid.loaders")
-        for alias in node.names
-    }
-    todo = list(own) if names is None else list(names)
+    nodes, origin = definitions(module)
+    todo = list(nodes) if names is None else list(names)
     while todo:
         name = todo.pop()
-        if (module_name, name) in seen:
+        if (module, name) in seen:
             continue
-        seen.add((module_name, name))
-        if name in own:
-            yield name, own[name]
-            todo += [one.id for one in ast.walk(own[name]) if isinstance(one, ast.Name)]
+        seen.add((module, name))
+        if name in nodes:
+            yield name, nodes[name]
+            todo += [part.id for part in ast.walk(nodes[name]) if isinstance(part, ast.Name)]
         elif name in origin:
             yield from reached(origin[name], [name], seen)
 
 
+def advised(name):
+    """Return the pairs (definition, option) of the options that sentences of a format advise."""
+    return {
+        (definition, option)
+        for definition, node in reached(FORMATS[name].read.__module__)
+        for part in ast.walk(node)
+        if isinstance(part, ast.Constant) and isinstance(part.value, str)
+        for option in ADVISED.findall(part.value)
+    }
+
+
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_format_advises_no_option_that_it_has_not(name):
-    module = FORMATS[name].read.__module__
-    advised = set()
-    for definition, node in reached(module):
-        for text in strings(node):
-            for option in ADVISED.findall(text):
-                if (definition, option) not in DECIDED_BY_THE_CALLER:
-                    advised.add((option, definition))
-    wrong = {one for one in advised if one[0] not in FORMATS[name].options}
-    assert not wrong, f"{name} has {FORMATS[name].options}"
+    options = FORMATS[name].options
+    wrong = {(where, x) for where, x in advised(name) - DECIDED_BY_THE_CALLER if x not in options}
+    assert not wrong, f"{name} has {options}"
 
 
 def test_the_walk_sees_what_is_advised():
-    """Else it would pass for want of anything to look at."""
-    found = {
-        name: {o for _, node in reached(FORMATS[name].read.__module__) for t in strings(node)
-               for o in ADVISED.findall(t)}
-        for name in FORMATS
-    }  # fmt: skip
-    assert {"rate", "units", "columns"} <= found["load-cell-csv"]
-    assert {"quaternion_order", "length_unit", "clock"} <= found["pose-table"]
-    assert {"datasets", "rate", "units"} <= found["tdms"]
-    assert "rate" not in found["ros-csv"]
+    """The test above would pass if the walk saw nothing."""
+    seen = {name: {option for _, option in advised(name)} for name in FORMATS}
+    assert {"rate", "units", "columns"} <= seen["load-cell-csv"]
+    assert {"quaternion_order", "length_unit", "clock"} <= seen["pose-table"]
+    assert {"datasets", "rate", "units"} <= seen["tdms"]
+    assert "rate" not in seen["ros-csv"]
 
 
 def shell_words(sentence):
@@ -335,4 +322,3 @@ def test_a_rate_and_a_tare_may_say_their_unit(write):
 
 def test_the_advice_of_this_file_is_toml():
     assert tomllib.loads(shell_words('x: declare units = {speed = "rpm"}')[0]) == {"units": {"speed": "rpm"}}
-    assert sysid.loaders.load is load

@@ -31,21 +31,21 @@ def test_offset_is_found_below_the_sample_period(offset, rate):
     first = channel("speed", fine, staircase(fine) + random.normal(size=fine.size))
     coarse = np.arange(0.3, 5.5, 1 / rate)
     second = channel("speed", coarse - offset, staircase(coarse) + random.normal(size=coarse.size) * 3)
-    found = find_offset("other.csv", first, second)
+    result = find_offset("other.csv", first, second)
     # A quarter of the slower file's sample period (10 to 12 ms); a clock in Unix seconds resolves 0.24 µs.
-    assert found.offset == pytest.approx(offset, abs=2.5e-3)
-    assert found.correlation > 0.8
-    assert found.sure
-    assert "offset" in found.sentence()
+    assert result.offset == pytest.approx(offset, abs=2.5e-3)
+    assert result.correlation > 0.8
+    assert result.sure
+    assert "offset" in result.sentence()
 
 
 def test_thrust_aligns_with_speed_although_it_is_its_square():
     time = np.arange(0, 6, 2e-3)
     speed = channel("speed", time, staircase(time))
     thrust = channel("thrust", time[:2500] + 2.0, -1e-5 * staircase(time[:2500]) ** 2, "N")
-    found = find_offset("b", speed, thrust, sign=False)
+    result = find_offset("b", speed, thrust, sign=False)
     # Speed itself would be 8 ms off, because its square lags it; squared, they are one curve at 2 ms.
-    assert found.offset == pytest.approx(-2.0, abs=5e-4)
+    assert result.offset == pytest.approx(-2.0, abs=5e-4)
 
 
 def test_periodic_signals_are_not_sure():
@@ -75,8 +75,8 @@ def test_join_moves_the_second_clock_and_says_so():
     late = np.arange(0, 5.5, 0.01)
     first = recording("cell.csv", speed=(time, staircase(time)), thrust=(time, time))
     second = recording("rpm.csv", speed=(late + 9, staircase(late)), voltage=(late + 9, late))
-    joined, found = join_recordings(first, second, "speed")
-    assert found.offset == pytest.approx(-9, abs=1e-3)
+    joined, result = join_recordings(first, second, "speed")
+    assert result.offset == pytest.approx(-9, abs=1e-3)
     assert set(joined.channels) == {"speed", "thrust", "voltage"}
     np.testing.assert_allclose(joined["voltage"].time, late, atol=1e-3)
     np.testing.assert_array_equal(joined["speed"].values, first["speed"].values)
@@ -95,10 +95,10 @@ def test_pulses_become_speed(width, sign):
     phase = 200 * time + 50 * time**2
     level = np.where((2 * phase / (2 * np.pi)) % 1 < width, 5.0, 0.0)
     values = sign * (level + random.normal(size=time.size) * 0.2)
-    found, notes = pulse_speed("log", time, values, 2)
-    assert found.unit == "rad/s"
+    result, notes = pulse_speed("log", time, values, 2)
+    assert result.unit == "rad/s"
     # An edge is known to a sample of 0.1 ms and a period is 7.9 to 15.7 ms: 1.3 %, of both edges 1.8 %.
-    np.testing.assert_allclose(found.values, np.interp(found.time, time, speed), rtol=0.018)
+    np.testing.assert_allclose(result.values, np.interp(result.time, time, speed), rtol=0.018)
     assert "2 per revolution" in str(notes[0])
 
 
@@ -106,10 +106,10 @@ def test_pulses_with_a_lost_stretch_and_without_any():
     time = np.arange(0, 1, 1e-3)
     values = np.where((20 * time) % 1 < 0.5, 1.0, 0.0)
     values[300:320] = np.nan
-    found, _ = pulse_speed("log", time, values, 1)
+    result, _ = pulse_speed("log", time, values, 1)
     # The lost stretch holds an edge, so both periods that it bounds are unknown.
-    assert np.isnan(found.values).sum() == 2
-    np.testing.assert_allclose(found.values[found.valid], 40 * np.pi, rtol=0.03)
+    assert np.isnan(result.values).sum() == 2
+    np.testing.assert_allclose(result.values[result.valid], 40 * np.pi, rtol=0.03)
     with pytest.raises(LogError, match="shows 0 pulses"):
         pulse_speed("log", time, np.ones(time.size), 1)
     with pytest.raises(LogError, match="too fast to be told apart"):
@@ -122,10 +122,10 @@ def test_a_period_across_missing_rows_has_no_speed(shift):
     time = np.arange(0, 1, 1e-3)
     values = np.where((50 * time) % 1 < 0.5, 1.0, 0.0)
     kept = (time < 0.402 + shift) | (time > 0.7015 + shift)
-    found, notes = pulse_speed("log", time[kept], values[kept], 1)
-    assert 1 <= np.isnan(found.values).sum() <= 2
+    result, notes = pulse_speed("log", time[kept], values[kept], 1)
+    assert 1 <= np.isnan(result.values).sum() <= 2
     # Between samples of 1 ms an edge of a 20 ms period is known to 5 %, far from the 0.3 s of the hole.
-    np.testing.assert_allclose(found.values[found.valid], 100 * np.pi, rtol=0.05)
+    np.testing.assert_allclose(result.values[result.valid], 100 * np.pi, rtol=0.05)
     assert "holes in the clock of the tachometer: 1 (the longest 0.3" in str(notes[-1])
 
 

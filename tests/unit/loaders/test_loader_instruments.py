@@ -327,9 +327,9 @@ def test_what_was_declared_of_signals_is_in_the_record(tmp_path):
     path = hdf5(
         tmp_path / "log.h5", {"a": (None, np.arange(50.0)), "b": (None, np.tile([0.0] * 5 + [1.0] * 5, 5))}
     )
-    told = {"rate": 100.0, "datasets": {"thrust": "a", "tachometer": "b"}, "units": {"thrust": "N"}}
-    log = load(path, **told, pulses_per_revolution=2.0)
-    wanted = {name: str(value) for name, value in told.items()} | {"pulses_per_revolution": "2.0"}
+    stated = {"rate": 100.0, "datasets": {"thrust": "a", "tachometer": "b"}, "units": {"thrust": "N"}}
+    log = load(path, **stated, pulses_per_revolution=2.0)
+    wanted = {name: str(value) for name, value in stated.items()} | {"pulses_per_revolution": "2.0"}
     assert log.provenance.options == wanted
 
 

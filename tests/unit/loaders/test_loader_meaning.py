@@ -1,4 +1,4 @@
-"""What a log means and does not say: units at the ends of names, axes that are no time, times of arrival."""
+"""What a log means but does not state: units at the ends of names, axes that are no time, arrival times."""
 
 import h5py
 import numpy as np
@@ -78,12 +78,12 @@ def test_the_axis_of_a_tdms_waveform_counts_in_its_own_unit(tmp_path):
 
 
 def test_times_beside_a_signal_say_their_unit_or_are_asked_for(tmp_path):
-    values, said = np.arange(4.0), {"unit_string": "N"}
-    path = tdms(tmp_path / "a.tdms", [("Fz", values, said), ("Time", values, {})])
+    values, noted = np.arange(4.0), {"unit_string": "N"}
+    path = tdms(tmp_path / "a.tdms", [("Fz", values, noted), ("Time", values, {})])
     refuses(path, 'column "Time" states no unit', UnitError)
     np.testing.assert_allclose(load(path, units={"time": "ms"})["thrust"].time, 1e-3 * values)
     stamps = np.datetime64("2026-01-01T00:00:00") + (500 * np.arange(4)).astype("timedelta64[ms]")
-    path = tdms(tmp_path / "b.tdms", [("Fz", values, said), ("Time", stamps.astype("datetime64[us]"), {})])
+    path = tdms(tmp_path / "b.tdms", [("Fz", values, noted), ("Time", stamps.astype("datetime64[us]"), {})])
     np.testing.assert_allclose(load(path)["thrust"].time, 0.5 * values)
 
 
@@ -189,11 +189,11 @@ def test_one_rate_for_datasets_of_other_lengths_and_a_rate_against_times_are_ref
 
 
 def test_a_delta_x_that_the_times_contradict_is_said(write):
-    for step, said in ((0.5, False), (0.001, True)):
-        rows_ = "".join(f"{step * i if said is False else i}\t{i}\n" for i in range(5))
+    for step, noted in ((0.5, False), (0.001, True)):
+        rows_ = "".join(f"{step * i if noted is False else i}\t{i}\n" for i in range(5))
         text = LVM.format(columns="One", axis="").replace("Delta_X\t0.5", f"Delta_X\t{step}")
         notes = load(write(text + rows_)).provenance.sentences
-        assert any("states 1000 Hz but its column of times steps by 1 s" in note for note in notes) is said
+        assert any("states 1000 Hz but its column of times steps by 1 s" in note for note in notes) is noted
 
 
 _VICON = (

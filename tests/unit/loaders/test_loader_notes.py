@@ -1,4 +1,4 @@
-"""What a reader must be told: rows that the instrument doubts, columns not read, units of another kind."""
+"""What the notes must state: rows that the instrument doubts, columns not read, units of another kind."""
 
 import re
 import struct
@@ -21,7 +21,7 @@ def test_net_ft_rows_with_a_status_are_counted(write):
     rows = "".join(f"{s}, {i}, {i}, 1, 2, 3, 4, 5, 6, 0:0:{i}\n" for i, s in enumerate(status))
     log = load(write(NET + rows))
     assert 'rows with a status other than 0: 3 (first: line 10; "80010000", "0000000A")' in notes(log)
-    np.testing.assert_array_equal(log["thrust"].values, 3 * 0.1)  # told, not thrown away
+    np.testing.assert_array_equal(log["thrust"].values, 3 * 0.1)  # kept, with a note
     assert "status" not in notes(load(write(NET + rows.replace("80010000", "0").replace("0000000A", "0x0"))))
 
 
@@ -44,9 +44,9 @@ ROS = (
 ])  # fmt: skip
 def test_columns_that_are_not_read_are_named(write, head, row, named):
     rows = "".join(row.format(t=f"{i * 0.01:.2f}", i=i, n=10**18 + i * 10**7) for i in range(20))
-    said = notes(load(write(head + rows)))
-    assert f"columns not read: {named}" in said
-    assert said.count("not read") == 1
+    sentences = notes(load(write(head + rows)))
+    assert f"columns not read: {named}" in sentences
+    assert sentences.count("not read") == 1
 
 
 def test_datasets_that_are_not_read_are_named(tmp_path):
@@ -64,7 +64,7 @@ def test_vicon_angles_in_two_units_are_refused(write, units):
     )
     with pytest.raises(UnitError, match='line 5: the angles of "q" are in') as caught:
         load(write(text.format(*units)), angles="XYZ")
-    assert " and ".join(sorted({one or "no unit" for one in units})) in str(caught.value)
+    assert " and ".join(sorted({item or "no unit" for item in units})) in str(caught.value)
     log = load(write(text.format("deg", "deg", "deg")), angles="XYZ")
     # Half of 10 degrees about x.
     assert log["q/orientation"].values[0, 1] == pytest.approx(np.sin(np.radians(5.0)), rel=1e-12)
@@ -114,8 +114,8 @@ def test_a_log_cut_at_the_end_of_a_row_is_told_by_its_header(write, tmp_path):
     ]:
         rows = [row.format(i=i, t=f"{i * 0.01:.6f}") for i in range(60)]
         assert "the log was cut" not in notes(load(write(head + "".join(rows))))
-        said = notes(load(write(head + "".join(rows[:-7]))))
-        assert f"{word} is 60 but 53 rows are there: the log was cut, or rows were left out" in said
+        sentences = notes(load(write(head + "".join(rows[:-7]))))
+        assert f"{word} is 60 but 53 rows are there: the log was cut, or rows were left out" in sentences
 
 
 def test_a_c3d_cut_between_frames(tmp_path):
@@ -146,10 +146,10 @@ TABLE = "Time (s){0}Speed (rad/s){0}Fz (N)\n" + "".join(f"{i}.5{{0}}{i}.25{{0}}7
 ])  # fmt: skip
 def test_lines_before_the_header(write, before):
     text = TABLE.format(";").replace(".", ",")
-    plain, found = load(write(text)), load(write(before + text, "other"))
+    plain, other = load(write(text)), load(write(before + text, "other"))
     for name, channel in plain.channels.items():
-        np.testing.assert_array_equal(found[name].values, channel.values)
-        np.testing.assert_array_equal(found[name].time, channel.time)
+        np.testing.assert_array_equal(other[name].values, channel.values)
+        np.testing.assert_array_equal(other[name].time, channel.time)
     refuses(write(before + text.replace("2,5;", "x;")), f"line {before.count(chr(10)) + 4}: 'x' in column")
 
 

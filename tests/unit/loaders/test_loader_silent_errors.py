@@ -151,14 +151,14 @@ def test_the_frame_of_px4_odometry_is_said(tmp_path, field, frames, words):
     battery = [struct.pack("<Qff", 10**6 + 10**4 * i, 16.0, 1.0) for i in range(9)]
     odometry = "vehicle_odometry", fields, rows
     log = load(ulog(tmp_path / "a.ulg", odometry, ("battery_status", BATTERY, battery)))
-    one = frames[0] == frames[1]
-    assert ("vehicle/position" in log.channels) == one
+    item = frames[0] == frames[1]
+    assert ("vehicle/position" in log.channels) == item
     assert words in notes(log)
     assert bool(words) == (field in notes(log))
-    # Axes that the frame is not are not claimed.
+    # North, east, down is claimed of no other frame.
     assert ("axes: north, east, down" in notes(log)) == (not words)
     assert "body front, right, down" in notes(log)
-    if not one:
+    if not item:
         refuses(ulog(tmp_path / "b.ulg", odometry), "nothing is left to read: vehicle was left out")
 
 
@@ -214,10 +214,10 @@ def test_a_c3d_longer_than_its_header_counts_is_noted(tmp_path):
     ("trial", "words"), [((1, 65535), ""), ((1, 70000), "and the capture has 70000;"), ((4466, 70000), "")]
 )
 def test_a_c3d_says_in_its_trial_how_long_the_capture_is(tmp_path, trial, words):
-    found = capture(tmp_path / "a.c3d", 65535, trial=trial)
-    assert words in found
-    assert ("only the first 65535 frames were read" in found) == bool(words)
-    assert "may have gone on" not in found
+    result = capture(tmp_path / "a.c3d", 65535, trial=trial)
+    assert words in result
+    assert ("only the first 65535 frames were read" in result) == bool(words)
+    assert "may have gone on" not in result
 
 
 def test_signals_of_unknown_unit_are_named(tmp_path, write):
@@ -313,19 +313,19 @@ def test_the_command_inspect_shows_and_draws_the_logs_around_a_bad_one(tmp_path,
         rows = "".join(f"{t:.2f},{level + np.sin(t):.4f}\n" for t in time)
         (tmp_path / name).write_text("Time (s),Fz (N)\n" + rows, encoding="utf-8")
     (tmp_path / "bad.csv").write_text("Time (s),Fz (N)\n", encoding="utf-8")
-    found = CliRunner().invoke(app, ["inspect", "a.csv", "bad.csv", "c.csv", "--plot", "look.png"])
-    assert isinstance(found.exception, LogError)
-    assert re.search(r"bad\.csv.*1 of 3 logs refused", str(found.exception))
+    result = CliRunner().invoke(app, ["inspect", "a.csv", "bad.csv", "c.csv", "--plot", "look.png"])
+    assert isinstance(result.exception, LogError)
+    assert re.search(r"bad\.csv.*1 of 3 logs refused", str(result.exception))
     for words in ("a.csv", "c.csv", "refused: bad.csv", "wrote look.png"):
-        assert words in found.stdout
+        assert words in result.stdout
     drawn = (tmp_path / "look.png").read_bytes()
     assert drawn.startswith(b"\x89PNG")
-    # It is the figure of the good ones alone.
+    # The figure shows the good logs alone.
     assert CliRunner().invoke(app, ["inspect", "a.csv", "c.csv", "--plot", "two.png"]).exit_code == 0
     assert struct.unpack_from(">2I", drawn, 16) == struct.unpack_from(
         ">2I", (tmp_path / "two.png").read_bytes(), 16
     )
-    # Nothing good, nothing drawn; the process itself leaves with 2 and one sentence.
+    # Without a good log nothing is drawn; the process exits with 2 and one sentence.
     ended = subprocess.run(
         [sys.executable, "-m", "sysid", "inspect", "bad.csv", "bad.csv", "--plot", "none.png"],
         capture_output=True, text=True, encoding="utf-8", check=False,

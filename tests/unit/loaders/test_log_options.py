@@ -1,4 +1,4 @@
-"""What a campaign can tell a loader: every option of every format, a typo named, the nearest word winning."""
+"""Campaigns hand options to loaders: every option of every format; a trial wins; a typo is named."""
 
 import warnings
 
@@ -59,10 +59,10 @@ def campaign(tmp_path, text):
 
 def test_every_option_of_every_format_can_be_said():
     bench, capture = set(BenchLogOptions.model_fields), set(CaptureLogOptions.model_fields)
-    for name, one in formats().items():
-        left = set(one.options)
+    for name, log_format in formats().items():
+        left = set(log_format.options)
         assert left <= bench or left <= capture, (name, left - bench, left - capture)
-        assert set(one.help) == left
+        assert set(log_format.help) == left
 
 
 def test_an_option_of_a_plug_in_format_can_be_stated(tmp_path, monkeypatch):
@@ -144,18 +144,18 @@ def test_a_trial_wins_over_the_campaign_and_must_fit_its_format(tmp_path):
 
 def test_an_option_that_no_log_takes_is_said(tmp_path):
     (tmp_path / "log.csv").write_text(CELL, encoding="utf-8")
-    found, path = campaign(tmp_path, MOTOR.format(log="speed_unit = 'rpm'\nsegment = 2", trial=""))
+    stated, path = campaign(tmp_path, MOTOR.format(log="speed_unit = 'rpm'\nsegment = 2", trial=""))
     with pytest.warns(
         SysidWarning, match=r"log\.segment has no effect: .* load-cell-csv, and it is for lvm;"
     ):
-        check_options(found, path)
-    found, path = campaign(tmp_path, MOTOR.format(log="speed_unit = 'rpm'\nrate = '100 Hz'", trial=""))
+        check_options(stated, path)
+    stated, path = campaign(tmp_path, MOTOR.format(log="speed_unit = 'rpm'\nrate = '100 Hz'", trial=""))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_options(found, path)
-    found, path = campaign(tmp_path, GEAR.format(capture="rigid_body = 'c'\nangles = 'XYZ'", trial=""))
+        check_options(stated, path)
+    stated, path = campaign(tmp_path, GEAR.format(capture="rigid_body = 'c'\nangles = 'XYZ'", trial=""))
     with pytest.warns(SysidWarning, match=r"capture\.angles has no effect"), pytest.raises(SysidError):
-        prepare_drops(found, path)
+        prepare_drops(stated, path)
 
 
 def test_columns_of_other_names(tmp_path):
@@ -185,9 +185,9 @@ def test_a_drop_may_name_another_body_than_the_campaign(tmp_path):
     lines += [f"{i},0" + ",0,0,0,1,2,3" * 2 for i in range(30)]
     (tmp_path / "log.csv").write_text("\n".join([*lines, ""]), encoding="utf-8")
     for trial, sentence in [("rigid_body = 'b'", "nothing falls|fall|release"), ("", 'no rigid body "c"')]:
-        found, path = campaign(tmp_path, GEAR.format(capture="rigid_body = 'c'", trial=trial))
+        stated, path = campaign(tmp_path, GEAR.format(capture="rigid_body = 'c'", trial=trial))
         with pytest.raises(SysidError, match=sentence) as caught:
-            prepare_drops(found, path)
+            prepare_drops(stated, path)
         assert ("no rigid body" in str(caught.value)) == (trial == "")
 
 
@@ -196,12 +196,12 @@ def test_a_second_log_without_a_common_event_is_refused(tmp_path):
     random = np.random.default_rng(0)
     rows = "".join(f"{i * 0.01:.2f},{v:.3f}\n" for i, v in enumerate(random.normal(size=200)))
     (tmp_path / "b.csv").write_text("Time (s),Speed (rad/s)\n" + rows, encoding="utf-8")
-    found, path = campaign(tmp_path, MOTOR.format(log="", trial="second_log = { log = 'b.csv' }"))
+    stated, path = campaign(tmp_path, MOTOR.format(log="", trial="second_log = { log = 'b.csv' }"))
     with pytest.raises(LogError, match=r"b\.csv: (cannot be aligned|speed has 9 samples, too few)"):
-        read_log(found, path, found.trials[0])
+        read_log(stated, path, stated.trials[0])
     missing = StaticLog(log="log.csv", second_log=SecondLog(log="none.csv"))
     with pytest.raises(CampaignError, match=r"log 'none.csv' does not exist"):
-        read_log(found, path, missing)
+        read_log(stated, path, missing)
 
 
 def test_channels_on_one_clock():
@@ -214,17 +214,17 @@ def test_channels_on_one_clock():
         "speed": Channel("speed", "rad/s", coarse, values),
     }
     log = Recording("load-cell", channels, Provenance("a", "", "a"))
-    found = on_one_clock(log, ("command", "speed", "torque"), ("torque",))
-    time = found["torque"].time
+    stated = on_one_clock(log, ("command", "speed", "torque"), ("torque",))
+    time = stated["torque"].time
     # Rows while the other logger ran, and to the end of its last row's step.
     assert time[0] == pytest.approx(0.2)
     assert time[-1] == pytest.approx(0.8, abs=1.1e-3)
-    np.testing.assert_array_equal(found["command"].values, np.where(time < 0.5 - 1e-9, 1000.0, 1500.0))
-    known = found["speed"].valid
+    np.testing.assert_array_equal(stated["command"].values, np.where(time < 0.5 - 1e-9, 1000.0, 1500.0))
+    known = stated["speed"].valid
     # Linear between samples 10 ms apart of a sine: an eighth of the step's square.
-    np.testing.assert_allclose(found["speed"].values[known], np.sin(time[known]), atol=1.3e-5)
+    np.testing.assert_allclose(stated["speed"].values[known], np.sin(time[known]), atol=1.3e-5)
     # Ten samples lost are 110 ms between two known ones: nothing is filled in there.
     lost = time[~known & (time < 0.75)]
     assert (lost[0], lost[-1]) == (pytest.approx(0.391, abs=1e-6), pytest.approx(0.499, abs=1.1e-3))
-    assert any("taken linear between them" in note for note in found.provenance.sentences)
-    assert on_one_clock(found, ("command", "speed", "torque"), ("torque",)) is found
+    assert any("taken linear between them" in note for note in stated.provenance.sentences)
+    assert on_one_clock(stated, ("command", "speed", "torque"), ("torque",)) is stated
