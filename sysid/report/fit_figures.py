@@ -269,7 +269,7 @@ def _shade(axes: Axes, trial: TrialResult) -> None:
 
 def masked_runs(trial: TrialResult) -> list[tuple[int, int]]:
     """Return (first, last) sample of every run that counts for no channel."""
-    return [(first, end - 1) for first, end in runs(~trial.valid.any(axis=1))]
+    return [(first, end - 1) for first, end in runs(np.asarray(~trial.valid.any(axis=1)))]
 
 
 def _best_nrmse(trial: TrialResult, c: int) -> float:
