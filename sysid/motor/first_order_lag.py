@@ -18,44 +18,36 @@ from sysid.motor.parameters import instrument_rows
 from sysid.parameters import Parameter, ParameterTable
 from sysid.types import FloatArray
 
-
-def _time_constant(name: str, symbol: str, when: str) -> Parameter:
-    return Parameter(
-        f"{name}_time_constant", symbol, "s", 0.1, 1e-3, 1.0, "log",
-        f"Time constant while the speed {when}.", "guess", "motor",
-    )  # fmt: skip
-
-
-def _curve_rows() -> list[Parameter]:
-    ways = (("forward", "+"), ("reverse", "−"))
-    steady = [
-        Parameter(
-            f"steady_speed_{power}_{way}", f"p{power}{sign}", "rad/s", 0.0, -1e4, 1e4, "linear",
-            f"Coefficient of |u|^{power} of the steady speed, {way}.", "fitted to the steady loaded points",
-            "steady-speed map",
-        )
-        for way, sign in ways
-        for power in range(3)
-    ]  # fmt: skip
-    torque = [
-        Parameter(
-            f"torque_{name}_{way}", f"c_τ{sign}", unit, 0.0, -1.0, 1.0, "linear",
-            "Coefficient of the torque curve.", "static curves of the campaign", "torque curve",
-        )
-        for way, sign in ways
-        for name, unit in (("quadratic", "N·m·s²/rad²"), ("linear", "N·m·s/rad"))
-    ]  # fmt: skip
-    return [*steady, *torque]
-
-
+_WAYS = (("forward", "+"), ("reverse", "−"))
 PARAMETERS = ParameterTable(
     [
-        _time_constant("rise", "T_rise", "grows"),
-        _time_constant("fall", "T_fall", "falls"),
+        *(
+            Parameter(
+                f"{name}_time_constant", f"T_{name}", "s", 0.1, 1e-3, 1.0, "log",
+                f"Time constant while the speed {when}.", "guess", "motor",
+            )
+            for name, when in (("rise", "grows"), ("fall", "falls"))
+        ),
         *instrument_rows(),
-        *_curve_rows(),
+        *(
+            Parameter(
+                f"steady_speed_{power}_{way}", f"p{power}{sign}", "rad/s", 0.0, -1e4, 1e4, "linear",
+                f"Coefficient of |u|^{power} of the steady speed, {way}.",
+                "fitted to the steady loaded points", "steady-speed map",
+            )
+            for way, sign in _WAYS
+            for power in range(3)
+        ),
+        *(
+            Parameter(
+                f"torque_{name}_{way}", f"c_τ{sign}", unit, 0.0, -1.0, 1.0, "linear",
+                "Coefficient of the torque curve.", "static curves of the campaign", "torque curve",
+            )
+            for way, sign in _WAYS
+            for name, unit in (("quadratic", "N·m·s²/rad²"), ("linear", "N·m·s/rad"))
+        ),
     ]
-)
+)  # fmt: skip
 
 
 def steady_speed_map(command: FloatArray, speed: FloatArray, ratio: FloatArray) -> FloatArray:

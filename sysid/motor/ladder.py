@@ -24,7 +24,7 @@ from sysid.fit.objective import SpreadObjective
 from sysid.fit.search import Hooks, SearchSettings, run_many
 from sysid.motor import first_order_lag as lag
 from sysid.motor.cost import CHANNELS, MotorTarget
-from sysid.motor.curves import StaticCurves, supply_ratio
+from sysid.motor.curves import supply_ratio
 from sysid.motor.known_values import SATURATION, Bench
 from sysid.motor.log_delays import averaged, own_rows, shifts
 from sysid.motor.parameters import SENSORS
@@ -52,6 +52,7 @@ GROUPS = {
     ("fit", "reversal"): "reversals, fitted",
     ("validate", "reversal"): "reversals, held out",
 }
+_Part = tuple[PreparedTrial, MotorTarget, str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,41 +81,19 @@ class Rung:
         return dict(zip(names, (self.name, self.values, self.evaluations, nrmse, buys), strict=True))
 
 
-@dataclass(frozen=True, eq=False)
-class _Parts:
-    """What the rungs are scored on: parts of the bench's trials, each with its group."""
-
-    trials: tuple[PreparedTrial, ...]
-    targets: tuple[MotorTarget, ...]
-    groups: tuple[str, ...]
-
-    @classmethod
-    def of(cls, bench: Bench, weights: tuple[float, float]) -> _Parts:
-        trials, targets, groups = [], [], []
-        for trial in bench.trials:
-            use, whole = trial.entry.use, trial.target
-            if trial.entry.direction == "reversal":
-                parts = [("reversal", whole)]
-            else:
-                starts = replace(whole, valid=whole.valid & trial.started[:, None])
-                parts = [("running", trial.dynamic_target)]
-                if all(_scorable(whole, starts, c) for c in range(2) if weights[c] > 0):
-                    parts.append(("start", starts))
-            for part, target in parts:
-                trials.append(trial)
-                targets.append(target)
-                groups.append(GROUPS[use, part])
-        return cls(tuple(trials), tuple(targets), tuple(groups))
-
-    def means(self, nrmse: FloatArray) -> dict[str, tuple[float, float]]:
-        """Return the means of (n_parts, 2) NRMSE over each group, in the order of the table."""
-        out = {}
-        for title in GROUPS.values():
-            rows = [i for i, group in enumerate(self.groups) if group == title]
-            if rows:
-                torque, speed = nrmse[rows].mean(axis=0)
-                out[title] = (float(torque), float(speed))
-        return out
+def _parts(bench: Bench, weights: tuple[float, float]) -> list[_Part]:
+    """Return what the rungs are scored on: parts of the bench's trials, each with its group."""
+    out = []
+    for trial in bench.trials:
+        use, whole = trial.entry.use, trial.target
+        if trial.entry.direction == "reversal":
+            out.append((trial, whole, GROUPS[use, "reversal"]))
+            continue
+        out.append((trial, trial.dynamic_target, GROUPS[use, "running"]))
+        starts = replace(whole, valid=whole.valid & trial.started[:, None])
+        if all(_scorable(whole, starts, c) for c in range(2) if weights[c] > 0):
+            out.append((trial, starts, GROUPS[use, "start"]))
+    return out
 
 
 def _scorable(whole: MotorTarget, part: MotorTarget, channel: int) -> bool:
@@ -148,19 +127,13 @@ def lag_space(space: SearchSpace, bench: Bench) -> SearchSpace:
     table = ParameterTable([*lag.PARAMETERS.values(), *(space.table[name] for name in delays)])
     values = {name: value for name, value in space.fixed.items() if name in table}
     values |= {name: value for name, value in bench.curves.parameters.items() if name in table}
-    values |= _steady_maps(bench.curves)
+    for direction, points in bench.curves.loaded.items():
+        turning = turns(points.u, direction)
+        ratio = supply_ratio(points, bench.curves.reference_voltage)
+        powers = lag.steady_speed_map(points.u[turning], points.speed[turning], ratio[turning])
+        values |= {f"steady_speed_{power}_{direction}": float(p) for power, p in enumerate(powers)}
     bounds = {row.name: (row.lower, row.upper) for row in space.free if row.name in free}
     return SearchSpace.build(table, free, values, bounds)
-
-
-def _steady_maps(curves: StaticCurves) -> dict[str, float]:
-    out: dict[str, float] = {}
-    for direction, points in curves.loaded.items():
-        turning = turns(points.u, direction)
-        ratio = supply_ratio(points, curves.reference_voltage)
-        powers = lag.steady_speed_map(points.u[turning], points.speed[turning], ratio[turning])
-        out |= {f"steady_speed_{power}_{direction}": float(value) for power, value in enumerate(powers)}
-    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +141,7 @@ class _Climb:
     """What every rung is fitted and scored with."""
 
     problem: MotorProblem
-    parts: _Parts
+    parts: list[_Part]
     best: Mapping[str, float]
     budget: SearchSettings
     hooks: Hooks
@@ -211,9 +184,16 @@ class _Climb:
         self, model: type[MotorProblem], space: SearchSpace, row: FloatArray, *, ideal: bool
     ) -> dict[str, tuple[float, float]]:
         """Return the means of every group of a row (1, n_table), without a dead band where `ideal`."""
-        every = self.build(model, space, self.parts.trials)
-        every = replace(every, targets=self.parts.targets, ideal_reversal=ideal)
-        return self.parts.means(every.score(row).by_channel[0])
+        trials, targets, groups = zip(*self.parts, strict=True)
+        every = replace(self.build(model, space, trials), targets=targets, ideal_reversal=ideal)
+        nrmse = every.score(row).by_channel[0]
+        out = {}
+        for title in GROUPS.values():
+            rows = [i for i, group in enumerate(groups) if group == title]
+            if rows:
+                torque, speed = nrmse[rows].mean(axis=0)
+                out[title] = (float(torque), float(speed))
+        return out
 
 
 def climb(
@@ -236,7 +216,7 @@ def climb(
     stop = replace(settings.stop, max_generations=generations, time_limit=None, max_evaluations=None)
     budget = SearchSettings(_POPULATION, len(_SPREADS), seed, stop, "cmaes", "none")
     space, weights = problem.space, problem.campaign.cost.weights
-    parts = _Parts.of(problem.bench, (weights.torque, weights.speed))
+    parts = _parts(problem.bench, (weights.torque, weights.speed))
     up = _Climb(problem, parts, best, budget, Hooks(should_stop=should_stop))
     rungs = [up.rung(LagProblem, "first-order lag", lag_space(space, problem.bench))[0]]
     if "winding_inductance" in space.names:

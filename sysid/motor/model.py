@@ -172,16 +172,11 @@ def steady_state(
 
 @dataclass(frozen=True, eq=False)
 class MotorTrajectory:
-    """What a simulated motor did; every array is (n,).
+    """What a simulated motor did, (n,) each, over `time` [s].
 
-    Parameters
-    ----------
-    time : [s]
-    current : I of equation (1) [A]
-    effective_current : I_eff of equation (2) [A]
-    speed : Ω [rad/s], positive forward
-    thrust : T(Ω) [N]
-    stator_torque : k_m I_eff − k_d Ω [N·m], what a load cell under the motor feels
+    `current` is I of equation (1) and `effective_current` I_eff of (2) [A], `speed` Ω [rad/s], positive
+    forward, `thrust` T(Ω) [N], and `stator_torque` k_m I_eff − k_d Ω [N·m], which a load cell under the motor
+    feels.
     """
 
     time: FloatArray
@@ -244,15 +239,9 @@ def simulate(
             f"motor simulation stopped at {t[0] + reached * (t[-1] - t[0]):.6g} s of {t[-1]:.6g} s: "
             f"{STATUS_TEXT[status]}; expected finite positive parameters, check {parameters!r}"
         )
-    effective, omega = out[:, 1].copy(), out[:, 2].copy()
-    return MotorTrajectory(
-        time=t,
-        current=out[:, 0].copy(),
-        effective_current=effective,
-        speed=omega,
-        thrust=thrust(omega, parameters),
-        stator_torque=p["torque_constant"] * effective - p["viscous_damping"] * omega,
-    )
+    flow, effective, omega = (out[:, column].copy() for column in range(3))
+    torque = p["torque_constant"] * effective - p["viscous_damping"] * omega
+    return MotorTrajectory(t, flow, effective, omega, thrust(omega, parameters), torque)
 
 
 def schedule(command_time: ArrayLike, command: ArrayLike) -> tuple[FloatArray, FloatArray]:

@@ -39,24 +39,6 @@ _PROPELLER = "guess for a 9 × 4.5 inch propeller; replaced by the static curves
 _WAYS = (("forward", "+"), ("reverse", "−"))
 
 
-def _no_load_rows() -> list[Parameter]:
-    return [
-        row
-        for way, sign in _WAYS
-        for row in (
-            Parameter(
-                f"no_load_slope_{way}", f"a{sign}", "rad/s", 1030.0, 100.0, 5000.0, "log",
-                f"Slope of the no-load speed over the command u, {way}.", _NO_LOAD, "no-load line",
-            ),
-            Parameter(
-                f"no_load_intercept_{way}", f"b{sign}", "rad/s", 0.0, -500.0, 500.0, "linear",
-                f"No-load speed that remains as u → 0, {way}; positive raises |Ω_0|.", "guess",
-                "no-load line",
-            ),
-        )
-    ]  # fmt: skip
-
-
 def _curve_rows(
     quantity: str, symbol: str, unit: str, quadratic: tuple[float, float], low: float, high: float
 ) -> list[Parameter]:
@@ -81,28 +63,23 @@ def _curve_rows(
 
 def instrument_rows() -> list[Parameter]:
     """Return what a log's instruments add: estimated with the motor and reported, no physics of the motor."""
+    applied = "; applied to logs, never to the motor."
+    rows = (
+        ("command_delay", "t_d", 0.2, "Time from a command in the log to the voltage, instruments included; "
+         "no motor physics.", "0 on one clock; 30 to 80 ms seen on thrust stands"),
+        ("torque_sensor_delay", "t_τ", 0.1,
+         f"Time by which the torque sensor trails the speed sensor{applied}",
+         "0 on one clock; 30 ms seen on thrust stands"),
+        ("torque_sensor_lag", "T_τ", 0.05,
+         f"Time constant of a first-order lag of the torque sensor{applied}",
+         "0 for a load cell; 10 to 20 ms seen on thrust stands"),
+        ("speed_sensor_lag", "T_Ω", 0.05, f"Time constant of a first-order lag of the speed sensor{applied}",
+         "0: logs of 10 ms rows hardly distinguish it from L/R; free it to see what it buys"),
+    )  # fmt: skip
     return [
-        Parameter(
-            "command_delay", "t_d", "s", 0.0, 0.0, 0.2, "linear",
-            "Time from a command in the log to the voltage, instruments included; no motor physics.",
-            "0 on one clock; 30 to 80 ms seen on thrust stands", "instrument",
-        ),
-        Parameter(
-            "torque_sensor_delay", "t_τ", "s", 0.0, 0.0, 0.1, "linear",
-            "Time by which the torque sensor trails the speed sensor; applied to logs, never to the motor.",
-            "0 on one clock; 30 ms seen on thrust stands", "instrument",
-        ),
-        Parameter(
-            "torque_sensor_lag", "T_τ", "s", 0.0, 0.0, 0.05, "linear",
-            "Time constant of a first-order lag of the torque sensor; applied to logs, never to the motor.",
-            "0 for a load cell; 10 to 20 ms seen on thrust stands", "instrument",
-        ),
-        Parameter(
-            "speed_sensor_lag", "T_Ω", "s", 0.0, 0.0, 0.05, "linear",
-            "Time constant of a first-order lag of the speed sensor; applied to logs, never to the motor.",
-            "0: logs of 10 ms rows hardly distinguish it from L/R; free it to see what it buys", "instrument",
-        ),
-    ]  # fmt: skip
+        Parameter(name, symbol, "s", 0.0, 0.0, upper, "linear", meaning, source, "instrument")
+        for name, symbol, upper, meaning, source in rows
+    ]
 
 
 PARAMETERS = ParameterTable(
@@ -145,7 +122,21 @@ PARAMETERS = ParameterTable(
             "reference_voltage", "V_ref", "V", 11.1, 1.0, 100.0, "linear", "Supply at which Ω_0(u) applies.",
             "guess: three lithium-polymer cells", "motor",
         ),
-        *_no_load_rows(),
+        *(
+            row
+            for way, sign in _WAYS
+            for row in (
+                Parameter(
+                    f"no_load_slope_{way}", f"a{sign}", "rad/s", 1030.0, 100.0, 5000.0, "log",
+                    f"Slope of the no-load speed over the command u, {way}.", _NO_LOAD, "no-load line",
+                ),
+                Parameter(
+                    f"no_load_intercept_{way}", f"b{sign}", "rad/s", 0.0, -500.0, 500.0, "linear",
+                    f"No-load speed that remains as u → 0, {way}; positive raises |Ω_0|.", "guess",
+                    "no-load line",
+                ),
+            )
+        ),
         *_curve_rows("thrust", "T", "N", (1.2e-5, 0.62e-5), 1e-9, 1e-3),
         *_curve_rows("torque", "τ", "N·m", (1.65e-7, 1.7e-7), 1e-11, 1e-5),
         *instrument_rows(),

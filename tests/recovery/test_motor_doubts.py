@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fakes.motor_bench import edited
-from sysid.campaign import read_campaign
+from fakes.motor_bench import bench_of, edited
 from sysid.fit.problem import Course
 from sysid.fit.result import ranked_sets
 from sysid.fit.search import SearchSettings, run_one
@@ -20,11 +19,12 @@ from sysid.journal import Journal
 from sysid.motor.curves import NoLoadTie
 from sysid.motor.follow_up import after_the_search, curve_sentence
 from sysid.motor.inertia import SpikeInertia
-from sysid.motor.known_values import prepare_bench, search_space
+from sysid.motor.known_values import search_space
 from sysid.motor.problem import MotorProblem
 from sysid.parameter_sets import NOT_ALONE
 from sysid.synthetic.motor import TrialPlan, synthesize_motor
 
+TRIALS = (TrialPlan("forward-1", "forward", "fit", 0.25, (0.62, 0.35, 0.80), 0.45, "csv"),)
 # R/(k_m k_v) of Table I [rad/s per N·m], its drag curve, and a no-load line.
 DROP, DRAG, SLOPE, INTERCEPT = 0.299 / 0.00995**2, 1.65e-7, 973.0, 20.0
 
@@ -59,22 +59,15 @@ def test_one_bad_point_does_not_bend_the_no_load_line(bad: int | None, miss: flo
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One short forward trial, its static logs at 11.1 V and no words on V_ref."""
-    trials = (TrialPlan("forward-1", "forward", "fit", 0.25, (0.62, 0.35, 0.80), 0.45, "csv"),)
-    folder = synthesize_motor(tmp_path_factory.mktemp("doubts") / "motor", seed=3, trials=trials)
+    folder = synthesize_motor(tmp_path_factory.mktemp("doubts") / "motor", seed=3, trials=TRIALS)
     return edited(folder / "campaign.toml", (r"^reference_voltage = .*\n", ""))
 
 
-def _bench(path: Path):
-    return prepare_bench(read_campaign(path, "motor"), path)
-
-
 def test_the_voltage_of_the_curves_serves_where_the_fitted_logs_hold_none(tmp_path: Path) -> None:
-    trials = (TrialPlan("forward-1", "forward", "fit", 0.25, (0.62, 0.35, 0.80), 0.45, "csv"),)
-    path = synthesize_motor(
-        tmp_path / "14.8 V", seed=3, trials=trials, parameters={"reference_voltage": 14.8}
-    )
+    true = {"reference_voltage": 14.8}
+    path = synthesize_motor(tmp_path / "14.8 V", seed=3, trials=TRIALS, parameters=true)
     path = edited(path / "campaign.toml", (r"^reference_voltage = .*\n", ""))
-    bench = _bench(path)
+    _, bench = bench_of(path)
     # The stand's supply begins 0.05 V above 14.8 V and sags by the current of full thrust, under 1 V.
     assert bench.values["reference_voltage"] == pytest.approx(14.8, rel=0.05)
     assert "logs under [curves]" in bench.stated["reference_voltage"]
@@ -89,18 +82,17 @@ def test_one_motor_constant_is_half_a_scale(campaign: Path) -> None:
         path = edited(campaign, (r"^kv = .*\n", ""), (r"^\[fit\]", f"{fixed}\n[fit]"), name=name)
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
-            bench = _bench(path)
+            _, bench = bench_of(path)
         assert bench.scale_known is known
         assert any("fix only k²/R" in str(one.message) for one in said) is not known
 
 
 def test_a_trial_that_is_little_but_a_start_is_warned_of(campaign: Path) -> None:
-    bench = _bench(campaign)
+    read, bench = bench_of(campaign)
     trial = bench.fitted[0]
     (begin, end) = trial.target.time[[0, -1]]
     short = replace(bench, trials=(replace(trial, starts=((begin, begin + 0.9 * (end - begin)),)),))
     assert short.fitted[0].only_starts
-    read = read_campaign(campaign, "motor")
     with pytest.warns(UserWarning, match="forward-1: little but a start from rest, so R, L and the"):
         search_space(read, short)
     # A dead band that the campaign states is held, and nothing is to be said.
@@ -113,9 +105,8 @@ def test_a_trial_that_is_little_but_a_start_is_warned_of(campaign: Path) -> None
 
 def test_an_interrupted_fit_says_what_it_has_not_looked_at(campaign: Path) -> None:
     path = edited(campaign, (r"^kv = .*\n", ""), name="guess.toml")
-    read = read_campaign(path, "motor")
     with pytest.warns(UserWarning, match="fix only k²/R"):
-        bench = prepare_bench(read, path)
+        read, bench = bench_of(path)
     space = search_space(read, bench)
     problem = MotorProblem.build(read, space, bench, bench.trials)
     run = run_one(problem.fitted, SearchSettings(8, 1, 1, StopRule(max_generations=1), "cmaes", "none"))

@@ -108,11 +108,8 @@ def test_every_log_has_its_own_command_delay(tmp_path: Path) -> None:
     assert values["winding_inductance"] == pytest.approx(0.0038, rel=0.05)
     every = MotorProblem.build(campaign, space, bench, bench.trials)
     facts = {fact["log"]: fact for fact in log_delays(every, rows[0])}
-    assert facts["reverse-1.h5"] == {
-        "log": "reverse-1.h5",
-        "delay [s]": pytest.approx(0.025, abs=5e-4),
-        "estimated": True,
-    }
+    delay = pytest.approx(0.025, abs=5e-4)
+    assert facts["reverse-1.h5"] == {"log": "reverse-1.h5", "delay [s]": delay, "estimated": True}
     # A held-out log is scored with the mean; what it shows of its own is said beside.
     held_out = facts["forward-2.h5"]
     assert held_out["own delay [s]"] == pytest.approx(0.025, abs=5e-4)
@@ -269,14 +266,12 @@ def test_refusals_name_the_log_and_the_trial(tmp_path: Path) -> None:
     log = path.with_name("forward-1.csv")
     header, table = table_of(log)
     names = header.split(",")
-    column = {
-        short: next(i for i, n in enumerate(names) if n.startswith(short)) for short in ("Mz", "Command")
-    }
+    torque, command = (next(i for i, n in enumerate(names) if n.startswith(s)) for s in ("Mz", "Command"))
     start = re.search(r'start = "([\d.]+) s"', original).group(1)
     end = f"{float(start) + 0.15:.4f}"
     # A window at one steady command, and a torque that never moves in it.
     dead = table.copy()
-    dead[:, column["Mz"]] = 0.01
+    dead[:, torque] = 0.01
     write_table(log, header, dead)
     campaign, bench = bench_of(path)
     with pytest.raises(FitError, match=r"trial 'forward-1' of forward-1\.csv, stator_torque: constant"):
@@ -294,7 +289,7 @@ def test_refusals_name_the_log_and_the_trial(tmp_path: Path) -> None:
         bench_of(path)
     path.write_text(original, encoding="utf-8")
     blank = table.copy()
-    blank[:, column["Command"]] = np.nan
+    blank[:, command] = np.nan
     write_table(log, header, blank)
     with pytest.raises(LogError, match=r"forward-1\.csv"):
         bench_of(path)

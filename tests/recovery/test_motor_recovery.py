@@ -174,14 +174,9 @@ def test_full_fit_of_five_runs(
 ) -> None:
     path = synthesize_motor(tmp_path / "bench", seed=noise) / "campaign.toml"
     options = FitOptions(
-        tmp_path / "fit",
-        runs=5,
-        population=population,
-        algorithm=algorithm,
-        finish="cmaes",
-        seed=seed,
+        tmp_path / "fit", runs=5, population=population, algorithm=algorithm, finish="cmaes", seed=seed,
         quiet=True,
-    )
+    )  # fmt: skip
     result, _ = fit_motor(path, options)
     found = {name: result.values[:, i] for i, name in enumerate(r.name for r in result.parameters)}
     # CMA-ES alone may end a run elsewhere, which its NRMSE then shows; of the others every set must hold.
@@ -261,7 +256,6 @@ def test_a_given_dead_band_stays(campaign_file: Path) -> None:
     assert saturation_space(campaign, bench, PARAMETERS, PARAMETERS.nominal) is None
     campaign, bench = bench_of(edited(path, ('saturation_current = "0.35 A"', "")))
     space = saturation_space(campaign, bench, PARAMETERS, PARAMETERS.nominal)
-    assert space is not None
     assert space.names == ("saturation_current",)
     assert space.fixed["saturation_speed"] == PARAMETERS.nominal["saturation_speed"]
 

@@ -1,12 +1,16 @@
 """The way of a simulated motor trial to its NRMSE: filter of fast logs, sensors of slow ones, failures."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from sysid.campaign.motor import ChebyshevFilter
 from sysid.errors import FitError
 from sysid.filters import ChebyshevLowpass
 from sysid.fit.nrmse import FAILED_NRMSE, nrmse
 from sysid.motor.cost import BenchCost, MotorTarget
+from sysid.motor.targets import filter_taps
 
 RNG = np.random.default_rng(8)
 
@@ -14,6 +18,13 @@ RNG = np.random.default_rng(8)
 def _slow(measured: np.ndarray, time: np.ndarray, valid: np.ndarray | None = None) -> MotorTarget:
     mask = np.isfinite(measured) if valid is None else valid
     return MotorTarget("slow", time, measured, mask, 0.0, 0.002, 1001, np.zeros(0))
+
+
+def _zeros_score(measured: np.ndarray, weights: tuple[float, float]):
+    """Return NRMSE (2,), its mean and failure of a simulation of zeros against 50 measured samples."""
+    cost = BenchCost((_slow(measured, np.linspace(0.01, 1.9, 50)),), weights, "std")
+    by_channel, failed = cost(np.zeros((1, 1001, 2)), np.ones((1, 1)), np.zeros((1, 3)))
+    return by_channel[0, 0], cost.mean(by_channel)[0], failed[0, 0]
 
 
 def test_sensor_delay_and_lag_of_a_ramp() -> None:
@@ -66,11 +77,6 @@ def test_fast_score_filters_as_the_taps_say() -> None:
 
 
 def test_taps_of_a_fast_log_are_the_filter() -> None:
-    from types import SimpleNamespace
-
-    from sysid.campaign.motor import ChebyshevFilter
-    from sysid.motor.targets import filter_taps
-
     campaign = SimpleNamespace(filter=ChebyshevFilter())
     taps = filter_taps(campaign, SimpleNamespace(interval=1e-4))
     lowpass = ChebyshevLowpass(10_000.0)
@@ -98,29 +104,23 @@ def test_channel_without_samples_is_refused_unless_it_has_no_weight() -> None:
     measured = np.column_stack([np.full(50, np.nan), RNG.normal(size=50)])
     with pytest.raises(FitError, match="slow, stator_torque: no valid sample"):
         BenchCost((_slow(measured, time),), (1.0, 1.0), "std")
-    cost = BenchCost((_slow(measured, time),), (0.0, 1.0), "std")
-    by_channel, failed = cost(np.zeros((1, 1001, 2)), np.ones((1, 1)), np.zeros((1, 3)))
-    assert not failed.any()
-    assert np.isfinite(cost.mean(by_channel)).all()
+    by_channel, mean, failed = _zeros_score(measured, (0.0, 1.0))
     # No number where nothing was recorded, instead of a perfect one.
-    assert np.isnan(by_channel[0, 0, 0])
+    assert np.isnan(by_channel[0])
+    assert np.isfinite(mean)
+    assert not failed
     with pytest.raises(FitError, match="speed: constant"):
         BenchCost((_slow(np.ones((50, 2)), time),), (0.0, 1.0), "range")
 
 
 def test_a_channel_without_weight_has_its_nrmse_and_no_say() -> None:
-    time = np.linspace(0.01, 1.9, 50)
     # Torque of 10 mN·m: its rms error in N·m would be a hundredth of its NRMSE.
     measured = RNG.normal(size=(50, 2)) * (0.01, 1.0)
-    cost = BenchCost((_slow(measured, time),), (0.0, 1.0), "std")
-    by_channel, _ = cost(np.zeros((1, 1001, 2)), np.ones((1, 1)), np.zeros((1, 3)))
+    by_channel, mean, _ = _zeros_score(measured, (0.0, 1.0))
     for c in range(2):
-        assert by_channel[0, 0, c] == pytest.approx(nrmse(np.zeros(50), measured[:, c]), rel=1e-12)
-    assert cost.mean(by_channel)[0] == by_channel[0, 0, 1]
+        assert by_channel[c] == pytest.approx(nrmse(np.zeros(50), measured[:, c]), rel=1e-12)
+    assert mean == by_channel[1]
     # A constant one has none.
-    flat = np.column_stack([np.full(50, 0.01), measured[:, 1]])
-    by_channel, failed = BenchCost((_slow(flat, time),), (0.0, 1.0), "std")(
-        np.zeros((1, 1001, 2)), np.ones((1, 1)), np.zeros((1, 3))
-    )
-    assert np.isnan(by_channel[0, 0, 0])
-    assert not failed.any()
+    by_channel, _, failed = _zeros_score(np.column_stack([np.full(50, 0.01), measured[:, 1]]), (0.0, 1.0))
+    assert np.isnan(by_channel[0])
+    assert not failed
