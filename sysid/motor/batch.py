@@ -20,15 +20,9 @@ from sysid.types import FloatArray, IntArray
 class SimulatedTrial:
     """One log as the simulator needs it.
 
-    Parameters
-    ----------
-    command_time, command : (m,) arrays
-        Instants [s] and u in [-1, 1] from each on.
-    time : (n,) array
-        Samples at which torque and speed are wanted [s], strictly increasing; at the first one the state is
-        `initial`, a current [A] and a speed [rad/s].
-    supply_time, supply_ratio : (k,) arrays, optional
-        Knots [s] of V/V_ref; left out: 1.
+    The command is u in [-1, 1] from each instant [s] on (m,). Torque and speed are wanted at `time` (n,) [s],
+    strictly increasing; at the first of them the state is `initial`, a current [A] and a speed [rad/s]. The
+    supply is V/V_ref at knots [s] (k,); left out: 1.
     """
 
     command_time: FloatArray

@@ -142,21 +142,11 @@ def _electrical_share(recording: Recording) -> float | None:
 class BenchLog:
     """One log with signs, tare and doubtful intervals settled.
 
-    Parameters
-    ----------
-    time : (n,) array
-        Row times [s].
-    channels : dict of name to (times, values)
-        Signed ``speed`` [rad/s], ``torque`` [N·m], ``thrust`` [N], ``voltage`` [V]; ``current`` of the motor
-        [A] where the campaign says that it is logged; real samples only.
-    window : (start, end)
-        Part of the log that the trial may use [s].
-    doubtful : tuple of (start, end)
-        Intervals inside it whose command the logger lost [s].
-    fast : bool
-        Fast enough for the filter.
-    signs : dict of name to int
-        What the recorded torque and thrust were multiplied by.
+    Channels are (times, values) by name, real samples only: signed ``speed`` [rad/s], ``torque`` [N·m],
+    ``thrust`` [N], ``voltage`` [V]; ``current`` of the motor [A] where the campaign says that it is logged.
+    `time` (n,) are the rows' [s], `window` the part of the log that the trial may use, `doubtful` the
+    intervals inside it whose command the logger lost [s]. `fast` logs are filtered; `signs` is what the
+    recorded torque and thrust were multiplied by.
     """
 
     name: str

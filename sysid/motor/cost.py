@@ -53,17 +53,9 @@ class MotorTarget:
 class BenchCost:
     """Compiled NRMSE of a population on several trials; the same numbers on any number of threads.
 
-    Parameters
-    ----------
-    weights : (torque, speed)
-        In the mean over channels.
-    denominator : {"std", "range"}
-        Of the measured samples, per trial and channel.
-
-    Raises
-    ------
-    FitError
-        When a weighted channel of a trial has no sample or is constant. Without weight its NRMSE is NaN.
+    `weights` are those of torque and speed in the mean over channels. The `denominator`, "std" or "range", is
+    that of the measured samples, per trial and channel. A weighted channel of a trial that has no sample or
+    is constant is a FitError; without weight its NRMSE is NaN.
     """
 
     def __init__(
@@ -107,22 +99,17 @@ class BenchCost:
     def __call__(
         self, samples: FloatArray, reached: FloatArray, sensors: FloatArray, threads: int | None = None
     ) -> tuple[FloatArray, BoolArray]:
-        """Score a population.
+        """Return NRMSE (P, T, 2) and failure (P, T) of a population.
 
         Parameters
         ----------
         samples : (P, n_total, 2) array
             Simulated stator torque [N·m] and speed [rad/s] on the trials' grids, end to end.
         reached : (P, T) array
-            Share of each trial that was simulated; below 1 it failed.
+            Share of each trial that was simulated; below 1 it failed and scores
+            ``FAILED_NRMSE · (2 − reached)``.
         sensors : (P, 3) array
             Torque delay, torque lag, speed lag [s]; slow logs only.
-
-        Returns
-        -------
-        by_channel : (P, T, 2) array
-            NRMSE; ``FAILED_NRMSE · (2 − reached)`` where the simulation failed.
-        failed : (P, T) bool array
         """
         by_channel = np.empty((len(samples), len(self.targets), 2))
         failed = np.zeros(by_channel.shape[:2], dtype=np.bool_)

@@ -48,18 +48,10 @@ _DELAY_GRID = 5e-4
 class SaturationFit:
     """The fitted dead band, set by set.
 
-    Parameters
-    ----------
-    free : tuple of Parameter
-        Rows with the bounds that were searched.
-    shown_by : {"reversals", "starts from rest"}
-        What the trials show the dead band by.
-    values : (S, n) array
-        Of the rows in `free` [SI].
-    at_bound : (S, n) int8 array
-        -1 within 1 % of the lower bound, +1 of the upper, else 0.
-    nrmse, without : (S,) arrays
-        NRMSE over those trials with the fitted dead band, and with none (I_sat = ∞) [1].
+    `free` are the rows with the bounds that were searched, `shown_by` is "reversals" or "starts from rest".
+    `values` (S, n) are of those rows [SI]; `at_bound` is -1 within 1 % of the lower bound, +1 of the upper,
+    else 0. `nrmse` and `without` (S,) are over the trials with the fitted dead band and with none
+    (I_sat = ∞) [1].
     """
 
     free: tuple[Parameter, ...]
@@ -93,21 +85,10 @@ def fit_saturation(
 ) -> SaturationFit | None:
     """Fit I_sat and Ω_min of every set to the reversal trials.
 
-    Parameters
-    ----------
-    problem : MotorProblem
-        Of the dynamic fit; the bounds of its campaign count, and fixed values stay.
-    rows : (S, n_table) array
-        Sets of the dynamic fit [SI].
-    settings : SearchSettings
-        Algorithm, finisher and stop rule of the first stage serve the second; not CMA-ES alone.
-    seeds : tuple of int
-        One per set.
-
-    Returns
-    -------
-    SaturationFit or None
-        None where there is nothing to fit: no trial shows the dead band, or both numbers are given.
+    `problem` is that of the dynamic fit; the bounds of its campaign count, and fixed values stay. `rows`
+    (S, n_table) are its sets [SI], with one of the `seeds` each. Algorithm, finisher and stop rule of the
+    first stage serve the second, but not CMA-ES alone. None where there is nothing to fit: no trial shows the
+    dead band, or both numbers are given.
 
     Raises
     ------

@@ -35,18 +35,9 @@ _SCALE_AGREES = 0.1
 class Bench:
     """A motor campaign after its logs were read.
 
-    Parameters
-    ----------
-    trials : tuple of PreparedTrial
-        In the order of the campaign.
-    values : dict
-        Parameters that the campaign or its static logs state, by name [SI].
-    measured, stated : mapping of str to str
-        Sources of the measured ones, and of the others (a rating, a guess), by name.
-    scale_known : bool
-        Whether a Kv, a logged motor current or the campaign determines the scale of R, L and I_sat.
-    guessed : frozenset of str
-        Which of the values are guesses.
+    `values` are the parameters that the campaign or its static logs state, by name [SI]; `measured` and
+    `stated` name the sources of the measured ones and of the others (a rating, a guess), `guessed` the
+    guesses. `scale_known`: a Kv, a logged motor current or the campaign determines the scale of R, L, I_sat.
     """
 
     trials: tuple[PreparedTrial, ...]

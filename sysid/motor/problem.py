@@ -45,18 +45,10 @@ _INDEX = PARAMETERS.index
 class MotorProblem(Problem):
     """Trials of one bench; see `sysid.fit.problem.Problem`.
 
-    Parameters
-    ----------
-    bench : Bench
-        All logs of the campaign. `prepared` are the trials of this problem, `targets` what each compares.
-    ties : mapping of direction to NoLoadTie
-        No-load lines that follow R and k_d.
-    threads : int, optional
-        Cores; the numbers do not depend on it.
-    ideal_reversal : bool
-        No saturation (I_sat = ∞), as in Fig. 11.
-    stated_noise : (T, 2) array, optional
-        Standard deviation of the noise of trials that were never recorded [channel units].
+    `bench` holds all logs of the campaign, `prepared` the trials of this problem, `targets` what each
+    compares. `ties` are the no-load lines that follow R and k_d. With an `ideal_reversal` there is no
+    saturation (I_sat = ∞), as in Fig. 11. `stated_noise` (T, 2) is the standard deviation of the noise of
+    trials that were never recorded [channel units].
     """
 
     campaign: MotorCampaign

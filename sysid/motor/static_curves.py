@@ -27,20 +27,9 @@ OUTLIER = 5.0
 class CurveFit:
     """A curve of two coefficients and how well the points fix it.
 
-    Parameters
-    ----------
-    quantity : {"thrust", "torque", "no_load"}
-        Whose curve it is.
-    coefficients : (c2, c1) or (a, b)
-        Of c2 Ω|Ω| + c1 Ω, or of a u + b sign(u).
-    standard_errors : same pair
-        One standard deviation.
-    r_squared : float
-        1 − Σr²/Σ(y − ȳ)² over the points that are no outliers.
-    points, outliers : int
-        How many points there were, and how many of them lie beyond 5 robust standard deviations.
-    correlation : float
-        Of the errors of the two coefficients [1].
+    The coefficients are (c2, c1) of c2 Ω|Ω| + c1 Ω, or (a, b) of a u + b sign(u) where `quantity` is
+    "no_load"; their errors are one standard deviation. R² is 1 − Σr²/Σ(y − ȳ)² over the points that are no
+    outliers, which lie beyond 5 robust standard deviations. `correlation` is that of the two errors [1].
     """
 
     quantity: str

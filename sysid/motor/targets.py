@@ -42,14 +42,9 @@ _LEAST_SHOWN = 10
 class PreparedTrial:
     """One trial of the campaign: what is simulated, what is compared, where it comes from.
 
-    Parameters
-    ----------
-    starts : tuple of (start, end)
-        Spin-ups from rest inside the window [s], as far as the filter carries them.
-    thrust : (n,) array or None
-        Measured, at the compared instants and filtered like the rest [N]; None where none was recorded.
-    provenance : dict
-        What a result states of the log.
+    `starts` are the spin-ups from rest inside the window [s], as far as the filter carries them. `thrust`
+    (n,) was measured, and is filtered like the rest [N]; None where none was recorded. `provenance` is what
+    a result states of the log.
     """
 
     entry: MotorTrial
