@@ -99,21 +99,9 @@ class Document(Part):
 
     @classmethod
     def parse(cls, text: str | bytes, place: object, error_type: type[SysidError] = SysidError) -> Self:
-        """Return the document that a text holds.
+        """Return the document that a text (JSON, in UTF-8) holds; `place` is where it lies.
 
-        Parameters
-        ----------
-        text : str or bytes
-            JSON, in UTF-8.
-        place : str or Path
-            Where it lies, for a refusal.
-        error_type : type
-            Of the refusals.
-
-        Raises
-        ------
-        SysidError
-            (`error_type`) when the text is foreign, of another version, damaged or cut off.
+        Raises `error_type` when the text is foreign, of another version, damaged or cut off.
         """
         try:
             head = json.loads(text)

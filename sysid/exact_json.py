@@ -57,25 +57,13 @@ def _refuse(constant: str) -> Any:
     raise ValueError(f"{constant} is not JSON")
 
 
-def dumps(value: Any, *, indent: int | None = 2, ascii_only: bool = False) -> str:
-    """Return the JSON text of mappings, sequences, arrays, numbers, text, booleans and None.
-
-    Raises
-    ------
-    TypeError
-        For anything else, and for keys that are not text.
-    """
-    return json.dumps(encoded(value), indent=indent, ensure_ascii=ascii_only, allow_nan=False)
+def dumps(value: Any, *, indent: int | None = 2) -> str:
+    """Return the JSON text of mappings, sequences, arrays, numbers, text, booleans, None; else TypeError."""
+    return json.dumps(encoded(value), indent=indent, ensure_ascii=False, allow_nan=False)
 
 
 def loads(text: str) -> Any:
-    """Return what `dumps` was given, arrays and tuples as lists.
-
-    Raises
-    ------
-    ValueError
-        When the text is not JSON, or is cut off.
-    """
+    """Return what `dumps` was given, arrays and tuples as lists; ValueError where that is no JSON."""
     return decoded(json.loads(text, parse_constant=_refuse))
 
 

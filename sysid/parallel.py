@@ -88,7 +88,21 @@ def numba_threads(threads: int | None) -> Iterator[None]:
         numba.set_num_threads(before)
 
 
-class LocalThreads:
+class _Closing:
+    """What is closed at the end of a ``with`` block."""
+
+    def close(self) -> None:
+        """Release what was taken."""
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+class LocalThreads(_Closing):
     """This process: the work itself spreads rows over the cores, so it is entered by one caller at a time.
 
     Two callers keep the cores busy: while one prepares its next rows, the other computes.
@@ -116,14 +130,8 @@ class LocalThreads:
         with self._turn:
             self._closed = True
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
-
-class DaskCluster:
+class DaskCluster(_Closing):
     """Workers of a Dask scheduler; each worker process computes one chunk at a time.
 
     Parameters
@@ -185,12 +193,6 @@ class DaskCluster:
         if self._cluster is not None:
             self._cluster.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
     def lost(self, why: object) -> ClusterError:
         """Return the sentence that the cluster is gone."""
         first = next(iter(str(why).splitlines()), "no reason given").rstrip(":. ")
@@ -245,17 +247,13 @@ class _Shared:
         self._per_row = 0.0  # computing time [s], mean of what was measured
         self._rows = 0
 
-    def _shared(self, lost: Any = None) -> Any:
-        """Return the handle of the data on the workers; it is sent again when they lost it."""
+    def _shared(self) -> Any:
+        """Return the handle of the data on the workers."""
         with self._lock:
-            if self._data is None or self._data is lost:
+            if self._data is None:
                 client = self._cluster._client
                 self._data = client.scatter(self._work, broadcast=True, hash=False)
             return self._data
-
-    def _chunk(self, rows: int) -> int:
-        """Return how many rows make a chunk."""
-        return chunk_size(rows, self._callers, self._cluster.workers, self._per_row if self._rows else None)
 
     def __call__(self, rows: FloatArray) -> Columns:
         with self._lock:
@@ -268,7 +266,8 @@ class _Shared:
 
     def _computed(self, rows: FloatArray) -> Columns:
         client = self._cluster._client
-        size = self._chunk(len(rows))
+        per_row = self._per_row if self._rows else None
+        size = chunk_size(len(rows), self._callers, self._cluster.workers, per_row)
         pending = {first: rows[first : first + size] for first in range(0, len(rows), size)}
         done: dict[int, Columns] = {}
         why: object = "no answer"

@@ -77,7 +77,7 @@ class Unfinished:
             self._lock = FileLock(self.folder / "lock")
             self._lock.acquire(timeout=_PATIENCE)
         except Timeout:
-            raise self.ERROR(self.running(self.result)) from None
+            raise self.ERROR(self._running(self.result)) from None
         except OSError as error:
             raise self.ERROR(
                 f"{self.folder}: cannot be made ({error.strerror or error}); choose another place with --out"
@@ -89,16 +89,31 @@ class Unfinished:
             raise
 
     def _open(self, resume: bool, force: bool) -> None:
-        kept = self.kept(self.folder)
-        if resume and not kept:
-            raise self.ERROR(f"{self.folder} holds nothing to continue; start without --resume")
+        self._check_states(self.result, resume, force)
         if resume:
             self.take_up()
-            return
-        if kept and not force:
-            raise self.ERROR(self.in_the_way(self.result))
-        self._remove_states()
-        self.begin()
+        else:
+            self._remove_states()
+            self.begin()
+
+    @classmethod
+    def check_start(cls, result: str | Path, *, resume: bool, force: bool) -> None:
+        """Refuse at once what would be refused in the end: another process, states in the way, or none."""
+        if held(cls.folder_of(result)):
+            raise cls.ERROR(cls._running(result))
+        cls._check_states(result, resume, force)
+
+    @classmethod
+    def _check_states(cls, result: str | Path, resume: bool, force: bool) -> None:
+        folder = cls.folder_of(result)
+        kept = cls.kept(folder)
+        if resume and not kept:
+            raise cls.ERROR(f"{folder} holds nothing to continue; start without --resume")
+        if kept and not (resume or force):
+            raise cls.ERROR(
+                f"{folder}: an unfinished {cls.WHAT} is there; continue it with --resume, or discard it with "
+                "--force"
+            )
 
     def take_up(self) -> None:
         """Check and read the states of an unfinished result."""
@@ -146,17 +161,8 @@ class Unfinished:
         return any(folder.glob(cls.STATES))
 
     @classmethod
-    def running(cls, result: Path) -> str:
-        """Return the sentence that refuses a result on which a process works."""
+    def _running(cls, result: str | Path) -> str:
         return f"{result}: another process is working on this {cls.WHAT}; wait for it, or choose --out"
-
-    @classmethod
-    def in_the_way(cls, result: Path) -> str:
-        """Return the sentence that refuses to start over what is unfinished."""
-        return (
-            f"{cls.folder_of(result)}: an unfinished {cls.WHAT} is there; continue it with --resume, or "
-            "discard it with --force"
-        )
 
 
 def held(folder: Path) -> bool | None:

@@ -49,10 +49,7 @@ def _sentence(path: Path, error: BaseException) -> str:
 def write_file(path: str | Path, data: bytes, error_type: type[SysidError] = SysidError) -> None:
     """Write `data` to `path`, replacing an existing file only once the new one is complete.
 
-    Raises
-    ------
-    SysidError
-        (`error_type`) when the file cannot be written; an existing one is then unchanged.
+    Raises `error_type` when the file cannot be written; an existing one is then unchanged.
     """
     path = Path(path)
     temporary: Path | None = None
@@ -77,12 +74,8 @@ def write_file(path: str | Path, data: bytes, error_type: type[SysidError] = Sys
 def replace_file(new: Path, path: Path) -> None:
     """Give a complete file the name of another one.
 
-    Windows refuses while a virus scanner or another command reads either: that passes, so it is tried again.
-
-    Raises
-    ------
-    OSError
-        When it is still refused after a second.
+    Windows refuses while a virus scanner or another command reads either: that passes, so it is tried again,
+    for a second.
     """
     for _ in range(_TRIES):
         try:
@@ -106,22 +99,9 @@ def replaced_folder(
 ) -> Iterator[Path]:
     """Give a temporary folder that becomes `path` when the block ends well.
 
-    Parameters
-    ----------
-    path : str or Path
-        The folder to be. Its parents are made.
-    force : bool
-        Whether an existing folder may be replaced (as a whole, with all that is in it).
-    marker : str
-        A file that a folder of this kind holds; without it a folder is never replaced.
-    error_type : type
-        Of the refusals.
-
-    Raises
-    ------
-    SysidError
-        (`error_type`) when the folder exists and may not be replaced, or cannot be written; what was
-        there before is then unchanged.
+    Its parents are made. `force` replaces an existing folder as a whole, if it holds the file `marker`.
+    Raises `error_type` when the folder exists and may not be replaced, or cannot be written; what was there
+    before is then unchanged.
     """
     path = Path(path)
     check_folder(path, force=force, marker=marker, error_type=error_type)
@@ -143,13 +123,7 @@ def replaced_folder(
 def check_folder(
     path: str | Path, *, force: bool, marker: str, error_type: type[SysidError] = SysidError
 ) -> None:
-    """Refuse a result folder that exists, unless `force` and it is one that holds `marker`.
-
-    Raises
-    ------
-    SysidError
-        (`error_type`) with the reason.
-    """
+    """Refuse a result folder that exists, unless `force` and it is one that holds `marker`."""
     path = Path(path)
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return
@@ -178,13 +152,7 @@ def _swap(new: Path, path: Path) -> None:
 
 
 def check_file(path: str | Path, *, force: bool, error_type: type[SysidError] = SysidError) -> None:
-    """Refuse a result file that exists, unless `force`, or whose folder does not.
-
-    Raises
-    ------
-    SysidError
-        (`error_type`) with the reason.
-    """
+    """Refuse a result file that exists, unless `force`, or whose folder does not."""
     path = Path(path)
     if path.exists() and not force:
         raise error_type(f"{path}: exists already; choose a new name or add --force")
@@ -226,11 +194,8 @@ class FileKind:
     def opened(self, path: str | Path, content: bytes | None = None) -> Iterator[Any]:
         """Open a file of this kind, or its content, for reading.
 
-        Raises
-        ------
-        SysidError
-            (`error_type`) when it is missing, foreign, of another version, damaged or cut off, and when what
-            the block takes from it is missing or wrong.
+        Raises `error_type` when it is missing, foreign, of another version, damaged or cut off, and when what
+        the block takes from it is missing or wrong.
         """
         if content is None and not Path(path).is_file():
             raise self.error_type(f"{path}: no such file; name {self.what} of sysid")

@@ -52,19 +52,8 @@ class DamagedState(FitError):
     """A state file that is not whole; the one before it may be."""
 
 
-def checkpoint_folder(fit_folder: str | Path) -> Path:
-    """Return where the unfinished state of a fit folder lies."""
-    return Checkpoint.folder_of(fit_folder)
-
-
 class Checkpoint(Unfinished):
-    """The unfinished state of one fit, see `sysid.resume.Unfinished`.
-
-    Attributes
-    ----------
-    memories : list of RunMemory
-        What the runs had scored.
-    """
+    """The unfinished state of one fit, see `Unfinished`; `memories` is what the runs had scored."""
 
     ERROR = FitError
     SUFFIX = ".checkpoint"
@@ -72,19 +61,14 @@ class Checkpoint(Unfinished):
     WHAT = "fit"
 
     def __init__(
-        self,
-        fit_folder: str | Path,
-        identity: Mapping[str, Any],
-        *,
-        resume: bool = False,
-        force: bool = False,
+        self, result: str | Path, identity: Mapping[str, Any], *, resume: bool = False, force: bool = False
     ) -> None:
         self._begun = time.monotonic()
         self._written: dict[int, float] = {}
         self._offered: dict[int, float] = {}
         self._interval = INTERVAL
         self.memories: list[RunMemory] = []
-        super().__init__(fit_folder, identity, resume=resume, force=force)
+        super().__init__(result, identity, resume=resume, force=force)
 
     @classmethod
     def kept(cls, folder: Path) -> bool:
@@ -136,11 +120,7 @@ class Checkpoint(Unfinished):
         """Write the state of a run (from 0) when it is due: every second, and when a stage has ended.
 
         It is due, too, where the next state that is offered, after as long as this one, would come too late.
-
-        Raises
-        ------
-        FitError
-            When it cannot be written; the state before is intact.
+        Raises FitError when it cannot be written; the state before is intact.
         """
         now = time.monotonic()
         age, step = (now - times.get(run, self._begun) for times in (self._written, self._offered))
@@ -207,12 +187,7 @@ def _header(content: bytes) -> bytes:
 def read_state(path: Path) -> tuple[RunMemory, dict[str, Any]]:
     """Return what a run had scored, and the identity of its fit.
 
-    Raises
-    ------
-    DamagedState
-        When the file is damaged, cut off or foreign.
-    FitError
-        When it is of an unknown version.
+    Raises `DamagedState` when the file is damaged, cut off or foreign, FitError for an unknown version.
     """
     try:
         data = path.read_bytes()

@@ -22,26 +22,18 @@ def summed(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
 
 @dataclass(frozen=True, eq=False)
 class Generation:
-    """What one generation left behind.
+    """What one generation left behind, `number` from 1 within its stage.
 
     Parameters
     ----------
-    number : int
-        From 1, within its stage.
     cube : (P, n_free) array
         Population after the generation in the unit cube, best first [1].
     cost : (P,) array
         Its NRMSE [1].
     failed : int
         Candidates of this generation of which a simulation failed [1].
-    evaluations, simulations : int
-        Since the run began [1].
-    elapsed : float
-        Wall time since the run began [s].
-    algorithm : str
-        Of the stage.
-    lowest : float, optional
-        Lowest NRMSE since the run began [1]. Default: the lowest of this generation.
+    evaluations, simulations, elapsed, lowest
+        Since the run began [1]; wall time [s]; lowest NRMSE [1].
     """
 
     number: int
@@ -71,8 +63,6 @@ class StageHistory:
 
     Parameters
     ----------
-    algorithm : str
-        A key of `sysid.fit.breeders.algorithms.ALGORITHMS`.
     cube : (G, P, n_free) array
         Population after every generation in the unit cube, best first [1].
     cost : (G, P) array
@@ -83,8 +73,6 @@ class StageHistory:
         Candidates scored and simulations run in this stage [1].
     wall_time : float
         Of this stage [s].
-    stop_reason : str
-        A key of `sysid.fit.stopping.REASONS`.
     causes : tuple of mapping
         The failed candidates of every generation by cause [1]; empty where none were told apart.
     """
@@ -112,15 +100,7 @@ class StageHistory:
 
 @dataclass(frozen=True, eq=False)
 class RunHistory:
-    """Everything one run did.
-
-    Parameters
-    ----------
-    seed : int
-        Of this run.
-    stages : tuple of StageHistory
-        The search, then the finisher where there was one.
-    """
+    """Everything one run did: the search, then the finisher where there was one."""
 
     seed: int
     stages: tuple[StageHistory, ...]

@@ -28,16 +28,7 @@ from sysid.fit.nrmse_kernels import FAILED_NRMSE, prepare_trial, score_populatio
 from sysid.parallel import numba_threads
 from sysid.types import BoolArray, FloatArray
 
-__all__ = [
-    "FAILED_NRMSE",
-    "CostChannel",
-    "Denominator",
-    "FilteredNrmse",
-    "PopulationCost",
-    "TrialTarget",
-    "nrmse",
-    "spread",
-]
+__all__ = ["FAILED_NRMSE", "CostChannel", "FilteredNrmse", "PopulationCost", "TrialTarget", "nrmse", "spread"]
 
 Denominator = Literal["std", "range"]
 
@@ -45,19 +36,8 @@ Denominator = Literal["std", "range"]
 def spread(measured: ArrayLike, valid: ArrayLike | None = None, denominator: Denominator = "std") -> float:
     """Return the NRMSE denominator of one measured channel [unit of the channel].
 
-    Parameters
-    ----------
-    measured : (n,) array
-        Samples [any unit].
-    valid : (n,) bool array, optional
-        False where a sample must not count. Default: all count.
-    denominator : {"std", "range"}
-        Standard deviation (divided by n) or maximum minus minimum.
-
-    Raises
-    ------
-    FitError
-        When no sample is valid, or `denominator` is neither.
+    Of the samples (n,) that are valid, by default all: their standard deviation (divided by n), or maximum
+    minus minimum. Raises FitError when there is none, or `denominator` is neither.
     """
     values = np.asarray(measured, dtype=np.float64)
     if valid is not None:
@@ -79,23 +59,9 @@ def nrmse(
 ) -> float:
     """Return the normalised RMS error of one channel of one trial [1].
 
-    Parameters
-    ----------
-    simulated, measured : (n,) array
-        Samples on the same clock [same unit].
-    valid : (n,) bool array, optional
-        False where a sample must not count. Default: all count.
-    denominator : {"std", "range"}
-        Of the measured samples.
-
-    Raises
-    ------
-    FitError
-        When no sample is valid or the measured channel is constant.
-
-    Notes
-    -----
-    0 is a perfect fit; the mean of the measurement scores 1 with ``"std"``.
+    Samples (n,) are on the same clock, in the same unit; those that are not `valid` do not count. 0 is a
+    perfect fit; the mean of the measurement scores 1 with ``"std"``. Raises FitError when no sample is valid
+    or the measured channel is constant.
     """
     simulated = np.asarray(simulated, dtype=np.float64)
     measured = np.asarray(measured, dtype=np.float64)
@@ -112,10 +78,6 @@ class CostChannel:
 
     Parameters
     ----------
-    name : str
-        As in tables, e.g. ``horizontal_velocity``.
-    unit : str
-        SI unit.
     column : int
         Input column of the simulated samples.
     rate : bool
@@ -137,8 +99,6 @@ class TrialTarget:
 
     Parameters
     ----------
-    name : str
-        Trial name.
     measured : (n_window, n_channels) array
         Filtered and differentiated measurement [channel units].
     valid : (n_window,) or (n_window, n_channels) bool array, optional

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from sysid.parallel import Executor
 from sysid.parameters import SearchSpace
+from sysid.types import BoolArray, FloatArray, IntArray
+
+Failed = BoolArray | NDArray[np.int8]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +30,8 @@ class Evaluation:
         Simulations that were run (candidates × trials).
     """
 
-    cost: NDArray[np.float64]
-    failed: NDArray[np.bool_] | NDArray[np.int8]
+    cost: FloatArray
+    failed: Failed
     simulations: int
 
 
@@ -41,7 +44,7 @@ def causes_of(objective: object) -> tuple[str, ...]:
     return tuple(getattr(objective, "causes", UNNAMED_CAUSE))
 
 
-def count_causes(failed: NDArray[np.bool_] | NDArray[np.int8], causes: tuple[str, ...]) -> dict[str, int]:
+def count_causes(failed: Failed, causes: tuple[str, ...]) -> dict[str, int]:
     """Return how many candidates failed, by cause; causes that did not occur are left out."""
     counts = np.bincount(np.asarray(failed, dtype=np.int64), minlength=len(causes) + 1)
     return {cause: int(count) for cause, count in zip(causes, counts[1:], strict=True) if count}
@@ -60,7 +63,7 @@ class Objective(Protocol):
         """The free parameters."""
         ...
 
-    def evaluate(self, cube: NDArray[np.float64]) -> Evaluation:
+    def evaluate(self, cube: FloatArray) -> Evaluation:
         """Simulate and score unit-cube points (P, n_free)."""
         ...
 
@@ -71,9 +74,7 @@ class Scored:
 
     objective: Objective
 
-    def __call__(
-        self, rows: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_] | NDArray[np.int8], NDArray[np.int64]]:
+    def __call__(self, rows: FloatArray) -> tuple[FloatArray, Failed, IntArray]:
         """Simulate and score unit-cube points (P, n_free)."""
         scored = self.objective.evaluate(rows)
         each, rest = divmod(scored.simulations, len(rows))
@@ -83,15 +84,7 @@ class Scored:
 
 
 class SpreadObjective:
-    """An objective whose candidates an executor computes.
-
-    Parameters
-    ----------
-    objective : Objective
-        What is computed; it travels once.
-    executor : Executor
-        Where.
-    """
+    """An objective, which travels once, whose candidates an executor computes."""
 
     def __init__(self, objective: Objective, executor: Executor) -> None:
         self._objective = objective
@@ -107,7 +100,7 @@ class SpreadObjective:
         """The causes of failure that the objective tells apart."""
         return causes_of(self._objective)
 
-    def evaluate(self, cube: NDArray[np.float64]) -> Evaluation:
+    def evaluate(self, cube: FloatArray) -> Evaluation:
         """Simulate and score unit-cube points (P, n_free)."""
         cost, failed, simulations = self._work(cube)
         return Evaluation(cost, failed, int(simulations.sum()))

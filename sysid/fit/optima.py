@@ -53,14 +53,14 @@ class Agreement:
     Parameters
     ----------
     order : tuple of int
-        Runs (from 0), best first.
+        Runs (from 0), best first; all else is in the order of the runs.
     optimum : (R,) int array
-        Optimum (from 0, best first) of every run, in the order of the runs.
+        Optimum (from 0, best first).
     cost : (R,) array
-        NRMSE of every run, in the order of the runs [1].
+        NRMSE [1].
     cut : tuple of str or None
-        Why every run was cut short, a key of `sysid.fit.stopping.REASONS`, in the order of the runs; None for
-        a run that ended by itself. The place where a run was cut is no optimum.
+        Why a run was cut short; None for a run that ended by itself. The place where a run was cut is no
+        optimum.
     asked : int
         Runs that the fit was to have; runs that were not begun are missing above [1].
     """
@@ -139,17 +139,10 @@ class Agreement:
 def agreement(
     runs: Sequence[RunHistory], asked: int | None = None, free: Sequence[Searched] = ()
 ) -> Agreement:
-    """Group runs by the optimum in which they ended.
+    """Group runs, at least one of the `asked` ones, by the optimum in which they ended.
 
-    Parameters
-    ----------
-    runs : sequence of RunHistory
-        At least one.
-    asked : int, optional
-        How many there were to be; all, by default.
-    free : sequence of Searched
-        The parameters along the cube's axes: those that the runs together do not fix (`unfixed`) say nothing
-        about which optimum a run is in. Without it all count.
+    Of `free`, the parameters along the cube's axes, those that the runs together do not fix (`unfixed`) say
+    nothing about which optimum a run is in. Without it all count.
     """
     held = ~unfixed(runs, free) if free else np.ones(runs[0].best_point.shape, dtype=bool)
     cost = np.array([run.best[-1] for run in runs])
@@ -260,9 +253,6 @@ def waterfall(runs: Sequence[RunHistory], free: Sequence[Searched] = ()) -> list
 
 
 def _letter(number: int) -> str:
-    name = ""
-    number += 1
-    while number:
-        number, rest = divmod(number - 1, 26)
-        name = chr(ord("A") + rest) + name
-    return name
+    """Return A to Z, AA, AB, …"""
+    more, last = divmod(number, 26)
+    return (_letter(more - 1) if more else "") + chr(ord("A") + last)

@@ -7,7 +7,6 @@ seconds; quiet says nothing.
 from __future__ import annotations
 
 import time
-from types import TracebackType
 from typing import Self
 
 from rich.console import Console
@@ -23,18 +22,9 @@ PLAIN_INTERVAL = 10.0
 
 
 class FitProgress:
-    """Reports a fit; give its methods to `run_many` as `on_generation` and `on_run`.
+    """Reports a fit on standard error; give its methods to `run_many` as `on_generation` and `on_run`.
 
-    Parameters
-    ----------
-    settings : SearchSettings
-        Of the fit that is reported.
-    simulated : str
-        What a simulation is called: ``drops``, ``trials``.
-    quiet : bool
-        Say nothing.
-    console : rich.console.Console, optional
-        Where to write. Default: standard error, so that results can be piped.
+    `simulated` is what a simulation is called: ``drops``, ``trials``.
     """
 
     def __init__(
@@ -59,9 +49,7 @@ class FitProgress:
             self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._live is not None:
             self._live.stop()
             self._live = None

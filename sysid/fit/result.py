@@ -31,10 +31,6 @@ class TrialResult:
 
     Parameters
     ----------
-    name : str
-        Trial name.
-    use : {"fit", "validate"}
-        Whether the search saw it.
     time : (n,) array
         On the recording's clock [s].
     measured : (n, C) array
@@ -71,10 +67,8 @@ class RankedSets:
 
     Parameters
     ----------
-    run : tuple of int
-        Run (from 1) of each set.
-    seed : tuple of int
-        Its seed.
+    run, seed : tuples of int
+        Run (from 1) of each set, and its seed.
     cube : (S, n_free) array
         Unit-cube point [1].
     cost : (S,) array
@@ -122,15 +116,7 @@ def ranked_sets(runs: Sequence[RunHistory], space: SearchSpace, keep: int = SETS
 
 
 def bound_warnings(parameters: Sequence[ParameterRecord], at_bound: NDArray[np.int8]) -> tuple[str, ...]:
-    """Return one sentence per parameter of which sets end at a bound.
-
-    Parameters
-    ----------
-    parameters : sequence of ParameterRecord
-        The columns of `at_bound`.
-    at_bound : (S, n) int8 array
-        -1 lower, +1 upper, else 0.
-    """
+    """Return one sentence per parameter of which sets end at a bound; `at_bound` (S, n) as in `FitResult`."""
     out = []
     for record, flags in zip(parameters, np.asarray(at_bound).T, strict=True):
         for side, bound, word in ((-1, record.lower, "lower"), (1, record.upper, "upper")):
@@ -152,10 +138,8 @@ class FitResult:
 
     Parameters
     ----------
-    kind : str
-        The model: ``motor``, ``gear``.
-    name : str
-        Of the campaign.
+    kind, name : str
+        Of the model (``motor``, ``gear``) and of the campaign.
     state : {"done", "stopped"}
         ``stopped``: cut short by the user or the time limit; what was found is here.
     parameters : tuple of ParameterRecord
@@ -172,18 +156,12 @@ class FitResult:
         -1 within 1 % of the lower bound, +1 of the upper, else 0.
     nrmse : (S,) array
         Mean over channels and fit trials [1].
-    trials : tuple of TrialResult
-        Fitted and validated ones.
-    channels, channel_units : tuple of str
-        Compared channels and their SI units.
-    channel_weights : tuple of float
-        Weight of each in a trial's mean [1].
+    channels, channel_units, channel_weights : tuples
+        Compared channels, their SI units, and the weight of each in a trial's mean [1].
     settings : mapping
         What a simulator must also know; see `ParameterSets`. JSON-able.
     provenance : mapping
         Log hashes, seeds, versions, filter design, NRMSE denominator, search settings. JSON-able.
-    warnings : tuple of str
-        One sentence each.
     """
 
     kind: str

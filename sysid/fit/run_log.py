@@ -45,20 +45,10 @@ def sketch(cube: FloatArray) -> FloatArray:
 
 @dataclass
 class Begun:
-    """The first candidates of a generation that takes long: what of it is paid for.
+    """The first k candidates of a generation that takes long: what of it is paid for.
 
-    Parameters
-    ----------
-    asked : int
-        `fingerprint` of all candidates of the generation.
-    cost : (k,) array
-        Of the first ones [1].
-    failed : (k,) int8 array
-        As `sysid.fit.objective.Evaluation` has it.
-    simulations : int
-        Of them [1].
-    elapsed : float
-        Wall time of the stage until then [s].
+    `asked` is the `fingerprint` of all candidates of the generation, `elapsed` the wall time of the stage
+    until then [s]; the rest as in `sysid.fit.objective.Evaluation`.
     """
 
     asked: int
@@ -67,11 +57,6 @@ class Begun:
     simulations: int
     elapsed: float
 
-    @property
-    def evaluation(self) -> Evaluation:
-        """What was scored."""
-        return Evaluation(self.cost, self.failed, self.simulations)
-
 
 @dataclass
 class StageMemory:
@@ -79,22 +64,16 @@ class StageMemory:
 
     Parameters
     ----------
-    algorithm : str
-        A key of `sysid.fit.breeders.algorithms.ALGORITHMS`.
     cost : list of (P,) array
         In the order in which the candidates were asked for [1].
-    failed, simulations : list of int
-        Of every generation [1].
-    causes : list of dict
-        Failed candidates of every generation by cause [1].
-    asked : list of int
-        `fingerprint` of the candidates of every generation.
-    sketch : list of (n_free,) array
-        `sketch` of the candidates of every generation.
+    failed, simulations, causes : lists
+        Candidates that failed, simulations, and failures by cause [1].
+    asked, sketch : lists
+        `fingerprint`, and `sketch` (n_free,), of the candidates.
     elapsed : list of float
         Wall time of the stage at the end of every generation [s].
     ended : str, optional
-        Why the stage ended, a key of `sysid.fit.stopping.REASONS`; None while it is running.
+        Why the stage ended; None while it is running.
     begun : Begun, optional
         Of the generation after these.
     """
@@ -140,13 +119,7 @@ class StageMemory:
         return self.begun
 
     def recalls_begun(self, points: FloatArray, elsewhere: bool) -> int:
-        """Return how many of the candidates asked for were scored before; the arguments of `recalls`.
-
-        Raises
-        ------
-        FitError
-            As `recalls`.
-        """
+        """Return how many of the candidates asked for were scored before; see `recalls`."""
         if self.begun is None:
             return 0
         if self.begun.asked == fingerprint(points):
@@ -164,23 +137,11 @@ class StageMemory:
         )
 
     def recalls(self, generation: int, points: FloatArray, elsewhere: bool) -> bool:
-        """Return whether the remembered costs of a generation are those of the candidates asked for.
+        """Return whether the costs of a generation (from 0) are of the candidates (P, n_free) asked for.
 
-        Parameters
-        ----------
-        generation : int
-            From 0.
-        points : (P, n_free) array
-            Asked for.
-        elsewhere : bool
-            The costs were paid on another processor: candidates that differ by rounding are the same, and
-            those that differ by more are not remembered.
-
-        Raises
-        ------
-        FitError
-            Other candidates are asked for on the same processor: the search cannot be continued to the
-            result that it would have had.
+        Where the costs were paid on another processor (`elsewhere`), candidates that differ by rounding are
+        the same, and those that differ by more are not remembered. On the same processor other candidates
+        are refused: the search cannot be continued to the result that it would have had.
         """
         if self.asked[generation] == fingerprint(points):
             return True
@@ -203,17 +164,7 @@ class StageMemory:
 
 @dataclass
 class RunMemory:
-    """What one run has scored.
-
-    Parameters
-    ----------
-    seed : int
-        Of the run.
-    stages : list of StageMemory
-        Those that were begun.
-    elsewhere : bool
-        They were paid for on another processor.
-    """
+    """What one run has scored in the stages that were begun; `elsewhere`: on another processor."""
 
     seed: int
     stages: list[StageMemory] = field(default_factory=list)

@@ -98,26 +98,33 @@ class SearchSettings:
         return (self.algorithm, self.finish)
 
 
+def _ignore(*_: object) -> None:
+    return
+
+
 @dataclass(frozen=True)
 class Hooks:
     """What a search calls, and what may end it.
 
     Parameters
     ----------
-    on_generation : callable, optional
+    on_generation : callable
         Called with the run (from 0) and every new `Generation`.
-    on_run : callable, optional
+    on_run : callable
         Called with the run (from 0) and its history when it ends.
-    keep : callable, optional
+    keep : callable
         Called with the run (from 0), its memory, and whether a stage has just ended.
-    should_stop : callable, optional
+    should_stop : callable
         Asked after every generation; True ends the fit and keeps what was found.
     """
 
-    on_generation: Callable[[int, Generation], None] | None = None
-    on_run: Callable[[int, RunHistory], None] | None = None
-    keep: Callable[[int, RunMemory, bool], None] | None = None
-    should_stop: Callable[[], bool] | None = None
+    on_generation: Callable[[int, Generation], None] = _ignore
+    on_run: Callable[[int, RunHistory], None] = _ignore
+    keep: Callable[[int, RunMemory, bool], None] = _ignore
+    should_stop: Callable[[], bool] = lambda: False
+
+
+_NO_HOOKS = Hooks()
 
 
 class _Breeds(Protocol):
@@ -133,7 +140,7 @@ def run_one(
     *,
     time_limit: float | None = None,
     memory: RunMemory | None = None,
-    hooks: Hooks | None = None,
+    hooks: Hooks = _NO_HOOKS,
     breeds: _Breeds = breeder,
     candidate_time: float | None = None,
 ) -> RunHistory:
@@ -141,19 +148,13 @@ def run_one(
 
     Parameters
     ----------
-    objective : Objective
-        Scores points of the unit cube.
-    settings : SearchSettings
-        Of the whole fit.
     run : int
         Which one, from 0.
     time_limit : float, optional
         Of this run, from now [s].
     memory : RunMemory, optional
         What was scored before the run was cut off; it is continued, and the memory grows.
-    hooks : Hooks, optional
-        What is called while the run goes on.
-    breeds : callable, optional
+    breeds : callable
         `breeder`, or `BreederApart` to breed in another process.
     candidate_time : float, optional
         What a candidate takes to score [s], until it was measured; a first generation that would take over
@@ -169,8 +170,7 @@ def run_one(
     seed = settings.run_seeds()[run]
     memory = RunMemory(seed) if memory is None else memory
     memory.reopen()
-    begun = _Run(objective, settings, run, seed, time_limit, memory, hooks or Hooks(), breeds, candidate_time)
-    return begun.history()
+    return _Run(objective, settings, run, seed, time_limit, memory, hooks, breeds, candidate_time).history()
 
 
 @dataclass
@@ -195,8 +195,12 @@ class _Run:
         names = self.settings.stages
         for number, name in enumerate(names):
             start = Start.of_population(stages[-1].cube[-1]) if stages else None
-            last = number == len(names) - 1
-            stages.append(self._stage(number, name, start, last))
+            population = self.settings.population if number == 0 else FINISH_POPULATION
+            rule = self._rule(name, population, last=number == len(names) - 1)
+            seed = self.seed if number == 0 else _child_seed(self.seed, number)
+            memory = self.memory.stage(number, name)
+            with closing(self.breeds(name, len(self.objective.space.free), population, seed, start)) as bred:
+                stages.append(self._bred(name, bred, rule, memory))
             self.before += stages[-1].wall_time
             if stages[-1].stop_reason == "interrupted":
                 break
@@ -216,14 +220,6 @@ class _Run:
                 rule, reading="relative", window=window, tolerance=CMAES_TOLERANCE, spread=CMAES_SPREAD
             )
         return rule
-
-    def _stage(self, number: int, name: str, start: Start | None, last: bool) -> StageHistory:
-        population = self.settings.population if number == 0 else FINISH_POPULATION
-        rule = self._rule(name, population, last)
-        seed = self.seed if number == 0 else _child_seed(self.seed, number)
-        memory = self.memory.stage(number, name)
-        with closing(self.breeds(name, len(self.objective.space.free), population, seed, start)) as bred:
-            return self._bred(name, bred, rule, memory)
 
     def _bred(
         self, name: str, bred: Breeder | BreederApart, rule: StopRule, memory: StageMemory
@@ -254,18 +250,22 @@ class _Run:
             generation = self._generation(memory, len(generations), name, bred.population())
             generations.append(generation)
             best.append(min([*best[-1:], float(generation.cost.min())]))
-            if new and self.hooks.on_generation is not None:
+            if new:
                 self.hooks.on_generation(self.run, generation)
-            spread = _spread(memory.cost[len(generations) - 1])
+            # What was remembered was not ended by clock or user then.
             live = new or (open_end and len(generations) == remembered)
-            reason = self._reason(rule, best, len(points), spread, live)
-            if new and self.hooks.keep is not None and reason is None:
+            if live and self.hooks.should_stop():
+                reason = "interrupted"
+            else:
+                elapsed = time.perf_counter() - self.started if live else 0.0
+                spread = _spread(memory.cost[len(generations) - 1])
+                reason = rule.reason(best, self.evaluations, len(points), elapsed, spread)
+            if new and reason is None:
                 self.hooks.keep(self.run, self.memory, False)
         if not generations:
             raise FitError(f"{name} bred no candidate at all; widen the bounds or enlarge the population")
         memory.ended = reason
-        if self.hooks.keep is not None:
-            self.hooks.keep(self.run, self.memory, True)
+        self.hooks.keep(self.run, self.memory, True)
         return StageHistory(
             algorithm=name,
             cube=np.stack([g.cube for g in generations]),
@@ -295,9 +295,8 @@ class _Run:
             begun = memory.begin(points, scored, offset + now)
             done += size
             if done == len(points):
-                return begun.evaluation
-            if self.hooks.keep is not None:
-                self.hooks.keep(self.run, self.memory, False)
+                return Evaluation(begun.cost, begun.failed, begun.simulations)
+            self.hooks.keep(self.run, self.memory, False)
 
     def _part(self, left: int) -> int:
         """Return how many of the candidates that are left make a part."""
@@ -322,15 +321,6 @@ class _Run:
             algorithm=name,
             lowest=self.lowest,
         )
-
-    def _reason(
-        self, rule: StopRule, best: list[float], next_size: int, spread: float, live: bool
-    ) -> StopReason | None:
-        """Return why the stage ends; what was remembered was not ended by clock or user then."""
-        if live and self.hooks.should_stop is not None and self.hooks.should_stop():
-            return "interrupted"
-        elapsed = time.perf_counter() - self.started if live else 0.0
-        return rule.reason(best, self.evaluations, next_size, elapsed, spread)
 
 
 def _spread(cost: FloatArray) -> float:
@@ -359,7 +349,7 @@ def run_many(
     settings: SearchSettings,
     *,
     memories: Sequence[RunMemory] = (),
-    hooks: Hooks | None = None,
+    hooks: Hooks = _NO_HOOKS,
     at_once: int = 1,
     breeds: _Breeds = breeder,
     candidate_time: float | None = None,
@@ -369,19 +359,15 @@ def run_many(
     Parameters
     ----------
     objective : Objective
-        Scores points of the unit cube; from several threads when `at_once` is above 1.
-    settings : SearchSettings
-        Algorithm, population, runs, seed, stop rule.
-    memories : sequence of RunMemory, optional
+        Scores from several threads when `at_once` is above 1.
+    memories : sequence of RunMemory
         What runs had scored before they were cut off, by seed.
-    hooks : Hooks, optional
-        What is called while the runs go on; never from two threads at a time.
+    hooks : Hooks
+        Never called from two threads at a time.
     at_once : int
         Runs that are searched at the same time, so that machines do not idle at a generation's end. The
         numbers do not depend on it.
-    breeds : callable, optional
-        `breeder`, or `BreederApart` to breed every run in another process.
-    candidate_time : float, optional
+    breeds, candidate_time
         As of `run_one`.
 
     Returns
@@ -396,11 +382,11 @@ def run_many(
     """
     started = time.perf_counter()
     known = {memory.seed: memory for memory in memories}
-    hooks = _one_at_a_time(hooks or Hooks())
+    hooks = _one_at_a_time(hooks)
     failed = threading.Event()
 
     def stop() -> bool:
-        return failed.is_set() or (hooks.should_stop is not None and hooks.should_stop())
+        return failed.is_set() or hooks.should_stop()
 
     def search_run(run: int) -> RunHistory | None:
         if run and stop():
@@ -419,8 +405,7 @@ def run_many(
             breeds=breeds,
             candidate_time=candidate_time,
         )
-        if hooks.on_run is not None:
-            hooks.on_run(run, history)
+        hooks.on_run(run, history)
         return history
 
     if at_once <= 1:
@@ -450,19 +435,11 @@ def _one_at_a_time(hooks: Hooks) -> Hooks:
     """Return hooks that never run in two threads at once."""
     lock = threading.Lock()
 
-    def guarded(call: Callable[..., None] | None) -> Callable[..., None] | None:
-        if call is None:
-            return None
-
+    def guarded(call: Callable[..., None]) -> Callable[..., None]:
         def locked(*arguments: object) -> None:
             with lock:
                 call(*arguments)
 
         return locked
 
-    return replace(
-        hooks,
-        on_generation=guarded(hooks.on_generation),
-        on_run=guarded(hooks.on_run),
-        keep=guarded(hooks.keep),
-    )
+    return Hooks(guarded(hooks.on_generation), guarded(hooks.on_run), guarded(hooks.keep), hooks.should_stop)

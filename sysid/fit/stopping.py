@@ -90,15 +90,7 @@ class StopRule:
             )
 
     def change(self, best: Sequence[float], windows: int = 1) -> float:
-        """Return the change over the last `window` generations [1]; inf while there are too few.
-
-        Parameters
-        ----------
-        best : sequence of float
-            Best cost of every generation so far [1].
-        windows : int
-            Take so many windows for one.
-        """
+        """Return the change of the best costs over the last `windows` windows [1]; inf while too few."""
         window = windows * self.window
         if len(best) <= window:
             return float("inf")
@@ -149,19 +141,12 @@ class StopRule:
         return replace(self, max_evaluations=self.max_evaluations // runs)
 
 
-class StopFlag:
+class StopFlag(threading.Event):
     """A request to end at the next generation's end; calling it tells whether it was made."""
-
-    def __init__(self) -> None:
-        self._event = threading.Event()
-
-    def set(self) -> None:
-        """Ask for the end."""
-        self._event.set()
 
     def __call__(self) -> bool:
         """Return True once the end was asked for."""
-        return self._event.is_set()
+        return self.is_set()
 
 
 class CutShort(Exception):
@@ -173,18 +158,7 @@ class CutShort(Exception):
 
 
 class Deadline:
-    """When a whole fit must end: at Ctrl-C, or when its time limit has passed since this was made.
-
-    Parameters
-    ----------
-    time_limit : float, optional
-        Wall time from now [s].
-
-    Attributes
-    ----------
-    flag : StopFlag
-        Tells of Ctrl-C.
-    """
+    """When a whole fit must end: at Ctrl-C (`flag`), or when its time limit [s] from now on has passed."""
 
     def __init__(self, time_limit: float | None = None) -> None:
         self.flag = StopFlag()
@@ -196,13 +170,7 @@ class Deadline:
         return None if self._end is None else max(0.0, self._end - time.monotonic())
 
     def check(self) -> bool:
-        """Return False while there is time; the form in which a search asks whether to stop.
-
-        Raises
-        ------
-        CutShort
-            When the fit must end.
-        """
+        """Return False while there is time, as a search asks whether to stop; else raise `CutShort`."""
         if self.flag():
             raise CutShort("interrupted")
         if self.left == 0.0:

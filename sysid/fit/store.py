@@ -36,32 +36,14 @@ _STAGE_FIELDS = ("algorithm", "evaluations", "simulations", "wall_time", "stop_r
 
 
 def check_new_fit(path: str | Path, force: bool = False) -> None:
-    """Refuse a fit folder that exists, before the hours of a fit are spent.
-
-    Raises
-    ------
-    FitError
-        When `path` exists and `force` is off, or is not a fit folder.
-    """
+    """Refuse a path that exists, unless `force` and it is a fit folder."""
     check_folder(path, force=force, marker="fit.h5", error_type=FitError)
 
 
 def write_fit(result: FitResult, path: str | Path, force: bool = False) -> Path:
-    """Write a fit folder.
+    """Write a fit folder, whose parents are made, and return its path.
 
-    Parameters
-    ----------
-    result : FitResult
-        What to write.
-    path : str or Path
-        The folder; its parents are made.
-    force : bool
-        Replace an existing fit folder, with all that is in it, once the new one is complete.
-
-    Returns
-    -------
-    Path
-        The folder.
+    `force` replaces an existing fit folder, with all that is in it, once the new one is complete.
 
     Raises
     ------

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.fit.history import RunHistory
+from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.optima import waterfall
 from sysid.fit.result import FitResult
 from sysid.parameter_sets import in_place_of_digits
@@ -34,25 +34,18 @@ def run_record(result: FitResult) -> dict[str, Any]:
             "simulations_per_second": simulations / wall_time if wall_time > 0 else None,
         },
         "runs": [
-            {
-                "seed": run.seed,
-                "nrmse": float(run.best[-1]),
-                "stages": [
-                    {
-                        "algorithm": stage.algorithm,
-                        "generations": len(stage.cost),
-                        "candidates": stage.evaluations,
-                        "failed": int(stage.failed.sum()),
-                        "failures": stage.failures,
-                        "wall_time": stage.wall_time,
-                        "ended": stage.stop_reason,
-                    }
-                    for stage in run.stages
-                ],
-            }
+            {"seed": run.seed, "nrmse": float(run.best[-1]), "stages": list(map(_stage_record, run.stages))}
             for run in result.runs
         ],
     }
+
+
+def _stage_record(stage: StageHistory) -> dict[str, Any]:
+    return {
+        "algorithm": stage.algorithm, "generations": len(stage.cost), "candidates": stage.evaluations,
+        "failed": int(stage.failed.sum()), "failures": stage.failures, "wall_time": stage.wall_time,
+        "ended": stage.stop_reason,
+    }  # fmt: skip
 
 
 def failures(run: RunHistory) -> str:
@@ -61,17 +54,15 @@ def failures(run: RunHistory) -> str:
     return f"{int(run.failed.sum())} failed" + (f": {by_cause}" if by_cause else "")
 
 
-def record_lines(record: dict[str, Any]) -> list[str]:
+def record_lines(record: dict[str, Any], indent: str = "") -> list[str]:
     """Return the record as lines of text, nested ones indented; the runs are left to the run table."""
-    return _lines({key: value for key, value in record.items() if key != "runs"}, "")
-
-
-def _lines(values: dict[str, Any], indent: str) -> list[str]:
     lines = []
-    for name, value in values.items():
+    for name, value in record.items():
+        if name == "runs" and not indent:
+            continue
         key = name.replace("_", " ")
         if isinstance(value, dict) and value:
-            lines += [f"{indent}{key}", *_lines(value, indent + "  ")]
+            lines += [f"{indent}{key}", *record_lines(value, indent + "  ")]
         elif isinstance(value, list | tuple) and any(isinstance(item, dict | list) for item in value):
             lines += [f"{indent}{key}", *(f"{indent}  {item}" for item in value)]
         else:

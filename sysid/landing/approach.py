@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,45 +15,21 @@ from sysid.landing.thrust import MotorState
 from sysid.motor import model as motor_model
 from sysid.types import FloatArray
 
-
-@dataclass(frozen=True)
-class AttitudeController:
-    """Proportional and derivative control of the pitch toward level, on top of the hover command.
-
-    Parameters
-    ----------
-    frequency : float
-        Natural frequency of the pitch, motors taken as instantaneous [rad/s].
-    damping : float
-        Damping ratio, likewise [1]. The motors' lag of some 40 ms at hover takes some of it away.
-    """
-
-    frequency: float = 6.0
-    damping: float = 1.2
+# Proportional and derivative control of the pitch toward level, on top of the hover command: natural
+# frequency [rad/s] and damping ratio [1] of instantaneous motors; a lag of some 40 ms takes some of it away.
+FREQUENCY, DAMPING = 6.0, 1.2
 
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """How a descent ends.
-
-    Parameters
-    ----------
-    touchdown : Scenario
-        The first foot on the surface.
-    motors : MotorState
-        Commands, currents and speeds of both pairs then.
-    duration : float
-        [s].
-    """
+    """How a descent ends: the first foot on the surface, the motors then, and after how long [s]."""
 
     touchdown: Scenario
     motors: MotorState
     duration: float
 
 
-def descend(
-    drone: Drone, begin: Scenario, height: float, attitude: AttitudeController | None = None
-) -> Descent:
+def descend(drone: Drone, begin: Scenario, height: float) -> Descent:
     """Fly down until the first foot touches.
 
     Parameters
@@ -79,7 +55,6 @@ def descend(
         raise CampaignError(
             f"descent: height {height:g} m, speed {begin.speed:g} m/s; give both above 0, or no height"
         )
-    attitude = attitude or AttitudeController()
     m = motor_model.PARAMETERS.nominal | dict(drone.motor)
     hover = drone.hover_command
     legs = drone.value("leg_mass") * (1.0 + drone.value("front_leg_mass_ratio"))
@@ -92,8 +67,8 @@ def descend(
         float(motor_model.thrust(motor_model.steady_state(hover + s * step, m)[1], m)) for s in (-1, 1)
     )
     lift = MOTORS_PER_PAIR * (high - low) / (2 * step)  # of a pair per command [N]
-    gain = attitude.frequency**2 * inertia / (2 * arm * lift)
-    rate_gain = 2 * attitude.damping * attitude.frequency * inertia / (2 * arm * lift)
+    gain = FREQUENCY**2 * inertia / (2 * arm * lift)
+    rate_gain = 2 * DAMPING * FREQUENCY * inertia / (2 * arm * lift)
 
     def commands(y: FloatArray) -> tuple[float, float]:
         push = gain * y[2] + rate_gain * y[5]
@@ -142,13 +117,7 @@ def descend(
             "deg: the drone never touches down; begin nearer to level, or lower"
         )
     end = flight.y_events[0][0]
-    touchdown = replace(
-        begin,
-        speed=-float(end[4]),
-        pitch=float(end[2]),
-        pitch_rate=float(end[5]),
-        horizontal_speed=float(end[3]),
-    )
-    rear, front = commands(end)
-    motors = MotorState((rear, front), (float(end[6]), float(end[8])), (float(end[7]), float(end[9])))
+    drift, sink, turn = end[3:6].tolist()
+    touchdown = Scenario(begin.slope, -sink, float(end[2]), turn, drift)
+    motors = MotorState(commands(end), (float(end[6]), float(end[8])), (float(end[7]), float(end[9])))
     return Descent(touchdown, motors, float(flight.t_events[0][0]))

@@ -37,15 +37,7 @@ _IDEAL, _SENSING = ", ideal reversal", ", own sensing"
 
 @dataclass(frozen=True)
 class Step:
-    """Commands from an instant on.
-
-    Parameters
-    ----------
-    after : float
-        Since the trigger [s].
-    rear, front : float
-        Command u of each pair of motors [1], -1 full reverse to 1 full forward.
-    """
+    """Commands u of each pair of motors [1], -1 full reverse to 1 full forward, from an instant on [s]."""
 
     after: float
     rear: float
@@ -92,13 +84,7 @@ class Controller:
         return self.name + (_IDEAL if self.ideal_reversal else "") + (_SENSING if self.sensing else "")
 
     def check_within(self, horizon: float) -> None:
-        """Refuse a step that comes when the simulated time [s] is over.
-
-        Raises
-        ------
-        CampaignError
-            When there is one; often milliseconds were meant.
-        """
+        """Refuse a step that comes when the simulated time [s] is over: often milliseconds were meant."""
         late = [step.after for step in self.steps if step.after >= horizon]
         if late:
             raise CampaignError(
@@ -121,13 +107,7 @@ CONTROLLERS: dict[str, Recipe] = {}
 
 
 def controller(name: str) -> Callable[[Recipe], Recipe]:
-    """Register a function of numbers that returns the steps of a controller.
-
-    Parameters
-    ----------
-    name : str
-        By which it is asked for; the function's arguments are its options, plain numbers [SI].
-    """
+    """Register a function of plain numbers [SI], its options, that returns the steps of a controller."""
 
     def register(recipe: Recipe) -> Recipe:
         CONTROLLERS[name] = recipe
@@ -180,11 +160,6 @@ def find_controller(text: str, *, ideal_reversal: bool = False, sensing: Sensing
         ``impulse:delay=50ms,duration=0.1``; a number without unit is SI.
     ideal_reversal, sensing
         As in `Controller`.
-
-    Raises
-    ------
-    CampaignError
-        When there is no such controller or its options do not fit.
     """
     name, _, options = text.partition(":")
     recipe = CONTROLLERS.get(name.strip())
@@ -246,8 +221,7 @@ def _number(text: str, value: str) -> float:
     try:
         return float(value)
     except ValueError:
-        pass
-    unit = "1" if value.strip().endswith("%") else "s"
+        unit = "1" if value.strip().endswith("%") else "s"
     try:
         return parse_quantity(value, unit)
     except Exception as error:
@@ -255,13 +229,7 @@ def _number(text: str, value: str) -> float:
 
 
 def load_controllers(path: Path) -> None:
-    """Run a user's Python file that registers controllers.
-
-    Raises
-    ------
-    CampaignError
-        When there is no such file, it cannot be run, or it registers nothing.
-    """
+    """Run a user's Python file that registers controllers; refuse one that cannot be run or has none."""
     before = dict(CONTROLLERS)
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if not path.is_file() or spec is None or spec.loader is None:

@@ -19,13 +19,7 @@ STUDY = FileKind("sysid-design-study", 1, "a design study", "compute the study a
 
 
 def write_study(path: Path, study: DesignStudy, provenance: Mapping[str, Any]) -> Path:
-    """Write the file whole or not at all.
-
-    Raises
-    ------
-    ExportError
-        When it cannot be written.
-    """
+    """Write the file whole or not at all."""
     write_file(path, STUDY.content(lambda file: _write(file, study, provenance)), ExportError)
     return path
 
@@ -55,13 +49,7 @@ def _write(file: Any, study: DesignStudy, provenance: Mapping[str, Any]) -> None
 
 
 def read_study(path: str | Path) -> tuple[DesignStudy, dict[str, Any]]:
-    """Return the study that a file of `write_study` holds, and its provenance.
-
-    Raises
-    ------
-    ExportError
-        When it is missing, foreign, damaged or of an unknown version.
-    """
+    """Return the study that a file of `write_study` holds, and its provenance; refuse any other file."""
     with STUDY.opened(path) as file:
         document, provenance = (get_json(file, f"{name}_json") for name in ("settings", "provenance"))
         rules = Rules.of(document["rules"])

@@ -77,15 +77,8 @@ class Change:
         return f"{self.symbol} + [s]" if self.kind == "reversal" else f"{self.symbol} ×"
 
     def apply(self, drone: Drone, value: float) -> Drone:
-        """Return the drone with this value of the change.
+        """Return the drone with this value of the change; refuse one that cannot be built.
 
-        Raises
-        ------
-        CampaignError
-            When no such drone can be built.
-
-        Notes
-        -----
         A reversing rotor pauses for about ``I^r Ω_min/(k_m I_sat)`` in its dead band, whose edge ``Ω_min``
         is moved to make the pause longer or shorter by `value`.
         """
@@ -115,17 +108,9 @@ class Change:
 def find_changes(text: str) -> tuple[Change, ...]:
     """Return the changes of a command line, for example ``k_t=0.5:2:5,dx_f=0.8:1.4:4``.
 
-    Parameters
-    ----------
-    text : str
-        ``NAME=FIRST:LAST:COUNT``, separated by commas. NAME is a row of the gear's or the motor's table by
-        name or symbol, its values are factors in equal ratios; or ``reversal_delay``, its values are added
-        seconds in equal steps (``0ms:200ms:5``).
-
-    Raises
-    ------
-    CampaignError
-        When a name is unknown or a range cannot be read.
+    Each is ``NAME=FIRST:LAST:COUNT``. NAME is a row of the gear's or the motor's table by name or symbol, its
+    values are factors in equal ratios; or ``reversal_delay``, its values are added seconds in equal steps
+    (``0ms:200ms:5``).
     """
     changes = tuple(_change(part.strip()) for part in text.split(",") if part.strip())
     if not changes:
@@ -222,15 +207,8 @@ class StudySettings:
     def grids(self) -> list[MapSettings]:
         """Return the landing map of every attitude at touchdown."""
         tilts = [0.0] if self.spread_deg == 0 else [0.0, -self.spread_deg, self.spread_deg]
-        return [
-            replace(
-                self.maps,
-                slopes_deg=self.slopes_deg,
-                speeds=self.speeds,
-                pitch=self.maps.pitch + math.radians(tilt),
-            )
-            for tilt in tilts
-        ]
+        level = replace(self.maps, slopes_deg=self.slopes_deg, speeds=self.speeds)
+        return [replace(level, pitch=level.pitch + math.radians(tilt)) for tilt in tilts]
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +218,7 @@ class DesignStudy:
     Parameters
     ----------
     name, controller : str
-        Of the sets, and the controller's label.
+        Of the sets; label.
     points : (p, c) array
         Value of each change in every design; the first is the sets as they are.
     landed : (p, n, m) array
@@ -314,31 +292,19 @@ class DesignStudy:
             if len(chosen) < 2:
                 continue
             best, worst = chosen[np.argmax(gained[chosen])], chosen[np.argmin(gained[chosen])]
-            rows.append(
-                {
-                    "change": " and ".join(self.changes[c].label for c in used),
-                    "best value": [float(self.points[best, c]) for c in used],
-                    "gain [deg]": float(gained[best]),
-                    "worst value": [float(self.points[worst, c]) for c in used],
-                    "loss [deg]": float(gained[worst]),
-                    "largest safe slope [deg]": {
-                        f"{speed:g} m/s": float(slope)
-                        for speed, slope in zip(self.settings.speeds, self.steepest[best], strict=True)
-                    },
-                    LOWER_BOUNDS: self.bounds(int(best)),
-                }
-            )
+            speeds = [f"{speed:g} m/s" for speed in self.settings.speeds]
+            rows.append({
+                "change": " and ".join(self.changes[c].label for c in used),
+                "best value": self.points[best, list(used)].tolist(), "gain [deg]": float(gained[best]),
+                "worst value": self.points[worst, list(used)].tolist(), "loss [deg]": float(gained[worst]),
+                "largest safe slope [deg]": dict(zip(speeds, self.steepest[best].tolist(), strict=True)),
+                LOWER_BOUNDS: self.bounds(int(best)),
+            })  # fmt: skip
         return sorted(rows, key=lambda row: -row["gain [deg]"])
 
 
 def designs(changes: Sequence[Change], together: bool = False) -> FloatArray:
-    """Return the values (p, c) of every design: the sets as they are, then one change at a time or a grid.
-
-    Raises
-    ------
-    CampaignError
-        When a grid is asked for without exactly two changes.
-    """
+    """Return the values (p, c) of every design: the sets as they are, then one change at a time or a grid."""
     neutral = [change.neutral for change in changes]
     rows = [neutral]
     if together:
@@ -372,21 +338,10 @@ def design_study(
     settings: StudySettings | None = None,
     how: Computing | None = None,
 ) -> DesignStudy | None:
-    """Land every design on every slope at every speed.
+    """Land every design on every slope at every speed; None where the work was stopped.
 
-    Parameters
-    ----------
-    name : str
-        Of the sets.
-    drones : sequence of Drone
-        The sets as they are.
-    how : Computing, optional
-        As in `sysid.landing.maps.landing_maps`, with a store per attitude of `StudySettings.grids`.
-
-    Returns
-    -------
-    DesignStudy or None
-        None where the work was stopped.
+    `drones` are the sets as they are. `how` is as in `sysid.landing.maps.landing_maps`, with a store per
+    attitude of `StudySettings.grids`.
     """
     settings = settings or StudySettings()
     points = designs(changes, settings.together)
@@ -403,18 +358,10 @@ def design_study(
 
 
 def shares_of(outcome: NDArray[np.int8]) -> tuple[FloatArray, IntArray]:
-    """Return the share that landed, of what could be simulated, and how many could not.
+    """Return the share (p, n, m) that landed, of what could be simulated, and how many (p,) could not.
 
-    Parameters
-    ----------
-    outcome : (p, S, n, m) int8 array
-        `sysid.landing.outcomes.Outcome` codes of p designs, S sets and attitudes, n slopes and m speeds.
-
-    Returns
-    -------
-    landed : (p, n, m) array
-        [1]; 0 where nothing could be simulated: what is not known to be safe is none.
-    lost : (p,) int64 array
+    From `Outcome` codes (p, S, n, m) of p designs, S sets and attitudes, n slopes and m speeds. The share is
+    0 where nothing could be simulated: what is not known to be safe is none.
     """
     lost = outcome == Outcome.LOST
     sound = np.sum(~lost, axis=1)

@@ -59,15 +59,8 @@ class Drone:
 
     @cached_property
     def hover_command(self) -> float:
-        """Command u at which four equal motors carry the weight [1].
+        """Command u at which four equal motors carry the weight [1]; refused when full command does not.
 
-        Raises
-        ------
-        ExportError
-            When full command does not carry it.
-
-        Notes
-        -----
         ``T(Ω) = W/4`` gives the loaded speed, ``Ω_0 = Ω + R (τ_aero(Ω) + k_d Ω)/(k_m k_v)`` the no-load
         speed that it needs, and the line ``Ω_0(u) = a u + b`` the command.
         """
@@ -90,21 +83,13 @@ class Drone:
 def drones(gear: ParameterSets, motor: ParameterSets, pairing: Pairing = "best") -> tuple[Drone, ...]:
     """Pair the sets of a gear with those of a motor, one drone per gear set, best first.
 
-    Parameters
-    ----------
-    gear, motor : ParameterSets
-        As exported.
-    pairing : {"best", "each"}
-        Every gear set with the motor's best set, or set i with set i.
+    Every gear set goes with the motor's best set, or set i with set i ("each"). The motor's ``command_delay``
+    is of the log's instruments and is left out.
 
     Raises
     ------
     ExportError
         When the kinds are wrong, a number is unknown, or there are too few motor sets.
-
-    Notes
-    -----
-    The motor's ``command_delay`` is of the log's instruments and is left out.
     """
     for sets, kind in ((gear, "gear"), (motor, "motor")):
         if sets.kind != kind:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -58,17 +57,10 @@ class Sensing:
 
         sos = butter(self.order, self.corner, fs=self.rate, output="sos")
         settled = sosfilt_zi(sos)
-        parts = [
-            sosfilt(sos, specific_force[:, k], zi=settled * specific_force[0, k])[0]
-            for k in range(specific_force.shape[1])
-        ]
+        parts = (sosfilt(sos, force, zi=settled * force[0])[0] for force in specific_force.T)
         return np.asarray(np.hypot(*parts))
 
     def trigger(self, specific_force: FloatArray) -> float:
         """Return when the impact is seen, since the first sample [s], NaN where it never is."""
         above = np.flatnonzero(self.filtered(specific_force) > self.threshold)
         return float(above[0] / self.rate) if len(above) else float("nan")
-
-    def document(self) -> dict[str, Any]:
-        """Return the numbers by name, ready for JSON [SI]."""
-        return asdict(self)

@@ -108,13 +108,7 @@ class ImpulseSettings:
         return {-1.0: "reverse", 0.0: "off"}.get(self.after, f"command:{self.after:g}")
 
     def check_within(self, horizon: float) -> None:
-        """Refuse impulses that end when the simulated time [s] is over.
-
-        Raises
-        ------
-        CampaignError
-            When there is one; often milliseconds were meant.
-        """
+        """Refuse impulses that end when the simulated time [s] is over: often milliseconds were meant."""
         if self.delays[-1] + self.durations[-1] >= horizon:
             raise CampaignError(
                 f"impulse: delays up to {self.delays[-1]:g} s and durations up to {self.durations[-1]:g} s, "
@@ -128,21 +122,12 @@ class ImpulseSettings:
 
     def document(self) -> dict[str, Any]:
         """Return the settings by name, ready for JSON [SI]."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return dict(vars(self))
 
 
 def rear_command(front: float = IMPULSE_COMMAND, *, ideal_reversal: bool = False) -> float:
     """Return the command of the rear pair while the front pair pushes [1]: the paper's two ways.
 
-    Parameters
-    ----------
-    front : float
-        Command of the front pair [1].
-    ideal_reversal : bool
-        Motors without saturation.
-
-    Notes
-    -----
     A reversal takes too long for an impulse, so the rear pair idles (Figs. 9, 10), and the push of the front
     pair also drives the drone off the slope. Motors that reverse at once can pull behind as they push in
     front, "a pure angular impulse" (Fig. 11). The difference is what Fig. 11 shows: with Table II's high
@@ -235,12 +220,7 @@ class Impulses:
     ) -> tuple[FloatArray, IntArray]:
         """Return what every pair of the grid leaves at the second impact of every landing.
 
-        Returns
-        -------
-        impacts : (n, n_delays, n_durations, 3) array
-            As `second_impacts`.
-        simulated : (n,) int64 array
-            How many landings were simulated.
+        Impacts (n, n_delays, n_durations, 3) as of `second_impacts`, and how many landings (n,) it took.
         """
         settings = self._settings
         delays, durations = np.array(settings.delays), np.array(settings.durations)
@@ -249,9 +229,8 @@ class Impulses:
 
         def simulate(which: IntArray, delay: FloatArray, duration: FloatArray) -> FloatArray:
             np.add.at(simulated, which, 1)
-            return self.second_impacts(
-                [cells[i] for i in which.tolist()], delay, duration, tolerance, threads
-            )
+            chosen = [cells[i] for i in which.tolist()]
+            return self.second_impacts(chosen, delay, duration, tolerance, threads)
 
         everyone = np.arange(len(cells))
         idle = simulate(everyone, np.full(len(cells), np.inf), np.zeros(len(cells)))
@@ -337,21 +316,11 @@ class Impulses:
 
 
 def best_pair(impacts: FloatArray, delay: FloatArray, duration: FloatArray, equal: float = 0.0) -> int:
-    """Return which of n impulses is the best.
+    """Return which of n impulses, by impact (n, 3) as of `Impulses.second_impacts`, is the best.
 
-    Parameters
-    ----------
-    impacts : (n, 3) array
-        Time [s], turn rate [rad/s], pitch minus slope [rad] at the second impact; NaN without one.
-    delay, duration : (n,) arrays
-        Of the impulses [s].
-    equal : float
-        Turn rates below this are all as good as none [rad/s].
-
-    Notes
-    -----
     The smallest turn rate; among equals the attitude nearest the slope, then the shortest and the earliest
-    impulse, so that one which comes too late is none. Without any second impact: the first.
+    impulse, so that one which comes too late is none. Turn rates below `equal` [rad/s] are equal. Without
+    any second impact: the first.
     """
     turn = np.abs(impacts[:, 1])
     turn = np.where(np.isnan(turn), np.inf, np.maximum(turn, equal))

@@ -43,13 +43,7 @@ def after_impulses(impulses: ImpulseSettings) -> tuple[Controller, ...]:
 
 @dataclass(frozen=True, eq=False)
 class ImpulseMap(CellMap):
-    """The best impulse of every cell of a `CellMap` and set.
-
-    Parameters
-    ----------
-    optimum : mapping of str to (S, n, m) array
-        The arrays of `sysid.landing.impulse.Optimum` by name.
-    """
+    """The best impulse of every cell and set: (S, n, m) arrays by the names of `Optimum`."""
 
     optimum: dict[str, FloatArray]
 
@@ -139,10 +133,8 @@ def impulse_maps(
     ----------
     fleets : sequence of sequences of Drone
         The sets of each surface.
-    settings : MapSettings, optional
-        Cells, rules, tolerance; the paper's grid without.
-    impulses : ImpulseSettings, optional
-        What is tried; the paper's grid of pairs without.
+    settings, impulses : optional
+        The paper's grids of cells and of pairs without.
     how : Computing, optional
         As in `sysid.landing.maps.landing_maps`.
 

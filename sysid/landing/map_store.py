@@ -22,15 +22,7 @@ _USUAL_SPEEDS = (0.3, 0.6, 1.0, 1.5)
 
 @dataclass(frozen=True, eq=False)
 class MapFile:
-    """What a file holds.
-
-    Parameters
-    ----------
-    impulses : tuple of ImpulseMap
-        Empty but for impulse control.
-    settings, provenance : mapping
-        Grid, rules, tolerance, controllers; parameter sets, versions.
-    """
+    """What a file holds: settings are grid, rules, tolerance, controllers; provenance is sets, versions."""
 
     maps: tuple[LandingMap, ...]
     impulses: tuple[ImpulseMap, ...]
@@ -39,13 +31,7 @@ class MapFile:
 
 
 def write_maps(path: Path, content: MapFile) -> Path:
-    """Write the file whole or not at all.
-
-    Raises
-    ------
-    ExportError
-        When it cannot be written.
-    """
+    """Write the file whole or not at all."""
     write_file(path, MAPS.content(lambda file: _write(file, content)), ExportError)
     return path
 
@@ -85,13 +71,7 @@ def _group(file: Any, name: str, cells: CellMap) -> Any:
 
 
 def read_maps(path: str | Path) -> MapFile:
-    """Return what a file of `write_maps` holds.
-
-    Raises
-    ------
-    ExportError
-        When it is missing, foreign, damaged or of an unknown version.
-    """
+    """Return what a file of `write_maps` holds; refuse any other file."""
     with MAPS.opened(path) as file:
         return MapFile(
             tuple(map(_read_map, numbered(file, "maps"))),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -69,25 +69,14 @@ class MapSettings:
 
     def document(self) -> dict[str, Any]:
         """Return the settings by name, ready for JSON."""
-        document = {name: getattr(self, name) for name in ("slopes_deg", "speeds", "tolerance", "check")}
-        document |= {"pitch": self.pitch, "horizontal_speed": self.horizontal_speed}
-        return document | {"rules": self.rules.document()}
+        return asdict(self)
 
 
 @dataclass(frozen=True, eq=False)
 class CellMap:
-    """What every map over slope and touchdown speed is of: a surface under a controller.
+    """What every map is of: S sets by name on a surface under a controller (its label).
 
-    Parameters
-    ----------
-    surface : str
-        Friction law.
-    controller : str
-        Label.
-    sets : tuple of str
-        Names of the S drones.
-    slopes_deg, speeds : (n,), (m,) arrays
-        Of the cells [deg], [m/s].
+    The cells lie over slope (n,) [deg] and touchdown speed (m,) [m/s].
     """
 
     surface: str
@@ -156,18 +145,8 @@ class LandingMap(CellMap):
     def steepest(self, speed: float, share: float = 0.5) -> float:
         """Return the steepest slope [deg] up to which at least `share` of the sets land; NaN without one.
 
-        Parameters
-        ----------
-        speed : float
-            Touchdown speed [m/s]; its cell's column counts.
-        share : float
-            [1].
-
-        Returns
-        -------
-        float
-            NaN also where the map has no cell at that speed. The map's steepest slope is a lower bound: the
-            map does not show where landings end.
+        NaN also where the map has no cell at that touchdown speed [m/s]. The map's steepest slope is a lower
+        bound: the map does not show where landings end.
         """
         nearest = nearest_cell(self.speeds, speed)
         if nearest is None:

@@ -32,13 +32,16 @@ class Outcome(IntEnum):
     @property
     def text(self) -> str:
         """Say what it means."""
-        return {
-            Outcome.SHORT: "at rest within the short distance",
-            Outcome.NEAR: "at rest within the long distance",
-            Outcome.FLIPPED: "flipped within the long distance (A)",
-            Outcome.OTHER: "neither: still moving, or beyond the long distance (B)",
-            Outcome.LOST: "the simulation failed",
-        }[self]
+        return _MEANINGS[self]
+
+
+_MEANINGS = (
+    "at rest within the short distance",
+    "at rest within the long distance",
+    "flipped within the long distance (A)",
+    "neither: still moving, or beyond the long distance (B)",
+    "the simulation failed",
+)
 
 
 # The classes that a landing can have; LOST is a failure of the simulator.

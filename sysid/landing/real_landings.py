@@ -87,13 +87,7 @@ class Confusion:
 
 
 def read_experiments(path: Path) -> tuple[Experiment, ...]:
-    """Return the rows of a CSV file with the columns of `COLUMNS`.
-
-    Raises
-    ------
-    LogError
-        When it cannot be read, lacks a column, or a row makes no sense.
-    """
+    """Return the rows of a CSV file with the columns of `COLUMNS`; refuse a row that makes no sense."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             reader = csv.DictReader(stream)
@@ -137,13 +131,7 @@ def of_map(experiments: Sequence[Experiment], landings: LandingMap) -> list[Expe
 def strangers(
     experiments: Sequence[Experiment], maps: Sequence[tuple[str, str]]
 ) -> dict[tuple[str, str], int]:
-    """Count the experiments that belong to none of the maps, by surface and controller.
-
-    Parameters
-    ----------
-    maps : sequence of (str, str)
-        Surface and controller's label of each map.
-    """
+    """Count the experiments that belong to none of the maps (surface, label), by surface and controller."""
     left = [e for e in experiments if not any(_belongs(e, *pair) for pair in maps)]
     return dict(Counter((e.surface, e.controller) for e in left))
 

@@ -42,14 +42,8 @@ class Scenario:
     horizontal_speed: float = 0.0
 
     def __post_init__(self) -> None:
-        numbers = (self.slope, self.speed, self.pitch, self.pitch_rate, self.horizontal_speed)
-        turned = abs(self.pitch - self.slope)
-        if not (
-            all(math.isfinite(n) for n in numbers)
-            and abs(self.slope) < 1.5
-            and self.speed >= 0
-            and turned < 1.3
-        ):
+        within = abs(self.slope) < 1.5 and abs(self.pitch - self.slope) < 1.3
+        if not (all(map(math.isfinite, vars(self).values())) and within and self.speed >= 0):
             raise CampaignError(
                 f"landing: slope {math.degrees(self.slope):g} deg, speed {self.speed:g} m/s, pitch "
                 f"{math.degrees(self.pitch):g} deg; expected a slope within 85 deg, a downward speed of 0 or "
@@ -60,16 +54,8 @@ class Scenario:
         """Return x_B, z_B, q_B and rates (6,) at touchdown, frame N [m, rad, s]; x_B is 0."""
         turn = self.slope - self.pitch
         depth = drone.value("foot_dx") * abs(math.sin(turn)) + drone.value("foot_dz") * math.cos(turn)
-        return np.array(
-            [
-                0.0,
-                depth / math.cos(self.slope),
-                self.pitch,
-                self.horizontal_speed,
-                -self.speed,
-                self.pitch_rate,
-            ]
-        )
+        height = depth / math.cos(self.slope)
+        return np.array([0.0, height, self.pitch, self.horizontal_speed, -self.speed, self.pitch_rate])
 
     def document(self) -> dict[str, Any]:
         """Return the numbers by name, ready for JSON [SI]."""

@@ -61,19 +61,7 @@ class Landings:
 
 @dataclass(frozen=True, eq=False)
 class Landing:
-    """One landing with its history.
-
-    Parameters
-    ----------
-    drone, scenario, controller, rules
-        What was simulated.
-    trajectory : GearTrajectory
-        State, forces, thrust and events from touchdown to the horizon.
-    outcome : Outcome
-        By `rules`.
-    distance, time, trigger : float
-        As in `Landings`.
-    """
+    """One landing with its history from touchdown to the horizon; numbers as in `Landings`."""
 
     drone: Drone
     scenario: Scenario
@@ -98,20 +86,8 @@ def land_many(
 ) -> Landings:
     """Simulate one drone's landings until each is at rest, flipped or over.
 
-    The numbers do not depend on the number of threads, nor on what else is simulated.
-
-    Parameters
-    ----------
-    scenarios : sequence of Scenario
-        n touchdowns.
-    rules : Rules, optional
-        When a landing is over; the defaults without.
-    tolerance : float
-        Bound of the weighted rms error of the rates per step.
-    threads : int, optional
-        All cores by default.
-    motors : Motors, optional
-        Thrust histories of this drone that were computed before.
+    The numbers do not depend on the number of threads, nor on what else is simulated. `tolerance` bounds the
+    weighted rms error of the rates per step; `motors` holds thrust histories that were computed before.
     """
     rules = rules or Rules()
     source = motors or Motors(drone, controller.ideal_reversal)
@@ -137,14 +113,8 @@ def run(
     )  # fmt: skip
     status, rest, flip = flown.status[0], flown.rest[0], flown.flip[0]
     distance = along_slope(flown.end_state[0], drops.slope) - along_slope(drops.body_state, drops.slope)
-    return Landings(
-        outcome=rules.classes(distance, rest, flip, np.isin(status, _FAILED)),
-        distance=distance,
-        time=rest,
-        flip=flip,
-        trigger=triggers,
-        status=status,
-    )
+    outcome = rules.classes(distance, rest, flip, np.isin(status, _FAILED))
+    return Landings(outcome, distance, rest, flip, triggers, status)
 
 
 def _drops(
@@ -182,21 +152,10 @@ def land(
     controller: Controller,
     *,
     rules: Rules | None = None,
-    tolerance: float = LANDING_TOLERANCE,
     rate: float = 1000.0,
     motors: Motors | None = None,
 ) -> Landing:
-    """Simulate one landing to the horizon and keep its history.
-
-    Parameters
-    ----------
-    drone, scenario, controller, rules, tolerance
-        As in `land_many`.
-    rate : float
-        Samples per second of the history [Hz].
-    motors : Motors, optional
-        Whose motors do not hover at touchdown.
-    """
+    """Simulate one landing to the horizon and keep its history, sampled at `rate` [Hz]; see `land_many`."""
     rules = rules or Rules()
     if not 0.0 < rules.horizon * rate <= MOST_SAMPLES:
         raise CampaignError(
@@ -204,12 +163,12 @@ def land(
             f"above 0 and at most {MOST_SAMPLES:g} samples, so lower the rate"
         )
     source = motors or Motors(drone, controller.ideal_reversal)
-    triggers = _triggers(drone, [scenario], controller, source, rules, tolerance, 1)
+    triggers = _triggers(drone, [scenario], controller, source, rules, LANDING_TOLERANCE, 1)
     (thrust,) = _propulsions(source, controller, triggers, rules)
     clock = np.arange(round(rules.horizon * rate) + 1) / rate
     trajectory = simulate(
         drone.row, scenario.slope, scenario.start(drone), clock,
-        surface=drone.surface, tolerance=tolerance, propulsion=thrust, ending=rules.ending("clock"),
+        surface=drone.surface, tolerance=LANDING_TOLERANCE, propulsion=thrust, ending=rules.ending("clock"),
     )  # fmt: skip
     first = {event.kind: event.time for event in reversed(trajectory.events)}
     rest = first.get(EventKind.REST, math.nan)
@@ -233,12 +192,10 @@ def _propulsions(
     motors: Motors, controller: Controller, triggers: FloatArray, rules: Rules
 ) -> list[Propulsion]:
     """Return the thrust of every landing; those that trigger at touchdown share one."""
-    shared: dict[float, Propulsion] = {}
     late = rules.horizon + 1.0  # for a trigger that never comes
-    for begins in np.where(np.isfinite(triggers), triggers, late).tolist():
-        if begins not in shared:
-            shared[begins] = motors.propulsion(controller.steps, begins)
-    return [shared[begins] for begins in np.where(np.isfinite(triggers), triggers, late).tolist()]
+    begins = np.where(np.isfinite(triggers), triggers, late).tolist()
+    shared = {begin: motors.propulsion(controller.steps, begin) for begin in set(begins)}
+    return [shared[begin] for begin in begins]
 
 
 def _triggers(
@@ -269,17 +226,7 @@ def _triggers(
 def specific_force(states: FloatArray, rate: float, drone: Drone) -> FloatArray:
     """Return what an accelerometer at the body's centre of mass reads (n, 2) [m/s²], along ex and ez of it.
 
-    Parameters
-    ----------
-    states : (n, 6) array
-        x_B, z_B, q_B and rates, sampled at `rate`; one that is NaN reads as hovering.
-    rate : float
-        [Hz].
-    drone : Drone
-        Whose gravity it is.
-
-    Notes
-    -----
+    `states` (n, 6) are x_B, z_B, q_B and rates, sampled at `rate` [Hz]; one that is NaN reads as hovering.
     Each reading is the mean over the sample before it, ``Δv/Δt + g``, in the axes of the body; the first is
     hovering flight.
     """

@@ -83,15 +83,7 @@ _PUT = math.radians(0.5)
 
 @dataclass(frozen=True)
 class StaticLimit:
-    """The steepest slope on which a drone stays.
-
-    Parameters
-    ----------
-    slope : float
-        [rad], at most 90 deg.
-    how : {"slides", "tips", "stays"}
-        What happens beyond it; "stays": nothing up to 90 deg.
-    """
+    """The steepest slope on which a drone stays [rad], and what happens beyond it: nothing from 90 deg on."""
 
     slope: float
     how: How
@@ -125,12 +117,7 @@ class RigidLimits:
 def slide_limit(friction: float, thrust_ratio: float = 0.0) -> float:
     """Return the slope [rad] at which a rigid drone slides, 0 to 90 deg.
 
-    Parameters
-    ----------
-    friction : float
-        Coefficient mu [1].
-    thrust_ratio : float
-        Reverse thrust over weight [1]; negative lifts.
+    `friction` is the coefficient mu [1], `thrust_ratio` reverse thrust over weight [1]; negative lifts.
     """
     return _limit(friction, 1.0, friction * thrust_ratio)
 
@@ -191,21 +178,10 @@ def rigid_limits(
 
 
 def ramp_limit(gear: Mapping[str, float], surface: str | Surface, reverse_thrust: float = 0.0) -> StaticLimit:
-    """Take a drone with its bending legs up a slow ramp until it slides or tips.
+    """Take a drone with its bending legs up a slow ramp until it slides or tips; see `rigid_limits`.
 
-    Parameters
-    ----------
-    gear, surface, reverse_thrust : as in `rigid_limits`
-
-    Returns
-    -------
-    StaticLimit
-        Within 0.1 deg for this path: set down on level ground under the thrust, then tilted.
-
-    Raises
-    ------
-    CampaignError
-        When the drone does not even stand on level ground, or the thrust lifts it.
+    Within 0.1 deg for this path: set down on level ground under the thrust, then tilted. Refused when the
+    drone does not even stand on level ground, or the thrust lifts it.
 
     Notes
     -----
@@ -233,35 +209,19 @@ def set_down_limit(
     gear: Mapping[str, float],
     surface: str | Surface,
     reverse_thrust: float = 0.0,
-    *,
-    rules: Rules | None = None,
 ) -> StaticLimit:
     """Put a drone with its bending legs on slopes at once and see on which it comes to rest.
 
-    Parameters
-    ----------
-    gear, surface, reverse_thrust : as in `rigid_limits`
-    rules : Rules, optional
-        When it is at rest or has flipped.
-
-    Returns
-    -------
-    StaticLimit
-        Within 0.25 deg: half-way to the first slope of whole and half degrees on which it does not rest.
-
-    Notes
-    -----
-    It starts at rest, level with the slope, the legs unloaded and the thrust settled, and swings as its
-    dampers let it. With legs as lightly damped as the paper's the limit lies below the one of `ramp_limit`.
+    Within 0.25 deg: half-way to the first slope of whole and half degrees on which it does not rest by the
+    rules of a landing. It starts at rest, level with the slope, the legs unloaded and the thrust settled, and
+    swings as its dampers let it. With legs as lightly damped as the paper's the limit lies below the one of
+    `ramp_limit`.
     """
-    law, rules = find_surface(surface), rules or Rules()
+    law, rules = find_surface(surface), Rules()
     rig = _Rig.of(gear, law, reverse_thrust)
     slopes = np.arange(0.0, VERTICAL, _PUT)
     starts = np.zeros((len(slopes), 6))
-    starts[:, 0], starts[:, 1] = (
-        rig.values["foot_dz"] * np.sin(slopes),
-        rig.values["foot_dz"] * np.cos(slopes),
-    )
+    starts[:, :2] = rig.values["foot_dz"] * np.column_stack([np.sin(slopes), np.cos(slopes)])
     starts[:, 2] = slopes
     half = PiecewiseCubic.constant(-0.5 * reverse_thrust)
     drops = Drops(slopes, starts, [np.array([0.0, rules.horizon])] * len(slopes), Propulsion(half, half))

@@ -25,13 +25,7 @@ Commands = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True)
 class MotorState:
-    """What the rear and the front motors do when the trigger comes, each pair alike.
-
-    Parameters
-    ----------
-    command, current, speed : (rear, front)
-        u [1], I [A], Ω [rad/s].
-    """
+    """Command u [1], current [A] and speed [rad/s] of the (rear, front) motors when the trigger comes."""
 
     command: tuple[float, float]
     current: tuple[float, float]
@@ -39,17 +33,7 @@ class MotorState:
 
 
 class Motors:
-    """Thrust histories of one drone.
-
-    Parameters
-    ----------
-    drone : Drone
-        Hovering until the trigger.
-    ideal_reversal : bool
-        Motors without saturation.
-    state : MotorState, optional
-        At the trigger; hovering by default.
-    """
+    """Thrust histories of one drone that hovers until the trigger, or whose motors then have a `state`."""
 
     def __init__(self, drone: Drone, ideal_reversal: bool = False, state: MotorState | None = None) -> None:
         self._state = state
@@ -60,12 +44,8 @@ class Motors:
     def history(self, commands: Commands, pair: int = 0) -> PiecewiseCubic:
         """Return the thrust of a pair [N] on the trigger's clock.
 
-        Parameters
-        ----------
-        commands : tuple of (float, float)
-            Instants since the trigger [s] and the command u from each on.
-        pair : int
-            0 rear, 1 front; they differ only in a given `MotorState`.
+        `commands` are instants since the trigger [s] and the command u from each on. The pairs (0 rear, 1
+        front) differ only in a given `MotorState`.
         """
         changes = _changes(commands)
         now = self._state
@@ -86,15 +66,7 @@ class Motors:
         return self._histories[key]
 
     def propulsion(self, steps: Sequence[Step], begins: float | Literal["first contact"] = 0.0) -> Propulsion:
-        """Return the thrust of both pairs under a controller's steps.
-
-        Parameters
-        ----------
-        steps : sequence of Step
-            Of the controller.
-        begins : float or "first contact"
-            When the trigger comes, since the landing's first sample [s].
-        """
+        """Return the thrust of both pairs; the trigger comes at `begins` since the first sample [s]."""
         return Propulsion(
             self.history(tuple((step.after, step.rear) for step in steps)),
             self.history(tuple((step.after, step.front) for step in steps), pair=1),

@@ -81,7 +81,7 @@ def fit_saturation(
     rows: FloatArray,
     settings: SearchSettings,
     seeds: tuple[int, ...],
-    should_stop: Callable[[], bool] | None = None,
+    should_stop: Callable[[], bool] = lambda: False,
 ) -> SaturationFit | None:
     """Fit I_sat and Ω_min of every set to the reversal trials.
 

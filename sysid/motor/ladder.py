@@ -202,7 +202,7 @@ def climb(
     saturated: bool,
     settings: SearchSettings,
     seed: int,
-    should_stop: Callable[[], bool] | None = None,
+    should_stop: Callable[[], bool] = lambda: False,
 ) -> tuple[Rung, ...]:
     """Fit every rung to the fitted trials, score it on every trial.
 

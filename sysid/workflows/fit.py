@@ -16,7 +16,7 @@ from sysid.campaign import FitTable
 from sysid.errors import FitError
 from sysid.fit.breeders.algorithms import DEFAULT_ALGORITHM, POPULATION, breeder
 from sysid.fit.breeders.in_process import BreederApart
-from sysid.fit.checkpoint import PROBES, PROCESSOR, Checkpoint, checkpoint_folder, run_numbers
+from sysid.fit.checkpoint import PROBES, PROCESSOR, Checkpoint
 from sysid.fit.history import RunHistory, summed
 from sysid.fit.objective import SpreadObjective
 from sysid.fit.optima import agreement, loose_warnings, waterfall
@@ -28,7 +28,6 @@ from sysid.fit.stopping import CutReason, Deadline, StopFlag, StopRule, stop_on_
 from sysid.fit.store import check_new_fit, write_fit
 from sysid.journal import Journal, notice, tell
 from sysid.parallel import executor
-from sysid.resume import held
 from sysid.trust.sensitivity import quick_expectations
 from sysid.trust.verdicts import EXPECTED, sentences
 from sysid.workflows.kinds import naming, open_campaign
@@ -130,7 +129,11 @@ def fit_campaign(
     model, campaign, ignored = open_campaign(path, kind, settings)
     folder, search = options.folder(campaign.name), search_settings(options, campaign.fit)
     deadline = Deadline(options.time_limit)
-    check_start(folder, options)
+    if options.resume and options.force:
+        raise FitError("--resume continues a fit and --force discards it; choose one")
+    # Before the hours of a fit are spent.
+    Checkpoint.check_start(folder, resume=options.resume, force=options.force)
+    check_new_fit(folder, options.force or options.resume)
     with Journal(say, model.words.trials) as journal, ExitStack() as until_written:
         try:
             with naming(path):
@@ -161,37 +164,13 @@ def fit_campaign(
             written = write_fit(result, folder, options.force or options.resume)
         except KeyboardInterrupt:
             # Aborted by a second Ctrl-C, or before the first one was listened to.
-            if run_numbers(checkpoint_folder(folder)):
+            if Checkpoint.kept(Checkpoint.folder_of(folder)):
                 tell(f"{folder}: aborted; what was scored is kept, continue with --resume")
             raise
         if outcome.cut is None:
             # What is done needs no checkpoint any more.
             checkpoint.discard()
         return result, written
-
-
-def check_start(folder: Path, options: FitOptions) -> None:
-    """Refuse a fit that is there, or one that cannot be continued, before the hours of a fit are spent.
-
-    Raises
-    ------
-    FitError
-        When another process works on the fit; when the folder holds a fit and neither `force` nor `resume`
-        is on; when an unfinished fit is there; when there is nothing to resume.
-    """
-    unfinished_runs = run_numbers(checkpoint_folder(folder))
-    if held(checkpoint_folder(folder)):
-        raise FitError(Checkpoint.running(folder))
-    if options.resume:
-        if options.force:
-            raise FitError("--resume continues a fit and --force discards it; choose one")
-        if not unfinished_runs:
-            raise FitError(f"{folder}: no unfinished fit to continue is there; start it without --resume")
-        check_new_fit(folder, force=True)
-        return
-    if unfinished_runs and not options.force:
-        raise FitError(Checkpoint.in_the_way(folder))
-    check_new_fit(folder, options.force)
 
 
 def _expected(fitted: Problem) -> dict[str, Any]:

@@ -48,15 +48,7 @@ _LEAST_SPREAD = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where CMA-ES begins.
-
-    Parameters
-    ----------
-    mean : (n_free,) array
-        Centre in the unit cube [1].
-    spread : (n_free,) array
-        Standard deviation along every axis [1].
-    """
+    """Where CMA-ES begins: centre and standard deviation (n_free,) along every axis of the unit cube [1]."""
 
     mean: FloatArray
     spread: FloatArray
@@ -68,15 +60,7 @@ class Start:
 
 
 class PymooBreeder(Breeder):
-    """One of pymoo's algorithms as ask and tell over the unit cube.
-
-    Parameters
-    ----------
-    algorithm : pymoo.core.algorithm.Algorithm
-        Seeded, not yet set up.
-    n_free : int
-        Dimensions of the cube.
-    """
+    """One of pymoo's algorithms, seeded and not yet set up, as ask and tell over the unit cube."""
 
     def __init__(self, algorithm: Any, n_free: int) -> None:
         from pymoo.core.problem import Problem
@@ -118,20 +102,9 @@ def breeder(name: str, n_free: int, population: int, seed: int, start: Start | N
     Parameters
     ----------
     name : str
-        A key of `ALGORITHMS`.
-    n_free : int
-        Free parameters.
-    population : int
-        Individuals per generation [1].
-    seed : int
-        Of this stage.
+        A key of `ALGORITHMS`; FitError for another.
     start : Start, optional
         Where CMA-ES begins; anywhere by default. Other algorithms begin anywhere.
-
-    Raises
-    ------
-    FitError
-        For an unknown name.
     """
     if name not in ALGORITHMS:
         raise FitError(f"unknown algorithm {name!r}; expected one of {', '.join(ALGORITHMS)}")
@@ -141,41 +114,24 @@ def breeder(name: str, n_free: int, population: int, seed: int, start: Start | N
     # It would print a hint about its own compiled modules, which breeding does not use.
     Config.warnings["not_compiled"] = False
     if name == "cmaes":
-        return _cmaes(n_free, population, seed, start)
+        from sysid.fit.breeders.evolution_strategy import EvolutionStrategy
+
+        random = np.random.default_rng(seed)
+        if start is None:
+            start = Start(random.random(n_free), np.full(n_free, _RANDOM_SPREAD))
+        return EvolutionStrategy(start.mean, start.spread, population, random)
     if name == "ga":
         from sysid.fit.breeders.genetic import GeneticBreeder
 
         return GeneticBreeder(n_free, population, seed)
-    return PymooBreeder(_ALGORITHM[name](population, seed), n_free)
+    if name == "matlab-ga":
+        from sysid.fit.breeders.matlab_genetic import MatlabGA
 
-
-def _matlab_ga(population: int, seed: int) -> Any:
-    from sysid.fit.breeders.matlab_genetic import MatlabGA
-
-    return MatlabGA(population, seed=seed)
-
-
-def _de(population: int, seed: int) -> Any:
+        return PymooBreeder(MatlabGA(population, seed=seed), n_free)
     from pymoo.algorithms.soo.nonconvex.de import DE
-    from pymoo.operators.sampling.lhs import LHS
-
-    return DE(pop_size=population, sampling=LHS(), variant="DE/best/1/bin", seed=seed)
-
-
-def _pso(population: int, seed: int) -> Any:
     from pymoo.algorithms.soo.nonconvex.pso import PSO
     from pymoo.operators.sampling.lhs import LHS
 
-    return PSO(pop_size=population, sampling=LHS(), seed=seed)
-
-
-_ALGORITHM = {"matlab-ga": _matlab_ga, "de": _de, "pso": _pso}
-
-
-def _cmaes(n_free: int, population: int, seed: int, start: Start | None) -> Breeder:
-    from sysid.fit.breeders.evolution_strategy import EvolutionStrategy
-
-    random = np.random.default_rng(seed)
-    if start is None:
-        start = Start(random.random(n_free), np.full(n_free, _RANDOM_SPREAD))
-    return EvolutionStrategy(start.mean, start.spread, population, random)
+    options = {"pop_size": population, "sampling": LHS(), "seed": seed}
+    algorithm = DE(variant="DE/best/1/bin", **options) if name == "de" else PSO(**options)
+    return PymooBreeder(algorithm, n_free)

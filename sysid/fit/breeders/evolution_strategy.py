@@ -47,14 +47,8 @@ class _Drawn:
 class EvolutionStrategy(ArrayBreeder):
     """CMA-ES as ask and tell over the unit cube.
 
-    Parameters
-    ----------
-    mean, spread : (n_free,) array
-        Where it begins, and its standard deviation along every axis [1].
-    population : int
-        Candidates per generation [1].
-    random : numpy.random.Generator
-        What it draws from; cma itself would draw from numpy's global generator.
+    It begins at `mean` with a standard deviation `spread` along every axis (n_free,) [1], and draws from
+    `random`; cma itself would draw from numpy's global generator.
     """
 
     def __init__(

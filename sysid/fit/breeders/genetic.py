@@ -26,17 +26,7 @@ _MATINGS = 100
 
 
 class GeneticBreeder(ArrayBreeder):
-    """pymoo's GA as ask and tell over the unit cube.
-
-    Parameters
-    ----------
-    n_free : int
-        Dimensions of the cube.
-    population : int
-        Individuals per generation [1].
-    seed : int
-        Of all that is drawn.
-    """
+    """pymoo's GA as ask and tell over the unit cube."""
 
     def __init__(self, n_free: int, population: int, seed: int) -> None:
         self._problem = Problem(n_var=n_free, n_obj=1, xl=np.zeros(n_free), xu=np.ones(n_free))

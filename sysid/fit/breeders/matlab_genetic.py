@@ -23,13 +23,7 @@ GENERATIONS_PER_PARAMETER = 100
 
 
 class MatlabGA(Algorithm):
-    """MATLAB's ``ga``; elites are not scored again.
-
-    Parameters
-    ----------
-    pop_size : int
-        Individuals per generation [1].
-    """
+    """MATLAB's ``ga``; elites are not scored again."""
 
     def __init__(self, pop_size: int, **kwargs: Any) -> None:
         super().__init__(**kwargs)

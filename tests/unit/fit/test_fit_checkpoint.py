@@ -21,7 +21,6 @@ from sysid.fit.checkpoint import (
     PROBES,
     PROCESSOR,
     Checkpoint,
-    checkpoint_folder,
     read_state,
     run_numbers,
     state_files,
@@ -36,7 +35,15 @@ SETTINGS = SearchSettings(40, 3, 5, StopRule(max_generations=14), "ga")
 
 
 def run_all(
-    fit, objective=None, *, resume=False, flag=None, settings=SETTINGS, done=True, breeds=breeder, **more
+    fit,
+    objective=None,
+    *,
+    resume=False,
+    flag=lambda: False,
+    settings=SETTINGS,
+    done=True,
+    breeds=breeder,
+    **more,
 ):
     hold = Checkpoint(fit, {**IDENTITY, **more}, resume=resume)
     try:
@@ -89,7 +96,7 @@ def test_more_runs_continue_the_same_fit(tmp_path, whole):
 
 def test_state_is_an_hdf5_file_that_says_what_it_is(tmp_path):
     interrupted(tmp_path / "fit", 20)
-    path, _ = state_files(checkpoint_folder(tmp_path / "fit"), 1)
+    path, _ = state_files(Checkpoint.folder_of(tmp_path / "fit"), 1)
     with h5py.File(path, "r") as file:
         assert file.attrs["schema"] == "sysid-checkpoint"
         assert file["stages/1/cost"].shape == (14 * 40,)
@@ -119,7 +126,7 @@ DAMAGE = {
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_damage_is_detected_and_the_previous_state_used(tmp_path, whole, damage):
     interrupted(tmp_path / "fit", 20)
-    current, previous = state_files(checkpoint_folder(tmp_path / "fit"), 1)
+    current, previous = state_files(Checkpoint.folder_of(tmp_path / "fit"), 1)
     assert previous.is_file()
     current.write_bytes(DAMAGE[damage](current.read_bytes()))
     found, notes = run_all(tmp_path / "fit", resume=True)
@@ -132,8 +139,8 @@ def test_damage_is_detected_and_the_previous_state_used(tmp_path, whole, damage)
 
 def test_a_kill_between_the_two_renames_loses_nothing_but_a_second(tmp_path, whole):
     interrupted(tmp_path / "fit", 20)
-    state_files(checkpoint_folder(tmp_path / "fit"), 1)[0].unlink()
-    assert run_numbers(checkpoint_folder(tmp_path / "fit")) == [1]
+    state_files(Checkpoint.folder_of(tmp_path / "fit"), 1)[0].unlink()
+    assert run_numbers(Checkpoint.folder_of(tmp_path / "fit")) == [1]
     found, notes = run_all(tmp_path / "fit", resume=True)
     assert_same(found, whole)
     assert notes == []
@@ -141,7 +148,7 @@ def test_a_kill_between_the_two_renames_loses_nothing_but_a_second(tmp_path, who
 
 def test_both_states_damaged_starts_that_run_anew(tmp_path, whole):
     interrupted(tmp_path / "fit", 20)
-    for path in state_files(checkpoint_folder(tmp_path / "fit"), 1):
+    for path in state_files(Checkpoint.folder_of(tmp_path / "fit"), 1):
         path.write_bytes(b"dust")
     found, notes = run_all(tmp_path / "fit", resume=True)
     assert_same(found, whole)
@@ -158,10 +165,13 @@ def test_both_states_damaged_starts_that_run_anew(tmp_path, whole):
 )
 def test_refused_when_anything_differs(tmp_path, change, words):
     interrupted(tmp_path / "fit", 20)
-    before = sorted((p.name, p.stat().st_size) for p in checkpoint_folder(tmp_path / "fit").iterdir())
+    folder = Checkpoint.folder_of(tmp_path / "fit")
+    before = sorted((p.name, p.stat().st_size) for p in folder.iterdir())
     with pytest.raises(FitError, match=words):
         Checkpoint(tmp_path / "fit", {**IDENTITY, **change}, resume=True)
-    assert sorted((p.name, p.stat().st_size) for p in checkpoint_folder(tmp_path / "fit").iterdir()) == before
+    assert (
+        sorted((p.name, p.stat().st_size) for p in Checkpoint.folder_of(tmp_path / "fit").iterdir()) == before
+    )
 
 
 class Rounded:
@@ -231,7 +241,7 @@ def test_on_another_processor_twice(tmp_path):
 
 def test_what_another_processor_breeds_otherwise_is_computed_again(tmp_path):
     interrupted(tmp_path / "fit", 33, **{PROCESSOR: "One 1"})
-    states = [read_state(state_files(checkpoint_folder(tmp_path / "fit"), run)[0])[0] for run in (1, 2)]
+    states = [read_state(state_files(Checkpoint.folder_of(tmp_path / "fit"), run)[0])[0] for run in (1, 2)]
     kept = sum(min(5, len(stage.cost)) for memory in states for stage in memory.stages[:1])
     again = Bowl()
     found, _ = run_all(tmp_path / "fit", again, resume=True, breeds=Turned, **ELSEWHERE)
@@ -419,13 +429,13 @@ def killed_and_resumed(tmp_path, whole, moments, draw):
     """Kill a fit at random moments one after the other; then finish it."""
     fit = tmp_path / "fit"
     for _ in range(moments):
-        how = "resume" if run_numbers(checkpoint_folder(fit)) else "start"
+        how = "resume" if run_numbers(Checkpoint.folder_of(fit)) else "start"
         process = started(fit, how)
         time.sleep(draw.uniform(0.0, 0.25))
         process.kill()
         process.wait()
         process.stdout.close()
-    resume = bool(run_numbers(checkpoint_folder(fit)))
+    resume = bool(run_numbers(Checkpoint.folder_of(fit)))
     found, notes = run_all(fit, resume=resume)
     assert_same(found, whole)
     # Even a kill inside a write damages nothing.

@@ -58,11 +58,11 @@ def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, run, r
     assert read_fit("cut").state == "done"
     assert not Path("cut.checkpoint").exists()
     assert_same_fit("cut", "whole")
-    refused("no unfinished fit to continue is there", *fit, "--resume")
+    refused("holds nothing to continue", *fit, "--resume")
 
 
 def test_fits_lists_states(campaign, run, refused):
-    from sysid.fit.checkpoint import checkpoint_folder
+    from sysid.fit.checkpoint import Checkpoint
     from sysid.workflows.fits import list_fits
 
     refused("no such folder", "fits")
@@ -78,7 +78,7 @@ def test_fits_lists_states(campaign, run, refused):
     assert found["whole"].nrmse == read_fit("fits/whole").nrmse[0]
     assert found["cut"].nrmse == read_fit("fits/cut").nrmse[0]
     # A fit of the same name is not to be continued or thrown away while it runs.
-    with FileLock(checkpoint_folder("fits/cut") / "lock"):
+    with FileLock(Checkpoint.folder_of("fits/cut") / "lock"):
         assert {entry.name: entry.state for entry in list_fits("fits")}["cut"] == "running"
         for more in ((), ("--resume",), ("--force",)):
             refused("another process is working on this fit; wait for it", *cut, *more)
@@ -93,7 +93,7 @@ def test_fits_of_a_lock_that_cannot_be_opened(cut, monkeypatch, run):
     from sysid.fit import checkpoint
     from sysid.workflows.fits import list_fits
 
-    folder = checkpoint.checkpoint_folder(Path("fits") / "synthetic-lf")
+    folder = checkpoint.Checkpoint.folder_of(Path("fits") / "synthetic-lf")
     (folder / "lock").unlink(missing_ok=True)
     assert [entry.state for entry in list_fits("fits")] == ["stopped"]
     assert not (folder / "lock").exists()
