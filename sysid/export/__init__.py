@@ -46,21 +46,10 @@ _WRITERS = {
 
 
 def export(source: ParameterSets | HasParameterSets, path: str | Path) -> Path:
-    """Write ranked parameter sets in the format that the suffix of `path` names.
+    """Write ranked parameter sets in the format that the suffix of `path` names, and return the path.
 
-    An existing file is replaced, and only once the new one is complete.
-
-    Parameters
-    ----------
-    source : ParameterSets or FitResult
-        What to write.
-    path : str or Path
-        Ends in ``.json``, ``.csv``, ``.h5`` or ``.mat``.
-
-    Returns
-    -------
-    Path
-        The file.
+    The suffix is ``.json``, ``.csv``, ``.h5`` or ``.mat``. An existing file is replaced, and only once the
+    new one is complete.
 
     Raises
     ------
@@ -84,15 +73,7 @@ def export(source: ParameterSets | HasParameterSets, path: str | Path) -> Path:
 def load_parameter_sets(path: str | Path) -> ParameterSets:
     """Read parameter sets from any file that `export` writes, or from a fit folder.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file, or a folder with ``fit.json``.
-
-    Returns
-    -------
-    ParameterSets
-        Equal to what was written, bit for bit.
+    They are equal to what was written, bit for bit.
 
     Raises
     ------
@@ -124,11 +105,5 @@ def load_parameter_sets(path: str | Path) -> ParameterSets:
         return reader(data, file)
     # Everything that a damaged file can make the libraries and the checks above raise.
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, OSError, EOFError) as error:
-        raise ExportError(
-            f"{file}: damaged or cut off ({_first_line(error)}); export the fit again"
-        ) from error
-
-
-def _first_line(error: Exception) -> str:
-    lines = str(error).splitlines()
-    return lines[0] if lines else type(error).__name__
+        first = next(iter(str(error).splitlines()), type(error).__name__)
+        raise ExportError(f"{file}: damaged or cut off ({first}); export the fit again") from error

@@ -21,19 +21,7 @@ ROTORS = ("ccw", "ccw", "cw", "cw")
 
 @dataclass(frozen=True)
 class MotorPlugin:
-    """Numbers that the plugin reads.
-
-    Parameters
-    ----------
-    timeConstantUp, timeConstantDown : float
-        [s].
-    maxRotVelocity : float
-        [rad/s].
-    motorConstant : float
-        [N·s²/rad²].
-    momentConstant : float
-        [m].
-    """
+    """Numbers that the plugin reads, in the units of `_UNITS`."""
 
     timeConstantUp: float
     timeConstantDown: float
@@ -52,16 +40,7 @@ _UNITS = {
 
 
 def to_sdf(plugin: MotorPlugin, *, name: str = "motor", notes: tuple[str, ...] = ()) -> bytes:
-    """Return an SDF document with the plugin of each rotor of a quadrotor.
-
-    Parameters
-    ----------
-    plugin : MotorPlugin
-    name : str
-        Of the model.
-    notes : tuple of str
-        Sentences for the reader, written as comments.
-    """
+    """Return an SDF document with the plugin of each rotor of a quadrotor; notes become comments."""
     root = Element("sdf", version="1.9")
     model = add(root, "model", name=name)
     for note in (
@@ -93,13 +72,7 @@ def to_sdf(plugin: MotorPlugin, *, name: str = "motor", notes: tuple[str, ...] =
 
 
 def from_sdf(data: bytes) -> MotorPlugin:
-    """Return the numbers of the first rotor's plugin.
-
-    Raises
-    ------
-    ExportError
-        When there is no such plugin or a number is missing.
-    """
+    """Return the numbers of the first rotor's plugin; ExportError where one is missing."""
     root = parse(data, "SDF")
     plugin = next((p for p in root.iter("plugin") if p.get("name") == _CLASS), None)
     numbers: Mapping[str, str | None] = {} if plugin is None else {k: plugin.findtext(k) for k in _UNITS}

@@ -15,8 +15,6 @@ class MeanRow:
 
     Parameters
     ----------
-    name, symbol, unit : str
-        Of the parameter; SI.
     measured : tuple of float
         Empty, one measured value, or the two ends of an independently measured range [unit].
     fitted : tuple
@@ -31,14 +29,9 @@ class MeanRow:
 
 
 def mean_table(*fits: ParameterSets) -> tuple[MeanRow, ...]:
-    """Return the rows of Table II for one or more fits side by side.
+    """Return the rows of Table II for one or more fits of one kind side by side.
 
     Rows are the parameters that at least one fit found or measured; σ is divided by S - 1.
-
-    Parameters
-    ----------
-    *fits : ParameterSets
-        One column each, of one kind.
     """
     order: dict[str, ParameterRecord] = {}
     for sets in fits:

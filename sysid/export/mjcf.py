@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -86,8 +86,6 @@ def to_mjcf(
     ----------
     values : mapping of str to float
         By name, as in `sysid.gear.model.PARAMETERS` [SI]; rows of leg pairs.
-    name : str
-        Of the model.
     sticks : bool
         Whether slow feet stick (high friction) or creep (low friction).
     slope : float
@@ -160,13 +158,7 @@ def to_mjcf(
 
 
 def from_mjcf(data: bytes) -> dict[str, float]:
-    """Return the set [SI] that `to_mjcf` wrote into a document.
-
-    Raises
-    ------
-    ExportError
-        When the document is no MJCF with a set in it.
-    """
+    """Return the set [SI] that `to_mjcf` wrote into a document; ExportError where there is none."""
     root = parse(data, "a MuJoCo model")
     values = {str(row.get("name")): float(str(row.get("data"))) for row in root.iterfind("custom/numeric")}
     if root.tag != "mujoco" or not values:
@@ -238,15 +230,15 @@ def _legs(values: Mapping[str, float], per_leg: bool) -> list[_Leg]:
     if not per_leg:
         return pairs
     return [
-        replace(
-            leg,
-            name=f"{leg.name}_{hand}",
-            y=y * values["foot_dx"],
-            axial=_halved(leg.axial),
-            bending=_halved(leg.bending),
-            mass=leg.mass / 2,
-            inertia=leg.inertia / 2,
-            ground=_halved(leg.ground),
+        _Leg(
+            f"{leg.name}_{hand}",
+            leg.side,
+            y * values["foot_dx"],
+            _halved(leg.axial),
+            _halved(leg.bending),
+            leg.mass / 2,
+            leg.inertia / 2,
+            _halved(leg.ground),
         )
         for leg in pairs
         for hand, y in (("left", 1.0), ("right", -1.0))
@@ -300,11 +292,8 @@ def _body(world: Element, values: Mapping[str, float], legs: Sequence[_Leg], per
         comment(body, "inertia about roll [kg·m²]: a guess, equal to pitch; yaw: the sum, as of a flat body")
     else:
         comment(body, "x, z [m] of the body's centre of mass; pitch [rad], positive nose-down, down-slope")
-        for key, kind, axis in (
-            ("x", "slide", (1, 0, 0)),
-            ("z", "slide", (0, 0, 1)),
-            ("pitch", "hinge", (0, 1, 0)),
-        ):
+        axes = (("x", "slide", (1, 0, 0)), ("z", "slide", (0, 0, 1)), ("pitch", "hinge", (0, 1, 0)))
+        for key, kind, axis in axes:
             add(body, "joint", name=key, type=kind, axis=axis)
     add(
         body, "inertial", pos=(0.0, 0.0, 0.0), mass=values["body_mass"],
@@ -348,11 +337,7 @@ def _body(world: Element, values: Mapping[str, float], legs: Sequence[_Leg], per
 
 
 def _keyframe(
-    root: Element,
-    values: Mapping[str, float],
-    legs: Sequence[_Leg],
-    slope: float,
-    per_leg: bool,
+    root: Element, values: Mapping[str, float], legs: Sequence[_Leg], slope: float, per_leg: bool
 ) -> None:
     depth = values["foot_dx"] * abs(math.sin(slope)) + values["foot_dz"] * math.cos(slope)
     height = depth / math.cos(slope)

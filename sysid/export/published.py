@@ -186,13 +186,7 @@ def table_1() -> ParameterSets:
 
 
 def table_2(surface: Literal["lf", "hf"]) -> ParameterSets:
-    """Return a column of Table II: the landing gear of the DJI F450.
-
-    Parameters
-    ----------
-    surface : {"lf", "hf"}
-        Low friction (UHMW PE) or high friction (roofing shingles).
-    """
+    """Return a column of Table II: the DJI F450's gear on UHMW PE ("lf") or roofing shingles ("hf")."""
     low = surface == "lf"
     source = f"Table II, {'low' if low else 'high'}-friction mean of five genetic algorithm runs"
     fitted = {name: cells[0 if low else 1] for name, cells in FITTED.items()}
@@ -228,13 +222,7 @@ def table_2(surface: Literal["lf", "hf"]) -> ParameterSets:
 
 
 def write_published(folder: str | Path) -> tuple[Path, ...]:
-    """Write the three sets as JSON into a folder, which is made; files of the same names are replaced.
-
-    Raises
-    ------
-    ExportError
-        When a file cannot be written.
-    """
+    """Write the three sets as JSON into a folder, which is made; files of the same names are replaced."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     all_sets = (table_1(), table_2("lf"), table_2("hf"))

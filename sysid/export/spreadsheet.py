@@ -20,24 +20,18 @@ from sysid.parameter_sets import ParameterSets, SetsMetadata
 
 SIGNATURE = b"row,name,symbol,unit,status,"
 _FIXED = ("row", "name", "symbol", "unit", "status", "lower", "upper", "scale", "nominal", "mean", "sigma")
-_TEXTS = ("meaning", "source", "group", "trial")
-_RECORD = (
-    "name", "symbol", "unit", "status", "lower", "upper", "scale", "nominal", "stated_sigma", *_TEXTS
-)  # fmt: skip
+_TEXTS = ("name", "symbol", "unit", "status", "meaning", "source", "group", "trial")
+_NUMBERS = ("lower", "upper", "nominal", "stated_sigma")
+_RECORD = (*_TEXTS, *_NUMBERS, "scale")
 
 
 def to_csv(sets: ParameterSets) -> bytes:
     """Return the file; UTF-8 with the mark that lets spreadsheets show Ω and µ."""
     n_sets = len(sets)
     columns = [
-        *_FIXED,
-        *(f"set_{s + 1}" for s in range(n_sets)),
-        *(f"at_bound_{s + 1}" for s in range(n_sets)),
-        "measured_low",
-        "measured_high",
-        "stated_sigma",
-        *_TEXTS,
-    ]
+        *_FIXED, *(f"set_{s + 1}" for s in range(n_sets)), *(f"at_bound_{s + 1}" for s in range(n_sets)),
+        "measured_low", "measured_high", "stated_sigma", "meaning", "source", "group", "trial",
+    ]  # fmt: skip
     metadata = sets.metadata().model_dump()
     records = metadata.pop("parameters")
     rows: list[dict[str, Any]] = []
@@ -104,22 +98,17 @@ def from_csv(data: bytes, place: object) -> ParameterSets:
     scores = {
         (row["name"], row["symbol"]): [float(row[n]) for n in names] for row in rows if row["row"] == "nrmse"
     }
-    trials = [trial.name for trial in checked.trials]
-    channels = [channel.name for channel in checked.channels]
-    by_trial = np.empty((n_sets, len(trials), len(channels)))
-    for t, trial in enumerate(trials):
-        for c, channel in enumerate(channels):
-            by_trial[:, t, c] = scores[trial, channel]
+    by_trial = np.empty((n_sets, len(checked.trials), len(checked.channels)))
+    for t, trial in enumerate(checked.trials):
+        for c, channel in enumerate(checked.channels):
+            by_trial[:, t, c] = scores[trial.name, channel.name]
     (mean,) = (row for row in rows if row["row"] == "nrmse_mean")
+    shape = (n_sets, len(parameters))
     return ParameterSets.from_metadata(
         checked,
-        values=np.array([[float(row[n]) for row in parameters] for n in names]).reshape(
-            n_sets, len(parameters)
-        ),
+        values=np.array([[float(row[n]) for row in parameters] for n in names]).reshape(shape),
         nrmse=np.array([float(mean[n]) for n in names]),
-        at_bound=np.array([[int(row[n]) for row in parameters] for n in flags], dtype=np.int8).reshape(
-            n_sets, len(parameters)
-        ),
+        at_bound=np.array([[int(row[n]) for row in parameters] for n in flags], dtype=np.int8).reshape(shape),
         nrmse_by_trial=by_trial,
     )
 
@@ -136,12 +125,9 @@ def _rows(text: str) -> list[dict[str, str]]:
 
 
 def _record(row: dict[str, str]) -> dict[str, Any]:
-    record: dict[str, Any] = {
-        # Files of earlier versions have neither group nor trial.
-        key: row.get(key, "")
-        for key in ("name", "symbol", "unit", "status", *_TEXTS)
-    }
-    record |= {key: _number(row[key]) for key in ("lower", "upper", "nominal", "stated_sigma")}
+    # Files of earlier versions have neither group nor trial.
+    record: dict[str, Any] = {key: row.get(key, "") for key in _TEXTS}
+    record |= {key: _number(row[key]) for key in _NUMBERS}
     record["scale"] = row["scale"] or None
     low, high = _number(row["measured_low"]), _number(row["measured_high"])
     record["measured_range"] = None if low is None or high is None else (low, high)

@@ -37,13 +37,7 @@ def document(root: Element) -> bytes:
 
 
 def parse(data: bytes, what: str) -> Element:
-    """Return the root of a file.
-
-    Raises
-    ------
-    ExportError
-        When the file is no XML.
-    """
+    """Return the root of a file; ExportError when it is no XML."""
     try:
         return ElementTree.fromstring(data)
     except ElementTree.ParseError as error:

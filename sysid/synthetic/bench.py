@@ -43,18 +43,10 @@ class BenchResolution:
 
 @dataclass(frozen=True, eq=False)
 class LoadCellLog:
-    """What a load cell, a tachometer and the command line delivered on one clock.
+    """What a load cell, a tachometer and the command line delivered on one uniform clock, (n,) arrays.
 
-    Parameters
-    ----------
-    time : (n,) array
-        Uniform [s]; need not start at 0.
-    command : (n,) array
-        Pulse width [µs].
-    speed : (n,) array
-        Signed [rad/s].
-    force, torque : (n,) array
-        Fz along the forward thrust [N] and Mz, the stator's reaction [N·m]; tare included.
+    Time [s], pulse width [µs], signed speed [rad/s], Fz along the forward thrust [N] and Mz, the stator's
+    reaction [N·m]; tare included.
     """
 
     time: FloatArray
@@ -110,20 +102,10 @@ def load_cell_hdf5(log: LoadCellLog) -> Callable[[Path], None]:
 
 @dataclass(frozen=True, eq=False)
 class StandPoints:
-    """Averaged points of a thrust stand, in the order in which they were taken; blanks are NaN.
+    """Averaged points (n,) of a thrust stand, in the order in which they were taken; blanks are NaN.
 
-    Parameters
-    ----------
-    time : (n,) array
-        Of each point [s].
-    command : (n,) array
-        Pulse width [µs].
-    speed : (n,) array
-        Of the optical probe, which does not know the direction [rad/s].
-    thrust, torque : (n,) array
-        Tare included [N], [N·m].
-    voltage, current : (n,) array
-        Of the supply [V], [A].
+    Time [s], pulse width [µs], speed of the optical probe, which does not know the direction [rad/s], thrust
+    [N] and torque [N·m] with tare, voltage [V] and current [A] of the supply.
     """
 
     time: FloatArray

@@ -22,19 +22,8 @@ Content = str | Callable[[Path], None]
 def write_folder(folder: str | Path, files: Mapping[str, Content], *, force: bool = False) -> Path:
     """Write files into a folder, which appears only once every one of them is complete.
 
-    Parameters
-    ----------
-    folder : str or Path
-        Made with its parents.
-    files : mapping of str to text or function
-        Content of each file by name; text is written as UTF-8 with its line ends as they are.
-    force : bool
-        Replace an existing synthesized folder as a whole.
-
-    Raises
-    ------
-    ExportError
-        When the folder exists and may not be replaced, or the disk refuses.
+    Text is written as UTF-8 with its line ends as they are. `force` replaces an existing synthesized folder
+    as a whole; ExportError when it may not be replaced, or the disk refuses.
     """
     with replaced_folder(folder, force=force, marker=TRUTH_FILE, error_type=ExportError) as new:
         for name, content in files.items():
@@ -67,15 +56,8 @@ def truth_text(
 def read_truth(folder: str | Path) -> dict[str, Any]:
     """Return the truth beside a synthesized campaign; ``parameters`` maps names to SI values.
 
-    Parameters
-    ----------
-    folder : str or Path
-        The campaign's folder, its campaign file, or the truth file itself.
-
-    Raises
-    ------
-    ExportError
-        When there is none, or it is of another schema.
+    `folder` may be the campaign's folder, its campaign file, or the truth file itself. ExportError when there
+    is no truth, or it is of another schema.
     """
     path = Path(folder)
     if path.name != TRUTH_FILE:

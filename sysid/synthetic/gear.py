@@ -22,7 +22,7 @@ from sysid.gear import model
 from sysid.synthetic import gear_campaign
 from sysid.synthetic.folder import CAMPAIGN_FILE, TRUTH_FILE, refuse_existing, truth_text, write_folder
 from sysid.synthetic.gear_campaign import BOARD_MARKERS, BODY, CENTRE_OF_MASS, MARKER_HEIGHT
-from sysid.synthetic.motion_capture import CaptureNoise, SeenBody, Take, motive_csv, observe, pose_table_csv
+from sysid.synthetic.motion_capture import CaptureNoise, Take, motive_csv, observe, pose_table_csv
 from sysid.trials.capture import CaptureFrame
 from sysid.types import FloatArray
 
@@ -40,19 +40,7 @@ _EPOCH = 1_700_000_000.0
 
 @dataclass(frozen=True)
 class DropPlan:
-    """One drop to synthesize.
-
-    Parameters
-    ----------
-    slope : float
-        Angle of the board [rad].
-    impact_speed : float
-        Vertical speed when the rear foot touches [m/s].
-    use : {"fit", "validate"}
-        What the campaign does with it.
-    export : {"motive", "motive-mm", "motive-euler", "pose-table"}
-        File format of its log.
-    """
+    """One drop to synthesize: angle of the board [rad], vertical speed when the rear foot touches [m/s]."""
 
     slope: float
     impact_speed: float
@@ -179,8 +167,7 @@ def synthesize_gear(
     Parameters
     ----------
     folder : str or Path
-        Receives ``campaign.toml``, one log per drop and ``truth.json``; refused when it exists, unless
-        `force`.
+        Receives ``campaign.toml``, one log per drop and ``truth.json``; `force` replaces an existing one.
     seed : int
         Same seed, same arguments: the same files, to the last byte on one platform.
     surface : str
@@ -191,8 +178,6 @@ def synthesize_gear(
         True values that differ from those [SI].
     name : str, optional
         Of the campaign; ``synthetic-lf`` when left out.
-    force : bool
-        Replace an existing synthesized folder, with all that is in it.
     **lab
         Fields of `CaptureLab`.
 
@@ -221,7 +206,14 @@ def synthesize_gear(
         truth = _simulate(plan, true, surface, setup.rate, source)
         log = f"drop-{number}-{plan.name}.csv"
         take, marks = _record(number, plan, truth, setup, source)
-        files[log] = _log_text(take, plan.export)
+        if plan.export == "pose-table":
+            files[log] = pose_table_csv(take, BODY, epoch=_EPOCH)
+        else:
+            files[log] = motive_csv(
+                take,
+                unit="Millimeters" if plan.export == "motive-mm" else "Meters",
+                rotation="XYZ" if plan.export == "motive-euler" else "Quaternion",
+            )
         point = tuple(setup.hinge) if plan.export == "pose-table" and setup.plane == "markers" else None
         trials.append(gear_campaign.trial_text(number, plan.slope, plan.impact_speed, plan.use, log, point))
         facts.append(_facts(number, plan, truth, log, marks))
@@ -237,7 +229,7 @@ def synthesize_gear(
         "capture": {
             "up": setup.up,
             "down_slope": setup.down_slope,
-            "surface point [m]": [float(value) for value in setup.hinge],
+            "surface point [m]": setup.hinge.tolist(),
             "centre of mass offset [m]": list(CENTRE_OF_MASS),
             "own axes, pitch roll yaw [deg]": list(_BODY_AXES_DEG),
             "marker height [m]": MARKER_HEIGHT,
@@ -247,17 +239,6 @@ def synthesize_gear(
     }
     files[TRUTH_FILE] = truth_text("gear", model.PARAMETERS, true, circumstances)
     return write_folder(folder, files, force=force)
-
-
-def _log_text(take: Take, export: Export) -> str:
-    """Return the log of a drop in the format that its plan names."""
-    if export == "pose-table":
-        return pose_table_csv(take, BODY, epoch=_EPOCH)
-    return motive_csv(
-        take,
-        unit="Millimeters" if export == "motive-mm" else "Meters",
-        rotation="XYZ" if export == "motive-euler" else "Quaternion",
-    )
 
 
 def _simulate(
@@ -277,14 +258,8 @@ def _simulate(
     foot_z = -foot_x * math.tan(plan.slope) + height
     start = np.array([foot_x + true["foot_dx"], foot_z + true["foot_dz"], 0.0, 0.0, 0.0, 0.0])
     falling = time > release
-    run = model.simulate(
-        true,
-        plan.slope,
-        start,
-        np.concatenate([[release], time[falling]]),
-        surface=surface,
-        tolerance=model.TIGHT_TOLERANCE,
-    )
+    clock = np.concatenate([[release], time[falling]])
+    run = model.simulate(true, plan.slope, start, clock, surface=surface, tolerance=model.TIGHT_TOLERANCE)
     if run.status is not model.Status.OK:
         raise CampaignError(
             f"drop {plan.name}: the true parameters cannot be simulated ({run.status.text}); change them"
@@ -298,11 +273,7 @@ def _simulate(
 
 
 def _record(
-    number: int,
-    plan: DropPlan,
-    truth: _Truth,
-    lab: CaptureLab,
-    source: np.random.Generator,
+    number: int, plan: DropPlan, truth: _Truth, lab: CaptureLab, source: np.random.Generator
 ) -> tuple[Take, dict[str, list[list[int]] | list[int]]]:
     """Turn the planar truth into what the cameras of the room saw."""
     count, frame, hinge, noise, rate = len(truth.time), lab.frame, lab.hinge, lab.noise, lab.rate
@@ -336,22 +307,13 @@ def _record(
         name: place + noise.position * source.standard_normal((count, 3))
         for name, place in zip(BOARD_MARKERS, board, strict=True)
     }
-    wand = _still_body(hinge + frame.matrix.T @ np.array([0.9, 0.7, 0.1]), count, noise, source)
-    take = Take(
-        f"drop-{number}",
-        f"2024-03-0{1 + number % 7} 10.{10 + number % 50:02d}.07.412 AM",
-        truth.first_frame,
-        rate,
-        {"wand": wand, BODY: body},
-        markers,
-    )
-    return take, {"occlusions": [list(gap) for gap in gaps], "sign flips": flips}
-
-
-def _still_body(place: FloatArray, count: int, noise: CaptureNoise, source: np.random.Generator) -> SeenBody:
-    """Return another rigid body that lies about in the room."""
+    # Another rigid body lies about in the room.
+    place = hinge + frame.matrix.T @ np.array([0.9, 0.7, 0.1])
     turn = Rotation.from_rotvec(np.tile([0.0, math.radians(37.0), 0.0], (count, 1)))
-    return observe(np.tile(place, (count, 1)), turn, noise, source)
+    wand = observe(np.tile(place, (count, 1)), turn, noise, source)
+    started = f"2024-03-0{1 + number % 7} 10.{10 + number % 50:02d}.07.412 AM"
+    take = Take(f"drop-{number}", started, truth.first_frame, rate, {"wand": wand, BODY: body}, markers)
+    return take, {"occlusions": [list(gap) for gap in gaps], "sign flips": flips}
 
 
 def _board_markers(slope: float, frame: CaptureFrame, hinge: FloatArray) -> FloatArray:

@@ -22,12 +22,7 @@ def _point(values: Sequence[float]) -> str:
 
 
 def trial_text(
-    number: int,
-    slope: float,
-    impact_speed: float,
-    use: str,
-    log: str,
-    point: Sequence[float] | None = None,
+    number: int, slope: float, impact_speed: float, use: str, log: str, point: Sequence[float] | None = None
 ) -> str:
     """Return one ``[[trials]]`` table, with a `point` of the surface where its log has no markers."""
     text = (

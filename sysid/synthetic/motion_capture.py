@@ -81,18 +81,14 @@ def observe(
     gaps: Sequence[tuple[int, int]] = (),
     flips: Sequence[int] = (),
 ) -> SeenBody:
-    """Add noise, occlusions and sign flips to a true pose.
+    """Add noise, occlusions and sign flips to the true pose of a body in capture axes.
 
     Parameters
     ----------
-    position : (n, 3) array
-        True position of the body's origin in capture axes [m].
-    rotation : Rotation of n
-        True orientation, body axes to capture axes.
+    position, rotation
+        (n, 3) array of the origin [m], and n rotations from body axes to capture axes.
     noise : CaptureNoise
         White, independent from frame to frame; that of the angle is about each body axis.
-    seed : Generator
-        Source of the noise.
     gaps : sequence of (first sample, samples)
         Where the body is not seen.
     flips : sequence of int
@@ -117,18 +113,8 @@ def observe(
 def motive_csv(take: Take, *, unit: LengthUnit = "Meters", rotation: RotationType = "Quaternion") -> str:
     """Return a take as Motive exports it, format version 1.23, occluded frames blank.
 
-    Parameters
-    ----------
-    take : Take
-        What was seen.
-    unit : {"Meters", "Millimeters"}
-        Of lengths.
-    rotation : {"Quaternion", "XYZ"}
-        Quaternion x y z w, or intrinsic Euler angles about x, y', z'' [deg], right-handed.
-
-    Notes
-    -----
-    Six decimals in metres, three in millimetres, six of a quaternion or an angle: its quantization.
+    Quaternion x y z w, or intrinsic Euler angles about x, y', z'' [deg], right-handed. Six decimals in
+    metres, three in millimetres, six of a quaternion or an angle: its quantization.
     """
     decimals, scale = _DECIMALS[unit], _SCALE[unit]
     turns = ("X", "Y", "Z", "W") if rotation == "Quaternion" else ("X", "Y", "Z")
@@ -177,18 +163,8 @@ def motive_csv(take: Take, *, unit: LengthUnit = "Meters", rotation: RotationTyp
 def pose_table_csv(take: Take, body: str, *, epoch: float) -> str:
     """Return one body as a plain table ``t,x (m),y (m),z (m),qw,qx,qy,qz``, as a script writes a stream.
 
-    Parameters
-    ----------
-    take : Take
-        What was seen.
-    body : str
-        Which rigid body.
-    epoch : float
-        Unix time of frame 0 [s]; the table's clock is ``epoch + frame/rate``.
-
-    Notes
-    -----
-    Metres and capture axes. An occluded frame keeps its row, with blank cells.
+    The table's clock is ``epoch + frame/rate`` [s], `epoch` the Unix time of frame 0. Metres and capture
+    axes. An occluded frame keeps its row, with blank cells.
     """
     seen = take.bodies[body]
     order = seen.quaternion[:, [3, 0, 1, 2]]

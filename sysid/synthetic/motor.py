@@ -40,23 +40,13 @@ _OPEN_ABOVE, _SUPPLY_RESISTANCE = 0.03, 0.012
 
 # The motor of the converged reference trajectories; what it leaves out is the model's nominal value.
 TRUE_MOTOR = {
-    "winding_resistance": 0.299,
-    "winding_inductance": 0.0038,
-    "viscous_damping": 9.2e-9,
-    "back_emf_constant": 0.00995,
-    "torque_constant": 0.00995,
-    "rotor_inertia": 2.7e-5,
-    "saturation_current": 0.35,
-    "saturation_speed": 6.3,
-    "reference_voltage": 11.1,
-    "no_load_slope_forward": 1030.0,
-    "no_load_slope_reverse": 1030.0,
-    "thrust_quadratic_forward": 1.2e-5,
-    "thrust_quadratic_reverse": 0.62e-5,
-    "torque_quadratic_forward": 1.65e-7,
-    "torque_quadratic_reverse": 1.7e-7,
-    "command_delay": 0.008,
-}
+    "winding_resistance": 0.299, "winding_inductance": 0.0038, "viscous_damping": 9.2e-9,
+    "back_emf_constant": 0.00995, "torque_constant": 0.00995, "rotor_inertia": 2.7e-5,
+    "saturation_current": 0.35, "saturation_speed": 6.3, "reference_voltage": 11.1,
+    "no_load_slope_forward": 1030.0, "no_load_slope_reverse": 1030.0,
+    "thrust_quadratic_forward": 1.2e-5, "thrust_quadratic_reverse": 0.62e-5,
+    "torque_quadratic_forward": 1.65e-7, "torque_quadratic_reverse": 1.7e-7, "command_delay": 0.008,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -100,8 +90,7 @@ def synthesize_motor(
     Parameters
     ----------
     folder : str or Path
-        Receives ``campaign.toml``, load-cell and thrust-stand logs and ``truth.json``; refused when it
-        exists, unless `force`.
+        Receives ``campaign.toml``, logs and ``truth.json``; `force` replaces an existing one.
     seed : int
         Same seed, same arguments: the same numbers.
     parameters : mapping, optional
@@ -110,14 +99,8 @@ def synthesize_motor(
         False: quantization and tare only.
     rate : float
         Of the load cell [Hz].
-    name : str
-        Of the campaign.
-    trials : sequence of TrialPlan
-        Load-cell trials.
     ideal_reversal : bool
         A motor without saturation, as in Fig. 11.
-    force : bool
-        Replace an existing synthesized folder, with all that is in it.
 
     Raises
     ------
