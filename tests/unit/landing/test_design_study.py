@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from sysid import resume as blocks
 from sysid.errors import CampaignError, ExportError
 from sysid.export import export
 from sysid.export.published import table_1, table_2
@@ -94,11 +93,10 @@ def test_an_added_reversal_delay_is_what_the_thrust_shows():
         later.apply(FLEET[0], -0.05)
 
 
-def study(
-    landed, *, share=0.5, slopes=(0.0, 10.0, 20.0, 30.0), changes=None, points=None, together=False, lost=None
-):
+def study(landed, *, share=0.5, changes=None, points=None, together=False, lost=None):
     landed = np.asarray(landed, dtype=float)
-    settings = StudySettings(slopes, (0.5,) * 0 + (0.5, 1.0)[: landed.shape[2]], share, together=together)
+    speeds = (0.5, 1.0)[: landed.shape[2]]
+    settings = StudySettings((0.0, 10.0, 20.0, 30.0), speeds, share, together=together)
     changes = changes or (Change("leg_bending_stiffness", "k_t", "gear", (0.5, 2.0)),)
     points = np.array([[1.0], [0.5], [2.0]][: len(landed)]) if points is None else np.array(points)
     lost = np.zeros(len(landed), dtype=np.int64) if lost is None else np.array(lost)
@@ -106,13 +104,8 @@ def study(
 
 
 def test_largest_safe_slope_and_landable_width():
-    one = study(
-        [
-            [[1.0], [1.0], [0.0], [0.0]],  # up to 10 deg
-            [[1.0], [0.4], [1.0], [1.0]],  # fails at 10 deg by chance
-            [[0.4], [1.0], [1.0], [1.0]],  # not even level ground
-        ]
-    )
+    # Up to 10 deg; a failure at 10 deg by chance; not even level ground.
+    one = study(np.array([[1, 1, 0, 0], [1, 0.4, 1, 1], [0.4, 1, 1, 1]])[:, :, None])
     np.testing.assert_array_equal(one.steepest[:, 0], [10.0, 0.0, math.nan])
     np.testing.assert_allclose(one.landable[:, 0], [15.0, 24.0, 27.0])
     assert study(one.landed, share=0.4).steepest[1, 0] == 30.0
@@ -232,9 +225,8 @@ BASE = ("design-study", "gear.json", "--motor", "motor.json", "--out", "s.h5")
 SMALL = (*BASE, "--slopes", "10:30:10", "--speeds", "0.4,0.8", "--vary", "dx_f=1.3:1.3:1")
 
 
-def test_command_threads_and_resume(files, monkeypatch, run):
-    code, out, err = run(*SMALL, "--json", "--threads", "1")
-    assert code == 0, err
+def test_command_threads_and_resume(files, killed, run, done):
+    out, err = done(*SMALL, "--json", "--threads", "1")
     document = json.loads(out)
     assert document["changes"][0]["change"] == "dx_f ×"
     first, _ = read_study(files / "s.h5")
@@ -244,45 +236,23 @@ def test_command_threads_and_resume(files, monkeypatch, run):
     # Ctrl-C after the first block, then on, with another number of threads.
     (files / "s.h5").unlink()
     (files / "s.png").unlink()
-    save = blocks.BlockStore.save
-
-    def save_and_die(store, name, columns):
-        save(store, name, columns)
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(blocks.BlockStore, "save", save_and_die)
-        code, _, _ = run(*SMALL, "--quiet")
-    assert code == 130
+    killed(*SMALL, "--quiet")
     assert not (files / "s.h5").exists()
-    code, out, err = run(*SMALL, "--resume", "--threads", "2")
-    assert code == 0, err
+    out, _ = done(*SMALL, "--resume", "--threads", "2")
     assert "dx_f" in out
     second, _ = read_study(files / "s.h5")
     np.testing.assert_array_equal(first.landed, second.landed)
     assert not list(files.glob("*.blocks"))
 
 
-def test_rules_are_options_of_a_study(files, run):
+def test_rules_are_options_of_a_study(files, run, done):
     late = (
         *BASE, "--vary", "k_t=1:1:1", "--slopes", "10,20", "--speeds", "0.4", "--controller", "impulse:3,0.1",
     )  # fmt: skip
     code, _, err = run(*late)
     assert (code, "only 3 s are simulated" in err, "--horizon" in err) == (2, True, True), err
-    rules = (
-        "--short",
-        "0.1",
-        "--long",
-        "2",
-        "--rest-speed",
-        "0.06",
-        "--rest-turn",
-        "0.3",
-        "--rest-time",
-        "0.1",
-    )
-    code, _, err = run(*late, "--horizon", "3.5", *rules, "--flip-deg", "70", "--quiet")
-    assert code == 0, err
+    rules = ("--short", 0.1, "--long", 2, "--rest-speed", 0.06, "--rest-turn", 0.3, "--rest-time", 0.1)
+    done(*late, "--horizon", "3.5", *rules, "--flip-deg", "70", "--quiet")
     found, _ = read_study(files / "s.h5")
     assert found.settings.maps.rules == Rules(3.5, 0.1, 2.0, 0.06, 0.3, 0.1, math.radians(70.0))
 

@@ -11,7 +11,6 @@ import pytest
 
 from fakes.places import PUBLISHED
 from sysid import resume as blocks
-from sysid.landing import controllers
 from sysid.landing.map_store import read_maps
 from sysid.landing.maps import LandingWork
 from sysid.landing.outcomes import Outcome
@@ -23,31 +22,35 @@ LF, HF, MOTOR = (PUBLISHED / f"published-{name}.json" for name in ("gear-lf", "g
 GRID = ("--slopes", "4,40", "--speeds", "0.3,1.5")
 
 
-@pytest.fixture
-def run(run, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    return run
+def assert_same(one, other, names=("outcome", "distance", "time", "uncertain")):
+    """Two files hold the same maps and optima."""
+    for mine, theirs in zip(one.maps, other.maps, strict=True):
+        for name in names:
+            np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
+    for mine, theirs in zip(one.impulses, other.impulses, strict=True):
+        for name, values in mine.optimum.items():
+            np.testing.assert_array_equal(values, theirs.optimum[name])
 
 
-def test_one_landing_per_set_as_csv_and_hdf5(run, tmp_path):
+def rows_of(path):
+    with Path(path).open(newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_one_landing_per_set_as_csv_and_hdf5(done, tmp_path):
     command = ("simulate", LF, "--motor", MOTOR, "--slope-deg", 10, "--speed", 0.5)
-    code, out, err = run(*command, "--controller", "off", "--out", "x.csv")
-    assert code == 0, err
+    out, _err = done(*command, "--controller", "off", "--out", "x.csv")
     assert "short" in out
-    with Path("x.csv").open(newline="", encoding="utf-8") as stream:
-        rows = list(csv.DictReader(stream))
+    rows = rows_of("x.csv")
     assert tuple(rows[0]) == ("set", *COLUMNS)
     assert len(rows) == 3001
     assert float(rows[0]["z_B_rate [m/s]"]) == pytest.approx(-0.5)  # turned into the slope and back
-    with Path("x-outcomes.csv").open(newline="", encoding="utf-8") as stream:
-        (outcome,) = csv.DictReader(stream)
+    (outcome,) = rows_of("x-outcomes.csv")
     assert outcome["outcome"] == "short"
-    with Path("x-events.csv").open(newline="", encoding="utf-8") as stream:
-        events = list(csv.DictReader(stream))
+    events = rows_of("x-events.csv")
     assert events[0] == {"set": "1", "time [s]": "0.0", "event": "touchdown", "of": "rear"}
     assert {"event": "rest", "of": "body"}.items() <= events[-1].items()
-    code, out, err = run(*command, "--controller", "off", "--out", "x.h5", "--json")
-    assert code == 0, err
+    out, _ = done(*command, "--controller", "off", "--out", "x.h5", "--json")
     (entry,) = json.loads(out)
     assert entry["outcome"] == "short"
     with h5py.File("x.h5") as file:
@@ -58,8 +61,7 @@ def test_one_landing_per_set_as_csv_and_hdf5(run, tmp_path):
         assert json.loads(file["settings_json"].asstr()[()])["rules"]["short"] == 0.45
 
 
-def test_options_reach_the_landing(run, monkeypatch):
-    monkeypatch.setattr(controllers, "CONTROLLERS", dict(controllers.CONTROLLERS))
+def test_options_reach_the_landing(run):
     command = ("simulate", LF, "--motor", MOTOR, "--slope-deg", 10, "--speed", 0.5, "--json")
     wide = json.loads(run(*command, "--short", "0.001", "--long", "5")[1])[0]
     assert wide["outcome"] == "near"
@@ -97,14 +99,13 @@ def test_refusals_of_simulate(tmp_path, arguments, says, refused):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_landing_map_of_both_surfaces(run, refused):
+def test_a_landing_map_of_both_surfaces(done, refused):
     Path("real.csv").write_text(
         "surface,controller,slope [deg],speed [m/s],outcome\nlf,off,4,0.3,landed\nhf,off,40,1.5,failed\n",
         encoding="utf-8",
     )
     command = ("landing-map", LF, HF, "--motor", MOTOR, *GRID, "--out", "map.h5")
-    code, out, err = run(*command, "--experiments", "real.csv")
-    assert code == 0, err
+    out, _err = done(*command, "--experiments", "real.csv")
     assert "1 of 1 real landings agree" in out
     # One line of headings on a terminal of 80 columns.
     heads = [line.split() for line in out.splitlines() if "observed" in line]
@@ -125,10 +126,7 @@ def test_a_landing_map_of_both_surfaces(run, refused):
     assert found.settings["real landings"][1] == {
         "surface": "hf", "controller": "off", "slope_deg": 40.0, "speed": 1.5, "outcome": "failed"
     }  # fmt: skip
-    code, out, err = run(
-        *command, "--force", "--json", "--no-check", "--threads", "1", "--experiments", "real.csv"
-    )
-    assert code == 0, err
+    out, _ = done(*command, "--force", "--json", "--no-check", "--threads", "1", "--experiments", "real.csv")
     told = [entry["real landings"] for entry in json.loads(out)["maps"]]
     assert told[0] == {
         "counts, observed by simulated": {"landed": {"short": 1, "near": 0, "flipped": 0, "other": 0}},
@@ -139,9 +137,7 @@ def test_a_landing_map_of_both_surfaces(run, refused):
     again = read_maps("map.h5")
     assert not any(one.checked for one in again.maps)
     assert [entry["uncertain [%]"] for entry in json.loads(out)["maps"]] == [None] * 4
-    for one, other in zip(found.maps, again.maps, strict=True):
-        np.testing.assert_array_equal(one.outcome, other.outcome)
-        np.testing.assert_array_equal(one.distance, other.distance)
+    assert_same(found, again, ("outcome", "distance"))
     entry = json.loads(out)["maps"][0]
     assert sum(entry["cells"].values()) == 4
     assert entry["lost"] == 0
@@ -158,7 +154,7 @@ def test_progress_of_few_landings_is_a_fraction(monkeypatch):
     assert " 40 landings/s" in progress.line()
 
 
-def test_ctrl_c_keeps_the_finished_blocks(run, monkeypatch, refused):
+def test_ctrl_c_keeps_the_finished_blocks(run, done, monkeypatch, refused):
     command = ("landing-map", LF, HF, "--motor", MOTOR, *GRID, "--out", "map.h5", "--no-check")
     compute, calls = LandingWork.__call__, []
 
@@ -179,20 +175,16 @@ def test_ctrl_c_keeps_the_finished_blocks(run, monkeypatch, refused):
     assert not Path("map.h5").exists()
     refused("--resume", *command)
     refused("the controller differs", *command, "--resume", "--controller", "off")
-    code, _, err = run(*command, "--resume")
-    assert code == 0, err
+    _, err = done(*command, "--resume")
     assert not folder.exists()
     code, _, err = run(*command[:-3], "--out", "whole.h5", "--no-check")
-    for one, other in zip(read_maps("map.h5").maps, read_maps("whole.h5").maps, strict=True):
-        np.testing.assert_array_equal(one.outcome, other.outcome)
-        np.testing.assert_array_equal(one.time, other.time)
+    assert_same(read_maps("map.h5"), read_maps("whole.h5"))
 
 
-def test_an_impulse_map(run, refused):
+def test_an_impulse_map(done, refused):
     tried = ("--delays", "0:0.12:0.04", "--durations", "0:0.1:0.05")
     command = ("impulse-map", LF, "--motor", MOTOR, "--slopes", "0,20", "--speeds", "0.4", "--out", "i.h5")
-    code, _, err = run(*command, *tried, "--quiet")
-    assert code == 0, err
+    done(*command, *tried, "--quiet")
     found = read_maps("i.h5")
     (best,) = found.impulses
     assert best.optimum["delay"].shape == (1, 2, 1)
@@ -217,38 +209,21 @@ IMPULSE += ("--quiet", "--no-check")
 @pytest.mark.parametrize(
     ("options", "rear"), [((), -0.8), (("--front", "0.5"), -0.5), (("--rear", "0.1"), 0.1)]
 )
-def test_motors_without_delay_pull_behind_as_they_push_in_front(run, options, rear):
+def test_motors_without_delay_pull_behind_as_they_push_in_front(done, options, rear):
     tried = ("--delays", "0,0.04", "--durations", "0,0.05")
-    code, _, err = run(*IMPULSE, *tried, "--ideal-reversal", *options, "--out", "i.h5")
-    assert code == 0, err
+    done(*IMPULSE, *tried, "--ideal-reversal", *options, "--out", "i.h5")
     assert read_maps("i.h5").settings["impulses"]["rear"] == rear
 
 
-def test_an_impulse_map_goes_on_where_it_was_stopped_on_another_number_of_threads(run, monkeypatch, refused):
+def test_an_impulse_map_goes_on_where_it_was_stopped_on_another_number_of_threads(done, killed, refused):
     command = (*IMPULSE, "--delays", "0:0.08:0.04", "--durations", "0,0.05")
-    code, _, err = run(*command, "--out", "whole.h5", "--threads", "1")
-    assert code == 0, err
-    save = blocks.BlockStore.save
-
-    def save_and_die(store, name, columns):
-        save(store, name, columns)
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(blocks.BlockStore, "save", save_and_die)
-        code, _, _ = run(*command, "--out", "i.h5", "--threads", "1")
-    assert code == 130
+    _, _err = done(*command, "--out", "whole.h5", "--threads", "1")
+    killed(*command, "--out", "i.h5", "--threads", "1")
     kept = list(blocks.BlockStore.folder_of(Path("i.h5")).glob("*.npz"))
     assert len(kept) == 1  # of two slopes
     refused("the impulse search differs", *command, "--out", "i.h5", "--resume", "--delays", "0,0.04")
-    code, _, err = run(*command, "--out", "i.h5", "--resume", "--threads", "2")
-    assert code == 0, err
-    one, two = read_maps("whole.h5"), read_maps("i.h5")
-    for name, values in one.impulses[0].optimum.items():
-        np.testing.assert_array_equal(values, two.impulses[0].optimum[name])
-    for a, b in zip(one.maps, two.maps, strict=True):
-        np.testing.assert_array_equal(a.outcome, b.outcome)
-        np.testing.assert_array_equal(a.time, b.time)
+    done(*command, "--out", "i.h5", "--resume", "--threads", "2")
+    assert_same(read_maps("whole.h5"), read_maps("i.h5"))
 
 
 @pytest.mark.parametrize(
@@ -288,23 +263,15 @@ def test_two_gears_of_one_surface_are_refused(refused):
 
 
 @pytest.mark.slow
-def test_a_cluster_gives_the_same_map(run):
+def test_a_cluster_gives_the_same_map(done):
     pytest.importorskip("distributed", reason="Dask comes with the test extra")
     command = ("landing-map", HF, "--motor", MOTOR, "--slopes", "5:40:7", "--speeds", "0.2:1.4:0.4")
-    code, _, err = run(*command, "--out", "here.h5")
-    assert code == 0, err
-    code, _, err = run(*command, "--out", "there.h5", "--dask", "local")
-    assert code == 0, err
+    _, err = done(*command, "--out", "here.h5")
+    _, _err = done(*command, "--out", "there.h5", "--dask", "local")
     tried = (*IMPULSE, "--delays", "0:0.08:0.04", "--durations", "0,0.05")
     for where in ((), ("--dask", "local")):
-        code, _, err = run(*tried, *where, "--out", f"impulse-{len(where)}.h5")
-        assert code == 0, err
+        done(*tried, *where, "--out", f"impulse-{len(where)}.h5")
     for here, there in (("here.h5", "there.h5"), ("impulse-0.h5", "impulse-2.h5")):
-        one, two = read_maps(here), read_maps(there)
-        for own, other in zip(one.maps, two.maps, strict=True):
-            for name in ("outcome", "distance", "time", "uncertain"):
-                np.testing.assert_array_equal(getattr(own, name), getattr(other, name))
-        for own, other in zip(one.impulses, two.impulses, strict=True):
-            for name, values in own.optimum.items():
-                np.testing.assert_array_equal(values, other.optimum[name])
+        one = read_maps(here)
+        assert_same(one, read_maps(there))
     assert len(one.impulses) == 1

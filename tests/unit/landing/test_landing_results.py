@@ -11,7 +11,6 @@ import pytest
 from fakes.places import PUBLISHED
 from sysid.errors import CampaignError, ExportError
 from sysid.export.published import table_1, table_2
-from sysid.landing import controllers
 from sysid.landing.controllers import find_controller, load_controllers, name_of
 from sysid.landing.drone import drones
 from sysid.landing.impulse import Impulses, ImpulseSettings
@@ -28,21 +27,7 @@ from sysid.workflows.options import span
 LF, HF, MOTOR = (PUBLISHED / f"published-{name}.json" for name in ("gear-lf", "gear-hf", "motor"))
 CELLS = ("--slopes", "4", "--speeds", "0.3", "--no-check")
 MAP = ("landing-map", LF, "--motor", MOTOR, *CELLS, "--controller", "off", "--out", "map.h5")
-IMPULSE = (
-    "impulse-map",
-    LF,
-    "--motor",
-    MOTOR,
-    *CELLS,
-    *["--delays", "0", "--durations", "0", "--out", "map.h5"],
-)
-
-
-@pytest.fixture
-def run(run, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(controllers, "CONTROLLERS", dict(controllers.CONTROLLERS))
-    return run
+IMPULSE = ("impulse-map", LF, "--motor", MOTOR, *CELLS, "--delays", 0, "--durations", 0, "--out", "map.h5")
 
 
 @pytest.mark.parametrize("command", [MAP, IMPULSE])
@@ -67,7 +52,7 @@ def test_no_figure_is_replaced_unasked(run, tmp_path, command, names):
         Path(name).unlink()
 
 
-def test_a_figure_that_fails_costs_no_landing(run, monkeypatch):
+def test_a_figure_that_fails_costs_no_landing(run, done, monkeypatch):
     def fail(*_, **__):
         raise ExportError("map.png: the disk is full")
 
@@ -84,8 +69,7 @@ def test_a_figure_that_fails_costs_no_landing(run, monkeypatch):
         raise AssertionError("a finished block is computed again")
 
     monkeypatch.setattr("sysid.landing.maps.LandingWork.__call__", computes)
-    code, _, err = run(*MAP, "--resume", "--force")
-    assert code == 0, err
+    done(*MAP, "--resume", "--force")
     assert Path("map.png").exists()
     assert not BlockStore.folder_of(Path("map.h5")).exists()
 
@@ -102,14 +86,13 @@ def test_a_result_that_cannot_be_written_keeps_its_blocks(run, monkeypatch):
     assert len(list(BlockStore.folder_of(Path("map.h5")).glob("*.npz"))) == 1
 
 
-def test_real_landings_find_their_map_by_the_controllers_name(run):
+def test_real_landings_find_their_map_by_the_controllers_name(done):
     Path("real.csv").write_text(
         "surface,controller,slope [deg],speed [m/s],outcome\nLow friction,Off,4,0.3,landed\n"
         "lf,reverse,4,0.3,landed\ngrass,off,4,0.3,landed\ngrass,off,4,0.3,landed\n",
         encoding="utf-8",
     )
-    code, out, err = run(*MAP, "--experiments", "real.csv", "--trigger", "imu")
-    assert code == 0, err
+    out, err = done(*MAP, "--experiments", "real.csv", "--trigger", "imu")
     assert "LF, off, own sensing: 1 of 1 real landings agree" in " ".join(out.split())
     assert "real.csv: 3 of 4 real landings belong to no map" in err
     assert "lf 'reverse' (1), grass 'off' (2)" in err
@@ -196,11 +179,8 @@ def test_steps_after_the_simulated_time_are_refused(run, tmp_path):
 
 def test_what_follows_an_impulse_names_its_maps():
     named = {after: variants(ImpulseSettings(after=after))[0] for after in (-1.0, 0.0, -0.5)}
-    assert named == {
-        -1.0: "impulse, then reverse",
-        0.0: "impulse, then off",
-        -0.5: "impulse, then command:-0.5",
-    }
+    then = {-1.0: "reverse", 0.0: "off", -0.5: "command:-0.5"}
+    assert named == {after: f"impulse, then {name}" for after, name in then.items()}
 
 
 def test_no_impulse_is_always_tried():
@@ -232,23 +212,21 @@ def test_the_search_for_an_impulse_keeps_the_rules_of_landings():
         assert math.isnan(Impulses(drone, grid, rules).optimize(cell, 1e-4).turn[0])
 
 
-def test_the_horizon_and_the_flip_angle_reach_the_search_of_an_impulse_map(run):
+def test_the_horizon_and_the_flip_angle_reach_the_search_of_an_impulse_map(done):
     command = (*IMPULSE, "--slopes", "20", "--speeds", "0.4", "--delays", "0,0.02", "--durations", "0,0.04")
     seen = {}
     for rules in ((), ("--flip-deg", "10"), ("--horizon", "0.07")):
-        code, _, err = run(*command, *rules, "--quiet", "--force")
-        assert code == 0, err
+        done(*command, *rules, "--quiet", "--force")
         (best,) = read_maps("map.h5").impulses
         seen[rules] = bool(np.isfinite(best.optimum["turn"]).all())
     assert list(seen.values()) == [True, False, False]
 
 
-def test_origins_of_two_fits_of_one_name_are_both_kept(run):
+def test_origins_of_two_fits_of_one_name_are_both_kept(done):
     for surface, source in (("low", LF), ("high", HF)):
         Path(surface).mkdir()
         shutil.copy(source, Path(surface) / "gear.json")
-    code, _, err = run("landing-map", "low/gear.json", "high/gear.json", *MAP[2:])
-    assert code == 0, err
+    done("landing-map", "low/gear.json", "high/gear.json", *MAP[2:])
     origin = read_maps("map.h5").provenance
     assert {"gear lf", "gear hf", "motor"} <= set(origin)
     assert origin["gear lf"]["file"] == origin["gear hf"]["file"] == "gear.json"
@@ -264,11 +242,18 @@ def test_origins_of_two_fits_of_one_name_are_both_kept(run):
         ("0:0.26:0.01", 0.26, 27),
         ("0:45:1", 45.0, 46),
         ("1:1:2", 1.0, 1),
+        ("3,5", 5.0, 2),
     ],
 )
 def test_spans_end_at_or_before_their_last(text, last, count):
     found = span(text, "--speeds")
     assert (found[-1], len(found)) == (last, count)
+
+
+@pytest.mark.parametrize("text", ["0:45", "a", "1,1", "5:0:1", "0:1:0", ""])
+def test_spans_that_make_no_sense(text):
+    with pytest.raises(CampaignError, match="--slopes"):
+        span(text, "--slopes")
 
 
 def test_what_flips_first_has_no_time_to_rest():
@@ -283,10 +268,9 @@ def test_what_flips_first_has_no_time_to_rest():
     assert math.isnan(many.time[0])
 
 
-def test_tables_of_landings_say_under_what_they_happened(run):
+def test_tables_of_landings_say_under_what_they_happened(done):
     rest = ["--slope-deg", "10", "--speed", "0.5", "--flip-deg", "70", "--out", "x.csv"]
-    code, _, err = run("simulate", LF, "--motor", MOTOR, *rest)
-    assert code == 0, err
+    done("simulate", LF, "--motor", MOTOR, *rest)
     with Path("x-outcomes.csv").open(newline="", encoding="utf-8") as stream:
         (row,) = csv.DictReader(stream)
     assert (row["surface"], row["controller"], row["outcome"]) == ("lf", "reverse", "short")
@@ -294,10 +278,9 @@ def test_tables_of_landings_say_under_what_they_happened(run):
     np.testing.assert_allclose([float(row[name]) for name in numbers], [10.0, 0.5, 3.0, 0.45, 70.0])
 
 
-def test_rules_reach_the_impulse_map(run):
+def test_rules_reach_the_impulse_map(done):
     rules = ("--rest-speed", "0.06", "--rest-turn", "0.3", "--rest-time", "0.1", "--flip-deg", "70")
-    code, _, err = run(*IMPULSE, *rules, "--quiet")
-    assert code == 0, err
+    done(*IMPULSE, *rules, "--quiet")
     found = read_maps("map.h5").settings["rules"]
     assert (found["rest_speed"], found["rest_turn"], found["rest_time"]) == (0.06, 0.3, 0.1)
     assert found["flip_angle"] == pytest.approx(math.radians(70.0))
