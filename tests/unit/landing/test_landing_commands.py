@@ -39,7 +39,7 @@ def rows_of(path):
 
 def test_one_landing_per_set_as_csv_and_hdf5(done, tmp_path):
     command = ("simulate", LF, "--motor", MOTOR, "--slope-deg", 10, "--speed", 0.5)
-    out, _err = done(*command, "--controller", "off", "--out", "x.csv")
+    out, _ = done(*command, "--controller", "off", "--out", "x.csv")
     assert "short" in out
     rows = rows_of("x.csv")
     assert tuple(rows[0]) == ("set", *COLUMNS)
@@ -105,7 +105,7 @@ def test_a_landing_map_of_both_surfaces(done, refused):
         encoding="utf-8",
     )
     command = ("landing-map", LF, HF, "--motor", MOTOR, *GRID, "--out", "map.h5")
-    out, _err = done(*command, "--experiments", "real.csv")
+    out, _ = done(*command, "--experiments", "real.csv")
     assert "1 of 1 real landings agree" in out
     # One line of headings on a terminal of 80 columns.
     heads = [line.split() for line in out.splitlines() if "observed" in line]
@@ -217,7 +217,7 @@ def test_motors_without_delay_pull_behind_as_they_push_in_front(done, options, r
 
 def test_an_impulse_map_goes_on_where_it_was_stopped_on_another_number_of_threads(done, killed, refused):
     command = (*IMPULSE, "--delays", "0:0.08:0.04", "--durations", "0,0.05")
-    _, _err = done(*command, "--out", "whole.h5", "--threads", "1")
+    done(*command, "--out", "whole.h5", "--threads", "1")
     killed(*command, "--out", "i.h5", "--threads", "1")
     kept = list(blocks.BlockStore.folder_of(Path("i.h5")).glob("*.npz"))
     assert len(kept) == 1  # of two slopes
@@ -266,8 +266,8 @@ def test_two_gears_of_one_surface_are_refused(refused):
 def test_a_cluster_gives_the_same_map(done):
     pytest.importorskip("distributed", reason="Dask comes with the test extra")
     command = ("landing-map", HF, "--motor", MOTOR, "--slopes", "5:40:7", "--speeds", "0.2:1.4:0.4")
-    _, err = done(*command, "--out", "here.h5")
-    _, _err = done(*command, "--out", "there.h5", "--dask", "local")
+    done(*command, "--out", "here.h5")
+    done(*command, "--out", "there.h5", "--dask", "local")
     tried = (*IMPULSE, "--delays", "0:0.08:0.04", "--durations", "0,0.05")
     for where in ((), ("--dask", "local")):
         done(*tried, *where, "--out", f"impulse-{len(where)}.h5")

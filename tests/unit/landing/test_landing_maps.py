@@ -1,14 +1,13 @@
 """Maps in blocks: resume, damage, stops, files, experiments, figures."""
 
 from dataclasses import replace
-from io import StringIO
 
 import h5py
 import numpy as np
 import pytest
 from matplotlib.collections import QuadMesh
-from rich.console import Console
 
+from fakes.printed import printed
 from sysid.errors import CampaignError, ExportError, LogError
 from sysid.landing.impulse import ImpulseSettings
 from sysid.landing.impulse_maps import OPTIMUM, UNITS, ImpulseMap
@@ -201,19 +200,15 @@ def test_a_slope_at_the_edge_of_the_map_is_a_lower_bound():
     easy.outcome[:, :, 6] = Outcome.FLIPPED  # at 1.5 m/s none
     entry = summary([easy])[0]
     assert entry["lower bounds, at the map's edge"] == ["0.3 m/s", "0.6 m/s"]
-    with StringIO() as stream:
-        Console(file=stream, width=200).print(_summary_table([entry]))
-        row = stream.getvalue().splitlines()[-2]
-    assert "≥ 45   ≥ 45" in row
+    row = printed(_summary_table([entry])).splitlines()[-2]
+    assert row.count("≥ 45") == 2
     assert "–" in row
 
 
 def test_doubts_that_were_not_looked_for_are_not_told(tmp_path):
     entry = summary([replace(some_map(), checked=False)])[0]
     assert entry["uncertain [%]"] is None
-    with StringIO() as stream:
-        Console(file=stream, width=200).print(_summary_table([entry]))
-        assert stream.getvalue().splitlines()[-2].rstrip().endswith("–")
+    assert printed(_summary_table([entry])).splitlines()[-2].rstrip().endswith("–")
     write_maps(tmp_path / "m.h5", MapFile((replace(some_map(), checked=False), some_map()), (), {}, {}))
     assert [one.checked for one in read_maps(tmp_path / "m.h5").maps] == [False, True]
     with h5py.File(tmp_path / "m.h5") as file:
