@@ -94,7 +94,7 @@ def profile(
     best: FloatArray,
     seed: int,
     resolution: float,
-    should_stop: Callable[[], bool] | None,
+    should_stop: Callable[[], bool],
 ) -> CostProfile:
     """Walk a free parameter through its bounds and fit the others at every step.
 
@@ -122,7 +122,7 @@ def profile(
 
 
 def _refit(
-    objective: MotorProblem, at: FloatArray, seed_of_value: int, should_stop: Callable[[], bool] | None
+    objective: MotorProblem, at: FloatArray, seed_of_value: int, should_stop: Callable[[], bool]
 ) -> tuple[float, FloatArray]:
     """Return the lowest NRMSE near a point of the unit cube, and where it is."""
     many, generations, spread = _REFIT
