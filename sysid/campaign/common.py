@@ -108,16 +108,14 @@ class ParameterChoices(Table):
         for row in space.free:
             unit = "" if row.unit == "1" else f" {row.unit}"
             low, high = ranges.get(row.name, (row.lower, row.upper))
-            if high < row.lower or low > row.upper:
+            shown = f"{low:g} to {high:g}" if high < row.lower or low > row.upper else ""
+            value = campaign_values.get(row.name, row.lower)
+            if not shown and not row.lower <= value <= row.upper:
+                shown = f"value {value:g}"
+            if shown:
                 raise CampaignError(
                     f"parameters.bounds.{row.name}: {row.lower:g} to {row.upper:g}{unit} exclude the "
-                    f"measured {low:g} to {high:g}; widen the bounds or correct the measurement"
-                )
-            value = campaign_values.get(row.name)
-            if value is not None and not row.lower <= value <= row.upper:
-                raise CampaignError(
-                    f"parameters.bounds.{row.name}: {row.lower:g} to {row.upper:g}{unit} exclude the "
-                    f"measured value {value:g}; widen the bounds or correct the measurement"
+                    f"measured {shown}; widen the bounds or correct the measurement"
                 )
         return space
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from functools import partial
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
@@ -109,23 +109,20 @@ class Window(Table):
 _LARGEST_OFFSET = 0.020
 
 
-def _small(thousandth: str) -> Callable[[float], float]:
-    def check(value: float) -> float:
-        if value > _LARGEST_OFFSET:
-            raise ValueError(
-                f"{1e3 * value:g} {thousandth} is more than {1e3 * _LARGEST_OFFSET:g} {thousandth}, no "
-                "error of a measurement any more; correct the surface's place or the trial's start instead"
-            )
-        return value
-
-    return check
+def _small(value: float, thousandth: str) -> float:
+    if value > _LARGEST_OFFSET:
+        raise ValueError(
+            f"{1e3 * value:g} {thousandth} is more than {1e3 * _LARGEST_OFFSET:g} {thousandth}, no "
+            "error of a measurement any more; correct the surface's place or the trial's start instead"
+        )
+    return value
 
 
 class Nuisance(Table):
     """`[nuisance]`: offsets of each fitted drop that the search may choose, up to these; none by default."""
 
-    height: Annotated[PositiveLength, AfterValidator(_small("mm"))] | None = None
-    start_time: Annotated[PositiveTime, AfterValidator(_small("ms"))] | None = None
+    height: Annotated[PositiveLength, AfterValidator(partial(_small, thousandth="mm"))] | None = None
+    start_time: Annotated[PositiveTime, AfterValidator(partial(_small, thousandth="ms"))] | None = None
 
 
 class KaiserFilter(Table):

@@ -130,9 +130,7 @@ class BenchOptions(LogOptions):
         None
     )
     segment: Annotated[int | None, Option("Which segment to read, counted from 1.", check=_positive)] = None
-    static: Annotated[
-        bool | None, Option("True: rows are averaged points; False: they must be a running log.")
-    ] = None
+    static: Annotated[bool | None, Option("True: rows are averaged points; False: a running log.")] = None
     pulses_per_revolution: Annotated[
         float | None, Option("Pulses of the tachometer in one turn of the rotor.", check=_positive)
     ] = None
@@ -142,9 +140,7 @@ class BenchOptions(LogOptions):
     transform: Annotated[
         Any, Option("From the load cell to the motor's axes: dx dy dz, then rx ry rz (`motor_transform`).")
     ] = None
-    tare: Annotated[
-        float | None, Option("Time at the start without load, whose mean is subtracted.", unit="s")
-    ] = None
+    tare: Annotated[float | None, Option("Start without load, whose mean is subtracted.", unit="s")] = None
 
 
 @dataclass(frozen=True)
@@ -158,18 +154,10 @@ class CaptureOptions(LogOptions):
         Mapping[str, tuple[str, ...]] | None, Option("Markers by body, whose pose is then fitted.")
     ] = None
     topic: Annotated[str | None, Option("The only topic to read.")] = None
-    quaternion_order: Annotated[
-        str | None, Option("Order of numbered quaternion columns.", choices=("wxyz", "xyzw"))
-    ] = None
-    length_unit: Annotated[
-        str | None, Option("Unit of lengths, where the file does not state it.", check=known_unit)
-    ] = None
-    euler_order: Annotated[
-        str | None, Option("Order of the rotations, where the file does not state it.")
-    ] = None
-    angles: Annotated[
-        str | None, Option('What three angles are: "helical" (rotation vector) or an Euler order.')
-    ] = None
+    quaternion_order: Annotated[str | None, Option("Order of q0 to q3.", choices=("wxyz", "xyzw"))] = None
+    length_unit: Annotated[str | None, Option("Unit of lengths, if not stated.", check=known_unit)] = None
+    euler_order: Annotated[str | None, Option("Order of the rotations, if not stated.")] = None
+    angles: Annotated[str | None, Option('"helical" (rotation vector) or an Euler order.')] = None
     clock: Annotated[
         str | None, Option("Which times to use.", choices=("auto", "frame", "time", "header", "arrival"))
     ] = None

@@ -36,19 +36,10 @@ NO, POSSIBLE, CERTAIN = 0, 1, 2
 class LogFormat:
     """One log format.
 
-    Parameters
-    ----------
-    name : str
-        What a user writes as ``format``.
-    describes : str
-        One line for lists.
-    recognize : callable
-        ``recognize(source) -> NO, POSSIBLE or CERTAIN`` from `Source.head`; it raises nothing.
-    read : callable
-        ``read(source, **options) -> Recording``.
-    takes : mapping of str to tuple of str, optional
-        Options of `sysid.loaders.options` that `read` takes, and the values among which this format chooses
-        (empty: any). Without it, the options are the keyword-only arguments of `read`.
+    `name` is what a user writes as ``format``, `describes` one line for lists. ``recognize(source)`` returns
+    NO, POSSIBLE or CERTAIN from `Source.head` and raises nothing; ``read(source, **options)`` returns the
+    recording. `takes` are the options of `sysid.loaders.options` that `read` takes, and the values among
+    which this format chooses (empty: any); without it, the keyword-only arguments of `read`.
     """
 
     name: str
@@ -164,8 +155,6 @@ def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording
 
     Parameters
     ----------
-    path : str or Path
-        The log.
     format : str
         Name of the format, or ``"auto"`` to judge by content.
     **options

@@ -49,11 +49,9 @@ def choose_speed(
         low, high = np.percentile(ratio, [25, 75])
         # One pole pair of fourteen is 7 %; probes that agree differ by well under 2 %.
         if abs(middle - 1.0) > 0.02 and high - low < 0.02 * abs(middle):
-            notes.append(
-                Finding(
-                    "pole-count",
-                    f"electrical speed is {middle:.4g} times the optical one throughout: "
-                    "the pole count set in the stand's program is probably wrong",
-                )
+            sentence = (
+                f"electrical speed is {middle:.4g} times the optical one throughout: "
+                "the pole count set in the stand's program is probably wrong"
             )
+            notes.append(Finding("pole-count", sentence))
     return optical, notes

@@ -67,13 +67,9 @@ def _tree_v73(path: str) -> Tree:
         return branch(file)
 
 
-def _scalar(value: object) -> float | None:
-    array = np.asarray(value)
-    return float(array.reshape(-1)[0]) if array.size == 1 and array.dtype.kind in "iuf" else None
-
-
 def _rate_in(branch: Tree) -> float | None:
-    return next((_scalar(value) for name, value in branch.items() if name.casefold() in _RATES), None)
+    array = np.asarray(next((value for name, value in branch.items() if name.casefold() in _RATES), None))
+    return float(array.reshape(-1)[0]) if array.size == 1 and array.dtype.kind in "iuf" else None
 
 
 def _described(name: str, value: object) -> str:
@@ -95,11 +91,11 @@ def _walk(branch: Tree, where: str, rate: float | None, passed_over: list[str]) 
             inner = next((value[key] for key in _VALUES if key in value), None)
             if isinstance(inner, np.ndarray):
                 unit = next(
-                    (value[key] for key in ("unit", "units") if isinstance(value.get(key), str)), None
+                    (text for text in map(value.get, ("unit", "units")) if isinstance(text, str)), None
                 )
                 inner_rate = _rate_in(value)
-                own_rate = rate if inner_rate is None else inner_rate
-                yield from _arrays(full, inner, unit, own_rate, inner_rate is None, passed_over)
+                array_rate = rate if inner_rate is None else inner_rate
+                yield from _arrays(full, inner, unit, array_rate, inner_rate is None, passed_over)
             else:
                 yield from _walk(value, full, rate, passed_over)
         elif isinstance(value, np.ndarray):
@@ -109,12 +105,7 @@ def _walk(branch: Tree, where: str, rate: float | None, passed_over: list[str]) 
 
 
 def _arrays(
-    name: str,
-    array: np.ndarray[Any, Any],
-    unit: str | None,
-    rate: float | None,
-    inherited: bool,
-    passed_over: list[str],
+    name: str, array: Any, unit: str | None, rate: float | None, inherited: bool, passed_over: list[str]
 ) -> Iterator[Signal]:
     if array.size < 2 or array.dtype.kind in "USV":  # settings and words
         return

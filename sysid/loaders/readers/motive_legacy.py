@@ -56,11 +56,15 @@ class _Frames:
         return out
 
 
-def _count(cell: str) -> int:
-    number = int(cell)
-    if not 0 <= number <= _MOST:
-        raise ValueError(cell)
-    return number
+def _parts(cells: Sequence[str], place: int, width: int) -> tuple[list[Sequence[str]], int]:
+    """Return the cells of each body or marker that the count at `place` promises, and where they end."""
+    count = int(cells[place])
+    if not 0 <= count <= _MOST:
+        raise ValueError(cells[place])
+    end = place + 1 + count * width
+    if end > len(cells):
+        raise IndexError
+    return [cells[start : start + width] for start in range(place + 1, end, width)], end
 
 
 def _add_frame(frames: _Frames, names: dict[str, str], number: int, cells: Sequence[str]) -> None:
@@ -69,27 +73,18 @@ def _add_frame(frames: _Frames, names: dict[str, str], number: int, cells: Seque
     markers: dict[str, list[float]] = {}
     parse_number(cells[1])  # refuses an index that is no number
     time = parse_number(cells[2])
-    place = 4
-    for _ in range(_count(cells[3])):
-        part = cells[place : place + _BODY_CELLS]
-        if len(part) < _BODY_CELLS:
-            raise IndexError
+    parts, place = _parts(cells, 3, _BODY_CELLS)
+    for part in parts:
         name = names.get(part[0].strip(), f"body {part[0].strip()}")
         if name in bodies:
             raise ValueError(f"{name} twice")
         bodies[name] = [parse_number(cell) for cell in part[1:8]]
-        place += _BODY_CELLS
-    count = _count(cells[place])
-    place += 1
-    for _ in range(count):
-        part = cells[place : place + _MARKER_CELLS]
-        if len(part) < _MARKER_CELLS:
-            raise IndexError
+    parts, place = _parts(cells, place, _MARKER_CELLS)
+    for part in parts:
         name = part[4].strip() or f"marker {part[3].strip()}"
         if name in markers:
             name = f"{name} {part[3].strip()}"
         markers[name] = [parse_number(cell) for cell in part[:3]]
-        place += _MARKER_CELLS
     if any(cell.strip() for cell in cells[place:]):
         raise ValueError("cells left over")
     row = len(frames.lines)

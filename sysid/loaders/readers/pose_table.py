@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sysid.errors import LogError, UnitError
-from sysid.journal import Finding, note
+from sysid.journal import note
 from sysid.loaders.capture_log import Body, RawCapture, capture_format
 from sysid.loaders.clock import EXPORT_FINER, frame_clock, jitter_note, order_rows
 from sysid.loaders.columns import (
@@ -38,7 +38,6 @@ from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
 from sysid.loaders.source import Source
 from sysid.loaders.table import find_header, read_numbers, table_head
 from sysid.loaders.text import read_text
-from sysid.types import FloatArray
 from sysid.units import factor_to_si
 
 _FRAME = frozenset({"frame", "frame number", "frame no", "frame id", "seq"})
@@ -139,26 +138,6 @@ def _scales(
     return factors, stated
 
 
-def _clock_notes(
-    path: str, time: FloatArray, stamp: Column, frame: Column | None, *, stated: bool
-) -> list[Finding]:
-    """Return what is doubtful about the times; refuse seconds that no column states and no step fits."""
-    notes = []
-    if not stated:
-        step = float(np.median(np.diff(time))) if time.size > 1 else 0.0
-        if step > _LONGEST_STEP:
-            raise UnitError(
-                f'{path}: column "{stamp.label}" states no unit and its steps of {step:g} cannot be seconds; '
-                f'declare it, for example units = {{{stamp.label} = "ms"}}'
-            )
-        notes.append(note("time-unit-assumed", f'column "{stamp.label}" states no unit: read as seconds'))
-    jitter = jitter_note(time)
-    if jitter and frame is not None:
-        sentence = 'the column of frame numbers gives a steady clock: clock = "frame"'
-        jitter.append(note("frame-clock-available", sentence))
-    return notes + jitter
-
-
 def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     path = source.path
     body = body_name(path, options.rigid_body)
@@ -204,7 +183,19 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
         coarse = EXPORT_FINER if frame is None else 'choose clock = "frame"'
         time, ordered = order_rows(path, numbers, stamp.index, seconds, time_back=time_back, coarse=coarse)
     notes = [*numbers.notes, *ordered, *unread_note(header, wanted)]
-    notes += _clock_notes(path, time, stamp, frame, stated=states_time)
+    if not states_time:
+        step = float(np.median(np.diff(time))) if time.size > 1 else 0.0
+        if step > _LONGEST_STEP:
+            raise UnitError(
+                f'{path}: column "{stamp.label}" states no unit and its steps of {step:g} cannot be seconds; '
+                f'declare it, for example units = {{{stamp.label} = "ms"}}'
+            )
+        notes.append(note("time-unit-assumed", f'column "{stamp.label}" states no unit: read as seconds'))
+    jitter = jitter_note(time)
+    notes += jitter
+    if jitter and frame is not None:
+        sentence = 'the column of frame numbers gives a steady clock: clock = "frame"'
+        notes.append(note("frame-clock-available", sentence))
     place = numbers.stacked(position[axis].index for axis in "xyz") * scale
     pose = Body(body, time, place, numbers.stacked(column.index for column in quaternion), numbers)
     for name, columns in extra.items():

@@ -157,12 +157,8 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
         )
     temperatures = [column for column in header if (column.unit or "") in ("ºC", "°C", "degC")]
 
-    wanted = [
-        command,
-        *(column for column, _ in columns.values()),
-        *temperatures,
-        *([clock] if clock else []),
-    ]
+    wanted = [command, *(column for column, _ in columns.values()), *temperatures]
+    wanted += [clock] if clock else []
     indices = [column.index for column in wanted]
     message = find_column(path, header, {"app message"})
     words = message.index if message is not None and message.index > max(indices) else None
