@@ -126,9 +126,7 @@ class BenchOptions(LogOptions):
         float | None,
         Option("Sample rate; it wins over what the file states and replaces a clock too coarse.", unit="Hz"),
     ] = None
-    datasets: Annotated[Mapping[str, str] | None, Option("Signals by channel; exactly these are read.")] = (
-        None
-    )
+    datasets: Annotated[Mapping[str, str] | None, Option("Signals by channel; only these are read.")] = None
     segment: Annotated[int | None, Option("Which segment to read, counted from 1.", check=_positive)] = None
     static: Annotated[bool | None, Option("True: rows are averaged points; False: a running log.")] = None
     pulses_per_revolution: Annotated[
@@ -150,9 +148,7 @@ class CaptureOptions(LogOptions):
     rigid_body: Annotated[
         str | Sequence[str] | None, Option("Bodies to keep; of a format of one body, its name.")
     ] = None
-    bodies: Annotated[
-        Mapping[str, tuple[str, ...]] | None, Option("Markers by body, whose pose is then fitted.")
-    ] = None
+    bodies: Annotated[Mapping[str, tuple[str, ...]] | None, Option("Markers by body; fits its pose.")] = None
     topic: Annotated[str | None, Option("The only topic to read.")] = None
     quaternion_order: Annotated[str | None, Option("Order of q0 to q3.", choices=("wxyz", "xyzw"))] = None
     length_unit: Annotated[str | None, Option("Unit of lengths, if not stated.", check=known_unit)] = None
@@ -163,9 +159,8 @@ class CaptureOptions(LogOptions):
     ] = None
 
 
-def _options(*families: type) -> dict[str, Option]:
-    hints = [get_type_hints(family, include_extras=True) for family in families]
-    return {name: hint.__metadata__[0] for family in hints for name, hint in family.items()}
-
-
-DECLARED = _options(BenchOptions, CaptureOptions)
+DECLARED: dict[str, Option] = {
+    name: hint.__metadata__[0]
+    for family in (BenchOptions, CaptureOptions)
+    for name, hint in get_type_hints(family, include_extras=True).items()
+}

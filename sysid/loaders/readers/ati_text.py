@@ -196,16 +196,6 @@ def _check_first(path: str, column: FloatArray) -> None:
         )
 
 
-def _check_steps(path: str, time: FloatArray) -> None:
-    step = float(np.median(np.diff(time))) if time.size > 1 else 0.0
-    if step >= _SLOWEST_STEP:
-        raise LogError(
-            f"{path}: the first of seven columns, read as seconds, steps by {step:.6g}, too slow for "
-            'a force log; declare its unit, for example units = {time = "ms"}, or the sample rate with '
-            "rate = ... where it counts rows"
-        )
-
-
 def _parse(source: Source, options: BenchOptions) -> RawTable:
     path, time_back = source.path, options.time_back or "refuse"
     rate = None if options.rate is None else positive_rate(path, options.rate)
@@ -231,8 +221,14 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
         raise UnitError(f"{path}: units names a time, but rows hold six numbers and no time; leave it out")
     if lead and rate is None:
         time, ordered = order_rows(path, numbers, 0, seconds or 1.0, time_back=time_back, coarse=DECLARE_RATE)
+        step = float(np.median(np.diff(time))) if time.size > 1 else 0.0
+        if seconds is None and step >= _SLOWEST_STEP:
+            raise LogError(
+                f"{path}: the first of seven columns, read as seconds, steps by {step:.6g}, too slow for "
+                'a force log; declare its unit, for example units = {time = "ms"}, or the sample rate with '
+                "rate = ... where it counts rows"
+            )
         if seconds is None:
-            _check_steps(path, time)
             sentence = "the first of seven columns is taken as the time in seconds, which no label says"
             notes.append(note("first-column-is-time", sentence))
         notes += [*ordered, *jitter_note(time)]

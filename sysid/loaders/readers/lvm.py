@@ -146,15 +146,7 @@ def _segment_signals(
     labels = dict(zip(wanted, unique_names([names[i] for i in wanted]), strict=True))
     signals = []
     clocks = {place: numbers.columns[place] for place in times if np.isfinite(numbers.columns[place]).any()}
-    scaled: dict[tuple[int, float], FloatArray] = {}
-
-    def times_of(column: int | None, seconds: float) -> FloatArray | None:
-        """Return the times of a column [s], one array for all signals that share them."""
-        clock = None if column is None else clocks.get(column)
-        if column is None or clock is None or seconds == 1.0:
-            return clock
-        return scaled.setdefault((column, seconds), clock * seconds)
-
+    scaled: dict[tuple[int | None, float], FloatArray] = {}  # one array for all signals that share it
     for column in wanted:
         values = numbers.columns[column]
         if np.isnan(values).all():
@@ -167,7 +159,9 @@ def _segment_signals(
         start = seconds * _number(path, segment, "X0", place)
         rate = 1.0 / step if step > 0 else None
         unit = segment.stated("y_unit_label", place)
-        time = times_of(clock_column, seconds)
+        time = None if clock_column is None else clocks.get(clock_column)
+        if time is not None and seconds != 1.0:
+            time = scaled.setdefault((clock_column, seconds), time * seconds)
         signals.append(
             Signal(f"/{label}", written_unit(unit), partial(np.asarray, values), rate, start, time, label)
         )

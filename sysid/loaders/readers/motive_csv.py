@@ -73,12 +73,6 @@ def _recognize(source: Source) -> int:
     return CERTAIN if first.lstrip('" ').startswith("Format Version") else NO
 
 
-def _settings(cells: list[str]) -> dict[str, str]:
-    """Return the key,value pairs of row 1; keys are looked for, because a take's name may hold commas."""
-    stripped = [cell.strip().strip('"') for cell in cells]
-    return {key: stripped[stripped.index(key) + 1] for key in _KEYS if key in stripped[:-1]}
-
-
 def _read_header(text: Text) -> _Header:
     lines = list(text.lines(_HEADER_LINES))
     filled = [line for _, _, line in lines if line.strip()]
@@ -93,7 +87,9 @@ def _read_header(text: Text) -> _Header:
         )
     number, offset, _ = lines[last]
     axes, upper = rows[last], [row for row in rows[:last] if any(row)]
-    settings = _settings(upper.pop(0)) if upper else {}
+    # Row 1 is of pairs of key and value; keys are looked for, because a take's name may hold commas.
+    pairs = [cell.strip().strip('"') for cell in upper.pop(0)] if upper else []
+    settings = {key: pairs[pairs.index(key) + 1] for key in _KEYS if key in pairs[:-1]}
     known = _BODIES | _SOLVED | _MEASURED
     components = next((row for row in upper if "Position" in row or "Rotation" in row), None)
     types = next((row for row in upper if any(cell.casefold() in known for cell in row[2:])), None)
