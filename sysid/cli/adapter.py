@@ -48,15 +48,8 @@ def command(app: typer.Typer, name: str) -> Callable[[Run], Run]:
 
 def _parts(cls: type) -> list[tuple[str, Any, Any]]:
     """Return name, annotation and default of every field of an options dataclass."""
-    hints = get_type_hints(cls, include_extras=True)
-    return [
-        (
-            field.name,
-            hints[field.name],
-            inspect.Parameter.empty if field.default is MISSING else field.default,
-        )
-        for field in fields(cls)
-    ]
+    hints, empty = get_type_hints(cls, include_extras=True), inspect.Parameter.empty
+    return [(f.name, hints[f.name], empty if f.default is MISSING else f.default) for f in fields(cls)]
 
 
 def _parameters(parts: list[tuple[str, Any, Any]]) -> Iterator[inspect.Parameter]:

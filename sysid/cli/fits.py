@@ -68,8 +68,8 @@ def check(
     from sysid.report.trust_words import print_check
     from sysid.workflows.check import check_campaign
 
-    tell = unless(quiet or json)
-    print_check(check_campaign(campaign, surface=surface, threads=threads, say=tell), json)
+    document = check_campaign(campaign, surface=surface, threads=threads, say=unless(quiet or json))
+    print_check(document, json)
 
 
 @command(app, "trust")

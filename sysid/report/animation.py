@@ -13,24 +13,20 @@ from sysid.report.html import Html
 
 
 def animation(drops: Sequence[DropReplay], campaigns: Sequence[str] = ()) -> Html:
-    """Return drops to be played, stepped through and slowed down.
+    """Return drops to be played, stepped through and slowed down; `campaigns` tells drops of several apart.
 
-    Parameters
-    ----------
-    drops : sequence of DropReplay
-    campaigns : sequence of str
-        Of which each drop is, where they are of several.
-
-    Notes
-    -----
     Nothing moves until a reader asks for it; where a reader's system asks for reduced motion, playing steps
     from one instant of Fig. 7 to the next.
     """
-    words = [f"{drop.name}: {math.degrees(drop.slope):.0f}°, {_use(drop)}" for drop in drops]
+    documents = animation_data(list(drops))
+    words = [
+        f"{drop.name}: {math.degrees(drop.slope):.0f}°, {document['use']}"
+        for drop, document in zip(drops, documents["drops"], strict=True)
+    ]
     if campaigns:
         words = [f"{campaign}, {word}" for campaign, word in zip(campaigns, words, strict=True)]
     # A page ends a script at the first "</script"; JSON may hold "<" as an escape.
-    data = json.dumps(animation_data(list(drops)), separators=(",", ":")).replace("<", "\\u003c")
+    data = json.dumps(documents, separators=(",", ":")).replace("<", "\\u003c")
     choices = "".join(f'<option value="{i}">{html.escape(word)}</option>' for i, word in enumerate(words))
     steepest = max(range(len(drops)), key=lambda i: drops[i].slope)
     choices = choices.replace(f'value="{steepest}"', f'value="{steepest}" selected')
@@ -57,7 +53,3 @@ def animation(drops: Sequence[DropReplay], campaigns: Sequence[str] = ()) -> Htm
         f"<script>{script}</script>"
         "</div>"
     )
-
-
-def _use(drop: DropReplay) -> str:
-    return "fitted" if drop.use == "fit" else "not fitted"

@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from sysid.landing.design_study import Change, DesignStudy
+from sysid.report.drawing import BEST, panels
 from sysid.types import FloatArray
 
 _COLOURS = ("#0072B2", "#009E73", "#E69F00", "#D55E00", "#CC79A7", "#56B4E9", "#000000")
@@ -20,12 +21,6 @@ _STEEPEST = "largest safe slope"
 def figure_design_study(study: DesignStudy) -> Figure:
     """Draw a study: a curve per change and touchdown speed, or a map per speed for two changes together.
 
-    Parameters
-    ----------
-    study : DesignStudy
-
-    Notes
-    -----
     Lines (colours) show the width of the slopes that the sets land on, dots (numbers) the steepest slope up
     to which all are safe; where a dot lies below its line, a flatter slope is unsafe. A triangle (≥) is a
     lower bound: all slopes tried are safe.
@@ -35,13 +30,10 @@ def figure_design_study(study: DesignStudy) -> Figure:
 
 def _curves(study: DesignStudy) -> Figure:
     count = len(study.changes)
-    columns = min(count, 3)
-    rows = math.ceil(count / columns)
-    figure = Figure(figsize=(3.4 * columns + 1.9, 2.9 * rows + 0.7), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
+    figure, every = panels(count, min(count, 3), (3.4, 2.9), (1.9, 0.7), sharey=True)
     landable, steepest = study.landable, study.steepest
     top = max(1.0, float(np.max(landable)), float(np.nanmax(steepest)))
-    for c, (change, panel) in enumerate(zip(study.changes, panels, strict=False)):
+    for c, (change, panel) in enumerate(zip(study.changes, every, strict=True)):
         chosen = study.along(c)
         values = study.points[chosen, c]
         panel.axvline(change.neutral, color="0.6", linewidth=0.8, linestyle=":")
@@ -54,24 +46,21 @@ def _curves(study: DesignStudy) -> Figure:
                     x, y = values[which], steepest[chosen, m][which]
                     panel.plot(x, y, color=colour, marker=marker, markersize=4, linestyle="none")
         _axis(panel, change, values)
-        if c % columns == 0:
+        if c % min(count, 3) == 0:
             panel.set_ylabel("slope [deg]")
         panel.set_ylim(0, 1.05 * top)
         panel.grid(True, color="0.92")
         panel.set_axisbelow(True)
-    for panel in panels[count:]:
-        panel.set_visible(False)
     handles = [
         Line2D([], [], color=_COLOURS[m % len(_COLOURS)], label=f"{speed:g} m/s")
         for m, speed in enumerate(study.settings.speeds)
     ]
-    handles += [
-        Line2D([], [], color="0.3", label="width of slopes\nlanded on"),
-        Line2D([], [], color="0.3", marker="o", markersize=4, linestyle="none", label=_STEEPEST),
-    ]
-    if study.at_edge.any():
-        words = "or more: no\nsteeper one tried"
-        handles.append(Line2D([], [], color="0.3", marker="^", markersize=4, linestyle="none", label=words))
+    handles.append(Line2D([], [], color="0.3", label="width of slopes\nlanded on"))
+    markers = [("o", _STEEPEST)] + [("^", "or more: no\nsteeper one tried")] * bool(study.at_edge.any())
+    for marker, words in markers:
+        handles.append(
+            Line2D([], [], color="0.3", marker=marker, markersize=4, linestyle="none", label=words)
+        )
     figure.legend(handles=handles, loc="outside right upper", frameon=False, title="touchdown at")
     figure.suptitle(_title(study), fontsize="medium")
     return figure
@@ -84,11 +73,9 @@ def _map(study: DesignStudy) -> Figure:
     grid = np.array([[place[(a, b)] for a in x.tolist()] for b in y.tolist()])
     speeds = study.settings.speeds
     columns = min(len(speeds), 4)
-    rows = math.ceil(len(speeds) / columns)
-    figure = Figure(figsize=(3.1 * columns + 1.2, 3.0 * rows + 0.6), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+    figure, every = panels(len(speeds), columns, (3.1, 3.0), (1.2, 0.6), sharex=True, sharey=True)
     top = float(np.max(study.landable[grid]))
-    for m, (speed, panel) in enumerate(zip(speeds, panels, strict=False)):
+    for m, (speed, panel) in enumerate(zip(speeds, every, strict=True)):
         values, safe = study.landable[grid, m], study.steepest[grid, m]
         # Cells, not contours: neighbours differ by chance where landings are chaotic.
         mesh = panel.pcolormesh(
@@ -102,17 +89,15 @@ def _map(study: DesignStudy) -> Figure:
                 panel.text(j, i, text, ha="center", va="center", color=colour, fontsize="small")
         at = (int(np.searchsorted(x, first.neutral)), int(np.searchsorted(y, second.neutral)))
         across, up = 0.48 * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
-        panel.plot(at[0] + across, at[1] + up, color="#D55E00", linewidth=1.8)
+        panel.plot(at[0] + across, at[1] + up, color=BEST, linewidth=1.8)
         panel.set_xticks(range(len(x)), [f"{value:.3g}" for value in x])
         panel.set_yticks(range(len(y)), [f"{value:.3g}" for value in y])
         panel.set_title(f"{speed:g} m/s", fontsize="medium")
-        if m // columns == rows - 1:
+        if m // columns == (len(speeds) - 1) // columns:
             panel.set_xlabel(first.label)
         if m % columns == 0:
             panel.set_ylabel(second.label)
-    for panel in panels[len(speeds) :]:
-        panel.set_visible(False)
-    figure.colorbar(mesh, ax=panels[: len(speeds)].tolist(), label="width of slopes landed on [deg]")
+    figure.colorbar(mesh, ax=every, label="width of slopes landed on [deg]")
     figure.suptitle(
         f"{_title(study)}\nnumbers: {_STEEPEST} [deg]; frame: the sets as they are", fontsize="medium"
     )

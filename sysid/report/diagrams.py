@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc, FancyBboxPatch, Polygon
 
 from sysid.gear.surfaces import high_friction
-from sysid.report.drawing import WIDTH
+from sysid.report.drawing import arrow, directions, panel
 from sysid.report.drop_replay import DropReplay
 from sysid.report.snapshots import BODY, FRICTION, GROUND, NORMAL
 from sysid.types import FloatArray
@@ -27,32 +27,22 @@ _FEET = {
 
 
 def figure_geometry(values: Mapping[str, float], slope: float) -> Figure:
-    """Draw frames, lengths and forces of the planar model (Fig. 2), to scale.
-
-    Parameters
-    ----------
-    values : mapping
-        Of a gear, by name [SI].
-    slope : float
-        [rad]
-    """
+    """Draw frames, lengths and forces of the planar model (Fig. 2), to scale: values [SI], slope [rad]."""
     lengths = ("joint_dx", "joint_dz", "foot_dx", "foot_dz", "thrust_point_dx")
     v = {name: 1e3 * values[name] for name in lengths}
     # As wide as a phone shows it: letters keep their size.
-    figure = Figure(figsize=(WIDTH, 4.1), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = panel(4.1)
     axes.set_aspect("equal")
     axes.set_axis_off()
     slope = float(np.clip(slope, np.radians(8.0), np.radians(22.0)))
     unit = v["foot_dz"]
-    along, normal = np.array([np.cos(slope), -np.sin(slope)]), np.array([np.sin(slope), np.cos(slope)])
-    rear_foot = np.array([-v["foot_dx"], -v["foot_dz"]])
+    along, normal = directions(slope)
+    _, rear_foot = _leg(v, -1)
     far = 4 * unit
     ground = [rear_foot + a * along + b * normal for a, b in ((-far, 0), (far, 0), (far, -far), (-far, -far))]
     axes.add_patch(Polygon(ground, facecolor="#E9E2D3", edgecolor=GROUND, linewidth=1.2))
     for side in (-1, 1):
-        joint = np.array([side * v["joint_dx"], -v["joint_dz"]])
-        foot = np.array([side * v["foot_dx"], -v["foot_dz"]])
+        joint, foot = _leg(v, side)
         axes.plot(*np.stack([joint, foot]).T, color=BODY, linewidth=3.2, solid_capstyle="round", zorder=3)
         axes.plot(*joint, marker="o", markersize=6, color="white", markeredgecolor=BODY, zorder=4)
         axes.plot(*foot, marker="o", markersize=5, color=BODY, zorder=4)
@@ -60,7 +50,7 @@ def figure_geometry(values: Mapping[str, float], slope: float) -> Figure:
         axes.plot([motor[0], motor[0]], [0, 0.14 * unit], color=BODY, linewidth=2)
         blade = [motor[0] - 0.42 * unit, motor[0] + 0.42 * unit]
         axes.plot(blade, [0.14 * unit] * 2, color=BODY, linewidth=2)
-        _arrow(axes, (motor[0], 0.14 * unit), (0, 0.42 * unit), _THRUST)
+        arrow(axes, (motor[0], 0.14 * unit), (motor[0], 0.14 * unit + 0.42 * unit), _THRUST)
         name, way = (r"$T_r$", "right") if side < 0 else (r"$T_f$", "left")
         _write(axes, (motor[0] + side * 8, 0.5 * unit), name, _THRUST, ha=way, va="baseline")
     axes.plot([-v["thrust_point_dx"], v["thrust_point_dx"]], [0, 0], color=BODY, linewidth=3, zorder=3)
@@ -74,6 +64,11 @@ def figure_geometry(values: Mapping[str, float], slope: float) -> Figure:
     axes.set_xlim(-v["thrust_point_dx"] - 0.62 * unit, v["thrust_point_dx"] + 0.82 * unit)
     axes.set_ylim(-v["foot_dz"] - 0.85 * unit, 1.35 * unit)
     return figure
+
+
+def _leg(v: Mapping[str, float], side: int = 1) -> tuple[FloatArray, FloatArray]:
+    """Return joint and foot of the rear (-1) or front leg (1)."""
+    return np.array([side * v["joint_dx"], -v["joint_dz"]]), np.array([side * v["foot_dx"], -v["foot_dz"]])
 
 
 def _lengths(axes: Axes, v: Mapping[str, float], unit: float) -> None:
@@ -107,18 +102,18 @@ def _lengths(axes: Axes, v: Mapping[str, float], unit: float) -> None:
 
 
 def _forces(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, normal: FloatArray) -> None:
-    _arrow(axes, np.zeros(2), np.array([0, -0.5 * unit]), _WEIGHT)
+    arrow(axes, (0, 0), (0, -0.5 * unit), _WEIGHT)
     # To the left: the angle of the leg is written to the right.
     _write(axes, (-6, -0.5 * unit), r"$m_B\,g$", _WEIGHT)
-    joint, foot = np.array([v["joint_dx"], -v["joint_dz"]]), np.array([v["foot_dx"], -v["foot_dz"]])
+    joint, foot = _leg(v)
     middle = 0.5 * (joint + foot)
-    _arrow(axes, middle, np.array([0, -0.34 * unit]), _WEIGHT)
+    arrow(axes, middle, (middle[0], middle[1] - 0.34 * unit), _WEIGHT)
     _write(axes, (middle[0] - 5, middle[1] - 0.32 * unit), r"$m_{leg}\,g$", _WEIGHT)
-    rear = np.array([-v["foot_dx"], -v["foot_dz"]])
-    _arrow(axes, rear, 0.5 * unit * normal, NORMAL)
+    _, rear = _leg(v, -1)
+    arrow(axes, rear, rear + 0.5 * unit * normal, NORMAL)
     tip = rear + 0.52 * unit * normal
     _write(axes, (tip[0] + 2, tip[1]), r"$F_n$", NORMAL, ha="left")
-    _arrow(axes, rear, -0.42 * unit * along, FRICTION)
+    arrow(axes, rear, rear - 0.42 * unit * along, FRICTION)
     tip = rear - 0.46 * unit * along
     _write(axes, (tip[0], tip[1] + 0.07 * unit), r"$F_t$", FRICTION, va="bottom")
     place = (v["thrust_point_dx"] + 0.12 * unit, -0.42 * unit)
@@ -135,20 +130,19 @@ def _write(axes: Axes, place: Any, words: str, colour: str, **look: Any) -> None
 def _named(axes: Axes, words: str, what: FloatArray, place: tuple[float, float]) -> None:
     """Write words at a place, with a thin line to what they name."""
     look = {"arrowstyle": "-", "color": "0.5", "linewidth": 0.7, "shrinkB": 4}
-    spot = (float(what[0]), float(what[1]))
-    axes.annotate(words, spot, place, fontsize=8, va="center", ha="left", arrowprops=look)
+    axes.annotate(words, tuple(what), place, fontsize=8, va="center", ha="left", arrowprops=look)
 
 
 def _frames(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, normal: FloatArray) -> None:
     size = 0.3 * unit
-    rear = np.array([-v["foot_dx"], -v["foot_dz"]])
+    _, rear = _leg(v, -1)
     origin = rear + (2 * v["foot_dx"] + 0.12 * unit) * along
     up, right = np.array([0.0, 1.0]), np.array([1.0, 0.0])
     _axes(axes, origin, along, normal, size, "A")
     corner = np.array([-v["thrust_point_dx"] - 0.5 * unit, -v["foot_dz"] - 0.6 * unit])
     _axes(axes, corner, right, up, size, "N")
     _axes(axes, np.zeros(2), right, up, size, "B")
-    joint, foot = np.array([v["joint_dx"], -v["joint_dz"]]), np.array([v["foot_dx"], -v["foot_dz"]])
+    joint, foot = _leg(v)
     for side, name in ((-1, "C"), (1, "D")):
         # Along the leg and across it, drawn beside it on the outer side.
         leg = np.array([side, 1.0]) * (joint - foot)
@@ -167,7 +161,7 @@ def _frames(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, 
 
 def _axes(axes: Axes, origin: FloatArray, x: FloatArray, z: FloatArray, size: float, name: str) -> None:
     for way, symbol in ((x, "x"), (z, "z")):
-        _arrow(axes, origin, size * way, _AXES, width=1.2)
+        arrow(axes, origin, origin + size * way, _AXES, 1.2)
         place = origin + 1.22 * size * way
         if way is x and name in "AB":  # beside the slope's line and the arms, not on them
             place = place + (0.35 if name == "B" else -0.3) * size * z
@@ -175,17 +169,8 @@ def _axes(axes: Axes, origin: FloatArray, x: FloatArray, z: FloatArray, size: fl
         _write(axes, place, words, _AXES, fontsize=8.5, ha="center")
 
 
-def _arrow(axes: Axes, start: Any, step: Any, colour: str, *, width: float = 2.0) -> None:
-    start, step = np.asarray(start, dtype=float), np.asarray(step, dtype=float)
-    axes.annotate(
-        "", start + step, start, zorder=6,
-        arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": width, "shrinkA": 0, "shrinkB": 0},
-    )  # fmt: skip
-
-
 def _dimension(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
-    look = {"arrowstyle": "<|-|>", "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}
-    axes.annotate("", end, start, zorder=5, arrowprops={**look, "color": _DIMENSION})
+    arrow(axes, start, end, _DIMENSION, 0.9, zorder=5, arrowstyle="<|-|>", mutation_scale=7)
 
 
 def foot_transitions() -> tuple[tuple[str, str, str], ...]:
@@ -231,13 +216,9 @@ def mode_shares(drops: Sequence[DropReplay]) -> dict[str, float]:
 def figure_modes(shares: Mapping[str, float] | None = None) -> Figure:
     """Draw the four modes of a pair of feet and the transitions that the code makes (Fig. 5).
 
-    Parameters
-    ----------
-    shares : mapping, optional
-        Share of time in each mode, to be written into it.
+    `shares` of the time in each mode are written into it.
     """
-    figure = Figure(figsize=(4.9, 4.4), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = panel(4.4, 4.9)
     axes.set_axis_off()
     places = dict(zip(_FEET, ((0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (2.0, 0.0)), strict=True))
     for mode, (x, y) in places.items():
@@ -261,22 +242,14 @@ def figure_modes(shares: Mapping[str, float] | None = None) -> Figure:
                     continue
                 changed = tuple(after if k == foot else feet[k] for k in (0, 1))
                 end = next(mode for mode, other in _FEET.items() if other == changed)
-                _edge(axes, places[start], places[end], colour)
+                a, b = np.array(places[start]), np.array(places[end])
+                way = (b - a) / np.hypot(*(b - a))
+                aside = 0.07 * np.array([-way[1], way[0]])
+                arrow(axes, a + 0.42 * way + aside, b - 0.42 * way + aside, colour, 1.6, zorder=2)
     for row, (colour, text) in enumerate(conditions.items()):
         _write(axes, (1.0, -1.55 - 0.22 * row), text, colour, ha="center", fontsize=9.5)
     for x, y in ((0.22, 0.74), (1.78, 0.74), (0.22, -0.74), (1.78, -0.74)):
         mover = "rear" if (x < 1) == (y > 0) else "front"
         _write(axes, (x, y), f"{mover} foot", "0.35", ha="center", fontsize=8)
-    axes.set_xlim(-0.5, 2.5)
-    axes.set_ylim(-2.0, 1.3)
+    axes.set(xlim=(-0.5, 2.5), ylim=(-2.0, 1.3))
     return figure
-
-
-def _edge(axes: Axes, start: tuple[float, float], end: tuple[float, float], colour: str) -> None:
-    a, b = np.array(start), np.array(end)
-    way = (b - a) / np.hypot(*(b - a))
-    aside = 0.07 * np.array([-way[1], way[0]])
-    axes.annotate(
-        "", b - 0.42 * way + aside, a + 0.42 * way + aside, zorder=2,
-        arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.6, "shrinkA": 0, "shrinkB": 0},
-    )  # fmt: skip

@@ -10,6 +10,7 @@ import io
 import re
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -52,9 +53,42 @@ _FORMATS = (".png", ".pdf", ".svg")
 _INDEXED = re.compile(r"(\w[^\W_]*)_([^\W_]+)")
 
 
-def panel(height: float = 3.0, width: float = WIDTH) -> Figure:
-    """Return an empty figure of the page's width [in]."""
-    return Figure(figsize=(width, height), layout="constrained")
+def panel(height: float, width: float = WIDTH, **rows: Any) -> tuple[Figure, Any]:
+    """Return a figure [in] and its axes: one, or as many as `rows` says to `Figure.subplots`."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots(**rows)
+
+
+def panels(
+    count: int, columns: int, cell: tuple[float, float], around: tuple[float, float], **how: Any
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure of so many panels, row by row; `cell` and `around` are width and height [in]."""
+    rows = -(-max(1, count) // columns)
+    size = (cell[0] * columns + around[0], cell[1] * rows + around[1])
+    figure = Figure(figsize=size, layout="constrained")
+    every = figure.subplots(rows, columns, squeeze=False, **how).ravel().tolist()
+    for axes in every[count:]:
+        axes.set_visible(False)
+    return figure, every[:count]
+
+
+def directions(angle: float) -> tuple[FloatArray, FloatArray]:
+    """Return the unit vectors (x, z) along and normal to what is pitched by an angle [rad]."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([cosine, -sine]), np.array([sine, cosine])
+
+
+def arrow(
+    axes: Axes, start: Any, end: Any, colour: str, width: float = 2.0, *, zorder: int = 6, **look: Any
+) -> None:
+    """Draw an arrow from point to point."""
+    chosen = {"arrowstyle": "-|>", "color": colour, "linewidth": width, "shrinkA": 0, "shrinkB": 0} | look
+    axes.annotate("", end, start, zorder=zorder, arrowprops=chosen)
+
+
+def paper(pad: float, **look: Any) -> dict[str, Any]:
+    """Return the white box behind words that a curve may cross."""
+    return {"facecolor": "white", "edgecolor": "none", "pad": pad} | look
 
 
 def tidy(*panels: Axes) -> None:
@@ -147,14 +181,7 @@ def check_figure_name(path: Path) -> None:
 def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0) -> Path:
     """Write a figure as PNG, PDF or SVG; an existing file is replaced only by a complete one.
 
-    Parameters
-    ----------
-    figure : Figure
-        What to write.
-    path : str or Path
-        Ends in ``.png``, ``.pdf`` or ``.svg``; its folder exists.
-    dpi : float
-        Pixels per inch of a PNG, and of dense curves inside the others.
+    `dpi` are the pixels per inch of a PNG, and of dense curves inside the others.
 
     Raises
     ------

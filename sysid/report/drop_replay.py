@@ -30,14 +30,9 @@ FEET = ("rear", "front")
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """One stay of a foot on the surface.
+    """One stay of a foot (0 rear, 1 front) on the surface, to a millisecond since the window's start [s].
 
-    Parameters
-    ----------
-    foot : int
-        0 rear, 1 front.
-    start, end : float
-        Since the window's start, to a millisecond [s]; `end` is the window's where the foot stays.
+    `end` is the window's end where the foot stays.
     """
 
     foot: int
@@ -51,8 +46,6 @@ class DropReplay:
 
     Parameters
     ----------
-    name : str
-        Of the drop.
     use : str
         ``fit`` or ``validate``.
     slope : float
@@ -105,7 +98,7 @@ class DropReplay:
         other = next((c for c in self.contacts if c.foot != first.foot), None)
         last = float(self.time[-1])
         instants = []
-        for contact in (first, other) if other is not None else (first,):
+        for contact in filter(None, (first, other)):
             leg = f"the {FEET[contact.foot]} leg"
             instants.append((contact.start, f"{leg} touches"))
             if contact.end < last:
@@ -212,13 +205,8 @@ def _contacts(time: FloatArray, normal_force: FloatArray) -> tuple[Contact, ...]
 def animation_data(replays: list[DropReplay], every: int = 2) -> dict[str, Any]:
     """Return what the page's animation draws, as whole numbers for JSON.
 
-    Lengths are in tenths of a millimetre, angles in tenths of a milliradian, forces in newtons.
-
-    Parameters
-    ----------
-    replays : list of DropReplay
-    every : int
-        Step between the samples that are kept.
+    Lengths are in tenths of a millimetre, angles in tenths of a milliradian, forces in newtons; of so many
+    samples (`every`) one is kept.
     """
     out = []
     for drop in replays:

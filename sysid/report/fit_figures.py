@@ -51,16 +51,14 @@ _LONGEST_NAME = 30
 # Markers of optima, best first.
 _MARKERS = "osD^vP*X"
 
-# Filters by the kind that a result states, and the keys of their arguments.
-_FILTERS: dict[str, tuple[Any, ...]] = {
-    "kaiser, zero phase": (
-        KaiserLowpass, "rate [Hz]", "cut-off [Hz]", "attenuation [dB]", "transition [Hz]",
-    ),
-    "chebyshev-2, forward-backward": (
+# Filters, and the keys under which a result states their arguments.
+_FILTERS: tuple[tuple[Any, ...], ...] = (
+    (KaiserLowpass, "rate [Hz]", "cut-off [Hz]", "attenuation [dB]", "transition [Hz]"),
+    (
         ChebyshevLowpass, "rate [Hz]", "stop-band edge [Hz]", "order of one pass",
         "attenuation of one pass [dB]",
     ),
-}  # fmt: skip
+)  # fmt: skip
 
 # Intervals (start, end) [s] since the window's start by what happens in them, such as a foot on the ground.
 Bars = Mapping[str, Sequence[tuple[float, float]]]
@@ -297,8 +295,7 @@ def figure_convergence(fit: FitResult, *, wide: bool = False) -> Figure:
 
     `wide`: for a file of its own, with a title and where every run ended.
     """
-    figure = panel(4.6, 9.5) if wide else panel(3.2)
-    axes = figure.add_subplot()
+    figure, axes = panel(4.6, 9.5) if wide else panel(3.2)
     for number, run in enumerate(fit.runs, start=1):
         colour = RUNS[(number - 1) % len(RUNS)]
         style = "-" if number <= len(RUNS) else "--"
@@ -310,14 +307,13 @@ def figure_convergence(fit: FitResult, *, wide: bool = False) -> Figure:
         axes.plot(generations[-1:], run.best[-1:], marker="o", markersize=4, color=colour)
     percent_axis(axes, np.concatenate([run.best for run in fit.runs]) if fit.runs else np.ones(1))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set_xlabel("generation")
-    axes.set_ylabel("best NRMSE [%]")
+    axes.set(xlabel="generation", ylabel="best NRMSE [%]")
     axes.grid(True, color="0.92")
     if wide:
         axes.set_title(f"{fit.name}: convergence of {len(fit.runs)} runs ({fit.kind})")
     if wide and fit.runs:
-        title = "best NRMSE, generations"
-        figure.legend(loc="outside right upper", frameon=False, title=title, alignment="left")
+        look = {"title": "best NRMSE, generations", "alignment": "left"}
+        figure.legend(loc="outside right upper", frameon=False, **look)
     elif 0 < len(fit.runs) <= 10:
         axes.legend(frameon=False, fontsize=8, ncols=2)
     return figure
@@ -328,31 +324,26 @@ def figure_waterfall(fit: FitResult) -> Figure:
 
     A run that was cut short ended in none: an open circle without a letter.
     """
-    figure = panel(3.2)
-    axes = figure.add_subplot()
+    figure, axes = panel(3.2)
     agreement = fit.agreement
     best = float(agreement.cost.min())
-    looks: dict[str, dict[str, Any]] = {}
-    points: dict[str, list[tuple[int, float]]] = {}
+    drawn: dict[str, tuple[dict[str, Any], list[tuple[int, float]]]] = {}
     for rank, run in enumerate(agreement.order, start=1):
         optimum = int(agreement.optimum[run])
         look = {"marker": _MARKERS[optimum % len(_MARKERS)], "color": RUNS[optimum % len(RUNS)]}
         name = f"optimum {chr(ord('A') + optimum % 26)}"
         if agreement.cut[run]:
             name, look = "not finished", {"marker": "o", "color": "0.4", "markerfacecolor": "none"}
-        looks[name] = look
-        points.setdefault(name, []).append((rank, float(agreement.cost[run]) / best))
-    for name in sorted(points):
-        axes.plot(*zip(*points[name], strict=True), linestyle="none", markersize=7, label=name, **looks[name])
+        drawn.setdefault(name, (look, []))[1].append((rank, float(agreement.cost[run]) / best))
+    for name, (look, points) in sorted(drawn.items()):
+        axes.plot(*zip(*points, strict=True), linestyle="none", markersize=7, label=name, **look)
     # Differences that tell no optima apart are not drawn large.
     span = max(float(agreement.cost.max()) / best - 1, 5 * SAME_NRMSE)
-    axes.set_ylim(1 - 0.08 * span, 1 + 1.25 * span)
     axes.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     axes.ticklabel_format(axis="y", useOffset=False)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set_xlim(0.5, len(fit.runs) + 0.5)
-    axes.set_xlabel("rank of the run [1]")
-    axes.set_ylabel("final NRMSE / best [1]")
+    axes.set(xlim=(0.5, len(fit.runs) + 0.5), ylim=(1 - 0.08 * span, 1 + 1.25 * span))
+    axes.set(xlabel="rank of the run [1]", ylabel="final NRMSE / best [1]")
     axes.grid(True, color="0.92")
     axes.legend(frameon=False, fontsize=8, loc="upper left")
     return figure
@@ -361,8 +352,7 @@ def figure_waterfall(fit: FitResult) -> Figure:
 def figure_spread(fit: FitResult) -> Figure:
     """Draw where the sets lie between the bounds of every free parameter, scaled as the search walked."""
     free = [i for i, r in enumerate(fit.parameters) if r.status == "free" and None not in (r.lower, r.upper)]
-    figure = panel(0.9 + 0.36 * max(1, len(free)))
-    axes = figure.add_subplot()
+    figure, axes = panel(0.9 + 0.36 * max(1, len(free)))
     labels = []
     for row, i in enumerate(free):
         record, values = fit.parameters[i], fit.values[:, i]
@@ -372,17 +362,15 @@ def figure_spread(fit: FitResult) -> Figure:
         axes.plot([0, 1], [row, row], color="0.85", linewidth=4, solid_capstyle="butt", zorder=1)
         axes.plot(place[1:], [row] * (len(place) - 1), "o", markersize=5, color=OTHERS, zorder=3)
         axes.plot(place[:1], [row], "D", markersize=6, color=BEST, zorder=4)
-        axes.text(-0.08, row, f"{low:g}", ha="right", va="center", fontsize=7.5)
-        axes.text(1.05, row, f"{high:g}", ha="left", va="center", fontsize=7.5)
+        for x, bound, side in ((-0.08, low, "right"), (1.05, high, "left")):
+            axes.text(x, row, f"{bound:g}", ha=side, va="center", fontsize=7.5)
         labels.append(axis_label(as_math(record.symbol), record.unit) + (" (log)" if logarithmic else ""))
     axes.set_yticks(range(len(free)), labels, fontsize=8)
     axes.tick_params(axis="y", length=0)
-    axes.set_ylim(len(free) - 0.4, -0.6)
-    axes.set_xlim(-0.26, 1.26)
     axes.set_xticks([0, 0.5, 1])
+    axes.set(xlim=(-0.26, 1.26), ylim=(len(free) - 0.4, -0.6))
     axes.set_xlabel("place between the bounds of the search [1]")
-    for side in ("top", "right", "left"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["top", "right", "left"]].set_visible(False)
     return figure
 
 
@@ -398,8 +386,7 @@ def figure_spectrum(
         if np.any(np.isfinite(density)):
             axes.loglog(spectrum.frequency, density, color="0.6", linewidth=0.7)
     plain_powers(axes.xaxis, axes.yaxis)
-    axes.set_xlabel("frequency [Hz]")
-    axes.set_ylabel(f"{name} [{unit}/√Hz]")
+    axes.set(xlabel="frequency [Hz]", ylabel=f"{name} [{unit}/√Hz]")
     axes.grid(True, color="0.92")
     handles = [Line2D([], [], color="0.6", linewidth=0.7, label="trials, unfiltered")]
     if gain is not None:
@@ -414,9 +401,9 @@ def figure_spectrum(
 
 def filter_gain(design: Mapping[str, Any], highest: float) -> tuple[FloatArray, FloatArray] | None:
     """Return the gain of a filter as it stands in a result: frequency [Hz] and gain [dB]."""
-    if design.get("kind") not in _FILTERS:
-        return None
-    make, *keys = _FILTERS[design["kind"]]
-    frequency = np.geomspace(1.0, highest, 400)
-    gain = np.abs(make(*(design[key] for key in keys)).gain(frequency))
-    return frequency, 20 * np.log10(np.maximum(gain, 1e-6))
+    for make, *keys in _FILTERS:
+        if all(key in design for key in keys):
+            frequency = np.geomspace(1.0, highest, 400)
+            gain = np.abs(make(*(design[key] for key in keys)).gain(frequency))
+            return frequency, 20 * np.log10(np.maximum(gain, 1e-6))
+    return None

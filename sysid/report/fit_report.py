@@ -123,16 +123,7 @@ def arranged(*sections: Section | str) -> tuple[Section, ...]:
 
 @dataclass(frozen=True, eq=False)
 class FitReport:
-    """A fit and what belongs to it, ready to be shown.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the fit.
-    fit : FitResult
-    against : FitResult, optional
-        The same sets on trials of another campaign.
-    """
+    """A fit, its folder, and perhaps the same sets on trials of another campaign, ready to be shown."""
 
     folder: Path
     fit: FitResult
@@ -210,11 +201,8 @@ class FitReport:
             return []
         arrays = documents.read_arrays(self.folder, documents.TRUST)
         paths = ((row, f"profiles/{row['name']}") for row in self.trust["parameters"])
-        return [
-            (row, arrays[f"{path}/value"], arrays[f"{path}/deviance"])
-            for row, path in paths
-            if f"{path}/value" in arrays
-        ]
+        known = ((row, path) for row, path in paths if f"{path}/value" in arrays)
+        return [(row, arrays[f"{path}/value"], arrays[f"{path}/deviance"]) for row, path in known]
 
     @property
     def trials(self) -> tuple[TrialResult, ...]:
@@ -317,9 +305,8 @@ class FitReport:
             words = f"NRMSE over {record.name}, all others fitted again"
             more = f"Dashed: {100 * profile['limit']:g} % above the best NRMSE."
             if not profile["identified"]:
-                more += (
-                    f" Blue: below {profile['below']:.0e} {record.unit} the data tell no value from another."
-                )
+                below = f"{profile['below']:.0e} {record.unit}"
+                more += f" Blue: below {below} the data tell no value from another."
             figure = figure_nrmse_profile(record.symbol, record.unit, profile)
             pieces.append(picture(figure, words, f"{words}. {more}"))
         for row, *curve in self.likelihood_profiles:
@@ -351,9 +338,8 @@ class FitReport:
         if not self.validations:
             nrmse = float(self.fit.mean_nrmse("validate")[0])
             if math.isfinite(nrmse):
-                out += paragraph(
-                    f"The best set predicts the trials held back with an NRMSE of {percent_text(nrmse)}."
-                )
+                mean = percent_text(nrmse)
+                out += paragraph(f"The best set predicts the trials held back with an NRMSE of {mean}.")
             out += self.missing("validation on other trials", "sysid validate", " CAMPAIGN")
         return out
 
@@ -364,9 +350,8 @@ class FitReport:
         for name, figure in self._spectra().items():
             words = f"amplitude spectrum of {name} before the filter, and the gain of the filter ({kind})"
             pieces.append(picture(figure, words))
-        if not pieces:
-            return paragraph("The signals were not filtered, or the fit does not hold their spectra.", "note")
-        return grid(pieces)
+        missing = "The signals were not filtered, or the fit does not hold their spectra."
+        return grid(pieces) if pieces else paragraph(missing, "note")
 
     def provenance(self) -> Html:
         """Return what a reader needs to repeat the fit, or to doubt it."""
@@ -391,10 +376,8 @@ class FitReport:
             for trial in fit.trials:
                 out |= self.trial_figures(fit, trial)
         if self.fit.runs:
-            out |= {
-                "convergence": figure_convergence(self.fit, wide=True),
-                "waterfall": figure_waterfall(self.fit),
-            }
+            out["convergence"] = figure_convergence(self.fit, wide=True)
+            out["waterfall"] = figure_waterfall(self.fit)
         out["spread"] = figure_spread(self.fit)
         out |= {f"spectrum-{name}": figure for name, figure in self._spectra().items()}
         for record, profile in self._cost_profiles():
@@ -445,10 +428,8 @@ class FitReport:
             return {}
         highest = max(float(spectrum.frequency[-1]) for spectrum in spectra)
         gain = filter_gain(self.fit.provenance.get("filter", {}), highest)
-        return {
-            channel: figure_spectrum(self.fit, spectra, c, gain)
-            for c, channel in enumerate(self.fit.channels)
-        }
+        channels = enumerate(self.fit.channels)
+        return {name: figure_spectrum(self.fit, spectra, c, gain) for c, name in channels}
 
 
 def file_name(text: str) -> str:

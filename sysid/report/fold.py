@@ -17,7 +17,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from sysid import exact_json
-from sysid.report.table import Cell, Table
+from sysid.report.table import Table
 
 # Wider than any table.
 _FREE = 10_000
@@ -43,12 +43,6 @@ def print_table(table: Table, console: Console | None = None) -> None:
 
     The first column, which names the rows, is repeated. A column of numbers and one that must not wrap are
     shown whole; a column of words may wrap between two of them.
-
-    Parameters
-    ----------
-    table : Table
-    console : rich.console.Console, optional
-        The standard output by default.
     """
     console = console or Console()
     for part in folded(rich_table(table), console.width):
@@ -78,12 +72,8 @@ def rich_table(table: Table) -> RichTable:
     for r, row in enumerate(table.rows):
         if r in table.rules:
             out.add_section()
-        out.add_row(*map(_text, row))
+        out.add_row(*(Text(cell.text, style=_STYLES[cell.tone]) for cell in row))
     return out
-
-
-def _text(cell: Cell) -> Text:
-    return Text(cell.text, style=_STYLES[cell.tone])
 
 
 def folded(table: RichTable, width: int) -> list[RichTable]:

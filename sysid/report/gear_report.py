@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from sysid.errors import ExportError
 from sysid.fit.result import FitResult, TrialResult
-from sysid.gear.surfaces import SURFACES
+from sysid.gear.surfaces import SURFACES, Surface
 from sysid.report.animation import animation
 from sysid.report.diagrams import figure_geometry, figure_modes, mode_shares
 from sysid.report.drop_replay import FEET, DropReplay, replay_drop
@@ -67,11 +67,13 @@ class GearReport(FitReport):
     @property
     def model(self) -> str:
         """Landing gear and friction law."""
-        surface = str(self.fit.settings.get("surface", ""))
-        declared = SURFACES.get(surface)
         # A law that this installation does not have keeps its name.
-        title = (declared.title if declared else "") or surface
+        title = (self._law.title if self._law else "") or str(self.fit.settings.get("surface", ""))
         return f"landing gear with the {title} law" if title else "landing gear"
+
+    @property
+    def _law(self) -> Surface | None:
+        return SURFACES.get(str(self.fit.settings.get("surface", "")))
 
     def bars(self, fit: FitResult, trial: TrialResult) -> Bars:
         """Return when each foot of the best set's simulation is on the ground."""
@@ -136,7 +138,7 @@ class GearReport(FitReport):
 
     def modes(self) -> Html:
         """Return the modes of the high-friction hybrid with the transitions that happen (Fig. 5)."""
-        if not self._sticks:
+        if self._law is None or not self._law.switching:
             return paragraph("The low-friction law has no modes: both feet slip and creep.", "note")
         words = (
             "four modes: both feet slip, rear sticks, front sticks, both stick; arrows between them with "
@@ -150,8 +152,10 @@ class GearReport(FitReport):
 
     def figures(self) -> dict[str, Figure]:
         """Return the figures for a paper, with the diagrams of the model."""
-        modes = {"modes": figure_modes(mode_shares(self.drops()))} if self._sticks else {}
-        return super().figures() | {"geometry": self._geometry()} | modes
+        out = super().figures() | {"geometry": self._geometry()}
+        if self._law is not None and self._law.switching:
+            out["modes"] = figure_modes(mode_shares(self.drops()))
+        return out
 
     def trial_figures(self, fit: FitResult, trial: TrialResult) -> dict[str, Figure]:
         """Return the figures of one drop, with its snapshots."""
@@ -174,10 +178,6 @@ class GearReport(FitReport):
             except ExportError:
                 self._replays[key] = None
         return self._replays[key]
-
-    @property
-    def _sticks(self) -> bool:
-        return self.fit.settings.get("surface") == "hf"
 
     def _geometry(self) -> Figure:
         slope = max((drop.slope for drop in self.drops()), default=math.radians(_SLOPE))

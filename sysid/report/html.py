@@ -32,13 +32,7 @@ _SAFE = " =:;,/()'-."
 
 @dataclass(frozen=True)
 class Html:
-    """Markup that is safe to show.
-
-    Parameters
-    ----------
-    text : str
-        Well-formed HTML.
-    """
+    """Well-formed markup that is safe to show."""
 
     text: str
 
@@ -107,20 +101,10 @@ def folded(summary: str, piece: Html, *, opened: bool = False) -> Html:
 def picture(
     figure: Figure, alternative: str, caption: str = "", *, dpi: float = 130.0, vector: bool = True
 ) -> Html:
-    """Return a figure as an image inside the page.
+    """Return a figure as an image inside the page, with a caption below.
 
-    Parameters
-    ----------
-    figure : Figure
-        Drawn as vectors, or as pixels where those would be large.
-    alternative : str
-        What the figure shows, in words, for those who do not see it.
-    caption : str
-        Below the figure.
-    dpi : float
-        Pixels per inch, where it becomes pixels.
-    vector : bool
-        False: pixels in any case, for pages with very many figures.
+    It is drawn as vectors; as pixels (`dpi` per inch) where vectors would be large, or `vector` is off. The
+    `alternative` says in words what the figure shows.
     """
     if not alternative.strip():
         raise ValueError("a figure needs a text alternative")

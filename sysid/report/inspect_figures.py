@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from sysid.recording import BoolArray, Channel, FloatArray, Recording
-from sysid.report.drawing import BEST, MEASURED, RUNS
+from sysid.report.drawing import BEST, MEASURED, RUNS, paper
 from sysid.trials.look import LogReport
 
 # Channels that tell most about a bench log, first; of other logs the first ones.
@@ -75,16 +75,9 @@ def _draw(axes: Axes, channel: Channel, points: bool, change: bool = False) -> N
 def figure_logs(
     recordings: Sequence[Recording], reports: Sequence[LogReport], *, width: float = 9.5
 ) -> Figure:
-    """Draw the main channels of logs over time, with the release and touchdown of a drop as thin lines.
+    """Draw the main channels of logs over time, a block of rows each; `width` in inches.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        One block of rows each.
-    reports : sequence of LogReport
-        Of the same logs.
-    width : float
-        [in]
+    Thin lines mark the release and the touchdown of a drop.
     """
     blocks = [_chosen(recording, report) for recording, report in zip(recordings, reports, strict=True)]
     rows = max(1, sum(len(block) for block in blocks))
@@ -116,7 +109,7 @@ def figure_logs(
                             word, (at, 0.03), xycoords=("data", "axes fraction"), fontsize="small",
                             ha="right" if word == "release" else "left", color=BEST,
                             xytext=(-3 if word == "release" else 3, 0), textcoords="offset points",
-                            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+                            bbox=paper(1.0),
                         )  # fmt: skip
             if place == len(block) - 1:
                 axes.set_xlabel("point" if points else "time [s]")

@@ -13,14 +13,7 @@ REPORTS: dict[str, type[FitReport]] = {"gear": GearReport, "motor": MotorReport}
 
 
 def open_fit(fit: str | Path, against: str | Path | None = None) -> FitReport:
-    """Read a fit for its report.
-
-    Parameters
-    ----------
-    fit : str or Path
-        Fit folder.
-    against : str or Path, optional
-        Folder with the same sets on trials of another campaign.
+    """Read a fit for its report; `against` is a folder with the same sets on trials of another campaign.
 
     Raises
     ------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,10 +19,9 @@ from sysid.landing.impulse_maps import ImpulseMap
 from sysid.landing.maps import LandingMap, cell_edges
 from sysid.landing.outcomes import OUTCOMES, Outcome
 from sysid.landing.real_landings import Experiment, of_map
+from sysid.report.drawing import BEST, OTHERS, WIDTH, paper
 from sysid.types import BoolArray, FloatArray
 
-# Of one map on a page [in].
-WIDTH = 4.3
 # Okabe and Ito, as everywhere; B is white as in the paper.
 COLOURS: dict[Outcome, str] = {
     Outcome.SHORT: "#009E73",
@@ -31,7 +31,7 @@ COLOURS: dict[Outcome, str] = {
 }
 _DISTANCES = (0.1, 0.2, 0.45, 1.0)
 _TIMES = (0.5, 1.0, 2.0)
-_DISTANCE_COLOUR, _TIME_COLOUR, _LIMIT_COLOUR = "#000000", "#00224E", "#D55E00"
+_DISTANCE_COLOUR, _TIME_COLOUR, _LIMIT_COLOUR = "#000000", "#00224E", BEST
 # Not those of the contours.
 _LIMIT_STYLES = {"rigid": "dashdot", "bending": "dotted"}
 _TIME_STYLE = (0, (4, 2))
@@ -43,14 +43,14 @@ _ROOM = 6.0
 _APART, _INSIDE = 0.11, 0.05
 # Longest list of controllers and their thrusts in the legend [characters].
 _LONGEST = 40
-# What a table may say of a real landing: words, marker, colour, what the legend calls it.
+# What a table may say of a real landing: a word, marker, colour, what the legend calls it.
 _MARKERS = (
-    (("short",), "o", COLOURS[Outcome.SHORT], "at rest nearby"),
-    (("landed",), "o", "#56B4E9", "landed"),
-    (("near",), "s", COLOURS[Outcome.NEAR], "at rest further off"),
-    (("flipped",), "^", COLOURS[Outcome.FLIPPED], "flipped"),
-    (("other",), "D", COLOURS[Outcome.OTHER], "neither"),
-    (("failed",), "X", "#D55E00", "failed"),
+    ("short", "o", COLOURS[Outcome.SHORT], "at rest nearby"),
+    ("landed", "o", OTHERS, "landed"),
+    ("near", "s", COLOURS[Outcome.NEAR], "at rest further off"),
+    ("flipped", "^", COLOURS[Outcome.FLIPPED], "flipped"),
+    ("other", "D", COLOURS[Outcome.OTHER], "neither"),
+    ("failed", "X", BEST, "failed"),
 )
 # White within black: seen on every colour of a map.
 _OUTLINE = (withStroke(linewidth=2.8, foreground="black"), Normal())
@@ -58,14 +58,9 @@ _OUTLINE = (withStroke(linewidth=2.8, foreground="black"), Normal())
 
 @dataclass(frozen=True)
 class DrawnLimits:
-    """Static limits of a map.
+    """Static limits of a map: steepest slopes with stiff legs and with the set's bending legs [deg].
 
-    Parameters
-    ----------
-    thrust : float
-        That presses the drone to the ground once the motors have settled [N].
-    rigid, bending : float
-        Steepest slope with stiff legs and with the set's own, bending ones [deg].
+    The thrust presses the drone to the ground once the motors have settled [N].
     """
 
     thrust: float
@@ -78,13 +73,7 @@ Limits = Mapping[tuple[str, str], DrawnLimits]
 
 @dataclass
 class MapLegend:
-    """What was drawn, by its words; the legend lists that and nothing else.
-
-    Parameters
-    ----------
-    handles : dict
-        Of matplotlib, in the order of drawing.
-    """
+    """What was drawn, by its words in the order of drawing; the legend lists that and nothing else."""
 
     handles: dict[str, Patch | Line2D] = field(default_factory=dict)
 
@@ -122,7 +111,6 @@ def figure_landing_maps(
 
     Parameters
     ----------
-    maps : sequence of LandingMap
     limits : mapping, optional
         Static limits of the surface's first set by surface and controller.
     experiments : sequence of Experiment
@@ -180,24 +168,14 @@ def figure_landing_maps(
     ncols = min(len(columns), 3)
     rows = -(-len(legend.handles) // ncols)
     figure.set_size_inches(1.2 + 4.1 * len(columns), 0.8 + 3.5 * len(surfaces) + 0.18 * rows)
-    figure.legend(
-        handles=list(legend.handles.values()),
-        loc="outside lower center",
-        ncols=ncols,
-        fontsize=8,
-        frameon=False,
-        title=_caption(maps),
-        title_fontsize=8,
-    )
-    return figure
-
-
-def _caption(maps: Sequence[LandingMap]) -> str:
     counts = sorted({len(chart.sets) for chart in maps})
-    if counts == [1]:
-        return "one set per map"
-    many = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
-    return f"{many} sets per map; blended colours are shares of the sets"
+    many = " to ".join(dict.fromkeys(map(str, (counts[0], counts[-1]))))
+    blended = f"{many} sets per map; blended colours are shares of the sets"
+    figure.legend(
+        handles=list(legend.handles.values()), loc="outside lower center", ncols=ncols, frameon=False,
+        title="one set per map" if counts == [1] else blended, fontsize=8, title_fontsize=8,
+    )  # fmt: skip
+    return figure
 
 
 def _top(chart: LandingMap, limits: DrawnLimits | None) -> float:
@@ -259,10 +237,8 @@ def _draw_uncertain(axes: Axes, chart: LandingMap, legend: MapLegend) -> None:
     rows, columns = np.nonzero(chart.uncertain.any(axis=0))
     if len(rows):
         label = "class of a set changes with half the tolerance"
-        axes.scatter(
-            chart.speeds[columns], chart.slopes_deg[rows], s=5, color="black", edgecolors="white",
-            linewidths=0.4, zorder=3, label=label,
-        )  # fmt: skip
+        look: dict[str, Any] = {"color": "black", "edgecolors": "white", "linewidths": 0.4}
+        axes.scatter(chart.speeds[columns], chart.slopes_deg[rows], s=5, zorder=3, label=label, **look)
         legend.line(label, color="black", marker=".", linestyle="none")
 
 
@@ -277,9 +253,8 @@ def _draw_letters(axes: Axes, chart: LandingMap, lines: Sequence[float]) -> list
             spot = np.array([chart.speeds[place[1]], chart.slopes_deg[place[0]]])
             around = [withStroke(linewidth=5, foreground=COLOURS[outcome])]
             axes.text(
-                spot[0], spot[1], letter, fontsize=13, ha="center", va="center", zorder=5,
-                path_effects=around,
-            )  # fmt: skip
+                spot[0], spot[1], letter, fontsize=13, ha="center", va="center", zorder=5, path_effects=around
+            )
             taken.append(_relative(axes, spot[None])[0])
     return taken
 
@@ -319,8 +294,7 @@ def _draw_contours(axes: Axes, chart: LandingMap, taken: list[FloatArray], legen
                 taken.append(_relative(axes, spot[None])[0])
                 axes.text(
                     spot[0], spot[1], f"{level:g} {unit}", fontsize=7, color=colour, zorder=5,
-                    ha="center", va="center",
-                    bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.6},
+                    ha="center", va="center", bbox=paper(0.6, alpha=0.75),
                 )  # fmt: skip
 
 
@@ -337,10 +311,9 @@ def _clear_spot(axes: Axes, pieces: Sequence[FloatArray], taken: Sequence[FloatA
         return None
     spots = _relative(axes, piece)
     clear = np.min([spots[:, 0], 1 - spots[:, 0], spots[:, 1], 1 - spots[:, 1]], axis=0) >= _INSIDE
-    away = np.full(len(spots), np.inf)
-    for other in taken:
-        away = np.minimum(away, np.hypot(*(spots - other).T))
-    if not taken:
+    if taken:
+        away = np.min([np.hypot(*(spots - other).T) for other in taken], axis=0)
+    else:
         away = -np.hypot(*(spots - 0.5).T) + 1.0
     away = np.where(clear, away, -np.inf)
     best = int(np.argmax(away))
@@ -378,10 +351,8 @@ def _name_limits(legend: MapLegend, maps: Sequence[LandingMap], limits: Limits, 
     thrust = together if len(together) <= _LONGEST else " or ".join(thrusts)
     for legs, words in (("rigid", "rigid"), ("bending", "own, bending")):
         if legs in drawn:
-            legend.line(
-                f"static limit of the first set, {words} legs ({thrust})",
-                color=_LIMIT_COLOUR, linestyle=_LIMIT_STYLES[legs],
-            )  # fmt: skip
+            label = f"static limit of the first set, {words} legs ({thrust})"
+            legend.line(label, color=_LIMIT_COLOUR, linestyle=_LIMIT_STYLES[legs])
 
 
 def _middle(cells: BoolArray, rows: BoolArray) -> tuple[int, int] | None:
@@ -398,18 +369,15 @@ def _middle(cells: BoolArray, rows: BoolArray) -> tuple[int, int] | None:
 
 
 def _draw_experiments(axes: Axes, chosen: Sequence[Experiment], legend: MapLegend) -> None:
-    for words, marker, colour, name in _MARKERS:
-        points = np.array([(e.speed, e.slope_deg) for e in chosen if e.outcome in words]).reshape(-1, 2)
-        if not len(points):
+    for word, marker, colour, name in _MARKERS:
+        points = [(e.speed, e.slope_deg) for e in chosen if e.outcome == word]
+        if not points:
             continue
-        axes.scatter(
-            points[:, 0], points[:, 1], marker=marker, color=colour, edgecolors="white", linewidths=1.2, s=46,
-            zorder=6, path_effects=list(_OUTLINE), label=f"real landing: {name}",
-        )  # fmt: skip
-        legend.line(
-            f"real landing: {name}", color=colour, marker=marker, linestyle="none", markeredgecolor="white",
-            path_effects=list(_OUTLINE),
-        )  # fmt: skip
+        label = f"real landing: {name}"
+        look: dict[str, Any] = {"marker": marker, "color": colour, "path_effects": list(_OUTLINE)}
+        speed, slope = np.array(points).T
+        axes.scatter(speed, slope, s=46, zorder=6, label=label, edgecolors="white", linewidths=1.2, **look)
+        legend.line(label, linestyle="none", markeredgecolor="white", **look)
 
 
 def figure_impulse(

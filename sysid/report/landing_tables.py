@@ -12,15 +12,7 @@ from sysid.report.table import Column, Table, numbers, table, words
 
 
 def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return static limits as a table, one row per set and thrust.
-
-    Parameters
-    ----------
-    name : str
-        Of the sets.
-    rows : sequence of mapping
-        As `sysid.workflows.static_limits.SetLimits.document` writes them.
-    """
+    """Return static limits, one row per set and thrust, as `workflows.static_limits` writes them."""
     creeps = any(row["rigid creep limit [deg]"] < row["rigid slide limit [deg]"] for row in rows)
 
     def degrees(header: str, key: str) -> Column:
@@ -52,8 +44,6 @@ def gains_table(
 
     Parameters
     ----------
-    name : str
-        Of the sets.
     base : mapping of str to float
         Largest safe slope of the sets as they are [deg], by touchdown speed.
     gains : sequence of mapping
@@ -72,10 +62,8 @@ def gains_table(
             )
         )  # fmt: skip
     heads = ("best", "gain [deg]", "worst", "loss [deg]", *base)
-    note = (
-        "gain: in width of slopes landed on, mean over the speeds; columns of speeds: the largest safe slope "
-    )
-    note += "[deg] at the best value"
+    note = "gain: in width of slopes landed on, mean over the speeds; columns of speeds: the largest safe "
+    note += "slope [deg] at the best value"
     if bounds or any(row[LOWER_BOUNDS] for row in gains):
         note += "; ≥: safe up to the steepest slope tried, so gains are lower bounds; raise --slopes"
     return table(

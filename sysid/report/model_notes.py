@@ -43,13 +43,7 @@ _VARIABLES = (
 
 
 def misprints(motor: ParameterSets, gear: ParameterSets) -> Html:
-    """Return what the paper prints, what must be meant, and the number that decides, computed here and now.
-
-    Parameters
-    ----------
-    motor, gear : ParameterSets
-        Such as the published Tables I and II (low friction).
-    """
+    """Return what the paper prints, what must be meant, and the number that decides, computed from sets."""
     rows = (*_motor_rows(motor), *_gear_rows(gear))
     heads = ("printed", "meant", "the number that decides")
     return _words_table("where the print cannot be meant, and what is missing", heads, rows)
@@ -70,9 +64,7 @@ def checks(motor: ParameterSets, gear: ParameterSets) -> Html:
     thrust = f"the thrust is not printed; {_REVERSE_THRUST:g} N is what both limits imply"
     rows = (
         (
-            "slides from rest, low friction",
-            f"{_PAPER_SLIDES:g}°",
-            f"{slide:.1f}°",
+            "slides from rest, low friction", f"{_PAPER_SLIDES:g}°", f"{slide:.1f}°",
             "here the closed form atan μ_k; the law (8) itself never holds a drone, and at "
             f"{_PAPER_SLIDES:g}° it creeps with {creep:.0f} mm/s, which is no rest",
         ),
@@ -80,13 +72,11 @@ def checks(motor: ParameterSets, gear: ParameterSets) -> Html:
         ("tips over, stiff legs", "35°", f"{tip:.1f}°", "rounding"),
         (f"the same with {_REVERSE_THRUST:g} N of reverse thrust", "67°", f"{held:.1f}°", thrust),
         (
-            "reversal, from 62 % forward to full reverse",
-            "250 ms",
-            delays[0],
+            "reversal, from 62 % forward to full reverse", "250 ms", delays[0],
             "here until 90 % of the final thrust; the paper prints neither the commands nor the share: until "
             f"95 % it is {delays[1]}, until 98 % {delays[2]}, and {same} from 62 % to −62 % until 90 %",
         ),
-    )
+    )  # fmt: skip
     columns = (
         words("what", itemgetter(0)), numbers("paper", itemgetter(1)), numbers("here", itemgetter(2)),
         words("why they differ", itemgetter(3)),
@@ -127,11 +117,8 @@ def symbols(motor: ParameterSets, gear: ParameterSets) -> Html:
     """Return every symbol of the equations with its unit and meaning: what moves, then the parameters."""
     rows = list(_VARIABLES)
     for title, parameters, sets in (("motor", MOTOR, motor), ("gear", GEAR, gear)):
-        for name in sets.names:
+        for parameter in (parameters[name] for name in sets.names if name in parameters):
             # The equations hold neither the delays of instruments nor legs that differ.
-            if name not in parameters:
-                continue
-            parameter = parameters[name]
             if parameter.unit != "s" and "/" not in parameter.symbol:
                 meaning = parameter.meaning
                 text = f"{title}: {meaning[:1].lower()}{meaning[1:].rstrip('.')}"
@@ -163,9 +150,8 @@ def _motor_rows(sets: ParameterSets) -> list[tuple[str, str, str]]:
         (
             "V_c = Ω_0(u)/K_v (4)",
             "V_c = k_v Ω_0(u)",
-            f"at full command {1e-3 * full / v['back_emf_constant']:.0f} kV as printed, with the constant of "
-            "(1), "
-            f"{full * v['back_emf_constant']:.1f} V as meant",
+            f"at full command {1e-3 * full / v['back_emf_constant']:.0f} kV as printed, with the constant "
+            f"of (1), {full * v['back_emf_constant']:.1f} V as meant",
         ),
         (
             "L in kg (Table I)",

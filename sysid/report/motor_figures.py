@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from sysid.fit.result import TrialResult
-from sysid.report.drawing import BEST, MEASURED, OTHERS, RUNS, panel, thinned, tidy
+from sysid.report.drawing import BEST, MEASURED, OTHERS, RUNS, panel, panels, thinned, tidy
 from sysid.trials.reversal import LEVEL, Repetitions
 from sysid.types import FloatArray
 
@@ -44,24 +45,13 @@ class ReversalCurves:
 def figure_reversals(logs: Sequence[ReversalCurves]) -> Figure:
     """Draw the thrust after each reversal command: a panel per pair of commands, a colour per log.
 
-    Parameters
-    ----------
-    logs : sequence of ReversalCurves
-        At least one with a reversal.
-
-    Notes
-    -----
-    Repetitions are thin, the one of median time is thick; a dot marks 90 % of the final thrust.
+    At least one log holds a reversal. Repetitions are thin, the one of median time is thick; a dot marks 90 %
+    of the final thrust.
     """
     pairs = list(dict.fromkeys((g.before, g.after) for log in logs for g in log.groups))
-    columns = min(len(pairs), 3)
-    rows = -(-len(pairs) // columns)
-    figure = Figure(figsize=(4.2 * columns + 2.2, 3.2 * rows + 0.6), layout="constrained")
-    all_axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes in all_axes[len(pairs) :]:
-        axes.set_visible(False)
+    figure, every = panels(len(pairs), min(len(pairs), 3), (4.2, 3.2), (2.2, 0.6))
     handles: dict[str, Line2D] = {}
-    for axes, pair in zip(all_axes, pairs, strict=False):
+    for axes, pair in zip(every, pairs, strict=True):
         axes.axhline(0.0, color="0.6", linewidth=0.8)
         axes.axvline(0.0, color="0.6", linewidth=0.8, linestyle=":")
         latest = 0.0
@@ -75,24 +65,18 @@ def figure_reversals(logs: Sequence[ReversalCurves]) -> Figure:
                 for reversal in group.reversals:
                     time, values = log.thrust
                     inside = (time >= reversal.time - _BEFORE) & (time < reversal.time + reversal.hold)
-                    (line,) = axes.plot(
-                        time[inside] - reversal.time, values[inside], color=colour,
-                        linewidth=2.0 if reversal is middle else 0.6,
-                        alpha=1.0 if reversal is middle else 0.5,
-                    )  # fmt: skip
+                    width, alpha = (2.0, 1.0) if reversal is middle else (0.6, 0.5)
+                    look: dict[str, Any] = {"color": colour, "linewidth": width, "alpha": alpha}
+                    (line,) = axes.plot(time[inside] - reversal.time, values[inside], **look)
                     if reversal is middle:
                         handles.setdefault(log.name, line)
                 if ranked:
-                    axes.plot(
-                        [middle.to_level], [LEVEL * middle.final_thrust], marker="o", color=colour, zorder=5
-                    )
-                    latest = max(latest, ranked[-1].to_level)
-                else:
-                    latest = max(latest, group.reversals[0].hold)
+                    spot = [middle.to_level], [LEVEL * middle.final_thrust]
+                    axes.plot(*spot, marker="o", color=colour, zorder=5)
+                latest = max(latest, ranked[-1].to_level if ranked else group.reversals[0].hold)
         axes.set_xlim(-_BEFORE, latest + _BEYOND)
         axes.set_title(f"u {pair[0]:+.2f} → {pair[1]:+.2f}", fontsize="medium")
-        axes.set_xlabel("time after the command [s]")
-        axes.set_ylabel("thrust [N]")
+        axes.set(xlabel="time after the command [s]", ylabel="thrust [N]")
         axes.grid(True, color="0.92")
         axes.set_axisbelow(True)
     figure.suptitle("thrust after a reversal command; dot: 90 % of the final thrust")
@@ -132,24 +116,21 @@ def figure_thrust(
     zero: float | None = None,
     legend: bool = False,
 ) -> Figure:
-    """Draw measured thrust and that of every set, in the manner of the paper's Fig. 4; commands as steps.
+    """Draw measured thrust and the thrust of every set, as in the paper's Fig. 4; commands as steps.
 
     Parameters
     ----------
-    trial : TrialResult
-        Of a motor, with its thrust.
     simulated : (S, n) array
         Thrust of every set [N].
     window : (float, float), optional
-        Only this part of the trial's time [s].
+        Part of the trial's time to draw [s].
     zero : float, optional
-        Where the drawn time begins to count, such as a command [s]; the window's start by default.
+        Instant from which the axis counts, such as a command [s]; the window's start by default.
     legend : bool
         Say in the figure what the lines are, for a figure that stands alone.
     """
     assert trial.thrust is not None
-    figure = panel(3.4)
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.6, 1.0))
+    figure, (top, bottom) = panel(3.4, nrows=2, sharex=True, height_ratios=(2.6, 1.0))
     inside = np.ones(len(trial.time), dtype=bool)
     if window is not None:
         inside = (trial.time >= window[0]) & (trial.time <= window[1])
@@ -157,19 +138,15 @@ def figure_thrust(
     time = trial.time[inside] - origin
     top.plot(*thinned(time, trial.thrust[inside]), color=MEASURED, linewidth=2.0)
     for s in range(len(simulated) - 1, -1, -1):
-        top.plot(
-            *thinned(time, simulated[s][inside]),
-            color=BEST if s == 0 else OTHERS,
-            linewidth=1.2 if s == 0 else 0.8,
-        )
+        colour, width = (BEST, 1.2) if s == 0 else (OTHERS, 0.8)
+        top.plot(*thinned(time, simulated[s][inside]), color=colour, linewidth=width)
     top.set_ylabel("thrust [N]")
     if trial.commands is not None:
         # The last command holds to the end.
         instants = np.append(trial.commands[:, 0] - origin, max(time[-1], trial.commands[-1, 0] - origin))
         levels = 100 * np.append(trial.commands[:, 1], trial.commands[-1, 1])
-        bottom.step(instants, levels, where="post", color="#0072B2")
-    bottom.set_ylim(-115, 115)
-    bottom.set_ylabel("command\n[%]")
+        bottom.step(instants, levels, where="post", color=RUNS[0])
+    bottom.set(ylim=(-115, 115), ylabel="command\n[%]")
     bottom.set_xlabel("time [s]" if zero is None else "time after the command [s]")
     if zero is not None:
         for axes in (top, bottom):
@@ -177,7 +154,7 @@ def figure_thrust(
     if legend:
         names = [("measured", MEASURED, 2.0), ("best set", BEST, 1.2)]
         names += [("other sets", OTHERS, 0.8)] if len(simulated) > 1 else []
-        names += [("command", "#0072B2", 1.5)] if trial.commands is not None else []
+        names += [("command", RUNS[0], 1.5)] if trial.commands is not None else []
         handles = [Line2D([], [], label=label, color=colour, linewidth=wide) for label, colour, wide in names]
         figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=8, frameon=False)
     top.set_xlim(float(time[0]), float(time[-1]))

@@ -76,16 +76,15 @@ class MotorReport(FitReport):
             pieces.append(picture(figure, words, what))
         out = grid(pieces)
         if len(shown) < len(commands):
-            out += paragraph(
-                f"{len(shown)} of {len(commands)} reversals are drawn; sysid report --pdf-figures draws all.",
-                "note",
-            )
+            drawn = f"{len(shown)} of {len(commands)} reversals are drawn"
+            out += paragraph(f"{drawn}; sysid report --pdf-figures draws all.", "note")
         rows = [
             (
-                f"{row['trial']} ({row['use']}): {_signed(row['command before'])} % to "
-                f"{_signed(row['command after'])} %",
-                f"{_milliseconds(row['measured [s]'])} measured, "
-                f"{_milliseconds(row['simulated [s]'])} simulated",
+                f"{row['trial']} ({row['use']}): "
+                + " to ".join(f"{_signed(row[f'command {when}'])} %" for when in ("before", "after")),
+                ", ".join(
+                    f"{_milliseconds(row[f'{what} [s]'])} {what}" for what in ("measured", "simulated")
+                ),
             )
             for row in self.fit.settings.get("reversal delays", ())
         ]
@@ -116,12 +115,8 @@ class MotorReport(FitReport):
         names = [record.name for record in fit.parameters]
         curve = {name: names.index(name) for name in names if name in MOTOR.group("thrust curve")}
         speed = trial.simulated[:, :, fit.channels.index("speed")]
-        return np.stack(
-            [
-                static_thrust(speed[s], {name: float(fit.values[s, i]) for name, i in curve.items()})
-                for s in range(len(fit.values))
-            ]
-        )
+        sets = ({name: float(row[i]) for name, i in curve.items()} for row in fit.values)
+        return np.stack([static_thrust(speed[s], values) for s, values in enumerate(sets)])
 
 
 def _signed(share: float) -> str:

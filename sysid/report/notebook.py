@@ -24,6 +24,7 @@ from sysid.report.html import NOTHING, Html, identity, joined, preformatted
 from sysid.report.page import page
 
 _BLOCK, _INLINE = re.compile(r"\$\$(.+?)\$\$", re.DOTALL), re.compile(r"(?<!\\)\$([^$\n]+?)\$")
+_HEADING = re.compile(r"<h([1-6])>(.*?)</h\1>")
 _LIBRARIES = ("papermill", "ipykernel", "latex2mathml")
 
 
@@ -63,14 +64,8 @@ def find_notebook(name: str) -> Path:
 def run_notebook(path: Path, parameters: Mapping[str, Any], *, cwd: Path | None = None) -> Any:
     """Run a notebook with parameters and return it with what its cells gave (nbformat).
 
-    Parameters
-    ----------
-    path : Path
-        Notebook with a cell tagged ``parameters``.
-    parameters : mapping
-        Numbers, texts, None; absolute paths.
-    cwd : Path, optional
-        Where it runs; the notebook's folder by default.
+    A cell of the notebook is tagged ``parameters``. It runs in `cwd`, by default in the notebook's folder, so
+    paths among the parameters are absolute.
 
     Raises
     ------
@@ -80,24 +75,20 @@ def run_notebook(path: Path, parameters: Mapping[str, Any], *, cwd: Path | None 
     check_notebook_tools()
     import papermill
     from papermill.exceptions import PapermillException
+    from traitlets.config import Config
 
+    # Kernel and caller speak through files, where the system has such sockets, not by network.
+    config = Config({"KernelManager": {"transport": "ipc"}} if os.name == "posix" else {})
     with _quiet_kernel() as folder:
         finished = folder / "finished.ipynb"
         try:
             return papermill.execute_notebook(
                 str(path), str(finished), dict(parameters), kernel_name="python3", progress_bar=False,
-                cwd=str(cwd or path.parent), extra_arguments=["--log-level=CRITICAL"], config=_local_only(),
+                cwd=str(cwd or path.parent), extra_arguments=["--log-level=CRITICAL"], config=config,
             )  # fmt: skip
         except PapermillException as error:
             what = getattr(error, "evalue", "") or str(error)
             raise ExportError(f"{path.name}: {' '.join(str(what).split())}") from error
-
-
-def _local_only() -> Any:
-    """Let kernel and caller speak through files, where the system has such sockets, not by network."""
-    from traitlets.config import Config
-
-    return Config({"KernelManager": {"transport": "ipc"}} if os.name == "posix" else {})
 
 
 @contextmanager
@@ -118,19 +109,14 @@ def _quiet_kernel() -> Iterator[Path]:
 
 
 def notebook_page(notebook: Any, title: str) -> str:
-    """Return a notebook that has run as one page: its prose and what its cells return, none of its code.
-
-    Parameters
-    ----------
-    notebook : nbformat notebook
-    title : str
-        Of the page.
-    """
+    """Return a notebook that has run as one page: its prose and what its cells return, none of its code."""
     markdown = MarkdownIt()
     pieces = []
     for cell in notebook.cells:
         if cell.cell_type == "markdown":
-            pieces.append(Html(_headed(markdown.render(with_mathml(cell.source)))))
+            markup = markdown.render(with_mathml(cell.source))
+            # A link can name a heading by its identity.
+            pieces.append(Html(_HEADING.sub(_named, markup)))
         else:
             pieces += [_shown(output) for output in cell.get("outputs", ())]
     return page(title, joined(pieces))
@@ -157,10 +143,5 @@ def with_mathml(source: str) -> str:
     return _INLINE.sub(inline, _BLOCK.sub(block, source))
 
 
-def _headed(markup: str) -> str:
-    """Give headings an identity that a link can name."""
-
-    def named(match: re.Match[str]) -> str:
-        return f'<h{match[1]} id="{identity(html.unescape(match[2]))}">{match[2]}</h{match[1]}>'
-
-    return re.sub(r"<h([1-6])>(.*?)</h\1>", named, markup)
+def _named(match: re.Match[str]) -> str:
+    return f'<h{match[1]} id="{identity(html.unescape(match[2]))}">{match[2]}</h{match[1]}>'

@@ -23,14 +23,9 @@ _SYMBOLS = {"x_B_rate": "ẋ_B", "z_B_rate": "ż_B", "stator_torque": "stator to
 
 
 def ranked_table(sets: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
-    """Return the ranked sets side by side: NRMSE, run, and every free parameter [SI].
+    """Return the ranked sets side by side, best first: NRMSE, run, and every free parameter [SI].
 
-    Parameters
-    ----------
-    sets : ParameterSets
-        Best first.
-    unfixed : sequence of str
-        Parameters that the data do not fix: their values are printed with one digit, and marked.
+    The values of `unfixed` parameters, which the data do not fix, are printed with one digit, and marked.
     """
     shown = _shown(sets)
     rows = [_scores("NRMSE fitted", sets.nrmse, "strong")]
@@ -49,13 +44,8 @@ def ranked_table(sets: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
         notes.append(f"{_UNFIXED} not fixed by the data: no digits")
     count = "one set" if len(sets) == 1 else f"{len(sets)} sets, best first"
     columns = [numbers(f"set {rank}", itemgetter(rank)) for rank in range(1, len(sets) + 1)]
-    return table(
-        f"{sets.name}: {count}",
-        rows,
-        (words("parameter", itemgetter(0)), *columns),
-        "\n".join(notes),
-        {above},
-    )
+    columns.insert(0, words("parameter", itemgetter(0)))
+    return table(f"{sets.name}: {count}", rows, columns, "\n".join(notes), {above})
 
 
 def _scores(what: str, values: FloatArray, tone: Tone = "") -> list[Cell]:
@@ -72,18 +62,11 @@ def _value(sets: ParameterSets, s: int, column: int, loose: bool) -> Cell:
 
 
 def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
-    """Return mean ± σ over the sets of one or more fits, in the layout of the paper's Table II.
+    """Return mean ± σ over the sets of fits of one kind, in the layout of the paper's Table II.
 
-    Parameters
-    ----------
-    *fits : ParameterSets
-        One column each, of one kind; measured values, independent ranges and bounds stand beside them.
-    unfixed : sequence of str
-        Parameters that the data do not fix: "not fixed" replaces the digits.
-
-    Notes
-    -----
-    σ is divided by S − 1. A parameter of which any set ends at a bound is flagged.
+    Each fit has a column; measured values, independent ranges and bounds stand beside them. "Not fixed"
+    replaces the digits of `unfixed` parameters, which the data do not fix. σ is divided by S − 1. A parameter
+    of which any set ends at a bound is flagged.
     """
     flags = [{sets.names[i] for i in np.flatnonzero(np.any(sets.at_bound != 0, axis=0))} for sets in fits]
 
@@ -146,13 +129,7 @@ def trial_table(sets: ParameterSets) -> Table:
 
 
 def ladder_table(sets: ParameterSets) -> Table:
-    """Return what each step of the model buys: NRMSE by group of trials and rung; a row per group.
-
-    Parameters
-    ----------
-    sets : ParameterSets
-        Whose settings hold a ``ladder``.
-    """
+    """Return what each step of the model buys, from the ``ladder`` of a fit: NRMSE by group and rung."""
     rungs = sets.settings["ladder"]
 
     def score(rung: dict[str, Any], group: str) -> str:
@@ -163,10 +140,7 @@ def ladder_table(sets: ParameterSets) -> Table:
         f"{sets.name}: what each step of the model buys, NRMSE [%] of "
         f"{' / '.join(map(channel_symbol, sets.channels))}",
         dict.fromkeys(group for rung in rungs for group in rung["nrmse"]),
-        (
-            words("trials", str),
-            *(numbers(rung["rung"], partial(score, rung)) for rung in rungs),
-        ),
+        (words("trials", str), *(numbers(rung["rung"], partial(score, rung)) for rung in rungs)),
         "judge by the held-out rows: a parameter is not real because a search returned it",
     )
 

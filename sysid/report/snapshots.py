@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 
 from sysid.errors import ExportError
-from sysid.report.drawing import WIDTH
+from sysid.report.drawing import WIDTH, arrow, directions, panels
 from sysid.report.drop_replay import DropReplay
 from sysid.storage import write_file
 from sysid.types import FloatArray
@@ -37,34 +37,29 @@ def figure_snapshots(drop: DropReplay, *, columns: int = 2, legend: bool = False
     8 ms in which the feet bear most.
     """
     instants = drop.first_contacts()
-    rows = -(-max(1, len(instants)) // columns)
-    height = 0.1 + 1.95 * rows + (0.45 if legend else 0.0)
-    figure = Figure(figsize=(0.5 * WIDTH * columns, height), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes in panels[len(instants) :]:
-        axes.set_visible(False)
+    around = (0.0, 0.55 if legend else 0.1)
+    figure, every = panels(len(instants), columns, (0.5 * WIDTH, 1.95), around)
     scale = force_scale(drop)
-    for number, ((time, _), axes) in enumerate(zip(instants, panels, strict=False), start=1):
+    for number, ((time, _), axes) in enumerate(zip(instants, every, strict=True), start=1):
         i = drop.index(time)
         first = max(i - _NEAR, 0)
         loaded = first + int(np.argmax(drop.normal_force[first : i + _NEAR + 1].sum(axis=1)))
         x, z, _ = drop.body[i]
-        draw_drone(axes, drop, i, scale, ghost=True, forces_at=loaded)
-        axes.set_xlim(x - 0.28, x + 0.28)
-        axes.set_ylim(z - 0.25, z + 0.2)
+        draw_drone(axes, drop, i, scale, forces_at=loaded)
+        axes.set(xlim=(x - 0.28, x + 0.28), ylim=(z - 0.25, z + 0.2))
         axes.set_title(f"({number}) {1e3 * time:.0f} ms", fontsize=9, loc="left")
     if legend:
-        figure.legend(handles=_legend(), loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+        handles = [
+            Line2D([], [], color=colour, linewidth=width, label=words)
+            for colour, width, words in (
+                (NORMAL, 1.8, "normal force"),
+                (FRICTION, 1.8, "friction"),
+                (BODY, 2.0, "simulated, best set"),
+                (GHOST, 1.0, "measured body"),
+            )
+        ]
+        figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     return figure
-
-
-def _legend() -> list[Line2D]:
-    return [
-        Line2D([], [], color=NORMAL, linewidth=1.8, label="normal force"),
-        Line2D([], [], color=FRICTION, linewidth=1.8, label="friction"),
-        Line2D([], [], color=BODY, linewidth=2.0, label="simulated, best set"),
-        Line2D([], [], color=GHOST, linewidth=1.0, label="measured body"),
-    ]
 
 
 def force_scale(drop: DropReplay) -> float:
@@ -73,9 +68,7 @@ def force_scale(drop: DropReplay) -> float:
     return _LONGEST / largest if largest > 0 else 0.0
 
 
-def draw_drone(
-    axes: Axes, drop: DropReplay, i: int, scale: float, *, ghost: bool, forces_at: int | None = None
-) -> None:
+def draw_drone(axes: Axes, drop: DropReplay, i: int, scale: float, *, forces_at: int | None = None) -> None:
     """Draw slope, drone, forces and the measured ghost at sample `i`; lengths in metres, equal scales.
 
     The forces are those of sample `forces_at`, by default of the same.
@@ -83,14 +76,13 @@ def draw_drone(
     loaded = i if forces_at is None else forces_at
     axes.set_aspect("equal")
     axes.set_axis_off()
-    along = np.array([np.cos(drop.slope), -np.sin(drop.slope)])
-    normal = np.array([np.sin(drop.slope), np.cos(drop.slope)])
+    along, normal = directions(drop.slope)
     corners = [-5 * along, 5 * along, 5 * along - normal, -5 * along - normal]
     axes.add_patch(Polygon(corners, facecolor="#E9E2D3", edgecolor=GROUND, linewidth=1.2, zorder=1))
-    if ghost and np.isfinite(drop.measured[i]).all():
+    if np.isfinite(drop.measured[i]).all():
         v = drop.values
         x, z, q = drop.measured[i]
-        ex, ez = np.array([np.cos(q), -np.sin(q)]), np.array([np.sin(q), np.cos(q)])
+        ex, ez = directions(q)
         centre = np.array([x, z])
         joints = [centre + s * v["joint_dx"] * ex - v["joint_dz"] * ez for s in (-1, 1)]
         feet = [centre + s * v["foot_dx"] * ex - v["foot_dz"] * ez for s in (-1, 1)]
@@ -105,14 +97,13 @@ def draw_drone(
             (drop.friction_force[loaded, foot], along, FRICTION),
         ):
             if abs(force) * scale > 2e-3:
-                look = {"arrowstyle": "-|>", "linewidth": 1.8, "shrinkA": 0, "shrinkB": 0, "color": colour}
-                axes.annotate("", start + scale * force * way, start, zorder=6, arrowprops=look)
+                arrow(axes, start, start + scale * force * way, colour, 1.8)
 
 
 def _draw_body(
     axes: Axes, centre: FloatArray, q: float, arm: float, legs: FloatArray, colour: str, *, zorder: int
 ) -> None:
-    ex, ez = np.array([np.cos(q), -np.sin(q)]), np.array([np.sin(q), np.cos(q)])
+    ex, ez = directions(q)
     width = 1.0 if colour == GHOST else 2.0
     for joint, foot in zip(legs[0], legs[1], strict=True):
         # The joint hangs below the arm.
@@ -170,16 +161,14 @@ def write_film(drop: DropReplay, path: Path, *, force: bool = False) -> Path:
     axes = figure.add_axes((0.0, 0.0, 1.0, 0.92))
     scale = force_scale(drop)
     low, high = np.nanmin(drop.body[:, :2], axis=0) - 0.25, np.nanmax(drop.body[:, :2], axis=0) + 0.25
-    duration = float(drop.time[-1])
-    shots = np.arange(0.0, duration, 1.0 / (SLOW * FILM_RATE))
+    shots = np.arange(0.0, float(drop.time[-1]), 1.0 / (SLOW * FILM_RATE))
 
     def draw(time: float) -> list[object]:
         axes.clear()
-        draw_drone(axes, drop, drop.index(time), scale, ghost=True)
+        draw_drone(axes, drop, drop.index(time), scale)
         # The slope reaches both edges of the picture, whatever the shape of the window.
         axes.set_aspect("equal", adjustable="datalim")
-        axes.set_xlim(low[0], high[0])
-        axes.set_ylim(low[1], high[1])
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         figure.suptitle(
             f"{drop.name}, {np.degrees(drop.slope):.0f}°, {1e3 * time:4.0f} ms, {SLOW:g} × slow motion\n"
             "normal force blue, friction red, measured grey",

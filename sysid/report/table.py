@@ -22,17 +22,9 @@ class Cell:
 
 @dataclass(frozen=True)
 class Column:
-    """One column and how a row fills it.
+    """One column and how a row of the data fills it.
 
-    Parameters
-    ----------
-    header : str
-    cell : callable
-        Takes a row of the data and returns its text or `Cell`.
-    unit : str
-        Printed behind the header in brackets.
-    number : bool
-        Align to the right and never break or cut.
+    The unit is printed behind the header in brackets. Numbers are aligned to the right, never broken or cut.
     """
 
     header: str
@@ -48,16 +40,9 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of text; the first column names the rows.
+    """A table of text between a title and a caption; the first column names the rows.
 
-    Parameters
-    ----------
-    title, caption : str
-        Above and below it.
-    columns : tuple of Column
-    rows : tuple of tuple of Cell
-    rules : frozenset of int
-        Rows above which a line is drawn.
+    A line is drawn above the rows whose numbers are in `rules`.
     """
 
     title: str
@@ -68,20 +53,14 @@ class Table:
 
 
 def table(
-    title: str,
-    rows: Iterable[Any],
-    columns: Sequence[Column | None],
-    caption: str = "",
+    title: str, rows: Iterable[Any], columns: Sequence[Column | None], caption: str = "",
     rules: Iterable[int] = (),
-) -> Table:
+) -> Table:  # fmt: skip
     """Fill a table: every column that is not None, for every row of the data."""
     chosen = tuple(column for column in columns if column is not None)
-    filled = tuple(tuple(_cell(column.cell(row)) for column in chosen) for row in rows)
+    contents = (tuple(column.cell(row) for column in chosen) for row in rows)
+    filled = tuple(tuple(c if isinstance(c, Cell) else Cell(c) for c in row) for row in contents)
     return Table(title, chosen, filled, caption, frozenset(rules))
-
-
-def _cell(content: str | Cell) -> Cell:
-    return content if isinstance(content, Cell) else Cell(content)
 
 
 def words(header: str, cell: Callable[[Any], str | Cell], unit: str = "") -> Column:

@@ -75,13 +75,7 @@ _TRADES = words("trades with", _partners)
 
 
 def interval_table(document: Row) -> Table:
-    """Return Table II with what the data leave open: value, mean ± σ of the sets, interval, verdict.
-
-    Parameters
-    ----------
-    document : mapping
-        ``trust`` of `sysid.trust.documents`.
-    """
+    """Return Table II with what the data leave open: value, mean ± σ of the sets, interval, verdict."""
     rows = document["parameters"]
     drawn, measured = (any(row.get(key) for row in rows) for key in ("bootstrap_95", "measured"))
     return table(

@@ -14,21 +14,9 @@ from sysid.parameters import in_words
 from sysid.report.drawing import percent_text
 from sysid.report.trust_tables import verdict_words
 
-_COUNTS = [
-    "no",
-    "one",
-    "two",
-    "three",
-    "four",
-    "five",
-    "six",
-    "seven",
-    "eight",
-    "nine",
-    "ten",
-    "eleven",
-    "twelve",
-]
+_COUNTS = (
+    "no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve",
+)  # fmt: skip
 
 
 def verdict_sentences(
@@ -45,13 +33,10 @@ def verdict_sentences(
 
     Parameters
     ----------
-    fit : FitResult
     against : FitResult, optional
         The same sets on trials of another campaign.
-    trust : mapping, optional
-        The document of intervals and verdicts.
-    validated : mapping
-        Documents of validations, by name.
+    trust, validated : mapping
+        Documents of intervals and verdicts, and of validations by name.
     warnings : int
         How many stand below the verdict.
     model, noun : str
@@ -145,11 +130,10 @@ def _fixed(fit: FitResult, trust: Mapping[str, Any] | None) -> list[str]:
 def _runs(fit: FitResult) -> list[str]:
     if not fit.runs:
         return ["The fit holds no runs."]
-    agreement = fit.agreement
+    agreement, total = fit.agreement, len(fit.runs)
     # Where a run was cut is no optimum, so none is the best one.
     if agreement.unfinished:
         return [f"{agreement.sentence()}."]
-    total = len(fit.runs)
     if total == 1:
         return ["A single run cannot say whether its optimum is the best one."]
     return [f"{agreement.reached} of {total} independent runs ended in the best optimum."]

@@ -108,8 +108,7 @@ def test_thinning_keeps_every_peak():
     values[7777], values[12_345] = 9.0, -9.0
     few, kept = thinned(time, values, 600)
     assert len(few) <= 600
-    assert kept.max() == 9.0
-    assert kept.min() == -9.0
+    assert (kept.max(), kept.min()) == (9.0, -9.0)
     assert np.all(np.diff(few) > 0)
 
 
@@ -136,13 +135,9 @@ def test_the_spread_shows_every_set_between_its_bounds():
     np.testing.assert_allclose(np.sort(place), np.sort(fit.cube[:, 0]), atol=1e-12)
 
 
-def white(rate, n=200_000, sigma=0.3):
-    return sigma * np.random.default_rng(2).standard_normal((n, 1))
-
-
 def test_the_spectrum_of_white_noise_is_flat_at_its_density():
     rate = 1000.0
-    found = amplitude_spectrum(white(rate), rate)
+    found = amplitude_spectrum(0.3 * np.random.default_rng(2).standard_normal((200_000, 1)), rate)
     # 100 averaged stretches: 5 % of the amplitude per point, less in the wide bands.
     inner = (found.frequency > 3) & (found.frequency < 490)
     np.testing.assert_allclose(found.density[inner, 0], 0.3 * np.sqrt(2 / rate), rtol=0.2)
@@ -168,12 +163,12 @@ def test_a_fit_keeps_what_its_report_shows(tmp_path):
         "commands": np.array([[0.0, 0.5], [1.0, -1.0]]),
     }
     fit = replace(fit, trials=(replace(fit.trials[0], **more), *fit.trials[1:]))
-    back = read_fit(write_fit(fit, tmp_path / "fit"))
-    np.testing.assert_array_equal(back.trials[0].spectrum.density, more["spectrum"].density)
-    np.testing.assert_array_equal(back.trials[0].spectrum.frequency, more["spectrum"].frequency)
-    np.testing.assert_array_equal(back.trials[0].thrust, more["thrust"])
-    np.testing.assert_array_equal(back.trials[0].commands, more["commands"])
-    assert back.trials[1].spectrum is back.trials[1].thrust is back.trials[1].commands is None
+    first, second, *_ = read_fit(write_fit(fit, tmp_path / "fit")).trials
+    for part in ("density", "frequency"):
+        np.testing.assert_array_equal(getattr(first.spectrum, part), getattr(more["spectrum"], part))
+    for part in ("thrust", "commands"):
+        np.testing.assert_array_equal(getattr(first, part), more[part])
+    assert second.spectrum is second.thrust is second.commands is None
 
 
 SLOPE = np.radians(15.0)
@@ -216,9 +211,8 @@ def test_a_replay_repeats_the_drop_with_its_feet_and_forces(drop_fit):
     np.testing.assert_allclose(drop.normal_force[pressed], 1.10e5 * depth[pressed], atol=0.05)
     assert np.all(depth[~pressed] <= 1e-12)
     assert np.all(np.abs(drop.friction_force) <= 0.44 * drop.normal_force + 1e-9)
-    start = drop.joints[0], drop.feet[0]
-    np.testing.assert_allclose(start[0], [[-0.088, 0.186], [0.088, 0.186]], atol=1e-12)
-    np.testing.assert_allclose(start[1], [[-0.105, 0.059], [0.105, 0.059]], atol=1e-12)
+    np.testing.assert_allclose(drop.joints[0], [[-0.088, 0.186], [0.088, 0.186]], atol=1e-12)
+    np.testing.assert_allclose(drop.feet[0], [[-0.105, 0.059], [0.105, 0.059]], atol=1e-12)
 
 
 def test_contacts_of_a_replay_are_the_events_of_the_simulation(drop_fit):
@@ -244,9 +238,8 @@ def test_a_replay_s_modes_are_those_of_the_located_switches(drop_fit):
     sticks = np.zeros((len(drop.time), 2), dtype=bool)
     for event in run.events:
         if event.kind in (EventKind.STICK, EventKind.SLIP):
-            sticks[drop.time >= event.time, ("rear", "front").index(event.foot)] = (
-                event.kind is EventKind.STICK
-            )
+            foot = ("rear", "front").index(event.foot)
+            sticks[drop.time >= event.time, foot] = event.kind is EventKind.STICK
     down = run.normal_force > 0
     assert np.sum(sticks & down) > 100
     # The page's simulation is coarser: a switch may fall one sample aside.
@@ -392,18 +385,16 @@ def test_the_diagram_of_modes_asks_the_code():
 
 
 def test_the_shares_of_modes_follow_friction():
-    def drop(friction, speed):
-        n = 4
-        zero = np.zeros((n, 2))
-        normal = zero + np.array([10.0, 0.0])
-        return DropReplay(
-            "a", "fit", 0.0, np.arange(n) / 1e3, np.zeros((n, 3)), np.zeros((n, 2, 2)), np.zeros((n, 2, 2)),
-            normal, zero + np.array(friction)[:, None] * [1.0, 0.0], np.zeros((n, 3)), (),
-            {"kinetic_friction": 0.8}, zero + np.array(speed)[:, None] * [1.0, 0.0],
-        )  # fmt: skip
-
     # The rear foot bears 10 N: it moves at 8 N = mu_k F_n, and holds at 3 N as at 8.5 N, below mu_s F_n.
-    shares = diagrams.mode_shares([drop([-8.0, 8.0, 3.0, 8.5], [0.3, -0.02, 1e-5, -3e-5])])
+    rear = np.array([1.0, 0.0])
+    normal, friction, speed = (
+        np.array(values)[:, None] * rear
+        for values in ([10.0] * 4, [-8.0, 8.0, 3.0, 8.5], [0.3, -0.02, 1e-5, -3e-5])
+    )
+    body, legs, time = np.zeros((4, 3)), np.zeros((4, 2, 2)), np.arange(4) / 1e3
+    values = {"kinetic_friction": 0.8}
+    drop = DropReplay("a", "fit", 0.0, time, body, legs, legs, normal, friction, body, (), values, speed)
+    shares = diagrams.mode_shares([drop])
     assert shares == {"both slip": 0.5, "rear sticks": 0.5, "front sticks": 0.0, "both stick": 0.0}
     assert diagrams.mode_shares([]) == {}
 
