@@ -20,6 +20,8 @@ from typing import Any, Literal, Self
 from sysid.errors import SysidWarning
 
 Severity = Literal["note", "warning"]
+# Called with one sentence at a time.
+Say = Callable[[str], None] | None
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,7 @@ class Journal:
         What the trials are called: ``drops``, ``trials``.
     """
 
-    def __init__(self, say: Callable[[str], None] | None = None, noun: str = "trials") -> None:
+    def __init__(self, say: Say = None, noun: str = "trials") -> None:
         self._say = say or (lambda line: None)
         self.noun = noun
         self.trials = 0

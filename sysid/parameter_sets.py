@@ -191,29 +191,13 @@ def parameter_records(
 ) -> tuple[ParameterRecord, ...]:
     """Return the record of every row of a model's table, in table order, then the derived ones.
 
-    Parameters
-    ----------
-    space : SearchSpace
-        Which rows are free, with the bounds that the search used.
-    measured : mapping of str to str, optional
-        Where the value of each measured row comes from, by name.
-    measured_ranges : mapping, optional
-        Independent measurements of free rows, by name [SI].
-    derived : sequence of ParameterRecord
-        Numbers that the model computes from the rows.
-    stated : mapping of str to str, optional
-        Where the value of a row comes from that was not measured (a rating, the campaign, a guess), by name.
-    unknown : iterable of str
-        Rows of which nothing recorded says anything.
-
-    Notes
-    -----
-    The source of a row is about its default; the source of a record is about the value in the sets.
+    `measured` and `stated` say where the value of a row comes from that was measured, or was not (a rating,
+    the campaign, a guess); `measured_ranges` are independent measurements of free rows [SI]. Of the `unknown`
+    rows nothing recorded says anything. The source of a row is about its default, that of a record is about
+    the value in the sets.
     """
     free = {row.name: row for row in space.free}
-    known, others = measured or {}, stated or {}
-    missing = set(unknown)
-    ranges = measured_ranges or {}
+    known, others, ranges, missing = measured or {}, stated or {}, measured_ranges or {}, set(unknown)
     out = []
     for name, row in space.table.items():
         status: Status
@@ -237,10 +221,8 @@ class ParameterSets:
 
     Parameters
     ----------
-    kind : str
-        The model: ``motor``, ``gear``.
-    name : str
-        Of the fit.
+    kind, name : str
+        The model, such as ``motor``; name of the fit.
     parameters : tuple of ParameterRecord
         The columns of `values`.
     values : (S, n) array
@@ -253,18 +235,14 @@ class ParameterSets:
         -1 within 1 % of the lower bound, +1 of the upper, else 0.
     trials, uses : tuple of str
         Names of the trials, and ``"fit"`` or ``"validate"`` of each.
-    channels, channel_units : tuple of str
-        Compared channels and their SI units.
-    channel_weights : tuple of float
-        Weight of each in a trial's mean [1].
+    channels, channel_units, channel_weights : tuple
+        Compared channels, their SI units, and the weight of each in a trial's mean [1].
     nrmse_by_trial : (S, T, C) array
         NRMSE per set, trial and channel [1].
     settings : mapping
         What a simulator must also know: laws, command mapping, filter design, conventions.
     provenance : mapping
         Hashes of the logs, versions, seeds, search settings, NRMSE denominator.
-    warnings : tuple of str
-        One sentence each.
     """
 
     kind: str
@@ -295,40 +273,32 @@ class ParameterSets:
         object.__setattr__(self, "at_bound", flags)
         for name in ("settings", "provenance"):
             object.__setattr__(self, name, exact_json.plain(getattr(self, name)))
-        texts = ("parameters", "trials", "uses", "channels", "channel_units", "warnings")
-        for name in (*texts, "runs", "seeds"):
+        names = ("parameters", "trials", "uses", "channels", "channel_units", "warnings", "runs", "seeds")
+        for name in names:
             object.__setattr__(self, name, tuple(getattr(self, name)))
         object.__setattr__(self, "channel_weights", tuple(float(w) for w in self.channel_weights))
         n_sets, n = len(self.nrmse), len(self.parameters)
+        n_trials, n_channels = len(self.trials), len(self.channels)
         shapes = {
-            "values": (self.values.shape, (n_sets, n)),
-            "at_bound": (self.at_bound.shape, (n_sets, n)),
-            "runs": ((len(self.runs),), (n_sets,)),
-            "seeds": ((len(self.seeds),), (n_sets,)),
-            "uses": ((len(self.uses),), (len(self.trials),)),
-            "channel_units": ((len(self.channel_units),), (len(self.channels),)),
-            "channel_weights": ((len(self.channel_weights),), (len(self.channels),)),
-            "nrmse_by_trial": (self.nrmse_by_trial.shape, (n_sets, len(self.trials), len(self.channels))),
-        }
-        for name, (shape, expected) in shapes.items():
+            "values": (n_sets, n), "at_bound": (n_sets, n), "runs": (n_sets,), "seeds": (n_sets,),
+            "uses": (n_trials,), "channel_units": (n_channels,), "channel_weights": (n_channels,),
+            "nrmse_by_trial": (n_sets, n_trials, n_channels),
+        }  # fmt: skip
+        for name, expected in shapes.items():
+            content = getattr(self, name)
+            shape = content.shape if isinstance(content, np.ndarray) else (len(content),)
             if shape != expected:
                 raise ValueError(f"{name} has shape {shape}, expected {expected}")
-        for what, names in (
-            ("parameters", self.names),
-            ("trials", self.trials),
-            ("channels", self.channels),
-        ):
-            if len(set(names)) != len(names):
+        for what, named in (("parameters", self.names), ("trials", self.trials), ("channels", self.channels)):
+            if len(set(named)) != len(named):
                 raise ValueError(f"two {what} share one name")
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, ParameterSets):
             return NotImplemented
         # As text NaN equals NaN and 0.0 differs from -0.0: equal bit for bit, in any order of keys.
-        this, that = (
-            json.dumps(json.loads(sets.document().line()), sort_keys=True) for sets in (self, other)
-        )
-        return this == that
+        texts = {json.dumps(json.loads(sets.document().line()), sort_keys=True) for sets in (self, other)}
+        return len(texts) == 1
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -367,18 +337,11 @@ class ParameterSets:
         return np.array([np.nan if value is None else value for value in stated], dtype=np.float64)
 
     def _head(self) -> dict[str, Any]:
-        return {
-            "kind": self.kind,
-            "name": self.name,
-            "parameters": self.parameters,
+        same = ("kind", "name", "parameters", "settings", "provenance", "warnings")
+        channels = zip(self.channels, self.channel_units, self.channel_weights, strict=True)
+        return {name: getattr(self, name) for name in same} | {
             "trials": [TrialUse(name=t, use=u) for t, u in zip(self.trials, self.uses, strict=True)],
-            "channels": [
-                ChannelUse(name=c, unit=u, weight=w)
-                for c, u, w in zip(self.channels, self.channel_units, self.channel_weights, strict=True)
-            ],
-            "settings": self.settings,
-            "provenance": self.provenance,
-            "warnings": self.warnings,
+            "channels": [ChannelUse(name=c, unit=u, weight=w) for c, u, w in channels],
         }
 
     def metadata(self) -> SetsMetadata:
@@ -425,24 +388,19 @@ class ParameterSets:
         ValueError
             When they contradict each other.
         """
+        trials, channels = metadata.trials, metadata.channels
+        same = ("kind", "name", "parameters", "runs", "seeds", "settings", "provenance", "warnings")
         return cls(
-            kind=metadata.kind,
-            name=metadata.name,
-            parameters=metadata.parameters,
+            **{name: getattr(metadata, name) for name in same},
             values=values,
             nrmse=nrmse,
-            runs=metadata.runs,
-            seeds=metadata.seeds,
             at_bound=at_bound,
-            trials=tuple(trial.name for trial in metadata.trials),
-            uses=tuple(trial.use for trial in metadata.trials),
-            channels=tuple(channel.name for channel in metadata.channels),
-            channel_units=tuple(channel.unit for channel in metadata.channels),
-            channel_weights=tuple(channel.weight for channel in metadata.channels),
+            trials=tuple(trial.name for trial in trials),
+            uses=tuple(trial.use for trial in trials),
+            channels=tuple(channel.name for channel in channels),
+            channel_units=tuple(channel.unit for channel in channels),
+            channel_weights=tuple(channel.weight for channel in channels),
             nrmse_by_trial=nrmse_by_trial,
-            settings=metadata.settings,
-            provenance=metadata.provenance,
-            warnings=metadata.warnings,
         )
 
     @classmethod

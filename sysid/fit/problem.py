@@ -312,11 +312,11 @@ class Problem(ABC):
         for trial in self.trials:
             steps = np.diff(trial.time)
             step = float(np.median(steps))
-            log = str(trial.provenance.get("log", ""))
-            holes = int(np.count_nonzero(steps > 1.5 * step))
-            jitter = float(np.median(np.abs(steps - step)) / step)
-            row = {"name": trial.name, "use": trial.use, "log": log, "rate": 1.0 / step, "jitter": jitter}
-            out.append(row | {"holes": holes, "saturated": 0.0, "suspicions": []})
+            out.append({
+                "name": trial.name, "use": trial.use, "log": str(trial.provenance.get("log", "")),
+                "rate": 1.0 / step, "jitter": float(np.median(np.abs(steps - step)) / step),
+                "holes": int(np.count_nonzero(steps > 1.5 * step)), "saturated": 0.0, "suspicions": [],
+            })  # fmt: skip
         return out
 
     def excitation(self) -> dict[str, Any]:
@@ -338,8 +338,7 @@ class Problem(ABC):
     # --- what every model shares ----------------------------------------------------------------------------
 
     def __getstate__(self) -> dict[str, Any]:
-        names = [one.name for one in fields(self)]  # type: ignore[arg-type]
-        return {name: getattr(self, name) for name in names}
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -389,16 +388,6 @@ class Problem(ABC):
                 out.append(Block(t, int(c), start, stop, count, float(weights[c]), spread, level))
                 start = stop
         return tuple(out)
-
-    @property
-    def without_noise(self) -> tuple[str, ...]:
-        """Channels of trials that show no noise, so that a level is assumed, in words."""
-        noise = self.noise
-        return tuple(
-            f"{self.trials[block.trial].name} ({self.channels[block.channel]})"
-            for block in self.blocks
-            if not np.isfinite(noise[block.trial, block.channel])
-        )
 
     def residuals(self, cube: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return residuals (P, m) in units of each channel's spread [1], and which points failed (P,).
@@ -494,8 +483,6 @@ class Words:
 
     Parameters
     ----------
-    trials : str
-        Plural.
     single : str
         A further recording that `sysid check` could suggest.
     misleads : str
@@ -519,8 +506,6 @@ class Course:
 
     Parameters
     ----------
-    settings : SearchSettings
-        Of the search.
     cut : {"interrupted", "time"} or None
         What cut the search short.
     go_on : callable

@@ -14,9 +14,7 @@ _NORMAL_95 = 1.959964
 
 
 def compare_values(
-    names: Sequence[str],
-    sets: Sequence[ParameterSets],
-    documents: Sequence[Mapping[str, Any] | None],
+    names: Sequence[str], sets: Sequence[ParameterSets], documents: Sequence[Mapping[str, Any] | None]
 ) -> list[dict[str, Any]]:
     """Return the difference of every free parameter that two fits share.
 
@@ -69,31 +67,20 @@ def compare_values(
             unit = "" if record.unit == "1" else f" {record.unit}"
             sentence = (
                 f"{record.symbol} differs: {pair[0]:.4g}{unit} in {names[a]}, {pair[1]:.4g}{unit} in "
-                f"{names[b]} "
-                f"({100 * share:+.1f} %; {by} allow ± {allowed:.2g}{unit})"
+                f"{names[b]} ({100 * share:+.1f} %; {by} allow ± {allowed:.2g}{unit})"
             )
-            out.append(
-                {
-                    "parameter": name,
-                    "symbol": record.symbol,
-                    "unit": record.unit,
-                    "fits": [names[a], names[b]],
-                    "values": pair,
-                    "difference": float(share),
-                    "allowed": float(allowed),
-                    "by": by,
-                    "differs": differs,
-                    "doubt": doubt,
-                    "sentence": sentence,
-                }
-            )
+            out.append({
+                "parameter": name, "symbol": record.symbol, "unit": record.unit, "fits": [names[a], names[b]],
+                "values": pair, "difference": float(share), "allowed": float(allowed), "by": by,
+                "differs": differs, "doubt": doubt, "sentence": sentence,
+            })  # fmt: skip
     return out
 
 
 def _row(document: Mapping[str, Any] | None, name: str) -> Mapping[str, Any] | None:
     if document is None:
         return None
-    return next((one for one in document["parameters"] if one["name"] == name), None)
+    return next((row for row in document["parameters"] if row["name"] == name), None)
 
 
 def _doubt(

@@ -284,10 +284,12 @@ class CheckDocument(Part):
     seconds: float
 
 
+_NAMED: dict[str, type[TrustPart]] = {TRUST: TrustDocument, CROSS_VALIDATION: CrossValidationDocument}
+
+
 def model_of(part: str) -> type[TrustPart]:
     """Return the model of a document."""
-    named: dict[str, type[TrustPart]] = {TRUST: TrustDocument, CROSS_VALIDATION: CrossValidationDocument}
-    return named.get(part, ValidationDocument)
+    return _NAMED.get(part, ValidationDocument)
 
 
 ARRAYS = FileKind("sysid-trust", 1, "the arrays of a trust document", "run it again", FitError)
@@ -311,8 +313,6 @@ def write_part(
 
     Parameters
     ----------
-    folder : Path
-        Of the fit.
     part : str
         ``trust``, ``cross-validation`` or ``validation-CAMPAIGN``.
     document : mapping
@@ -381,17 +381,11 @@ def parts(folder: Path) -> tuple[str, ...]:
 
 
 def free_part(folder: Path, part: str, campaign: Mapping[str, str]) -> str:
-    """Return the name under which a campaign's validation replaces its own and not that of another file.
+    """Return the name under which a campaign's validation replaces its own and not the one of another file.
 
-    Parameters
-    ----------
-    folder : Path
-        Of the fit.
-    part : str
-        `validation_part` of the campaign's name.
-    campaign : mapping
-        ``campaign`` of the document to be written. A file that was edited lies where it lay, one that was
-        moved has the content it had: either is the same campaign. For another one, part of its hash is added.
+    `part` is the `validation_part` of the campaign's name, `campaign` what the document states of its file. A
+    file that was edited lies where it lay, one that was moved has the content it had: either is the same
+    campaign. For another one, part of its hash is added.
     """
     hashed = re.compile(re.escape(part) + "-[0-9a-f]{8}")
     there = {}

@@ -8,14 +8,12 @@ trial less explains.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from sysid.fit.problem import Block, Problem
-from sysid.trust.assessment import Linearized
-from sysid.trust.linearized import gradient_noise, half_widths, information, with_bounds
+from sysid.fit.problem import Problem
+from sysid.trust.linearized import Linearized, bounded_information, gradient_noise
 from sysid.trust.problem import trial_rows
 from sysid.trust.resampling import leave_one_out
 from sysid.trust.verdicts import WEAKLY
@@ -30,6 +28,14 @@ HANGS = 4.5
 FEWEST = 3
 # Of the variance without the trial, at least: what the weighting of the trials leaves of a difference.
 _LEAST = 0.2
+
+
+def standing_out(ratio: FloatArray) -> tuple[int, ...]:
+    """Return the trials whose NRMSE over noise (T,) is unlike the others'; of fewer than three, none."""
+    if len(ratio) < FEWEST or not np.isfinite(ratio).all():
+        return ()
+    limit = max(STANDS_OUT * float(np.median(ratio)), 1.0)
+    return tuple(int(t) for t in np.flatnonzero(ratio > limit))
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +62,8 @@ class Influence:
 
     @property
     def outliers(self) -> tuple[int, ...]:
-        """Trials that score unlike the others; of fewer than three none can be told."""
-        if len(self.ratio) < 3 or not np.isfinite(self.ratio).all():
-            return ()
-        limit = STANDS_OUT * float(np.median(self.ratio))
-        return tuple(int(t) for t in np.flatnonzero(self.ratio > max(limit, 1.0)))
+        """Trials that score unlike the others."""
+        return standing_out(self.ratio)
 
     @property
     def held_by(self) -> tuple[tuple[int, tuple[int, ...]], ...]:
@@ -73,31 +76,19 @@ class Influence:
         return tuple(out)
 
 
-def trial_ratios(blocks: Sequence[Block], levels: FloatArray, floors: FloatArray) -> FloatArray:
-    """Return the NRMSE of every trial over what noise alone costs (T,) [1]."""
-    count = 1 + max(block.trial for block in blocks)
-    both = np.zeros((2, count))
-    for block, level, floor in zip(blocks, levels, floors, strict=True):
-        both[:, block.trial] += block.weight * np.array([level, floor])
-    return both[0] / np.where(both[1] > 0, both[1], np.nan)
-
-
 def influence(problem: Problem, linear: Linearized, floors: FloatArray) -> Influence:
-    """Return what each trial scores, and what the fit would be without it.
+    """Return what each trial scores, and what the fit at its minimum would be without it.
 
-    Parameters
-    ----------
-    linear : Linearized
-        At the minimum.
-    floors : (B,) array
-        NRMSE that noise alone costs [1].
+    `floors` (B,) is the NRMSE that noise alone costs [1].
     """
-    blocks = problem.blocks
-    ratio = trial_ratios(blocks, linear.levels, floors)
-    count, n = len(problem.trials), len(linear.point)
+    blocks, count, n = problem.blocks, len(problem.trials), len(linear.point)
+    scored = np.zeros((2, count))
+    for block, level, floor in zip(blocks, linear.levels, floors, strict=True):
+        scored[:, block.trial] += block.weight * np.array([level, floor])
+    ratio = scored[0] / np.where(scored[1] > 0, scored[1], np.nan)
     if count < FEWEST:
         return Influence(ratio, np.full((count, n), np.nan), np.zeros((count, n)))
-    refits = leave_one_out(problem, linear.point, linear.scale, linear.jacobian.steps, linear.tolerance)
+    refits = leave_one_out(problem, linear)
     shift = np.zeros((count, n))
     changes = problem.disturbances(linear.point)
     for t in range(count):
@@ -108,12 +99,10 @@ def influence(problem: Problem, linear: Linearized, floors: FloatArray) -> Influ
             [blocks[b] for b in kept], values, linear.scale, linear.levels[kept], linear.noise, changes
         )  # fmt: skip
         # With the same rule of bounds as the fit's own: what one trial less explains is their difference.
-        less = with_bounds(information(values, spread), values, spread, linear.point)
-        variance = np.diag(less.covariance)
+        variance = np.diag(bounded_information(values, spread, linear.point).covariance)
         expected = np.maximum(variance - np.diag(linear.information.covariance), _LEAST * variance)
         shift[t] = (refits.points[t] - linear.point) / np.sqrt(np.maximum(expected, 1e-24))
-    widths = half_widths(problem.space, linear.point, linear.information.sigma)
-    shift *= widths < WEAKLY
+    shift *= linear.half_widths < WEAKLY
     usable = np.isfinite(refits.squares)[:, None]
     return Influence(
         ratio, np.where(usable, refits.points, np.nan), np.where(usable, shift, 0.0), refits.evaluations

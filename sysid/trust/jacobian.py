@@ -29,21 +29,15 @@ class Jacobian:
     ----------
     values : (m, n) array
         By the unit cube's coordinates, extrapolated to step 0 (Richardson) where both steps agree.
-    residuals : (m,) array
-        At the point itself.
     steps : (n,) array
         The larger step [unit cube].
     doubt : (n,) array
         Share by which the derivative changes when the step is halved [1].
-    by_trial : (n, T) array
-        The same for each trial's own residuals, as a share of the whole derivative [1].
     """
 
     values: FloatArray
-    residuals: FloatArray
     steps: FloatArray
     doubt: FloatArray
-    by_trial: FloatArray
 
     @property
     def trusted(self) -> BoolArray:
@@ -67,34 +61,21 @@ def jacobian(problem: Problem, point: FloatArray, scale: FloatArray, noise: floa
     ``J = (4 J(h/2) - J(h))/3``. The step is twice the standard deviation that the parameter would have if
     all others were known, because smaller differences are lost in the integration's own error.
     """
-    n = len(point)
-    steps = np.full(n, _FIRST)
-    _, first = _differences(problem, point, scale, steps)
+    first = _differences(problem, point, scale, np.full(len(point), _FIRST))
     steps = np.clip(_SHARE * noise / np.maximum(np.linalg.norm(first, axis=0), 1e-30), _LEAST, _LARGEST)
-    residuals, coarse = _differences(problem, point, scale, steps)
-    _, fine = _differences(problem, point, scale, steps / 2)
-    size = np.maximum(np.linalg.norm(fine, axis=0), 1e-30)
-    changed = fine - coarse
+    coarse = _differences(problem, point, scale, steps)
+    fine = _differences(problem, point, scale, steps / 2)
     # The error of a central difference goes with h²: halving the step takes three quarters of it away.
-    doubt = np.linalg.norm(changed, axis=0) / size
-    values = np.where(doubt < 3 * TRUSTED, (4 * fine - coarse) / 3, fine)
-    by_trial = np.zeros((n, len(problem.trials)))
-    for block in problem.blocks:
-        part = changed[block.start : block.stop]
-        by_trial[:, block.trial] += np.sum(part**2, axis=0)
-    return Jacobian(values, residuals, steps, doubt, np.sqrt(by_trial) / size[:, None])
+    doubt = np.linalg.norm(fine - coarse, axis=0) / np.maximum(np.linalg.norm(fine, axis=0), 1e-30)
+    return Jacobian(np.where(doubt < 3 * TRUSTED, (4 * fine - coarse) / 3, fine), steps, doubt)
 
 
-def _differences(
-    problem: Problem, point: FloatArray, scale: FloatArray, steps: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return residuals (m,) and central differences (m, n); one-sided at the cube's faces."""
+def _differences(problem: Problem, point: FloatArray, scale: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return central differences (m, n) of the weighted residuals; one-sided at the cube's faces."""
     n = len(point)
-    up = np.minimum(point + steps, 1.0)
-    down = np.maximum(point - steps, 0.0)
     points = np.tile(point, (2 * n + 1, 1))
-    points[1 : n + 1][np.diag_indices(n)] = up
-    points[n + 1 :][np.diag_indices(n)] = down
+    points[1 : n + 1][np.diag_indices(n)] = np.minimum(point + steps, 1.0)
+    points[n + 1 :][np.diag_indices(n)] = np.maximum(point - steps, 0.0)
     values, failed = problem.residuals(points)
     values = values * scale
     out = np.zeros((values.shape[1], n))
@@ -105,4 +86,4 @@ def _differences(
         width = points[high, i] - points[low, i]
         if width > 0:
             out[:, i] = (values[high] - values[low]) / width
-    return values[0], out
+    return out

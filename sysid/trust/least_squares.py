@@ -20,7 +20,7 @@ from sysid.types import BoolArray, FloatArray
 # Damping that is tried in every step, as multiples of the front's own.
 _FACTORS = (0.1, 1.0, 10.0)
 _DAMPING = (1e-8, 1e-3, 1e6)
-# Problem that are held at once [bytes].
+# Residuals that are held at once [bytes].
 _MEMORY = 256e6
 # A front in CMA-ES: population, generations.
 _POPULATION, _GENERATIONS = 12, 16
@@ -79,7 +79,7 @@ def solve(
         At most.
     """
     n_fronts, n = starts.shape
-    fixed = np.zeros(starts.shape, dtype=np.bool_) if held is None else np.asarray(held, dtype=np.bool_)
+    fixed = np.zeros(starts.shape, dtype=np.bool_) if held is None else held
     share = max(1, int(_MEMORY / (8 * len(scale) * (4 * n + 1 + len(_FACTORS)))))
     points, squares = np.array(starts, dtype=np.float64), np.empty(n_fronts)
     converged = np.zeros(n_fronts, dtype=np.bool_)
@@ -87,11 +87,10 @@ def solve(
     for first in range(0, n_fronts, share):
         part = slice(first, min(first + share, n_fronts))
         factor = np.ones((part.stop - part.start, 1)) if weights is None else weights(part)
-        spent = _walk(
+        evaluations += _walk(
             problem, points[part], squares[part], converged[part], fixed[part], scale,
             factor, steps, tolerance, iterations,
         )  # fmt: skip
-        evaluations += spent
     return Solved(points, squares, converged, evaluations)
 
 
@@ -122,9 +121,10 @@ def _walk(
         if not len(fronts):
             break
         columns, usable = _columns(problem, points[fronts], fixed[fronts], steps)
+        weighted = root[fronts if len(root) > 1 else [0]][:, None]
         evaluations += 2 * int(np.count_nonzero(~fixed[fronts]))
         at = points[fronts]
-        columns *= root[fronts if len(root) > 1 else [0]][:, None]
+        columns *= weighted
         trials = np.empty((len(fronts), len(_FACTORS), n))
         promised = np.zeros(len(fronts))
         for f in range(len(fronts)):
@@ -146,9 +146,7 @@ def _walk(
                     promised[f] = -(2 * gradient[free] @ step + step @ inner @ step)
         values, lost = problem.residuals(trials.reshape(-1, n))
         evaluations += len(values)
-        values = (
-            values.reshape(len(fronts), len(_FACTORS), -1) * root[fronts if len(root) > 1 else [0]][:, None]
-        )
+        values = values.reshape(len(fronts), len(_FACTORS), -1) * weighted
         reached = np.sum(values**2, axis=2)
         reached[lost.reshape(reached.shape)] = np.inf
         best = np.argmin(reached, axis=1)
@@ -217,12 +215,7 @@ def _columns(
 
 
 def search_around(
-    problem: Problem,
-    start: FloatArray,
-    spread: FloatArray,
-    scale: FloatArray,
-    held: BoolArray,
-    seed: int,
+    problem: Problem, start: FloatArray, spread: FloatArray, scale: FloatArray, held: BoolArray, seed: int
 ) -> tuple[FloatArray, float, int]:
     """Look for a lower sum of squares around a point with a small CMA-ES: rough costs have no derivatives.
 

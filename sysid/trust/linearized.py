@@ -21,8 +21,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.fit.problem import Block, NoiseModel
+from sysid.fit.problem import Block, NoiseModel, Problem
 from sysid.parameters import SearchSpace
+from sysid.trust.jacobian import Jacobian, jacobian
 from sysid.types import FloatArray
 
 # Standard normal beyond which 5 % lie, on both sides together.
@@ -33,6 +34,8 @@ CHI2 = {0.68: 0.988946, 0.95: 3.841459}
 _OF_BOUNDS = 12.0
 # Within this of a bound a parameter is at it; a deviation of this share of the range's is the range's [1].
 _AT_BOUND, _UNSEEN = 0.01, 0.9
+# Of the deviance.
+_TOLERANCE = 0.02
 # Partners are named from this correlation on.
 PARTNER = 0.8
 # Correlation that counts as none, in its own standard errors (Politis 2003), over so many lags in a row.
@@ -74,13 +77,60 @@ class Information:
 
     def partners(self, names: Sequence[str]) -> tuple[tuple[tuple[str, float], ...], ...]:
         """Return for each parameter those it trades with, the strongest first: (name, correlation)."""
-        rho = self.correlation
         out = []
-        for i in range(len(names)):
-            near = [(names[j], float(rho[i, j])) for j in range(len(names)) if j != i]
-            strong = [pair for pair in near if abs(pair[1]) >= PARTNER]
+        for i, row in enumerate(self.correlation.tolist()):
+            strong = [(name, rho) for j, (name, rho) in enumerate(zip(names, row, strict=True))
+                      if j != i and abs(rho) >= PARTNER]  # fmt: skip
             out.append(tuple(sorted(strong, key=lambda pair: -abs(pair[1]))))
         return tuple(out)
+
+
+@dataclass(frozen=True, eq=False)
+class Linearized:
+    """What noise leaves open at one point.
+
+    Parameters
+    ----------
+    point : (n,) array
+        In the unit cube.
+    levels : (B,) array
+        NRMSE of every block [1].
+    scale : (m,) array
+        Weights of the residuals.
+    half_widths : (n,) array
+        Relative, 95 % [1].
+    """
+
+    point: FloatArray
+    levels: FloatArray
+    scale: FloatArray
+    jacobian: Jacobian
+    noise: NoiseModel
+    information: Information
+    half_widths: FloatArray
+
+    @property
+    def tolerance(self) -> float:
+        """What a fit's sum of squares is found to: a small share of any parameter's deviance 1."""
+        return _TOLERANCE * float(np.min(self.information.inflation))
+
+
+def linearized(
+    problem: Problem,
+    point: FloatArray,
+    levels: FloatArray,
+    scale: FloatArray,
+    sample: float,
+    noise: NoiseModel,
+    disturbances: FloatArray,
+) -> Linearized:
+    """Return what noise leaves open; `sample` is the root of a sample's share of the weighted squares."""
+    derived = jacobian(problem, point, scale, sample)
+    spread = gradient_noise(problem.blocks, derived.values, scale, levels, noise, disturbances)
+    known = bounded_information(derived.values, spread, point)
+    return Linearized(
+        point, levels, scale, derived, noise, known, half_widths(problem.space, point, known.sigma)
+    )
 
 
 def information(jacobian: FloatArray, gradient_noise: FloatArray) -> Information:
@@ -104,15 +154,14 @@ def information(jacobian: FloatArray, gradient_noise: FloatArray) -> Information
     return Information(curvature, gradient_noise, np.asarray(covariance, dtype=np.float64), rise)
 
 
-def with_bounds(
-    known: Information, jacobian: FloatArray, gradient_noise: FloatArray, point: FloatArray
-) -> Information:
+def bounded_information(jacobian: FloatArray, gradient_noise: FloatArray, point: FloatArray) -> Information:
     """Return the uncertainty at a point (n,) of the unit cube, where some parameters may not move.
 
     A parameter at its bound, or one that the data do not see, absorbs nothing: what noise does to the others
     they bear alone. Freed, it would take a share (a motor's k_d takes the error of the torque curve), which
     the linearization counts as knowledge. The larger uncertainty of both is taken.
     """
+    known = information(jacobian, gradient_noise)
     lost = known.sigma > _UNSEEN / np.sqrt(_OF_BOUNDS)
     held = (point <= _AT_BOUND) | (point >= 1.0 - _AT_BOUND) | lost
     kept = np.flatnonzero(~held)
@@ -218,11 +267,8 @@ def gradient_noise(
         for c, first in trial.items():
             for d, second in trial.items():
                 length = len(first)
-                for lag in range(min(noise.covariance.shape[2], length)):
-                    value = noise.covariance[c, d, lag]
-                    if value == 0.0:
-                        continue
-                    part = value * (first[: length - lag].T @ second[lag:])
+                for lag in np.flatnonzero(noise.covariance[c, d, :length]):
+                    part = noise.covariance[c, d, lag] * (first[: length - lag].T @ second[lag:])
                     out += part if lag == 0 else part + part.T
     pushed = jacobian.T @ (disturbances * scale).T
     return _positive(out) + pushed @ pushed.T
@@ -233,12 +279,11 @@ def half_widths(space: SearchSpace, point: FloatArray, sigma: FloatArray) -> Flo
 
     Half of what lies between the ends of the interval, over the value; infinite where that is 0.
     """
-    value = np.abs(space.decode(point))
-    low = space.decode(np.clip(point - NORMAL_95 * sigma, 0.0, 1.0))
-    high = space.decode(np.clip(point + NORMAL_95 * sigma, 0.0, 1.0))
+    below, above = point - NORMAL_95 * sigma, point + NORMAL_95 * sigma
+    low, centre, high = (space.decode(np.clip(place, 0.0, 1.0)) for place in (below, point, above))
+    value = np.abs(centre)
     # An interval that a bound cuts is as wide as the side that is not cut.
-    cut_low, cut_high = point - NORMAL_95 * sigma < 0.0, point + NORMAL_95 * sigma > 1.0
-    centre = space.decode(point)
+    cut_low, cut_high = below < 0.0, above > 1.0
     width = np.where(cut_low & ~cut_high, 2 * (high - centre), high - low)
     width = np.where(cut_high & ~cut_low, 2 * (centre - low), width)
     with np.errstate(divide="ignore", invalid="ignore"):

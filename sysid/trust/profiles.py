@@ -18,7 +18,7 @@ import numpy as np
 from sysid.fit.problem import Problem
 from sysid.parameters import SearchSpace
 from sysid.trust.least_squares import search_around, solve
-from sysid.trust.linearized import CHI2, Information
+from sysid.trust.linearized import CHI2, Linearized
 from sysid.types import FloatArray
 
 # Square roots of the deviance that the points of a profile aim at.
@@ -47,7 +47,7 @@ class Profile:
         All free parameters at each point, in the order of the space [SI].
     best : float
         Where the deviance is 0 [SI].
-    low_68, high_68, low_95, high_95 : float
+    interval_68, interval_95 : (float, float)
         Ends of the intervals [SI]; a bound of the search where open.
     open_68, open_95 : (bool, bool)
         Whether the lower and the upper end are open: the data do not end the interval inside the bounds.
@@ -77,18 +77,10 @@ class Profile:
 
 @dataclass(frozen=True, eq=False)
 class Profiles:
-    """All profiles, and the best point that they found.
+    """All profiles in the order of the space, and the best point (n,) that they found [unit cube].
 
-    Parameters
-    ----------
-    profiles : tuple of Profile
-        In the order of the space.
-    best : (n,) array
-        Lowest point [unit cube].
-    lowered : float
-        By how much a profile's point lies below the start, as deviance [1]; 0 where none does.
-    evaluations : int
-        Points simulated.
+    `lowered` says by how much that point lies below the start, as deviance [1]. `evaluations` counts the
+    points that were simulated.
     """
 
     profiles: tuple[Profile, ...]
@@ -110,30 +102,12 @@ class _Side:
     rough: int = 0
 
 
-def walk_profiles(
-    problem: Problem,
-    best: FloatArray,
-    scale: FloatArray,
-    steps: FloatArray,
-    info: Information,
-    *,
-    seed: int = 0,
-) -> Profiles:
-    """Walk every free parameter through what the data leave open of it.
+def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profiles:
+    """Walk every free parameter from the minimum through what the data leave open of it.
 
-    Parameters
-    ----------
-    best : (n,) array
-        The minimum of the sum of squares [unit cube].
-    scale : (m,) array
-        Weights of the residuals.
-    steps : (n,) array
-        Of difference Jacobians [unit cube].
-    info : Information
-        At the minimum.
-    seed : int
-        Of the CMA-ES that takes over where the cost is rough.
+    `seed` is of the CMA-ES that takes over where the cost is rough.
     """
+    best, scale, steps, info = linear.point, linear.scale, linear.jacobian.steps, linear.information
     n = len(best)
     values, _ = problem.residuals(best[None])
     lowest = float(np.sum((values[0] * scale) ** 2))
@@ -143,11 +117,9 @@ def walk_profiles(
     tangent = inverse / np.diag(inverse)
     # Deviance 1 lies here where the cost is quadratic.
     unit = np.sqrt(np.diag(inverse) * info.inflation)
-    evaluations = 1
     for side in sides:
-        i = side.parameter
-        if best[i] <= 0.0 if side.sign < 0 else best[i] >= 1.0:
-            side.done = True
+        side.done = bool(best[side.parameter] <= 0.0 if side.sign < 0 else best[side.parameter] >= 1.0)
+    evaluations = 1
     for _ in range(_MOST_POINTS):
         moving = [side for side in sides if not side.done]
         if not moving:
@@ -155,10 +127,10 @@ def walk_profiles(
         starts = np.empty((len(moving), n))
         held = np.zeros((len(moving), n), dtype=np.bool_)
         for f, side in enumerate(moving):
-            starts[f] = _next(side, best, unit, tangent, info, lowest)
+            rise = (side.squares[-1] - lowest) / info.inflation[side.parameter]
+            starts[f] = _next(side, best, unit, tangent, np.sqrt(max(rise, 0.0)))
             held[f, side.parameter] = True
-        tolerance = 0.02 * float(np.min(info.inflation))
-        solved = solve(problem, starts, scale, steps, held=held, tolerance=tolerance, iterations=6)
+        solved = solve(problem, starts, scale, steps, held=held, tolerance=linear.tolerance, iterations=6)
         evaluations += solved.evaluations
         for f, side in enumerate(moving):
             i = side.parameter
@@ -193,29 +165,25 @@ def walk_profiles(
     return Profiles(tuple(out), best, lowered, evaluations)
 
 
-def _next(
-    side: _Side, best: FloatArray, unit: FloatArray, tangent: FloatArray, info: Information, lowest: float
-) -> FloatArray:
-    """Return the start of a side's next point: a little farther out, the others along the valley."""
-    i = side.parameter
-    here = side.points[-1]
-    reached = np.sqrt(max((side.squares[-1] - lowest) / info.inflation[i], 0.0))
-    gone = abs(here[i] - best[i])
+def _next(side: _Side, best: FloatArray, unit: FloatArray, tangent: FloatArray, reached: float) -> FloatArray:
+    """Return the start of a side's next point: a little farther out, the others along the valley.
+
+    `reached` is the square root of the deviance at its last point.
+    """
+    i, last = side.parameter, side.points[-1]
+    gone = abs(last[i] - best[i])
     while side.aims and side.aims[0] <= 1.05 * reached:
         side.aims.pop(0)
     aim = side.aims[0] if side.aims else np.sqrt(_ENOUGH) * 1.1
     # How far the deviance has come so far says how far the next one lies.
     slope = unit[i] if gone == 0.0 or reached < 0.1 else gone / reached
-    step = (aim - reached) * slope
-    step = min(step, _FARTHEST, max(_STRETCH * gone, unit[i]))
-    place = np.clip(here[i] + side.sign * max(step, 1e-4), 0.0, 1.0)
-    moved = place - here[i]
+    step = min((aim - reached) * slope, _FARTHEST, max(_STRETCH * gone, unit[i]))
+    place = np.clip(last[i] + side.sign * max(step, 1e-4), 0.0, 1.0)
+    direction = tangent[:, i]
     if len(side.points) > 1:
         before = side.points[-2]
-        direction = (here - before) / (here[i] - before[i])
-    else:
-        direction = tangent[:, i]
-    start = np.clip(here + np.clip(moved * direction, -0.2, 0.2), 0.0, 1.0)
+        direction = (last - before) / (last[i] - before[i])
+    start = np.clip(last + np.clip((place - last[i]) * direction, -0.2, 0.2), 0.0, 1.0)
     start[i] = place
     return start
 
@@ -232,27 +200,20 @@ def _profile(
     points, squares = points[order], squares[order]
     deviance = np.maximum((squares - least) / inflation, 0.0)
     centre = int(np.argmin(deviance))
-    ends: dict[float, list[float]] = {}
-    opened: dict[float, list[bool]] = {}
-    for level, limit in CHI2.items():
-        ends[level], opened[level] = [], []
-        for outward in (range(centre, -1, -1), range(centre, len(points))):
-            end = _crossing(points[:, i], deviance, list(outward), limit)
-            opened[level].append(end is None)
-            bound = 0.0 if outward.step < 0 else 1.0
-            ends[level].append(bound if end is None else end)
-    row = space.free[i]
 
-    def value(place: float) -> float:
+    def end(limit: float, bound: float) -> tuple[float, bool]:
+        outward = range(centre, len(points)) if bound else range(centre, -1, -1)
+        place = _crossing(points[:, i], deviance, list(outward), limit)
         cube = np.full(len(space.free), 0.5)
-        cube[i] = place
-        return float(space.decode(cube)[i])
+        cube[i] = bound if place is None else place
+        return float(space.decode(cube)[i]), place is None
 
-    decoded = space.decode(points)
+    (low_68, open_low_68), (high_68, open_high_68) = end(CHI2[0.68], 0.0), end(CHI2[0.68], 1.0)
+    (low_95, open_low_95), (high_95, open_high_95) = end(CHI2[0.95], 0.0), end(CHI2[0.95], 1.0)
+    row, decoded = space.free[i], space.decode(points)
     return Profile(
         row.name, row.unit, decoded[:, i], deviance, decoded, float(decoded[centre, i]),
-        (value(ends[0.68][0]), value(ends[0.68][1])), (value(ends[0.95][0]), value(ends[0.95][1])),
-        (opened[0.68][0], opened[0.68][1]), (opened[0.95][0], opened[0.95][1]),
+        (low_68, high_68), (low_95, high_95), (open_low_68, open_high_68), (open_low_95, open_high_95),
         sum(side.rough for side in sides),
     )  # fmt: skip
 

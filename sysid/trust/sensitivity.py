@@ -14,14 +14,8 @@ import numpy as np
 
 from sysid.fit.problem import Block, NoiseModel, Problem
 from sysid.parameters import SearchSpace
-from sysid.trust.jacobian import Jacobian, jacobian
-from sysid.trust.linearized import (
-    Information,
-    gradient_noise,
-    half_widths,
-    information,
-    with_bounds,
-)
+from sysid.trust.jacobian import jacobian
+from sysid.trust.linearized import Linearized, bounded_information, gradient_noise, half_widths, linearized
 from sysid.trust.problem import nrmse_of, scales
 from sysid.trust.verdicts import Expected
 from sysid.types import BoolArray, FloatArray
@@ -34,58 +28,18 @@ ELSEWHERE = 8
 _INSIDE = 0.05
 
 
-@dataclass(frozen=True, eq=False)
-class Outlook:
-    """What noise would leave open at one point.
-
-    Parameters
-    ----------
-    point : (n,) array
-    scale : (m,) array
-    levels : (B,) array
-        NRMSE of noise alone in every block [1].
-    half_widths : (n,) array
-        Relative, 95 % [1].
-    """
-
-    point: FloatArray
-    jacobian: Jacobian
-    scale: FloatArray
-    levels: FloatArray
-    information: Information
-    half_widths: FloatArray
-
-
-def outlook(
-    problem: Problem, point: FloatArray, noise: NoiseModel, levels: FloatArray | None = None
-) -> Outlook:
-    """Return what noise would leave open at a point.
-
-    Parameters
-    ----------
-    point : (n,) array
-        In the unit cube.
-    noise : NoiseModel
-        Correlations of the noise as compared.
-    levels : (B,) array, optional
-        NRMSE of noise; default: what the blocks say.
-    """
-    floor = np.array([block.noise for block in problem.blocks]) if levels is None else levels
+def outlook(problem: Problem, point: FloatArray, noise: NoiseModel) -> Linearized:
+    """Return what noise, correlated like `noise`, would leave open at a point of the unit cube."""
+    floor = np.array([block.noise for block in problem.blocks])
     scale = scales(problem.blocks, floor, problem.blocks[-1].stop)
-    samples = sum(block.count for block in problem.blocks)
-    weight = sum(block.weight * level for block, level in zip(problem.blocks, floor, strict=True))
-    derived = jacobian(problem, point, scale, float(np.sqrt(weight / samples)))
-    spread = gradient_noise(
-        problem.blocks, derived.values, scale, floor, noise, problem.disturbances(point)
-    )  # fmt: skip
-    known = with_bounds(information(derived.values, spread), derived.values, spread, point)
-    widths = half_widths(problem.space, point, known.sigma)
-    return Outlook(point, derived, scale, floor, known, widths)
+    weight = sum(block.weight * block.noise for block in problem.blocks)
+    sample = float(np.sqrt(weight / sum(block.count for block in problem.blocks)))
+    return linearized(problem, point, floor, scale, sample, noise, problem.disturbances(point))
 
 
 def expectations(
     problem: Problem, point: FloatArray, noise: NoiseModel, *, over_bounds: bool = True, seed: int = 0
-) -> tuple[Outlook, tuple[Expected, ...]]:
+) -> tuple[Linearized, tuple[Expected, ...]]:
     """Return what the trials are expected to fix of every free parameter.
 
     Parameters
@@ -118,8 +72,9 @@ def expectations(
 
 
 def nominal_point(space: SearchSpace) -> FloatArray:
-    """Return the model's default values (n,) in the unit cube: what is known before a fit."""
-    return placed(space, np.array([space.table[name].nominal for name in space.names]))
+    """Return the model's default values (n,) in the unit cube, a little inside: known before a fit."""
+    nominal = np.array([space.table[name].nominal for name in space.names])
+    return np.clip(space.encode(nominal), 0.02, 0.98)
 
 
 def quick_expectations(problem: Problem) -> tuple[Expected, ...]:
@@ -138,8 +93,7 @@ def morris(problem: Problem, seed: int = 0) -> tuple[FloatArray, FloatArray]:
     from SALib.sample import morris as sampling
 
     n = len(problem.space.free)
-    names = list(problem.space.names)
-    frame = {"num_vars": n, "names": names, "bounds": [[0.0, 1.0]] * n}
+    frame = {"num_vars": n, "names": list(problem.space.names), "bounds": [[0.0, 1.0]] * n}
     points = sampling.sample(frame, _TRAJECTORIES, num_levels=_LEVELS, seed=seed)
     values, failed = problem.residuals(np.ascontiguousarray(points))
     weights = np.array([block.weight for block in problem.blocks])
@@ -151,7 +105,7 @@ def morris(problem: Problem, seed: int = 0) -> tuple[FloatArray, FloatArray]:
     return np.asarray(effects["mu_star"], dtype=np.float64), np.asarray(effects["sigma"], dtype=np.float64)
 
 
-def information_by_channel(problem: Problem, view: Outlook) -> FloatArray:
+def information_by_channel(problem: Problem, view: Linearized) -> FloatArray:
     """Return which share of what is known about each parameter comes from each channel (n, C) [1].
 
     From the curvature of the weighted sum of squares along the parameter, all others held.
@@ -184,8 +138,7 @@ class Candidate:
 
 def rank_candidates(
     problem: Problem,
-    view: Outlook,
-    noise: NoiseModel,
+    view: Linearized,
     others: Problem,
     titles: tuple[str, ...],
     weak: BoolArray,
@@ -196,10 +149,8 @@ def rank_candidates(
 
     Parameters
     ----------
-    problem : Problem
-        What is there.
-    view : Outlook
-        On it.
+    problem, view
+        What is there, and what it leaves open.
     others : Problem
         One trial per candidate, of the same free parameters.
     weak : (n,) bool array
@@ -219,7 +170,9 @@ def rank_candidates(
         for b in others.blocks
     ]
     scale = scales(blocks, levels, blocks[-1].stop)
-    derived = jacobian_at(others, view, scale)
+    weight = sum(block.weight * max(block.noise, 1e-9) for block in others.blocks)
+    sample = float(np.sqrt(weight / sum(block.count for block in others.blocks)))
+    derived = jacobian(others, view.point, scale, sample).values
     changes = others.disturbances(view.point)
     first = len(changes) - common
     shared = problem.disturbances(view.point)[-common:] * view.scale if common else changes[:0]
@@ -231,25 +184,13 @@ def rank_candidates(
         for b in chosen:
             alone[blocks[b].start : blocks[b].stop] = derived[blocks[b].start : blocks[b].stop]
         spread = gradient_noise(
-            [blocks[b] for b in chosen], alone, scale, levels[chosen], noise, changes[:first]
+            [blocks[b] for b in chosen], alone, scale, levels[chosen], view.noise, changes[:first]
         )
         after = before + alone.T @ (changes[first:] * scale).T
         both = np.concatenate([view.jacobian.values, alone])
         whole = view.information.gradient_noise + spread + after @ after.T - before @ before.T
-        known = with_bounds(information(both, whole), both, whole, view.point)
+        known = bounded_information(both, whole, view.point)
         widths = half_widths(problem.space, view.point, known.sigma)
         lowered = np.log(np.maximum(view.half_widths, 1e-12) / np.maximum(widths, 1e-12))
         out.append(Candidate(title, widths, float(np.sum(lowered[weak]))))
     return tuple(sorted(out, key=lambda candidate: -candidate.gain))
-
-
-def jacobian_at(problem: Problem, view: Outlook, scale: FloatArray) -> FloatArray:
-    """Return the derivatives (m, n) of another problem's weighted residuals at the same point."""
-    samples = sum(block.count for block in problem.blocks)
-    weight = sum(block.weight * max(block.noise, 1e-9) for block in problem.blocks)
-    return jacobian(problem, view.point, scale, float(np.sqrt(weight / samples))).values
-
-
-def placed(space: SearchSpace, values: FloatArray) -> FloatArray:
-    """Return values (n,) [SI] in the unit cube, a little inside it."""
-    return np.clip(space.encode(values), 0.02, 0.98)

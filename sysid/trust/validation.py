@@ -79,10 +79,8 @@ def judge(
 
     Parameters
     ----------
-    nrmse : (S,) array
-        Weighted mean over channels of every set, best first [1].
-    by_channel : (C,) array
-        Of the best set [1].
+    nrmse, by_channel
+        See `Judged`; the best set comes first.
     simulated : (n, C) array
         With the best set, as compared [channel units].
     spread : (C,) array
@@ -111,9 +109,7 @@ def judge(
     away &= valid & used & np.isfinite(noise)
     leaves = None
     row = np.ones(IN_A_ROW, dtype=np.int64)
-    for c in range(len(channels)):
-        if len(time) < IN_A_ROW:
-            break
+    for c in range(len(channels) if len(time) >= IN_A_ROW else 0):
         runs = np.flatnonzero(np.convolve(away[:, c].astype(np.int64), row, "valid") == IN_A_ROW)
         if len(runs) and (leaves is None or time[runs[0]] - trial.zero < leaves["time"]):
             at = float(time[runs[0]])
@@ -125,22 +121,17 @@ def judge(
 def reasons(trials: Sequence[Judged]) -> tuple[str, ...]:
     """Return why a prediction is flagged, one sentence per number; none where noise explains it."""
     out = []
-    whole = np.array([one.ratio for one in trials])
-    early = np.array([one.early_ratio for one in trials])
-    if np.isfinite(whole).any() and np.nanmean(whole) > RATIO:
-        worst = trials[int(np.nanargmax(whole))]
-        out.append(
-            f"NRMSE is {np.nanmean(whole):.2f} × what noise alone costs, mean over {len(trials)} trials "
-            f"(limit {RATIO:g}; worst {worst.name}, {worst.ratio:.2f} ×): the model or its held values are "
-            "wrong for these trials"
-        )
-    if np.isfinite(early).any() and np.nanmean(early) > RATIO_EARLY:
-        worst = trials[int(np.nanargmax(early))]
-        out.append(
-            f"NRMSE up to the third touchdown is {np.nanmean(early):.2f} × what noise alone costs, mean over "
-            f"{len(trials)} trials (limit {RATIO_EARLY:g}; worst {worst.name}, {worst.early_ratio:.2f} ×): "
-            "chaos does not explain it"
-        )
+    whole, early = [judged.ratio for judged in trials], [judged.early_ratio for judged in trials]
+    for ratios, limit, where, meaning in (
+        (whole, RATIO, "", "the model or its held values are wrong for these trials"),
+        (early, RATIO_EARLY, " up to the third touchdown", "chaos does not explain it"),
+    ):
+        if np.isfinite(ratios).any() and np.nanmean(ratios) > limit:
+            worst = int(np.nanargmax(ratios))
+            out.append(
+                f"NRMSE{where} is {np.nanmean(ratios):.2f} × what noise alone costs, mean over {len(trials)} "
+                f"trials (limit {limit:g}; worst {trials[worst].name}, {ratios[worst]:.2f} ×): {meaning}"
+            )
     return tuple(out)
 
 

@@ -31,7 +31,7 @@ class Expected:
         At which it is judged [unit].
     half_width : float
         Relative 95 % half-width there [1].
-    elsewhere : float
+    half_width_over_bounds : float
         Median over points drawn from the bounds [1]; NaN where none could be simulated.
     effect, interaction : float
         Mean size of the elementary effects on the NRMSE over the bounds, and their standard deviation
@@ -45,7 +45,7 @@ class Expected:
     unit: str
     value: float
     half_width: float
-    elsewhere: float
+    half_width_over_bounds: float
     effect: float
     interaction: float
     partners: tuple[tuple[str, float], ...]
@@ -57,18 +57,8 @@ class Expected:
 
     def document(self) -> dict[str, object]:
         """Return it for JSON."""
-        return {
-            "name": self.name,
-            "symbol": self.symbol,
-            "unit": self.unit,
-            "value": self.value,
-            "half_width": self.half_width,
-            "half_width_over_bounds": self.elsewhere,
-            "effect": self.effect,
-            "interaction": self.interaction,
-            "partners": [{"name": name, "correlation": rho} for name, rho in self.partners],
-            "verdict": self.verdict,
-        }
+        partners = [{"name": name, "correlation": rho} for name, rho in self.partners]
+        return vars(self) | {"partners": partners, "verdict": self.verdict}
 
 
 def percent(share: float) -> str:
@@ -80,13 +70,13 @@ def percent(share: float) -> str:
 
 def sentences(expected: Sequence[Expected]) -> tuple[str, ...]:
     """Return one sentence per parameter that the trials do not fix well, and one on all others."""
-    good = [one.symbol for one in expected if one.verdict == "well"]
+    good = [row.symbol for row in expected if row.verdict == "well"]
     out = [f"well identifiable: {', '.join(good)}"] if good else ["nothing is well identifiable"]
-    for one in expected:
-        if one.verdict == "well":
+    for row in expected:
+        if row.verdict == "well":
             continue
-        word = "weakly identifiable" if one.verdict == "weakly" else "not identifiable"
-        partners = " and ".join(name for name, _ in one.partners[:2])
+        word = "weakly identifiable" if row.verdict == "weakly" else "not identifiable"
+        partners = " and ".join(name for name, _ in row.partners[:2])
         trades = f"; trades with {partners}" if partners else ""
-        out.append(f"{one.symbol} ({one.name}) is {word}: {percent(one.half_width)}{trades}")
+        out.append(f"{row.symbol} ({row.name}) is {word}: {percent(row.half_width)}{trades}")
     return tuple(out)

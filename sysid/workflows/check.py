@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sysid.fit.problem import Problem
-from sysid.journal import Journal
+from sysid.journal import Journal, Say
 from sysid.recording import file_sha256
 from sysid.trust.documents import CheckDocument, CheckedCampaign
+from sysid.trust.linearized import Linearized
 from sysid.trust.sensitivity import (
     Candidate,
-    Outlook,
     expectations,
     information_by_channel,
     nominal_point,
@@ -29,26 +28,11 @@ _NAMED = 3
 
 
 def check_campaign(
-    path: Path,
-    *,
-    surface: str | None = None,
-    threads: int | None = None,
-    say: Callable[[str], None] | None = None,
+    path: Path, *, surface: str | None = None, threads: int | None = None, say: Say = None
 ) -> dict[str, Any]:
-    """Judge a campaign before it is fitted.
+    """Judge a campaign before it is fitted; return the `CheckDocument` as a dictionary.
 
-    Parameters
-    ----------
-    path : Path
-        Campaign file.
-    surface : str, optional
-        Overrides a gear campaign's friction law.
-
-    Returns
-    -------
-    dict
-        ``quality`` (per log), ``excitation``, ``parameters`` (verdicts), ``channels`` (share of what each
-        tells), ``candidates`` (recordings, the best first), ``sentences``, ``warnings``.
+    `surface` overrides a gear campaign's friction law.
 
     Raises
     ------
@@ -58,24 +42,22 @@ def check_campaign(
     began = time.perf_counter()
     path = Path(path)
     with naming(path):
-        kind, campaign, ignored = open_campaign(
-            path, settings={} if surface is None else {"surface": surface}
-        )
+        law = {} if surface is None else {"surface": surface}
+        kind, campaign, ignored = open_campaign(path, settings=law)
         with Journal(say, kind.words.trials) as journal:
             for finding in ignored:
                 journal.add(finding)
             whole = kind.open(campaign, path, threads)
             journal.fold(len(whole.trials))
             problem = whole.fitted.exact
-            noise = problem.correlation()
-            view, expected = expectations(problem, nominal_point(problem.space), noise)
+            view, expected = expectations(problem, nominal_point(problem.space), problem.correlation())
             weak = np.array([row.verdict != "well" for row in expected])
             candidates: tuple[Candidate, ...] = ()
             if weak.any():
                 made = kind.candidates(problem, problem.space.full(view.point[None])[0])
                 if made is not None:
                     candidates = rank_candidates(
-                        problem, view, noise, made[0], tuple(made[1]), weak, common=problem.common
+                        problem, view, made[0], tuple(made[1]), weak, common=problem.common
                     )
             out = _verdicts(problem, view, expected, candidates, kind.words.single)
             out["sentences"] += whole.advice([row.name for row in expected if row.verdict != "well"])
@@ -93,7 +75,7 @@ def check_campaign(
 
 def _verdicts(
     problem: Problem,
-    view: Outlook,
+    view: Linearized,
     expected: tuple[Expected, ...],
     candidates: tuple[Candidate, ...],
     single: str,

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import sysid
 from sysid import exact_json
 from sysid.errors import SysidError
 from sysid.fit.result import FitResult
+from sysid.journal import Say
 from sysid.report.drawing import save_figure
 from sysid.report.fit_figures import figure_convergence, figure_measured_against_simulated
 from sysid.workflows.export_models import export_sets
@@ -44,31 +44,12 @@ def find_samples(given: Path | None) -> Path:
 
 
 def run_demo(
-    data: Path | None,
-    out: Path,
-    quiet: bool = False,
-    say: Callable[[str], None] | None = None,
-    json: bool = False,
+    data: Path | None, out: Path, quiet: bool = False, say: Say = None, json: bool = False
 ) -> dict[str, Path]:
-    """Fit motor and LF gear of the samples, export the sets, draw the figures, write the reports.
+    """Fit motor and LF gear of the samples in `data`, export the sets, draw the figures, write the reports.
 
-    Parameters
-    ----------
-    data : Path, optional
-        The data_samples folder.
-    out : Path
-        Where the two fit folders go; an earlier demo there is replaced.
-    quiet : bool
-        No progress and no table.
-    say : callable, optional
-        Called with one line of progress at a time.
-    json : bool
-        Print the written files as JSON.
-
-    Returns
-    -------
-    dict
-        The written files by their description.
+    The two fit folders go to `out`, where an earlier demo is replaced. The written files are
+    returned by their description.
     """
     samples, started = find_samples(data), time.perf_counter()
     tell = say or (lambda sentence: None)

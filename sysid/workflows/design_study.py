@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import ExportError
+from sysid.journal import Say
 from sysid.landing.controllers import Controller
 from sysid.landing.design_store import write_study
 from sysid.landing.design_study import (
@@ -29,7 +30,6 @@ from sysid.resume import BlockStore, Computing
 from sysid.workflows.landing_sources import (
     BlockProgress,
     Fleets,
-    Say,
     check_result,
     chosen_controllers,
     compute_and_write,
@@ -89,7 +89,10 @@ def _stores(
 ) -> Iterator[BlockStore]:
     """Open where the finished blocks of each of the study's maps are kept."""
     how, grids = options.compute, settings.grids()
-    parts = _parts(options.out, len(grids))
+    parts = [options.out]
+    if len(grids) > 1:
+        out = options.out
+        parts = [out.with_name(f"{out.stem}.{n}{out.suffix}") for n in range(1, len(grids) + 1)]
     if how.resume and not any(BlockStore.folder_of(part).is_dir() for part in parts):
         raise ExportError(f"{options.out}: nothing unfinished to continue is there; start without --resume")
     for part, grid in zip(parts, grids, strict=True):
@@ -97,13 +100,6 @@ def _stores(
         begun = BlockStore.kept(BlockStore.folder_of(part))
         identity = map_identity(fleets, [controller], grid)
         yield BlockStore(part, identity, resume=how.resume and begun, force=how.force)
-
-
-def _parts(out: Path, count: int) -> list[Path]:
-    """Return the name under which the blocks of each of `count` maps are kept."""
-    if count == 1:
-        return [out]
-    return [out.with_name(f"{out.stem}.{n + 1}{out.suffix}") for n in range(count)]
 
 
 def _print(study: DesignStudy, options: DesignStudyOptions, picture: Path, say: Say) -> None:

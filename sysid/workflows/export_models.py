@@ -33,12 +33,8 @@ def export_sets(
 
     Parameters
     ----------
-    source : str or Path
-        Fit folder or parameter-set file.
     target : Path
         File to write. Several sets become several models, ``NAME-1.xml``, ``NAME-2.xml`` ..., by rank.
-    force : bool
-        Replace existing files.
     rank : int, optional
         Write only this set as a model, to `target` itself; 1 is the best.
     slope : float

@@ -47,20 +47,11 @@ def campaign_text(campaign: str | Path) -> Html:
 
 
 def first_fit(
-    campaign: str | Path,
-    out: str | Path,
-    *,
-    runs: int | None = None,
-    max_generations: int | None = None,
+    campaign: str | Path, out: str | Path, *, runs: int | None = None, max_generations: int | None = None
 ) -> FitReport:
-    """Fit a campaign, replacing what lies in the folder, and return the parts of its report.
+    """Fit a campaign, replacing what lies in the folder `out`, and return the parts of its report.
 
-    Parameters
-    ----------
-    campaign, out : str or Path
-        Campaign file and fit folder.
-    runs, max_generations : int, optional
-        Cut the search short; the campaign's own by default.
+    `runs` and `max_generations` cut the search short; the campaign states them otherwise.
     """
     options = FitOptions(
         Path(out), force=True, quiet=True, runs=runs, max_generations=max_generations,

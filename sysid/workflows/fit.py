@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +26,7 @@ from sysid.fit.result import FitResult, bound_warnings, ranked_sets
 from sysid.fit.search import Hooks, SearchSettings, run_many
 from sysid.fit.stopping import CutReason, Deadline, StopFlag, StopRule, stop_on_interrupt
 from sysid.fit.store import check_new_fit, write_fit
-from sysid.journal import Journal, notice, tell
+from sysid.journal import Journal, Say, notice, tell
 from sysid.parallel import executor
 from sysid.trust.sensitivity import quick_expectations
 from sysid.trust.verdicts import EXPECTED, sentences
@@ -44,23 +44,22 @@ _PROBES = 4
 
 def search_settings(options: FitOptions, table: FitTable) -> SearchSettings:
     """Return the campaign's search settings with the command's overrides."""
-
-    def chosen(name: str) -> int:
-        override = getattr(options, name)
-        return int(getattr(table, name) if override is None else override)
-
+    runs, seed, max_generations = (
+        int(getattr(table, name) if getattr(options, name) is None else getattr(options, name))
+        for name in ("runs", "seed", "max_generations")
+    )
     algorithm = options.algorithm or table.algorithm or DEFAULT_ALGORITHM
     return SearchSettings(
         population=options.population or table.population or POPULATION[algorithm],
-        runs=chosen("runs"),
-        seed=chosen("seed"),
+        runs=runs,
+        seed=seed,
         algorithm=algorithm,
         finish=options.finish or table.finish,
         stop=StopRule(
             reading=table.stop_reading,
             window=table.stop_window,
             tolerance=table.stop_tolerance,
-            max_generations=chosen("max_generations"),
+            max_generations=max_generations,
             max_evaluations=options.max_evaluations,
             time_limit=options.time_limit,
         ),
@@ -68,11 +67,7 @@ def search_settings(options: FitOptions, table: FitTable) -> SearchSettings:
 
 
 def fit_gear(
-    path: str | Path,
-    options: FitOptions | None = None,
-    *,
-    surface: str | None = None,
-    say: Callable[[str], None] | None = None,
+    path: str | Path, options: FitOptions | None = None, *, surface: str | None = None, say: Say = None
 ) -> tuple[FitResult, Path]:
     """Fit the landing gear to the drops of a campaign of kind ``gear``; see `fit_campaign`.
 
@@ -84,7 +79,7 @@ def fit_gear(
 
 
 def fit_motor(
-    path: str | Path, options: FitOptions | None = None, *, say: Callable[[str], None] | None = None
+    path: str | Path, options: FitOptions | None = None, *, say: Say = None
 ) -> tuple[FitResult, Path]:
     """Fit the motor to the bench logs of a campaign of kind ``motor``; see `fit_campaign`."""
     return fit_campaign(path, options, kind="motor", say=say)
@@ -96,22 +91,16 @@ def fit_campaign(
     *,
     kind: str | None = None,
     settings: Mapping[str, Any] | None = None,
-    say: Callable[[str], None] | None = None,
+    say: Say = None,
 ) -> tuple[FitResult, Path]:
     """Fit a model to the trials of a campaign and write the fit folder.
 
     Parameters
     ----------
-    path : str or Path
-        Campaign file.
-    options : FitOptions
-        Overrides of the command line.
     kind : str, optional
         What the campaign must be of.
     settings : mapping, optional
         A law instead of the campaign's, see `sysid.workflows.kinds.open_campaign`.
-    say : callable, optional
-        Called with one sentence at a time: what is going on, what is doubtful.
 
     Returns
     -------
@@ -213,7 +202,10 @@ def _search(
     if checkpoint.memories:
         done = sum(len(stage.cost) for memory in checkpoint.memories for stage in memory.stages)
         tell(f"continuing {len(checkpoint.memories)} runs after {done} generations")
-    with executor(options.dask, min(settings.runs, _RUNS_AT_ONCE)) as where, progress:
+    dask = options.dask
+    # One process would breed too slowly for many workers; each further one costs a start.
+    apart = dask is not None and (dask != "local" or (os.cpu_count() or 1) > _FED_BY_ONE)
+    with executor(dask, min(settings.runs, _RUNS_AT_ONCE)) as where, progress:
         hooks = Hooks(progress.on_generation, progress.on_run, checkpoint.keep, flag)
         runs = run_many(
             SpreadObjective(fitted, where),
@@ -221,7 +213,7 @@ def _search(
             memories=checkpoint.memories,
             hooks=hooks,
             at_once=where.at_once,
-            breeds=BreederApart if _breeds_apart(options.dask) else breeder,
+            breeds=BreederApart if apart else breeder,
             candidate_time=candidate_time,
         )
     ended = {stage.stop_reason for run in runs for stage in run.stages}
@@ -239,17 +231,8 @@ def _search(
     return runs, cut
 
 
-def _breeds_apart(dask: str | None) -> bool:
-    """Return whether one process would breed too slowly for the workers; each further one costs a start."""
-    return dask is not None and (dask != "local" or (os.cpu_count() or 1) > _FED_BY_ONE)
-
-
 def _result(
-    kind: str,
-    problem: Problem,
-    runs: tuple[RunHistory, ...],
-    outcome: Outcome,
-    record: Mapping[str, Any],
+    kind: str, problem: Problem, runs: tuple[RunHistory, ...], outcome: Outcome, record: Mapping[str, Any]
 ) -> FitResult:
     """Return what a fit has found; notice what is doubtful about it."""
     trials = problem.results(outcome.rows)
@@ -258,6 +241,8 @@ def _result(
     for sentence in loose_warnings(runs, problem.space):
         notice("loose-runs", sentence)
     failures = summed(run.failures for run in runs)
+    cut = {} if outcome.cut is None else {"cut_short": outcome.cut}
+    counted = {"failures": failures} if len(problem.causes) > 1 else {}
     return FitResult(
         kind=kind,
         name=problem.campaign.name,
@@ -267,18 +252,10 @@ def _result(
         set_runs=outcome.sets.run,
         set_seeds=outcome.sets.seed,
         cube=outcome.sets.cube,
-        values=outcome.values,
-        at_bound=outcome.at_bound,
-        nrmse=outcome.nrmse,
+        **{name: getattr(outcome, name) for name in ("values", "at_bound", "nrmse", "settings")},
         trials=trials,
         channels=problem.channels,
         channel_units=problem.units,
         channel_weights=tuple(float(weight) for weight in problem.cost.weights),
-        settings=outcome.settings,
-        provenance={
-            **record,
-            **({} if outcome.cut is None else {"cut_short": outcome.cut}),
-            **({"failures": failures} if len(problem.causes) > 1 else {}),
-            **outcome.provenance,
-        },
+        provenance={**record, **cut, **counted, **outcome.provenance},
     )

@@ -62,12 +62,8 @@ def inspect_files(
 
     Parameters
     ----------
-    paths : sequence of Path
-        Logs.
-    format_name : str
-        Format of all logs; ``"auto"`` judges by content.
-    options : mapping, optional
-        Loader options for all logs.
+    format_name, options
+        Of all logs; the format ``"auto"`` judges by content.
     draw : callable, optional
         Draws the logs that are not refused, and returns the file.
     as_json : bool
@@ -107,19 +103,13 @@ def inspect_files(
                 console.print(Text(f"  refused: {result}", style="bold red"))
         if figure is not None:
             console.print(Text(f"wrote {figure}"))
-    _refuse([(path, result) for path, result in results if isinstance(result, SysidError)], len(paths))
-
-
-def _refuse(refusals: Sequence[tuple[Path, SysidError]], total: int) -> None:
-    if not refusals:
-        return
-    sentence = f"{refusals[0][1]} (1 of {total} logs refused)"
-    if len(refusals) > 1:
-        names = ", ".join(str(path) for path, _ in refusals)
-        sentence = (
-            f"{len(refusals)} of {total} logs refused: {names}; what is wrong with each stands in its place"
-        )
-    raise type(refusals[0][1])(sentence)
+    refusals = [(str(path), result) for path, result in results if isinstance(result, SysidError)]
+    if refusals:
+        sentence = f"{refusals[0][1]} (1 of {len(paths)} logs refused)"
+        if len(refusals) > 1:
+            names = ", ".join(path for path, _ in refusals)
+            sentence = f"{len(refusals)} of {len(paths)} logs refused: {names}; each says why in its place"
+        raise type(refusals[0][1])(sentence)
 
 
 @dataclass(frozen=True)
@@ -202,9 +192,8 @@ def print_report(console: Console, report: LogReport) -> None:
     """Print what a log holds."""
     described = formats()[report.format].describes if report.format in formats() else report.format
     console.print(Text(report.path, style="bold"))
-    console.print(
-        Text(f"  {described}; kind {report.kind}" + (f"; {report.device}" if report.device else ""))
-    )
+    device = f"; {report.device}" if report.device else ""
+    console.print(Text(f"  {described}; kind {report.kind}{device}"))
     if np.isfinite(report.duration):
         console.print(Text(f"  {report.duration:.4g} s"))
     points = report.kind == "static-map"
@@ -232,9 +221,8 @@ def print_report(console: Console, report: LogReport) -> None:
     for sentence in report.suspicions:
         console.print(Text(f"  suspicious: {sentence}", style="bold yellow"))
     for note in report.notes:
-        if note in report.suspicions:
-            continue
-        console.print(Text(f"  note: {note}"))
+        if note not in report.suspicions:
+            console.print(Text(f"  note: {note}"))
 
 
 def _drop_lines(drop: DropReport | None) -> list[str]:

@@ -35,24 +35,10 @@ def find_kind(name: str) -> Kind:
 def open_campaign(
     path: str | Path, kind: str | None = None, settings: Mapping[str, Any] | None = None
 ) -> tuple[Kind, Any, tuple[Finding, ...]]:
-    """Read a campaign.
+    """Return the kind of a campaign file, its content, and what is noticed about it.
 
-    Parameters
-    ----------
-    path : str or Path
-        Campaign file.
-    kind : str, optional
-        What the caller needs; another kind is refused.
-    settings : mapping, optional
-        Of a fit under whose law the campaign is taken, such as ``{"surface": "hf"}``.
-
-    Returns
-    -------
-    kind : Kind
-    campaign
-        Under that law.
-    findings : tuple of Finding
-        What the campaign states and the law ignores.
+    Another `kind` than the one named is refused. With the `settings` of a fit, such as ``{"surface": "hf"}``,
+    the campaign is taken under the law of that fit; what it states and that law ignores is noticed.
     """
     campaign = read_campaign(path, kind)
     model = find_kind(campaign.kind)

@@ -61,8 +61,9 @@ def simulate_landings(options: SimulateOptions) -> list[Landing]:
             way = descend(drone, scenario, options.height)
             begin, motors = way.touchdown, Motors(drone, controller.ideal_reversal, way.motors)
         landings.append(land(drone, begin, controller, rules=rules, rate=options.rate, motors=motors))
-    _write(files, landings, origin)
     rows = [outcome_row(rank, landing) for rank, landing in enumerate(landings, start=1)]
+    if files:
+        _write(files, landings, rows, origin)
     document = [row | {"events": event_rows(landing)} for row, landing in zip(rows, landings, strict=True)]
     if not print_result(document, options.json):
         print_table(_table(rows, landings[0]))
@@ -114,27 +115,22 @@ def conditions(landing: Landing) -> dict[str, Any]:
     """Return under what a landing happened: surface, controller, touchdown and rules."""
     scenario, rules = landing.scenario, landing.rules
     return {
-        "surface": landing.drone.surface,
-        "controller": landing.controller.label,
-        "slope [deg]": math.degrees(scenario.slope),
-        "touchdown speed [m/s]": scenario.speed,
-        "pitch [deg]": math.degrees(scenario.pitch),
-        "pitch rate [rad/s]": scenario.pitch_rate,
+        "surface": landing.drone.surface, "controller": landing.controller.label,
+        "slope [deg]": math.degrees(scenario.slope), "touchdown speed [m/s]": scenario.speed,
+        "pitch [deg]": math.degrees(scenario.pitch), "pitch rate [rad/s]": scenario.pitch_rate,
         "horizontal speed [m/s]": scenario.horizontal_speed,
-        "horizon [s]": rules.horizon,
-        "short [m]": rules.short,
-        "long [m]": rules.long,
-        "rest speed [m/s]": rules.rest_speed,
-        "rest turn [rad/s]": rules.rest_turn,
-        "rest time [s]": rules.rest_time,
-        "flip angle [deg]": math.degrees(rules.flip_angle),
-    }
+        "horizon [s]": rules.horizon, "short [m]": rules.short, "long [m]": rules.long,
+        "rest speed [m/s]": rules.rest_speed, "rest turn [rad/s]": rules.rest_turn,
+        "rest time [s]": rules.rest_time, "flip angle [deg]": math.degrees(rules.flip_angle),
+    }  # fmt: skip
 
 
-def _write(files: Sequence[Path], landings: Sequence[Landing], sources: dict[str, Any]) -> None:
-    if not files:
-        return
-    rows = [outcome_row(rank, landing) for rank, landing in enumerate(landings, start=1)]
+def _write(
+    files: Sequence[Path],
+    landings: Sequence[Landing],
+    rows: Sequence[dict[str, Any]],
+    sources: dict[str, Any],
+) -> None:
     if len(files) == 1:
         write_file(files[0], LANDINGS.content(lambda file: _hdf5(file, landings, rows, sources)), ExportError)
         return
@@ -174,12 +170,10 @@ def _hdf5(
 
 
 def _table(rows: Sequence[dict[str, Any]], first: Landing) -> Table:
-    def cell(name: str) -> Column:
-        column = words if name == "outcome" else numbers
-        return column(
-            name, lambda row: f"{row[name]:.3f}" if isinstance(row[name], float) else str(row[name])
-        )
+    def column(name: str) -> Column:
+        kind, form = (words if name == "outcome" else numbers), "" if name in ("set", "outcome") else ".3f"
+        return kind(name, lambda row: format(row[name], form))
 
     title = f"{first.drone.surface.upper()}, {math.degrees(first.scenario.slope):g} deg, "
     title += f"{first.scenario.speed:g} m/s: {first.controller.label}"
-    return table(title, rows, [cell(name) for name in rows[0]])
+    return table(title, rows, [column(name) for name in rows[0]])

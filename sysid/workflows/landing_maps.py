@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from sysid.journal import Say
 from sysid.landing.controllers import Controller
 from sysid.landing.drone import Drone
 from sysid.landing.impulse import ImpulseSettings, rear_command
@@ -28,7 +29,6 @@ from sysid.resume import BlockStore, Computing
 from sysid.workflows.landing_sources import (
     BlockProgress,
     Fleets,
-    Say,
     check_result,
     chosen_controllers,
     compute_and_write,
@@ -84,7 +84,11 @@ def compute_impulse_maps(options: ImpulseMapOptions, say: Say = None) -> MapFile
     settings = MapSettings(
         options.slopes_deg, options.speeds, rules_of(options.rules), check=not options.no_check
     )
-    impulses = _impulses(options)
+    stated, ideal = asdict(options.impulses), options.motors.ideal_reversal
+    # The rear pair follows the paper unless the user states it.
+    if stated["rear"] is None:
+        stated["rear"] = rear_command(options.impulses.front, ideal_reversal=ideal)
+    impulses = ImpulseSettings(**stated, ideal_reversal=ideal)
     check_result("map", options.out, options.compute.force, picture, impulse_picture)
     impulses.check_within(settings.rules.horizon)
     fleets, origin = open_fleets(options.motors, options.sets)
@@ -114,14 +118,6 @@ def compute_impulse_maps(options: ImpulseMapOptions, say: Say = None) -> MapFile
         )
     _print(content, options, picture, None, say)
     return content
-
-
-def _impulses(options: ImpulseMapOptions) -> ImpulseSettings:
-    """Return which impulses are tried; the rear pair follows the paper unless the user states it."""
-    stated, ideal = asdict(options.impulses), options.motors.ideal_reversal
-    if stated["rear"] is None:
-        stated["rear"] = rear_command(options.impulses.front, ideal_reversal=ideal)
-    return ImpulseSettings(**stated, ideal_reversal=ideal)
 
 
 def _warn_of_strangers(

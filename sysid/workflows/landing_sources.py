@@ -16,6 +16,7 @@ from rich.text import Text
 from sysid import __version__
 from sysid.errors import CampaignError, ExportError
 from sysid.fit.stopping import stop_on_interrupt
+from sysid.journal import Say
 from sysid.landing.controllers import Controller, find_controller, load_controllers
 from sysid.landing.drone import PAIRINGS, Drone, drones
 from sysid.landing.impact_sensor import Sensing
@@ -28,7 +29,6 @@ from sysid.storage import check_file
 from sysid.workflows.options import ComputeOptions, MotorOptions, RulesOptions
 from sysid.workflows.show import load_sets
 
-Say = Callable[[str], None] | None
 Fleets = Sequence[Sequence[Drone]]
 Computed = TypeVar("Computed")
 Written = TypeVar("Written")
@@ -52,25 +52,14 @@ def chosen_controllers(
     ideal_reversal: bool = False,
     trigger: str = "contact",
 ) -> tuple[Controller, ...]:
-    """Return controllers by name, as `find_controller` reads them.
+    """Return controllers by name, as `find_controller` reads them; a Python `file` may register more.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Each at most once.
-    horizon : float
-        Simulated time [s], in which all their steps must come.
-    file : Path, optional
-        A Python file that registers more of them.
-    ideal_reversal : bool
-        Motors without saturation.
-    trigger : {"contact", "imu"}
-        The first contact starts them, or the drone's accelerometer.
+    The first contact starts them, or with the trigger ``imu`` the drone's accelerometer.
 
     Raises
     ------
     CampaignError
-        When a name is unknown or stands twice, or a step comes too late.
+        When a name is unknown or stands twice, or a step comes later than the `horizon` [s].
     """
     if file is not None:
         load_controllers(file)
@@ -142,22 +131,9 @@ def compute_and_write(
     options: ComputeOptions,
     say: Say,
 ) -> Written | None:
-    """Compute with progress and write; Ctrl-C keeps the finished blocks, which go once all is written.
+    """Compute with progress and write to `out`; Ctrl-C keeps the finished blocks, which go in the end.
 
-    Parameters
-    ----------
-    out : Path
-        The result.
-    stores : iterable of BlockStore
-        Opened one after the other.
-    compute : callable
-        Takes where it is computed; returns None if stopped.
-    write : callable
-        Writes what was computed, and returns what the caller wants of it.
-    progress : BlockProgress
-    options : ComputeOptions
-    say : callable, optional
-        Called with one sentence at a time.
+    The `stores` are opened one after the other. `compute` returns None if it was stopped.
     """
     tell = say or (lambda sentence: None)
     opened: list[BlockStore] = []
@@ -165,11 +141,7 @@ def compute_and_write(
         for store in stores:
             stack.callback(store.close)
             opened.append(store)
-        with (
-            executor(options.dask, _AT_ONCE) as where,
-            stop_on_interrupt(progress.on_stop) as stop,
-            progress,
-        ):
+        with executor(options.dask, _AT_ONCE) as where, stop_on_interrupt(progress.on_stop) as stop, progress:
             threads = 1 if options.dask is not None else options.threads
             result = compute(Computing(where, threads, tuple(opened), progress.on_block, stop))
         for note in (note for store in opened for note in store.notes):

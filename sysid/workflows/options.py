@@ -22,17 +22,11 @@ from sysid.units import parse_quantity
 _MOST_VALUES = 100_000
 
 
+@dataclass(frozen=True)
 class Argument:
-    """A field that the command line takes by its position.
+    """A field that the command line takes by its position; `help` is what the user reads."""
 
-    Parameters
-    ----------
-    help : str
-        What the user reads.
-    """
-
-    def __init__(self, help: str) -> None:
-        self.help = help
+    help: str
 
 
 class Flag:
@@ -47,9 +41,7 @@ class Flag:
     least : float, optional
         The smallest number that is accepted.
     read : callable, optional
-        Makes the field's value from what the user gives.
-    given : type
-        What the user gives to `read`.
+        Makes the field's value from what the user gives, which is of the type `given`.
     default : str, optional
         What the help shows as the default; the field's default itself if empty.
     """
@@ -68,13 +60,7 @@ class Flag:
 
 
 def seconds(text: str) -> float:
-    """Return a time limit [s] from a text such as ``20min``; a lone ``m`` means minutes.
-
-    Raises
-    ------
-    SysidError
-        When it is no time above 0.
-    """
+    """Return a time limit [s] above 0 from a text such as ``20min``; a lone ``m`` means minutes."""
     try:
         value = parse_quantity(text.replace("m", "min") if text[-1:] == "m" else text, "s")
     except UnitError:
@@ -85,13 +71,7 @@ def seconds(text: str) -> float:
 
 
 def span(text: str, what: str) -> tuple[float, ...]:
-    """Return ``first:last:step`` or a list ``a,b,c`` as increasing numbers; `what` is named in a refusal.
-
-    Raises
-    ------
-    CampaignError
-        When it is neither.
-    """
+    """Return ``first:last:step`` or a list ``a,b,c`` as increasing numbers; `what` is named in a refusal."""
     values: list[float] = []
     try:
         if ":" in text:
@@ -122,28 +102,24 @@ FitFolder = Annotated[Path, Argument("Fit folder.")]
 Sets = Annotated[Path, Argument("Fit folder, or file of parameter sets.")]
 GearSets = Annotated[Path, Argument("Fit folder or file with the gear sets.")]
 GearSetsBySurface = Annotated[
-    tuple[Path, ...], Argument("Fit folders or files with gear sets, one for each surface.")
+    tuple[Path, ...], Argument("Fit folders or files with gear sets, one a surface.")
 ]
 Force = Annotated[bool, Flag("Replace what exists.")]
 Quiet = Annotated[bool, Flag("Print neither progress nor tables.")]
 Json = Annotated[bool, Flag("Print the result as JSON.")]
 Resume = Annotated[bool, Flag("Continue a computation that was stopped or killed.")]
 Dask = Annotated[
-    str | None, Flag("Compute on a Dask cluster: the address tcp://host:8786, or the word local.")
+    str | None, Flag("Compute on a Dask cluster: an address, tcp://host:8786, or the word local.")
 ]
 Threads = Annotated[int | None, Flag("Use this many cores. The result does not depend on it.", least=1)]
 Surface = Annotated[
-    str | None, Flag("Use this friction law, for example lf or hf, instead of the campaign's.")
+    str | None, Flag("Use this friction law instead of the campaign's, for example lf or hf.")
 ]
-FitCampaign = Annotated[
-    Path | None, Flag("Campaign of the fit, if it has moved since the fit.", "--campaign")
-]
+FitCampaign = Annotated[Path | None, Flag("Campaign of the fit, if it has moved since.", "--campaign")]
 SlopeOfGround = Annotated[float, _degrees("--slope-deg", "Slope of the ground [deg] (.xml).", "0")]
 Figure = Annotated[Path | None, Flag("Write a figure to this .png, .pdf or .svg file.")]
 LogFormat = Annotated[str, Flag("Read the log as this format. By default the content decides.", "--format")]
-LoaderOption = Annotated[
-    tuple[str, ...], Flag("Give the loader an option, for example rate=10000.", "--option", "-o")
-]
+LoaderOption = Annotated[tuple[str, ...], Flag("Loader option, for example rate=10000.", "--option", "-o")]
 
 
 @dataclass(frozen=True)
@@ -157,7 +133,7 @@ class FitOptions:
     out: Annotated[Path | None, Flag("Write the result to this folder.", default="fits/NAME")] = None
     force: Force = False
     population: Annotated[
-        int | None, Flag("Number of individuals per generation. The algorithm has a default.", least=8)
+        int | None, Flag("Individuals per generation. The algorithm has a default.", least=8)
     ] = None
     runs: Annotated[int | None, Flag("Number of independent runs.", least=1)] = None
     seed: Annotated[int | None, Flag("Seed of the random numbers.", least=0)] = None
@@ -173,15 +149,12 @@ class FitOptions:
         Flag("Use this search algorithm instead of the campaign's."),
     ] = None
     finish: Annotated[
-        Literal["cmaes", "none"] | None,
-        Flag("Let CMA-ES follow every run, or nothing, as in the paper."),
+        Literal["cmaes", "none"] | None, Flag("Let CMA-ES follow every run, or nothing, as in the paper.")
     ] = None
     max_evaluations: Annotated[int | None, Flag("End the fit after this many candidates.", least=1)] = None
     resume: Resume = False
     dask: Dask = None
-    check: Annotated[
-        bool, Flag("Before the search, say what the trials are expected to determine.", "--check/--no-check")
-    ] = True
+    check: Annotated[bool, Flag("First say what the trials should determine.", "--check/--no-check")] = True
 
     def __post_init__(self) -> None:
         if self.dask is not None:
@@ -197,9 +170,7 @@ class TrustOptions:
     """How a fit is assessed: its campaign, the bootstrap over trials, where it is computed."""
 
     campaign: FitCampaign = None
-    resamples: Annotated[
-        int, Flag("Number of resamples of the bootstrap over trials. 0 leaves it out.", least=0)
-    ] = 100
+    resamples: Annotated[int, Flag("Resamples of the bootstrap over trials. 0 leaves it out.", least=0)] = 100
     seed: Annotated[int, Flag("Seed of the bootstrap.", least=0)] = 1
     threads: Threads = None
     dask: Dask = None
@@ -237,21 +208,15 @@ class ReversalOptions:
     DShot. Fast logs are low-passed with the stop-band edge `stop_edge` [Hz].
     """
 
-    command_unit: Annotated[
-        str | None, Flag("Unit of the command: us, dshot or 1. By default the log states it.")
-    ] = None
+    command_unit: Annotated[str | None, Flag("Unit of the command, if not the log's: us, dshot or 1.")] = None
     minimum: Annotated[float | None, Flag("Command of full reverse, in that unit.")] = None
-    neutral: Annotated[float | None, Flag("Command of rest, in that unit. The default for us is 1500.")] = (
-        None
-    )
+    neutral: Annotated[float | None, Flag("Command of rest, in that unit. Default for us: 1500.")] = None
     maximum: Annotated[float | None, Flag("Command of full forward, in that unit.")] = None
     sense: Annotated[
         Literal["to-reverse", "to-forward", "both"], Flag("Time the reversals in this direction.")
     ] = "to-reverse"
     stop_edge: float = 100.0
-    slow: Annotated[
-        float, Flag("A reversal slower than this multiple of the fastest counts as an outlier.")
-    ] = 1.5
+    slow: Annotated[float, Flag("A reversal slower than this multiple of the fastest is an outlier.")] = 1.5
     thrust_sign: Annotated[float, Flag("1, or -1 where the log's thrust is positive in reverse.")] = 1.0
     forward_half: Annotated[
         Literal["low", "high"] | None,
@@ -293,10 +258,7 @@ class RulesOptions:
     rest_turn: Annotated[float, Flag("A drone at rest turns more slowly than this [rad/s].")] = 0.2
     rest_time: Annotated[float, Flag("A drone is at rest when it stays slow for this time [s].")] = 0.2
     flip_angle: Annotated[
-        float,
-        _degrees(
-            "--flip-deg", "A drone that leans further than this from the slope has flipped [deg].", "80"
-        ),
+        float, _degrees("--flip-deg", "A drone that leans further from the slope has flipped [deg].", "80")
     ] = math.radians(80.0)
 
 
@@ -317,25 +279,17 @@ ResultFigure = Annotated[Path | None, Flag("Write the figure to this file.", def
 OneController = Annotated[
     str, Flag("off, reverse, command:U, impulse:delay=50ms,duration=0.1, or the name of another controller.")
 ]
-ControllerFile = Annotated[
-    Path | None, Flag("Read further controllers from this Python file.", "--controllers")
-]
+ControllerFile = Annotated[Path | None, Flag("Python file with further controllers.", "--controllers")]
 Trigger = Annotated[
     Literal["contact", "imu"],
     Flag("The controller starts at the first contact, or when the accelerometer feels it (2 g, 30 Hz)."),
 ]
-Slopes = Annotated[
-    tuple[float, ...], _span("--slopes", "0:45:1", "Slopes [deg]: first:last:step, or a list.")
-]
-Speeds = Annotated[
-    tuple[float, ...],
-    _span("--speeds", "0:2:0.05", "Touchdown speeds [m/s]: first:last:step, or a list."),
-]
+_SLOPES, _SPEEDS = "Slopes [deg]: first:last:step, or a list.", "Touchdown speeds [m/s], in the same way."
+Slopes = Annotated[tuple[float, ...], _span("--slopes", "0:45:1", _SLOPES)]
+Speeds = Annotated[tuple[float, ...], _span("--speeds", "0:2:0.05", _SPEEDS)]
 Pitch = Annotated[float, _degrees("--pitch-deg", "Pitch at touchdown, positive down-slope [deg].", "0")]
 Drift = Annotated[float, Flag("Horizontal speed at touchdown, positive down-slope [m/s].")]
-NoCheck = Annotated[
-    bool, Flag("Do not repeat every landing with half the tolerance to mark uncertain cells.")
-]
+NoCheck = Annotated[bool, Flag("Do not repeat landings at half the tolerance to mark uncertain cells.")]
 SLOPES_DEG, SPEEDS = span("0:45:1", "slopes"), span("0:2:0.05", "speeds")
 
 
@@ -353,10 +307,7 @@ class SimulateOptions:
     pitch: Pitch = 0.0
     pitch_rate: Annotated[float, Flag("Pitch rate at touchdown [rad/s].")] = 0.0
     horizontal_speed: Drift = 0.0
-    height: Annotated[
-        float | None,
-        Flag("Descend with attitude control from this height above the touchdown [m]."),
-    ] = None
+    height: Annotated[float | None, Flag("First descend from this height with attitude control [m].")] = None
     rate: Annotated[float, Flag("Write this many samples per second [Hz].", least=10)] = 1000.0
     out: Annotated[Path | None, Flag("Write the histories to this .csv or .h5 file.")] = None
     force: Force = False
@@ -414,11 +365,9 @@ class ImpulseOptions:
     idle: Annotated[float, Flag("Command of all motors before the impulse.")] = 0.1
     after: Annotated[float, Flag("Command of all motors after the impulse.")] = -1.0
     worth: Annotated[
-        float, Flag("An impulse must take away this share of the turn rate, or it is left out.")
+        float, Flag("Leave out an impulse that takes less than this share of the turn rate.")
     ] = 0.05
-    equal: Annotated[
-        float, Flag("Below this turn rate the attitude decides which impulse is best [rad/s].")
-    ] = 0.0
+    equal: Annotated[float, Flag("Below this turn rate the attitude decides what is best [rad/s].")] = 0.0
 
 
 @dataclass(frozen=True)
@@ -445,24 +394,14 @@ class DesignStudyOptions:
     motors: MotorOptions
     vary: Annotated[
         str,
-        Flag(
-            "Multiply parameters by first:last:count, as in k_t=0.5:2:5,dx_f=0.8:1.4:4. "
-            "reversal_delay=0ms:200ms:5 adds."
-        ),
+        Flag("Factors first:last:count, as in k_t=0.5:2:5,dx_f=0.8:1.4:4; reversal_delay=0ms:200ms:5 adds."),
     ]
     out: ResultFile
     controller: OneController = "reverse"
     controller_file: ControllerFile = None
-    slopes_deg: Annotated[
-        tuple[float, ...], _span("--slopes", "0:60:1", "Slopes [deg]: first:last:step, or a list.")
-    ] = span("0:60:1", "slopes")
-    speeds: Annotated[
-        tuple[float, ...],
-        _span("--speeds", "0.3,0.6,0.9,1.2", "Touchdown speeds [m/s]: a list, or first:last:step."),
-    ] = (0.3, 0.6, 0.9, 1.2)
-    share: Annotated[float, Flag("A slope is safe when this share of the landings rests within --long.")] = (
-        0.5
-    )
+    slopes_deg: Annotated[tuple[float, ...], _span("--slopes", "0:60:1", _SLOPES)] = span("0:60:1", "slopes")
+    speeds: Annotated[tuple[float, ...], _span("--speeds", "0.3,0.6,0.9,1.2", _SPEEDS)] = (0.3, 0.6, 0.9, 1.2)
+    share: Annotated[float, Flag("A slope is safe where this share of landings rests within --long.")] = 0.5
     spread_deg: Annotated[float, Flag("Land every set also with its nose this much up and down [deg].")] = 0.0
     together: Annotated[bool, Flag("Vary two parameters on a grid and draw a map.")] = False
     rules: RulesOptions = field(default_factory=RulesOptions)

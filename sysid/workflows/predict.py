@@ -6,7 +6,7 @@ Every prediction of a campaign by a fit is `predict` on the campaign opened unde
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,18 +17,18 @@ from sysid.errors import FitError
 from sysid.fit.problem import ASSUMED_NOISE, Kind, Prediction, Problem, Words
 from sysid.fit.result import FitResult
 from sysid.fit.store import read_fit
-from sysid.journal import Journal, notice
+from sysid.journal import Journal, Say, notice
 from sysid.parallel import executor
 from sysid.recording import file_sha256
 from sysid.trust.assessment import linearize
 from sysid.trust.documents import CROSS_VALIDATION, free_part, validation_part, write_part
-from sysid.trust.influence import STANDS_OUT
+from sysid.trust.influence import standing_out
 from sysid.trust.problem import spread_over
 from sysid.trust.resampling import leave_one_out
 from sysid.trust.validation import Judged, document, judge, summary
 from sysid.types import FloatArray
 from sysid.workflows.kinds import naming, open_campaign
-from sysid.workflows.provenance import seen_from
+from sysid.workflows.provenance import stated_campaign
 from sysid.workflows.reopen import fit_folder, open_fit
 
 
@@ -44,12 +44,12 @@ class Predicted:
 
     problem: Problem
     rows: FloatArray
-    found: Prediction
+    scored: Prediction
 
     @property
     def nrmse(self) -> FloatArray:
         """(S, T) weighted mean over channels [1]."""
-        mean, by_channel = self.problem.cost.mean, self.found.by_channel
+        mean, by_channel = self.problem.cost.mean, self.scored.by_channel
         return np.stack([mean(by_channel[:, [t]]) for t in range(by_channel.shape[1])], axis=1)
 
     def judge(self, t: int, sets: slice, floor: FloatArray) -> Judged:
@@ -58,8 +58,8 @@ class Predicted:
         return judge(
             problem.trials[t],
             self.nrmse[sets, t],
-            self.found.by_channel[best, t],
-            self.found.signals[t][best],
+            self.scored.by_channel[best, t],
+            self.scored.signals[t][best],
             spread=problem.cost.denominators[t],
             noise=floor[t],
             weights=problem.cost.weights,
@@ -146,20 +146,11 @@ def predicted_fit(fit: FitResult, path: Path) -> FitResult:
 
 
 def validate_fit(
-    folder: Path,
-    campaign_path: Path,
-    *,
-    threads: int | None = None,
-    say: Callable[[str], None] | None = None,
+    folder: Path, campaign_path: Path, *, threads: int | None = None, say: Say = None
 ) -> dict[str, Any]:
     """Score a fit on the trials of a campaign that it was not fitted to, and store that in its folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Fit folder.
-    campaign_path : Path
-        Any campaign of the same kind; of the fit's own, the trials of use "validate".
+    The campaign is any of the same kind; of the one that was fitted, the trials of use "validate" serve.
 
     Raises
     ------
@@ -178,25 +169,12 @@ def validate_fit(
         floor = problem.floor_by_channel(predicted.rows[0])
         judged = [predicted.judge(t, slice(None), floor) for t in range(len(problem.trials))]
         _notice_unlike(judged, kind.words)
-        stated = {
-            "file": campaign_path.name,
-            "sha256": file_sha256(campaign_path),
-            "from_fit_folder": seen_from(folder, campaign_path),
-        }
-        whole_document = {
-            "campaign": stated,
-            **summary(judged, float(result.nrmse[0])),
-            "trials": [
-                {**document(trial_judged, result.channels), "slope_deg": None, "stop": None, **more}
-                for trial_judged, more in zip(judged, problem.beyond(predicted.rows), strict=True)
-            ],
-            "warnings": journal.sentences(),
-        }
-        for sentence in whole_document["reasons"]:
-            journal.tell(f"warning: {sentence}")
+        stated = stated_campaign(campaign_path, folder)
+        more = [{"slope_deg": None, "stop": None} | row for row in problem.beyond(predicted.rows)]
+        whole_document = _document(journal, result, stated, judged, more)
     units = ", ".join(result.channel_units)
     arrays: dict[str, tuple[Any, str, str]] = {}
-    for number, (trial, signals) in enumerate(zip(problem.trials, predicted.found.signals, strict=True), 1):
+    for number, (trial, signals) in enumerate(zip(problem.trials, predicted.scored.signals, strict=True), 1):
         root = f"trials/{number}"
         arrays[f"{root}/time"] = (trial.time, "sample", "s")
         arrays[f"{root}/measured"] = (trial.measured, "sample, channel", units)
@@ -207,23 +185,43 @@ def validate_fit(
     return whole_document
 
 
+def _document(
+    journal: Journal,
+    result: FitResult,
+    stated: dict[str, str],
+    judged: list[Judged],
+    more: list[dict[str, Any]],
+) -> dict[str, Any]:
+    """Return the document of predicted trials, with `more` of each; tell why they are flagged."""
+    out = {
+        "campaign": stated,
+        **summary(judged, float(result.nrmse[0])),
+        "trials": [document(trial, result.channels) | row for trial, row in zip(judged, more, strict=True)],
+        "warnings": journal.sentences(),
+    }
+    for sentence in out["reasons"]:
+        journal.tell(f"warning: {sentence}")
+    return out
+
+
 def _notice_unlike(judged: list[Judged], words: Words) -> None:
     """Name every trial that is predicted far worse than the others are."""
     ratios = np.array([trial.ratio for trial in judged])
-    if len(ratios) < 3 or not np.isfinite(ratios).all():
-        return
-    usual = float(np.median(ratios))
-    for trial in judged:
-        if trial.ratio > max(1.0, STANDS_OUT * usual):
-            notice(
-                "unlike-the-others",
-                f"{trial.name}: {trial.ratio:.1f} × what noise alone costs where the trials have {usual:.1f} "
-                f"(median): {words.unlike}",
-            )
+    for t in standing_out(ratios):
+        notice(
+            "unlike-the-others",
+            f"{judged[t].name}: {ratios[t]:.1f} × what noise alone costs where the trials have "
+            f"{np.median(ratios):.1f} (median): {words.unlike}",
+        )
 
 
 def _notice_assumed(problem: Problem) -> None:
-    silent = problem.without_noise
+    noise = problem.noise
+    silent = [
+        f"{problem.trials[block.trial].name} ({problem.channels[block.channel]})"
+        for block in problem.blocks
+        if not np.isfinite(noise[block.trial, block.channel])
+    ]
     if silent:
         notice(
             "no-noise-shown",
@@ -238,7 +236,7 @@ def cross_validate(
     *,
     threads: int | None = None,
     dask: str | None = None,
-    say: Callable[[str], None] | None = None,
+    say: Say = None,
 ) -> dict[str, Any]:
     """Leave out each fitted trial in turn, fit the rest from the best set on, predict the trial left out.
 
@@ -259,9 +257,7 @@ def cross_validate(
             spread = spread_over(problem, where)
             linear = linearize(spread, result.cube[0])
             journal.tell(f"{len(problem.trials)} fits, each without one trial")
-            refits = leave_one_out(
-                spread, linear.point, linear.scale, linear.jacobian.steps, linear.tolerance
-            )  # fmt: skip
+            refits = leave_one_out(spread, linear)
         space, names = problem.space, [record.name for record in result.parameters]
         decoded = space.decode(refits.points)
         values = np.repeat(result.values[:1], len(decoded), axis=0)
@@ -269,22 +265,9 @@ def cross_validate(
         predicted = predict(result, opened.whole.only(problem.names), values)
         floor = predicted.problem.floor_by_channel(space.full(linear.point[None])[0])
         judged = [predicted.judge(t, slice(t, t + 1), floor) for t in range(len(problem.trials))]
-        whole_document = {
-            "campaign": {"file": opened.path.name, "sha256": file_sha256(opened.path)},
-            **summary(judged, float(result.nrmse[0])),
-            "trials": [
-                {
-                    **document(one, result.channels),
-                    "refit": dict(zip(space.names, decoded[t].tolist(), strict=True)),
-                }
-                for t, one in enumerate(judged)
-            ],
-            "warnings": journal.sentences(),
-        }
-        for sentence in whole_document["reasons"]:
-            journal.tell(f"warning: {sentence}")
+        stated = {"file": opened.path.name, "sha256": file_sha256(opened.path)}
+        more = [{"refit": dict(zip(space.names, refit, strict=True))} for refit in decoded.tolist()]
+        whole_document = _document(journal, result, stated, judged, more)
     arrays = {"values": (decoded, "trial left out, free parameter", "SI")}
-    write_part(
-        opened.folder, CROSS_VALIDATION, whole_document, arrays, fit=result.name, kind=result.kind
-    )  # fmt: skip
+    write_part(opened.folder, CROSS_VALIDATION, whole_document, arrays, fit=result.name, kind=result.kind)
     return whole_document

@@ -22,14 +22,7 @@ _LIBRARIES = ("numpy", "scipy", "numba", "pymoo", "cma", "pandas", "h5py")
 def fit_identity(path: Path, settings: SearchSettings, problem: Problem) -> dict[str, Any]:
     """Return what must be equal for a fit to be continued; see `sysid.resume.Unfinished`.
 
-    Parameters
-    ----------
-    path : Path
-        Campaign file.
-    settings : SearchSettings
-        More runs, or another time limit, do not hinder.
-    problem : Problem
-        Of all trials.
+    `problem` is of all trials. More runs, or another time limit, do not hinder.
     """
     space = problem.space
     rows = [[str(value) for value in vars(row).values()] for row in (*space.table.values(), *space.free)]
@@ -53,15 +46,9 @@ def fit_identity(path: Path, settings: SearchSettings, problem: Problem) -> dict
 def provenance(path: Path, settings: SearchSettings, problem: Problem, folder: Path) -> dict[str, Any]:
     """Return what a reader needs to repeat a fit, or to doubt it.
 
-    Parameters
-    ----------
-    path : Path
-        Campaign file.
-    problem : Problem
-        Of all trials.
-    folder : Path
-        Of the fit: where the campaign lies is stored as seen from there.
+    `problem` is of all trials; where the campaign lies is stored as seen from the folder of the fit.
     """
+    stop = settings.stop
     return {
         "sysid": __version__,
         "git_revision": _git_revision(),
@@ -71,31 +58,27 @@ def provenance(path: Path, settings: SearchSettings, problem: Problem, folder: P
         "processor": processor(),
         "cores": os.cpu_count(),
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
-        "campaign": {
-            "file": path.name,
-            "sha256": file_sha256(path),
-            "from_fit_folder": seen_from(folder, path),
-        },
+        "campaign": stated_campaign(path, folder),
         "logs": dict(problem.logs),
         "filter": dict(problem.filters),
         "nrmse_denominator": problem.campaign.cost.denominator,
         "search": {
-            "algorithm": settings.algorithm,
-            "finish": settings.finish,
+            **{
+                name: getattr(settings, name)
+                for name in ("algorithm", "finish", "population", "runs", "seed")
+            },
+            **{f"stop_{name}": getattr(stop, name) for name in ("reading", "window", "tolerance")},
+            **{name: getattr(stop, name) for name in ("max_generations", "max_evaluations", "time_limit")},
             "finish_population": FINISH_POPULATION,
-            "population": settings.population,
-            "runs": settings.runs,
             "axes": list(problem.space.names),
-            "seed": settings.seed,
             "run_seeds": list(settings.run_seeds()),
-            "stop_reading": settings.stop.reading,
-            "stop_window": settings.stop.window,
-            "stop_tolerance": settings.stop.tolerance,
-            "max_generations": settings.stop.max_generations,
-            "max_evaluations": settings.stop.max_evaluations,
-            "time_limit": settings.stop.time_limit,
         },
     }
+
+
+def stated_campaign(path: Path, folder: Path) -> dict[str, str]:
+    """Return what the documents of a fit folder state of a campaign file."""
+    return {"file": path.name, "sha256": file_sha256(path), "from_fit_folder": seen_from(folder, path)}
 
 
 def seen_from(folder: Path, path: Path) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from rich.text import Text
 
 from sysid import exact_json
 from sysid.errors import ExportError, SysidError
+from sysid.journal import Say
 from sysid.report.drawing import save_figure
 from sysid.report.fit_report import FitReport
 from sysid.report.kinds import open_fit
@@ -22,17 +22,9 @@ from sysid.workflows.predict import predicted_fit
 
 
 def write_report(
-    folder: str | Path, options: ReportOptions | None = None, say: Callable[[str], None] | None = None
+    folder: str | Path, options: ReportOptions | None = None, say: Say = None
 ) -> dict[str, Path]:
-    """Write a fit's report and what else is asked for; return the files by what they are.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Fit folder.
-    options : ReportOptions
-    say : callable, optional
-        Called with one sentence at a time.
+    """Write the report of a fit folder and what else is asked for; return the files by what they are.
 
     Raises
     ------
@@ -60,9 +52,7 @@ def write_report(
     return written
 
 
-def print_report(
-    folder: str | Path, options: ReportOptions, json: bool, say: Callable[[str], None] | None
-) -> None:
+def print_report(folder: str | Path, options: ReportOptions, json: bool, say: Say) -> None:
     """Write a report and print where it lies."""
     started = time.perf_counter()
     console = Console(stderr=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -30,14 +31,7 @@ from sysid.trials.bench_log import (
     tare,
 )
 from sysid.trials.common_clock import on_one_clock
-from sysid.trials.reversal import (
-    JITTER,
-    LEVEL,
-    Repetitions,
-    find_reversals,
-    held_commands,
-    repetitions,
-)
+from sysid.trials.reversal import JITTER, LEVEL, Repetitions, find_reversals, held_commands, repetitions
 from sysid.trials.signs import zero_of_steady
 from sysid.trials.steady import steady_points
 from sysid.types import BoolArray, FloatArray
@@ -89,20 +83,16 @@ def command_range(options: ReversalOptions, unit: str, where: str) -> CommandRan
 
 @dataclass(frozen=True, eq=False)
 class LogReversals:
-    """Reversals of one log.
+    """Reversals of one log, one group of repetitions per pair of commands.
 
     Parameters
     ----------
-    name : str
-    groups : tuple of Repetitions
-        One per pair of commands.
     thrust : (times [s], values [N])
         As timed: tared, filtered where the log is fast.
     crossing_from : {"speed", "thrust"}
         What zero crossing and dead band were read from.
     lost : int
         Reversals left out because the logger stalled around their command.
-    notes : tuple of str
     """
 
     name: str
@@ -141,6 +131,7 @@ class LogReversals:
         }
 
 
+_NUMBERS = ("n", "to 90 %", "to zero", "dead band", "outliers")
 _TIMES = (("to 90 %", "to_level"), ("zero crossing", "zero_crossing"), ("dead band", "dead_band"))
 
 
@@ -184,8 +175,7 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
         turns = None if turns is None else _known(uniform_filtered(*turns, lowpass, f"{where}, speed"))
     else:
         notes.append(f"rows every {1e3 / rate:.1f} ms: timed between real samples, unfiltered")
-    stalls = find_stalls(time, steps)
-    doubtful = tuple(s.doubtful for s in stalls if s.doubtful is not None)
+    doubtful = tuple(s.doubtful for s in find_stalls(time, steps) if s.doubtful is not None)
     _check_sense(steps, forces, options.thrust_sign < 0, where)
     everything = find_reversals(time, steps, forces, turns, sense=options.sense)
     kept = find_reversals(time, steps, forces, turns, skip=doubtful, sense=options.sense)
@@ -248,24 +238,16 @@ def _check_sense(
     if not (means[True] and means[False]):
         return
     ahead, back = float(np.median(means[True])), float(np.median(means[False]))
+    states = f"{where}: thrust is {ahead:.3g} N under forward and {back:.3g} N under reverse commands; "
     if ahead < 0 < back:
-        raise LogError(
-            f"{where}: thrust is {ahead:.3g} N under forward and {back:.3g} N under reverse commands; "
-            + ("leave out --thrust-sign -1" if turned else "turn it with --thrust-sign -1")
-        )
+        remedy = "leave out --thrust-sign -1" if turned else "turn it with --thrust-sign -1"
+        raise LogError(states + remedy)
     if ahead * back > 0:
-        raise LogError(
-            f"{where}: thrust is {ahead:.3g} N under forward and {back:.3g} N under reverse commands; the "
-            "rotor never reverses, or the thrust was logged without its sign"
-        )
+        raise LogError(states + "the rotor never reverses, or the thrust was logged without its sign")
 
 
 def reversal_times(
-    logs: Sequence[Path],
-    options: ReversalOptions,
-    *,
-    figure: Path | None = None,
-    json: bool = False,
+    logs: Sequence[Path], options: ReversalOptions, *, figure: Path | None = None, json: bool = False
 ) -> tuple[LogReversals, ...]:
     """Time the reversals of several logs, print them side by side, and draw them in the manner of Fig. 3.
 
@@ -296,27 +278,23 @@ def reversal_times(
 
 
 def _table(timed: Sequence[LogReversals], slow: float) -> Table:
-    rows = [
-        (log, group, "" if log.crossing_from == "speed" else " T") for log in timed for group in log.groups
-    ]
-
-    def outliers(group: Repetitions) -> str:
-        # A single repetition is the quickest of its group.
-        count = len(group.reversals)
-        return f"{100 * group.outliers(slow) / count:.0f} %" if count > 1 else "–"
-
+    rows = []
+    for log in timed:
+        read_from = "" if log.crossing_from == "speed" else " T"
+        for group in log.groups:
+            count = len(group.reversals)
+            rows.append((
+                log.name, f"{group.before:+.2f} → {group.after:+.2f}", str(count),
+                _milliseconds(group, "to_level"), _milliseconds(group, "zero_crossing") + read_from,
+                _milliseconds(group, "dead_band") + read_from,
+                # A single repetition is the quickest of its group.
+                f"{100 * group.outliers(slow) / count:.0f} %" if count > 1 else "–",
+            ))  # fmt: skip
+    heads = ((words, "log"), (words, "u"), *((numbers, name) for name in _NUMBERS))
     return table(
         "reversal times from the command, median (quartiles) [ms]",
         rows,
-        (
-            words("log", lambda row: row[0].name),
-            words("u", lambda row: f"{row[1].before:+.2f} → {row[1].after:+.2f}"),
-            numbers("n", lambda row: str(len(row[1].reversals))),
-            numbers("to 90 %", lambda row: _milliseconds(row[1], "to_level")),
-            numbers("to zero", lambda row: _milliseconds(row[1], "zero_crossing") + row[2]),
-            numbers("dead band", lambda row: _milliseconds(row[1], "dead_band") + row[2]),
-            numbers("outliers", lambda row: outliers(row[1])),
-        ),
+        [kind(name, itemgetter(i)) for i, (kind, name) in enumerate(heads)],
         f"outliers: over {slow:g} times the quickest, or 90 % not seen to be reached; zero crossing and "
         "dead band of the speed where it is signed, else (T) of the thrust",
     )

@@ -8,12 +8,7 @@ from sysid.documents import Part
 from sysid.errors import SysidError
 from sysid.fit.provenance import FitDocument
 from sysid.parameter_sets import SetsDocument
-from sysid.trust.documents import (
-    CheckDocument,
-    CrossValidationDocument,
-    TrustDocument,
-    ValidationDocument,
-)
+from sysid.trust.documents import CheckDocument, CrossValidationDocument, TrustDocument, ValidationDocument
 
 DOCUMENTS: dict[str, type[Part]] = {
     "fit": FitDocument,

@@ -48,9 +48,8 @@ def print_fit(result: FitResult, folder: Path, json: bool) -> None:
     """Print the sets of a fit and the folder that holds it."""
     sets = result.parameter_sets()
     if json:
-        print(
-            exact_json.dumps({"folder": str(folder), "state": result.state, **sets.document().model_dump()})
-        )
+        head = {"folder": str(folder), "state": result.state}
+        print(exact_json.dumps(head | sets.document().model_dump()))
         return
     _print_tables(sets)
     state = "" if result.state == "done" else " (stopped early: the sets are what was found until then)"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +11,15 @@ import numpy as np
 from sysid.errors import FitError
 from sysid.fit.problem import Words
 from sysid.fit.result import FitResult
-from sysid.journal import Journal, notice
+from sysid.journal import Journal, Say, notice
 from sysid.parallel import executor
 from sysid.parameters import SearchSpace
 from sysid.recording import file_sha256
 from sysid.trust.assessment import Assessment, assess
 from sysid.trust.documents import TRUST, write_part
 from sysid.trust.influence import FEWEST, Influence, influence
+from sysid.trust.least_squares import Solved
 from sysid.trust.problem import spread_over
-from sysid.trust.resampling import Resampled
 from sysid.trust.verdicts import verdict
 from sysid.types import FloatArray
 from sysid.workflows.options import TrustOptions
@@ -32,13 +31,12 @@ _STATEMENT = (
     "the correlation of the residuals in time and between channels and the uncertainty of what the fit takes "
     "as known, so that it follows chi-square with one degree of freedom"
 )
+_ENDS = ("interval_68", "interval_95", "open_68", "open_95")
 # Relative to the standard deviation of the linearization: farther apart is worth a word.
 _MOVED = 2.0
 
 
-def assess_fit(
-    folder: Path, options: TrustOptions | None = None, say: Callable[[str], None] | None = None
-) -> dict[str, Any]:
+def assess_fit(folder: Path, options: TrustOptions | None = None, say: Say = None) -> dict[str, Any]:
     """Assess a fit and store what was found in its folder; return the document of `sysid.trust.documents`.
 
     Raises
@@ -70,7 +68,7 @@ def assess_fit(
             trials = influence(spread, assessed.linear, floors)
         rows = _parameters(opened.result, opened.space, assessed)
         _notice_trials(problem.names, opened.space.decode(trials.without), trials, rows, opened.kind.words)
-        _notice_parameters(rows, assessed, _moves(opened.result, assessed))
+        _notice_parameters(rows, assessed, opened.result.cube[0])
         document, arrays = _document(opened, assessed, trials, floors, rows)
         document["warnings"] = journal.sentences()
         document["seconds"] = time.perf_counter() - began
@@ -78,8 +76,10 @@ def assess_fit(
     return document
 
 
-def _notice_parameters(rows: list[dict[str, Any]], assessed: Assessment, moves: FloatArray) -> None:
-    """Notice rough derivatives and a best set that is not the minimum; mark the rows they touch."""
+def _notice_parameters(rows: list[dict[str, Any]], assessed: Assessment, best: FloatArray) -> None:
+    """Notice rough derivatives and a best set (n,) that is not the minimum; mark the rows they touch."""
+    linear = assessed.linear
+    moves = np.abs(linear.point - best) / np.maximum(linear.information.sigma, 1e-12)
     for row, jump in zip(rows, moves, strict=True):
         if not row["derivative_trusted"]:
             notice(
@@ -104,11 +104,7 @@ def _notice_parameters(rows: list[dict[str, Any]], assessed: Assessment, moves: 
 
 
 def _document(
-    opened: OpenedFit,
-    assessed: Assessment,
-    trials: Influence,
-    floors: FloatArray,
-    rows: list[dict[str, Any]],
+    opened: OpenedFit, assessed: Assessment, trials: Influence, floors: FloatArray, rows: list[dict[str, Any]]
 ) -> tuple[dict[str, Any], dict[str, tuple[Any, str, str]]]:
     result, space, linear = opened.result, opened.space, assessed.linear
     boot = assessed.resampled
@@ -160,16 +156,9 @@ def _doubt(row: dict[str, Any], why: str) -> None:
 def _notice_trials(
     names: tuple[str, ...], without: FloatArray, trials: Influence, rows: list[dict[str, Any]], words: Words
 ) -> None:
-    """Notice trials that stand out or decide the fit, and mark the rows they touch.
+    """Notice trials that stand out or decide the fit, and mark the rows of the parameters they touch.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Of the trials.
-    without : (T, n) array
-        Parameters of the fits without each trial [SI].
-    rows : list of dict
-        Of the parameters.
+    `names` are of the trials; `without` (T, n) are the parameters of the fits without each [SI].
     """
     advice = 'look at it, and fit without it (use = "validate")'
     remedy = f" or {words.remedy}" if words.remedy else ""
@@ -202,7 +191,7 @@ def _statement(opened: OpenedFit) -> str:
     return _STATEMENT + (f" ({known})" if known else "") + (f"; given {words}" if words else "")
 
 
-def _notes(opened: OpenedFit, boot: Resampled | None) -> list[str]:
+def _notes(opened: OpenedFit, boot: Solved | None) -> list[str]:
     """Return what the numbers leave out, one sentence each."""
     out = []
     if boot is None and len(opened.problem.trials) < FEWEST:
@@ -225,12 +214,6 @@ def _notes(opened: OpenedFit, boot: Resampled | None) -> list[str]:
     return out
 
 
-def _moves(result: FitResult, assessed: Assessment) -> FloatArray:
-    return np.abs(assessed.linear.point - result.cube[0]) / np.maximum(
-        assessed.linear.information.sigma, 1e-12
-    )
-
-
 def _parameters(result: FitResult, space: SearchSpace, assessed: Assessment) -> list[dict[str, Any]]:
     linear = assessed.linear
     index = {record.name: i for i, record in enumerate(result.parameters)}
@@ -250,13 +233,8 @@ def _parameters(result: FitResult, space: SearchSpace, assessed: Assessment) -> 
         if boot is not None and len(boot) >= 10:
             quantiles = np.quantile(boot[:, i], [0.025, 0.975]).tolist()
         out.append(
-            {
-                "name": row.name,
-                "symbol": row.symbol,
-                "unit": row.unit,
-                "lower": row.lower,
-                "upper": row.upper,
-                "scale": row.scale,
+            {key: getattr(row, key) for key in ("name", "symbol", "unit", "lower", "upper", "scale")}
+            | {
                 "value": float(best[i]),
                 "refined": float(refined[i]),
                 "mean": float(sets.mean[index[row.name]]),
@@ -264,14 +242,13 @@ def _parameters(result: FitResult, space: SearchSpace, assessed: Assessment) -> 
                 "fisher_sigma": float(max(up[i], down[i])),
                 "derivative_doubt": float(linear.jacobian.doubt[i]),
                 "derivative_trusted": bool(linear.jacobian.trusted[i]),
-                "interval_68": list(profile.interval_68),
-                "interval_95": list(profile.interval_95),
-                "open_68": list(profile.open_68),
-                "open_95": list(profile.open_95),
+            }
+            | {key: list(getattr(profile, key)) for key in _ENDS}
+            | {
                 "half_width": profile.half_width,
                 "verdict": verdict(profile.half_width),
                 "doubt": None,
-                "expected_half_width": float(assessed.expected[i]),
+                "expected_half_width": float(linear.half_widths[i]),
                 "partners": [{"name": name, "correlation": rho} for name, rho in partners[i]],
                 "at_bound": int(result.at_bound[0, index[row.name]]),
                 "measured": None if record.measured_range is None else list(record.measured_range),
@@ -296,17 +273,11 @@ def _channels(opened: OpenedFit, assessed: Assessment, floors: FloatArray) -> li
             sum(block.count * (level * block.spread) ** 2 for block, level, _ in levels) / count
         )
         floor = np.sqrt(sum(block.count * (least * block.spread) ** 2 for block, _, least in levels) / count)
-        inflation = linear.noise.inflation[linear.noise.channels.index(c)]
-        out.append(
-            {
-                "name": name,
-                "unit": result.channel_units[c],
-                "residual": float(residual),
-                "floor": float(floor),
-                "samples": count,
-                "independent_samples": float(count / inflation),
-            }
-        )
+        independent = float(count / linear.noise.inflation[linear.noise.channels.index(c)])
+        out.append({
+            "name": name, "unit": result.channel_units[c], "residual": float(residual), "floor": float(floor),
+            "samples": count, "independent_samples": independent,
+        })  # fmt: skip
     return out
 
 
@@ -315,12 +286,6 @@ def _spread(result: FitResult) -> dict[str, Any]:
     trials = []
     for trial in result.trials:
         apart = trial.simulated - trial.simulated.mean(axis=0)
-        trials.append(
-            {
-                "name": trial.name,
-                "use": trial.use,
-                "rms": np.sqrt(np.mean(apart**2, axis=(0, 1))),
-                "largest": np.max(np.abs(apart), axis=(0, 1)),
-            }
-        )
+        rms, largest = np.sqrt(np.mean(apart**2, axis=(0, 1))), np.max(np.abs(apart), axis=(0, 1))
+        trials.append({"name": trial.name, "use": trial.use, "rms": rms, "largest": largest})
     return {"channels": list(result.channels), "units": list(result.channel_units), "trials": trials}

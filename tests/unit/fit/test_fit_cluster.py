@@ -43,7 +43,7 @@ def cluster(folder, workers):
     """A scheduler and worker processes, as a lab starts them by hand."""
     pytest.importorskip("distributed", reason="Dask comes with the extra 'cluster'")
     file = folder / "scheduler.json"
-    environment = {**os.environ, "PYTHONPATH": HERE}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([HERE, os.environ["PYTHONPATH"]])}
     quiet = ["--no-nanny", "--no-dashboard", "--local-directory", str(folder)]
     common = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
     dask = [sys.executable, "-m", "dask"]

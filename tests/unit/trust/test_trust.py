@@ -12,10 +12,10 @@ from sysid.trust.assessment import assess, linearize
 from sysid.trust.influence import influence
 from sysid.trust.jacobian import jacobian
 from sysid.trust.least_squares import search_around, solve
-from sysid.trust.linearized import NORMAL_95, half_widths, information, noise_model, with_bounds
+from sysid.trust.linearized import NORMAL_95, bounded_information, half_widths, information, noise_model
 from sysid.trust.problem import nrmse_of, scales
 from sysid.trust.profiles import _crossing
-from sysid.trust.resampling import bootstrap, leave_one_out
+from sysid.trust.resampling import bootstrap, refit
 from sysid.trust.sensitivity import expectations, morris, rank_candidates
 from sysid.trust.verdicts import sentences, verdict
 
@@ -145,7 +145,7 @@ def test_a_parameter_that_nothing_sees_is_open_and_not_identifiable():
     assert last.open_95 == (True, True)
     assert last.interval_95 == (0.0, 2.0)
     assert verdict(last.half_width) == "not identifiable"
-    assert verdict(found.expected[2]) == "not identifiable"
+    assert verdict(found.linear.half_widths[2]) == "not identifiable"
     assert [verdict(p.half_width) for p in found.profiles.profiles[:2]] == ["well", "well"]
 
 
@@ -208,7 +208,7 @@ def test_leaving_one_trial_out_is_the_fit_without_it():
     designs, data = _white()
     problem = Linear(designs, data)
     linear = linearize(problem, np.array([0.5, 0.5]))
-    found = leave_one_out(problem, linear.point, linear.scale, linear.jacobian.steps, 1e-12)
+    found = refit(problem, linear, 1 - np.eye(3), 1e-12)
     for t in range(3):
         weight = [1 / level for level in linear.levels]
         kept = [k for k in range(3) if k != t]
@@ -223,8 +223,7 @@ def test_the_bootstrap_draws_whole_trials_and_spreads_as_they_do():
     designs, data = _white(n_trials=12, n=80, seed=3)
     problem = Linear(designs, data)
     linear = linearize(problem, np.array([0.5, 0.5]))
-    found = bootstrap(problem, linear.point, linear.scale, linear.jacobian.steps, 200, 5, 1e-9)
-    assert np.all(found.weights.sum(axis=1) == 12)
+    found = bootstrap(problem, linear, 200, 5)
     # Twelve trials tell a spread to a fifth (1/sqrt(2·12)), and a resample of them is somewhat narrower.
     assert found.points.std(axis=0) == pytest.approx(linear.information.sigma, rel=0.45)
 
@@ -316,13 +315,13 @@ def test_the_recording_that_sees_the_blind_parameter_is_ranked_first():
     blind = [np.concatenate([a, 1e-4 * source.standard_normal(a.shape)], axis=1) for a in designs]
     problem = Linear(blind, data)
     noise = NoiseModel((0,), np.ones((1, 1, 1)))
-    here, expected = expectations(problem, np.array([0.5, 0.5]), noise, over_bounds=False)
+    view, expected = expectations(problem, np.array([0.5, 0.5]), noise, over_bounds=False)
     assert [one.verdict for one in expected] == ["well", "not identifiable"]
     shapes = [np.array([1.0, 0.0]), np.array([0.0, 1.0]), np.array([0.0, 0.3])]
     extra = [source.standard_normal((200, 1, 1)) * shape[None, :, None] for shape in shapes]
     others = Linear(extra, [a[:, :, 0] @ np.ones(2)[:, None] for a in extra])
     titles = ("the same", "the other", "a little of it")
-    ranked = rank_candidates(problem, here, noise, others, titles, np.array([False, True]))
+    ranked = rank_candidates(problem, view, others, titles, np.array([False, True]))
     assert [one.title for one in ranked] == ["the other", "a little of it", "the same"]
     # 200 samples of unit size at a noise of 0.1: sigma 0.1/sqrt(200), whatever the sample's own rms (5 %).
     assert ranked[0].half_widths[1] == pytest.approx(NORMAL_95 * 0.1 / np.sqrt(200), rel=0.15)
@@ -366,9 +365,10 @@ def test_what_is_at_its_bound_takes_no_share_of_the_others_error():
     pushed = jacobian_values.T @ change
     spread = jacobian_values.T @ jacobian_values * 1e-3 + np.outer(pushed, pushed)
     free = information(jacobian_values, spread)
-    inside = with_bounds(free, jacobian_values, spread, np.array([0.5, 0.5]))
-    assert inside is free
-    at_bound = with_bounds(free, jacobian_values, spread, np.array([0.5, 0.0]))
+    inside, at_bound = (
+        bounded_information(jacobian_values, spread, np.array([0.5, second])) for second in (0.5, 0.0)
+    )
+    assert np.array_equal(inside.covariance, free.covariance)
     alone = information(jacobian_values[:, :1], spread[:1, :1])
     # The second one's error is borne by the first: much more than its own.
     assert alone.sigma[0] > 2 * free.sigma[0]
