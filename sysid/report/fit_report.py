@@ -44,11 +44,11 @@ from sysid.report.html import (
     joined,
     legend,
     markup_table,
+    page,
     paragraph,
     picture,
     preformatted,
 )
-from sysid.report.page import page
 from sysid.report.set_tables import mean_sigma_table, ranked_table, trial_table
 from sysid.report.trust_figures import figure_correlation, figure_nrmse_profile, figure_profile
 from sysid.report.trust_tables import interval_table, narrow_table, validation_table, verdict_words

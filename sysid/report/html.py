@@ -1,4 +1,4 @@
-"""Pieces of a report page: figures with their text alternative, tables, paragraphs, folded parts.
+"""A report page and its pieces: figures with their text alternative, tables, paragraphs, folded parts.
 
 A notebook shows an `Html` as it is, and the page's template takes it over unchanged. All text is escaped; a
 figure is an image inside the page, so nothing is ever fetched.
@@ -12,12 +12,15 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import resources
 from operator import itemgetter
 from urllib.parse import quote
 
+from jinja2 import Environment, PackageLoader
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+import sysid
 from sysid.report.table import Table, table, words
 
 # A vector figure with more bytes than this goes into the page as pixels [bytes].
@@ -28,6 +31,7 @@ _NUMBERS, _DECIMALS = re.compile(r' (?:d|x|y)="[^"]*"|translate\([^)]*\)'), re.c
 _LONGEST_CELL = 40
 # What stands for itself in an address inside double quotes.
 _SAFE = " =:;,/()'-."
+_PART = re.compile(r'<h2 id="([^"]*)">(.*?)</h2>')
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,17 @@ class Html:
 NOTHING = Html("")
 
 
+def page(title: str, body: Html) -> str:
+    """Return a page that needs nothing else; its second-level headings become the links above it."""
+    # The template escapes whatever is not an `Html`.
+    templates = Environment(loader=PackageLoader("sysid.report", "page"), autoescape=True)
+    style = resources.files("sysid.report").joinpath("page", "page.css").read_text(encoding="utf-8")
+    parts = [(identity, html.unescape(heading)) for identity, heading in _PART.findall(body.text)]
+    return templates.get_template("index.html.j2").render(
+        title=title, version=sysid.__version__, style=Html(style), parts=parts, body=body
+    )
+
+
 def paragraph(text: str, kind: str = "") -> Html:
     """Return a paragraph of plain text; `kind` is its class."""
     return Html(f"<p{_class(kind)}>{html.escape(text)}</p>")
@@ -57,12 +72,8 @@ def paragraph(text: str, kind: str = "") -> Html:
 
 def heading(text: str, level: int = 2) -> Html:
     """Return a heading with an identity that a link can name."""
-    return Html(f'<h{level} id="{identity(text)}">{html.escape(text)}</h{level}>')
-
-
-def identity(title: str) -> str:
-    """Return the identity of a heading."""
-    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
+    identity = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
+    return Html(f'<h{level} id="{identity}">{html.escape(text)}</h{level}>')
 
 
 def preformatted(text: str) -> Html:

@@ -10,10 +10,9 @@ from typer.main import get_command
 from fakes.fits import made_fit
 from fakes.places import ROOT
 from sysid import cli
-from sysid.errors import ExportError, SysidError
+from sysid.errors import ExportError
 from sysid.fit.store import write_fit
 from sysid.report.kinds import REPORTS
-from sysid.report.notebook import find_notebook
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 NAMES = {"fit-report-motor", "fit-report-gear", "landing-maps", "the-model", "bring-your-own-logs"}
@@ -21,7 +20,6 @@ NAMES = {"fit-report-motor", "fit-report-gear", "landing-maps", "the-model", "br
 
 def test_all_notebooks_are_there():
     assert {path.stem for path in NOTEBOOKS} == NAMES
-    assert find_notebook("the-model") == ROOT / "notebooks" / "the-model.ipynb"
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -114,11 +112,3 @@ def test_a_film_needs_ffmpeg_or_another_name(tmp_path, monkeypatch):
     with pytest.raises(ExportError, match=r"expected \.gif or \.mp4"):
         check_film(tmp_path / "a.avi", False)
     check_film(tmp_path / "a.gif", False)
-
-
-def test_missing_libraries_are_named_with_the_command_that_installs_them(monkeypatch):
-    from sysid.report import notebook
-
-    monkeypatch.setattr(notebook, "_LIBRARIES", ("papermill", "no_such_library"))
-    with pytest.raises(SysidError, match=r"missing: no_such_library.*sysid\[report\]"):
-        notebook.run_notebook(find_notebook("the-model"), {})

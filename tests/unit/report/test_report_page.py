@@ -22,10 +22,9 @@ from sysid.report.drop_replay import START, DropReplay, animation_data, leg_poin
 from sysid.report.fit_figures import figure_channel, figure_spread, figure_waterfall
 from sysid.report.fit_report import FitReport
 from sysid.report.gear_report import GearReport
-from sysid.report.html import box, bullets, folded, heading, markup_table, paragraph, picture
+from sysid.report.html import box, bullets, folded, heading, markup_table, page, paragraph, picture
 from sysid.report.kinds import open_fit
 from sysid.report.motor_report import MotorReport
-from sysid.report.page import page
 from sysid.report.snapshots import figure_snapshots
 from sysid.report.table import Cell, table, words
 from sysid.report.trust_tables import interval_table, narrow_table
@@ -90,16 +89,6 @@ def test_a_vector_figure_keeps_its_shape_and_a_large_one_becomes_pixels():
         axes.scatter(*np.random.default_rng(1).random((2, 200)))
     assert drawn(figure)[0] == "png"
     assert drawn(small_figure(), vector=False)[0] == "png"
-
-
-def test_formulas_become_mathml_that_no_script_has_to_draw():
-    pytest.importorskip("latex2mathml", reason="latex2mathml comes with the report extra")
-    from sysid.report.notebook import with_mathml
-
-    text = with_mathml(r"the force $F_n = k_s p$ and" + "\n\n" + r"$$I \frac{d\Omega}{dt} = k_t I$$")
-    assert text.count("<math") == 2
-    assert text.count('display="block"') == 1
-    assert "$" not in text
 
 
 def test_thinning_keeps_every_peak():
