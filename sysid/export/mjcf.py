@@ -25,14 +25,13 @@ MuJoCo knows one coefficient: it gets the kinetic one.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from sysid.errors import ExportError
-from sysid.export.xml import add, comment, document, parse
+from sysid.export.xml import document
 from sysid.types import FloatArray
 
 # Impedance of the contacts: the share of the free acceleration that leaks into the force.
@@ -59,16 +58,21 @@ _NEEDED = (
 
 @dataclass(frozen=True)
 class _Leg:
-    """One leg of the MuJoCo model: a pair in the plane, or half of it."""
+    """One leg of the MuJoCo model: a pair in the plane, or half of it; pairs of numbers: spring, damper."""
 
     name: str
     side: int  # +1 rear, -1 front
-    y: float
+    joint: tuple[float, float, float]
     axial: tuple[float, float]
     bending: tuple[float, float]
+    ground: tuple[float, float]
     mass: float
     inertia: float
-    ground: tuple[float, float]
+
+    @property
+    def tensor(self) -> tuple[float, float, float]:
+        """Moments of inertia across the leg, about pitch, along the leg [kg·m²]."""
+        return self.inertia, self.inertia, _SLENDER * self.inertia
 
 
 def to_mjcf(
@@ -110,60 +114,31 @@ def to_mjcf(
     legs = _legs(values, per_leg)
     longest = _TURN * min(math.sqrt(leg.mass / leg.ground[0]) for leg in legs)
     step = timestep or next((step for step in _TIMESTEPS if step <= longest), _TIMESTEPS[-1])
-    inverse = foot_inverse_mass(values, per_leg)
-    load = _weight(values) / len(legs)
+    inverse = foot_inverse_mass(values, per_leg).tolist()
+    weight = (values["body_mass"] + sum(leg.mass for leg in legs)) * values["gravity"]
     stiff = (1.0 - _IMPEDANCE) / _IMPEDANCE
     if sticks:
         rate, ratio = _STICKING_RATE, stiff / _STICKING
     else:
-        rate = _CREEPING_RATE
-        ratio = inverse[0] * stiff * values["kinetic_friction"] * load / values["slip_regularization"] / rate
-    root = Element("mujoco", model=name)
-    comment(root, _ABOUT_SPACE if per_leg else _ABOUT_PLANE)
-    add(root, "compiler", angle="radian")
-    add(
-        root, "option", timestep=step, gravity=(0.0, 0.0, -values["gravity"]), integrator="implicitfast",
-        cone="elliptic", impratio=ratio, solver="Newton", iterations=100, tolerance=1e-12,
+        rate, standing = _CREEPING_RATE, values["kinetic_friction"] * weight / len(legs)
+        ratio = inverse[0] * stiff * standing / values["slip_regularization"] / rate
+    x = values["thrust_point_dx"]
+    # A motor stands above every leg in space, a pair of motors at each end in the plane.
+    thrust_points = {
+        leg.name: (-leg.side * x, math.copysign(x, leg.joint[1]) if per_leg else 0.0, 0.0) for leg in legs
+    }
+    height = values["foot_dx"] * abs(math.tan(slope)) + values["foot_dz"]
+    place = (0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0) if per_leg else (0.0, height, 0.0)
+    return document(
+        "mjcf.xml.j2",
+        values={key: value for key, value in values.items() if math.isfinite(value)},
+        name=name, slope=slope, per_leg=per_leg, timestep=step, impratio=ratio, friction_rate=rate,
+        impedance=_IMPEDANCE, foot_radius=_FOOT_RADIUS, legs=legs, thrust_points=thrust_points,
+        solref=[(-leg.ground[0] * a, -leg.ground[1] * a) for leg, a in zip(legs, inverse, strict=True)],
+        body_inertia=_body_inertia(values, per_leg), rest_angle=_rest_angle(values),
+        leg_length=_length(values), leg_centre=-(1.0 - values["leg_mass_fraction"]) * _length(values),
+        start=place + (0.0,) * (2 * len(legs)), hover=(weight / len(legs),) * len(legs),
     )  # fmt: skip
-    comment(root, "the whole set, as identified (of leg pairs), SI")
-    custom = add(root, "custom")
-    for key, value in values.items():
-        if math.isfinite(value):
-            add(custom, "numeric", name=key, data=value)
-    world = add(root, "worldbody")
-    add(world, "light", pos=(0.0, -2.0, 3.0), dir=(0.0, 0.5, -1.0))
-    comment(world, "the slope: its surface passes through the origin and falls toward +x; euler [rad]")
-    add(
-        world, "geom", name="slope", type="plane", size=(5.0, 5.0, 0.1), euler=(0.0, slope, 0.0), contype=0,
-        conaffinity=0, rgba=(0.8, 0.8, 0.75, 1.0),
-    )  # fmt: skip
-    _body(world, values, legs, per_leg)
-    contact = add(root, "contact")
-    comment(contact, "solref = -(k_s A), -(b_s A) with the foot's inverse mass A = body_invweight0 [1/kg]")
-    for leg, mobility in zip(legs, inverse, strict=True):
-        add(
-            contact, "pair", geom1="slope", geom2=f"{leg.name}_foot", condim=3,
-            friction=(values["kinetic_friction"],) * 2 + (1e-4, 1e-5, 1e-5),
-            solref=(-leg.ground[0] * mobility, -leg.ground[1] * mobility),
-            solreffriction=(0.0, -rate * _IMPEDANCE),
-            solimp=(_IMPEDANCE, _IMPEDANCE, 1e-3, 0.5, 2.0),
-        )  # fmt: skip
-    actuator = add(root, "actuator")
-    per_site = "one of two motors" if per_leg else "a pair of motors"
-    comment(actuator, f"thrust [N] of {per_site} along the body's z axis, negative presses down")
-    for site in _thrust_points(values, per_leg):
-        add(actuator, "general", name=f"{site}_thrust", site=site, gear=(0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
-    _keyframe(root, values, legs, slope, per_leg)
-    return document(root)
-
-
-def from_mjcf(data: bytes) -> dict[str, float]:
-    """Return the set [SI] that `to_mjcf` wrote into a document; ExportError where there is none."""
-    root = parse(data, "a MuJoCo model")
-    values = {str(row.get("name")): float(str(row.get("data"))) for row in root.iterfind("custom/numeric")}
-    if root.tag != "mujoco" or not values:
-        raise ExportError("no MuJoCo model with a parameter set in custom/numeric; export the fit again")
-    return values
 
 
 def foot_inverse_mass(values: Mapping[str, float], per_leg: bool = False) -> FloatArray:
@@ -199,13 +174,13 @@ def foot_inverse_mass(values: Mapping[str, float], per_leg: bool = False) -> Flo
         turn = leg.side * _rest_angle(values)
         along = np.array([math.sin(turn), 0.0, math.cos(turn)])
         arm = -(1.0 - values["leg_mass_fraction"]) * _length(values) * along
-        v, w = moves(_joint(values, leg) + arm)
+        v, w = moves(np.array(leg.joint) + arm)
         hinge, slide = base + 2 * n, base + 2 * n + 1
         v[:, hinge], w[:, hinge] = leg.side * np.cross(pitch, arm), leg.side * pitch
         v[:, slide] = -along
         across = np.array([math.cos(turn), 0.0, -math.sin(turn)])
         axes_of_leg = np.column_stack([across, pitch, along])
-        tensor = axes_of_leg @ np.diag(_leg_inertia(leg)) @ axes_of_leg.T
+        tensor = axes_of_leg @ np.diag(leg.tensor) @ axes_of_leg.T
         mass = mass + leg.mass * v.T @ v + w.T @ tensor @ w
         places.append(v)
     inverse = np.linalg.inv(mass)
@@ -214,39 +189,21 @@ def foot_inverse_mass(values: Mapping[str, float], per_leg: bool = False) -> Flo
 
 def _legs(values: Mapping[str, float], per_leg: bool) -> list[_Leg]:
     """Return the legs, rear first; one per pair, or two with half of the pair each."""
+    share = 0.5 if per_leg else 1.0
+    hands = {"_left": values["foot_dx"], "_right": -values["foot_dx"]} if per_leg else {"": 0.0}
 
-    def pair(side: int) -> _Leg:
+    def leg(end: str, side: int, hand: str) -> _Leg:
         def of(row: str) -> float:
             ratio = 1.0 if side > 0 else values.get(f"front_leg_{row}_ratio", 1.0)
-            return values[f"leg_{row}"] * ratio
+            return share * values[f"leg_{row}"] * ratio
 
         return _Leg(
-            "rear" if side > 0 else "front", side, 0.0,
+            end + hand, side, (-side * values["joint_dx"], hands[hand], -values["joint_dz"]),
             (of("axial_stiffness"), of("axial_damping")), (of("bending_stiffness"), of("bending_damping")),
-            of("mass"), of("inertia"), (values["ground_stiffness"], values["ground_damping"]),
+            (share * values["ground_stiffness"], share * values["ground_damping"]), of("mass"), of("inertia"),
         )  # fmt: skip
 
-    pairs = [pair(1), pair(-1)]
-    if not per_leg:
-        return pairs
-    return [
-        _Leg(
-            f"{leg.name}_{hand}",
-            leg.side,
-            y * values["foot_dx"],
-            _halved(leg.axial),
-            _halved(leg.bending),
-            leg.mass / 2,
-            leg.inertia / 2,
-            _halved(leg.ground),
-        )
-        for leg in pairs
-        for hand, y in (("left", 1.0), ("right", -1.0))
-    ]
-
-
-def _halved(pair: tuple[float, float]) -> tuple[float, float]:
-    return pair[0] / 2, pair[1] / 2
+    return [leg(end, side, hand) for end, side in (("rear", 1), ("front", -1)) for hand in hands]
 
 
 def _length(values: Mapping[str, float]) -> float:
@@ -257,109 +214,6 @@ def _rest_angle(values: Mapping[str, float]) -> float:
     return math.atan2(values["foot_dx"] - values["joint_dx"], values["foot_dz"] - values["joint_dz"])
 
 
-def _joint(values: Mapping[str, float], leg: _Leg) -> FloatArray:
-    return np.array([-leg.side * values["joint_dx"], leg.y, -values["joint_dz"]])
-
-
-def _weight(values: Mapping[str, float]) -> float:
-    return (values["body_mass"] + sum(leg.mass for leg in _legs(values, False))) * values["gravity"]
-
-
 def _body_inertia(values: Mapping[str, float], per_leg: bool) -> tuple[float, float, float]:
     pitch = values["body_inertia"]
     return (pitch, pitch, 2.0 * pitch) if per_leg else (pitch, pitch, pitch)
-
-
-def _leg_inertia(leg: _Leg) -> tuple[float, float, float]:
-    return leg.inertia, leg.inertia, _SLENDER * leg.inertia
-
-
-def _thrust_points(values: Mapping[str, float], per_leg: bool) -> dict[str, tuple[float, float, float]]:
-    x = values["thrust_point_dx"]
-    if not per_leg:
-        return {"rear": (-x, 0.0, 0.0), "front": (x, 0.0, 0.0)}
-    return {
-        f"{end}_{hand}": (sign * x, y * x, 0.0)
-        for end, sign in (("rear", -1.0), ("front", 1.0))
-        for hand, y in (("left", 1.0), ("right", -1.0))
-    }
-
-
-def _body(world: Element, values: Mapping[str, float], legs: Sequence[_Leg], per_leg: bool) -> None:
-    body = add(world, "body", name="body")
-    if per_leg:
-        add(body, "freejoint", name="free")
-        comment(body, "inertia about roll [kg·m²]: a guess, equal to pitch; yaw: the sum, as of a flat body")
-    else:
-        comment(body, "x, z [m] of the body's centre of mass; pitch [rad], positive nose-down, down-slope")
-        axes = (("x", "slide", (1, 0, 0)), ("z", "slide", (0, 0, 1)), ("pitch", "hinge", (0, 1, 0)))
-        for key, kind, axis in axes:
-            add(body, "joint", name=key, type=kind, axis=axis)
-    add(
-        body, "inertial", pos=(0.0, 0.0, 0.0), mass=values["body_mass"],
-        diaginertia=_body_inertia(values, per_leg),
-    )  # fmt: skip
-    half = (values["joint_dx"], values["joint_dx"], 0.01)
-    add(body, "geom", type="box", size=half, mass=0, contype=0, conaffinity=0, rgba=(0.2, 0.3, 0.5, 1.0))
-    for site, place in _thrust_points(values, per_leg).items():
-        add(body, "site", name=site, pos=place, size=(0.01,))
-    length, rest = _length(values), _rest_angle(values)
-    of = "leg" if per_leg else "pair of legs"
-    for leg in legs:
-        limb = add(
-            body, "body", name=f"{leg.name}_leg", pos=tuple(_joint(values, leg)),
-            euler=(0.0, leg.side * rest, 0.0),
-        )  # fmt: skip
-        comment(
-            limb, f"bending: q - q_n of a {of} [rad], stiffness [N·m/rad], damping [N·m·s/rad]; 0 at rest"
-        )
-        add(
-            limb, "joint", name=f"{leg.name}_bend", type="hinge", axis=(0, leg.side, 0), springref=0,
-            stiffness=leg.bending[0], damping=leg.bending[1],
-        )  # fmt: skip
-        comment(limb, f"axis: extension h of a {of} [m], stiffness [N/m], damping [N·s/m]; 0 at rest")
-        add(
-            limb, "joint", name=f"{leg.name}_stretch", type="slide", axis=(0, 0, -1), springref=0,
-            stiffness=leg.axial[0], damping=leg.axial[1],
-        )  # fmt: skip
-        add(
-            limb, "inertial", pos=(0.0, 0.0, -(1.0 - values["leg_mass_fraction"]) * length), mass=leg.mass,
-            diaginertia=_leg_inertia(leg),
-        )  # fmt: skip
-        add(
-            limb, "geom", type="capsule", fromto=(0.0, 0.0, 0.0, 0.0, 0.0, -length + 0.004),
-            size=(0.004,), mass=0, contype=0, conaffinity=0, rgba=(0.7, 0.7, 0.7, 1.0),
-        )  # fmt: skip
-        add(
-            limb, "geom", name=f"{leg.name}_foot", type="sphere", size=(_FOOT_RADIUS,), mass=0, contype=0,
-            conaffinity=0, pos=(0.0, 0.0, -length + _FOOT_RADIUS),
-        )  # fmt: skip
-
-
-def _keyframe(
-    root: Element, values: Mapping[str, float], legs: Sequence[_Leg], slope: float, per_leg: bool
-) -> None:
-    depth = values["foot_dx"] * abs(math.sin(slope)) + values["foot_dz"] * math.cos(slope)
-    height = depth / math.cos(slope)
-    place = (0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0) if per_leg else (0.0, height, 0.0)
-    key = add(root, "keyframe")
-    comment(
-        key, "level, legs at rest, the first foot on the slope, hovering; set a touchdown speed in qvel [m/s]"
-    )
-    sites = len(_thrust_points(values, per_leg))
-    add(
-        key, "key", name="touchdown", qpos=place + (0.0,) * (2 * len(legs)),
-        ctrl=(_weight(values) / sites,) * sites,
-    )  # fmt: skip
-
-
-_ABOUT_PLANE = (
-    "Planar drone on two sprung legs, written by sysid. SI units, angles in rad. x points right, down the "
-    "slope, z up, y into the page. Every leg value is of the pair of legs at that end: halve it for one leg."
-)
-_ABOUT_SPACE = (
-    "Drone on four sprung legs in space, written by sysid. SI units, angles in rad. x points down the slope, "
-    "z up. Every leg value is of one leg, half of the identified pair. Not identified, so guessed: the width "
-    "between the legs and the motors (as wide as long), and inertia about roll and yaw; legs bend in the "
-    "pitch plane only."
-)

@@ -1,44 +1,18 @@
-"""XML documents that other simulators read, with comments for people."""
+"""XML documents that other simulators read, filled in from the templates beside this file."""
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
-from xml.etree.ElementTree import Element
-
-from sysid.errors import ExportError
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 
-def add(parent: Element, tag: str, text: object = None, **attributes: object) -> Element:
-    """Append an element with attributes and text; numbers read back to equal values."""
-    child = ElementTree.SubElement(parent, tag, {key: written(value) for key, value in attributes.items()})
-    child.text = None if text is None else written(text)
-    return child
+def document(template: str, **content: object) -> bytes:
+    """Return the file of a template; numbers read back to equal values, tuples stand between spaces."""
+    templates = Environment(
+        loader=PackageLoader("sysid.export"), autoescape=True, undefined=StrictUndefined,
+        finalize=_written, keep_trailing_newline=True,
+    )  # fmt: skip
+    return templates.get_template(template).render(content).encode("utf-8")
 
 
-def comment(parent: Element, text: str) -> None:
-    """Append a comment."""
-    parent.append(ElementTree.Comment(f" {text.replace('--', '-')} "))
-
-
-def written(value: object) -> str:
-    """Return a word, a number, or numbers separated by spaces, as text."""
-    if isinstance(value, str):
-        return value
-    if isinstance(value, Sequence):
-        return " ".join(written(entry) for entry in value)
-    return repr(value) if isinstance(value, int) else repr(float(value))  # type: ignore[arg-type]
-
-
-def document(root: Element) -> bytes:
-    """Return the file of an element tree."""
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
-
-
-def parse(data: bytes, what: str) -> Element:
-    """Return the root of a file; ExportError when it is no XML."""
-    try:
-        return ElementTree.fromstring(data)
-    except ElementTree.ParseError as error:
-        raise ExportError(f"not {what} ({error}); give a file that sysid export wrote") from error
+def _written(value: object) -> object:
+    return " ".join(map(str, value)) if isinstance(value, tuple) else value

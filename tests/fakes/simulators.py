@@ -1,0 +1,17 @@
+"""What another simulator reads from an exported model."""
+
+import xml.etree.ElementTree as ElementTree
+
+from sysid.export.gazebo import UNITS, MotorPlugin
+
+
+def from_mjcf(document):
+    """Return the set [SI] that stands in a MuJoCo model."""
+    rows = ElementTree.fromstring(document).iterfind("custom/numeric")
+    return {row.get("name"): float(row.get("data")) for row in rows}
+
+
+def from_sdf(document):
+    """Return the numbers of the first rotor's plugin."""
+    plugin = next(ElementTree.fromstring(document).iter("plugin"))
+    return MotorPlugin(**{key: float(plugin.findtext(key)) for key in UNITS})
