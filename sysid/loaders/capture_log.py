@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from sysid.errors import LogError
-from sysid.journal import Finding
-from sysid.loaders.columns import listing_note
-from sysid.loaders.motion_capture import body_channels, lost_note, unit_quaternions
+from sysid.errors import LogError, UnitError
+from sysid.journal import Finding, note
+from sysid.loaders.columns import listing, listing_note, naming
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import family_format
-from sysid.loaders.rigid_pose import fit_bodies
+from sysid.loaders.rigid_pose import fit_pose
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers
-from sysid.recording import Channel, Recording
-from sysid.types import FloatArray
+from sysid.recording import BoolArray, Channel, FloatArray, Recording
+from sysid.units import factor_to_si
+
+EULER_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
+# Words of Motive for units.
+_LENGTHS = {"meters": "m", "millimeters": "mm", "centimeters": "cm", "inches": "inch", "feet": "foot"}
+# Logs print quaternions to two decimals or more; a length further from 1 means wrong columns or a damaged
+# number.
+_LENGTH_TOLERANCE = 0.02
 
 
 @dataclass
@@ -59,6 +66,162 @@ class RawCapture:
     kind: str = "motion-capture"
 
 
+def unit_quaternions(
+    path: str, body: str, numbers: Numbers, raw: FloatArray
+) -> tuple[FloatArray, list[Finding]]:
+    """Return unit quaternions (n, 4) of continuous sign, in the component order of `raw`, and notes.
+
+    A quaternion and its negative are one orientation, and capture systems switch between them; continuous is
+    the one nearest to that of the last recorded frame. A row that lacks a component, or is all zero, is NaN;
+    a length that is not 1 within 2 % is a LogError that names the row in `numbers`.
+    """
+    notes: list[Finding] = []
+    with np.errstate(over="ignore"):  # a damaged number may be too large to square: its length is no 1
+        length = np.linalg.norm(raw, axis=1)
+    lost = np.isnan(length)
+    zero = length == 0.0
+    if zero.any():
+        sentence = f"frames with an all-zero quaternion of {body}, taken as lost: {int(zero.sum())}"
+        notes.append(note("zero-quaternions", sentence))
+    wrong = ~lost & ~zero & (np.abs(length - 1.0) > _LENGTH_TOLERANCE)
+    if numbers.open_end and wrong.any() and wrong.argmax() == wrong.size - 1:
+        notes.append(note("last-quaternion-cut", f"the last quaternion of {body} is cut; taken as lost"))
+        zero, wrong = zero | wrong, np.zeros_like(wrong)
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise LogError(
+            f"{path}, {numbers.row_word} {numbers.lines[row]}: the quaternion of {body} has length "
+            f"{length[row]:.4g}, expected 1; check which columns it is in"
+        )
+    unit = np.where((lost | zero)[:, None], np.nan, raw / np.where(lost | zero, 1.0, length)[:, None])
+    unit, turned = continuous_quaternions(unit)
+    if turned:
+        sentence = f"the quaternion of {body} changes sign {turned} times; made continuous"
+        notes.append(note("quaternion-sign-made-continuous", sentence))
+    return unit, notes
+
+
+def continuous_quaternions(unit: FloatArray) -> tuple[FloatArray, int]:
+    """Return quaternions of the sign nearest to the last recorded one, and how often it changed."""
+    seen = np.flatnonzero(np.isfinite(unit[:, 0]))
+    turned = np.einsum("ij,ij->i", unit[seen[1:]], unit[seen[:-1]]) < 0.0
+    if turned.any():
+        unit = unit.copy()
+        unit[seen[1:][np.cumsum(turned) % 2 == 1]] *= -1.0
+    return unit, int(turned.sum())
+
+
+def rotation_quaternions(
+    rotation: Callable[[FloatArray], Rotation], values: FloatArray, seen: BoolArray | None = None
+) -> FloatArray:
+    """Return quaternions (n, 4), w first, of `values` (n, k) or (n, 3, 3); NaN where not `seen` (finite)."""
+    seen = np.asarray(np.isfinite(values).all(axis=1)) if seen is None else seen
+    quaternions = np.full((len(values), 4), np.nan)
+    if seen.any():
+        quaternions[seen] = np.roll(rotation(values[seen]).as_quat(), 1, axis=1)
+    return quaternions
+
+
+def matrix_quaternions(matrix: FloatArray, seen: BoolArray) -> FloatArray:
+    """Return quaternions, w first, of continuous sign, of matrices (n, 3, 3); NaN where not `seen`."""
+    return continuous_quaternions(rotation_quaternions(Rotation.from_matrix, matrix, seen))[0]
+
+
+def euler_quaternions(order: str, angles_deg: FloatArray) -> FloatArray:
+    """Return quaternions, w first, of Euler angles (n, 3) [deg] about the axes of the turning body.
+
+    `order` is for example ``"XYZ"``: about X, then the new Y, then the new Z. Rows with NaN give NaN.
+    """
+    # Upper-case letters are scipy's sign for intrinsic rotations.
+    return rotation_quaternions(partial(Rotation.from_euler, order, degrees=True), angles_deg)
+
+
+def body_channels(
+    name: str,
+    time: FloatArray,
+    position: FloatArray,
+    orientation: FloatArray,
+    extra: Mapping[str, tuple[str, FloatArray]] | None = None,
+) -> dict[str, Channel]:
+    """Return the channels of a rigid body: position [m] (n, 3), orientation w first (n, 4), and others."""
+    parts = {"position": ("m", position), "orientation": ("1", orientation), **(extra or {})}
+    return {
+        f"{name}/{what}": Channel(f"{name}/{what}", unit, time, values)
+        for what, (unit, values) in parts.items()
+    }
+
+
+def declared_length(path: str, declared: str | None, default: str = "m") -> float:
+    """Return the factor to metres of a declared length unit, or of `default`; UnitError if none."""
+    with naming(f"{path}: length_unit"):
+        return factor_to_si(default if declared is None else str(declared), "m")
+
+
+def length_factor(where: str, stated: Iterable[str], declared: str | None) -> float:
+    """Return the factor to metres of a unit that is stated or declared; UnitError if they differ."""
+    units = sorted({unit.strip() for unit in stated} - {""}) + ([] if declared is None else [str(declared)])
+    if not units:
+        raise UnitError(f'{where}: states no length unit; declare it with length_unit = "mm" or "m"')
+    with naming(f"{where}: length unit"):
+        factors = {factor_to_si(_LENGTHS.get(unit.casefold(), unit), "m") for unit in units}
+    if len(factors) > 1:
+        raise UnitError(f"{where}: lengths are in {' and '.join(units)}; correct length_unit or export again")
+    return factors.pop()
+
+
+def wanted_bodies(path: str, names: Sequence[str], wanted: str | Sequence[str] | None) -> tuple[str, ...]:
+    """Return the bodies to keep; LogError when a wanted one is not there."""
+    if wanted is None:
+        return tuple(names)
+    kept = tuple(str(name) for name in wanted) if isinstance(wanted, list | tuple) else (str(wanted),)
+    for name in kept:
+        if name not in names:
+            raise LogError(
+                f'{path}: no rigid body "{name}"; found {listing(names)}; set rigid_body to one of them'
+            )
+    return kept
+
+
+def body_name(path: str, declared: object) -> str:
+    """Return the name that the only body of a table is given; LogError where `declared` is none."""
+    if declared is not None and (not isinstance(declared, str) or not declared):
+        raise LogError(f"{path}: rigid_body = {declared!r} is no name; a pose table holds one body")
+    return declared or "body"
+
+
+def _marker_bodies(
+    path: str, markers: Collection[str], options: CaptureOptions, rigid_body: object
+) -> dict[str, list[str]]:
+    """Return body name -> its markers, as declared, or all whose name begins with the body's."""
+    if options.bodies is not None and not isinstance(options.bodies, Mapping):
+        raise LogError(
+            f"{path}: bodies = {options.bodies!r} is no table; expected for example "
+            '{quad = ["q1", "q2", "q3"]}'
+        )
+    wanted: dict[str, list[str]] = {}
+    for name, chosen in (options.bodies or {}).items():
+        listed = [chosen] if isinstance(chosen, str) else [str(marker) for marker in chosen]
+        missing = [marker for marker in listed if marker not in markers]
+        if missing:
+            raise LogError(
+                f'{path}: body "{name}" names marker "{missing[0]}"; found {listing(markers)}; correct bodies'
+            )
+        wanted[str(name)] = listed
+    if rigid_body is not None:
+        names = [str(name) for name in (rigid_body if isinstance(rigid_body, list | tuple) else [rigid_body])]
+        for name in names:
+            if name not in wanted:
+                wanted[name] = [marker for marker in markers if marker.startswith(name) and marker != name]
+        wanted = {name: wanted[name] for name in names}
+    for name, listed in wanted.items():
+        if len(set(listed)) < 3:
+            raise LogError(
+                f'{path}: body "{name}" has {len(set(listed))} markers, a pose needs three; found '
+                f"{listing(markers)}; name them with bodies = {{{name} = [...]}}"
+            )
+    return wanted
+
+
 def _recording(
     source: Source, name: str, parse: Callable[[Source, CaptureOptions], RawCapture], options: CaptureOptions
 ) -> Recording:
@@ -75,25 +238,25 @@ def _recording(
         if body.rows is not None:
             orientation, turned = unit_quaternions(path, body.name, body.rows, orientation)
             notes += turned
-        channels |= body_channels(body.name, body.time, body.position, orientation)
-        for what, (unit, values) in body.extra.items():
-            channels[f"{body.name}/{what}"] = Channel(f"{body.name}/{what}", unit, body.time, values)
-        if raw.marks_lost:
-            notes += lost_note(body.name, orientation)
-    blank = [key for key, (_, place) in raw.markers.items() if not np.isfinite(place).all(axis=1).any()]
-    markers = {
-        f"{marker}/position": Channel(f"{marker}/position", "m", time, place)
-        for marker, (time, place) in raw.markers.items()
-    }
+        channels |= body_channels(body.name, body.time, body.position, orientation, body.extra)
+        lost = int(np.isnan(orientation[:, 0]).sum())
+        if raw.marks_lost and lost:
+            notes.append(note("body-lost", f"{body.name} is lost in {lost} of {len(orientation)} frames"))
     if options.bodies is not None or (options.rigid_body is not None and not raw.chosen):
         rigid_body = None if raw.chosen else options.rigid_body
-        fitted, poses = fit_bodies(path, markers, options.bodies, rigid_body)
-        channels |= fitted
-        notes += poses
-    for marker in blank:
-        del markers[f"{marker}/position"]
+        for body_name, markers in _marker_bodies(path, raw.markers, options, rigid_body).items():
+            points = np.stack([raw.markers[marker][1] for marker in markers], axis=1)
+            rotation, origin, residual, fit = fit_pose(path, body_name, markers, points)
+            turn = matrix_quaternions(rotation, np.isfinite(residual))
+            time = raw.markers[markers[0]][0]
+            channels |= body_channels(body_name, time, origin, turn, {"residual": ("m", residual)})
+            notes.append(fit)
+    blank = [marker for marker, (_, place) in raw.markers.items() if not np.isfinite(place).all(axis=1).any()]
     notes += listing_note("markers-never-seen", "markers never seen, left out", blank)
-    channels |= {key: marker for key, marker in markers.items() if key not in channels}
+    for marker, (time, place) in raw.markers.items():
+        key = f"{marker}/position"
+        if marker not in blank and key not in channels:
+            channels[key] = Channel(key, "m", time, place)
     channels |= raw.others
     if not channels:
         raise LogError(f"{path}: no body, marker or signal is ever seen; the capture is empty")

@@ -11,15 +11,14 @@ W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Act
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
 from sysid.loaders.columns import listing
-from sysid.loaders.motion_capture import body_channels, matrix_quaternions
-from sysid.recording import BoolArray, Channel, FloatArray
+from sysid.recording import BoolArray, FloatArray
 
 # Second singular value of a marker set as a share of its first: below, the markers lie on one line.
 _FLAT = 0.02
@@ -73,63 +72,14 @@ def _mean_shape(points: FloatArray) -> FloatArray:
     return np.asarray(shape)
 
 
-def fit_bodies(
-    path: str, channels: Mapping[str, Channel], bodies: Mapping[str, Sequence[str]] | None, rigid_body: object
-) -> tuple[dict[str, Channel], list[Finding]]:
-    """Return position, orientation and ``NAME/residual`` [m] of bodies fitted to markers, and notes.
+def fit_pose(
+    path: str, name: str, markers: Sequence[str], points: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, Finding]:
+    """Return rotation, origin and residual of a body over time, as `fit_rotations` does, and a note.
 
-    `channels` has ``MARKER/position`` of every marker, `bodies` the markers by body; a body of `rigid_body`
-    that it does not name is all markers whose name begins with it. A body with fewer than three markers, or
-    whose markers are never seen together or move against each other, is a LogError.
+    `points` (n, k, 3) [m] are the places of its `markers`. Markers that are never seen together, move against
+    each other or lie on one line are a LogError.
     """
-    markers = [name.removesuffix("/position") for name in channels if name.endswith("/position")]
-    fitted: dict[str, Channel] = {}
-    notes: list[Finding] = []
-    for name, listed in _marker_bodies(path, markers, bodies, rigid_body).items():
-        pose, residuals = _pose_from_markers(path, channels, name, listed)
-        fitted |= pose
-        notes += residuals
-    return fitted, notes
-
-
-def _marker_bodies(
-    path: str, markers: Sequence[str], bodies: Mapping[str, Sequence[str]] | None, rigid_body: object
-) -> dict[str, list[str]]:
-    """Return body name -> its markers, as declared, or all whose name begins with the body's."""
-    if bodies is not None and not isinstance(bodies, Mapping):
-        raise LogError(
-            f'{path}: bodies = {bodies!r} is no table; expected for example {{quad = ["q1", "q2", "q3"]}}'
-        )
-    wanted: dict[str, list[str]] = {}
-    for name, chosen in (bodies or {}).items():
-        listed = [chosen] if isinstance(chosen, str) else [str(marker) for marker in chosen]
-        missing = [marker for marker in listed if marker not in markers]
-        if missing:
-            raise LogError(
-                f'{path}: body "{name}" names marker "{missing[0]}"; found {listing(markers)}; correct bodies'
-            )
-        wanted[str(name)] = listed
-    if rigid_body is not None:
-        names = [str(name) for name in (rigid_body if isinstance(rigid_body, list | tuple) else [rigid_body])]
-        for name in names:
-            if name not in wanted:
-                wanted[name] = [marker for marker in markers if marker.startswith(name) and marker != name]
-        wanted = {name: wanted[name] for name in names}
-    for name, listed in wanted.items():
-        if len(set(listed)) < 3:
-            raise LogError(
-                f'{path}: body "{name}" has {len(set(listed))} markers, a pose needs three; found '
-                f"{listing(markers)}; name them with bodies = {{{name} = [...]}}"
-            )
-    return wanted
-
-
-def _pose_from_markers(
-    path: str, channels: Mapping[str, Channel], name: str, markers: Sequence[str]
-) -> tuple[dict[str, Channel], list[Finding]]:
-    """Return a body's position, orientation and residual from the channels of its markers."""
-    first = channels[f"{markers[0]}/position"]
-    points = np.stack([channels[f"{marker}/position"].values for marker in markers], axis=1)
     together = np.isfinite(points).all(axis=2).sum(axis=1)
     if together.max(initial=0) < 3:
         raise LogError(f'{path}: never are three markers of "{name}" seen together; check the labelling')
@@ -146,11 +96,9 @@ def _pose_from_markers(
             f'{path}: the markers of "{name}" move by {1e3 * rms:.3g} mm against each other, so they are not '
             f"one rigid body ({listing(markers)}); name its markers with bodies = {{{name} = [...]}}"
         )
-    pose = body_channels(name, first.time, origin, matrix_quaternions(rotation, seen))
-    pose[f"{name}/residual"] = Channel(f"{name}/residual", "m", first.time, residual)
     sentence = (
         f"pose of {name} from {int(use.sum())} markers: residual {1e3 * rms:.3g} mm rms, at most "
         f"{1e3 * float(residual[seen].max()):.3g} mm; lost in {int((~seen).sum())} of {seen.size} "
         "frames; origin at the centre of the markers"
     )
-    return pose, [note("pose-from-markers", sentence)]
+    return rotation, origin, residual, note("pose-from-markers", sentence)

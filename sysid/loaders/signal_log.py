@@ -1,20 +1,369 @@
-"""Files of named signals (HDF5, MAT, TDMS, LVM): the signals of a file become a `Recording`."""
+"""Files of named signals (HDF5, MAT, TDMS, LVM) become a `Recording`.
+
+A signal is found by the name that its file gives it, in any case, or by the option ``datasets``; its unit is
+stated by the file or declared; its clock is, in this order, the declared rate, the times that come with it, a
+signal named time beside it (whose unit must be stated or declared too), the rate that the file states. A unit
+that is only the end of a name (``Fz_N``) is taken for known quantities, whose dimension tells a mistake, and
+noted; of other signals it is not.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
-from sysid.errors import LogError
-from sysid.journal import Finding
-from sysid.loaders.load_cell import MEASURED
+import numpy as np
+
+from sysid.errors import LogError, UnitError
+from sysid.journal import Finding, note
+from sysid.loaders.clock import DECLARE_RATE, order_rows, positive_rate, rate_clock
+from sysid.loaders.columns import Column, DeclaredUnits, listing, listing_note, split_label, suffix_unit
+from sysid.loaders.load_cell import (
+    COMMAND,
+    MEASURED,
+    QUANTITIES,
+    TACHOMETER,
+    TIME,
+    check_tachometer,
+    quantity_channel,
+    speed_channel,
+)
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import family_format
-from sysid.loaders.signals import Signal, signal_channels
 from sysid.loaders.source import Source
-from sysid.recording import Recording
+from sysid.loaders.table import Numbers
+from sysid.recording import Channel, FloatArray, Recording
+from sysid.units import factor_to_si
+
+# What signals of other names may be, in the unit that the channel carries. Temperatures (offset scales) and a
+# bare "g" (gram or standard gravity) are kept as recorded.
+_OTHER_UNITS = {
+    "V": "V", "A": "A", "W": "W", "N": "N", "N*m": "N·m", "Pa": "Pa", "m/s^2": "m/s²", "m/s": "m/s",
+    "rad/s": "rad/s", "rad": "rad", "m": "m", "s": "s", "Hz": "Hz", "1": "1",
+}  # fmt: skip
+# Lengths of signals on one rate that differ by this share were not recorded over one span, and a stated rate
+# that differs by this from the rate of the times is another one: no clock drifts by as much.
+_LENGTHS, _RATES = 0.02, 0.1
+_SPECIAL = {"time": TIME, "command": COMMAND, "tachometer": TACHOMETER}
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One signal of a file.
+
+    `name` has its group (``/cell/Fz``) and `label` has not; `unit` is None where the file states none;
+    `read` returns the samples (n,). `rate` [Hz] and `start` [s] are as the file states them, `time` (n,) [s]
+    is the signal's clock; `inherited`: the rate is that of the whole file. `numbered`: the label ends in the
+    number of a matrix's column, ``FT[1]``, which is no unit.
+    """
+
+    name: str
+    unit: str | None
+    read: Callable[[], FloatArray]
+    rate: object = None
+    start: float = 0.0
+    time: FloatArray | None = None
+    label: str = ""
+    inherited: bool = False
+    numbered: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "label", self.label or self.name.rsplit("/", 1)[-1])
+
+    @property
+    def group(self) -> str:
+        """Name of its group."""
+        return self.name.removesuffix(self.label).rstrip("/")
+
+    @property
+    def stem(self) -> str:
+        """Lower-case label without its unit."""
+        return split_label(self.label)[0]
+
+    @property
+    def stated_unit(self) -> str | None:
+        """Unit that the file states beside the signal or in its label."""
+        return self.unit if self.unit is not None or self.numbered else split_label(self.label)[1]
+
+    @property
+    def is_time(self) -> bool:
+        """Whether it is a clock by its name; a ``T`` in degrees is a temperature."""
+        if self.stem != "t" or self.stated_unit is None:
+            return self.stem in TIME
+        try:
+            return factor_to_si(self.stated_unit, "s") > 0.0
+        except UnitError:
+            return False
+
+
+def _found(signals: Mapping[str, Signal], passed_over: Sequence[str]) -> str:
+    """Return what a file holds, for a message."""
+    passed = f"; passed over: {listing(passed_over)}" if passed_over else ""
+    return f"found {listing(signals)}{passed}"
+
+
+def _named(
+    path: str, signals: Mapping[str, Signal], datasets: object, passed_over: Sequence[str]
+) -> dict[str, str]:
+    known = {**_SPECIAL, **QUANTITIES}
+    if not isinstance(datasets, Mapping):
+        raise LogError(
+            f'{path}: datasets = {datasets!r} is no table; expected for example {{thrust = "/ft/Fz"}}'
+        )
+    chosen = {}
+    for channel, where in datasets.items():
+        if channel not in known:
+            raise LogError(f'{path}: datasets names "{channel}"; it can name {", ".join(known)}')
+        given = str(where)
+        full = next((name for name in (given, "/" + given.strip("/")) if name in signals), None)
+        if full is None:
+            same = [name for name, signal in signals.items() if signal.label == given]
+            if len(same) != 1:
+                raise LogError(f"{path}: no dataset /{given.strip('/')}; {_found(signals, passed_over)}")
+            full = same[0]
+        chosen[str(channel)] = full
+    return chosen
+
+
+def choose_signals(
+    path: str,
+    signals: Mapping[str, Signal],
+    datasets: Mapping[str, str] | None,
+    *,
+    measured: bool,
+    passed_over: Sequence[str] = (),
+) -> dict[str, str]:
+    """Return channel -> signal name, ``time``, ``command`` and ``tachometer`` included.
+
+    Exactly the `datasets` are chosen where the user names them. With `measured`, thrust or torque must be
+    among them. A named signal that is not there, two signals of one channel and a missing thrust are a
+    LogError, which shows what the file holds and what was `passed_over`.
+    """
+    if datasets is not None:
+        chosen = _named(path, signals, datasets, passed_over)
+    else:
+        chosen = {}
+        stems = {**_SPECIAL, **{name: quantity.stems for name, quantity in QUANTITIES.items()}}
+        for channel, known in stems.items():
+            matches = [
+                name
+                for name, signal in signals.items()
+                if (signal.is_time if channel == "time" else signal.stem in known)
+            ]
+            if len(matches) > 1 and channel != "time":
+                raise LogError(
+                    f"{path}: datasets {matches[0]} and {matches[1]} both look like {channel}; "
+                    f'choose with datasets = {{{channel} = "{matches[0]}", ...}}'
+                )
+            if len(matches) == 1:
+                chosen[channel] = matches[0]
+    if measured and not any(channel in chosen for channel in MEASURED):
+        raise LogError(
+            f'{path}: no dataset "Fz" or "Mz"; {_found(signals, passed_over)}; '
+            'name them with datasets = {thrust = "...", torque = "..."}'
+        )
+    return chosen
+
+
+@dataclass
+class _Clocks:
+    """Signals gathered by the clock that they share, so that each clock is checked and kept once."""
+
+    path: str
+    signals: Mapping[str, Signal]
+    rate: float | None
+    time: str | None
+    seconds: Callable[[str], float]
+
+    def __post_init__(self) -> None:
+        self.notes: list[Finding] = []
+        self.shared: dict[float, tuple[str, int]] = {}
+        self.numbers: dict[object, Numbers] = {}
+        self.members: dict[object, list[str]] = {}
+
+    def add(self, channel: str, name: str) -> None:
+        signal = self.signals[name]
+        values = signal.read()
+        if not values.size:
+            raise LogError(f"{self.path}: dataset {name} is empty; the log has no samples")
+        values = np.where(np.isinf(values), np.nan, values)
+        # Beside the quantities a file may hold short rows of settings, whose clock nobody looks at.
+        key, time = self._clock(name, signal, values.size, known=channel != name)
+        group = self.numbers.setdefault(
+            key, Numbers({0: time}, np.arange(1, time.size + 1), row_word="sample")
+        )
+        self.members.setdefault(key, []).append(channel)
+        group.columns[len(self.members[key])] = values
+
+    def _clock(self, name: str, signal: Signal, size: int, *, known: bool) -> tuple[object, FloatArray]:
+        if self.rate is None and signal.time is not None:
+            doubt = self._off_rate(name, signal, signal.time, "its column of times")
+            # A program that paces itself writes a Delta_X without meaning; the times are what it saw.
+            self.notes += [note("rate-contradicts-times", f"{doubt}; the times were taken")] if doubt else []
+            return id(signal.time), signal.time
+        beside = [
+            other
+            for other, signal_there in self.signals.items()
+            if signal_there.group == signal.group and signal_there.is_time and other != name
+        ]
+        clock = beside[0] if len(beside) == 1 else self.time
+        if self.rate is None and clock is not None:
+            time = self.signals[clock].read() * self.seconds(clock)
+            if time.size != size:
+                raise LogError(
+                    f"{self.path}: dataset {name} has {size} samples but its clock {clock} has "
+                    f"{time.size}; they must be of one length"
+                )
+            if doubt := self._off_rate(name, signal, time, f"its clock {clock}"):
+                raise LogError(
+                    f"{self.path}: {doubt}; declare the true one with rate = ..., or correct the file"
+                )
+            return clock, time
+        stated = signal.rate if self.rate is None else self.rate
+        if stated is None:
+            raise LogError(
+                f"{self.path}: dataset {name} has no clock: no dataset time beside it and no attribute rate; "
+                "declare the sample rate [Hz] with rate = ..."
+            )
+        hertz = positive_rate(self.path, stated)
+        if known and (signal.inherited or self.rate is not None):
+            first, length = self.shared.setdefault(hertz, (name, size))
+            if abs(size - length) > max(1.0, _LENGTHS * length):
+                raise LogError(
+                    f"{self.path}: {first} has {length} samples and {name} has {size}, but both take "
+                    f"one rate of {hertz:g} Hz, so one would last "
+                    f"{max(size, length) / min(size, length):.3g} times as long as the other; give each "
+                    "dataset a rate or a time, or choose those of one rate with datasets = {...}"
+                )
+        return (hertz, signal.start, size), rate_clock(self.path, hertz, size) + signal.start
+
+    @staticmethod
+    def _off_rate(name: str, signal: Signal, time: FloatArray, what: str) -> str:
+        """Return how the rate and the times of a file contradict each other; empty where they agree."""
+        steps = np.diff(time[np.isfinite(time)])
+        rate = signal.rate
+        if isinstance(rate, bool) or not isinstance(rate, int | float) or not steps.size:
+            return ""
+        step = float(np.median(steps))
+        if step <= 0 or abs(step * rate - 1.0) <= _RATES:
+            return ""
+        return f"{name} states {rate:g} Hz but {what} steps by {step:.6g} s"
+
+
+def signal_channels(
+    path: str,
+    signals: Iterable[Signal],
+    options: BenchOptions,
+    *,
+    measured: bool,
+    passed_over: Sequence[str] = (),
+) -> tuple[dict[str, Channel], list[Finding]]:
+    """Return the channels of a file's signals and notes; the parameters are as of `RawSignals`.
+
+    A signal without a clock or a unit, and two that contradict each other, are a LogError or a UnitError.
+    """
+    datasets, per_revolution = options.datasets, options.pulses_per_revolution
+    rate = None if options.rate is None else positive_rate(path, options.rate)
+    by_name = {signal.name: signal for signal in signals}
+    chosen = choose_signals(path, by_name, datasets, measured=measured, passed_over=passed_over)
+    check_tachometer(path, chosen, per_revolution)
+    declared = DeclaredUnits(path, options.units)
+    columns = {}
+    for index, (name, signal) in enumerate(by_name.items()):
+        guessed = signal.unit is None and suffix_unit(signal.label) is not None
+        columns[name] = Column(index, signal.label, signal.stem, signal.stated_unit, guessed)
+    clocks = _Clocks(
+        path, by_name, rate, chosen.get("time"), lambda name: declared.factor(columns[name], "time", "s")
+    )
+    others = []
+    for channel, name in chosen.items():
+        if channel != "time":
+            clocks.add(channel, name)
+    if not measured and datasets is None:
+        times = {name for name, signal in by_name.items() if signal.is_time}
+        others = [name for name in by_name if name not in chosen.values() and name not in times]
+        for name in others:
+            clocks.add(name, name)
+
+    notes = clocks.notes
+    left = [name for name in by_name if name not in chosen.values()] if measured and datasets is None else []
+    notes += listing_note("datasets-not-read", "datasets not read", left)
+    channels: dict[str, Channel] = {}
+    unknown: list[str] = []
+    for key, names in clocks.members.items():
+        time, ordered = order_rows(
+            path, clocks.numbers[key], 0, 1.0, time_back=options.time_back or "refuse", coarse=DECLARE_RATE
+        )
+        notes += [note for note in ordered if note not in notes]
+        for index, channel in enumerate(names, start=1):
+            values = clocks.numbers[key].columns[index]
+            column = columns[channel if channel in others else chosen[channel]]
+            if channel in others:
+                # A known quantity checks the dimension of a unit at the end of its name; here nothing would.
+                if column.guessed:
+                    column = replace(column, unit=None, guessed=False)
+                unit, factor = plain_unit(declared.unit_of(column, column.label))
+                unknown += [] if unit else [by_name[channel].label]
+                label = " ".join(by_name[channel].label.split()) or channel
+                shown = label if label not in channels else channel
+                channels[shown] = Channel(shown, unit, time, values * factor)
+            elif channel == "command":
+                channels[channel] = Channel(channel, declared.command(column), time, values)
+            elif channel == "tachometer":
+                channels |= speed_channel(path, column.label, time, values, per_revolution, notes)
+            else:
+                default = "rpm" if column.stem == "rpm" else None
+                scale = declared.factor(column, channel, QUANTITIES[channel].unit, default)
+                channels[channel] = quantity_channel(channel, time, values * scale)
+    notes += unknown_units_note(unknown)
+    notes += listing_note("passed-over", "passed over, as no rows of numbers", passed_over)
+    declared.check_used(tuple(columns.values()))
+    return channels, [*notes, *declared.notes]
+
+
+def unknown_units_note(names: Sequence[str]) -> list[Finding]:
+    """Return a note that names the signals whose unit is not known."""
+    return listing_note("unknown-units", "signals without a known unit, kept as recorded", names)
+
+
+def plain_unit(stated: str | None) -> tuple[str, float]:
+    """Return (SI unit, factor) of a signal that is no known quantity; ``("", 1)`` if unknown."""
+    stated = (stated or "").strip()
+    # A decibel is logarithmic: no factor turns it into anything.
+    if (
+        stated in ("", "g", "G")
+        or stated.startswith("dB")
+        or any(mark in stated for mark in ("deg", "°", "º"))
+    ):
+        return "", 1.0
+    for expected, shown in _OTHER_UNITS.items():
+        # A radian is a pure number to the units library: per cent, strain and counts are no angles.
+        if expected == "rad" and "rad" not in stated:
+            continue
+        try:
+            return shown, factor_to_si(stated, expected)
+        except UnitError:
+            continue
+    return "", 1.0
+
+
+def written_unit(unit: str | None) -> str | None:
+    """Return a unit as sysid reads it: LabVIEW and its users write whole words, ``Newtons``, ``Volts``."""
+    text = (unit or "").strip()
+    return (text.lower() if text.isalpha() and len(text) > 3 else text) or None
+
+
+def unique_names(names: Sequence[str]) -> list[str]:
+    """Return names in which a repeated one carries its number."""
+    seen: dict[str, int] = {}
+    out = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        out.append(name if seen[name] == 1 else f"{name} #{seen[name]}")
+    return out
+
 
 # Options of every format of named signals.
 SIGNAL_OPTIONS = dict.fromkeys(("rate", "units", "datasets", "pulses_per_revolution", "time_back"), ())

@@ -5,11 +5,16 @@ time and six numbers without header, ``Column1 ... Column7``, rows printed as ``
 channels are Fx Fy Fz Tx Ty Tz by their place, because the labels of such logs repeat or mistype names; where
 every label is a known name and none repeats, `load_cell_csv` reads the log by name. With `calibration` (the
 transducer's ``.cal`` file) the six are gauge voltages. Units are not in the file: declare them.
+
+A ``.cal`` file states FT = UserAxis · (V − V_bias): six rows Fx Fy Fz Tx Ty Tz of six numbers, in its force
+and torque units. ``UserAxis`` is used and not ``Axis``, as the file itself asks: it contains the scale and
+the maker's basic transform already.
 """
 
 from __future__ import annotations
 
 import math
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -17,16 +22,13 @@ import numpy as np
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import note
-from sysid.loaders.ati_calibration import AXES, Calibration, read_calibration
 from sysid.loaders.clock import DECLARE_RATE, jitter_note, known_rate, order_rows, positive_rate, rate_clock
 from sysid.loaders.columns import naming
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
-from sysid.loaders.source import Source
-from sysid.loaders.table import Numbers, TableHead, read_numbers
-from sysid.loaders.table_log import RawTable, table_format
-from sysid.loaders.table_rows import parse_number
-from sysid.loaders.text import Text, read_text, sniff_delimiter, split_line
+from sysid.loaders.source import Source, Text, read_text, sniff_delimiter, split_line
+from sysid.loaders.table import Numbers, TableHead, parse_number, read_numbers
+from sysid.loaders.table_log import AXES, RawTable, table_format
 from sysid.types import FloatArray
 from sysid.units import factor_to_si
 
@@ -41,6 +43,7 @@ _STEADY = 0.5
 # Share of the steps, zeros left out, in which a clock falls at most, through pauses, repeated stamps or a
 # damaged number; noise makes a load fall in half of its steps.
 _FALLS = 0.02
+_LARGEST_CALIBRATION = 1 << 20
 _NO_BRACKETS = bytes.maketrans(b"[]", b"  ")
 
 
@@ -141,6 +144,62 @@ def _factors(path: str, units: Mapping[str, str] | None) -> FloatArray:
         )
 
 
+def _six_numbers(where: str, axis: str, text: str) -> list[float]:
+    try:
+        values = [float(cell) for cell in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != 6 or not np.all(np.isfinite(values)):
+        raise LogError(f"{where}: UserAxis {axis} does not hold six numbers; use the file as ATI sent it")
+    return values
+
+
+def _limit(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _read_calibration(path: Path) -> tuple[str, FloatArray, FloatArray]:
+    """Return device, (6, 6) matrix from volts to N and N·m, and (6,) largest loads of a ``.cal`` file."""
+    where = str(path)
+    try:
+        data = path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise LogError(f"{where}: the calibration cannot be read ({error}); check calibration") from error
+    # A calibration declares no entities; one that does could unfold into gigabytes.
+    if len(data) > _LARGEST_CALIBRATION or b"<!" in data.replace(b"<!--", b""):
+        raise LogError(
+            f"{where}: not a calibration as ATI writes it; use the file that came with the transducer"
+        )
+    try:
+        root = ElementTree.fromstring(data)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise LogError(
+            f"{where}: the calibration is no XML ({error}); use the file as ATI sent it"
+        ) from error
+    node = root if root.tag == "Calibration" else root.find(".//Calibration")
+    rows = {axis.get("Name", ""): axis for axis in (node.findall("UserAxis") if node is not None else [])}
+    missing = [axis for axis in AXES if axis not in rows]
+    if node is None or missing:
+        raise LogError(
+            f"{where}: no UserAxis {', '.join(missing) or 'rows'} in it; use the file as ATI sent it"
+        )
+    factors = []
+    for key, expected in (("ForceUnits", "N"), ("TorqueUnits", "N*m")):
+        unit = node.get(key, "")
+        if not unit:
+            raise UnitError(f"{where}: states no {key}; use the file as ATI sent it")
+        with naming(f"{where}: {key}"):
+            factors.append(factor_to_si(unit, expected))
+    scale = np.repeat(factors, 3)
+    matrix = np.array([_six_numbers(where, axis, rows[axis].get("values", "")) for axis in AXES])
+    limits = np.array([_limit(rows[axis].get("max", "nan")) for axis in AXES])
+    parts = [root.get("BodyStyle", ""), root.get("Serial", ""), node.get("PartNumber", "")]
+    return " ".join(["ATI", *filter(None, parts)]), matrix * scale[:, None], limits * scale
+
+
 def _time_factor(path: str, units: Mapping[str, str] | None) -> tuple[Mapping[str, str] | None, float | None]:
     """Return the units of the loads, and the factor of the time column to seconds where it is declared."""
     if not isinstance(units, Mapping) or "time" not in units:
@@ -202,11 +261,11 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     loads, seconds = _time_factor(path, options.units)
     if options.calibration is not None and loads is not None:
         raise UnitError(f"{path}: units and calibration exclude each other: the calibration states its own")
-    scale = (
-        _factors(path, loads)
-        if options.calibration is None
-        else read_calibration(Path(path).parent / options.calibration)
-    )
+    device, limits = "ATI", None
+    if options.calibration is None:
+        scale = _factors(path, loads)
+    else:
+        device, scale, limits = _read_calibration(Path(path).parent / options.calibration)
     text, table, stated = _table(read_text(source), path)
     lead = len(table.names) - 6
     numbers = read_numbers(text, table, range(len(table.names)), surplus=False)
@@ -248,8 +307,7 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     blank = int(np.isnan(load).all(axis=1).sum())
     notes += [note("blank-rows", f"blank rows, taken as missing: {blank}")] if blank else []
     notes.append(note("channels-by-place", "channels by place: Fx Fy Fz Tx Ty Tz"))
-    device = scale.device if isinstance(scale, Calibration) else "ATI"
-    return RawTable("load-cell", device, time, notes, loads=load, scale=scale)
+    return RawTable("load-cell", device, time, notes, loads=load, scale=scale, limits=limits)
 
 
 FORMAT = table_format(

@@ -16,13 +16,19 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.capture_log import Body, RawCapture, capture_format
+from sysid.loaders.binary import library, reading
+from sysid.loaders.capture_log import (
+    Body,
+    RawCapture,
+    capture_format,
+    length_factor,
+    matrix_quaternions,
+    wanted_bodies,
+)
 from sysid.loaders.clock import known_rate
-from sysid.loaders.motion_capture import length_factor, matrix_quaternions, wanted_bodies
-from sysid.loaders.optional import library, reading
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.signals import plain_unit, unique_names, unknown_units_note
+from sysid.loaders.signal_log import plain_unit, unique_names, unknown_units_note
 from sysid.loaders.source import Source
 from sysid.loaders.table import promised_note
 from sysid.recording import Channel

@@ -21,14 +21,22 @@ from sysid.loaders.columns import (
     parse_header,
     unread_note,
 )  # fmt: skip
-from sysid.loaders.load_cell import BESIDE, CELL_AXES, COMMAND, MEASURED, QUANTITIES, TACHOMETER, TIME
+from sysid.loaders.load_cell import (
+    BESIDE,
+    CELL_AXES,
+    COMMAND,
+    MEASURED,
+    QUANTITIES,
+    TACHOMETER,
+    TIME,
+    check_tachometer,
+    speed_channel,
+)
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
-from sysid.loaders.source import Source
+from sysid.loaders.source import Source, read_text
 from sysid.loaders.table import find_header, read_numbers, table_head
 from sysid.loaders.table_log import RawTable, table_format
-from sysid.loaders.tachometer import check_tachometer, speed_channel
-from sysid.loaders.text import read_text
 from sysid.recording import Channel
 
 # What stands above or in the header of ATI's logs, which other loaders read.

@@ -26,14 +26,12 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import LogError
+from sysid.loaders.binary import check_heaps, reading
 from sysid.loaders.columns import split_label
-from sysid.loaders.hdf5_damage import check_heaps
 from sysid.loaders.load_cell import CELL_AXES
-from sysid.loaders.optional import reading
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
-from sysid.loaders.signal_log import SIGNAL_OPTIONS, RawSignals, signal_format
-from sysid.loaders.signals import Signal
+from sysid.loaders.signal_log import SIGNAL_OPTIONS, RawSignals, Signal, signal_format
 from sysid.loaders.source import Source
 from sysid.types import FloatArray
 

@@ -26,11 +26,16 @@ from sysid.journal import Finding, note
 from sysid.loaders.clock import began_note
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.signal_log import SIGNAL_OPTIONS, RawSignals, signal_format
-from sysid.loaders.signals import Signal, unique_names, written_unit
-from sysid.loaders.source import Source
+from sysid.loaders.signal_log import (
+    SIGNAL_OPTIONS,
+    RawSignals,
+    Signal,
+    signal_format,
+    unique_names,
+    written_unit,
+)
+from sysid.loaders.source import Source, Text, read_text
 from sysid.loaders.table import TableHead, promised_note, read_numbers
-from sysid.loaders.text import Text, read_text
 from sysid.types import FloatArray
 from sysid.units import factor_to_si
 

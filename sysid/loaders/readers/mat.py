@@ -18,12 +18,10 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import LogError
-from sysid.loaders.hdf5_damage import check_heaps
-from sysid.loaders.optional import reading
+from sysid.loaders.binary import check_heaps, reading
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.signal_log import SIGNAL_OPTIONS, RawSignals, signal_format
-from sysid.loaders.signals import Signal, written_unit
+from sysid.loaders.signal_log import SIGNAL_OPTIONS, RawSignals, Signal, signal_format, written_unit
 from sysid.loaders.source import Source
 
 _V5, _V73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"

@@ -21,15 +21,21 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.capture_log import Body, RawCapture, capture_format
+from sysid.loaders.capture_log import (
+    EULER_ORDERS,
+    Body,
+    RawCapture,
+    capture_format,
+    euler_quaternions,
+    length_factor,
+    wanted_bodies,
+)
 from sysid.loaders.clock import began_note, counted_clock, jitter_note, order_rows
 from sysid.loaders.columns import listing_note, parse_header, unread_note
-from sysid.loaders.motion_capture import EULER_ORDERS, euler_quaternions, length_factor, wanted_bodies
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.source import Source
+from sysid.loaders.source import Source, Text, read_text, sniff_delimiter, split_line
 from sysid.loaders.table import Numbers, TableHead, promised_note, read_numbers
-from sysid.loaders.text import Text, read_text, sniff_delimiter, split_line
 from sysid.types import FloatArray
 
 _BODIES = frozenset({"rigid body", "bone"})

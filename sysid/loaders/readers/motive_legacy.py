@@ -16,15 +16,12 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.capture_log import Body, RawCapture, capture_format
+from sysid.loaders.capture_log import Body, RawCapture, capture_format, declared_length, wanted_bodies
 from sysid.loaders.clock import order_rows
-from sysid.loaders.motion_capture import declared_length, wanted_bodies
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.source import Source
-from sysid.loaders.table import Numbers, promised_note
-from sysid.loaders.table_rows import parse_number
-from sysid.loaders.text import Text, read_text, split_line
+from sysid.loaders.source import Source, Text, read_text, split_line
+from sysid.loaders.table import Numbers, parse_number, promised_note
 from sysid.types import FloatArray
 
 _BODY_CELLS, _MARKER_CELLS = 11, 5

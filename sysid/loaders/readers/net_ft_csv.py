@@ -21,16 +21,13 @@ import numpy as np
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
-from sysid.loaders.ati_calibration import AXES
 from sysid.loaders.clock import began_note, known_rate, order_rows
 from sysid.loaders.columns import listing, naming
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.source import Source
-from sysid.loaders.table import TableHead, read_numbers
-from sysid.loaders.table_log import RawTable, table_format
-from sysid.loaders.table_rows import parse_number
-from sysid.loaders.text import Text, read_text, shortened, split_line
+from sysid.loaders.source import Source, Text, read_text, shortened, split_line
+from sysid.loaders.table import TableHead, parse_number, read_numbers
+from sysid.loaders.table_log import AXES, RawTable, table_format
 from sysid.units import factor_to_si
 
 _SEQUENCE = "rdt sequence"

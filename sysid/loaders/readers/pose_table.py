@@ -21,7 +21,7 @@ import numpy as np
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import note
-from sysid.loaders.capture_log import Body, RawCapture, capture_format
+from sysid.loaders.capture_log import Body, RawCapture, body_name, capture_format, declared_length
 from sysid.loaders.clock import EXPORT_FINER, frame_clock, jitter_note, order_rows
 from sysid.loaders.columns import (
     Column,
@@ -32,12 +32,10 @@ from sysid.loaders.columns import (
     parse_header,
     unread_note,
 )  # fmt: skip
-from sysid.loaders.motion_capture import body_name, declared_length
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
-from sysid.loaders.source import Source
+from sysid.loaders.source import Source, read_text
 from sysid.loaders.table import find_header, read_numbers, table_head
-from sysid.loaders.text import read_text
 from sysid.units import factor_to_si
 
 _FRAME = frozenset({"frame", "frame number", "frame no", "frame id", "seq"})

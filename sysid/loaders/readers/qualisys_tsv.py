@@ -15,15 +15,19 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import note
-from sysid.loaders.capture_log import Body, RawCapture, capture_format
+from sysid.loaders.capture_log import (
+    Body,
+    RawCapture,
+    capture_format,
+    declared_length,
+    matrix_quaternions,
+    wanted_bodies,
+)
 from sysid.loaders.clock import began_note, counted_clock, known_rate, order_rows, rate_clock
-from sysid.loaders.motion_capture import declared_length, matrix_quaternions, wanted_bodies
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.source import Source
-from sysid.loaders.table import Numbers, TableHead, promised_note, read_numbers
-from sysid.loaders.table_rows import parse_number
-from sysid.loaders.text import Text, read_text
+from sysid.loaders.source import Source, Text, read_text
+from sysid.loaders.table import Numbers, TableHead, parse_number, promised_note, read_numbers
 from sysid.types import FloatArray
 
 _FIRST = "NO_OF_FRAMES"

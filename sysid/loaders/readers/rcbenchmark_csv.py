@@ -27,13 +27,10 @@ from sysid.loaders.columns import (
 )
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.source import Source
+from sysid.loaders.source import Source, Text, read_text, split_line
 from sysid.loaders.table import Numbers, TableHead, find_header, read_numbers, table_head
 from sysid.loaders.table_log import RawTable, table_format
-from sysid.loaders.text import Text, read_text, split_line
-from sysid.loaders.thrust_stand import choose_speed, is_static
-from sysid.recording import Channel
-from sysid.types import FloatArray
+from sysid.recording import Channel, FloatArray
 
 _COMMAND = frozenset({"esc signal", "esc"})
 # channel: (stem in the header, unit of the channel)
@@ -57,6 +54,54 @@ _MOST_MESSAGES = 5
 _LARGEST_DSHOT = 2047.0
 # Pulse widths of every speed controller lie within these [µs].
 _PULSE = (700.0, 2300.0)
+# Running logs of these stands step by 8 to 50 ms, averaged points by 0.45 to 5 s (measured on real logs).
+_STATIC_STEP = 0.2
+
+
+def _is_static(time: FloatArray) -> bool:
+    """Return whether rows are averaged points.
+
+    Half of them or more lie over 0.2 s from the next, either way.
+    """
+    known = time[np.isfinite(time)]
+    return known.size > 1 and float(np.median(np.abs(np.diff(known)))) >= _STATIC_STEP
+
+
+def _choose_speed(
+    optical: FloatArray | None, electrical: FloatArray | None
+) -> tuple[FloatArray | None, list[Finding]]:
+    """Return the speed to use [rad/s] and notes: the optical one unless it is off.
+
+    A probe that is off writes zeros. Where both run and differ by one constant ratio, the pole count set in
+    the stand's program is wrong: a warning says so, and nothing is averaged.
+    """
+
+    def running(speed: FloatArray | None) -> int:
+        return 0 if speed is None else int(np.count_nonzero(np.nan_to_num(speed)))
+
+    seen_optical, seen_electrical = running(optical), running(electrical)
+    if optical is None or seen_optical < 0.5 * seen_electrical:
+        if electrical is None:
+            return None, []
+        off = "" if optical is None else "; the optical probe reads zero"
+        return electrical, [note("electrical-speed", f"speed is the electrical one{off}")]
+    if electrical is None or not seen_electrical:
+        off = "; the electrical probe reads zero" if seen_optical and electrical is not None else ""
+        return optical, [note("optical-speed", f"speed is the optical one{off}")]
+    notes = [note("optical-speed", "speed is the optical one")]
+    both = (np.nan_to_num(optical) != 0) & (np.nan_to_num(electrical) != 0)
+    if both.sum() >= 3:
+        ratio = electrical[both] / optical[both]
+        middle = float(np.median(ratio))
+        low, high = np.percentile(ratio, [25, 75])
+        # One pole pair of fourteen is 7 %; probes that agree differ by well under 2 %.
+        if abs(middle - 1.0) > 0.02 and high - low < 0.02 * abs(middle):
+            sentence = (
+                f"electrical speed is {middle:.4g} times the optical one throughout: "
+                "the pole count set in the stand's program is probably wrong"
+            )
+            notes.append(Finding("pole-count", sentence))
+    return optical, notes
 
 
 def _recognize(source: Source) -> int:
@@ -121,8 +166,8 @@ def _clock(
     written = None if column is None else numbers.columns[column.index] * seconds
     static = options.static
     if static is None:
-        static = written is not None and is_static(written)
-    elif static is False and written is not None and is_static(written):
+        static = written is not None and _is_static(written)
+    elif static is False and written is not None and _is_static(written):
         raise LogError(
             f"{path}: rows lie {float(np.nanmedian(np.abs(np.diff(written)))):.3g} s apart (median): "
             "averaged points, not a running log; leave static out, or record the log at the stand's full rate"
@@ -182,7 +227,7 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
         name: numbers.columns[columns[name][0].index] * factors[name] for name in _SPEEDS if name in columns
     }
     raw.add(numbers.columns, columns, factors)
-    speed, chosen = choose_speed(speeds.get("speed_optical"), speeds.get("speed_electrical"))
+    speed, chosen = _choose_speed(speeds.get("speed_optical"), speeds.get("speed_electrical"))
     raw.notes += chosen
     if speed is not None and not np.isnan(speed).all():
         raw.channels["speed"] = Channel("speed", "rad/s", time, speed)

@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import LogError
-from sysid.loaders.capture_log import Body, RawCapture, capture_format
+from sysid.loaders.binary import library, reading
+from sysid.loaders.capture_log import Body, RawCapture, capture_format, declared_length, wanted_bodies
 from sysid.loaders.clock import EXPORT_FINER, jitter_note, order_rows
 from sysid.loaders.columns import listing, listing_note
-from sysid.loaders.motion_capture import declared_length, wanted_bodies
-from sysid.loaders.optional import library, reading
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source

@@ -15,15 +15,13 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.capture_log import Body, RawCapture, capture_format
+from sysid.loaders.capture_log import Body, RawCapture, body_name, capture_format, declared_length
 from sysid.loaders.clock import EXPORT_FINER, frame_clock, jitter_note, order_rows
 from sysid.loaders.columns import Column, listing, parse_header, unread_note
-from sysid.loaders.motion_capture import body_name, declared_length
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.source import Source
+from sysid.loaders.source import Source, read_text
 from sysid.loaders.table import Numbers, find_header, read_numbers, table_head
-from sysid.loaders.text import read_text
 
 _ARRIVAL, _STAMP = "%time", "field header stamp"
 _SEQUENCE = "field header seq"

@@ -2,7 +2,7 @@
 
 Valid for waveform channels: time = ``wf_start_offset`` + i · ``wf_increment``, counted from the earliest
 ``wf_start_time`` of the file, of which 1904-01-01 means not set. The number of samples is that of the data:
-``wf_samples`` is the size of one block. Segments that begin after a pause are refused (`tdms_segments`),
+``wf_samples`` is the size of one block. Segments that begin after a pause are refused,
 because the samples of a channel are on one clock. Both count in ``wf_xunit_string``, seconds where it is not
 set; a channel over another axis (a spectrum) is left out. Channels without ``wf_increment`` take a time
 channel beside them or the declared rate. The thinned copies that SignalExpress adds
@@ -11,30 +11,93 @@ channel beside them or the declared rate. The thinned copies that SignalExpress 
 
 from __future__ import annotations
 
+import mmap
 import re
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
+from sysid.loaders.binary import library, reading
 from sysid.loaders.columns import listing_note
-from sysid.loaders.optional import library, reading
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.signal_log import SIGNAL_OPTIONS, RawSignals, signal_format
-from sysid.loaders.signals import Signal, written_unit
+from sysid.loaders.signal_log import SIGNAL_OPTIONS, RawSignals, Signal, signal_format, written_unit
 from sysid.loaders.source import Source
-from sysid.loaders.tdms_segments import Starts, samples_before, waveform_starts
 from sysid.types import FloatArray
 from sysid.units import factor_to_si
 
 _THINNED = re.compile(r"Decimated Data_Level\d+$")
 # Clocks of a computer and a device drift apart by less than this.
 _DRIFT = 1e-4
+_LEAD_IN = 28
+_BIG_ENDIAN = 1 << 6
+# The path of a channel, or the name, type and value of its property.
+_SAID = re.compile(
+    rb"(?P<path>/'(?:[^']|'')*'/'(?:[^']|'')*')|wf_start_time(?:\x44\0\0\0|\0\0\0\x44)(?P<time>.{16})",
+    re.DOTALL,
+)
+_EPOCH = np.datetime64("1904-01-01T00:00:00", "ns")
+_NANOSECONDS = 1_000_000_000
+
+
+@dataclass
+class _Starts:
+    """First and last start that a file states of one channel, and where the segment of the last one is."""
+
+    first: np.datetime64
+    last: np.datetime64
+    offset: int = 0
+
+
+def _waveform_starts(path: str) -> dict[str, _Starts]:
+    """Return the starts of the channels that state one, by their path in the file, ``/'group'/'channel'``.
+
+    A program that appends to a file states ``wf_start_time`` again in each segment. npTDMS keeps the last
+    start and joins the samples, so that a pause between two recordings would not be seen. The lead-in of a
+    segment is ``TDSm``, 32 flags, the version, the offset of the next segment and of the raw data (National
+    Instruments, TDMS File Format Internal Structure).
+    """
+    starts: dict[str, _Starts] = {}
+    with Path(path).open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        at = 0
+        while data[at : at + 4] == b"TDSm" and at + _LEAD_IN <= len(data):
+            (flags,) = struct.unpack_from("<I", data, at + 4)
+            big = bool(flags & _BIG_ENDIAN)
+            behind, raw = struct.unpack_from(">QQ" if big else "<QQ", data, at + 12)
+            channel = ""
+            for match in _SAID.finditer(data[at + _LEAD_IN : at + _LEAD_IN + raw]):
+                if match["path"] is not None:
+                    channel = match["path"].decode("utf-8", "replace")
+                    continue
+                seconds, fraction = (
+                    struct.unpack(">qQ", match["time"]) if big else struct.unpack("<Qq", match["time"])[::-1]
+                )
+                if seconds <= 0 or seconds > 1 << 33:  # not set, or no time
+                    continue
+                passed = seconds * _NANOSECONDS + (fraction * _NANOSECONDS >> 64)
+                start = _EPOCH + np.timedelta64(passed, "ns")
+                known = starts.setdefault(channel, _Starts(start, start, at))
+                if start != known.last:
+                    known.last, known.offset = start, at
+            at += _LEAD_IN + behind
+    return starts
+
+
+def _samples_before(path: str, offset: int, channel: str) -> int:
+    """Return how many samples of a channel stand in the segments before `offset`."""
+    from nptdms import TdmsFile
+
+    with Path(path).open("rb") as stream, mmap.mmap(stream.fileno(), offset, access=mmap.ACCESS_READ) as data:
+        groups = TdmsFile.read_metadata(data).groups()
+        return sum(len(wave) for group in groups for wave in group.channels() if wave.path == channel)
 
 
 def _recognize(source: Source) -> int:
@@ -57,10 +120,10 @@ def _samples(channel: Any) -> FloatArray:
 
 
 def _check_segments(
-    path: str, name: str, channel: str, stated: Starts, step: float, declared: float | None
+    path: str, name: str, channel: str, stated: _Starts, step: float, declared: float | None
 ) -> list[Finding]:
     """Refuse a channel with a segment that begins after a pause; return a note when `declared` joins them."""
-    lasted = samples_before(path, stated.offset, channel) * step
+    lasted = _samples_before(path, stated.offset, channel) * step
     began = float((stated.last - stated.first) / np.timedelta64(1, "ns")) * 1e-9
     if abs(began - lasted) <= max(1.5 * step, _DRIFT * lasted):
         return []
@@ -77,7 +140,7 @@ def _check_segments(
 
 
 def _signals(path: str, file: Any, notes: list[Finding], declared: float | None) -> list[Signal]:
-    restarts = waveform_starts(path)
+    restarts = _waveform_starts(path)
     signals, thinned, other, spectra = [], [], [], []
     waves = [(group, channel) for group in file.groups() for channel in group.channels()]
     begins = {}

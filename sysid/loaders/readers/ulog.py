@@ -16,10 +16,10 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
+from sysid.loaders.binary import library, reading
+from sysid.loaders.capture_log import body_channels, unit_quaternions
 from sysid.loaders.clock import order_rows
 from sysid.loaders.columns import listing
-from sysid.loaders.motion_capture import body_channels, unit_quaternions
-from sysid.loaders.optional import library, reading
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers

@@ -20,23 +20,23 @@ from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
-from sysid.loaders.capture_log import Body, RawCapture, capture_format
-from sysid.loaders.clock import known_rate, order_rows
-from sysid.loaders.columns import listing, naming
-from sysid.loaders.motion_capture import (
+from sysid.loaders.capture_log import (
     EULER_ORDERS,
+    Body,
+    RawCapture,
+    capture_format,
     euler_quaternions,
     length_factor,
     rotation_quaternions,
     wanted_bodies,
 )  # fmt: skip
+from sysid.loaders.clock import known_rate, order_rows
+from sysid.loaders.columns import listing, naming
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.signals import plain_unit, unique_names, unknown_units_note
-from sysid.loaders.source import Source
-from sysid.loaders.table import Numbers, TableHead, read_numbers
-from sysid.loaders.table_rows import parse_number
-from sysid.loaders.text import Text, read_text, sniff_delimiter, split_line
+from sysid.loaders.signal_log import plain_unit, unique_names, unknown_units_note
+from sysid.loaders.source import Source, Text, read_text, sniff_delimiter, split_line
+from sysid.loaders.table import Numbers, TableHead, parse_number, read_numbers
 from sysid.recording import Channel
 from sysid.types import FloatArray
 from sysid.units import factor_to_si

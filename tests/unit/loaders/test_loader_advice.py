@@ -27,7 +27,7 @@ ADVISED = re.compile(rf"(?<![\w.{{ ])\s?\b({'|'.join(EVERY_OPTION)}) = ")
 # Messages that only appear for a caller with the option; their tests are below.
 DECIDED_BY_THE_CALLER = {
     ("order_rows", "time_back"), ("table_head", "columns"), ("rate_clock", "rate"),
-    ("_marker_bodies", "bodies"), ("_pose_from_markers", "bodies"), ("without_tare", "tare"),
+    ("_marker_bodies", "bodies"), ("fit_pose", "bodies"), ("_without_tare", "tare"),
     ("motor_transform", "transform"),
 }  # fmt: skip
 

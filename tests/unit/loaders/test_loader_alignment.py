@@ -7,7 +7,7 @@ from fakes.log_files import refuses
 from sysid.errors import LogError
 from sysid.loaders import load
 from sysid.loaders.alignment import find_offset, join_recordings
-from sysid.loaders.tachometer import pulse_speed
+from sysid.loaders.load_cell import pulse_speed
 from sysid.recording import Channel, Provenance, Recording
 
 

@@ -23,7 +23,7 @@ from fakes.log_files import (
 from sysid.errors import SysidError, UnitError
 from sysid.loaders import detect, load
 from sysid.loaders.rigid_pose import fit_rotations
-from sysid.loaders.signals import plain_unit, written_unit
+from sysid.loaders.signal_log import plain_unit, written_unit
 
 CAL = """<?xml version="1.0" encoding="utf-8"?>
 <!-- NOTE: use UserAxis, not Axis -->

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from sysid.errors import LogError
-from sysid.loaders import table_rows
+from sysid.loaders import table
 from sysid.loaders.clock import jitter_note
 from sysid.loaders.columns import split_label
-from sysid.loaders.source import Source
-from sysid.loaders.table import read_numbers, table_head
-from sysid.loaders.table_rows import parse_number
-from sysid.loaders.text import read_text, sniff_delimiter, split_line
+from sysid.loaders.source import Source, read_text, sniff_delimiter, split_line
+from sysid.loaders.table import parse_number, read_numbers, table_head
 
 
 def numbers_of(path, wanted=None, **options):
@@ -94,7 +92,7 @@ def test_what_is_no_number_is_refused_by_both_readers(write, cell, monkeypatch):
     path = write(f"a,b\n1,2\n{cell},3\n")
     for slow in (False, True):
         if slow:
-            monkeypatch.setattr(table_rows, "_read_fast", lambda *_: None)
+            monkeypatch.setattr(table, "_read_fast", lambda *_: None)
         with pytest.raises(LogError, match=r"line 3: .* in column 'a' is not a number"):
             numbers_of(path)
 
@@ -103,7 +101,7 @@ def test_what_is_no_number_is_refused_by_both_readers(write, cell, monkeypatch):
 def test_what_is_a_number_is_the_same_for_both_readers(write, cell, monkeypatch):
     path = write(f"a,b\n1,2\n{cell},3\n")
     fast = numbers_of(path).columns
-    monkeypatch.setattr(table_rows, "_read_fast", lambda *_: None)
+    monkeypatch.setattr(table, "_read_fast", lambda *_: None)
     slow = numbers_of(path).columns
     for index in fast:
         np.testing.assert_array_equal(fast[index], slow[index])

@@ -11,7 +11,7 @@ from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
 from sysid.loaders import load
 from sysid.loaders.readers.sysid_hdf5 import write_recording
-from sysid.loaders.signals import plain_unit
+from sysid.loaders.signal_log import plain_unit
 from sysid.recording import Channel, Provenance, Recording
 from sysid.units import factor_to_si, parse_quantity
 
