@@ -1,8 +1,8 @@
 """What is known about how far a fit can be trusted: ``NAME.json`` and ``NAME.h5`` in the fit folder.
 
-Three documents: ``trust`` (one per fit), ``validation-CAMPAIGN`` (of a second file of that name ``validation-
-CAMPAIGN-HASH``) and ``cross-validation``. Units are SI, shares are 1. Arrays lie in the HDF5 file, every
-dataset with the attributes ``axes`` and ``unit``:
+Three documents: ``trust`` (one per fit), ``validation-CAMPAIGN`` (``validation-CAMPAIGN-HASH`` for a second
+campaign file of that name) and ``cross-validation``. Units are SI. The HDF5 file holds arrays, each with the
+attributes ``axes`` and ``unit``:
 
 ``trust``: ``correlation``, ``covariance`` (unit cube), ``profiles/NAME/{value, deviance, others}`` (ascending
 values; deviance is chi-square-like, limits 0.989 and 3.841; others (k, n) are all free parameters),
@@ -12,9 +12,9 @@ values; deviance is chi-square-like, limits 0.989 and 3.841; others (k, n) are a
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -23,6 +23,7 @@ from pydantic import Field
 
 from sysid.documents import Document, OpenMapping, Part
 from sysid.errors import FitError
+from sysid.recording import file_sha256
 from sysid.storage import FileKind, datasets, put, write_file
 
 TRUST, CROSS_VALIDATION, VALIDATION = "trust", "cross-validation", "validation-"
@@ -48,17 +49,16 @@ class Partner(Part):
 class FreeParameter(Part):
     """What is known of one free parameter, in its unit.
 
-    ``value`` is of the best set. ``refined`` is where the sum of squares is least at the accuracy of trust;
-    it differs from ``value`` by less than the interval, or a warning says so. ``mean`` and ``sigma`` are over
-    the fit's sets (Table II). ``fisher_sigma`` is the linearized standard deviation. ``derivative_doubt`` is
-    the share by which the derivative changes when its step is halved; from a tenth on it is not trusted.
-    Intervals [low, high] come from the profile; an open end is a bound of the search. ``half_width`` is half
-    of ``interval_95`` over the profile's best value, infinite where open; ``expected_half_width`` comes from
-    the linearization, which `sysid check` tells before a fit. ``verdict`` is "well" below 0.1, "weakly" below
-    0.5, else "not identifiable", and never "well" where there is a ``doubt``: why the interval may not
-    contain the truth. ``partners`` come strongest first, from a correlation of 0.8 on. ``at_bound`` is -1, 0
-    or 1: the best set ends within 1 % of a bound. ``measured`` is the campaign's independent measurement.
-    ``rough_points`` of the profile needed a random search.
+    ``value`` is the best set's. The sum of squares is least at ``refined``, which differs from ``value`` by
+    less than the interval, or a warning says so. ``mean`` and ``sigma`` are over the fit's sets (Table II).
+    ``fisher_sigma`` is the linearized standard deviation. ``derivative_doubt`` is the share by which the
+    derivative changes when its step is halved; from a tenth on it is not trusted. Intervals [low, high] come
+    from the profile; an open end is a bound of the search. ``half_width`` is half of ``interval_95`` over the
+    profile's best value, infinite where open; ``expected_half_width`` is linearized, as in `sysid check`.
+    ``verdict`` is "well" below 0.1, "weakly" below 0.5, else "not identifiable"; never "well" with a
+    ``doubt``, which says why the interval may miss the truth. ``partners`` come strongest first, from a
+    correlation of 0.8 on. ``at_bound`` is -1, 0 or 1: the best set ends within 1 % of a bound. ``measured``
+    is the campaign's independent measurement. ``rough_points`` of the profile needed a random search.
     """
 
     name: str
@@ -144,12 +144,12 @@ class Bootstrap(Part):
 
 
 class JudgedTrial(Part):
-    """A predicted trial. ``nrmse`` is of each set, best first; all else of the best set [1].
+    """A predicted trial. ``nrmse`` is of each set, best first; the other numbers are of the best set [1].
 
-    ``floor`` is what the measurement's noise alone would cost, ``ratio`` the NRMSE over it; both also up to
-    the prediction's third touchdown, which is at ``third_contact`` after the first [s]. ``leaves`` is the
-    first of three samples in a row beyond ``limits.leaves`` noise deviations: time [s], channel, contacts
-    before.
+    ``floor`` is what the measurement's noise alone costs (NaN where not known), ``ratio`` the NRMSE over it.
+    NRMSE and ratio are also stated up to the prediction's third touchdown, ``third_contact`` after the first
+    one [s]. ``leaves`` is the first of three samples in a row beyond ``limits.leaves`` noise deviations: time
+    [s], channel, contacts before.
     """
 
     name: str
@@ -240,10 +240,12 @@ class CheckedCampaign(CampaignFile):
     name: str
 
 
-class ExpectedParameter(Part):
-    """What the trials are expected to determine of a parameter; see `sysid.trust.verdicts.Expected`.
+class Expected(Part):
+    """What the trials of a campaign are expected to determine of a parameter, before a fit.
 
-    ``channels``: share of what is known that comes from each channel [1].
+    ``half_width`` is the relative 95 % half-width at ``value``, ``half_width_over_bounds`` the median over
+    points drawn from the bounds [1]. ``effect`` and ``interaction`` are mean size and standard deviation of
+    the elementary effects on the NRMSE over the bounds (Morris 1991) [1]. NaN where not computed.
     """
 
     name: str
@@ -256,6 +258,11 @@ class ExpectedParameter(Part):
     interaction: float
     partners: list[Partner]
     verdict: str
+
+
+class ExpectedParameter(Expected):
+    """The same in a check. ``channels``: share of what is known that comes from each channel [1]."""
+
     channels: dict[str, float]
 
 
@@ -285,19 +292,12 @@ class CheckDocument(Part):
 
 
 _NAMED: dict[str, type[TrustPart]] = {TRUST: TrustDocument, CROSS_VALIDATION: CrossValidationDocument}
+ARRAYS = FileKind("sysid-trust", 1, "the arrays of a trust document", "run it again", FitError)
 
 
 def model_of(part: str) -> type[TrustPart]:
     """Return the model of a document."""
     return _NAMED.get(part, ValidationDocument)
-
-
-ARRAYS = FileKind("sysid-trust", 1, "the arrays of a trust document", "run it again", FitError)
-
-
-def fit_digest(folder: Path) -> str:
-    """Return the SHA-256 of a fit folder's ``fit.h5``."""
-    return hashlib.sha256((folder / "fit.h5").read_bytes()).hexdigest()
 
 
 def write_part(
@@ -311,24 +311,12 @@ def write_part(
 ) -> Path:
     """Write one document and its arrays into a fit folder, in place of an earlier one.
 
-    Parameters
-    ----------
-    part : str
-        ``trust``, ``cross-validation`` or ``validation-CAMPAIGN``.
-    document : mapping
-        What `model_of` the part declares beside `TrustPart`, and its campaign and warnings.
-    arrays : mapping
-        By path in the HDF5 file: (values, axes, unit).
-    fit, kind : str
-        Name and model of the fit.
-
-    Raises
-    ------
-    FitError
-        When it cannot be written; what was there is unchanged then.
+    `part` is ``trust``, ``cross-validation`` or ``validation-CAMPAIGN``. `document` holds what `model_of` the
+    part declares beside `TrustPart`, and campaign and warnings; `arrays` are (values, axes, unit) by path in
+    the HDF5 file. `fit` is the fit's name. Raises FitError, with nothing changed, when it cannot be written.
     """
     text = model_of(part)(
-        part=part, fit=fit, kind=kind, fit_sha256=fit_digest(folder),
+        part=part, fit=fit, kind=kind, fit_sha256=file_sha256(folder / "fit.h5"),
         written=datetime.now(UTC).isoformat(timespec="seconds"), **document,
     ).text()  # fmt: skip
 
@@ -346,10 +334,7 @@ def write_part(
 def read_part(folder: Path, part: str) -> dict[str, Any] | None:
     """Return a document of a fit folder; None where there is none, or where the fit has changed since.
 
-    Raises
-    ------
-    FitError
-        When it is damaged or of another version.
+    Raises FitError when it is damaged or of another version.
     """
     path = folder / f"{part}.json"
     if not path.is_file():
@@ -359,17 +344,11 @@ def read_part(folder: Path, part: str) -> dict[str, Any] | None:
     except OSError as error:
         raise FitError(f"{path}: cannot be read ({error}); run it again") from error
     document = model_of(part).parse(text, path, FitError)
-    return None if document.fit_sha256 != fit_digest(folder) else document.model_dump()
+    return document.model_dump() if document.fit_sha256 == file_sha256(folder / "fit.h5") else None
 
 
 def read_arrays(folder: Path, part: str) -> dict[str, Any]:
-    """Return the arrays of a document, by their path in the HDF5 file.
-
-    Raises
-    ------
-    FitError
-        When the file is missing or damaged.
-    """
+    """Return the arrays of a document by their path in the HDF5 file; FitError when it cannot be read."""
     with ARRAYS.opened(folder / f"{part}.h5") as file:
         return datasets(file)
 
@@ -381,22 +360,18 @@ def parts(folder: Path) -> tuple[str, ...]:
 
 
 def free_part(folder: Path, part: str, campaign: Mapping[str, str]) -> str:
-    """Return the name under which a campaign's validation replaces its own and not the one of another file.
+    """Return the name under which a validation replaces an earlier one of its campaign, and no other.
 
-    `part` is the `validation_part` of the campaign's name, `campaign` what the document states of its file. A
-    file that was edited lies where it lay, one that was moved has the content it had: either is the same
-    campaign. For another one, part of its hash is added.
+    `part` is the `validation_part` of the campaign's name, `campaign` what the document states of its file.
+    Equal places (the file was edited) or equal contents (it was moved) mean the same campaign. The name for
+    another campaign ends in part of its hash.
     """
-    hashed = re.compile(re.escape(part) + "-[0-9a-f]{8}")
     there = {}
     for name in parts(folder):
-        if name == part or hashed.fullmatch(name):
-            try:
-                document = read_part(folder, name)
-            except FitError:
-                continue
-            if document is not None:
-                there[name] = document["campaign"]
+        if re.fullmatch(re.escape(part) + "(-[0-9a-f]{8})?", name):
+            with suppress(FitError):
+                if document := read_part(folder, name):
+                    there[name] = document["campaign"]
     for key in ("from_fit_folder", "sha256"):
         same = [name for name, stated in there.items() if stated.get(key, "") == campaign.get(key)]
         if same:
@@ -405,5 +380,5 @@ def free_part(folder: Path, part: str, campaign: Mapping[str, str]) -> str:
 
 
 def validation_part(campaign: str) -> str:
-    """Return the name of a campaign's validation; what a file cannot be called is replaced."""
+    """Return the name of a campaign's validation; characters that a file name cannot hold become hyphens."""
     return VALIDATION + re.sub(r"[^A-Za-z0-9._-]", "-", campaign)

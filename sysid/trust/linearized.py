@@ -23,6 +23,7 @@ import numpy as np
 
 from sysid.fit.problem import Block, NoiseModel, Problem
 from sysid.parameters import SearchSpace
+from sysid.trust.documents import Partner
 from sysid.trust.jacobian import Jacobian, jacobian
 from sysid.types import FloatArray
 
@@ -75,14 +76,15 @@ class Information:
         sigma = self.sigma
         return self.covariance / np.outer(sigma, sigma)
 
-    def partners(self, names: Sequence[str]) -> tuple[tuple[tuple[str, float], ...], ...]:
-        """Return for each parameter those it trades with, the strongest first: (name, correlation)."""
+    def partners(self, names: Sequence[str]) -> list[list[Partner]]:
+        """Return the parameters with which each one trades, the strongest first."""
         out = []
         for i, row in enumerate(self.correlation.tolist()):
             strong = [(name, rho) for j, (name, rho) in enumerate(zip(names, row, strict=True))
                       if j != i and abs(rho) >= PARTNER]  # fmt: skip
-            out.append(tuple(sorted(strong, key=lambda pair: -abs(pair[1]))))
-        return tuple(out)
+            strong.sort(key=lambda pair: -abs(pair[1]))
+            out.append([Partner(name=name, correlation=rho) for name, rho in strong])
+        return out
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,10 +14,11 @@ import numpy as np
 
 from sysid.fit.problem import Block, NoiseModel, Problem
 from sysid.parameters import SearchSpace
+from sysid.trust.documents import Expected
 from sysid.trust.jacobian import jacobian
 from sysid.trust.linearized import Linearized, bounded_information, gradient_noise, half_widths, linearized
 from sysid.trust.problem import nrmse_of, scales
-from sysid.trust.verdicts import Expected
+from sysid.trust.verdicts import verdict
 from sysid.types import BoolArray, FloatArray
 
 # Trajectories of elementary effects, and levels of their grid.
@@ -64,8 +65,9 @@ def expectations(
     value = problem.space.decode(point)
     return view, tuple(
         Expected(
-            row.name, row.symbol, row.unit, float(value[i]), float(view.half_widths[i]),
-            float(elsewhere[i]), float(effect[i]), float(interaction[i]), partners[i],
+            name=row.name, symbol=row.symbol, unit=row.unit, value=value[i], half_width=view.half_widths[i],
+            half_width_over_bounds=elsewhere[i], effect=effect[i], interaction=interaction[i],
+            partners=partners[i], verdict=verdict(view.half_widths[i]),
         )
         for i, row in enumerate(problem.space.free)
     )  # fmt: skip

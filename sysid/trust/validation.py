@@ -9,12 +9,12 @@ true model, more by what the parameters' own uncertainty adds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from sysid.fit.problem import Trial
+from sysid.trust.documents import JudgedTrial
 from sysid.types import FloatArray
 
 # Of the NRMSE over its noise floor, mean over trials: whole windows, and up to the third touchdown.
@@ -22,45 +22,6 @@ RATIO, RATIO_EARLY = 1.5, 1.25
 # A sample this number of noise deviations away does not belong to the prediction; this number in a row are no
 # outliers.
 LEAVES, IN_A_ROW = 5.0, 3
-
-
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """One trial against the prediction of the best set.
-
-    Parameters
-    ----------
-    nrmse : (S,) array
-        Weighted mean over channels of every set [1].
-    by_channel : (C,) array
-        Of the best set [1].
-    floor : float
-        Weighted mean of what noise alone costs [1]; NaN where not known.
-    early : (nrmse, floor), or None
-        The same up to `early_until`.
-    early_until : float or None
-        Third touchdown since the first one [s].
-    leaves : dict or None
-        Time, channel, contacts before; see `sysid.trust.documents`.
-    """
-
-    name: str
-    nrmse: FloatArray
-    by_channel: FloatArray
-    floor: float
-    early: tuple[float, float] | None
-    early_until: float | None
-    leaves: dict[str, Any] | None
-
-    @property
-    def ratio(self) -> float:
-        """NRMSE of the best set over the floor [1]."""
-        return float(self.nrmse[0] / self.floor)
-
-    @property
-    def early_ratio(self) -> float:
-        """The same up to the third touchdown [1]; NaN where it was not scored."""
-        return float("nan") if self.early is None else self.early[0] / self.early[1]
 
 
 def judge(
@@ -74,19 +35,20 @@ def judge(
     weights: FloatArray,
     channels: Sequence[str],
     contacts: FloatArray | None = None,
-) -> Judged:
+) -> JudgedTrial:
     """Compare a trial with its prediction.
 
     Parameters
     ----------
-    nrmse, by_channel
-        See `Judged`; the best set comes first.
+    nrmse : (S,) array
+        Weighted mean over channels of every set, best first [1].
+    by_channel : (C,) array
+        Of the best set [1].
     simulated : (n, C) array
         With the best set, as compared [channel units].
-    spread : (C,) array
-        What NRMSE divides by [channel units].
-    noise : (C,) array
-        Standard deviation of the noise as compared [channel units]; NaN where not known.
+    spread, noise : (C,) arrays
+        What NRMSE divides by; standard deviation of the noise as compared, NaN where not known [channel
+        units].
     weights : (C,) array
         Of the channels.
     contacts : (k,) array, optional
@@ -104,7 +66,7 @@ def judge(
         first = valid & (time <= end)[:, None]
         count = np.maximum(first.sum(axis=0), 1)
         rms = np.sqrt(np.sum(np.where(first, error, 0.0) ** 2, axis=0) / count)
-        early, until = (float(np.sum(share * rms)), floor), end - trial.zero
+        early, until = float(np.sum(share * rms)), end - trial.zero
     away = np.abs(error) > LEAVES * noise / safe
     away &= valid & used & np.isfinite(noise)
     leaves = None
@@ -115,15 +77,32 @@ def judge(
             at = float(time[runs[0]])
             before = 0 if contacts is None else int(np.count_nonzero(contacts <= at))
             leaves = {"time": at - trial.zero, "channel": channels[c], "after_contacts": before}
-    return Judged(trial.name, nrmse, by_channel, floor, early, until, leaves)
+    return JudgedTrial(
+        name=trial.name,
+        nrmse=nrmse.tolist(),
+        by_channel=dict(zip(channels, by_channel.tolist(), strict=True)),
+        floor=floor,
+        ratio=float(nrmse[0] / floor),
+        nrmse_third_contact=early,
+        ratio_third_contact=None if early is None else early / floor,
+        third_contact=until,
+        leaves=leaves,
+    )
 
 
-def reasons(trials: Sequence[Judged]) -> tuple[str, ...]:
+def _ratios(trials: Sequence[JudgedTrial]) -> tuple[FloatArray, FloatArray]:
+    """Return the NRMSE over its floor (T,): of whole windows, up to the third touchdown (else NaN)."""
+    rows = [(trial.ratio, trial.ratio_third_contact) for trial in trials]
+    whole, early = np.array(rows, dtype=np.float64).T
+    return whole, early
+
+
+def reasons(trials: Sequence[JudgedTrial]) -> tuple[str, ...]:
     """Return why a prediction is flagged, one sentence per number; none where noise explains it."""
     out = []
-    whole, early = [judged.ratio for judged in trials], [judged.early_ratio for judged in trials]
+    whole, early = _ratios(trials)
     for ratios, limit, where, meaning in (
-        (whole, RATIO, "", "the model or its held values are wrong for these trials"),
+        (whole, RATIO, "", "the model or its fixed values are wrong for these trials"),
         (early, RATIO_EARLY, " up to the third touchdown", "chaos does not explain it"),
     ):
         if np.isfinite(ratios).any() and np.nanmean(ratios) > limit:
@@ -135,30 +114,15 @@ def reasons(trials: Sequence[Judged]) -> tuple[str, ...]:
     return tuple(out)
 
 
-def document(judged: Judged, channels: Sequence[str]) -> dict[str, Any]:
-    """Return a judged trial for JSON."""
-    return {
-        "name": judged.name,
-        "nrmse": judged.nrmse,
-        "by_channel": dict(zip(channels, judged.by_channel.tolist(), strict=True)),
-        "floor": judged.floor,
-        "ratio": judged.ratio,
-        "nrmse_third_contact": None if judged.early is None else judged.early[0],
-        "ratio_third_contact": None if judged.early is None else judged.early_ratio,
-        "third_contact": judged.early_until,
-        "leaves": judged.leaves,
-    }
-
-
-def summary(trials: Sequence[Judged], nrmse_fitted: float) -> dict[str, Any]:
+def summary(trials: Sequence[JudgedTrial], nrmse_fitted: float) -> dict[str, Any]:
     """Return what a validation or cross-validation states of all trials together, for JSON."""
-    why = reasons(trials)
+    why, (whole, early) = reasons(trials), _ratios(trials)
     return {
         "flagged": bool(why),
         "reasons": list(why),
         "limits": {"ratio": RATIO, "ratio_third_contact": RATIO_EARLY, "leaves": LEAVES},
-        "nrmse": float(np.mean([judged.nrmse[0] for judged in trials])),
+        "nrmse": float(np.mean([trial.nrmse[0] for trial in trials])),
         "nrmse_fitted": nrmse_fitted,
-        "ratio": float(np.mean([judged.ratio for judged in trials])),
-        "ratio_third_contact": float(np.mean([judged.early_ratio for judged in trials])),
+        "ratio": float(np.mean(whole)),
+        "ratio_third_contact": float(np.mean(early)),
     }

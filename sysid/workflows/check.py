@@ -11,7 +11,7 @@ import numpy as np
 from sysid.fit.problem import Problem
 from sysid.journal import Journal, Say
 from sysid.recording import file_sha256
-from sysid.trust.documents import CheckDocument, CheckedCampaign
+from sysid.trust.documents import CheckDocument, CheckedCampaign, Expected
 from sysid.trust.linearized import Linearized
 from sysid.trust.sensitivity import (
     Candidate,
@@ -20,7 +20,7 @@ from sysid.trust.sensitivity import (
     nominal_point,
     rank_candidates,
 )
-from sysid.trust.verdicts import WEAKLY, WELL, Expected, percent, sentences, verdict
+from sysid.trust.verdicts import WEAKLY, WELL, percent, sentences, verdict
 from sysid.workflows.kinds import naming, open_campaign
 
 # Candidates that are named.
@@ -108,7 +108,7 @@ def _verdicts(
         lines.append("record next: " + ", else ".join(worth[:_NAMED]))
     return {
         "parameters": [
-            row.document() | {"channels": dict(zip(problem.channels, share.tolist(), strict=True))}
+            row.model_dump() | {"channels": dict(zip(problem.channels, share.tolist(), strict=True))}
             for row, share in zip(expected, shares, strict=True)
         ],
         "limits": {"well": WELL, "weakly": WEAKLY},

@@ -29,7 +29,7 @@ from sysid.fit.store import check_new_fit, write_fit
 from sysid.journal import Journal, Say, notice, tell
 from sysid.parallel import executor
 from sysid.trust.sensitivity import quick_expectations
-from sysid.trust.verdicts import EXPECTED, sentences
+from sysid.trust.verdicts import sentences
 from sysid.workflows.kinds import naming, open_campaign
 from sysid.workflows.options import FitOptions
 from sysid.workflows.provenance import fit_identity, processor, provenance
@@ -163,11 +163,11 @@ def fit_campaign(
 
 
 def _expected(fitted: Problem) -> dict[str, Any]:
-    """Tell what the trials are expected to fix, and return it for the provenance."""
+    """Tell what the trials are expected to determine, and return it for the provenance."""
     rows = quick_expectations(fitted)
     for sentence in sentences(rows):
         tell(f"expected: {sentence}")
-    return {EXPECTED: [parameter.document() for parameter in rows]}
+    return {"expected": [parameter.model_dump() for parameter in rows]}
 
 
 def _identity(

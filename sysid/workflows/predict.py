@@ -21,11 +21,11 @@ from sysid.journal import Journal, Say, notice
 from sysid.parallel import executor
 from sysid.recording import file_sha256
 from sysid.trust.assessment import linearize
-from sysid.trust.documents import CROSS_VALIDATION, free_part, validation_part, write_part
+from sysid.trust.documents import CROSS_VALIDATION, JudgedTrial, free_part, validation_part, write_part
 from sysid.trust.influence import standing_out
 from sysid.trust.problem import spread_over
 from sysid.trust.resampling import leave_one_out
-from sysid.trust.validation import Judged, document, judge, summary
+from sysid.trust.validation import judge, summary
 from sysid.types import FloatArray
 from sysid.workflows.kinds import naming, open_campaign
 from sysid.workflows.provenance import stated_campaign
@@ -52,7 +52,7 @@ class Predicted:
         mean, by_channel = self.problem.cost.mean, self.scored.by_channel
         return np.stack([mean(by_channel[:, [t]]) for t in range(by_channel.shape[1])], axis=1)
 
-    def judge(self, t: int, sets: slice, floor: FloatArray) -> Judged:
+    def judge(self, t: int, sets: slice, floor: FloatArray) -> JudgedTrial:
         """Judge a trial as some of the sets predict it, the first of them best; `floor` in channel units."""
         problem, best = self.problem, sets.start or 0
         return judge(
@@ -189,14 +189,14 @@ def _document(
     journal: Journal,
     result: FitResult,
     stated: dict[str, str],
-    judged: list[Judged],
+    judged: list[JudgedTrial],
     more: list[dict[str, Any]],
 ) -> dict[str, Any]:
     """Return the document of predicted trials, with `more` of each; tell why they are flagged."""
     out = {
         "campaign": stated,
         **summary(judged, float(result.nrmse[0])),
-        "trials": [document(trial, result.channels) | row for trial, row in zip(judged, more, strict=True)],
+        "trials": [vars(trial) | row for trial, row in zip(judged, more, strict=True)],
         "warnings": journal.sentences(),
     }
     for sentence in out["reasons"]:
@@ -204,7 +204,7 @@ def _document(
     return out
 
 
-def _notice_unlike(judged: list[Judged], words: Words) -> None:
+def _notice_unlike(judged: list[JudgedTrial], words: Words) -> None:
     """Name every trial that is predicted far worse than the others are."""
     ratios = np.array([trial.ratio for trial in judged])
     for t in standing_out(ratios):

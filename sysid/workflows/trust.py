@@ -249,7 +249,7 @@ def _parameters(result: FitResult, space: SearchSpace, assessed: Assessment) -> 
                 "verdict": verdict(profile.half_width),
                 "doubt": None,
                 "expected_half_width": float(linear.half_widths[i]),
-                "partners": [{"name": name, "correlation": rho} for name, rho in partners[i]],
+                "partners": [partner.model_dump() for partner in partners[i]],
                 "at_bound": int(result.at_bound[0, index[row.name]]),
                 "measured": None if record.measured_range is None else list(record.measured_range),
                 "bootstrap_95": quantiles,

@@ -157,8 +157,8 @@ def test_two_parameters_that_trade_name_each_other_and_widen_each_other():
     alone = linearize(Linear(designs, [y / 2 for y in data]), np.array([0.5]))
     linear = linearize(Linear(both, data), np.array([0.5, 0.5]))
     partners = linear.information.partners(("p0", "p1"))
-    assert partners[0][0][0] == "p1"
-    assert partners[0][0][1] < -0.99
+    assert partners[0][0].name == "p1"
+    assert partners[0][0].correlation < -0.99
     assert linear.information.sigma[0] > 5 * alone.information.sigma[0]
 
 
