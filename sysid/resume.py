@@ -13,7 +13,7 @@ import shutil
 import zipfile
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -237,23 +237,22 @@ class Computing:
         Whose workers compute; this process by default.
     threads : int, optional
         Cores of this process; the result does not depend on it.
-    stores : tuple of BlockStore
-        What is finished already, and where to keep the others: one per computation; none by default.
+    store : BlockStore, optional
+        What is finished already, and where to keep the others.
     on_block : callable, optional
         Called in the caller's thread with the rows of each block and whether it was computed now.
     stop : callable, optional
         Asked between blocks; True ends the work.
+    part : str
+        Where a result takes several computations: what the names of this one's stored blocks begin with.
     """
 
     where: Executor = field(default_factory=LocalThreads)
     threads: int | None = None
-    stores: tuple[BlockStore, ...] = ()
+    store: BlockStore | None = None
     on_block: Callable[[int, bool], None] = lambda rows, new: None
     stop: Callable[[], bool] = lambda: False
-
-    def part(self, number: int) -> Computing:
-        """Return the same for one of several computations (from 0)."""
-        return replace(self, stores=self.stores[number : number + 1])
+    part: str = ""
 
     def blocks(self, work: Work, blocks: Mapping[str, FloatArray]) -> dict[str, Columns]:
         """Compute the rows (n, k) of every block that is not kept already.
@@ -263,11 +262,11 @@ class Computing:
         dict
             Columns by the block's name; some are missing only where `stop` ended the work.
         """
-        store = self.stores[0] if self.stores else None
+        store = self.store
         done: dict[str, Columns] = {}
         todo: list[str] = []
         for name, rows in blocks.items():
-            kept = store.load(name) if store is not None else None
+            kept = store.load(self.part + name) if store is not None else None
             if kept is None:
                 todo.append(name)
             else:
@@ -287,7 +286,7 @@ class Computing:
                         continue
                     name = waiting[future]
                     if store is not None:
-                        store.save(name, columns)
+                        store.save(self.part + name, columns)
                     done[name] = columns
                     self.on_block(len(blocks[name]), True)
             except BaseException:

@@ -19,10 +19,9 @@ import inspect
 import math
 import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
-from typing import Any
 
 from sysid.errors import CampaignError, SysidError
 from sysid.landing.impact_sensor import Sensing
@@ -91,10 +90,6 @@ class Controller:
                 f"controller {self.name!r}: a step at {late[0]:g} s, but only {horizon:g} s are simulated; a "
                 "number without unit is in seconds: write 50ms for milliseconds, or raise --horizon"
             )
-
-    def document(self) -> dict[str, Any]:
-        """Return everything, ready for JSON."""
-        return asdict(self)
 
 
 def name_of(label: str) -> str:

@@ -340,16 +340,14 @@ def design_study(
 ) -> DesignStudy | None:
     """Land every design on every slope at every speed; None where the work was stopped.
 
-    `drones` are the sets as they are. `how` is as in `sysid.landing.maps.landing_maps`, with a store per
-    attitude of `StudySettings.grids`.
+    `drones` are the sets as they are. `how` is as in `sysid.landing.maps.landing_maps`.
     """
-    settings = settings or StudySettings()
+    settings, how = settings or StudySettings(), how or Computing()
     points = designs(changes, settings.together)
     fleets = fleets_of(drones, changes, points)
-    how = how or Computing()
     outcomes = []
-    for number, grid in enumerate(settings.grids()):
-        maps = landing_maps(fleets, [controller], grid, how.part(number))
+    for number, grid in enumerate(settings.grids(), start=1):
+        maps = landing_maps(fleets, [controller], grid, replace(how, part=f"attitude-{number}-"))
         if not maps:
             return None
         outcomes.append(np.array([landings.outcome for landings in maps]))

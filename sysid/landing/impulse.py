@@ -15,7 +15,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -119,10 +118,6 @@ class ImpulseSettings:
     def steps(self, delay: float, duration: float) -> Sequence[Step]:
         """Return the controller's steps."""
         return impulse(delay, duration, self.after, self.front, self.rear, self.idle)
-
-    def document(self) -> dict[str, Any]:
-        """Return the settings by name, ready for JSON [SI]."""
-        return dict(vars(self))
 
 
 def rear_command(front: float = IMPULSE_COMMAND, *, ideal_reversal: bool = False) -> float:

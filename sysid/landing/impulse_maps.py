@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from itertools import islice
 
 import numpy as np
 
+from sysid.gear.propulsion import Propulsion
 from sysid.landing.controllers import Controller, Step
 from sysid.landing.drone import Drone
 from sysid.landing.impulse import Impulses, ImpulseSettings, Optimum
-from sysid.landing.maps import CellMap, LandingMap, MapSettings, map_identity
+from sysid.landing.maps import CellMap, Fleets, LandingMap, MapSettings, columns_of_fleets, judged
 from sysid.landing.scenario import Scenario
-from sysid.landing.simulate import run
+from sysid.landing.simulate import Landings, run
 from sysid.parallel import Columns
 from sysid.resume import Computing
 from sysid.types import FloatArray
@@ -23,7 +24,6 @@ UNITS = {
     "delay": "s", "duration": "s", "turn": "rad/s", "attitude": "rad", "simulated": "1",
     "refined_delay": "s", "refined_duration": "s", "refined_turn": "rad/s", "refined_attitude": "rad",
 }  # fmt: skip
-_LANDING_COLUMNS = 4
 
 
 def variants(impulses: ImpulseSettings) -> tuple[str, ...]:
@@ -59,9 +59,9 @@ class ImpulseMap(CellMap):
 
 @dataclass(frozen=True, eq=False)
 class ImpulseWork:
-    """Rows (P, 3) of drone number, slope [rad] and speed [m/s] to the best impulse and how it lands.
+    """Rows (P, 3) of a drone's number, slope [rad] and speed [m/s] to the best impulse and how it lands.
 
-    Columns: those of `Optimum`, then outcome, distance, time and uncertain of each variant.
+    All rows are of one drone. Columns: those of `Optimum`, then `judged` of each variant.
     """
 
     drones: tuple[Drone, ...]
@@ -71,36 +71,25 @@ class ImpulseWork:
     _known: dict[tuple[int, float], Impulses] = field(default_factory=dict, init=False, repr=False)
 
     def __call__(self, rows: FloatArray) -> Columns:
-        parts = []
-        for drone in np.unique(rows[:, 0]).astype(int).tolist():
-            chosen = np.flatnonzero(rows[:, 0] == drone)
-            parts.append((chosen, self._cells(drone, rows[chosen, 1:])))
-        order = np.argsort(np.concatenate([chosen for chosen, _ in parts]), kind="stable")
-        columns = [np.concatenate(column) for column in zip(*(column for _, column in parts), strict=True)]
-        return tuple(column[order] for column in columns)
-
-    def _cells(self, drone: int, cells: FloatArray) -> Columns:
-        scenarios = [Scenario(float(slope), float(speed)) for slope, speed in cells]
-        search = self._impulses(drone, self.impulses.after)
-        best = search.optimize(scenarios, self.settings.tolerance, self.threads)
+        number, settings = int(rows[0, 0]), self.settings
+        cells = [Scenario(slope, speed) for slope, speed in rows[:, 1:].tolist()]
+        search, alone = self._impulses(number, self.impulses.after), self._impulses(number, 0.0)
+        best = search.optimize(cells, settings.tolerance, self.threads)
         out = [getattr(best, name) for name in OPTIMUM]
-        alone = self._impulses(drone, 0.0)
         for source, delay, duration in (
             (search, best.delay, best.duration),
             (search, best.refined_delay, best.refined_duration),
             (alone, best.delay, best.duration),
         ):
             thrust = [source.thrust(*pair) for pair in zip(delay.tolist(), duration.tolist(), strict=True)]
-            landings = [
-                run(
-                    self.drones[drone], scenarios, thrust, np.zeros(len(cells)), self.settings.rules,
-                    self.settings.tolerance / halved, self.threads,
-                )
-                for halved in ((1, 2) if self.settings.check else (1,))
-            ]  # fmt: skip
-            over = np.isfinite(landings[0].time)
-            out += [landings[0].outcome, np.where(over, landings[0].distance, np.nan), landings[0].time]
-            out.append(landings[-1].outcome != landings[0].outcome)
+
+            def land(tolerance: float, thrust: Sequence[Propulsion] = thrust) -> Landings:
+                return run(
+                    self.drones[number], cells, thrust, np.zeros(len(cells)), settings.rules, tolerance,
+                    self.threads,
+                )  # fmt: skip
+
+            out += judged(land, settings)
         return tuple(out)
 
     def _impulses(self, drone: int, after: float) -> Impulses:
@@ -114,70 +103,37 @@ class ImpulseWork:
         return self._known[key]
 
 
-def impulse_identity(
-    fleets: Sequence[Sequence[Drone]], settings: MapSettings, impulses: ImpulseSettings
-) -> dict[str, Any]:
-    """Return what must be equal for an unfinished map to be continued."""
-    return map_identity(fleets, (), settings) | {"impulse_search": impulses.document()}
-
-
 def impulse_maps(
-    fleets: Sequence[Sequence[Drone]],
+    fleets: Fleets,
     settings: MapSettings | None = None,
     impulses: ImpulseSettings | None = None,
     how: Computing | None = None,
 ) -> tuple[tuple[ImpulseMap, ...], tuple[LandingMap, ...]]:
     """Search the best impulse of every cell and set, and land with it.
 
-    Parameters
-    ----------
-    fleets : sequence of sequences of Drone
-        The sets of each surface.
-    settings, impulses : optional
-        The paper's grids of cells and of pairs without.
-    how : Computing, optional
-        As in `sysid.landing.maps.landing_maps`.
-
-    Returns
-    -------
-    impulse maps, landing maps : tuples
-        One and three per surface: impulse and then `impulses.after`, the same refined, the impulse alone (all
-        motors off after it, at the delay and duration found with `impulses.after` following).
-        Empty where the work was stopped.
+    The arguments are as in `sysid.landing.maps.landing_maps`. Per surface there are one impulse map and three
+    landing maps: the impulse and then `impulses.after`, the same refined, and the impulse alone (all motors
+    off after it, at the delay and duration found with `impulses.after` following). Where the work was stopped
+    there are none.
     """
-    settings, impulses = settings or MapSettings(), impulses or ImpulseSettings()
-    all_drones = tuple(drone for fleet in fleets for drone in fleet)
-    how = how or Computing()
-    work = ImpulseWork(all_drones, settings, impulses, how.threads)
+    settings, impulses, how = settings or MapSettings(), impulses or ImpulseSettings(), how or Computing()
+    drones = tuple(drone for fleet in fleets for drone in fleet)
     cells = np.array([(cell.slope, cell.speed) for cell in settings.cells()])
     by_slope = cells.reshape(len(settings.slopes_deg), len(settings.speeds), 2)
-    blocks = {
-        f"set-{d + 1}-slope-{s + 1}": np.column_stack([np.full(len(settings.speeds), float(d)), row])
-        for d in range(len(all_drones))
-        for s, row in enumerate(by_slope)
-    }
-    done = how.blocks(work, blocks)
-    if len(done) < len(blocks):
-        return (), ()
+    parts = {f"slope-{s + 1}": rows for s, rows in enumerate(by_slope)}
+    work = ImpulseWork(drones, settings, impulses, how.threads)
     ideal = ", ideal reversal" if impulses.ideal_reversal else ""
-    names_of_maps = variants(impulses)
-    axes = (np.array(settings.slopes_deg), np.array(settings.speeds))
     searched, landed = [], []
-    first = 0
-    for fleet in fleets:
-        numbers = range(first + 1, first + len(fleet) + 1)
-        first += len(fleet)
-        names = tuple(drone.name for drone in fleet)
-        columns = [
-            np.array([[done[f"set-{d}-slope-{s + 1}"][k] for s in range(len(axes[0]))] for d in numbers])
-            for k in range(len(OPTIMUM) + _LANDING_COLUMNS * len(names_of_maps))
-        ]
-        optimum = dict(zip(OPTIMUM, columns, strict=False))
-        searched.append(ImpulseMap(fleet[0].surface, f"impulse{ideal}", names, *axes, optimum))
-        for v, variant in enumerate(names_of_maps):
-            start = len(OPTIMUM) + _LANDING_COLUMNS * v
-            part = columns[start : start + _LANDING_COLUMNS]
-            landed.append(
-                LandingMap(fleet[0].surface, f"{variant}{ideal}", names, *axes, *part, checked=settings.check)
+    for fleet, columns in zip(fleets, columns_of_fleets(work, fleets, parts, how), strict=False):
+        whole = iter([np.stack(rows, axis=1) for rows in zip(*columns.values(), strict=True)])
+        surface, names = fleet[0].surface, tuple(drone.name for drone in fleet)
+        optimum = {name: next(whole) for name in OPTIMUM}
+        searched.append(ImpulseMap(surface, f"impulse{ideal}", names, *settings.axes, optimum))
+        landed += [
+            LandingMap(
+                surface, f"{variant}{ideal}", names, *settings.axes, *islice(whole, 4),
+                checked=settings.check,
             )
+            for variant in variants(impulses)
+        ]  # fmt: skip
     return tuple(searched), tuple(landed)

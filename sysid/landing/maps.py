@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -18,9 +18,11 @@ from sysid.landing.outcomes import LANDED, OUTCOMES, Outcome, Rules
 from sysid.landing.scenario import Scenario, grid
 from sysid.landing.simulate import LANDING_TOLERANCE, Landings, land_many
 from sysid.landing.thrust import Motors
-from sysid.parallel import Columns
+from sysid.parallel import Columns, Work
 from sysid.resume import Computing, digest
 from sysid.types import BoolArray, FloatArray
+
+Fleets = Sequence[Sequence[Drone]]
 
 # The paper's grid.
 SLOPES_DEG = tuple(float(slope) for slope in range(46))
@@ -62,14 +64,15 @@ class MapSettings:
             if not values or any(b <= a for a, b in pairwise(values)):
                 raise CampaignError(f"landing map: {name} {list(values)}; give increasing numbers")
 
+    @property
+    def axes(self) -> tuple[FloatArray, FloatArray]:
+        """Slopes (n,) [deg] and speeds (m,) [m/s]."""
+        return np.array(self.slopes_deg), np.array(self.speeds)
+
     def cells(self) -> list[Scenario]:
         """Return the scenario of every cell, slopes outside, speeds inside."""
         more = {"pitch": self.pitch, "horizontal_speed": self.horizontal_speed}
         return grid(np.radians(self.slopes_deg), self.speeds, **more)
-
-    def document(self) -> dict[str, Any]:
-        """Return the settings by name, ready for JSON."""
-        return asdict(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,11 +191,22 @@ def _mean(values: FloatArray) -> FloatArray:
     return np.asarray(np.where(count, total / np.maximum(count, 1), np.nan))
 
 
+def judged(land: Callable[[float], Landings], settings: MapSettings) -> Columns:
+    """Return outcome, distance [m], time to rest [s] of landings, and whether half the tolerance changes it.
+
+    `land` simulates them with a tolerance. Without `MapSettings.check` nothing is simulated again.
+    """
+    landings = land(settings.tolerance)
+    again = land(settings.tolerance / 2) if settings.check else landings
+    distance = np.where(np.isfinite(landings.time), landings.distance, np.nan)
+    return landings.outcome, distance, landings.time, again.outcome != landings.outcome
+
+
 @dataclass(frozen=True, eq=False)
 class LandingWork:
-    """Rows (P, 4) of drone, controller (both by number), slope [rad] and speed [m/s] to what becomes of them.
+    """Rows (P, 4) of drone, controller (both by number), slope [rad] and speed [m/s] to `judged`.
 
-    Columns: outcome, distance [m], time to rest [s], whether half the tolerance changes the outcome.
+    All rows are of one drone and one controller.
     """
 
     drones: tuple[Drone, ...]
@@ -202,98 +216,81 @@ class LandingWork:
     _motors: dict[tuple[int, bool], Motors] = field(default_factory=dict, init=False, repr=False)
 
     def __call__(self, rows: FloatArray) -> Columns:
-        outcome = np.empty(len(rows), dtype=np.int8)
-        distance, time = np.empty(len(rows)), np.empty(len(rows))
-        uncertain = np.zeros(len(rows), dtype=bool)
-        for drone, controller in np.unique(rows[:, :2], axis=0).astype(int).tolist():
-            chosen = np.flatnonzero((rows[:, 0] == drone) & (rows[:, 1] == controller))
-            landings = self._land(drone, controller, rows[chosen, 2:], self.settings.tolerance)
-            outcome[chosen], time[chosen] = landings.outcome, landings.time
-            distance[chosen] = np.where(np.isfinite(landings.time), landings.distance, np.nan)
-            if self.settings.check:
-                again = self._land(drone, controller, rows[chosen, 2:], self.settings.tolerance / 2)
-                uncertain[chosen] = again.outcome != landings.outcome
-        return outcome, distance, time, uncertain
+        number, law = rows[0, :2].astype(int).tolist()
+        drone, controller, settings = self.drones[number], self.controllers[law], self.settings
+        ideal = controller.ideal_reversal
+        motors = self._motors.setdefault((number, ideal), Motors(drone, ideal))
+        more = {"pitch": settings.pitch, "horizontal_speed": settings.horizontal_speed}
+        cells = [Scenario(slope, speed, **more) for slope, speed in rows[:, 2:].tolist()]
 
-    def _land(self, drone: int, controller: int, cells: FloatArray, tolerance: float) -> Landings:
-        law = self.controllers[controller]
-        key = (drone, law.ideal_reversal)
-        if key not in self._motors:
-            self._motors[key] = Motors(self.drones[drone], law.ideal_reversal)
-        more = {"pitch": self.settings.pitch, "horizontal_speed": self.settings.horizontal_speed}
-        return land_many(
-            self.drones[drone],
-            [Scenario(float(slope), float(speed), **more) for slope, speed in cells],
-            law,
-            rules=self.settings.rules,
-            tolerance=tolerance,
-            threads=self.threads,
-            motors=self._motors[key],
-        )
+        def land(tolerance: float) -> Landings:
+            return land_many(
+                drone, cells, controller,
+                rules=settings.rules, tolerance=tolerance, threads=self.threads, motors=motors,
+            )  # fmt: skip
+
+        return judged(land, settings)
 
 
-def map_identity(
-    fleets: Sequence[Sequence[Drone]], controllers: Sequence[Controller], settings: MapSettings
-) -> dict[str, Any]:
-    """Return what must be equal for an unfinished map to be continued."""
+def columns_of_fleets(
+    work: Work, fleets: Fleets, parts: Mapping[str, FloatArray], how: Computing
+) -> list[dict[str, list[NDArray[Any]]]]:
+    """Compute parts for every set: rows (k, p) of each part, behind the number of the drone.
+
+    Returns the columns (S, k) of each part by fleet; nothing where the work was stopped.
+    """
+    first = np.cumsum([1, *map(len, fleets)]).tolist()
+    blocks = {
+        f"set-{d}-{part}": np.insert(rows, 0, d - 1, axis=1)
+        for d in range(1, first[-1])
+        for part, rows in parts.items()
+    }
+    done = how.blocks(work, blocks)
+    if len(done) < len(blocks):
+        return []
+    return [
+        {
+            part: [
+                np.array(sets) for sets in zip(*(done[f"set-{d}-{part}"] for d in range(a, b)), strict=True)
+            ]
+            for part in parts
+        }
+        for a, b in pairwise(first)
+    ]
+
+
+def map_identity(fleets: Fleets, controllers: Sequence[Controller], *settings: MapSettings) -> dict[str, Any]:
+    """Return what must be equal for unfinished maps to be continued."""
     return {
         "version_of_sysid": __version__,
         "parameter_set": digest([[dict(d.gear), dict(d.motor), d.surface] for f in fleets for d in f]),
-        "controller": [controller.document() for controller in controllers],
-        "grid_or_rule": settings.document(),
+        "controller": [asdict(controller) for controller in controllers],
+        "grid_or_rule": [asdict(grid) for grid in settings],
     }
 
 
 def landing_maps(
-    fleets: Sequence[Sequence[Drone]],
+    fleets: Fleets,
     controllers: Sequence[Controller],
     settings: MapSettings | None = None,
     how: Computing | None = None,
 ) -> tuple[LandingMap, ...]:
-    """Compute the map of every surface under every controller.
+    """Compute the map of every surface under every controller: fleet by fleet, controller by controller.
 
-    Parameters
-    ----------
-    fleets : sequence of sequences of Drone
-        The sets of each surface, for example five on low and five on high friction.
-    settings : MapSettings, optional
-        The paper's grid without.
-    how : Computing, optional
-        Where it is computed, and what is kept; this process and nothing by default.
-
-    Returns
-    -------
-    tuple of LandingMap
-        Fleet by fleet, controller by controller; empty where the work was stopped.
+    `fleets` are the sets of each surface. The paper's grid is the default. `how` says where the maps are
+    computed and what is kept: this process and nothing by default. Where the work was stopped there are none.
     """
-    settings = settings or MapSettings()
-    all_drones = tuple(drone for fleet in fleets for drone in fleet)
+    settings, how = settings or MapSettings(), how or Computing()
     cells = np.array([(cell.slope, cell.speed) for cell in settings.cells()])
-    how = how or Computing()
-    work = LandingWork(all_drones, tuple(controllers), settings, how.threads)
-    blocks = {
-        f"set-{d + 1}-controller-{c + 1}": np.column_stack(
-            [np.full(len(cells), float(d)), np.full(len(cells), float(c)), cells]
-        )
-        for d in range(len(all_drones))
-        for c in range(len(controllers))
-    }
-    done = how.blocks(work, blocks)
-    if len(done) < len(blocks):
-        return ()
-    axes = np.array(settings.slopes_deg), np.array(settings.speeds)
-    shape = (len(axes[0]), len(axes[1]))
+    work = LandingWork(
+        tuple(drone for fleet in fleets for drone in fleet), tuple(controllers), settings, how.threads
+    )
+    parts = {f"controller-{c + 1}": np.insert(cells, 0, c, axis=1) for c in range(len(controllers))}
     out = []
-    first = 0
-    for fleet in fleets:
-        for c, controller in enumerate(controllers):
-            parts = [done[f"set-{first + s + 1}-controller-{c + 1}"] for s in range(len(fleet))]
-            columns = [np.array([part[k].reshape(shape) for part in parts]) for k in range(4)]
-            out.append(
-                LandingMap(
-                    fleet[0].surface, controller.label, tuple(drone.name for drone in fleet),
-                    *axes, *columns, checked=settings.check,
-                )
-            )  # fmt: skip
-        first += len(fleet)
+    for fleet, columns in zip(fleets, columns_of_fleets(work, fleets, parts, how), strict=False):
+        names, shape = tuple(drone.name for drone in fleet), (len(fleet), len(settings.slopes_deg), -1)
+        for controller, part in zip(controllers, parts, strict=True):
+            found = [column.reshape(shape) for column in columns[part]]
+            head = (fleet[0].surface, controller.label, names, *settings.axes)
+            out.append(LandingMap(*head, *found, checked=settings.check))
     return tuple(out)

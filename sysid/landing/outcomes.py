@@ -7,10 +7,9 @@ with every result.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from enum import IntEnum
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,15 +102,6 @@ class Rules:
     def ending(self, at: Literal["clock", "rest", "both feet"]) -> Ending:
         """Return the rules in the form that the kernel takes."""
         return Ending(at, self.rest_speed, self.rest_turn, self.rest_time, self.flip_angle)
-
-    def document(self) -> dict[str, Any]:
-        """Return the numbers by name, ready for JSON [SI]."""
-        return asdict(self)
-
-    @classmethod
-    def of(cls, document: Mapping[str, Any]) -> Rules:
-        """Return the rules that `document` wrote."""
-        return cls(**{name: float(value) for name, value in document.items()})
 
     def classes(
         self, distance: FloatArray, rest: FloatArray, flip: FloatArray, lost: BoolArray

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,10 +55,6 @@ class Scenario:
         depth = drone.value("foot_dx") * abs(math.sin(turn)) + drone.value("foot_dz") * math.cos(turn)
         height = depth / math.cos(self.slope)
         return np.array([0.0, height, self.pitch, self.horizontal_speed, -self.speed, self.pitch_rate])
-
-    def document(self) -> dict[str, Any]:
-        """Return the numbers by name, ready for JSON [SI]."""
-        return asdict(self)
 
 
 def grid(slopes: ArrayLike, speeds: ArrayLike, **others: float) -> list[Scenario]:

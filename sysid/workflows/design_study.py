@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sysid.errors import ExportError
 from sysid.journal import Say
-from sysid.landing.controllers import Controller
-from sysid.landing.design_store import write_study
 from sysid.landing.design_study import (
     LOWER_BOUNDS,
     DesignStudy,
@@ -22,14 +19,13 @@ from sysid.landing.design_study import (
     fleets_of,
 )
 from sysid.landing.maps import MapSettings, map_identity
+from sysid.landing.store import write_study
 from sysid.report.design_figures import figure_design_study
 from sysid.report.drawing import save_figure
 from sysid.report.fold import print_result, print_table
 from sysid.report.landing_tables import gains_table
-from sysid.resume import BlockStore, Computing
+from sysid.resume import Computing
 from sysid.workflows.landing_sources import (
-    BlockProgress,
-    Fleets,
     check_result,
     chosen_controllers,
     compute_and_write,
@@ -68,38 +64,17 @@ def study_designs(options: DesignStudyOptions, say: Say = None) -> DesignStudy |
         name = fleet[0].name.removesuffix(" set 1")
         return design_study(name, fleet, changes, controller, settings, where)
 
-    def write(study: DesignStudy) -> DesignStudy:
-        write_study(options.out, study, origin | {"controller": controller.document()})
+    def write(study: DesignStudy) -> None:
+        write_study(options.out, study, origin | {"controller": asdict(controller)})
         save_figure(figure_design_study(study), picture)
-        return study
 
-    blocks = len(settings.grids()) * len(points) * len(fleet)
-    progress = BlockProgress(blocks, "landings", how.quiet or how.json)
-    stores = _stores(options, fleets, controller, settings)
-    study: DesignStudy | None = compute_and_write(
-        options.out, stores, compute, write, progress=progress, options=how, say=say
-    )
+    grids = settings.grids()
+    identity = map_identity(fleets, [controller], *grids)
+    blocks = (len(grids) * len(points) * len(fleet), "landings")
+    study = compute_and_write(options.out, identity, blocks, compute, write, options=how, say=say)
     if study is not None:
         _print(study, options, picture, say)
     return study
-
-
-def _stores(
-    options: DesignStudyOptions, fleets: Fleets, controller: Controller, settings: StudySettings
-) -> Iterator[BlockStore]:
-    """Open where the finished blocks of each of the study's maps are kept."""
-    how, grids = options.compute, settings.grids()
-    parts = [options.out]
-    if len(grids) > 1:
-        out = options.out
-        parts = [out.with_name(f"{out.stem}.{n}{out.suffix}") for n in range(1, len(grids) + 1)]
-    if how.resume and not any(BlockStore.folder_of(part).is_dir() for part in parts):
-        raise ExportError(f"{options.out}: nothing unfinished to continue is there; start without --resume")
-    for part, grid in zip(parts, grids, strict=True):
-        # A study that was stopped early may have no block of its later maps.
-        begun = BlockStore.kept(BlockStore.folder_of(part))
-        identity = map_identity(fleets, [controller], grid)
-        yield BlockStore(part, identity, resume=how.resume and begun, force=how.force)
 
 
 def _print(study: DesignStudy, options: DesignStudyOptions, picture: Path, say: Say) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -151,9 +152,9 @@ def _hdf5(
 ) -> None:
     first = landings[0]
     settings = {
-        "scenario": [landing.scenario.document() for landing in landings],
-        "controller": first.controller.document(),
-        "rules": first.rules.document(),
+        "scenario": [asdict(landing.scenario) for landing in landings],
+        "controller": asdict(first.controller),
+        "rules": asdict(first.rules),
     }
     put_json(file, "settings_json", settings)
     put_json(file, "provenance_json", sources)

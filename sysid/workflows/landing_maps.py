@@ -14,21 +14,19 @@ from sysid.journal import Say
 from sysid.landing.controllers import Controller
 from sysid.landing.drone import Drone
 from sysid.landing.impulse import ImpulseSettings, rear_command
-from sysid.landing.impulse_maps import after_impulses, impulse_identity, impulse_maps
-from sysid.landing.map_store import MapFile, summary, write_maps
-from sysid.landing.maps import LandingMap, MapSettings, landing_maps, map_identity
+from sysid.landing.impulse_maps import after_impulses, impulse_maps
+from sysid.landing.maps import Fleets, LandingMap, MapSettings, landing_maps, map_identity
 from sysid.landing.outcomes import OUTCOMES
 from sysid.landing.real_landings import Experiment, confusion, of_map, read_experiments, strangers
 from sysid.landing.static_limits import ramp_limit, rigid_limits
+from sysid.landing.store import MapFile, summary, write_maps
 from sysid.landing.thrust import Motors
 from sysid.report.drawing import save_figure
 from sysid.report.fold import print_lines, print_result, print_table
 from sysid.report.landing_figures import DrawnLimits, figure_impulse, figure_landing_maps
 from sysid.report.table import Column, Table, numbers, table, words
-from sysid.resume import BlockStore, Computing
+from sysid.resume import Computing
 from sysid.workflows.landing_sources import (
-    BlockProgress,
-    Fleets,
     check_result,
     chosen_controllers,
     compute_and_write,
@@ -57,21 +55,20 @@ def compute_landing_maps(options: LandingMapOptions, say: Say = None) -> MapFile
 
     def compute(how: Computing) -> MapFile | None:
         maps = landing_maps(fleets, controllers, settings, how)
-        document = settings.document() | {
-            "controllers": [controller.document() for controller in controllers]
-        }
+        document = asdict(settings) | {"controllers": [asdict(controller) for controller in controllers]}
         if options.experiments:
             document["real landings"] = [asdict(landing) for landing in real]
         return MapFile(maps, (), document, origin) if maps else None
 
-    def write(content: MapFile) -> MapFile:
+    def write(content: MapFile) -> None:
         write_maps(options.out, content)
         _draw_maps(content, picture, settings, static_lines(fleets, controllers), real)
-        return content
 
     identity = map_identity(fleets, controllers, settings)
-    blocks = sum(len(fleet) for fleet in fleets) * len(controllers)
-    content = _computed(options, identity, (blocks, "landings"), compute, write, say)
+    blocks = (sum(map(len, fleets)) * len(controllers), "landings")
+    content = compute_and_write(
+        options.out, identity, blocks, compute, write, options=options.compute, say=say
+    )
     if content is not None:
         _print(content, options, picture, real if options.experiments else None, say)
     return content
@@ -95,18 +92,19 @@ def compute_impulse_maps(options: ImpulseMapOptions, say: Say = None) -> MapFile
 
     def compute(how: Computing) -> MapFile | None:
         best, maps = impulse_maps(fleets, settings, impulses, how)
-        document = settings.document() | {"impulses": impulses.document()}
+        document = asdict(settings) | {"impulses": asdict(impulses)}
         return MapFile(maps, best, document, origin) if maps else None
 
-    def write(content: MapFile) -> MapFile:
+    def write(content: MapFile) -> None:
         write_maps(options.out, content)
         save_figure(figure_impulse(content.impulses), impulse_picture)
         _draw_maps(content, picture, settings, static_lines(fleets, after_impulses(impulses)), ())
-        return content
 
-    identity = impulse_identity(fleets, settings, impulses)
-    blocks = sum(len(fleet) for fleet in fleets) * len(settings.slopes_deg)
-    content = _computed(options, identity, (blocks, "cells"), compute, write, say)
+    identity = map_identity(fleets, (), settings) | {"impulse_search": asdict(impulses)}
+    blocks = (sum(map(len, fleets)) * len(settings.slopes_deg), "cells")
+    content = compute_and_write(
+        options.out, identity, blocks, compute, write, options=options.compute, say=say
+    )
     if content is None:
         return None
     tried = sum(best.optimum["delay"].size for best in content.impulses) * impulses.combinations
@@ -132,24 +130,6 @@ def _warn_of_strangers(
             f"warning: {path}: {sum(lost.values())} of {len(real)} real landings belong to no "
             f"map and are left out: {names}; the maps are {known}"
         )
-
-
-def _computed(
-    options: LandingMapOptions | ImpulseMapOptions,
-    identity: dict[str, Any],
-    size: tuple[int, str],
-    compute: Any,
-    write: Any,
-    say: Say,
-) -> MapFile | None:
-    """Compute blocks of a size and write the maps; None if stopped."""
-    how = options.compute
-    stores = [BlockStore(options.out, identity, resume=how.resume, force=how.force)]
-    progress = BlockProgress(*size, how.quiet or how.json)
-    content: MapFile | None = compute_and_write(
-        options.out, stores, compute, write, progress=progress, options=how, say=say
-    )
-    return content
 
 
 def static_lines(fleets: Fleets, controllers: Sequence[Controller]) -> dict[tuple[str, str], DrawnLimits]:

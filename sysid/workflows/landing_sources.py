@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,8 +18,9 @@ from sysid.errors import CampaignError, ExportError
 from sysid.fit.stopping import stop_on_interrupt
 from sysid.journal import Say
 from sysid.landing.controllers import Controller, find_controller, load_controllers
-from sysid.landing.drone import PAIRINGS, Drone, drones
+from sysid.landing.drone import PAIRINGS, drones
 from sysid.landing.impact_sensor import Sensing
+from sysid.landing.maps import Fleets
 from sysid.landing.outcomes import Rules
 from sysid.parallel import executor
 from sysid.parameter_sets import ParameterSets
@@ -29,9 +30,7 @@ from sysid.storage import check_file
 from sysid.workflows.options import ComputeOptions, MotorOptions, RulesOptions
 from sysid.workflows.show import load_sets
 
-Fleets = Sequence[Sequence[Drone]]
 Computed = TypeVar("Computed")
-Written = TypeVar("Written")
 
 # Between two plain lines [s].
 _PLAIN = 10.0
@@ -123,41 +122,39 @@ def check_result(what: str, out: Path, force: bool, *pictures: Path) -> None:
 
 def compute_and_write(
     out: Path,
-    stores: Iterable[BlockStore],
+    identity: Mapping[str, Any],
+    blocks: tuple[int, str],
     compute: Callable[[Computing], Computed | None],
-    write: Callable[[Computed], Written],
+    write: Callable[[Computed], object],
     *,
-    progress: BlockProgress,
     options: ComputeOptions,
     say: Say,
-) -> Written | None:
-    """Compute with progress and write to `out`; Ctrl-C keeps the finished blocks, which go in the end.
+) -> Computed | None:
+    """Compute with progress and write to `out`. Ctrl-C keeps the finished blocks for `--resume`.
 
-    The `stores` are opened one after the other. `compute` returns None if it was stopped.
+    `identity` must be equal for the computation to be continued. `blocks` is their number and what a block
+    counts. `compute` and this function return None where the computation was stopped.
     """
     tell = say or (lambda sentence: None)
-    opened: list[BlockStore] = []
-    with ExitStack() as stack:
-        for store in stores:
-            stack.callback(store.close)
-            opened.append(store)
+    store = BlockStore(out, identity, resume=options.resume, force=options.force)
+    progress = BlockProgress(*blocks, options.quiet or options.json)
+    with closing(store):
         with executor(options.dask, _AT_ONCE) as where, stop_on_interrupt(progress.on_stop) as stop, progress:
             threads = 1 if options.dask is not None else options.threads
-            result = compute(Computing(where, threads, tuple(opened), progress.on_block, stop))
-        for note in (note for store in opened for note in store.notes):
+            result = compute(Computing(where, threads, store, progress.on_block, stop))
+        for note in store.notes:
             tell(f"warning: {note}")
         if result is None:
             tell(f"stopped: the finished blocks are kept beside {out}; continue with --resume")
             return None
         try:
-            written = write(result)
+            write(result)
         except BaseException:
             computed = f"{out} is written, " if out.exists() else ""
             tell(f"{computed}the finished blocks are kept beside it; go on with --resume --force")
             raise
-        for store in opened:
-            store.discard()
-        return written
+        store.discard()
+        return result
 
 
 class BlockProgress:

@@ -233,15 +233,14 @@ def test_ties_go_to_the_attitude_then_to_no_impulse():
 @pytest.mark.parametrize("surface", ["lf", "hf"])
 def test_maps_equal_on_one_and_two_threads_and_in_any_order(surface):
     cells = grid(np.radians([2.0, 14.0, 24.0, 36.0]), [0.1, 0.7, 1.4])
-    rows = np.array([(0.0, c, cell.slope, cell.speed) for c in range(2) for cell in cells])
-    told = (find_controller("off"), find_controller("reverse"))
-    settings = MapSettings(check=False)
-    one = LandingWork((published(surface),), told, settings, threads=1)(rows)
-    two = LandingWork((published(surface),), told, settings, threads=2)(rows)
-    back = LandingWork((published(surface),), told, settings)(rows[::-1])
-    for a, b, c in zip(one, two, back, strict=True):
-        np.testing.assert_array_equal(a, b)
-        np.testing.assert_array_equal(a, c[::-1])
+    controllers = (find_controller("off"), find_controller("reverse"))
+    work = (published(surface),), controllers, MapSettings(check=False)
+    for number in range(2):
+        rows = np.array([(0.0, number, cell.slope, cell.speed) for cell in cells])
+        one, two = (LandingWork(*work, threads=threads)(rows) for threads in (1, 2))
+        for a, b, c in zip(one, two, LandingWork(*work)(rows[::-1]), strict=True):
+            np.testing.assert_array_equal(a, b)
+            np.testing.assert_array_equal(a, c[::-1])
 
 
 def test_borders_that_physics_fixes():

@@ -6,11 +6,11 @@ import math
 import numpy as np
 import pytest
 
+from fakes.landing_files import read_study
 from fakes.printed import printed
 from sysid.errors import CampaignError, ExportError
 from sysid.export import export
 from sysid.export.published import table_1, table_2
-from sysid.landing.design_store import read_study, write_study
 from sysid.landing.design_study import (
     Change,
     DesignStudy,
@@ -23,6 +23,7 @@ from sysid.landing.design_study import (
 from sysid.landing.drone import drones
 from sysid.landing.maps import LandingWork
 from sysid.landing.outcomes import Outcome, Rules
+from sysid.landing.store import write_study
 from sysid.motor.pair_thrust import thrust_history
 from sysid.report.design_figures import figure_design_study
 from sysid.report.drawing import save_figure
@@ -270,7 +271,7 @@ def test_a_study_warns_of_lost_landings(files, monkeypatch, run):
         (("--vary", "k_t=1:2:3,dx_f=1:2:2,b_t=1:2:2", "--together"), "exactly two"),
         (("--vary", "k_t=1:2:3", "--share", "0"), "share of 0"),
         (("--vary", "k_t=1:2:3", "--slopes", "5"), "two or more"),
-        (("--vary", "k_t=1:2:3", "--resume"), "nothing unfinished"),
+        (("--vary", "k_t=1:2:3", "--resume"), "nothing to continue"),
         (("--vary", "k_t=1:2:3", "--controller", "fly"), "no controller"),
         (("--vary", "k_t=1:2:3", "--controller", "impulse:50,100"), "only 3 s are simulated"),
         (("--vary", "reversal_delay=-1s:0s:2"), "pause for"),

@@ -9,9 +9,9 @@ import h5py
 import numpy as np
 import pytest
 
+from fakes.landing_files import read_maps
 from fakes.places import PUBLISHED
 from sysid import resume as blocks
-from sysid.landing.map_store import read_maps
 from sysid.landing.maps import LandingWork
 from sysid.landing.outcomes import Outcome
 from sysid.workflows import landing_sources

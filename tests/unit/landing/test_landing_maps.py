@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 from matplotlib.collections import QuadMesh
 
+from fakes.landing_files import read_maps
 from fakes.printed import printed
 from sysid.errors import CampaignError, ExportError, LogError
 from sysid.landing.impulse import ImpulseSettings
 from sysid.landing.impulse_maps import OPTIMUM, UNITS, ImpulseMap
-from sysid.landing.map_store import MapFile, read_maps, summary, write_maps
 from sysid.landing.maps import SLOPES_DEG, SPEEDS, LandingMap, MapSettings, cell_edges, nearest_cell
 from sysid.landing.outcomes import Outcome
 from sysid.landing.real_landings import Experiment, confusion, of_map, read_experiments
+from sysid.landing.store import MapFile, summary, write_maps
 from sysid.report.drawing import save_figure
 from sysid.report.landing_figures import DrawnLimits, MapLegend, figure_impulse, figure_landing_maps
 from sysid.resume import BlockStore, Computing
@@ -68,13 +69,13 @@ def test_blocks_stop_and_go_on(tmp_path):
     result = tmp_path / "map.h5"
     work = Squares()
     store = BlockStore(result, {"grid": 1})
-    stopping = Computing(stores=(store,), stop=lambda: work.calls >= 2)
+    stopping = Computing(store=store, stop=lambda: work.calls >= 2)
     part = stopping.blocks(work, BLOCKS)
     store.close()
     assert 2 <= len(part) < len(BLOCKS)
     again, seen = Squares(), []
     store = BlockStore(result, {"grid": 1}, resume=True)
-    whole = Computing(stores=(store,), on_block=lambda rows, new: seen.append(new)).blocks(again, BLOCKS)
+    whole = Computing(store=store, on_block=lambda rows, new: seen.append(new)).blocks(again, BLOCKS)
     assert again.calls == len(BLOCKS) - len(part)
     assert seen.count(False) == len(part)
     for name, rows in BLOCKS.items():
@@ -87,7 +88,7 @@ def test_blocks_stop_and_go_on(tmp_path):
 def test_blocks_that_are_damaged_are_computed_again(tmp_path):
     result = tmp_path / "map.h5"
     store = BlockStore(result, {})
-    Computing(stores=(store,)).blocks(Squares(), BLOCKS)
+    Computing(store=store).blocks(Squares(), BLOCKS)
     store.close()
     folder = BlockStore.folder_of(result)
     cut = folder / "block-0.npz"
@@ -98,7 +99,7 @@ def test_blocks_that_are_damaged_are_computed_again(tmp_path):
     flipped.write_bytes(data)
     work = Squares()
     store = BlockStore(result, {}, resume=True)
-    found = Computing(stores=(store,)).blocks(work, BLOCKS)
+    found = Computing(store=store).blocks(work, BLOCKS)
     store.close()
     assert work.calls == 2
     assert len(store.notes) == 2
@@ -113,7 +114,7 @@ def test_blocks_are_never_mixed_up(tmp_path):
     store = BlockStore(result, {"controller": "off"})
     with pytest.raises(ExportError, match="another process"):
         BlockStore(result, {"controller": "off"})
-    Computing(stores=(store,)).blocks(Squares(), BLOCKS)
+    Computing(store=store).blocks(Squares(), BLOCKS)
     store.close()
     with pytest.raises(ExportError, match="continue it with --resume"):
         BlockStore(result, {"controller": "off"})

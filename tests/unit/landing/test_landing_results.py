@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fakes.landing_files import read_maps
 from fakes.places import PUBLISHED
 from sysid.errors import CampaignError, ExportError
 from sysid.export.published import table_1, table_2
@@ -15,7 +16,6 @@ from sysid.landing.controllers import find_controller, load_controllers, name_of
 from sysid.landing.drone import drones
 from sysid.landing.impulse import Impulses, ImpulseSettings
 from sysid.landing.impulse_maps import variants
-from sysid.landing.map_store import read_maps
 from sysid.landing.outcomes import Outcome, Rules
 from sysid.landing.real_landings import Experiment, read_experiments, strangers
 from sysid.landing.scenario import Scenario

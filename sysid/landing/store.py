@@ -1,21 +1,23 @@
-"""Maps on disk: one HDF5 file with every set's outcome, the shares, the means, and how it all came about."""
+"""Maps and design studies on disk: HDF5 files with every landing's outcome, and how it came about."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sysid.errors import ExportError
+from sysid.landing.design_study import DesignStudy
 from sysid.landing.impulse_maps import UNITS, ImpulseMap
 from sysid.landing.maps import CellMap, LandingMap
 from sysid.landing.outcomes import OUTCOMES, Outcome
-from sysid.storage import FileKind, get_json, get_texts, numbered, put, put_json, put_texts, write_file
+from sysid.storage import FileKind, put, put_json, put_texts, write_file
 
 MAPS = FileKind("sysid-landing-maps", 1, "a file of landing maps", "compute the map again", ExportError)
+STUDY = FileKind("sysid-design-study", 1, "a design study", "compute the study again", ExportError)
 # Touchdown speeds of a summary [m/s].
 _USUAL_SPEEDS = (0.3, 0.6, 1.0, 1.5)
 
@@ -32,11 +34,11 @@ class MapFile:
 
 def write_maps(path: Path, content: MapFile) -> Path:
     """Write the file whole or not at all."""
-    write_file(path, MAPS.content(lambda file: _write(file, content)), ExportError)
+    write_file(path, MAPS.content(lambda file: _put_maps(file, content)), ExportError)
     return path
 
 
-def _write(file: Any, content: MapFile) -> None:
+def _put_maps(file: Any, content: MapFile) -> None:
     cells, means = "set, slope, speed", "slope, speed"
     put_json(file, "settings_json", content.settings)
     put_json(file, "provenance_json", content.provenance)
@@ -70,36 +72,34 @@ def _group(file: Any, name: str, cells: CellMap) -> Any:
     return group
 
 
-def read_maps(path: str | Path) -> MapFile:
-    """Return what a file of `write_maps` holds; refuse any other file."""
-    with MAPS.opened(path) as file:
-        return MapFile(
-            tuple(map(_read_map, numbered(file, "maps"))),
-            tuple(map(_read_impulse, numbered(file, "impulses"))),
-            get_json(file, "settings_json"),
-            get_json(file, "provenance_json"),
-        )
+def write_study(path: Path, study: DesignStudy, provenance: Mapping[str, Any]) -> Path:
+    """Write the file whole or not at all."""
+    write_file(path, STUDY.content(lambda file: _put_study(file, study, provenance)), ExportError)
+    return path
 
 
-def _head(group: Any) -> dict[str, Any]:
-    return {
-        "surface": str(group.attrs["surface"]),
-        "controller": str(group.attrs["controller"]),
-        "sets": tuple(get_texts(group, "sets")),
-        "slopes_deg": group["slope"][()],
-        "speeds": group["speed"][()],
+def _put_study(file: Any, study: DesignStudy, provenance: Mapping[str, Any]) -> None:
+    settings = study.settings
+    file.attrs["name"], file.attrs["controller"] = study.name, study.controller
+    document = {
+        "changes": [asdict(change) for change in study.changes],
+        "share": settings.share,
+        "spread_deg": settings.spread_deg,
+        "together": settings.together,
+        "tolerance": settings.maps.tolerance,
+        "rules": asdict(settings.maps.rules),
     }
-
-
-def _read_map(group: Any) -> LandingMap:
-    arrays = {name: group[name][()] for name in ("outcome", "distance", "time")}
-    checked = bool(group.attrs["checked"])
-    uncertain = group["uncertain"][()] if checked else np.zeros(arrays["outcome"].shape, dtype=bool)
-    return LandingMap(**_head(group), **arrays, uncertain=uncertain, checked=checked)
-
-
-def _read_impulse(group: Any) -> ImpulseMap:
-    return ImpulseMap(**_head(group), optimum={name: group[name][()] for name in UNITS})
+    put_json(file, "settings_json", document)
+    put_json(file, "provenance_json", provenance)
+    labels = ", ".join(change.label for change in study.changes)
+    put(file, "slope", settings.slopes_deg, "slope", "deg")
+    put(file, "speed", settings.speeds, "speed", "m/s")
+    put(file, "designs", study.points, "design, change", f"columns: {labels}")
+    put(file, "landed", study.landed, "design, slope, speed")
+    put(file, "largest_safe_slope", study.steepest, "design, speed", "deg")
+    put(file, "landable", study.landable, "design, speed", "deg")
+    put(file, "at_edge", study.at_edge, "design, speed")
+    put(file, "lost", study.lost, "design", "landings")
 
 
 def summary(maps: Sequence[LandingMap]) -> list[dict[str, Any]]:
