@@ -1,9 +1,9 @@
 """The second stage of a motor fit: current and speed of the dead band, from trials that change direction.
 
-The paper set both by hand. Everything that the dynamic fit found stays as it is, so that the dead band cannot
-hide in R and L. A reversal determines best the ratio Ω_min/I_sat, which is the time the rotor needs to leave
-the band. The command delay of each reversal log is free as well: braking shows it before the rotor reaches
-the band. Without a reversal to fit, starts from rest serve: they pass the same band once.
+The paper set both by hand. The values of the dynamic fit stay, so that the dead band cannot hide in R and L.
+A reversal determines best the ratio Ω_min/I_sat, which is the time the rotor needs to leave the band. The
+command delay of each reversal log is free as well: braking shows it before the rotor reaches the band.
+Without a reversal to fit, starts from rest serve: they pass the same band once.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sysid.fit.breeders.algorithms import DEFAULT_ALGORITHM
 from sysid.fit.search import Hooks, SearchSettings, run_one
 from sysid.motor.known_values import SATURATION, Bench
 from sysid.motor.log_delays import delay_name
-from sysid.motor.model import PARAMETERS, simulate
+from sysid.motor.model import PARAMETERS, simulate, unpack
 from sysid.motor.problem import MotorProblem
 from sysid.motor.targets import filtered
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
@@ -48,10 +48,9 @@ _DELAY_GRID = 5e-4
 class SaturationFit:
     """The fitted dead band, set by set.
 
-    `free` are the rows with the bounds that were searched, `shown_by` is "reversals" or "starts from rest".
-    `values` (S, n) are of those rows [SI]; `at_bound` is -1 within 1 % of the lower bound, +1 of the upper,
-    else 0. `nrmse` and `without` (S,) are over the trials with the fitted dead band and with none
-    (I_sat = ∞) [1].
+    `free` are the n rows with the bounds that were searched, `shown_by` is "reversals" or "starts from rest".
+    `values` (S, n) are in [SI]; `at_bound` is -1 within 1 % of the lower bound, +1 of the upper, else 0.
+    `nrmse` and `without` (S,) are over the trials with the fitted dead band and with none (I_sat = ∞) [1].
     """
 
     free: tuple[Parameter, ...]
@@ -66,7 +65,7 @@ class SaturationFit:
     def document(self) -> dict[str, Any]:
         """Return what a result states of the stage."""
         return {
-            "stage": "after the dynamic fit, all else held",
+            "stage": "after the dynamic fit, all other values fixed",
             "free": [row.name for row in self.free],
             "trials": list(self.trials),
             "shown by": self.shown_by,
@@ -85,28 +84,20 @@ def fit_saturation(
 ) -> SaturationFit | None:
     """Fit I_sat and Ω_min of every set to the reversal trials.
 
-    `problem` is that of the dynamic fit; the bounds of its campaign count, and fixed values stay. `rows`
-    (S, n_table) are its sets [SI], with one of the `seeds` each. Algorithm, finisher and stop rule of the
-    first stage serve the second, but not CMA-ES alone. None where there is nothing to fit: no trial shows the
-    dead band, or both numbers are given.
-
-    Raises
-    ------
-    CampaignError
-        As `saturation_space`.
+    `rows` (S, n_table) are the sets of the dynamic fit [SI], with one of the `seeds` each. Algorithm,
+    finisher and stop rule of the first stage serve the second, but not CMA-ES alone. None where no trial
+    shows the dead band, or both numbers are given. CampaignError as `saturation_space`.
     """
     campaign, bench, table = problem.campaign, problem.bench, problem.space.table
     trials = bench.banded
-    first = saturation_space(campaign, bench, table, named(table, rows[0]))
-    if first is None:
-        return None
+    spaces = [saturation_space(campaign, bench, table, unpack(row, table)) for row in rows]
     stop = replace(settings.stop, time_limit=None, max_evaluations=None)
     if settings.algorithm == "cmaes":
         settings = replace(settings, algorithm=DEFAULT_ALGORITHM, finish="cmaes")
     values, costs, without, flags, count = [], [], [], [], 0
-    for row, seed in zip(rows, seeds, strict=True):
-        space = saturation_space(campaign, bench, table, named(table, row))
-        assert space is not None
+    for space, seed in zip(spaces, seeds, strict=True):
+        if space is None:
+            return None
         objective = MotorProblem.build(campaign, space, bench, trials, problem.threads)
         probes = objective.evaluate(np.random.default_rng(seed).random((_PROBES, len(space.free)))).cost
         if np.ptp(probes) <= _FELT * probes.min():
@@ -119,10 +110,9 @@ def fit_saturation(
         ideal = replace(objective, ideal_reversal=True)
         without.append(float(ideal.evaluate(run.best_point[None]).cost[0]))
         count += run.evaluations
-    turned = trials[0].entry.direction == "reversal"
-    shown_by = "reversals" if turned else "starts from rest"
+    shown_by = "reversals" if trials[0].entry.direction == "reversal" else "starts from rest"
     return SaturationFit(
-        first.free, tuple(t.entry.name for t in trials), shown_by, np.array(values),
+        objective.space.free, tuple(t.entry.name for t in trials), shown_by, np.array(values),
         np.array(flags, dtype=np.int8), np.array(costs), np.array(without), count,
     )  # fmt: skip
 
@@ -151,20 +141,13 @@ def edges_that_serve(
     around = np.append(np.geomspace(0.5, 2.0, _CURRENTS), 1.0) * ratio * edges[:, None]
     over = np.broadcast_to(np.geomspace(current.lower, current.upper, _CURRENTS), (edges.size, _CURRENTS))
     currents = np.clip(np.hstack([around, over]), current.lower, current.upper)
-    rows = np.repeat(row[None], currents.size, axis=0)
-    rows[:, column[edge.name]] = np.repeat(edges, currents.shape[1])
-    rows[:, column[current.name]] = currents.ravel()
-    space = SearchSpace(table, (), dict(zip(table, row.tolist(), strict=True)))
+    space = SearchSpace(table, (), unpack(row, table))
     objective = MotorProblem.build(problem.campaign, space, bench, bench.banded, problem.threads)
-    cost = objective.cost.mean(objective.score(rows).by_channel).reshape(currents.shape).min(axis=1)
+    tried = {edge.name: np.repeat(edges, currents.shape[1]), current.name: currents.ravel()}
+    cost = objective.nrmse_with(row, **tried).reshape(currents.shape).min(axis=1)
     serve = edges[cost <= (1.0 + _LIMIT) * cost.min()]
     lowest, highest = float(serve.min()), float(serve.max())
     return (lowest, highest) if highest > _WIDE * lowest else None
-
-
-def named(table: ParameterTable, row: FloatArray) -> dict[str, float]:
-    """Return the numbers of a row (n_table,) by name [SI]."""
-    return dict(zip(table, (float(value) for value in row), strict=True))
 
 
 def reversal_delays(campaign: MotorCampaign, bench: Bench, best: Mapping[str, float]) -> list[dict[str, Any]]:

@@ -4,35 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from sysid.fit.problem import Course
+from sysid.fit.problem import Course, Outcome
 from sysid.fit.result import RankedSets
 from sysid.fit.stopping import CutReason, CutShort
-from sysid.journal import notice, tell
+from sysid.journal import Finding, notice, tell
+from sysid.motor.bench_logs import command_range
 from sysid.motor.dead_band import (
     SaturationFit,
     edges_that_serve,
     fit_saturation,
-    named,
     reversal_delays,
     saturation_space,
 )
 from sysid.motor.inertia import spike_inertia
-from sysid.motor.known_values import CONSTANTS, SATURATION, Bench, untested_rows
-from sysid.motor.ladder import climb, ladder_sentences
-from sysid.motor.log_delays import averaged, delay_name
-from sysid.motor.model import PARAMETERS, unpack
-from sysid.motor.problem import MotorProblem
+from sysid.motor.known_values import CONSTANTS, SATURATION, untested_rows
+from sysid.motor.ladder import climb, ladder_doubt
+from sysid.motor.log_delays import MEAN_SOURCE, averaged, delay_name, log_rows
+from sysid.motor.model import PARAMETERS, invariants, unpack
+from sysid.motor.problem import FIT_TOLERANCE, MotorProblem
 from sysid.motor.profile import profile
 from sysid.motor.static_curves import CurveFit
-from sysid.parameter_sets import COMBINATIONS, NOT_ALONE
+from sysid.parameter_sets import COMBINATIONS, NOT_ALONE, ParameterRecord, parameter_records
 from sysid.parameters import SearchSpace
 from sysid.types import FloatArray
 
-_INDEX = PARAMETERS.index
 # The delay of a held-out log is looked for in these steps [s], this number of steps to either side.
 _DELAY_STEPS, _DELAY_REACH = (4e-3, 4e-4, 1e-4), 20
 _LADDER, _PROFILES, _PROFILED = "ladder", "profiles", "viscous_damping"
@@ -40,217 +39,18 @@ _WHY: dict[CutReason, str] = {
     "interrupted": "the fit was interrupted",
     "time": "the time limit ended the fit",
 }
-
-
-class After(NamedTuple):
-    """What follows the search: the sets ranked by `nrmse`, and their rows (S, n_table) [SI].
-
-    Rows have the dead band and the delays of logs. `nrmse` (S,) is that of the final values over the fitted
-    forward and reverse trials, starts from rest included. `settings` go into the result.
-    """
-
-    sets: RankedSets
-    rows: FloatArray
-    nrmse: FloatArray
-    saturation: SaturationFit | None
-    settings: dict[str, Any]
-    cut: CutReason | None
-
-
-def after_the_search(problem: MotorProblem, course: Course) -> After:
-    """Fit the dead band, score the final sets, climb the ladder, walk the profile, notice what is doubtful.
-
-    Where the fit is cut short, by now or in one of these steps, what is missing is noticed and left to
-    ``--resume``.
-    """
-    cut = course.cut
-    if cut is None:
-        try:
-            return _all_that_follows(problem, course)
-        except CutShort as error:
-            cut = error.reason
-    rows = averaged(problem.space, problem.complete(course.sets.values))
-    sets, rows, nrmse, _ = _ranked(course.sets, rows, None, _whole(problem))
-    settings: dict[str, Any] = {"saturation": {"stage": "not fitted", "why": _WHY[cut]}}
-    _notice_cut(cut, problem.space, banded=False, done=settings)
-    if not problem.bench.scale_known:
-        settings |= _scale_free(_is_given(problem))
-    return After(sets, rows, nrmse, None, settings, cut)
-
-
-def _whole(problem: MotorProblem) -> MotorProblem:
-    """Return the trials of the dynamic fit, starts from rest included."""
-    return problem.only([trial.entry.name for trial in problem.bench.fitted])
-
-
-def _is_given(problem: MotorProblem) -> bool:
-    """Return whether the campaign states the dead band."""
-    return set(SATURATION) <= {*problem.bench.measured, *problem.campaign.parameters.fixed}
-
-
-def _all_that_follows(problem: MotorProblem, course: Course) -> After:
-    """Take every step that follows a search that was not cut short; the last ones may still be.
-
-    Raises
-    ------
-    CutShort
-        When the fit must end before the dead band was fitted.
-    """
-    bench, space = problem.bench, problem.space
-    settings, go_on, given = course.settings, course.go_on, _is_given(problem)
-    rows = averaged(space, problem.complete(course.sets.values))
-    saturation = fit_saturation(problem, rows, settings, course.sets.seed, go_on)
-    if saturation is not None:
-        rows[:, [space.table.index[row.name] for row in saturation.free]] = saturation.values
-    sets, rows, nrmse, saturation = _ranked(course.sets, rows, saturation, _whole(problem))
-    best = named(space.table, rows[0])
-    out: dict[str, Any] = {
-        "reversal delays": reversal_delays(problem.campaign, bench, best),
-        "command delays": log_delays(problem, rows[0]),
-    }
-    out["saturation"] = _about_saturation(bench, saturation, best, given)
-    if saturation is not None:
-        edges = edges_that_serve(problem, rows[0], saturation)
-        out["saturation"]["saturation_speed that serves as well [rad/s]"] = edges
-        if edges is not None:
-            notice(
-                "dead-band-edge-open",
-                f"{', '.join(saturation.trials)} do not fix saturation_speed: from {edges[0]:.2g} to "
-                f"{edges[1]:.2g} rad/s, with the saturation_current that fits best beside each, the NRMSE is "
-                "within 1 % of the lowest; its digits mean nothing",
-            )
-    drop = best["winding_resistance"] / (best["torque_constant"] * best["back_emf_constant"])
-    tied = ((d, tie) for d, tie in bench.curves.ties.items() if d in problem.ties)
-    out["static curves of the best set"] = [
-        tie.fit(d, drop, best["viscous_damping"]).document() for d, tie in tied
-    ]
-    cut: CutReason | None = None
-    try:
-        banded = saturation is not None or given
-        climbed = climb(problem, best, banded, settings, sets.seed[0], go_on)
-        below = (None, *climbed[:-1])
-        out[_LADDER] = [rung.document(other) for rung, other in zip(climbed, below, strict=True)]
-        for sentence in ladder_sentences(out[_LADDER]):
-            notice("ladder", sentence)
-        if _PROFILED in space.names:
-            # Of the torque curve's linear coefficient, which stands beside k_d in the equation of the rotor.
-            errors = [fit.standard_errors[1] for fit in bench.curves.fits if fit.quantity == "torque"]
-            damping = profile(problem.fitted, _PROFILED, sets.cube[0], sets.seed[0], max(errors), go_on)
-            out[_PROFILES] = {damping.name: damping.document()}
-            if damping.sentence is not None:
-                notice("not-identifiable", damping.sentence)
-    except CutShort as error:
-        cut = error.reason
-        _notice_cut(cut, space, banded=True, done=out)
-    logs = [trial.log for trial in bench.fitted]
-    spikes = spike_inertia(problem.campaign, logs, unpack(rows[0, : len(PARAMETERS)]))
-    out["rotor inertia from torque spikes"] = spikes.document()
-    if spikes.sentence is not None:
-        notice("inertia-from-spikes", spikes.sentence)
-    if not bench.scale_known:
-        out |= _scale_free(saturation is not None or given)
-    return After(sets, rows, nrmse, saturation, out, cut)
-
-
-def _notice_cut(cut: CutReason, space: SearchSpace, *, banded: bool, done: Mapping[str, Any]) -> None:
-    """Name what a fit that was cut short has not looked at."""
-    missing = [] if banded else ["the dead band was not fitted"]
-    if _LADDER not in done:
-        missing.append("the ladder of simpler models was not climbed")
-    if _PROFILED in space.names and _PROFILES not in done:
-        missing.append(f"{_PROFILED} was not profiled, so its digits may mean nothing")
-    notice("cut-short", f"{_WHY[cut]}: {'; '.join(missing)}; continue it with --resume")
-
-
-def _scale_free(banded: bool) -> dict[str, Any]:
-    """Return which numbers of a motor of unknown scale are not fixed alone, and what they fix together."""
-    alone = ["winding_resistance", "winding_inductance", *SATURATION[:1], *CONSTANTS]
-    together = ["k2_over_R", "R_over_L", "electromechanical_time_constant"]
-    return {NOT_ALONE: alone, COMBINATIONS: together[:2] + ["k_I_sat"] * banded + together[2:]}
-
-
-def _ranked(
-    sets: RankedSets, rows: FloatArray, saturation: SaturationFit | None, whole: MotorProblem
-) -> tuple[RankedSets, FloatArray, FloatArray, SaturationFit | None]:
-    """Rank the sets by the NRMSE of their final values, which the search has not seen."""
-    nrmse = whole.cost.mean(whole.score(rows).by_channel)
-    order = np.argsort(nrmse, kind="stable")
-    ranked = RankedSets(
-        tuple(sets.run[i] for i in order), tuple(sets.seed[i] for i in order), sets.cube[order],
-        sets.cost[order], sets.values[order], sets.at_bound[order],
-    )  # fmt: skip
-    if saturation is not None:
-        per_set = ("values", "at_bound", "nrmse", "without")
-        saturation = replace(saturation, **{name: getattr(saturation, name)[order] for name in per_set})
-    return ranked, rows[order], nrmse[order], saturation
-
-
-def _about_saturation(
-    bench: Bench, saturation: SaturationFit | None, best: Mapping[str, float], given: bool
-) -> dict[str, Any]:
-    """Return what the result states of the second stage; notice what is doubtful about it."""
-    if saturation is not None:
-        tell(
-            f"dead band from {saturation.shown_by} of {', '.join(saturation.trials)}: I_sat "
-            f"{best['saturation_current']:.3g} A below {best['saturation_speed']:.3g} rad/s; NRMSE there "
-            f"{100 * saturation.without[0]:.2f} % without, {100 * saturation.nrmse[0]:.2f} % with it"
-        )
-        if bench.banded[0].entry.direction != "reversal":
-            notice(
-                "dead-band-from-starts",
-                "the dead band rests on starts from rest alone: a controller that takes another way through "
-                "a reversal is not described by it; add a reversal trial of use = 'fit'",
-            )
-        return saturation.document()
-    if given:
-        return {"stage": "not fitted", "why": "given by the campaign"}
-    why = "no trial of use = 'fit' shows them, by a reversal or by a start from rest inside its window"
-    notice(
-        "dead-band-not-fitted",
-        f"saturation_current and saturation_speed are not fitted ({why}); they keep Table I's "
-        f"{best['saturation_current']:g} A and {best['saturation_speed']:g} rad/s",
+_DERIVED = tuple(
+    ParameterRecord(name, symbol, unit, "derived", meaning, "computed from the set")
+    for symbol, name, unit, meaning in (
+        ("k²/R", "k2_over_R", "N·m·s/rad", "Torque per slip speed; known even without a Kv."),
+        ("R/L", "R_over_L", "1/s", "Rate of the current; known even without a Kv."),
+        ("k·I_sat", "k_I_sat", "N·m", "Torque in the dead band; known even without a Kv."),
+        (
+            "I^r R/k²", "electromechanical_time_constant", "s",
+            "Time constant of the unloaded rotor as L → 0.",
+        ),
     )
-    return {"stage": "not fitted", "why": why}
-
-
-def log_delays(problem: MotorProblem, row: FloatArray) -> list[dict[str, Any]]:
-    """Return the command delay of every log: as fitted, or as a log shows it that no stage has seen.
-
-    `problem` holds all trials. A delay of the second kind is looked for on the log itself with all else held;
-    the scores of that log do not use it.
-    """
-    bench = problem.bench
-    values = named(problem.space.table, row)
-    seen = {trial.entry.log for trial in (*bench.fitted, *bench.banded)}
-    column = _INDEX["command_delay"]
-    out: list[dict[str, Any]] = []
-    for log in dict.fromkeys(trial.entry.log for trial in bench.trials):
-        used = values.get(delay_name(log), values["command_delay"])
-        fact: dict[str, Any] = {"log": log, "delay [s]": used, "estimated": log in seen}
-        if log not in seen:
-            alone = problem.only([trial.entry.name for trial in bench.trials if trial.entry.log == log])
-            best, costs = used, np.zeros(1)
-            for step in _DELAY_STEPS:
-                around = best + step * np.arange(-_DELAY_REACH, _DELAY_REACH + 1)
-                around = np.concatenate([[used], np.clip(around, 0.0, PARAMETERS["command_delay"].upper)])
-                rows = np.repeat(row[None], around.size, axis=0)
-                rows[:, column] = around
-                costs = alone.cost.mean(alone.score(rows).by_channel)
-                best = float(around[np.argmin(costs)])
-            fact |= {"own delay [s]": best, "nrmse": float(costs[0])}
-            fact["nrmse with its own delay"] = float(costs.min())
-        out.append(fact)
-    return out
-
-
-def curve_sentence(fit: CurveFit) -> str:
-    """Return a static curve in a sentence: coefficients, standard errors, how well the points lie on it."""
-    names = ("a", "b") if fit.quantity == "no_load" else ("c2", "c1")
-    each = zip(names, fit.coefficients, fit.standard_errors, fit.units, strict=True)
-    numbers = ", ".join(f"{name} = {value:.5g} ± {error:.2g} {unit}" for name, value, error, unit in each)
-    outliers = f", {fit.outliers} of them outliers" if fit.outliers else ""
-    quality = f"R² {fit.r_squared:.5f} over {fit.points} points{outliers}"
-    return f"{fit.quantity}, {fit.direction}: {numbers}; {quality}"
+)  # fmt: skip
 
 
 def begin(problem: MotorProblem) -> None:
@@ -281,21 +81,294 @@ def begin(problem: MotorProblem) -> None:
             )
     if bench.curves.ties and "viscous_damping" not in space.names:
         tell(
-            "no log without propeller: the no-load speed follows R from loaded points, and k_d, which cannot "
-            f"be told from k²/R then, stays at {space.fixed['viscous_damping']:.2g} N·m·s/rad"
+            "no log without propeller: the no-load speed follows R from loaded points, and k_d, which then "
+            f"cannot be separated from k²/R, stays at {space.fixed['viscous_damping']:.2g} N·m·s/rad"
         )
     if untested_rows(campaign, bench):
         tell("nothing was recorded in reverse: its curves and no-load speed are left out of the sets (NaN)")
 
 
-def notice_unresolved_inductance(bench: Bench, row: FloatArray) -> None:
+def curve_sentence(fit: CurveFit) -> str:
+    """Return a static curve in a sentence: coefficients, standard errors, how well the points lie on it."""
+    names = ("a", "b") if fit.quantity == "no_load" else ("c2", "c1")
+    each = zip(names, fit.coefficients, fit.standard_errors, fit.units, strict=True)
+    numbers = ", ".join(f"{name} = {value:.5g} ± {error:.2g} {unit}" for name, value, error, unit in each)
+    outliers = f", {fit.outliers} of them outliers" if fit.outliers else ""
+    quality = f"R² {fit.r_squared:.5f} over {fit.points} points{outliers}"
+    return f"{fit.quantity}, {fit.direction}: {numbers}; {quality}"
+
+
+def follow_up(problem: MotorProblem, course: Course) -> Outcome:
+    """Fit the dead band, rank the final sets, climb the ladder, walk the profile, notice what is doubtful.
+
+    The sets are ranked by the NRMSE of their final values over the fitted forward and reverse trials, starts
+    from rest included. Where the fit is cut short, before this or in one of these steps, the missing steps
+    are noticed and left to ``--resume``.
+    """
+    campaign, bench, space = problem.campaign, problem.bench, problem.space
+    rows = averaged(space, problem.complete(course.sets.values))
+    cut, band = course.cut, None
+    if cut is None:
+        try:
+            band = fit_saturation(problem, rows, course.settings, course.sets.seed, course.go_on)
+        except CutShort as error:
+            cut = error.reason
+    if band is not None:
+        rows[:, [space.table.index[row.name] for row in band.free]] = band.values
+    nrmse = problem.only([trial.entry.name for trial in bench.fitted]).nrmse(rows)
+    sets, rows, nrmse, band = _ranked(course.sets, rows, nrmse, band)
+    given = set(SATURATION) <= {*bench.measured, *campaign.parameters.fixed}
+    settings: dict[str, Any] = {}
+    if cut is None:
+        best = unpack(rows[0], space.table)
+        settings |= {
+            "reversal delays": reversal_delays(campaign, bench, best),
+            "command delays": log_delays(problem, rows[0]),
+            "saturation": _about_saturation(problem, band, rows[0], given),
+        }
+        cut = _judge(problem, course, sets, best, band is not None or given, settings)
+    else:
+        settings["saturation"] = {"stage": "not fitted", "why": _WHY[cut]}
+        _notice_cut(cut, space, settings, "the dead band was not fitted")
+    if not bench.scale_known:
+        settings |= _scale_free(band is not None or given)
+    _notice_unresolved_inductance(problem, rows[0])
+    return _outcome(problem, sets, rows, nrmse, band, settings, cut)
+
+
+def _ranked(
+    sets: RankedSets, rows: FloatArray, nrmse: FloatArray, band: SaturationFit | None
+) -> tuple[RankedSets, FloatArray, FloatArray, SaturationFit | None]:
+    """Rank the sets by the NRMSE of their final values, which the search has not seen."""
+    order = np.argsort(nrmse, kind="stable")
+    ranked = RankedSets(
+        tuple(sets.run[i] for i in order), tuple(sets.seed[i] for i in order), sets.cube[order],
+        sets.cost[order], sets.values[order], sets.at_bound[order],
+    )  # fmt: skip
+    if band is not None:
+        per_set = ("values", "at_bound", "nrmse", "without")
+        band = replace(band, **{name: getattr(band, name)[order] for name in per_set})
+    return ranked, rows[order], nrmse[order], band
+
+
+def _about_saturation(
+    problem: MotorProblem, band: SaturationFit | None, row: FloatArray, given: bool
+) -> dict[str, Any]:
+    """Return what the result states of the second stage; notice what is doubtful about it."""
+    best = unpack(row, problem.space.table)
+    if band is None:
+        why = "given by the campaign"
+        if not given:
+            why = "no trial of use = 'fit' shows them by a reversal or by a start from rest inside its window"
+            notice(
+                "dead-band-not-fitted",
+                f"saturation_current and saturation_speed are not fitted ({why}); they keep Table I's "
+                f"{best['saturation_current']:g} A and {best['saturation_speed']:g} rad/s",
+            )
+        return {"stage": "not fitted", "why": why}
+    trials = ", ".join(band.trials)
+    tell(
+        f"dead band from {band.shown_by} of {trials}: I_sat {best['saturation_current']:.3g} A below "
+        f"{best['saturation_speed']:.3g} rad/s; NRMSE there {100 * band.without[0]:.2f} % without, "
+        f"{100 * band.nrmse[0]:.2f} % with it"
+    )
+    if problem.bench.banded[0].entry.direction != "reversal":
+        notice(
+            "dead-band-from-starts",
+            "the dead band rests on starts from rest alone: it does not describe a controller that reverses "
+            "in another way; add a reversal trial of use = 'fit'",
+        )
+    edges = edges_that_serve(problem, row, band)
+    if edges is not None:
+        notice(
+            "dead-band-edge-open",
+            f"{trials} do not determine saturation_speed: from {edges[0]:.2g} to {edges[1]:.2g} rad/s, with "
+            "the saturation_current that fits best beside each, the NRMSE is within 1 % of the lowest; its "
+            "digits mean nothing",
+        )
+    return band.document() | {"saturation_speed that serves as well [rad/s]": edges}
+
+
+def log_delays(problem: MotorProblem, row: FloatArray) -> list[dict[str, Any]]:
+    """Return the command delay of every log: as fitted, or as a log shows it that no stage has seen.
+
+    `problem` holds all trials. A delay of the second kind is looked for on the log itself with all other
+    values of the row (n_table,) fixed; the scores of that log do not use it.
+    """
+    bench = problem.bench
+    values = unpack(row, problem.space.table)
+    seen = {trial.entry.log for trial in (*bench.fitted, *bench.banded)}
+    out: list[dict[str, Any]] = []
+    for log in dict.fromkeys(trial.entry.log for trial in bench.trials):
+        used = values.get(delay_name(log), values["command_delay"])
+        fact: dict[str, Any] = {"log": log, "delay [s]": used, "estimated": log in seen}
+        if log not in seen:
+            alone = problem.only([trial.entry.name for trial in bench.trials if trial.entry.log == log])
+            best, costs = used, np.zeros(1)
+            for step in _DELAY_STEPS:
+                steps = best + step * np.arange(-_DELAY_REACH, _DELAY_REACH + 1)
+                steps = np.clip(steps, 0.0, PARAMETERS["command_delay"].upper)
+                around = np.concatenate([[used], steps]).astype(np.float64)
+                costs = alone.nrmse_with(row, command_delay=around)
+                best = float(around[np.argmin(costs)])
+            fact |= {"own delay [s]": best, "nrmse": float(costs[0])}
+            fact["nrmse with its own delay"] = float(costs.min())
+        out.append(fact)
+    return out
+
+
+def _judge(
+    problem: MotorProblem,
+    course: Course,
+    sets: RankedSets,
+    best: Mapping[str, float],
+    banded: bool,
+    settings: dict[str, Any],
+) -> CutReason | None:
+    """Climb the ladder, profile k_d, check the inertia, and add to `settings`; return what cut this short."""
+    bench, space = problem.bench, problem.space
+    drop = best["winding_resistance"] / (best["torque_constant"] * best["back_emf_constant"])
+    settings["static curves of the best set"] = [
+        tie.fit(direction, drop, best["viscous_damping"]).document()
+        for direction, tie in bench.curves.ties.items()
+        if direction in problem.ties
+    ]
+    cut: CutReason | None = None
+    try:
+        rungs = climb(problem, best, banded, course.settings, sets.seed[0], course.go_on)
+        below = (None, *rungs[:-1])
+        settings[_LADDER] = [rung.document(other) for rung, other in zip(rungs, below, strict=True)]
+        _notice(ladder_doubt(rungs))
+        if _PROFILED in space.names:
+            # Of the torque curve's linear coefficient, which stands beside k_d in the equation of the rotor.
+            errors = [fit.standard_errors[1] for fit in bench.curves.fits if fit.quantity == "torque"]
+            damping = profile(
+                problem.fitted, _PROFILED, sets.cube[0], sets.seed[0], max(errors), course.go_on
+            )
+            settings[_PROFILES] = {damping.name: damping.document()}
+            _notice(damping.doubt)
+    except CutShort as error:
+        cut = error.reason
+        _notice_cut(cut, space, settings)
+    curve = {name: best[name] for name in PARAMETERS}
+    spikes = spike_inertia(problem.campaign, [trial.log for trial in bench.fitted], curve)
+    settings["rotor inertia from torque spikes"] = spikes.document()
+    _notice(spikes.doubt)
+    return cut
+
+
+def _notice(doubt: Finding | None) -> None:
+    if doubt is not None:
+        notice(doubt.code, doubt.sentence)
+
+
+def _notice_cut(cut: CutReason, space: SearchSpace, done: Mapping[str, Any], *missing: str) -> None:
+    """Name what a fit that was cut short has not looked at; `done` are the settings so far."""
+    out = [*missing]
+    if _LADDER not in done:
+        out.append("the ladder of simpler models was not climbed")
+    if _PROFILED in space.names and _PROFILES not in done:
+        out.append(f"{_PROFILED} was not profiled, so its digits may mean nothing")
+    notice("cut-short", f"{_WHY[cut]}: {'; '.join(out)}; continue it with --resume")
+
+
+def _scale_free(banded: bool) -> dict[str, Any]:
+    """Return which numbers of a motor of unknown scale stay open, and which combinations are determined."""
+    alone = ["winding_resistance", "winding_inductance", *SATURATION[:1], *CONSTANTS]
+    together = ["k2_over_R", "R_over_L", "electromechanical_time_constant"]
+    return {NOT_ALONE: alone, COMBINATIONS: together[:2] + ["k_I_sat"] * banded + together[2:]}
+
+
+def _notice_unresolved_inductance(problem: MotorProblem, row: FloatArray) -> None:
     """Notice where L/R of the best set is shorter than the logs can show."""
-    rise = float(row[_INDEX["winding_inductance"]] / row[_INDEX["winding_resistance"]])
+    values = unpack(row, problem.space.table)
+    rise = values["winding_inductance"] / values["winding_resistance"]
     # A rise within one step of the finest grid that any fitted log is compared on leaves no sample inside it.
-    finest = min(float(np.median(np.diff(trial.target.time))) for trial in bench.fitted)
+    finest = min(float(np.median(np.diff(trial.target.time))) for trial in problem.bench.fitted)
     if rise <= finest:
         notice(
             "inductance-unresolved",
             f"L/R of the best set is {1e3 * rise:.3g} ms and the finest fitted log is compared every "
             f"{1e3 * finest:.3g} ms: the logs only say that L is small, not how small",
         )
+
+
+def _outcome(
+    problem: MotorProblem,
+    sets: RankedSets,
+    rows: FloatArray,
+    nrmse: FloatArray,
+    band: SaturationFit | None,
+    settings: Mapping[str, Any],
+    cut: CutReason | None,
+) -> Outcome:
+    """Return what the fit leaves behind; values of a direction that was not recorded are NaN."""
+    space = problem.space
+    unknown = untested_rows(problem.campaign, problem.bench)
+    exported = rows.copy()
+    exported[:, [PARAMETERS.index[name] for name in unknown]] = np.nan
+    derived = np.array([list(invariants(unpack(row)).values()) for row in rows[:, : len(PARAMETERS)]])
+    at_bound = np.pad(sets.at_bound, ((0, 0), (0, derived.shape[1])))
+    if band is not None:
+        at_bound[:, [space.table.index[row.name] for row in band.free]] = band.at_bound
+    return Outcome(
+        sets=sets,
+        rows=rows,
+        records=_records(problem, unknown, band),
+        values=np.hstack([exported, derived]),
+        at_bound=at_bound,
+        nrmse=nrmse,
+        settings={**_circumstances(problem), **settings},
+        cut=cut,
+    )
+
+
+def _records(
+    problem: MotorProblem, unknown: tuple[str, ...], band: SaturationFit | None
+) -> tuple[ParameterRecord, ...]:
+    """Return the table's records, with the the sources of tie and second stage, then the derived ones."""
+    choices, bench, space = problem.campaign.parameters, problem.bench, problem.space
+    tie = "loaded steady points and the fitted R: Ω_0 = Ω + R (τ_aero + k_d Ω)/(k_m k_v)"
+    computed = {f"no_load_{what}_{d}": tie for d in problem.ties for what in ("slope", "intercept")}
+    if log_rows(space):
+        computed["command_delay"] = MEAN_SOURCE
+    late, stage = {}, ""
+    if band is not None:
+        late = {row.name: row for row in band.free}
+        stage = f"second stage: {band.shown_by} of {', '.join(band.trials)}, all other values fixed"
+    out = []
+    for record in parameter_records(
+        space,
+        bench.measured,
+        choices.measured_ranges(PARAMETERS),
+        _DERIVED,
+        stated={**bench.stated, **dict.fromkeys(choices.fixed, "campaign: parameters.fixed")},
+        unknown=unknown,
+    ):
+        if record.name in computed:
+            record = record.computed(computed[record.name])
+        elif record.name in late:
+            free = ParameterRecord.of(late[record.name], "free", record.measured_range)
+            record = replace(free, source=stage)
+        out.append(record)
+    return tuple(out)
+
+
+def _circumstances(problem: MotorProblem) -> dict[str, Any]:
+    """Return what a simulator must know beside the numbers."""
+    u_of = command_range(problem.campaign)
+    return {
+        "command": {
+            "unit": u_of.unit,
+            "minimum": u_of.minimum,
+            "neutral": u_of.neutral,
+            "maximum": u_of.maximum,
+            "bidirectional": u_of.forward_half is not None or u_of.neutral > u_of.minimum,
+            "forward half": u_of.forward_half,
+        },
+        "voltage": "V_c = k_v Ω_0(u) V/V_ref; Ω_0(u) = a u + b sign(u) per direction",
+        "curves": "c2 Ω|Ω| + c1 Ω, one pair of coefficients per direction",
+        "stator torque": "k_m I_eff - k_d Ω, positive when it drives the rotor forward",
+        "static curves": [fit.document() for fit in problem.bench.curves.fits],
+        "tolerance": FIT_TOLERANCE,
+    }

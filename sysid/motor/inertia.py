@@ -15,9 +15,11 @@ from scipy.interpolate import PchipInterpolator
 from scipy.signal import lfilter
 
 from sysid.campaign import MotorCampaign
+from sysid.journal import Finding
 from sysid.motor.bench_logs import BenchLog
 from sysid.motor.model import aerodynamic_torque
 from sysid.motor.targets import filtered
+from sysid.trials.bench_log import outside
 from sysid.types import BoolArray, FloatArray
 
 # A spike and its decay [s]; smaller steps of u than this show none.
@@ -53,29 +55,30 @@ class SpikeInertia:
         }
 
     @property
-    def sentence(self) -> str | None:
-        """What a result says where the two kinds are too few or contradict each other; else None."""
-        if min(self.steps.values()) < _FEWEST:
-            return (
-                f"torque spikes of {self.steps['up']} up-steps and {self.steps['down']} down-steps are too "
-                f"few to check the rotor inertia: record {_FEWEST} of each, whole for {_SPIKE:g} s"
+    def doubt(self) -> Finding | None:
+        """That the steps of a kind are too few or that the kinds contradict each other; else None."""
+        rises, falls, (up, down) = self.steps["up"], self.steps["down"], self.value.values()
+        if min(rises, falls) < _FEWEST:
+            sentence = (
+                f"torque spikes of {rises} up-steps and {falls} down-steps are too few to check the rotor "
+                f"inertia: record {_FEWEST} of each, whole for {_SPIKE:g} s"
             )
-        up, down = self.value["up"], self.value["down"]
-        if abs(up - down) <= AGREEMENT * 0.5 * (up + down):
+        elif abs(up - down) <= AGREEMENT * 0.5 * (up + down):
             return None
-        return (
-            f"torque spikes of {self.steps['up']} up-steps give a rotor inertia of {up:.3g} kg·m², "
-            f"{self.steps['down']} down-steps give {down:.3g} kg·m²: torque and speed do not belong to one "
-            "rotor on one clock"
-        )
+        else:
+            sentence = (
+                f"torque spikes of {rises} up-steps give a rotor inertia of {up:.3g} kg·m², {falls} "
+                f"down-steps give {down:.3g} kg·m²: torque and speed do not belong to one rotor on one clock"
+            )
+        return Finding("inertia-from-spikes", sentence)
 
 
 def spike_inertia(
     campaign: MotorCampaign, logs: Sequence[BenchLog], parameters: Mapping[str, float]
 ) -> SpikeInertia:
-    """Return the inertia that the torque spikes of some logs of one direction each show.
+    """Return the inertia that the torque spikes of some logs show, each log of one direction.
 
-    Logs are forward or reverse; those without torque are passed over. `parameters` are the torque curve, the
+    Logs are forward or reverse; logs without torque are passed over. `parameters` are the torque curve, the
     delay and the lag of the torque sensor, by name [SI].
     """
     sums = {kind: np.zeros(4) for kind in ("up", "down")}  # Σ a², Σ a y, Σ y², n
@@ -83,8 +86,9 @@ def spike_inertia(
     for log in logs:
         if "torque" not in log.channels:
             continue
-        seen = _fast(campaign, log, parameters) if log.fast else _slow(log, parameters)
-        time, acceleration, excess, whole = seen
+        time, acceleration, excess, whole = (
+            _fast(campaign, log, parameters) if log.fast else _slow(log, parameters)
+        )
         levels = log.steps.level
         ends = np.append(log.steps.time[1:], np.inf)
         for i in range(1, levels.size):
@@ -92,9 +96,8 @@ def spike_inertia(
             start = float(log.steps.time[i])
             inside = (time >= start) & (time < min(start + _SPIKE, ends[i]))
             inside &= (time >= log.window[0]) & (time <= log.window[1])
-            if levels[i] == 0 or abs(change) < _LEAST_STEP or np.count_nonzero(inside) < 5:
-                continue
-            if not whole[inside].all():
+            shown = np.count_nonzero(inside) >= 5 and whole[inside].all()
+            if levels[i] == 0 or abs(change) < _LEAST_STEP or not shown:
                 continue
             kind = "up" if change > 0 else "down"
             a, y = acceleration[inside], excess[inside]
@@ -111,9 +114,8 @@ def spike_inertia(
 def _fast(campaign: MotorCampaign, log: BenchLog, parameters: Mapping[str, float]) -> _Seen:
     """Return time, dΩ/dt, torque above the static one, and where the log is whole: both filtered alike."""
     time, speed = filtered(campaign, log, "speed")
-    torque = np.interp(time, *filtered(campaign, log, "torque"))
     acceleration = np.gradient(speed, time)
-    excess = torque - aerodynamic_torque(speed, parameters)
+    excess = np.interp(time, *filtered(campaign, log, "torque")) - aerodynamic_torque(speed, parameters)
     return time, acceleration, excess, np.isfinite(acceleration) & np.isfinite(excess)
 
 
@@ -129,10 +131,8 @@ def _slow(log: BenchLog, parameters: Mapping[str, float]) -> _Seen:
         keep = float(np.exp(-_GRID / constant))
         felt = [lfilter([1.0 - keep], [1.0, -keep], x, zi=[keep * x[0]])[0] for x in felt]
     static, acceleration = (np.interp(time - delay, grid, x) for x in felt)
-    whole = np.ones(time.size, dtype=np.bool_)
+    whole = outside(time, log.doubtful)
     pause = 3.0 * float(np.median(np.diff(rows)))
     for i in np.flatnonzero(np.diff(rows) > pause):
         whole &= ~((time - delay > rows[i]) & (time - delay - _MEMORY * constant < rows[i + 1]))
-    for start, end in log.doubtful:
-        whole &= (time < start) | (time > end)
     return time, acceleration, torque - static, whole

@@ -34,7 +34,7 @@ Thrust, section II-A.2, equations (1-4), Table I.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -84,9 +84,9 @@ def pack(parameters: Mapping[str, float]) -> FloatArray:
     return np.array(list(complete(parameters).values()))
 
 
-def unpack(row: FloatArray) -> dict[str, float]:
-    """Return the parameters of a row (n_table,) by name [SI]."""
-    return dict(zip(PARAMETERS, (float(value) for value in row), strict=True))
+def unpack(row: FloatArray, table: Iterable[str] = PARAMETERS) -> dict[str, float]:
+    """Return the numbers of a row (n_table,) of a table by name [SI]."""
+    return dict(zip(table, row.tolist(), strict=True))
 
 
 def kernel_rows(rows: FloatArray) -> FloatArray:

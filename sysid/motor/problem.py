@@ -158,6 +158,17 @@ class MotorProblem(Problem):
         by_channel, failed = (np.concatenate(values) for values in zip(*scored, strict=True))
         return Scores(by_channel, failed.astype(np.int8))
 
+    def nrmse(self, rows: FloatArray) -> FloatArray:
+        """Return the NRMSE (P,) over the trials of rows (P, n_table) [SI]."""
+        return self.cost.mean(self.score(rows).by_channel)
+
+    def nrmse_with(self, row: FloatArray, **values: FloatArray) -> FloatArray:
+        """Return the NRMSE (P,) of a row (n_table,) with other values (P,) of some parameters [SI]."""
+        rows = np.repeat(row[None], len(next(iter(values.values()))), axis=0)
+        for name, column in values.items():
+            rows[:, self.space.table.index[name]] = column
+        return self.nrmse(rows)
+
     def signals(self, rows: FloatArray) -> tuple[tuple[FloatArray, ...], BoolArray]:
         """Return the signals as compared, (P, n, 2) per trial, and which trials are lost (P, T)."""
         rows = self.complete(rows)

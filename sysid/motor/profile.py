@@ -1,7 +1,7 @@
 """NRMSE over one parameter that hardly moves it, all others fitted again at every value.
 
 k_d (9.2e-9 N·m·s/rad in Table I) drags by 5 µN·m at 500 rad/s, beside 40 mN·m of the air: any small value
-serves, and a result must say so instead of printing three digits. What counts is the share of the NRMSE, as
+serves, and a result must say so instead of printing three digits. The limit is a share of the NRMSE, as
 everywhere in a result; the intervals of `sysid trust` follow the noise instead.
 """
 
@@ -17,9 +17,10 @@ from sysid.fit.breeders.algorithms import Start, breeder
 from sysid.fit.breeders.breeder import Breeder
 from sysid.fit.search import Hooks, SearchSettings, run_one
 from sysid.fit.stopping import StopRule
+from sysid.journal import Finding
 from sysid.motor.problem import MotorProblem
 from sysid.parameters import SearchSpace
-from sysid.types import BoolArray, FloatArray
+from sysid.types import FloatArray
 
 # Values that move the NRMSE by less than this share of itself are equally good.
 LIMIT = 0.01
@@ -32,9 +33,8 @@ _REFIT = (12, 16, 0.02)
 class CostProfile:
     """NRMSE over one parameter, the others fitted at each of its values.
 
-    `values` (n,) ascend [SI], `nrmse` (n,) is that of the best refit, `best` the lowest, the fit's included.
-    What the static curves hide is the `resolution` [SI]: a linear drag below their standard error cannot be
-    seen.
+    `values` (n,) ascend [SI], `nrmse` (n,) is of the best refit, `best` the lowest, the fit's included. A
+    parameter below `resolution` [SI], the standard error of the static curves, cannot be seen.
     """
 
     name: str
@@ -45,17 +45,14 @@ class CostProfile:
     resolution: float
 
     @property
-    def within(self) -> BoolArray:
-        """(n,) True where a value is as good as the best."""
-        return np.asarray(self.nrmse <= (1.0 + LIMIT) * self.best, dtype=np.bool_)
-
-    @property
     def below(self) -> float | None:
         """The bound under which any value serves; None where the data bound the parameter from both sides."""
-        first = int(np.argmax(self.within))
+        # True where a value is as good as the best.
+        within = self.nrmse <= (1.0 + LIMIT) * self.best
+        first = int(np.argmax(within))
         if first > 0 and self.values[first - 1] >= self.resolution:
             return None
-        outside = first + np.flatnonzero(~self.within[first:])
+        outside = first + np.flatnonzero(~within[first:])
         if not outside.size:
             return float(self.values[-1])
         # Between the last value within and the first one outside, at the limit itself.
@@ -65,14 +62,15 @@ class CostProfile:
         return max(float(np.exp(low + share * (high - low))), self.resolution)
 
     @property
-    def sentence(self) -> str | None:
-        """What a result says about the parameter; None where the data bound it from both sides."""
+    def doubt(self) -> Finding | None:
+        """That the parameter is not identifiable; None where the data bound it from both sides."""
         if self.below is None:
             return None
-        return (
+        return Finding(
+            "not-identifiable",
             f"{self.name} is not identifiable: below {self.below:.1g} {self.unit} it changes the NRMSE by "
             f"less than {100 * LIMIT:g} % of itself, or is lost in the error of the torque curve; its digits "
-            "mean nothing"
+            "mean nothing",
         )
 
     def document(self) -> dict[str, Any]:
@@ -98,9 +96,8 @@ def profile(
 ) -> CostProfile:
     """Walk a free parameter through its bounds and fit the others at every step.
 
-    `best` (n_free,) is the best set in the unit cube, `resolution` that of the static curves [SI]. `seed`
-    serves the first value's search; every further value adds 1. `should_stop` is asked after every
-    generation, and raises where the fit must end.
+    `best` (n_free,) is the best set in the unit cube, `resolution` is of the static curves [SI]. Value i is
+    searched with seed + i. `should_stop` is asked after every generation, and raises where the fit must end.
     """
     space = objective.space
     column = space.names.index(name)

@@ -17,7 +17,7 @@ from sysid.fit.search import SearchSettings, run_one
 from sysid.fit.stopping import StopRule
 from sysid.journal import Journal
 from sysid.motor.curves import NoLoadTie
-from sysid.motor.follow_up import after_the_search, curve_sentence
+from sysid.motor.follow_up import curve_sentence, follow_up
 from sysid.motor.inertia import SpikeInertia
 from sysid.motor.known_values import search_space
 from sysid.motor.problem import MotorProblem
@@ -112,11 +112,10 @@ def test_an_interrupted_fit_says_what_it_has_not_looked_at(campaign: Path) -> No
     run = run_one(problem.fitted, SearchSettings(8, 1, 1, StopRule(max_generations=1), "cmaes", "none"))
     runs = (replace(run, stages=(replace(run.stages[-1], stop_reason="interrupted"),)),)
     with Journal() as journal:
-        after = after_the_search(problem, Course(ranked_sets(runs, space), None, "interrupted", bool))
+        after = follow_up(problem, Course(ranked_sets(runs, space), None, "interrupted", bool))
     # Torque and speed fix no R, L or I_sat alone, interrupted or not.
     assert {"winding_resistance", "winding_inductance", "saturation_current"} <= {*after.settings[NOT_ALONE]}
-    (finding,) = journal.findings
-    assert finding.code == "cut-short"
+    (finding,) = (finding for finding in journal.findings if finding.code == "cut-short")
     assert "viscous_damping was not profiled" in finding.sentence
 
 
@@ -134,5 +133,5 @@ def test_too_few_torque_spikes_are_said() -> None:
     found = SpikeInertia(
         {"up": 2.7e-5, "down": float("nan")}, {"up": 1e-7, "down": 0.0}, {"up": 4, "down": 1}
     )
-    assert found.sentence is not None
-    assert "4 up-steps and 1 down-steps are too few" in found.sentence
+    assert found.doubt is not None
+    assert "4 up-steps and 1 down-steps are too few" in found.doubt.sentence

@@ -13,12 +13,12 @@ from fakes.motor_bench import bench_of, edited, table_of, write_table
 from sysid.errors import CampaignError, FitError, LogError
 from sysid.fit.search import SearchSettings, run_one
 from sysid.fit.stopping import StopRule
-from sysid.motor.dead_band import fit_saturation, named
+from sysid.motor.dead_band import fit_saturation
 from sysid.motor.follow_up import log_delays
 from sysid.motor.known_values import search_space
-from sysid.motor.ladder import climb, ladder_sentences
+from sysid.motor.ladder import climb, ladder_doubt
 from sysid.motor.log_delays import averaged
-from sysid.motor.model import PARAMETERS, simulate
+from sysid.motor.model import PARAMETERS, simulate, unpack
 from sysid.motor.problem import MotorProblem
 from sysid.synthetic import read_truth
 from sysid.synthetic.motor import TRUE_MOTOR, TrialPlan, synthesize_motor
@@ -62,7 +62,7 @@ def test_starts_from_rest_do_not_bias_the_winding(tmp_path: Path, reversal: bool
         assert begin == pytest.approx(steps[1], abs=0.2)
         assert steps[1] + 0.5 < end < steps[1] + 1.0
     space, rows = _dynamic_fit(campaign, bench)
-    values = named(space.table, rows[0])
+    values = unpack(rows[0], space.table)
     assert values["winding_resistance"] == pytest.approx(0.299, rel=0.03)  # required
     assert values["winding_inductance"] == pytest.approx(0.0038, rel=0.05)  # required
     assert values["command_delay"] == pytest.approx(0.008, abs=5e-4)  # a quarter of the compared grid
@@ -101,7 +101,7 @@ def test_every_log_has_its_own_command_delay(tmp_path: Path) -> None:
     shutil.copy(late.with_name("forward-2.h5"), path.with_name("forward-2.h5"))
     campaign, bench = bench_of(path)
     space, rows = _dynamic_fit(campaign, bench)
-    values = named(space.table, rows[0])
+    values = unpack(rows[0], space.table)
     assert values["command_delay[forward-1.csv]"] == pytest.approx(0.008, abs=5e-4)
     assert values["command_delay[reverse-1.h5]"] == pytest.approx(0.025, abs=5e-4)
     assert values["command_delay"] == pytest.approx(0.0165, abs=5e-4)
@@ -191,7 +191,7 @@ def test_a_logged_motor_current_fixes_the_scale(tmp_path: Path) -> None:
     assert rubbed.values["torque_constant"] == pytest.approx(0.00995, rel=0.015)
     assert re.search(r"less (1\.[5-9]|2(\.\d)?) mN·m of friction", rubbed.measured["torque_constant"])
     space, rows = _dynamic_fit(campaign, bench)
-    values = named(space.table, rows[0])
+    values = unpack(rows[0], space.table)
     assert values["winding_resistance"] == pytest.approx(0.299, rel=0.03)
     assert values["winding_inductance"] == pytest.approx(0.0038, rel=0.05)
     edited(path, (r"^\[motor\]", '[motor]\nkv = "480 rpm/V"'))
@@ -246,7 +246,7 @@ def test_the_ladder_believes_l_only_where_it_pays(tmp_path: Path, inductance: fl
     ladder = [rung.document(below) for rung, below in zip(climbed, (None, *climbed[:-1]), strict=True)]
     by_name = {rung["rung"]: rung for rung in ladder}
     assert list(by_name) == ["first-order lag", "without L", "full"]
-    assert bool(ladder_sentences(ladder)) is not useful
+    assert (ladder_doubt(climbed) is None) is useful
     lag, without, full = (by_name[name]["nrmse"] for name in by_name)
     for group in ("fitted", "held out"):
         # The equations pay in torque whatever L is, and a larger model never fits worse.

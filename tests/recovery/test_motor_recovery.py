@@ -368,9 +368,9 @@ def test_torque_spikes_show_the_inertia(prepared) -> None:
     for kind in ("up", "down"):
         # Both sides pass one filter; the curve's error of up to 1 % of 40 mN·m remains.
         assert found.value[kind] == pytest.approx(2.7e-5, rel=0.02)
-    assert found.sentence is None
+    assert found.doubt is None
     half = dataclasses.replace(found, value={"up": 2.7e-5, "down": 2.0e-5})
-    assert "do not belong to one rotor" in half.sentence
+    assert "do not belong to one rotor" in half.doubt.sentence
 
 
 def test_a_missing_tare_and_a_borrowed_inertia_are_noticed(tmp_path: Path) -> None:
