@@ -13,11 +13,10 @@ from typing import Protocol
 
 from sysid.errors import ExportError
 from sysid.export import binary, spreadsheet
-from sysid.export.mean_table import MeanRow, mean_table
 from sysid.parameter_sets import ParameterSets, SetsDocument
 from sysid.storage import write_file
 
-__all__ = ["MeanRow", "export", "load_parameter_sets", "mean_table"]
+__all__ = ["export", "load_parameter_sets"]
 
 
 class HasParameterSets(Protocol):
@@ -102,8 +101,11 @@ def load_parameter_sets(path: str | Path) -> ParameterSets:
             f"{file}: neither JSON, CSV, HDF5 nor MAT of sysid; expected a file that sysid export wrote"
         )
     try:
-        return reader(data, file)
+        sets = reader(data, file)
     # Everything that a damaged file can make the libraries and the checks above raise.
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, OSError, EOFError) as error:
         first = next(iter(str(error).splitlines()), type(error).__name__)
         raise ExportError(f"{file}: damaged or cut off ({first}); export the fit again") from error
+    if not len(sets):
+        raise ExportError(f"{file}: a parameter-set file without sets; export the fit again")
+    return sets

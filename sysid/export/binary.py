@@ -15,6 +15,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from sysid.errors import ExportError
 from sysid.parameter_sets import ParameterSets, SetsMetadata
@@ -27,14 +28,13 @@ _NUMBERS = ("nominal", "lower", "upper")
 _ARRAYS = ("values", "nrmse", "at_bound", "nrmse_by_trial")
 
 
-def _records(sets: ParameterSets) -> dict[str, list[Any]]:
-    columns: dict[str, list[Any]] = {
-        key: [getattr(r, key) or "" for r in sets.parameters] for key in _COLUMNS
+def _records(sets: ParameterSets) -> dict[str, NDArray[Any]]:
+    texts = {
+        key: np.array([getattr(r, key) or "" for r in sets.parameters], dtype=object) for key in _COLUMNS
     }
-    for key in _NUMBERS:
-        numbers = [getattr(r, key) for r in sets.parameters]
-        columns[key] = [np.nan if number is None else number for number in numbers]
-    return columns
+    # None becomes NaN.
+    numbers = {key: np.array([getattr(r, key) for r in sets.parameters], np.float64) for key in _NUMBERS}
+    return texts | numbers
 
 
 def to_hdf5(sets: ParameterSets) -> bytes:
@@ -49,7 +49,7 @@ def to_hdf5(sets: ParameterSets) -> bytes:
         put(file, "at_bound", sets.at_bound, "set, parameter: -1 lower bound, +1 upper bound")
         for key, column in _records(sets).items():
             if key in _NUMBERS:
-                put(file, f"parameters/{key}", np.array(column, dtype=np.float64), "parameter", "its unit")
+                put(file, f"parameters/{key}", column, "parameter", "its unit")
             else:
                 put_texts(file, f"parameters/{key}", map(_no_nul, column))
         put_texts(file, "trials", map(_no_nul, sets.trials))
@@ -101,15 +101,10 @@ def _field_names(names: tuple[str, ...]) -> dict[str, str]:
 def to_mat(sets: ParameterSets) -> bytes:
     """Return the file: one structure ``sysid`` whose ``sets(1)`` is the best set, by parameter name."""
     fields = _field_names(sets.names)
-    n_sets = len(sets)
-    by_set = np.empty((1, n_sets), dtype=[(field, object) for field in fields.values()] or [("none", object)])
-    for s in range(n_sets):
+    by_set = np.empty((1, len(sets)), dtype=[(field, object) for field in fields.values()])
+    for s in range(len(sets)):
         for i, name in enumerate(sets.names):
             by_set[0, s][fields[name]] = sets.values[s, i]
-    records = {
-        key: np.array(column, dtype=np.float64) if key in _NUMBERS else np.array(column, dtype=object)
-        for key, column in _records(sets).items()
-    }
     metadata = sets.metadata()
     content: dict[str, Any] = {
         "schema": metadata.schema_,
@@ -117,7 +112,7 @@ def to_mat(sets: ParameterSets) -> bytes:
         "kind": sets.kind,
         "name": sets.name,
         "sets": by_set,
-        "parameters": {**records, "field": np.array(list(fields.values()), dtype=object)},
+        "parameters": {**_records(sets), "field": np.array(list(fields.values()), dtype=object)},
         "trials": np.array(sets.trials, dtype=object),
         "channels": np.array(sets.channels, dtype=object),
         "values": sets.values,
@@ -148,17 +143,9 @@ def from_mat(data: bytes, place: object) -> ParameterSets:
     names = content.dtype.names or ()
     text = str(content["metadata_json"].item()) if "metadata_json" in names else "{}"
     metadata = SetsMetadata.parse(text, place, ExportError)
-    n_sets, n = len(metadata.runs), len(metadata.parameters)
-    shapes = {
-        "values": (n_sets, n),
-        "nrmse": (n_sets,),
-        "at_bound": (n_sets, n),
-        # MATLAB drops a last axis of one.
-        "nrmse_by_trial": (n_sets, len(metadata.trials), len(metadata.channels)),
-    }
-    arrays = {
-        key: np.asarray(content[key], np.float64).reshape(shape)
-        for key, shape in shapes.items()
-        if key in names
-    }
+    arrays = {key: np.asarray(content[key], np.float64) for key in _ARRAYS if key in names}
+    # MATLAB makes a matrix of a row, and drops a last axis of one.
+    arrays["nrmse"] = arrays["nrmse"].reshape(len(metadata.runs))
+    shape = len(metadata.runs), len(metadata.trials), len(metadata.channels)
+    arrays["nrmse_by_trial"] = arrays["nrmse_by_trial"].reshape(shape)
     return _assembled(metadata, arrays)

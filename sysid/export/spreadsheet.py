@@ -32,22 +32,19 @@ def to_csv(sets: ParameterSets) -> bytes:
         *_FIXED, *(f"set_{s + 1}" for s in range(n_sets)), *(f"at_bound_{s + 1}" for s in range(n_sets)),
         "measured_low", "measured_high", "stated_sigma", "meaning", "source", "group", "trial",
     ]  # fmt: skip
-    metadata = sets.metadata().model_dump()
+    metadata, mean, sigma = sets.metadata().model_dump(), sets.mean, sets.sigma
     records = metadata.pop("parameters")
-    rows: list[dict[str, Any]] = []
-    for key, value in metadata.items():
-        rows.append({"row": "about", "name": key, "meaning": exact_json.dumps(value, indent=None)})
-    mean, sigma = (sets.mean, sets.sigma) if n_sets else (None, None)
+    rows: list[dict[str, Any]] = [
+        {"row": "about", "name": key, "meaning": exact_json.dumps(value, indent=None)}
+        for key, value in metadata.items()
+    ]
     for i, record in enumerate(records):
         row = {"row": "parameter", **{key: record[key] for key in _RECORD}}
+        row |= {"mean": float(mean[i]), "sigma": float(sigma[i])}
         if record["measured_range"] is not None:
             row["measured_low"], row["measured_high"] = record["measured_range"]
-        if mean is not None and sigma is not None:
-            row |= {"mean": float(mean[i]), "sigma": float(sigma[i])}
-        for s in range(n_sets):
-            row[f"set_{s + 1}"] = float(sets.values[s, i])
-            row[f"at_bound_{s + 1}"] = int(sets.at_bound[s, i])
-        rows.append(row)
+        row |= {f"at_bound_{s + 1}": int(flag) for s, flag in enumerate(sets.at_bound[:, i])}
+        rows.append(row | _by_set(sets.values[:, i]))
     rows.append({"row": "nrmse_mean", "unit": "1"} | _by_set(sets.nrmse))
     for t, trial in enumerate(sets.trials):
         for c, channel in enumerate(sets.channels):
@@ -92,23 +89,21 @@ def from_csv(data: bytes, place: object) -> ParameterSets:
     parameters = [row for row in rows if row["row"] == "parameter"]
     metadata["parameters"] = [_record(row) for row in parameters]
     checked = SetsMetadata.of(metadata, place, ExportError)
-    n_sets = len(checked.runs)
-    names = [f"set_{s + 1}" for s in range(n_sets)]
-    flags = [f"at_bound_{s + 1}" for s in range(n_sets)]
+    ranks = range(1, len(checked.runs) + 1)
+    names, flags = [f"set_{rank}" for rank in ranks], [f"at_bound_{rank}" for rank in ranks]
     scores = {
         (row["name"], row["symbol"]): [float(row[n]) for n in names] for row in rows if row["row"] == "nrmse"
     }
-    by_trial = np.empty((n_sets, len(checked.trials), len(checked.channels)))
+    by_trial = np.empty((len(names), len(checked.trials), len(checked.channels)))
     for t, trial in enumerate(checked.trials):
         for c, channel in enumerate(checked.channels):
             by_trial[:, t, c] = scores[trial.name, channel.name]
     (mean,) = (row for row in rows if row["row"] == "nrmse_mean")
-    shape = (n_sets, len(parameters))
     return ParameterSets.from_metadata(
         checked,
-        values=np.array([[float(row[n]) for row in parameters] for n in names]).reshape(shape),
+        values=np.array([[float(row[n]) for row in parameters] for n in names]),
         nrmse=np.array([float(mean[n]) for n in names]),
-        at_bound=np.array([[int(row[n]) for row in parameters] for n in flags], dtype=np.int8).reshape(shape),
+        at_bound=np.array([[int(row[n]) for row in parameters] for n in flags], dtype=np.int8),
         nrmse_by_trial=by_trial,
     )
 

@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
-from sysid.export.mean_table import MeanRow, mean_sigma, mean_table, plain
 from sysid.parameter_sets import COMBINATIONS, ParameterRecord, ParameterSets, in_place_of_digits
-from sysid.report.table import NONE, Cell, Table, Tone, numbers, percent, table, with_unit, words
+from sysid.report.table import (
+    NONE,
+    Cell,
+    Table,
+    Tone,
+    mean_sigma,
+    numbers,
+    percent,
+    plain,
+    table,
+    with_unit,
+    words,
+)
 from sysid.types import FloatArray
 
 _AT_BOUND, _UNFIXED = "*", "†"
@@ -25,11 +37,13 @@ _SYMBOLS = {"x_B_rate": "ẋ_B", "z_B_rate": "ż_B", "stator_torque": "stator to
 def ranked_table(sets: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
     """Return the ranked sets side by side, best first: NRMSE, run, and every free parameter [SI].
 
-    The values of `unfixed` parameters, which the data do not fix, are printed with one digit, and marked.
+    The values of `unfixed` parameters, which the data do not determine, have one digit and a mark.
     """
-    shown = _shown(sets)
+    found = [i for i, record in enumerate(sets.parameters) if _is_found(sets, record)]
+    shown = found or [i for i, record in enumerate(sets.parameters) if record.status == "measured"]
     rows = [_scores("NRMSE fitted", sets.nrmse, "strong")]
-    validated = _mean_over(sets, "validate")
+    held_out = [t for t, use in enumerate(sets.uses) if use == "validate"]
+    validated = _trial_means(sets)[:, held_out].mean(axis=1) if held_out else np.full(len(sets), np.nan)
     if np.any(np.isfinite(validated)):
         rows.append(_scores("NRMSE validated", validated))
     if any(sets.runs):
@@ -37,7 +51,8 @@ def ranked_table(sets: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
     above = len(rows)
     for column in shown:
         loose = sets.names[column] in unfixed
-        heading = _heading(sets.parameters[column]) + (f" {_UNFIXED}" if loose else "")
+        record = sets.parameters[column]
+        heading = with_unit(record.symbol, record.unit) + (f" {_UNFIXED}" if loose else "")
         rows.append([Cell(heading), *(_value(sets, s, column, loose) for s in range(len(sets)))])
     notes = [_FLAG] if np.any(sets.at_bound[:, shown]) else []
     if any(sets.names[column] in unfixed for column in shown):
@@ -61,28 +76,67 @@ def _value(sets: ParameterSets, s: int, column: int, loose: bool) -> Cell:
     return Cell(text, "doubtful" if bound else "")
 
 
+@dataclass(frozen=True)
+class MeanRow:
+    """One row of Table II: what was measured (nothing, one value, or a range), and (mean, σ) by fit [unit].
+
+    A fit that did not search the parameter has None.
+    """
+
+    record: ParameterRecord
+    measured: tuple[float, ...]
+    fitted: tuple[tuple[float, float] | None, ...]
+
+
+def mean_table(*fits: ParameterSets) -> tuple[MeanRow, ...]:
+    """Return the rows of Table II for fits of one kind: what at least one of them found or measured.
+
+    σ is divided by S - 1.
+    """
+    records: dict[str, ParameterRecord] = {}
+    for sets in fits:
+        for record in sets.parameters:
+            if record.status == "measured" or _is_found(sets, record):
+                records.setdefault(record.name, record)
+    return tuple(_mean_row(record, fits) for record in records.values())
+
+
+def _mean_row(record: ParameterRecord, fits: Sequence[ParameterSets]) -> MeanRow:
+    measured: tuple[float, ...] = ()
+    fitted: list[tuple[float, float] | None] = [None] * len(fits)
+    for k, sets in enumerate(fits):
+        if record.name not in sets.names:
+            continue
+        i = sets.names.index(record.name)
+        column, mean = sets.parameters[i], float(sets.mean[i])
+        if _is_found(sets, column):
+            fitted[k] = (mean, float(sets.sigma[i]))
+            measured = measured or (column.measured_range or ())
+        elif column.status == "measured":
+            measured = (mean,)
+    return MeanRow(record, measured, tuple(fitted))
+
+
 def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
     """Return mean ± σ over the sets of fits of one kind, in the layout of the paper's Table II.
 
     Each fit has a column; measured values, independent ranges and bounds stand beside them. "Not fixed"
-    replaces the digits of `unfixed` parameters, which the data do not fix. σ is divided by S − 1. A parameter
-    of which any set ends at a bound is flagged.
+    replaces the digits of `unfixed` parameters, which the data do not determine. A parameter of which any set
+    ends at a bound is flagged.
     """
     flags = [{sets.names[i] for i in np.flatnonzero(np.any(sets.at_bound != 0, axis=0))} for sets in fits]
 
-    def record(row: MeanRow, *status: str) -> ParameterRecord | None:
-        every = (r for sets in fits for r in sets.parameters if r.name == row.name)
-        return next((r for r in every if not status or r.status in status), None)
-
     def fitted(k: int, row: MeanRow) -> Cell:
-        cell, flagged = row.fitted[k], row.name in flags[k]
-        text = in_place_of_digits(fits[k].settings, row.name)
-        if text is None and row.name in unfixed and cell is not None:
+        cell, name = row.fitted[k], row.record.name
+        text = in_place_of_digits(fits[k].settings, name)
+        if text is None and name in unfixed and cell is not None:
             text = "not fixed"
+        flagged = name in flags[k]
         return Cell(text or mean_sigma(cell) + (_AT_BOUND if flagged else ""), "doubtful" if flagged else "")
 
     def bounds(row: MeanRow) -> str:
-        free = record(row, "free")
+        every = (r for sets in fits for r in sets.parameters if r.name == row.record.name)
+        free = next((r for r in every if r.status == "free"), None)
         if free is None or free.lower is None or free.upper is None:
             return NONE
         return f"{plain(free.lower)} to {plain(free.upper)}"
@@ -91,7 +145,7 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
         "measured and identified parameters (mean ± σ of the sets)",
         mean_table(*fits),
         (
-            words("parameter", lambda row: _heading(record(row))),
+            words("parameter", lambda row: with_unit(row.record.symbol, row.record.unit)),
             # The fits first: a phone shows the left of a table.
             *(numbers(sets.name, partial(fitted, k)) for k, sets in enumerate(fits)),
             # A range of no width is one value.
@@ -105,12 +159,9 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
 def trial_table(sets: ParameterSets) -> Table:
     """Return the NRMSE [%] of the best set per trial and channel, and the mean of the worst set on each."""
     means = _trial_means(sets)
-    best = sets.nrmse_by_trial[0] if len(sets) else np.full((len(sets.trials), len(sets.channels)), np.nan)
-    worst = means.max(axis=0) if len(sets) else np.full(len(sets.trials), np.nan)
-    mean = means[0] if len(sets) else worst
 
     def score(c: int, t: int) -> str:
-        return percent(float(best[t, c]))
+        return percent(float(sets.nrmse_by_trial[0, t, c]))
 
     velocities = any(channel.endswith("_rate") for channel in sets.channels)
     return table(
@@ -120,8 +171,8 @@ def trial_table(sets: ParameterSets) -> Table:
             words("trial", lambda t: sets.trials[t]),
             words("use", lambda t: sets.uses[t]),
             *(numbers(channel_symbol(channel), partial(score, c)) for c, channel in enumerate(sets.channels)),
-            numbers("mean", lambda t: Cell(percent(mean[t]), "strong")),
-            numbers("worst set, mean", lambda t: percent(worst[t])),
+            numbers("mean", lambda t: Cell(percent(means[0, t]), "strong")),
+            numbers("worst set, mean", lambda t: percent(means[:, t].max())),
         ),
         _NOISE if velocities else "",
         (t for t in range(1, len(sets.uses)) if sets.uses[t] != sets.uses[t - 1]),
@@ -150,11 +201,9 @@ def channel_symbol(channel: str) -> str:
     return _SYMBOLS.get(channel, channel)
 
 
-def _shown(sets: ParameterSets) -> list[int]:
-    """Return the columns of the free parameters and of what they fix together; else of all measured ones."""
-    combined = sets.settings.get(COMBINATIONS, ())
-    free = [i for i, r in enumerate(sets.parameters) if r.status == "free" or r.name in combined]
-    return free or [i for i, record in enumerate(sets.parameters) if record.status == "measured"]
+def _is_found(sets: ParameterSets, record: ParameterRecord) -> bool:
+    """Whether the search found a number, by itself or as a combination of others."""
+    return record.status == "free" or record.name in sets.settings.get(COMBINATIONS, ())
 
 
 def _trial_means(sets: ParameterSets) -> FloatArray:
@@ -164,15 +213,3 @@ def _trial_means(sets: ParameterSets) -> FloatArray:
     if not used.any():
         return np.full((len(sets), len(sets.trials)), np.nan)
     return np.asarray(sets.nrmse_by_trial[:, :, used] @ (weights[used] / weights[used].sum()))
-
-
-def _mean_over(sets: ParameterSets, use: str) -> FloatArray:
-    chosen = [t for t, trial_use in enumerate(sets.uses) if trial_use == use]
-    if not chosen:
-        return np.full(len(sets), np.nan)
-    return np.asarray(_trial_means(sets)[:, chosen].mean(axis=1))
-
-
-def _heading(record: ParameterRecord | None) -> str:
-    assert record is not None
-    return with_unit(record.symbol, record.unit)

@@ -86,3 +86,35 @@ def number(value: float | None, digits: int = 4) -> str:
 def percent(value: float | None, digits: int = 2) -> str:
     """Return a share in percent without the sign, or a dash."""
     return NONE if value is None or not math.isfinite(value) else f"{100 * value:.{digits}f}"
+
+
+def plain(value: float, digits: int = 4) -> str:
+    """Return a number with `digits` digits; an exponent only below 1e-4 and from 1e7 on."""
+    text = f"{value:.{digits}g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e7 else text
+
+
+def mean_sigma(cell: tuple[float, float] | None) -> str:
+    """Return `mean ± σ`, σ with two digits and the mean to the same place; a dash for None.
+
+    The mean has decimals up to its fourth significant digit; a σ beyond them is printed with one digit.
+    """
+    if cell is None:
+        return NONE
+    mean, sigma = cell
+    if not math.isfinite(sigma) or sigma == 0 or not math.isfinite(mean):
+        return plain(mean)
+    exponent = math.floor(math.log10(max(abs(mean), sigma)))
+    scale = 10.0**exponent if exponent < -3 or exponent > 6 else 1.0
+    power = "" if scale == 1.0 else f"e{exponent}"
+    digits = 1 - math.floor(math.log10(sigma / scale))
+    places = max(0, 3 - math.floor(math.log10(abs(mean / scale)))) if mean else digits
+    if digits > places and sigma < abs(mean):
+        # Runs that agree to six digits do not make the mean known to as many.
+        value = f"{mean / scale:.{places}f}"
+        if sigma / scale < 1e-6:
+            return f"{value}{power} (σ < 1e{(exponent if power else 0) - 6})"
+        text = f"{value} ± {sigma / scale:.1g}"
+    else:
+        text = " ± ".join(f"{round(value / scale, digits):.{max(digits, 0)}f}" for value in (mean, sigma))
+    return f"({text}){power}" if power else text

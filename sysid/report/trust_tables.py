@@ -8,7 +8,6 @@ from functools import partial
 from operator import itemgetter
 from typing import Any
 
-from sysid.export.mean_table import mean_sigma, plain
 from sysid.report.set_tables import channel_symbol
 from sysid.report.table import (
     NONE,
@@ -16,9 +15,11 @@ from sysid.report.table import (
     Column,
     Table,
     Tone,
+    mean_sigma,
     number,
     numbers,
     percent,
+    plain,
     table,
     with_unit,
     words,

@@ -7,9 +7,9 @@ import pytest
 
 import sysid
 from fakes.places import ROOT
-from sysid.export import mean_table
 from sysid.export.published import table_1, table_2, write_published
 from sysid.motor.model import simulate
+from sysid.report.set_tables import mean_table
 
 PUBLISHED = ROOT / "data_samples" / "published"
 NAMES = ["published-gear-hf.json", "published-gear-lf.json", "published-motor.json"]
@@ -46,7 +46,7 @@ def test_files_read_back():
 
 
 def test_table_two_as_printed():
-    rows = {row.name: row for row in mean_table(table_2("lf"), table_2("hf"))}
+    rows = {row.record.name: row for row in mean_table(table_2("lf"), table_2("hf"))}
     assert len(rows) == 16
     for name, (unit, *columns) in PRINTED_2.items():
         for cell, text in zip(rows[name].fitted, columns, strict=True):

@@ -9,7 +9,8 @@ from rich.console import Console
 from sysid.parameter_sets import ParameterSets, parameter_records
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 from sysid.report.fold import print_table
-from sysid.report.set_tables import mean_sigma_table, ranked_table, trial_table
+from sysid.report.set_tables import mean_sigma_table, mean_table, ranked_table, trial_table
+from sysid.report.table import mean_sigma, plain
 
 
 def made_sets(**changes):
@@ -114,3 +115,42 @@ def test_report_tables_of_printed_sets_without_trials_or_scores():
 def test_report_tables_print_brackets_as_text(make):
     sets = made_sets(name="[bold]lab[/bold]")
     assert any("[bold]lab[/bold]" in line for line in lines_of(make(sets), 130))
+
+
+def test_mean_table_is_table_two():
+    rows = {
+        row.record.name: row
+        for row in mean_table(made_sets(), made_sets(values=[[1.242, 6670.0, 0.08, 0.44]] * 3))
+    }
+    assert list(rows) == ["body_mass", "leg_axial_stiffness", "joint_dx", "kinetic_friction"]
+    stiffness = rows["leg_axial_stiffness"]
+    # σ over the runs is the sample's: divided by S - 1.
+    assert stiffness.fitted == (pytest.approx((6500.0, 500.0)), (6670.0, 0.0))
+    assert stiffness.measured == (5600.0, 6600.0)
+    assert rows["body_mass"].measured == (1.242,)
+    assert rows["body_mass"].fitted == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("mean", "sigma", "text"),
+    [
+        (0.052, 0.0401, "0.052 ± 0.040"),  # two digits of σ
+        (5.2e-9, 4.01e-9, "(5.2 ± 4.0)e-9"),
+        (0.298783, 2e-7, "0.2988 (σ < 1e-6)"),  # runs that agree do not make digits
+        (9.0123e-9, 2e-16, "9.012e-9 (σ < 1e-15)"),
+        (0.298783, 2e-5, "0.2988 ± 2e-05"),
+        (0.298783, 0.0012, "0.2988 ± 0.0012"),
+        (12345.0, 2.0, "12345 ± 2"),
+        (0.0, 2e-3, "0.0000 ± 0.0020"),
+        (97442.0, 33113.0, "97000 ± 33000"),  # no more digits than the spread allows
+        (113_340.0, 250.0, "113340 ± 250"),
+    ],
+)
+def test_digits_of_mean_and_sigma(mean, sigma, text):
+    assert mean_sigma((mean, sigma)) == text
+
+
+def test_large_numbers_without_exponent():
+    assert [plain(v) for v in (113_340.0, 1.2e4, 2e4, 0.04, 9e-9, 3e8)] == [
+        "113300", "12000", "20000", "0.04", "9e-09", "3e+08",
+    ]  # fmt: skip

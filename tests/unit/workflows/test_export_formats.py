@@ -15,8 +15,7 @@ import scipy.io
 
 import sysid
 from sysid.errors import ExportError
-from sysid.export import export, load_parameter_sets, mean_table
-from sysid.export.mean_table import mean_sigma, plain
+from sysid.export import export, load_parameter_sets
 from sysid.parameter_sets import ParameterRecord, ParameterSets
 
 SUFFIXES = ["json", "csv", "h5", "mat"]
@@ -228,45 +227,6 @@ def test_full_disk_leaves_the_old_file(tmp_path, monkeypatch, suffix, call):
     monkeypatch.undo()
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
-
-
-def test_mean_table_is_table_two():
-    lf, hf = made_sets(), made_sets(values=[[6670.0, 1.242, np.inf, 0.1]] * 3)
-    rows = {row.name: row for row in mean_table(lf, hf)}
-    assert list(rows) == ["leg_axial_stiffness", "body_mass"]
-    stiffness = rows["leg_axial_stiffness"]
-    column = np.array([6400.1, 6500.3, 2000.1])
-    # σ over five runs is the sample's: divided by S - 1.
-    assert stiffness.fitted[0] == pytest.approx((column.mean(), column.std(ddof=1)))
-    assert stiffness.fitted[1] == (6670.0, 0.0)
-    assert stiffness.measured == (5600.0, 6600.0)
-    assert rows["body_mass"].measured == (1.242,)
-    assert rows["body_mass"].fitted == (None, None)
-
-
-@pytest.mark.parametrize(
-    ("mean", "sigma", "text"),
-    [
-        (0.052, 0.0401, "0.052 ± 0.040"),  # two digits of σ
-        (5.2e-9, 4.01e-9, "(5.2 ± 4.0)e-9"),
-        (0.298783, 2e-7, "0.2988 (σ < 1e-6)"),  # runs that agree do not make digits
-        (9.0123e-9, 2e-16, "9.012e-9 (σ < 1e-15)"),
-        (0.298783, 2e-5, "0.2988 ± 2e-05"),
-        (0.298783, 0.0012, "0.2988 ± 0.0012"),
-        (12345.0, 2.0, "12345 ± 2"),
-        (0.0, 2e-3, "0.0000 ± 0.0020"),
-        (97442.0, 33113.0, "97000 ± 33000"),  # no more digits than the spread allows
-        (113_340.0, 250.0, "113340 ± 250"),
-    ],
-)
-def test_digits_of_mean_and_sigma(mean, sigma, text):
-    assert mean_sigma((mean, sigma)) == text
-
-
-def test_large_numbers_without_exponent():
-    assert [plain(v) for v in (113_340.0, 1.2e4, 2e4, 0.04, 9e-9, 3e8)] == [
-        "113300", "12000", "20000", "0.04", "9e-09", "3e+08",
-    ]  # fmt: skip
 
 
 def test_infinite_values_have_no_spread():
