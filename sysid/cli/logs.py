@@ -74,7 +74,7 @@ def convert(
     second = SecondFile(add, add_format, parse_options(add_option), align_by) if add else None
     options = parse_options(option)
     sentence = convert_file(file, to, format_name=format, options=options, second=second, force=force)
-    print_json({"written": [str(to)], "said": sentence}) if json else typer.echo(sentence)
+    print_json({"written": [str(to)], "sentence": sentence}) if json else typer.echo(sentence)
 
 
 @command(app, "reversal-time")

@@ -30,8 +30,6 @@ from sysid.units import parse_quantity
 # The paper's impulse: thrust is cut but not reversed, because a reversal takes too long.
 IDLE_COMMAND = 0.1
 IMPULSE_COMMAND = 0.8
-# What a label adds to a controller's name.
-_IDEAL, _SENSING = ", ideal reversal", ", own sensing"
 
 
 @dataclass(frozen=True)
@@ -80,7 +78,8 @@ class Controller:
     @property
     def label(self) -> str:
         """Name with its options, for tables and figures."""
-        return self.name + (_IDEAL if self.ideal_reversal else "") + (_SENSING if self.sensing else "")
+        options = (", ideal reversal", self.ideal_reversal), (", own sensing", self.sensing)
+        return self.name + "".join(words for words, given in options if given)
 
     def check_within(self, horizon: float) -> None:
         """Refuse a step that comes when the simulated time [s] is over: often milliseconds were meant."""
@@ -90,11 +89,6 @@ class Controller:
                 f"controller {self.name!r}: a step at {late[0]:g} s, but only {horizon:g} s are simulated; a "
                 "number without unit is in seconds: write 50ms for milliseconds, or raise --horizon"
             )
-
-
-def name_of(label: str) -> str:
-    """Return the controller's name in a label of `Controller.label`."""
-    return label.removesuffix(_SENSING).removesuffix(_IDEAL)
 
 
 Recipe = Callable[..., Sequence[Step]]

@@ -36,8 +36,6 @@ REVERSAL = "reversal_delay"
 SLOPES_DEG = tuple(float(slope) for slope in range(0, 61))
 SPEEDS = (0.3, 0.6, 0.9, 1.2)
 _MOST = 41
-# Names in a row of gains the touchdown speeds whose largest safe slope the grid cuts off.
-LOWER_BOUNDS = "lower bounds, at the grid's edge"
 
 
 @dataclass(frozen=True)
@@ -252,11 +250,6 @@ class DesignStudy:
         """Whether every slope (p, m) of the grid is safe, so that steeper ones may be, too."""
         return np.asarray(self.steepest == self.settings.slopes_deg[-1])
 
-    def bounds(self, design: int) -> list[str]:
-        """Return the touchdown speeds, in words, at which a design's largest safe slope is a lower bound."""
-        edges = zip(self.settings.speeds, self.at_edge[design].tolist(), strict=True)
-        return [f"{speed:g} m/s" for speed, edge in edges if edge]
-
     @property
     def landable(self) -> FloatArray:
         """Width (p, m) of slopes that the sets land on [deg]: the integral of the share over the slope.
@@ -276,10 +269,11 @@ class DesignStudy:
         return np.asarray(chosen[first])
 
     def gains(self) -> list[dict[str, Any]]:
-        """Return per change its best value and what it buys, most first.
+        """Return per change its best and worst value, what the best one buys and the worst one costs.
 
-        Gains are in landable degrees, mean over the speeds; designs with several changes count as they are.
-        Slopes beyond the grid count nowhere, so a design that is safe up to the grid's edge may gain more.
+        What buys most comes first. ``steepest_deg`` and ``at_edge`` hold at the best value, by speed. Gains
+        are in landable degrees, mean over the speeds; designs with several changes count as they are. Slopes
+        beyond the grid count nowhere, so a design that is safe up to the grid's edge may gain more.
         """
         base = self.landable[0]
         gained = (self.landable - base).mean(axis=1)
@@ -292,15 +286,13 @@ class DesignStudy:
             if len(chosen) < 2:
                 continue
             best, worst = chosen[np.argmax(gained[chosen])], chosen[np.argmin(gained[chosen])]
-            speeds = [f"{speed:g} m/s" for speed in self.settings.speeds]
             rows.append({
                 "change": " and ".join(self.changes[c].label for c in used),
-                "best value": self.points[best, list(used)].tolist(), "gain [deg]": float(gained[best]),
-                "worst value": self.points[worst, list(used)].tolist(), "loss [deg]": float(gained[worst]),
-                "largest safe slope [deg]": dict(zip(speeds, self.steepest[best].tolist(), strict=True)),
-                LOWER_BOUNDS: self.bounds(int(best)),
+                "best": self.points[best, list(used)].tolist(), "gain_deg": float(gained[best]),
+                "worst": self.points[worst, list(used)].tolist(), "loss_deg": float(gained[worst]),
+                "steepest_deg": self.steepest[best].tolist(), "at_edge": self.at_edge[best].tolist(),
             })  # fmt: skip
-        return sorted(rows, key=lambda row: -row["gain [deg]"])
+        return sorted(rows, key=lambda row: -row["gain_deg"])
 
 
 def designs(changes: Sequence[Change], together: bool = False) -> FloatArray:

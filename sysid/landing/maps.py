@@ -27,6 +27,8 @@ Fleets = Sequence[Sequence[Drone]]
 # The paper's grid.
 SLOPES_DEG = tuple(float(slope) for slope in range(46))
 SPEEDS = tuple(round(0.05 * step, 2) for step in range(41))
+# Touchdown speeds of a summary [m/s].
+_USUAL_SPEEDS = (0.3, 0.6, 1.0, 1.5)
 
 
 @dataclass(frozen=True)
@@ -77,9 +79,10 @@ class MapSettings:
 
 @dataclass(frozen=True, eq=False)
 class CellMap:
-    """What every map is of: S sets by name on a surface under a controller (its label).
+    """What every map is of: S sets by name on a surface under a controller.
 
-    The cells lie over slope (n,) [deg] and touchdown speed (m,) [m/s].
+    `controller` is its label, `law` its name, whatever triggers it. The cells lie over slope (n,) [deg] and
+    touchdown speed (m,) [m/s].
     """
 
     surface: str
@@ -87,6 +90,7 @@ class CellMap:
     sets: tuple[str, ...]
     slopes_deg: FloatArray
     speeds: FloatArray
+    law: str = field(default="", kw_only=True)
 
     @property
     def title(self) -> str:
@@ -158,6 +162,41 @@ class LandingMap(CellMap):
         fails = np.flatnonzero(~(column >= share))
         last = (fails[0] if len(fails) else len(column)) - 1
         return float(self.slopes_deg[last]) if last >= 0 else float("nan")
+
+    def summary(self) -> dict[str, Any]:
+        """Return the map in a few numbers, ready for JSON.
+
+        ``cells`` counts the cells by likeliest class. Half of the sets land up to ``steepest_deg`` at the
+        ``speeds``, which is a lower bound where it is ``at_edge`` of the map. The means are over the cells
+        on which half of the sets land. ``uncertain`` is a share of all landings [1], None where untried.
+        """
+        classes, counts = np.unique(self.likeliest, return_counts=True)
+        speeds = self._summary_speeds()
+        steepest = [self.steepest(speed) for speed in speeds]
+        means = {}
+        for name, values in (("mean_time", self.mean_time), ("mean_distance", self.mean_distance)):
+            chosen = values[(self.landed >= 0.5) & np.isfinite(values)]
+            means[name] = float(chosen.mean()) if len(chosen) else float("nan")
+        return {
+            "surface": self.surface,
+            "controller": self.controller,
+            "sets": len(self.sets),
+            "cells": {Outcome(c).name.lower(): n for c, n in zip(classes, counts.tolist(), strict=True)},
+            "speeds": speeds,
+            "steepest_deg": steepest,
+            "at_edge": [slope == float(self.slopes_deg[-1]) for slope in steepest],
+            **means,
+            "uncertain": float(self.uncertain.mean()) if self.checked else None,
+            "lost": int(np.sum(self.outcome == Outcome.LOST)),
+        }
+
+    def _summary_speeds(self) -> list[float]:
+        """Speeds [m/s] of a summary: all of up to four, else the usual speeds that the map has, else four."""
+        if len(self.speeds) <= 4:
+            return self.speeds.tolist()
+        usual = [speed for speed in _USUAL_SPEEDS if (abs(self.speeds - speed) < 1e-9).any()]
+        spaced = np.unique(np.linspace(0, len(self.speeds) - 1, 4).round().astype(int))
+        return usual or self.speeds[spaced].tolist()
 
 
 def cell_edges(centres: FloatArray) -> FloatArray:
@@ -292,5 +331,5 @@ def landing_maps(
         for controller, part in zip(controllers, parts, strict=True):
             found = [column.reshape(shape) for column in columns[part]]
             head = (fleet[0].surface, controller.label, names, *settings.axes)
-            out.append(LandingMap(*head, *found, checked=settings.check))
+            out.append(LandingMap(*head, *found, checked=settings.check, law=controller.name))
     return tuple(out)

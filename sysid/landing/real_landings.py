@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import LogError
-from sysid.landing.controllers import name_of
+from sysid.landing.controllers import Controller
 from sysid.landing.maps import LandingMap, nearest_cell
 from sysid.landing.outcomes import OUTCOMES, Outcome
 
@@ -83,7 +83,7 @@ class Confusion:
             for word, row in zip(self.words, self.counts.tolist(), strict=True)
         }
         totals = {"agreeing": self.agreeing, "outside": self.outside, "lost": self.lost}
-        return {"counts, observed by simulated": counts, **totals}
+        return {"counts": counts, **totals}
 
 
 def read_experiments(path: Path) -> tuple[Experiment, ...]:
@@ -125,21 +125,20 @@ def read_experiments(path: Path) -> tuple[Experiment, ...]:
 
 def of_map(experiments: Sequence[Experiment], landings: LandingMap) -> list[Experiment]:
     """Return the experiments that were made on the map's surface under its controller."""
-    return [e for e in experiments if _belongs(e, landings.surface, landings.controller)]
+    return [e for e in experiments if _belongs(e, landings.surface, landings.controller, landings.law)]
 
 
 def strangers(
-    experiments: Sequence[Experiment], maps: Sequence[tuple[str, str]]
+    experiments: Sequence[Experiment], maps: Sequence[tuple[str, Controller]]
 ) -> dict[tuple[str, str], int]:
-    """Count the experiments that belong to none of the maps (surface, label), by surface and controller."""
-    left = [e for e in experiments if not any(_belongs(e, *pair) for pair in maps)]
+    """Count the experiments that belong to no map, by surface and controller."""
+    left = [e for e in experiments if not any(_belongs(e, s, c.label, c.name) for s, c in maps)]
     return dict(Counter((e.surface, e.controller) for e in left))
 
 
-def _belongs(experiment: Experiment, surface: str, label: str) -> bool:
+def _belongs(experiment: Experiment, surface: str, *names: str) -> bool:
     """Say whether an experiment is one of a map; a real drone names neither its trigger nor its motors."""
-    name = _plain(experiment.controller)
-    return experiment.surface == surface and name in (_plain(label), _plain(name_of(label)))
+    return experiment.surface == surface and _plain(experiment.controller) in map(_plain, names)
 
 
 def _plain(name: str) -> str:

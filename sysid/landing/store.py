@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,6 @@ from sysid.storage import FileKind, put, put_json, put_texts, write_file
 
 MAPS = FileKind("sysid-landing-maps", 1, "a file of landing maps", "compute the map again", ExportError)
 STUDY = FileKind("sysid-design-study", 1, "a design study", "compute the study again", ExportError)
-# Touchdown speeds of a summary [m/s].
-_USUAL_SPEEDS = (0.3, 0.6, 1.0, 1.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,50 +98,3 @@ def _put_study(file: Any, study: DesignStudy, provenance: Mapping[str, Any]) -> 
     put(file, "landable", study.landable, "design, speed", "deg")
     put(file, "at_edge", study.at_edge, "design, speed")
     put(file, "lost", study.lost, "design", "landings")
-
-
-def summary(maps: Sequence[LandingMap]) -> list[dict[str, Any]]:
-    """Return per map what a table or JSON shows: cells by likeliest class, steepest slopes, doubts.
-
-    Steepest slopes are stated for speeds that the map has. The map's last slope is a lower bound: steeper
-    landings may succeed. Doubts are None where they were not looked for.
-    """
-    out = []
-    for landings in maps:
-        slopes = {f"{speed:g} m/s": landings.steepest(speed) for speed in _summary_speeds(landings)}
-        classes, counts = np.unique(landings.likeliest, return_counts=True)
-        cells = {Outcome(int(code)).name.lower(): int(n) for code, n in zip(classes, counts, strict=True)}
-        out.append(
-            {
-                "surface": landings.surface,
-                "controller": landings.controller,
-                "sets": len(landings.sets),
-                "cells": cells,
-                "steepest slope that half of the sets land on [deg]": slopes,
-                "lower bounds, at the map's edge": [
-                    name for name, slope in slopes.items() if slope == landings.slopes_deg[-1]
-                ],
-                "mean time to rest where landed [s]": _where_landed(landings, landings.mean_time),
-                "mean distance where landed [m]": _where_landed(landings, landings.mean_distance),
-                "uncertain [%]": 100.0 * float(landings.uncertain.mean()) if landings.checked else None,
-                "lost": int(np.sum(landings.outcome == Outcome.LOST)),
-            }
-        )
-    return out
-
-
-def _summary_speeds(landings: LandingMap) -> list[float]:
-    """Speeds [m/s] of a summary: all of up to four, else the usual speeds that it has, else four."""
-    if len(landings.speeds) <= 4:
-        return [float(speed) for speed in landings.speeds]
-    usual = [speed for speed in _USUAL_SPEEDS if (abs(landings.speeds - speed) < 1e-9).any()]
-    if usual:
-        return usual
-    chosen = np.unique(np.linspace(0, len(landings.speeds) - 1, 4).round().astype(int))
-    return [float(landings.speeds[k]) for k in chosen]
-
-
-def _where_landed(landings: LandingMap, values: Any) -> float:
-    """Mean over the cells where at least half of the sets land, NaN without any."""
-    chosen = (landings.landed >= 0.5) & np.isfinite(values)
-    return float(values[chosen].mean()) if chosen.any() else float("nan")

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from typing import Any
 
-from sysid.landing.design_study import LOWER_BOUNDS
+from sysid.landing.design_study import DesignStudy
 from sysid.report.table import Column, Table, numbers, table, words
 
 
 def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return static limits, one row per set and thrust, as `workflows.static_limits` writes them."""
-    creeps = any(row["rigid creep limit [deg]"] < row["rigid slide limit [deg]"] for row in rows)
+    creeps = any(row["rigid_creep_deg"] < row["rigid_slide_deg"] for row in rows)
 
     def degrees(header: str, key: str) -> Column:
         return numbers(header, lambda row: f"{row[key]:.1f}")
@@ -23,13 +23,13 @@ def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
         rows,
         (
             words("set", lambda row: str(row["set"])),
-            numbers("thrust", lambda row: f"{row['reverse thrust [N]']:g}", "N"),
-            degrees("rigid: slides", "rigid slide limit [deg]"),
-            degrees("rigid: tips", "rigid tip limit [deg]"),
-            degrees("rigid: creeps", "rigid creep limit [deg]") if creeps else None,
-            degrees("own legs", "own legs [deg]"),
-            words("", lambda row: row["own legs"]),
-            degrees("set down", "own legs, set down at once [deg]"),
+            numbers("thrust", lambda row: f"{row['reverse_thrust']:g}", "N"),
+            degrees("rigid: slides", "rigid_slide_deg"),
+            degrees("rigid: tips", "rigid_tip_deg"),
+            degrees("rigid: creeps", "rigid_creep_deg") if creeps else None,
+            degrees("own legs", "ramp_deg"),
+            words("", lambda row: row["ramp_how"]),
+            degrees("set down", "set_down_deg"),
         ),
         "rigid: closed forms for stiff legs"
         + (" (creeps: at 0.05 m/s)" if creeps else "")
@@ -37,37 +37,26 @@ def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
     )
 
 
-def gains_table(
-    name: str, base: Mapping[str, float], gains: Sequence[Mapping[str, Any]], bounds: Sequence[str]
-) -> Table:
-    """Return what each change of a design buys, most first.
-
-    Parameters
-    ----------
-    base : mapping of str to float
-        Largest safe slope of the sets as they are [deg], by touchdown speed.
-    gains : sequence of mapping
-        As `sysid.landing.design_study.DesignStudy.gains` returns them.
-    bounds : sequence of str
-        Speeds at which the sets as they are are safe up to the grid's edge.
-    """
-    rows = [("as it is", "", "", "", "", *(_slope(value, speed in bounds) for speed, value in base.items()))]
-    for row in gains:
-        slopes = row["largest safe slope [deg]"].items()
-        rows.append(
-            (
-                row["change"], _values(row["best value"]), f"{row['gain [deg]']:+.1f}",
-                _values(row["worst value"]), f"{row['loss [deg]']:+.1f}",
-                *(_slope(value, speed in row[LOWER_BOUNDS]) for speed, value in slopes),
-            )
-        )  # fmt: skip
-    heads = ("best", "gain [deg]", "worst", "loss [deg]", *base)
+def gains_table(study: DesignStudy) -> Table:
+    """Return what each change of a design buys, most first."""
+    gains, steepest, edge = study.gains(), study.steepest[0].tolist(), study.at_edge[0].tolist()
+    rows = [("as it is", "", "", "", "", *map(at_least, steepest, edge))]
+    rows += [
+        (
+            row["change"], _values(row["best"]), f"{row['gain_deg']:+.1f}",
+            _values(row["worst"]), f"{row['loss_deg']:+.1f}",
+            *map(at_least, row["steepest_deg"], row["at_edge"]),
+        )
+        for row in gains
+    ]  # fmt: skip
+    speeds = (f"{speed:g} m/s" for speed in study.settings.speeds)
+    heads = ("best", "gain [deg]", "worst", "loss [deg]", *speeds)
     note = "gain: in width of slopes landed on, mean over the speeds; columns of speeds: the largest safe "
     note += "slope [deg] at the best value"
-    if bounds or any(row[LOWER_BOUNDS] for row in gains):
+    if any(any(bounds) for bounds in (edge, *(row["at_edge"] for row in gains))):
         note += "; ≥: safe up to the steepest slope tried, so gains are lower bounds; raise --slopes"
     return table(
-        f"{name}: degrees of slope that a change buys",
+        f"{study.name}: degrees of slope that a change buys",
         rows,
         (
             words("change", itemgetter(0)),
@@ -82,5 +71,6 @@ def _values(values: Sequence[float]) -> str:
     return ", ".join(f"{value:.3g}" for value in values)
 
 
-def _slope(value: float, at_edge: bool) -> str:
-    return f"{'≥ ' if at_edge else ''}{value:.0f}" if math.isfinite(value) else "–"
+def at_least(value: float, at_edge: bool, form: str = ".0f") -> str:
+    """Return the steepest slope [deg] of a row; at the edge of what was tried it is a lower bound."""
+    return f"{'≥ ' if at_edge else ''}{value:{form}}" if math.isfinite(value) else "–"

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from sysid.journal import Say
 from sysid.landing.design_study import (
-    LOWER_BOUNDS,
     DesignStudy,
     StudySettings,
     design_study,
@@ -84,14 +82,12 @@ def _print(study: DesignStudy, options: DesignStudyOptions, picture: Path, say: 
             f"warning: {lost} landings of {np.count_nonzero(study.lost)} of {len(study.points)} designs "
             "could not be simulated and count nowhere; a slope on which none could counts as not safe"
         )
-    gains = study.gains()
-    speeds = [f"{speed:g} m/s" for speed in study.settings.speeds]
-    base = dict(zip(speeds, study.steepest[0].tolist(), strict=True))
     if options.compute.json:
-        document: dict[str, Any] = {"name": study.name, "controller": study.controller}
-        document |= {"as it is, largest safe slope [deg]": base, LOWER_BOUNDS: study.bounds(0)}
-        document |= {"changes": gains, "lost": lost, "file": str(options.out)}
-        print_result(document, json=True)
+        print_result({
+            "name": study.name, "controller": study.controller, "speeds": list(study.settings.speeds),
+            "steepest_deg": study.steepest[0].tolist(), "at_edge": study.at_edge[0].tolist(),
+            "changes": study.gains(), "lost": lost, "file": str(options.out),
+        }, json=True)  # fmt: skip
     elif not options.compute.quiet:
-        print_table(gains_table(study.name, base, gains, study.bounds(0)))
+        print_table(gains_table(study))
         print(f"wrote {options.out} and {picture}")

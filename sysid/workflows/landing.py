@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,13 @@ from sysid.landing.scenario import Scenario
 from sysid.landing.simulate import Landing, land
 from sysid.landing.thrust import Motors
 from sysid.report.fold import print_result, print_table
-from sysid.report.table import Column, Table, numbers, table, words
+from sysid.report.table import Column, Table, numbers, table, with_unit, words
 from sysid.storage import FileKind, check_file, put, put_json, put_texts, write_file
 from sysid.workflows.landing_sources import chosen_controllers, open_fleets, rules_of
 from sysid.workflows.options import SimulateOptions
 
-EVENT = ("time [s]", "event", "of")
+EVENT = ("time", "event", "of")
+_UNITS = {"time": "s", "distance": "m", "time_to_rest": "s", "trigger": "s"}
 LANDINGS = FileKind("sysid-landings", 1, "a file of landings", "simulate again", ExportError)
 COLUMNS = (
     "time [s]",
@@ -106,10 +107,20 @@ def outcome_row(rank: int, landing: Landing) -> dict[str, Any]:
     return {
         "set": rank,
         "outcome": landing.outcome.name.lower(),
-        "distance [m]": landing.distance,
-        "time to rest [s]": landing.time,
-        "trigger [s]": landing.trigger,
+        "distance": landing.distance,
+        "time_to_rest": landing.time,
+        "trigger": landing.trigger,
     }
+
+
+def head(name: str) -> str:
+    """Return a key of a row as the head of a column: ``time to rest [s]``."""
+    return with_unit(name.replace("_", " "), _UNITS.get(name, ""))
+
+
+def headed(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row by the heads of its columns."""
+    return {head(name): value for name, value in row.items()}
 
 
 def conditions(landing: Landing) -> dict[str, Any]:
@@ -137,12 +148,12 @@ def _write(
         return
     events, histories = [], []
     for rank, landing in enumerate(landings, start=1):
-        events += [{"set": rank} | row for row in event_rows(landing)]
+        events += [headed({"set": rank} | row) for row in event_rows(landing)]
         histories += [
             dict(zip(("set", *COLUMNS), (rank, *line), strict=True)) for line in samples(landing).tolist()
         ]
-    outcomes = [row | conditions(landing) for row, landing in zip(rows, landings, strict=True)]
-    texts = (csv_text(histories), csv_text(events, ("set", *EVENT)), csv_text(outcomes))
+    outcomes = [headed(row) | conditions(landing) for row, landing in zip(rows, landings, strict=True)]
+    texts = (csv_text(histories), csv_text(events, ("set", *map(head, EVENT))), csv_text(outcomes))
     for path, text in zip(files, texts, strict=True):
         write_file(path, text.encode("utf-8"), ExportError)
 
@@ -160,12 +171,12 @@ def _hdf5(
     put_json(file, "provenance_json", sources)
     for row, landing in zip(rows, landings, strict=True):
         group = file.create_group(f"sets/{row['set']}")
-        group.attrs.update(row)
+        group.attrs.update(headed(row))
         for name, values in zip(COLUMNS, samples(landing).T, strict=True):
             quantity, _, unit = name.partition(" [")
             put(group, quantity, values, "sample", unit.rstrip("]"))
         events = event_rows(landing)
-        put(group, "events/time", [event["time [s]"] for event in events], "event", "s")
+        put(group, "events/time", [event["time"] for event in events], "event", "s")
         for key in ("event", "of"):
             put_texts(group, f"events/{key}", [event[key] for event in events])
 
@@ -173,7 +184,7 @@ def _hdf5(
 def _table(rows: Sequence[dict[str, Any]], first: Landing) -> Table:
     def column(name: str) -> Column:
         kind, form = (words if name == "outcome" else numbers), "" if name in ("set", "outcome") else ".3f"
-        return kind(name, lambda row: format(row[name], form))
+        return kind(head(name), lambda row: format(row[name], form))
 
     title = f"{first.drone.surface.upper()}, {math.degrees(first.scenario.slope):g} deg, "
     title += f"{first.scenario.speed:g} m/s: {first.controller.label}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from operator import itemgetter
 from pathlib import Path
@@ -19,12 +19,13 @@ from sysid.landing.maps import Fleets, LandingMap, MapSettings, landing_maps, ma
 from sysid.landing.outcomes import OUTCOMES
 from sysid.landing.real_landings import Experiment, confusion, of_map, read_experiments, strangers
 from sysid.landing.static_limits import ramp_limit, rigid_limits
-from sysid.landing.store import MapFile, summary, write_maps
+from sysid.landing.store import MapFile, write_maps
 from sysid.landing.thrust import Motors
 from sysid.report.drawing import save_figure
 from sysid.report.fold import print_lines, print_result, print_table
 from sysid.report.landing_figures import DrawnLimits, figure_impulse, figure_landing_maps
-from sysid.report.table import Column, Table, numbers, table, words
+from sysid.report.landing_tables import at_least
+from sysid.report.table import Table, numbers, table, words
 from sysid.resume import Computing
 from sysid.workflows.landing_sources import (
     check_result,
@@ -50,14 +51,14 @@ def compute_landing_maps(options: LandingMapOptions, say: Say = None) -> MapFile
         ideal_reversal=options.motors.ideal_reversal, trigger=options.trigger,
     )  # fmt: skip
     real = read_experiments(options.experiments) if options.experiments else ()
-    maps = [(fleet[0].surface, controller.label) for fleet in fleets for controller in controllers]
+    maps = [(fleet[0].surface, controller) for fleet in fleets for controller in controllers]
     _warn_of_strangers(options.experiments, real, maps, say)
 
     def compute(how: Computing) -> MapFile | None:
         maps = landing_maps(fleets, controllers, settings, how)
         document = asdict(settings) | {"controllers": [asdict(controller) for controller in controllers]}
         if options.experiments:
-            document["real landings"] = [asdict(landing) for landing in real]
+            document["real_landings"] = [asdict(landing) for landing in real]
         return MapFile(maps, (), document, origin) if maps else None
 
     def write(content: MapFile) -> None:
@@ -119,13 +120,13 @@ def compute_impulse_maps(options: ImpulseMapOptions, say: Say = None) -> MapFile
 
 
 def _warn_of_strangers(
-    path: Path | None, real: Sequence[Experiment], maps: Sequence[tuple[str, str]], say: Say
+    path: Path | None, real: Sequence[Experiment], maps: Sequence[tuple[str, Controller]], say: Say
 ) -> None:
     """Name the real landings that no map of surface and controller shows, before the minutes are spent."""
     lost = strangers(real, maps)
     if lost and say is not None:
         names = ", ".join(f"{surface} {label!r} ({count})" for (surface, label), count in lost.items())
-        known = ", ".join(f"{surface} {label!r}" for surface, label in maps)
+        known = ", ".join(f"{surface} {controller.label!r}" for surface, controller in maps)
         say(
             f"warning: {path}: {sum(lost.values())} of {len(real)} real landings belong to no "
             f"map and are left out: {names}; the maps are {known}"
@@ -172,12 +173,12 @@ def _print(
     say: Say,
 ) -> None:
     """Print the maps in numbers; `real` landings, if any were given, are compared with them."""
-    counts = summary(content.maps)
+    counts = [drawn.summary() for drawn in content.maps]
     for entry, drawn in zip(counts, content.maps, strict=True):
         if entry["lost"] and say is not None:
             say(f"warning: {drawn.title}: {entry['lost']} landings could not be simulated and count nowhere")
         if real is not None:
-            entry["real landings"] = confusion(of_map(real, drawn), drawn).document()
+            entry["real_landings"] = confusion(of_map(real, drawn), drawn).document()
     document = {"file": str(options.out), "figure": str(picture), "maps": counts}
     if print_result(document, options.compute.json) or options.compute.quiet:
         return
@@ -190,31 +191,23 @@ def _print(
 
 
 def _summary_table(counts: Sequence[dict[str, Any]]) -> Table:
-    steepest, edge = "steepest slope that half of the sets land on [deg]", "lower bounds, at the map's edge"
-
-    def slope(speed: str) -> Column:
-        head = speed.removesuffix(" m/s")
-        return numbers(head, lambda entry: _slope(entry[steepest][speed], speed in entry[edge]))
+    def slope(k: int) -> Callable[[dict[str, Any]], str]:
+        return lambda entry: at_least(entry["steepest_deg"][k], entry["at_edge"][k], "g")
 
     def doubt(entry: dict[str, Any]) -> str:
-        return "–" if entry["uncertain [%]"] is None else f"{entry['uncertain [%]']:.2f}"
+        return "–" if entry["uncertain"] is None else f"{100 * entry['uncertain']:.2f}"
 
     return table(
         "Steepest slope [deg] that half of the sets land on, by touchdown speed [m/s]",
         counts,
         (
             words("map", lambda entry: f"{entry['surface'].upper()}, {entry['controller']}"),
-            *(slope(speed) for speed in counts[0][steepest]),
-            numbers("time [s]", lambda entry: f"{entry['mean time to rest where landed [s]']:.2f}"),
-            numbers("way [m]", lambda entry: f"{entry['mean distance where landed [m]']:.2f}"),
+            *(numbers(f"{speed:g}", slope(k)) for k, speed in enumerate(counts[0]["speeds"])),
+            numbers("time [s]", lambda entry: f"{entry['mean_time']:.2f}"),
+            numbers("way [m]", lambda entry: f"{entry['mean_distance']:.2f}"),
             numbers("doubt [%]", doubt),
         ),
     )
-
-
-def _slope(value: float, at_edge: bool) -> str:
-    """A slope [deg] for the table; at the map's upper edge it is a lower bound."""
-    return f"{'≥ ' if at_edge else ''}{value:g}" if np.isfinite(value) else "–"
 
 
 def _print_confusion(drawn: LandingMap, chosen: Sequence[Experiment]) -> None:

@@ -92,10 +92,9 @@ def open_fleets(motors: MotorOptions, gears: Sequence[Path]) -> tuple[Fleets, di
             f"{', '.join(str(path) for path in gears)}: the surfaces are {', '.join(surfaces)}; give one "
             "gear file per surface"
         )
-    origin: dict[str, Any] = {"sysid": __version__, "pairing": motors.pair}
     # By surface: fits of two surfaces may well have folders of one name.
-    for surface, path, sets in zip(surfaces, gears, loaded, strict=True):
-        origin[f"gear {surface}"] = _origin(path, sets)
+    gear = {surface: _origin(path, sets) for surface, path, sets in zip(surfaces, gears, loaded, strict=True)}
+    origin = {"sysid": __version__, "pairing": motors.pair, "gear": gear}
     return fleets, origin | {"motor": _origin(motors.motor, motor)}
 
 

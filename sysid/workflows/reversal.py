@@ -106,25 +106,25 @@ class LogReversals:
         """Return what `--json` prints."""
         return {
             "log": self.name,
-            "zero crossing and dead band from": self.crossing_from,
-            "lost to stalls of the logger": self.lost,
+            "crossing_from": self.crossing_from,
+            "lost_to_stalls": self.lost,
             "notes": list(self.notes),
             "repetitions": [
                 {
-                    "command before": group.before,
-                    "command after": group.after,
+                    "before": group.before,
+                    "after": group.after,
                     "count": len(group.reversals),
                     "outliers": group.outliers(slow),
-                    "outlier share": group.outliers(slow) / len(group.reversals),
+                    "outlier_share": group.outliers(slow) / len(group.reversals),
                     **{
                         name: {
-                            "median [s]": group.median(key),
-                            "quartiles [s]": list(group.quartiles(key)),
-                            "each [s]": [getattr(r, key) for r in group.reversals],
+                            "median": group.median(name),
+                            "quartiles": list(group.quartiles(name)),
+                            "each": [getattr(r, name) for r in group.reversals],
                         }
-                        for name, key in _TIMES
+                        for name in ("to_level", "zero_crossing", "dead_band")
                     },
-                    "final thrust [N]": [r.final_thrust for r in group.reversals],
+                    "final_thrust": [r.final_thrust for r in group.reversals],
                 }
                 for group in self.groups
             ],
@@ -132,7 +132,6 @@ class LogReversals:
 
 
 _NUMBERS = ("n", "to 90 %", "to zero", "dead band", "outliers")
-_TIMES = (("to 90 %", "to_level"), ("zero crossing", "zero_crossing"), ("dead band", "dead_band"))
 
 
 def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> LogReversals:

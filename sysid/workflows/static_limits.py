@@ -35,15 +35,13 @@ def static_limits(source: str | Path, thrusts: Sequence[float]) -> tuple[str, li
             rigid, bending = rigid_limits(values, surface, thrust), ramp_limit(values, surface, thrust)
             rows.append({
                 "set": rank,
-                "reverse thrust [N]": thrust,
-                "rigid slide limit [deg]": math.degrees(rigid.slide),
-                "rigid tip limit [deg]": math.degrees(rigid.tip),
-                "rigid creep limit [deg]": math.degrees(rigid.creep),
-                "own legs [deg]": math.degrees(bending.slope),
-                "own legs": bending.how,
-                "own legs, set down at once [deg]": math.degrees(
-                    set_down_limit(values, surface, thrust).slope
-                ),
+                "reverse_thrust": thrust,
+                "rigid_slide_deg": math.degrees(rigid.slide),
+                "rigid_tip_deg": math.degrees(rigid.tip),
+                "rigid_creep_deg": math.degrees(rigid.creep),
+                "ramp_deg": math.degrees(bending.slope),
+                "ramp_how": bending.how,
+                "set_down_deg": math.degrees(set_down_limit(values, surface, thrust).slope),
             })  # fmt: skip
     return sets.name, rows
 

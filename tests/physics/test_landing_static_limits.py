@@ -233,9 +233,9 @@ def test_command(run, tmp_path):
     code, out, err = run("static-limits", file, "--thrust", "0", "--json")
     assert code == 0, err
     (row,) = json.loads(out)["limits"]
-    assert row["rigid tip limit [deg]"] == pytest.approx(35.17, abs=0.01)
-    assert row["own legs"] == "tips"
-    assert row["own legs, set down at once [deg]"] == pytest.approx(25.5, abs=0.5)
+    assert row["rigid_tip_deg"] == pytest.approx(35.17, abs=0.01)
+    assert row["ramp_how"] == "tips"
+    assert row["set_down_deg"] == pytest.approx(25.5, abs=0.5)
     code, _, err = run("static-limits", file, "--thrust", "-20")
     assert code == 2
     assert "lift" in err

@@ -15,7 +15,7 @@ from sysid.landing.impulse_maps import OPTIMUM, UNITS, ImpulseMap
 from sysid.landing.maps import SLOPES_DEG, SPEEDS, LandingMap, MapSettings, cell_edges, nearest_cell
 from sysid.landing.outcomes import Outcome
 from sysid.landing.real_landings import Experiment, confusion, of_map, read_experiments
-from sysid.landing.store import MapFile, summary, write_maps
+from sysid.landing.store import MapFile, write_maps
 from sysid.report.drawing import save_figure
 from sysid.report.landing_figures import DrawnLimits, MapLegend, figure_impulse, figure_landing_maps
 from sysid.resume import BlockStore, Computing
@@ -170,7 +170,7 @@ def test_shares_means_and_borders():
     assert (found.counts.sum(), found.agreeing, found.outside, found.lost) == (0, 0, 0, 1)
     lost.outcome[:] = some_map().outcome
     lost.outcome[0] = Outcome.LOST
-    entry = summary([lost])[0]
+    entry = lost.summary()
     assert entry["lost"] == lost.outcome[0].size
     assert entry["sets"] == 4
 
@@ -180,15 +180,14 @@ def test_the_summary_tells_no_speed_that_the_map_lacks():
     assert np.isnan(slow.steepest(0.6))
     assert np.isnan(slow.steepest(0.43))
     assert slow.steepest(0.42) == slow.steepest(0.4)  # half a cell beyond the last one
-    key = "steepest slope that half of the sets land on [deg]"
-    assert list(summary([slow])[0][key]) == ["0.3 m/s"]
+    assert slow.summary()["speeds"] == [0.3]
     # Nothing was computed at 0.6, 1 and 1.5 m/s, though the two wide cells reach there.
     two = replace_grid(some_map(), speeds=np.array([0.3, 1.2]), columns=2)
-    assert list(summary([two])[0][key]) == ["0.3 m/s", "1.2 m/s"]
+    assert two.summary()["speeds"] == [0.3, 1.2]
     five = replace_grid(some_map(), speeds=np.array([0.1, 0.3, 0.7, 1.2, 1.7]), columns=5)
-    assert list(summary([five])[0][key]) == ["0.3 m/s"]
+    assert five.summary()["speeds"] == [0.3]
     single = replace_grid(some_map(), speeds=np.array([0.45]), columns=1)
-    assert list(summary([single])[0][key]) == ["0.45 m/s"]
+    assert single.summary()["speeds"] == [0.45]
     # Uneven cells end half-way; the outer ones reach as far outward as inward, not half the widest step.
     uneven = np.array([0.1, 0.2, 0.8, 1.6])
     np.testing.assert_allclose(cell_edges(uneven), [0.05, 0.15, 0.5, 1.2, 2.0], rtol=1e-12)
@@ -199,16 +198,16 @@ def test_a_slope_at_the_edge_of_the_map_is_a_lower_bound():
     easy = replace(some_map(), speeds=np.array([0.0, 0.3, 0.6, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0]))
     easy.outcome[:, :, :4] = Outcome.SHORT  # up to 0.75 m/s every slope is landed on
     easy.outcome[:, :, 6] = Outcome.FLIPPED  # at 1.5 m/s none
-    entry = summary([easy])[0]
-    assert entry["lower bounds, at the map's edge"] == ["0.3 m/s", "0.6 m/s"]
+    entry = easy.summary()
+    assert (entry["speeds"], entry["at_edge"]) == ([0.3, 0.6, 1.0, 1.5], [True, True, False, False])
     row = printed(_summary_table([entry])).splitlines()[-2]
     assert row.count("≥ 45") == 2
     assert "–" in row
 
 
 def test_doubts_that_were_not_looked_for_are_not_told(tmp_path):
-    entry = summary([replace(some_map(), checked=False)])[0]
-    assert entry["uncertain [%]"] is None
+    entry = replace(some_map(), checked=False).summary()
+    assert entry["uncertain"] is None
     assert printed(_summary_table([entry])).splitlines()[-2].rstrip().endswith("–")
     write_maps(tmp_path / "m.h5", MapFile((replace(some_map(), checked=False), some_map()), (), {}, {}))
     assert [one.checked for one in read_maps(tmp_path / "m.h5").maps] == [False, True]

@@ -248,10 +248,10 @@ def test_command_line_compares_logs(run, tmp_path):
     document = json.loads(out)
     first = document["logs"][0]["repetitions"][0]
     # 0.21 s of the motor, 8 ms of command delay; a thrust noise of 8 mN behind the filter is 1 ms at 90 %.
-    assert first["to 90 %"]["median [s]"] == pytest.approx(0.219, abs=0.003)
-    assert first["outlier share"] == 0
+    assert first["to_level"]["median"] == pytest.approx(0.219, abs=0.003)
+    assert first["outlier_share"] == 0
     assert len(document["logs"][1]["repetitions"]) == 5
-    assert document["logs"][0]["zero crossing and dead band from"] == "speed"
+    assert document["logs"][0]["crossing_from"] == "speed"
 
 
 @pytest.mark.parametrize(
