@@ -1,4 +1,4 @@
-"""All of it for one fit: refine, derive, linearize, profile, resample."""
+"""The assessment of one fit: refine, derive, linearize, profile, resample."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sysid.trust.profiles import Profiles, walk_profiles
 from sysid.trust.resampling import bootstrap
 from sysid.types import FloatArray
 
-# Rounds of fitting and weighting anew; the weights follow the NRMSE, which hardly moves.
+# Rounds of fitting and weighting; the weights follow the NRMSE, which hardly moves.
 _ROUNDS = 3
 
 
@@ -44,7 +44,7 @@ def _linearized(problem: Problem, point: FloatArray) -> Linearized:
     changes = problem.disturbances(point)
     noise = noise_model(blocks, undisturbed(blocks, residuals, changes))
     linear = linearized(problem, point, levels, scale, max(sample, 1e-12), noise, changes)
-    # An inflation that rests on a derivative which depends on the step is worth nothing: the largest serves.
+    # Where a derivative depends on the step, its inflation is worth nothing; the largest one replaces it.
     rise = linear.information.inflation
     rise = np.where(linear.jacobian.trusted, rise, rise.max())
     return replace(linear, information=replace(linear.information, inflation=rise))
@@ -64,12 +64,8 @@ def assess(
 ) -> Assessment:
     """Assess a fit: linearized uncertainty, profiles of all free parameters, bootstrap over whole trials.
 
-    Parameters
-    ----------
-    start : (n,) array
-        The best set [unit cube].
-    resamples : int
-        Of the bootstrap; 0: none. With fewer than three trials there is none either.
+    `start` (n,) is the best set [unit cube]. There is no bootstrap without `resamples` or with fewer than
+    three trials.
     """
     tell = say or (lambda sentence: None)
     tell("derivatives at the best set")
@@ -77,7 +73,7 @@ def assess(
     tell(f"profiles of {len(start)} parameters")
     walked = walk_profiles(problem, linear, seed)
     if walked.lowered > 1.0:
-        # A profile has found a better place: everything is judged from there.
+        # A profile has found a better place, from which everything is judged.
         linear = linearize(problem, walked.best)
         again = walk_profiles(problem, linear, seed)
         walked = replace(again, evaluations=walked.evaluations + again.evaluations)

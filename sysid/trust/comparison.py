@@ -8,9 +8,8 @@ from itertools import combinations
 from typing import Any
 
 from sysid.parameter_sets import ParameterSets
-
-# Standard normal beyond which 5 % lie.
-_NORMAL_95 = 1.959964
+from sysid.parameters import with_unit
+from sysid.trust.linearized import NORMAL_95
 
 
 def compare_values(
@@ -38,41 +37,41 @@ def compare_values(
     Notes
     -----
     The half-widths of the two intervals, on the sides that face each other, add as the root of their squares:
-    the fits' errors are independent. Values that both hold fixed are not compared.
+    the fits' errors are independent. Values that neither fit has found are not compared.
     """
     out = []
-    for a, b in combinations(range(len(sets)), 2):
-        # What belongs to a trial alone is not compared.
+    for pair in combinations(range(len(sets)), 2):
+        fits = [names[k] for k in pair]
+        # A parameter of a single trial is not compared.
         first, second = (
             {r.name: i for i, r in enumerate(sets[k].parameters) if r.status == "free" and not r.trial}
-            for k in (a, b)
+            for k in pair
         )
         for name in [name for name in first if name in second]:
-            record = sets[a].parameters[first[name]]
-            rows = [_row(documents[k], name) for k in (a, b)]
-            pair = [float(sets[a].values[0, first[name]]), float(sets[b].values[0, second[name]])]
-            by = "spread of the sets"
-            if all(row is not None for row in rows):
-                by = "profile intervals"
-                pair = [float(row["refined"]) for row in rows if row is not None]
+            record = sets[pair[0]].parameters[first[name]]
+            rows = [_row(documents[k], name) for k in pair]
+            if all(rows):
+                by, values = "profile intervals", [float(row["refined"]) for row in rows if row]
+            else:
+                columns = zip(pair, (first[name], second[name]), strict=True)
+                by, values = "spread of the sets", [float(sets[k].values[0, i]) for k, i in columns]
             reach = [
-                _reach(sets[k], row if by == "profile intervals" else None, name, facing)
-                for k, row, facing in ((a, rows[0], pair[1] > pair[0]), (b, rows[1], pair[0] > pair[1]))
+                _reach(sets[k], row if all(rows) else None, name, here < there)
+                for k, row, here, there in zip(pair, rows, values, values[::-1], strict=True)
             ]
-            allowed = math.hypot(*reach)
-            distance = abs(pair[1] - pair[0])
-            doubt = _doubt((names[a], names[b]), rows, reach)
-            differs = bool(distance > allowed) if doubt is None else None
-            share = (pair[1] - pair[0]) / pair[0] if pair[0] else math.nan
-            unit = "" if record.unit == "1" else f" {record.unit}"
+            allowed, distance = math.hypot(*reach), values[1] - values[0]
+            doubt = _doubt(fits, rows, reach)
+            share = distance / values[0] if values[0] else math.nan
+            texts = [with_unit(f"{value:.4g}", record.unit) for value in values]
             sentence = (
-                f"{record.symbol} differs: {pair[0]:.4g}{unit} in {names[a]}, {pair[1]:.4g}{unit} in "
-                f"{names[b]} ({100 * share:+.1f} %; {by} allow ± {allowed:.2g}{unit})"
+                f"{record.symbol} differs: {texts[0]} in {fits[0]}, {texts[1]} in {fits[1]} "
+                f"({100 * share:+.1f} %; {by} allow ± {with_unit(f'{allowed:.2g}', record.unit)})"
             )
             out.append({
-                "parameter": name, "symbol": record.symbol, "unit": record.unit, "fits": [names[a], names[b]],
-                "values": pair, "difference": float(share), "allowed": float(allowed), "by": by,
-                "differs": differs, "doubt": doubt, "sentence": sentence,
+                "parameter": name, "symbol": record.symbol, "unit": record.unit, "fits": fits,
+                "values": values, "difference": share, "allowed": allowed, "by": by,
+                "differs": abs(distance) > allowed if doubt is None else None, "doubt": doubt,
+                "sentence": sentence,
             })  # fmt: skip
     return out
 
@@ -86,7 +85,7 @@ def _row(document: Mapping[str, Any] | None, name: str) -> Mapping[str, Any] | N
 def _doubt(
     names: Sequence[str], rows: Sequence[Mapping[str, Any] | None], reach: Sequence[float]
 ) -> str | None:
-    """Return why nothing can be said of a difference; None where it can."""
+    """Return why a difference cannot be judged; None where it can."""
     lacking = [name for name, row in zip(names, rows, strict=True) if row is None]
     if lacking:
         return f"no intervals: run sysid trust on {' and '.join(dict.fromkeys(lacking))}"
@@ -98,7 +97,7 @@ def _doubt(
 
 
 def unjudged(differences: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return one sentence per reason why differences are not judged, with the parameters it holds for."""
+    """Return one sentence per reason why differences are not judged, with the parameters concerned."""
     why: dict[str, list[str]] = {}
     for row in differences:
         if row["doubt"]:
@@ -110,7 +109,7 @@ def _reach(sets: ParameterSets, row: Mapping[str, Any] | None, name: str, up: bo
     """Return how far a value may be off on one side, at 95 %."""
     if row is None:
         sigma = float(sets.sigma[sets.names.index(name)])
-        return _NORMAL_95 * sigma if math.isfinite(sigma) else math.inf
+        return NORMAL_95 * sigma if math.isfinite(sigma) else math.inf
     side = 1 if up else 0
     if row["open_95"][side]:
         return math.inf

@@ -1,9 +1,9 @@
-"""Does a fit hang on a single trial? What each trial scores beside the others, and what it holds in place.
+"""Does a fit hang on a single trial? How each trial scores beside the others, and the fit without it.
 
 A bounce that begins beside a bifurcation (which foot touches first, does it stick) predicts nothing: a shift
-of 0.04 ms at its start changes all that follows. Noise that moved such a start is paid for by the parameters.
-Two things tell: the trial fits worse than the others, or the fit without it goes elsewhere, farther than one
-trial less explains.
+of 0.04 ms at its start changes all that follows, and the parameters absorb the noise of such a start. Two
+signs tell: the trial fits worse than the others, or the fit without the trial moves farther than one trial
+less explains.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from sysid.trust.resampling import leave_one_out
 from sysid.trust.verdicts import WEAKLY
 from sysid.types import FloatArray
 
-# A trial that scores so many times the median of the trials, over its own noise, does not belong to them.
+# A trial whose NRMSE over noise exceeds the median by this factor does not belong to the others.
 STANDS_OUT = 2.0
 # One trial less moves a parameter by about its own standard deviation. Of twenty synthetic campaigns (seeds
 # 1001 to 1020) the one whose fit was wrong moved by 6.4, the farthest of the others by 4.1, the next by 3.3.
 HANGS = 4.5
-# Of fewer trials none can be left out: two that differ say nothing of which is odd.
+# Of fewer trials none is left out: two that differ do not tell which is odd.
 FEWEST = 3
 # Of the variance without the trial, at least: what the weighting of the trials leaves of a difference.
 _LEAST = 0.2
@@ -47,12 +47,12 @@ class Influence:
     ratio : (T,) array
         NRMSE of each over what noise alone costs [1].
     without : (T, n) array
-        Parameters without it [unit cube]; NaN where that fit did not succeed.
+        Parameters of the fit without it [unit cube]; NaN where that fit did not succeed.
     shift : (T, n) array
         How far they move, in standard deviations of what one trial less explains [1]; 0 for parameters that
-        the data do not fix: they go anywhere.
+        the data do not determine.
     evaluations : int
-        Simulations of all trials that the fits took.
+        Points that the fits simulated.
     """
 
     ratio: FloatArray
@@ -68,12 +68,9 @@ class Influence:
     @property
     def held_by(self) -> tuple[tuple[int, tuple[int, ...]], ...]:
         """Trials without which parameters go elsewhere: (trial, parameters, the farthest first)."""
-        out = []
-        for t, row in enumerate(np.nan_to_num(np.abs(self.shift))):
-            far = [int(i) for i in np.argsort(-row) if row[i] > HANGS]
-            if far:
-                out.append((t, tuple(far)))
-        return tuple(out)
+        rows = np.nan_to_num(np.abs(self.shift))
+        moved = [tuple(int(i) for i in np.argsort(-row) if row[i] > HANGS) for row in rows]
+        return tuple((t, far) for t, far in enumerate(moved) if far)
 
 
 def influence(problem: Problem, linear: Linearized, floors: FloatArray) -> Influence:
@@ -98,7 +95,7 @@ def influence(problem: Problem, linear: Linearized, floors: FloatArray) -> Influ
         spread = gradient_noise(
             [blocks[b] for b in kept], values, linear.scale, linear.levels[kept], linear.noise, changes
         )  # fmt: skip
-        # With the same rule of bounds as the fit's own: what one trial less explains is their difference.
+        # Both variances follow one rule of bounds; one trial less explains their difference.
         variance = np.diag(bounded_information(values, spread, linear.point).covariance)
         expected = np.maximum(variance - np.diag(linear.information.covariance), _LEAST * variance)
         shift[t] = (refits.points[t] - linear.point) / np.sqrt(np.maximum(expected, 1e-24))

@@ -13,9 +13,9 @@ import numpy as np
 from sysid.fit.problem import Problem
 from sysid.types import BoolArray, FloatArray
 
-# Of the unit cube: the first guess, and what a step may become.
+# Steps of the unit cube: the first one, the least, the largest.
 _FIRST, _LEAST, _LARGEST = 2e-3, 5e-4, 0.05
-# A step is this multiple of what is left open of a parameter when all others are known.
+# A step is this multiple of the parameter's standard deviation when all others are known.
 _SHARE = 2.0
 # A derivative whose two steps differ by more than this share of it is not trustworthy [1].
 TRUSTED = 0.1
@@ -46,20 +46,10 @@ class Jacobian:
 
 
 def jacobian(problem: Problem, point: FloatArray, scale: FloatArray, noise: float = 1.0) -> Jacobian:
-    """Return the derivatives at a point of the unit cube.
+    """Return the derivatives at a point (n,) of the unit cube, ``J = (4 J(h/2) - J(h))/3``.
 
-    Parameters
-    ----------
-    point : (n,) array
-    scale : (m,) array
-        What weights the residuals, see `sysid.trust.problem.scales`.
-    noise : float
-        Standard deviation that a sum of squares of weighted residuals is judged by, to choose the steps [1].
-
-    Notes
-    -----
-    ``J = (4 J(h/2) - J(h))/3``. The step is twice the standard deviation that the parameter would have if
-    all others were known, because smaller differences are lost in the integration's own error.
+    `scale` (m,) weights the residuals, see `sysid.trust.problem.scales`. The steps follow from `noise`, the
+    standard deviation of a weighted residual [1]: smaller differences are lost in the integration's error.
     """
     first = _differences(problem, point, scale, np.full(len(point), _FIRST))
     steps = np.clip(_SHARE * noise / np.maximum(np.linalg.norm(first, axis=0), 1e-30), _LEAST, _LARGEST)
@@ -81,7 +71,7 @@ def _differences(problem: Problem, point: FloatArray, scale: FloatArray, steps: 
     out = np.zeros((values.shape[1], n))
     for i in range(n):
         high, low = 1 + i, 1 + n + i
-        # A point that cannot be simulated lends no difference; the point itself takes its place.
+        # The centre replaces a point that cannot be simulated.
         high, low = (0 if failed[high] else high), (0 if failed[low] else low)
         width = points[high, i] - points[low, i]
         if width > 0:

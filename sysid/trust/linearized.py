@@ -16,8 +16,9 @@ deviation).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -39,7 +40,7 @@ _AT_BOUND, _UNSEEN = 0.01, 0.9
 _TOLERANCE = 0.02
 # Partners are named from this correlation on.
 PARTNER = 0.8
-# Correlation that counts as none, in its own standard errors (Politis 2003), over so many lags in a row.
+# Correlation that counts as none, in its standard errors (Politis 2003), over this number of lags in a row.
 _NEGLIGIBLE, _IN_A_ROW = 2.0, 5
 
 
@@ -130,9 +131,8 @@ def linearized(
     derived = jacobian(problem, point, scale, sample)
     spread = gradient_noise(problem.blocks, derived.values, scale, levels, noise, disturbances)
     known = bounded_information(derived.values, spread, point)
-    return Linearized(
-        point, levels, scale, derived, noise, known, half_widths(problem.space, point, known.sigma)
-    )
+    widths = half_widths(problem.space, point, known.sigma)
+    return Linearized(point, levels, scale, derived, noise, known, widths)
 
 
 def information(jacobian: FloatArray, gradient_noise: FloatArray) -> Information:
@@ -144,7 +144,7 @@ def information(jacobian: FloatArray, gradient_noise: FloatArray) -> Information
     size = np.maximum(size, 1e-9 * max(float(size.max()), 1e-300))
     hessian = curvature / np.outer(size, size)
     noise = _positive(gradient_noise / np.outer(size, size))
-    # What the data say, H V⁻¹ H, and what the bounds say, add up as information.
+    # The information of the data, H V⁻¹ H, and that of the bounds add up.
     data = hessian @ np.linalg.pinv(noise, rcond=1e-10, hermitian=True) @ hessian * np.outer(size, size)
     covariance = np.linalg.inv(_positive(data) + _OF_BOUNDS * np.eye(n))
     # Directions that the data do not see at all would make the inverse infinite.
@@ -159,14 +159,13 @@ def information(jacobian: FloatArray, gradient_noise: FloatArray) -> Information
 def bounded_information(jacobian: FloatArray, gradient_noise: FloatArray, point: FloatArray) -> Information:
     """Return the uncertainty at a point (n,) of the unit cube, where some parameters may not move.
 
-    A parameter at its bound, or one that the data do not see, absorbs nothing: what noise does to the others
-    they bear alone. Freed, it would take a share (a motor's k_d takes the error of the torque curve), which
-    the linearization counts as knowledge. The larger uncertainty of both is taken.
+    A parameter at its bound, or one that the data do not see, absorbs no error of the others. As a free
+    parameter it would take a share (a motor's k_d takes the error of the torque curve), which the
+    linearization counts as knowledge. The larger uncertainty of both is returned.
     """
     known = information(jacobian, gradient_noise)
     lost = known.sigma > _UNSEEN / np.sqrt(_OF_BOUNDS)
-    held = (point <= _AT_BOUND) | (point >= 1.0 - _AT_BOUND) | lost
-    kept = np.flatnonzero(~held)
+    kept = np.flatnonzero(~((point <= _AT_BOUND) | (point >= 1.0 - _AT_BOUND) | lost))
     if len(kept) in (0, len(point)):
         return known
     alone = information(jacobian[:, kept], gradient_noise[np.ix_(kept, kept)])
@@ -183,26 +182,34 @@ def _positive(matrix: FloatArray) -> FloatArray:
     return np.asarray((vectors * np.maximum(values, floor)) @ vectors.T, dtype=np.float64)
 
 
+def _pairs(
+    blocks: Sequence[Block], channels: Sequence[int], parts: Iterable[FloatArray]
+) -> Iterator[tuple[int, int, FloatArray, FloatArray]]:
+    """Yield the parts of any two blocks of one trial, after the places of their channels."""
+    trials: dict[int, dict[int, FloatArray]] = {}
+    for block, part in zip(blocks, parts, strict=True):
+        trials.setdefault(block.trial, {})[channels.index(block.channel)] = part
+    for trial in trials.values():
+        for (c, first), (d, second) in product(trial.items(), repeat=2):
+            yield c, d, first, second
+
+
 def noise_model(blocks: Sequence[Block], residuals: FloatArray) -> NoiseModel:
     """Estimate the correlations of residuals (m,), pooled over trials."""
     channels = tuple(dict.fromkeys(block.channel for block in blocks))
-    number = {channel: c for c, channel in enumerate(channels)}
-    trials: dict[int, dict[int, FloatArray]] = {}
+    parts = []
     for block in blocks:
         values = residuals[block.start : block.stop]
         rms = np.sqrt(np.sum(values**2) / block.count)
-        trials.setdefault(block.trial, {})[number[block.channel]] = values / max(float(rms), 1e-300)
-    shortest = min(len(next(iter(trial.values()))) for trial in trials.values())
-    longest = max(1, shortest // 3)
+        parts.append(values / max(float(rms), 1e-300))
+    longest = max(1, min(map(len, parts)) // 3)
     total = np.zeros((len(channels), len(channels), longest + 1))
     samples = np.zeros((len(channels), len(channels)))
-    for trial in trials.values():
-        for c, first in trial.items():
-            for d, second in trial.items():
-                n = len(first)
-                spectrum = np.fft.rfft(second, 2 * n) * np.conj(np.fft.rfft(first, 2 * n))
-                total[c, d] += np.fft.irfft(spectrum, 2 * n)[: longest + 1]
-                samples[c, d] += n
+    for c, d, first, second in _pairs(blocks, channels, parts):
+        n = len(first)
+        spectrum = np.fft.rfft(second, 2 * n) * np.conj(np.fft.rfft(first, 2 * n))
+        total[c, d] += np.fft.irfft(spectrum, 2 * n)[: longest + 1]
+        samples[c, d] += n
     total /= np.maximum(samples, 1)[:, :, None]
     width = max(
         _lasting(total[c, c] / max(total[c, c, 0], 1e-300), samples[c, c]) for c in range(len(channels))
@@ -213,10 +220,10 @@ def noise_model(blocks: Sequence[Block], residuals: FloatArray) -> NoiseModel:
 
 
 def undisturbed(blocks: Sequence[Block], residuals: FloatArray, disturbances: FloatArray) -> FloatArray:
-    """Return residuals (m,) without the part that one-sigma changes (K, m) of what is taken as known explain.
+    """Return residuals (m,) without what one-sigma changes (K, m) of the assumed values explain.
 
-    Such a part lasts through a whole trial, and counted as noise it would be counted twice. Each change is
-    estimated with its own standard deviation as the prior, each block weighted by its NRMSE.
+    That part lasts through a whole trial; counted as noise it would count twice. The prior of each change is
+    its standard deviation, and each block is weighted by its NRMSE.
     """
     weight = np.zeros(len(residuals))
     for block in blocks:
@@ -228,7 +235,7 @@ def undisturbed(blocks: Sequence[Block], residuals: FloatArray, disturbances: Fl
 
 
 def _lasting(correlation: FloatArray, samples: float) -> int:
-    """Return the lag from which on a channel's samples are not correlated any more."""
+    """Return the lag from which on a channel's samples are uncorrelated."""
     small = np.abs(correlation) < _NEGLIGIBLE * np.sqrt(np.log10(max(samples, 10.0)) / samples)
     for lag in range(1, len(small)):
         if small[lag : lag + _IN_A_ROW].all():
@@ -257,30 +264,23 @@ def gradient_noise(
     disturbances : (K, m) array
         See `Problem.disturbances`; unweighted.
     """
-    n = jacobian.shape[1]
-    number = {channel: c for c, channel in enumerate(noise.channels)}
-    trials: dict[int, dict[int, FloatArray]] = {}
+    parts = []
     for block, level in zip(blocks, levels, strict=True):
         rows = slice(block.start, block.stop)
         amplitude = scale[rows] * level
-        trials.setdefault(block.trial, {})[number[block.channel]] = jacobian[rows] * amplitude[:, None]
-    out = np.zeros((n, n))
-    for trial in trials.values():
-        for c, first in trial.items():
-            for d, second in trial.items():
-                length = len(first)
-                for lag in np.flatnonzero(noise.covariance[c, d, :length]):
-                    part = noise.covariance[c, d, lag] * (first[: length - lag].T @ second[lag:])
-                    out += part if lag == 0 else part + part.T
+        parts.append(jacobian[rows] * amplitude[:, None])
+    out = np.zeros((jacobian.shape[1], jacobian.shape[1]))
+    for c, d, first, second in _pairs(blocks, noise.channels, parts):
+        length = len(first)
+        for lag in np.flatnonzero(noise.covariance[c, d, :length]):
+            part = noise.covariance[c, d, lag] * (first[: length - lag].T @ second[lag:])
+            out += part if lag == 0 else part + part.T
     pushed = jacobian.T @ (disturbances * scale).T
     return _positive(out) + pushed @ pushed.T
 
 
 def half_widths(space: SearchSpace, point: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Return the expected relative 95 % half-width of every parameter (n,) [1].
-
-    Half of what lies between the ends of the interval, over the value; infinite where that is 0.
-    """
+    """Return the expected relative 95 % half-width of every parameter (n,) [1]; infinite for a value of 0."""
     below, above = point - NORMAL_95 * sigma, point + NORMAL_95 * sigma
     low, centre, high = (space.decode(np.clip(place, 0.0, 1.0)) for place in (below, point, above))
     value = np.abs(centre)

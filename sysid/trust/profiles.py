@@ -1,12 +1,12 @@
-"""Profile likelihood: hold one parameter beside its best value, fit all others anew, see what it costs.
+"""Profile likelihood: fix one parameter beside its best value, fit all others, see what that costs.
 
-The deviance of a held value is the rise of the least sum of squares over the best one, divided by the
-inflation of that parameter (`sysid.trust.linearized`): then it follows chi-square with one degree of freedom
-(Kent 1982). Values below 0.99 lie in the 68 % interval, below 3.84 in the 95 % one. An interval whose
-deviance stays below the limit up to a bound of the search is open there: the data do not end it.
+The deviance of a fixed value is the rise of the least sum of squares over the best one, divided by the
+inflation of that parameter (`sysid.trust.linearized`). It follows chi-square with one degree of freedom
+(Kent 1982): values below 0.99 lie in the 68 % interval, below 3.84 in the 95 % one. An interval whose
+deviance stays below the limit up to a bound of the search is open there.
 
-All parameters walk outward at the same time, both sides of each a front; every point starts where the last
-one ended, moved along the tangent of the valley.
+All parameters walk outward at the same time, both sides of each as one front; every point starts where the
+last one ended, moved along the tangent of the valley.
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ _AIMS = (0.5, 1.0, 1.5, 1.96, 2.5)
 # A profile ends when its deviance exceeds this, or at a bound.
 _ENOUGH = 4.6
 _MOST_POINTS = 14
-# From one point to the next, at most [unit cube]; how much farther than the last step a flat valley is
-# walked.
+# From one point to the next, at most [unit cube]; the factor by which steps grow in a flat valley.
 _FARTHEST, _STRETCH = 0.15, 2.0
 # A point this much above both of its neighbours is a bump of a rough cost, not a valley's wall [deviance].
 _BUMP = 1.0
@@ -35,14 +34,12 @@ _BUMP = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Deviance over one parameter, all others fitted anew.
+    """Deviance over one parameter, all others fitted.
 
     Parameters
     ----------
-    values : (k,) array
-        Held values, ascending [SI].
-    deviance : (k,) array
-        Follows chi-square with one degree of freedom where the value is true [1].
+    values, deviance : (k,) arrays
+        Of the parameter, ascending [SI]; chi-square with one degree of freedom where the value is true [1].
     others : (k, n) array
         All free parameters at each point, in the order of the space [SI].
     best : float
@@ -52,7 +49,7 @@ class Profile:
     open_68, open_95 : (bool, bool)
         Whether the lower and the upper end are open: the data do not end the interval inside the bounds.
     rough : int
-        Points of which the least cost was found by CMA-ES, because derivatives led nowhere.
+        Points whose least cost CMA-ES found, because derivatives led nowhere.
     """
 
     name: str
@@ -79,8 +76,7 @@ class Profile:
 class Profiles:
     """All profiles in the order of the space, and the best point (n,) that they found [unit cube].
 
-    `lowered` says by how much that point lies below the start, as deviance [1]. `evaluations` counts the
-    points that were simulated.
+    That point lies below the start by `lowered` [deviance]. `evaluations` counts the simulated points.
     """
 
     profiles: tuple[Profile, ...]
@@ -103,22 +99,21 @@ class _Side:
 
 
 def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profiles:
-    """Walk every free parameter from the minimum through what the data leave open of it.
-
-    `seed` is of the CMA-ES that takes over where the cost is rough.
-    """
+    """Walk every free parameter from the minimum outward; `seed` is of CMA-ES where the cost is rough."""
     best, scale, steps, info = linear.point, linear.scale, linear.jacobian.steps, linear.information
     n = len(best)
     values, _ = problem.residuals(best[None])
     lowest = float(np.sum((values[0] * scale) ** 2))
-    sides = [_Side(i, sign, [best], [lowest], list(_AIMS)) for i in range(n) for sign in (-1.0, 1.0)]
+    sides = [
+        _Side(i, sign, [best], [lowest], list(_AIMS), done=bool(best[i] == bound))
+        for i in range(n)
+        for sign, bound in ((-1.0, 0.0), (1.0, 1.0))
+    ]
     curvature = info.curvature + 1e-12 * np.trace(info.curvature) * np.eye(n)
     inverse = np.linalg.inv(curvature)
     tangent = inverse / np.diag(inverse)
     # Deviance 1 lies here where the cost is quadratic.
     unit = np.sqrt(np.diag(inverse) * info.inflation)
-    for side in sides:
-        side.done = bool(best[side.parameter] <= 0.0 if side.sign < 0 else best[side.parameter] >= 1.0)
     evaluations = 1
     for _ in range(_MOST_POINTS):
         moving = [side for side in sides if not side.done]
@@ -149,19 +144,16 @@ def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profil
                 side.rough += 1
             side.points.append(point)
             side.squares.append(squares)
-            deviance = (squares - lowest) / info.inflation[i]
-            if point[i] in (0.0, 1.0) or deviance > _ENOUGH:
-                side.done = True
-    least = min(min(side.squares) for side in sides)
-    lowered = 0.0
+            side.done = point[i] in (0.0, 1.0) or (squares - lowest) / info.inflation[i] > _ENOUGH
+    winner = min(sides, key=lambda side: min(side.squares))
+    least, lowered = min(winner.squares), 0.0
     if least < lowest:
-        winner = min(sides, key=lambda side: min(side.squares))
         best = winner.points[int(np.argmin(winner.squares))]
         lowered = (lowest - least) / float(info.inflation[winner.parameter])
-    out = []
-    for i in range(n):
-        both = [side for side in sides if side.parameter == i]
-        out.append(_profile(problem.space, i, both, best, least, float(info.inflation[i])))
+    out = [
+        _profile(problem.space, i, sides[2 * i : 2 * i + 2], best, least, float(info.inflation[i]))
+        for i in range(n)
+    ]
     return Profiles(tuple(out), best, lowered, evaluations)
 
 
@@ -175,7 +167,7 @@ def _next(side: _Side, best: FloatArray, unit: FloatArray, tangent: FloatArray, 
     while side.aims and side.aims[0] <= 1.05 * reached:
         side.aims.pop(0)
     aim = side.aims[0] if side.aims else np.sqrt(_ENOUGH) * 1.1
-    # How far the deviance has come so far says how far the next one lies.
+    # The deviance of the walk so far tells how far the next aim lies.
     slope = unit[i] if gone == 0.0 or reached < 0.1 else gone / reached
     step = min((aim - reached) * slope, _FARTHEST, max(_STRETCH * gone, unit[i]))
     place = np.clip(last[i] + side.sign * max(step, 1e-4), 0.0, 1.0)
@@ -193,7 +185,7 @@ def _profile(
 ) -> Profile:
     points = np.array([*sides[0].points[:0:-1], *sides[1].points])
     squares = np.array([*sides[0].squares[:0:-1], *sides[1].squares])
-    # The lowest point of any parameter's walk is the best one at its own value of this parameter, too.
+    # The lowest point of any parameter's walk lies on this parameter's profile, too.
     if not np.any(np.all(points == best, axis=1)):
         points, squares = np.vstack([points, best]), np.append(squares, least)
     order = np.argsort(points[:, i], kind="stable")
@@ -201,20 +193,20 @@ def _profile(
     deviance = np.maximum((squares - least) / inflation, 0.0)
     centre = int(np.argmin(deviance))
 
-    def end(limit: float, bound: float) -> tuple[float, bool]:
-        outward = range(centre, len(points)) if bound else range(centre, -1, -1)
-        place = _crossing(points[:, i], deviance, list(outward), limit)
-        cube = np.full(len(space.free), 0.5)
-        cube[i] = bound if place is None else place
-        return float(space.decode(cube)[i]), place is None
+    def ends(limit: float) -> tuple[tuple[float, float], tuple[bool, bool]]:
+        low = _crossing(points[:, i], deviance, list(range(centre, -1, -1)), limit)
+        high = _crossing(points[:, i], deviance, list(range(centre, len(points))), limit)
+        cube = np.full((2, len(space.free)), 0.5)
+        cube[:, i] = 0.0 if low is None else low, 1.0 if high is None else high
+        below, above = space.decode(cube)[:, i].tolist()
+        return (below, above), (low is None, high is None)
 
-    (low_68, open_low_68), (high_68, open_high_68) = end(CHI2[0.68], 0.0), end(CHI2[0.68], 1.0)
-    (low_95, open_low_95), (high_95, open_high_95) = end(CHI2[0.95], 0.0), end(CHI2[0.95], 1.0)
+    interval_68, open_68 = ends(CHI2[0.68])
+    interval_95, open_95 = ends(CHI2[0.95])
     row, decoded = space.free[i], space.decode(points)
     return Profile(
         row.name, row.unit, decoded[:, i], deviance, decoded, float(decoded[centre, i]),
-        (low_68, high_68), (low_95, high_95), (open_low_68, open_high_68), (open_low_95, open_high_95),
-        sum(side.rough for side in sides),
+        interval_68, interval_95, open_68, open_95, sum(side.rough for side in sides),
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""What a campaign is expected to fix, before anything is fitted: at one point, and over the bounds.
+"""What a campaign is expected to determine, before a fit: at one point, and over the bounds.
 
 At a point: the linearized half-widths of `sysid.trust.linearized` with the noise that the instrument shows
 while nothing happens, walked through the filter. Over the bounds: Morris' elementary effects of the mean
@@ -8,11 +8,11 @@ the half-widths at points drawn from the bounds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.fit.problem import Block, NoiseModel, Problem
+from sysid.fit.problem import NoiseModel, Problem
 from sysid.parameters import SearchSpace
 from sysid.trust.documents import Expected
 from sysid.trust.jacobian import jacobian
@@ -41,14 +41,9 @@ def outlook(problem: Problem, point: FloatArray, noise: NoiseModel) -> Linearize
 def expectations(
     problem: Problem, point: FloatArray, noise: NoiseModel, *, over_bounds: bool = True, seed: int = 0
 ) -> tuple[Linearized, tuple[Expected, ...]]:
-    """Return what the trials are expected to fix of every free parameter.
+    """Return what the trials are expected to determine of every free parameter, at a point of the unit cube.
 
-    Parameters
-    ----------
-    point : (n,) array
-        Where it is judged, in the unit cube.
-    over_bounds : bool
-        Look at points drawn from the bounds too, and at elementary effects.
+    With `over_bounds` also at points drawn from the bounds, and the elementary effects.
     """
     view = outlook(problem, point, noise)
     n = len(point)
@@ -74,13 +69,13 @@ def expectations(
 
 
 def nominal_point(space: SearchSpace) -> FloatArray:
-    """Return the model's default values (n,) in the unit cube, a little inside: known before a fit."""
+    """Return the model's default values (n,) in the unit cube, a little inside."""
     nominal = np.array([space.table[name].nominal for name in space.names])
     return np.clip(space.encode(nominal), 0.02, 0.98)
 
 
 def quick_expectations(problem: Problem) -> tuple[Expected, ...]:
-    """Return what trials are expected to fix at the default values; takes a second."""
+    """Return what trials are expected to determine at the default values; takes a second."""
     noise = problem.correlation()
     return expectations(problem, nominal_point(problem.space), noise, over_bounds=False)[1]
 
@@ -88,8 +83,7 @@ def quick_expectations(problem: Problem) -> tuple[Expected, ...]:
 def morris(problem: Problem, seed: int = 0) -> tuple[FloatArray, FloatArray]:
     """Return mean size and standard deviation of the elementary effects on the mean NRMSE (n,), (n,) [1].
 
-    Over the whole range of each parameter. Points that cannot be simulated take the largest NRMSE that was
-    seen.
+    Over the whole range of each parameter. A point that cannot be simulated counts as the worst one.
     """
     from SALib.analyze import morris as analysis
     from SALib.sample import morris as sampling
@@ -110,7 +104,7 @@ def morris(problem: Problem, seed: int = 0) -> tuple[FloatArray, FloatArray]:
 def information_by_channel(problem: Problem, view: Linearized) -> FloatArray:
     """Return which share of what is known about each parameter comes from each channel (n, C) [1].
 
-    From the curvature of the weighted sum of squares along the parameter, all others held.
+    From the curvature of the weighted sum of squares along the parameter.
     """
     out = np.zeros((len(view.point), len(problem.channels)))
     for block in problem.blocks:
@@ -121,16 +115,10 @@ def information_by_channel(problem: Problem, view: Linearized) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A recording that could be made next.
+    """A recording that could be made next, such as ``a drop on 25 deg at 0.8 m/s``.
 
-    Parameters
-    ----------
-    title : str
-        Such as ``a drop on 25 deg at 0.8 m/s``.
-    half_widths : (n,) array
-        Of every parameter with it [1].
-    gain : float
-        Sum over the parameters that are not well fixed of the logarithm by which their half-width falls [1].
+    `half_widths` (n,) are of every parameter with it [1]. `gain` is the logarithm by which the half-widths of
+    the weakly determined parameters fall, summed [1].
     """
 
     title: str
@@ -149,28 +137,17 @@ def rank_candidates(
 ) -> tuple[Candidate, ...]:
     """Rank recordings by what they would add, the best first.
 
-    Parameters
-    ----------
-    problem, view
-        What is there, and what it leaves open.
-    others : Problem
-        One trial per candidate, of the same free parameters.
-    weak : (n,) bool array
-        Parameters that need more.
-    common : int
-        This number of the last disturbances are the same in both problems (an error of a static curve), so
-        that one more trial does not average them.
+    `problem` is what was recorded, and `view` what it leaves open. `others` has the same free parameters and
+    one trial per candidate; `weak` (n,) are the parameters that need more. The last `common` disturbances are
+    the same in both problems (an error of a static curve), so that one more trial does not average them.
     """
     _, failed = others.residuals(view.point[None])
     if failed.any():
         return ()
     levels = np.array([block.noise for block in others.blocks])
-    # Weighted as trials of the campaign are: one more among as many.
+    # Weighted as a trial of the campaign.
     share = 1.0 / len(problem.trials)
-    blocks = [
-        Block(b.trial, b.channel, b.start, b.stop, b.count, b.weight * len(titles) * share, b.spread, b.noise)
-        for b in others.blocks
-    ]
+    blocks = [replace(block, weight=block.weight * len(titles) * share) for block in others.blocks]
     scale = scales(blocks, levels, blocks[-1].stop)
     weight = sum(block.weight * max(block.noise, 1e-9) for block in others.blocks)
     sample = float(np.sqrt(weight / sum(block.count for block in others.blocks)))
