@@ -35,8 +35,15 @@ from sysid.trials.bench_log import (
 )
 from sysid.trials.common_clock import on_one_clock
 from sysid.trials.reversal import JITTER
-from sysid.trials.signs import sign_against_speed, sign_of_log, zero_of_steady
-from sysid.trials.steady import SETTLE, SteadyPoints, ramp_points, steady_points
+from sysid.trials.steady import (
+    SETTLE,
+    SteadyPoints,
+    ramp_points,
+    sign_against_speed,
+    sign_of_log,
+    steady_points,
+    zero_of_steady,
+)
 from sysid.types import BoolArray, FloatArray
 
 # Times [s] and values of a channel.

@@ -36,8 +36,7 @@ from sysid.motor.static_curves import (
 )
 from sysid.recording import Recording
 from sysid.trials.bench_log import signed_speed, tare
-from sysid.trials.signs import sign_against_speed
-from sysid.trials.steady import SETTLE, SteadyPoints
+from sysid.trials.steady import SETTLE, SteadyPoints, sign_against_speed
 from sysid.types import FloatArray, Rotation
 
 _ROTATIONS: tuple[Rotation, Rotation] = ("forward", "reverse")

@@ -16,8 +16,7 @@ from sysid.motor.bench_logs import BenchLog, Samples, source_of
 from sysid.motor.cost import MotorTarget
 from sysid.motor.parameters import PARAMETERS
 from sysid.trials.bench_log import Tare, outside
-from sysid.trials.spin_up import find_starts
-from sysid.trials.steady import SETTLE
+from sysid.trials.steady import SETTLE, find_starts
 from sysid.types import BoolArray, FloatArray, IntArray
 
 _COMPARED_CHANNELS = ("torque", "speed")

@@ -1,4 +1,8 @@
-"""Steady points of a bench log: plateaus of a step log, windows of a slow ramp, rows of an averaged log."""
+"""Steady points of a bench log, the zeros and signs that they tell, and starts from rest.
+
+Knows no motor model, only that a propeller's drag and thrust have the sign of its speed and grow with its
+square.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from sysid.trials.bench_log import AT_REST, CommandSteps, outside
+from sysid.trials.bench_log import AT_REST, CommandSteps, Tare, outside
 from sysid.types import FloatArray, IntArray
 
 # A point is steady this long after a command [s], and when its two halves agree to this share.
@@ -17,6 +21,12 @@ _DRIFT = 0.02
 # window and a settling time before it, and its halves agree twice as well: a rotor of 0.1 s then trails its
 # steady speed by 0.5 %.
 _RAMP_TRAVEL, _RAMP_DRIFT = 0.05, 0.01
+# A zero is read from steady points at this many different speeds (one more where both directions turn), if in
+# one direction the fastest is this many times the slowest.
+_SPEEDS, _SPAN = 3, 1.3
+# A rotor below this share of the log's top speed may still be in a dead band; so may one below the upper
+# bound of its edge, of propellers that turn fast enough for that.
+_SLOW = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,3 +142,77 @@ def _averages(
     u, turning, thrust, torque, voltage, samples = table.T
     zeros = [np.full(len(rows), zero_rows.get(name, 0), dtype=np.int64) for name in ("thrust", "torque")]
     return SteadyPoints(u, turning, thrust, torque, voltage, samples.astype(np.int64), *zeros)
+
+
+def zero_of_steady(values: FloatArray, speed: FloatArray) -> Tare | None:
+    """Return the value at standstill of steady values (n,) against their speeds (n,), or None.
+
+    Valid where the values grow with Ω|Ω|, with one factor per direction: a propeller thrusts twice
+    as hard forward. Ignores a linear term, whose share passes into the zero. None where the speeds are too
+    few, or in each direction too close to each other.
+    """
+    known = np.isfinite(values) & np.isfinite(speed) & (speed != 0)
+    y, omega = values[known], speed[known]
+    sides = [side for side in (omega > 0, omega < 0) if side.any()]
+    size = np.abs(omega)
+    if np.unique(omega).size < _SPEEDS - 1 + len(sides) or not any(
+        size[side].max() >= _SPAN * size[side].min() for side in sides
+    ):
+        return None
+    square = omega * size / float(size.max()) ** 2
+    columns = np.column_stack([*(square * side for side in sides), np.ones(omega.size)])
+    solution = np.linalg.lstsq(columns, y, rcond=None)[0]
+    residual = y - columns @ solution
+    spread = float(residual @ residual) / max(y.size - len(solution), 1)
+    error = float(np.sqrt(spread * np.linalg.inv(columns.T @ columns)[-1, -1]))
+    return Tare(float(solution[-1]), error, 0, "steady points over Ω|Ω|")
+
+
+def sign_against_speed(values: FloatArray, speed: FloatArray) -> int:
+    """Return -1 where values (n,) oppose their speeds (n,) on balance, else +1; 0: nothing tells.
+
+    A propeller's drag has the sign of its speed, so the torque of a stand that reads it otherwise is flipped.
+    """
+    known = np.isfinite(values) & np.isfinite(speed) & (speed != 0)
+    total = float(np.sum(values[known] * speed[known]))
+    return int(np.sign(total))
+
+
+def sign_of_log(values: tuple[FloatArray, FloatArray], speed: tuple[FloatArray, FloatArray]) -> int:
+    """Return the sign of a channel (times, values) against a speed, transients included; 0: nothing tells.
+
+    Serves logs without a steady stretch. Over a whole log the air takes more than the rotor gives back.
+    """
+    if not values[0].size or not speed[0].size:
+        return 0
+    return sign_against_speed(values[1], np.interp(values[0], *speed))
+
+
+def find_starts(
+    time: FloatArray, speed: FloatArray, steps: CommandSteps, edge: float, end: float
+) -> tuple[tuple[float, float], ...]:
+    """Return (start, end) [s] of the spin-ups that begin inside a dead band.
+
+    Each runs from the command that finds the rotor inside the band until `SETTLE` after the rotor has left
+    it, at most to the `end` of the log [s]; spin-ups that overlap are one. `time` and `speed` (n,) are real
+    samples of the speed [s], [rad/s], whose sign does not matter; `edge` is the widest dead band to reckon
+    with [rad/s].
+    """
+    size = np.abs(speed)
+    if not size.size:
+        return ()
+    edge = min(edge, _SLOW * float(size.max()))
+    intervals: list[tuple[float, float]] = []
+    for i in range(steps.time.size):
+        start = float(steps.time[i])
+        # A command from before the first sample finds the rotor in the state of that sample.
+        at = max(int(np.searchsorted(time, start, side="right")) - 1, 0)
+        if abs(steps.level[i]) < AT_REST or size[at] >= edge:
+            continue
+        after = np.flatnonzero(size[at:] >= edge)
+        until = min(float(time[at + after[0]]) + SETTLE, end) if after.size else end
+        if intervals and start <= intervals[-1][1]:
+            intervals[-1] = (intervals[-1][0], max(until, intervals[-1][1]))
+        else:
+            intervals.append((start, until))
+    return tuple(intervals)

@@ -32,8 +32,7 @@ from sysid.trials.bench_log import (
 )
 from sysid.trials.common_clock import on_one_clock
 from sysid.trials.reversal import JITTER, LEVEL, Repetitions, find_reversals, held_commands, repetitions
-from sysid.trials.signs import zero_of_steady
-from sysid.trials.steady import steady_points
+from sysid.trials.steady import steady_points, zero_of_steady
 from sysid.types import BoolArray, FloatArray
 from sysid.workflows.options import ReversalOptions
 

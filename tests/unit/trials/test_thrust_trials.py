@@ -20,8 +20,7 @@ from sysid.trials.bench_log import (
     tare,
     wrong_poles,
 )
-from sysid.trials.signs import sign_against_speed, sign_of_log, zero_of_steady
-from sysid.trials.steady import ramp_points, steady_points
+from sysid.trials.steady import ramp_points, sign_against_speed, sign_of_log, steady_points, zero_of_steady
 
 DATA = places.DATA / "rcbenchmark"
 PULSES = CommandRange("us", 1000.0, 1500.0, 2000.0)
