@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import CampaignError
-from sysid.gear.trajectories import Ending
+from sysid.gear.model import Ending
 from sysid.types import BoolArray, FloatArray
 
 

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import CampaignError
-from sysid.gear.model import simulate, simulate_population
+from sysid.gear.model import Drops, EventKind, GearTrajectory, Status, simulate, simulate_population
 from sysid.gear.propulsion import Propulsion
-from sysid.gear.trajectories import Drops, EventKind, GearTrajectory, Status
 from sysid.landing.controllers import Controller
 from sysid.landing.drone import Drone
 from sysid.landing.outcomes import Outcome, Rules
@@ -48,7 +47,7 @@ class Landings:
     trigger : (n,) array
         When the controller began [s], NaN where it never did.
     status : (n,) int8 array
-        `sysid.gear.trajectories.Status` codes.
+        `sysid.gear.model.Status` codes.
     """
 
     outcome: NDArray[np.int8]

@@ -47,10 +47,9 @@ from typing import Literal
 import numpy as np
 
 from sysid.errors import CampaignError
-from sysid.gear.model import PARAMETERS, Status, pack, simulate, simulate_population
+from sysid.gear.model import PARAMETERS, Drops, Status, pack, simulate, simulate_population
 from sysid.gear.propulsion import Propulsion
 from sysid.gear.surfaces import Surface, find_surface
-from sysid.gear.trajectories import Drops
 from sysid.integrate.piecewise import PiecewiseCubic
 from sysid.landing.outcomes import Rules
 from sysid.landing.simulate import LANDING_TOLERANCE

@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 from scipy.integrate import solve_ivp
 
-from sysid.gear.kernel.contact import normal_force
 from sysid.gear.kernel.dynamics import Coefficients, accelerations, feet, pose
+from sysid.gear.kernel.geometry import normal_force
 from sysid.gear.model import PARAMETERS, parameters_on
 from sysid.gear.surfaces.low_friction import low_friction
 

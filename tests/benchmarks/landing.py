@@ -17,8 +17,7 @@ from scipy.integrate import solve_ivp
 sys.path.insert(0, str(Path(__file__).parent))
 import gear_rivals
 from sysid.export.published import table_1, table_2
-from sysid.gear.model import PARAMETERS, Ending, prepare, simulate, simulate_population
-from sysid.gear.trajectories import Drops
+from sysid.gear.model import PARAMETERS, Drops, Ending, prepare, simulate, simulate_population
 from sysid.landing.controllers import find_controller
 from sysid.landing.drone import Drone, drones
 from sysid.landing.impulse import ImpulseSettings

@@ -8,8 +8,8 @@ from numba import njit
 
 from fakes.gear_drops import level_start as start
 from sysid.errors import CampaignError
-from sysid.gear.kernel.contact import normal_force
 from sysid.gear.kernel.dynamics import Coefficients, accelerations, feet, pose
+from sysid.gear.kernel.geometry import normal_force
 from sysid.gear.model import (
     PARAMETERS,
     Drops,

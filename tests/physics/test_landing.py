@@ -8,8 +8,7 @@ from scipy.optimize import brentq
 
 from sysid.errors import CampaignError
 from sysid.export.published import table_1, table_2
-from sysid.gear.model import Ending, simulate
-from sysid.gear.trajectories import EventKind
+from sysid.gear.model import Ending, EventKind, simulate
 from sysid.landing.approach import descend
 from sysid.landing.controllers import Controller, Step, find_controller
 from sysid.landing.drone import drones

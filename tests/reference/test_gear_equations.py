@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from sysid.gear.kernel import contact, dynamics
+from sysid.gear.kernel import dynamics, geometry
 from sysid.gear.model import PARAMETERS, pack
 from sysid.gear.surfaces import high_friction, low_friction
 
@@ -121,8 +121,8 @@ def kernel(p, slope, state, forces=None, thrust=(0.0, 0.0)):
         joints, float(s * x + c * z), h_c, h_d, rates, length
     )
     if forces is None:
-        n_c = contact.normal_force(sink_c, dsink_c, p["ground_stiffness"], p["ground_damping"])
-        n_d = contact.normal_force(sink_d, dsink_d, p["ground_stiffness"], p["ground_damping"])
+        n_c = geometry.normal_force(sink_c, dsink_c, p["ground_stiffness"], p["ground_damping"])
+        n_d = geometry.normal_force(sink_d, dsink_d, p["ground_stiffness"], p["ground_damping"])
         law = (p["kinetic_friction"], p["slip_regularization"])
         f_c, f_d = low_friction.low_friction(n_c, n_d, slip_c, slip_d, law)
         forces = np.array([(n_c, f_c), (n_d, f_d)])

@@ -24,11 +24,14 @@ from numba import njit
 
 from sysid.gear.kernel import stage as stages
 from sysid.gear.kernel import work_buffer as at
+from sysid.gear.kernel.geometry import normal_force
 from sysid.gear.kernel.lane import (
     MOTION,
     TURN,
     assign,
     available,
+    begin,
+    feet_at_start,
     hold_rest,
     idle,
     load,
@@ -37,13 +40,15 @@ from sysid.gear.kernel.lane import (
     thrust_segment,
 )
 from sysid.gear.kernel.parameter_row import THRUST_POINT_DX
+from sysid.gear.kernel.stage import law_at
 from sysid.gear.surfaces.surface import Surface, law_text, specialized
 from sysid.integrate.fused import fused
 from sysid.integrate.tableau import STAGES, E
 
-# Bound to a surface's functions when a driver is made.
+# Bound to a surface's functions when a driver or a reader is made.
 evaluate: Any = None
 after_step: Any = None
+friction: Any = None
 
 OK = 0
 STEP_COLLAPSED = 1
@@ -112,28 +117,9 @@ def drop_driver(lanes: int, surface: Surface):
     modes = surface.switching
 
     def drive(
-        parameters,
-        slope,
-        body,
-        legs,
-        clock,
-        offset,
-        segments,
-        plans,
-        jobs,
-        tolerance,
-        h_max,
-        cost,
-        ending,
-        samples,
-        reached,
-        status,
-        spent,
-        switches,
-        moments,
-        states,
-        marks,
-    ):
+        parameters, slope, body, legs, clock, offset, segments, plans, jobs, tolerance, h_max, cost, ending,
+        samples, reached, status, spent, switches, moments, states, marks,
+    ):  # fmt: skip
         """Integrate jobs (candidate * drops + drop) and sample them on their drop's clock.
 
         Parameters
@@ -423,3 +409,34 @@ def drop_driver(lanes: int, surface: Surface):
     stage = njit(error_model="numpy", inline="always")(text)
     bound = specialized(drive, evaluate=stage, after_step=surface.after_step)
     return njit(cache=True, nogil=True, error_model="numpy")(bound)
+
+
+def force_reader(surface: Surface):
+    """Make the function that reads the forces on the feet from states."""
+    sources = fingerprint(surface)
+    continuous = not surface.switching
+
+    def foot_forces(parameters, slope, states, forces):
+        """Fill `forces` (n, 4) of states (n, 14), frame N: normal rear, front, friction rear, front [N].
+
+        Friction only where the law is a function of the state.
+        """
+        if sources < 0:  # keeps the sources' hash in the key of the cached code
+            return
+        work = np.ones(at.ROWS)
+        for n in range(len(states)):
+            coordinates, rates = states[n, :7], states[n, 7:]
+            legs = np.concatenate((coordinates[3:], rates[3:]))
+            body = np.concatenate((coordinates[:3], rates[:3]))
+            begin(parameters, slope, body, legs, work, 0, 1)
+            p_c, dp_c, v_c, p_d, dp_d, v_d = feet_at_start(work, 0, 1)
+            n_c = normal_force(p_c, dp_c, work[at.GROUND_SPRING], work[at.GROUND_DAMPER])
+            n_d = normal_force(p_d, dp_d, work[at.GROUND_SPRING], work[at.GROUND_DAMPER])
+            forces[n, 0] = n_c
+            forces[n, 1] = n_d
+            if continuous:
+                forces[n, 2], forces[n, 3] = friction(n_c, n_d, v_c, v_d, law_at(work, at.LAW, 1))
+
+    return njit(cache=True, nogil=True, error_model="numpy")(
+        specialized(foot_forces, friction=surface.friction)
+    )

@@ -1,4 +1,4 @@
-"""Where the joints, legs and feet are, and how fast: planar kinematics in the frame of the slope.
+"""Where the joints, legs and feet are and how fast, in the frame of the slope, and the force on a foot.
 
 The kernel works in the frame of the slope: ``s`` along the surface (down-slope), ``w`` along its normal, and
 every angle measured from the surface. With ``ex(a) = (cos a, -sin a)`` and ``ez(a) = (sin a, cos a)`` the
@@ -77,3 +77,11 @@ def foot_motion(w, s_rate, w_rate, omega, joint_s, joint_w, length, h_rate, cos_
     penetration_rate = -(w_rate - omega * joint_s - h_rate * cos_theta + length * theta_rate * sin_theta)
     slip = s_rate + omega * joint_w - h_rate * sin_theta - length * theta_rate * cos_theta
     return penetration, penetration_rate, slip
+
+
+@njit(error_model="numpy", forceinline=True)
+@fused
+def normal_force(penetration, penetration_rate, k_s, b_s):
+    """Normal force on a foot [N], equation (7): spring always, damper only while the foot goes deeper."""
+    damping = b_s * penetration_rate if penetration_rate > 0.0 else 0.0
+    return k_s * penetration + damping if penetration > 0.0 else 0.0

@@ -50,6 +50,8 @@ def feet_at_start(work, lane, lanes):
 @njit(error_model="numpy")
 def begin(parameters, slope, body, legs, work, lane, lanes):
     """Load a job into a lane: coefficients, state in the slope's frame, a first step of length 0."""
+    for row in range(at.ROWS):
+        work[row * lanes + lane] = 0.0
     coefficients = derived(parameters, slope)
     for i in range(len(coefficients)):
         work[(at.COEFFICIENTS + i) * lanes + lane] = coefficients[i]
@@ -73,29 +75,14 @@ def begin(parameters, slope, body, legs, work, lane, lanes):
     for i in range(at.COORDINATES):
         work[(at.START + i) * lanes + lane] = coordinates[i]
         work[(at.START + at.COORDINATES + i) * lanes + lane] = rates[i]
-        work[(at.RATES + i) * lanes + lane] = 0.0
     p_c, _, v_c, p_d, _, v_d = feet_at_start(work, lane, lanes)
     # Direction of slip: the direction of the motion of a foot that touches, +1 in the air.
     work[at.WAY * lanes + lane] = -1.0 if p_c > 0.0 and v_c < 0.0 else 1.0
     work[(at.WAY + 1) * lanes + lane] = -1.0 if p_d > 0.0 and v_d < 0.0 else 1.0
     for foot in range(2):
-        work[(at.STUCK + foot) * lanes + lane] = 0.0
         work[(at.MARGIN + foot) * lanes + lane] = -1e30
-        work[(at.SWITCH + foot) * lanes + lane] = 0.0
-        work[(at.FRICTION_0 + foot) * lanes + lane] = 0.0
-        work[(at.TOUCHED + foot) * lanes + lane] = 0.0
-    for i in range(4):
-        work[(at.LIFT + i) * lanes + lane] = 0.0
-        work[(at.TILT + i) * lanes + lane] = 0.0
-    work[at.ORIGIN * lanes + lane] = 0.0
     work[at.SEGMENT_END * lanes + lane] = np.inf
-    work[at.FLIPPED * lanes + lane] = 0.0
-    work[at.RESTED * lanes + lane] = 0.0
-    work[at.MOVED * lanes + lane] = 0.0
-    work[at.TIME * lanes + lane] = 0.0
-    work[at.STEP * lanes + lane] = 0.0
     work[at.FRESH * lanes + lane] = 1.0
-    work[at.COUNT * lanes + lane] = 0.0
 
 
 @njit(error_model="numpy")

@@ -5,8 +5,8 @@ from typing import Any
 from numba import njit
 
 from sysid.gear.kernel import work_buffer as at
-from sysid.gear.kernel.contact import normal_force
 from sysid.gear.kernel.dynamics import Coefficients, feet, pose, ringing
+from sysid.gear.kernel.geometry import normal_force
 from sysid.integrate.fused import fused
 from sysid.integrate.tableau import A_TWICE, REAL_LIMIT, RING_GAIN, RING_LIMIT, RING_MOST, STAGES, A, C
 

@@ -22,7 +22,7 @@ from numba import njit
 
 from sysid.gear.kernel import work_buffer as at
 from sysid.gear.kernel.dynamics import accelerations, friction_responses
-from sysid.gear.surfaces.surface import Surface
+from sysid.gear.surfaces.surface import LEGS_AND_GROUND, Surface
 from sysid.integrate.fused import fused
 from sysid.integrate.tableau import STAGES, C
 
@@ -221,16 +221,9 @@ def after_step(work, lane, lanes, h, taken, new_h):
     mu_s = mu_k + work[(at.LAW + 1) * lanes + lane]
     c = lane
     d = lanes + lane
-    stuck_c, way_c, margin_c = (
-        work[at.STUCK * lanes + c],
-        work[at.WAY * lanes + c],
-        work[at.MARGIN * lanes + c],
-    )
-    stuck_d, way_d, margin_d = (
-        work[at.STUCK * lanes + d],
-        work[at.WAY * lanes + d],
-        work[at.MARGIN * lanes + d],
-    )
+    stuck_c, stuck_d = work[at.STUCK * lanes + c], work[at.STUCK * lanes + d]
+    way_c, way_d = work[at.WAY * lanes + c], work[at.WAY * lanes + d]
+    margin_c, margin_d = work[at.MARGIN * lanes + c], work[at.MARGIN * lanes + d]
     n_c, v_c, r_c = work[at.NORMAL * lanes + c], work[at.SLIP * lanes + c], work[at.REQUIRED * lanes + c]
     n_d, v_d, r_d = work[at.NORMAL * lanes + d], work[at.SLIP * lanes + d], work[at.REQUIRED * lanes + d]
     now_c, lost_c, share_c = event(stuck_c, way_c, n_c, v_c, r_c, margin_c, mu_s)
@@ -266,20 +259,7 @@ SURFACE = Surface(
     title="high-friction",
     meaning="High friction, equations (9, 10) and Fig. 5: each foot slips or sticks.",
     reads=("kinetic_friction", "static_friction_excess"),
-    free=(
-        "joint_dx",
-        "joint_dz",
-        "leg_axial_stiffness",
-        "leg_axial_damping",
-        "leg_bending_stiffness",
-        "leg_bending_damping",
-        "ground_stiffness",
-        "ground_damping",
-        "leg_mass",
-        "leg_inertia",
-        "kinetic_friction",
-        "static_friction_excess",
-    ),
+    free=(*LEGS_AND_GROUND, "leg_mass", "leg_inertia", "kinetic_friction", "static_friction_excess"),
     solve=solve,
     after_step=after_step,
     nominal={

@@ -2,7 +2,7 @@
 
 from numba import njit
 
-from sysid.gear.surfaces.surface import Surface, continuous_law
+from sysid.gear.surfaces.surface import LEGS_AND_GROUND, Surface, continuous_law
 from sysid.integrate.fused import fused
 
 
@@ -37,16 +37,7 @@ SURFACE = Surface(
     title="low-friction",
     meaning="Low friction, equation (8): sliding and creeping, never sticking.",
     reads=("kinetic_friction", "slip_regularization"),
-    free=(
-        "joint_dx",
-        "joint_dz",
-        "leg_axial_stiffness",
-        "leg_axial_damping",
-        "leg_bending_stiffness",
-        "leg_bending_damping",
-        "ground_stiffness",
-        "ground_damping",
-    ),
+    free=LEGS_AND_GROUND,
     solve=continuous_law(low_friction, low_friction_damping),
     friction=low_friction,
     # Keeps the mean NRMSE of a drop (5-35 deg, 0.4-1 m/s, 0.7 s) below 0.1 % near the true parameters: tested

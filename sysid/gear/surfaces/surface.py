@@ -14,6 +14,12 @@ from numba import njit
 from sysid.gear.kernel.dynamics import accelerations, foot_looseness
 from sysid.gear.kernel.parameter_row import LAW_SLOTS
 
+# Free on every surface by default.
+LEGS_AND_GROUND = (
+    "joint_dx", "joint_dz", "leg_axial_stiffness", "leg_axial_damping", "leg_bending_stiffness",
+    "leg_bending_damping", "ground_stiffness", "ground_damping",
+)  # fmt: skip
+
 # Bound to the formulas of a law by `continuous_law`.
 friction: Any = None
 damping: Any = None
