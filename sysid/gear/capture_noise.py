@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from sysid.filters import differentiate
-from sysid.gear.drops import PreparedDrop
+from sysid.gear.drops import PreparedDrop, as_compared
 from sysid.types import FloatArray
 
-# Position column of each compared channel, and whether it is its rate, as `sysid.gear.drops` orders them.
-_COLUMN, _IS_RATE = (0, 1, 0, 1, 2), (False, False, True, True, False)
 # Samples of the noise that pass the filter to tell what it looks like then.
 _NOISE_SAMPLES = 20_000
 # The fit of the flight looks back into a hold this far at most [s].
@@ -75,6 +73,4 @@ def noise_signals(drop: PreparedDrop, seed: int) -> FloatArray:
     taps = drop.target.taps
     if taps is not None:
         white = np.column_stack([np.convolve(white[:, c], taps, "valid") for c in range(3)])
-    rates = differentiate(white, drop.target.rate)
-    both = [rates[:, c] if rate else white[:, c] for c, rate in zip(_COLUMN, _IS_RATE, strict=True)]
-    return np.column_stack(both)[1:-1]
+    return as_compared(white, differentiate(white, drop.target.rate))[1:-1]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sysid.campaign import GearCampaign, GearTrial
+from sysid.campaign.common import TrialUse
 from sysid.campaign.file import resolve_log
 from sysid.campaign.logs import CaptureLogOptions
 from sysid.campaign.read_logs import load_stated, warn_of_idle_options
@@ -49,8 +50,8 @@ class PreparedDrop:
 
     Parameters
     ----------
-    name, use, slope
-        As in the campaign; slope [rad].
+    slope : float
+        Angle of the surface [rad].
     motion, flight
         The whole log, relative to a point of the surface; hold and fall before contact.
     touchdown, impact_speed : float
@@ -72,7 +73,7 @@ class PreparedDrop:
     """
 
     name: str
-    use: str
+    use: TrialUse
     slope: float
     motion: PlanarMotion
     flight: Flight
@@ -86,12 +87,17 @@ class PreparedDrop:
     spectrum: Spectrum | None
     provenance: dict[str, Any]
 
+    @property
+    def tangent(self) -> FloatArray:
+        """(2,) unit vector down the slope, in x and z."""
+        return SlopedPlane(self.slope).tangent
+
 
 def cost_channels(campaign: GearCampaign) -> tuple[CostChannel, ...]:
     """Return the five compared channels with the campaign's weights, as columns of (x, z, q, rates)."""
     weights = campaign.cost.weights
-    # An unfiltered simulation gives its rates itself; a filtered one is differentiated as the log was.
-    derived = campaign.filter.kind == "none" or campaign.filter.filter_simulation
+    # Rates that a simulation gives itself stand beside a log that alone was filtered.
+    derived = _same_way(campaign)
     return (
         CostChannel("x_B", "m", 0, weight=weights.x_B),
         CostChannel("z_B", "m", 1, weight=weights.z_B),
@@ -121,15 +127,11 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
     rest = None
     if campaign.surface.rest_log is not None:
         rest = read(resolve_log(path, campaign.surface.rest_log), None, "{}")
-    return tuple(
-        _prepare(
-            campaign,
-            trial,
-            read(resolve_log(path, trial.log), trial.rigid_body, trial.log_options.model_dump_json()),
-            rest,
-        )
-        for trial in campaign.trials
-    )
+    drops = []
+    for trial in campaign.trials:
+        log, options = resolve_log(path, trial.log), trial.log_options.model_dump_json()
+        drops.append(_Preparation(campaign, trial, read(log, trial.rigid_body, options), rest).drop())
+    return tuple(drops)
 
 
 def read_drop_log(campaign: GearCampaign, path: Path, body: str | None, options: str) -> Recording:
@@ -143,118 +145,253 @@ def read_drop_log(campaign: GearCampaign, path: Path, body: str | None, options:
     return recording
 
 
-def _prepare(
-    campaign: GearCampaign, trial: GearTrial, recording: Recording, rest: Recording | None
-) -> PreparedDrop:
-    origin = recording.provenance
-    where = f"{origin.path}, trial {trial.name!r}"
-    frame = CaptureFrame(campaign.capture.up, trial.down_slope or campaign.capture.down_slope)
-    motion = _motion(campaign, trial, recording, frame)
-    notes = [*origin.sentences, *motion.notes]
-    slope, point = _surface(campaign, trial, recording, rest, frame, notes)
-    plane, feet = SlopedPlane(slope), Feet(campaign.vehicle.foot_dx, campaign.vehicle.foot_dz)
-    gravity = campaign.vehicle.gravity
-
-    held = find_fall(motion, gravity, where, trial.release)
-    levels = held.stop > held.start and campaign.capture.level == "release"
-    level = held_level(motion, held) if levels else np.eye(3)
-    planar = planar_motion(motion, point, level)
-    flight, touchdown = fit_flight(planar, plane, feet, held, gravity, where, levels)
-    if trial.touchdown is not None:
-        touchdown = trial.touchdown
-
-    lowpass = None
-    if campaign.filter.kind == "kaiser":
-        settings = campaign.filter
-        lowpass = KaiserLowpass(planar.rate, settings.cutoff, settings.attenuation_db, settings.transition)
-    margin = (0 if lowpass is None else lowpass.edge_samples) + 1
-    window = _window(campaign, trial, planar, plane, flight, touchdown, margin, where, notes)
-    target, spectrum, before_time, after = _target(campaign, trial, planar, window, lowpass, margin)
-    initial_state = flight.at(planar.time[window.start : window.start + 1])[0]
-    impact_speed = float(-flight.at(np.array([touchdown]))[0, 4])
-    _doubts(trial, planar, window, flight, touchdown, gravity)
-    return PreparedDrop(
-        name=trial.name,
-        use=trial.use,
-        slope=slope,
-        motion=planar,
-        flight=flight,
-        touchdown=touchdown,
-        impact_speed=impact_speed,
-        time=planar.time[window],
-        initial_state=initial_state,
-        simulated_time=planar.time[window.start : window.stop + after],
-        before=flight.at(before_time)[:, :3],
-        target=target,
-        spectrum=spectrum,
-        provenance={
-            "log": Path(origin.path).name,
-            "sha256": origin.sha256,
-            "format": origin.format,
-            "device": origin.device,
-            "rate [Hz]": planar.rate,
-            "slope [deg]": float(np.degrees(slope)),
-            "held before release": flight.held,
-            "release [s]": flight.start,
-            "touchdown [s]": touchdown,
-            "impact speed [m/s]": impact_speed,
-            "initial_state": [float(value) for value in initial_state],
-            "free-fall g [m/s²]": flight.measured_gravity,
-            "lost frames in window": int(np.sum(~planar.valid[window])),
-            "notes": notes,
-        },
-    )
+def lowpass_of(campaign: GearCampaign, rate: float) -> KaiserLowpass | None:
+    """Return the campaign's filter at a sample rate [Hz]; None where it has none."""
+    settings = campaign.filter
+    if settings.kind == "none":
+        return None
+    return KaiserLowpass(rate, settings.cutoff, settings.attenuation_db, settings.transition)
 
 
-def _motion(
-    campaign: GearCampaign, trial: GearTrial | None, recording: Recording, frame: CaptureFrame
-) -> SpatialMotion:
-    capture = campaign.capture
-    stated = (trial.rigid_body or trial.log_options.rigid_body) if trial is not None else None
-    return spatial_motion(
-        recording, stated or capture.rigid_body, frame,
-        centre_of_mass_offset=capture.centre_of_mass_offset, rate=capture.rate,
-    )  # fmt: skip
+def _same_way(campaign: GearCampaign) -> bool:
+    """Return whether simulated samples pass through what the measured ones have passed through."""
+    return campaign.filter.kind == "none" or campaign.filter.filter_simulation
 
 
-def _surface(
-    campaign: GearCampaign,
-    trial: GearTrial,
-    recording: Recording,
-    rest: Recording | None,
-    frame: CaptureFrame,
-    notes: list[str],
-) -> tuple[float, FloatArray]:
-    """Return the slope [rad] and a point of the surface in (x, y, z) [m]."""
-    surface = campaign.surface
-    point = trial.point if trial.point is not None else surface.point
-    slope, on_surface = trial.slope, None
-    if point is None and surface.markers:
-        on_surface, measured, residual = marker_plane(
-            recording, surface.markers, frame, surface.marker_height, slope
+def as_compared(coordinates: FloatArray, rates: FloatArray) -> FloatArray:
+    """Return the compared channels (n, 5) of x, z, pitch and their rates, as `cost_channels` orders them."""
+    return np.column_stack([coordinates[:, :2], rates[:, :2], coordinates[:, 2]])
+
+
+class _Preparation:
+    """One drop between its recording and what is compared."""
+
+    def __init__(
+        self, campaign: GearCampaign, trial: GearTrial, recording: Recording, rest: Recording | None
+    ) -> None:
+        self.campaign, self.trial, self.recording, self.rest = campaign, trial, recording, rest
+        self.where = f"{recording.provenance.path}, trial {trial.name!r}"
+        self.frame = CaptureFrame(campaign.capture.up, trial.down_slope or campaign.capture.down_slope)
+        motion = self._spatial(recording, trial.rigid_body or trial.log_options.rigid_body)
+        self.notes = [*recording.provenance.sentences, *motion.notes]
+        slope, point = self._surface()
+        self.plane = SlopedPlane(slope)
+        feet, gravity = Feet(campaign.vehicle.foot_dx, campaign.vehicle.foot_dz), campaign.vehicle.gravity
+        held = find_fall(motion, gravity, self.where, trial.release)
+        levels = held.stop > held.start and campaign.capture.level == "release"
+        self.motion = planar_motion(motion, point, held_level(motion, held) if levels else np.eye(3))
+        self.flight, touchdown = fit_flight(self.motion, self.plane, feet, held, gravity, self.where, levels)
+        self.touchdown = touchdown if trial.touchdown is None else trial.touchdown
+        self.at_touchdown = self.flight.at(np.array([self.touchdown]))[0]
+        self.lowpass = lowpass_of(campaign, self.motion.rate)
+        # Samples that filter and difference need on both sides of the window.
+        self.margin = (0 if self.lowpass is None else self.lowpass.edge_samples) + 1
+
+    def drop(self) -> PreparedDrop:
+        """Return the drop, cut, filtered and judged."""
+        motion, flight, origin = self.motion, self.flight, self.recording.provenance
+        window = self._window()
+        target, spectrum = self._target(window)
+        self._doubt(window)
+        around = self.margin if _same_way(self.campaign) else 0
+        initial_state = flight.at(motion.time[window.start : window.start + 1])[0]
+        impact_speed = float(-self.at_touchdown[4])
+        return PreparedDrop(
+            name=self.trial.name,
+            use=self.trial.use,
+            slope=self.plane.angle,
+            motion=motion,
+            flight=flight,
+            touchdown=self.touchdown,
+            impact_speed=impact_speed,
+            time=motion.time[window],
+            initial_state=initial_state,
+            simulated_time=motion.time[window.start : window.stop + around],
+            before=flight.at(motion.time[window.start - around : window.start])[:, :3],
+            target=target,
+            spectrum=spectrum,
+            provenance={
+                "log": Path(origin.path).name,
+                "sha256": origin.sha256,
+                "format": origin.format,
+                "device": origin.device,
+                "rate [Hz]": motion.rate,
+                "slope [deg]": float(np.degrees(self.plane.angle)),
+                "held before release": flight.held,
+                "release [s]": flight.start,
+                "touchdown [s]": self.touchdown,
+                "impact speed [m/s]": impact_speed,
+                "initial_state": [float(value) for value in initial_state],
+                "free-fall g [m/s²]": flight.measured_gravity,
+                "lost frames in window": int(np.sum(~motion.valid[window])),
+                "notes": self.notes,
+            },
         )
-        if measured is not None:
-            notes.append(f"board markers lie {1000 * residual:.2f} mm rms off their plane")
-            if slope is not None and abs(slope - measured) > _SLOPE_DOUBT:
-                notice(
-                    "slopes-differ",
-                    f"the board markers say {np.degrees(measured):.1f} deg, the campaign "
-                    f"{np.degrees(slope):.1f} deg; the campaign's slope is used",
-                    trial=trial.name,
-                    size=abs(slope - measured),
+
+    def _notice(self, code: str, sentence: str, size: float) -> None:
+        notice(code, sentence, trial=self.trial.name, size=size)
+
+    def _spatial(self, recording: Recording, rigid_body: str | None) -> SpatialMotion:
+        capture = self.campaign.capture
+        return spatial_motion(
+            recording, rigid_body or capture.rigid_body, self.frame,
+            centre_of_mass_offset=capture.centre_of_mass_offset, rate=capture.rate,
+        )  # fmt: skip
+
+    def _surface(self) -> tuple[float, FloatArray]:
+        """Return the slope [rad] and a point of the surface in (x, y, z) [m]."""
+        surface, trial, frame = self.campaign.surface, self.trial, self.frame
+        point = trial.point if trial.point is not None else surface.point
+        slope, on_surface = trial.slope, None
+        if point is None and surface.markers:
+            on_surface, measured, residual = marker_plane(
+                self.recording, surface.markers, frame, surface.marker_height, slope
+            )
+            if measured is not None:
+                self.notes.append(f"board markers lie {1000 * residual:.2f} mm rms off their plane")
+                if slope is not None and abs(slope - measured) > _SLOPE_DOUBT:
+                    self._notice(
+                        "slopes-differ",
+                        f"the board markers say {np.degrees(measured):.1f} deg, the campaign "
+                        f"{np.degrees(slope):.1f} deg; the campaign's slope is used",
+                        abs(slope - measured),
+                    )
+                slope = measured if slope is None else slope
+        if slope is None:
+            raise LogError(f"trial {trial.name!r}: no slope; give it")
+        if on_surface is not None:
+            return slope, on_surface
+        if point is not None:
+            return slope, frame.matrix @ np.asarray(point)
+        assert self.rest is not None  # the campaign was validated: one of three ways is there
+        motion = self._spatial(self.rest, None)
+        centre = np.median(motion.position[motion.valid], axis=0)
+        depth = self.campaign.vehicle.foot_dz - _static_sag(self.campaign)
+        return slope, centre - depth * np.array([np.sin(slope), 0.0, np.cos(slope)])
+
+    def _window(self) -> slice:
+        """Return the compared samples, from just before contact to the end of window, board or log."""
+        settings, time, margin = self.campaign.window, self.motion.time, self.margin
+        start_time = self.touchdown - settings.before_contact
+        if self.flight.held:
+            start_time = max(start_time, self.flight.start)
+        first = int(np.searchsorted(time, start_time - 1e-9))
+        last = int(np.searchsorted(time, self.touchdown + settings.after_contact + 1e-9))
+        off_board = self._off_board(last)
+        if off_board is not None:
+            last = off_board
+            self.notes.append(
+                f"the body leaves the board {time[last] - self.touchdown:.2f} s after touchdown"
+            )
+        if first - margin < 0:
+            raise LogError(
+                f"{self.where}: the window starts {first} samples into the log, the filter needs {margin} "
+                "before it; start recording earlier"
+            )
+        ends_early = last + margin > len(time)
+        if ends_early:
+            last = max(0, len(time) - margin)
+        if last - first < _LEAST_SAMPLES or time[min(last, len(time)) - 1] < self.touchdown:
+            raise LogError(
+                f"{self.where}: only {max(0, last - first)} samples are left in the window around the "
+                f"touchdown at {self.touchdown:.3f} s; record longer (the filter needs {margin} samples "
+                "after the window)"
+            )
+        if ends_early:
+            kept = float(time[last - 1] - self.touchdown)
+            self.notes.append(f"the log ends early: the window ends {kept:.2f} s after the touchdown")
+            self._notice(
+                "log-ends-early",
+                f"the log ends early: its window ends {kept:.2f} s after the touchdown instead of "
+                f"{settings.after_contact:.2g} s (the filter needs {margin} samples more); the drop counts "
+                "as much as the others",
+                settings.after_contact - kept,
+            )
+        lost = runs(~self.motion.valid[first - margin : last + margin])
+        begin, end = max(lost, key=lambda run: run[1] - run[0], default=(0, 0))
+        gap = (end - begin) / self.motion.rate
+        if gap > settings.max_gap + 1e-9:
+            raise LogError(
+                f"{self.where}: the body is lost for {1000 * gap:.0f} ms from "
+                f"{time[first - margin + begin]:.3f} s, longer than window.max_gap "
+                f"({1000 * settings.max_gap:.0f} ms); record the drop again or shorten the window"
+            )
+        return slice(first, last)
+
+    def _off_board(self, last: int) -> int | None:
+        """Return the first sample before `last` at which the body is off the board; None if it stays."""
+        motion, board = self.motion, self.campaign.surface.board_length
+        if board is None:
+            return None
+        along = np.column_stack([motion.x, motion.z]) @ self.plane.tangent
+        at_touchdown = int(np.clip(np.searchsorted(motion.time, self.touchdown), 0, len(along) - 1))
+        origin = along[at_touchdown]
+        if not np.isfinite(origin):
+            origin = float(self.at_touchdown[:2] @ self.plane.tangent)
+        left = np.flatnonzero(along[at_touchdown:last] - origin > board)
+        return at_touchdown + int(left[0]) if len(left) else None
+
+    def _target(self, window: slice) -> tuple[TrialTarget, Spectrum | None]:
+        """Return the filtered and differentiated window, and its spectrum before the filter."""
+        margin, rate, lowpass = self.margin, self.motion.rate, self.lowpass
+        wide = slice(window.start - margin, window.stop + margin)
+        seen = self.motion.valid[wide]
+        filled = bridge_gaps(self.motion.coordinates()[wide], seen)
+        smooth = filled if lowpass is None else lowpass.apply(filled)
+        raw = as_compared(filled, differentiate(filled, rate))[1:-1]
+        same_way = _same_way(self.campaign)
+        target = TrialTarget(
+            name=self.trial.name,
+            measured=as_compared(smooth, differentiate(smooth, rate))[margin:-margin],
+            valid=seen[margin:-margin],
+            rate=rate,
+            taps=lowpass.taps if lowpass is not None and same_way else None,
+            delivered=seen if same_way else None,
+        )
+        return target, None if lowpass is None else amplitude_spectrum(raw, rate)
+
+    def _doubt(self, window: slice) -> None:
+        """Notice a rotation out of the plane, an unlikely g and a doubtful touchdown."""
+        for angle, values in (("roll", self.motion.roll), ("yaw", self.motion.yaw)):
+            largest = float(np.nanmax(np.abs(values[window])))
+            if largest > PLANAR_LIMIT:
+                self._notice(
+                    f"{angle}-out-of-plane",
+                    f"{angle} reaches {np.degrees(largest):.0f} deg, the planar model assumes less than "
+                    f"{np.degrees(PLANAR_LIMIT):.0f} deg",
+                    largest,
                 )
-            slope = measured if slope is None else slope
-    if slope is None:
-        raise LogError(f"trial {trial.name!r}: no slope; give it")
-    if on_surface is not None:
-        return slope, on_surface
-    if point is not None:
-        return slope, frame.matrix @ np.asarray(point)
-    assert rest is not None  # the campaign was validated: one of three ways is there
-    motion = _motion(campaign, None, rest, frame)
-    centre = np.median(motion.position[motion.valid], axis=0)
-    depth = campaign.vehicle.foot_dz - _static_sag(campaign)
-    return slope, centre - depth * np.array([np.sin(slope), 0.0, np.cos(slope)])
+        measured, gravity = self.flight.measured_gravity, self.campaign.vehicle.gravity
+        wrong = abs(measured / gravity - 1)
+        # False of an unknown g, NaN.
+        if self.touchdown - self.flight.start > _TELLS_GRAVITY and wrong > _GRAVITY_DOUBT:
+            self._notice(
+                "unlikely-gravity",
+                f"the fall shows {measured:.1f} m/s² instead of {gravity:.2f}; check the length unit, "
+                "capture.up and that nothing brakes the body",
+                wrong,
+            )
+        late = self._leaves_free_fall() - self.touchdown
+        if not -_EARLY < late < _LATE:
+            side, level = ("after", "high") if late > 0 else ("before", "low")
+            off = -self.at_touchdown[4] * abs(late - _YIELDING)
+            self._notice(
+                "doubtful-surface",
+                f"the body leaves free fall {1000 * abs(late):.0f} ms {side} the feet should touch; the "
+                f"surface plane may lie about {1000 * off:.0f} mm too {level}",
+                abs(late),
+            )
+
+    def _leaves_free_fall(self) -> float:
+        """Return when the height or pitch first leaves the flight model for good [s]."""
+        motion, flight = self.motion, self.flight
+        near = (motion.time > self.touchdown - 0.1) & (motion.time < self.touchdown + 0.1) & motion.valid
+        error = np.abs(motion.coordinates()[near] - flight.at(motion.time[near])[:, :3])
+        limit = np.maximum(6 * flight.noise, [np.inf, 1e-3, 0.01])
+        away = np.asarray((error[:, 1:] > limit[1:]).any(axis=1))
+        inside = np.flatnonzero(~away)
+        later = motion.time[near][inside[-1] + 1 :] if len(inside) else motion.time[near]
+        return float(later[0]) if len(later) else float("inf")
 
 
 def _static_sag(campaign: GearCampaign) -> float:
@@ -265,171 +402,3 @@ def _static_sag(campaign: GearCampaign) -> float:
     span = vehicle.foot_dx - value["joint_dx"]
     compliance = 1 / axial + span**2 / bending + 1 / ground
     return 0.5 * vehicle.body_mass * vehicle.gravity * compliance
-
-
-def _window(
-    campaign: GearCampaign,
-    trial: GearTrial,
-    motion: PlanarMotion,
-    plane: SlopedPlane,
-    flight: Flight,
-    touchdown: float,
-    margin: int,
-    where: str,
-    notes: list[str],
-) -> slice:
-    """Return the samples that are compared, from just before contact to the end of window, board or log.
-
-    The filter needs `margin` samples on both sides.
-    """
-    settings = campaign.window
-    start_time = touchdown - settings.before_contact
-    if flight.held:
-        start_time = max(start_time, flight.start)
-    first = int(np.searchsorted(motion.time, start_time - 1e-9))
-    last = int(np.searchsorted(motion.time, touchdown + settings.after_contact + 1e-9))
-    off_board = _off_board(campaign, motion, plane, flight, touchdown, last)
-    if off_board is not None:
-        last = off_board
-        notes.append(f"the body leaves the board {motion.time[last] - touchdown:.2f} s after touchdown")
-    if first - margin < 0:
-        raise LogError(
-            f"{where}: the window starts {first} samples into the log, the filter needs {margin} before it; "
-            f"start recording earlier"
-        )
-    ends_early = last + margin > len(motion.time)
-    if ends_early:
-        last = max(0, len(motion.time) - margin)
-    if last - first < _LEAST_SAMPLES or motion.time[min(last, len(motion.time)) - 1] < touchdown:
-        raise LogError(
-            f"{where}: only {max(0, last - first)} samples are left in the window around the touchdown at "
-            f"{touchdown:.3f} s; record longer (the filter needs {margin} samples after the window)"
-        )
-    if ends_early:
-        kept = float(motion.time[last - 1] - touchdown)
-        notes.append(f"the log ends early: the window ends {kept:.2f} s after the touchdown")
-        notice(
-            "log-ends-early",
-            f"the log ends early: its window ends {kept:.2f} s after the touchdown instead of "
-            f"{settings.after_contact:.2g} s (the filter needs {margin} samples more); the drop counts as "
-            "much as the others",
-            trial=trial.name,
-            size=settings.after_contact - kept,
-        )
-    lost = runs(~motion.valid[first - margin : last + margin])
-    begin, end = max(lost, key=lambda run: run[1] - run[0], default=(0, 0))
-    gap = (end - begin) / motion.rate
-    if gap > settings.max_gap + 1e-9:
-        raise LogError(
-            f"{where}: the body is lost for {1000 * gap:.0f} ms from "
-            f"{motion.time[first - margin + begin]:.3f} s, longer than window.max_gap "
-            f"({1000 * settings.max_gap:.0f} ms); record the drop again or shorten the window"
-        )
-    return slice(first, last)
-
-
-def _off_board(
-    campaign: GearCampaign,
-    motion: PlanarMotion,
-    plane: SlopedPlane,
-    flight: Flight,
-    touchdown: float,
-    last: int,
-) -> int | None:
-    """Return the first sample before `last` at which the body has slid off the board; None if it stays."""
-    if campaign.surface.board_length is None:
-        return None
-    tangent = np.array([np.cos(plane.angle), -np.sin(plane.angle)])
-    along = np.column_stack([motion.x, motion.z]) @ tangent
-    at_touchdown = int(np.clip(np.searchsorted(motion.time, touchdown), 0, len(along) - 1))
-    origin = along[at_touchdown]
-    if not np.isfinite(origin):
-        origin = float(flight.at(np.array([touchdown]))[0, :2] @ tangent)
-    left = np.flatnonzero(along[at_touchdown:last] - origin > campaign.surface.board_length)
-    return at_touchdown + int(left[0]) if len(left) else None
-
-
-def _target(
-    campaign: GearCampaign,
-    trial: GearTrial,
-    motion: PlanarMotion,
-    window: slice,
-    lowpass: KaiserLowpass | None,
-    margin: int,
-) -> tuple[TrialTarget, Spectrum | None, FloatArray, int]:
-    """Filter and differentiate the measured window with its margins.
-
-    Returns the target, the spectrum before the filter, the sample times of the margin before the window and
-    the samples of the one after.
-    """
-    wide = slice(window.start - margin, window.stop + margin)
-    seen = motion.valid[wide]
-    filled = bridge_gaps(motion.coordinates()[wide], seen)
-    smooth = filled if lowpass is None else lowpass.apply(filled)
-    rates = differentiate(smooth, motion.rate)
-    measured = _channels(smooth, rates)
-    raw = _channels(filled, differentiate(filled, motion.rate))[1:-1]
-    spectrum = None if lowpass is None else amplitude_spectrum(raw, motion.rate)
-    same_way = campaign.filter.kind == "none" or campaign.filter.filter_simulation
-    target = TrialTarget(
-        name=trial.name,
-        measured=measured[margin:-margin],
-        valid=seen[margin:-margin],
-        rate=motion.rate,
-        taps=lowpass.taps if lowpass is not None and same_way else None,
-        delivered=seen if same_way else None,
-    )
-    simulated_margin = margin if same_way else 0
-    return target, spectrum, motion.time[window.start - simulated_margin : window.start], simulated_margin
-
-
-def _channels(coordinates: FloatArray, rates: FloatArray) -> FloatArray:
-    """Return the compared channels (n, 5) of x, z, pitch and their rates, as `cost_channels` orders them."""
-    return np.column_stack([coordinates[:, :2], rates[:, :2], coordinates[:, 2]])
-
-
-def _doubts(
-    trial: GearTrial, motion: PlanarMotion, window: slice, flight: Flight, touchdown: float, gravity: float
-) -> None:
-    for angle, values in (("roll", motion.roll), ("yaw", motion.yaw)):
-        largest = float(np.nanmax(np.abs(values[window])))
-        if largest > PLANAR_LIMIT:
-            notice(
-                f"{angle}-out-of-plane",
-                f"{angle} reaches {np.degrees(largest):.0f} deg, the planar model assumes less than "
-                f"{np.degrees(PLANAR_LIMIT):.0f} deg",
-                trial=trial.name,
-                size=largest,
-            )
-    measured = flight.measured_gravity
-    wrong = abs(measured / gravity - 1)
-    if touchdown - flight.start > _TELLS_GRAVITY and wrong > _GRAVITY_DOUBT:  # False of an unknown g, NaN
-        notice(
-            "unlikely-gravity",
-            f"the fall shows {measured:.1f} m/s² instead of {gravity:.2f}; check the length unit, capture.up "
-            "and that nothing brakes the body",
-            trial=trial.name,
-            size=wrong,
-        )
-    late = _leaves_free_fall(motion, flight, touchdown) - touchdown
-    if not -_EARLY < late < _LATE:
-        side, level = ("after", "high") if late > 0 else ("before", "low")
-        off = -flight.at(np.array([touchdown]))[0, 4] * abs(late - _YIELDING)
-        notice(
-            "doubtful-surface",
-            f"the body leaves free fall {1000 * abs(late):.0f} ms {side} the feet should touch; the surface "
-            f"plane may lie about {1000 * off:.0f} mm too {level}",
-            trial=trial.name,
-            size=abs(late),
-        )
-
-
-def _leaves_free_fall(motion: PlanarMotion, flight: Flight, touchdown: float) -> float:
-    """Return when the height or pitch first leaves the flight model for good [s]."""
-    near = (motion.time > touchdown - 0.1) & (motion.time < touchdown + 0.1) & motion.valid
-    error = np.abs(motion.coordinates()[near] - flight.at(motion.time[near])[:, :3])
-    limit = np.maximum(6 * flight.noise, [np.inf, 1e-3, 0.01])
-    away = np.asarray((error[:, 1:] > limit[1:]).any(axis=1))
-    inside = np.flatnonzero(~away)
-    later = motion.time[near][inside[-1] + 1 :] if len(inside) else motion.time[near]
-    return float(later[0]) if len(later) else float("inf")

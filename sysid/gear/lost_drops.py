@@ -74,9 +74,8 @@ def _share_on_board(
     """Return which share of a drop's window (P,) every candidate spends on the board."""
     first = int(cost.offsets[d]) + len(drop.before)
     window = samples[:, first : first + len(drop.time), :2]
-    tangent = np.array([np.cos(drop.slope), -np.sin(drop.slope)])
     foot = np.nanargmin(np.nan_to_num(result.first_contact[:, d], nan=np.inf), axis=1)
-    start = result.contact_state[np.arange(len(foot)), d, foot, :2] @ tangent
-    beyond = window @ tangent - start[:, None] > BEYOND_BOARD * board_length
+    start = result.contact_state[np.arange(len(foot)), d, foot, :2] @ drop.tangent
+    beyond = window @ drop.tangent - start[:, None] > BEYOND_BOARD * board_length
     away = np.argmax(beyond, axis=1)
     return np.asarray(np.where(beyond.any(axis=1), away / len(drop.time), 1.0))

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 from sysid.campaign import GearCampaign
 from sysid.campaign.file import resolve_log
 from sysid.errors import CampaignError
-from sysid.filters import KaiserLowpass
 from sysid.fit.nrmse import FilteredNrmse, PopulationCost
 from sysid.fit.problem import Block, NoiseModel, Problem, Scores, Trial
 from sysid.fit.result import FitResult
 from sysid.gear.capture_noise import compared_noise, level_error, noise_signals, start_roots
 from sysid.gear.centre_of_mass import centre_of_mass
 from sysid.gear.drop_offsets import offsets, shifted_before, shifted_starts, with_nuisance
-from sysid.gear.drops import PreparedDrop, cost_channels, read_drop_log
+from sysid.gear.drops import PreparedDrop, cost_channels, lowpass_of, read_drop_log
 from sysid.gear.lost_drops import CAUSES, judged_drops
 from sysid.gear.model import (
     LF_FREE,
@@ -130,8 +129,8 @@ class GearProblem(Problem):
     """Drops of one campaign under one friction law; see `sysid.fit.problem.Problem`.
 
     The campaign's cost, surface and stated values count; the numbers do not depend on the threads (all cores
-    by default). The tolerance bounds the simulation's error per step (`sysid.gear.model.simulate`); the board
-    ends this way down-slope of the touchdown [m]; the path is the campaign's file.
+    by default). The tolerance, by default the campaign's, bounds the simulation's error per step
+    (`sysid.gear.model.simulate`); the path is the campaign's file.
     """
 
     campaign: GearCampaign
@@ -139,23 +138,17 @@ class GearProblem(Problem):
     drops: tuple[PreparedDrop, ...]
     threads: int | None = None
     tolerance: float | None = None
-    board_length: float | None = None
     path: Path | None = None
     causes = CAUSES
 
-    @classmethod
-    def build(
-        cls,
-        campaign: GearCampaign,
-        space: SearchSpace,
-        drops: tuple[PreparedDrop, ...],
-        threads: int | None = None,
-        tolerance: float | None = None,
-        path: Path | None = None,
-    ) -> GearProblem:
-        """Join prepared drops with their campaign; the tolerance is the campaign's by default."""
-        accuracy = fit_tolerance(campaign) if tolerance is None else tolerance
-        return cls(campaign, space, drops, threads, accuracy, campaign.surface.board_length, path)
+    def __post_init__(self) -> None:
+        if self.tolerance is None:
+            object.__setattr__(self, "tolerance", fit_tolerance(self.campaign))
+
+    @property
+    def board_length(self) -> float | None:
+        """Where the board ends, down-slope of the touchdown [m]; None: nowhere."""
+        return self.campaign.surface.board_length
 
     # --- what is compared -----------------------------------------------------------------------------------
 
@@ -164,8 +157,8 @@ class GearProblem(Problem):
         """The drops, counted from their first touchdown."""
         return tuple(
             Trial(
-                drop.name, cast(Literal["fit", "validate"], drop.use), drop.time, drop.target.measured,
-                _valid(drop), drop.provenance, drop.touchdown, {"spectrum": drop.spectrum},
+                drop.name, drop.use, drop.time, drop.target.measured, _valid(drop), drop.provenance,
+                drop.touchdown, {"spectrum": drop.spectrum},
             )
             for drop in self.drops
         )  # fmt: skip
@@ -394,12 +387,10 @@ class GearProblem(Problem):
     @property
     def filters(self) -> Mapping[str, Any]:
         """The low-pass at the rate of the first drop."""
-        settings = self.campaign.filter
-        if settings.kind == "none":
+        lowpass = lowpass_of(self.campaign, self.drops[0].motion.rate)
+        if lowpass is None:
             return {"kind": "none"}
-        rate = self.drops[0].motion.rate
-        lowpass = KaiserLowpass(rate, settings.cutoff, settings.attenuation_db, settings.transition)
-        return {**lowpass.describe(), "simulation filtered too": settings.filter_simulation}
+        return {**lowpass.describe(), "simulation filtered too": self.campaign.filter.filter_simulation}
 
     def contacts(self, trial: int, row: FloatArray) -> FloatArray:
         """Return when feet touch in a prediction, on the drop's clock [s]; within 5 ms they touch once."""
@@ -485,16 +476,3 @@ def _fall_error(drop: PreparedDrop) -> float:
     lasts = drop.touchdown - drop.flight.start
     count = lasts * drop.motion.rate
     return float(drop.flight.noise[1] * np.sqrt(720.0 / count) / lasts**2) if count > 3 else np.nan
-
-
-def score_values(
-    campaign: GearCampaign, drops: tuple[PreparedDrop, ...], values: Mapping[str, float], **options: Any
-) -> PopulationCost:
-    """Score one set of parameter values [SI] on prepared drops; absent names take the campaign's.
-
-    The way to ask what the truth of a synthetic campaign scores.
-    """
-    problem = GearProblem.build(campaign, search_space(campaign), drops, **options)
-    known = dict(zip(problem.space.table, problem.base, strict=True))
-    row = np.array([[{**known, **values}[name] for name in PARAMETERS]])
-    return problem.judge_samples(*problem.simulate(row))[0]

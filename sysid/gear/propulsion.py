@@ -10,14 +10,7 @@ from typing import Literal
 import numpy as np
 
 from sysid.errors import CampaignError
-from sysid.gear.kernel.work_buffer import (
-    PLAN_COLUMNS,
-    SEGMENT_COLUMNS,
-    SEGMENT_FROM,
-    SEGMENT_FRONT,
-    SEGMENT_REAR,
-    SEGMENT_TO,
-)
+from sysid.gear.kernel import work_buffer as at
 from sysid.integrate.piecewise import PiecewiseCubic
 from sysid.types import FloatArray
 
@@ -65,10 +58,10 @@ class Propulsion:
         """What the kernel reads (n, SEGMENT_COLUMNS): the value held before, the pieces, the last."""
         knots = np.unique(np.concatenate([[0.0], self.rear.knots, self.front.knots]))
         knots = knots[knots >= 0.0]
-        out = np.zeros((len(knots) + 1, SEGMENT_COLUMNS))
-        out[1:, SEGMENT_FROM] = knots
-        out[1:, SEGMENT_TO] = [*knots[1:], np.inf]
-        for column, history in ((SEGMENT_REAR, self.rear), (SEGMENT_FRONT, self.front)):
+        out = np.zeros((len(knots) + 1, at.SEGMENT_COLUMNS))
+        out[1:, at.SEGMENT_FROM] = knots
+        out[1:, at.SEGMENT_TO] = [*knots[1:], np.inf]
+        for column, history in ((at.SEGMENT_REAR, self.rear), (at.SEGMENT_FRONT, self.front)):
             out[1:-1, column : column + 4] = history.on(knots)
             out[0, column] = float(history(0.0))
             out[-1, column] = float(history(knots[-1]))
@@ -80,7 +73,7 @@ def plans(propulsion: Sequence[Propulsion | None]) -> tuple[FloatArray, FloatArr
 
     Drops that share a `Propulsion` share its segments.
     """
-    tables: list[FloatArray] = [np.zeros((1, SEGMENT_COLUMNS))]
+    tables: list[FloatArray] = [np.zeros((1, at.SEGMENT_COLUMNS))]
     places: dict[int, tuple[int, int]] = {}
     rows = []
     total = 1
@@ -96,4 +89,4 @@ def plans(propulsion: Sequence[Propulsion | None]) -> tuple[FloatArray, FloatArr
         start = thrust.delay if waits else float(thrust.begins)
         settled = -1.0 if thrust.settled is None else thrust.settled
         rows.append([*places[id(thrust)], start, float(waits), settled])
-    return np.concatenate(tables), np.array(rows, dtype=np.float64).reshape(-1, PLAN_COLUMNS)
+    return np.concatenate(tables), np.array(rows, dtype=np.float64).reshape(-1, at.PLAN_COLUMNS)

@@ -25,27 +25,29 @@ _SMOOTH = 0.11
 
 
 def stopping(
-    drop: PreparedDrop, rows: FloatArray, board_length: float | None, seed: int = 0, **simulation: Any
+    drop: PreparedDrop, rows: FloatArray, board_length: float | None, **simulation: Any
 ) -> dict[str, Any]:
     """Return place [m, down-slope] and time [s] of the end of a drop since its first touchdown.
 
-    `rows` (S, n_table) are the sets [SI]; the board ends this way down-slope of the touchdown [m]; `seed`
-    draws the starts; `simulation` gives law, tolerance and threads of `simulate_population`.
+    `rows` (S, n_table) are the sets [SI]; `board_length` counts down-slope from the touchdown [m];
+    `simulation` gives law, tolerance and threads of `simulate_population`.
 
     Notes
     -----
     The end is the beginning of rest as the landing simulator defines it (below 0.05 m/s and 0.2 rad/s for 0.2
     s), else the end of the log, or where the body leaves the board.
     """
-    tangent = np.array([np.cos(drop.slope), -np.sin(drop.slope)])
-    motion = drop.motion
-    last = float(motion.time[-1])
+    motion, tangent = drop.motion, drop.tangent
+    touch = float(drop.flight.at(np.array([drop.touchdown]))[0, :2] @ tangent)
+    last = motion.time[-1]
     if board_length is not None:
-        last = min(last, _leaves_board(drop, tangent, board_length, last))
+        along = np.column_stack([motion.x, motion.z]) @ tangent
+        gone = np.flatnonzero((motion.time > drop.touchdown) & (along - touch > board_length))
+        last = motion.time[gone[0]] if gone.size else last
     after = motion.time[(motion.time >= drop.time[0]) & (motion.time <= last)]
-    measured_time, measured_place, stops = _measured(drop, tangent, after)
+    measured_time, measured_place, stops = _measured(drop, after)
     roots = start_roots(drop)
-    normal = np.random.default_rng(seed).standard_normal((len(rows) * _STARTS, len(roots)))
+    normal = np.random.default_rng(0).standard_normal((len(rows) * _STARTS, len(roots)))
     starts = drop.initial_state + normal @ roots
     many = np.repeat(rows[:, : len(PARAMETERS)], _STARTS, axis=0)
     # Rest is seen once it has lasted: simulated on, it shows up to the end of the log.
@@ -60,7 +62,6 @@ def stopping(
     since = drop.touchdown - after[0]
     index = np.minimum(np.searchsorted(after - after[0], end), len(after) - 1)
     at = runs.samples[np.arange(len(many)), index, :2] @ tangent
-    touch = drop.flight.at(np.array([drop.touchdown]))[0, :2] @ tangent
     place, moment = (at - touch)[good], (end - since)[good]
     return {
         "place": _three(measured_place - touch, place),
@@ -75,15 +76,7 @@ def _three(measured: float, simulated: FloatArray) -> dict[str, float]:
     return {"measured": float(measured), "mean": float(mean), "sigma": float(sigma)}
 
 
-def _leaves_board(drop: PreparedDrop, tangent: FloatArray, board: float, last: float) -> float:
-    motion = drop.motion
-    along = np.column_stack([motion.x, motion.z]) @ tangent
-    touch = float(drop.flight.at(np.array([drop.touchdown]))[0, :2] @ tangent)
-    gone = np.flatnonzero((motion.time > drop.touchdown) & (along - touch > board))
-    return float(motion.time[gone[0]]) if len(gone) else last
-
-
-def _measured(drop: PreparedDrop, tangent: FloatArray, after: FloatArray) -> tuple[float, float, bool]:
+def _measured(drop: PreparedDrop, after: FloatArray) -> tuple[float, float, bool]:
     """Return when [s] and where along the slope [m] the measured body came to rest, and whether it did."""
     motion = drop.motion
     rows = (motion.time >= after[0]) & (motion.time <= after[-1])
@@ -98,4 +91,4 @@ def _measured(drop: PreparedDrop, tangent: FloatArray, after: FloatArray) -> tup
     first = int(moving[-1]) + 1 if len(moving) else 0
     stops = first < len(after) and after[-1] - after[first] >= _REST.rest_time
     at = first if stops else len(after) - 1
-    return float(after[at]), float(smooth[at, :2] @ tangent), bool(stops)
+    return float(after[at]), float(smooth[at, :2] @ drop.tangent), bool(stops)

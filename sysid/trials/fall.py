@@ -33,6 +33,11 @@ class SlopedPlane:
 
     angle: float
 
+    @property
+    def tangent(self) -> FloatArray:
+        """(2,) unit vector down the slope, in x and z."""
+        return np.array([np.cos(self.angle), -np.sin(self.angle)])
+
     def height(self, x: FloatArray, z: FloatArray) -> FloatArray:
         """Return the distance above the surface along its normal [m]."""
         return x * np.sin(self.angle) + z * np.cos(self.angle)

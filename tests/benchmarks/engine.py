@@ -71,15 +71,16 @@ the paper's way); "with finisher" counts the candidates of both stages.
 
 def gear(folder, surface, threads=None):
     from sysid.gear.drops import prepare_drops
-    from sysid.gear.problem import GearProblem, score_values, search_space
+    from sysid.gear.problem import GearProblem, search_space
 
     source = synthesize_gear(Path(folder) / surface, seed=1, surface=surface)
     path = source / "campaign.toml"
     campaign = read_campaign(path, "gear")
     drops = tuple(drop for drop in prepare_drops(campaign, path) if drop.use == "fit")
-    objective = GearProblem.build(campaign, search_space(campaign), drops, threads)
-    truth = float(score_values(campaign, drops, read_truth(source)["parameters"]).cost[0])
-    return objective, truth
+    objective = GearProblem(campaign, search_space(campaign), drops, threads)
+    truth = read_truth(source)["parameters"]
+    row = np.array([[truth[name] for name in objective.space.table]])
+    return objective, float(objective.cost.mean(objective.score(row).by_channel)[0])
 
 
 def motor(threads=None):

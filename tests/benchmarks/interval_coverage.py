@@ -70,7 +70,7 @@ def replicate(seed: int, surface: str, folder: Path) -> list[Covered]:
     assert isinstance(campaign, GearCampaign)
     space = search_space(campaign)
     drops = tuple(drop for drop in prepare_drops(campaign, path) if drop.use == "fit")
-    problem = GearProblem.build(campaign, space, drops, None, TRUST_TOLERANCE)
+    problem = GearProblem(campaign, space, drops, None, TRUST_TOLERANCE)
     true = json.loads((out / "truth.json").read_text(encoding="utf-8"))["parameters"]
     truth = np.array([true[name] for name in space.names])
     return _covered(problem, truth)

@@ -1,7 +1,13 @@
 """Synthesized campaigns of drops, as tests open and change them."""
 
+from dataclasses import replace
+
+import numpy as np
+
 from sysid.campaign import read_campaign
 from sysid.gear.drops import prepare_drops
+from sysid.gear.model import PARAMETERS
+from sysid.gear.problem import GearProblem, search_space
 from sysid.synthetic import read_truth
 
 # Only the quantization of the files is left.
@@ -23,3 +29,16 @@ def opened(folder, new="", old="[fit]\n"):
 
 def used(drops, use="fit"):
     return tuple(drop for drop in drops if drop.use == use)
+
+
+def score_values(campaign, drops, values, **options):
+    """Score one set of parameter values [SI] on prepared drops; absent names take the campaign's."""
+    problem = GearProblem(campaign, search_space(campaign), drops, **options)
+    known = dict(zip(problem.space.table, problem.base, strict=True)) | values
+    return problem.judge_samples(*problem.simulate(np.array([[known[name] for name in PARAMETERS]])))[0]
+
+
+def on_board(problem, length):
+    """The problem on a board that ends `length` [m] down-slope of the touchdown."""
+    surface = problem.campaign.surface.model_copy(update={"board_length": length})
+    return replace(problem, campaign=problem.campaign.model_copy(update={"surface": surface}))

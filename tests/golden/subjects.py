@@ -123,7 +123,7 @@ def verdicts_of(document):
 def _gear_objective(name):
     campaign = read_campaign(CAMPAIGNS[name], "gear")
     drops = tuple(drop for drop in prepare_drops(campaign, CAMPAIGNS[name]) if drop.use == "fit")
-    objective = GearProblem.build(campaign, search_space(campaign), drops)
+    objective = GearProblem(campaign, search_space(campaign), drops)
     return objective, lambda rows: objective.score(rows).by_channel
 
 

@@ -6,11 +6,11 @@ from math import radians
 import numpy as np
 import pytest
 
-from fakes.gear_campaigns import EXACT, opened, used
+from fakes.gear_campaigns import EXACT, opened, score_values, used
 from fakes.sets import assert_sets_agree
 from sysid.errors import LogError
 from sysid.gear.model import LF_FREE
-from sysid.gear.problem import GearProblem, score_values, search_space
+from sysid.gear.problem import GearProblem, search_space
 from sysid.journal import Journal
 from sysid.synthetic import LF_DROPS, read_truth, synthesize_gear
 from sysid.workflows.fit import fit_gear
@@ -48,7 +48,7 @@ def test_the_cost_sees_every_parameter_but_ground_damping(clean):
     campaign, drops, truth = opened(clean)
     space = search_space(campaign)
     assert space.names == LF_FREE
-    objective = GearProblem.build(campaign, space, used(drops))
+    objective = GearProblem(campaign, space, used(drops))
     centre = space.encode(np.array([truth[name] for name in space.names]))
     moved = np.tile(centre, (len(LF_FREE) + 1, 1))
     for i in range(len(LF_FREE)):

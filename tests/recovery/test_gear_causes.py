@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fakes.gear_campaigns import EXACT, opened
+from fakes.gear_campaigns import EXACT, on_board, opened
 from sysid import exact_json
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError
@@ -31,7 +31,7 @@ def folder(tmp_path_factory):
 def problem(folder):
     """Objective, and the truth's row of the table."""
     campaign, prepared, truth = opened(folder)
-    return GearProblem.build(campaign, search_space(campaign), prepared), pack(truth)
+    return GearProblem(campaign, search_space(campaign), prepared), pack(truth)
 
 
 def cause(objective, row):
@@ -83,7 +83,7 @@ def test_a_drop_that_never_touches_is_penalized_by_its_height(problem):
 def test_leaving_the_board_is_penalized_by_what_is_missing(problem):
     objective, row = problem
     boards = (0.05, 0.1, 0.2, 0.3, 5.0)
-    found = [cause(replace(objective, board_length=board), row) for board in boards]
+    found = [cause(on_board(objective, board), row) for board in boards]
     assert [why for _, why in found[:2]] == ["left the board"] * 2
     assert found[-1] == cause(objective, row)
     costs = [cost for cost, _ in found]
@@ -103,8 +103,8 @@ def test_the_penalty_of_leaving_begins_at_nothing(problem):
     way = along[-1] - along[touch]
     own, _ = cause(objective, row)
     # Up to 5 % before the end of the measured way nothing is paid; 2 % more are some samples of the window.
-    assert cause(replace(objective, board_length=0.97 * way), row) == (own, "fine")
-    cost, why = cause(replace(objective, board_length=0.92 * way), row)
+    assert cause(on_board(objective, 0.97 * way), row) == (own, "fine")
+    cost, why = cause(on_board(objective, 0.92 * way), row)
     assert why == "left the board"
     assert own < cost < own + 0.1 * FAILED_NRMSE
 
@@ -127,7 +127,7 @@ def test_a_candidate_with_several_causes_is_counted_by_the_first(problem):
     # The flat drop starts far too high, the steep one leaves a short board.
     drops = lifted(objective, 5.0, 0.0).drops
     for order in (drops, drops[::-1]):
-        assert cause(replace(objective, drops=order, board_length=0.05), row)[1] == "never touched"
+        assert cause(on_board(replace(objective, drops=order), 0.05), row)[1] == "never touched"
 
 
 def lost(objective, rows):
@@ -144,7 +144,7 @@ def test_a_ranked_set_that_is_lost_on_a_drop_says_why(problem):
     both = ", ".join(objective.names)
     assert lost(objective, rows) == [f"set 3: blew up on {both}"]
     ways = ("set 1: left the board", "set 2: left the board", "set 3: blew up")
-    assert lost(replace(objective, board_length=0.05), rows) == [f"{way} on {both}" for way in ways]
+    assert lost(on_board(objective, 0.05), rows) == [f"{way} on {both}" for way in ways]
     assert lost(objective, rows[:2]) == []
 
 
@@ -192,7 +192,7 @@ def test_the_accuracy_of_a_simulation_is_the_campaigns(folder, problem):
     path = folder / "exact.toml"
     path.write_text(text.replace("[fit]\n", "[fit]\ntolerance = 1e-5\n"), encoding="utf-8")
     campaign = read_campaign(path, "gear")
-    exact = GearProblem.build(campaign, search_space(campaign), objective.drops)
+    exact = GearProblem(campaign, search_space(campaign), objective.drops)
     assert exact.tolerance == 1e-5
     # It reaches the kernel: 30 times the accuracy of a method of order 3 takes three times the work where
     # accuracy rules the steps, and none more where the slip's stability does.

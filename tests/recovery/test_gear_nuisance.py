@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from fakes.gear_campaigns import EXACT, opened, used
+from fakes.gear_campaigns import EXACT, opened, score_values, used
 from fakes.sets import assert_sets_agree
 from sysid.gear.drops import prepare_drops
 from sysid.gear.model import HF_FREE, LF_FREE, PARAMETERS, parameters_on
-from sysid.gear.problem import GearProblem, score_values, search_space
+from sysid.gear.problem import GearProblem, search_space
 from sysid.synthetic import HF_DROPS, LF_DROPS, read_truth, synthesize_gear
 from sysid.workflows.fit import fit_gear
 from sysid.workflows.options import FitOptions
@@ -27,7 +27,7 @@ def test_offsets_of_a_drop_are_found_where_they_were_put(drops):
     assert space.names[8:] == tuple(
         f"{kind}[drop-{n}]" for n in (1, 2) for kind in ("height_offset", "start_offset")
     )
-    objective = GearProblem.build(campaign, space, used(prepared))
+    objective = GearProblem(campaign, space, used(prepared))
     exact = np.array([truth.get(name, 0.0) for name in space.names])
     grid = np.linspace(-1e-3, 1e-3, 9)
     for column in range(8, 12):
@@ -41,7 +41,7 @@ def test_offsets_of_a_drop_are_found_where_they_were_put(drops):
         assert min(cost[0], cost[-1]) > 5 * cost[4]
     # A validation drop has no offset: those of the others leave its score alone to the bit.
     accurate = campaign.model_copy(update={"fit": campaign.fit.model_copy(update={"tolerance": 1e-6})})
-    every = GearProblem.build(accurate, space, prepared)
+    every = GearProblem(accurate, space, prepared)
     moved = space.encode(exact)[None].repeat(2, axis=0)
     moved[1, 8:] = 0.9
     none, own = every.score(space.full(moved)).by_channel[:, 2]
@@ -60,7 +60,7 @@ def test_a_surface_that_is_a_millimetre_off_is_found_by_its_offset(drops):
     surface = campaign.surface.model_copy(update={"point": moved})
     wrong = campaign.model_copy(update={"surface": surface})
     space = search_space(wrong)
-    objective = GearProblem.build(wrong, space, used(prepare_drops(wrong, drops / "changed.toml")))
+    objective = GearProblem(wrong, space, used(prepare_drops(wrong, drops / "changed.toml")))
     exact = np.array([truth.get(name, 0.0) for name in space.names])
     corrected = exact.copy()
     corrected[8:] = -1e-3

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fakes.gear_campaigns import opened, used
+from fakes.gear_campaigns import opened, score_values, used
 from sysid.fit.search import SearchSettings, run_one
 from sysid.gear.model import EventKind, simulate
-from sysid.gear.problem import GearProblem, measured_values, score_values, search_space
+from sysid.gear.problem import GearProblem, measured_values, search_space
 from sysid.parameters import SearchSpace
 from sysid.synthetic import read_truth, synthesize_gear
 from sysid.workflows.fit import fit_gear
@@ -131,7 +131,7 @@ def test_parameters_are_found_within_what_the_data_fix(surface, tmp_path):
         folder = synthesize_gear(tmp_path / str(seed), seed=seed, surface=surface)
         campaign, drops, truth = opened(folder)
         start = exact_start(used(drops, "fit"), read_truth(folder), truth["gravity"])
-        objective = GearProblem.build(campaign, search_space(campaign), start)
+        objective = GearProblem(campaign, search_space(campaign), start)
         found.append(errors(objective, truth, seed))
     median = {name: float(np.median([abs(one[name]) for one in found])) for name in found[0]}
     print(f"\n{surface}: relative errors over {len(SEEDS)} draws of noise [%]")
@@ -153,7 +153,7 @@ def test_two_accuracies_find_the_same_high_friction_parameters(tmp_path):
     near = {r.name: (max(r.lower, 0.7 * truth[r.name]), min(r.upper, 1.4 * truth[r.name])) for r in wide.free}
     space = SearchSpace.build(wide.table, wide.names, measured_values(campaign), near)
     found = [
-        errors(GearProblem.build(campaign, space, used(drops, "fit"), tolerance=tolerance), truth, seed=1)
+        errors(GearProblem(campaign, space, used(drops, "fit"), tolerance=tolerance), truth, seed=1)
         for tolerance in (1e-3, 1e-4)
     ]
     moved = {name: (1 + found[0][name]) / (1 + found[1][name]) - 1 for name in space.names}

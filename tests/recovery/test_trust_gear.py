@@ -3,12 +3,12 @@
 import json
 import math
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from fakes.gear_campaigns import on_board
 from fakes.places import SAMPLES
 from sysid import exact_json
 from sysid.campaign import read_campaign
@@ -80,7 +80,7 @@ def test_residuals_are_those_of_the_cost(lf):
 
 def test_a_candidate_that_the_cost_penalizes_has_failed(lf):
     problem = lf[2]
-    short = replace(problem, board_length=0.05)
+    short = on_board(problem, 0.05)
     # Every drop of the sample slides farther than 5 cm.
     assert short.residuals(_truth(problem)[None])[1].all()
 
@@ -328,12 +328,12 @@ def test_trust_tolerance_is_finer_than_the_fit():
     campaign = read_campaign(LF, "gear")
     drops = tuple(drop for drop in prepare_drops(campaign, LF) if drop.use == "fit")
     space = search_space(campaign)
-    exact = GearProblem.build(campaign, space, drops, None, 1e-6)
+    exact = GearProblem(campaign, space, drops, None, 1e-6)
     point = _truth(exact)[None]
     best, _ = exact.residuals(point)
     errors = {}
     for tolerance in (TRUST_TOLERANCE, 3e-4):
-        values, _ = GearProblem.build(campaign, space, drops, None, tolerance).residuals(point)
+        values, _ = GearProblem(campaign, space, drops, None, tolerance).residuals(point)
         errors[tolerance] = nrmse_of(exact.blocks, values[0] - best[0]).max()
     # An error of 1e-3 in NRMSE beside noise of 5e-2 to 2e-1 shifts a deviance of 1 by less than a tenth.
     assert errors[TRUST_TOLERANCE] < 1e-3

@@ -35,7 +35,7 @@ def gear():
     path = SAMPLES / "gear-lf" / "campaign.toml"
     campaign = read_campaign(path, "gear")
     drops = tuple(drop for drop in prepare_drops(campaign, path) if drop.use == "fit")
-    return GearProblem.build(campaign, search_space(campaign), drops, threads=1)
+    return GearProblem(campaign, search_space(campaign), drops, threads=1)
 
 
 @contextmanager

@@ -49,12 +49,12 @@ def test_a_stated_value_that_is_free_is_said_to_be_unused(tmp_path, recwarn):
     space = search_space(campaign)
     assert space.names == HF_FREE
     with pytest.warns(SysidWarning, match="kinetic_friction is stated in the campaign and free on hf"):
-        GearProblem.build(campaign, space, ())._notice_defaults()
+        GearProblem(campaign, space, ())._notice_defaults()
     fixed = opened(
         tmp_path, "hf", '[parameters.fixed]\nkinetic_friction = "0.8"\n', stated="kinetic_friction = 0.8"
     )
     recwarn.clear()
-    GearProblem.build(fixed, search_space(fixed), ())._notice_defaults()
+    GearProblem(fixed, search_space(fixed), ())._notice_defaults()
     assert not [w for w in recwarn if "is stated" in str(w.message)]
 
 

@@ -6,11 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from fakes.gear_campaigns import EXACT, opened
+from fakes.gear_campaigns import EXACT, opened, score_values
 from sysid.campaign.file import read_campaign
 from sysid.errors import CampaignError, ExportError
 from sysid.gear import model
-from sysid.gear.problem import score_values
 from sysid.loaders import detect, load
 from sysid.synthetic import LF_DROPS, DropPlan, read_truth, synthesize_gear
 from sysid.trials.capture import CaptureFrame, held_level, marker_plane, planar_motion, spatial_motion

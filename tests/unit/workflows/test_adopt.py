@@ -31,7 +31,7 @@ def _fit(settings=None, **values):
 
 
 def _drops(campaign):
-    return GearProblem.build(campaign, search_space(campaign), ())
+    return GearProblem(campaign, search_space(campaign), ())
 
 
 def _row(problem, fit):
