@@ -65,7 +65,7 @@ def check(
     json: Json = False,
 ) -> None:
     """Judge a campaign before the fit: logs, excitation, what the trials determine, what to record next."""
-    from sysid.report.trust_words import print_check
+    from sysid.report.trust_tables import print_check
     from sysid.workflows.check import check_campaign
 
     document = check_campaign(campaign, surface=surface, threads=threads, say=unless(quiet or json))
@@ -81,7 +81,7 @@ def trust(
     long: Annotated[bool, Flag("Print the 68 % intervals and the predictions of the runs too.")] = False,
 ) -> None:
     """Profile every free parameter of a fit: intervals, verdicts, bootstrap, spread of the runs."""
-    from sysid.report.trust_words import print_trust
+    from sysid.report.trust_tables import print_trust
     from sysid.workflows.trust import assess_fit
 
     print_trust(assess_fit(fit, options, unless(quiet or json)), fit, json, long=long)
@@ -92,7 +92,7 @@ def validate(
     fit: FitFolder, campaign: CampaignFile, threads: Threads = None, quiet: Quiet = False, json: Json = False
 ) -> None:
     """Predict trials that a fit has not seen: NRMSE over the noise, when it ends, where it stops."""
-    from sysid.report.trust_words import print_validation
+    from sysid.report.trust_tables import print_validation
     from sysid.workflows.predict import validate_fit
 
     print_validation(validate_fit(fit, campaign, threads=threads, say=unless(quiet or json)), fit, json)
@@ -108,7 +108,7 @@ def cross_validate(
     json: Json = False,
 ) -> None:
     """Leave out one trial after the other, fit the rest again, predict the trial left out."""
-    from sysid.report.trust_words import print_validation
+    from sysid.report.trust_tables import print_validation
     from sysid.workflows.predict import cross_validate as leave_out
 
     document = leave_out(fit, campaign, threads=threads, dask=dask, say=unless(quiet or json))
@@ -126,7 +126,7 @@ def compare(
     json: Json = False,
 ) -> None:
     """Compare fits: Table II side by side, which differences are real, which fit predicts which trials."""
-    from sysid.report.trust_words import print_comparison
+    from sysid.report.trust_tables import print_comparison
     from sysid.workflows.compare import compare_fits
 
     print_comparison(*compare_fits(fits, cross=cross, threads=threads, say=unless(quiet or json)), json)

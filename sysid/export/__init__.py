@@ -9,7 +9,6 @@ cut off or of another version with one sentence.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
 
 from sysid.errors import ExportError
 from sysid.export import binary, spreadsheet
@@ -17,14 +16,6 @@ from sysid.parameter_sets import ParameterSets, SetsDocument
 from sysid.storage import write_file
 
 __all__ = ["export", "load_parameter_sets"]
-
-
-class HasParameterSets(Protocol):
-    """A fit result, or anything else that has sets to give."""
-
-    def parameter_sets(self) -> ParameterSets:
-        """Return the ranked sets."""
-        ...
 
 
 def _to_json(sets: ParameterSets) -> bytes:
@@ -44,7 +35,7 @@ _WRITERS = {
 }
 
 
-def export(source: ParameterSets | HasParameterSets, path: str | Path) -> Path:
+def export(sets: ParameterSets, path: str | Path) -> Path:
     """Write ranked parameter sets in the format that the suffix of `path` names, and return the path.
 
     The suffix is ``.json``, ``.csv``, ``.h5`` or ``.mat``. An existing file is replaced, and only once the
@@ -64,7 +55,6 @@ def export(source: ParameterSets | HasParameterSets, path: str | Path) -> Path:
         )
     if not path.parent.is_dir():
         raise ExportError(f"{path}: the folder {path.parent} does not exist; make it first")
-    sets = source if isinstance(source, ParameterSets) else source.parameter_sets()
     write_file(path, writer(sets), ExportError)
     return path
 

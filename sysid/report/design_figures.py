@@ -49,8 +49,6 @@ def _curves(study: DesignStudy) -> Figure:
         if c % min(count, 3) == 0:
             panel.set_ylabel("slope [deg]")
         panel.set_ylim(0, 1.05 * top)
-        panel.grid(True, color="0.92")
-        panel.set_axisbelow(True)
     handles = [
         Line2D([], [], color=_COLOURS[m % len(_COLOURS)], label=f"{speed:g} m/s")
         for m, speed in enumerate(study.settings.speeds)
@@ -73,7 +71,7 @@ def _map(study: DesignStudy) -> Figure:
     grid = np.array([[place[(a, b)] for a in x.tolist()] for b in y.tolist()])
     speeds = study.settings.speeds
     columns = min(len(speeds), 4)
-    figure, every = panels(len(speeds), columns, (3.1, 3.0), (1.2, 0.6), sharex=True, sharey=True)
+    figure, every = panels(len(speeds), columns, (3.1, 3.0), (1.2, 0.6), grid=False, sharex=True, sharey=True)
     top = float(np.max(study.landable[grid]))
     for m, (speed, panel) in enumerate(zip(speeds, every, strict=True)):
         values, safe = study.landable[grid, m], study.steepest[grid, m]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from sysid.errors import ExportError
@@ -53,23 +56,42 @@ _FORMATS = (".png", ".pdf", ".svg")
 _INDEXED = re.compile(r"(\w[^\W_]*)_([^\W_]+)")
 
 
-def panel(height: float, width: float = WIDTH, **rows: Any) -> tuple[Figure, Any]:
+# What a legend says: a colour, how it is drawn (``line``, ``thick``, ``dots``, ``bar`` or ``area``), words.
+Entry = tuple[str, str, str]
+
+
+def panel(height: float, width: float = WIDTH, *, grid: bool = True, **rows: Any) -> tuple[Figure, Any]:
     """Return a figure [in] and its axes: one, or as many as `rows` says to `Figure.subplots`."""
     figure = Figure(figsize=(width, height), layout="constrained")
-    return figure, figure.subplots(**rows)
+    axes = figure.subplots(**rows)
+    _draw_grid(figure.axes if grid else ())
+    return figure, axes
 
 
 def panels(
-    count: int, columns: int, cell: tuple[float, float], around: tuple[float, float], **how: Any
-) -> tuple[Figure, list[Axes]]:
-    """Return a figure of so many panels, row by row; `cell` and `around` are width and height [in]."""
+    count: int, columns: int, cell: tuple[float, float], around: tuple[float, float], *, grid: bool = True,
+    **how: Any,
+) -> tuple[Figure, list[Axes]]:  # fmt: skip
+    """Return a figure of `count` panels, row by row; `cell` and `around` are width and height [in]."""
     rows = -(-max(1, count) // columns)
     size = (cell[0] * columns + around[0], cell[1] * rows + around[1])
-    figure = Figure(figsize=size, layout="constrained")
-    every = figure.subplots(rows, columns, squeeze=False, **how).ravel().tolist()
-    for axes in every[count:]:
+    figure, every = panel(size[1], size[0], grid=grid, nrows=rows, ncols=columns, squeeze=False, **how)
+    for axes in every.flat[count:]:
         axes.set_visible(False)
-    return figure, every[:count]
+    return figure, every.ravel().tolist()[:count]
+
+
+def draw_legend(figure: Figure, entries: Iterable[Entry], place: Any, ncols: int, **look: Any) -> None:
+    """Draw a legend for all panels of a figure."""
+    looks: dict[str, dict[str, Any]] = {"dots": {"linestyle": "none", "marker": "."}}
+    looks |= {kind: {"linewidth": width} for kind, width in (("line", 1.3), ("thick", 2.2), ("bar", 3.0))}
+    handles = [
+        Patch(color=colour, label=words)
+        if kind == "area"
+        else Line2D([], [], color=colour, label=words, **looks[kind])
+        for colour, kind, words in entries
+    ]
+    figure.legend(handles=handles, loc=place, ncols=ncols, frameon=False, **look)
 
 
 def directions(angle: float) -> tuple[FloatArray, FloatArray]:
@@ -95,6 +117,11 @@ def tidy(*panels: Axes) -> None:
     """Draw a pale grid behind the curves, with few ticks upwards."""
     for axes in panels:
         axes.yaxis.set_major_locator(MaxNLocator(4))
+    _draw_grid(panels)
+
+
+def _draw_grid(panels: Iterable[Axes]) -> None:
+    for axes in panels:
         axes.grid(True, color="0.92")
         axes.set_axisbelow(True)
 
@@ -112,6 +139,11 @@ def thinned(time: FloatArray, values: FloatArray, points: int = _POINTS) -> tupl
             continue
         kept += sorted({int(first) + int(np.nanargmin(part)), int(first) + int(np.nanargmax(part))})
     return time[kept], values[kept]
+
+
+def shortened(name: str, longest: int) -> str:
+    """Return a name with at most so many characters, such as a title that must not reach into the next."""
+    return name if len(name) <= longest else f"{name[: longest - 1]}…"
 
 
 def as_math(symbol: str) -> str:

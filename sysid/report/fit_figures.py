@@ -1,4 +1,4 @@
-"""Figures of a fit: measured against simulated, how the search went, what the filter leaves.
+"""Figures of a fit: measured against simulated, how the search went, what the filter leaves, trust.
 
 A page shows one panel each, narrow, with letters that stay readable on a phone; files for paper and screens
 put many panels side by side.
@@ -13,7 +13,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from sysid.errors import ExportError
@@ -27,17 +26,22 @@ from sysid.report.drawing import (
     OTHERS,
     RUNS,
     WIDTH,
+    Entry,
     as_math,
     axis_label,
     display_of,
+    draw_legend,
     finer_unit,
     panel,
+    paper,
     percent_axis,
     percent_text,
     plain_powers,
+    shortened,
     thinned,
     tidy,
 )
+from sysid.report.trust_tables import verdict_words
 from sysid.types import FloatArray
 
 # More samples than this are drawn as a line instead of dots.
@@ -46,8 +50,6 @@ _DENSE = 400
 _BARS = ("#009E73", "#CC79A7", "#E69F00")
 # Shorter bars are widened to this, to be seen [s].
 _SHORTEST_BAR = 2e-3
-# A trial's name above a column; longer ones would reach into the next.
-_LONGEST_NAME = 30
 # Markers of optima, best first.
 _MARKERS = "osD^vP*X"
 
@@ -60,10 +62,11 @@ _FILTERS: tuple[tuple[Any, ...], ...] = (
     ),
 )  # fmt: skip
 
+# Deviance beyond which a value lies outside the 68 % and the 95 % interval (chi-square, one freedom).
+_LIMITS = ((0.988946, "68 %"), (3.841459, "95 %"))
+
 # Intervals (start, end) [s] since the window's start by what happens in them, such as a foot on the ground.
 Bars = Mapping[str, Sequence[tuple[float, float]]]
-# A colour, the way it is drawn (``line``, ``thick``, ``dots``, ``bar`` or ``area``), and words.
-Entry = tuple[str, str, str]
 
 
 def figure_channel(fit: FitResult, trial: TrialResult, channel: int, *, bars: Bars | None = None) -> Figure:
@@ -72,12 +75,10 @@ def figure_channel(fit: FitResult, trial: TrialResult, channel: int, *, bars: Ba
     figure = Figure(figsize=(WIDTH, 3.1))
     margins = {"left": 0.235, "right": 0.965, "top": 0.92, "bottom": 0.15, "hspace": 0.12}
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.4, 1.0), gridspec_kw=margins)
-    _draw_signals(top, fit, trial, channel, bars or {})
-    _draw_residual(bottom, fit, trial, channel)
+    _draw_pair(top, bottom, fit, trial, channel, bars or {})
     name, _, _ = display_of(fit, channel)
     # Apart, because formulas are slow to set and this one is set once for all trials.
     top.set_title(name, fontsize=9.5, loc="left")
-    top.set_title(f"NRMSE {percent_text(_best_nrmse(trial, channel))}", fontsize=9.5, loc="right")
     bottom.set_xlabel("time in the window [s]")
     figure.align_ylabels([top, bottom])
     return figure
@@ -86,16 +87,16 @@ def figure_channel(fit: FitResult, trial: TrialResult, channel: int, *, bars: Ba
 def figure_measured_against_simulated(
     fit: FitResult, trial: str | None = None, *, bars: Bars | None = None
 ) -> Figure:
-    """Draw what was measured and what each set simulates, with the residual of the best set.
+    """Draw what was measured and what each set simulates: a column per trial, a row per channel.
+
+    The residual of the best set stands below each channel.
 
     Parameters
     ----------
-    fit : FitResult
     trial : str, optional
-        One trial by name, in large: a row per channel, signals left, residual right. Without it all trials:
-        a column per trial, a row per channel, the residual below each.
+        Draw this trial alone, by name.
     bars : mapping, optional
-        Intervals to mark below the signals of one trial.
+        Intervals to mark below the signals.
 
     Raises
     ------
@@ -107,63 +108,12 @@ def figure_measured_against_simulated(
     Samples that did not count are not drawn; where they were lost for every channel the time is shaded (an
     occlusion, a stall of the logger).
     """
-    if trial is None:
-        if not fit.trials:
-            raise ExportError(f"{fit.name}: the fit holds no trial to draw; fit it again")
-        return _all_trials(fit)
-    chosen = [candidate for candidate in fit.trials if candidate.name == trial]
-    if not chosen:
-        known = ", ".join(candidate.name for candidate in fit.trials) or "none"
-        raise ExportError(f"{fit.name}: no trial {trial!r} to draw; found {known}")
-    return _one_trial(fit, chosen[0], bars or {})
-
-
-def legend_of(fit: FitResult, trials: Sequence[TrialResult], bars: Sequence[str] = ()) -> list[Entry]:
-    """Return what the lines of the trials' panels mean; `bars` names the rows of bars."""
-    dense = all(len(trial.time) > _DENSE for trial in trials)
-    out = [(MEASURED, "thick" if dense else "dots", "measured")]
-    if len(fit.nrmse):
-        out.append((BEST, "line", "best set, residual"))
-    if len(fit.nrmse) > 1:
-        others = "other set" if len(fit.nrmse) == 2 else f"other {len(fit.nrmse) - 1} sets"
-        out.append((OTHERS, "line", others))
-    out += [(_BARS[i % len(_BARS)], "bar", name) for i, name in enumerate(bars)]
-    if any(masked_runs(trial) for trial in trials):
-        out.append((MASKED, "area", "no sample counts"))
-    return out
-
-
-def _handle(entry: Entry) -> Line2D | Patch:
-    colour, kind, label = entry
-    if kind == "area":
-        return Patch(color=colour, label=label)
-    if kind == "dots":
-        return Line2D([], [], color=colour, linestyle="none", marker=".", label=label)
-    return Line2D([], [], color=colour, linewidth={"thick": 2.2, "bar": 3.0}.get(kind, 1.3), label=label)
-
-
-def _one_trial(fit: FitResult, trial: TrialResult, bars: Bars) -> Figure:
-    rows = len(fit.channels)
-    figure = Figure(figsize=(11.0, 1.2 + 2.0 * rows), layout="constrained")
-    grid = figure.subplots(rows, 2, sharex=True, squeeze=False, width_ratios=(2.2, 1.0))
-    for c in range(rows):
-        signal, residual = grid[c]
-        _draw_signals(signal, fit, trial, c, bars)
-        _draw_residual(residual, fit, trial, c)
-        residual.set_title(f"NRMSE {percent_text(_best_nrmse(trial, c))}", fontsize="medium")
-    grid[0, 0].set_title("signals", fontsize="medium")
-    for axes in grid[-1]:
-        axes.set_xlabel("time in the window [s]")
-    figure.suptitle(_title(fit, trial))
-    handles = [_handle(entry) for entry in legend_of(fit, [trial], list(bars))]
-    figure.legend(handles=handles, loc="outside lower center", ncols=6, frameon=False)
-    figure.align_ylabels(grid[:, 0])
-    figure.align_ylabels(grid[:, 1])
-    return figure
-
-
-def _all_trials(fit: FitResult) -> Figure:
-    rows, columns = len(fit.channels), len(fit.trials)
+    trials = [candidate for candidate in fit.trials if trial in (None, candidate.name)]
+    if not trials:
+        known = ", ".join(candidate.name for candidate in fit.trials) or "none; fit again"
+        which = "" if trial is None else f" {trial!r}"
+        raise ExportError(f"{fit.name}: no trial{which} to draw; found {known}")
+    rows, columns = len(fit.channels), len(trials)
     width, height = max(9.0, 1.2 + 3.1 * columns), 1.7 + 2.5 * rows
     # Fixed margins: laying out eighty axes automatically takes longer than drawing them.
     figure = Figure(figsize=(width, height))
@@ -171,24 +121,20 @@ def _all_trials(fit: FitResult) -> Figure:
         rows, columns, left=1.0 / width, right=1.0 - 0.15 / width, bottom=0.95 / height,
         top=1.0 - 0.95 / height, hspace=0.2, wspace=0.3,
     )  # fmt: skip
-    first_column = []
-    for t, trial in enumerate(fit.trials):
+    first_column: list[Axes] = []
+    for t, shown in enumerate(trials):
         shared: Axes | None = None
         for c in range(rows):
             pair = cells[c, t].subgridspec(2, 1, height_ratios=(2.3, 1.0), hspace=0.09)
             signal = figure.add_subplot(pair[0], sharex=shared)
             shared = shared or signal
             residual = figure.add_subplot(pair[1], sharex=shared)
-            _draw_signals(signal, fit, trial, c, {})
-            _draw_residual(residual, fit, trial, c)
+            _draw_pair(signal, residual, fit, shown, c, bars or {})
             signal.tick_params(labelbottom=False)
             residual.tick_params(labelbottom=c == rows - 1)
-            signal.set_title(f"NRMSE {percent_text(_best_nrmse(trial, c))}", fontsize="small", loc="right")
-            if c == 0:
-                use = "fitted" if trial.use == "fit" else "validation"
-                name = trial.name
-                name = name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 1]}…"
-                signal.set_title(f"{name}\n{use}", fontsize="medium", loc="left")
+            if c == 0 and trial is None:
+                use = "fitted" if shown.use == "fit" else "validation"
+                signal.set_title(f"{shortened(shown.name, 30)}\n{use}", fontsize="medium", loc="left")
             if t == 0:
                 first_column += [signal, residual]
             else:
@@ -196,50 +142,59 @@ def _all_trials(fit: FitResult) -> Figure:
                 residual.set_ylabel("")
         residual.set_xlabel("time in the window [s]")
     title = f"{fit.name}: measured against simulated ({fit.kind}); NRMSE of the best set"
-    figure.suptitle(title, y=1.0 - 0.25 / height)
-    handles = [_handle(entry) for entry in legend_of(fit, fit.trials)]
-    figure.legend(handles=handles, loc="lower center", ncols=5, frameon=False)
+    figure.suptitle(_title(fit, trials[0]) if trial else title, y=1.0 - 0.25 / height)
+    entries = legend_of(fit, trials, list(bars or ()))
+    draw_legend(figure, entries, "lower center", 6)
     figure.align_ylabels(first_column)
     return figure
 
 
-def _draw_signals(axes: Axes, fit: FitResult, trial: TrialResult, c: int, bars: Bars) -> None:
+def legend_of(fit: FitResult, trials: Sequence[TrialResult], bars: Sequence[str] = ()) -> list[Entry]:
+    """Return what the lines of the trials' panels mean; `bars` names the rows of bars."""
+    dense = all(len(trial.time) > _DENSE for trial in trials)
+    out = [(MEASURED, "thick" if dense else "dots", "measured"), (BEST, "line", "best set, residual")]
+    if len(fit.nrmse) > 1:
+        others = "other set" if len(fit.nrmse) == 2 else f"other {len(fit.nrmse) - 1} sets"
+        out.append((OTHERS, "line", others))
+    out += [(_BARS[i % len(_BARS)], "bar", name) for i, name in enumerate(bars)]
+    if any(_masked_runs(trial) for trial in trials):
+        out.append((MASKED, "area", "no sample counts"))
+    return out
+
+
+def _draw_pair(signal: Axes, residual: Axes, fit: FitResult, trial: TrialResult, c: int, bars: Bars) -> None:
+    """Draw a channel of a trial, and below it the residual of the best set."""
     name, unit, factor = display_of(fit, c)
-    time = trial.time - trial.time[0]
-    measured = np.where(trial.valid[:, c], factor * trial.measured[:, c], np.nan)
-    _shade(axes, trial)
+    time, valid = trial.time - trial.time[0], trial.valid[:, c]
+    measured = np.where(valid, factor * trial.measured[:, c], np.nan)
     for s in range(len(trial.simulated) - 1, -1, -1):
         colour, width, order = (BEST, 1.3, 4) if s == 0 else (OTHERS, 0.8, 3)
         curve = thinned(time, factor * trial.simulated[s, :, c])
-        axes.plot(*curve, color=colour, linewidth=width, zorder=order)
+        signal.plot(*curve, color=colour, linewidth=width, zorder=order)
     if len(time) > _DENSE:
-        axes.plot(*thinned(time, measured), color=MEASURED, linewidth=2.0, zorder=2)
+        signal.plot(*thinned(time, measured), color=MEASURED, linewidth=2.0, zorder=2)
     else:
-        axes.plot(time, measured, color=MEASURED, linestyle="none", marker=".", markersize=3.0, zorder=2)
+        signal.plot(time, measured, color=MEASURED, linestyle="none", marker=".", markersize=3.0, zorder=2)
     # A set that went astray must not flatten the measurement it is compared with.
     if np.any(np.isfinite(measured)):
         low, high = float(np.nanmin(measured)), float(np.nanmax(measured))
         margin = 0.25 * (high - low) or 1.0
-        bottom, top = axes.get_ylim()
-        axes.set_ylim(max(bottom, low - margin), min(top, high + margin))
-    _draw_bars(axes, bars)
-    axes.set_ylabel(f"{name}{chr(10) if len(name) > 11 and '$' not in name else ' '}[{unit}]")
-    axes.set_xlim(float(time[0]), float(time[-1]))
-    tidy(axes)
-
-
-def _draw_residual(axes: Axes, fit: FitResult, trial: TrialResult, c: int) -> None:
-    _, unit, factor = display_of(fit, c)
+        bottom, top = signal.get_ylim()
+        signal.set_ylim(max(bottom, low - margin), min(top, high + margin))
+    _draw_bars(signal, bars)
+    signal.set_ylabel(f"{name}{chr(10) if len(name) > 11 and '$' not in name else ' '}[{unit}]")
+    signal.set_title(f"NRMSE {percent_text(float(trial.nrmse[0, c]))}", fontsize=9.5, loc="right")
     unit, finer = finer_unit(unit)
-    time = trial.time - trial.time[0]
-    _shade(axes, trial)
-    axes.axhline(0.0, color="0.6", linewidth=0.8)
-    if len(trial.simulated):
-        error = finer * factor * (trial.simulated[0, :, c] - trial.measured[:, c])
-        axes.plot(*thinned(time, np.where(trial.valid[:, c], error, np.nan)), color=BEST, linewidth=0.8)
-    axes.set_ylabel(f"residual\n[{unit}]")
-    axes.set_xlim(float(time[0]), float(time[-1]))
-    tidy(axes)
+    error = finer * factor * (trial.simulated[0, :, c] - trial.measured[:, c])
+    residual.axhline(0.0, color="0.6", linewidth=0.8)
+    residual.plot(*thinned(time, np.where(valid, error, np.nan)), color=BEST, linewidth=0.8)
+    residual.set_ylabel(f"residual\n[{unit}]")
+    tidy(signal, residual)
+    for axes in (signal, residual):
+        axes.set_xlim(float(time[0]), float(time[-1]))
+        for first, last in _masked_runs(trial):
+            left, right = time[max(first - 1, 0)], time[min(last + 1, len(time) - 1)]
+            axes.axvspan(float(left), float(right), color=MASKED, linewidth=0, zorder=0)
 
 
 def _draw_bars(axes: Axes, bars: Bars) -> None:
@@ -257,33 +212,23 @@ def _draw_bars(axes: Axes, bars: Bars) -> None:
         axes.hlines([y] * len(starts), starts, ends, color=_BARS[i % len(_BARS)], linewidth=3, zorder=5)
 
 
-def _shade(axes: Axes, trial: TrialResult) -> None:
-    """Shade the intervals in which no channel counts."""
-    time = trial.time - trial.time[0]
-    for first, last in masked_runs(trial):
-        left, right = time[max(first - 1, 0)], time[min(last + 1, len(time) - 1)]
-        axes.axvspan(float(left), float(right), color=MASKED, linewidth=0, zorder=0)
-
-
-def masked_runs(trial: TrialResult) -> list[tuple[int, int]]:
+def _masked_runs(trial: TrialResult) -> list[tuple[int, int]]:
     """Return (first, last) sample of every run that counts for no channel."""
     return [(first, end - 1) for first, end in runs(np.asarray(~trial.valid.any(axis=1)))]
 
 
-def _best_nrmse(trial: TrialResult, c: int) -> float:
-    return float(trial.nrmse[0, c]) if len(trial.nrmse) else float("nan")
+def trial_means(fit: FitResult, trial: TrialResult) -> FloatArray:
+    """Return the NRMSE (S,) of every set on a trial, the weighted mean over the channels [1]."""
+    weights = np.asarray(fit.channel_weights)
+    used = weights > 0
+    return np.asarray(trial.nrmse[:, used] @ (weights[used] / weights[used].sum()))
 
 
 def _title(fit: FitResult, trial: TrialResult) -> str:
     use = "fitted" if trial.use == "fit" else "validation, not fitted"
-    weights = np.asarray(fit.channel_weights)
-    used = weights > 0
-    means = trial.nrmse[:, used] @ (weights[used] / weights[used].sum())
-    text = f"{fit.name}, {trial.name} ({use})"
-    if not len(means):
-        return text
-    text += f": NRMSE {percent_text(float(means[0]))}"
-    low, high = percent_text(float(means.min())), percent_text(float(means.max()))
+    means = trial_means(fit, trial)
+    best, low, high = (percent_text(float(mean)) for mean in (means[0], means.min(), means.max()))
+    text = f"{fit.name}, {trial.name} ({use}): NRMSE {best}"
     # Sets that score alike to the printed digits need no span.
     if low != high:
         text += f", {'both' if len(means) == 2 else f'all {len(means)}'} sets {low} to {high}"
@@ -308,7 +253,6 @@ def figure_convergence(fit: FitResult, *, wide: bool = False) -> Figure:
     percent_axis(axes, np.concatenate([run.best for run in fit.runs]) if fit.runs else np.ones(1))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel="generation", ylabel="best NRMSE [%]")
-    axes.grid(True, color="0.92")
     if wide:
         axes.set_title(f"{fit.name}: convergence of {len(fit.runs)} runs ({fit.kind})")
     if wide and fit.runs:
@@ -344,7 +288,6 @@ def figure_waterfall(fit: FitResult) -> Figure:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlim=(0.5, len(fit.runs) + 0.5), ylim=(1 - 0.08 * span, 1 + 1.25 * span))
     axes.set(xlabel="rank of the run [1]", ylabel="final NRMSE / best [1]")
-    axes.grid(True, color="0.92")
     axes.legend(frameon=False, fontsize=8, loc="upper left")
     return figure
 
@@ -352,7 +295,7 @@ def figure_waterfall(fit: FitResult) -> Figure:
 def figure_spread(fit: FitResult) -> Figure:
     """Draw where the sets lie between the bounds of every free parameter, scaled as the search walked."""
     free = [i for i, r in enumerate(fit.parameters) if r.status == "free" and None not in (r.lower, r.upper)]
-    figure, axes = panel(0.9 + 0.36 * max(1, len(free)))
+    figure, axes = panel(0.9 + 0.36 * max(1, len(free)), grid=False)
     labels = []
     for row, i in enumerate(free):
         record, values = fit.parameters[i], fit.values[:, i]
@@ -407,3 +350,58 @@ def filter_gain(design: Mapping[str, Any], highest: float) -> tuple[FloatArray, 
             gain = np.abs(make(*(design[key] for key in keys)).gain(frequency))
             return frequency, 20 * np.log10(np.maximum(gain, 1e-6))
     return None
+
+
+def figure_profile(row: Mapping[str, Any], values: FloatArray, deviance: FloatArray) -> Figure:
+    """Draw the deviance over one parameter, all others fitted again, with its 68 % and 95 % limits."""
+    figure, axes = panel(2.8)
+    axes.plot(values, deviance, color=BEST, marker="o", markersize=3.5, linewidth=1.3)
+    for limit, word in _LIMITS:
+        axes.axhline(limit, color="0.5", linewidth=0.8, linestyle="--")
+        axes.text(
+            0.99, limit, word, ha="right", va="bottom", fontsize=7.5, transform=axes.get_yaxis_transform(),
+            # The curve passes behind the word.
+            bbox=paper(0.5),
+        )  # fmt: skip
+    axes.axvline(float(row["value"]), color=MEASURED, linewidth=0.8)
+    if row.get("scale") == "log" and np.max(values) > 3 * np.min(values) > 0:
+        axes.set_xscale("log")
+    else:
+        axes.xaxis.set_major_locator(MaxNLocator(4))
+    symbol = as_math(row["symbol"])
+    axes.set(ylim=(-0.2, 6.0), xlabel=axis_label(symbol, row["unit"]), ylabel="deviance [1]")
+    axes.set_title(f"{symbol}: {verdict_words(row['verdict'])}", fontsize=9.5, loc="left")
+    return figure
+
+
+def figure_correlation(document: Mapping[str, Any]) -> Figure:
+    """Draw how the estimates of the parameters go together, -1 to 1."""
+    matrix = np.array(document["correlation"], dtype=np.float64)
+    names = [as_math(row["symbol"]) for row in document["parameters"]]
+    figure, axes = panel(1.0 + 0.33 * len(names), grid=False)
+    drawn = axes.imshow(matrix, cmap="PuOr", vmin=-1, vmax=1)
+    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=8)
+    axes.set_yticks(range(len(names)), names, fontsize=8)
+    for i, j in np.argwhere((np.abs(matrix) >= 0.5) & ~np.eye(len(names), dtype=bool)):
+        words = f"{matrix[i, j]:.1f}".replace("0.", ".").replace("-", "−")
+        colour = "white" if abs(matrix[i, j]) > 0.75 else "black"
+        axes.text(j, i, words, ha="center", va="center", fontsize=6.5, color=colour)
+    figure.colorbar(drawn, ax=axes, shrink=0.8, label="correlation [1]")
+    return figure
+
+
+def figure_nrmse_profile(symbol: str, unit: str, profile: Mapping[str, Any]) -> Figure:
+    """Draw a profile of the cost itself, as `fit-motor` walks for the damping."""
+    figure, axes = panel(2.8)
+    best = float(profile["best nrmse"])
+    values, cost = np.array(profile["values"]), np.array(profile["nrmse"])
+    axes.loglog(values, cost / best, color=BEST, marker="o", markersize=3.5, linewidth=1.3)
+    limit = float(profile["limit"])
+    words = f"{100 * limit:g} % above the best"
+    axes.axhline(1 + limit, color="0.5", linewidth=0.8, linestyle="--", label=words)
+    if not profile["identified"]:
+        ends, words = (values.min(), float(profile["below"])), "values not told apart"
+        axes.axvspan(*ends, color=OTHERS, alpha=0.3, linewidth=0, label=words)
+    axes.legend(frameon=False, fontsize=8, loc="upper left")
+    axes.set(xlabel=axis_label(as_math(symbol), unit), ylabel="NRMSE / best [1]")
+    return figure

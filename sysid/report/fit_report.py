@@ -25,12 +25,16 @@ from sysid.report.fit_figures import (
     Bars,
     figure_channel,
     figure_convergence,
+    figure_correlation,
     figure_measured_against_simulated,
+    figure_nrmse_profile,
+    figure_profile,
     figure_spectrum,
     figure_spread,
     figure_waterfall,
     filter_gain,
     legend_of,
+    trial_means,
 )
 from sysid.report.html import (
     NOTHING,
@@ -50,7 +54,6 @@ from sysid.report.html import (
     preformatted,
 )
 from sysid.report.set_tables import mean_sigma_table, ranked_table, trial_table
-from sysid.report.trust_figures import figure_correlation, figure_nrmse_profile, figure_profile
 from sysid.report.trust_tables import interval_table, narrow_table, validation_table, verdict_words
 from sysid.report.verdict import open_parameters, verdict_sentences
 from sysid.trust import documents
@@ -406,17 +409,16 @@ class FitReport:
     def _channel(self, fit: FitResult, trial: TrialResult, c: int, vector: bool) -> Html:
         bars = self.bars(fit, trial)
         name, unit, _ = display_of(fit, c)
-        nrmse = percent_text(float(trial.nrmse[0, c])) if len(trial.nrmse) else "unknown"
+        nrmse = percent_text(float(trial.nrmse[0, c]))
         words = f"{trial.name}, {name.strip('$')} in {unit}: measured and simulated over time, NRMSE {nrmse}"
         words += "".join(f"; {bar}: {len(intervals)} ×" for bar, intervals in bars.items())
         return picture(figure_channel(fit, trial, c, bars=bars), words, vector=vector)
 
     def _title(self, fit: FitResult, trial: TrialResult) -> str:
         use = "fitted" if trial.use == "fit" else "not fitted"
-        weights = np.asarray(fit.channel_weights)
-        mean = float(trial.nrmse[0] @ (weights / weights.sum())) if len(trial.nrmse) else float("nan")
+        mean = percent_text(float(trial_means(fit, trial)[0]))
         name = f"{fit.name}, {trial.name}" if fit is self.against else trial.name
-        return f"{name} ({use}{self.conditions(fit, trial)}): NRMSE {percent_text(mean)}"
+        return f"{name} ({use}{self.conditions(fit, trial)}): NRMSE {mean}"
 
     def _cost_profiles(self) -> list[tuple[Any, dict[str, Any]]]:
         known = {record.name: record for record in self.fit.parameters}

@@ -11,14 +11,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from sysid.recording import BoolArray, Channel, FloatArray, Recording
-from sysid.report.drawing import BEST, MEASURED, RUNS, paper
+from sysid.report.drawing import BEST, MEASURED, RUNS, paper, shortened
 from sysid.trials.look import LogReport
 
 # Channels that tell most about a bench log, first; of other logs the first ones.
 _FIRST = ("command", "speed", "thrust", "torque", "voltage", "current")
 _MOST_ROWS = 6
 _MOST_POINTS = 20_000
-_LONGEST_NAME = 60
 # [in]
 _NARROW = 6.0
 
@@ -96,8 +95,7 @@ def figure_logs(
                 axes.sharex(shared)
             shared = shared or axes
             if place == 0:
-                title = Path(report.path).name
-                title = title if len(title) <= _LONGEST_NAME else title[: _LONGEST_NAME - 1] + "…"
+                title = shortened(Path(report.path).name, 60)
                 # On a narrow figure the name stands above the legend, not beside it.
                 room = {"pad": 20.0} if width < _NARROW else {}
                 axes.set_title(f"{title} ({report.kind})", fontsize="medium", loc="left", **room)

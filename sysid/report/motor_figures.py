@@ -1,7 +1,4 @@
-"""Figures of motors: thrust over time, and after a reversal command as in the paper's Figs. 4 and 3.
-
-`figure_thrust`, `reversal_commands` and `figure_reversal` show a fit's trials, `figure_reversals` logs.
-"""
+"""Figures of motors: thrust over time, and after a reversal command as in the paper's Figs. 4 and 3."""
 
 from __future__ import annotations
 
@@ -14,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from sysid.fit.result import TrialResult
-from sysid.report.drawing import BEST, MEASURED, OTHERS, RUNS, panel, panels, thinned, tidy
+from sysid.report.drawing import BEST, MEASURED, OTHERS, RUNS, draw_legend, panel, panels, thinned, tidy
 from sysid.trials.reversal import LEVEL, Repetitions
 from sysid.types import FloatArray
 
@@ -26,16 +23,7 @@ _AFTER, _LEAST = 0.5, 0.3
 
 @dataclass(frozen=True, eq=False)
 class ReversalCurves:
-    """Thrust of one log around its reversals.
-
-    Parameters
-    ----------
-    name : str
-        Of the log.
-    groups : tuple of Repetitions
-        By pair of commands.
-    thrust : (times [s], values [N])
-    """
+    """Thrust of one log around its reversals: times [s] and values [N], and a group per pair of commands."""
 
     name: str
     groups: tuple[Repetitions, ...]
@@ -50,7 +38,7 @@ def figure_reversals(logs: Sequence[ReversalCurves]) -> Figure:
     """
     pairs = list(dict.fromkeys((g.before, g.after) for log in logs for g in log.groups))
     figure, every = panels(len(pairs), min(len(pairs), 3), (4.2, 3.2), (2.2, 0.6))
-    handles: dict[str, Line2D] = {}
+    lines: dict[str, Line2D] = {}
     for axes, pair in zip(every, pairs, strict=True):
         axes.axhline(0.0, color="0.6", linewidth=0.8)
         axes.axvline(0.0, color="0.6", linewidth=0.8, linestyle=":")
@@ -69,7 +57,7 @@ def figure_reversals(logs: Sequence[ReversalCurves]) -> Figure:
                     look: dict[str, Any] = {"color": colour, "linewidth": width, "alpha": alpha}
                     (line,) = axes.plot(time[inside] - reversal.time, values[inside], **look)
                     if reversal is middle:
-                        handles.setdefault(log.name, line)
+                        lines.setdefault(log.name, line)
                 if ranked:
                     spot = [middle.to_level], [LEVEL * middle.final_thrust]
                     axes.plot(*spot, marker="o", color=colour, zorder=5)
@@ -77,10 +65,8 @@ def figure_reversals(logs: Sequence[ReversalCurves]) -> Figure:
         axes.set_xlim(-_BEFORE, latest + _BEYOND)
         axes.set_title(f"u {pair[0]:+.2f} → {pair[1]:+.2f}", fontsize="medium")
         axes.set(xlabel="time after the command [s]", ylabel="thrust [N]")
-        axes.grid(True, color="0.92")
-        axes.set_axisbelow(True)
     figure.suptitle("thrust after a reversal command; dot: 90 % of the final thrust")
-    figure.legend(list(handles.values()), list(handles), loc="outside right upper", frameon=False)
+    figure.legend(list(lines.values()), list(lines), loc="outside right upper", frameon=False)
     return figure
 
 
@@ -100,41 +86,24 @@ def reversal_commands(trial: TrialResult) -> list[tuple[float, float, float]]:
     return out
 
 
-def figure_reversal(
-    trial: TrialResult, simulated: FloatArray, time: float, *, legend: bool = False
-) -> Figure:
-    """Draw measured and simulated thrust (S, n) [N] around a reversal command at `time` [s]."""
-    window = (time - _BEFORE, time + _AFTER)
-    return figure_thrust(trial, simulated, window=window, zero=time, legend=legend)
-
-
 def figure_thrust(
     trial: TrialResult,
     simulated: FloatArray,
     *,
-    window: tuple[float, float] | None = None,
-    zero: float | None = None,
+    command: float | None = None,
     legend: bool = False,
 ) -> Figure:
-    """Draw measured thrust and the thrust of every set, as in the paper's Fig. 4; commands as steps.
+    """Draw measured and simulated thrust (S, n) [N], as in the paper's Fig. 4; commands as steps.
 
-    Parameters
-    ----------
-    simulated : (S, n) array
-        Thrust of every set [N].
-    window : (float, float), optional
-        Part of the trial's time to draw [s].
-    zero : float, optional
-        Instant from which the axis counts, such as a command [s]; the window's start by default.
-    legend : bool
-        Say in the figure what the lines are, for a figure that stands alone.
+    With `command`, an instant [s], only what lies around it is drawn, and the axis counts from there. The
+    `legend` is for a figure that stands alone.
     """
     assert trial.thrust is not None
     figure, (top, bottom) = panel(3.4, nrows=2, sharex=True, height_ratios=(2.6, 1.0))
     inside = np.ones(len(trial.time), dtype=bool)
-    if window is not None:
-        inside = (trial.time >= window[0]) & (trial.time <= window[1])
-    origin = float(trial.time[inside][0]) if zero is None else zero
+    if command is not None:
+        inside = (trial.time >= command - _BEFORE) & (trial.time <= command + _AFTER)
+    origin = float(trial.time[0]) if command is None else command
     time = trial.time[inside] - origin
     top.plot(*thinned(time, trial.thrust[inside]), color=MEASURED, linewidth=2.0)
     for s in range(len(simulated) - 1, -1, -1):
@@ -147,16 +116,15 @@ def figure_thrust(
         levels = 100 * np.append(trial.commands[:, 1], trial.commands[-1, 1])
         bottom.step(instants, levels, where="post", color=RUNS[0])
     bottom.set(ylim=(-115, 115), ylabel="command\n[%]")
-    bottom.set_xlabel("time [s]" if zero is None else "time after the command [s]")
-    if zero is not None:
+    bottom.set_xlabel("time [s]" if command is None else "time after the command [s]")
+    if command is not None:
         for axes in (top, bottom):
             axes.axvline(0.0, color="0.6", linewidth=0.8, linestyle=":")
     if legend:
-        names = [("measured", MEASURED, 2.0), ("best set", BEST, 1.2)]
-        names += [("other sets", OTHERS, 0.8)] if len(simulated) > 1 else []
-        names += [("command", RUNS[0], 1.5)] if trial.commands is not None else []
-        handles = [Line2D([], [], label=label, color=colour, linewidth=wide) for label, colour, wide in names]
-        figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=8, frameon=False)
+        entries = [(MEASURED, "thick", "measured"), (BEST, "line", "best set")]
+        entries += [(OTHERS, "line", "other sets")] if len(simulated) > 1 else []
+        entries += [(RUNS[0], "line", "command")] if trial.commands is not None else []
+        draw_legend(figure, entries, "outside upper center", 4, fontsize=8)
     top.set_xlim(float(time[0]), float(time[-1]))
     tidy(top, bottom)
     figure.align_ylabels([top, bottom])

@@ -14,7 +14,7 @@ from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.motor.model import thrust as static_thrust
 from sysid.report.fit_report import SECTIONS, FitReport, Section, arranged
 from sysid.report.html import Html, definitions, grid, markup_table, paragraph, picture
-from sysid.report.motor_figures import figure_reversal, figure_thrust, reversal_commands
+from sysid.report.motor_figures import figure_thrust, reversal_commands
 from sysid.report.set_tables import ladder_table
 from sysid.types import FloatArray
 
@@ -69,7 +69,7 @@ class MotorReport(FitReport):
         shown = np.unique(np.linspace(0, len(commands) - 1, count).round().astype(int))
         pieces = []
         for trial, time, before, after in (commands[k] for k in shown):
-            figure = figure_reversal(trial, self.simulated_thrust(self.fit, trial), time)
+            figure = figure_thrust(trial, self.simulated_thrust(self.fit, trial), command=time)
             use = "fitted" if trial.use == "fit" else "not fitted"
             what = f"{trial.name} ({use}): from {_signed(before)} % to {_signed(after)} %"
             words = f"thrust after a reversal command, measured and simulated; {what}"
@@ -106,7 +106,7 @@ class MotorReport(FitReport):
             name, thrust = self.trial_name(fit, trial), self.simulated_thrust(fit, trial)
             out[f"thrust-{name}"] = figure_thrust(trial, thrust, legend=True)
             for number, (time, _, _) in enumerate(reversal_commands(trial), start=1):
-                out[f"reversal-{name}-{number}"] = figure_reversal(trial, thrust, time, legend=True)
+                out[f"reversal-{name}-{number}"] = figure_thrust(trial, thrust, command=time, legend=True)
         return out
 
     @staticmethod

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 
 from sysid.errors import ExportError
-from sysid.report.drawing import WIDTH, arrow, directions, panels
+from sysid.report.drawing import WIDTH, arrow, directions, draw_legend, panels
 from sysid.report.drop_replay import DropReplay
 from sysid.storage import write_file
 from sysid.types import FloatArray
@@ -30,50 +29,44 @@ _NEAR = 8
 FILM_RATE, SLOW = 20, 10.0
 
 
-def figure_snapshots(drop: DropReplay, *, columns: int = 2, legend: bool = False) -> Figure:
-    """Draw the instants (1) to (4) of Fig. 7 of a drop, in so many columns.
+def figure_snapshots(drop: DropReplay, *, legend: bool = False) -> Figure:
+    """Draw the instants (1) to (4) of Fig. 7 of a drop.
 
     At the very instant of a touch or a lift-off the foot's force is zero: arrows are of the sample within
     8 ms in which the feet bear most.
     """
     instants = drop.first_contacts()
     around = (0.0, 0.55 if legend else 0.1)
-    figure, every = panels(len(instants), columns, (0.5 * WIDTH, 1.95), around)
-    scale = force_scale(drop)
+    figure, every = panels(len(instants), 2, (0.5 * WIDTH, 1.95), around)
+    scale = _force_scale(drop)
     for number, ((time, _), axes) in enumerate(zip(instants, every, strict=True), start=1):
         i = drop.index(time)
         first = max(i - _NEAR, 0)
         loaded = first + int(np.argmax(drop.normal_force[first : i + _NEAR + 1].sum(axis=1)))
         x, z, _ = drop.body[i]
-        draw_drone(axes, drop, i, scale, forces_at=loaded)
+        _draw_drone(axes, drop, i, scale, loaded)
         axes.set(xlim=(x - 0.28, x + 0.28), ylim=(z - 0.25, z + 0.2))
         axes.set_title(f"({number}) {1e3 * time:.0f} ms", fontsize=9, loc="left")
     if legend:
-        handles = [
-            Line2D([], [], color=colour, linewidth=width, label=words)
-            for colour, width, words in (
-                (NORMAL, 1.8, "normal force"),
-                (FRICTION, 1.8, "friction"),
-                (BODY, 2.0, "simulated, best set"),
-                (GHOST, 1.0, "measured body"),
-            )
-        ]
-        figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+        names = {
+            NORMAL: "normal force",
+            FRICTION: "friction",
+            BODY: "simulated, best set",
+            GHOST: "measured body",
+        }
+        entries = [(colour, "line", words) for colour, words in names.items()]
+        draw_legend(figure, entries, "outside lower center", 2, fontsize=8)
     return figure
 
 
-def force_scale(drop: DropReplay) -> float:
+def _force_scale(drop: DropReplay) -> float:
     """Return metres of arrow per newton."""
     largest = float(np.nanmax(np.abs(drop.normal_force), initial=0.0))
     return _LONGEST / largest if largest > 0 else 0.0
 
 
-def draw_drone(axes: Axes, drop: DropReplay, i: int, scale: float, *, forces_at: int | None = None) -> None:
-    """Draw slope, drone, forces and the measured ghost at sample `i`; lengths in metres, equal scales.
-
-    The forces are those of sample `forces_at`, by default of the same.
-    """
-    loaded = i if forces_at is None else forces_at
+def _draw_drone(axes: Axes, drop: DropReplay, i: int, scale: float, loaded: int) -> None:
+    """Draw slope, drone and the measured ghost at sample `i`, with the forces of sample `loaded` [m]."""
     axes.set_aspect("equal")
     axes.set_axis_off()
     along, normal = directions(drop.slope)
@@ -159,13 +152,14 @@ def write_film(drop: DropReplay, path: Path, *, force: bool = False) -> Path:
     suffix = path.suffix.lower()
     figure = Figure(figsize=(6.4, 4.4), dpi=100)
     axes = figure.add_axes((0.0, 0.0, 1.0, 0.92))
-    scale = force_scale(drop)
+    scale = _force_scale(drop)
     low, high = np.nanmin(drop.body[:, :2], axis=0) - 0.25, np.nanmax(drop.body[:, :2], axis=0) + 0.25
     shots = np.arange(0.0, float(drop.time[-1]), 1.0 / (SLOW * FILM_RATE))
 
     def draw(time: float) -> list[object]:
         axes.clear()
-        draw_drone(axes, drop, drop.index(time), scale)
+        i = drop.index(time)
+        _draw_drone(axes, drop, i, scale, i)
         # The slope reaches both edges of the picture, whatever the shape of the window.
         axes.set_aspect("equal", adjustable="datalim")
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))

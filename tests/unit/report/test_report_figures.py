@@ -79,7 +79,7 @@ def test_report_figure_names_units_trial_and_nrmse():
     mean = 100 * fit.trials[2].nrmse[0].mean()
     assert "drop-3 (validation, not fitted)" in figure.get_suptitle()
     assert f"NRMSE {mean:.1f} %" in figure.get_suptitle()
-    assert figure.axes[1].get_title() == f"NRMSE {100 * fit.trials[2].nrmse[0, 0]:.1f} %"
+    assert figure.axes[0].get_title(loc="right") == f"NRMSE {100 * fit.trials[2].nrmse[0, 0]:.1f} %"
     assert figure.axes[-1].get_xlabel().endswith("[s]")
 
 

@@ -20,7 +20,7 @@ from sysid.fit.nrmse import CostChannel, FilteredNrmse, TrialTarget
 from sysid.fit.problem import Kind, Problem, Scores, Trial
 from sysid.fit.store import read_fit
 from sysid.parameters import Parameter, ParameterTable
-from sysid.report.trust_words import print_check, print_trust, print_validation
+from sysid.report.trust_tables import print_check, print_trust, print_validation
 from sysid.workflows.check import check_campaign
 from sysid.workflows.compare import compare_fits
 from sysid.workflows.export_models import export_sets

@@ -7,7 +7,7 @@ import pytest
 
 from sysid.journal import Journal
 from sysid.motor.problem import taken_as_exact
-from sysid.report.trust_words import channel_line, check_lines
+from sysid.report.trust_tables import channel_line, check_lines
 from sysid.trust.influence import Influence
 from sysid.workflows.kinds import find_kind
 from sysid.workflows.predict import _notice_unlike
