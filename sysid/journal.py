@@ -1,8 +1,8 @@
 """What sysid notices while it works: findings with a code and a sentence, carried by one journal.
 
-Code that notices something calls `notice`. A workflow opens a `Journal`, which passes every finding to the
-terminal as it comes and keeps it for the record and the report. Findings about single trials are collected
-until `Journal.fold`, so that one finding on many trials is one line.
+Code that notices something calls `notice`. A workflow opens a `Journal`, which prints every finding as it
+comes and keeps it for the record and the report. Findings about single trials wait for `Journal.fold`, so
+that one finding on many trials is one line.
 
 A decision is taken on `Finding.code`; the sentence is for people.
 """
@@ -10,10 +10,10 @@ A decision is taken on `Finding.code`; the sentence is for people.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Any, Literal, Self
 
@@ -39,7 +39,9 @@ class Finding:
     trials : tuple of str
         The trials or logs concerned; empty for the whole campaign.
     size : float
-        How bad it is, to choose the worst among repeats; any scale of its own code.
+        How bad it is, on any scale, to choose the worst among findings of one code.
+    parameters : tuple of str
+        The parameters concerned; the name of a parameter of one trial stands without the trial.
     """
 
     code: str
@@ -47,24 +49,15 @@ class Finding:
     severity: Severity = "warning"
     trials: tuple[str, ...] = ()
     size: float = 0.0
+    parameters: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{', '.join(self.trials)}: {self.sentence}" if self.trials else self.sentence
 
     def document(self) -> dict[str, Any]:
         """Return the finding as it is stored."""
-        return {
-            "code": self.code,
-            "severity": self.severity,
-            "sentence": self.sentence,
-            "trials": list(self.trials),
-        }
-
-    @classmethod
-    def read(cls, document: Mapping[str, Any]) -> Finding:
-        """Return a stored finding."""
-        trials = tuple(str(name) for name in document["trials"])
-        return cls(document["code"], document["sentence"], document["severity"], trials)
+        stored = {"code": self.code, "severity": self.severity, "sentence": self.sentence}
+        return stored | {"trials": list(self.trials), "parameters": list(self.parameters)}
 
 
 def note(code: str, sentence: str) -> Finding:
@@ -73,23 +66,22 @@ def note(code: str, sentence: str) -> Finding:
 
 
 def folded(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Join findings of one code and severity on several trials, in the order of their first mention."""
-    groups: dict[tuple[str, str, str], list[Finding]] = {}
+    """Join findings of one code on several trials, in the order of their first mention."""
+    groups: dict[tuple[object, ...], list[Finding]] = {}
     for finding in dict.fromkeys(findings):
         # Findings about no trial stay apart: their sentences say what distinguishes them.
-        key = (finding.code, finding.severity, "" if finding.trials else finding.sentence)
+        key = (finding.code, finding.severity, finding.parameters, not finding.trials and finding.sentence)
         groups.setdefault(key, []).append(finding)
     out = []
     for group in groups.values():
         names = tuple(dict.fromkeys(name for finding in group for name in finding.trials))
-        worst = max(group, key=lambda finding: finding.size)
         if len(names) < 2:
             out += group
             continue
-        sentence = worst.sentence
-        if len({finding.sentence for finding in group}) > 1:
-            sentence += f" (worst: {worst.trials[0]})"
-        out.append(Finding(worst.code, sentence, worst.severity, names, worst.size))
+        worst = max(group, key=lambda finding: finding.size)
+        differ = len({finding.sentence for finding in group}) > 1
+        sentence = worst.sentence + (f" (worst: {worst.trials[0]})" if differ else "")
+        out.append(replace(worst, sentence=sentence, trials=names))
     return tuple(out)
 
 
@@ -103,14 +95,8 @@ def spoken(finding: Finding, trials: int = 0, noun: str = "trials") -> str:
 class Journal:
     """Carries findings and progress of one command to the terminal, the record and the report.
 
-    Enter it, and `notice` anywhere below adds to it. Journals nest; the innermost one hears.
-
-    Parameters
-    ----------
-    say : callable, optional
-        Called with one line of text at a time.
-    noun : str
-        What the trials are called: ``drops``, ``trials``.
+    While it is entered, `notice` adds to it; of nested journals the innermost one. `say` takes one line of
+    text at a time; `noun` is what the trials are called: ``drops``, ``trials``.
     """
 
     def __init__(self, say: Say = None, noun: str = "trials") -> None:
@@ -127,7 +113,7 @@ class Journal:
         show = warnings.showwarning
 
         def hear(message: Warning | str, category: type[Warning], *rest: Any, **more: Any) -> None:
-            # From a thread that knows no journal, or from a loader of someone else.
+            # From a thread that knows no journal, or from a foreign loader.
             if issubclass(category, SysidWarning):
                 self.add(Finding("warning", str(message)))
             else:
@@ -158,7 +144,7 @@ class Journal:
             self._print(finding)
 
     def fold(self, trials: int | None = None) -> None:
-        """Join what was noticed about single trials and print it; `trials` says how many there are."""
+        """Join the findings about single trials and print them; `trials` is the number of all trials."""
         if trials is not None:
             self.trials = trials
         waiting, self._waiting = self._waiting, []
@@ -173,11 +159,8 @@ class Journal:
 
     def sentences(self, severity: Severity = "warning") -> list[str]:
         """Return the lines of the findings of one severity."""
-        return [
-            spoken(finding, self.trials, self.noun)
-            for finding in self.findings
-            if finding.severity == severity
-        ]
+        chosen = [finding for finding in self.findings if finding.severity == severity]
+        return [spoken(finding, self.trials, self.noun) for finding in chosen]
 
     def _print(self, finding: Finding) -> None:
         self._say(f"{finding.severity}: {spoken(finding, self.trials, self.noun)}")
@@ -189,15 +172,7 @@ _OPEN: ContextVar[Journal | None] = ContextVar("journal", default=None)
 def notice(
     code: str, sentence: str, *, trial: str = "", severity: Severity = "warning", size: float = 0.0
 ) -> None:
-    """Add a finding to the open journal; without one, issue a `SysidWarning`, which Python prints.
-
-    Parameters
-    ----------
-    code, sentence, severity, size
-        See `Finding`.
-    trial : str
-        The trial or log concerned; empty for the whole campaign.
-    """
+    """Add a `Finding` to the open journal; without one, issue a `SysidWarning`, which Python prints."""
     finding = Finding(code, sentence, severity, (trial,) if trial else (), size)
     journal = _OPEN.get()
     if journal is not None:

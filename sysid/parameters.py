@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import CampaignError
+from sysid.journal import Finding
 from sysid.types import FloatArray
 
 Scale = Literal["linear", "log"]
@@ -73,7 +74,7 @@ class Parameter:
     @property
     def common_name(self) -> str:
         """The name without the trial: ``command_delay`` of ``command_delay[step-1.csv]``."""
-        return self.name.removesuffix(f"[{self.trial}]")
+        return common_name(self)
 
     def of_trial(self, trial: str) -> Parameter:
         """Return the row of the same number for one trial alone, named ``name[trial]``."""
@@ -217,11 +218,24 @@ class Named(Protocol):
     def trial(self) -> str: ...
 
 
-def in_words(parameter: Named) -> str:
-    """Return a parameter as a sentence names it: ``ground damping (b_s)``."""
-    words = parameter.name.removesuffix(f"[{parameter.trial}]").replace("_", " ")
-    words += f" of {parameter.trial}" if parameter.trial else ""
-    return words if parameter.symbol in ("", words) else f"{words} ({parameter.symbol})"
+def common_name(parameter: Named) -> str:
+    """Return a parameter's name without its trial."""
+    return parameter.name.removesuffix(f"[{parameter.trial}]")
+
+
+def in_words(parameter: Named, of_trial: bool = True) -> str:
+    """Return a parameter as a sentence names it: ``ground damping (b_s)``; with its trial or without."""
+    words, symbol = common_name(parameter).replace("_", " "), parameter.symbol
+    if parameter.trial:
+        symbol = symbol if of_trial else symbol.removesuffix(f"[{parameter.trial}]")
+        words += f" of {parameter.trial}" if of_trial else ""
+    return words if symbol in ("", words) else f"{words} ({symbol})"
+
+
+def about(parameter: Named, code: str, sentence: str, size: float = 0.0) -> Finding:
+    """Return a finding about a parameter; one about a parameter of a single trial can be folded."""
+    trials = (parameter.trial,) if parameter.trial else ()
+    return Finding(code, sentence, trials=trials, size=size, parameters=(common_name(parameter),))
 
 
 def with_unit(text: str, unit: str) -> str:

@@ -1,9 +1,9 @@
 """What several runs say about each other: which of them ended in the same optimum.
 
 Two runs ended in the same optimum when neither their NRMSE nor their place in the unit cube differs by more
-than the search itself could tell: NRMSE by less than 0.2 %, every free parameter by less than 2 % of its
-range plus the widths over which the candidates of either run scored within 0.2 % of its best. A parameter
-that the data do not constrain is wide, or is left out, so it does not separate runs that agree otherwise.
+than a search can tell: NRMSE by less than 0.2 %, every free parameter by less than 2 % of its range plus the
+widths over which the candidates of either run scored within 0.2 % of its best. A parameter that the data do
+not determine is wide, or left out, so it does not separate runs that agree otherwise.
 """
 
 from __future__ import annotations
@@ -16,22 +16,23 @@ import numpy as np
 
 from sysid.fit.history import RunHistory
 from sysid.fit.stopping import REASONS, StopReason
-from sysid.parameters import SearchSpace, in_words, with_unit
+from sysid.journal import Finding
+from sysid.parameters import SearchSpace, about, common_name, in_words, with_unit
 from sysid.types import BoolArray, FloatArray, IntArray
 
 # Relative difference of NRMSE that tells optima apart: twice what adaptive integration leaves uncertain.
 SAME_NRMSE = 2e-3
 # Of the unit cube's edge.
 SAME_PLACE = 0.02
-# Relative difference of NRMSE within which searches end, three times CMA-ES's tolerance: no further search
-# tells apart what lies within it.
+# Relative difference of NRMSE within which searches end, three times CMA-ES's tolerance: none tells apart
+# what lies within it.
 ENDS_WITHIN = 3e-5
 # Reasons that end a run before its stop rule does.
 _CUT: tuple[StopReason, ...] = ("interrupted", "time", "evaluations", "generations")
-# A parameter that such sets spread over by more is held no tighter than that [1].
-_HELD = 0.01
-# Candidates that score as well as the best over more than this do not fix a parameter: a factor (logarithmic
-# scale), a share of its range (linear scale).
+# The spread of such sets from which on a parameter is named [1].
+_NAMED = 0.01
+# The data do not determine a parameter when equally good candidates spread over more than a factor
+# (logarithmic scale), a share of its range (linear scale).
 _FACTOR, _SHARE = 3.0, 1 / 3
 
 
@@ -53,16 +54,15 @@ class Agreement:
     Parameters
     ----------
     order : tuple of int
-        Runs (from 0), best first; all else is in the order of the runs.
+        Runs (from 0), best first; the other arrays are in the order of the runs.
     optimum : (R,) int array
         Optimum (from 0, best first).
     cost : (R,) array
         NRMSE [1].
     cut : tuple of str or None
-        Why a run was cut short; None for a run that ended by itself. The place where a run was cut is no
-        optimum.
+        Why a run was cut short; None for a run that ended by itself. Where a run was cut is no optimum.
     asked : int
-        Runs that the fit was to have; runs that were not begun are missing above [1].
+        Runs that the fit was to have, including those that were not begun [1].
     """
 
     order: tuple[int, ...]
@@ -141,10 +141,10 @@ def agreement(
 ) -> Agreement:
     """Group runs, at least one of the `asked` ones, by the optimum in which they ended.
 
-    Of `free`, the parameters along the cube's axes, those that the runs together do not fix (`unfixed`) say
-    nothing about which optimum a run is in. Without it all count.
+    `free` are the parameters along the cube's axes; those that are `unfixed` do not tell optima apart.
+    Without `free` all axes count.
     """
-    held = ~unfixed(runs, free) if free else np.ones(runs[0].best_point.shape, dtype=bool)
+    determined = ~unfixed(runs, free) if free else np.ones(runs[0].best_point.shape, dtype=bool)
     cost = np.array([run.best[-1] for run in runs])
     place = np.stack([run.best_point for run in runs])
     width = np.stack([_width(run) for run in runs])
@@ -155,7 +155,7 @@ def agreement(
         for number, other in enumerate(first):
             near = abs(cost[run] - cost[other]) <= SAME_NRMSE * cost[other]
             apart = np.abs(place[run] - place[other])
-            if near and np.all((apart <= SAME_PLACE + width[run] + width[other]) | ~held):
+            if near and np.all((apart <= SAME_PLACE + width[run] + width[other]) | ~determined):
                 optimum[run] = number
                 break
         else:
@@ -177,11 +177,10 @@ def _good(runs: Sequence[RunHistory], within: float) -> FloatArray:
 
 
 def unfixed(runs: Sequence[RunHistory], free: Sequence[Searched]) -> BoolArray:
-    """Return which free parameters (n_free,) the data do not fix, judged from all candidates of the runs.
+    """Return which free parameters (n_free,) the data do not determine, judged from all candidates.
 
-    A parameter is loose when the candidates within 0.2 % of the best NRMSE spread over more than a factor of
-    three (logarithmic scale) or a third of its range (linear). It is a lower bound: a search does not explore
-    what does not pay.
+    The candidates within 0.2 % of the best NRMSE spread over more than a factor of three (logarithmic scale)
+    or a third of the range (linear). That is a lower bound: a search does not explore what does not pay.
     """
     width = np.ptp(_good(runs, SAME_NRMSE), axis=0)
     out = np.zeros(len(width), dtype=np.bool_)
@@ -192,37 +191,38 @@ def unfixed(runs: Sequence[RunHistory], free: Sequence[Searched]) -> BoolArray:
     return out
 
 
-def loose_warnings(runs: Sequence[RunHistory], space: SearchSpace) -> tuple[str, ...]:
-    """Return sentences on the free parameters that the data do not constrain, judged from the candidates.
+def loose_findings(runs: Sequence[RunHistory], space: SearchSpace) -> tuple[Finding, ...]:
+    """Return which free parameters the data do not determine, judged from the candidates.
 
-    A loose parameter (`unfixed`) is named with the values over which the candidates score alike. A parameter
-    of the others is named when its value differs by more than 1 % between candidates that score within
-    0.003 % of the best: no search tells them apart. Both are lower bounds on what the data leave open,
-    because a search does not explore what does not pay. A run that was cut short does not count: far from an
-    optimum candidates score alike for other reasons.
+    An `unfixed` parameter is not identifiable. Of the others those are named whose value differs by more than
+    1 % between candidates within 0.003 % of the best NRMSE: no search tells these apart. Runs that were cut
+    short do not count: far from an optimum candidates score alike for other reasons.
     """
     runs = [run for run in runs if run.stop_reason not in _CUT]
     if not runs:
         return ()
     low, high = _span(runs, space, SAME_NRMSE)
     wide = unfixed(runs, space.free)
-    out, held = [], []
     least, most = _span(runs, space, ENDS_WITHIN)
     spread = (most - least) / np.maximum(np.abs(most + least) / 2, np.finfo(float).tiny)
-    for i, row in enumerate(space.free):
-        if wide[i]:
-            out.append(
-                f"{in_words(row)} is not fixed by the data: sets from {low[i]:.2g} to "
-                f"{with_unit(f'{high[i]:.2g}', row.unit)} "
-                f"score within {100 * SAME_NRMSE:g} % of the best NRMSE; do not read digits into it"
-            )
-        elif len(runs) > 1 and spread[i] > _HELD:
-            held.append(f"{in_words(row)} {100 * spread[i]:.2g} %")
-    if held:
-        out.append(
-            f"held no tighter than this, over sets that score within {100 * ENDS_WITHIN:g} % of the best "
-            f"NRMSE: {', '.join(held)}"
+    out = []
+    for i in np.flatnonzero(wide):
+        row = space.free[i]
+        sentence = (
+            f"{in_words(row, of_trial=False)} is not identifiable: sets from {low[i]:.2g} to "
+            f"{with_unit(f'{high[i]:.2g}', row.unit)} score within {100 * SAME_NRMSE:g} % of the best NRMSE; "
+            "do not read digits into it"
         )
+        out.append(about(row, "not-identifiable", sentence, float(high[i] - low[i])))
+    weak = np.flatnonzero(~wide & (spread > _NAMED)) if len(runs) > 1 else ()
+    if len(weak):
+        shares = ", ".join(f"{in_words(space.free[i])} {100 * spread[i]:.2g} %" for i in weak)
+        sentence = (
+            f"determined no better than this, over sets that score within {100 * ENDS_WITHIN:g} % of the "
+            f"best NRMSE: {shares}"
+        )
+        names = tuple(dict.fromkeys(common_name(space.free[i]) for i in weak))
+        out.append(Finding("weakly-determined", sentence, parameters=names))
     return tuple(out)
 
 

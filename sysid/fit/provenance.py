@@ -50,6 +50,7 @@ class FindingRecord(TypedDict, total=False):
     severity: str
     sentence: str
     trials: list[str]
+    parameters: list[str]
 
 
 @with_config(CONFIG)

@@ -13,8 +13,9 @@ from sysid import exact_json
 from sysid.errors import FitError
 from sysid.fit.history import RunHistory
 from sysid.fit.optima import Agreement, agreement
+from sysid.journal import Finding
 from sysid.parameter_sets import ParameterRecord, ParameterSets
-from sysid.parameters import SearchSpace, in_words, with_unit
+from sysid.parameters import SearchSpace, about, in_words, with_unit
 from sysid.spectrum import Spectrum
 from sysid.types import BoolArray, FloatArray
 
@@ -115,20 +116,19 @@ def ranked_sets(runs: Sequence[RunHistory], space: SearchSpace, keep: int = SETS
     )
 
 
-def bound_warnings(parameters: Sequence[ParameterRecord], at_bound: NDArray[np.int8]) -> tuple[str, ...]:
-    """Return one sentence per parameter of which sets end at a bound; `at_bound` (S, n) as in `FitResult`."""
+def bound_findings(parameters: Sequence[ParameterRecord], at_bound: NDArray[np.int8]) -> tuple[Finding, ...]:
+    """Return which sets end at a bound of which parameter; `at_bound` (S, n) as in `FitResult`."""
     out = []
     for record, flags in zip(parameters, np.asarray(at_bound).T, strict=True):
         for side, bound, word in ((-1, record.lower, "lower"), (1, record.upper, "upper")):
             count = int(np.count_nonzero(flags == side))
             if count and bound is not None:
-                words = in_words(record)
-                edge = with_unit(f"{bound:g}", record.unit)
-                verb = "ends" if count == 1 else "end"
-                out.append(
-                    f"{count} of {len(flags)} sets {verb} at the {word} bound of "
-                    f"{words}, {edge}: the data do not constrain it there, or the bound cuts it off"
+                name, edge = in_words(record, of_trial=False), with_unit(f"{bound:g}", record.unit)
+                sentence = (
+                    f"{count} of {len(flags)} sets {'ends' if count == 1 else 'end'} at the {word} bound of "
+                    f"{name}, {edge}: the data do not determine it there, or the bound cuts it off"
                 )
+                out.append(about(record, f"at-{word}-bound", sentence, count))
     return tuple(out)
 
 

@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,10 @@ from sysid.fit.breeders.in_process import BreederApart
 from sysid.fit.checkpoint import PROBES, PROCESSOR, Checkpoint
 from sysid.fit.history import RunHistory, summed
 from sysid.fit.objective import SpreadObjective
-from sysid.fit.optima import agreement, loose_warnings, waterfall
+from sysid.fit.optima import agreement, loose_findings, waterfall
 from sysid.fit.problem import Course, Outcome, Problem
 from sysid.fit.progress import FitProgress
-from sysid.fit.result import FitResult, bound_warnings, ranked_sets
+from sysid.fit.result import FitResult, bound_findings, ranked_sets
 from sysid.fit.search import Hooks, SearchSettings, run_many
 from sysid.fit.stopping import CutReason, Deadline, StopFlag, StopRule, stop_on_interrupt
 from sysid.fit.store import check_new_fit, write_fit
@@ -144,6 +145,9 @@ def fit_campaign(
             outcome = model.follow_up(problem, Course(sets, search, cut, deadline.check))
             record = {**provenance(path, search, problem, folder), **expected}
             result = _result(model.name, problem, runs, outcome, record)
+            doubts = bound_findings(outcome.records, outcome.at_bound), loose_findings(runs, problem.space)
+            for finding in chain(*doubts):
+                journal.add(finding)
             noticed = [finding.document() for finding in journal.findings]
             result = replace(
                 result,
@@ -234,12 +238,8 @@ def _search(
 def _result(
     kind: str, problem: Problem, runs: tuple[RunHistory, ...], outcome: Outcome, record: Mapping[str, Any]
 ) -> FitResult:
-    """Return what a fit has found; notice what is doubtful about it."""
+    """Return what a fit has found; notice which simulations are lost."""
     trials = problem.results(outcome.rows)
-    for sentence in bound_warnings(outcome.records, outcome.at_bound):
-        notice("at-bound", sentence)
-    for sentence in loose_warnings(runs, problem.space):
-        notice("loose-runs", sentence)
     failures = summed(run.failures for run in runs)
     cut = {} if outcome.cut is None else {"cut_short": outcome.cut}
     counted = {"failures": failures} if len(problem.causes) > 1 else {}

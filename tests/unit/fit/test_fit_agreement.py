@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from sysid.fit.history import RunHistory, StageHistory
-from sysid.fit.optima import agreement, loose_warnings, waterfall
-from sysid.fit.result import SETS_KEPT, ranked_sets
+from sysid.fit.optima import agreement, loose_findings, waterfall
+from sysid.fit.result import SETS_KEPT, bound_findings, ranked_sets
+from sysid.journal import folded
+from sysid.parameter_sets import ParameterRecord
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 
 
@@ -99,16 +101,17 @@ def space_of_two():
 
 def test_what_sets_of_one_nrmse_spread_over_is_named():
     near, off = run(0.08, (0.2, 0.5)), run(0.08 * (1 + 1e-5), (0.2005, 0.51))
-    (sentence,) = loose_warnings([near, off], space_of_two())
+    (finding,) = loose_findings([near, off], space_of_two())
     # Along the cube's edge b grows a hundredfold: 0.01 of it are 4.7 %; 0.0005 of it are 0.2 % of a.
-    assert sentence.startswith("held no tighter than this, over sets that score within 0.003 %")
-    assert sentence.endswith(" NRMSE: b 4.6 %")
+    assert (finding.code, finding.parameters) == ("weakly-determined", ("b",))
+    assert finding.sentence.startswith("determined no better than this, over sets that score within 0.003 %")
+    assert finding.sentence.endswith(" NRMSE: b 4.6 %")
     # A set that scores worse says nothing, and one run alone does not know.
-    assert loose_warnings([near, run(0.08 * (1 + 1e-4), (0.2, 0.51))], space_of_two()) == ()
-    assert loose_warnings([near], space_of_two()) == ()
+    assert loose_findings([near, run(0.08 * (1 + 1e-4), (0.2, 0.51))], space_of_two()) == ()
+    assert loose_findings([near], space_of_two()) == ()
     # Neither does a run that was cut short.
-    assert loose_warnings([near, run(0.08, (0.2, 0.9), ended="time")], space_of_two()) == ()
-    assert loose_warnings([run(0.08, (0.2, 0.1), ended="generations")] * 2, space_of_two()) == ()
+    assert loose_findings([near, run(0.08, (0.2, 0.9), ended="time")], space_of_two()) == ()
+    assert loose_findings([run(0.08, (0.2, 0.1), ended="generations")] * 2, space_of_two()) == ()
 
 
 def test_runs_that_differ_only_in_what_the_data_do_not_fix_share_an_optimum():
@@ -139,3 +142,15 @@ def test_twenty_runs_keep_the_best_five_sets():
     assert len(ranked.cost) == SETS_KEPT == 5
     assert ranked.cost == pytest.approx([0.080, 0.081, 0.082, 0.083, 0.084], rel=1e-12)
     assert len(set(ranked.run)) == 5
+
+
+def test_a_bound_that_many_trials_reach_is_one_line_for_each_parameter():
+    rows = [Parameter(n, n, "s", 0.1, 0.0, 1.0, "linear", "Test.", "guess") for n in ("delay", "tare")]
+    records = [ParameterRecord.of(row.of_trial(f"log-{i}"), "free") for row in rows for i in range(3)]
+    findings = folded(bound_findings(records, np.array([[-1, -1, -1, 1, 1, 0], [0, -1, 0, 1, 1, 0]])))
+    assert [(one.code, one.parameters, len(one.trials)) for one in findings] == [
+        ("at-lower-bound", ("delay",), 3),
+        ("at-upper-bound", ("tare",), 2),
+    ]
+    assert findings[0].sentence.startswith("2 of 2 sets end at the lower bound of delay, 0 s: ")
+    assert findings[0].sentence.endswith(" (worst: log-1)")

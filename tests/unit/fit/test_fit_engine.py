@@ -14,7 +14,7 @@ from sysid.errors import FitError
 from sysid.fit.breeders.algorithms import ALGORITHMS, Start, breeder
 from sysid.fit.breeders.in_process import BreederApart
 from sysid.fit.objective import Evaluation
-from sysid.fit.result import bound_warnings, ranked_sets
+from sysid.fit.result import bound_findings, ranked_sets
 from sysid.fit.run_log import RunMemory
 from sysid.fit.search import Hooks, SearchSettings, run_many, run_one
 from sysid.fit.stopping import StopFlag, StopRule
@@ -293,10 +293,10 @@ def test_ranked_sets_are_the_best_of_each_last_generation():
     np.testing.assert_array_equal(ranked.values[:, 3], 7.0)
     np.testing.assert_array_equal(ranked.values[:, :3], objective.space.decode(ranked.cube))
     assert ranked.at_bound.tolist() == [[-1, 0, 1, 0]] * 3
-    warnings = bound_warnings(parameter_records(objective.space), ranked.at_bound)
-    assert len(warnings) == 2
-    assert warnings[0].startswith("3 of 3 sets end at the lower bound of p0 (p_0), 1 N/m")
-    assert "upper bound of p2 (p_2), 100 N/m" in warnings[1]
+    low, high = bound_findings(parameter_records(objective.space), ranked.at_bound)
+    assert (low.code, low.parameters, high.code) == ("at-lower-bound", ("p0",), "at-upper-bound")
+    assert low.sentence.startswith("3 of 3 sets end at the lower bound of p0 (p_0), 1 N/m")
+    assert "upper bound of p2 (p_2), 100 N/m" in high.sentence
 
 
 def test_a_stop_while_a_run_is_replayed_loses_no_finisher():
