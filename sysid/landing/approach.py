@@ -32,17 +32,15 @@ class Descent:
 def descend(drone: Drone, begin: Scenario, height: float) -> Descent:
     """Fly down until the first foot touches.
 
+    Raises `CampaignError` when the height or the speed is not above 0, or the drone turns over or rises
+    before it touches.
+
     Parameters
     ----------
     begin : Scenario
         Slope, and what the drone has at the beginning: pitch, rates, speed of descent.
     height : float
         Way down at the beginning [m], of the body, above its touchdown at that pitch.
-
-    Raises
-    ------
-    CampaignError
-        When the height or the speed is not above 0, or the drone turns over or rises before it touches.
 
     Notes
     -----

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
 
-from sysid.errors import CampaignError, SysidError
+from sysid.errors import CampaignError, SysidError, UnitError
 from sysid.landing.impact_sensor import Sensing
 from sysid.units import parse_quantity
 
@@ -159,10 +159,11 @@ def find_controller(text: str, *, ideal_reversal: bool = False, sensing: Sensing
     named: dict[str, float] = {}
     for part in filter(None, (piece.strip() for piece in options.split(","))):
         key, equals, value = part.rpartition("=")
+        number = read_number(value, "1" if value.endswith("%") else "s", f"controller {text!r}")
         if equals:
-            named[key.strip()] = _number(text, value)
+            named[key.strip()] = number
         else:
-            given.append(_number(text, value))
+            given.append(number)
     try:
         bound = signature.bind(*given, **named)
     except TypeError as error:
@@ -206,15 +207,15 @@ def _fault(path: Path, error: Exception) -> str:
     return f"{path}, line {lines[-1]}: {what}" if lines else f"{path}: {what}"
 
 
-def _number(text: str, value: str) -> float:
+def read_number(value: str, unit: str, where: str) -> float:
+    """Return a number of the command line: SI, or with a unit of the dimension of `unit`."""
     try:
         return float(value)
     except ValueError:
-        unit = "1" if value.strip().endswith("%") else "s"
-    try:
-        return parse_quantity(value, unit)
-    except Exception as error:
-        raise CampaignError(f"controller {text!r}: {error}") from None
+        try:
+            return parse_quantity(value, unit)
+        except UnitError as error:
+            raise CampaignError(f"{where}: {error}") from None
 
 
 def load_controllers(path: Path) -> None:

@@ -21,14 +21,13 @@ from numpy.typing import NDArray
 
 from sysid.errors import CampaignError
 from sysid.gear.model import PARAMETERS as GEAR
-from sysid.landing.controllers import Controller
+from sysid.landing.controllers import Controller, read_number
 from sysid.landing.drone import Drone
 from sysid.landing.maps import MapSettings, landing_maps
 from sysid.landing.outcomes import LANDED, Outcome
 from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.resume import Computing
 from sysid.types import BoolArray, FloatArray, IntArray
-from sysid.units import parse_quantity
 
 Kind = Literal["gear", "motor", "reversal"]
 
@@ -129,8 +128,11 @@ def _change(text: str) -> Change:
         raise CampaignError(
             f"{text!r}: expected NAME=FIRST:LAST:COUNT with a count of 1 to {_MOST}, for example k_t=0.5:2:5"
         )
-    first, last = (_number(text, part, kind) for part in parts[:2])
+    unit = "s" if kind == "reversal" else "1"
+    first, last = (read_number(part, unit, repr(text)) for part in parts[:2])
     count = int(parts[2])
+    if not math.isfinite(first + last):
+        raise CampaignError(f"{text!r}: {first:g} to {last:g} are not finite numbers")
     if kind == "reversal":
         return Change(row_name, symbol, kind, tuple(np.linspace(first, last, count).round(12).tolist()))
     if not (first > 0 and last > 0):
@@ -152,19 +154,6 @@ def _find(name: str) -> tuple[Kind, str, str]:
         f"no design parameter {name!r}; known are {REVERSAL}, {known}, and every name of the gear's and the "
         "motor's table"
     )
-
-
-def _number(text: str, part: str, kind: Kind) -> float:
-    try:
-        value = float(part)
-    except ValueError:
-        try:
-            value = parse_quantity(part, "s" if kind == "reversal" else "1")
-        except Exception as error:
-            raise CampaignError(f"{text!r}: {error}") from None
-    if not math.isfinite(value):
-        raise CampaignError(f"{text!r}: {part} is not a finite number")
-    return value
 
 
 @dataclass(frozen=True)

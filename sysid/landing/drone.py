@@ -86,10 +86,7 @@ def drones(gear: ParameterSets, motor: ParameterSets, pairing: Pairing = "best")
     Every gear set goes with the motor's best set, or set i with set i ("each"). The motor's ``command_delay``
     is of the log's instruments and is left out.
 
-    Raises
-    ------
-    ExportError
-        When the kinds are wrong, a number is unknown, or there are too few motor sets.
+    Raises `ExportError` when the kinds are wrong, a number is unknown, or there are too few motor sets.
     """
     for sets, kind in ((gear, "gear"), (motor, "motor")):
         if sets.kind != kind:

@@ -24,7 +24,7 @@ from sysid.landing.controllers import IDLE_COMMAND, IMPULSE_COMMAND, Step, impul
 from sysid.landing.drone import Drone
 from sysid.landing.outcomes import Rules
 from sysid.landing.scenario import Scenario
-from sysid.landing.simulate import second_impacts
+from sysid.landing.simulate import LANDING_TOLERANCE, second_impacts
 from sysid.landing.thrust import Motors
 from sysid.types import BoolArray, FloatArray, IntArray
 
@@ -165,18 +165,23 @@ class Optimum:
 class Impulses:
     """Impulses of one drone, with their thrust histories.
 
-    Parameters
-    ----------
-    rules : Rules, optional
-        Those of the landings: a drone that has flipped by them has no second impact, and none is looked for
-        after their horizon.
+    By the `rules` of the landings, a drone that has flipped has no second impact, and there is none after
+    their horizon. `tolerance` and `threads` are as in `sysid.landing.simulate.land_many`.
     """
 
-    def __init__(self, drone: Drone, settings: ImpulseSettings, rules: Rules | None = None) -> None:
+    def __init__(
+        self,
+        drone: Drone,
+        settings: ImpulseSettings,
+        rules: Rules | None = None,
+        tolerance: float = LANDING_TOLERANCE,
+        threads: int | None = None,
+    ) -> None:
         rules = rules or Rules()
         self._drone = drone
         self._settings = settings
         self._rules = replace(rules, horizon=min(settings.horizon, rules.horizon))
+        self._accuracy = (tolerance, threads)
         self._motors = Motors(drone, settings.ideal_reversal)
         self._thrust: dict[tuple[float, float], Propulsion] = {}
 
@@ -191,12 +196,7 @@ class Impulses:
         return self._thrust[key]
 
     def second_impacts(
-        self,
-        cells: Sequence[Scenario],
-        delay: FloatArray,
-        duration: FloatArray,
-        tolerance: float,
-        threads: int | None,
+        self, cells: Sequence[Scenario], delay: FloatArray, duration: FloatArray
     ) -> FloatArray:
         """Return time [s], turn rate [rad/s] and pitch minus slope [rad] (n, 3) at each second impact.
 
@@ -207,12 +207,10 @@ class Impulses:
             part = slice(first, first + _AT_ONCE)
             pairs = zip(delay[part].tolist(), duration[part].tolist(), strict=True)
             thrust = [self.thrust(*pair) for pair in pairs]
-            out[part] = second_impacts(self._drone, cells[part], thrust, self._rules, tolerance, threads)
+            out[part] = second_impacts(self._drone, cells[part], thrust, self._rules, *self._accuracy)
         return out
 
-    def search(
-        self, cells: Sequence[Scenario], tolerance: float, threads: int | None = None
-    ) -> tuple[FloatArray, IntArray]:
+    def search(self, cells: Sequence[Scenario]) -> tuple[FloatArray, IntArray]:
         """Return what every pair of the grid leaves at the second impact of every landing.
 
         Impacts (n, n_delays, n_durations, 3) as of `second_impacts`, and how many landings (n,) it took.
@@ -225,10 +223,10 @@ class Impulses:
         def simulate(which: IntArray, delay: FloatArray, duration: FloatArray) -> FloatArray:
             np.add.at(simulated, which, 1)
             chosen = [cells[i] for i in which.tolist()]
-            return self.second_impacts(chosen, delay, duration, tolerance, threads)
+            return self.second_impacts(chosen, delay, duration)
 
-        everyone = np.arange(len(cells))
-        idle = simulate(everyone, np.full(len(cells), np.inf), np.zeros(len(cells)))
+        every = np.arange(len(cells))
+        idle = simulate(every, np.full(len(cells), np.inf), np.zeros(len(cells)))
         # NaN compares as false: without a second impact nothing is shared.
         late = delays[None] >= idle[:, :1]
         impacts[late] = np.broadcast_to(idle[:, None], (len(cells), len(delays), 3))[late][:, None]
@@ -243,17 +241,17 @@ class Impulses:
         impacts[which[rows], d[rows], t] = simulate(which[rows], delays[d[rows]], durations[t])
         return impacts, simulated
 
-    def optimize(self, cells: Sequence[Scenario], tolerance: float, threads: int | None = None) -> Optimum:
+    def optimize(self, cells: Sequence[Scenario]) -> Optimum:
         """Return the best impulse of every landing, on the grid and refined."""
         settings = self._settings
-        impacts, simulated = self.search(cells, tolerance, threads)
+        impacts, simulated = self.search(cells)
         flat = impacts.reshape(len(cells), -1, 3)
         delay, duration = (
             axis.ravel() for axis in np.meshgrid(settings.delays, settings.durations, indexing="ij")
         )
         if not settings.has_none:
             none = np.zeros(len(cells))
-            alone = self.second_impacts(cells, none, none, tolerance, threads)
+            alone = self.second_impacts(cells, none, none)
             flat = np.concatenate([alone[:, None], flat], axis=1)
             delay, duration = np.insert(delay, 0, 0.0), np.insert(duration, 0, 0.0)
             simulated = simulated + 1
@@ -268,7 +266,7 @@ class Impulses:
         refined_delay, refined_duration, refined = grid_delay.copy(), grid_duration.copy(), chosen.copy()
         step = 0.5 * min([*np.diff(settings.delays), *np.diff(settings.durations), 0.01])
         while settings.finest > 0 and step >= 0.999 * settings.finest:
-            self._refine(cells, ~omitted, step, refined_delay, refined_duration, refined, tolerance, threads)
+            self._refine(cells, ~omitted, step, refined_delay, refined_duration, refined)
             step /= 2
         return Optimum(
             grid_delay, grid_duration, chosen[:, 1], chosen[:, 2],
@@ -283,8 +281,6 @@ class Impulses:
         delay: FloatArray,
         duration: FloatArray,
         impacts: FloatArray,
-        tolerance: float,
-        threads: int | None,
     ) -> None:
         """Move every optimum to the best of its eight neighbours at a distance, where one is better."""
         settings = self._settings
@@ -299,9 +295,7 @@ class Impulses:
         which, tried = which[inside], tried[inside]
         if not len(which):
             return
-        new = self.second_impacts(
-            [cells[i] for i in which.tolist()], tried[:, 0], tried[:, 1], tolerance, threads
-        )
+        new = self.second_impacts([cells[i] for i in which.tolist()], tried[:, 0], tried[:, 1])
         for i in chosen:
             near = np.flatnonzero(which == i)
             trials = np.vstack([impacts[i], new[near]])

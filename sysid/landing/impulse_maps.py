@@ -74,7 +74,7 @@ class ImpulseWork:
         number, settings = int(rows[0, 0]), self.settings
         cells = [Scenario(slope, speed) for slope, speed in rows[:, 1:].tolist()]
         search, alone = self._impulses(number, self.impulses.after), self._impulses(number, 0.0)
-        best = search.optimize(cells, settings.tolerance, self.threads)
+        best = search.optimize(cells)
         out = [getattr(best, name) for name in OPTIMUM]
         for source, delay, duration in (
             (search, best.delay, best.duration),
@@ -99,7 +99,9 @@ class ImpulseWork:
             for other in [known for known in self._known if known[0] != drone]:
                 del self._known[other]
             settings = replace(self.impulses, after=after)
-            self._known[key] = Impulses(self.drones[drone], settings, self.settings.rules)
+            self._known[key] = Impulses(
+                self.drones[drone], settings, self.settings.rules, self.settings.tolerance, self.threads
+            )
         return self._known[key]
 
 

@@ -10,7 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import CampaignError
-from sysid.gear.model import Drops, EventKind, GearTrajectory, Status, simulate, simulate_population
+from sysid.gear.model import (
+    TO_THE_CLOCK,
+    Drops,
+    Ending,
+    EventKind,
+    GearTrajectory,
+    PopulationSamples,
+    Status,
+    simulate,
+    simulate_population,
+)
 from sysid.gear.propulsion import Propulsion
 from sysid.landing.controllers import Controller
 from sysid.landing.drone import Drone
@@ -104,24 +114,30 @@ def run(
     tolerance: float,
     threads: int | None = None,
 ) -> Landings:
-    """Simulate landings whose thrust is known already; see `land_many`."""
-    drops = _drops(drone, scenarios, thrust, np.array([0.0, rules.horizon]))
-    flown = simulate_population(
-        drone.row, drops,
-        surface=drone.surface, tolerance=tolerance, threads=threads, ending=rules.ending("rest"),
-    )  # fmt: skip
+    """Simulate landings under a given thrust; see `land_many`."""
+    clock = np.array([0.0, rules.horizon])
+    drops, flown = _fly(drone, scenarios, thrust, clock, tolerance, threads, rules.ending("rest"))
     status, rest, flip = flown.status[0], flown.rest[0], flown.flip[0]
     distance = along_slope(flown.end_state[0], drops.slope) - along_slope(drops.body_state, drops.slope)
     outcome = rules.classes(distance, rest, flip, np.isin(status, _FAILED))
     return Landings(outcome, distance, rest, flip, triggers, status)
 
 
-def _drops(
-    drone: Drone, scenarios: Sequence[Scenario], thrust: Propulsion | Sequence[Propulsion], clock: FloatArray
-) -> Drops:
-    """Return landings in the form that the gear's kernel takes; all share one clock [s]."""
+def _fly(
+    drone: Drone,
+    scenarios: Sequence[Scenario],
+    thrust: Propulsion | Sequence[Propulsion],
+    clock: FloatArray,
+    tolerance: float,
+    threads: int | None,
+    ending: Ending = TO_THE_CLOCK,
+) -> tuple[Drops, PopulationSamples]:
+    """Simulate landings in the gear's kernel; all share one clock [s]."""
     starts = np.array([scenario.start(drone) for scenario in scenarios])
-    return Drops(slopes_of(scenarios), starts, [clock] * len(scenarios), thrust)
+    drops = Drops(slopes_of(scenarios), starts, [clock] * len(scenarios), thrust)
+    return drops, simulate_population(
+        drone.row, drops, surface=drone.surface, tolerance=tolerance, threads=threads, ending=ending
+    )
 
 
 def second_impacts(
@@ -136,11 +152,8 @@ def second_impacts(
 
     NaN where it does not within the horizon, or not before the drone has flipped.
     """
-    drops = _drops(drone, scenarios, thrust, np.array([0.0, rules.horizon]))
-    flown = simulate_population(
-        drone.row, drops,
-        surface=drone.surface, tolerance=tolerance, threads=threads, ending=rules.ending("both feet"),
-    )  # fmt: skip
+    clock = np.array([0.0, rules.horizon])
+    drops, flown = _fly(drone, scenarios, thrust, clock, tolerance, threads, rules.ending("both feet"))
     state = flown.contact_state[0, :, 1]
     return np.column_stack([flown.first_contact[0, :, 1], state[:, 5], state[:, 2] - drops.slope])
 
@@ -172,9 +185,7 @@ def land(
     first = {event.kind: event.time for event in reversed(trajectory.events)}
     rest = first.get(EventKind.REST, math.nan)
     flip = first.get(EventKind.FLIP, math.nan)
-    over = min(
-        flip if math.isfinite(flip) else math.inf, rest + rules.rest_time if rest == rest else math.inf
-    )
+    over = np.nanmin([flip, rest + rules.rest_time, math.inf])
     down = along_slope(trajectory.state, scenario.slope)
     known = np.isfinite(down)
     distance = float(np.interp(over, clock[known], down[known]) - down[0])
@@ -208,7 +219,7 @@ def _triggers(
 ) -> FloatArray:
     """Return when the controller begins in each landing [s], NaN where nothing triggers it.
 
-    Landings begin at touchdown. The drone's sensor sees a flight whose motors go on hovering.
+    Landings begin at touchdown. The drone's sensor sees a flight whose motors keep the hover command.
     """
     controller.check_within(rules.horizon)
     if controller.sensing is None:
@@ -216,8 +227,7 @@ def _triggers(
     sensing = controller.sensing
     clock = np.arange(round(sensing.window * sensing.rate) + 1) / sensing.rate
     hovering = motors.propulsion(controller.steps, rules.horizon + 1.0)
-    drops = _drops(drone, scenarios, hovering, clock)
-    flown = simulate_population(drone.row, drops, surface=drone.surface, tolerance=tolerance, threads=threads)
+    _, flown = _fly(drone, scenarios, hovering, clock, tolerance, threads)
     states = flown.samples[0].reshape(len(scenarios), len(clock), 6)
     return np.array([sensing.trigger(specific_force(state, sensing.rate, drone)) for state in states])
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
 from typing import Literal
 
 from sysid.gear.propulsion import Propulsion
@@ -16,8 +18,8 @@ from sysid.landing.controllers import Step
 from sysid.landing.drone import MOTORS_PER_PAIR, Drone
 from sysid.motor.pair_thrust import thrust_history
 
-# After the last command the thrust is followed for so long [s] and then held: ten electromechanical time
-# constants of 0.08 s, and a reversal ends after 0.25 s.
+# The thrust is computed for this time after the last command [s] and is constant from then on: ten
+# electromechanical time constants of 0.08 s, and a reversal ends after 0.25 s.
 SETTLING = 1.0
 
 Commands = tuple[tuple[float, float], ...]
@@ -42,17 +44,18 @@ class Motors:
         self._histories: dict[tuple[int, Commands], PiecewiseCubic] = {}
 
     def history(self, commands: Commands, pair: int = 0) -> PiecewiseCubic:
-        """Return the thrust of a pair [N] on the trigger's clock.
+        """Return the thrust of a pair (0 rear, 1 front) [N] on the trigger's clock.
 
-        `commands` are instants since the trigger [s] and the command u from each on. The pairs (0 rear, 1
-        front) differ only in a given `MotorState`.
+        `commands` are instants since the trigger [s] and the command u from each on. The pairs differ only
+        where the motors have a `MotorState`.
         """
-        changes = _changes(commands)
-        now = self._state
-        key = (0 if now is None else pair, changes)
+        # A command that repeats the one before changes nothing.
+        changes = tuple(next(equal) for _, equal in groupby(commands, key=itemgetter(1)))
+        state = self._state
+        key = (0 if state is None else pair, changes)
         if key not in self._histories:
             times = [-1.0, *(time for time, _ in changes)]
-            before = self._drone.hover_command if now is None else now.command[pair]
+            before = self._drone.hover_command if state is None else state.command[pair]
             levels = [before, *(level for _, level in changes)]
             self._histories[key] = thrust_history(
                 self._drone.motor,
@@ -60,7 +63,7 @@ class Motors:
                 levels,
                 changes[-1][0] + SETTLING,
                 motors=MOTORS_PER_PAIR,
-                initial="steady" if now is None else (now.current[pair], now.speed[pair]),
+                initial="steady" if state is None else (state.current[pair], state.speed[pair]),
                 ideal_reversal=self._ideal,
             )
         return self._histories[key]
@@ -73,12 +76,3 @@ class Motors:
             begins=begins,
             settled=steps[-1].after,
         )
-
-
-def _changes(commands: Commands) -> Commands:
-    """Leave out commands that repeat the one before."""
-    kept = [commands[0]]
-    for time, level in commands[1:]:
-        if level != kept[-1][1]:
-            kept.append((time, level))
-    return tuple(kept)

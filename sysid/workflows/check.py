@@ -34,10 +34,7 @@ def check_campaign(
 
     `surface` overrides a gear campaign's friction law.
 
-    Raises
-    ------
-    SysidError
-        When an input cannot be used.
+    Raises `SysidError` when an input cannot be used.
     """
     began = time.perf_counter()
     path = Path(path)

@@ -27,17 +27,14 @@ def compare_fits(
     The campaigns of the fits must lie where they lay. With `cross`, every fit's best set predicts every other
     fit's trials.
 
+    Raises `FitError` for fewer than two fits, or fits of several kinds.
+
     Returns
     -------
     document : dict
         ``fits`` (names), ``differences`` (per parameter and pair), ``cross`` (NRMSE of the fits' best sets by
         the campaigns' trials) or None, ``sentences``, ``warnings``.
     sets : tuple of ParameterSets
-
-    Raises
-    ------
-    FitError
-        For fewer than two fits, or fits of several kinds.
     """
     if len(folders) < 2:
         raise FitError("one fit compares with nothing; name two or more")

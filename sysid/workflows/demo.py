@@ -27,10 +27,7 @@ _CAMPAIGNS = {
 def find_samples(given: Path | None) -> Path:
     """Return the data_samples folder: given, in the working directory, or beside the installed sources.
 
-    Raises
-    ------
-    SysidError
-        When it is not there.
+    Raises `SysidError` when it is not there.
     """
     beside = Path(sysid.__file__).resolve().parents[1] / "data_samples"
     candidates = [given] if given is not None else [Path("data_samples"), beside]

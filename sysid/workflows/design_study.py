@@ -36,10 +36,7 @@ from sysid.workflows.options import DesignStudyOptions
 def study_designs(options: DesignStudyOptions, say: Say = None) -> DesignStudy | None:
     """Compute a study, write it and its figure, and print what each change buys; None if stopped.
 
-    Raises
-    ------
-    SysidError
-        Before anything is computed, where an input cannot be used.
+    Raises `SysidError` before anything is computed, where an input cannot be used.
     """
     how, motors, picture = options.compute, options.motors, options.out.with_suffix(".png")
     check_result("study", options.out, how.force, picture)

@@ -31,6 +31,9 @@ def export_sets(
 ) -> list[Path]:
     """Write the ranked sets of a fit folder or file, and return the files; the suffix chooses the format.
 
+    Raises `ExportError` when the sets do not suit the simulator, or a file exists or cannot be written; old
+    files survive.
+
     Parameters
     ----------
     target : Path
@@ -41,11 +44,6 @@ def export_sets(
         Slope of the ground [rad] (MuJoCo).
     per_leg : bool
         Model four single legs in space instead of two pairs in a plane (MuJoCo).
-
-    Raises
-    ------
-    ExportError
-        When the sets do not suit the simulator, or a file exists or cannot be written; old files survive.
     """
     sets = load_sets(source)
     suffix = target.suffix.lower()

@@ -96,6 +96,8 @@ def fit_campaign(
 ) -> tuple[FitResult, Path]:
     """Fit a model to the trials of a campaign and write the fit folder.
 
+    Raises `SysidError` when an input cannot be used; nothing has been written then.
+
     Parameters
     ----------
     kind : str, optional
@@ -109,11 +111,6 @@ def fit_campaign(
         Ranked sets and all that led to them.
     folder : Path
         Where it was written.
-
-    Raises
-    ------
-    SysidError
-        When an input cannot be used; nothing has been written then.
     """
     path, options = Path(path), options or FitOptions()
     model, campaign, ignored = open_campaign(path, kind, settings)

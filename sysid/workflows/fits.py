@@ -46,10 +46,7 @@ class FitEntry:
 def list_fits(folder: str | Path) -> list[FitEntry]:
     """Return the fits of a folder by name; an unfinished fit takes the place of its earlier, partial result.
 
-    Raises
-    ------
-    FitError
-        When there is no such folder.
+    Raises `FitError` when there is no such folder.
     """
     folder = Path(folder)
     if not folder.is_dir():

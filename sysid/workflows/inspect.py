@@ -31,10 +31,7 @@ Draw = Callable[[Sequence[Recording], Sequence[LogReport]], Path]
 def parse_options(given: Sequence[str]) -> dict[str, Any]:
     """Return loader options from ``name=value`` words; values are TOML, bare words are text.
 
-    Raises
-    ------
-    CampaignError
-        When a word has no ``=``.
+    Raises `CampaignError` when a word has no ``=``.
     """
     options: dict[str, Any] = {}
     for word in given:
@@ -60,6 +57,8 @@ def inspect_files(
 
     A log that is refused does not hide the others: its refusal stands in its place, and the last word.
 
+    Raises `SysidError` when a log is refused, after the others are printed.
+
     Parameters
     ----------
     format_name, options
@@ -68,11 +67,6 @@ def inspect_files(
         Draws the logs that are not refused, and returns the file.
     as_json : bool
         Print JSON and nothing else; a refused log is an object with the keys ``path`` and ``error``.
-
-    Raises
-    ------
-    SysidError
-        When a log is refused, after the others are printed.
     """
     recordings: list[Recording] = []
     results: list[tuple[Path, LogReport | SysidError]] = []
@@ -133,10 +127,7 @@ def convert_file(
 ) -> str:
     """Write a log, joined with a second one if given, in the HDF5 layout of sysid; return a sentence.
 
-    Raises
-    ------
-    LogError
-        When the destination exists and `force` is False, or the logs cannot be read or aligned.
+    Raises `LogError` when the destination exists and `force` is False, or the logs cannot be read or aligned.
     """
     sources = (path,) if second is None else (path, second.path)
     if to.resolve() in {source.resolve() for source in sources}:

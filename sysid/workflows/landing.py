@@ -41,10 +41,7 @@ def simulate_landings(options: SimulateOptions) -> list[Landing]:
 
     With a height the drone descends first, with the attitude controller on.
 
-    Raises
-    ------
-    SysidError
-        When the sets, the controller or the place to write cannot be used.
+    Raises `SysidError` when the sets, the controller or the place to write cannot be used.
     """
     scenario = Scenario(
         options.slope, options.speed, options.pitch, options.pitch_rate, options.horizontal_speed

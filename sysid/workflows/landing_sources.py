@@ -55,10 +55,8 @@ def chosen_controllers(
 
     The first contact starts them, or with the trigger ``imu`` the drone's accelerometer.
 
-    Raises
-    ------
-    CampaignError
-        When a name is unknown or stands twice, or a step comes later than the `horizon` [s].
+    Raises `CampaignError` when a name is unknown or stands twice, or a step comes later than the `horizon`
+    [s].
     """
     if file is not None:
         load_controllers(file)
@@ -76,10 +74,7 @@ def chosen_controllers(
 def open_fleets(motors: MotorOptions, gears: Sequence[Path]) -> tuple[Fleets, dict[str, Any]]:
     """Return the drones of every gear file, and where their numbers come from, for the result.
 
-    Raises
-    ------
-    SysidError
-        When sets cannot be used, or two gear files are of one surface.
+    Raises `SysidError` when sets cannot be used, or two gear files are of one surface.
     """
     if motors.pair not in PAIRINGS:
         raise CampaignError(f"--pair {motors.pair!r}: expected one of {', '.join(PAIRINGS)}")
@@ -106,10 +101,7 @@ def _origin(path: Path, sets: ParameterSets) -> dict[str, Any]:
 def check_result(what: str, out: Path, force: bool, *pictures: Path) -> None:
     """Refuse an HDF5 file or pictures that cannot be written, before the minutes of a result are spent.
 
-    Raises
-    ------
-    ExportError
-        When a file is of no known format or exists, or its folder does not exist.
+    Raises `ExportError` when a file is of no known format or exists, or its folder does not exist.
     """
     if out.suffix.lower() not in (".h5", ".hdf5"):
         raise ExportError(f"{out}: a {what} is written as HDF5; give --out a name that ends in .h5")

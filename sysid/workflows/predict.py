@@ -78,10 +78,7 @@ def predict(fit: FitResult, problem: Problem, values: FloatArray | None = None) 
 def open_under(fit: FitResult, path: Path, threads: int | None = None) -> tuple[Kind, Problem]:
     """Return the trials of a campaign under the law of a fit.
 
-    Raises
-    ------
-    SysidError
-        When the campaign is of another kind or cannot be used.
+    Raises `SysidError` when the campaign is of another kind or cannot be used.
     """
     with naming(path):
         kind, campaign, _ = open_campaign(path, fit.kind, fit.settings)
@@ -91,10 +88,7 @@ def open_under(fit: FitResult, path: Path, threads: int | None = None) -> tuple[
 def unseen(fit: FitResult, problem: Problem, path: Path) -> list[str]:
     """Return the names of the trials whose logs the fit was not made from.
 
-    Raises
-    ------
-    FitError
-        When there are none.
+    Raises `FitError` when there are none.
     """
     fitted = {trial.name for trial in fit.trials if trial.use == "fit"}
     left = _without_logs(fit, problem, fitted)
@@ -117,10 +111,8 @@ def predicted_fit(fit: FitResult, path: Path) -> FitResult:
 
     Those that it held back are in its report already.
 
-    Raises
-    ------
-    SysidError
-        When the campaign is of the other kind, cannot be used, or holds nothing but trials of the fit.
+    Raises `SysidError` when the campaign is of the other kind, cannot be used, or holds nothing but trials of
+    the fit.
     """
     with Journal() as journal:
         _, whole = open_under(fit, path)
@@ -152,10 +144,8 @@ def validate_fit(
 
     The campaign is any of the same kind; of the one that was fitted, the trials of use "validate" serve.
 
-    Raises
-    ------
-    SysidError
-        When nothing is left to validate with, or an input cannot be used; nothing has been written then.
+    Raises `SysidError` when nothing is left to validate with, or an input cannot be used; nothing has been
+    written then.
     """
     folder, campaign_path = fit_folder(folder), Path(campaign_path)
     result = read_fit(folder)
@@ -240,10 +230,7 @@ def cross_validate(
 ) -> dict[str, Any]:
     """Leave out each fitted trial in turn, fit the rest from the best set on, predict the trial left out.
 
-    Raises
-    ------
-    FitError
-        When fewer than two trials were fitted.
+    Raises `FitError` when fewer than two trials were fitted.
     """
     with Journal(say) as journal:
         opened = open_fit(folder, campaign, 1 if dask else threads)

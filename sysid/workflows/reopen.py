@@ -24,10 +24,7 @@ def fit_folder(path: Path) -> Path:
 def campaign_of(result: FitResult, folder: Path, given: Path | None) -> Path:
     """Return the campaign file of a fit: given, or where it lay when the fit was made.
 
-    Raises
-    ------
-    FitError
-        When it is not there.
+    Raises `FitError` when it is not there.
 
     A file that has changed since the fit is noticed.
     """
@@ -81,10 +78,8 @@ class OpenedFit:
 def open_fit(folder: Path, campaign: Path | None = None, threads: int | None = None) -> OpenedFit:
     """Read a fit folder and prepare the trials that it was fitted to.
 
-    Raises
-    ------
-    SysidError
-        When the fit or its campaign cannot be read, or the campaign frees other parameters than the fit.
+    Raises `SysidError` when the fit or its campaign cannot be read, or the campaign frees other parameters
+    than the fit.
     """
     folder = fit_folder(Path(folder))
     result = read_fit(folder)

@@ -26,10 +26,7 @@ def write_report(
 ) -> dict[str, Path]:
     """Write the report of a fit folder and what else is asked for; return the files by what they are.
 
-    Raises
-    ------
-    SysidError
-        When something is missing or would be overwritten; nothing has been written then.
+    Raises `SysidError` when something is missing or would be overwritten; nothing has been written then.
     """
     options = options or ReportOptions()
     tell = say or (lambda sentence: None)

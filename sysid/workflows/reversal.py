@@ -49,10 +49,7 @@ _PROTOCOLS = {"us": (1000.0, 1500.0, 2000.0), "1": (-1.0, 0.0, 1.0)}
 def command_range(options: ReversalOptions, unit: str, where: str) -> CommandRange:
     """Return the command range in the log's unit.
 
-    Raises
-    ------
-    LogError
-        When the protocol has no default and the user gave no neutral.
+    Raises `LogError` when the protocol has no default and the user gave no neutral.
     """
     given = (options.minimum, options.neutral, options.maximum)
     if options.forward_half is not None:
@@ -136,10 +133,7 @@ _NUMBERS = ("n", "to 90 %", "to zero", "dead band", "outliers")
 def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> LogReversals:
     """Read a log and time its reversals.
 
-    Raises
-    ------
-    LogError
-        When it cannot be read, holds no thrust or command, or no reversal.
+    Raises `LogError` when it cannot be read, holds no thrust or command, or no reversal.
     """
     options = options or ReversalOptions()
     path = Path(path)
@@ -249,10 +243,7 @@ def reversal_times(
 ) -> tuple[LogReversals, ...]:
     """Time the reversals of several logs, print them side by side, and draw them in the manner of Fig. 3.
 
-    Raises
-    ------
-    SysidError
-        For the first log that cannot be used; nothing is written then.
+    Raises `SysidError` for the first log that cannot be used; nothing is written then.
     """
     timed = [log_reversals(path, options) for path in logs]
     names = [log.name for log in timed]

@@ -23,10 +23,7 @@ DOCUMENTS: dict[str, type[Part]] = {
 def print_schema(name: str | None) -> None:
     """Print the JSON Schema of a document; without a name, the names.
 
-    Raises
-    ------
-    SysidError
-        For an unknown name.
+    Raises `SysidError` for an unknown name.
     """
     if name is None:
         print("\n".join(DOCUMENTS))

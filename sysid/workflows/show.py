@@ -19,10 +19,7 @@ from sysid.storage import check_file, write_file
 def load_sets(path: str | Path) -> ParameterSets:
     """Return the ranked sets of a fit folder or of a parameter-set file of any format.
 
-    Raises
-    ------
-    SysidError
-        When there is neither.
+    Raises `SysidError` when there is neither.
     """
     path = Path(path)
     if path.is_dir() or path.name == "fit.h5":
@@ -68,10 +65,7 @@ def _print_tables(sets: ParameterSets) -> None:
 def write_template(kind: str, path: Path, force: bool = False) -> Path:
     """Write a commented campaign file.
 
-    Raises
-    ------
-    CampaignError
-        When the file exists and `force` is off.
+    Raises `CampaignError` when the file exists and `force` is off.
     """
     check_file(path, force=force, error_type=CampaignError)
     template = resources.files("sysid").joinpath("templates", f"{kind}.toml")

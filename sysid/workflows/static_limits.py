@@ -19,10 +19,7 @@ def static_limits(source: str | Path, thrusts: Sequence[float]) -> tuple[str, li
 
     Rigid legs, then the fitted ones of the set: on a slow ramp, and put on the slope at once.
 
-    Raises
-    ------
-    ExportError
-        When the sets are not a gear's, or a thrust lifts the drone.
+    Raises `ExportError` when the sets are not a gear's, or a thrust lifts the drone.
     """
     sets = load_sets(source)
     if sets.kind != "gear":

@@ -39,10 +39,7 @@ _MOVED = 2.0
 def assess_fit(folder: Path, options: TrustOptions | None = None, say: Say = None) -> dict[str, Any]:
     """Assess a fit and store what was found in its folder; return the document of `sysid.trust.documents`.
 
-    Raises
-    ------
-    SysidError
-        When the fit or its campaign cannot be used; nothing has been written then.
+    Raises `SysidError` when the fit or its campaign cannot be used; nothing has been written then.
     """
     options = options or TrustOptions()
     began = time.perf_counter()

@@ -184,13 +184,13 @@ def test_pairs_that_share_a_simulation_equal_their_own(surface):
         Scenario(math.radians(slope), speed) for slope, speed in ((0, 0.5), (10, 0.3), (25, 0.6), (40, 1.2))
     ]
     impulses = Impulses(drone, SMALL)
-    found, simulated = impulses.search(cells, 1e-4)
+    found, simulated = impulses.search(cells)
     assert (simulated <= SMALL.combinations + 1).all()  # and the one that idles
     # Level: both feet touch at once, at the first command or, by rounding, 1e-18 s after it.
     assert simulated[0] <= 3
     for c, cell in enumerate(cells):
         delay, duration = (a.ravel() for a in np.meshgrid(SMALL.delays, SMALL.durations, indexing="ij"))
-        own = impulses.second_impacts([cell] * len(delay), delay, duration, 1e-4, None)
+        own = impulses.second_impacts([cell] * len(delay), delay, duration)
         # Thrust histories agree within 1e-6 before the command that they do not share.
         np.testing.assert_allclose(found[c].reshape(-1, 3), own, atol=1e-4)
 
@@ -199,8 +199,8 @@ def test_the_best_impulse_stops_the_pitching():
     drone = published()
     cells = [Scenario(math.radians(20.0), 0.4), Scenario(0.0, 1.0), Scenario(math.radians(3.0), 1.5)]
     impulses = Impulses(drone, ImpulseSettings())
-    best = impulses.optimize(cells, 1e-4)
-    bare = impulses.second_impacts(cells, np.zeros(3), np.zeros(3), 1e-4, None)
+    best = impulses.optimize(cells)
+    bare = impulses.second_impacts(cells, np.zeros(3), np.zeros(3))
     # 3 rad/s without an impulse, next to nothing with the best one.
     assert abs(bare[0, 1]) > 2.0
     assert abs(best.turn[0]) < 0.5
@@ -210,13 +210,13 @@ def test_the_best_impulse_stops_the_pitching():
     assert best.delay[1] == best.duration[1] == 0.0
     assert best.delay[2] == best.duration[2] == 0.0
     # Where it is asked for, the last few per cent are taken as well.
-    all_of_it = Impulses(drone, ImpulseSettings(worth=0.0, finest=0.0)).optimize(cells[2:], 1e-4)
+    all_of_it = Impulses(drone, ImpulseSettings(worth=0.0, finest=0.0)).optimize(cells[2:])
     assert 0.94 * abs(best.turn[2]) < abs(all_of_it.turn[0]) < abs(best.turn[2])
     # If turn rates below 1 rad/s are all the same, the attitude decides.
-    level = Impulses(drone, ImpulseSettings(equal=1.0, finest=0.0)).optimize(cells[:1], 1e-4)
+    level = Impulses(drone, ImpulseSettings(equal=1.0, finest=0.0)).optimize(cells[:1])
     assert abs(level.attitude[0]) <= abs(best.attitude[0])
     assert abs(level.turn[0]) <= 1.0
-    again = impulses.second_impacts(cells[:1], best.delay[:1], best.duration[:1], 1e-4, 1)
+    again = impulses.second_impacts(cells[:1], best.delay[:1], best.duration[:1])
     assert again[0, 1] == pytest.approx(best.turn[0], abs=1e-9)
 
 

@@ -188,16 +188,16 @@ def test_no_impulse_is_always_tried():
     grid = ImpulseSettings(delays=(0.02, 0.04), durations=(0.04,), finest=0.0)
     assert grid.combinations == 3
     # Level and fast both feet touch at once: nothing to stop.
-    level = Impulses(drone, grid).optimize([Scenario(0.0, 1.0)], 1e-4)
+    level = Impulses(drone, grid).optimize([Scenario(0.0, 1.0)])
     assert (level.delay[0], level.duration[0]) == (0.0, 0.0)
     # Within 1 ms the front foot, 0.3 m down-slope, comes nowhere near the ground.
     blind = ImpulseSettings(delays=(0.02,), durations=(0.04,), horizon=1e-3)
-    never = Impulses(drone, blind).optimize([Scenario(math.radians(25.0), 0.3)], 1e-4)
+    never = Impulses(drone, blind).optimize([Scenario(math.radians(25.0), 0.3)])
     assert (never.delay[0], never.duration[0]) == (0.0, 0.0)
     assert (never.refined_delay[0], never.refined_duration[0]) == (0.0, 0.0)
     assert math.isnan(never.turn[0])
     # Where an impulse is worth it, the grid still decides: 3 rad/s without one.
-    worth = Impulses(drone, grid).optimize([Scenario(math.radians(20.0), 0.4)], 1e-4)
+    worth = Impulses(drone, grid).optimize([Scenario(math.radians(20.0), 0.4)])
     assert worth.duration[0] == 0.04
 
 
@@ -206,10 +206,10 @@ def test_the_search_for_an_impulse_keeps_the_rules_of_landings():
     grid = ImpulseSettings(delays=(0.0, 0.02), durations=(0.0, 0.04), finest=0.0)
     # The front foot comes down after some 0.1 s; a level drone stands 20 deg from this slope to begin with.
     cell = [Scenario(math.radians(20.0), 0.4)]
-    found = Impulses(drone, grid, Rules(horizon=0.5)).optimize(cell, 1e-4)
+    found = Impulses(drone, grid, Rules(horizon=0.5)).optimize(cell)
     assert math.isfinite(found.turn[0])
     for rules in (Rules(horizon=0.02), Rules(flip_angle=math.radians(10.0))):
-        assert math.isnan(Impulses(drone, grid, rules).optimize(cell, 1e-4).turn[0])
+        assert math.isnan(Impulses(drone, grid, rules).optimize(cell).turn[0])
 
 
 def test_the_horizon_and_the_flip_angle_reach_the_search_of_an_impulse_map(done):
