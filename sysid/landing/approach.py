@@ -32,20 +32,14 @@ class Descent:
 def descend(drone: Drone, begin: Scenario, height: float) -> Descent:
     """Fly down until the first foot touches.
 
-    Raises `CampaignError` when the height or the speed is not above 0, or the drone turns over or rises
-    before it touches.
-
-    Parameters
-    ----------
-    begin : Scenario
-        Slope, and what the drone has at the beginning: pitch, rates, speed of descent.
-    height : float
-        Way down at the beginning [m], of the body, above its touchdown at that pitch.
+    `begin` holds the slope and what the drone has at the beginning: pitch, rates, speed of descent. `height`
+    is the way down of the body from there to its touchdown at that pitch [m]. Raises `CampaignError` when
+    height or speed is not above 0, or the drone turns over or rises before it touches.
 
     Notes
     -----
-    Rigid legs, whose mass counts with the body's; the total thrust is that of hovering, so a level drone
-    keeps its speed. Equations (1, 3) of both motor pairs are integrated with the flight (scipy, LSODA).
+    The legs are rigid and their mass counts with the body's. The total thrust is the hovering one, so a level
+    drone keeps its speed. Equations (1, 3) of both motor pairs are integrated with the flight (scipy, LSODA).
     """
     from scipy.integrate import solve_ivp
 

@@ -45,16 +45,9 @@ class Step:
 class Controller:
     """What the motors do in a landing; before the trigger they keep the hover command.
 
-    Parameters
-    ----------
-    name : str
-        As written: ``reverse``, ``impulse:delay=0.05,duration=0.1``.
-    steps : tuple of Step
-        In the order of time.
-    ideal_reversal : bool
-        Motors without saturation (I_sat = ∞), as in Fig. 11.
-    sensing : Sensing, optional
-        The drone's accelerometer as trigger; the first contact of a foot by default.
+    `name` is as written, ``impulse:delay=0.05,duration=0.1``; `steps` are in the order of time. Motors of an
+    `ideal_reversal` have no saturation (I_sat = ∞), as in Fig. 11. The trigger is the first contact of a
+    foot, or what the drone's accelerometer does by `sensing`.
     """
 
     name: str
@@ -142,13 +135,9 @@ def impulse(
 def find_controller(text: str, *, ideal_reversal: bool = False, sensing: Sensing | None = None) -> Controller:
     """Return a controller as it is asked for on the command line.
 
-    Parameters
-    ----------
-    text : str
-        Name, then its options by name or in order: ``reverse``, ``command:-0.5``,
-        ``impulse:delay=50ms,duration=0.1``; a number without unit is SI.
-    ideal_reversal, sensing
-        As in `Controller`.
+    `text` is a name, then its options by name or in order: ``reverse``, ``command:-0.5``,
+    ``impulse:delay=50ms,duration=0.1``; a number without unit is SI. Raises `CampaignError` for a controller
+    or options that are not known, and for steps that are out of order or no commands.
     """
     name, _, options = text.partition(":")
     recipe = CONTROLLERS.get(name.strip())

@@ -41,16 +41,8 @@ _MOST = 41
 class Change:
     """One number of the design and the values that it takes.
 
-    Parameters
-    ----------
-    name : str
-        A row of the gear's or the motor's table, or ``reversal_delay``.
-    symbol : str
-        For tables and figures.
-    kind : {"gear", "motor", "reversal"}
-        Where it acts.
-    values : tuple of float
-        Factors on the value of the sets [1]; of ``reversal_delay`` what is added to it [s].
+    `name` is a row of the gear's or the motor's table, or ``reversal_delay``; `symbol` is for tables and
+    figures. `values` are factors on the value of the sets [1], or what is added to the reversal delay [s].
     """
 
     name: str
@@ -107,7 +99,7 @@ def find_changes(text: str) -> tuple[Change, ...]:
 
     Each is ``NAME=FIRST:LAST:COUNT``. NAME is a row of the gear's or the motor's table by name or symbol, its
     values are factors in equal ratios; or ``reversal_delay``, its values are added seconds in equal steps
-    (``0ms:200ms:5``).
+    (``0ms:200ms:5``). Raises `CampaignError` for anything else, and for a number that is varied twice.
     """
     changes = tuple(_change(part.strip()) for part in text.split(",") if part.strip())
     if not changes:
@@ -158,14 +150,10 @@ def _find(name: str) -> tuple[Kind, str, str]:
 
 @dataclass(frozen=True)
 class StudySettings:
-    """Grid of a study, and when a slope is safe.
+    """Grid of a study, over slopes [deg] and touchdown speeds [m/s], and when a slope is safe.
 
     Parameters
     ----------
-    slopes_deg : tuple of float
-        [deg], increasing.
-    speeds : tuple of float
-        Touchdown speeds [m/s], increasing.
     share : float
         Least share of the landings that must come to rest within the long distance [1].
     spread_deg : float
@@ -209,8 +197,7 @@ class DesignStudy:
     points : (p, c) array
         Value of each change in every design; the first is the sets as they are.
     landed : (p, n, m) array
-        Share of the landings at rest within the long distance, of those that could be simulated, over slopes
-        and speeds [1]; 0 where none could.
+        Share of the landings within the long distance over slopes and speeds [1], as from `shares_of`.
     lost : (p,) int64 array
         Landings of each design that could not be simulated.
     """
@@ -285,7 +272,10 @@ class DesignStudy:
 
 
 def designs(changes: Sequence[Change], together: bool = False) -> FloatArray:
-    """Return the values (p, c) of every design: the sets as they are, then one change at a time or a grid."""
+    """Return the values (p, c) of every design: the sets as they are, then one change at a time or a grid.
+
+    Raises `CampaignError` for a grid of other than two changes.
+    """
     neutral = [change.neutral for change in changes]
     rows = [neutral]
     if together:

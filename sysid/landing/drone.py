@@ -24,17 +24,9 @@ MOTORS_PER_PAIR = 2
 
 @dataclass(frozen=True, eq=False)
 class Drone:
-    """One set of the gear with one set of its motors.
+    """One set of the gear with one set of its motors, by parameter name [SI], under a surface's friction law.
 
-    Parameters
-    ----------
-    gear, motor : mapping of str to float
-        By name, as in `sysid.gear.model.PARAMETERS` and `sysid.motor.model.PARAMETERS` [SI]. The motor's
-        ``command_delay`` delays every command.
-    surface : str
-        Friction law: ``lf``, ``hf`` or one's own.
-    name : str
-        For tables and sentences.
+    The motor's ``command_delay`` delays every command. The `name` is for tables and sentences.
     """
 
     gear: Mapping[str, float]

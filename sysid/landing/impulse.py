@@ -41,17 +41,13 @@ class ImpulseSettings:
     Parameters
     ----------
     delays, durations : tuple of float
-        The grid [s]; the paper's by default.
-    front, rear : float
-        Commands during the impulse [1]; see `rear_command`.
-    idle : float
-        Command of all motors until the impulse [1].
-    after : float
-        Command of all motors after it [1].
+        The grid [s].
+    front, rear, idle, after : float
+        Commands of the pairs during the impulse, see `rear_command`; of all motors before and after it [1].
     ideal_reversal : bool
         Motors without saturation.
     horizon : float
-        A second impact is looked for so long after the first [s], or as long as landings are simulated.
+        A second impact is looked for this long after the first [s], or as long as landings are simulated.
     finest : float
         The optimum is refined to this step [s]; 0 keeps the grid's.
     worth : float
@@ -134,21 +130,12 @@ def rear_command(front: float = IMPULSE_COMMAND, *, ideal_reversal: bool = False
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """The best impulse of each of n landings.
+    """The best impulse of each of n landings, on the grid and refined.
 
-    Parameters
-    ----------
-    delay, duration : (n,) arrays
-        On the grid [s], both 0 where no impulse is worth it or the front foot never touches down: reverse
-        thrust (what follows the impulse) alone.
-    turn : (n,) array
-        Angular speed at the second impact [rad/s], NaN where there is none.
-    attitude : (n,) array
-        Pitch minus slope then [rad].
-    refined_delay, refined_duration, refined_turn, refined_attitude : (n,) arrays
-        The same, refined.
-    simulated : (n,) int64 array
-        Landings that were simulated for the grid; all other pairs equal one of them.
+    `delay` and `duration` (n,) [s] are 0 where no impulse is worth it or the front foot never touches down:
+    all motors reverse (what follows the impulse) at once. `turn` is the angular speed at the second impact
+    [rad/s], `attitude` pitch minus slope then [rad], NaN where there is none. `simulated` landings were
+    needed for the grid; all other pairs equal one of them.
     """
 
     delay: FloatArray

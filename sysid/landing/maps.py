@@ -33,24 +33,11 @@ _USUAL_SPEEDS = (0.3, 0.6, 1.0, 1.5)
 
 @dataclass(frozen=True)
 class MapSettings:
-    """Cells of a map and how they are computed.
+    """Cells of a map, over increasing slopes [deg] and touchdown speeds [m/s], and how they are computed.
 
-    Parameters
-    ----------
-    slopes_deg : tuple of float
-        [deg], increasing.
-    speeds : tuple of float
-        Vertical touchdown speeds [m/s], increasing.
-    rules : Rules
-        When a landing is over.
-    tolerance : float
-        Bound of the weighted rms error of the rates per step.
-    check : bool
-        Repeat every landing with half the tolerance and mark those whose class changes.
-    pitch : float
-        Of the body at touchdown [rad].
-    horizontal_speed : float
-        At touchdown [m/s].
+    `tolerance` bounds the weighted rms error of the rates per step. With `check` every landing is repeated
+    with half of it, to mark those whose class changes. Pitch [rad] and horizontal speed [m/s] are at
+    touchdown.
     """
 
     slopes_deg: tuple[float, ...] = SLOPES_DEG
@@ -109,9 +96,7 @@ class LandingMap(CellMap):
     distance, time : (S, n, m) arrays
         Displacement down the slope [m] and time to rest [s], NaN where it did not come to rest.
     uncertain : (S, n, m) bool array
-        Whether half the tolerance changes the class.
-    checked : bool
-        Whether that was tried; `uncertain` says nothing otherwise.
+        Whether half the tolerance changes the class; says nothing where that was not `checked`.
     """
 
     outcome: NDArray[np.int8]

@@ -106,16 +106,11 @@ class Rules:
     def classes(
         self, distance: FloatArray, rest: FloatArray, flip: FloatArray, lost: BoolArray
     ) -> NDArray[np.int8]:
-        """Return the `Outcome` codes (...).
+        """Return the `Outcome` codes (...) of landings.
 
-        Parameters
-        ----------
-        distance : (...) array
-            Displacement of the body's centre of mass down the slope when the landing was over [m].
-        rest, flip : (...) arrays
-            When it came to rest and when it flipped [s], NaN where it did not; the earlier one counts.
-        lost : (...) bool array
-            Whether the simulation failed.
+        `distance` is the displacement of the body's centre of mass down the slope when the landing was over
+        [m]. `rest` and `flip` tell when it came to rest and flipped [s], NaN where it did not; the earlier
+        one counts. `lost` tells whether the simulation failed.
         """
         far = np.abs(distance)
         flipped = np.isfinite(flip) & ~(rest < flip)

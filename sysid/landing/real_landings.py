@@ -35,16 +35,10 @@ SURFACE_WORDS = {"low friction": "lf", "low": "lf", "high friction": "hf", "high
 
 @dataclass(frozen=True)
 class Experiment:
-    """One landing of a real drone.
+    """One landing of a real drone, at a slope [deg] and a vertical touchdown speed [m/s].
 
-    Parameters
-    ----------
-    surface, controller : str
-        As the map calls them; the controller's name is enough, whatever triggers it.
-    slope_deg, speed : float
-        [deg], vertical touchdown speed [m/s].
-    outcome : str
-        One of `WORDS`.
+    Surface and controller are as the map calls them; the controller's name is enough, whatever triggers it.
+    The outcome is one of `WORDS`.
     """
 
     surface: str
@@ -58,15 +52,9 @@ class Experiment:
 class Confusion:
     """Observed against simulated on one map.
 
-    Parameters
-    ----------
-    words : tuple of str
-        Observed outcomes, rows of `counts`.
-    counts : (n, 4) array
-        Landings by the likeliest simulated class, in the order of `OUTCOMES`.
-    agreeing, outside, lost : int
-        Landings whose cell agrees with what was observed; landings outside the map, and in cells that could
-        not be simulated, both counted nowhere else.
+    `counts` (n, 4) are landings by observed word and likeliest simulated class (`OUTCOMES`). The cell of
+    `agreeing` ones agrees with what was observed. Landings `outside` the map, and in cells that were `lost`
+    to the simulation, are counted nowhere else.
     """
 
     words: tuple[str, ...]
@@ -76,7 +64,7 @@ class Confusion:
     lost: int = 0
 
     def document(self) -> dict[str, Any]:
-        """Return the counts by observed outcome and simulated class, and the rest, ready for JSON."""
+        """Return the counts by observed outcome and simulated class, and the totals, ready for JSON."""
         names = [outcome.name.lower() for outcome in OUTCOMES]
         counts = {
             word: dict(zip(names, row, strict=True))
@@ -87,7 +75,10 @@ class Confusion:
 
 
 def read_experiments(path: Path) -> tuple[Experiment, ...]:
-    """Return the rows of a CSV file with the columns of `COLUMNS`; refuse a row that makes no sense."""
+    """Return the rows of a CSV file with the columns of `COLUMNS`.
+
+    Raises `LogError` for a table that cannot be read, or a row that makes no sense.
+    """
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             reader = csv.DictReader(stream)

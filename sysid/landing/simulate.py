@@ -41,7 +41,7 @@ _FAILED = (Status.STEP_COLLAPSED, Status.TOO_EXPENSIVE, Status.BLEW_UP)
 
 @dataclass(frozen=True, eq=False)
 class Landings:
-    """What became of many landings, one entry each.
+    """What became of n landings.
 
     Parameters
     ----------
@@ -50,12 +50,8 @@ class Landings:
     distance : (n,) array
         Displacement of the body's centre of mass down the slope from touchdown to rest, flip or the horizon
         [m].
-    time : (n,) array
-        From touchdown until it came to rest [s], NaN where it did not.
-    flip : (n,) array
-        When it flipped [s], NaN where it did not.
-    trigger : (n,) array
-        When the controller began [s], NaN where it never did.
+    time, flip, trigger : (n,) arrays
+        From touchdown until it came to rest, flipped, and the controller began [s]; NaN where it never did.
     status : (n,) int8 array
         `sysid.gear.model.Status` codes.
     """

@@ -90,15 +90,10 @@ class StaticLimit:
 
 @dataclass(frozen=True)
 class RigidLimits:
-    """Closed forms for rigid legs.
+    """Closed forms for rigid legs: slopes [rad] at which the drone slides and tips, 90 deg if it never does.
 
-    Parameters
-    ----------
-    slide, tip : float
-        Slopes at which the drone slides and tips [rad]; 90 deg where it never does.
-    creep : float
-        On a surface that never sticks: slope at which it creeps at the speed that was asked for [rad];
-        elsewhere the slide limit.
+    On a surface that never sticks, `creep` is the slope at which it creeps at a given speed; elsewhere it is
+    the slide limit.
     """
 
     slide: float
@@ -124,14 +119,9 @@ def slide_limit(friction: float, thrust_ratio: float = 0.0) -> float:
 def tip_limit(distance: float, height: float, thrust_ratio: float = 0.0, lever: float | None = None) -> float:
     """Return the slope [rad] at which a rigid drone tips over its front feet, 0 to 90 deg.
 
-    Parameters
-    ----------
-    distance, height : float
-        Of the whole's centre of mass from the front feet, along and normal to the slope [m].
-    thrust_ratio : float
-        Reverse thrust over weight [1]; negative lifts.
-    lever : float, optional
-        Distance of the thrust from the front feet along the slope [m]; `distance` by default.
+    `distance` and `height` are of the whole's centre of mass from the front feet, along and normal to the
+    slope [m]; `thrust_ratio` is reverse thrust over weight [1], negative lifts; `lever` is the distance of
+    the thrust from the front feet along the slope [m], by default `distance`.
     """
     return _limit(distance, height, thrust_ratio * (distance if lever is None else lever))
 
@@ -153,18 +143,11 @@ def rigid_limits(
     *,
     creep_speed: float = 0.05,
 ) -> RigidLimits:
-    """Return the closed forms for a set of the gear.
+    """Return the closed forms for a set of the gear, by name as in `sysid.gear.model.PARAMETERS` [SI].
 
-    Parameters
-    ----------
-    gear : mapping
-        By name, as in `sysid.gear.model.PARAMETERS` [SI].
-    surface : str or Surface
-        Its friction law: the static coefficient counts where feet stick, the kinetic one elsewhere.
-    reverse_thrust : float
-        Sum over all motors [N]; negative lifts.
-    creep_speed : float
-        For `RigidLimits.creep` [m/s]; 0.05 m/s is the speed below which a landing is at rest.
+    The surface's static coefficient counts where feet stick, the kinetic one elsewhere. `reverse_thrust` is
+    the sum over all motors [N]; negative lifts. `creep_speed` is for `RigidLimits.creep` [m/s]: below
+    0.05 m/s a landing is at rest.
     """
     law = find_surface(surface)
     p = _Rig.of(gear, law, reverse_thrust)

@@ -31,7 +31,7 @@ class MapFile:
 
 
 def write_maps(path: Path, content: MapFile) -> Path:
-    """Write the file whole or not at all."""
+    """Write the file whole or not at all; raises `ExportError` where it cannot be written."""
     write_file(path, MAPS.content(lambda file: _put_maps(file, content)), ExportError)
     return path
 
@@ -71,7 +71,7 @@ def _group(file: Any, name: str, cells: CellMap) -> Any:
 
 
 def write_study(path: Path, study: DesignStudy, provenance: Mapping[str, Any]) -> Path:
-    """Write the file whole or not at all."""
+    """Write the file whole or not at all; raises `ExportError` where it cannot be written."""
     write_file(path, STUDY.content(lambda file: _put_study(file, study, provenance)), ExportError)
     return path
 

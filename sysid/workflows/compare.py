@@ -22,19 +22,12 @@ from sysid.workflows.reopen import OpenedFit, open_fit
 def compare_fits(
     folders: Sequence[Path], *, cross: bool = True, threads: int | None = None, say: Say = None
 ) -> tuple[dict[str, Any], tuple[ParameterSets, ...]]:
-    """Compare fits of one kind.
+    """Compare fits of one kind; return the comparison and the sets of each fit.
 
     The campaigns of the fits must lie where they lay. With `cross`, every fit's best set predicts every other
-    fit's trials.
-
-    Raises `FitError` for fewer than two fits, or fits of several kinds.
-
-    Returns
-    -------
-    document : dict
-        ``fits`` (names), ``differences`` (per parameter and pair), ``cross`` (NRMSE of the fits' best sets by
-        the campaigns' trials) or None, ``sentences``, ``warnings``.
-    sets : tuple of ParameterSets
+    fit's trials: ``cross`` is the NRMSE of the fits' best sets by the campaigns' trials, or None. The other
+    keys are ``fits`` (names), ``kind``, ``differences`` (per parameter and pair), ``sentences`` and
+    ``warnings``. Raises `FitError` for fewer than two fits, or fits of several kinds.
     """
     if len(folders) < 2:
         raise FitError("one fit compares with nothing; name two or more")

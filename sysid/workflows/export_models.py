@@ -31,19 +31,10 @@ def export_sets(
 ) -> list[Path]:
     """Write the ranked sets of a fit folder or file, and return the files; the suffix chooses the format.
 
-    Raises `ExportError` when the sets do not suit the simulator, or a file exists or cannot be written; old
-    files survive.
-
-    Parameters
-    ----------
-    target : Path
-        File to write. Several sets become several models, ``NAME-1.xml``, ``NAME-2.xml`` ..., by rank.
-    rank : int, optional
-        Write only this set as a model, to `target` itself; 1 is the best.
-    slope : float
-        Slope of the ground [rad] (MuJoCo).
-    per_leg : bool
-        Model four single legs in space instead of two pairs in a plane (MuJoCo).
+    Several sets become several models, ``NAME-1.xml``, ``NAME-2.xml`` ..., by rank; with a `rank` only that
+    set is written, to `target` itself. For MuJoCo, `slope` is the ground's [rad], and `per_leg` models four
+    single legs in space instead of two pairs in a plane. Raises `ExportError` when the sets do not suit the
+    simulator, or a file exists or cannot be written; old files survive.
     """
     sets = load_sets(source)
     suffix = target.suffix.lower()

@@ -94,23 +94,11 @@ def fit_campaign(
     settings: Mapping[str, Any] | None = None,
     say: Say = None,
 ) -> tuple[FitResult, Path]:
-    """Fit a model to the trials of a campaign and write the fit folder.
+    """Fit a model to the trials of a campaign; return the ranked sets, what led to them, and the folder.
 
-    Raises `SysidError` when an input cannot be used; nothing has been written then.
-
-    Parameters
-    ----------
-    kind : str, optional
-        What the campaign must be of.
-    settings : mapping, optional
-        A law instead of the campaign's, see `sysid.workflows.kinds.open_campaign`.
-
-    Returns
-    -------
-    result : FitResult
-        Ranked sets and all that led to them.
-    folder : Path
-        Where it was written.
+    The campaign must be of the `kind`, if one is named. `settings` are a law instead of the campaign's, see
+    `sysid.workflows.kinds.open_campaign`. Raises `SysidError` when an input cannot be used; nothing has been
+    written then.
     """
     path, options = Path(path), options or FitOptions()
     model, campaign, ignored = open_campaign(path, kind, settings)

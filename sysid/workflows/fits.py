@@ -19,21 +19,10 @@ _SUFFIX = ".checkpoint"
 
 @dataclass(frozen=True)
 class FitEntry:
-    """One fit of a folder.
+    """One fit of a folder: best NRMSE until now [1], runs begun, last change [s since 1970].
 
-    Parameters
-    ----------
-    name : str
-        Of its folder.
-    state : str
-        ``running`` (a process works on it), ``stopped`` (can be continued), ``unfinished`` (one of these two;
-        its lock may not be opened), ``done``, or ``damaged``.
-    nrmse : float or None
-        Best until now [1].
-    runs : int
-        Runs that were begun [1].
-    changed : float
-        When it last changed [s since 1970].
+    The state is ``running`` (a process works on it), ``stopped`` (can be continued), ``unfinished`` (one of
+    these two; its lock may not be opened), ``done``, or ``damaged``.
     """
 
     name: str

@@ -55,18 +55,9 @@ def inspect_files(
 ) -> None:
     """Print what logs hold, as tables or JSON, and draw them.
 
-    A log that is refused does not hide the others: its refusal stands in its place, and the last word.
-
-    Raises `SysidError` when a log is refused, after the others are printed.
-
-    Parameters
-    ----------
-    format_name, options
-        Of all logs; the format ``"auto"`` judges by content.
-    draw : callable, optional
-        Draws the logs that are not refused, and returns the file.
-    as_json : bool
-        Print JSON and nothing else; a refused log is an object with the keys ``path`` and ``error``.
+    A refused log does not hide the others. Its refusal stands in its place, in JSON as an object with the
+    keys ``path`` and ``error``, and is raised in the end. `draw` gets the logs that are not refused and
+    returns the file.
     """
     recordings: list[Recording] = []
     results: list[tuple[Path, LogReport | SysidError]] = []

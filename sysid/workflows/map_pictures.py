@@ -29,16 +29,8 @@ def landing_pictures(
 ) -> Html:
     """Return the maps of every surface under every controller, in the manner of Fig. 8.
 
-    Parameters
-    ----------
-    gears : sequence of str or Path
-        Gear sets, one per surface.
-    motor : str or Path
-        Motor sets.
-    slopes, speeds : str
-        Grid [deg], [m/s]: first:last:step or a list.
-    controllers : sequence of str
-        As for ``sysid landing-map``.
+    There is one file of `gears` per surface. `slopes` [deg] and `speeds` [m/s] are first:last:step or a list,
+    `controllers` as for ``sysid landing-map``.
     """
     fleets, _ = open_fleets(MotorOptions(Path(motor)), [Path(gear) for gear in gears])
     settings = MapSettings(span(slopes, "slopes"), span(speeds, "speeds"), check=False)
@@ -58,14 +50,8 @@ def impulse_pictures(
 ) -> Html:
     """Return the landings after the best impulse and that impulse itself, in the manner of Figs. 9 to 11.
 
-    Parameters
-    ----------
-    gears, motor, slopes, speeds
-        As for `landing_pictures`.
-    delays, durations : str
-        What is tried [s].
-    ideal_reversal : bool
-        Motors without reversal delay; the rear pair then reverses in the impulse (Fig. 11).
+    `delays` and `durations` are tried [s]. Motors of an `ideal_reversal` reverse without delay, and the rear
+    pair then reverses in the impulse (Fig. 11). The rest is as for `landing_pictures`.
     """
     motors = MotorOptions(Path(motor), ideal_reversal=ideal_reversal)
     fleets, _ = open_fleets(motors, [Path(gear) for gear in gears])

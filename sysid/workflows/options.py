@@ -30,20 +30,10 @@ class Argument:
 
 
 class Flag:
-    """A field that the command line takes by its name.
+    """A field that the command line takes by its name, ``--name`` of the field or one of `names`.
 
-    Parameters
-    ----------
-    help : str
-        What the user reads.
-    *names : str
-        ``--name`` of the field by default.
-    least : float, optional
-        The smallest number that is accepted.
-    read : callable, optional
-        Makes the field's value from what the user gives, which is of the type `given`.
-    default : str, optional
-        What the help shows as the default; the field's default itself if empty.
+    The user reads `help`. `least` is the smallest number that is accepted. `read` makes the field's value
+    from what the user gives, which is of the type `given`. The help shows `default`, or the field's default.
     """
 
     def __init__(

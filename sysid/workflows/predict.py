@@ -36,10 +36,7 @@ from sysid.workflows.reopen import fit_folder, open_fit
 class Predicted:
     """Trials of a campaign, predicted by the sets of a fit.
 
-    Parameters
-    ----------
-    rows : (S, n_table) array
-        As `Problem.adopt` returns them [SI].
+    `rows` (S, n_table) are as `Problem.adopt` returns them [SI].
     """
 
     problem: Problem

@@ -48,15 +48,7 @@ def campaign_of(result: FitResult, folder: Path, given: Path | None) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class OpenedFit:
-    """A fit and its campaign.
-
-    Parameters
-    ----------
-    path : Path
-        Campaign file.
-    whole : Problem
-        All trials of the campaign under the law of the fit.
-    """
+    """A fit with its campaign file and all trials of the campaign, taken under the law of the fit."""
 
     folder: Path
     result: FitResult

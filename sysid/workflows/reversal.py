@@ -81,14 +81,9 @@ def command_range(options: ReversalOptions, unit: str, where: str) -> CommandRan
 class LogReversals:
     """Reversals of one log, one group of repetitions per pair of commands.
 
-    Parameters
-    ----------
-    thrust : (times [s], values [N])
-        As timed: tared, filtered where the log is fast.
-    crossing_from : {"speed", "thrust"}
-        What zero crossing and dead band were read from.
-    lost : int
-        Reversals left out because the logger stalled around their command.
+    `thrust` is times [s] and values [N] as timed: tared, filtered where the log is fast. Zero crossing and
+    dead band come from the channel `crossing_from`, speed or thrust. The `lost` reversals are left out
+    because the logger stalled around their command.
     """
 
     name: str
