@@ -14,19 +14,11 @@ from sysid.recording import Recording
 def load_stated(
     path: Path, format_name: str | None, stated: Mapping[str, Any], for_log: Mapping[str, Any] | None = None
 ) -> Recording:
-    """Load a log with the options of the campaign that its format takes.
+    """Load a log with those options `stated` in the campaign that its format takes; None is not stated.
 
     A campaign may mix formats: a quaternion order is for its pose tables, not for its Motive exports. What is
-    stated for one log must fit its format.
-
-    Parameters
-    ----------
-    path, format_name
-        The log and its format, which is judged by content where it is None or ``"auto"``.
-    stated : mapping
-        Loader options of the whole campaign, by name; None counts as not stated.
-    for_log : mapping, optional
-        Of this log alone; they win, and None takes a statement of the campaign back.
+    stated `for_log` alone must fit its format; it wins, and None takes a statement of the campaign back. The
+    format is judged by content where `format_name` is None or ``"auto"``.
     """
     if format_name is None or format_name == "auto":
         format_name = detect(path)

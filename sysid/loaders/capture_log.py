@@ -244,12 +244,12 @@ def _recording(
             notes.append(note("body-lost", f"{body.name} is lost in {lost} of {len(orientation)} frames"))
     if options.bodies is not None or (options.rigid_body is not None and not raw.chosen):
         rigid_body = None if raw.chosen else options.rigid_body
-        for body_name, markers in _marker_bodies(path, raw.markers, options, rigid_body).items():
+        for fitted, markers in _marker_bodies(path, raw.markers, options, rigid_body).items():
             points = np.stack([raw.markers[marker][1] for marker in markers], axis=1)
-            rotation, origin, residual, fit = fit_pose(path, body_name, markers, points)
+            rotation, origin, residual, fit = fit_pose(path, fitted, markers, points)
             turn = matrix_quaternions(rotation, np.isfinite(residual))
             time = raw.markers[markers[0]][0]
-            channels |= body_channels(body_name, time, origin, turn, {"residual": ("m", residual)})
+            channels |= body_channels(fitted, time, origin, turn, {"residual": ("m", residual)})
             notes.append(fit)
     blank = [marker for marker, (_, place) in raw.markers.items() if not np.isfinite(place).all(axis=1).any()]
     notes += listing_note("markers-never-seen", "markers never seen, left out", blank)

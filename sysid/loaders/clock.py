@@ -65,8 +65,6 @@ def order_rows(
     ``"refuse"`` (and the empty text, of a format without that option) makes a falling time a LogError, as is
     a log without times. `coarse` says what to do about a clock that repeats its times.
     """
-    if time_back not in ("", "refuse", "drop"):
-        raise LogError(f'{path}: time_back = {time_back!r} is unknown; expected "refuse" or "drop"')
     notes: list[Finding] = []
     timed = np.isfinite(numbers.columns[time_column])
     if not timed.all():

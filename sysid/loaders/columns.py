@@ -6,10 +6,13 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
-from sysid.loaders.source import shortened
+from sysid.loaders.options import LogOptions
+from sysid.loaders.source import SPACES, Source, Text, read_text, shortened, split_line
+from sysid.loaders.table import HEADER_SEARCH, Numbers, TableHead, all_numeric, find_header, read_numbers
 from sysid.units import factor_to_si
 
 _BRACKETED = re.compile(r"^(?P<stem>.*?)\s*[(\[]\s*(?P<unit>[^()\[\]]*?)\s*[)\]]$")
@@ -69,11 +72,25 @@ def parse_header(names: Sequence[str]) -> tuple[Column, ...]:
     )
 
 
+def header_columns(source: Source) -> tuple[Column, ...]:
+    """Return the columns of a log's header line; none without one."""
+    header = find_header(source.head_lines)
+    return parse_header(header[2]) if header else ()
+
+
 def listing(names: Iterable[str]) -> str:
     """Return names for a message, quoted, the first dozen."""
     names = [shortened(name, 80) for name in names if name]
     shown = ", ".join(f'"{name}"' for name in names[:12])
     return (f"{shown} and {len(names) - 12} more" if len(names) > 12 else shown) or "none"
+
+
+def factor_or_none(unit: str, expected: str) -> float | None:
+    """Return the factor from a unit to SI; None where it is not known or of another dimension."""
+    try:
+        return factor_to_si(unit, expected)
+    except UnitError:
+        return None
 
 
 @contextmanager
@@ -97,25 +114,6 @@ def unread_note(columns: Iterable[Column], read: Iterable[Column]) -> list[Findi
     return listing_note("columns-not-read", "columns not read", left)
 
 
-def find_column(path: str, columns: Sequence[Column], stems: Collection[str]) -> Column | None:
-    """Return the column whose stem is one of `stems`, or None; LogError when two columns answer to it."""
-    matches = [column for column in columns if column.stem in stems]
-    if len(matches) > 1:
-        raise LogError(
-            f"{path}: columns {matches[0].index + 1} and {matches[1].index + 1} are both named "
-            f'"{shortened(matches[1].label, 80)}"; rename or remove one'
-        )
-    return matches[0] if matches else None
-
-
-def missing_column(path: str, wanted: str, columns: Sequence[Column]) -> LogError:
-    """Return the refusal of a log that lacks a column."""
-    return LogError(
-        f"{path}: no column {wanted}; found {listing(column.label for column in columns)}; "
-        "rename the column in the log, or name the format if this is another kind of log"
-    )
-
-
 class DeclaredUnits:
     """Units that a user declares for columns, by label, stem or channel name; they win over the header."""
 
@@ -125,37 +123,40 @@ class DeclaredUnits:
             raise LogError(f'{path}: units = {units!r} is no table; expected for example {{thrust = "N"}}')
         self._declared = {str(name): str(unit) for name, unit in (units or {}).items()}
         self._used: set[str] = set()
-        self._said: list[Finding] = []
+        self._overruled: dict[tuple[str, str], None] = {}
         self._guessed: dict[str, str] = {}
 
     @property
     def notes(self) -> list[Finding]:
-        """What a reader should know about the units, one sentence each."""
-        if not self._guessed:
-            return self._said
+        """What a reader should know about the units."""
+        notes = [
+            note(
+                "unit-declared-over-header",
+                f"column {label!r} read in the declared unit {unit!r}, not in the header's",
+            )
+            for label, unit in self._overruled
+        ]
         by_unit: dict[str, list[str]] = {}
         for label, unit in self._guessed.items():
             by_unit.setdefault(unit, []).append(label)
-        guessed = "; ".join(f"{unit} of {listing(labels)}" for unit, labels in by_unit.items())
-        sentence = f"units taken from the ends of names, so check them: {guessed}"
-        return [*self._said, note("units-from-names", sentence)]
+        if by_unit:
+            guessed = "; ".join(f"{unit} of {listing(labels)}" for unit, labels in by_unit.items())
+            sentence = f"units taken from the ends of names, so check them: {guessed}"
+            notes.append(note("units-from-names", sentence))
+        return notes
 
     def unit_of(self, column: Column, channel: str, default: str | None = None) -> str | None:
         """Return the unit of a column: declared, else of the header, else `default`."""
-        for name in (channel, column.label, split_label(column.label)[0], column.stem):
-            match = next(
-                (key for key in self._declared if key == name or key.casefold() == name.casefold()), None
-            )
-            if match is not None:
-                self._used.add(match)
-                declared = self._declared[match]
-                if column.unit is not None and column.unit != declared:
-                    sentence = (
-                        f"column {column.label!r} read in the declared unit {declared!r}, not in the header's"
-                    )
-                    known = note("unit-declared-over-header", sentence)
-                    self._said += [] if known in self._said else [known]
-                return declared
+        names = [
+            name.casefold() for name in (channel, column.label, split_label(column.label)[0], column.stem)
+        ]
+        match = next((key for name in names for key in self._declared if key.casefold() == name), None)
+        if match is not None:
+            self._used.add(match)
+            declared = self._declared[match]
+            if column.unit not in (None, declared):
+                self._overruled[column.label, declared] = None
+            return declared
         if column.guessed and column.unit is not None:
             self._guessed[column.label] = column.unit
         return default if column.unit is None else column.unit
@@ -178,9 +179,9 @@ class DeclaredUnits:
                 turns = f'; if these are revolutions per second, declare units = {{{channel} = "rev/s"}}'
             raise UnitError(f'{self.path}: column "{column.label}": {error}{turns}') from error
 
-    def command(self, column: Column, default: str | None = None) -> str:
+    def command(self, column: Column) -> str:
         """Return the unit of a command, ``us``, ``dshot`` or ``1`` (a fraction); UnitError for others."""
-        unit = self.unit_of(column, "command", default)
+        unit = self.unit_of(column, "command")
         if unit is None or unit.casefold() not in COMMAND_UNITS:
             fault = "states no unit" if unit is None else f"has unit {unit!r}"
             raise UnitError(
@@ -197,3 +198,101 @@ class DeclaredUnits:
                 f'{self.path}: units names "{unused[0]}", which is no column that is read here; '
                 f"found {listing(column.label for column in columns)}"
             )
+
+
+def _renamed(path: str, names: Sequence[str], columns: Mapping[str, object]) -> list[str]:
+    """Return the names of a header with some replaced; a unit in brackets stays with its column."""
+    out = list(names)
+    for new, stated in columns.items():
+        place = names.index(stated) if isinstance(stated, str) and stated in names else -1
+        if isinstance(stated, int) and not isinstance(stated, bool) and 1 <= stated <= len(names):
+            place = stated - 1
+        stems = [split_label(name)[0] for name in names]
+        if place < 0 and isinstance(stated, str) and stems.count(split_label(stated)[0]) == 1:
+            place = stems.index(split_label(stated)[0])
+        if place < 0:
+            raise LogError(
+                f"{path}: columns says that {new} is {stated!r}, which is neither a column nor its number "
+                f"from 1; found {listing(names)}"
+            )
+        unit = split_label(names[place])[1]
+        out[place] = str(new) if unit is None else f"{new} ({unit})"
+    return out
+
+
+def table_head(
+    text: Text, columns: Sequence[str] | Mapping[str, object] | None = None, *, renames: bool = True
+) -> TableHead:
+    """Return the header of a table.
+
+    `columns` are names that the user declares for a log without header or with a wrong one: all of them in
+    order, or new name -> name in the header (or its number from 1). `renames`: the format has an option for
+    them, which a message may advise. A missing header and a wrong number of names are a LogError.
+    """
+    lines = list(text.lines(HEADER_SEARCH))
+    header = find_header([line for _, _, line in lines])
+    if header is None:
+        raise LogError(
+            f"{text.path}: only blank or comment lines; expected a header line and rows of numbers"
+        )
+    index, delimiter, names = header
+    number, offset, _ = lines[index]
+    headless = all_numeric(names)
+    if headless:
+        number, offset = number - 1, lines[index - 1][1] if index else 0
+    if headless and (columns is None or isinstance(columns, Mapping)):
+        advice = (
+            "declare all of them in order, columns = [...]"
+            if renames
+            else "put the instrument's header line back"
+        )
+        raise LogError(
+            f"{text.path}, line {lines[index][0]}: found numbers where the header line should name the "
+            f"columns; {advice}"
+        )
+    if isinstance(columns, Mapping):
+        names = _renamed(text.path, names, columns)
+    elif columns is not None:
+        if isinstance(columns, str) or not isinstance(columns, Sequence):
+            raise LogError(f"{text.path}: columns = {columns!r} is no list of names")
+        if len(columns) != len(names):
+            raise LogError(
+                f"{text.path}: columns declares {len(columns)} names but line {lines[index][0]} has "
+                f"{len(names)} cells; name every column, in order"
+            )
+        names = [str(name) for name in columns]
+    trailing = 0 if delimiter == SPACES else len(split_line(lines[index][2], delimiter)) - len(names)
+    return TableHead(tuple(names), delimiter, number, offset, trailing)
+
+
+class NamedTable:
+    """The table of a text log, whose `columns` are found by name, with the units that the user declares."""
+
+    def __init__(self, source: Source, options: LogOptions, *, renames: bool = True) -> None:
+        self.path, self.text = source.path, read_text(source)
+        self.head = table_head(self.text, options.columns, renames=renames)
+        self.columns = parse_header(self.head.names)
+        self.declared = DeclaredUnits(self.path, options.units)
+
+    def find(self, stems: Collection[str]) -> Column | None:
+        """Return the column whose stem is one of `stems`, or None; LogError when two columns answer to it."""
+        matches = [column for column in self.columns if column.stem in stems]
+        if len(matches) > 1:
+            raise LogError(
+                f"{self.path}: columns {matches[0].index + 1} and {matches[1].index + 1} are both named "
+                f'"{shortened(matches[1].label, 80)}"; rename or remove one'
+            )
+        return matches[0] if matches else None
+
+    def missing(self, wanted: str) -> LogError:
+        """Return the refusal of a log that lacks a column."""
+        return LogError(
+            f"{self.path}: no column {wanted}; found {listing(column.label for column in self.columns)}; "
+            "rename the column in the log, or name the format if this is another kind of log"
+        )
+
+    def read(self, wanted: Iterable[Column], **how: Any) -> Numbers:
+        """Return the numbers of some columns, as `read_numbers` does; the file's bytes are released."""
+        text = self.text
+        del self.text
+        return read_numbers(text, self.head, [column.index for column in wanted], **how)

@@ -22,7 +22,7 @@ from typing import Any
 from sysid.errors import LogError
 from sysid.journal import notice
 from sysid.loaders.columns import naming
-from sysid.loaders.options import DECLARED
+from sysid.loaders.options import DECLARED, Option
 from sysid.loaders.source import Source
 from sysid.recording import Recording
 from sysid.units import parse_quantity
@@ -84,11 +84,11 @@ def formats() -> dict[str, LogFormat]:
         except Exception as error:  # another package's code must not stop the built-in formats
             notice("format-not-loaded", f"log format {point.name!r} cannot be loaded: {error}")
             continue
-        if not isinstance(entry, LogFormat) or entry.name in known:
-            reason = "is no LogFormat" if not isinstance(entry, LogFormat) else f"repeats {entry.name!r}"
-            notice("format-left-out", f"log format {point.name!r} {reason}; left out")
+        if isinstance(entry, LogFormat) and entry.name not in known:
+            known[entry.name] = entry
             continue
-        known[entry.name] = entry
+        reason = f"repeats {entry.name!r}" if isinstance(entry, LogFormat) else "is no LogFormat"
+        notice("format-left-out", f"log format {point.name!r} {reason}; left out")
     return known
 
 
@@ -124,34 +124,28 @@ def _hint(word: str, known: Iterable[str]) -> str:
 def _detect(source: Source) -> LogFormat:
     known = formats()
     votes = {name: entry.recognize(source) for name, entry in known.items()}
-    for level in (CERTAIN, POSSIBLE):
-        winners = [name for name, vote in votes.items() if vote == level]
-        if len(winners) == 1:
-            return known[winners[0]]
-        if winners:
-            raise LogError(
-                f"{source.path}: the content fits {' and '.join(winners)}; "
-                f'choose one with format = "{winners[0]}"'
-            )
-    raise LogError(
-        f"{source.path}: not recognized as any log format by its content; "
-        f'if it is one of {", ".join(known)}, say so with format = "..."'
-    )
+    winners = [name for name, vote in votes.items() if vote == max(votes.values()) > NO]
+    if not winners:
+        raise LogError(
+            f"{source.path}: not recognized as any log format by its content; "
+            f'if it is one of {", ".join(known)}, say so with format = "..."'
+        )
+    if len(winners) > 1:
+        fits = f"the content fits {' and '.join(winners)}"
+        raise LogError(f'{source.path}: {fits}; choose one with format = "{winners[0]}"')
+    return known[winners[0]]
 
 
 def detect(path: str | Path) -> str:
     """Return the name of a log's format, judged by its content and never by its suffix.
 
-    Raises
-    ------
-    LogError
-        When the file cannot be read, or no format or several fit; the message names the candidates.
+    A file that cannot be read, and one that fits no format or several, are a LogError.
     """
     return _detect(Source(path)).name
 
 
 def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording:
-    """Read one log.
+    """Read one log: channels in SI, each on its own clock [s], with provenance.
 
     Parameters
     ----------
@@ -161,11 +155,6 @@ def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording
         What the log itself does not state, see `sysid.loaders.options`; a format takes the options in
         `LogFormat.options`. A rate [Hz] or a tare [s] may be a text with its unit (``"10 kHz"``). None counts
         as not given.
-
-    Returns
-    -------
-    Recording
-        Channels in SI, each on its own clock [s], with provenance.
 
     Raises
     ------
@@ -191,13 +180,14 @@ def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording
         )
     _check_kinds(source.path, given)
     for name, value in given.items():
-        choices = (chosen.takes or {}).get(name, ())
+        option = DECLARED.get(name, Option(""))
+        choices = (chosen.takes or {}).get(name) or option.choices
         if choices and value not in choices:
             expected = " or ".join(", ".join(f'"{word}"' for word in choices).rsplit(", ", 1))
             raise LogError(f"{source.path}: {name} = {value!r} is unknown; expected {expected}")
-        if name in DECLARED and DECLARED[name].unit and isinstance(value, str):
+        if option.unit and isinstance(value, str):
             with naming(f"{source.path}: {name} = {value!r}"):
-                given[name] = parse_quantity(value, DECLARED[name].unit)
+                given[name] = parse_quantity(value, option.unit)
     return chosen.read(source, **given)
 
 

@@ -9,17 +9,26 @@ noted; of other signals it is not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
-from sysid.errors import LogError, UnitError
+from sysid.errors import LogError
 from sysid.journal import Finding, note
 from sysid.loaders.clock import DECLARE_RATE, order_rows, positive_rate, rate_clock
-from sysid.loaders.columns import Column, DeclaredUnits, listing, listing_note, split_label, suffix_unit
+from sysid.loaders.columns import (
+    Column,
+    DeclaredUnits,
+    factor_or_none,
+    listing,
+    listing_note,
+    split_label,
+    suffix_unit,
+)
 from sysid.loaders.load_cell import (
     COMMAND,
     MEASURED,
@@ -35,7 +44,6 @@ from sysid.loaders.registry import family_format
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers
 from sysid.recording import Channel, FloatArray, Recording
-from sysid.units import factor_to_si
 
 # What signals of other names may be, in the unit that the channel carries. Temperatures (offset scales) and a
 # bare "g" (gram or standard gravity) are kept as recorded.
@@ -92,21 +100,27 @@ class Signal:
         """Whether it is a clock by its name; a ``T`` in degrees is a temperature."""
         if self.stem != "t" or self.stated_unit is None:
             return self.stem in TIME
-        try:
-            return factor_to_si(self.stated_unit, "s") > 0.0
-        except UnitError:
-            return False
+        return factor_or_none(self.stated_unit, "s") is not None
 
 
-def _found(signals: Mapping[str, Signal], passed_over: Sequence[str]) -> str:
-    """Return what a file holds, for a message."""
-    passed = f"; passed over: {listing(passed_over)}" if passed_over else ""
-    return f"found {listing(signals)}{passed}"
+@dataclass
+class RawSignals:
+    """What a file of named signals holds.
+
+    `measured`: only known quantities are read, thrust or torque among them; else signals of other names are
+    kept too, in SI where their unit is known and as recorded (unit ``""``) where it is not. `passed_over`
+    names what the file holds besides signals.
+    """
+
+    signals: Sequence[Signal]
+    device: str = ""
+    measured: bool = True
+    passed_over: Sequence[str] = ()
+    notes: list[Finding] = field(default_factory=list)
 
 
-def _named(
-    path: str, signals: Mapping[str, Signal], datasets: object, passed_over: Sequence[str]
-) -> dict[str, str]:
+def _named(path: str, signals: Mapping[str, Signal], datasets: object, what: str) -> dict[str, str]:
+    """Return channel -> signal name as the user states them in `datasets`; `what` is in the file."""
     known = {**_SPECIAL, **QUANTITIES}
     if not isinstance(datasets, Mapping):
         raise LogError(
@@ -121,30 +135,24 @@ def _named(
         if full is None:
             same = [name for name, signal in signals.items() if signal.label == given]
             if len(same) != 1:
-                raise LogError(f"{path}: no dataset /{given.strip('/')}; {_found(signals, passed_over)}")
+                raise LogError(f"{path}: no dataset /{given.strip('/')}; found {what}")
             full = same[0]
         chosen[str(channel)] = full
     return chosen
 
 
-def choose_signals(
-    path: str,
-    signals: Mapping[str, Signal],
-    datasets: Mapping[str, str] | None,
-    *,
-    measured: bool,
-    passed_over: Sequence[str] = (),
-) -> dict[str, str]:
+def _choose(path: str, signals: Mapping[str, Signal], raw: RawSignals, datasets: object) -> dict[str, str]:
     """Return channel -> signal name, ``time``, ``command`` and ``tachometer`` included.
 
-    Exactly the `datasets` are chosen where the user names them. With `measured`, thrust or torque must be
-    among them. A named signal that is not there, two signals of one channel and a missing thrust are a
-    LogError, which shows what the file holds and what was `passed_over`.
+    Exactly the `datasets` are chosen where the user names them. A named signal that is not there, two signals
+    of one channel and a missing thrust are a LogError, which shows what is in the file.
     """
+    passed = f"; passed over: {listing(raw.passed_over)}" if raw.passed_over else ""
+    what = f"{listing(signals)}{passed}"
+    chosen: dict[str, str] = {}
     if datasets is not None:
-        chosen = _named(path, signals, datasets, passed_over)
+        chosen = _named(path, signals, datasets, what)
     else:
-        chosen = {}
         stems = {**_SPECIAL, **{name: quantity.stems for name, quantity in QUANTITIES.items()}}
         for channel, known in stems.items():
             matches = [
@@ -159,9 +167,9 @@ def choose_signals(
                 )
             if len(matches) == 1:
                 chosen[channel] = matches[0]
-    if measured and not any(channel in chosen for channel in MEASURED):
+    if raw.measured and not any(channel in chosen for channel in MEASURED):
         raise LogError(
-            f'{path}: no dataset "Fz" or "Mz"; {_found(signals, passed_over)}; '
+            f'{path}: no dataset "Fz" or "Mz"; found {what}; '
             'name them with datasets = {thrust = "...", torque = "..."}'
         )
     return chosen
@@ -252,22 +260,15 @@ class _Clocks:
         return f"{name} states {rate:g} Hz but {what} steps by {step:.6g} s"
 
 
-def signal_channels(
-    path: str,
-    signals: Iterable[Signal],
-    options: BenchOptions,
-    *,
-    measured: bool,
-    passed_over: Sequence[str] = (),
-) -> tuple[dict[str, Channel], list[Finding]]:
-    """Return the channels of a file's signals and notes; the parameters are as of `RawSignals`.
+def _channels(path: str, raw: RawSignals, options: BenchOptions) -> tuple[dict[str, Channel], list[Finding]]:
+    """Return the channels of a file's signals and notes.
 
     A signal without a clock or a unit, and two that contradict each other, are a LogError or a UnitError.
     """
-    datasets, per_revolution = options.datasets, options.pulses_per_revolution
+    per_revolution, named = options.pulses_per_revolution, options.datasets is not None
     rate = None if options.rate is None else positive_rate(path, options.rate)
-    by_name = {signal.name: signal for signal in signals}
-    chosen = choose_signals(path, by_name, datasets, measured=measured, passed_over=passed_over)
+    by_name = {signal.name: signal for signal in raw.signals}
+    chosen = _choose(path, by_name, raw, options.datasets)
     check_tachometer(path, chosen, per_revolution)
     declared = DeclaredUnits(path, options.units)
     columns = {}
@@ -281,15 +282,16 @@ def signal_channels(
     for channel, name in chosen.items():
         if channel != "time":
             clocks.add(channel, name)
-    if not measured and datasets is None:
+    if not raw.measured and not named:
         times = {name for name, signal in by_name.items() if signal.is_time}
         others = [name for name in by_name if name not in chosen.values() and name not in times]
         for name in others:
             clocks.add(name, name)
 
     notes = clocks.notes
-    left = [name for name in by_name if name not in chosen.values()] if measured and datasets is None else []
-    notes += listing_note("datasets-not-read", "datasets not read", left)
+    if raw.measured and not named:
+        left = [name for name in by_name if name not in chosen.values()]
+        notes += listing_note("datasets-not-read", "datasets not read", left)
     channels: dict[str, Channel] = {}
     unknown: list[str] = []
     for key, names in clocks.members.items():
@@ -318,7 +320,7 @@ def signal_channels(
                 scale = declared.factor(column, channel, QUANTITIES[channel].unit, default)
                 channels[channel] = quantity_channel(channel, time, values * scale)
     notes += unknown_units_note(unknown)
-    notes += listing_note("passed-over", "passed over, as no rows of numbers", passed_over)
+    notes += listing_note("passed-over", "passed over, as no rows of numbers", raw.passed_over)
     declared.check_used(tuple(columns.values()))
     return channels, [*notes, *declared.notes]
 
@@ -332,20 +334,14 @@ def plain_unit(stated: str | None) -> tuple[str, float]:
     """Return (SI unit, factor) of a signal that is no known quantity; ``("", 1)`` if unknown."""
     stated = (stated or "").strip()
     # A decibel is logarithmic: no factor turns it into anything.
-    if (
-        stated in ("", "g", "G")
-        or stated.startswith("dB")
-        or any(mark in stated for mark in ("deg", "°", "º"))
-    ):
+    if stated in ("", "g", "G") or stated.startswith("dB") or re.search("deg|°|º", stated):
         return "", 1.0
     for expected, shown in _OTHER_UNITS.items():
         # A radian is a pure number to the units library: per cent, strain and counts are no angles.
         if expected == "rad" and "rad" not in stated:
             continue
-        try:
-            return shown, factor_to_si(stated, expected)
-        except UnitError:
-            continue
+        if (factor := factor_or_none(stated, expected)) is not None:
+            return shown, factor
     return "", 1.0
 
 
@@ -369,30 +365,12 @@ def unique_names(names: Sequence[str]) -> list[str]:
 SIGNAL_OPTIONS = dict.fromkeys(("rate", "units", "datasets", "pulses_per_revolution", "time_back"), ())
 
 
-@dataclass
-class RawSignals:
-    """What a file of named signals holds.
-
-    `measured`: only known quantities are read, thrust or torque among them; else signals of other names are
-    kept too, in SI where their unit is known and as recorded (unit ``""``) where it is not. `passed_over`
-    names what the file holds besides signals.
-    """
-
-    signals: Sequence[Signal]
-    device: str = ""
-    measured: bool = True
-    passed_over: Sequence[str] = ()
-    notes: list[Finding] = field(default_factory=list)
-
-
 _Parse = Callable[[Source, BenchOptions], AbstractContextManager[RawSignals]]
 
 
 def _recording(source: Source, name: str, parse: _Parse, options: BenchOptions) -> Recording:
     with parse(source, options) as raw:  # the file stays open while its signals are read
-        channels, notes = signal_channels(
-            source.path, raw.signals, options, measured=raw.measured, passed_over=raw.passed_over
-        )
+        channels, notes = _channels(source.path, raw, options)
     if not channels:
         raise LogError(f"{source.path}: holds no signal with a value; the log is empty")
     kind = "load-cell" if any(channel in channels for channel in MEASURED) else "signals"

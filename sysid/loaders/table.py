@@ -22,12 +22,11 @@ from numpy.typing import NDArray
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.columns import listing, split_label
 from sysid.loaders.source import SPACES, Text, shortened, sniff_delimiter, split_line
 from sysid.recording import FloatArray
 
 # Where a header line may stand: vendors put a few lines before it, nobody puts a hundred.
-_HEADER_SEARCH = 100
+HEADER_SEARCH = 100
 _MISSING = frozenset({"", "nan", "-nan", "+nan"})
 # Bytes that are searched, or parsed, at once: what is made of them is small beside the numbers. Of a small
 # table the pieces are smaller, as the engine holds several times a piece.
@@ -40,7 +39,8 @@ _BATCH = 4096
 _MOST_TRAILING = 64
 
 
-def _all_numeric(cells: Sequence[str]) -> bool:
+def all_numeric(cells: Sequence[str]) -> bool:
+    """Return whether all cells that are not blank are numbers, and one is."""
     filled = [cell for cell in cells if cell.strip()]
     for cell in filled:
         try:
@@ -67,8 +67,8 @@ def find_header(lines: Sequence[str]) -> tuple[int, str, list[str]] | None:
     Blank lines are passed over, and lines that begin with ``#`` unless they name as many columns as the row
     of numbers below them has; so are titles, lines of one cell above such a header.
     """
-    begin = _behind_titles(lines[:_HEADER_SEARCH])
-    for index, line in enumerate(lines[:_HEADER_SEARCH]):
+    begin = _behind_titles(lines[:HEADER_SEARCH])
+    for index, line in enumerate(lines[:HEADER_SEARCH]):
         if index < begin or not line.strip():
             continue
         names = _header_cells(line, delimiter := sniff_delimiter(line))
@@ -77,7 +77,7 @@ def find_header(lines: Sequence[str]) -> tuple[int, str, list[str]] | None:
             if delimiter == SPACES:
                 names = _header_cells(line.lstrip().lstrip("#"), delimiter)
             cells = split_line(below, delimiter)
-            if len(names) < 2 or len(cells) != len(names) or not _all_numeric(cells):
+            if len(names) < 2 or len(cells) != len(names) or not all_numeric(cells):
                 continue
             names[0] = names[0].lstrip().lstrip("#")
         while names and not names[-1].strip():
@@ -93,13 +93,13 @@ def _behind_titles(lines: Sequence[str]) -> int:
             continue
         delimiter = sniff_delimiter(line, spaces=False)
         filled = [cell for cell in split_line(line, delimiter) if cell.strip()]
-        if len(filled) == 1 and not _all_numeric(filled):
+        if len(filled) == 1 and not all_numeric(filled):
             continue
         below = next((text for text in lines[index + 1 :] if text.strip()), "")
         cells, names = split_line(below, delimiter), split_line(line, delimiter)
-        named = len(filled) > 1 and not any(_all_numeric([cell]) for cell in filled)
+        named = len(filled) > 1 and not any(all_numeric([cell]) for cell in filled)
         first = cells[0] if delimiter == "," else cells[0].replace(",", ".", 1)
-        return index if named and len(cells) == len(names) and _all_numeric([first]) else 0
+        return index if named and len(cells) == len(names) and all_numeric([first]) else 0
     return 0
 
 
@@ -115,71 +115,6 @@ def _header_cells(line: str, delimiter: str) -> list[str]:
         else:
             joined.append(name)
     return joined
-
-
-def _renamed(path: str, names: Sequence[str], columns: Mapping[str, object]) -> list[str]:
-    """Return the names of a header with some replaced; a unit in brackets stays with its column."""
-    out = list(names)
-    for new, stated in columns.items():
-        place = names.index(stated) if isinstance(stated, str) and stated in names else -1
-        if isinstance(stated, int) and not isinstance(stated, bool) and 1 <= stated <= len(names):
-            place = stated - 1
-        stems = [split_label(name)[0] for name in names]
-        if place < 0 and isinstance(stated, str) and stems.count(split_label(stated)[0]) == 1:
-            place = stems.index(split_label(stated)[0])
-        if place < 0:
-            raise LogError(
-                f"{path}: columns says that {new} is {stated!r}, which is neither a column nor its number "
-                f"from 1; found {listing(names)}"
-            )
-        unit = split_label(names[place])[1]
-        out[place] = str(new) if unit is None else f"{new} ({unit})"
-    return out
-
-
-def table_head(
-    text: Text, columns: Sequence[str] | Mapping[str, object] | None = None, *, renames: bool = True
-) -> TableHead:
-    """Return the header of a table.
-
-    `columns` are names that the user declares for a log without header or with a wrong one: all of them in
-    order, or new name -> name in the header (or its number from 1). `renames`: the format has an option for
-    them, which a message may advise. A missing header and a wrong number of names are a LogError.
-    """
-    lines = list(text.lines(_HEADER_SEARCH))
-    header = find_header([line for _, _, line in lines])
-    if header is None:
-        raise LogError(
-            f"{text.path}: only blank or comment lines; expected a header line and rows of numbers"
-        )
-    index, delimiter, names = header
-    number, offset, _ = lines[index]
-    headless = _all_numeric(names)
-    if headless:
-        number, offset = number - 1, lines[index - 1][1] if index else 0
-    if headless and (columns is None or isinstance(columns, Mapping)):
-        advice = (
-            "declare all of them in order, columns = [...]"
-            if renames
-            else "put the instrument's header line back"
-        )
-        raise LogError(
-            f"{text.path}, line {lines[index][0]}: found numbers where the header line should name the "
-            f"columns; {advice}"
-        )
-    if isinstance(columns, Mapping):
-        names = _renamed(text.path, names, columns)
-    elif columns is not None:
-        if isinstance(columns, str) or not isinstance(columns, Sequence):
-            raise LogError(f"{text.path}: columns = {columns!r} is no list of names")
-        if len(columns) != len(names):
-            raise LogError(
-                f"{text.path}: columns declares {len(columns)} names but line {lines[index][0]} has "
-                f"{len(names)} cells; name every column, in order"
-            )
-        names = [str(name) for name in columns]
-    trailing = 0 if delimiter == SPACES else len(split_line(lines[index][2], delimiter)) - len(names)
-    return TableHead(tuple(names), delimiter, number, offset, trailing)
 
 
 @dataclass
@@ -219,32 +154,15 @@ def read_numbers(
     decimal: str | None = None,
     ends: Sequence[int] = (),
 ) -> Numbers:
-    """Parse the wanted columns of a table.
+    """Parse the wanted columns of a table, counted from 0.
 
-    A blank cell or a written ``nan`` is NaN. A last line that was cut is left out; a row that lacks wanted
-    cells keeps its place with NaN in all of them, because the last number of a cut row is not to be trusted,
-    and so does one with more cells than the header and most rows have, whose numbers are not below their
-    names.
-
-    Parameters
-    ----------
-    text, head, wanted
-        The log, its header, and column numbers from 0.
-    least : int, optional
-        Cells that a row must have to be trusted; by default as many as the header names.
-    surplus : bool
-        Rows may have filled cells beyond the header, behind words in column `free_text`.
-    free_text : int, optional
-        Column of words, which may hold delimiters.
-    decimal : str, optional
-        Decimal mark; judged from the first cells that hold one by default.
-    ends : sequence of int
-        Numbers of cells after which a row may end, with a delimiter: what it holds is trusted.
-
-    Raises
-    ------
-    LogError
-        When there are no rows, a cell is not a number, or most rows do not fit the header.
+    A blank cell or a written ``nan`` is NaN. A last line that was cut is left out. A row with fewer than
+    `least` cells (by default as many as the header names) keeps its place with NaN in all columns, because
+    the last number of a cut row is not to be trusted. So does a row with more cells than the header and most
+    rows have, whose numbers are not below their names. A row may end, with a delimiter, after one of the
+    numbers of cells in `ends`. With `surplus`, rows may have filled cells beyond the header, behind the words
+    in column `free_text`, which may contain delimiters. The `decimal` mark is judged from the first cells
+    that have one. A table without rows, a cell that is no number and most rows out of place are a LogError.
     """
     path = text.path
     empty = LogError(f"{path}: no rows of numbers after line {max(head.line, 1)}; the log is empty")
@@ -328,10 +246,7 @@ def _blank_short(
 
 
 def promised_note(header: str, stated: object, rows: int) -> list[Finding]:
-    """Return a note where a header promises more rows (`stated`, by the name `header`) than there are.
-
-    A log cut at the end of a row shows no other trace. What is no count promises nothing.
-    """
+    """Return a note where a header promises more rows (`stated`, by the name `header`) than there are."""
     try:
         promised = int(str(stated).strip())
     except ValueError:
@@ -343,16 +258,14 @@ def promised_note(header: str, stated: object, rows: int) -> list[Finding]:
 
 
 def _is_words(cells: Sequence[str], column: int | None) -> bool:
-    return column is not None and column < len(cells) and not _all_numeric([cells[column].strip() or "0"])
+    return column is not None and column < len(cells) and not all_numeric([cells[column].strip() or "0"])
 
 
 def _appended(cells: Sequence[str], free_text: int | None) -> bool:
-    """Return whether the cells too many are behind those that are read: words, or what a script added.
-
-    With a delimiter too many in front, the number that belongs before the words stands in their place.
-    """
+    """Return whether the cells too many are behind those that are read: words, or what a script added."""
     if free_text is None or _is_words(cells, free_text):
         return free_text is not None
+    # With a delimiter too many in front, the number that belongs before the words stands in their place.
     return not cells[free_text].strip() and any(cell.strip() for cell in cells[free_text + 1 :])
 
 
@@ -386,8 +299,8 @@ def _shifted(
 
 
 def _is_whole(cells: Sequence[str], wanted: Sequence[int], least: int, decimal: str) -> bool:
-    """Return whether a last line without line end holds every wanted number."""
-    if len(cells) < least or len(cells) <= wanted[-1]:
+    """Return whether a last line without line end has every wanted number."""
+    if len(cells) < max(least, wanted[-1] + 1):
         return False
     try:
         for index in wanted:
@@ -530,11 +443,10 @@ def _measure(data: bytes, start: int, end: int, delimiter: str, first_line: int)
 
 
 def _decimal_mark(path: str, body: _Rows, wanted: Sequence[int]) -> str:
-    """Return the decimal mark of a table: a comma where wanted cells hold commas and none holds a point.
+    """Return the decimal mark of a table: a comma where wanted cells have commas and none has a point.
 
-    Judged from the first rows, or where those hold whole numbers alone (a stand at rest) from the first row
-    with a mark. Commas that may all part thousands (``1,000``) tell nothing: the rows behind decide. A table
-    in which every comma may be either is a LogError.
+    The first rows decide, or the first row with a mark where those are whole numbers alone (a stand at rest).
+    Commas that may all part thousands (``1,000``) decide nothing. A table with no others is a LogError.
     """
     first = int(body.begins[0])
     if body.delimiter == "," or body.data.find(b",", first) < 0:
@@ -592,8 +504,7 @@ def _tabbed(text: bytes) -> bytes:
 def _plain_rows(body: _Rows, width: int, surplus: bool) -> NDArray[np.bool_]:
     """Return which rows the C engine may see.
 
-    They hold no quote, which may hide delimiters, and, unless `surplus`, nothing but delimiters beyond the
-    header's columns.
+    They have no quote, which may hide delimiters, and, unless `surplus`, only delimiters beyond the header.
     """
     data = np.frombuffer(body.data, dtype=np.uint8)
     plain = np.ones(body.lines.size, dtype=np.bool_)
@@ -617,11 +528,7 @@ def _plain_rows(body: _Rows, width: int, surplus: bool) -> NDArray[np.bool_]:
 def _read_rows(
     path: str, body: _Rows, names: Mapping[int, str], width: int, decimal: str, surplus: bool
 ) -> dict[int, FloatArray]:
-    """Return the numbers of the named columns; `body` keeps the lines that turn out to be rows.
-
-    Some megabytes at a time, plain rows are read by the C engine and the others one by one; all of them where
-    the engine refuses.
-    """
+    """Return the numbers of the named columns; `body` keeps the lines that turn out to be rows."""
     columns = {index: np.empty(body.lines.size) for index in names}
     kept = np.ones(body.lines.size, dtype=np.bool_)
     for place in body.parts():
@@ -649,10 +556,7 @@ def _read_rows(
 def _read_slow(
     path: str, body: _Rows, names: Mapping[int, str], width: int, decimal: str, surplus: bool
 ) -> tuple[NDArray[np.bool_], dict[int, FloatArray]]:
-    """Read row by row; return which lines turn out to be rows, and their numbers, NaN for the others.
-
-    `body.fields` is set to the cells that each row really has.
-    """
+    """Read row by row; return which lines are rows, and their numbers; `body.fields` gets the real counts."""
     rows = np.zeros(body.lines.size, dtype=np.bool_)
     values = {index: np.full(body.lines.size, np.nan) for index in names}
     for row, cells in enumerate(body.all_cells()):

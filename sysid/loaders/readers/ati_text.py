@@ -27,14 +27,13 @@ from sysid.loaders.columns import naming
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
 from sysid.loaders.source import Source, Text, read_text, sniff_delimiter, split_line
-from sysid.loaders.table import Numbers, TableHead, parse_number, read_numbers
+from sysid.loaders.table import TableHead, parse_number, read_numbers
 from sysid.loaders.table_log import AXES, RawTable, table_format
 from sysid.types import FloatArray
 from sysid.units import factor_to_si
 
 _STATES_RATE = "sampling freq"
 _HEADER_LINES = 20
-_UNIT_KEYS = ("force", "torque")
 # No force/torque log is sampled this slowly [s]: its first column counts rows or is not in seconds.
 _SLOWEST_STEP = 0.5
 # No load takes this many equal steps in a row.
@@ -69,8 +68,7 @@ def _cells(line: str) -> list[str]:
 
 
 def _is_number(cell: str) -> bool:
-    value = _value(cell)
-    return value is not None and math.isfinite(value)
+    return math.isfinite(math.nan if (value := _value(cell)) is None else value)
 
 
 def _is_row(cells: list[str]) -> bool:
@@ -89,7 +87,7 @@ def _recognize(source: Source) -> int:
 
 
 def _table(text: Text, path: str) -> tuple[Text, TableHead, float | None]:
-    """Return the text with one delimiter, where its rows are and how many columns they have, and the rate."""
+    """Return the text with one delimiter, where its rows and their columns are, and the rate."""
     start = text.data[:4096]
     if text.data.lstrip().startswith(b"[") or not any(mark in start for mark in (b",", b";", b"\t")):
         # Rows printed by numpy, or parted by spaces.
@@ -136,12 +134,11 @@ def _factors(path: str, units: Mapping[str, str] | None) -> FloatArray:
         )
     if isinstance(units, Mapping) and "thrust" in units and "force" not in units:
         units = {("force" if name == "thrust" else name): unit for name, unit in units.items()}
-    if not isinstance(units, Mapping) or set(units) != set(_UNIT_KEYS):
+    if not isinstance(units, Mapping) or set(units) != {"force", "torque"}:
         raise UnitError(f'{path}: units = {units!r}; expected {{force = "N", torque = "N*m"}}')
     with naming(path):
-        return np.repeat(
-            [factor_to_si(str(units["force"]), "N"), factor_to_si(str(units["torque"]), "N*m")], 3
-        )
+        factors = [factor_to_si(str(units["force"]), "N"), factor_to_si(str(units["torque"]), "N*m")]
+    return np.repeat(factors, 3)
 
 
 def _six_numbers(where: str, axis: str, text: str) -> list[float]:
@@ -200,55 +197,32 @@ def _read_calibration(path: Path) -> tuple[str, FloatArray, FloatArray]:
     return " ".join(["ATI", *filter(None, parts)]), matrix * scale[:, None], limits * scale
 
 
-def _time_factor(path: str, units: Mapping[str, str] | None) -> tuple[Mapping[str, str] | None, float | None]:
-    """Return the units of the loads, and the factor of the time column to seconds where it is declared."""
-    if not isinstance(units, Mapping) or "time" not in units:
-        return units, None
-    with naming(f"{path}: time"):
-        factor = factor_to_si(str(units["time"]), "s")
-    return {name: unit for name, unit in units.items() if name != "time"} or None, factor
+def _turns(column: FloatArray) -> tuple[int, int, bool]:
+    """Return in how many steps a column rises, in how many it falls, and whether it hardly ever falls.
 
-
-def _is_steady(column: FloatArray) -> bool:
-    """Return whether a column rises by about one step all the way, as a clock does and no load."""
+    An unsteady clock hardly ever falls, and no load that is not flat.
+    """
     steps = np.diff(column[np.isfinite(column)])
-    return bool(
-        steps.size > _FEW_STEPS and steps.min() > 0 and np.ptp(steps) <= _STEADY * float(np.median(steps))
-    )
+    rises, falls = int(np.count_nonzero(steps > 0)), int(np.count_nonzero(steps < 0))
+    return rises, falls, rises > _FEW_STEPS and falls <= _FALLS * rises
 
 
-def _turns(column: FloatArray) -> tuple[int, int]:
-    """Return in how many steps a column rises, and in how many it falls."""
-    steps = np.diff(column[np.isfinite(column)])
-    return int(np.count_nonzero(steps > 0)), int(np.count_nonzero(steps < 0))
-
-
-def _mostly_rises(column: FloatArray) -> bool:
-    """Return whether a column hardly ever falls, as an unsteady clock does and no load that is not flat."""
-    rises, falls = _turns(column)
-    return rises > _FEW_STEPS and falls <= _FALLS * rises
-
-
-def _check_last(path: str, numbers: Numbers) -> None:
-    """Refuse rows of seven whose last number is, or may be, the time."""
-    steady, first_rises = _is_steady(numbers.columns[6]), _mostly_rises(numbers.columns[0])
-    if not steady and (first_rises or not _mostly_rises(numbers.columns[6])):
-        return
-    if first_rises:
-        fault = "the first and the last of seven columns rise steadily, so either may be the time"
-    else:
+def _check_time_is_first(path: str, first: FloatArray, last: FloatArray, *, unused: bool) -> None:
+    """Refuse rows of seven whose last number may be the time, or whose first, `unused` as clock, is none."""
+    steps = np.diff(last[np.isfinite(last)])
+    # A clock rises by about one step all the way, and no load does.
+    steady = steps.size > _FEW_STEPS and steps.min() > 0 and np.ptp(steps) <= _STEADY * np.median(steps)
+    rises, falls, first_rises = _turns(first)
+    if steady or (not first_rises and _turns(last)[2]):
         how = "rises steadily" if steady else "hardly ever falls"
         fault = f"the last of seven columns {how}, as a time does, and the first does not"
-    raise LogError(
-        f"{path}: {fault}; expected the time and then Fx Fy Fz Tx Ty Tz: move or remove the column that is "
-        'no load, or, where the first is the time, say so with units = {time = "s"}'
-    )
-
-
-def _check_first(path: str, column: FloatArray) -> None:
-    """Refuse rows of seven whose first number is no time, where the clock is not made of it."""
-    rises, falls = _turns(column)
-    if falls > max(1.0, _FALLS * rises):
+        if first_rises:
+            fault = "the first and the last of seven columns rise steadily, so either may be the time"
+        raise LogError(
+            f"{path}: {fault}; expected the time and then Fx Fy Fz Tx Ty Tz: move or remove the column that "
+            'is no load, or, where the first is the time, say so with units = {time = "s"}'
+        )
+    if unused and falls > max(1.0, _FALLS * rises):
         raise LogError(
             f"{path}: the first of seven columns falls in {falls} steps, so it is no time; expected the time "
             "and then Fx Fy Fz Tx Ty Tz: remove the column that is no load"
@@ -258,7 +232,11 @@ def _check_first(path: str, column: FloatArray) -> None:
 def _parse(source: Source, options: BenchOptions) -> RawTable:
     path, time_back = source.path, options.time_back or "refuse"
     rate = None if options.rate is None else positive_rate(path, options.rate)
-    loads, seconds = _time_factor(path, options.units)
+    loads, seconds = options.units, None
+    if isinstance(loads, Mapping) and "time" in loads:
+        with naming(f"{path}: time"):
+            seconds = factor_to_si(str(loads["time"]), "s")
+        loads = {name: unit for name, unit in loads.items() if name != "time"} or None
     if options.calibration is not None and loads is not None:
         raise UnitError(f"{path}: units and calibration exclude each other: the calibration states its own")
     device, limits = "ATI", None
@@ -271,9 +249,8 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     numbers = read_numbers(text, table, range(len(table.names)), surplus=False)
     del text  # the file's bytes are not needed any more
     if lead and seconds is None:
-        _check_last(path, numbers)
-        if rate is not None or time_back == "drop":
-            _check_first(path, numbers.columns[0])
+        unused = rate is not None or time_back == "drop"
+        _check_time_is_first(path, numbers.columns[0], numbers.columns[6], unused=unused)
     notes = numbers.notes
     rate = stated if rate is None else rate
     if seconds is not None and not lead:

@@ -9,6 +9,7 @@ over the rate, from the first frame that the header names. Axes are those of the
 from __future__ import annotations
 
 import struct
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -60,21 +61,17 @@ def _recognize(source: Source) -> int:
 
 
 def _texts(file: Any, group: str, key: str) -> list[str]:
-    return [str(text).strip() for text in _values(file["parameters"], group, key)]
+    return [str(text).strip() for text in _values(file, group, key)]
 
 
-def _values(parameters: Any, group: str, key: str) -> list[Any]:
+def _values(file: Any, group: str, key: str) -> list[Any]:
     """Return a parameter as a list, its numbered continuations (LABELS2, ...) appended."""
     try:
-        parameter = parameters[group]
+        parameter = file["parameters"][group]
     except KeyError:
         return []
-    out: list[Any] = []
-    for suffix in ("", *map(str, range(2, 20))):
-        if key + suffix not in parameter:
-            break
-        out += list(np.ravel(parameter[key + suffix]["value"]))
-    return out
+    keys = takewhile(parameter.__contains__, [key, *(f"{key}{number}" for number in range(2, 20))])
+    return [value for name in keys for value in np.ravel(parameter[name]["value"])]
 
 
 def _open(source: Source) -> Any:
@@ -107,7 +104,7 @@ def _frame_notes(source: Source, file: Any) -> list[Finding]:
     cut = promised_note("the header's number of frames", last - first + 1, frames) if points else []
     if last != _LAST_FRAME:
         return cut
-    scale = _values(file["parameters"], "POINT", "SCALE")
+    scale = _values(file, "POINT", "SCALE")
     frame = (4 * points + analogs) * (2 if scale and float(scale[0]) > 0 else 4)
     (begin,) = struct.unpack_from("<H", source.head, _DATA_START)
     there = (Path(source.path).stat().st_size - (begin - 1) * _BLOCK - (_BLOCK - 1)) / max(frame, 1)
@@ -133,7 +130,7 @@ def _actual_frames(file: Any) -> int | None:
     """Return the number of frames that the group TRIAL states, None where it does not."""
     ends = []
     for key in ("ACTUAL_START_FIELD", "ACTUAL_END_FIELD"):
-        words = _values(file["parameters"], "TRIAL", key)
+        words = _values(file, "TRIAL", key)
         if len(words) != 2:
             return None
         # Two words of 16 bits, low and high, which readers may take as signed.
@@ -180,7 +177,7 @@ def _add_rotations(path: str, file: Any, length_unit: str | None, raw: RawCaptur
     poses = file["data"]["rotations"]
     if poses.ndim != 4 or not poses.shape[2] or not poses.shape[3]:
         return
-    rates = _values(file["parameters"], "ROTATION", "RATE") or [file["header"]["points"]["frame_rate"]]
+    rates = _values(file, "ROTATION", "RATE") or [file["header"]["points"]["frame_rate"]]
     rate = _rate(path, rates[0])
     scale = length_factor(path, _texts(file, "POINT", "UNITS"), length_unit)
     time = _first_time(file, rate) + np.arange(poses.shape[3]) / rate
@@ -215,7 +212,7 @@ def _add_analogs(path: str, file: Any, raw: RawCapture) -> None:
 def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     path = source.path
     file = _open(source)
-    maker = map(str, _values(file["parameters"], "MANUFACTURER", "COMPANY"))
+    maker = map(str, _values(file, "MANUFACTURER", "COMPANY"))
     raw = RawCapture(" ".join(["C3D", *maker]), [], chosen=False)
     with reading(path, "C3D file", "export it again"):
         _add_rotations(path, file, options.length_unit, raw)

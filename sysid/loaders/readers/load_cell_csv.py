@@ -13,14 +13,7 @@ from __future__ import annotations
 from sysid.errors import LogError
 from sysid.journal import note
 from sysid.loaders.clock import DECLARE_RATE, jitter_note, order_rows, positive_rate, rate_clock
-from sysid.loaders.columns import (
-    DeclaredUnits,
-    find_column,
-    listing,
-    missing_column,
-    parse_header,
-    unread_note,
-)  # fmt: skip
+from sysid.loaders.columns import NamedTable, listing, parse_header, unread_note
 from sysid.loaders.load_cell import (
     BESIDE,
     CELL_AXES,
@@ -34,8 +27,8 @@ from sysid.loaders.load_cell import (
 )
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
-from sysid.loaders.source import Source, read_text
-from sysid.loaders.table import find_header, read_numbers, table_head
+from sysid.loaders.source import Source
+from sysid.loaders.table import find_header
 from sysid.loaders.table_log import RawTable, table_format
 from sysid.recording import Channel
 
@@ -59,20 +52,18 @@ def _recognize(source: Source) -> int:
 def _parse(source: Source, options: BenchOptions) -> RawTable:
     path, per_revolution = source.path, options.pulses_per_revolution
     rate = None if options.rate is None else positive_rate(path, options.rate)
-    text = read_text(source)
-    head = table_head(text, options.columns)
-    header = parse_header(head.names)
-    declared = DeclaredUnits(path, options.units)
-    matches = {name: find_column(path, header, quantity.stems) for name, quantity in QUANTITIES.items()}
+    table = NamedTable(source, options)
+    header, declared = table.columns, table.declared
+    matches = {name: table.find(quantity.stems) for name, quantity in QUANTITIES.items()}
     columns = {
         name: (column, QUANTITIES[name].unit) for name, column in matches.items() if column is not None
     }
     if not any(name in columns for name in MEASURED) and not {column.stem for column in header} & BESIDE:
-        raise missing_column(path, '"Fz" or "Mz"', header)
-    command = find_column(path, header, COMMAND)
-    pulses = find_column(path, header, TACHOMETER)
+        raise table.missing('"Fz" or "Mz"')
+    command = table.find(COMMAND)
+    pulses = table.find(TACHOMETER)
     check_tachometer(path, {*columns, *(["tachometer"] if pulses is not None else [])}, per_revolution)
-    clock = find_column(path, header, TIME)
+    clock = table.find(TIME)
     if clock is None and rate is None:
         raise LogError(
             f"{path}: no time column among {listing(column.label for column in header)}; name it with "
@@ -89,8 +80,7 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     wanted = [column for column, _ in columns.values()]
     wanted += [column for column in (clock, command) if column is not None]
     wanted += [pulses] if pulses is not None and per_revolution is not None else []
-    numbers = read_numbers(text, head, [column.index for column in wanted])
-    del text  # the file's bytes are not needed any more
+    numbers = table.read(wanted)
     notes = numbers.notes
     if rate is not None:
         stated = numbers.columns[clock.index] * seconds if clock else None

@@ -21,9 +21,10 @@ from functools import partial
 
 import numpy as np
 
-from sysid.errors import LogError, UnitError
+from sysid.errors import LogError
 from sysid.journal import Finding, note
 from sysid.loaders.clock import began_note
+from sysid.loaders.columns import factor_or_none
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.signal_log import (
@@ -37,7 +38,6 @@ from sysid.loaders.signal_log import (
 from sysid.loaders.source import Source, Text, read_text
 from sysid.loaders.table import TableHead, promised_note, read_numbers
 from sysid.types import FloatArray
-from sysid.units import factor_to_si
 
 _FIRST = "LabVIEW Measurement"
 _END = "***End_of_Header***"
@@ -50,8 +50,8 @@ _KEYS = frozenset(
 _BLANK = re.compile(rb"\n[ \t,]*(?=\n)")
 # Headers of a file or a segment are shorter than this.
 _HEADER_LINES = 100
-# Fewer digits than this make a step that is rounded: 1/1024 s written as 0.000977 is 0.05 % off.
-_DIGITS = 5
+# A step with more and with fewer digits than these is rounded: 0.001 is exact, 0.000977 is a rounded 1/1024.
+_EXACT, _DIGITS = 2, 5
 
 
 def _recognize(source: Source) -> int:
@@ -173,7 +173,9 @@ def _segment_signals(
     notes += numbers.notes
     counts = [cell for cell in segment.header.get("samples", []) if cell.isascii() and cell.isdigit()]
     notes += promised_note("Samples", max(map(int, counts), default=0), numbers.lines.size)
-    rounded = sorted({cell for cell in segment.header.get("delta_x", []) if cell and _few_digits(cell)})
+    steps = {cell: re.split("[eE]", cell)[0] for cell in segment.header.get("delta_x", [])}
+    digits = {cell: len(re.sub("[.,]", "", step.lstrip("+-0.,")).rstrip("0")) for cell, step in steps.items()}
+    rounded = sorted(cell for cell, count in digits.items() if _EXACT < count < _DIGITS)
     if rounded and not clocks:
         sentence = (
             f"Delta_X is written as {', '.join(rounded)}: the clock is no better than these digits; "
@@ -191,23 +193,13 @@ def _seconds(path: str, segment: _Segment, label: str, place: int) -> float:
     """
     axis = segment.stated("x_dimension", place) or "Time"
     unit = segment.stated("x_unit_label", place) or "s"
-    try:
-        factor = factor_to_si(str(written_unit(unit)), "s")
-    except UnitError:
-        factor = 0.0
-    if axis.casefold() != "time" or factor == 0.0:
+    factor = factor_or_none(str(written_unit(unit)), "s")
+    if axis.casefold() != "time" or factor is None:
         raise LogError(
             f"{path}: the header above line {segment.line} gives {label!r} over {axis} in {unit}, not over "
             "time; export the signal itself, or declare its rate"
         )
     return factor
-
-
-def _few_digits(cell: str) -> bool:
-    mantissa = cell.upper().partition("E")[0].replace(",", ".").lstrip("+-0.")
-    digits = mantissa.replace(".", "").rstrip("0")
-    # 0.001 is exact in what it says; 0.000977 is a rounded 1/1024.
-    return 2 < len(digits) < _DIGITS
 
 
 @contextmanager

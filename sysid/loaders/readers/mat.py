@@ -36,13 +36,6 @@ def _recognize(source: Source) -> int:
     return CERTAIN if source.head.startswith((_V5, _V73)) else NO
 
 
-def _tree_v5(path: str) -> Tree:
-    from scipy.io import loadmat
-
-    loaded: Tree = loadmat(path, simplify_cells=True)
-    return {name: value for name, value in loaded.items() if not name.startswith("__")}
-
-
 def _tree_v73(path: str) -> Tree:
     import h5py
 
@@ -130,9 +123,15 @@ def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
             f"{path}: not a MATLAB file of version 5 or 7.3 (its first line does not say so); "
             "save it again, for example with save(name, '-v7')"
         )
+    from scipy.io import loadmat  # takes long to import
+
     passed_over: list[str] = []
     with reading(path, "MATLAB file", "save it again"):
-        tree = _tree_v5(path) if source.head.startswith(_V5) else _tree_v73(path)
+        if source.head.startswith(_V5):
+            loaded = loadmat(path, simplify_cells=True)
+            tree = {name: value for name, value in loaded.items() if not name.startswith("__")}
+        else:
+            tree = _tree_v73(path)
         yield RawSignals(list(_walk(tree, "", None, passed_over)), passed_over=passed_over)
 
 

@@ -38,9 +38,7 @@ from sysid.loaders.source import Source, Text, read_text, sniff_delimiter, split
 from sysid.loaders.table import Numbers, TableHead, promised_note, read_numbers
 from sysid.types import FloatArray
 
-_BODIES = frozenset({"rigid body", "bone"})
-_SOLVED = frozenset({"rigid body marker", "bone marker"})
-_MEASURED = frozenset({"marker"})
+_BODIES, _SOLVED, _MEASURED = {"rigid body", "bone"}, {"rigid body marker", "bone marker"}, {"marker"}
 _KEYS = (
     "Format Version", "Take Name", "Take Notes", "Capture Frame Rate", "Export Frame Rate",
     "Capture Start Time", "Capture Start Frame", "Total Frames in Take", "Total Exported Frames",

@@ -26,16 +26,14 @@ from sysid.loaders.clock import EXPORT_FINER, frame_clock, jitter_note, order_ro
 from sysid.loaders.columns import (
     Column,
     DeclaredUnits,
-    find_column,
+    NamedTable,
+    header_columns,
     listing,
-    missing_column,
-    parse_header,
     unread_note,
-)  # fmt: skip
+)
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
-from sysid.loaders.source import Source, read_text
-from sysid.loaders.table import find_header, read_numbers, table_head
+from sysid.loaders.source import Source
 from sysid.units import factor_to_si
 
 _FRAME = frozenset({"frame", "frame number", "frame no", "frame id", "seq"})
@@ -73,24 +71,22 @@ def _matched(path: str, columns: Sequence[Column], pattern: re.Pattern[str]) -> 
 
 
 def _recognize(source: Source) -> int:
-    header = find_header(source.head_lines)
-    if header is None:
-        return NO
-    columns = parse_header(header[2])
+    columns = header_columns(source)
+    clocks = sum(column.stem in _TIME for column in columns)
     try:
         position = _matched(source.path, columns, _POSITION)
         named = sum(len(_matched(source.path, columns, names)) for names in (_QUATERNION, _NUMBERED))
-        clock = find_column(source.path, columns, _TIME)
     except LogError:
-        return POSSIBLE if any(column.stem in _TIME for column in columns) else NO
-    if clock is None or named < 3:
-        return NO
+        return POSSIBLE if clocks else NO
+    if clocks != 1 or named < 3:
+        return POSSIBLE if clocks > 1 else NO
     return CERTAIN if len(position) == 3 and named == 4 else POSSIBLE
 
 
-def _quaternion_columns(path: str, columns: Sequence[Column], order: str | None) -> list[Column]:
+def _quaternion_columns(table: NamedTable, order: str | None) -> list[Column]:
     """Return the four quaternion columns, w first."""
-    named = _matched(path, columns, _QUATERNION)
+    path = table.path
+    named = _matched(path, table.columns, _QUATERNION)
     if set(named) == set("wxyz"):
         placed = sorted(named, key=lambda axis: named[axis].index)
         if order is not None and "".join(placed) != order:
@@ -99,7 +95,7 @@ def _quaternion_columns(path: str, columns: Sequence[Column], order: str | None)
                 f"{''.join(placed)}; leave it out or correct it"
             )
         return [named[axis] for axis in "wxyz"]
-    numbered = _matched(path, columns, _NUMBERED)
+    numbered = _matched(path, table.columns, _NUMBERED)
     if len(numbered) == 4:
         if order is None:
             labels = ", ".join(column.label for column in numbered.values())
@@ -110,7 +106,7 @@ def _quaternion_columns(path: str, columns: Sequence[Column], order: str | None)
         placed_columns = [numbered[number] for number in sorted(numbered)]
         return [placed_columns[order.index(axis)] for axis in "wxyz"]
     missing = [f'"q{axis}"' for axis in "wxyz" if axis not in named]
-    raise missing_column(path, ", ".join(missing), columns)
+    raise table.missing(", ".join(missing))
 
 
 def _scales(
@@ -139,20 +135,18 @@ def _scales(
 def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     path = source.path
     body = body_name(path, options.rigid_body)
-    text = read_text(source)
-    head = table_head(text, options.columns)
-    header = parse_header(head.names)
-    declared = DeclaredUnits(path, options.units)
-    stamp = find_column(path, header, _TIME)
+    table = NamedTable(source, options)
+    header, declared = table.columns, table.declared
+    stamp = table.find(_TIME)
     if stamp is None:
-        raise missing_column(path, '"t"', header)
-    frame = find_column(path, header, _FRAME)
+        raise table.missing('"t"')
+    frame = table.find(_FRAME)
     if options.clock == "frame" and frame is None:
-        raise missing_column(path, '"frame"', header)
+        raise table.missing('"frame"')
     position = _matched(path, header, _POSITION)
     if len(position) < 3:
-        raise missing_column(path, ", ".join(f'"{axis}"' for axis in "xyz" if axis not in position), header)
-    quaternion = _quaternion_columns(path, header, options.quaternion_order)
+        raise table.missing(", ".join(f'"{axis}"' for axis in "xyz" if axis not in position))
+    quaternion = _quaternion_columns(table, options.quaternion_order)
     # Without a stated unit a velocity is left out: it is not what this format is for.
     extra = {
         name: columns
@@ -172,8 +166,7 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     counted = [frame] if frame is not None and options.clock == "frame" else []
     triples = [column for columns in extra.values() for column in columns.values()]
     wanted = [stamp, *counted, *position.values(), *quaternion, *triples]
-    numbers = read_numbers(text, head, [column.index for column in wanted])
-    del text  # the file's bytes are not needed any more
+    numbers = table.read(wanted)
     time_back = options.time_back or "refuse"
     if frame is not None and options.clock == "frame":
         time, ordered = frame_clock(path, numbers, frame.index, stamp.index, seconds, time_back=time_back)

@@ -17,18 +17,11 @@ import numpy as np
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
 from sysid.loaders.clock import order_rows
-from sysid.loaders.columns import (
-    Column,
-    DeclaredUnits,
-    find_column,
-    missing_column,
-    parse_header,
-    unread_note,
-)
+from sysid.loaders.columns import Column, DeclaredUnits, NamedTable, header_columns, unread_note
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.source import Source, Text, read_text, split_line
-from sysid.loaders.table import Numbers, TableHead, find_header, read_numbers, table_head
+from sysid.loaders.source import Source, split_line
+from sysid.loaders.table import Numbers
 from sysid.loaders.table_log import RawTable, table_format
 from sysid.recording import Channel, FloatArray
 
@@ -59,10 +52,7 @@ _STATIC_STEP = 0.2
 
 
 def _is_static(time: FloatArray) -> bool:
-    """Return whether rows are averaged points.
-
-    Half of them or more lie over 0.2 s from the next, either way.
-    """
+    """Return whether rows are averaged points: half of them or more lie over 0.2 s from the next."""
     known = time[np.isfinite(time)]
     return known.size > 1 and float(np.median(np.abs(np.diff(known)))) >= _STATIC_STEP
 
@@ -70,16 +60,10 @@ def _is_static(time: FloatArray) -> bool:
 def _choose_speed(
     optical: FloatArray | None, electrical: FloatArray | None
 ) -> tuple[FloatArray | None, list[Finding]]:
-    """Return the speed to use [rad/s] and notes: the optical one unless it is off.
-
-    A probe that is off writes zeros. Where both run and differ by one constant ratio, the pole count set in
-    the stand's program is wrong: a warning says so, and nothing is averaged.
-    """
-
-    def running(speed: FloatArray | None) -> int:
-        return 0 if speed is None else int(np.count_nonzero(np.nan_to_num(speed)))
-
-    seen_optical, seen_electrical = running(optical), running(electrical)
+    """Return the speed to use [rad/s] and notes: the optical one unless it is off, which writes zeros."""
+    seen_optical, seen_electrical = (
+        0 if speed is None else int(np.count_nonzero(np.nan_to_num(speed))) for speed in (optical, electrical)
+    )
     if optical is None or seen_optical < 0.5 * seen_electrical:
         if electrical is None:
             return None, []
@@ -94,7 +78,8 @@ def _choose_speed(
         ratio = electrical[both] / optical[both]
         middle = float(np.median(ratio))
         low, high = np.percentile(ratio, [25, 75])
-        # One pole pair of fourteen is 7 %; probes that agree differ by well under 2 %.
+        # A constant ratio is a wrong pole count: one pole pair of fourteen is 7 %, and probes that agree
+        # differ by well under 2 %.
         if abs(middle - 1.0) > 0.02 and high - low < 0.02 * abs(middle):
             sentence = (
                 f"electrical speed is {middle:.4g} times the optical one throughout: "
@@ -105,10 +90,7 @@ def _choose_speed(
 
 
 def _recognize(source: Source) -> int:
-    header = find_header(source.head_lines)
-    if header is None:
-        return NO
-    stems = {column.stem for column in parse_header(header[2])}
+    stems = {column.stem for column in header_columns(source)}
     measured = {_QUANTITIES[name][0] for name in _MEASURED}
     return CERTAIN if stems & _COMMAND and stems & measured else NO
 
@@ -141,17 +123,17 @@ def _both_speeds(units: Mapping[str, str] | None, columns: tuple[Column, ...]) -
         return units
     probes = {_QUANTITIES[name][0] for name in _SPEEDS} & {column.stem for column in columns}
     others = {name: unit for name, unit in units.items() if name != "speed"}
-    return {**dict.fromkeys(sorted(probes), units["speed"]), **others} if probes else units
+    return dict.fromkeys(sorted(probes), units["speed"]) | others if probes else units
 
 
-def _messages(text: Text, head: TableHead, column: Column) -> list[Finding]:
+def _messages(table: NamedTable, column: Column) -> list[Finding]:
     """Return a note with the messages of the stand's program, each once with its line."""
     messages: dict[str, int] = {}
-    for number, _, line in text.lines(-1, head.offset, head.line):
+    for number, _, line in table.text.lines(-1, table.head.offset, table.head.line):
         # Of most rows the message is blank: a row without a letter or a quote cannot hold one.
         if line.startswith("#") or not any(letter.isalpha() and letter not in "eE" for letter in line):
             continue
-        cells = split_line(line, head.delimiter)
+        cells = split_line(line, table.head.delimiter)
         message = cells[column.index].strip() if column.index < len(cells) else ""
         if message and len(messages) < _MOST_MESSAGES:
             messages.setdefault(message[:80], number)
@@ -182,19 +164,17 @@ def _clock(
 
 
 def _parse(source: Source, options: BenchOptions) -> RawTable:
-    path = source.path
-    text = read_text(source)
-    head = table_head(text, renames=False)
-    header = parse_header(head.names)
+    table = NamedTable(source, options, renames=False)
+    path, header = table.path, table.columns
     declared = DeclaredUnits(path, _both_speeds(options.units, header))
-    command = find_column(path, header, _COMMAND)
+    command = table.find(_COMMAND)
     if command is None:
-        raise missing_column(path, '"ESC signal" or "ESC"', header)
-    matches = {name: (find_column(path, header, {stem}), unit) for name, (stem, unit) in _QUANTITIES.items()}
+        raise table.missing('"ESC signal" or "ESC"')
+    matches = {name: (table.find({stem}), unit) for name, (stem, unit) in _QUANTITIES.items()}
     columns = {name: (column, unit) for name, (column, unit) in matches.items() if column is not None}
     if not any(name in columns for name in _MEASURED):
-        raise missing_column(path, '"Thrust", "Torque" or "Motor Optical Speed"', header)
-    clock = find_column(path, header, {"time"})
+        raise table.missing('"Thrust", "Torque" or "Motor Optical Speed"')
+    clock = table.find({"time"})
     if clock is None and not options.static:
         raise LogError(
             f'{path}: no column "Time", so rows have no clock; '
@@ -204,22 +184,19 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
 
     wanted = [command, *(column for column, _ in columns.values()), *temperatures]
     wanted += [clock] if clock else []
-    indices = [column.index for column in wanted]
-    message = find_column(path, header, {"app message"})
-    words = message.index if message is not None and message.index > max(indices) else None
+    message = table.find({"app message"})
+    words = message.index if message is not None and message.index > max(c.index for c in wanted) else None
     # Rows are ragged: a vendor script appends cells to some, behind the message, and a message may hold
     # commas. A row that ends before it, or before the delimiter behind it, has lost cells somewhere.
-    least = len(head.names) if words is None else words + 1 + min(head.trailing, 1)
-    numbers = read_numbers(text, head, indices, least=least, surplus=True, free_text=words)
-    notes = [*numbers.notes, *([] if message is None else _messages(text, head, message))]
-    del text  # the file's bytes are not needed any more
-
+    least = len(header) if words is None else words + 1 + min(table.head.trailing, 1)
+    messages = [] if message is None else _messages(table, message)
+    numbers = table.read(wanted, least=least, surplus=True, free_text=words)
     seconds = declared.factor(clock, "time", "s") if clock else 1.0
     time, points, ordered = _clock(path, numbers, clock, seconds, options)
     stems = {column.stem for column in header}
     series = " Series 1580/1585" if "accx" in stems else " Series 1780" if "esc" in stems else ""
     series = series or ("" if "torque" in stems else " Series 1520")
-    raw = RawTable("thrust-stand", f"RCbenchmark{series}", time, [*notes, *ordered])
+    raw = RawTable("thrust-stand", f"RCbenchmark{series}", time, [*numbers.notes, *messages, *ordered])
     protocol = _command_unit(path, command, declared, numbers.columns[command.index], raw.notes)
     raw.channels["command"] = Channel("command", protocol, time, numbers.columns[command.index])
     factors = {name: declared.factor(column, name, unit) for name, (column, unit) in columns.items()}
@@ -248,9 +225,6 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
 
 
 FORMAT = table_format(
-    "rcbenchmark-csv",
-    "RCbenchmark / Tyto thrust stand CSV (Series 1520, 1580, 1585, 1780)",
-    _recognize,
-    _parse,
-    {"units": (), "static": (), "time_back": ()},
-)
+    "rcbenchmark-csv", "RCbenchmark / Tyto thrust stand CSV (Series 1520, 1580, 1585, 1780)", _recognize,
+    _parse, {"units": (), "static": (), "time_back": ()},
+)  # fmt: skip

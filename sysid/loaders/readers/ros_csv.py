@@ -17,11 +17,11 @@ from sysid.errors import LogError
 from sysid.journal import Finding, note
 from sysid.loaders.capture_log import Body, RawCapture, body_name, capture_format, declared_length
 from sysid.loaders.clock import EXPORT_FINER, frame_clock, jitter_note, order_rows
-from sysid.loaders.columns import Column, listing, parse_header, unread_note
+from sysid.loaders.columns import Column, NamedTable, listing, unread_note
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.source import Source, read_text
-from sysid.loaders.table import Numbers, find_header, read_numbers, table_head
+from sysid.loaders.source import Source
+from sysid.loaders.table import Numbers, find_header
 
 _ARRIVAL, _STAMP = "%time", "field header stamp"
 _SEQUENCE = "field header seq"
@@ -82,9 +82,8 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     path, clock = source.path, options.clock or "header"
     body = body_name(path, options.rigid_body)
     scale = declared_length(path, options.length_unit)
-    text = read_text(source)
-    head = table_head(text, renames=False)
-    columns = parse_header(head.names)
+    table = NamedTable(source, options, renames=False)
+    columns = table.columns
     place = _axes(path, columns, _POSITION, "xyz")
     turn = _axes(path, columns, _TURN, "wxyz")
     clocks = {column.stem: column for column in columns if column.stem in (_ARRIVAL, _STAMP)}
@@ -100,8 +99,7 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
         raise LogError(f'{path}: no column field.header.seq; choose clock = "header" or "arrival"')
     counted = [sequence] if sequence is not None and clock == "frame" else []
     read = [stamp, *counted, *place, *turn]
-    numbers = read_numbers(text, head, [column.index for column in read])
-    del text  # the file's bytes are not needed any more
+    numbers = table.read(read)
     if clock == "header" and not np.nan_to_num(numbers.columns[stamp.index]).any():
         raise LogError(f'{path}: every header stamp is 0; choose clock = "arrival"')
     unit, assumed = _stamp_unit(path, numbers, stamp)

@@ -5,8 +5,7 @@
     /clocks/0, 1, ...       (n,) sample times [s], one per clock that channels share; attribute unit = "s",
                             or "1" where rows are points of a static map
     /channels/NAME          (n,) or (n, k) samples in SI, NaN where nothing was recorded; attributes: name,
-    index
-                            (order), unit, clock (number of its clock)
+                            index (order), unit, clock (number of its clock)
 
 A name with a slash lies in groups (``/channels/F450/position``); where that cannot be, under its number, and
 the attribute ``name`` says what it is called.
@@ -52,10 +51,7 @@ def _recognize(source: Source) -> int:
 def write_recording(recording: Recording, path: str | Path) -> Path:
     """Write a recording as HDF5 in the layout above; an existing file is replaced only by a complete one.
 
-    Raises
-    ------
-    LogError
-        When the file cannot be written.
+    A file that cannot be written is a LogError.
     """
     import h5py
 
@@ -123,10 +119,10 @@ def _text(attributes: Any, key: str) -> str:
 def _read(source: Source) -> Recording:
     """Return the recording as it was written, with a note that names the original file."""
     with open_hdf5(source, "convert the log again") as file:
-        return _read_open(source, file)
+        return _recording(source, file)
 
 
-def _read_open(source: Source, file: Any) -> Recording:
+def _recording(source: Source, file: Any) -> Recording:
     path, attributes = source.path, file.attrs
     if LAYOUT_ATTRIBUTE not in attributes:
         raise LogError(

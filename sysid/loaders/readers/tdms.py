@@ -23,16 +23,15 @@ from typing import Any
 
 import numpy as np
 
-from sysid.errors import LogError, UnitError
+from sysid.errors import LogError
 from sysid.journal import Finding, note
 from sysid.loaders.binary import library, reading
-from sysid.loaders.columns import listing_note
+from sysid.loaders.columns import factor_or_none, listing_note
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.signal_log import SIGNAL_OPTIONS, RawSignals, Signal, signal_format, written_unit
 from sysid.loaders.source import Source
 from sysid.types import FloatArray
-from sysid.units import factor_to_si
 
 _THINNED = re.compile(r"Decimated Data_Level\d+$")
 # Clocks of a computer and a device drift apart by less than this.
@@ -45,7 +44,6 @@ _SAID = re.compile(
     re.DOTALL,
 )
 _EPOCH = np.datetime64("1904-01-01T00:00:00", "ns")
-_NANOSECONDS = 1_000_000_000
 
 
 @dataclass
@@ -77,12 +75,11 @@ def _waveform_starts(path: str) -> dict[str, _Starts]:
                 if match["path"] is not None:
                     channel = match["path"].decode("utf-8", "replace")
                     continue
-                seconds, fraction = (
-                    struct.unpack(">qQ", match["time"]) if big else struct.unpack("<Qq", match["time"])[::-1]
-                )
+                stamp = struct.unpack(">qQ" if big else "<Qq", match["time"])
+                seconds, fraction = stamp if big else stamp[::-1]
                 if seconds <= 0 or seconds > 1 << 33:  # not set, or no time
                     continue
-                passed = seconds * _NANOSECONDS + (fraction * _NANOSECONDS >> 64)
+                passed = seconds * 10**9 + (fraction * 10**9 >> 64)
                 start = _EPOCH + np.timedelta64(passed, "ns")
                 known = starts.setdefault(channel, _Starts(start, start, at))
                 if start != known.last:
@@ -102,14 +99,6 @@ def _samples_before(path: str, offset: int, channel: str) -> int:
 
 def _recognize(source: Source) -> int:
     return CERTAIN if source.head.startswith(b"TDSm") else NO
-
-
-def _seconds(unit: str) -> float | None:
-    """Return the factor from the unit of a waveform's axis to seconds; None where it is no time."""
-    try:
-        return factor_to_si(unit, "s")
-    except UnitError:
-        return None
 
 
 def _samples(channel: Any) -> FloatArray:
@@ -162,16 +151,13 @@ def _signals(path: str, file: Any, notes: list[Finding], declared: float | None)
         if channel.dtype is None or np.dtype(channel.dtype).kind not in "iufbM":
             other.append(name)
             continue
-        unit = next(
-            (str(properties[key]) for key in ("unit_string", "NI_UnitDescription") if properties.get(key)),
-            None,
-        )
+        unit = str(properties.get("unit_string") or properties.get("NI_UnitDescription") or "")
         if np.dtype(channel.dtype).kind == "M":
             unit = "s"  # what `_samples` makes of time stamps
         step = properties.get("wf_increment")
         if isinstance(step, bool) or not isinstance(step, int | float | np.integer | np.floating):
             step = 0.0
-        seconds = _seconds(str(properties.get("wf_xunit_string") or "s").strip())
+        seconds = factor_or_none(str(properties.get("wf_xunit_string") or "s").strip(), "s")
         if seconds is None:
             spectra.append(name)
             continue

@@ -17,16 +17,16 @@ import numpy as np
 from sysid.errors import LogError
 from sysid.journal import Finding, note
 from sysid.loaders.binary import library, reading
-from sysid.loaders.capture_log import body_channels, unit_quaternions
+from sysid.loaders.capture_log import Body, RawCapture, capture_format, unit_quaternions
 from sysid.loaders.clock import order_rows
 from sysid.loaders.columns import listing
-from sysid.loaders.registry import CERTAIN, NO, LogFormat
+from sysid.loaders.options import CaptureOptions
+from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers
-from sysid.recording import Channel, Recording
+from sysid.recording import Channel
 from sysid.types import FloatArray
 
-_NAME = "ulog"
 _MAGIC = b"ULog\x01\x12\x35"
 _ODOMETRY = {"vehicle_odometry": "vehicle", "vehicle_visual_odometry": "visual"}
 # The field of vehicle_odometry that names the frame of the poses, and its numbers; PX4 1.14 renamed and
@@ -108,14 +108,13 @@ def _axes_note(channels: Sequence[str], others: Sequence[str]) -> Finding:
 
 
 class _Topics:
-    """Topics of a log by name, the lowest instance of each, and what became of them."""
+    """Topics of a log by name, the lowest instance of each; what they hold becomes a capture."""
 
     def __init__(self, path: str, log: Any, time_back: str) -> None:
         self.path, self.time_back = path, time_back
         by_instance = sorted(log.data_list, key=lambda topic: -topic.multi_id)
         self.topics = {topic.name: topic for topic in by_instance}
-        self.notes: list[Finding] = []
-        self.channels: dict[str, Channel] = {}
+        self.raw = RawCapture("", [], kind="onboard")
 
     def rows(self, name: str, fields: Sequence[str]) -> tuple[Any, Numbers] | None:
         """Return a topic and its fields, unordered, on its clock [s]; None where it has them not."""
@@ -131,15 +130,8 @@ class _Topics:
     def clock(self, numbers: Numbers) -> FloatArray:
         """Put rows in order and return their times [s]."""
         time, ordered = order_rows(self.path, numbers, 0, 1.0, time_back=self.time_back)
-        self.notes += [finding for finding in ordered if finding not in self.notes]
+        self.raw.notes += ordered
         return time
-
-    def quaternions(self, body: str, numbers: Numbers, first: int) -> FloatArray:
-        """Return the unit quaternions in four columns."""
-        turn = numbers.stacked(range(first, first + 4))
-        unit, turned = unit_quaternions(self.path, body, numbers, turn)
-        self.notes += turned
-        return unit
 
     def add_odometry(self, name: str, body: str) -> bool:
         """Add a body from a topic of odometry; return whether it is in another frame than NED."""
@@ -151,20 +143,21 @@ class _Topics:
         if read is None:
             return False
         frame, notes = _frame(read[0], body)
-        self.notes += notes
+        self.raw.notes += notes
         if frame:
             time = self.clock(read[1])
-            orientation = self.quaternions(body, read[1], 4)
-            self.channels |= body_channels(body, time, read[1].stacked((1, 2, 3)), orientation)
+            position, turn = read[1].stacked((1, 2, 3)), read[1].stacked((4, 5, 6, 7))
+            self.raw.bodies.append(Body(body, time, position, turn, read[1]))
         return frame not in ("NED", "")
 
     def add_attitude(self) -> None:
         """Add the estimate of attitude."""
         read = self.rows("vehicle_attitude", _QUATERNION)
         if read is not None:
-            time = self.clock(read[1])
-            values = self.quaternions("vehicle_attitude", read[1], 1)
-            self.channels["attitude"] = Channel("attitude", "1", time, values)
+            time, turn = self.clock(read[1]), read[1].stacked((1, 2, 3, 4))
+            unit, turned = unit_quaternions(self.path, "vehicle_attitude", read[1], turn)
+            self.raw.notes += turned
+            self.raw.others["attitude"] = Channel("attitude", "1", time, unit)
 
     def add_plain(self, name: str, channel: str, fields: Sequence[str], unit: str, factor: float) -> None:
         """Add fields of a topic as a channel; an output, a motor or an ESC of a number only where it ran."""
@@ -176,17 +169,17 @@ class _Topics:
         time = self.clock(numbers)
         values = numbers.columns[1] if len(fields) == 1 else numbers.stacked(range(1, len(fields) + 1))
         if np.isfinite(values).any() and (np.nan_to_num(values).any() or not channel[-1].isdigit()):
-            self.channels[channel] = Channel(channel, unit, time, values * factor)
-            self.notes += masked
+            self.raw.others[channel] = Channel(channel, unit, time, values * factor)
+            self.raw.notes += masked
             if topic.multi_id:
                 sentence = f"{topic.name} is of instance {topic.multi_id}, the lowest in the log"
-                self.notes.append(note("lowest-instance-read", sentence))
+                self.raw.notes.append(note("lowest-instance-read", sentence))
         elif masked and np.isnan(values).all():
             sentence = f"{channel} was left out: no message holds a value that PX4 marks as known"
-            self.notes += [*masked, note("no-known-value", sentence)]
+            self.raw.notes += [*masked, note("no-known-value", sentence)]
 
 
-def _read(source: Source, *, time_back: str = "drop") -> Recording:
+def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     path = source.path
     core = library(path, "pyulog.core", "pyulog")
     error = library(path, "pyulog.exceptions", "pyulog").ULogException
@@ -194,14 +187,16 @@ def _read(source: Source, *, time_back: str = "drop") -> Recording:
         raise LogError(f"{path}: not a ULog (its first bytes do not say so); check the format")
     with reading(path, "ULog", "copy it from the drone again", error):
         log = core.ULog(path)
-    topics = _Topics(path, log, time_back)
+    topics = _Topics(path, log, options.time_back or "drop")
     others = [body for name, body in _ODOMETRY.items() if topics.add_odometry(name, body)]
     topics.add_attitude()
     for plain in _PLAIN:
         topics.add_plain(*plain)
-    channels, notes = topics.channels, list(dict.fromkeys(topics.notes))
-    if not channels and notes:
-        raise LogError(f"{path}: nothing is left to read: {'; '.join(map(str, notes))}")
+    raw = topics.raw
+    raw.notes = list(dict.fromkeys(raw.notes))
+    channels = [*(f"{body.name}/position" for body in raw.bodies), *raw.others]
+    if not channels and raw.notes:
+        raise LogError(f"{path}: nothing is left to read: {'; '.join(map(str, raw.notes))}")
     if not channels:
         raise LogError(
             f"{path}: none of the topics that sysid reads is in this log; found "
@@ -212,18 +207,17 @@ def _read(source: Source, *, time_back: str = "drop") -> Recording:
             "actuator outputs as recorded: µs where the speed controllers take PWM, levels of DShot or CAN "
             "where they do not"
         )
-        notes.append(note("actuator-outputs-as-recorded", sentence))
+        raw.notes.append(note("actuator-outputs-as-recorded", sentence))
     if log.dropouts:
         lost = 1e-3 * sum(dropout.duration for dropout in log.dropouts)
         sentence = f"the logger dropped out {len(log.dropouts)} times, {lost:.3g} s in all"
-        notes.append(note("logger-dropouts", sentence))
+        raw.notes.append(note("logger-dropouts", sentence))
     if log.file_corruption:
-        notes.append(note("file-damaged", "parts of the file are damaged and were passed over"))
-    device = str(log.msg_info_dict.get("sys_name", "PX4"))
-    version = str(log.msg_info_dict.get("ver_hw", "")).strip()
-    notes.append(_axes_note(list(channels), others))
-    provenance = source.provenance(_NAME, device=f"{device} {version}".strip(), notes=notes)
-    return Recording("onboard", channels, provenance)
+        raw.notes.append(note("file-damaged", "parts of the file are damaged and were passed over"))
+    raw.notes.append(_axes_note(channels, others))
+    name, version = log.msg_info_dict.get("sys_name", "PX4"), log.msg_info_dict.get("ver_hw", "")
+    raw.device = f"{name} {str(version).strip()}".strip()
+    return raw
 
 
-FORMAT = LogFormat(_NAME, "PX4 ULog (onboard log)", _recognize, _read, {"time_back": ()})
+FORMAT = capture_format("ulog", "PX4 ULog (onboard log)", _recognize, _parse, {"time_back": ()})

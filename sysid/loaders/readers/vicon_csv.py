@@ -96,11 +96,11 @@ def _recognize(source: Source) -> int:
     return CERTAIN if rate.isdigit() else NO
 
 
-def _section(text: Text, number: int, offset: int) -> _Section | None:
+def _section(text: Text, offset: int) -> _Section | None:
     """Return the section whose title is the first line behind `offset` that is not blank; None at the end."""
     path = text.path
     rows: list[tuple[int, int, str]] = []
-    for line_number, behind, line in text.lines(-1, offset, number):
+    for line_number, behind, line in text.lines(-1, offset, text.data.count(b"\n", 0, offset)):
         if rows or line.strip(",;\t "):
             rows.append((line_number, behind, line))
         if len(rows) == _HEADER_LINES:
@@ -111,7 +111,7 @@ def _section(text: Text, number: int, offset: int) -> _Section | None:
     if _title(title) not in _TITLES:
         raise LogError(
             f"{path}, line {first}: {title.strip()[:40]!r} is no title of a section; expected one of "
-            f"{', '.join(one.title() for one in _TITLES)}"
+            f"{', '.join(known.title() for known in _TITLES)}"
         )
     if len(rows) < _HEADER_LINES:
         raise LogError(f"{path}, line {rows[-1][0]}: the file ends in a section's header; export it again")
@@ -153,15 +153,6 @@ def _section(text: Text, number: int, offset: int) -> _Section | None:
     return _Section(_title(title), rate, table, end, tuple(filled), tuple(fields), tuple(units))
 
 
-def _sections(text: Text) -> list[_Section]:
-    sections: list[_Section] = []
-    offset = 0
-    while (section := _section(text, text.data.count(b"\n", 0, offset), offset)) is not None:
-        sections.append(section)
-        offset = section.end
-    return sections
-
-
 def _clock(path: str, section: _Section, numbers: Numbers) -> tuple[FloatArray, list[Finding]]:
     """Return times [s]: frame numbers over the capture's rate, sub frames between them."""
     sub = numbers.columns[1]
@@ -201,7 +192,7 @@ def _rotation(
     if len(stated_units) > 1:
         raise UnitError(
             f'{path}, line {section.table.line}: the angles of "{name}" are in '
-            f"{' and '.join(sorted(one or 'no unit' for one in stated_units))}; correct the row of units"
+            f"{' and '.join(sorted(unit or 'no unit' for unit in stated_units))}; correct the row of units"
         )
     with naming(f'{path}: angles of "{name}"'):
         factor = factor_to_si(stated_units.pop() or "rad", "rad")
@@ -291,18 +282,15 @@ def _read_section(
 def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     path = source.path
     text = read_text(source)
-    sections = _sections(text)
+    sections: list[_Section] = []
+    while (section := _section(text, sections[-1].end if sections else 0)) is not None:
+        sections.append(section)
     if not sections:
         raise LogError(f"{path}: only blank lines; export the file again")
-    bodies = [
-        _body_name(name)
-        for section in sections
-        if section.title in ("segments", "objects")
-        for name in section.groups()
-    ]
-    kept = (
-        wanted_bodies(path, bodies, options.rigid_body) if bodies and options.rigid_body is not None else None
-    )
+    moving = [section for section in sections if section.title in ("segments", "objects")]
+    bodies = [_body_name(name) for section in moving for name in section.groups()]
+    chosen = bodies and options.rigid_body is not None
+    kept = wanted_bodies(path, bodies, options.rigid_body) if chosen else None
     raw = RawCapture("Vicon " + ", ".join(section.title.title() for section in sections), [])
     for section in sections:
         _read_section(text, section, kept, options, raw)

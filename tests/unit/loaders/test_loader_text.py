@@ -8,9 +8,9 @@ import pytest
 from sysid.errors import LogError
 from sysid.loaders import table
 from sysid.loaders.clock import jitter_note
-from sysid.loaders.columns import split_label
+from sysid.loaders.columns import split_label, table_head
 from sysid.loaders.source import Source, read_text, sniff_delimiter, split_line
-from sysid.loaders.table import parse_number, read_numbers, table_head
+from sysid.loaders.table import parse_number, read_numbers
 
 
 def numbers_of(path, wanted=None, **options):
