@@ -22,22 +22,21 @@ class SimulatedTrial:
 
     The command is u in [-1, 1] from each instant [s] on (m,). Torque and speed are wanted at `time` (n,) [s],
     strictly increasing; at the first of them the state is `initial`, a current [A] and a speed [rad/s]. The
-    supply is V/V_ref at knots [s] (k,); left out: 1.
+    supply is knots [s] and V/V_ref there, (k,) each; left out: 1.
     """
 
     command_time: FloatArray
     command: FloatArray
     time: FloatArray
     initial: tuple[float, float] | Literal["steady"] = "steady"
-    supply_time: FloatArray | None = None
-    supply_ratio: FloatArray | None = None
+    supply: tuple[FloatArray, FloatArray] | None = None
 
 
 class SimulatedTrials:
     """Trials laid end to end for `simulate_population`; trial j owns ``slice(first[j], first[j + 1])``.
 
-    `excitation` holds command instants, commands, first of each trial, supply knots, V/V_ref, first of each
-    trial: what the kernels of motor and first-order lag take in this order.
+    `excitation` is what the kernels take in this order: command instants, commands, first of each trial,
+    supply knots, V/V_ref, first of each trial.
     """
 
     def __init__(self, trials: Sequence[SimulatedTrial]) -> None:
@@ -47,17 +46,12 @@ class SimulatedTrials:
         instants, levels = zip(
             *(schedule(trial.command_time, trial.command) for trial in trials), strict=True
         )
-        known = [
-            None if t.supply_time is None or t.supply_ratio is None else (t.supply_time, t.supply_ratio)
-            for t in trials
-        ]
-        knots, ratios = zip(*(supply(volts, 1.0) for volts in known), strict=True)
+        knots, ratios = zip(*(supply(trial.supply, 1.0) for trial in trials), strict=True)
         self.excitation = (*_joined(instants, levels), *_joined(knots, ratios))
         self.time, self.first = _end_to_end([trial.time for trial in trials])
         self.edges, _ = _end_to_end([_edges(trial.time) for trial in trials])
-        self.starts = np.array(
-            [kernel.STEADY if isinstance(t.initial, str) else kernel.AS_GIVEN for t in trials], dtype=np.int64
-        )
+        steady = [isinstance(trial.initial, str) for trial in trials]
+        self.starts = np.where(steady, kernel.STEADY, kernel.AS_GIVEN).astype(np.int64)
         self.initial = np.array([(0.0, 0.0) if isinstance(t.initial, str) else t.initial for t in trials])
 
     def __len__(self) -> int:
@@ -94,8 +88,8 @@ class PopulationResult(NamedTuple):
     """Outputs of `simulate_population`.
 
     `outputs` (P, n_total, 2): stator torque [N·m], averaged over each sample's cell, and speed [rad/s]; NaN
-    past a failure. `status` (P, n_trials): 0 where the simulation reached the end; texts in
-    `sysid.motor.model.STATUS_TEXT`. `reached` (P, n_trials): share of the duration that was simulated.
+    past a failure. `status` (P, n_trials): a key of `sysid.motor.model.STATUS_TEXT`. `reached` (P, n_trials):
+    share of the duration that was simulated.
     """
 
     outputs: FloatArray
@@ -114,19 +108,12 @@ def simulate_population(
 ) -> PopulationResult:
     """Simulate every candidate on every trial; one that cannot be simulated has a status, not an exception.
 
+    `parameters` (P, n_table) are rows of `sysid.motor.model.PARAMETERS` [SI]; `delays` (P, n_trials) are
+    added to ``command_delay`` [s]; `ideal_reversal` and `tolerance` as in `sysid.motor.model.simulate`. The
+    result does not depend on the number of `threads`.
+
     The torque is averaged over each sample's cell, from half-way after the sample before to half-way
     before the next: it jumps when the dead band ends and, as L → 0, at each command.
-
-    Parameters
-    ----------
-    parameters : (P, n_table) array
-        Rows in the order of `sysid.motor.model.PARAMETERS` [SI].
-    delays : (P, n_trials) array, optional
-        Added to ``command_delay`` per candidate and trial [s].
-    ideal_reversal, tolerance
-        As in `sysid.motor.model.simulate`.
-    threads : int, optional
-        Threads to use; the result does not depend on it. Default: all that numba offers.
     """
     rows = np.atleast_2d(parameters)
     if rows.shape[1] != len(PARAMETERS):

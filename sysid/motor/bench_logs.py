@@ -48,7 +48,7 @@ from sysid.types import BoolArray, FloatArray
 
 # Times [s] and values of a channel.
 Samples = tuple[FloatArray, FloatArray]
-# Of a second file that was joined: name, hash, format, device, clock offset [s], correlation, confidence.
+# What a result states of a second file that was joined: name, hash, clock offset [s], and the like.
 SecondFile = dict[str, Any] | None
 
 _NEEDED = ("command", "speed", "torque", "thrust", "voltage", "current")
@@ -67,11 +67,7 @@ def read_log(
     """Load a log of the campaign, joined with its second file where it has one, all channels on one clock.
 
     The `[log]` table serves every log whose format takes the option; the entry's `log_options` win over it.
-
-    Raises
-    ------
-    SysidError
-        When a log cannot be read, or the clock of the second one cannot be found.
+    SysidError when a log cannot be read, or the clock of the second one cannot be found.
     """
     log, options = resolve_log(path, entry.log), entry.log_options
     name = options.format or campaign.log.format or "auto"
@@ -85,15 +81,12 @@ def read_log(
         # Another instrument: the campaign's `[log]` does not describe it.
         other = resolve_log(path, entry.second_log.log)
         beside = load_stated(other, entry.second_log.format, {}, entry.second_log.loader_options())
-        recording, alignment = join_recordings(recording, beside, entry.second_log.align_by)
-        second = {
-            **source_of(beside),
-            "aligned": f"{alignment.other} with {alignment.reference}",
-            "offset [s]": alignment.offset,
-            "correlation": alignment.correlation,
-            "confidence": alignment.confidence,
+        recording, clock = join_recordings(recording, beside, entry.second_log.align_by)
+        second = source_of(beside) | {
+            "aligned": f"{clock.other} with {clock.reference}", "offset [s]": clock.offset,
+            "correlation": clock.correlation, "confidence": clock.confidence,
             "notes": beside.provenance.sentences,
-        }
+        }  # fmt: skip
     return on_one_clock(recording, _NEEDED, _CLOCK_OF), second
 
 
@@ -120,12 +113,11 @@ def check_options(campaign: MotorCampaign, path: str | Path) -> None:
 def _campaign_wide(campaign: MotorCampaign, name: str, options: BenchLogOptions) -> dict[str, Any]:
     """Return what `[log]` says, with its short forms of units in the words of the format."""
     log = campaign.log
-    short = {
-        "command": log.command_unit, "thrust": log.force_unit, "torque": log.torque_unit,
-        "speed": log.speed_unit,
-    }  # fmt: skip
+    short = {"torque": log.torque_unit}
     if name == "ati-text":  # six channels by place, which share two units
-        short = {"force": log.force_unit, "torque": log.torque_unit}
+        short["force"] = log.force_unit
+    else:
+        short |= {"command": log.command_unit, "thrust": log.force_unit, "speed": log.speed_unit}
     units = {**(log.units or {}), **{key: unit for key, unit in short.items() if unit is not None}}
     # A calibration states its units.
     return log.loader_options() | {"units": None if options.calibration is not None else units or None}
@@ -151,9 +143,9 @@ class BenchLog:
 
     Channels are (times, values) by name, real samples only: signed ``speed`` [rad/s], ``torque`` [N·m],
     ``thrust`` [N], ``voltage`` [V]; ``current`` of the motor [A] where the campaign says that it is logged.
-    `time` (n,) are the rows' [s], `window` the part of the log that the trial may use, `doubtful` the
-    intervals inside it whose command the logger lost [s]. `fast` logs are filtered; `signs` is what the
-    recorded torque and thrust were multiplied by.
+    The rows are at `time` (n,) [s]; `window` is the part of the log that the trial may use, `doubtful` are
+    the intervals inside it whose command the logger lost [s]. `fast` logs are filtered; `signs` are the
+    factors of the recorded torque and thrust.
     """
 
     name: str
@@ -172,16 +164,16 @@ class BenchLog:
     @property
     def where(self) -> str:
         """The log and the trial, as sentences name them."""
-        return _where(self.recording, self.name)
+        return f"{self.recording.provenance.path}, trial {self.name!r}"
 
     @property
     def interval(self) -> float:
         """Median distance of the rows [s]."""
         return float(np.median(np.diff(self.time)))
 
-
-def _where(recording: Recording, name: str) -> str:
-    return f"{recording.provenance.path}, trial {name!r}"
+    def note(self, code: str, sentence: str) -> None:
+        """Keep what was done to the log."""
+        self.notes.append(note(code, sentence))
 
 
 def command_range(campaign: MotorCampaign) -> CommandRange:
@@ -195,13 +187,10 @@ def command_range(campaign: MotorCampaign) -> CommandRange:
 def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> BenchLog:
     """Read a trial's log and settle its signs, tare and doubtful intervals.
 
-    Raises
-    ------
-    LogError
-        When command, speed or torque is missing, or the log turns another way than its direction says.
+    LogError when command, speed or torque is missing, or the log turns another way than its direction says.
     """
     recording, second = read_log(campaign, path, entry)
-    where = _where(recording, entry.name)
+    where = f"{recording.provenance.path}, trial {entry.name!r}"
     if recording.kind == "static-map":
         raise LogError(f"{where}: holds averaged points, no transients; name it under curves.static")
     time = recording["command"].time
@@ -225,15 +214,14 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> B
     _estimate_zeros(campaign, log)
     _settle_signs(campaign, log)
     if not log.fast:
-        sentence = f"rows every {1e3 * log.interval:.1f} ms: compared unfiltered"
-        log.notes.append(note("unfiltered", sentence))
+        log.note("unfiltered", f"rows every {1e3 * log.interval:.1f} ms: compared unfiltered")
     for stall in stalls:
         if stall.doubtful is not None:
-            sentence = (
+            log.note(
+                "logger-stalls",
                 f"the logger stalls from {stall.start:.4f} to {stall.end:.4f} s around a command: "
-                f"{stall.doubtful[0]:.4f} to {stall.doubtful[1]:.4f} s is left out of the cost"
+                f"{stall.doubtful[0]:.4f} to {stall.doubtful[1]:.4f} s is left out of the cost",
             )
-            log.notes.append(note("logger-stalls", sentence))
     return log
 
 
@@ -314,8 +302,9 @@ def _add_channels(campaign: MotorCampaign, log: BenchLog, u: FloatArray) -> None
             # A probe that is not connected reads 0; no supply that turns a motor does.
             keep = keep & (np.nan_to_num(values) > 0)
             if not keep.any():
-                sentence = "the voltage is nowhere above 0: left out, the supply counts as constant"
-                log.notes.append(note("no-voltage", sentence))
+                log.note(
+                    "no-voltage", "the voltage is nowhere above 0: left out, the supply counts as constant"
+                )
                 continue
         else:
             row = np.minimum(np.searchsorted(log.time, channel.time), log.time.size - 1)
@@ -341,7 +330,7 @@ def _estimate_zeros(campaign: MotorCampaign, log: BenchLog) -> None:
                 f"no row at rest: the tare of {name}, {1e3 * zero.value:.3g} ± {1e3 * zero.error:.2g} "
                 f"m{unit}, is what its steady points over Ω|Ω| leave at standstill"
             )
-        log.notes.append(note("no-row-at-rest", sentence))
+        log.note("no-row-at-rest", sentence)
         if name == "torque" and campaign.cost.weights.torque > 0:
             notice("no-row-at-rest", f"{sentence}; record a second before the motor starts", trial=log.name)
 
@@ -349,10 +338,7 @@ def _estimate_zeros(campaign: MotorCampaign, log: BenchLog) -> None:
 def _settle_signs(campaign: MotorCampaign, log: BenchLog) -> None:
     """Turn torque and thrust so that steady values have the sign of their speed.
 
-    Raises
-    ------
-    LogError
-        When a stated sign contradicts the steady points.
+    LogError when a stated sign contradicts the steady points.
     """
     points = log_points(log)
     for name, stated in (("torque", campaign.log.torque_sign), ("thrust", campaign.log.thrust_sign)):
@@ -376,15 +362,16 @@ def _sign(name: str, stated: str, log: BenchLog, points: SteadyPoints) -> int:
         )
     if sign == 0:
         sign = sign_of_log(log.channels[name], log.channels["speed"])
-        sentence = f"no steady stretch: the whole log against its speed gives the sign of {name}"
-        log.notes.append(note("sign-of-whole-log", sentence))
+        log.note(
+            "sign-of-whole-log",
+            f"no steady stretch: the whole log against its speed gives the sign of {name}",
+        )
     if sign == 0:
-        sentence = f"nothing tells the sign of {name}, so it is taken as recorded; state log.{name}_sign"
+        sentence = f"nothing shows the sign of {name}, so it is taken as recorded; state log.{name}_sign"
         notice("sign-unknown", f"{sentence} = '+' or '-'", trial=log.name)
         return 1
     if sign < 0:
-        sentence = f"the recorded {name} opposes the rotation at steady speed: its sign was turned"
-        log.notes.append(note("sign-turned", sentence))
+        log.note("sign-turned", f"the recorded {name} opposes the rotation at steady speed: sign turned")
     return sign
 
 
@@ -417,12 +404,8 @@ def torque_per_current(logs: Sequence[BenchLog]) -> TorquePerCurrent:
 
     At a steady speed the load cell feels k_m I − τ_f, with τ_f the constant friction of bearings and iron,
     which the current pays for as well. Without τ_f k_m would come out too small; it is left out where the
-    points do not show it, by three of its standard errors.
-
-    Raises
-    ------
-    LogError
-        When a log holds no current, or the points are fewer than three.
+    points do not show it, by three of its standard errors. LogError when a log holds no current, or the
+    points are fewer than three.
     """
     pairs = []
     for log in logs:
@@ -444,21 +427,19 @@ def torque_per_current(logs: Sequence[BenchLog]) -> TorquePerCurrent:
             "current; expected at least 3: hold more commands for over "
             f"{SETTLE:g} s, or leave log.current out"
         )
-    plain = _torque_line(current[:, None], torque, 1)
-    rubbed = _torque_line(np.column_stack([current, -np.ones(current.size)]), torque, 3)
-    if rubbed is not None and rubbed[0][1] > _SHOWN * rubbed[1][1]:
-        (value, friction), (error, _) = rubbed
-        return TorquePerCurrent(float(value), float(error), int(current.size), float(friction))
-    assert plain is not None
-    return TorquePerCurrent(float(plain[0][0]), float(plain[1][0]), int(current.size))
+    with_friction = np.column_stack([current, -np.ones(current.size)])
+    if current.size >= 5 and np.linalg.matrix_rank(with_friction) == 2:
+        (value, friction), (error, slack) = _torque_line(with_friction, torque)
+        if friction > _SHOWN * slack:
+            return TorquePerCurrent(float(value), float(error), int(current.size), float(friction))
+    (value,), (error,) = _torque_line(current[:, None], torque)
+    return TorquePerCurrent(float(value), float(error), int(current.size))
 
 
-def _torque_line(columns: FloatArray, torque: FloatArray, least: int) -> tuple[FloatArray, FloatArray] | None:
-    """Return coefficients and their standard errors; None where the points leave nothing to judge them by."""
-    freedom = len(torque) - columns.shape[1]
-    if freedom < least or np.linalg.matrix_rank(columns) < columns.shape[1]:
-        return None
+def _torque_line(columns: FloatArray, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return coefficients and their standard errors."""
     value: FloatArray = np.linalg.lstsq(columns, torque, rcond=None)[0].astype(np.float64)
     residual = torque - columns @ value
+    freedom = len(torque) - columns.shape[1]
     covariance = np.linalg.inv(columns.T @ columns) * float(residual @ residual) / freedom
     return value, np.asarray(np.sqrt(np.diag(covariance)), dtype=np.float64)

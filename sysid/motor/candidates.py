@@ -95,7 +95,7 @@ def _candidate(
     )  # fmt: skip
     schedule = replace(
         template.simulated, command_time=np.concatenate([[-1.0], lead + time]),
-        command=np.concatenate([[command[0]], command]), time=grid, supply_time=None, supply_ratio=None,
+        command=np.concatenate([[command[0]], command]), time=grid, supply=None,
     )  # fmt: skip
     trial = replace(template, simulated=schedule, target=blank, starts=(), thrust=None)
     alone = problem.of((trial,))

@@ -3,8 +3,8 @@
 Two ways, one per kind of instrument. A *fast* log (load cell, 10 kHz) went through the zero-phase Chebyshev
 filter; its impulse response, sampled once on the simulation's grid, filters the simulation, and both are
 compared on a grid that still resolves the stop-band edge. A *slow* log (thrust stand, 8 to 27 ms) is not
-filtered; the simulated torque and speed pass first-order lags of the sensors and are read at the log's own
-rows, the torque later by its sensor's delay.
+filtered; the simulated torque and speed pass first-order lags of the sensors and are read at the rows of the
+log, the torque later by its sensor's delay.
 """
 
 from __future__ import annotations
@@ -27,17 +27,10 @@ CHANNEL_UNITS = ("N·m", "rad/s")
 class MotorTarget:
     """What one trial measured and how a simulation must be prepared to compare.
 
-    Parameters
-    ----------
-    time : (n,) array
-        Compared instants [s].
-    measured : (n, 2) array
-        Stator torque [N·m] and speed [rad/s]; those samples count that are `valid` (n, 2).
-    grid_start, grid_step, grid_size
-        First time and step [s], and number of the simulated samples.
-    taps : (h + 1,) array
-        Centre and one side of the symmetric filter of a fast log; empty for a slow one. With a filter,
-        `time` is every so-many-th sample of the grid, at least h samples from both ends.
+    Compared are stator torque [N·m] and speed [rad/s], `measured` (n, 2) at `time` (n,) [s], where `valid`
+    (n, 2). The simulated grid has a first time and step [s] and a number of samples. `taps` (h + 1,) are the
+    centre and one side of the symmetric filter of a fast log, empty for a slow one. With a filter, `time`
+    takes every k-th sample of the grid, at least h samples from both ends.
     """
 
     name: str
@@ -53,9 +46,9 @@ class MotorTarget:
 class BenchCost:
     """Compiled NRMSE of a population on several trials; the same numbers on any number of threads.
 
-    `weights` are those of torque and speed in the mean over channels. The `denominator`, "std" or "range", is
-    that of the measured samples, per trial and channel. A weighted channel of a trial that has no sample or
-    is constant is a FitError; without weight its NRMSE is NaN.
+    `weights` are of torque and speed in the mean over channels. The `denominator`, "std" or "range", is of
+    the measured samples, per trial and channel. A channel without samples or a constant one is a FitError; if
+    it has no weight, its NRMSE is NaN.
     """
 
     def __init__(
@@ -63,33 +56,33 @@ class BenchCost:
     ) -> None:
         self.targets = targets
         self.weights = np.asarray(weights, dtype=np.float64)
-        self.denominators = np.ones((len(targets), 2))
+        self.denominators = np.full((len(targets), 2), np.nan)
         for t, target in enumerate(targets):
-            for c in range(2):
+            for c, channel in enumerate(CHANNELS):
                 try:
                     scale = spread(target.measured[:, c], target.valid[:, c], denominator)
+                    if scale == 0.0:
+                        raise FitError(
+                            "constant over the window, so its NRMSE is undefined; give the channel weight "
+                            "0 or drop the trial"
+                        )
+                    self.denominators[t, c] = scale
                 except FitError as error:
-                    if self.weights[c] == 0:
-                        self.denominators[t, c] = np.nan
-                        continue
-                    raise FitError(f"{target.name}, {CHANNELS[c]}: {error}") from None
-                if scale == 0.0 and self.weights[c] == 0:
-                    scale = np.nan
-                if scale == 0.0:
-                    raise FitError(
-                        f"{target.name}, {CHANNELS[c]}: constant over the window, so its NRMSE is "
-                        "undefined; give the channel weight 0 or drop the trial"
-                    )
-                self.denominators[t, c] = scale
-        self._rows = _first([len(target.time) for target in targets])
+                    if self.weights[c] > 0:
+                        raise FitError(f"{target.name}, {channel}: {error}") from None
         self.grid = _first([target.grid_size for target in targets])
-        self._taps = _first([len(target.taps) for target in targets])
-        self._all_taps = np.concatenate([*(target.taps for target in targets), np.zeros(0)])
-        self._time = np.concatenate([target.time for target in targets])
-        self._valid = np.concatenate([target.valid for target in targets])
-        self._measured = np.where(self._valid, np.concatenate([t.measured for t in targets]), 0.0)
-        self._start = np.array([target.grid_start for target in targets])
-        self._step = np.array([target.grid_step for target in targets])
+        taps, time, valid, measured = (
+            [getattr(target, name) for target in targets] for name in ("taps", "time", "valid", "measured")
+        )
+        valid_rows = np.concatenate(valid)
+        # In the order in which `_score` takes them.
+        self._prepared = (
+            _first([len(each) for each in time]), self.grid, _first([len(each) for each in taps]),
+            np.concatenate(taps), np.concatenate(time),
+            np.where(valid_rows, np.concatenate(measured), 0.0), valid_rows,
+            np.array([target.grid_start for target in targets]),
+            np.array([target.grid_step for target in targets]), self.denominators, self.weights,
+        )  # fmt: skip
 
     def mean(self, by_channel: FloatArray) -> FloatArray:
         """Return the weighted mean over channels, then over trials, of (..., T, 2) NRMSE."""
@@ -101,25 +94,14 @@ class BenchCost:
     ) -> tuple[FloatArray, BoolArray]:
         """Return NRMSE (P, T, 2) and failure (P, T) of a population.
 
-        Parameters
-        ----------
-        samples : (P, n_total, 2) array
-            Simulated stator torque [N·m] and speed [rad/s] on the trials' grids, end to end.
-        reached : (P, T) array
-            Share of each trial that was simulated; below 1 it failed and scores
-            ``FAILED_NRMSE · (2 − reached)``.
-        sensors : (P, 3) array
-            Torque delay, torque lag, speed lag [s]; slow logs only.
+        `samples` (P, n_total, 2) are simulated stator torque [N·m] and speed [rad/s] on the trials' grids,
+        end to end, `sensors` (P, 3) torque delay, torque lag, speed lag [s] of slow logs. A trial of which
+        less than all is `reached` (P, T) failed and scores ``FAILED_NRMSE · (2 − reached)``.
         """
         by_channel = np.empty((len(samples), len(self.targets), 2))
         failed = np.zeros(by_channel.shape[:2], dtype=np.bool_)
         with numba_threads(threads):
-            _score(
-                samples, reached, sensors, self._rows, self.grid, self._taps, self._all_taps, self._time,
-                self._measured, self._valid, self._start, self._step, self.denominators, self.weights,
-                by_channel, failed,
-            )  # fmt: skip
-        # A channel without weight need not be scorable; its number must still not stop the search.
+            _score(samples, reached, sensors, *self._prepared, by_channel, failed)
         return by_channel, failed
 
     def prepared(self, samples: FloatArray, sensors: FloatArray) -> tuple[FloatArray, ...]:

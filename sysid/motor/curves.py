@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,13 +24,10 @@ from sysid.motor.bench_logs import (
     source_of,
 )
 from sysid.motor.static_curves import (
-    OUTLIER,
     CurveFit,
-    coefficient_correlation,
+    NoLoadTie,
     fit_no_load_line,
     fit_speed_curve,
-    r_squared,
-    soft_weights,
     turns,
 )
 from sysid.recording import Recording
@@ -44,11 +40,7 @@ _ROTATIONS: tuple[Rotation, Rotation] = ("forward", "reverse")
 
 @dataclass(frozen=True, eq=False)
 class CurveLog:
-    """A log under `[curves]` after it was read.
-
-    `points` are rows of averaged points, or steady stretches of steps; `provenance` is the file, its hash and
-    format, and what was noticed.
-    """
+    """A log under `[curves]` after it was read; `provenance` is what a result states of it."""
 
     entry: StaticLog
     table: Literal["static", "no_load"]
@@ -57,7 +49,7 @@ class CurveLog:
 
     @property
     def name(self) -> str:
-        """How a result calls it; no trial is called so."""
+        """The name in a result; no trial has such a name."""
         return f"{self.entry.log} (curves.{self.table}, {self.entry.direction})"
 
 
@@ -73,7 +65,7 @@ def read_curve_logs(campaign: MotorCampaign, path: str | Path) -> tuple[CurveLog
 def _curve_log(
     campaign: MotorCampaign, path: str | Path, static: StaticLog, table: Literal["static", "no_load"]
 ) -> CurveLog:
-    """Return a log with its points: rows of averaged points, or steady stretches of steps."""
+    """Return a log with its points: rows of an averaged log, or steady stretches of steps."""
     recording, second = read_log(campaign, path, static)
     if recording.kind == "static-map":
         points = _rows_as_points(campaign, recording, static.direction)
@@ -129,73 +121,11 @@ def supply_ratio(points: SteadyPoints, reference_voltage: float) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class NoLoadTie:
-    """No-load line of loaded steady points, which moves with R: Ω_0 = Ω + R (τ + k_d Ω)/(k_m k_v).
-
-    `columns` (n, 2) are u and sign(u) of the points, times V/V_ref; `points` (n, 2) are their loaded speed Ω
-    [rad/s] and drag τ [N·m].
-
-    Notes
-    -----
-    A point far from the others (a speed probe that missed a blade, a stand that settled late) loses weight as
-    in the other curves. The soft-L1 weights are computed once, about a parabola of Ω over u, so that the line
-    stays linear in R/(k_m k_v) and a candidate of the search costs one product.
-    """
-
-    columns: FloatArray
-    points: FloatArray
-
-    @cached_property
-    def weights(self) -> FloatArray:
-        """(n,) soft-L1 weights of the points [1]."""
-        # The drag bends Ω(u) about like u|u|. A misread speed has a misread drag, which may not judge it.
-        u, sign = self.columns.T
-        return soft_weights(np.column_stack([u, sign, u * u / sign]), self.points[:, 0])
-
-    @cached_property
-    def lines(self) -> tuple[FloatArray, FloatArray]:
-        """Slope and intercept (2,) of the weighted lines of Ω [rad/s] and of τ [N·m] over u, at V_ref."""
-        root = np.sqrt(self.weights)
-        columns = root[:, None] * self.columns
-        speed, torque = (np.linalg.lstsq(columns, root * values, rcond=None)[0] for values in self.points.T)
-        return speed, torque
-
-    def line(self, drop: FloatArray, damping: FloatArray) -> FloatArray:
-        """Return slope and intercept (P, 2) of Ω_0 for R/(k_m k_v) (P,) [rad/s per N·m] and k_d (P,)."""
-        speed, torque = self.lines
-        return np.asarray((1.0 + drop * damping)[:, None] * speed + drop[:, None] * torque, dtype=np.float64)
-
-    def fit(self, direction: Rotation, drop: float, damping: float) -> CurveFit:
-        """Return the line at one R/(k_m k_v) and k_d, and how well the points lie on it.
-
-        The standard errors come from the points. An error of R moves all points together; they leave it out.
-        """
-        line = self.line(np.array([drop]), np.array([damping]))[0]
-        speed, torque = self.points.T
-        lifted = np.asarray(speed + drop * (torque + damping * speed), dtype=np.float64)
-        residual = lifted - self.columns @ line
-        sigma = max(float(np.median(np.abs(residual))) / 0.6745, 1e-9 * float(np.max(np.abs(lifted))))
-        near = np.abs(residual) <= OUTLIER * sigma
-        # Outliers pull by their weight alone: what the others scatter is the error.
-        weight = np.where(near, self.weights, 0.0)
-        spread = float(weight @ residual**2) / max(float(weight.sum()) - 2.0, 1.0)
-        information = np.asarray(
-            np.linalg.inv(self.columns.T @ (self.weights[:, None] * self.columns)), dtype=np.float64
-        )
-        errors = np.sqrt(np.diag(spread * information))
-        return CurveFit(
-            "no_load", direction, (float(line[0]), float(line[1])), (float(errors[0]), float(errors[1])),
-            ("rad/s", "rad/s"), r_squared(lifted, residual, near), residual.size,
-            int(np.count_nonzero(~near)), coefficient_correlation(information),
-        )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
 class StaticCurves:
     """Curves of the campaign by direction.
 
-    `ties` are the no-load lines that come from loaded points; `loaded` holds the points that thrust, torque
-    and loaded speed were read from; V_ref is in V.
+    `ties` are the no-load lines that come from loaded points, `loaded` the points behind thrust, torque and
+    loaded speed; V_ref is in [V].
     """
 
     fits: tuple[CurveFit, ...]
@@ -221,7 +151,7 @@ def static_curves(
     Points come from `curves.static`; without any in a direction, from the steady stretches of the trials
     that are fitted. Ω_0 comes from `curves.no_load`, or from the loaded points, tied to R.
     """
-    turning = {t.direction for t in campaign.trials}
+    turning = {trial.direction for trial in campaign.trials}
     fits: list[CurveFit] = []
     ties: dict[Rotation, NoLoadTie] = {}
     loaded: dict[Rotation, SteadyPoints] = {}
@@ -230,11 +160,10 @@ def static_curves(
             continue
         points, source = _loaded_points(direction, curve_logs, logs)
         loaded[direction] = points
+        bare = _named(curve_logs, "no_load", direction)
         with _of_logs(source):
-            torque = fit_speed_curve(
-                "torque", direction, points.speed, points.torque,
-                zero_rows=int(min(points.torque_zero, default=0)),
-            )  # fmt: skip
+            zero = int(min(points.torque_zero, default=0))
+            torque = fit_speed_curve("torque", direction, points.speed, points.torque, zero_rows=zero)
             fits.append(torque)
             if np.isfinite(points.thrust).any():
                 zero = int(min(points.thrust_zero, default=0))
@@ -244,15 +173,13 @@ def static_curves(
                     "no-thrust-curve",
                     f"no thrust in the {direction} direction: its curve keeps the default, which is a guess",
                 )
-        bare = _named(curve_logs, "no_load", direction)
+            if not bare:
+                ties[direction] = _tie(direction, points, torque, reference_voltage)
         if bare:
             free = SteadyPoints.join([log.points for log in bare])
             ratio = supply_ratio(free, reference_voltage)
             with _of_logs(", ".join(log.entry.log for log in bare)):
                 fits.append(fit_no_load_line(direction, free.u, free.speed, supply_ratio=ratio))
-        else:
-            with _of_logs(source):
-                ties[direction] = _tie(direction, points, torque, reference_voltage)
     return StaticCurves(tuple(fits), ties, reference_voltage, loaded, tuple(curve_logs))
 
 

@@ -123,12 +123,8 @@ def edges_that_serve(
     """Return the range of Ω_min [rad/s] over which the trials fit equally well, the best I_sat beside each.
 
     `row` (n_table,) is a set with its dead band [SI]. None where the stage did not free both numbers, or the
-    trials bound Ω_min within a factor of 1.5.
-
-    Notes
-    -----
-    The currents that are tried lie around the fitted ratio Ω_min/I_sat, which a reversal determines best, and
-    over all bounds of I_sat, for edges so low that no current matters.
+    trials bound Ω_min within a factor of 1.5. The tried currents lie around the fitted ratio Ω_min/I_sat,
+    which a reversal determines best, and over all bounds of I_sat, for edges so low that no current matters.
     """
     free = {parameter.name: parameter for parameter in fit.free}
     if not {*SATURATION} <= {*free}:
@@ -155,20 +151,22 @@ def reversal_delays(campaign: MotorCampaign, bench: Bench, best: Mapping[str, fl
 
     `best` is the best set with the delays of logs, by name [SI].
     """
+    names = ("trial", "use", "command before", "command after", "measured [s]", "simulated [s]")
     out: list[dict[str, Any]] = []
     for trial in bench.trials:
         log, entry = trial.log, trial.entry
         if entry.direction != "reversal" or "thrust" not in log.channels:
             continue
-        time, thrust = filtered(campaign, log, "thrust") if log.fast else log.channels["thrust"]
+        time, thrust = filtered(campaign, log, "thrust")
         known = np.isfinite(thrust)
-        parameters = {name: value for name, value in best.items() if name in PARAMETERS}
+        parameters = {name: best[name] for name in PARAMETERS}
         parameters["command_delay"] = best.get(delay_name(entry.log), best["command_delay"])
         start = float(trial.simulated.time[0])
         end = min(float(log.time[-1]), log.window[1])
         grid = np.arange(start, end, _DELAY_GRID)
-        knots, ratio = trial.simulated.supply_time, trial.simulated.supply_ratio
-        volts = None if knots is None or ratio is None else (knots, ratio * parameters["reference_voltage"])
+        volts = trial.simulated.supply
+        if volts is not None:
+            volts = (volts[0], volts[1] * parameters["reference_voltage"])
         run = simulate(parameters, log.steps.time, log.steps.level, grid, initial="steady", voltage=volts)
         # The command in force when the trial begins is what its first reversal comes from.
         first = max(int(np.searchsorted(log.steps.time, start, side="right")) - 1, 0)
@@ -178,7 +176,6 @@ def reversal_delays(campaign: MotorCampaign, bench: Bench, best: Mapping[str, fl
             find_reversals(log.time[log.time <= end], steps, samples, skip=log.doubtful, sense="both")
             for samples in ((time[known], thrust[known]), (grid, run.thrust))
         )
-        names = ("trial", "use", "command before", "command after", "measured [s]", "simulated [s]")
         out += [
             dict(zip(names, (entry.name, entry.use, a.before, a.after, a.to_level, b.to_level), strict=True))
             for a, b in zip(measured, simulated, strict=True)
@@ -191,10 +188,7 @@ def saturation_space(
 ) -> SearchSpace | None:
     """Return what the second stage frees, all else fixed at `values` [SI]; None where it has nothing to do.
 
-    Raises
-    ------
-    CampaignError
-        When the campaign frees I_sat or Ω_min and fixes it, or no trial shows the dead band.
+    CampaignError when the campaign frees I_sat or Ω_min and fixes it, or no trial shows the dead band.
     """
     choices = campaign.parameters
     asked = [name for name in SATURATION if name in (choices.free or ())]

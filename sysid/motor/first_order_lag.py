@@ -22,27 +22,21 @@ _WAYS = (("forward", "+"), ("reverse", "−"))
 PARAMETERS = ParameterTable(
     [
         *(
-            Parameter(
-                f"{name}_time_constant", f"T_{name}", "s", 0.1, 1e-3, 1.0, "log",
-                f"Time constant while the speed {when}.", "guess", "motor",
-            )
+            Parameter(f"{name}_time_constant", f"T_{name}", "s", 0.1, 1e-3, 1.0, "log",
+                      f"Time constant while the speed {when}.", "guess", "motor")
             for name, when in (("rise", "grows"), ("fall", "falls"))
         ),
         *instrument_rows(),
         *(
-            Parameter(
-                f"steady_speed_{power}_{way}", f"p{power}{sign}", "rad/s", 0.0, -1e4, 1e4, "linear",
-                f"Coefficient of |u|^{power} of the steady speed, {way}.",
-                "fitted to the steady loaded points", "steady-speed map",
-            )
+            Parameter(f"steady_speed_{power}_{way}", f"p{power}{sign}", "rad/s", 0.0, -1e4, 1e4, "linear",
+                      f"Coefficient of |u|^{power} of the steady speed, {way}.",
+                      "fitted to the steady loaded points", "steady-speed map")
             for way, sign in _WAYS
             for power in range(3)
         ),
         *(
-            Parameter(
-                f"torque_{name}_{way}", f"c_τ{sign}", unit, 0.0, -1.0, 1.0, "linear",
-                "Coefficient of the torque curve.", "static curves of the campaign", "torque curve",
-            )
+            Parameter(f"torque_{name}_{way}", f"c_τ{sign}", unit, 0.0, -1.0, 1.0, "linear",
+                      "Coefficient of the torque curve.", "static curves of the campaign", "torque curve")
             for way, sign in _WAYS
             for name, unit in (("quadratic", "N·m·s²/rad²"), ("linear", "N·m·s/rad"))
         ),
@@ -66,19 +60,12 @@ def steady_speed_map(command: FloatArray, speed: FloatArray, ratio: FloatArray) 
 def simulate_lag(rows: FloatArray, trials: SimulatedTrials, delays: FloatArray | None = None) -> FloatArray:
     """Return torque [N·m] and speed [rad/s] (P, n_total, 2) of every candidate on the trials' samples.
 
-    The supply is constant between two knots.
-
-    Parameters
-    ----------
-    rows : (P, n_table) array
-        In the order of `PARAMETERS` [SI].
-    delays : (P, n_trials) array, optional
-        Added to ``command_delay`` per candidate and trial [s].
+    `rows` (P, n_table) have the order of `PARAMETERS` [SI]; `delays` (P, n_trials) are added to
+    ``command_delay`` [s]. The supply is constant between two knots.
     """
     index = PARAMETERS.index
     reads = np.ascontiguousarray(rows[:, [index[name] for name in READS]], dtype=np.float64)
     out = np.empty((len(rows), trials.time.size, 2))
-    lag_population(
-        reads, trials.delays(len(rows), delays), *trials.excitation, trials.time, trials.first, out
-    )
+    shifts = trials.delays(len(rows), delays)
+    lag_population(reads, shifts, *trials.excitation, trials.time, trials.first, out)
     return out

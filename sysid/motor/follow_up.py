@@ -27,7 +27,7 @@ from sysid.motor.log_delays import MEAN_SOURCE, averaged, delay_name, log_rows
 from sysid.motor.model import PARAMETERS, invariants, unpack
 from sysid.motor.problem import FIT_TOLERANCE, MotorProblem
 from sysid.motor.profile import profile
-from sysid.motor.static_curves import CurveFit
+from sysid.motor.static_curves import CurveFit, no_load_line
 from sysid.parameter_sets import COMBINATIONS, NOT_ALONE, ParameterRecord, parameter_records
 from sysid.parameters import SearchSpace
 from sysid.types import FloatArray
@@ -329,7 +329,7 @@ def _records(
     """Return the table's records, with the the sources of tie and second stage, then the derived ones."""
     choices, bench, space = problem.campaign.parameters, problem.bench, problem.space
     tie = "loaded steady points and the fitted R: Ω_0 = Ω + R (τ_aero + k_d Ω)/(k_m k_v)"
-    computed = {f"no_load_{what}_{d}": tie for d in problem.ties for what in ("slope", "intercept")}
+    computed = {name: tie for direction in problem.ties for name in no_load_line(direction)}
     if log_rows(space):
         computed["command_delay"] = MEAN_SOURCE
     late, stage = {}, ""

@@ -15,6 +15,7 @@ from sysid.motor.bench_logs import BenchLog, TorquePerCurrent, bench_log, check_
 from sysid.motor.curves import CurveLog, StaticCurves, read_curve_logs, static_curves
 from sysid.motor.log_delays import with_log_delays
 from sysid.motor.model import FREE_DEFAULT, PARAMETERS
+from sysid.motor.static_curves import no_load_line
 from sysid.motor.targets import PreparedTrial, prepare_trial
 from sysid.parameters import SearchSpace
 
@@ -35,9 +36,9 @@ _SCALE_AGREES = 0.1
 class Bench:
     """A motor campaign after its logs were read.
 
-    `values` are the parameters that the campaign or its static logs state, by name [SI]; `measured` and
-    `stated` name the sources of the measured ones and of the others (a rating, a guess), `guessed` the
-    guesses. `scale_known`: a Kv, a logged motor current or the campaign determines the scale of R, L, I_sat.
+    `values` are the parameters that the campaign or its static logs state, by name [SI]; `measured` holds the
+    sources of measured values, `stated` the sources of the others (a rating, a guess); `guessed` are guesses.
+    `scale_known`: a Kv, a logged motor current or the campaign determines the scale of R, L, I_sat.
     """
 
     trials: tuple[PreparedTrial, ...]
@@ -51,7 +52,7 @@ class Bench:
     @property
     def fitted(self) -> tuple[PreparedTrial, ...]:
         """Trials of the dynamic fit: use "fit", and no reversal."""
-        return tuple(t for t in self.trials if in_search(t.entry))
+        return tuple(trial for trial in self.trials if in_search(trial.entry))
 
     @property
     def banded(self) -> tuple[PreparedTrial, ...]:
@@ -68,10 +69,7 @@ def in_search(entry: MotorTrial) -> bool:
 def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
     """Read every log of a campaign, fit the static curves and prepare the trials.
 
-    Raises
-    ------
-    SysidError
-        For the first log that cannot be used, or a campaign that has nothing to fit.
+    SysidError for the first log that cannot be used, or a campaign that has nothing to fit.
     """
     check_options(campaign, path)
     logs = [bench_log(campaign, path, entry) for entry in campaign.trials]
@@ -88,10 +86,9 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
         _check_kv(campaign.motor.kv, reference, curves)
     current = torque_per_current(fitted) if campaign.log.current == "motor" else None
     values, measured, stated = _known_values(campaign, curves, reference, voltage_source, current)
-    chosen = campaign.parameters
-    scale_known = campaign.motor.kv is not None or current is not None
+    chosen, rated = campaign.parameters, campaign.motor.kv is not None or current is not None
     # One constant alone says nothing where the other is a guess.
-    scale_known |= all(name in chosen.fixed for name in CONSTANTS)
+    scale_known = rated or all(name in chosen.fixed for name in CONSTANTS)
     # Freed beside R, the constants are arbitrary with it whatever they start from.
     scale_known &= current is not None or not {*CONSTANTS} & {*(chosen.free or ())}
     trials = tuple(
@@ -99,16 +96,16 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
         for entry, log in zip(campaign.trials, logs, strict=True)
     )
     guesses = {"reference_voltage"} if guessed else set()
-    if campaign.motor.kv is None and current is None:
+    if not rated:
         guesses |= {*CONSTANTS} & {*stated}
     return Bench(trials, curves, values, measured, stated, scale_known, frozenset(guesses))
 
 
 def _check_kv(kv: float, reference: float, curves: StaticCurves) -> None:
     """Refuse a Kv that is off by about 60/(2π), its unit; notice one that the logs merely find odd."""
-    bare = {fit.direction: sum(fit.coefficients) for fit in curves.fits if fit.quantity == "no_load"}
-    seen = [*bare.values(), *(float(np.sum(tie.lines[0])) for tie in curves.ties.values())]
-    top = max(abs(speed) for speed in seen)
+    bare = [sum(fit.coefficients) for fit in curves.fits if fit.quantity == "no_load"]
+    loaded = [float(np.sum(tie.lines[0])) for tie in curves.ties.values()]
+    top = max(abs(speed) for speed in (*bare, *loaded))
     what = "without" if bare else "with"
     ratio = kv * reference / top
     low, high = _KV_NO_LOAD if bare else _KV_LOADED
@@ -129,7 +126,7 @@ def _check_kv(kv: float, reference: float, curves: StaticCurves) -> None:
 def _reference_voltage(
     campaign: MotorCampaign, curve_logs: Sequence[CurveLog], fitted: list[BenchLog]
 ) -> tuple[float, str, bool]:
-    """Return V_ref [V], its source (the campaign, the fitted logs, the static logs), and if it is a guess."""
+    """Return V_ref [V], its source, and whether it is a guess."""
     if campaign.motor.reference_voltage is not None:
         return campaign.motor.reference_voltage, "campaign: motor.reference_voltage", False
     logged = [log.channels["voltage"][1] for log in fitted if "voltage" in log.channels]
@@ -151,7 +148,7 @@ def _known_values(
     voltage_source: str,
     current: TorquePerCurrent | None,
 ) -> tuple[dict[str, float], dict[str, str], dict[str, str]]:
-    """Return the values that campaign and logs give, and where the measured and the other ones come from."""
+    """Return the values that campaign and logs give, and the sources of the measured and of the others."""
     motor = campaign.motor
     values = {**curves.parameters, "reference_voltage": reference}
     measured = dict.fromkeys(curves.parameters, "steady points of the logs")
@@ -182,7 +179,7 @@ def _known_values(
             "no-kv",
             "no Kv in the campaign: R, L and I_sat rest on a guessed motor constant of "
             f"{values.get('torque_constant', PARAMETERS.nominal['torque_constant']):.4g} N·m/A; torque and "
-            "speed fix only k²/R, R/L and k·I_sat, which the result lists",
+            "speed determine only k²/R, R/L and k·I_sat, which the result lists",
         )
     for name in ("rotor_inertia", *SATURATION):
         value = getattr(motor, name)
@@ -193,11 +190,11 @@ def _known_values(
 
 
 def untested_rows(campaign: MotorCampaign, bench: Bench) -> tuple[str, ...]:
-    """Return the rows of a direction of which no log says anything: its curves and no-load speed."""
+    """Return curves and no-load speed of a direction of which no log says anything."""
     known = {*bench.values, *campaign.parameters.fixed, *(campaign.parameters.free or ())}
-    tied = {f"no_load_{what}_{d}" for d in bench.curves.ties for what in ("slope", "intercept")}
+    known |= {name for direction in bench.curves.ties for name in no_load_line(direction)}
     curves = PARAMETERS.group("no-load line", "thrust curve", "torque curve")
-    return tuple(name for name in curves if name not in known | tied)
+    return tuple(name for name in curves if name not in known)
 
 
 def _check_choice(chosen: tuple[str, ...], given: Collection[str], scale_known: bool) -> None:
@@ -220,8 +217,8 @@ def _check_choice(chosen: tuple[str, ...], given: Collection[str], scale_known: 
         notice(
             "scale-free",
             f"{' and '.join(scale)} free beside winding_resistance, and no log holds the motor's current: "
-            "torque and speed fix only k²/R, R/L and k·I_sat, which the result lists; the values themselves "
-            "are arbitrary together",
+            "torque and speed determine only k²/R, R/L and k·I_sat, which the result lists; the values "
+            "themselves are arbitrary together",
         )
 
 
@@ -233,11 +230,8 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
     them. k_d is free by default only where a log without propeller gives Ω_0: with Ω_0 from loaded points,
     (k²/R, k_d, Ω_0) → (k²/R + c, k_d − c, Ω_0 (k²/R)/(k²/R + c)) changes nothing as L → 0.
 
-    Raises
-    ------
-    CampaignError
-        For an unknown parameter, a wrong unit, crossed bounds, bounds that exclude a measured value, a
-        parameter that neither torque nor speed depends on.
+    CampaignError for an unknown parameter, a wrong unit, crossed bounds, bounds that exclude a measured
+    value, a parameter that neither torque nor speed depends on.
     """
     choices, fixed = campaign.parameters, campaign.parameters.fixed
     if not set(SATURATION) <= {*fixed, *bench.measured}:
@@ -257,8 +251,7 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
         needed += ["torque_sensor_delay", "torque_sensor_lag"]
     if campaign.motor.rotor_inertia is None and choices.free is None:
         needed.append("rotor_inertia")
-    wanted = default if choices.free is None else [*choices.free]
-    wanted += [name for name in needed if name not in wanted]
+    wanted = dict.fromkeys([*(default if choices.free is None else choices.free), *needed])
     # A name that the campaign both frees and fixes stays in the list, to be refused.
     asked = set(choices.free or ())
     chosen = tuple(n for n in wanted if n not in SATURATION and (n not in fixed or n in asked))

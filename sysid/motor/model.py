@@ -43,11 +43,11 @@ from numpy.typing import ArrayLike
 
 from sysid.errors import FitError
 from sysid.motor import kernel
-from sysid.motor.parameters import FREE_DEFAULT, INSTRUMENT, PARAMETERS, kv_to_si
+from sysid.motor.parameters import FREE_DEFAULT, PARAMETERS, kv_to_si
 from sysid.types import FloatArray
 
 __all__ = [
-    "FREE_DEFAULT", "INSTRUMENT", "PARAMETERS", "MotorTrajectory", "aerodynamic_torque", "complete",
+    "FREE_DEFAULT", "PARAMETERS", "MotorTrajectory", "aerodynamic_torque", "complete",
     "invariants", "kernel_rows", "kv_to_si", "no_load_speed", "pack", "schedule", "simulate",
     "steady_state", "supply", "thrust", "thrust_slope", "unpack",
 ]  # fmt: skip
@@ -69,10 +69,7 @@ TOLERANCE = 1e-6
 def complete(parameters: Mapping[str, float]) -> dict[str, float]:
     """Return every number of the table by name [SI], in its order; a name left out takes its nominal.
 
-    Raises
-    ------
-    CampaignError
-        When a name is not in the table.
+    CampaignError when a name is not in the table.
     """
     for name in parameters:
         PARAMETERS[name]
@@ -96,7 +93,7 @@ def kernel_rows(rows: FloatArray) -> FloatArray:
 
 
 def invariants(parameters: Mapping[str, float]) -> dict[str, float]:
-    """Return what torque and speed alone can fix when Kv is unknown and no current is logged.
+    """Return what torque and speed alone determine when Kv is unknown and no current is logged.
 
     ``k²/R`` [N·m·s/rad], ``R/L`` [1/s], ``k·I_sat`` [N·m] and the electromechanical time constant
     ``I^r R/k²`` [s], with k² = k_v k_m.

@@ -50,15 +50,9 @@ class FirstOrderRotor:
 
 
 def first_order_rotor(parameters: Mapping[str, float]) -> FirstOrderRotor:
-    """Return the first-order rotor nearest to a motor.
+    """Return the first-order rotor nearest to a motor with `parameters` [SI], the command delay left out.
 
-    `parameters` are named as in `sysid.motor.model.PARAMETERS` [SI]; the command delay of the log's
-    instruments is left out.
-
-    Raises
-    ------
-    ExportError
-        When full command does not turn the motor or gives no thrust.
+    ExportError when full command does not turn the motor or gives no thrust.
 
     Notes
     -----

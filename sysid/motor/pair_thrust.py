@@ -43,7 +43,9 @@ def thrust_history(
     ideal_reversal: bool = False,
     tolerance: float = TOLERANCE,
 ) -> PiecewiseCubic:
-    """Return the thrust of a pair of equal motors under a command schedule [N], from 0 to `duration`.
+    """Return the thrust of equal motors under a command schedule [N], from 0 to `duration` [s].
+
+    FitError when the motor cannot be simulated or the duration is not positive.
 
     Parameters
     ----------
@@ -52,19 +54,10 @@ def thrust_history(
     command_time, command : (m,) arrays
         Instants [s] and the command u in [-1, 1] from each on; the first also serves before its instant, so
         that ``[-1, 0]`` and ``[0.5, -1]`` is a reversal at time 0 from steady flight at half command.
-    duration : float
-        Length of the history [s]; after it the thrust is constant.
-    motors : int
-        Number of motors that share the schedule.
     initial : (current [A], speed [rad/s]) or "steady"
         At time 0; "steady" takes the equilibrium under the command just before it.
     ideal_reversal, tolerance
         As in `sysid.motor.model.simulate`.
-
-    Raises
-    ------
-    FitError
-        When the motor cannot be simulated or the duration is not positive.
 
     Notes
     -----

@@ -17,10 +17,7 @@ _KV_PLAUSIBLE_RPM = (10.0, 60_000.0)
 def kv_to_si(kv_rpm_per_volt: float) -> float:
     """Return k_v [V·s/rad] = k_m [N·m/A] = 60/(2π Kv) of a Kv rating [rpm/V], as motors are sold, e.g. 960.
 
-    Raises
-    ------
-    UnitError
-        When the number cannot be a rating in rpm/V.
+    UnitError when the number cannot be a rating in rpm/V.
     """
     low, high = _KV_PLAUSIBLE_RPM
     if not low <= kv_rpm_per_volt <= high:
@@ -40,25 +37,19 @@ _WAYS = (("forward", "+"), ("reverse", "−"))
 
 
 def _curve_rows(
-    quantity: str, symbol: str, unit: str, quadratic: tuple[float, float], low: float, high: float
+    quantity: str, symbol: str, unit: str, forward: float, reverse: float, low: float, high: float
 ) -> list[Parameter]:
     """Return c2 and c1 of a static curve, forward and reverse; bounds of c2, and c1 up to 100 times them."""
-    return [
-        row
-        for (way, sign), value in zip(_WAYS, quadratic, strict=True)
-        for row in (
-            Parameter(
-                f"{quantity}_quadratic_{way}", f"c2_{symbol}{sign}", f"{unit}·s²/rad²", value, low, high,
-                "log", f"Quadratic coefficient of the {quantity} curve, {way} rotation.", _PROPELLER,
-                f"{quantity} curve",
-            ),
-            Parameter(
-                f"{quantity}_linear_{way}", f"c1_{symbol}{sign}", f"{unit}·s/rad", 0.0, -high * 100.0,
-                high * 100.0, "linear", f"Linear coefficient of the {quantity} curve, {way} rotation.",
-                _PROPELLER, f"{quantity} curve",
-            ),
-        )
-    ]  # fmt: skip
+    group, rows = f"{quantity} curve", []
+    for (way, sign), value in zip(_WAYS, (forward, reverse), strict=True):
+        meaning = f"coefficient of the {group}, {way} rotation."
+        rows += [
+            Parameter(f"{quantity}_quadratic_{way}", f"c2_{symbol}{sign}", f"{unit}·s²/rad²", value, low,
+                      high, "log", f"Quadratic {meaning}", _PROPELLER, group),
+            Parameter(f"{quantity}_linear_{way}", f"c1_{symbol}{sign}", f"{unit}·s/rad", 0.0, -high * 100.0,
+                      high * 100.0, "linear", f"Linear {meaning}", _PROPELLER, group),
+        ]  # fmt: skip
+    return rows
 
 
 def instrument_rows() -> list[Parameter]:
@@ -84,66 +75,44 @@ def instrument_rows() -> list[Parameter]:
 
 PARAMETERS = ParameterTable(
     [
-        Parameter(
-            "winding_resistance", "R", "Ω", 0.299, 0.05, 2.0, "log",
-            "Resistance of winding, wires and controller, as one direct-current circuit.", _BY_SEARCH,
-            "motor",
-        ),
-        Parameter(
-            "winding_inductance", "L", "H", 0.0038, 1e-5, 2e-2, "log",
-            "Inductance of the same circuit; it stands for everything that delays the current.",
-            "Table I (genetic algorithm), printed in kg; bounds: guess", "motor",
-        ),
-        Parameter(
-            "viscous_damping", "k_d", "N·m·s/rad", 9.2e-9, 1e-10, 1e-4, "log", "Bearing drag per speed.",
-            _BY_SEARCH, "motor",
-        ),
-        Parameter(
-            "back_emf_constant", "k_v", "V·s/rad", _K, 1e-3, 1e-1, "log", "Voltage per speed at no load.",
-            "960 rpm/V rating; Table I's 0.099 is a slip of a factor 10", "motor",
-        ),
-        Parameter(
-            "torque_constant", "k_m", "N·m/A", _K, 1e-3, 1e-1, "log",
-            "Torque per current; equal to k_v in SI (the paper's K_t).", "960 rpm/V rating", "motor",
-        ),
-        Parameter(
-            "rotor_inertia", "I^r", "kg·m²", 2.7e-5, 1e-7, 1e-3, "log",
-            "Moment of inertia of rotor and propeller about the axle.", "Table I (measured)", "motor",
-        ),
-        Parameter(
-            "saturation_current", "I_sat", "A", 0.35, 0.05, 10.0, "log",
-            "Bound of the current while the rotor leaves the dead band.", "Table I (by hand)", "motor",
-        ),
-        Parameter(
-            "saturation_speed", "Ω_min", "rad/s", 6.3, 0.5, 100.0, "log",
-            "Edge of the dead band of a sensorless controller.", "Table I (by hand)", "motor",
-        ),
-        Parameter(
-            "reference_voltage", "V_ref", "V", 11.1, 1.0, 100.0, "linear", "Supply at which Ω_0(u) applies.",
-            "guess: three lithium-polymer cells", "motor",
-        ),
+        Parameter("winding_resistance", "R", "Ω", 0.299, 0.05, 2.0, "log",
+                  "Resistance of winding, wires and controller, as one direct-current circuit.",
+                  _BY_SEARCH, "motor"),
+        Parameter("winding_inductance", "L", "H", 0.0038, 1e-5, 2e-2, "log",
+                  "Inductance of the same circuit; it stands for everything that delays the current.",
+                  "Table I (genetic algorithm), printed in kg; bounds: guess", "motor"),
+        Parameter("viscous_damping", "k_d", "N·m·s/rad", 9.2e-9, 1e-10, 1e-4, "log",
+                  "Bearing drag per speed.", _BY_SEARCH, "motor"),
+        Parameter("back_emf_constant", "k_v", "V·s/rad", _K, 1e-3, 1e-1, "log",
+                  "Voltage per speed at no load.",
+                  "960 rpm/V rating; Table I's 0.099 is a slip of a factor 10", "motor"),
+        Parameter("torque_constant", "k_m", "N·m/A", _K, 1e-3, 1e-1, "log",
+                  "Torque per current; equal to k_v in SI (the paper's K_t).", "960 rpm/V rating", "motor"),
+        Parameter("rotor_inertia", "I^r", "kg·m²", 2.7e-5, 1e-7, 1e-3, "log",
+                  "Moment of inertia of rotor and propeller about the axle.", "Table I (measured)", "motor"),
+        Parameter("saturation_current", "I_sat", "A", 0.35, 0.05, 10.0, "log",
+                  "Bound of the current while the rotor leaves the dead band.", "Table I (by hand)", "motor"),
+        Parameter("saturation_speed", "Ω_min", "rad/s", 6.3, 0.5, 100.0, "log",
+                  "Edge of the dead band of a sensorless controller.", "Table I (by hand)", "motor"),
+        Parameter("reference_voltage", "V_ref", "V", 11.1, 1.0, 100.0, "linear",
+                  "Supply at which Ω_0(u) applies.", "guess: three lithium-polymer cells", "motor"),
         *(
             row
             for way, sign in _WAYS
             for row in (
-                Parameter(
-                    f"no_load_slope_{way}", f"a{sign}", "rad/s", 1030.0, 100.0, 5000.0, "log",
-                    f"Slope of the no-load speed over the command u, {way}.", _NO_LOAD, "no-load line",
-                ),
-                Parameter(
-                    f"no_load_intercept_{way}", f"b{sign}", "rad/s", 0.0, -500.0, 500.0, "linear",
-                    f"No-load speed that remains as u → 0, {way}; positive raises |Ω_0|.", "guess",
-                    "no-load line",
-                ),
+                Parameter(f"no_load_slope_{way}", f"a{sign}", "rad/s", 1030.0, 100.0, 5000.0, "log",
+                          f"Slope of the no-load speed over the command u, {way}.", _NO_LOAD, "no-load line"),
+                Parameter(f"no_load_intercept_{way}", f"b{sign}", "rad/s", 0.0, -500.0, 500.0, "linear",
+                          f"No-load speed that remains as u → 0, {way}; positive raises |Ω_0|.", "guess",
+                          "no-load line"),
             )
         ),
-        *_curve_rows("thrust", "T", "N", (1.2e-5, 0.62e-5), 1e-9, 1e-3),
-        *_curve_rows("torque", "τ", "N·m", (1.65e-7, 1.7e-7), 1e-11, 1e-5),
+        *_curve_rows("thrust", "T", "N", 1.2e-5, 0.62e-5, 1e-9, 1e-3),
+        *_curve_rows("torque", "τ", "N·m", 1.65e-7, 1.7e-7, 1e-11, 1e-5),
         *instrument_rows(),
     ]
 )  # fmt: skip
 
 FREE_DEFAULT = ("winding_resistance", "winding_inductance", "viscous_damping")
-INSTRUMENT = PARAMETERS.group("instrument")
 # Delay and lags of the sensors, in the order in which a comparison takes them.
 SENSORS = ("torque_sensor_delay", "torque_sensor_lag", "speed_sensor_lag")

@@ -1,7 +1,7 @@
 """The trials of a bench as a fit problem: searched, scored, differentiated, predicted.
 
-The dead band is fitted after the dynamic fit with all else held, so it takes no part in trust; R, L, k_d, the
-delays and whatever else the dynamic fit frees do.
+Trust judges what the dynamic fit frees: R, L, k_d, the delays and the like. The dead band, which is fitted
+after it with all other values fixed, takes no part in trust.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from sysid.fit.result import FitResult
 from sysid.motor.batch import SimulatedTrials, simulate_population
 from sysid.motor.bench_logs import log_hashes
 from sysid.motor.cost import CHANNEL_UNITS, CHANNELS, BenchCost, MotorTarget
-from sysid.motor.curves import NoLoadTie
 from sysid.motor.known_values import CONSTANTS, Bench
 from sysid.motor.log_delays import delay_name, shifts
 from sysid.motor.model import PARAMETERS
 from sysid.motor.parameters import SENSORS
+from sysid.motor.static_curves import NoLoadTie, no_load_line
 from sysid.motor.targets import PreparedTrial, filter_design, measured_spectrum
 from sysid.parameters import SearchSpace
 from sysid.trials.look import inspect_recording, log_quality
@@ -33,11 +33,8 @@ from sysid.types import BoolArray, FloatArray, Rotation
 # Local error of the simulations of a search: 1e-5 keeps the worst candidate within 0.01 % NRMSE.
 FIT_TOLERANCE = 1e-5
 # Simulated samples of a search that are in memory at once, per thread [bytes]: the allocator keeps blocks of
-# this size, while for larger ones it asks the system for fresh pages every time, which cost more than the
-# simulation.
+# this size; for larger ones it asks the system for fresh pages every time, which costs more than simulating.
 _MEMORY = 4e6
-# A range is a uniform density: its standard deviation is the width over the root of this.
-_UNIFORM = 12.0
 _INDEX = PARAMETERS.index
 
 
@@ -45,7 +42,7 @@ _INDEX = PARAMETERS.index
 class MotorProblem(Problem):
     """Trials of one bench; see `sysid.fit.problem.Problem`.
 
-    `bench` holds all logs of the campaign, `prepared` the trials of this problem, `targets` what each
+    `bench` holds all logs of the campaign, `prepared` the trials of this problem, `targets` what each trial
     compares. `ties` are the no-load lines that follow R and k_d. With an `ideal_reversal` there is no
     saturation (I_sat = ∞), as in Fig. 11. `stated_noise` (T, 2) is the standard deviation of the noise of
     trials that were never recorded [channel units].
@@ -77,17 +74,13 @@ class MotorProblem(Problem):
     ) -> MotorProblem:
         """Join prepared trials with their campaign.
 
-        `dynamic`: for the dynamic fit, which looks past the starts from rest: their dead band is not known
-        yet, and a wrong one would be paid for by L and the delay.
+        `dynamic`: for the dynamic fit, without the starts from rest, whose dead band is not known yet; L and
+        the delay would make up for a wrong one.
         """
         targets = tuple(t.dynamic_target if dynamic else t.target for t in trials)
         # No-load lines that are neither free nor fixed by the campaign follow R and k_d.
         chosen = {*space.names, *campaign.parameters.fixed}
-        ties = {
-            direction: tie
-            for direction, tie in bench.curves.ties.items()
-            if not {f"no_load_slope_{direction}", f"no_load_intercept_{direction}"} & chosen
-        }
+        ties = {d: tie for d, tie in bench.curves.ties.items() if not {*no_load_line(d)} & chosen}
         return cls(campaign, bench, space, trials, targets, ties, threads)
 
     # --- what is compared -----------------------------------------------------------------------------------
@@ -139,13 +132,11 @@ class MotorProblem(Problem):
     def complete(self, rows: FloatArray) -> FloatArray:
         """Return rows (P, n_table) with the no-load lines that belong to their R and k_d."""
         rows = np.array(rows, dtype=np.float64)
-        drop = rows[:, _INDEX["winding_resistance"]] / (
-            rows[:, _INDEX["torque_constant"]] * rows[:, _INDEX["back_emf_constant"]]
-        )
+        column = {name: rows[:, i] for name, i in _INDEX.items()}
+        drop = column["winding_resistance"] / (column["torque_constant"] * column["back_emf_constant"])
         for direction, tie in self.ties.items():
-            line = tie.line(drop, rows[:, _INDEX["viscous_damping"]])
-            rows[:, _INDEX[f"no_load_slope_{direction}"]] = line[:, 0]
-            rows[:, _INDEX[f"no_load_intercept_{direction}"]] = line[:, 1]
+            line = tie.line(drop, column["viscous_damping"])
+            rows[:, [_INDEX[name] for name in no_load_line(direction)]] = line
         return rows
 
     def score(self, rows: FloatArray) -> Scores:
@@ -236,7 +227,7 @@ class MotorProblem(Problem):
 
     @property
     def _ranges(self) -> Mapping[str, tuple[float, float]]:
-        """Within which values lie that the fit takes as known [SI], such as a Kv or an inertia."""
+        """Ranges that the campaign states of known values [SI], such as a Kv or an inertia."""
         return self.campaign.parameters.measured_ranges(PARAMETERS)
 
     @cached_property
@@ -254,8 +245,9 @@ class MotorProblem(Problem):
             for root in ((first, rho * second), (0.0, np.sqrt(1 - rho**2) * second)):
                 if np.isfinite(root).all():
                     changes.append(self._change(columns, root))
+        # A range is a uniform density.
         for names, width in self._stated_ranges():
-            changes.append(self._change([index[name] for name in names], width / np.sqrt(_UNIFORM)))
+            changes.append(self._change([index[name] for name in names], width / np.sqrt(12.0)))
         return np.array(changes).reshape(len(changes), len(index))
 
     def _change(self, columns: list[int], size: Any) -> FloatArray:
@@ -266,11 +258,11 @@ class MotorProblem(Problem):
     def _stated_ranges(self) -> list[tuple[tuple[str, ...], float]]:
         """Return names that move together and the width of their range [SI], of what is not free."""
         out: list[tuple[tuple[str, ...], float]] = []
-        held = {name: pair for name, pair in self._ranges.items() if name not in self.space.names}
-        constants = [held.pop(name) for name in CONSTANTS if name in held]
+        ranges = {name: pair for name, pair in self._ranges.items() if name not in self.space.names}
+        constants = [ranges.pop(name) for name in CONSTANTS if name in ranges]
         if constants and not {*CONSTANTS} & {*self.space.names}:
             out.append((CONSTANTS, max(high - low for low, high in constants)))
-        out += [((name,), high - low) for name, (low, high) in held.items() if name in self.space.table]
+        out += [((name,), high - low) for name, (low, high) in ranges.items() if name in self.space.table]
         return [(names, width) for names, width in out if width > 0]
 
     def _tares(self) -> FloatArray:
@@ -286,10 +278,10 @@ class MotorProblem(Problem):
         return np.array(changes).reshape(len(changes), self.blocks[-1].stop)
 
     def floors(self, row: FloatArray) -> FloatArray:
-        """Return what noise and the errors of what a fit takes as known cost, NRMSE of every block (B,) [1].
+        """Return the NRMSE (B,) that noise and errors of known values cost every block [1].
 
-        The sensor's noise as compared, and beside it one standard deviation of each static curve, tare and
-        stated range: no dynamic parameter can take those away.
+        The noise as compared, and one standard deviation of each static curve, tare and stated range: no
+        dynamic parameter can take those away.
         """
         moved = self.disturbances_at(row)
         known = np.array([np.sum(moved[:, b.start : b.stop] ** 2) / b.count for b in self.blocks])
@@ -311,7 +303,7 @@ class MotorProblem(Problem):
         return self.bench.values
 
     def known(self, fit: FitResult) -> Collection[str]:
-        """Return what the campaign gives that is no guess; not k beside an R that the fit has found."""
+        """Return what the campaign gives that is no guess; not k beside an R that the fit has identified."""
         known = {*self.bench.values, *self.campaign.parameters.fixed} - self.bench.guessed
         if any(r.name == "winding_resistance" and r.status == "free" for r in fit.parameters):
             known -= {*CONSTANTS}
@@ -332,9 +324,9 @@ class MotorProblem(Problem):
         index = self.space.table.index
         fitted = {trial.name for trial in fit.trials if trial.use == "fit"}
         seen = {log.get("sha256") for name, log in fit.provenance.get("logs", {}).items() if name in fitted}
-        found = {record.name for record in fit.parameters}
+        recorded = {record.name for record in fit.parameters}
         for name, digest in self.row_logs.items():
-            if name in index and not (digest in seen and name in found):
+            if name in index and not (digest in seen and name in recorded):
                 rows[:, index[name]] = rows[:, index["command_delay"]]
         return self.complete(rows)
 
@@ -379,10 +371,10 @@ class MotorProblem(Problem):
         }
 
     def advice(self, weak: Collection[str]) -> list[str]:
-        """Return what to record next for the parameters that bench trials do not fix well."""
+        """Return what to record next for the parameters that bench trials do not determine well."""
         out = [sentence for name, sentence in _ADVICE.items() if name in weak]
         if not any(trial.entry.direction == "reversal" for trial in self.prepared):
-            out.append("no reversal was recorded: nothing fixes I_sat and Ω_min, which decide its delay")
+            out.append("no reversal was recorded: nothing shows I_sat and Ω_min, which decide its delay")
         return out
 
     def given(self) -> Mapping[str, str]:
@@ -438,7 +430,7 @@ def taken_as_exact(
 ) -> dict[str, str]:
     """Return what a motor's intervals take as exact, in words, by the parameter whose range would count.
 
-    `free`, `ranges` and `fixed` name what is free, what has a stated range, what the campaign fixes.
+    `free`, `ranges` and `fixed` are the names that are free, have a stated range, are fixed by the campaign.
     """
     out = {}
     constants = [name for name in CONSTANTS if name not in free]

@@ -1,13 +1,14 @@
 """Static curves by robust least squares: T(Ω), τ_aero(Ω) and Ω_0(u), one set of coefficients per direction.
 
 Points come from averaged logs (a row is a point) or from the steady segments of a step log; see
-`sysid.trials.bench_log.steady_points`. A point far from the curve (a speed probe that missed a blade, a stand
+`sysid.trials.steady.steady_points`. A point far from the curve (a speed probe that missed a blade, a stand
 that settled late) loses weight instead of bending it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -20,16 +21,21 @@ from sysid.types import BoolArray, FloatArray, Rotation
 # MAD of a normal distribution in units of its standard deviation.
 _MAD = 0.6745
 # A point further than this many robust standard deviations is counted as an outlier.
-OUTLIER = 5.0
+_OUTLIER = 5.0
+
+
+def no_load_line(direction: Rotation) -> tuple[str, ...]:
+    """Return the names of slope and intercept of a no-load line in the motor's parameter table."""
+    return f"no_load_slope_{direction}", f"no_load_intercept_{direction}"
 
 
 @dataclass(frozen=True)
 class CurveFit:
-    """A curve of two coefficients and how well the points fix it.
+    """A curve of two coefficients and how well the points determine it.
 
     The coefficients are (c2, c1) of c2 Ω|Ω| + c1 Ω, or (a, b) of a u + b sign(u) where `quantity` is
-    "no_load"; their errors are one standard deviation. R² is 1 − Σr²/Σ(y − ȳ)² over the points that are no
-    outliers, which lie beyond 5 robust standard deviations. `correlation` is that of the two errors [1].
+    "no_load"; their errors are one standard deviation, with a `correlation` [1]. R² is 1 − Σr²/Σ(y − ȳ)² over
+    the points that are no outliers, which lie beyond 5 robust standard deviations.
     """
 
     quantity: str
@@ -42,28 +48,102 @@ class CurveFit:
     outliers: int
     correlation: float
 
+    @classmethod
+    def of(
+        cls,
+        quantity: str,
+        direction: Rotation,
+        coefficients: FloatArray,
+        errors: FloatArray,
+        covariance: FloatArray,
+        units: tuple[str, str],
+        y: FloatArray,
+        residual: FloatArray,
+        inlier: BoolArray,
+    ) -> CurveFit:
+        """Return a fit of y (n,); the covariance (2, 2) may be scaled, only its correlation counts."""
+        total = float(np.sum((y[inlier] - y[inlier].mean()) ** 2))
+        r_squared = 1.0 - float(np.sum(residual[inlier] ** 2)) / total if total > 0 else float("nan")
+        sizes = np.sqrt(np.diag(covariance))
+        correlation = float(covariance[0, 1] / (sizes[0] * sizes[1])) if np.all(sizes > 0) else 0.0
+        return cls(
+            quantity, direction, tuple(coefficients.tolist()), tuple(errors.tolist()), units, r_squared,
+            y.size, int(np.count_nonzero(~inlier)), correlation,
+        )  # fmt: skip
+
     @property
     def parameters(self) -> dict[str, float]:
         """The two coefficients under their names in the motor's parameter table [SI]."""
-        names = ("slope", "intercept") if self.quantity == "no_load" else ("quadratic", "linear")
-        return {
-            f"{self.quantity}_{name}_{self.direction}": value
-            for name, value in zip(names, self.coefficients, strict=True)
-        }
+        names = no_load_line(self.direction)
+        if self.quantity != "no_load":
+            names = tuple(f"{self.quantity}_{name}_{self.direction}" for name in ("quadratic", "linear"))
+        return dict(zip(names, self.coefficients, strict=True))
 
     def document(self) -> dict[str, Any]:
         """Return the fit as a result states it."""
         return {
-            "quantity": self.quantity,
-            "direction": self.direction,
-            "coefficients": list(self.coefficients),
-            "standard errors": list(self.standard_errors),
-            "correlation": self.correlation,
-            "units": list(self.units),
-            "R²": self.r_squared,
-            "points": self.points,
-            "outliers": self.outliers,
-        }
+            "quantity": self.quantity, "direction": self.direction, "coefficients": list(self.coefficients),
+            "standard errors": list(self.standard_errors), "correlation": self.correlation,
+            "units": list(self.units), "R²": self.r_squared, "points": self.points, "outliers": self.outliers,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class NoLoadTie:
+    """No-load line of loaded steady points, which moves with R: Ω_0 = Ω + R (τ + k_d Ω)/(k_m k_v).
+
+    `columns` (n, 2) are u and sign(u) of the points, times V/V_ref; `points` (n, 2) are their loaded speed Ω
+    [rad/s] and drag τ [N·m].
+
+    Notes
+    -----
+    A point far from the others loses weight as in the other curves. The soft-L1 weights are computed once,
+    about a parabola of Ω over u, so that the line stays linear in R/(k_m k_v) and a candidate of the search
+    costs one product.
+    """
+
+    columns: FloatArray
+    points: FloatArray
+
+    @cached_property
+    def weights(self) -> FloatArray:
+        """(n,) soft-L1 weights of the points [1]."""
+        # The drag bends Ω(u) about like u|u|. A misread speed has a misread drag, which may not judge it.
+        u, sign = self.columns.T
+        return _soft_weights(np.column_stack([u, sign, u * u / sign]), self.points[:, 0])
+
+    @cached_property
+    def lines(self) -> tuple[FloatArray, FloatArray]:
+        """Slope and intercept (2,) of the weighted lines of Ω [rad/s] and of τ [N·m] over u, at V_ref."""
+        root = np.sqrt(self.weights)
+        columns = root[:, None] * self.columns
+        speed, torque = (np.linalg.lstsq(columns, root * values, rcond=None)[0] for values in self.points.T)
+        return speed, torque
+
+    def line(self, drop: FloatArray, damping: FloatArray) -> FloatArray:
+        """Return slope and intercept (P, 2) of Ω_0 for R/(k_m k_v) (P,) [rad/s per N·m] and k_d (P,)."""
+        speed, torque = self.lines
+        return np.asarray((1.0 + drop * damping)[:, None] * speed + drop[:, None] * torque, dtype=np.float64)
+
+    def fit(self, direction: Rotation, drop: float, damping: float) -> CurveFit:
+        """Return the line at one R/(k_m k_v) and k_d, and how well the points lie on it.
+
+        The standard errors come from the points. An error of R moves all points together; they leave it out.
+        """
+        line = self.line(np.array([drop]), np.array([damping]))[0]
+        speed, torque = self.points.T
+        lifted = np.asarray(speed + drop * (torque + damping * speed), dtype=np.float64)
+        residual = lifted - self.columns @ line
+        sigma = max(float(np.median(np.abs(residual))) / 0.6745, 1e-9 * float(np.max(np.abs(lifted))))
+        near = np.abs(residual) <= _OUTLIER * sigma
+        # Outliers pull by their weight alone: what the others scatter is the error.
+        weight = np.where(near, self.weights, 0.0)
+        spread = float(weight @ residual**2) / max(float(weight.sum()) - 2.0, 1.0)
+        weighted = self.weights[:, None] * self.columns
+        information = np.asarray(np.linalg.inv(self.columns.T @ weighted), dtype=np.float64)
+        errors = np.sqrt(np.diag(spread * information))
+        units = ("rad/s", "rad/s")
+        return CurveFit.of("no_load", direction, line, errors, information, units, lifted, residual, near)
 
 
 def fit_speed_curve(
@@ -78,14 +158,12 @@ def fit_speed_curve(
 
     Parameters
     ----------
-    quantity : {"thrust", "torque"}
-        What `value` is; it has the sign of the speed (tare and sign already put right).
     speed, value : (n,) arrays
-        Steady speed [rad/s] and thrust [N] or aerodynamic torque [N·m]; NaN pairs, and points that turn the
-        other way, are left out.
+        Steady speed [rad/s] and thrust [N] or aerodynamic torque [N·m] with the sign of the speed; NaN pairs,
+        and points that turn the other way, are left out.
     zero_rows : int
-        Points at rest whose mean was subtracted as the tare; its error, common to all points, then counts in
-        the standard errors. 0: the zero is exact.
+        Points at rest whose mean was subtracted as the tare; the error of the tare, common to all points,
+        then counts in the standard errors. 0: the zero is exact.
 
     Raises
     ------
@@ -96,13 +174,13 @@ def fit_speed_curve(
     omega, y = _of_direction(direction, speed, value)
     columns = np.column_stack([omega * np.abs(omega), omega])
     units = (f"{unit}·s²/rad²", f"{unit}·s/rad")
-    fit = _robust_line(quantity, direction, columns, y, omega, units, zero_rows)
+    fit = _robust_line(quantity, direction, columns, y, units, zero_rows)
     top = float(np.max(np.abs(omega)))
     at_top = (fit.coefficients[0] * top + fit.coefficients[1]) * top
     if not at_top > 0:
         raise FitError(
-            f"{quantity} curve, {direction}: {abs(at_top):.3g} {unit} against the rotation at {top:.0f} rad/s"
-            f"; expected the sign of the speed, correct the sign of the channel"
+            f"{quantity} curve, {direction}: {abs(at_top):.3g} {unit} against the rotation at {top:.0f} "
+            "rad/s; expected the sign of the speed, correct the sign of the channel"
         )
     return fit
 
@@ -117,10 +195,10 @@ def fit_no_load_line(
     ratio = np.broadcast_to(np.asarray(supply_ratio, dtype=np.float64), np.shape(speed))
     u, omega = _of_direction(direction, command, np.asarray(speed, dtype=np.float64) / ratio)
     columns = np.column_stack([u, np.sign(u)])
-    return _robust_line("no_load", direction, columns, omega, u, ("rad/s", "rad/s"))
+    return _robust_line("no_load", direction, columns, omega, ("rad/s", "rad/s"))
 
 
-def soft_weights(columns: FloatArray, y: FloatArray) -> FloatArray:
+def _soft_weights(columns: FloatArray, y: FloatArray) -> FloatArray:
     """Return the soft-L1 weights (n,) that a robust fit of y (n,) over columns (n, k) gives the points.
 
     Weighted least squares with them is that fit: a point far from the others counts with σ/|residual|.
@@ -146,11 +224,11 @@ def _robust_line(
     direction: Rotation,
     columns: FloatArray,
     y: FloatArray,
-    abscissa: FloatArray,
     units: tuple[str, str],
     zero_rows: int = 0,
 ) -> CurveFit:
-    different = np.unique(abscissa).size
+    """Fit y (n,) by two columns (n, 2), of which the first differs wherever speed or command differs."""
+    different = np.unique(columns[:, 0]).size
     if different < 3:
         what = "command" if quantity == "no_load" else "speed"
         raise FitError(
@@ -163,7 +241,7 @@ def _robust_line(
     start, sigma = _robust_solution(scaled, y)
     residual = y - scaled @ start
     weight = 1.0 / np.sqrt(1.0 + (residual / sigma) ** 2)
-    inlier = np.abs(residual) <= OUTLIER * sigma
+    inlier = np.abs(residual) <= _OUTLIER * sigma
     # Huber's covariance of an M-estimator (Robust Statistics, 1981, §7.6), from pull and curvature of each
     # point. The formula of weighted least squares states a fifth too little.
     pull, curvature = (residual / sigma) * weight, weight**3
@@ -176,25 +254,8 @@ def _robust_line(
         # A tare from a few points of the same noise shifts all others together.
         shift = np.linalg.solve(scaled.T @ (curvature[:, None] * scaled), scaled.T @ curvature)
         covariance = covariance + spread / zero_rows * np.outer(shift, shift)
-    coefficients = start / size
-    errors = np.sqrt(np.diag(covariance)) / size
-    return CurveFit(
-        quantity, direction, (float(coefficients[0]), float(coefficients[1])),
-        (float(errors[0]), float(errors[1])), units, r_squared(y, residual, inlier), int(y.size),
-        int(np.sum(~inlier)), coefficient_correlation(covariance),
-    )  # fmt: skip
-
-
-def r_squared(y: FloatArray, residual: FloatArray, inlier: BoolArray) -> float:
-    """Return 1 − Σr²/Σ(y − ȳ)² over the points that are no outliers [1]; NaN where they are all equal."""
-    total = float(np.sum((y[inlier] - y[inlier].mean()) ** 2))
-    return 1.0 - float(np.sum(residual[inlier] ** 2)) / total if total > 0 else float("nan")
-
-
-def coefficient_correlation(covariance: FloatArray) -> float:
-    """Return the correlation of two coefficients from their covariance (2, 2) [1]."""
-    sizes = np.sqrt(np.diag(covariance))
-    return float(covariance[0, 1] / (sizes[0] * sizes[1])) if np.all(sizes > 0) else 0.0
+    coefficients, errors = start / size, np.sqrt(np.diag(covariance)) / size
+    return CurveFit.of(quantity, direction, coefficients, errors, covariance, units, y, residual, inlier)
 
 
 def _robust_solution(columns: FloatArray, y: FloatArray) -> tuple[FloatArray, float]:
@@ -218,8 +279,5 @@ def _soft_line(columns: FloatArray, y: FloatArray, start: FloatArray) -> FloatAr
     def residual(coefficients: FloatArray) -> FloatArray:
         return columns @ coefficients - y
 
-    def jacobian(_: FloatArray) -> FloatArray:
-        return columns
-
-    fit = least_squares(residual, start, jac=jacobian, loss="soft_l1")
+    fit = least_squares(residual, start, jac=lambda _: columns, loss="soft_l1")  # type: ignore[misc]
     return np.asarray(fit.x, dtype=np.float64)

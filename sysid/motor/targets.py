@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,7 +19,6 @@ from sysid.trials.bench_log import Tare, outside
 from sysid.trials.steady import SETTLE, find_starts
 from sysid.types import BoolArray, FloatArray, IntArray
 
-_COMPARED_CHANNELS = ("torque", "speed")
 # Grids of the simulation and of the comparison, per period of the stop-band edge of a fast log.
 _SIMULATED, _COMPARED = 10.0, 2.5
 # Grid of the simulation of a slow log: shares of its row interval, within these limits [s].
@@ -96,11 +95,9 @@ def prepare_trial(
         *log.channels["speed"], log.steps, PARAMETERS["saturation_speed"].upper, float(log.time[-1])
     )
     starts = tuple((a - reach, b + reach) for a, b in starts if b + reach > start and a - reach < window[1])
-    knots, ratio = _supply(log, reference_voltage)
     thrust = None
     if "thrust" in log.channels:
-        samples = filtered(campaign, log, "thrust") if log.fast else log.channels["thrust"]
-        thrust = np.interp(target.time, *samples)
+        thrust = np.interp(target.time, *filtered(campaign, log, "thrust"))
     provenance = {
         **source_of(log.recording),
         "direction": entry.direction,
@@ -114,7 +111,8 @@ def prepare_trial(
         **({} if log.second is None else {"second log": log.second}),
         "notes": [str(note) for note in log.notes],
     }
-    simulated = SimulatedTrial(log.steps.time, log.steps.level, grid, "steady", knots, ratio)
+    supply = _supply(log, reference_voltage)
+    simulated = SimulatedTrial(log.steps.time, log.steps.level, grid, "steady", supply)
     return PreparedTrial(entry, log, simulated, target, starts, thrust, provenance)
 
 
@@ -176,28 +174,38 @@ def _fast_target(
             f"{log.where}: {rows.size} compared instants between {window[0]:g} and {window[1]:g} s; "
             f"the filter takes {half * step:.2f} s at each end of the log: widen the window"
         )
-    measured = np.full((rows.size, 2), np.nan)
-    for c, channel in enumerate(_COMPARED_CHANNELS):
-        if channel in log.channels:
-            measured[:, c] = np.interp(grid[rows], *filtered(campaign, log, channel))
-    valid = np.isfinite(measured) & outside(grid[rows], log.doubtful)[:, None]
-    return MotorTarget(name, grid[rows], measured, valid, start, step, grid.size, taps)
+    time = grid[rows]
+    measured = _compared(log, time, lambda channel: np.interp(time, *filtered(campaign, log, channel)))
+    valid = np.isfinite(measured) & outside(time, log.doubtful)[:, None]
+    return MotorTarget(name, time, measured, valid, start, step, grid.size, taps)
 
 
 def _slow_target(log: BenchLog, name: str, start: float) -> MotorTarget:
     """Compare the real samples of a slow log, each at its row."""
     step = float(np.clip(_SLOW_SHARE * log.interval, *_SLOW_GRID))
     rows = log.time[(log.time >= log.window[0]) & (log.time <= log.window[1])]
-    measured = np.full((rows.size, 2), np.nan)
-    for c, channel in enumerate(_COMPARED_CHANNELS):
-        if channel in log.channels:
-            t, values = log.channels[channel]
-            at = np.searchsorted(rows, t)
-            hit = (at < rows.size) & (rows[np.minimum(at, rows.size - 1)] == t)
-            measured[at[hit], c] = values[hit]
+
+    def at_rows(channel: str) -> FloatArray:
+        t, values = log.channels[channel]
+        out = np.full(rows.size, np.nan)
+        at = np.searchsorted(rows, t)
+        hit = (at < rows.size) & (rows[np.minimum(at, rows.size - 1)] == t)
+        out[at[hit]] = values[hit]
+        return out
+
+    measured = _compared(log, rows, at_rows)
     size = int(np.ceil((rows[-1] - start) / step)) + 2
     valid = np.isfinite(measured) & outside(rows, log.doubtful)[:, None]
     return MotorTarget(name, rows, measured, valid, start, step, size, np.zeros(0))
+
+
+def _compared(log: BenchLog, time: FloatArray, values: Callable[[str], FloatArray]) -> FloatArray:
+    """Return torque and speed (n, 2) at some times (n,); NaN for a channel that was not recorded."""
+    out = np.full((time.size, 2), np.nan)
+    for c, channel in enumerate(("torque", "speed")):
+        if channel in log.channels:
+            out[:, c] = values(channel)
+    return out
 
 
 def measured_spectrum(log: BenchLog, time: FloatArray) -> Spectrum | None:
@@ -208,17 +216,19 @@ def measured_spectrum(log: BenchLog, time: FloatArray) -> Spectrum | None:
     clock = np.arange(time[0], time[-1], log.interval)
     if clock.size < 16:
         return None
-    raw = np.full((clock.size, 2), np.nan)
-    for c, channel in enumerate(_COMPARED_CHANNELS):
-        if channel in log.channels:
-            t, values = log.channels[channel]
-            known = np.isfinite(values)
-            raw[:, c] = np.interp(clock, t[known], values[known])
-    return amplitude_spectrum(raw, 1.0 / log.interval)
+
+    def unfiltered(channel: str) -> FloatArray:
+        t, values = log.channels[channel]
+        known = np.isfinite(values)
+        return np.interp(clock, t[known], values[known])
+
+    return amplitude_spectrum(_compared(log, clock, unfiltered), 1.0 / log.interval)
 
 
 def filtered(campaign: MotorCampaign, log: BenchLog, channel: str) -> Samples:
-    """Return times and filtered values of a channel of a fast log; NaN in its holes."""
+    """Return times and values of a channel; of a fast log filtered, NaN in its holes."""
+    if not log.fast:
+        return log.channels[channel]
     return uniform_filtered(*log.channels[channel], _lowpass(campaign, log), f"{log.where}, {channel}")
 
 
@@ -248,10 +258,10 @@ def _steady_start(log: BenchLog, start: float) -> float:
     return max(start, float(log.time[0]))
 
 
-def _supply(log: BenchLog, reference_voltage: float) -> tuple[FloatArray | None, FloatArray | None]:
-    """Return knots [s] of V/V_ref and its values there (k,); None where the log does not hold the supply."""
+def _supply(log: BenchLog, reference_voltage: float) -> tuple[FloatArray, FloatArray] | None:
+    """Return knots [s] and V/V_ref there, (k,) each; None where the log does not hold the supply."""
     if "voltage" not in log.channels:
-        return None, None
+        return None
     t, volts = log.channels["voltage"]
     block = np.floor((t - t[0]) / _SUPPLY_MEAN).astype(np.int64)
     _, index, count = np.unique(block, return_inverse=True, return_counts=True)

@@ -118,9 +118,9 @@ def test_real_motor_is_fitted_and_carries_over(
     assert np.median(means) == pytest.approx(1.0, abs=0.15)
     # Rows of 9 to 12 ms cannot show a current that rises in microseconds; the result must say so.
     assert any("not how small" in sentence for sentence in result.warnings)
-    assert any("fix only k²/R" in sentence for sentence in result.warnings)
+    assert any("determine only k²/R" in sentence for sentence in result.warnings)
     # Starts from rest in such rows leave Ω_min open: from 0.5 and from 17 up to 100 rad/s.
-    assert any("do not fix saturation_speed" in sentence for sentence in result.warnings)
+    assert any("do not determine saturation_speed" in sentence for sentence in result.warnings)
     # No inductance is worth believing in rows of 9 to 12 ms; without a held-out trial the result says that.
     assert any("the ladder cannot say" in sentence for sentence in result.warnings)
     values = result.parameter_sets().set_values(1)

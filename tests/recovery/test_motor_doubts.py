@@ -16,11 +16,11 @@ from sysid.fit.result import ranked_sets
 from sysid.fit.search import SearchSettings, run_one
 from sysid.fit.stopping import StopRule
 from sysid.journal import Journal
-from sysid.motor.curves import NoLoadTie
 from sysid.motor.follow_up import curve_sentence, follow_up
 from sysid.motor.inertia import SpikeInertia
 from sysid.motor.known_values import search_space
 from sysid.motor.problem import MotorProblem
+from sysid.motor.static_curves import NoLoadTie
 from sysid.parameter_sets import NOT_ALONE
 from sysid.synthetic.motor import TrialPlan, synthesize_motor
 
@@ -84,7 +84,7 @@ def test_one_motor_constant_is_half_a_scale(campaign: Path) -> None:
             warnings.simplefilter("always")
             _, bench = bench_of(path)
         assert bench.scale_known is known
-        assert any("fix only k²/R" in str(one.message) for one in said) is not known
+        assert any("determine only k²/R" in str(one.message) for one in said) is not known
 
 
 def test_a_trial_that_is_little_but_a_start_is_warned_of(campaign: Path) -> None:
@@ -105,7 +105,7 @@ def test_a_trial_that_is_little_but_a_start_is_warned_of(campaign: Path) -> None
 
 def test_an_interrupted_fit_says_what_it_has_not_looked_at(campaign: Path) -> None:
     path = edited(campaign, (r"^kv = .*\n", ""), name="guess.toml")
-    with pytest.warns(UserWarning, match="fix only k²/R"):
+    with pytest.warns(UserWarning, match="determine only k²/R"):
         read, bench = bench_of(path)
     space = search_space(read, bench)
     problem = MotorProblem.build(read, space, bench, bench.trials)

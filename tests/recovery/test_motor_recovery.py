@@ -303,7 +303,7 @@ def test_a_campaign_that_the_logs_contradict_is_refused(
 
 @pytest.mark.parametrize(
     ("kv", "words"),
-    [("", "fix only k²/R, R/L and k·I_sat"), ('kv = "2300 rpm/V"', "check kv and reference_voltage")],
+    [("", "determine only k²/R, R/L and k·I_sat"), ('kv = "2300 rpm/V"', "check kv and reference_voltage")],
 )
 def test_a_doubtful_kv_is_warned_of(campaign_file: Path, kv: str, words: str) -> None:
     path = edited(campaign_file, (KV, kv), name="doubtful.toml")

@@ -52,7 +52,7 @@ def test_reversal_falls_to_zero_and_rises_from_there():
 
 def test_supply_scales_the_steady_speed():
     time = np.linspace(0.0, 3.0, 300)
-    sag = {"supply_time": np.array([0.0, 1.0]), "supply_ratio": np.array([1.0, 0.9])}
+    sag = {"supply": (np.array([0.0, 1.0]), np.array([1.0, 0.9]))}
     out = lag.simulate_lag(_row(), _trial([0.0], [0.5], time, **sag))[0]
     assert out[0, 1] == pytest.approx(420.0)
     assert out[-1, 1] == pytest.approx(378.0, rel=1e-6)

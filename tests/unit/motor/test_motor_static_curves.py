@@ -7,8 +7,7 @@ import pytest
 
 from fakes import places
 from sysid.errors import FitError
-from sysid.motor.curves import NoLoadTie
-from sysid.motor.static_curves import fit_no_load_line, fit_speed_curve
+from sysid.motor.static_curves import NoLoadTie, fit_no_load_line, fit_speed_curve
 
 DATA = places.DATA / "rcbenchmark"
 

@@ -59,7 +59,7 @@ def test_voltage_of_an_unconnected_probe_is_left_out(tmp_path: Path) -> None:
     (trial,) = bench.trials
     assert "voltage" not in trial.log.channels
     assert "no-voltage" in {note.code for note in trial.log.notes}
-    assert trial.simulated.supply_ratio is None
+    assert trial.simulated.supply is None
 
 
 def test_single_zeros_of_the_voltage_do_not_bend_the_no_load_line(tmp_path: Path) -> None:

@@ -208,7 +208,7 @@ def _bench(levels, window, parameters, rate=1000.0, fast=False):
         window=window, doubtful=(), where="turns.h5",
     )  # fmt: skip
     entry = SimpleNamespace(name="turns", log="turns.h5", use="fit", direction="reversal")
-    simulated = SimpleNamespace(time=time[time >= window[0]], supply_time=None, supply_ratio=None)
+    simulated = SimpleNamespace(time=time[time >= window[0]], supply=None)
     return SimpleNamespace(trials=(SimpleNamespace(log=log, entry=entry, simulated=simulated),))
 
 
