@@ -114,7 +114,8 @@ def figure_measured_against_simulated(
         which = "" if trial is None else f" {trial!r}"
         raise ExportError(f"{fit.name}: no trial{which} to draw; found {known}")
     rows, columns = len(fit.channels), len(trials)
-    width, height = max(9.0, 1.2 + 3.1 * columns), 1.7 + 2.5 * rows
+    # At least as wide as a legend with rows of bars.
+    width, height = max(11.0, 1.2 + 3.1 * columns), 1.7 + 2.5 * rows
     # Fixed margins: laying out eighty axes automatically takes longer than drawing them.
     figure = Figure(figsize=(width, height))
     cells = figure.add_gridspec(

@@ -18,8 +18,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from sysid.errors import ExportError
+from sysid.fit.optima import unfixed
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.summary import record_lines, run_record
+from sysid.parameter_sets import in_place_of_digits
+from sysid.parameters import in_words
 from sysid.report.drawing import display_of, percent_text
 from sysid.report.fit_figures import (
     Bars,
@@ -55,12 +58,14 @@ from sysid.report.html import (
 )
 from sysid.report.set_tables import mean_sigma_table, ranked_table, trial_table
 from sysid.report.trust_tables import interval_table, narrow_table, validation_table, verdict_words
-from sysid.report.verdict import open_parameters, verdict_sentences
 from sysid.trust import documents
 from sysid.types import FloatArray
 
 # Panels of channels beyond which a page holds them as pixels: vectors of 40 take 2 MB.
 _MOST_VECTORS = 60
+_COUNTS = (
+    "no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -232,22 +237,99 @@ class FitReport:
 
     def verdict(self) -> Html:
         """Return the verdict in one paragraph, and the warnings."""
-        warnings = self.warnings()
-        sentences = verdict_sentences(
-            self.fit, self.against, self.trust, self.validations, len(warnings), model=self.model,
-            noun=self.noun,
-        )  # fmt: skip
-        out = box(paragraph(" ".join(sentences)), "verdict")
+        out, warnings = box(paragraph(" ".join(self.sentences())), "verdict"), self.warnings()
         if warnings:
             count = f"{len(warnings)} warning{'s' if len(warnings) > 1 else ''}"
             out += folded(count, bullets(warnings, "warnings"), opened=len(warnings) <= 4)
         return out
 
+    def sentences(self) -> list[str]:
+        """Return the verdict: how well the sets fit and predict, and what the data determine."""
+        out = [self._fitted(), *self._predicted(), *self._determined(), self._runs()]
+        if self.fit.state != "done":
+            out.append("It was stopped early: these are the sets that it had until then.")
+        if count := len(self.warnings()):
+            out.append(
+                f"{_counted(count, 'warning').capitalize()} {'stand' if count > 1 else 'stands'} below."
+            )
+        return out
+
+    def _fitted(self) -> str:
+        fit, trials = self.fit, sum(trial.use == "fit" for trial in self.fit.trials)
+        low, high = percent_text(float(fit.nrmse.min())), percent_text(float(fit.nrmse.max()))
+        return (
+            f"{fit.name}, {self.model}: the {_counted(len(fit.nrmse), 'set')} "
+            f"fit{'s' if len(fit.nrmse) == 1 else ''} {_counted(trials, self.noun)} with an NRMSE of "
+            f"{low if low == high else f'{low} to {high}'} "
+            f"(rms error over {fit.provenance.get('nrmse_denominator', 'std')} of the measurement)."
+        )
+
+    def _predicted(self) -> list[str]:
+        out = []
+        for fit in self.fits:
+            if trials := sum(trial.use == "validate" for trial in fit.trials):
+                mean = percent_text(float(fit.mean_nrmse("validate")[0]))
+                where = "" if fit is self.fit else f" of {fit.name}"
+                out.append(f"It predicts {_counted(trials, 'trial')}{where} that it never saw with {mean}.")
+        for name, document in self.validations.items():
+            word = "is doubtful" if document.get("flagged") else "holds"
+            mean = percent_text(float(document.get("nrmse", float("nan"))))
+            out.append(f"The validation on {name} {word} ({mean}).")
+        return out or ["Nothing is known about trials that were not fitted: none was held back."]
+
+    def _determined(self) -> list[str]:
+        fit, out = self.fit, []
+        if fit.runs and fit.agreement.unfinished:
+            out.append("The search was not finished: nothing is known about what the data determine.")
+            if self.trust is None:
+                return out
+        named = {record.name: in_words(record) for record in fit.parameters}
+        if self.trust is not None:
+            groups: dict[str, list[str]] = {}
+            for row in self.trust["parameters"]:
+                groups.setdefault(row["verdict"], []).append(named[row["name"]])
+            parts = [f"{verdict_words(verdict)}: {', '.join(names)}" for verdict, names in groups.items()]
+            where = "around the unfinished best set" if out else "by profile"
+            return [*out, f"What the data determine, {where}: {'; '.join(parts)}."]
+        opened = [named[name] for name in self.open_parameters]
+        closed = [named[r.name] for r in fit.parameters if r.status == "free" and named[r.name] not in opened]
+        if closed:
+            out.append(f"The data determine {', '.join(closed)}.")
+        if opened:
+            out.append(f"They do not determine {', '.join(opened)}: digits of that mean nothing.")
+        flagged = sorted({fit.parameters[i].name for i in np.flatnonzero((fit.at_bound != 0).any(axis=0))})
+        if flagged:
+            out.append(f"Sets end at a bound in {', '.join(named[name] for name in flagged)}.")
+        out.append("Intervals have not been computed: this judges by the spread of the search alone.")
+        return out
+
+    def _runs(self) -> str:
+        agreement, total = self.fit.agreement, len(self.fit.runs)
+        # Where a run was cut is no optimum, so none is the best one.
+        if agreement.unfinished:
+            return f"{agreement.sentence()}."
+        if total == 1:
+            return "A single run cannot say whether its optimum is the best one."
+        return f"{agreement.reached} of {total} independent runs ended in the best optimum."
+
+    @cached_property
+    def open_parameters(self) -> tuple[str, ...]:
+        """Free parameters that the data do not determine: by the candidates, or by a profile.
+
+        See `sysid.fit.optima.unfixed`, a lower bound on what is open. An unfinished search knows of none.
+        """
+        fit = self.fit
+        if fit.agreement.unfinished:
+            return ()
+        flags = unfixed(fit.runs, fit.searched) if fit.searched else ()
+        wide = {record.name for record, flag in zip(fit.searched, flags, strict=True) if flag}
+        free = [record.name for record in fit.parameters if record.status == "free"]
+        return tuple(name for name in free if name in wide or in_place_of_digits(fit.settings, name))
+
     def parameters(self) -> Html:
         """Return the tables of parameters: sets, the layout of Tables I and II, intervals."""
         sets = self.fit.parameter_sets()
-        # Nothing is known about what the data fix before the search has ended.
-        opened = () if self.fit.runs and self.fit.agreement.unfinished else open_parameters(self.fit)
+        opened = self.open_parameters
         out = markup_table(ranked_table(sets, opened)) + markup_table(mean_sigma_table(sets, unfixed=opened))
         if self.trust is None:
             return out + self.missing("profile intervals and verdicts", "sysid trust")
@@ -432,6 +514,11 @@ class FitReport:
         gain = filter_gain(self.fit.provenance.get("filter", {}), highest)
         channels = enumerate(self.fit.channels)
         return {name: figure_spectrum(self.fit, spectra, c, gain) for c, name in channels}
+
+
+def _counted(number: int, noun: str) -> str:
+    count = _COUNTS[number] if number < len(_COUNTS) else str(number)
+    return f"{count} {noun}{'' if number == 1 else 's'}"
 
 
 def file_name(text: str) -> str:

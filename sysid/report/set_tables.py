@@ -56,7 +56,7 @@ def ranked_table(sets: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
         rows.append([Cell(heading), *(_value(sets, s, column, loose) for s in range(len(sets)))])
     notes = [_FLAG] if np.any(sets.at_bound[:, shown]) else []
     if any(sets.names[column] in unfixed for column in shown):
-        notes.append(f"{_UNFIXED} not fixed by the data: no digits")
+        notes.append(f"{_UNFIXED} not determined by the data: no digits")
     count = "one set" if len(sets) == 1 else f"{len(sets)} sets, best first"
     columns = [numbers(f"set {rank}", itemgetter(rank)) for rank in range(1, len(sets) + 1)]
     columns.insert(0, words("parameter", itemgetter(0)))

@@ -88,7 +88,7 @@ def interval_table(document: Row) -> Table:
     rows = document["parameters"]
     drawn, measured = (any(row.get(key) for row in rows) for key in ("bootstrap_95", "measured"))
     return table(
-        "what the data fix: intervals of the profile likelihood",
+        "what the data determine: intervals of the profile likelihood",
         rows,
         (
             _PARAMETER,
@@ -161,7 +161,7 @@ def noise_table(document: Row) -> Table:
 def expected_table(document: Row) -> Table:
     """Return the verdicts of a check, before a fit."""
     return table(
-        f"{document['campaign']['name']}: what these trials are expected to fix",
+        f"{document['campaign']['name']}: what these trials are expected to determine",
         document["parameters"],
         (
             _PARAMETER,

@@ -28,7 +28,6 @@ from sysid.report.motor_report import MotorReport
 from sysid.report.snapshots import figure_snapshots
 from sysid.report.table import Cell, table, words
 from sysid.report.trust_tables import interval_table, narrow_table
-from sysid.report.verdict import open_parameters, verdict_sentences
 
 NASTY = "</script><img src=x onerror=alert(1)>"
 
@@ -411,9 +410,8 @@ def test_the_numbers_beside_the_misprints_are_those_of_the_design_notes(sets):
     assert model_notes.reversal_delay(sets["motor"]) == pytest.approx(0.21, abs=0.01)
 
 
-def test_the_verdict_says_what_is_open_and_what_is_not_known():
-    fit = made_fit(uses=("fit", "fit"))
-    said = " ".join(verdict_sentences(fit, None, None, {}, 0, model="m"))
+def test_the_verdict_says_what_is_open_and_what_is_not_known(tmp_path):
+    said = " ".join(FitReport(tmp_path, made_fit(uses=("fit", "fit"))).sentences())
     assert "five sets fit two trials" in said
     assert "none was held back" in said
     assert "Intervals have not been computed" in said
@@ -433,12 +431,12 @@ def cut_fit(cut=1):
 @pytest.mark.parametrize("cut", [1, 3])
 def test_an_unfinished_search_is_not_told_as_a_finding(tmp_path, cut):
     whole, fit = cut_fit(0), cut_fit(cut)
-    said = " ".join(verdict_sentences(whole, None, None, {}, 0, model="m"))
-    assert "The data hold" in said
+    said = " ".join(FitReport(tmp_path, whole).sentences())
+    assert "The data determine" in said
     assert "of 3 independent runs" in said
-    said = " ".join(verdict_sentences(fit, None, None, {}, 0, model="m"))
-    assert "The search was not finished: nothing is known about what the data fix." in said
-    for claim in ("The data hold", "do not fix", "independent runs", "optimum"):
+    said = " ".join(FitReport(tmp_path, fit).sentences())
+    assert "The search was not finished: nothing is known about what the data determine." in said
+    for claim in ("The data determine", "do not determine", "independent runs", "optimum"):
         assert claim not in said
     (axes,) = figure_waterfall(fit).axes
     names = axes.get_legend_handles_labels()[1]
@@ -463,13 +461,14 @@ def test_what_the_data_do_not_fix_has_no_digits(tmp_path, monkeypatch):
     fit = made_fit()
     plain = FitReport(tmp_path, fit).parameters().text
     assert "not fixed" not in plain
-    monkeypatch.setattr(fit_report, "open_parameters", lambda fit: ("leg_axial_stiffness",))
+    monkeypatch.setattr(FitReport, "open_parameters", ("leg_axial_stiffness",))
     text = FitReport(tmp_path, fit).parameters().text
     assert '<td class="number">not fixed</td>' in text
     cells = re.search(r"k_h \[N/m\] †</th>(.*?)</tr>", text).group(1)
     values = re.findall(r">([^<]+)<", cells)
     assert len(values) == 5
     assert all(float(value.rstrip("*")) % 1000 == 0 for value in values)
+    monkeypatch.undo()
     # An unfinished search knows of nothing that it is open.
     assert "not fixed" not in FitReport(tmp_path, cut_fit()).parameters().text
 
@@ -482,7 +481,7 @@ def test_every_warning_that_is_listed_is_counted(tmp_path):
     assert "of the other campaign" in text
 
 
-def test_a_parameter_that_scores_equally_far_apart_is_open():
+def test_a_parameter_that_scores_equally_far_apart_is_open(tmp_path):
     fit = made_fit(runs=1)
     stage = fit.runs[0].stages[0]
     cost, cube = stage.cost.copy(), stage.cube.copy()
@@ -491,7 +490,7 @@ def test_a_parameter_that_scores_equally_far_apart_is_open():
     def seen(places):
         cube[-1, :2, 0] = places
         run = replace(fit.runs[0], stages=(replace(stage, cost=cost, cube=cube),))
-        return open_parameters(replace(fit, runs=(run,)))
+        return FitReport(tmp_path, replace(fit, runs=(run,))).open_parameters
 
     # Bounds 2000 to 12000: 0.05 to 0.95 of that is a factor of 5, 0.4 to 0.5 one of 1.2.
     assert seen([0.05, 0.95]) == ("leg_axial_stiffness",)
