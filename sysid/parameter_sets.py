@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,15 +22,10 @@ from sysid.errors import ExportError
 from sysid.parameters import Parameter, SearchSpace
 from sysid.types import FloatArray
 
+# How a number got its value: the search found it between its bounds; it was measured outside the fit; it is a
+# default, a rating or a guess, see its source; it follows from the other values of the set; nothing that was
+# recorded determines it, so it is NaN.
 Status = Literal["free", "measured", "fixed", "derived", "unknown"]
-
-STATUS_MEANING: dict[str, str] = {
-    "free": "found by the search between its bounds",
-    "measured": "measured outside the fit and held",
-    "fixed": "held at a value that was not measured (default, datasheet or guess; see source)",
-    "derived": "computed from the other values of the set",
-    "unknown": "nothing that was recorded says anything about it; the value is NaN",
-}
 
 
 @dataclass(frozen=True)
@@ -39,23 +34,16 @@ class ParameterRecord:
 
     Parameters
     ----------
-    name, symbol, unit : str
-        As in the model's table; the unit is SI.
-    status : {"free", "measured", "fixed", "derived", "unknown"}
-        How it got its value; see `STATUS_MEANING`.
-    meaning, source : str
-        One sentence each.
+    status : Status
+        How it got its value.
     nominal, lower, upper : float or None
         Default and the bounds that the search used [unit]; None where the model declares none.
-    scale : {"linear", "log"} or None
-        How the search walked between the bounds.
     measured_range : (float, float) or None
         What an independent measurement of a free number found [unit] (Table II, "measured").
     stated_sigma : float or None
         Standard deviation stated by the source [unit], where the sets themselves do not carry it.
-    group, trial : str
-        What the number belongs to, and the trial that alone has it, see `sysid.parameters.Parameter`; empty
-        where there is none.
+
+    The other fields are as in `sysid.parameters.Parameter`.
     """
 
     name: str
@@ -74,9 +62,9 @@ class ParameterRecord:
     trial: str = ""
 
     def __post_init__(self) -> None:
-        if self.status not in STATUS_MEANING:
+        if self.status not in get_args(Status):
             raise ValueError(
-                f"{self.name}: status {self.status!r}, expected one of {', '.join(STATUS_MEANING)}"
+                f"{self.name}: status {self.status!r}, expected one of {', '.join(get_args(Status))}"
             )
         if self.measured_range is not None:
             low, high = self.measured_range
@@ -87,11 +75,7 @@ class ParameterRecord:
         cls, row: Parameter, status: Status, measured_range: tuple[float, float] | None = None
     ) -> ParameterRecord:
         """Return the record of a model's row."""
-        return cls(
-            row.name, row.symbol, row.unit, status, row.meaning, row.source,
-            row.nominal, row.lower, row.upper, row.scale, measured_range,
-            group=row.group, trial=row.trial,
-        )  # fmt: skip
+        return cls(**vars(row), status=status, measured_range=measured_range)
 
     def computed(self, source: str) -> ParameterRecord:
         """Return the record of the same number, computed from other values."""
@@ -162,22 +146,22 @@ class SetsDocument(SetsHead):
     sigma: dict[str, float]
 
 
-# Keys of a result's settings: numbers that the data fix only in combination, and those combinations.
+# Fields of `ParameterSets` that every file of sets states under the same names.
+_SAME = ("kind", "name", "parameters", "settings", "provenance", "warnings")
+# Keys of a result's settings: numbers that the data determine only in combination, and those combinations.
 NOT_ALONE, COMBINATIONS = "fixed only in combination", "combinations"
 
 
 def in_place_of_digits(settings: Mapping[str, Any], name: str) -> str | None:
-    """Return what a table prints instead of a number that the data do not fix; None where they do.
+    """Return what a table prints instead of a number that the data do not determine; None where they do.
 
-    A parameter below a bound of its profile is printed as that bound; a parameter that rests on a
-    guessed scale is not printed, because its digits would be those of the guess.
+    The bound of the profile replaces a parameter that lies below it. A parameter that rests on a guessed
+    scale has no digits but the guess's.
     """
     if name in settings.get(NOT_ALONE, ()):
         return "not fixed"
     profile = settings.get("profiles", {}).get(name)
-    if not profile or profile["identified"]:
-        return None
-    return f"< {profile['below']:.0e}"
+    return f"< {profile['below']:.0e}" if profile and not profile["identified"] else None
 
 
 def parameter_records(
@@ -191,10 +175,9 @@ def parameter_records(
 ) -> tuple[ParameterRecord, ...]:
     """Return the record of every row of a model's table, in table order, then the derived ones.
 
-    `measured` and `stated` say where the value of a row comes from that was measured, or was not (a rating,
-    the campaign, a guess); `measured_ranges` are independent measurements of free rows [SI]. Of the `unknown`
-    rows nothing recorded says anything. The source of a row is about its default, that of a record is about
-    the value in the sets.
+    `measured` and `stated` are sources of values that were measured, or were not (a rating, the campaign, a
+    guess); `measured_ranges` are independent measurements of free rows [SI]. Nothing recorded determines the
+    `unknown` rows. A record's source is about the value in the sets, a row's about its default.
     """
     free = {row.name: row for row in space.free}
     known, others, ranges, missing = measured or {}, stated or {}, measured_ranges or {}, set(unknown)
@@ -215,34 +198,28 @@ def parameter_records(
     return (*out, *derived)
 
 
-@dataclass(frozen=True, eq=False)
-class ParameterSets:
-    """Parameter sets of one model, best first.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SetsContent:
+    """Ranked sets of one model, best first: what a fit and the sets exported from it share.
 
     Parameters
     ----------
     kind, name : str
         The model, such as ``motor``; name of the fit.
     parameters : tuple of ParameterRecord
-        The columns of `values`.
+        The columns of `values`: every row of the model's table, then the derived numbers.
     values : (S, n) array
         Every number of every set [its unit].
     nrmse : (S,) array
-        Cost of each set over the trials of the fit [1]; NaN where unknown.
-    runs, seeds : tuple of int
-        The search run (from 1) that found the set and its seed; 0 where there was none.
+        Mean over channels and fitted trials [1]; NaN where unknown.
     at_bound : (S, n) int8 array
         -1 within 1 % of the lower bound, +1 of the upper, else 0.
-    trials, uses : tuple of str
-        Names of the trials, and ``"fit"`` or ``"validate"`` of each.
     channels, channel_units, channel_weights : tuple
         Compared channels, their SI units, and the weight of each in a trial's mean [1].
-    nrmse_by_trial : (S, T, C) array
-        NRMSE per set, trial and channel [1].
     settings : mapping
-        What a simulator must also know: laws, command mapping, filter design, conventions.
+        What a simulator must also know: laws, command mapping, filter design, conventions. JSON-able.
     provenance : mapping
-        Hashes of the logs, versions, seeds, search settings, NRMSE denominator.
+        Hashes of the logs, versions, seeds, search settings, NRMSE denominator. JSON-able.
     """
 
     kind: str
@@ -250,33 +227,53 @@ class ParameterSets:
     parameters: tuple[ParameterRecord, ...]
     values: FloatArray
     nrmse: FloatArray
-    runs: tuple[int, ...]
-    seeds: tuple[int, ...]
     at_bound: NDArray[np.int8]
-    trials: tuple[str, ...]
-    uses: tuple[str, ...]
     channels: tuple[str, ...]
     channel_units: tuple[str, ...]
     channel_weights: tuple[float, ...]
-    nrmse_by_trial: FloatArray
     settings: Mapping[str, Any]
     provenance: Mapping[str, Any]
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("values", "nrmse", "nrmse_by_trial"):
-            array = np.array(getattr(self, name), dtype=np.float64)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
-        flags = np.array(self.at_bound, dtype=np.int8)
-        flags.setflags(write=False)
-        object.__setattr__(self, "at_bound", flags)
         for name in ("settings", "provenance"):
             object.__setattr__(self, name, exact_json.plain(getattr(self, name)))
+
+    def content(self) -> dict[str, Any]:
+        """Return these fields by name."""
+        return {field.name: getattr(self, field.name) for field in fields(SetsContent)}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ParameterSets(SetsContent):
+    """Parameter sets of one model, best first, without the search behind them.
+
+    Parameters
+    ----------
+    runs, seeds : tuple of int
+        The search run (from 1) that found the set and its seed; 0 where there was none.
+    trials, uses : tuple of str
+        Names of the trials, and ``"fit"`` or ``"validate"`` of each.
+    nrmse_by_trial : (S, T, C) array
+        NRMSE per set, trial and channel [1].
+    """
+
+    runs: tuple[int, ...]
+    seeds: tuple[int, ...]
+    trials: tuple[str, ...]
+    uses: tuple[str, ...]
+    nrmse_by_trial: FloatArray
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("values", "nrmse", "nrmse_by_trial", "at_bound"):
+            array = np.array(getattr(self, name), dtype=np.int8 if name == "at_bound" else np.float64)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
         names = ("parameters", "trials", "uses", "channels", "channel_units", "warnings", "runs", "seeds")
         for name in names:
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        object.__setattr__(self, "channel_weights", tuple(float(w) for w in self.channel_weights))
+        object.__setattr__(self, "channel_weights", tuple(map(float, self.channel_weights)))
         n_sets, n = len(self.nrmse), len(self.parameters)
         n_trials, n_channels = len(self.trials), len(self.channels)
         shapes = {
@@ -296,7 +293,7 @@ class ParameterSets:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, ParameterSets):
             return NotImplemented
-        # As text NaN equals NaN and 0.0 differs from -0.0: equal bit for bit, in any order of keys.
+        # In texts NaN equals NaN and 0.0 differs from -0.0: equal bit for bit, in any order of keys.
         texts = {json.dumps(json.loads(sets.document().line()), sort_keys=True) for sets in (self, other)}
         return len(texts) == 1
 
@@ -337,9 +334,8 @@ class ParameterSets:
         return np.array([np.nan if value is None else value for value in stated], dtype=np.float64)
 
     def _head(self) -> dict[str, Any]:
-        same = ("kind", "name", "parameters", "settings", "provenance", "warnings")
         channels = zip(self.channels, self.channel_units, self.channel_weights, strict=True)
-        return {name: getattr(self, name) for name in same} | {
+        return {name: getattr(self, name) for name in _SAME} | {
             "trials": [TrialUse(name=t, use=u) for t, u in zip(self.trials, self.uses, strict=True)],
             "channels": [ChannelUse(name=c, unit=u, weight=w) for c, u, w in channels],
         }
@@ -381,17 +377,10 @@ class ParameterSets:
         at_bound: NDArray[np.int8],
         nrmse_by_trial: FloatArray,
     ) -> ParameterSets:
-        """Return the sets that `metadata` and the arrays describe.
-
-        Raises
-        ------
-        ValueError
-            When they contradict each other.
-        """
+        """Return the sets that `metadata` and the arrays describe; ValueError where these contradict it."""
         trials, channels = metadata.trials, metadata.channels
-        same = ("kind", "name", "parameters", "runs", "seeds", "settings", "provenance", "warnings")
         return cls(
-            **{name: getattr(metadata, name) for name in same},
+            **{name: getattr(metadata, name) for name in (*_SAME, "runs", "seeds")},
             values=values,
             nrmse=nrmse,
             at_bound=at_bound,
@@ -405,13 +394,7 @@ class ParameterSets:
 
     @classmethod
     def from_document(cls, document: SetsDocument) -> ParameterSets:
-        """Return the sets of a JSON document.
-
-        Raises
-        ------
-        KeyError, ValueError
-            When something is missing or contradicts itself.
-        """
+        """Return the sets of a JSON document; KeyError or ValueError where it contradicts itself."""
         sets = document.sets
         names = [record.name for record in document.parameters]
         trials = [trial.name for trial in document.trials]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Literal, Protocol
 
@@ -114,8 +115,8 @@ class ParameterTable(Mapping[str, Parameter]):
         """Default value of every row [its unit]."""
         return {name: row.nominal for name, row in self._rows.items()}
 
-    @property
-    def index(self) -> dict[str, int]:
+    @cached_property
+    def index(self) -> Mapping[str, int]:
         """Place of every row in the table."""
         return {name: i for i, name in enumerate(self._rows)}
 
@@ -178,6 +179,11 @@ class SearchSpace:
         """Names of the free parameters in search order."""
         return tuple(p.name for p in self.free)
 
+    @property
+    def columns(self) -> list[int]:
+        """Places of the free parameters in the table, in search order."""
+        return [self.table.index[p.name] for p in self.free]
+
     def decode(self, cube: FloatArray) -> FloatArray:
         """Map unit-cube points (..., n_free) to parameter values (..., n_free) [SI]."""
         low, high, log = self._low, self._high, self._log  # type: ignore[attr-defined]
@@ -195,10 +201,9 @@ class SearchSpace:
         """Map unit-cube points (n, n_free) to rows of the whole table (n, len(table)) in table order [SI]."""
         cube = np.atleast_2d(cube)
         out = np.empty((len(cube), len(self.table)))
-        index = self.table.index
         for name, value in self.fixed.items():
-            out[:, index[name]] = value
-        out[:, [index[name] for name in self.names]] = self.decode(cube)
+            out[:, self.table.index[name]] = value
+        out[:, self.columns] = self.decode(cube)
         return out
 
     def at_bound(self, cube: FloatArray) -> NDArray[np.int8]:

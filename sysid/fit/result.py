@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid import exact_json
 from sysid.errors import FitError
 from sysid.fit.history import RunHistory
 from sysid.fit.optima import Agreement, agreement
 from sysid.journal import Finding
-from sysid.parameter_sets import ParameterRecord, ParameterSets
+from sysid.parameter_sets import ParameterRecord, ParameterSets, SetsContent
 from sysid.parameters import SearchSpace, about, in_words, with_unit
 from sysid.spectrum import Spectrum
 from sysid.types import BoolArray, FloatArray
-
-# Fields of a `FitResult` that are those of its `ParameterSets`.
-SHARED = (
-    "kind", "name", "parameters", "values", "nrmse", "at_bound", "channels", "channel_units",
-    "channel_weights", "settings", "provenance", "warnings",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +88,7 @@ SETS_KEPT = 5
 def ranked_sets(runs: Sequence[RunHistory], space: SearchSpace, keep: int = SETS_KEPT) -> RankedSets:
     """Return one set per run, the best `keep` of them, ranked by cost; equal costs keep the order of runs.
 
-    Five of one population would be clones: the paper's five sets are the best of each run's last
-    generation. A run with a finisher gives its best.
+    Five of one population would be clones: the paper's five sets are the best of each run's last generation.
     """
     if not runs:
         raise FitError("no run has finished a generation, so there is no set; run the fit again")
@@ -104,8 +96,7 @@ def ranked_sets(runs: Sequence[RunHistory], space: SearchSpace, keep: int = SETS
     order = np.argsort(cost, kind="stable")[:keep]
     cube = np.stack([runs[i].best_point for i in order])
     at_bound = np.zeros((len(order), len(space.table)), dtype=np.int8)
-    index = {name: i for i, name in enumerate(space.table)}
-    at_bound[:, [index[name] for name in space.names]] = space.at_bound(cube)
+    at_bound[:, space.columns] = space.at_bound(cube)
     return RankedSets(
         run=tuple(int(i) + 1 for i in order),
         seed=tuple(runs[i].seed for i in order),
@@ -132,60 +123,31 @@ def bound_findings(parameters: Sequence[ParameterRecord], at_bound: NDArray[np.i
     return tuple(out)
 
 
-@dataclass(frozen=True, eq=False)
-class FitResult:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FitResult(SetsContent):
     """A finished or stopped fit.
 
     Parameters
     ----------
-    kind, name : str
-        Of the model (``motor``, ``gear``) and of the campaign.
     state : {"done", "stopped"}
-        ``stopped``: cut short by the user or the time limit; what was found is here.
-    parameters : tuple of ParameterRecord
-        Columns of `values`: every row of the model's table, then the derived numbers.
+        ``stopped``: cut short by the user or the time limit.
     runs : tuple of RunHistory
         In the order they ran.
     set_runs, set_seeds : tuple of int
         Run (from 1) and seed of each set.
     cube : (S, n_free) array
         Sets in the unit cube, best first [1].
-    values : (S, n) array
-        Sets [SI].
-    at_bound : (S, n) int8 array
-        -1 within 1 % of the lower bound, +1 of the upper, else 0.
-    nrmse : (S,) array
-        Mean over channels and fit trials [1].
-    channels, channel_units, channel_weights : tuples
-        Compared channels, their SI units, and the weight of each in a trial's mean [1].
-    settings : mapping
-        What a simulator must also know; see `ParameterSets`. JSON-able.
-    provenance : mapping
-        Log hashes, seeds, versions, filter design, NRMSE denominator, search settings. JSON-able.
     """
 
-    kind: str
-    name: str
     state: Literal["done", "stopped"]
-    parameters: tuple[ParameterRecord, ...]
     runs: tuple[RunHistory, ...]
     set_runs: tuple[int, ...]
     set_seeds: tuple[int, ...]
     cube: FloatArray
-    values: FloatArray
-    at_bound: NDArray[np.int8]
-    nrmse: FloatArray
     trials: tuple[TrialResult, ...]
-    channels: tuple[str, ...]
-    channel_units: tuple[str, ...]
-    channel_weights: tuple[float, ...]
-    settings: Mapping[str, Any]
-    provenance: Mapping[str, Any]
-    warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("settings", "provenance"):
-            object.__setattr__(self, name, exact_json.plain(getattr(self, name)))
+        super().__post_init__()
         # Building the sets checks every shape but those of the trajectories.
         self.parameter_sets()
         for trial in self.trials:
@@ -229,7 +191,7 @@ class FitResult:
     def parameter_sets(self) -> ParameterSets:
         """Return the ranked sets in the form in which they are exported."""
         return ParameterSets(
-            **{name: getattr(self, name) for name in SHARED},
+            **self.content(),
             runs=self.set_runs,
             seeds=self.set_seeds,
             trials=tuple(trial.name for trial in self.trials),

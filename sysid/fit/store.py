@@ -16,7 +16,7 @@ from sysid import exact_json
 from sysid.errors import FitError
 from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.provenance import FitDocument
-from sysid.fit.result import SHARED, FitResult, TrialResult
+from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.summary import run_record, summary
 from sysid.parameter_sets import ParameterSets, SetsMetadata
 from sysid.spectrum import Spectrum
@@ -122,7 +122,7 @@ def read_fit(path: str | Path) -> FitResult:
             **{name: group[name][()] for name in ("values", "nrmse", "at_bound", "nrmse_by_trial")},
         )
         return FitResult(
-            **{name: getattr(sets, name) for name in SHARED},
+            **sets.content(),
             trials=tuple(map(_read_trial, numbered(file, "trials"))),
             state=file.attrs["state"],
             runs=tuple(map(_read_run, numbered(file, "runs"))),

@@ -1,6 +1,7 @@
 """Every format gives back what it was given, bit for bit, whatever the numbers and texts are."""
 
 import math
+from typing import get_args
 
 import hypothesis.extra.numpy as hnp
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 
 from sysid import exact_json
 from sysid.export import export, load_parameter_sets
-from sysid.parameter_sets import STATUS_MEANING, ParameterRecord, ParameterSets
+from sysid.parameter_sets import ParameterRecord, ParameterSets, Status
 
 # NaN of one kind only: text formats cannot carry its payload.
 FLOATS = st.one_of(
@@ -43,7 +44,7 @@ def parameter_sets(draw):
     records = [
         ParameterRecord(
             name=name,
-            status=draw(st.sampled_from(sorted(STATUS_MEANING))),
+            status=draw(st.sampled_from(sorted(get_args(Status)))),
             scale=draw(st.sampled_from(["linear", "log", None])),
             measured_range=draw(st.none() | st.tuples(FLOATS, FLOATS)),
             **{key: draw(TEXTS) for key in texts},
