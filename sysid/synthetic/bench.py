@@ -6,7 +6,7 @@ import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -23,22 +23,18 @@ _STAND_COLUMNS = (
 )
 
 
-@dataclass(frozen=True)
-class BenchNoise:
-    """White noise of the load cell and tachometer, one standard deviation per 10 kHz sample."""
+class Sizes(NamedTuple):
+    """A size of each channel: force [N], torque [N·m], speed [rad/s]."""
 
-    force: float = 0.05
-    torque: float = 1.5e-3
-    speed: float = 1.0
+    force: float
+    torque: float
+    speed: float
 
 
-@dataclass(frozen=True)
-class BenchResolution:
-    """Smallest step that each instrument reports: force [N], torque [N·m], speed [rad/s]."""
-
-    force: float = 0.01
-    torque: float = 1.25e-4
-    speed: float = 0.05
+# White noise of load cell and tachometer, one standard deviation per 10 kHz sample.
+NOISE = Sizes(0.05, 1.5e-3, 1.0)
+# The smallest step that each instrument reports.
+RESOLUTION = Sizes(0.01, 1.25e-4, 0.05)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +68,7 @@ def load_cell_csv(log: LoadCellLog) -> str:
 
 
 def load_cell_hdf5(log: LoadCellLog) -> Callable[[Path], None]:
-    """Return a function that writes a load-cell log as HDF5.
-
-    One compressed dataset per channel with its unit, and the clock as attributes `rate` [Hz] and `start` [s]:
-    the layout of `sysid.loaders.readers.load_cell_hdf5`.
-    """
+    """Return a function that writes a load-cell log as `sysid.loaders.readers.load_cell_hdf5` reads it."""
 
     def write(path: Path) -> None:
         import h5py

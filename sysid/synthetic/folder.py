@@ -12,21 +12,22 @@ from sysid.parameters import ParameterTable
 from sysid.storage import check_folder, replaced_folder
 
 TRUTH_FILE = "truth.json"
-CAMPAIGN_FILE = "campaign.toml"
 SCHEMA = "sysid-truth/1"
 
 # A file is its text, or a function that writes it at the path it is given (HDF5).
 Content = str | Callable[[Path], None]
 
 
-def write_folder(folder: str | Path, files: Mapping[str, Content], *, force: bool = False) -> Path:
-    """Write files into a folder, which appears only once every one of them is complete.
+def write_campaign(
+    folder: str | Path, campaign: str, logs: Mapping[str, Content], truth: str, *, force: bool = False
+) -> Path:
+    """Write a campaign, its logs and its truth into a folder, which appears only once all are complete.
 
     Text is written as UTF-8 with its line ends as they are. `force` replaces an existing synthesized folder
     as a whole; ExportError when it may not be replaced, or the disk refuses.
     """
     with replaced_folder(folder, force=force, marker=TRUTH_FILE, error_type=ExportError) as new:
-        for name, content in files.items():
+        for name, content in {**logs, "campaign.toml": campaign, TRUTH_FILE: truth}.items():
             if callable(content):
                 content(new / name)
             else:
@@ -56,8 +57,8 @@ def truth_text(
 def read_truth(folder: str | Path) -> dict[str, Any]:
     """Return the truth beside a synthesized campaign; ``parameters`` maps names to SI values.
 
-    `folder` may be the campaign's folder, its campaign file, or the truth file itself. ExportError when there
-    is no truth, or it is of another schema.
+    `folder` may also be the campaign file or the truth file. ExportError when there is no truth, or it is of
+    another schema.
     """
     path = Path(folder)
     if path.name != TRUTH_FILE:

@@ -9,7 +9,7 @@ and its axes are not quite level while the drone is.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -19,16 +19,20 @@ from scipy.spatial.transform import Rotation
 
 from sysid.errors import CampaignError
 from sysid.gear import model
-from sysid.synthetic import gear_campaign
-from sysid.synthetic.folder import CAMPAIGN_FILE, TRUTH_FILE, refuse_existing, truth_text, write_folder
-from sysid.synthetic.gear_campaign import BOARD_MARKERS, BODY, CENTRE_OF_MASS, MARKER_HEIGHT
-from sysid.synthetic.motion_capture import CaptureNoise, Take, motive_csv, observe, pose_table_csv
+from sysid.synthetic.folder import refuse_existing, truth_text, write_campaign
+from sysid.synthetic.motion_capture import Take, motive_csv, observe, pose_table_csv
 from sysid.trials.capture import CaptureFrame
 from sysid.types import FloatArray
 
 Export = Literal["motive", "motive-mm", "motive-euler", "pose-table"]
 Use = Literal["fit", "validate"]
 
+_BODY = "F450"
+_BOARD_MARKERS = ("board-1", "board-2", "board-3")
+# Of a marker's centre above the board [m].
+_MARKER_HEIGHT = 7e-3
+# From the rigid body's origin to the centre of mass, along the body's axes (capture axes when level) [m].
+_CENTRE_OF_MASS = (0.004, -0.022, 0.003)
 # Of the board's hinge line in the room, along (down-slope, into the page, up) [m].
 _HINGE = (0.8125, -0.3640, 0.4305)
 # How far the rigid body's axes are from level while the drone hangs level: pitch, roll, yaw [deg].
@@ -95,20 +99,10 @@ HF_DROPS = (
 class CaptureLab:
     """How drops are recorded.
 
-    Parameters
-    ----------
-    noise_position, noise_angle : float
-        One standard deviation per axis and frame [m], [rad]; 0 leaves the quantization of the file only.
-    rate : float
-        Of the capture [Hz].
-    up, down_slope : str
-        Capture axes that point up and down the slope.
-    plane : {"point", "markers"}
-        What the campaign states about the surface; the logs contain three board markers either way.
-    occlusions : bool
-        Lose the body for 1 to 4 frames, three times per drop.
-    wobble : float
-        Amplitude of roll and yaw after the contact [rad].
+    Standard deviations of noise per axis and frame [m], [rad], where 0 leaves the quantization of the file
+    only; the rate of the capture [Hz]; the capture axes that point up and down the slope; what the campaign
+    states about the `plane` of the surface, although every log contains three board markers; whether the body
+    is lost for 1 to 4 frames three times per drop; the amplitude of roll and yaw after the contact [rad].
     """
 
     noise_position: float = 0.3e-3
@@ -121,24 +115,19 @@ class CaptureLab:
     wobble: float = math.radians(0.4)
 
     @property
-    def noise(self) -> CaptureNoise:
-        """Noise of the solved pose."""
-        return CaptureNoise(self.noise_position, self.noise_angle)
-
-    @property
     def frame(self) -> CaptureFrame:
         """Directions of the capture axes."""
         return CaptureFrame(self.up, self.down_slope)
 
     @property
     def hinge(self) -> FloatArray:
-        """The board's hinge line in capture axes (3,) [m]."""
+        """A point (3,) of the board's hinge line in capture axes [m]."""
         return self.frame.matrix.T @ np.array(_HINGE)
 
 
 @dataclass(frozen=True, eq=False)
 class _Truth:
-    """One simulated drop on the capture's frames, model axes with the origin at the hinge."""
+    """One simulated drop on the capture's frames, in model axes from the hinge."""
 
     plan: DropPlan
     first_frame: int
@@ -162,12 +151,13 @@ def synthesize_gear(
     force: bool = False,
     **lab: Any,
 ) -> Path:
-    """Write a campaign of drops with known truth.
+    """Write a campaign of drops with known truth: ``campaign.toml``, one log per drop and ``truth.json``.
+
+    CampaignError when the drops cannot be used or a simulation fails, ExportError when the folder exists,
+    unless `force` replaces it, or cannot be written; nothing is written then.
 
     Parameters
     ----------
-    folder : str or Path
-        Receives ``campaign.toml``, one log per drop and ``truth.json``; `force` replaces an existing one.
     seed : int
         Same seed, same arguments: the same files, to the last byte on one platform.
     surface : str
@@ -175,18 +165,11 @@ def synthesize_gear(
     drops : sequence of DropPlan, optional
         What to drop; at least one with ``use = "fit"``. Default: `LF_DROPS` or `HF_DROPS`.
     parameters : mapping, optional
-        True values that differ from those [SI].
+        True values that differ from these means [SI].
     name : str, optional
         Of the campaign; ``synthetic-lf`` when left out.
     **lab
         Fields of `CaptureLab`.
-
-    Raises
-    ------
-    CampaignError
-        When the drops cannot be used or a simulation fails; nothing is written.
-    ExportError
-        When the folder exists or cannot be written.
     """
     model.find_surface(surface)
     refuse_existing(folder, force=force)
@@ -198,29 +181,25 @@ def synthesize_gear(
         )
     setup = CaptureLab(**lab)
     true = {**model.parameters_on(surface).nominal, **(parameters or {})}
-    files: dict[str, Any] = {}
+    logs: dict[str, Any] = {}
     facts, trials = [], []
     for number, plan in enumerate(drops, start=1):
         # Children of one seed: a drop stays the same when another one is added.
         source = np.random.default_rng([seed, number])
         truth = _simulate(plan, true, surface, setup.rate, source)
         log = f"drop-{number}-{plan.name}.csv"
-        take, marks = _record(number, plan, truth, setup, source)
+        take, marks = _record(number, truth, setup, source)
         if plan.export == "pose-table":
-            files[log] = pose_table_csv(take, BODY, epoch=_EPOCH)
+            logs[log] = pose_table_csv(take, _BODY, epoch=_EPOCH)
         else:
-            files[log] = motive_csv(
+            logs[log] = motive_csv(
                 take,
                 unit="Millimeters" if plan.export == "motive-mm" else "Meters",
                 rotation="XYZ" if plan.export == "motive-euler" else "Quaternion",
             )
-        point = tuple(setup.hinge) if plan.export == "pose-table" and setup.plane == "markers" else None
-        trials.append(gear_campaign.trial_text(number, plan.slope, plan.impact_speed, plan.use, log, point))
-        facts.append(_facts(number, plan, truth, log, marks))
-    files[CAMPAIGN_FILE] = gear_campaign.campaign_text(
-        name or f"synthetic-{surface}", true, trials, surface=surface, up=setup.up,
-        down_slope=setup.down_slope, point=tuple(setup.hinge) if setup.plane == "point" else None, seed=seed,
-    )  # fmt: skip
+        trials.append(_trial_text(number, plan, log, setup))
+        facts.append({**_facts(number, truth, log), **marks})
+    campaign = _campaign_text(name or f"synthetic-{surface}", true, surface, setup, seed)
     circumstances = {
         "surface": surface,
         "seed": seed,
@@ -230,15 +209,15 @@ def synthesize_gear(
             "up": setup.up,
             "down_slope": setup.down_slope,
             "surface point [m]": setup.hinge.tolist(),
-            "centre of mass offset [m]": list(CENTRE_OF_MASS),
+            "centre of mass offset [m]": list(_CENTRE_OF_MASS),
             "own axes, pitch roll yaw [deg]": list(_BODY_AXES_DEG),
-            "marker height [m]": MARKER_HEIGHT,
+            "marker height [m]": _MARKER_HEIGHT,
         },
         "free": list(model.find_surface(surface).free),
         "drops": facts,
     }
-    files[TRUTH_FILE] = truth_text("gear", model.PARAMETERS, true, circumstances)
-    return write_folder(folder, files, force=force)
+    truths = truth_text("gear", model.PARAMETERS, true, circumstances)
+    return write_campaign(folder, campaign + "\n".join(trials), logs, truths, force=force)
 
 
 def _simulate(
@@ -273,10 +252,11 @@ def _simulate(
 
 
 def _record(
-    number: int, plan: DropPlan, truth: _Truth, lab: CaptureLab, source: np.random.Generator
+    number: int, truth: _Truth, lab: CaptureLab, source: np.random.Generator
 ) -> tuple[Take, dict[str, list[list[int]] | list[int]]]:
     """Turn the planar truth into what the cameras of the room saw."""
-    count, frame, hinge, noise, rate = len(truth.time), lab.frame, lab.hinge, lab.noise, lab.rate
+    count, frame, hinge, rate = len(truth.time), lab.frame, lab.hinge, lab.rate
+    noise = (lab.noise_position, lab.noise_angle)
     x, z, pitch = truth.coordinates.T
     elapsed = np.maximum(0.0, truth.time - truth.touchdown)
     # Off the plane: nothing before the contact, then a small wobble and a slow drift.
@@ -289,7 +269,7 @@ def _record(
     # While the drone hangs level, only the definition of the rigid body turns it against the room.
     rotation = into_page * planar * axes * into_page.inv()
     centre = hinge + np.column_stack([x, aside, z]) @ frame.matrix
-    origin = centre - rotation.apply(np.array(CENTRE_OF_MASS))
+    origin = centre - rotation.apply(np.array(_CENTRE_OF_MASS))
     released = int(np.searchsorted(truth.time, truth.release))
     touch = int(np.searchsorted(truth.time, truth.touchdown))
     gaps = []
@@ -302,17 +282,17 @@ def _record(
         gaps = [(int(start), int(source.integers(1, 5))) for start in starts]
     flips = sorted(int(sample) for sample in source.integers(5, count - 5, size=2))
     body = observe(origin, rotation, noise, source, gaps=gaps, flips=flips)
-    board = _board_markers(plan.slope, frame, hinge)
+    board = _board_markers(truth.plan.slope, frame, hinge)
     markers = {
-        name: place + noise.position * source.standard_normal((count, 3))
-        for name, place in zip(BOARD_MARKERS, board, strict=True)
+        name: place + lab.noise_position * source.standard_normal((count, 3))
+        for name, place in zip(_BOARD_MARKERS, board, strict=True)
     }
     # Another rigid body lies about in the room.
     place = hinge + frame.matrix.T @ np.array([0.9, 0.7, 0.1])
     turn = Rotation.from_rotvec(np.tile([0.0, math.radians(37.0), 0.0], (count, 1)))
     wand = observe(np.tile(place, (count, 1)), turn, noise, source)
     started = f"2024-03-0{1 + number % 7} 10.{10 + number % 50:02d}.07.412 AM"
-    take = Take(f"drop-{number}", started, truth.first_frame, rate, {"wand": wand, BODY: body}, markers)
+    take = Take(f"drop-{number}", started, truth.first_frame, rate, {"wand": wand, _BODY: body}, markers)
     return take, {"occlusions": [list(gap) for gap in gaps], "sign flips": flips}
 
 
@@ -321,11 +301,13 @@ def _board_markers(slope: float, frame: CaptureFrame, hinge: FloatArray) -> Floa
     along = np.array([math.cos(slope), 0.0, -math.sin(slope)])
     normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
     spots = ((-0.62, -0.28), (-0.58, 0.30), (0.11, 0.27))
-    local = [s * along + np.array([0.0, y, 0.0]) + MARKER_HEIGHT * normal for s, y in spots]
+    local = [s * along + np.array([0.0, y, 0.0]) + _MARKER_HEIGHT * normal for s, y in spots]
     return hinge + np.array(local) @ frame.matrix
 
 
-def _facts(number: int, plan: DropPlan, truth: _Truth, log: str, marks: Mapping[str, Any]) -> dict[str, Any]:
+def _facts(number: int, truth: _Truth, log: str) -> dict[str, Any]:
+    """Return what the truth file states of a drop; its clock is the clock of its log."""
+    plan = truth.plan
     shift = _EPOCH if plan.export == "pose-table" else 0.0
     x, z, pitch = (float(value) for value in truth.start[:3])
     return {
@@ -341,5 +323,83 @@ def _facts(number: int, plan: DropPlan, truth: _Truth, log: str, marks: Mapping[
         "state at release, from the surface point": {"x_B [m]": x, "z_B [m]": z, "q_B [rad]": pitch},
         "way along the slope in 0.7 s [m]": round(truth.travel, 4),
         "first frame": truth.first_frame,
-        **marks,
     }
+
+
+def _quantity(value: float, unit: str, scale: float = 1.0) -> str:
+    """Return a TOML string of an SI value in a unit that is `scale` times smaller."""
+    return f'"{scale * value:.10g} {unit}"'
+
+
+def _point(values: Iterable[float]) -> str:
+    return "[" + ", ".join(_quantity(value, "mm", 1e3) for value in values) + "]"
+
+
+def _trial_text(number: int, plan: DropPlan, log: str, lab: CaptureLab) -> str:
+    """Return one ``[[trials]]`` table, with a point of the surface where the log lacks needed markers."""
+    slope = _quantity(math.degrees(plan.slope), "deg")
+    text = (
+        "[[trials]]\n"
+        f'name = "drop-{number}"\n'
+        f'log = "{log}"\n'
+        f"slope = {slope}  # inclinometer; impact near {plan.impact_speed:g} m/s\n"
+        f'use = "{plan.use}"\n'
+    )
+    if plan.export == "pose-table" and lab.plane == "markers":
+        text += f"point = {_point(lab.hinge)}  # no board markers in this log\n"
+    return text
+
+
+def _campaign_text(name: str, true: Mapping[str, float], surface: str, lab: CaptureLab, seed: int) -> str:
+    """Return the campaign file without its trials: what the lab measured, not what is to be identified."""
+    if lab.plane == "point":
+        where = f"point = {_point(lab.hinge)}  # on the board's hinge line: on the surface at every slope"
+    else:
+        named = ", ".join(f'"{marker}"' for marker in _BOARD_MARKERS)
+        height = _quantity(_MARKER_HEIGHT, "mm", 1e3)
+        where = (
+            f"markers = [{named}]  # on the board\n"
+            f"marker_height = {height}  # of a marker's centre above the surface"
+        )
+    legs, friction = f"leg_mass_fraction = {true['leg_mass_fraction']:.10g}", ""
+    if surface == "lf":  # identified elsewhere, not measured
+        legs = (
+            f"leg_mass = {_quantity(true['leg_mass'], 'kg')}  # of the pair of legs at one end\n"
+            f"leg_inertia = {_quantity(true['leg_inertia'], 'kg·m²')}  # about its own centre of mass\n"
+            f"{legs}  # centre of mass, from the foot"
+        )
+        friction = (
+            f"kinetic_friction = {true['kinetic_friction']:.10g}  # tilted board: tan(angle)\n"
+            f"slip_regularization = {_quantity(true['slip_regularization'], 'm/s')}\n"
+        )
+    return f"""\
+# Synthesized drops with known truth (truth.json, which no fit reads). Logs as a motion capture exports them.
+kind = "gear"
+name = "{name}"
+
+[vehicle]
+body_mass = {_quantity(true["body_mass"], "kg")}  # scale, without the legs
+body_inertia = {_quantity(true["body_inertia"], "kg·m²")}  # bifilar pendulum, pitch axis
+foot_dx = {_quantity(true["foot_dx"], "mm", 1e3)}  # centre of mass to foot, legs unloaded
+foot_dz = {_quantity(true["foot_dz"], "mm", 1e3)}
+thrust_point_dx = {_quantity(true["thrust_point_dx"], "mm", 1e3)}
+{legs}
+gravity = {_quantity(true["gravity"], "m/s²")}
+
+[capture]
+rigid_body = "{_BODY}"
+up = "{lab.up}"
+down_slope = "{lab.down_slope}"
+centre_of_mass_offset = {_point(_CENTRE_OF_MASS)}  # balanced on an edge, from the body's pivot
+level = "release"  # the magnet holds it level
+
+[surface]
+law = "{surface}"
+{friction}{where}
+board_length = "1.2 m"
+
+[fit]
+runs = 5
+seed = {seed}
+
+"""

@@ -23,30 +23,15 @@ RotationType = Literal["Quaternion", "XYZ"]
 class SeenBody:
     """A rigid body as the cameras solved it.
 
-    Parameters
-    ----------
-    position : (n, 3) array
-        Of the body's origin in capture axes [m].
-    quaternion : (n, 4) array
-        Unit, x y z w, from body axes to capture axes; the sign may flip.
-    seen : (n,) array
-        False where it was occluded.
-    marker_error : (n,) array
-        Mean distance of the body's markers from where they should be [m].
+    Position (n, 3) of the origin in capture axes [m]; unit quaternion (n, 4) x y z w from body axes to
+    capture axes, whose sign may flip; `seen` (n,) is False where the body was occluded; mean distance (n,) of
+    the markers from where they should be [m].
     """
 
     position: FloatArray
     quaternion: FloatArray
     seen: BoolArray
     marker_error: FloatArray
-
-
-@dataclass(frozen=True)
-class CaptureNoise:
-    """Noise of the solved pose, one standard deviation per axis: position [m] and angle [rad]."""
-
-    position: float = 0.3e-3
-    angle: float = float(np.radians(0.2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +60,7 @@ class Take:
 def observe(
     position: FloatArray,
     rotation: Rotation,
-    noise: CaptureNoise,
+    noise: tuple[float, float],
     seed: np.random.Generator,
     *,
     gaps: Sequence[tuple[int, int]] = (),
@@ -83,20 +68,13 @@ def observe(
 ) -> SeenBody:
     """Add noise, occlusions and sign flips to the true pose of a body in capture axes.
 
-    Parameters
-    ----------
-    position, rotation
-        (n, 3) array of the origin [m], and n rotations from body axes to capture axes.
-    noise : CaptureNoise
-        White, independent from frame to frame; that of the angle is about each body axis.
-    gaps : sequence of (first sample, samples)
-        Where the body is not seen.
-    flips : sequence of int
-        Samples from which on the quaternion has the other sign.
+    Origins (n, 3) [m] and n rotations from body axes to capture axes; standard deviations of white noise per
+    axis [m] and about each body axis [rad]; `gaps` (first sample, samples) in which the body is not seen;
+    `flips`, samples from which on the quaternion has the other sign.
     """
     count = len(position)
-    shaken = position + noise.position * seed.standard_normal((count, 3))
-    turned = rotation * Rotation.from_rotvec(noise.angle * seed.standard_normal((count, 3)))
+    shaken = position + noise[0] * seed.standard_normal((count, 3))
+    turned = rotation * Rotation.from_rotvec(noise[1] * seed.standard_normal((count, 3)))
     quaternion = turned.as_quat(canonical=True)
     # Keep the sign continuous first, so that the only flips are those asked for.
     sign = np.cumprod(np.where(np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0, -1.0, 1.0))
@@ -106,7 +84,7 @@ def observe(
     seen = np.ones(count, dtype=np.bool_)
     for first, length in gaps:
         seen[first : first + length] = False
-    error = np.abs(noise.position * (0.5 + 0.1 * seed.standard_normal(count)))
+    error = np.abs(noise[0] * (0.5 + 0.1 * seed.standard_normal(count)))
     return SeenBody(shaken, quaternion, seen, error)
 
 
@@ -117,32 +95,25 @@ def motive_csv(take: Take, *, unit: LengthUnit = "Meters", rotation: RotationTyp
     metres, three in millimetres, six of a quaternion or an angle: its quantization.
     """
     decimals, scale = _DECIMALS[unit], _SCALE[unit]
-    turns = ("X", "Y", "Z", "W") if rotation == "Quaternion" else ("X", "Y", "Z")
-    kinds, names, identifiers, components, axes = [["", label] for label in ("Type", "Name", "ID", "")] + [
-        ["Frame", "Time (Seconds)"]
-    ]
-    columns: list[tuple[FloatArray, int, BoolArray]] = []
+    turns = "XYZW" if rotation == "Quaternion" else "XYZ"
+    # Five lines of header, column by column: type, name, identifier, component, axis.
+    header = [("", "", "", "", "Frame"), ("Type", "Name", "ID", "", "Time (Seconds)")]
+    cells = [[str(frame) for frame in take.frames], [f"{t:.6f}" for t in take.time]]
     for number, (name, body) in enumerate(take.bodies.items()):
-        width = len(turns) + 4
-        kinds += ["Rigid Body"] * width
-        names += [name] * width
-        identifiers += [f'"{_identifier(name, number)}"'] * width
-        components += ["Rotation"] * len(turns) + ["Position"] * 3 + ["Mean Marker Error"]
-        axes += [*turns, "X", "Y", "Z", ""]
+        what = ("Rigid Body", name, f'"{_identifier(name, number)}"')
         angles = body.quaternion
         if rotation != "Quaternion":
             angles = Rotation.from_quat(body.quaternion).as_euler("XYZ", degrees=True)
-        columns += [(column, 6, body.seen) for column in angles.T]
-        columns += [(scale * column, decimals, body.seen) for column in body.position.T]
-        columns.append((scale * body.marker_error, decimals, body.seen))
+        header += [(*what, "Rotation", axis) for axis in turns]
+        header += [*((*what, "Position", axis) for axis in "XYZ"), (*what, "Mean Marker Error", "")]
+        cells += [_cells(column, 6, body.seen) for column in angles.T]
+        lengths = (*body.position.T, body.marker_error)
+        cells += [_cells(scale * column, decimals, body.seen) for column in lengths]
     everywhere = np.ones(len(take.frames), dtype=np.bool_)
     for number, (name, position) in enumerate(take.markers.items()):
-        kinds += ["Marker"] * 3
-        names += [name] * 3
-        identifiers += [f'"{_identifier(name, 64 + number)}"'] * 3
-        components += ["Position"] * 3
-        axes += ["X", "Y", "Z"]
-        columns += [(scale * column, decimals, everywhere) for column in position.T]
+        what = ("Marker", name, f'"{_identifier(name, 64 + number)}"')
+        header += [(*what, "Position", axis) for axis in "XYZ"]
+        cells += [_cells(scale * column, decimals, everywhere) for column in position.T]
     count = len(take.frames)
     out = io.StringIO()
     out.write(
@@ -151,11 +122,7 @@ def motive_csv(take: Take, *, unit: LengthUnit = "Meters", rotation: RotationTyp
         f"Total Frames in Take,{take.first_frame + count + 200},Total Exported Frames,{count},"
         f"Rotation Type,{rotation},Length Units,{unit},Coordinate Space,Global\r\n\r\n"
     )
-    for row in (kinds, names, identifiers, components, axes):
-        out.write(",".join(row) + "\r\n")
-    cells = [[str(frame) for frame in take.frames], [f"{t:.6f}" for t in take.time]]
-    cells += [_cells(values, places, seen) for values, places, seen in columns]
-    for parts in zip(*cells, strict=True):
+    for parts in (*zip(*header, strict=True), *zip(*cells, strict=True)):
         out.write(",".join(parts) + "\r\n")
     return out.getvalue()
 

@@ -19,16 +19,17 @@ import numpy as np
 from sysid.errors import CampaignError
 from sysid.motor import model
 from sysid.synthetic.bench import (
-    BenchNoise,
-    BenchResolution,
+    NOISE,
+    RESOLUTION,
     LoadCellLog,
+    Sizes,
     StandPoints,
     load_cell_csv,
     load_cell_hdf5,
     quantized,
     stand_csv,
 )
-from sysid.synthetic.folder import CAMPAIGN_FILE, TRUTH_FILE, refuse_existing, truth_text, write_folder
+from sysid.synthetic.folder import refuse_existing, truth_text, write_campaign
 from sysid.types import Direction
 
 MINIMUM, NEUTRAL, MAXIMUM = 1000.0, 1500.0, 2000.0
@@ -85,12 +86,14 @@ def synthesize_motor(
     ideal_reversal: bool = False,
     force: bool = False,
 ) -> Path:
-    """Write a campaign of motor tests with known truth.
+    """Write a campaign of motor tests with known truth: ``campaign.toml``, logs and ``truth.json``.
+
+    The load cell feels thrust and the *stator's* reaction ``k_m I_eff − k_d Ω``, not the aerodynamic torque.
+    CampaignError or FitError when the parameters cannot be simulated, ExportError when the folder exists,
+    unless `force` replaces it, or cannot be written; nothing is written then.
 
     Parameters
     ----------
-    folder : str or Path
-        Receives ``campaign.toml``, logs and ``truth.json``; `force` replaces an existing one.
     seed : int
         Same seed, same arguments: the same numbers.
     parameters : mapping, optional
@@ -101,30 +104,19 @@ def synthesize_motor(
         Of the load cell [Hz].
     ideal_reversal : bool
         A motor without saturation, as in Fig. 11.
-
-    Raises
-    ------
-    CampaignError, FitError
-        When the parameters cannot be simulated; nothing is written.
-    ExportError
-        When the folder exists or cannot be written.
-
-    Notes
-    -----
-    The load cell feels thrust and the *stator's* reaction ``k_m I_eff − k_d Ω``, not the aerodynamic torque.
     """
     refuse_existing(folder, force=force)
     if not rate >= 1000.0:
         raise CampaignError(f"rate: {rate:g} Hz is no load-cell log; expected 1 kHz or more")
     true = {**model.PARAMETERS.nominal, **TRUE_MOTOR, **(parameters or {})}
-    spread = BenchNoise() if noise else BenchNoise(0.0, 0.0, 0.0)
-    files: dict[str, Any] = {}
+    spread = NOISE if noise else Sizes(0.0, 0.0, 0.0)
+    logs: dict[str, Any] = {}
     facts, entries = [], []
     for number, plan in enumerate(trials, start=1):
         source = np.random.default_rng([seed, number])
         log, fact = _trial(plan, true, rate, spread, source, ideal_reversal)
         file = f"{plan.name}.{'csv' if plan.export == 'csv' else 'h5'}"
-        files[file] = load_cell_csv(log) if plan.export == "csv" else load_cell_hdf5(log)
+        logs[file] = load_cell_csv(log) if plan.export == "csv" else load_cell_hdf5(log)
         facts.append({"name": plan.name, "log": file, "direction": plan.direction, "use": plan.use, **fact})
         entries.append(_trial_text(plan, file, fact["window start [s]"]))
     stands = {}
@@ -132,29 +124,28 @@ def synthesize_motor(
         source = np.random.default_rng([seed, number])
         points, tare = _stand_points(direction == "forward", kind == "static", true, noise, source)
         file = f"{kind}-{direction}.csv"
-        files[file] = stand_csv(points, source, thrust_unit="gf" if direction == "forward" else "N")
+        logs[file] = stand_csv(points, source, thrust_unit="gf" if direction == "forward" else "N")
         stands[file] = tare
-    files[CAMPAIGN_FILE] = _campaign_text(name, true, entries, seed)
-    noises = {"force [N]": spread.force, "torque [N·m]": spread.torque, "speed [rad/s]": spread.speed}
     circumstances = {
         "seed": seed,
         "rate [Hz]": rate,
         # I_sat and Ω_min are no truth then.
         **({"ideal reversal": True} if ideal_reversal else {}),
-        "noise": noises,
+        "noise": {"force [N]": spread.force, "torque [N·m]": spread.torque, "speed [rad/s]": spread.speed},
         "free": list(model.FREE_DEFAULT),
         "trials": facts,
         "thrust stand": stands,
     }
-    files[TRUTH_FILE] = truth_text("motor", model.PARAMETERS, true, circumstances)
-    return write_folder(folder, files, force=force)
+    campaign = _campaign_text(name, true, seed) + "\n".join(entries)
+    truth = truth_text("motor", model.PARAMETERS, true, circumstances)
+    return write_campaign(folder, campaign, logs, truth, force=force)
 
 
 def _trial(
     plan: TrialPlan,
     true: Mapping[str, float],
     rate: float,
-    noise: BenchNoise,
+    noise: Sizes,
     source: np.random.Generator,
     ideal_reversal: bool,
 ) -> tuple[LoadCellLog, dict[str, Any]]:
@@ -169,15 +160,14 @@ def _trial(
     held = np.searchsorted(instants, time + 0.5 / rate, side="right") - 1
     command = NEUTRAL + (MAXIMUM - NEUTRAL) * levels[held]
     tare_force, tare_torque = float(source.uniform(-0.6, 0.6)), float(source.uniform(-0.02, 0.02))
-    step = BenchResolution()
     shake = source.standard_normal((3, count))
     log = LoadCellLog(
         time,
         command,
         # A tachometer that sees nothing pass reads zero, without noise.
-        quantized(run.speed + noise.speed * shake[0] * (run.speed != 0), step.speed),
-        quantized(run.thrust + tare_force + noise.force * shake[1], step.force),
-        quantized(run.stator_torque + tare_torque + noise.torque * shake[2], step.torque),
+        quantized(run.speed + noise.speed * shake[0] * (run.speed != 0), RESOLUTION.speed),
+        quantized(run.thrust + tare_force + noise.force * shake[1], RESOLUTION.force),
+        quantized(run.stator_torque + tare_torque + noise.torque * shake[2], RESOLUTION.torque),
     )
     fact = {
         "log starts [s]": first,
@@ -195,9 +185,8 @@ def _stand_points(
     """Walk up and down the commands on a battery that sags, one averaged point per step."""
     rise = np.linspace(0.0, 1.0, 11)
     u = np.concatenate([rise, rise[-2::-1]]) * (1.0 if forward else -1.0)
-    row = dict(true)
-    if not loaded:
-        row |= dict.fromkeys(model.PARAMETERS.group("thrust curve", "torque curve"), 0.0)
+    bare = () if loaded else model.PARAMETERS.group("thrust curve", "torque curve")
+    row = {**true, **dict.fromkeys(bare, 0.0)}
     voltage = np.full_like(u, row["reference_voltage"] + _OPEN_ABOVE)
     for _ in range(5):  # the sag is small: this contracts by a factor of a hundred each time
         current, speed = model.steady_state(u, row, voltage)
@@ -234,7 +223,7 @@ def _trial_text(plan: TrialPlan, file: str, start: float) -> str:
     )
 
 
-def _campaign_text(name: str, true: Mapping[str, float], trials: list[str], seed: int) -> str:
+def _campaign_text(name: str, true: Mapping[str, float], seed: int) -> str:
     return f"""\
 # Synthesized motor tests with known truth (truth.json, which no fit reads); logs as instruments write them.
 kind = "motor"
@@ -265,4 +254,4 @@ no_load = [  # without propeller
 runs = 5
 seed = {seed}
 
-""" + "\n".join(trials)
+"""

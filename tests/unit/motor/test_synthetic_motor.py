@@ -10,11 +10,9 @@ from sysid.errors import CampaignError, ExportError
 from sysid.loaders import detect, load
 from sysid.motor import model
 from sysid.synthetic import read_truth, synthesize_motor
-from sysid.synthetic.bench import BenchNoise, BenchResolution
+from sysid.synthetic.bench import NOISE, RESOLUTION
 from sysid.synthetic.motor import TrialPlan
 from sysid.workflows.reversal import log_reversals
-
-STEP = BenchResolution()
 
 
 @pytest.fixture(scope="module")
@@ -95,8 +93,12 @@ def test_synthetic_motor_rows_at_rest_show_the_tare_only(exact):
         assert rest[: round(0.4 * 10_000)].all()
         assert not np.any(log["speed"][rest])
         # Half a quantum.
-        np.testing.assert_allclose(log["thrust"][rest], trial["tare force [N]"], atol=0.5001 * STEP.force)
-        np.testing.assert_allclose(log["torque"][rest], trial["tare torque [N·m]"], atol=0.5001 * STEP.torque)
+        np.testing.assert_allclose(
+            log["thrust"][rest], trial["tare force [N]"], atol=0.5001 * RESOLUTION.force
+        )
+        np.testing.assert_allclose(
+            log["torque"][rest], trial["tare torque [N·m]"], atol=0.5001 * RESOLUTION.torque
+        )
 
 
 def test_synthetic_motor_responds_after_the_command_delay(exact):
@@ -110,13 +112,13 @@ def test_synthetic_motor_responds_after_the_command_delay(exact):
     assert log["command"][row] == 1500 + 500 * u
     assert log["command"][row - 1] != log["command"][row]
     before = log["torque"][row - 50 : row]
-    moved = np.abs(log["torque"][row:] - before.mean()) > 5 * STEP.torque
+    moved = np.abs(log["torque"][row:] - before.mean()) > 5 * RESOLUTION.torque
     # The current needs a fraction of a millisecond (ΔV/L of some 900 A/s) to show: five quanta are 0.06 A.
     assert int(np.argmax(moved)) / 10_000 == pytest.approx(delay, abs=5e-4)
 
 
 def test_synthetic_motor_noise_has_the_stated_size(noisy):
-    stated = BenchNoise()
+    stated = NOISE
     for trial in read_truth(noisy)["trials"]:
         time, log = loaded(noisy, trial)
         start = trial["window start [s]"]
