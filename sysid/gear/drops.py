@@ -52,8 +52,8 @@ class PreparedDrop:
     ----------
     slope : float
         Angle of the surface [rad].
-    motion, flight
-        The whole log, relative to a point of the surface; hold and fall before contact.
+    motion : PlanarMotion
+        The whole log, relative to a point of the surface.
     touchdown, impact_speed : float
         First contact on the log's clock [s], and the downward speed there [m/s].
     time : (n,) array
@@ -64,12 +64,8 @@ class PreparedDrop:
         Samples that a simulation must give: the window and the filter's margin after it [s].
     before : (margin, 3) array
         x, z, pitch at the samples before the window, equal for every candidate.
-    target : TrialTarget
-        What the cost compares with.
     spectrum : Spectrum or None
         Of the five channels in the window and its margins before the filter; None without a filter.
-    provenance : dict
-        Log file, hash, loader, what was noticed.
     """
 
     name: str

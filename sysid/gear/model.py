@@ -152,17 +152,9 @@ class EventKind(IntEnum):
 
 @dataclass(frozen=True)
 class Event:
-    """One located event of a simulated drop.
+    """One located event of a simulated drop, at a time since the drop's first sample [s].
 
-    Parameters
-    ----------
-    time : float
-        Since the drop's first sample [s].
-    kind : EventKind
-        SLIP and STICK are the beginnings of those modes. FLIP and REST as `Ending` says: by default turned
-        beyond 80 deg from the slope; from here on below 0.05 m/s and 0.2 rad/s for 0.2 s at least.
-    foot : {"rear", "front", "body"}
-        What it happens to.
+    SLIP and STICK are the beginnings of those modes; `Ending` says what FLIP and REST are.
     """
 
     time: float
@@ -172,18 +164,14 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class GearTrajectory:
-    """One simulated drop on its sample times.
+    """One simulated drop on its sample times [s].
 
     Parameters
     ----------
-    time : (n,) array
-        Sample times [s].
     state : (n, 14) array
         The seven `COORDINATES` [m, rad], then their rates, frame N; NaN after a failure.
     normal_force, friction_force : (n, 2) array
         Force of the surface on the rear and the front feet along its normal and down-slope [N].
-    status : Status
-        How it ended.
     reached : float
         Time integrated before the end or a failure [s].
     rhs_evaluations : int
@@ -194,8 +182,7 @@ class GearTrajectory:
         them [N]; no rows on a low-friction surface. The available friction belongs to the mode that the foot
         has or has just lost: mu_k F_n where a slip came to zero, mu_s F_n where a stuck foot was released. A
         slipping foot that fails to stick slips back: a row with 0 for a foot that had not stuck. A release
-        that heals within a step may be missed: 4 of 20 on a flat board at a tolerance of 1e-3 or 3e-4, none
-        seen at 3e-5, the default of a single drop with events.
+        that heals within a step may be missed (`sysid.gear.surfaces.high_friction`).
     events : tuple of Event
         Touchdowns, lift-offs, slips, sticks, flip and rest in the order of time, each as exact as the
         trajectory: located to 1e-6 s at `TIGHT_TOLERANCE`.
@@ -229,12 +216,9 @@ class Drops:
         Sample times of each drop [s], increasing; spacing may vary.
     propulsion : Propulsion, or sequence of D of them or None, optional
         Thrust of every drop, or of each; none by default.
-    clock : (n_total,) array
-        Derived: sample times since each drop's start, concatenated [s].
-    offset : (D + 1,) array
-        Derived: drop d owns samples offset[d]:offset[d + 1].
-    segments, plans : arrays
-        Derived: the thrust as the kernel reads it.
+
+    Derived are `clock` (n_total,), the sample times since each drop's start [s]; `offset` (D + 1,): drop d
+    has the samples offset[d]:offset[d + 1]; `segments` and `plans`, the thrust as the kernel reads it.
     """
 
     slope: FloatArray
@@ -289,7 +273,7 @@ class Drops:
 
 @dataclass(frozen=True, eq=False)
 class PopulationSamples:
-    """Every candidate on every drop.
+    """What P candidates do on D drops.
 
     Parameters
     ----------
@@ -364,7 +348,7 @@ def simulate(
     Parameters
     ----------
     parameters : (n_par,) array or mapping of str to float
-        A row as from `pack`, or values by name.
+        A row as from `pack`, or values by name [SI].
     slope : float
         Angle of the surface [rad].
     body_state : (6,) array
@@ -378,10 +362,6 @@ def simulate(
     tolerance : float, optional
         Bound of the weighted rms error of the rates per step; by default what a fit on the surface needs,
         and at most 3e-5 where switches of modes are logged: a fit's setting misses short releases.
-    propulsion : Propulsion, optional
-        Thrust; none by default.
-    ending : Ending
-        When it is over, and what counts as rest and as a flip.
     events : bool
         False: log no events and switches. The driver of populations does the work then, which a fit has
         compiled already.
@@ -416,8 +396,7 @@ def simulate(
         forces[:, 2:] = result.samples[0, :, 14:]
     thrust = np.zeros((len(clock), 2))
     if propulsion is not None:
-        touches = result.first_contact[0, 0]
-        first = np.nanmin(touches) if np.isfinite(touches).any() else np.inf
+        first = np.fmin.reduce(result.first_contact[0, 0], initial=np.inf)
         thrust = propulsion.at(clock - clock[0], float(first))
     switches, happened = _log(result.marks)
     return GearTrajectory(
@@ -474,27 +453,12 @@ def simulate_population(
     body_states: ArrayLike | None = None,
     ending: Ending = TO_THE_CLOCK,
 ) -> PopulationSamples:
-    """Simulate every candidate on every drop, on all cores.
+    """Simulate candidates, rows (P, n_par) as from `pack`, on every drop; by default on all cores.
 
     The numbers do not depend on the number of threads nor on the candidates' order. A candidate that is lost
-    ends with a status; nothing is raised.
-
-    Parameters
-    ----------
-    parameters : (P, n_par) array
-        Rows as from `pack`.
-    drops : Drops
-        What each candidate is dropped on.
-    surface : str or Surface
-        Friction law: ``lf``, continuous (8), ``hf``, slipping and sticking feet (9, 10), or one of yours.
-    tolerance : float, optional
-        Bound of the weighted rms error of the rates per step; by default what a fit on the surface needs.
-    threads : int, optional
-        Number of threads; all cores by default.
-    body_states : (P, D, 6) array, optional
-        A start for every candidate and drop, instead of one per drop.
-    ending : Ending
-        When a drop is over; samples later than an early end are NaN.
+    ends with a status; nothing is raised. Samples later than an early end are NaN. Arguments as for
+    `simulate`, but the default tolerance is always what a fit needs; `body_states` (P, D, 6) are starts of
+    every candidate and drop, instead of one per drop.
     """
     rows = _checked(np.atleast_2d(np.asarray(parameters, dtype=np.float64)))
     bodies = drops.body_state[None]

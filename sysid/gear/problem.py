@@ -56,11 +56,8 @@ _NEVER_IN_DROPS = ("thrust_point_dx",)
 def search_space(campaign: GearCampaign) -> SearchSpace:
     """Return the free parameters of a campaign and the values of all others.
 
-    Raises
-    ------
-    CampaignError
-        For an unknown parameter, a wrong unit, crossed bounds, bounds that exclude a measured value, and a
-        free parameter that the drops do not depend on.
+    Raises CampaignError for an unknown parameter, a wrong unit, crossed bounds, bounds that exclude a
+    measured value, and a free parameter on which no drop depends.
     """
     law = find_surface(campaign.surface.law).name
     space = campaign.parameters.search_space(
@@ -82,15 +79,11 @@ def _read_by_laws() -> set[str]:
 
 
 def on_surface(campaign: GearCampaign, law: str) -> tuple[GearCampaign, tuple[Finding, ...]]:
-    """Return a campaign on another friction law, and what it states of the first surface and is ignored.
+    """Return a campaign on another friction law, and a finding that names what it ignores.
 
-    Friction that was measured or bounded on one surface says nothing of another: its stated values, fixed
-    values, bounds and measured ranges are left out where the law differs from the campaign's.
-
-    Raises
-    ------
-    CampaignError
-        When there is no such law.
+    Friction that was measured or bounded on one surface says nothing of another: stated and fixed values,
+    bounds and measured ranges of the campaign's surface are left out. Raises CampaignError for an unknown
+    law.
     """
     find_surface(law)
     if law == campaign.surface.law:
@@ -157,8 +150,9 @@ class GearProblem(Problem):
         """The drops, counted from their first touchdown."""
         return tuple(
             Trial(
-                drop.name, drop.use, drop.time, drop.target.measured, _valid(drop), drop.provenance,
-                drop.touchdown, {"spectrum": drop.spectrum},
+                drop.name, drop.use, drop.time, drop.target.measured,
+                np.isfinite(drop.target.measured) & np.asarray(drop.target.valid, dtype=np.bool_)[:, None],
+                drop.provenance, drop.touchdown, {"spectrum": drop.spectrum},
             )
             for drop in self.drops
         )  # fmt: skip
@@ -298,7 +292,7 @@ class GearProblem(Problem):
         return np.array([compared_noise(drop) for drop in self.drops])
 
     def correlation(self) -> NoiseModel:
-        """Return the correlations of the capture's noise as compared, by filtering noise as the log was."""
+        """Return the correlations of the noise as compared, from noise that is filtered like a log."""
         signals = noise_signals(self.drops[0], 0)
         used = sorted({block.channel for block in self.blocks})
         n = len(signals)
@@ -458,14 +452,6 @@ class GearProblem(Problem):
     def about(self) -> dict[str, Any]:
         """Return where the centre of mass lies beside the stated one."""
         return {"centre_of_mass": centre_of_mass(self.drops, self.campaign)}
-
-
-def _valid(drop: PreparedDrop) -> BoolArray:
-    valid = np.isfinite(drop.target.measured)
-    if drop.target.valid is not None:
-        given = np.asarray(drop.target.valid, dtype=np.bool_)
-        valid = valid & (given[:, None] if given.ndim == 1 else given)
-    return valid
 
 
 def _fall_error(drop: PreparedDrop) -> float:

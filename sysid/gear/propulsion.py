@@ -22,8 +22,7 @@ class Propulsion:
     Parameters
     ----------
     rear, front : PiecewiseCubic
-        Thrust of each pair on the clock of the history, for example from
-        `sysid.motor.pair_thrust.thrust_history`; held at its first value before the clock starts.
+        Thrust of each pair on the clock of the history; before the clock starts, its first value.
     begins : float or "first contact"
         When that clock starts: this long after the drop's first sample [s], or when a foot first touches.
     delay : float

@@ -29,13 +29,9 @@ def stopping(
 ) -> dict[str, Any]:
     """Return place [m, down-slope] and time [s] of the end of a drop since its first touchdown.
 
+    The end is the beginning of rest (`Ending`), else the end of the log, or where the body leaves the board.
     `rows` (S, n_table) are the sets [SI]; `board_length` counts down-slope from the touchdown [m];
     `simulation` gives law, tolerance and threads of `simulate_population`.
-
-    Notes
-    -----
-    The end is the beginning of rest as the landing simulator defines it (below 0.05 m/s and 0.2 rad/s for 0.2
-    s), else the end of the log, or where the body leaves the board.
     """
     motion, tangent = drop.motion, drop.tangent
     touch = float(drop.flight.at(np.array([drop.touchdown]))[0, :2] @ tangent)

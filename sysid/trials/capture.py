@@ -48,16 +48,9 @@ def signed_axis(name: str) -> FloatArray:
 class SpatialMotion:
     """A rigid body on the recording's uniform clock [s] of a rate [Hz], in the (x, y, z) of a `CaptureFrame`.
 
-    Parameters
-    ----------
-    position : (n, 3) array
-        Of the centre of mass [m]; NaN where the body was lost.
-    rotation : (n, 3, 3) array
-        From the axes of the body to (x, y, z); NaN where lost.
-    valid : (n,) array
-        True where the body was seen.
-    notes : tuple of str
-        What was done to the clock.
+    `position` (n, 3) is the centre of mass [m] and `rotation` (n, 3, 3) leads from the axes of the body to
+    (x, y, z); both are NaN where the body was lost, which `valid` (n,) tells. `notes` say what was done to
+    the clock.
     """
 
     time: FloatArray
@@ -76,21 +69,11 @@ def spatial_motion(
     centre_of_mass_offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
     rate: float | None = None,
 ) -> SpatialMotion:
-    """Put a rigid body onto a uniform clock and its centre of mass into the frame of motion.
+    """Put a rigid body, by default the only one, onto a uniform clock and into the frame of motion.
 
-    Parameters
-    ----------
-    rigid_body : str or None
-        Name in the file; None where it holds just one.
-    centre_of_mass_offset : 3 floats
-        From the rigid body's origin to the centre of mass, in the axes of the body [m].
-    rate : float, optional
-        Rate of the capture [Hz] where the file's clock is the arrival time.
-
-    Raises
-    ------
-    LogError
-        When the body is not there, was never seen, or the file holds several and none is named.
+    The offset leads from the body's origin to the centre of mass, in the axes of the body [m]; a rate [Hz] is
+    stated where the file's clock is the arrival time. Raises LogError when the body is not there, was never
+    seen, or the file holds several and none is named.
     """
     where = recording.provenance.path
     bodies = recording.rigid_bodies
@@ -207,21 +190,10 @@ def marker_plane(
 ) -> tuple[FloatArray, float | None, float]:
     """Fit the surface through board markers whose centres lie at a height above it [m].
 
-    Three or more markers that do not lie on one line give the slope; with fewer it must be known [rad].
-
-    Returns
-    -------
-    point : (3,) array
-        On the surface, below the markers' centroid, in (x, y, z) [m].
-    slope : float or None
-        Fall toward +x [rad]; None with fewer than three markers.
-    residual : float
-        RMS distance of the markers from the plane [m].
-
-    Raises
-    ------
-    LogError
-        When a marker is not there or was never seen.
+    Returns a point (3,) of the surface below the markers' centroid, in (x, y, z) [m], the fall toward +x
+    [rad], and the RMS distance of the markers from the plane [m]. With fewer than three markers the slope
+    must be known [rad], and none is returned. Raises LogError when a marker is not there, was never seen, or
+    all lie on one line.
     """
     where = recording.provenance.path
     centres = []

@@ -64,18 +64,9 @@ class Feet:
 class Flight:
     """Hold and free flight up to the first contact.
 
-    Parameters
-    ----------
-    start : float
-        Release [s], or the first sample of the ballistic fit where no hold was seen.
-    held : bool
-        True where the body hung still before `start`.
-    state : (6,) array
-        x, z, pitch [m, m, rad] and their rates at `start`.
-    gravity, measured_gravity : float
-        Of the model, and what the fall itself says [m/s²]; NaN where too short.
-    noise : (3,) array
-        RMS of the residuals [m, m, rad].
+    `start` is the release [s], or the first sample of the ballistic fit where no hold was seen (`held`);
+    `state` (6,) x, z, pitch [m, m, rad] and their rates there; `gravity` the model's and `measured_gravity`
+    the fall's [m/s²], NaN where it is too short; `noise` (3,) the RMS of the residuals [m, m, rad].
     """
 
     start: float
@@ -86,7 +77,7 @@ class Flight:
     noise: FloatArray
 
     def at(self, time: FloatArray, *, free: bool = False) -> FloatArray:
-        """Return (n, 6) states at `time` [s]: held before `start` (ballistic where nothing held it).
+        """Return (n, 6) states at `time` [s]: at rest before a release, ballistic before any other start.
 
         `free` continues the flight backward through the hold: a simulation that starts there, falling
         freely, is on the true flight from `start` on.
@@ -107,8 +98,8 @@ class Flight:
 def find_fall(motion: SpatialMotion, gravity: float, where: str, release: float | None = None) -> slice:
     """Return the samples during which the body hung still before its fall; empty where it did not.
 
-    `where` names file and trial in the refusal of a log in which nothing falls; `release` is known on the
-    log's clock [s].
+    `where` names file and trial for messages; `release` is stated on the log's clock [s]. Raises LogError
+    where nothing falls.
     """
     height = bridge_gaps(motion.position[:, 2], motion.valid)
     half = half_window(HALF_WINDOW * motion.rate)
@@ -154,46 +145,27 @@ def fit_flight(
     where: str,
     level: bool = False,
 ) -> tuple[Flight, float]:
-    """Fit hold and free flight, and find the first contact.
+    """Fit hold and free flight; return them and the first contact of a foot with the plane [s].
 
-    Parameters
-    ----------
-    plane, feet
-        Where contact happens.
-    held : slice
-        Samples of the hold (`find_fall`); empty: ballistic flight from there.
-    where : str
-        File and trial, for the message.
-    level : bool
-        The hold defines level: a body that is let go at rest has exactly no pitch.
-
-    Returns
-    -------
-    flight, touchdown
-        Model of the motion before contact, and the first contact of a foot [s].
-
-    Raises
-    ------
-    LogError
-        When a foot is below the surface before the fall, or never reaches it.
+    `held` are the samples of the hold (`find_fall`); where they are empty, the flight is ballistic from
+    there. `level`: the hold defines level, so a body that is let go at rest has exactly no pitch. Raises
+    LogError when a foot is below the surface before the fall, or never reaches it.
     """
-    from_index = held.stop
     clearance = feet.clearances(plane, motion.x, motion.z, motion.pitch).min(axis=1)
-    before = clearance[: max(from_index, 1)]
+    before, after = clearance[: max(held.stop, 1)], clearance[held.stop :]
     lowest = float(np.nanmin(before[-max(1, round(0.1 * motion.rate)) :], initial=np.inf))
     if lowest < 0:
         raise LogError(
             f"{where}: a foot is {-1000 * lowest:.0f} mm below the surface before the drop falls; "
-            f"check the surface plane, capture.up, capture.down_slope and the feet"
+            "check the surface plane, capture.up, capture.down_slope and the feet"
         )
-    contact = np.flatnonzero(clearance[from_index:] < 0)
+    contact = np.flatnonzero(after < 0)
     if not len(contact):
         raise LogError(
-            f"{where}: no foot reaches the surface, the lowest stays "
-            f"{1000 * np.nanmin(clearance[from_index:]):.0f} mm above it; "
-            f"check the surface plane, capture.up, capture.down_slope and the feet"
+            f"{where}: no foot reaches the surface, the lowest stays {1000 * np.nanmin(after):.0f} mm above "
+            "it; check the surface plane, capture.up, capture.down_slope and the feet"
         )
-    touchdown = float(motion.time[from_index + contact[0]])
+    touchdown = float(motion.time[held.stop + contact[0]])
     for _ in range(3):  # the samples that count depend on the touchdown, which they move by less than one
         flight = _fit(motion, held, touchdown, gravity, where, level)
         refined = _contact_time(flight, plane, feet, touchdown)

@@ -45,10 +45,10 @@ class Reversal:
 
     Parameters
     ----------
-    time : float
-        Of the command on the clock of the log [s].
+    time, hold : float
+        The command on the clock of the log, and how long it was held [s].
     before, after : float
-        Commands u [1]; the second one was held for `hold` [s].
+        Commands u [1].
     zero_crossing, dead_band : float
         Until the rotor stood still (or the thrust was zero), and time spent inside the dead band.
     to_level : float
@@ -107,20 +107,11 @@ def find_reversals(
     skip: Sequence[tuple[float, float]] = (),
     sense: Sense = "to-reverse",
 ) -> tuple[Reversal, ...]:
-    """Find the reversals of a log and time them.
+    """Find the reversals of a log with rows at `time` (n,) [s] and commands u, and time them.
 
-    Parameters
-    ----------
-    time : (n,) array
-        Rows of the log [s]; the last ends the last hold.
-    steps : CommandSteps
-        In u.
-    thrust : (times [s], values [N])
-        Real samples; crossings between two are interpolated.
-    speed : (times [s], values [rad/s]), optional
-        Signed. With it, zero crossing and dead band are read from the speed, else from the thrust.
-    skip : sequence of (start, end)
-        Intervals whose commands the logger lost [s]; their reversals are left out.
+    Thrust [N] and speed [rad/s] are (times [s], values) of real samples; crossings between two are
+    interpolated. Zero crossing and dead band are read from the speed where it is signed, else from the
+    thrust. Reversals whose command lies in an interval (start, end) [s] of `skip` are left out.
 
     Notes
     -----

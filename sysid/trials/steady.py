@@ -65,18 +65,10 @@ def steady_points(
 ) -> SteadyPoints:
     """Average every stretch at one command, from 0.4 s after the command until the next.
 
-    Only stretches that turn and whose speed is the same in both halves to 2 % count.
-
-    Parameters
-    ----------
-    time : (n,) array
-        Rows of the log [s]; their first and last bound the stretches.
-    channels : dict of name to (times, values)
-        ``speed`` and, where the log has them, ``thrust``, ``torque``, ``voltage``: real samples only.
-    skip : sequence of (start, end)
-        Intervals that do not count [s].
-    zero_rows : mapping of str to int, optional
-        Rows at rest behind the tare of ``thrust`` and ``torque``.
+    Only stretches that turn and whose speed is the same in both halves to 2 % count. `time` (n,) are rows of
+    the log [s]. Channels are (times, values) of real samples: ``speed`` and, where the log has them,
+    ``thrust``, ``torque`` and ``voltage``. Intervals (start, end) [s] of `skip` do not count; `zero_rows` are
+    rows at rest behind the tare of ``thrust`` and ``torque``.
     """
     ends = np.append(steps.time[1:], time[-1] + 1e-9)
     stretches = [

@@ -120,28 +120,23 @@ def drop_driver(lanes: int, surface: Surface):
         parameters, slope, body, legs, clock, offset, segments, plans, jobs, tolerance, h_max, cost, ending,
         samples, reached, status, spent, switches, moments, states, marks,
     ):  # fmt: skip
-        """Integrate jobs (candidate * drops + drop) and sample them on their drop's clock.
+        """Integrate jobs (n,) (candidate * drops + drop) and sample them on their drop's clock.
 
         Parameters
         ----------
         parameters : (P, n)
             Rows of `sysid.gear.kernel.parameter_row`.
-        slope : (D,) [rad]
-        body : (P or 1, D, 6)
-            x, z, q and rates at each drop's first sample, frame N [m, rad, s].
+        slope, body : (D,) and (P or 1, D, 6)
+            Angle of each surface; x, z, q and rates at each drop's first sample, frame N [m, rad, s].
         legs : (8,) or (0,)
             h_C q_C h_D q_D and rates at the start, empty for legs at rest.
         clock : (n_total,)
             Sample times since each drop's start [s]; drop d has offset[d]:offset[d + 1].
         segments : (n, SEGMENT_COLUMNS), plans : (D, PLAN_COLUMNS)
             Thrust histories and what each drop does with them.
-        jobs : (n,) int64
-        tolerance : float
-            Bound of the weighted rms error of the rates per step.
-        h_max : float
-            Longest step [s].
-        cost : float
-            Right-hand sides that a drop may spend per second of its length, at least 1000 in all.
+        tolerance, h_max, cost : float
+            Bound of the weighted rms error of the rates per step; longest step [s]; right-hand sides that a
+            drop may spend per second of its length, at least 1000 in all.
         ending : 5 float
             0: run on, 1: end a drop that has come to rest or flipped, 2: or whose feet have both touched;
             then speed [m/s], turn rate [rad/s] and time [s] of rest, and the angle of a flip [rad].

@@ -90,16 +90,11 @@ def evaluate(work, stage, lane, lanes):
     coefficients = coefficients_at(work, at.COEFFICIENTS * lanes + lane, lanes)
     law = law_at(work, at.LAW * lanes + lane, lanes)
     mode = (
-        work[at.STUCK * lanes + lane],
-        work[(at.STUCK + 1) * lanes + lane],
-        work[at.WAY * lanes + lane],
-        work[(at.WAY + 1) * lanes + lane],
-    )
-    elapsed = (
-        work[at.TIME * lanes + lane]
-        + C[stage] * work[at.STEP * lanes + lane]
-        - work[at.ORIGIN * lanes + lane]
-    )
+        work[at.STUCK * lanes + lane], work[(at.STUCK + 1) * lanes + lane],
+        work[at.WAY * lanes + lane], work[(at.WAY + 1) * lanes + lane],
+    )  # fmt: skip
+    time, step = work[at.TIME * lanes + lane], work[at.STEP * lanes + lane]
+    elapsed = time + C[stage] * step - work[at.ORIGIN * lanes + lane]
     thrust = (cubic(work, at.LIFT, elapsed, lane, lanes), cubic(work, at.TILT, elapsed, lane, lanes))
     joints = pose(phi, theta_c, theta_d, coefficients.dx_j, coefficients.dz_j)
     p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, w, h_c, h_d, rates, coefficients.length)

@@ -25,13 +25,7 @@ SURFACES = _discover()
 
 
 def find_surface(surface: str | Surface) -> Surface:
-    """Return a surface by name, or the surface itself.
-
-    Raises
-    ------
-    CampaignError
-        When there is no such surface.
-    """
+    """Return a surface by name, or the surface itself; raises CampaignError when there is none."""
     if isinstance(surface, Surface):
         return surface
     if surface not in SURFACES:

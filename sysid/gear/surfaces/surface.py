@@ -31,16 +31,14 @@ class Surface:
 
     Parameters
     ----------
-    name : str
-        As in campaigns: ``lf``, ``hf``.
-    meaning : str
-        One sentence.
+    name, title : str
+        As campaigns say it, ``lf``; as a report says it in "the ... law", the name by default.
     reads : tuple of str
         Rows of the gear's table that the law reads, at most `LAW_SLOTS`, in the order in which its functions
         receive them as the tuple ``law``. The first is the kinetic friction coefficient, the second the
         static one's excess where the law has one.
     free : tuple of str
-        Free parameters of a fit by default.
+        Parameters that a fit searches by default.
     solve : compiled function
         ``(joints, angles, rates, thrust, normals, slips, modes, law, coefficients) -> (accelerations,
         friction, required, stiff)``: the motion's seven accelerations under the law, friction on the rear and
@@ -52,18 +50,13 @@ class Surface:
         switch them (`sysid.gear.surfaces.high_friction`); None for a law without memory.
     friction : compiled function, optional
         ``(force_c, force_d, slip_c, slip_d, law) -> (friction_c, friction_d)`` of a law without memory.
-    nominal : mapping
-        Default values on this surface where they differ from the table's [SI].
-    bounds : mapping
-        Search bounds on this surface where they differ from the table's, (lower, upper) [SI].
+    nominal, bounds : mapping
+        Default values, whose `source` is stated, and search bounds (lower, upper) where they differ from the
+        table's [SI].
     tolerance : float
         Bound of the weighted rms error of the seven rates per step that a fit needs on this surface.
     budget : float
         Right-hand sides that a drop may spend per second of its length at that tolerance.
-    source : str
-        Where `nominal` comes from.
-    title : str
-        What a report calls it, in "the ... law"; its name by default.
     """
 
     name: str
@@ -145,14 +138,9 @@ def _collect(function: Any, texts: dict[Any, bytes]) -> None:
 
 
 def continuous_law(friction: Any, damping: Any) -> Any:
-    """Make a `Surface.solve` from the formula of a friction that is a function of force and slip.
+    """Make a `Surface.solve` from the compiled formula of a friction that is a function of force and slip.
 
-    Parameters
-    ----------
-    friction : compiled function
-        ``(force_c, force_d, slip_c, slip_d, law) -> (friction_c, friction_d)``, opposing the slip [N].
-    damping : compiled function
-        ``(force, slip, law) -> -dF_t/dv`` at a slip [N·s/m], 0 or more.
+    `friction` is as in `Surface`; `damping` is ``(force, slip, law) -> -dF_t/dv`` [N·s/m], 0 or more.
     """
     bound = specialized(_solve, friction=friction, damping=damping)
     return njit(error_model="numpy", forceinline=True)(bound)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from sysid.journal import Finding
 from sysid.recording import Recording
@@ -48,15 +50,7 @@ class LogReport:
 
     def as_json(self) -> dict[str, Any]:
         """Return the report as plain values for JSON; a number that is unknown is None."""
-
-        def plain(value: Any) -> Any:
-            if isinstance(value, dict):
-                return {key: plain(item) for key, item in value.items()}
-            if isinstance(value, list | tuple):
-                return [plain(item) for item in value]
-            return None if isinstance(value, float) and not math.isfinite(value) else value
-
-        stated: dict[str, Any] = plain(asdict(self))
+        stated: dict[str, Any] = json.loads(TypeAdapter(LogReport).dump_json(self))
         for name in ("suspicions", "notes"):
             stated[name] = [str(finding) for finding in getattr(self, name)]
         return stated
@@ -101,15 +95,12 @@ def inspect_recording(recording: Recording, gravity: float = STANDARD_GRAVITY) -
     suspicions += [
         Finding("blank-channel", f"{c.name} holds no value at all") for c in channels if c.blank == 1.0
     ]
-    times = [channel.time for channel in recording.channels.values() if channel.time.size]
-    first, last = (
-        min((time[0] for time in times), default=0.0),
-        max((time[-1] for time in times), default=0.0),
-    )
+    clocks = [channel.time for channel in recording.channels.values() if channel.time.size]
+    first, last = min((t[0] for t in clocks), default=0.0), max((t[-1] for t in clocks), default=0.0)
     provenance = recording.provenance
     return LogReport(
         provenance.path, provenance.sha256, provenance.format, provenance.device, recording.kind,
-        float(last - first) if clock else float("nan"),
+        float(last - first) if clock else math.nan,
         channels, drop, bench, tuple(suspicions), provenance.notes,
     )  # fmt: skip
 
