@@ -14,8 +14,8 @@ def test_error_falls_with_the_tolerance_through_reversals() -> None:
     tolerances = np.array([1e-4, 1e-5, 1e-6, 1e-7, 1e-8])
     errors = []
     for tolerance in tolerances:
-        found = simulate({}, *schedule, TIMES, tolerance=tolerance)
-        errors.append(np.max(np.abs(found.speed - exact.speed)) / 500.0)
+        run = simulate({}, *schedule, TIMES, tolerance=tolerance)
+        errors.append(np.max(np.abs(run.speed - exact.speed)) / 500.0)
     slope = np.polyfit(np.log(tolerances), np.log(errors), 1)[0]
     # An event that is smeared over a step stops this line; proportional error is slope 1, and a method of
     # order 4 whose estimate is of order 3 gives 4/4 to 4/3.
@@ -45,8 +45,8 @@ def test_time_of_an_event_is_exact() -> None:
         "rotor_inertia": 3e-5,
     }
     time = np.linspace(0.0, 0.1, 100_001)
-    found = simulate(parameters, [0.0], [0.5], time)
-    clipped = found.effective_current != found.current
+    run = simulate(parameters, [0.0], [0.5], time)
+    clipped = run.effective_current != run.current
     duration = time[clipped][-1] - time[clipped][0]
     # Before the clip the current rises for 8e-7 s; the grid of 1 µs counts on either side.
     assert abs(duration - 3e-5 * 8.0 / (0.01 * 0.4)) < 3e-6

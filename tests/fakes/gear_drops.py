@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from fakes.gear_energy import legs
-from sysid.gear.model import PARAMETERS, Drops
+from sysid.gear.model import PARAMETERS, Drops, EventKind
 
 # Slope [deg] and speed [m/s].
 SIX = [(5, 0.5), (10, 0.8), (15, 0.6), (20, 1.0), (27, 0.7), (35, 0.45)]
@@ -35,13 +35,11 @@ def foot_depths(p, slope, state):
 
 
 def touchdowns(trajectory):
-    """Times [s] and feet of touchdowns; those of one foot less than 5 ms apart count as one."""
-    events = []
-    for foot, label in enumerate(("rear", "front")):
-        touching, last = trajectory.normal_force[:, foot] > 0, -1.0
-        for i in range(1, len(touching)):
-            if touching[i] and not touching[i - 1] and trajectory.time[i] - last > 5e-3:
-                events.append((trajectory.time[i], label))
-            if touching[i]:
-                last = trajectory.time[i]
-    return sorted(events)
+    """Times [s] and feet of touchdowns; one within 5 ms of the foot's last contact is not a new one."""
+    out, last = [], {}
+    for event in trajectory.events:
+        if event.kind in (EventKind.TOUCHDOWN, EventKind.LIFT_OFF):
+            if event.kind is EventKind.TOUCHDOWN and event.time - last.get(event.foot, -1.0) > 5e-3:
+                out.append((event.time, event.foot))
+            last[event.foot] = event.time
+    return out

@@ -9,7 +9,6 @@ from typer.testing import CliRunner
 
 from fakes.gear_drops import foot_depths, level_start
 from sysid.cli import app
-from sysid.errors import CampaignError
 from sysid.fit.store import read_fit
 from sysid.gear.model import (
     PARAMETERS,
@@ -37,8 +36,8 @@ def test_events_are_located_to_a_microsecond(surface, slope_deg):
     exact = simulate(p, slope, body, clock, surface=surface, tolerance=1e-9)
     assert len(ours.events) >= 4
     assert [(e.kind, e.foot) for e in ours.events] == [(e.kind, e.foot) for e in exact.events]
-    for mine, theirs in zip(ours.events, exact.events, strict=True):
-        assert mine.time == pytest.approx(theirs.time, abs=1e-6), mine
+    for event, twin in zip(ours.events, exact.events, strict=True):
+        assert event.time == pytest.approx(twin.time, abs=1e-6), event
     contacts = [e for e in exact.events if e.kind in (EventKind.TOUCHDOWN, EventKind.LIFT_OFF)]
     times = np.array([e.time for e in contacts])
     at = simulate(p, slope, body, np.concatenate([[0.0], times, [0.16]]), surface=surface, tolerance=1e-9)
@@ -194,7 +193,5 @@ def test_surfaces_are_declared():
         assert set(surface.free) <= set(PARAMETERS)
     assert parameters_on("hf")["kinetic_friction"].nominal == 0.87
     assert parameters_on("lf").nominal == PARAMETERS.nominal
-    with pytest.raises(CampaignError, match="ice"):
-        find_surface("ice")
     with pytest.raises(ValueError, match="memory"):
         Surface("x", "", ("kinetic_friction",), (), SURFACES["lf"].solve)

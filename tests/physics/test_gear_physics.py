@@ -19,7 +19,7 @@ def energy(p, slope, state):
     total = p["body_mass"] * (0.5 * (dx**2 + dz**2) + p["gravity"] * z) + 0.5 * p["body_inertia"] * dq**2
     total = total + 0.5 * p["leg_axial_stiffness"] * (h_c**2 + h_d**2)
     total = total + 0.5 * p["leg_bending_stiffness"] * ((q_c - rest) ** 2 + (q_d - rest) ** 2)
-    for foot, middle, speed, dtheta in legs(p, state):
+    for foot, middle, speed, dtheta, _ in legs(p, state):
         total = total + p["leg_mass"] * (0.5 * (speed**2).sum(0) + p["gravity"] * middle[1])
         total = total + 0.5 * p["leg_inertia"] * dtheta**2
         sink = -(foot[0] * math.sin(slope) + foot[1] * math.cos(slope))
@@ -62,7 +62,7 @@ def test_momentum_in_flight(surface):
     p, s = NOMINAL, run.state
     masses = [p["body_mass"], p["leg_mass"], p["leg_mass"]]
     parts = [(s[:, :2].T, s[:, 7:9].T, p["body_inertia"] * s[:, 9])]
-    parts += [(middle, speed, p["leg_inertia"] * spin) for _, middle, speed, spin in legs(p, s)]
+    parts += [(middle, speed, p["leg_inertia"] * spin) for _, middle, speed, spin, _ in legs(p, s)]
     momentum = sum(m * part[1] for m, part in zip(masses, parts, strict=True))
     weight = sum(masses) * p["gravity"]
     # Linear invariants of the equations; the integrator keeps what its tolerance and the interpolation leave.
@@ -71,9 +71,9 @@ def test_momentum_in_flight(surface):
     centre = sum(m * part[0] for m, part in zip(masses, parts, strict=True)) / sum(masses)
     drift = momentum / sum(masses)
     spin = 0.0
-    for m, (place, speed, own) in zip(masses, parts, strict=True):
+    for m, (place, speed, turning) in zip(masses, parts, strict=True):
         r, v = place - centre, speed - drift
-        spin = spin + own + m * (r[1] * v[0] - r[0] * v[1])
+        spin = spin + turning + m * (r[1] * v[0] - r[0] * v[1])
     np.testing.assert_allclose(spin, spin[0], atol=1e-7)
 
 

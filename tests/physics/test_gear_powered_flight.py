@@ -144,11 +144,11 @@ def test_histories_equal_a_joint_integration_of_18_states():
     )  # fmt: skip
     time = np.arange(60) * 5e-3
     ours = simulate(P, slope, start(slope, speed), time, tolerance=1e-7, propulsion=propulsion())
-    mine = np.column_stack([exact[:, 15], exact[:, 17]])
-    curves = np.where(mine >= 0, M["thrust_quadratic_forward"], M["thrust_quadratic_reverse"])
+    speeds = np.column_stack([exact[:, 15], exact[:, 17]])
+    curves = np.where(speeds >= 0, M["thrust_quadratic_forward"], M["thrust_quadratic_reverse"])
     # The joint integration runs over the beginning of the dead band, where its torque jumps by 0.3 N·m, by up
     # to a step of 1e-6 s: 0.01 rad/s, which the clipped torque takes 0.1 ms to make, at 70 N/s of thrust.
-    np.testing.assert_allclose(ours.thrust, 2 * curves * mine * np.abs(mine), atol=8e-3)
+    np.testing.assert_allclose(ours.thrust, 2 * curves * speeds * np.abs(speeds), atol=8e-3)
     assert ours.thrust.min() < -0.5
     along, normal = exact[:, 0], exact[:, 1]
     np.testing.assert_allclose(ours.state[:, 0], co * along + si * normal, atol=2e-5)
@@ -220,17 +220,17 @@ def test_lanes_and_threads_under_thrust():
     each = [propulsion(), None, constant(-3.0, -3.0, begins=0.1), propulsion(ideal_reversal=True)]
     drops = Drops(slopes, states, [np.arange(0, 0.6, 5e-3)] * 4, each)
     rows = np.stack([pack({"leg_axial_stiffness": k}) for k in np.linspace(3000, 9000, 5)])
-    one = simulate_population(rows, drops, threads=1)
-    two = simulate_population(rows[::-1], drops, threads=2)
-    np.testing.assert_array_equal(one.samples, two.samples[::-1])
-    np.testing.assert_array_equal(one.first_contact, two.first_contact[::-1])
+    forward = simulate_population(rows, drops, threads=1)
+    back = simulate_population(rows[::-1], drops, threads=2)
+    np.testing.assert_array_equal(forward.samples, back.samples[::-1])
+    np.testing.assert_array_equal(forward.first_contact, back.first_contact[::-1])
     for d in range(4):
         single = simulate(rows[2], slopes[d], states[d], drops.time[d], propulsion=each[d])
-        own = one.samples[2, drops.offset[d] : drops.offset[d + 1]]
+        in_lanes = forward.samples[2, drops.offset[d] : drops.offset[d + 1]]
         # One text in two widths.
-        np.testing.assert_allclose(single.state[:, [0, 1, 2, 7, 8, 9]], own, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(single.state[:, [0, 1, 2, 7, 8, 9]], in_lanes, rtol=0, atol=1e-12)
     plain = simulate_population(rows, Drops(slopes[1:2], states[1:2], [drops.time[1]]))
-    np.testing.assert_array_equal(plain.samples[0], one.samples[0, drops.offset[1] : drops.offset[2]])
+    np.testing.assert_array_equal(plain.samples[0], forward.samples[0, drops.offset[1] : drops.offset[2]])
 
 
 def test_landings_end_early_and_say_how():

@@ -141,14 +141,14 @@ def test_low_noise_fit_finds_stiffnesses_and_joint(tmp_path):
     """
     folder = synthesize_gear(tmp_path / "drops", seed=1, noise_position=0.05e-3, noise_angle=radians(0.05))
     campaign, drops, truth = opened(folder)
-    own = float(score_values(campaign, used(drops), truth).cost[0])
+    floor = float(score_values(campaign, used(drops), truth).cost[0])
     options = FitOptions(out=tmp_path / "fit", algorithm="ga", population=800, quiet=True)
     result, _ = fit_gear(folder / "campaign.toml", options)
     plain = np.array([run.stages[0].cost.min() for run in result.runs])
-    print(f"truth {own:.4%}, sets {result.nrmse}, of the GA alone {plain}, excess {_excess(plain, own)}")
+    print(f"truth {floor:.4%}, sets {result.nrmse}, of the GA alone {plain}, excess {_excess(plain, floor)}")
     assert len(result.nrmse) == 5
-    assert _excess(plain, own).min() < 0.04
-    assert result.nrmse[0] <= 1.002 * own
+    assert _excess(plain, floor).min() < 0.04
+    assert result.nrmse[0] <= 1.002 * floor
     best = result.parameter_sets().set_values(1)
     for name in ("leg_axial_stiffness", "leg_bending_stiffness", "joint_dx"):
         assert best[name] == pytest.approx(truth[name], rel=0.10)
@@ -159,19 +159,19 @@ def test_full_noise_plain_and_finished(tmp_path):
     """0.3 mm and 0.2 deg: the paper's GA of 400 ends above the truth on many seeds, finished runs agree."""
     folder = synthesize_gear(tmp_path / "drops", seed=1)
     campaign, drops, truth = opened(folder)
-    own = float(score_values(campaign, used(drops), truth).cost[0])
+    floor = float(score_values(campaign, used(drops), truth).cost[0])
     path = folder / "campaign.toml"
     paper = FitOptions(out=tmp_path / "plain", algorithm="ga", population=400, finish="none", quiet=True)
     plain, _ = fit_gear(path, paper)
-    print(f"truth {own:.4%}, plain GA {plain.nrmse}, excess {_excess(plain.nrmse, own)}")
+    print(f"truth {floor:.4%}, plain GA {plain.nrmse}, excess {_excess(plain.nrmse, floor)}")
     # Eight free parameters soak up some of 900 noisy samples per channel: about 2 % of the truth's NRMSE.
-    assert plain.nrmse[0] > 0.97 * own
-    assert _excess(plain.nrmse, own)[0] < 0.08
+    assert plain.nrmse[0] > 0.97 * floor
+    assert _excess(plain.nrmse, floor)[0] < 0.08
     finished, _ = fit_gear(path, FitOptions(out=tmp_path / "finished", quiet=True))
     print(f"finished {finished.nrmse}")
     assert len(finished.nrmse) == 5
-    assert np.all(finished.nrmse > 0.97 * own)
-    assert np.all(finished.nrmse <= 1.002 * own)
+    assert np.all(finished.nrmse > 0.97 * floor)
+    assert np.all(finished.nrmse <= 1.002 * floor)
     held = assert_sets_agree(finished)
     # Dampings of the leg lie at the warning's own limit of 1 %.
     assert {"joint_dx", "leg_axial_stiffness", "leg_bending_stiffness"} <= held

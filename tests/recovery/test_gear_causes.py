@@ -66,15 +66,15 @@ def test_the_truth_is_fine(problem):
 
 def test_a_drop_that_never_touches_is_penalized_by_its_height(problem):
     objective, row = problem
-    found = [cause(lifted(objective, height, height), row) for height in (5.0, 10.0)]
-    assert [why for _, why in found] == ["never touched"] * 2
+    judged = [cause(lifted(objective, height, height), row) for height in (5.0, 10.0)]
+    assert [why for _, why in judged] == ["never touched"] * 2
     # Finite, above what any simulation that touches scores, and graded.
-    assert FAILED_NRMSE < found[0][0] < found[1][0]
+    assert FAILED_NRMSE < judged[0][0] < judged[1][0]
     # What is missing, the whole window, is paid on top of how far away it is.
     high = lifted(objective, 5.0, 5.0)
     samples, result = high.simulate(row[None])
     raw = high.cost(samples, result.reached).cost[0]
-    assert found[0][0] == pytest.approx(raw + FAILED_NRMSE, rel=1e-12)
+    assert judged[0][0] == pytest.approx(raw + FAILED_NRMSE, rel=1e-12)
     low, why = cause(lifted(objective, 0.2, 0.2), row)
     assert why == "fine"
     assert low < FAILED_NRMSE
@@ -83,10 +83,10 @@ def test_a_drop_that_never_touches_is_penalized_by_its_height(problem):
 def test_leaving_the_board_is_penalized_by_what_is_missing(problem):
     objective, row = problem
     boards = (0.05, 0.1, 0.2, 0.3, 5.0)
-    found = [cause(on_board(objective, board), row) for board in boards]
-    assert [why for _, why in found[:2]] == ["left the board"] * 2
-    assert found[-1] == cause(objective, row)
-    costs = [cost for cost, _ in found]
+    judged = [cause(on_board(objective, board), row) for board in boards]
+    assert [why for _, why in judged[:2]] == ["left the board"] * 2
+    assert judged[-1] == cause(objective, row)
+    costs = [cost for cost, _ in judged]
     # The sooner it leaves, the more it pays; who stays on is scored as ever.
     assert costs == sorted(costs, reverse=True)
     assert costs[0] > costs[1] > costs[-1]
@@ -101,12 +101,12 @@ def test_the_penalty_of_leaving_begins_at_nothing(problem):
     along = steep.target.measured[:, :2] @ [np.cos(steep.slope), -np.sin(steep.slope)]
     touch = np.searchsorted(steep.time, steep.touchdown)
     way = along[-1] - along[touch]
-    own, _ = cause(objective, row)
+    plain, _ = cause(objective, row)
     # Up to 5 % before the end of the measured way nothing is paid; 2 % more are some samples of the window.
-    assert cause(on_board(objective, 0.97 * way), row) == (own, "fine")
+    assert cause(on_board(objective, 0.97 * way), row) == (plain, "fine")
     cost, why = cause(on_board(objective, 0.92 * way), row)
     assert why == "left the board"
-    assert own < cost < own + 0.1 * FAILED_NRMSE
+    assert plain < cost < plain + 0.1 * FAILED_NRMSE
 
 
 def test_every_way_to_be_lost_is_told_apart(problem):
@@ -196,7 +196,7 @@ def test_the_accuracy_of_a_simulation_is_the_campaigns(folder, problem):
     assert exact.tolerance == 1e-5
     # It reaches the kernel: 30 times the accuracy of a method of order 3 takes three times the work where
     # accuracy rules the steps, and none more where the slip's stability does.
-    spent = [one.simulate(row[None])[1].rhs_evaluations.sum() for one in (objective, exact)]
+    spent = [each.simulate(row[None])[1].rhs_evaluations.sum() for each in (objective, exact)]
     assert 1.5 < spent[1] / spent[0] < 4
     for wrong in ("0", "-1e-3", "0.5", '"fine"'):
         path.write_text(text.replace("[fit]\n", f"[fit]\ntolerance = {wrong}\n"), encoding="utf-8")

@@ -44,13 +44,13 @@ def test_offsets_of_a_drop_are_found_where_they_were_put(drops):
     every = GearProblem(accurate, space, prepared)
     moved = space.encode(exact)[None].repeat(2, axis=0)
     moved[1, 8:] = 0.9
-    none, own = every.score(space.full(moved)).by_channel[:, 2]
-    np.testing.assert_array_equal(own, none)
+    none, shifted = every.score(space.full(moved)).by_channel[:, 2]
+    np.testing.assert_array_equal(shifted, none)
     # It is the score of a campaign without offsets, but for the last bits of the unit cube (2e-10 of a
     # parameter). Those turn a step that is just accepted into one that is not: 8e-6 of NRMSE at the fit's
     # setting, 2e-7 at 1e-4, 2e-8 here, 3e-9 at 1e-7, so it is the size of steps and no offset.
     plain = score_values(accurate, prepared, truth).by_channel[:, 2]
-    np.testing.assert_allclose(own, plain[0], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(shifted, plain[0], rtol=0, atol=1e-6)
 
 
 def test_a_surface_that_is_a_millimetre_off_is_found_by_its_offset(drops):
@@ -100,10 +100,10 @@ def test_high_friction_fit_recovers_the_truth(tmp_path):
     """Twelve free parameters, 0.3 mm and 0.2 deg: at least 4 of 5 finished runs within 1.005 of the truth."""
     folder = synthesize_gear(tmp_path / "hf", seed=1, surface="hf")
     campaign, prepared, truth = opened(folder)
-    own = float(score_values(campaign, used(prepared), truth).cost[0])
+    at_truth = float(score_values(campaign, used(prepared), truth).cost[0])
     result, _ = fit_gear(folder / "campaign.toml", FitOptions(out=tmp_path / "fit", quiet=True))
-    print(f"truth {own:.4%}, sets over truth {result.nrmse / own}")
-    assert np.sum(result.nrmse <= 1.005 * own) >= 4
+    print(f"truth {at_truth:.4%}, sets over truth {result.nrmse / at_truth}")
+    assert np.sum(result.nrmse <= 1.005 * at_truth) >= 4
     held = assert_sets_agree(result)
     assert {"joint_dx", "leg_axial_stiffness", "leg_bending_stiffness", "kinetic_friction"} <= held
     best = result.parameter_sets().set_values(1)

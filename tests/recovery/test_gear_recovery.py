@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from fakes.gear_campaigns import opened, score_values, used
+from fakes.gear_drops import touchdowns
 from sysid.fit.search import SearchSettings, run_one
-from sysid.gear.model import EventKind, simulate
+from sysid.gear.model import simulate
 from sysid.gear.problem import GearProblem, measured_values, search_space
 from sysid.parameters import SearchSpace
 from sysid.synthetic import read_truth, synthesize_gear
@@ -35,14 +36,7 @@ def third_contact(drop, truth, surface):
     run = simulate(
         truth, drop.slope, drop.initial_state, drop.simulated_time, surface=surface, tolerance=1e-6
     )
-    # Touchdowns of one foot less than 5 ms after it was last loaded are one.
-    found, last = [], {"rear": -1.0, "front": -1.0}
-    for event in run.events:
-        if event.kind in (EventKind.TOUCHDOWN, EventKind.LIFT_OFF):
-            if event.kind is EventKind.TOUCHDOWN and event.time - last[event.foot] > 5e-3:
-                found.append(event.time)
-            last[event.foot] = event.time
-    return drop.time[0] + found[2]
+    return drop.time[0] + touchdowns(run)[2][0]
 
 
 def up_to_third_contact(drops, truth, surface):
@@ -70,9 +64,9 @@ def fitted(request, tmp_path_factory):
 @pytest.mark.slow
 def test_every_run_ends_where_the_truth_scores(fitted):
     surface, (campaign, drops, truth), result = fitted
-    own = float(score_values(campaign, used(drops), truth).cost[0])
-    ratio = result.nrmse / own
-    print(f"\n{surface}: truth {own:.4%}, five runs over it {ratio.round(5)}")
+    at_truth = float(score_values(campaign, used(drops), truth).cost[0])
+    ratio = result.nrmse / at_truth
+    print(f"\n{surface}: truth {at_truth:.4%}, five runs over it {ratio.round(5)}")
     assert len(ratio) == 5
     # Free parameters soak up some of the noise of 900 samples per channel: about 2 % of the truth's NRMSE.
     assert (ratio > 0.97).all()
@@ -89,12 +83,12 @@ def test_drops_that_were_not_fitted(fitted):
     assert len(early) == 2
     best = result.parameter_sets().set_values(1)
     best = {name: value for name, value in best.items() if name in truth}
-    own, found = (
+    at_truth, of_fit = (
         score_values(campaign, early, values).by_channel.mean(axis=2)[0] for values in (truth, best)
     )
-    print(f"\n{surface}: validation up to the third contact, fit over truth {(found / own).round(4)}")
+    print(f"\n{surface}: validation up to the third contact, fit over truth {(of_fit / at_truth).round(4)}")
     # A fit that has learnt noise instead of a drone fails here.
-    assert (found <= 1.1 * own).all()
+    assert (of_fit <= 1.1 * at_truth).all()
 
 
 def exact_start(drops, facts, gravity):
@@ -126,17 +120,17 @@ def test_parameters_are_found_within_what_the_data_fix(surface, tmp_path):
     The start that the pipeline estimates from a hold errs, and some parameters pay; linearized medians: low
     friction k_s 16 % and b_h 2.7 %, high friction m_leg 16 % and mu_k 2.2 %, all beyond these bounds.
     """
-    found = []
+    draws = []
     for seed in SEEDS:
         folder = synthesize_gear(tmp_path / str(seed), seed=seed, surface=surface)
         campaign, drops, truth = opened(folder)
         start = exact_start(used(drops, "fit"), read_truth(folder), truth["gravity"])
         objective = GearProblem(campaign, search_space(campaign), start)
-        found.append(errors(objective, truth, seed))
-    median = {name: float(np.median([abs(one[name]) for one in found])) for name in found[0]}
+        draws.append(errors(objective, truth, seed))
+    median = {name: float(np.median([abs(draw[name]) for draw in draws])) for name in draws[0]}
     print(f"\n{surface}: relative errors over {len(SEEDS)} draws of noise [%]")
     for name, middle in median.items():
-        each = " ".join(f"{100 * one[name]:7.2f}" for one in found)
+        each = " ".join(f"{100 * draw[name]:7.2f}" for draw in draws)
         bound = BOUNDS[surface].get(name)
         limit = "-" if bound is None else f"{100 * bound:.1f}"
         print(f"{name:>24} median {100 * middle:6.2f}, bound {limit:>4}: {each}")
@@ -152,11 +146,11 @@ def test_two_accuracies_find_the_same_high_friction_parameters(tmp_path):
     wide = search_space(campaign)
     near = {r.name: (max(r.lower, 0.7 * truth[r.name]), min(r.upper, 1.4 * truth[r.name])) for r in wide.free}
     space = SearchSpace.build(wide.table, wide.names, measured_values(campaign), near)
-    found = [
+    errs = [
         errors(GearProblem(campaign, space, used(drops, "fit"), tolerance=tolerance), truth, seed=1)
         for tolerance in (1e-3, 1e-4)
     ]
-    moved = {name: (1 + found[0][name]) / (1 + found[1][name]) - 1 for name in space.names}
+    moved = {name: (1 + errs[0][name]) / (1 + errs[1][name]) - 1 for name in space.names}
     print("\n10 times the accuracy moves [%]", {name: round(100 * m, 3) for name, m in moved.items()})
     # Not fixed by such data at either accuracy.
     loose = ("ground_damping", "static_friction_excess")

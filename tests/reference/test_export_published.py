@@ -1,14 +1,11 @@
 """The published parameter sets: current, equal to what is printed, and good enough to simulate with."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import sysid
 from fakes.places import ROOT
 from sysid.export.published import table_1, table_2, write_published
-from sysid.motor.model import simulate
 from sysid.report.set_tables import mean_table
 
 PUBLISHED = ROOT / "data_samples" / "published"
@@ -84,17 +81,3 @@ def test_table_one_with_its_slip_named():
     assert "0.099" in sources["torque_constant"]
     assert "not printed" in sources["thrust_quadratic_forward"]
     assert float(sets.nrmse[0]) == 0.0267
-
-
-def test_motor_file_simulates_the_reference():
-    rows = np.genfromtxt(Path(__file__).parent / "motor-steps.csv", delimiter=",", names=True)
-    change = np.flatnonzero(np.diff(rows["command"], prepend=np.nan) != 0)
-    result = simulate(
-        sysid.load_parameter_sets(PUBLISHED / "published-motor.json").set_values(),
-        rows["time"][change],
-        rows["command"][change],
-        rows["time"],
-    )
-    error = np.sqrt(np.mean((result.speed - rows["speed"]) ** 2)) / np.std(rows["speed"])
-    # The bar of every reference trajectory: 1e-4 of the channel's standard deviation.
-    assert error < 1e-4

@@ -169,8 +169,8 @@ def test_against_newton_and_euler():
         # Forces of up to 1e4 N from differences of heights of 0.1 m: double precision leaves 1e-10 of them.
         np.testing.assert_allclose(forces, expected, rtol=1e-9, atol=1e-9)
         touched += bool(expected[:, 0].any())
-        theirs = twin_accelerations(p, slope, state, expected, thrust)
-        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9 * np.abs(theirs).max())
+        twin = twin_accelerations(p, slope, state, expected, thrust)
+        np.testing.assert_allclose(ours, twin, rtol=0, atol=1e-9 * np.abs(twin).max())
     assert touched > 50  # the random states must exercise contact, not only flight
 
 
@@ -266,11 +266,11 @@ def test_high_friction_in_every_mode(modes):
             wanted = -200.0 * speed - known
             friction[stuck] = np.linalg.solve(response[np.ix_(stuck, stuck)], wanted[stuck])
         expected = twin(friction)
-        found, forces, required, _ = compiled_high_friction(p, slope, state, normal, modes, ways, mu, thrust)
+        ours, forces, required, _ = compiled_high_friction(p, slope, state, normal, modes, ways, mu, thrust)
         scale = np.abs(friction).max()
         np.testing.assert_allclose(forces, friction, rtol=0, atol=1e-9 * max(scale, 40.0))
         # Two solutions of one linear problem; what is left is its condition.
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+        np.testing.assert_allclose(ours, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
         for foot in stuck:
             assert required[foot] == pytest.approx(friction[foot], rel=1e-9, abs=1e-7)
         for foot in np.flatnonzero(np.array(modes) == 0):
@@ -339,9 +339,9 @@ def lagrangian():
     force = []
     for a in range(7):
         drift = sum(sp.diff(momentum[a], coordinates[c]) * rates[c] for c in range(7))
-        own = put(sp.diff(kinetic - potential + work, q[a]))
-        own = own.subs(dict(zip(push, ez_(coordinates[2]), strict=True)))
-        force.append(own - sp.diff(put(loss), rates[a]) - drift)
+        own_force = put(sp.diff(kinetic - potential + work, q[a]))
+        own_force = own_force.subs(dict(zip(push, ez_(coordinates[2]), strict=True)))
+        force.append(own_force - sp.diff(put(loss), rates[a]) - drift)
     return sp.lambdify((coordinates, rates, fields, constants), [mass, sp.Matrix(force)], cse=True)
 
 
@@ -358,8 +358,8 @@ def test_against_a_lagrangian(lagrangian):
             *thrust, *rear, *front,
         ]  # fmt: skip
         mass, force = lagrangian(state[:7], state[7:], np.concatenate(ground), constants)
-        theirs = np.linalg.solve(mass, np.ravel(force))
-        theirs[4] = theirs[2] + theirs[4]
-        theirs[6] = theirs[2] - theirs[6]
+        twin = np.linalg.solve(mass, np.ravel(force))
+        twin[4] = twin[2] + twin[4]
+        twin[6] = twin[2] - twin[6]
         # Two exact derivations; what is left is the condition of the 7 x 7 mass matrix.
-        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9 * np.abs(theirs).max())
+        np.testing.assert_allclose(ours, twin, rtol=0, atol=1e-9 * np.abs(twin).max())

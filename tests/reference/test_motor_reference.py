@@ -30,10 +30,10 @@ def _reference(name: str) -> tuple[pd.DataFrame, np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("name", ["motor-steps", "motor-reversal"])
 def test_trajectory_matches_the_reference(name: str) -> None:
     table, instants, command = _reference(name)
-    found = simulate(REFERENCE, instants, command, table["time"])
+    run = simulate(REFERENCE, instants, command, table["time"])
     for channel in ("current", "effective_current", "speed", "thrust", "stator_torque"):
         expected = table[channel].to_numpy()
-        error = np.sqrt(np.mean((getattr(found, channel) - expected) ** 2)) / expected.std()
+        error = np.sqrt(np.mean((getattr(run, channel) - expected) ** 2)) / expected.std()
         # Required: 1e-4. The reference switches the saturation at its own 2e-6 s grid, which is 6e-5 here;
         # without a reversal only its nine printed digits and ours remain.
         assert error < (1e-4 if name == "motor-reversal" else 1e-5), (channel, error)
@@ -75,12 +75,3 @@ def test_nominal_row_is_table_1_with_kv_of_the_rating() -> None:
     assert nominal["torque_constant"] == nominal["back_emf_constant"]
     assert (nominal["winding_resistance"], nominal["winding_inductance"]) == (0.299, 0.0038)
     assert (nominal["saturation_current"], nominal["saturation_speed"]) == (0.35, 6.3)
-
-
-def test_reversal_takes_a_fifth_of_a_second() -> None:
-    time = np.arange(0.0, 1.2, 1e-4)
-    found = simulate(REFERENCE, [0.0, 0.5], [0.62, -1.0], time, initial="steady")
-    end = found.thrust[-1]
-    delay = time[np.flatnonzero(found.thrust <= 0.9 * end)[0]] - 0.5
-    # 0.21 s from u = 0.62 to 90 % of the thrust at u = -1, printed with two digits.
-    assert delay == pytest.approx(0.21, abs=0.005)

@@ -17,9 +17,9 @@ SAMPLES = ROOT / "data_samples"
 
 def child(code, **environment):
     """Run Python code in a process of its own and return the JSON that it prints last."""
-    own = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
+    env = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
     run = subprocess.run(
-        [sys.executable, "-c", code], env=own, capture_output=True, text=True, encoding="utf-8", check=False
+        [sys.executable, "-c", code], env=env, capture_output=True, text=True, encoding="utf-8", check=False
     )
     assert run.returncode == 0, run.stderr
     return json.loads(run.stdout.splitlines()[-1])
@@ -42,10 +42,10 @@ print(json.dumps(found))
 def test_a_second_process_compiles_nothing():
     for surface in ("lf", "hf"):
         prepare(surface)
-    found = child(CACHED)
-    assert len(found) == 4
+    counted = child(CACHED)
+    assert len(counted) == 4
     # [loaded from disk, compiled]
-    assert all(counts == [1, 0] for counts in found.values()), found
+    assert all(counts == [1, 0] for counts in counted.values()), counted
 
 
 def test_a_changed_source_is_never_served_from_the_cache(monkeypatch):
@@ -89,15 +89,15 @@ def test_a_law_typed_in_a_session_has_a_fingerprint():
     from sysid.gear.kernel import driver as kernel
     from sysid.gear.surfaces import SURFACES, Surface, continuous_law
 
-    found = []
+    prints = []
     for power in (1.0, 2.0, 1.0):
         typed = {"njit": njit, "__name__": "__main__"}
         exec(compile(TYPED.format(power=power), "<stdin>", "exec"), typed)
         solve = continuous_law(typed["friction"], typed["damping"])
         reads, free = ("kinetic_friction",), SURFACES["lf"].free
-        found.append(kernel.fingerprint(Surface("wet", "", reads, free, solve, friction=typed["friction"])))
+        prints.append(kernel.fingerprint(Surface("wet", "", reads, free, solve, friction=typed["friction"])))
     # The same text gives the same driver; another constant in a function that the law calls, another one.
-    assert found[0] == found[2] != found[1]
+    assert prints[0] == prints[2] != prints[1]
 
 
 MEMORY = """
@@ -158,12 +158,12 @@ def test_a_processor_without_avx_gives_the_same_numbers(tmp_path):
     starts = [[0.0, 0.174, 0.0, 0.0, -0.7, 0.0], [0.0, 0.231, 0.0, 0.0, -0.5, 0.0]]
     # The name alone leaves the host's features on; "generic" is numba's word for none of them.
     plain = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path)}
-    found = child(f"STARTS = {starts!r}\n" + PLAIN, **plain)
+    numbers = child(f"STARTS = {starts!r}\n" + PLAIN, **plain)
     drops = Drops(np.array([0.2, 0.5]), np.array(starts), [np.arange(0, 0.0401, 0.005)] * 2)
     for surface in ("lf", "hf"):
         ours = simulate_population(pack({}, surface), drops, surface=surface, tolerance=1e-6)
-        assert found[f"{surface} wide registers"] == 0
-        samples, spent = found[surface]
+        assert numbers[f"{surface} wide registers"] == 0
+        samples, spent = numbers[surface]
         # Fused multiply-adds round elsewhere, which lengthens a step here and shortens one there; 40 ms hold
         # the first contact, not yet the chaos of bounces. A tenth of the tolerance.
         np.testing.assert_allclose(samples, ours.samples, rtol=0, atol=1e-7)

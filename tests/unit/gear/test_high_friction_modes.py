@@ -3,22 +3,7 @@
 import numpy as np
 import pytest
 
-from sysid.gear.kernel.work_buffer import (
-    INNER,
-    INNER_NORMAL,
-    INNER_REQUIRED,
-    INNER_ROWS,
-    INNER_SLIP,
-    LAW,
-    MARGIN,
-    NORMAL,
-    REQUIRED,
-    ROWS,
-    SLIP,
-    STUCK,
-    SWITCH,
-    WAY,
-)
+from sysid.gear.kernel import work_buffer as at
 from sysid.gear.model import PARAMETERS, EventKind, pack, simulate
 from sysid.gear.surfaces.high_friction import after_step
 from sysid.integrate.tableau import STAGES
@@ -29,39 +14,41 @@ MU_K, EXCESS, LOAD = 0.8, 0.1, 10.0
 
 def end_of_step(foot, at_foot, other):
     """Memory at the end of a step, rows of a foot and of the other one; the stages within it saw the same."""
-    work = np.zeros(ROWS)
-    work[LAW : LAW + 2] = MU_K, EXCESS
+    work = np.zeros(at.ROWS)
+    work[at.LAW : at.LAW + 2] = MU_K, EXCESS
     for place, rows in ((foot, at_foot), (1 - foot, other)):
         for row, value in rows.items():
             work[row + place] = value
     for stage in range(STAGES - 1):
-        for inner, row in ((INNER_NORMAL, NORMAL), (INNER_SLIP, SLIP), (INNER_REQUIRED, REQUIRED)):
-            first = INNER + INNER_ROWS * stage + inner
+        first = at.INNER + at.INNER_ROWS * stage
+        for row in (at.NORMAL, at.SLIP, at.REQUIRED):  # in the order of INNER_NORMAL, ...
             work[first : first + 2] = work[row : row + 2]
+            first += 2
     return work
 
 
 def decided(foot, *, stuck, way, slip, required, margin, load=LOAD, length=1e-8, seen=None):
     """State of a foot (stuck, way, switched) after a step in which nothing befalls the other; the step."""
-    rows = {STUCK: stuck, WAY: way, SLIP: slip, NORMAL: load, REQUIRED: required, MARGIN: margin}
+    rows = {at.STUCK: stuck, at.WAY: way, at.SLIP: slip, at.NORMAL: load}
     # The other foot slips on far from a switch.
-    work = end_of_step(foot, rows, {WAY: 1.0, SLIP: 0.5, NORMAL: LOAD, REQUIRED: 5.0, MARGIN: 0.5})
+    slips = {at.WAY: 1.0, at.SLIP: 0.5, at.NORMAL: LOAD, at.REQUIRED: 5.0, at.MARGIN: 0.5}
+    work = end_of_step(foot, rows | {at.REQUIRED: required, at.MARGIN: margin}, slips)
     if seen is not None:
         for stage in range(STAGES - 1):
-            work[INNER + INNER_ROWS * stage + INNER_REQUIRED + foot] = seen
+            work[at.INNER + at.INNER_ROWS * stage + at.INNER_REQUIRED + foot] = seen
     step = after_step(work, 0, 1, length, 1.0, 1e-4)
     other = 1 - foot
-    assert (work[STUCK + other], work[WAY + other], work[SWITCH + other]) == (0.0, 1.0, 0.0)
-    return (work[STUCK + foot], work[WAY + foot], work[SWITCH + foot]), step
+    assert (work[at.STUCK + other], work[at.WAY + other], work[at.SWITCH + other]) == (0.0, 1.0, 0.0)
+    return (work[at.STUCK + foot], work[at.WAY + foot], work[at.SWITCH + foot]), step
 
 
 @pytest.mark.parametrize("foot", [0, 1])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_foot_whose_slip_ends_sticks_within_kinetic_friction(foot, sign):
     ends = {"stuck": 0.0, "way": sign, "slip": -1e-9 * sign, "margin": 1e-6}
-    found, (taken, step) = decided(foot, **ends, required=7.9 * sign)
-    assert found[0] == 1.0
-    assert found[2] == 1.0
+    state, (taken, step) = decided(foot, **ends, required=7.9 * sign)
+    assert state[0] == 1.0
+    assert state[2] == 1.0
     assert (taken, step) == (1.0, 0.0)
     # Between kinetic and static friction it slips back: against the force that it lacks.
     assert decided(foot, **ends, required=8.1 * sign)[0] == (0.0, -sign, 1.0)
@@ -86,8 +73,8 @@ def test_a_stuck_foot_is_released_beyond_static_friction(foot, sign):
 def test_a_loss_within_a_step_repeats_it(foot):
     held = {"stuck": 1.0, "way": 1.0, "slip": 0.0}
     # Left over 1 N at the start, -1 N at the end: the first stage of the step saw -1 N already.
-    found, (taken, step) = decided(foot, **held, required=10.0, margin=1.0, length=1e-4)
-    assert found == (1.0, 1.0, 0.0)
+    state, (taken, step) = decided(foot, **held, required=10.0, margin=1.0, length=1e-4)
+    assert state == (1.0, 1.0, 0.0)
     assert taken == 0.0
     assert 0.0 < step <= 0.5e-4 + 1e-7
     # A loss that heals before the end, which only the stages saw.
@@ -101,41 +88,41 @@ def test_a_loss_within_a_step_repeats_it(foot):
 @pytest.mark.parametrize("shares", [(1.0, 1.0), (0.25, 0.75), (0.75, 0.25)])
 def test_both_stuck_feet_may_be_released(shares):
     """At one instant both are, each against its own force; else the step ends at the earlier release."""
-    stuck = {STUCK: 1.0, WAY: 1.0, NORMAL: LOAD}
+    stuck = {at.STUCK: 1.0, at.WAY: 1.0, at.NORMAL: LOAD}
     work = end_of_step(0, stuck, stuck)  # the stages within the step see no loss
     # Static friction of 9 N; what is left of it falls to -0.1 N within the step, through zero at the shares.
-    work[REQUIRED : REQUIRED + 2] = 9.1, -9.1
+    work[at.REQUIRED : at.REQUIRED + 2] = 9.1, -9.1
     for foot, share in enumerate(shares):
-        work[MARGIN + foot] = 0.1 * share / (1.0 - share) if share < 1.0 else 1e-12
+        work[at.MARGIN + foot] = 0.1 * share / (1.0 - share) if share < 1.0 else 1e-12
     together = shares == (1.0, 1.0)
     length = 1e-8 if together else 1e-4
     taken, step = after_step(work, 0, 1, length, 1.0, 1e-4)
     if together:
         assert (taken, step) == (1.0, 0.0)
-        assert work[STUCK : STUCK + 2].tolist() == [0.0, 0.0]
-        assert work[SWITCH : SWITCH + 2].tolist() == [2.0, 2.0]
-        assert work[WAY : WAY + 2].tolist() == [-1.0, 1.0]
+        assert work[at.STUCK : at.STUCK + 2].tolist() == [0.0, 0.0]
+        assert work[at.SWITCH : at.SWITCH + 2].tolist() == [2.0, 2.0]
+        assert work[at.WAY : at.WAY + 2].tolist() == [-1.0, 1.0]
     else:
         # A quarter of the step and the 0.05 us by which it ends behind the event; nothing has switched yet.
         assert taken == 0.0
         assert step == pytest.approx(0.25e-4 + 0.5e-7, rel=1e-9)
-        assert work[STUCK : STUCK + 2].tolist() == [1.0, 1.0]
-        assert work[SWITCH : SWITCH + 2].tolist() == [0.0, 0.0]
+        assert work[at.STUCK : at.STUCK + 2].tolist() == [1.0, 1.0]
+        assert work[at.SWITCH : at.SWITCH + 2].tolist() == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("sticks", [0, 1])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_one_foot_may_stick_as_the_other_is_released(sticks, sign):
     """At one instant: each by its own force, as it was with both feet in their modes before."""
-    releases, loaded = 1 - sticks, {NORMAL: LOAD, WAY: 1.0}
-    held = loaded | {STUCK: 1.0, REQUIRED: 9.1 * sign, MARGIN: 1e-3}
-    slips = loaded | {REQUIRED: 7.9 * sign, MARGIN: 1e-6, SLIP: -1e-9}
+    releases, loaded = 1 - sticks, {at.NORMAL: LOAD, at.WAY: 1.0}
+    held = loaded | {at.STUCK: 1.0, at.REQUIRED: 9.1 * sign, at.MARGIN: 1e-3}
+    slips = loaded | {at.REQUIRED: 7.9 * sign, at.MARGIN: 1e-6, at.SLIP: -1e-9}
     work = end_of_step(releases, held, slips)
     assert after_step(work, 0, 1, 1e-8, 1.0, 1e-4) == (1.0, 0.0)
-    assert (work[STUCK + sticks], work[SWITCH + sticks]) == (1.0, 1.0)
-    assert (work[STUCK + releases], work[SWITCH + releases]) == (0.0, 2.0)
+    assert (work[at.STUCK + sticks], work[at.SWITCH + sticks]) == (1.0, 1.0)
+    assert (work[at.STUCK + releases], work[at.SWITCH + releases]) == (0.0, 2.0)
     # The released foot slips against the force that it lacks.
-    assert work[WAY + releases] == -sign
+    assert work[at.WAY + releases] == -sign
 
 
 def started(way, touching):

@@ -72,7 +72,7 @@ def test_synthetic_gear_free_fall_gives_g(exact, noisy):
     # with 0.3 mm; 2e-5 of g with the 0.3 µm rms of the file's quantization. Some four and fifty sigma.
     for path, tolerance in ((exact, 1e-3), (noisy, 0.08)):
         truth = read_truth(path)
-        drop = next(one for one in truth["drops"] if one["impact speed [m/s]"] == 1.0)
+        drop = next(each for each in truth["drops"] if each["impact speed [m/s]"] == 1.0)
         motion, _ = planar_of(path, drop)
         inside = (motion.time > drop["release [s]"]) & (motion.time < drop["touchdown [s]"])
         elapsed = motion.time[inside] - drop["release [s]"]
@@ -146,11 +146,11 @@ def test_synthetic_gear_motive_layout_is_that_of_the_program(noisy):
 
 def test_synthetic_gear_every_export_format_is_there(noisy):
     drops = read_truth(noisy)["drops"]
-    found = {drop["export"]: noisy / drop["log"] for drop in drops}
-    assert detect(found["pose-table"]) == "pose-table"
-    assert all(detect(path) == "motive-csv" for name, path in found.items() if "motive" in name)
-    assert "Length Units,Millimeters" in found["motive-mm"].read_text(encoding="utf-8")
-    assert "Rotation Type,XYZ" in found["motive-euler"].read_text(encoding="utf-8")
+    exports = {drop["export"]: noisy / drop["log"] for drop in drops}
+    assert detect(exports["pose-table"]) == "pose-table"
+    assert all(detect(path) == "motive-csv" for name, path in exports.items() if "motive" in name)
+    assert "Length Units,Millimeters" in exports["motive-mm"].read_text(encoding="utf-8")
+    assert "Rotation Type,XYZ" in exports["motive-euler"].read_text(encoding="utf-8")
 
 
 def test_synthetic_gear_occluded_frames_are_blank_and_flips_flip(noisy):

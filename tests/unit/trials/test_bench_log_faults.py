@@ -104,9 +104,9 @@ def test_torque_spikes_pass_the_filter_of_the_campaign(tmp_path: Path) -> None:
     (trial,) = bench.trials
     assert trial.log.fast
     parameters = {**PARAMETERS.nominal, **bench.curves.parameters}
-    found = spike_inertia(read_campaign(path, "motor"), [trial.log], parameters)
-    assert found.steps["up"] >= 2
-    assert np.isfinite(found.value["up"])
+    inertia = spike_inertia(read_campaign(path, "motor"), [trial.log], parameters)
+    assert inertia.steps["up"] >= 2
+    assert np.isfinite(inertia.value["up"])
 
 
 def test_log_without_torque_is_told_where_the_curves_come_from(tmp_path: Path) -> None:
@@ -133,7 +133,7 @@ def test_rotor_that_stands_under_a_command_is_told(tmp_path: Path) -> None:
 def _made(*holds: tuple[float, float]) -> float | None:
     """What is said of holds of 1 s, each (u, speed [rad/s])."""
     time = np.arange(0.0, len(holds), 0.01)
-    speed = np.repeat([own for _, own in holds], 100).astype(float)
+    speed = np.repeat([turning for _, turning in holds], 100).astype(float)
     steps = CommandSteps(np.arange(float(len(holds))), np.array([u for u, _ in holds]))
     return standing_command(time, speed, steps, (0.0, float(len(holds))))
 

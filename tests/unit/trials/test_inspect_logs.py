@@ -10,10 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 from fakes.places import SAMPLES
-from sysid.cli import app
 from sysid.errors import LogError, SysidError
 from sysid.journal import Finding
 from sysid.loaders import detect, load
@@ -26,7 +24,7 @@ from sysid.workflows.inspect import SecondFile, convert_file, parse_options
 
 
 def recording(kind, *channels):
-    return Recording(kind, {one.name: one for one in channels}, Provenance("log", "00", "pose-table"))
+    return Recording(kind, {c.name: c for c in channels}, Provenance("log", "00", "pose-table"))
 
 
 def drop(up="+z", slope=0.0, rate=200.0, noise=2e-4, scale=1.0, height=0.1, held=True, markers=True):
@@ -81,16 +79,16 @@ def test_drop_is_found_whatever_is_up(up, height):
 def test_stated_errors_hold_the_truth_of_the_sample_drops(kind):
     truth = json.loads((SAMPLES / kind / "truth.json").read_text(encoding="utf-8"))
     for known in truth["drops"]:
-        found = inspect_recording(load(SAMPLES / kind / known["log"])).drop
-        assert abs(found.release - known["release [s]"]) < found.release_error
-        assert abs(found.touchdown - known["touchdown [s]"]) < found.touchdown_error
-        assert abs(found.impact_speed - known["impact speed [m/s]"]) < found.impact_speed_error
+        seen = inspect_recording(load(SAMPLES / kind / known["log"])).drop
+        assert abs(seen.release - known["release [s]"]) < seen.release_error
+        assert abs(seen.touchdown - known["touchdown [s]"]) < seen.touchdown_error
+        assert abs(seen.impact_speed - known["impact speed [m/s]"]) < seen.impact_speed_error
         # Not by being vague: 200 Hz and soft legs, in sixteen drops up to 15.5 ms and 0.145 m/s.
-        assert found.touchdown_error < 0.018
-        assert found.impact_speed_error < 0.18
-        assert (found.down_slope, found.down_slope_doubt) == ("-z", "")
-        if found.slope is not None:
-            assert "three always share: check that they lie on the board" in found.slope_source
+        assert seen.touchdown_error < 0.018
+        assert seen.impact_speed_error < 0.18
+        assert (seen.down_slope, seen.down_slope_doubt) == ("-z", "")
+        if seen.slope is not None:
+            assert "three always share: check that they lie on the board" in seen.slope_source
 
 
 def test_a_throw_does_not_tell_the_slope():
@@ -99,12 +97,12 @@ def test_a_throw_does_not_tell_the_slope():
     # Thrown along +x: it flies, and slides on, that way, whatever the board does.
     moved = place.values + np.outer(np.minimum(place.time - 3.0, 1.5) * 0.5, [1.0, 0, 0])
     thrown = recording("motion-capture", Channel(place.name, "m", place.time, moved), log["quad/orientation"])
-    found = inspect_recording(thrown).drop
-    assert found.release is None
-    assert found.gravity == pytest.approx(9.80665, rel=0.05)
-    assert found.down_slope == "+x"
-    assert "was thrown" in found.down_slope_doubt
-    assert math.isnan(found.release_error)
+    report = inspect_recording(thrown).drop
+    assert report.release is None
+    assert report.gravity == pytest.approx(9.80665, rel=0.05)
+    assert report.down_slope == "+x"
+    assert "was thrown" in report.down_slope_doubt
+    assert math.isnan(report.release_error)
 
 
 def test_markers_beat_the_way_and_a_way_between_axes_is_said():
@@ -129,7 +127,7 @@ def test_markers_beat_the_way_and_a_way_between_axes_is_said():
         assert "mm rms off it" in seen.slope_source
 
 
-def test_static_points_have_no_clock(tmp_path):
+def test_static_points_have_no_clock(run, tmp_path):
     text = "Time (s),ESC signal (µs),Thrust (N),Motor Optical Speed (RPM)\n" + "".join(
         f"{2 * i},{1000 + 100 * i},{i if i != 3 else ''},{i * 1000}\n" for i in range(6)
     )
@@ -138,11 +136,11 @@ def test_static_points_have_no_clock(tmp_path):
     assert log.kind == "static-map"
     report = inspect_recording(log).as_json()
     assert report["duration"] is None
-    for one in report["channels"]:
-        assert [one[key] for key in ("rate", "jitter", "longest_hole", "longest_blank")] == [None] * 4
-    shown = CliRunner().invoke(app, ["inspect", str(path)])
-    assert "6 points" in shown.output
-    assert not re.search(r"\d Hz|\d s\b", shown.output.split("top speed")[0].split("note:")[0])
+    for channel in report["channels"]:
+        assert [channel[key] for key in ("rate", "jitter", "longest_hole", "longest_blank")] == [None] * 4
+    _, shown, _ = run("inspect", path)
+    assert "6 points" in shown
+    assert not re.search(r"\d Hz|\d s\b", shown.split("top speed")[0].split("note:")[0])
     to = write_recording(log, tmp_path / "points.h5")
     with h5py.File(to) as file:
         assert file["clocks/0"].attrs["unit"] == "1"
@@ -164,7 +162,7 @@ def test_lengths_in_a_wrong_unit_are_suspected(scale, unit):
     report = inspect_recording(log)
     assert report.drop.length_unit == unit
     assert report.drop.release == pytest.approx(release, abs=4e-3)
-    assert any(f"as if lengths were in {unit}" in said for said in map(str, report.suspicions))
+    assert any(f"as if lengths were in {unit}" in sentence for sentence in map(str, report.suspicions))
 
 
 def test_a_wrong_rate_shows_in_gravity():
@@ -172,7 +170,7 @@ def test_a_wrong_rate_shows_in_gravity():
     slow = [Channel(c.name, c.unit, 1.1 * c.time, c.values) for c in log.channels.values()]
     report = inspect_recording(recording("motion-capture", *slow))
     assert report.drop.gravity == pytest.approx(9.80665 / 1.21, rel=0.03)
-    assert any("check the rate" in said for said in map(str, report.suspicions))
+    assert any("check the rate" in sentence for sentence in map(str, report.suspicions))
 
 
 @pytest.mark.parametrize("stretch", [0.5, 0.8, 1.2, 1.5])
@@ -184,14 +182,14 @@ def test_no_small_drop_is_invented_where_times_are_stretched(stretch):
     assert report.drop.gravity == pytest.approx(9.80665 / stretch**2, rel=0.03)  # a few sample errors
     assert report.drop.fall_height == pytest.approx(0.8, rel=0.05)  # touchdown is found to a sample or two
     assert report.drop.release == pytest.approx(stretch * release, abs=0.01)
-    assert any("check the rate" in said for said in map(str, report.suspicions))
+    assert any("check the rate" in sentence for sentence in map(str, report.suspicions))
 
 
 def test_far_centimetres_have_one_suspicion():
     log, *_ = drop(scale=100.0, height=1.2)
-    said = [str(one) for one in inspect_recording(log).suspicions if "length" in str(one)]
-    assert len(said) == 1
-    assert "in cm" in said[0]
+    sentences = [str(finding) for finding in inspect_recording(log).suspicions if "length" in str(finding)]
+    assert len(sentences) == 1
+    assert "in cm" in sentences[0]
 
 
 def test_hover_is_no_drop():
@@ -231,24 +229,24 @@ def test_bench_suspicions(options, said):
         assert report.suspicions == ()
         assert report.bench.top_speed == pytest.approx(500, rel=1e-6)
     else:
-        assert any(said in one for one in map(str, report.suspicions))
+        assert any(said in sentence for sentence in map(str, report.suspicions))
 
 
 def test_channel_numbers():
     time = np.delete(np.arange(0, 1, 0.01), [40, 41, 42])
     values = np.clip(np.sin(20 * time), -1, 0.7)
     values[10:15] = np.nan
-    one = inspect_channel(Channel("thrust", "N", time, values))
-    assert (one.samples, one.holes, one.jitter, one.highest) == (97, 1, 0.0, 0.7)
-    numbers = (one.longest_hole, one.rate, one.blank, one.longest_blank)
+    report = inspect_channel(Channel("thrust", "N", time, values))
+    assert (report.samples, report.holes, report.jitter, report.highest) == (97, 1, 0.0, 0.7)
+    numbers = (report.longest_hole, report.rate, report.blank, report.longest_blank)
     assert numbers == pytest.approx((0.04, 100, 5 / 97, 0.06))
-    assert 0.1 < one.saturated < 0.5
+    assert 0.1 < report.saturated < 0.5
 
 
 def test_channels_without_samples_or_values():
     for values in (np.zeros(0), np.full(3, np.nan), np.zeros(1)):
-        one = inspect_channel(Channel("a", "N", np.arange(values.size, dtype=float), values))
-        assert one.samples == values.size
+        channel = inspect_channel(Channel("a", "N", np.arange(values.size, dtype=float), values))
+        assert channel.samples == values.size
     report = inspect_recording(recording("signals", Channel("a", "V", np.zeros(1), np.full(1, np.nan))))
     assert [str(finding) for finding in report.suspicions] == ["a holds no value at all"]
     assert json.loads(json.dumps(report.as_json(), allow_nan=False))["channels"][0]["lowest"] is None
@@ -290,11 +288,11 @@ def test_converted_recordings_read_back_equal(tmp_path, names, seed, notes):
         assert again[name].unit == channel.unit
         np.testing.assert_array_equal(again[name].time, channel.time)
         np.testing.assert_array_equal(again[name].values, channel.values)
-    said = again.provenance
-    assert (said.device, dict(said.options), said.format) == ("device µ", {"rate": "5"}, "lvm")
-    assert said.notes[:-1] == findings
-    assert said.notes[-1].code == "converted"
-    assert "converted from a.csv (SHA-256 12)" in said.sentences[-1]
+    origin = again.provenance
+    assert (origin.device, dict(origin.options), origin.format) == ("device µ", {"rate": "5"}, "lvm")
+    assert origin.notes[:-1] == findings
+    assert origin.notes[-1].code == "converted"
+    assert "converted from a.csv (SHA-256 12)" in origin.sentences[-1]
 
 
 def test_convert_refuses_to_replace_and_damage_is_named(tmp_path):
@@ -326,25 +324,25 @@ def test_convert_joins_a_second_file(tmp_path):
     volts = np.full(time[::5].size, 16.1)
     header = "Time (s),Speed (rad/s),Voltage (V),Current (A)"
     _table(second, header, time[::5] + 7, speed[::5], volts, volts / 50)
-    said = convert_file(first, to, second=SecondFile(second))
+    sentence = convert_file(first, to, second=SecondFile(second))
     # Half of the second file's sample period of 10 ms.
-    assert float(said.split("offset ")[1].split(" s")[0]) == pytest.approx(-7, abs=5e-3)
+    assert float(sentence.split("offset ")[1].split(" s")[0]) == pytest.approx(-7, abs=5e-3)
     log = load(to)
     assert log["voltage"].time[0] == pytest.approx(0, abs=5e-3)
     assert any("confidence" in note for note in log.provenance.sentences)
 
 
-def test_a_second_log_of_the_command_line_has_its_own_options(tmp_path):
+def test_a_second_log_of_the_command_line_has_its_own_options(run, tmp_path):
     time = np.arange(0, 5, 2e-3)
     speed = 300.0 * (1 - np.exp(-np.maximum(time - 2.5, 0) / 0.1)) * (time > 1)
     first, second, to = tmp_path / "a.csv", tmp_path / "b.csv", tmp_path / "out.h5"
     _table(first, "Time (s),Speed (rad/s),Fz (N)", time, speed, 0.01 * speed)
     _table(second, "n,U", speed[::5] * 30 / np.pi, np.full(speed[::5].size, 16.1))
-    words = ["convert", str(first), str(to), "--add", str(second), "--add-format", "load-cell-csv"]
-    for word in ("rate=100", 'columns={speed = "n", voltage = "U"}', 'units={speed = "rpm", voltage = "V"}'):
-        words += ["--add-option", word]
-    shown = CliRunner().invoke(app, words)
-    assert shown.exit_code == 0, shown.output
+    words = ["--add", second, "--add-format", "load-cell-csv", "--add-option", "rate=100"]
+    words += ["--add-option", 'columns={speed = "n", voltage = "U"}']
+    words += ["--add-option", 'units={speed = "rpm", voltage = "V"}']
+    code, _, err = run("convert", first, to, *words)
+    assert code == 0, err
     assert load(to)["voltage"].values[0] == 16.1
     assert load(to)["voltage"].time[0] == pytest.approx(0, abs=2.5e-3)
 
@@ -358,24 +356,21 @@ def test_options_of_the_command_line():
         parse_options(["rate"])
 
 
-def test_commands(tmp_path):
+def test_commands(run, tmp_path):
     path, plot, to = tmp_path / "pose.csv", tmp_path / "out.png", tmp_path / "out.h5"
     log, *_ = drop(markers=False)
     place, turn = log["quad/position"], log["quad/orientation"]
     _table(path, "t,x,y,z,qw,qx,qy,qz", place.time, *place.values.T, *turn.values.T)
-    run = CliRunner()
-    shown = run.invoke(app, ["inspect", str(path), "-o", "length_unit=m", "--plot", str(plot)])
-    assert shown.exit_code == 0, shown.output
-    assert float(shown.output.split("released at ")[1].split(" ±")[0]) == pytest.approx(3.5, abs=4e-3)
-    assert 'up = "+z"' in shown.output
+    code, shown, err = run("inspect", path, "-o", "length_unit=m", "--plot", plot)
+    assert code == 0, err
+    assert float(shown.split("released at ")[1].split(" ±")[0]) == pytest.approx(3.5, abs=4e-3)
+    assert 'up = "+z"' in shown
     assert plot.read_bytes().startswith(b"\x89PNG")
-    shown = run.invoke(app, ["inspect", str(path), "-o", "length_unit=m", "--json"])
-    report = json.loads(shown.output)[0]
+    report = json.loads(run("inspect", path, "-o", "length_unit=m", "--json")[1])[0]
     assert report["drop"]["up"] == "+z"
     assert report["channels"][0]["unit"] == "m"
-    assert run.invoke(app, ["convert", str(path), str(to), "-o", "length_unit=m"]).exit_code == 0
-    shown = run.invoke(app, ["inspect", str(to)])
-    assert "drop of body" in shown.output
+    assert run("convert", path, to, "-o", "length_unit=m")[0] == 0
+    assert "drop of body" in run("inspect", to)[1]
 
 
 @pytest.mark.parametrize(
@@ -396,9 +391,9 @@ def test_blanks_at_the_edges_of_a_log_count(blank, longest):
     time = np.arange(100) * 0.01 + np.where(np.arange(100) >= 80, 0.49, 0.0)
     values = np.random.default_rng(0).normal(size=100)
     values[list(blank)] = np.nan
-    one = inspect_channel(Channel("thrust", "N", time, values))
-    assert one.blank == pytest.approx(len(blank) / 100)
-    assert one.longest_blank == pytest.approx(longest, abs=1e-9)
+    report = inspect_channel(Channel("thrust", "N", time, values))
+    assert report.blank == pytest.approx(len(blank) / 100)
+    assert report.longest_blank == pytest.approx(longest, abs=1e-9)
 
 
 def test_a_sensor_of_every_third_row_is_drawn():
@@ -416,9 +411,9 @@ def test_a_sensor_of_every_third_row_is_drawn():
     assert dots.get_marker() == "."
 
 
-def test_a_load_cell_without_a_speed_has_no_top_speed(tmp_path):
+def test_a_load_cell_without_a_speed_has_no_top_speed(run, tmp_path):
     path = tmp_path / "log.csv"
     _table(path, "Time (s),Fz (N)", np.arange(50) * 0.01, np.arange(50))
-    shown = CliRunner().invoke(app, ["inspect", str(path)]).output
+    _, shown, _ = run("inspect", path)
     assert "thrust" in shown
     assert "top speed" not in shown

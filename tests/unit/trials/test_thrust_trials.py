@@ -75,9 +75,9 @@ def test_sign_and_zero_from_the_log_itself() -> None:
     # Both directions, of which one thrusts half as hard: the difference is no zero.
     turned = np.array([300.0, 600.0, 900.0, -400.0, -700.0])
     for omega, curve in ((steady, -1.6e-7), (turned, np.where(turned > 0, 1.2e-5, -0.6e-5))):
-        found = zero_of_steady(curve * omega**2 + 0.02, omega)
-        assert found is not None
-        assert (found.value, found.rows) == (pytest.approx(0.02, abs=1e-12), 0)
+        zero = zero_of_steady(curve * omega**2 + 0.02, omega)
+        assert zero is not None
+        assert (zero.value, zero.rows) == (pytest.approx(0.02, abs=1e-12), 0)
     assert zero_of_steady(np.array([5.0, 3.0, -1.0]), turned[[0, 1, 3]]) is None
     # Two speeds, or speeds within 30 % of each other, say nothing about standstill.
     assert zero_of_steady(np.array([1.0, 2.0]), np.array([300.0, 600.0])) is None
@@ -132,9 +132,9 @@ def test_tare_from_rows_before_the_spin() -> None:
     # After the stop at 2.2 s the sensor rings for 0.5 s.
     assert not rest[101:270].any()  # the command of 1.01 s is the first
     assert rest[275:].all()
-    found = tare(np.where(speed > 0, 5.0, 0.3), rest)
-    assert found.value == pytest.approx(0.3)
-    assert found.error == pytest.approx(0.0, abs=1e-12)
+    zero = tare(np.where(speed > 0, 5.0, 0.3), rest)
+    assert zero.value == pytest.approx(0.3)
+    assert zero.error == pytest.approx(0.0, abs=1e-12)
     assert tare(np.ones(3), np.zeros(3, dtype=bool)).rows == 0
 
 
