@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-import html
 import json
 import math
 from collections.abc import Sequence
-from importlib import resources
+from typing import Any
 
-from sysid.report.drop_replay import DropReplay, animation_data
-from sysid.report.html import Html
+import numpy as np
+
+from sysid.report.drop_replay import RATE, DropReplay
+from sysid.report.html import Html, filled
+
+# Of so many samples one is kept.
+_EVERY = 2
 
 
 def animation(drops: Sequence[DropReplay], campaigns: Sequence[str] = ()) -> Html:
@@ -18,38 +22,39 @@ def animation(drops: Sequence[DropReplay], campaigns: Sequence[str] = ()) -> Htm
     Nothing moves until a reader asks for it; where a reader's system asks for reduced motion, playing steps
     from one instant of Fig. 7 to the next.
     """
-    documents = animation_data(list(drops))
-    words = [
+    documents = [_document(drop) for drop in drops]
+    choices = [
         f"{drop.name}: {math.degrees(drop.slope):.0f}°, {document['use']}"
-        for drop, document in zip(drops, documents["drops"], strict=True)
+        for drop, document in zip(drops, documents, strict=True)
     ]
     if campaigns:
-        words = [f"{campaign}, {word}" for campaign, word in zip(campaigns, words, strict=True)]
+        choices = [f"{campaign}, {words}" for campaign, words in zip(campaigns, choices, strict=True)]
     # A page ends a script at the first "</script"; JSON may hold "<" as an escape.
-    data = json.dumps(documents, separators=(",", ":")).replace("<", "\\u003c")
-    choices = "".join(f'<option value="{i}">{html.escape(word)}</option>' for i, word in enumerate(words))
-    steepest = max(range(len(drops)), key=lambda i: drops[i].slope)
-    choices = choices.replace(f'value="{steepest}"', f'value="{steepest}" selected')
-    names = ", ".join(drop.name for drop in drops)
-    script = resources.files("sysid.report").joinpath("page", "animation.js").read_text(encoding="utf-8")
-    return Html(
-        '<div class="animation">'
-        '<canvas role="img" aria-label="Side view of the drone landing on the slope: simulated body and legs '
-        "with the normal force (blue) and the friction (red) of each foot, and the measured body as a grey "
-        f'outline. Drops: {html.escape(names)}.">The drop needs a browser with canvas.</canvas>'
-        '<div class="controls">'
-        '<button type="button" data-do="play">Play</button>'
-        '<label class="time">time <input type="range" min="0" max="100" step="1" value="0" data-do="seek">'
-        '</label><output data-do="clock">0 ms</output>'
-        '<label>speed <select data-do="speed"><option value="1">real time</option>'
-        '<option value="10" selected>10 × slow</option><option value="50">50 × slow</option></select></label>'
-        f'<label>drop <select data-do="drop">{choices}</select></label>'
-        '<label><input type="checkbox" checked data-do="ghost"> measured</label>'
-        '<span class="instants" data-do="instants"></span>'
-        "</div>"
-        '<p class="note"><span class="key normal">normal force</span> <span class="key friction">friction'
-        '</span> <span class="key ghost">measured body</span>; legs as they deflect, dashed: at rest.</p>'
-        f'<script type="application/json">{data}</script>'
-        f"<script>{script}</script>"
-        "</div>"
+    data = json.dumps({"drops": documents}, separators=(",", ":")).replace("<", "\\u003c")
+    return filled(
+        "animation.html.j2",
+        names=", ".join(drop.name for drop in drops),
+        choices=choices,
+        steepest=max(range(len(drops)), key=lambda i: drops[i].slope),
+        data=Html(data),
     )
+
+
+def _document(drop: DropReplay) -> dict[str, Any]:
+    """Return what the script draws, in whole numbers: lengths [0.1 mm], angles [0.1 mrad], forces [N]."""
+    # The script draws no ghost that is 9 m away.
+    measured = np.where(np.isfinite(drop.measured), drop.measured, 9.0)
+    points = np.concatenate([drop.joints, drop.feet], axis=1).reshape(-1, 8)
+    forces = drop.normal_force, drop.friction_force
+    frames = np.column_stack([1e4 * drop.body, 1e4 * points, *forces, 1e4 * measured])[::_EVERY]
+    return {
+        "name": drop.name,
+        "use": "fitted" if drop.use == "fit" else "not fitted",
+        "slope": round(float(drop.slope), 5),
+        "step": _EVERY / RATE,
+        "frames": np.rint(np.nan_to_num(frames)).astype(int).tolist(),
+        "snapshots": [[round(t, 4), what] for t, what in drop.first_contacts()],
+        "arm": round(1e4 * drop.values["thrust_point_dx"]),
+        "joint": [round(1e4 * drop.values[name]) for name in ("joint_dx", "joint_dz")],
+        "foot": [round(1e4 * drop.values[name]) for name in ("foot_dx", "foot_dz")],
+    }

@@ -20,7 +20,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
 from sysid.errors import ExportError
 from sysid.fit.result import FitResult
@@ -49,8 +49,6 @@ _DISPLAY: dict[str, tuple[str, str, float]] = {
     "speed": (r"speed $\Omega$", "rad/s", 1.0),
     "thrust": ("thrust", "N", 1.0),
 }
-# Residuals of some units are easier to read in a smaller one.
-_FINER = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _FORMATS = (".png", ".pdf", ".svg")
 _INDEXED = re.compile(r"(\w[^\W_]*)_([^\W_]+)")
@@ -94,10 +92,10 @@ def draw_legend(figure: Figure, entries: Iterable[Entry], place: Any, ncols: int
     figure.legend(handles=handles, loc=place, ncols=ncols, frameon=False, **look)
 
 
-def directions(angle: float) -> tuple[FloatArray, FloatArray]:
-    """Return the unit vectors (x, z) along and normal to what is pitched by an angle [rad]."""
+def directions(angle: float | FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the unit vectors (..., 2) in x and z along and normal to what is pitched by an angle [rad]."""
     cosine, sine = np.cos(angle), np.sin(angle)
-    return np.array([cosine, -sine]), np.array([sine, cosine])
+    return np.stack([cosine, -sine], axis=-1), np.stack([sine, cosine], axis=-1)
 
 
 def arrow(
@@ -156,37 +154,22 @@ def axis_label(name: str, unit: str) -> str:
     return f"{name} [{unit or '1'}]"
 
 
-def finer_unit(unit: str) -> tuple[str, float]:
-    """Return the unit in which residuals are read, and its factor."""
-    return _FINER.get(unit, (unit, 1.0))
-
-
 def display_of(fit: FitResult, c: int) -> tuple[str, str, float]:
     """Return how channel number `c` is shown: label, unit, factor from SI."""
-    known = _DISPLAY.get(fit.channels[c])
-    return known if known else (fit.channels[c], fit.channel_units[c], 1.0)
-
-
-def percent_axis(axes: Axes, values: FloatArray) -> None:
-    """Label an axis of shares in percent: logarithmic where they span a factor of three or more."""
-    if np.max(values) >= 3 * np.min(values) > 0:
-        axes.set_yscale("log")
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0), numticks=12))
-        axes.yaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:.4g}"))
+    return _DISPLAY.get(fit.channels[c], (fit.channels[c], fit.channel_units[c], 1.0))
 
 
 def plain_powers(*axis: Axis) -> None:
     """Label the powers of ten of logarithmic axes as plain text, which draws faster than formulas."""
+
+    def power(value: float, _: object) -> str:
+        return "10" + str(round(np.log10(value))).translate(_RAISED) if value > 0 else ""
+
     for each in axis:
         low, high = each.get_view_interval()
         if high > 10 * low:
-            each.set_major_formatter(FuncFormatter(lambda value, _: _power(value)))
+            each.set_major_formatter(FuncFormatter(power))
             each.set_minor_formatter(NullFormatter())
-
-
-def _power(value: float) -> str:
-    return "10" + str(round(np.log10(value))).translate(_RAISED) if value > 0 else ""
 
 
 def percent_text(share: float) -> str:
@@ -197,13 +180,7 @@ def percent_text(share: float) -> str:
 
 
 def check_figure_name(path: Path) -> None:
-    """Refuse a file that no figure can be written to.
-
-    Raises
-    ------
-    ExportError
-        For another suffix than ``.png``, ``.pdf`` or ``.svg``.
-    """
+    """Raise an ExportError for another suffix than ``.png``, ``.pdf`` or ``.svg``."""
     if path.suffix.lower() not in _FORMATS:
         raise ExportError(
             f"{path}: unknown figure format {path.suffix!r}; expected one of {', '.join(_FORMATS)}"
@@ -213,12 +190,8 @@ def check_figure_name(path: Path) -> None:
 def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0) -> Path:
     """Write a figure as PNG, PDF or SVG; an existing file is replaced only by a complete one.
 
-    `dpi` are the pixels per inch of a PNG, and of dense curves inside the others.
-
-    Raises
-    ------
-    ExportError
-        For another suffix or a file that cannot be written.
+    `dpi` are the pixels per inch of a PNG, and of dense curves inside the others. An ExportError names
+    another suffix, or a file that cannot be written.
     """
     path = Path(path)
     check_figure_name(path)

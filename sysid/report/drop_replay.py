@@ -7,7 +7,6 @@ one set from the state at the window's start, which the fit keeps as well.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -15,14 +14,15 @@ from sysid.errors import ExportError
 from sysid.filters import runs
 from sysid.fit.result import FitResult, TrialResult
 from sysid.gear.model import PARAMETERS, simulate
+from sysid.report.drawing import directions
 from sysid.types import BoolArray, FloatArray
 
 # Samples per second of a replay [Hz]: contacts last some 10 ms.
 RATE = 1000.0
 # Two touchdowns of one foot less than this apart are one contact [s].
 _ONE_CONTACT = 5e-3
-# Slower than this a foot on high friction sticks [m/s]: what integration leaves of a stuck foot's speed stays
-# below it, and a slip passes it within a millisecond.
+# Slower than this a foot on high friction sticks [m/s]: integration leaves a stuck foot less speed than this,
+# and a slip passes it within a millisecond.
 _STICKS = 1e-3
 START = "initial_state"
 FEET = ("rear", "front")
@@ -46,26 +46,16 @@ class DropReplay:
 
     Parameters
     ----------
-    use : str
-        ``fit`` or ``validate``.
-    slope : float
-        [rad]
-    time : (n,) array
-        Since the window's start [s].
-    body : (n, 3) array
-        x_B, z_B [m] and pitch [rad].
+    slope, time, values
+        [rad]; (n,) since the window's start [s]; the simulated set by name [SI].
+    body, measured : (n, 3) array
+        x_B, z_B [m] and pitch [rad]; as measured linear between frames, NaN where lost.
     joints, feet : (n, 2, 2) array
         Rear and front, (x, z) [m].
-    normal_force, friction_force : (n, 2) array
-        On the rear and the front foot, along the surface's normal and down-slope [N].
-    measured : (n, 3) array
-        x_B, z_B and pitch as measured, linear between frames; NaN where lost.
+    normal_force, friction_force, slip_speed : (n, 2) array
+        Of the rear and the front foot, along the surface's normal or down-slope [N, m/s].
     contacts : tuple of Contact
         In the order of time.
-    values : dict
-        Of the simulated set, by name [SI].
-    slip_speed : (n, 2) array
-        Speed of the rear and the front foot along the slope, down-slope positive [m/s].
     """
 
     name: str
@@ -145,17 +135,14 @@ def replay_drop(fit: FitResult, trial: TrialResult, rank: int = 1) -> DropReplay
 
 def leg_points(state: FloatArray, values: dict[str, float]) -> tuple[FloatArray, FloatArray]:
     """Return joints and feet (n, 2, 2) of states (n, 7 or 14), rear and front, in frame N [m]."""
-    x, z, q = state[:, 0], state[:, 1], state[:, 2]
-    ex, ez = np.stack([np.cos(q), -np.sin(q)], 1), np.stack([np.sin(q), np.cos(q)], 1)
-    centre = np.stack([x, z], 1)
-    across = values["foot_dx"] - values["joint_dx"]
-    length = np.hypot(across, values["foot_dz"] - values["joint_dz"])
+    centre, q = state[:, :2], state[:, 2]
+    ex, ez = directions(q)
+    length = np.hypot(values["foot_dx"] - values["joint_dx"], values["foot_dz"] - values["joint_dz"])
     joints, feet = [], []
     for side, h, angle in ((-1.0, state[:, 3], q + state[:, 4]), (1.0, state[:, 5], q - state[:, 6])):
         joint = centre + side * values["joint_dx"] * ex - values["joint_dz"] * ez
-        along = np.stack([np.sin(angle), np.cos(angle)], 1)
         joints.append(joint)
-        feet.append(joint - (length + h)[:, None] * along)
+        feet.append(joint - (length + h)[:, None] * directions(angle)[1])
     return np.stack(joints, 1), np.stack(feet, 1)
 
 
@@ -164,7 +151,7 @@ def _slip_speed(state: FloatArray, values: dict[str, float], slope: float) -> Fl
     # Feet are smooth in the coordinates: what 0.1 us leaves is some 1e-7 m/s.
     span = 1e-7
     moved = leg_points(state[:, :7] + span * state[:, 7:], values)[1] - leg_points(state[:, :7], values)[1]
-    return np.asarray(moved @ [np.cos(slope), -np.sin(slope)] / span)
+    return np.asarray(moved @ directions(slope)[0] / span)
 
 
 def _start_of(values: dict[str, float], name: str, state: FloatArray) -> tuple[float, FloatArray]:
@@ -200,33 +187,3 @@ def _contacts(time: FloatArray, normal_force: FloatArray) -> tuple[Contact, ...]
                 of_foot.append(Contact(foot, start, stop))
         contacts += of_foot
     return tuple(sorted(contacts, key=lambda contact: contact.start))
-
-
-def animation_data(replays: list[DropReplay], every: int = 2) -> dict[str, Any]:
-    """Return what the page's animation draws, as whole numbers for JSON.
-
-    Lengths are in tenths of a millimetre, angles in tenths of a milliradian, forces in newtons; of so many
-    samples (`every`) one is kept.
-    """
-    out = []
-    for drop in replays:
-        kept = slice(None, None, every)
-        # The script draws no ghost that is 9 m away.
-        measured = np.where(np.isfinite(drop.measured), drop.measured, 9.0)[kept]
-        points = np.concatenate([drop.joints, drop.feet], axis=1)[kept].reshape(-1, 8)
-        forces = drop.normal_force[kept], drop.friction_force[kept]
-        frames = np.column_stack([1e4 * drop.body[kept], 1e4 * points, *forces, 1e4 * measured])
-        out.append(
-            {
-                "name": drop.name,
-                "use": "fitted" if drop.use == "fit" else "not fitted",
-                "slope": round(float(drop.slope), 5),
-                "step": every / RATE,
-                "frames": np.rint(np.nan_to_num(frames)).astype(int).tolist(),
-                "snapshots": [[round(t, 4), what] for t, what in drop.first_contacts()],
-                "arm": round(1e4 * drop.values["thrust_point_dx"]),
-                "joint": [round(1e4 * drop.values[name]) for name in ("joint_dx", "joint_dz")],
-                "foot": [round(1e4 * drop.values[name]) for name in ("foot_dx", "foot_dz")],
-            }
-        )
-    return {"drops": out}

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from sysid.errors import ExportError
 from sysid.filters import ChebyshevLowpass, KaiserLowpass, Spectrum, runs
@@ -31,10 +31,8 @@ from sysid.report.drawing import (
     axis_label,
     display_of,
     draw_legend,
-    finer_unit,
     panel,
     paper,
-    percent_axis,
     percent_text,
     plain_powers,
     shortened,
@@ -185,7 +183,8 @@ def _draw_pair(signal: Axes, residual: Axes, fit: FitResult, trial: TrialResult,
     _draw_bars(signal, bars)
     signal.set_ylabel(f"{name}{chr(10) if len(name) > 11 and '$' not in name else ' '}[{unit}]")
     signal.set_title(f"NRMSE {percent_text(float(trial.nrmse[0, c]))}", fontsize=9.5, loc="right")
-    unit, finer = finer_unit(unit)
+    # Residuals of some units are easier to read in a smaller one.
+    unit, finer = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}.get(unit, (unit, 1.0))
     error = finer * factor * (trial.simulated[0, :, c] - trial.measured[:, c])
     residual.axhline(0.0, color="0.6", linewidth=0.8)
     residual.plot(*thinned(time, np.where(valid, error, np.nan)), color=BEST, linewidth=0.8)
@@ -251,15 +250,19 @@ def figure_convergence(fit: FitResult, *, wide: bool = False) -> Figure:
             label += f": {percent_text(float(run.best[-1]))} after {len(run.best)}"
         axes.plot(generations, run.best, color=colour, linewidth=1.5, linestyle=style, label=label)
         axes.plot(generations[-1:], run.best[-1:], marker="o", markersize=4, color=colour)
-    percent_axis(axes, np.concatenate([run.best for run in fit.runs]) if fit.runs else np.ones(1))
+    every = np.concatenate([run.best for run in fit.runs])
+    if np.max(every) >= 3 * np.min(every) > 0:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0), numticks=12))
+        axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda share, _: f"{100 * share:.4g}"))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel="generation", ylabel="best NRMSE [%]")
     if wide:
         axes.set_title(f"{fit.name}: convergence of {len(fit.runs)} runs ({fit.kind})")
-    if wide and fit.runs:
         look = {"title": "best NRMSE, generations", "alignment": "left"}
         figure.legend(loc="outside right upper", frameon=False, **look)
-    elif 0 < len(fit.runs) <= 10:
+    elif len(fit.runs) <= 10:
         axes.legend(frameon=False, fontsize=8, ncols=2)
     return figure
 

@@ -279,7 +279,7 @@ class FitReport:
 
     def _determined(self) -> list[str]:
         fit, out = self.fit, []
-        if fit.runs and fit.agreement.unfinished:
+        if fit.agreement.unfinished:
             out.append("The search was not finished: nothing is known about what the data determine.")
             if self.trust is None:
                 return out
@@ -460,9 +460,8 @@ class FitReport:
         for fit in self.fits:
             for trial in fit.trials:
                 out |= self.trial_figures(fit, trial)
-        if self.fit.runs:
-            out["convergence"] = figure_convergence(self.fit, wide=True)
-            out["waterfall"] = figure_waterfall(self.fit)
+        out["convergence"] = figure_convergence(self.fit, wide=True)
+        out["waterfall"] = figure_waterfall(self.fit)
         out["spread"] = figure_spread(self.fit)
         out |= {f"spectrum-{name}": figure for name, figure in self._spectra().items()}
         for record, profile in self._cost_profiles():

@@ -12,8 +12,6 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import resources
-from operator import itemgetter
 from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader
@@ -21,7 +19,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 import sysid
-from sysid.report.table import Table, table, words
+from sysid.report.table import Table, listed
 
 # A vector figure with more bytes than this goes into the page as pixels [bytes].
 _LARGEST_VECTOR = 160_000
@@ -54,15 +52,16 @@ class Html:
 NOTHING = Html("")
 
 
+def filled(template: str, **content: object) -> Html:
+    """Return a template of the folder ``page``, filled in; whatever is not an `Html` is escaped."""
+    templates = Environment(loader=PackageLoader("sysid.report", "page"), autoescape=True)
+    return Html(templates.get_template(template).render(content))
+
+
 def page(title: str, body: Html) -> str:
     """Return a page that needs nothing else; its second-level headings become the links above it."""
-    # The template escapes whatever is not an `Html`.
-    templates = Environment(loader=PackageLoader("sysid.report", "page"), autoescape=True)
-    style = resources.files("sysid.report").joinpath("page", "page.css").read_text(encoding="utf-8")
     parts = [(identity, html.unescape(heading)) for identity, heading in _PART.findall(body.text)]
-    return templates.get_template("index.html.j2").render(
-        title=title, version=sysid.__version__, style=Html(style), parts=parts, body=body
-    )
+    return filled("index.html.j2", title=title, version=sysid.__version__, parts=parts, body=body).text
 
 
 def paragraph(text: str, kind: str = "") -> Html:
@@ -193,7 +192,7 @@ def legend(entries: Sequence[tuple[str, str, str]]) -> Html:
 
 def definitions(rows: Sequence[tuple[str, str]], title: str) -> Html:
     """Return a table of two columns: what, and its value."""
-    return markup_table(table(title, rows, (words("what", itemgetter(0)), words("value", itemgetter(1)))))
+    return markup_table(listed(title, rows, ("what", "value"), texts=2))
 
 
 def _class(kind: str) -> str:

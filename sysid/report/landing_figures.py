@@ -67,6 +67,11 @@ class DrawnLimits:
     rigid: float
     bending: float
 
+    @property
+    def slopes(self) -> dict[str, float]:
+        """Steepest slope by the legs [deg]."""
+        return {"rigid": self.rigid, "bending": self.bending}
+
 
 Limits = Mapping[tuple[str, str], DrawnLimits]
 
@@ -109,6 +114,10 @@ def figure_landing_maps(
 ) -> Figure:
     """Draw maps: a row per surface, a column per controller.
 
+    The colour is the mean of the classes' colours, weighted with the share of the sets. Dots mark cells in
+    which half the tolerance changes the class of a set. Slopes above a map, for limits a little higher, are
+    hatched.
+
     Parameters
     ----------
     limits : mapping, optional
@@ -121,18 +130,12 @@ def figure_landing_maps(
         Distances of the classes [m], for the legend.
     legend : MapLegend, optional
         Takes what is drawn, and the figure bears no legend: a page has one for many figures.
-
-    Notes
-    -----
-    The colour is the mean of the classes' colours, weighted with the share of the sets. Dots mark cells in
-    which half the tolerance changes the class of a set. Slopes above a map, for limits a little higher, are
-    hatched.
     """
     surfaces = list(dict.fromkeys(chart.surface for chart in maps))
     columns = list(dict.fromkeys(chart.controller for chart in maps))
     figure = Figure(layout="constrained")
     grid = figure.subplots(len(surfaces), len(columns), sharex=True, squeeze=False)
-    for axes in grid.ravel():
+    for axes in grid.flat:
         axes.set_visible(False)
     chosen_limits = limits or {}
     highest = max(_top(chart, chosen_limits.get((chart.surface, chart.controller))) for chart in maps)
@@ -147,7 +150,7 @@ def figure_landing_maps(
         _draw_beyond(axes, bounds[1], highest, legend)
         _draw_uncertain(axes, chart, legend)
         limit = chosen_limits.get((chart.surface, chart.controller))
-        taken = _draw_letters(axes, chart, (limit.rigid, limit.bending) if limit else ())
+        taken = _draw_letters(axes, chart, list(limit.slopes.values()) if limit else [])
         beyond = _draw_limits(axes, limit) if limit is not None else ""
         axes.set_title(chart.title + (f"\n{beyond}" if beyond else ""), fontsize=10)
         real = of_map(experiments, chart)
@@ -181,7 +184,7 @@ def figure_landing_maps(
 def _top(chart: LandingMap, limits: DrawnLimits | None) -> float:
     """Upper end of a map's axis [deg]: its own, or a little above a limit that lies not far beyond."""
     edge = float(cell_edges(chart.slopes_deg)[-1])
-    reach = [s + 1.0 for s in ((limits.rigid, limits.bending) if limits else ()) if s <= edge + _ROOM]
+    reach = [s + 1.0 for s in (limits.slopes.values() if limits else ()) if s <= edge + _ROOM]
     return max([edge, *reach])
 
 
@@ -324,7 +327,7 @@ def _draw_limits(axes: Axes, limit: DrawnLimits) -> str:
     """Draw the limits within the axes as lines; return words on the others."""
     low, high = axes.get_ylim()
     outside: dict[str, list[str]] = {}
-    for slope, legs in ((limit.rigid, "rigid"), (limit.bending, "bending")):
+    for legs, slope in limit.slopes.items():
         if low <= slope <= high:
             axes.axhline(slope, color=_LIMIT_COLOUR, linestyle=_LIMIT_STYLES[legs], linewidth=1.6)
         else:
@@ -341,17 +344,15 @@ def _name_limits(legend: MapLegend, maps: Sequence[LandingMap], limits: Limits, 
         limit = limits.get((chart.surface, chart.controller))
         if limit is not None:
             low = float(cell_edges(chart.slopes_deg)[0])
-            slopes = {"rigid": limit.rigid, "bending": limit.bending}
-            drawn |= {legs for legs, slope in slopes.items() if low <= slope <= highest}
+            drawn |= {legs for legs, slope in limit.slopes.items() if low <= slope <= highest}
             # Idle motors leave some -1e-12 N, which is 0, not -0.
             thrusts.setdefault(f"{round(limit.thrust, 1) + 0.0:g} N", {})[chart.controller] = None
-    names = [f"{' / '.join(controllers)}: {thrust}" for thrust, controllers in thrusts.items()]
-    together = "; ".join(names)
+    together = "; ".join(f"{' / '.join(names)}: {thrust}" for thrust, names in thrusts.items())
     # Three long names of one thrust would make the legend wider than the figure.
     thrust = together if len(together) <= _LONGEST else " or ".join(thrusts)
-    for legs, words in (("rigid", "rigid"), ("bending", "own, bending")):
+    for legs in _LIMIT_STYLES:
         if legs in drawn:
-            label = f"static limit of the first set, {words} legs ({thrust})"
+            label = f"static limit of the first set, {legs} legs ({thrust})"
             legend.line(label, color=_LIMIT_COLOUR, linestyle=_LIMIT_STYLES[legs])
 
 

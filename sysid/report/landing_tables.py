@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from operator import itemgetter
 from typing import Any
 
 from sysid.landing.design_study import DesignStudy
-from sysid.report.table import Column, Table, numbers, table, words
+from sysid.report.table import Column, Table, listed, numbers, table, words
 
 
 def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
@@ -27,13 +26,13 @@ def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
             degrees("rigid: slides", "rigid_slide_deg"),
             degrees("rigid: tips", "rigid_tip_deg"),
             degrees("rigid: creeps", "rigid_creep_deg") if creeps else None,
-            degrees("own legs", "ramp_deg"),
+            degrees("bending legs", "ramp_deg"),
             words("", lambda row: row["ramp_how"]),
             degrees("set down", "set_down_deg"),
         ),
         "rigid: closed forms for stiff legs"
         + (" (creeps: at 0.05 m/s)" if creeps else "")
-        + "; own legs: as fitted, on a slow ramp; set down: the same, put on the slope at once",
+        + "; bending legs: as fitted, on a slow ramp; set down: the same, put on the slope at once",
     )
 
 
@@ -50,21 +49,12 @@ def gains_table(study: DesignStudy) -> Table:
         for row in gains
     ]  # fmt: skip
     speeds = (f"{speed:g} m/s" for speed in study.settings.speeds)
-    heads = ("best", "gain [deg]", "worst", "loss [deg]", *speeds)
+    heads = ("change", "best", "gain [deg]", "worst", "loss [deg]", *speeds)
     note = "gain: in width of slopes landed on, mean over the speeds; columns of speeds: the largest safe "
     note += "slope [deg] at the best value"
     if any(any(bounds) for bounds in (edge, *(row["at_edge"] for row in gains))):
         note += "; ≥: safe up to the steepest slope tried, so gains are lower bounds; raise --slopes"
-    return table(
-        f"{study.name}: degrees of slope that a change buys",
-        rows,
-        (
-            words("change", itemgetter(0)),
-            *(numbers(head, itemgetter(i)) for i, head in enumerate(heads, start=1)),
-        ),
-        note,
-        {1},
-    )
+    return listed(f"{study.name}: degrees of slope that a change buys", rows, heads, note, {1})
 
 
 def _values(values: Sequence[float]) -> str:

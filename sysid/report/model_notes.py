@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from operator import itemgetter
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from sysid.motor.model import no_load_speed, simulate
 from sysid.parameter_sets import ParameterSets
 from sysid.report.diagrams import figure_geometry, figure_modes
 from sysid.report.html import Html, markup_table, picture
-from sysid.report.table import numbers, table, words
+from sysid.report.table import listed
 
 # Table I as printed, and the rating it contradicts.
 _PRINTED_CONSTANT, _RATING_RPM_PER_VOLT = 0.099, 960.0
@@ -44,9 +43,11 @@ _VARIABLES = (
 
 def misprints(motor: ParameterSets, gear: ParameterSets) -> Html:
     """Return what the paper prints, what must be meant, and the number that decides, computed from sets."""
-    rows = (*_motor_rows(motor), *_gear_rows(gear))
-    heads = ("printed", "meant", "the number that decides")
-    return _words_table("where the print cannot be meant, and what is missing", heads, rows)
+    rows, heads = (
+        _misprints(motor.set_values(1), gear.set_values(1)),
+        ("printed", "meant", "the number that decides"),
+    )
+    return markup_table(listed("where the print cannot be meant, and what is missing", rows, heads, texts=3))
 
 
 def checks(motor: ParameterSets, gear: ParameterSets) -> Html:
@@ -77,15 +78,8 @@ def checks(motor: ParameterSets, gear: ParameterSets) -> Html:
             f"95 % it is {delays[1]}, until 98 % {delays[2]}, and {same} from 62 % to −62 % until 90 %",
         ),
     )  # fmt: skip
-    columns = (
-        words("what", itemgetter(0)), numbers("paper", itemgetter(1)), numbers("here", itemgetter(2)),
-        words("why they differ", itemgetter(3)),
-    )  # fmt: skip
-    return markup_table(table("numbers of the paper, and of this code", rows, columns))
-
-
-def _words_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> Html:
-    return markup_table(table(title, rows, [words(head, itemgetter(i)) for i, head in enumerate(heads)]))
+    heads = ("what", "paper", "here", "why they differ")
+    return markup_table(listed("numbers of the paper, and of this code", rows, heads, texts=4))
 
 
 def reversal_delay(
@@ -123,7 +117,7 @@ def symbols(motor: ParameterSets, gear: ParameterSets) -> Html:
                 meaning = parameter.meaning
                 text = f"{title}: {meaning[:1].lower()}{meaning[1:].rstrip('.')}"
                 rows.append((parameter.symbol, parameter.unit or "1", text))
-    return _words_table("symbols", ("symbol", "unit", "meaning"), rows)
+    return markup_table(listed("symbols", rows, ("symbol", "unit", "meaning"), texts=3))
 
 
 def _creep(values: Mapping[str, float], slope_deg: float) -> float:
@@ -132,42 +126,30 @@ def _creep(values: Mapping[str, float], slope_deg: float) -> float:
     return values["slip_regularization"] * ratio / (1 - ratio)
 
 
-def _motor_rows(sets: ParameterSets) -> list[tuple[str, str, str]]:
-    v = sets.set_values(1)
+def _misprints(motor: Mapping[str, float], gear: Mapping[str, float]) -> list[tuple[str, str, str]]:
     rating = 60.0 / (2 * math.pi * _RATING_RPM_PER_VOLT)
-
-    def settles(constant: float) -> float:
-        return 1e3 * v["rotor_inertia"] * v["winding_resistance"] / constant**2
-
-    full = float(no_load_speed(1.0, v))
+    inertia = 1e3 * motor["rotor_inertia"] * motor["winding_resistance"]
+    full, back_emf = float(no_load_speed(1.0, motor)), motor["back_emf_constant"]
+    mu, gravity, regular = gear["kinetic_friction"], gear["gravity"], gear["slip_regularization"]
+    force = float(low_friction(gravity, 0.0, 1.0, 0.0, (mu, regular, 0.0, 0.0, 0.0, 0.0))[0])
     return [
         (
             f"k_v = k_t = {_PRINTED_CONSTANT:g} (Table I)",
             f"{rating:.5f} V·s/rad, from the rating of {_RATING_RPM_PER_VOLT:g} rpm/V",
-            f"time constant I^r R/k²: {settles(_PRINTED_CONSTANT):.1f} ms as printed, "
-            f"{settles(rating):.0f} ms as meant; the paper reports about 100 ms",
+            f"time constant I^r R/k²: {inertia / _PRINTED_CONSTANT**2:.1f} ms as printed, "
+            f"{inertia / rating**2:.0f} ms as meant; the paper reports about 100 ms",
         ),
         (
             "V_c = Ω_0(u)/K_v (4)",
             "V_c = k_v Ω_0(u)",
-            f"at full command {1e-3 * full / v['back_emf_constant']:.0f} kV as printed, with the constant "
-            f"of (1), {full * v['back_emf_constant']:.1f} V as meant",
+            f"at full command {1e-3 * full / back_emf:.0f} kV as printed, with the constant "
+            f"of (1), {full * back_emf:.1f} V as meant",
         ),
         (
             "L in kg (Table I)",
             "henry",
-            f"L/R = {1e3 * v['winding_inductance'] / v['winding_resistance']:.1f} ms, a time",
+            f"L/R = {1e3 * motor['winding_inductance'] / motor['winding_resistance']:.1f} ms, a time",
         ),
-    ]
-
-
-def _gear_rows(sets: ParameterSets) -> list[tuple[str, str, str]]:
-    v = sets.set_values(1)
-    mu, gravity = v["kinetic_friction"], v["gravity"]
-    regular = v["slip_regularization"]
-    law = (mu, regular, 0.0, 0.0, 0.0, 0.0)
-    force = float(low_friction(gravity, 0.0, 1.0, 0.0, law)[0])
-    return [
         (
             "friction along the slip (8)",
             "against it",
@@ -177,7 +159,7 @@ def _gear_rows(sets: ParameterSets) -> list[tuple[str, str, str]]:
         (
             "ε_v not printed (8)",
             f"{regular:g} m/s, a parameter of the surface",
-            f"the law never sticks: at 15° it creeps with {1e3 * _creep(v, 15.0):.0f} mm/s",
+            f"the law never sticks: at 15° it creeps with {1e3 * _creep(gear, 15.0):.0f} mm/s",
         ),
         (
             "e_v not printed (9)",
@@ -188,6 +170,6 @@ def _gear_rows(sets: ParameterSets) -> list[tuple[str, str, str]]:
         (
             "k_t twice: Tables I and II",
             "torque constant and bending stiffness",
-            f"{v['leg_bending_stiffness']:g} N·m/rad here",
+            f"{gear['leg_bending_stiffness']:g} N·m/rad here",
         ),
     ]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from sysid.report.table import (
     Cell,
     Table,
     Tone,
+    listed,
     mean_sigma,
     numbers,
     percent,
@@ -58,9 +58,8 @@ def ranked_table(sets: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
     if any(sets.names[column] in unfixed for column in shown):
         notes.append(f"{_UNFIXED} not determined by the data: no digits")
     count = "one set" if len(sets) == 1 else f"{len(sets)} sets, best first"
-    columns = [numbers(f"set {rank}", itemgetter(rank)) for rank in range(1, len(sets) + 1)]
-    columns.insert(0, words("parameter", itemgetter(0)))
-    return table(f"{sets.name}: {count}", rows, columns, "\n".join(notes), {above})
+    heads = ("parameter", *(f"set {rank}" for rank in range(1, len(sets) + 1)))
+    return listed(f"{sets.name}: {count}", rows, heads, "\n".join(notes), {above})
 
 
 def _scores(what: str, values: FloatArray, tone: Tone = "") -> list[Cell]:
@@ -158,24 +157,18 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
 
 def trial_table(sets: ParameterSets) -> Table:
     """Return the NRMSE [%] of the best set per trial and channel, and the mean of the worst set on each."""
-    means = _trial_means(sets)
-
-    def score(c: int, t: int) -> str:
-        return percent(float(sets.nrmse_by_trial[0, t, c]))
-
-    velocities = any(channel.endswith("_rate") for channel in sets.channels)
-    return table(
+    scores = zip(sets.nrmse_by_trial[0], _trial_means(sets).T, strict=True)
+    rows = [
+        (trial, use, *map(percent, best), Cell(percent(mean[0]), "strong"), percent(mean.max()))
+        for trial, use, (best, mean) in zip(sets.trials, sets.uses, scores, strict=True)
+    ]
+    return listed(
         f"{sets.name}: NRMSE of the best set [%]",
-        range(len(sets.trials)),
-        (
-            words("trial", lambda t: sets.trials[t]),
-            words("use", lambda t: sets.uses[t]),
-            *(numbers(channel_symbol(channel), partial(score, c)) for c, channel in enumerate(sets.channels)),
-            numbers("mean", lambda t: Cell(percent(means[0, t]), "strong")),
-            numbers("worst set, mean", lambda t: percent(means[:, t].max())),
-        ),
-        _NOISE if velocities else "",
+        rows,
+        ("trial", "use", *map(channel_symbol, sets.channels), "mean", "worst set, mean"),
+        _NOISE if any(channel.endswith("_rate") for channel in sets.channels) else "",
         (t for t in range(1, len(sets.uses)) if sets.uses[t] != sets.uses[t - 1]),
+        texts=2,
     )
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from operator import itemgetter
 from typing import Any, Literal
 
 # What a cell says beside its text; a reader who sees no colours loses nothing.
@@ -63,14 +65,16 @@ def table(
     return Table(title, chosen, filled, caption, frozenset(rules))
 
 
-def words(header: str, cell: Callable[[Any], str | Cell], unit: str = "") -> Column:
-    """Return a column of words."""
-    return Column(header, cell, unit)
+def listed(
+    title: str, rows: Iterable[Sequence[str | Cell]], heads: Sequence[str], caption: str = "",
+    rules: Iterable[int] = (), *, texts: int = 1,
+) -> Table:  # fmt: skip
+    """Return a table of rows of cells; the first `texts` columns are words, all others numbers."""
+    columns = [Column(head, itemgetter(k), number=k >= texts) for k, head in enumerate(heads)]
+    return table(title, rows, columns, caption, rules)
 
 
-def numbers(header: str, cell: Callable[[Any], str | Cell], unit: str = "") -> Column:
-    """Return a column of numbers."""
-    return Column(header, cell, unit, number=True)
+words, numbers = partial(Column, number=False), partial(Column, number=True)
 
 
 def with_unit(name: str, unit: str) -> str:

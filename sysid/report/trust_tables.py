@@ -18,6 +18,7 @@ from sysid.report.table import (
     Column,
     Table,
     Tone,
+    listed,
     mean_sigma,
     number,
     numbers,
@@ -126,7 +127,7 @@ def spread_table(document: Row) -> Table:
     spread = document["spread"]
 
     def pair(c: int, row: Row) -> str:
-        return f"{number(float(row['rms'][c]), 2)}, {number(float(row['largest'][c]), 2)}"
+        return ", ".join(number(float(row[which][c]), 2) for which in ("rms", "largest"))
 
     channels = enumerate(zip(spread["channels"], spread["units"], strict=True))
     return table(
@@ -135,7 +136,7 @@ def spread_table(document: Row) -> Table:
         (
             _name("trial"),
             _name("use", "use"),
-            *(numbers(name, partial(pair, c), "" if unit == "1" else unit) for c, (name, unit) in channels),
+            *(numbers(name, partial(pair, c), unit) for c, (name, unit) in channels),
         ),
         "rms, largest",
     )
@@ -208,8 +209,7 @@ def quality_table(document: Row) -> Table:
 def validation_table(name: str, document: Row) -> Table:
     """Return the score of a validation or cross-validation, a row per trial.
 
-    Columns: NRMSE of the best set, beside the NRMSE that noise alone explains; the same up to the third
-    contact; when and in which channel the prediction leaves the noise; where and when the drone stops.
+    The NRMSE of the best set stands beside what noise alone explains, also up to the third contact.
     """
     rows = document["trials"]
     early = any(row.get("nrmse_third_contact") is not None for row in rows)
@@ -221,17 +221,15 @@ def validation_table(name: str, document: Row) -> Table:
         place = row.get("leaves")
         return "never" if not place else f"{place['time']:.3f} ({channel_symbol(place['channel'])})"
 
-    def stop(what: str, row: Row, predicted: bool) -> str:
-        if not row.get("stop"):
-            return NONE
-        place = row["stop"][what]
-        return _plus_minus(place["mean"], place["sigma"]) if predicted else number(place["measured"], 3)
-
     def stopping(what: str, unit: str) -> tuple[Column, ...]:
-        return (
-            numbers(f"{what}, measured", lambda row: stop(what, row, False), unit),
-            numbers(f"{what}, predicted", lambda row: stop(what, row, True), unit),
-        )
+        def measured(row: Row) -> str:
+            return number(row["stop"][what]["measured"], 3) if row.get("stop") else NONE
+
+        def predicted(row: Row) -> str:
+            place = row["stop"][what] if row.get("stop") else {}
+            return _plus_minus(place["mean"], place["sigma"]) if place else NONE
+
+        return numbers(f"{what}, measured", measured, unit), numbers(f"{what}, predicted", predicted, unit)
 
     third = (
         numbers("to 3rd contact", lambda row: percent(row.get("nrmse_third_contact")), "%"),
@@ -279,21 +277,13 @@ def comparison_table(document: Row) -> Table:
 
 def cross_table(document: Row) -> Table:
     """Return the NRMSE of every fit's best set on every fit's trials."""
-    names = document["fits"]
-    return table(
+    return listed(
         "NRMSE [%] of the best set of a fit (row) on the fitted trials of another (column)",
-        zip(names, document["cross"], strict=True),
-        (
-            words("best set of", lambda row: row[0]),
-            *(numbers(name, partial(_score, k)) for k, name in enumerate(names)),
-        ),
+        [(n, *map(percent, scores)) for n, scores in zip(document["fits"], document["cross"], strict=True)],
+        ("best set of", *document["fits"]),
         "a set brings what it found, and the values that its fit took as known where the campaign states "
         "none; clock offsets stay with their logs",
     )
-
-
-def _score(k: int, row: tuple[str, Sequence[float]]) -> str:
-    return percent(float(row[1][k]))
 
 
 def print_check(document: Row, json: bool) -> None:

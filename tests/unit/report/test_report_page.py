@@ -18,7 +18,7 @@ from sysid.gear.model import EventKind, pack, simulate
 from sysid.report import diagrams, fit_report, gear_report, model_notes
 from sysid.report.animation import animation
 from sysid.report.drawing import as_math, thinned
-from sysid.report.drop_replay import START, DropReplay, animation_data, leg_points, replay_drop
+from sysid.report.drop_replay import START, DropReplay, leg_points, replay_drop
 from sysid.report.fit_figures import figure_channel, figure_spread, figure_waterfall
 from sysid.report.fit_report import FitReport
 from sysid.report.gear_report import GearReport
@@ -364,7 +364,7 @@ def test_the_animation_holds_the_numbers_and_no_way_out_of_its_script(drop_fit):
     np.testing.assert_allclose(frames[:, :3] / 1e4, drop.body[::2], atol=0.6e-4)
     np.testing.assert_allclose(frames[:, 7:11].reshape(-1, 2, 2) / 1e4, drop.feet[::2], atol=0.6e-4)
     np.testing.assert_allclose(frames[:, 11:13], drop.normal_force[::2], atol=0.51)
-    assert animation_data([drop])["drops"][0]["snapshots"] == one["snapshots"]
+    assert [what for _, what in one["snapshots"]] == [what for _, what in drop.first_contacts()]
 
 
 def test_the_diagram_of_modes_asks_the_code():
