@@ -264,8 +264,6 @@ class ComputeOptions:
     json: Json = False
 
 
-ResultFile = Annotated[Path, Flag("Write the result to this HDF5 file.")]
-ResultFigure = Annotated[Path | None, Flag("Write the figure to this file.", default="beside the HDF5 file")]
 OneController = Annotated[
     str, Flag("off, reverse, command:U, impulse:delay=50ms,duration=0.1, or the name of another controller.")
 ]
@@ -274,13 +272,10 @@ Trigger = Annotated[
     Literal["contact", "imu"],
     Flag("The controller starts at the first contact, or when the accelerometer feels it (2 g, 30 Hz)."),
 ]
-_SLOPES, _SPEEDS = "Slopes [deg]: first:last:step, or a list.", "Touchdown speeds [m/s], in the same way."
-Slopes = Annotated[tuple[float, ...], _span("--slopes", "0:45:1", _SLOPES)]
-Speeds = Annotated[tuple[float, ...], _span("--speeds", "0:2:0.05", _SPEEDS)]
 Pitch = Annotated[float, _degrees("--pitch-deg", "Pitch at touchdown, positive down-slope [deg].", "0")]
 Drift = Annotated[float, Flag("Horizontal speed at touchdown, positive down-slope [m/s].")]
-NoCheck = Annotated[bool, Flag("Do not repeat landings at half the tolerance to mark uncertain cells.")]
-SLOPES_DEG, SPEEDS = span("0:45:1", "slopes"), span("0:2:0.05", "speeds")
+ResultFile = Annotated[Path, Flag("Write the result to this HDF5 file.")]
+_SLOPES, _SPEEDS = "Slopes [deg]: first:last:step, or a list.", "Touchdown speeds [m/s], in the same way."
 
 
 @dataclass(frozen=True)
@@ -306,13 +301,33 @@ class SimulateOptions:
 
 
 @dataclass(frozen=True)
-class LandingMapOptions:
-    """``sysid landing-map``."""
+class MapOptions:
+    """What the commands on maps share."""
 
     sets: GearSetsBySurface
     motors: MotorOptions
     out: ResultFile
-    figure: ResultFigure = None
+    figure: Annotated[Path | None, Flag("Write the figure to this file.", default="beside the HDF5 file")] = (
+        None
+    )
+    slopes_deg: Annotated[tuple[float, ...], _span("--slopes", "0:45:1", _SLOPES)] = span("0:45:1", "slopes")
+    speeds: Annotated[tuple[float, ...], _span("--speeds", "0:2:0.05", _SPEEDS)] = span("0:2:0.05", "speeds")
+    no_check: Annotated[
+        bool, Flag("Do not repeat landings at half the tolerance to mark uncertain cells.")
+    ] = False
+    rules: RulesOptions = field(default_factory=RulesOptions)
+    compute: ComputeOptions = field(default_factory=ComputeOptions)
+
+    @property
+    def picture(self) -> Path:
+        """Where the figure goes."""
+        return self.figure or self.out.with_suffix(".png")
+
+
+@dataclass(frozen=True)
+class LandingMapOptions(MapOptions):
+    """``sysid landing-map``."""
+
     controllers: Annotated[
         tuple[str, ...],
         Flag(
@@ -325,13 +340,8 @@ class LandingMapOptions:
     controller_file: ControllerFile = None
     trigger: Trigger = "contact"
     experiments: Annotated[Path | None, Flag("Draw the real landings of this CSV file too.")] = None
-    slopes_deg: Slopes = SLOPES_DEG
-    speeds: Speeds = SPEEDS
     pitch: Pitch = 0.0
     horizontal_speed: Drift = 0.0
-    no_check: NoCheck = False
-    rules: RulesOptions = field(default_factory=RulesOptions)
-    compute: ComputeOptions = field(default_factory=ComputeOptions)
 
 
 @dataclass(frozen=True)
@@ -361,19 +371,10 @@ class ImpulseOptions:
 
 
 @dataclass(frozen=True)
-class ImpulseMapOptions:
+class ImpulseMapOptions(MapOptions):
     """``sysid impulse-map``."""
 
-    sets: GearSetsBySurface
-    motors: MotorOptions
-    out: ResultFile
-    figure: ResultFigure = None
-    slopes_deg: Slopes = SLOPES_DEG
-    speeds: Speeds = SPEEDS
-    no_check: NoCheck = False
     impulses: ImpulseOptions = field(default_factory=ImpulseOptions)
-    rules: RulesOptions = field(default_factory=RulesOptions)
-    compute: ComputeOptions = field(default_factory=ComputeOptions)
 
 
 @dataclass(frozen=True)
