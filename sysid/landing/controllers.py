@@ -186,11 +186,10 @@ def _steps(recipe: Recipe, text: str, bound: inspect.BoundArguments) -> tuple[St
 
 def _fault(path: Path, error: Exception) -> str:
     """Say where in a user's file an error came from, and what it is."""
-    if isinstance(error, SyntaxError) and error.filename == str(path):
+    file = str(path.absolute())
+    if isinstance(error, SyntaxError) and error.filename == file:
         return f"{path}, line {error.lineno}: {error.msg}"
-    lines = [
-        frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)
-    ]
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
     first = next(iter(str(error).splitlines()), "")
     what = f"{type(error).__name__}: {first}" if first else type(error).__name__
     return f"{path}, line {lines[-1]}: {what}" if lines else f"{path}: {what}"

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from fakes.landings import published
 from sysid.errors import CampaignError
-from sysid.export.published import table_1, table_2
+from sysid.export.published import table_1
 from sysid.gear.model import Ending, EventKind, simulate
 from sysid.landing.approach import descend
 from sysid.landing.controllers import Controller, Step, find_controller
-from sysid.landing.drone import drones
 from sysid.landing.impact_sensor import Sensing
 from sysid.landing.impulse import Impulses, ImpulseSettings, best_pair
 from sysid.landing.maps import LandingWork, MapSettings
@@ -24,11 +24,6 @@ from sysid.landing.thrust import Motors
 SMALL = ImpulseSettings(
     delays=tuple(round(0.02 * k, 2) for k in range(8)), durations=tuple(round(0.04 * k, 2) for k in range(4))
 )
-
-
-def published(surface="lf"):
-    (drone,) = drones(table_2(surface), table_1())
-    return drone
 
 
 def test_a_drone_that_is_told_to_hover_stays():

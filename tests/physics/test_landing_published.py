@@ -3,20 +3,14 @@
 import numpy as np
 import pytest
 
-from sysid.export.published import table_1, table_2
+from fakes.landings import published
 from sysid.landing.controllers import find_controller
-from sysid.landing.drone import drones
 from sysid.landing.maps import MapSettings, landing_maps
 from sysid.landing.outcomes import LANDED, Outcome
 from sysid.landing.scenario import Scenario, grid
 from sysid.landing.simulate import land_many
 
 SLOPES = np.arange(46)
-
-
-def published(surface):
-    (drone,) = drones(table_2(surface), table_1())
-    return drone
 
 
 def steepest(surface, controller, speed):

@@ -1,4 +1,4 @@
-"""Commands on landings, in the test's folder and with controllers that no other test sees."""
+"""Landings, in the test's folder and with controllers that no other test sees."""
 
 import pytest
 
@@ -6,11 +6,10 @@ from sysid.landing import controllers
 from sysid.resume import BlockStore
 
 
-@pytest.fixture
-def run(run, monkeypatch, tmp_path):
+@pytest.fixture(autouse=True)
+def alone(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(controllers, "CONTROLLERS", dict(controllers.CONTROLLERS))
-    return run
 
 
 @pytest.fixture

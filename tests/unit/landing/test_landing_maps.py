@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import QuadMesh
 
-from fakes.landing_files import read_maps
+from fakes.landings import read_maps
 from fakes.printed import printed
 from sysid.errors import CampaignError, ExportError, LogError
 from sysid.landing.impulse import ImpulseSettings
@@ -46,6 +46,17 @@ def some_map(controller="off", sets=4):
         "lf", controller, tuple(f"set {k + 1}" for k in range(sets)), slopes, speeds, outcome,
         np.where(rested, steep / 40, np.nan), np.where(rested, 0.2 + steep / 30, np.nan), outcome == 7,
     )  # fmt: skip
+
+
+ALL = slice(None)
+
+
+def cut(one, rows=ALL, columns=ALL, speeds=None):
+    """Some rows and columns of a map, perhaps over other speeds."""
+    names = ("outcome", "distance", "time", "uncertain")
+    parts = {name: getattr(one, name)[:, rows][:, :, columns] for name in names}
+    speeds = one.speeds[columns] if speeds is None else np.asarray(speeds)
+    return replace(one, slopes_deg=one.slopes_deg[rows], speeds=speeds, **parts)
 
 
 def some_impulse():
@@ -134,10 +145,10 @@ def test_files_give_back_what_was_written(tmp_path):
     back = read_maps(path)
     assert back.settings == content.settings
     assert back.provenance == content.provenance
-    for own, other in zip(content.maps, back.maps, strict=True):
-        assert (own.title, own.sets) == (other.title, other.sets)
+    for written, read in zip(content.maps, back.maps, strict=True):
+        assert (written.title, written.sets) == (read.title, read.sets)
         for name in ("slopes_deg", "speeds", "outcome", "distance", "time", "uncertain"):
-            np.testing.assert_array_equal(getattr(own, name), getattr(other, name))
+            np.testing.assert_array_equal(getattr(written, name), getattr(read, name))
     assert set(UNITS) == set(OPTIMUM)
     for name in OPTIMUM:
         np.testing.assert_array_equal(content.impulses[0].optimum[name], back.impulses[0].optimum[name])
@@ -176,17 +187,17 @@ def test_shares_means_and_borders():
 
 
 def test_the_summary_tells_no_speed_that_the_map_lacks():
-    slow = replace_grid(some_map(), speeds=np.linspace(0.0, 0.4, 9))
+    slow = cut(some_map(), speeds=np.linspace(0.0, 0.4, 9))
     assert np.isnan(slow.steepest(0.6))
     assert np.isnan(slow.steepest(0.43))
     assert slow.steepest(0.42) == slow.steepest(0.4)  # half a cell beyond the last one
     assert slow.summary()["speeds"] == [0.3]
     # Nothing was computed at 0.6, 1 and 1.5 m/s, though the two wide cells reach there.
-    two = replace_grid(some_map(), speeds=np.array([0.3, 1.2]), columns=2)
+    two = cut(some_map(), columns=slice(2), speeds=[0.3, 1.2])
     assert two.summary()["speeds"] == [0.3, 1.2]
-    five = replace_grid(some_map(), speeds=np.array([0.1, 0.3, 0.7, 1.2, 1.7]), columns=5)
+    five = cut(some_map(), columns=slice(5), speeds=[0.1, 0.3, 0.7, 1.2, 1.7])
     assert five.summary()["speeds"] == [0.3]
-    single = replace_grid(some_map(), speeds=np.array([0.45]), columns=1)
+    single = cut(some_map(), columns=slice(1), speeds=[0.45])
     assert single.summary()["speeds"] == [0.45]
     # Uneven cells end half-way; the outer ones reach as far outward as inward, not half the widest step.
     uneven = np.array([0.1, 0.2, 0.8, 1.6])
@@ -215,12 +226,6 @@ def test_doubts_that_were_not_looked_for_are_not_told(tmp_path):
         assert ["uncertain" in file[f"maps/{k}"] for k in (1, 2)] == [False, True]
 
 
-def replace_grid(one, speeds, columns=None):
-    """The same map over other speeds."""
-    cut = {name: getattr(one, name)[..., :columns] for name in ("outcome", "distance", "time", "uncertain")}
-    return replace(one, speeds=speeds, **cut)
-
-
 CSV = """surface,controller,slope [deg],speed [m/s],outcome
 lf,off,5,0.3,landed
 lf,off,40,0.5,failed
@@ -230,10 +235,8 @@ lf,off,60,0.3,failed
 """
 
 
-def test_experiments_against_a_map(tmp_path):
-    path = tmp_path / "real.csv"
-    path.write_text(CSV, encoding="utf-8")
-    rows = read_experiments(path)
+def test_experiments_against_a_map(write):
+    rows = read_experiments(write(CSV, "real.csv"))
     assert rows[0] == Experiment("lf", "off", 5.0, 0.3, "landed")
     one = some_map()
     chosen = of_map(rows, one)
@@ -253,11 +256,9 @@ def test_experiments_against_a_map(tmp_path):
         ("5,0.3,landed", "5,-0.3,landed", "row 2: .*speed '-0.3'"),
     ],
 )
-def test_experiments_that_make_no_sense(tmp_path, old, new, says):
-    path = tmp_path / "real.csv"
-    path.write_text(CSV.replace(old, new, 1), encoding="utf-8")
+def test_experiments_that_make_no_sense(write, old, new, says):
     with pytest.raises(LogError, match=says):
-        read_experiments(path)
+        read_experiments(write(CSV.replace(old, new, 1), "real.csv"))
 
 
 def test_figures_show_every_map(tmp_path):
@@ -351,7 +352,7 @@ def test_uneven_cells_are_drawn_between_their_edges():
     speeds = np.array([0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.2, 1.6, 2.0])
     edges = [0.05, 0.15, 0.25, 0.4, 0.6, 0.85, 1.1, 1.4, 1.8, 2.2]
     best = replace(some_impulse(), speeds=speeds)
-    for figure in (figure_landing_maps([replace_grid(some_map(), speeds)]), figure_impulse([best])):
+    for figure in (figure_landing_maps([cut(some_map(), speeds=speeds)]), figure_impulse([best])):
         for axes in (axes for axes in figure.axes if axes.get_title()):
             (mesh,) = (c for c in axes.collections if isinstance(c, QuadMesh))
             corners = mesh.get_coordinates()
@@ -368,16 +369,6 @@ def test_labels_of_contours_keep_apart():
     assert {text.get_text() for text in axes.texts} >= {"A", "B", "0.2 m", "0.5 s"}
     for k, box in enumerate(boxes):
         assert not any(box.overlaps(other) for other in boxes[:k])
-
-
-def cut(one, rows, columns):
-    """Some rows and columns of a map."""
-    names = ("outcome", "distance", "time", "uncertain")
-    parts = {name: getattr(one, name)[:, rows][:, :, columns] for name in names}
-    return replace(one, slopes_deg=one.slopes_deg[rows], speeds=one.speeds[columns], **parts)
-
-
-ALL = slice(None)
 
 
 @pytest.mark.parametrize(("rows", "columns"), [([3], ALL), (ALL, [2]), ([2], [2]), ([0, 1, 4, 9], [0, 1, 8])])

@@ -1,6 +1,5 @@
 """What landings must not lose: finished work, real landings, faults of a user's file, units, origins."""
 
-import csv
 import math
 import shutil
 from pathlib import Path
@@ -8,12 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fakes.landing_files import read_maps
+from fakes.landings import published, read_maps
 from fakes.places import PUBLISHED
 from sysid.errors import CampaignError, ExportError
-from sysid.export.published import table_1, table_2
 from sysid.landing.controllers import find_controller, load_controllers
-from sysid.landing.drone import drones
 from sysid.landing.impulse import Impulses, ImpulseSettings
 from sysid.landing.impulse_maps import variants
 from sysid.landing.outcomes import Outcome, Rules
@@ -30,38 +27,27 @@ MAP = ("landing-map", LF, "--motor", MOTOR, *CELLS, "--controller", "off", "--ou
 IMPULSE = ("impulse-map", LF, "--motor", MOTOR, *CELLS, "--delays", 0, "--durations", 0, "--out", "map.h5")
 
 
-@pytest.mark.parametrize("command", [MAP, IMPULSE])
-def test_a_figure_of_no_known_format_is_refused_before_anything_is_computed(run, tmp_path, command):
-    code, _, err = run(*command, "--figure", "map.jpeg2000")
-    assert code == 2
-    assert "unknown figure format '.jpeg2000'" in err
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize(
     ("command", "names"), [(MAP, ["map.png"]), (IMPULSE, ["map.png", "map-impulse.png"])]
 )
-def test_no_figure_is_replaced_unasked(run, tmp_path, command, names):
+def test_a_figure_that_cannot_be_written_is_refused_before_anything_is_computed(refused, command, names):
+    refused("unknown figure format '.jpeg2000'", *command, "--figure", "map.jpeg2000")
     for name in names:
         Path(name).write_bytes(b"mine")
-        code, _, err = run(*command)
-        assert code == 2
-        assert f"{name}: exists already" in err
-        assert [path.name for path in tmp_path.iterdir()] == [name]
+        refused(f"{name}: exists already", *command)
+        assert [path.name for path in Path().iterdir()] == [name]
         assert Path(name).read_bytes() == b"mine"
         Path(name).unlink()
 
 
-def test_a_figure_that_fails_costs_no_landing(run, done, monkeypatch):
-    def fail(*_, **__):
-        raise ExportError("map.png: the disk is full")
+def full(*_, **__):
+    raise ExportError("the disk is full")
 
+
+def test_a_figure_that_fails_costs_no_landing(refused, done, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(landing_maps, "save_figure", fail)
-        code, _, err = run(*MAP)
-    assert code == 2
-    assert "the disk is full" in err
-    assert "go on with --resume --force" in err
+        patch.setattr(landing_maps, "save_figure", full)
+        assert "go on with --resume --force" in refused("the disk is full", *MAP)
     assert read_maps("map.h5").maps[0].outcome[0, 0, 0] == Outcome.SHORT
     assert len(list(BlockStore.folder_of(Path("map.h5")).glob("*.npz"))) == 1
 
@@ -74,15 +60,11 @@ def test_a_figure_that_fails_costs_no_landing(run, done, monkeypatch):
     assert not BlockStore.folder_of(Path("map.h5")).exists()
 
 
-def test_a_result_that_cannot_be_written_keeps_its_blocks(run, monkeypatch):
-    def fail(*_):
-        raise ExportError("map.h5: the disk is full")
-
-    monkeypatch.setattr(landing_maps, "write_maps", fail)
-    code, _, err = run(*MAP)
-    assert code == 2
+def test_a_result_that_cannot_be_written_keeps_its_blocks(refused, monkeypatch):
+    monkeypatch.setattr(landing_maps, "write_maps", full)
+    err = refused("the disk is full", *MAP)
     assert "the finished blocks are kept" in err
-    assert "the maps are in" not in err
+    assert "is written" not in err
     assert len(list(BlockStore.folder_of(Path("map.h5")).glob("*.npz"))) == 1
 
 
@@ -98,11 +80,10 @@ def test_real_landings_find_their_map_by_the_controllers_name(done):
     assert "lf 'reverse' (1), grass 'off' (2)" in err
 
 
-def test_names_of_surfaces_and_controllers(tmp_path):
-    path = tmp_path / "real.csv"
+def test_names_of_surfaces_and_controllers(write):
     words = ("LF", "low-friction", "Low_Friction", "low")
     rows = "".join(f"{word},impulse:0.05, 4,0.3,landed\n".replace(" 4", "4") for word in words)
-    path.write_text("surface,controller,slope [deg],speed [m/s],outcome\n" + rows, encoding="utf-8")
+    path = write("surface,controller,slope [deg],speed [m/s],outcome\n" + rows, "real.csv")
     assert {one.surface for one in read_experiments(path)} == {"lf"}
     told = find_controller("reverse", ideal_reversal=True)
     assert told.label == "reverse, ideal reversal"
@@ -120,19 +101,17 @@ HEAD = "from sysid.landing.controllers import Step, controller\n"
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("def broken(:\n", r"mine\.py, line 2: "),
-        ("x = 1\ny = x / 0\n", r"mine\.py, line 3: ZeroDivisionError: division by zero"),
-        ("import nothing_of_that_name\n", r"mine\.py, line 2: ModuleNotFoundError"),
+        ("def broken(:\n", "mine.py, line 2: "),
+        ("x = 1\ny = x / 0\n", "mine.py, line 3: ZeroDivisionError: division by zero"),
+        ("import nothing_of_that_name\n", "mine.py, line 2: ModuleNotFoundError"),
+        ("x = 1\n", "registers no controller"),
+        (None, "no Python file"),
     ],
 )
-def test_a_file_of_controllers_that_cannot_run(run, tmp_path, text, says):
-    path = tmp_path / "mine.py"
-    path.write_text(HEAD + text, encoding="utf-8")
-    with pytest.raises(CampaignError, match=says):
-        load_controllers(path)
-    code, _, err = run(*MAP, "--controllers", "mine.py")
-    assert code == 2
-    assert err.count("\n") == 1
+def test_a_file_of_controllers_that_cannot_be_used(refused, write, text, says):
+    if text is not None:
+        write(HEAD + text, "mine.py")
+    assert refused(says, *MAP, "--controllers", "mine.py").count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -147,34 +126,29 @@ def test_a_file_of_controllers_that_cannot_run(run, tmp_path, text, says):
         ("None", r"mine\.py: TypeError"),
     ],
 )
-def test_a_controller_that_returns_no_steps(run, tmp_path, returns, says):
-    path = tmp_path / "mine.py"
-    path.write_text(
-        f"{HEAD}\n\n@controller('mine')\ndef mine(u: float):\n    return {returns}\n", encoding="utf-8"
-    )
-    load_controllers(path)
+def test_a_controller_that_returns_no_steps(write, returns, says):
+    text = f"{HEAD}\n\n@controller('mine')\ndef mine(u: float):\n    return {returns}\n"
+    load_controllers(write(text, "mine.py"))
     with pytest.raises(CampaignError, match=says):
         find_controller("mine:0.5")
 
 
-def test_steps_after_the_simulated_time_are_refused(run, tmp_path):
-    wrong = "impulse:50,100"  # milliseconds were meant
-    code, _, err = run(*MAP[:-4], "--controller", wrong, "--out", "map.h5")
-    assert code == 2
-    assert "a step at 50 s, but only 3 s are simulated" in err
+LATE = "impulse:50,100"  # milliseconds were meant
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ((*MAP, "--controller", LATE), ["a step at 50 s, but only 3 s are simulated", "50ms"]),
+        (("simulate", *MAP[1:4], "--slope-deg", 4, "--speed", 0.3, "--controller", LATE), ["50ms"]),
+        ((*IMPULSE, "--delays", "0:260:10"), ["delays up to 260 s"]),
+    ],
+)
+def test_steps_after_the_simulated_time_are_refused(refused, tmp_path, command, words):
+    refused(words, *command)
     assert not list(tmp_path.iterdir())
-    code, _, err = run(
-        "simulate", LF, "--motor", MOTOR, "--slope-deg", 4, "--speed", 0.3, "--controller", wrong
-    )
-    assert code == 2
-    assert "50ms" in err
-    code, _, err = run("impulse-map", LF, "--motor", MOTOR, *CELLS, "--delays", "0:260:10", "--out", "map.h5")
-    assert code == 2
-    assert "delays up to 260 s" in err
-    assert not list(tmp_path.iterdir())
-    (drone,) = drones(table_2("lf"), table_1())
     with pytest.raises(CampaignError, match="a step at 50 s"):
-        land_many(drone, [Scenario(0.1, 0.3)], find_controller(wrong))
+        land_many(published(), [Scenario(0.1, 0.3)], find_controller(LATE))
 
 
 def test_what_follows_an_impulse_names_its_maps():
@@ -184,7 +158,7 @@ def test_what_follows_an_impulse_names_its_maps():
 
 
 def test_no_impulse_is_always_tried():
-    (drone,) = drones(table_2("lf"), table_1())
+    drone = published()
     grid = ImpulseSettings(delays=(0.02, 0.04), durations=(0.04,), finest=0.0)
     assert grid.combinations == 3
     # Level and fast both feet touch at once: nothing to stop.
@@ -202,7 +176,7 @@ def test_no_impulse_is_always_tried():
 
 
 def test_the_search_for_an_impulse_keeps_the_rules_of_landings():
-    (drone,) = drones(table_2("lf"), table_1())
+    drone = published()
     grid = ImpulseSettings(delays=(0.0, 0.02), durations=(0.0, 0.04), finest=0.0)
     # The front foot comes down after some 0.1 s; a level drone stands 20 deg from this slope to begin with.
     cell = [Scenario(math.radians(20.0), 0.4)]
@@ -258,32 +232,13 @@ def test_spans_that_make_no_sense(text):
 
 def test_what_flips_first_has_no_time_to_rest():
     """On 10 deg at 2 m/s the drone is over after 0.40 s and lies still on its back after 2.5 s."""
-    (drone,) = drones(table_2("lf"), table_1())
-    cell, told = Scenario(math.radians(10.0), 2.0), find_controller("off")
+    drone, cell, told = published(), Scenario(math.radians(10.0), 2.0), find_controller("off")
     one, many = land(drone, cell, told), land_many(drone, [cell], told)
     kinds = [event.kind.name for event in one.trajectory.events]
     assert kinds.index("FLIP") < kinds.index("REST")
     assert one.outcome == many.outcome[0] == Outcome.FLIPPED
     assert math.isnan(one.time)
     assert math.isnan(many.time[0])
-
-
-def test_tables_of_landings_say_under_what_they_happened(done):
-    rest = ["--slope-deg", "10", "--speed", "0.5", "--flip-deg", "70", "--out", "x.csv"]
-    done("simulate", LF, "--motor", MOTOR, *rest)
-    with Path("x-outcomes.csv").open(newline="", encoding="utf-8") as stream:
-        (row,) = csv.DictReader(stream)
-    assert (row["surface"], row["controller"], row["outcome"]) == ("lf", "reverse", "short")
-    numbers = ("slope [deg]", "touchdown speed [m/s]", "horizon [s]", "short [m]", "flip angle [deg]")
-    np.testing.assert_allclose([float(row[name]) for name in numbers], [10.0, 0.5, 3.0, 0.45, 70.0])
-
-
-def test_rules_reach_the_impulse_map(done):
-    rules = ("--rest-speed", "0.06", "--rest-turn", "0.3", "--rest-time", "0.1", "--flip-deg", "70")
-    done(*IMPULSE, *rules, "--quiet")
-    found = read_maps("map.h5").settings["rules"]
-    assert (found["rest_speed"], found["rest_turn"], found["rest_time"]) == (0.06, 0.3, 0.1)
-    assert found["flip_angle"] == pytest.approx(math.radians(70.0))
 
 
 @pytest.mark.parametrize(
@@ -294,7 +249,3 @@ def test_help_keeps_the_units(run, command, unit):
     code, out, _ = run(*command, "--help")
     assert code == 0
     assert unit in out
-
-
-def test_resume_is_not_of_fits_alone(run):
-    assert "unfinished fit" not in run("landing-map", "--help")[1]

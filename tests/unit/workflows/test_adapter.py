@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from sysid.cli.adapter import command
 from sysid.landing.impulse import ImpulseSettings
 from sysid.landing.outcomes import Rules
-from sysid.workflows.options import Argument, Flag, ImpulseOptions, RulesOptions, span
+from sysid.workflows.options import Argument, Flag, ImpulseOptions, RulesOptions
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,3 @@ def test_options_have_the_defaults_of_the_landing(options, domain):
     assert shared <= {f.name for f in fields(domain)}
     for name in shared:
         assert getattr(options(), name) == getattr(domain(), name)
-
-
-def test_spans():
-    assert span("0:0.3:0.1", "x") == (0.0, 0.1, 0.2, 0.3)
-    assert span("1,2.5", "x") == (1.0, 2.5)

@@ -1,6 +1,8 @@
 """The command line as a user meets it: results, and refusals in one sentence with exit code 2."""
 
+import errno
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -8,7 +10,9 @@ import sys
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import sysid
 from fakes.places import SAMPLES
@@ -138,106 +142,87 @@ def test_bounds_that_cannot_be(table, words, drops, refused):
     assert not Path("fits").exists()
 
 
-def _cut_to_header(path):
-    lines, first = body_rows(path)
-    path.write_text("".join(lines[:first]), encoding="utf-8")
+def rewrite(path, change):
+    """Replace the lines of a Motive file by what `change` makes of them and of the first row's number."""
+    path.write_text("".join(change(*body_rows(path))), encoding="utf-8", newline="")
 
 
-def _cut_to_few(path):
-    lines, first = body_rows(path)
-    path.write_text("".join(lines[: first + 40]), encoding="utf-8")
-
-
-def _cut_after_touchdown(path):
-    lines, _ = body_rows(path)
-    path.write_text("".join(lines[:-180]), encoding="utf-8")
-
-
-def _lose_body(path, truth):
-    """Blank the body for 13 frames, 65 ms, 0.25 s after the touchdown, clear of other gaps."""
-    lines, first = body_rows(path)
-    start = int((truth["touchdown [s]"] + 0.25) * 200) - truth["first frame"]
-    for i in range(first + start, first + start + 13):
-        frame, time, *cells = lines[i].rstrip("\r\n").split(",")
-        lines[i] = ",".join([frame, time, *[""] * len(cells)]) + "\r\n"
-    path.write_text("".join(lines), encoding="utf-8", newline="")
-
-
-def _text_in_number(path):
-    lines, first = body_rows(path)
+def _text_in_number(lines, first):
     cells = lines[first + 100].split(",")
     cells[body_columns(lines, first).start] = "0.1O3"
     lines[first + 100] = ",".join(cells)
-    path.write_text("".join(lines), encoding="utf-8", newline="")
+    return lines
 
 
-def _time_goes_back(path):
-    lines, first = body_rows(path)
+def _time_goes_back(lines, first):
     lines[first + 100], lines[first + 60] = lines[first + 60], lines[first + 100]
-    path.write_text("".join(lines), encoding="utf-8", newline="")
+    return lines
 
 
-def _lose_column(path):
-    lines, first = body_rows(path)
+def _lose_column(lines, first):
     index = body_columns(lines, first).stop - 1
-    for i in range(2, len(lines)):
-        cells = lines[i].rstrip("\r\n").split(",")
-        lines[i] = ",".join(cells[:index] + cells[index + 1 :]) + "\r\n"
-    path.write_text("".join(lines), encoding="utf-8", newline="")
+    rows = (line.rstrip("\r\n").split(",") for line in lines[2:])
+    return lines[:2] + [",".join(cells[:index] + cells[index + 1 :]) + "\r\n" for cells in rows]
 
 
 @pytest.mark.parametrize(
-    ("spoil", "words"),
+    ("change", "words"),
     [
-        (lambda path: path.write_bytes(b""), ("empty",)),
-        (_cut_to_header, ("no rows of numbers", "empty")),
-        (_cut_to_few, ("falls",)),
-        (_cut_after_touchdown, ("record longer",)),
+        (lambda lines, first: [], ("empty",)),
+        (lambda lines, first: lines[:first], ("no rows of numbers", "empty")),
+        (lambda lines, first: lines[: first + 40], ("falls",)),
+        (lambda lines, first: lines[:-180], ("record longer",)),
         (_text_in_number, ("0.1O3",)),
         (_time_goes_back, ("back",)),
         (_lose_column, ("W",)),
     ],
 )
-def test_broken_logs(spoil, words, drops, refused):
-    spoil(drops / FIRST)
+def test_broken_logs(change, words, drops, refused):
+    rewrite(drops / FIRST, change)
     refused([FIRST, *words], "fit-gear", drops / "campaign.toml", *SMALL)
     assert not Path("fits").exists()
 
 
-def test_a_long_occlusion_inside_a_drop_is_refused(drops, refused):
-    truth = json.loads((drops / "truth.json").read_text(encoding="utf-8"))["drops"][0]
-    _lose_body(drops / FIRST, truth)
+@pytest.fixture
+def truth(drops):
+    return json.loads((drops / "truth.json").read_text(encoding="utf-8"))["drops"][0]
+
+
+def test_a_long_occlusion_inside_a_drop_is_refused(drops, truth, refused):
+    def lose_body(lines, first):
+        """Blank the body for 13 frames, 65 ms, 0.25 s after the touchdown, clear of other gaps."""
+        start = first + int((truth["touchdown [s]"] + 0.25) * 200) - truth["first frame"]
+        for i in range(start, start + 13):
+            frame, time, *cells = lines[i].rstrip("\r\n").split(",")
+            lines[i] = ",".join([frame, time, *[""] * len(cells)]) + "\r\n"
+        return lines
+
+    rewrite(drops / FIRST, lose_body)
     refused([FIRST, "'drop-1'", "lost for 65 ms", "50 ms"], "fit-gear", drops / "campaign.toml", *SMALL)
 
 
-def test_rotation_out_of_the_plane_is_a_warning_with_the_trials_name(drops, run):
-    """A drone that rolls by 15 degrees after release breaks the planar assumption: said, not refused."""
-    import numpy as np
-    from scipy.spatial.transform import Rotation
-
-    truth = json.loads((drops / "truth.json").read_text(encoding="utf-8"))["drops"][0]
-    path = drops / FIRST
-    lines, first = body_rows(path)
-    quaternion = body_columns(lines, first)
+def test_rotation_out_of_the_plane_is_a_warning_with_the_trials_name(drops, truth, run):
+    """A drone that rolls by 15 degrees after release breaks the planar assumption: noted, not refused."""
     # The samples' down-slope axis is -z: rolling is turning about it.
     turn = Rotation.from_rotvec([0.0, 0.0, -np.radians(15.0)])
-    for i in range(first, len(lines)):
-        cells = lines[i].rstrip("\r\n").split(",")
-        if float(cells[1]) > truth["touchdown [s]"] + 0.1 and cells[quaternion.start]:
-            own = Rotation.from_quat([float(c) for c in cells[quaternion]])
-            cells[quaternion] = [f"{c:.6f}" for c in (turn * own).as_quat()]
-        lines[i] = ",".join(cells) + "\r\n"
-    path.write_text("".join(lines), encoding="utf-8", newline="")
-    arguments = [a for a in SMALL if a != "--quiet"]
-    code, _, err = run("fit-gear", drops / "campaign.toml", *arguments)
+
+    def roll(lines, first):
+        quaternion = body_columns(lines, first)
+        for i in range(first, len(lines)):
+            cells = lines[i].rstrip("\r\n").split(",")
+            if float(cells[1]) > truth["touchdown [s]"] + 0.1 and cells[quaternion.start]:
+                attitude = Rotation.from_quat([float(c) for c in cells[quaternion]])
+                cells[quaternion] = [f"{c:.6f}" for c in (turn * attitude).as_quat()]
+            lines[i] = ",".join(cells) + "\r\n"
+        return lines
+
+    rewrite(drops / FIRST, roll)
+    code, _, err = run("fit-gear", drops / "campaign.toml", *SMALL[:-1])
     assert code == 0
     assert re.search(r"warning: (trial ')?drop-1'?: roll reaches 1[4-6] deg", err)
 
 
 def test_a_full_disk_during_export_leaves_the_old_file(drops, monkeypatch, run, refused):
-    import errno
-    import os
-
     assert run("fit-gear", drops / "campaign.toml", *SMALL)[0] == 0
     folder = Path("fits") / "synthetic-lf"
     assert run("export", folder, "--to", "sets.json")[0] == 0

@@ -171,30 +171,25 @@ def test_the_record_says_what_was_run(campaign, run):
         assert words in text
 
 
-def test_a_changed_log_is_not_continued(cut, campaign, refused):
-    log = campaign.parent / "drop-2-10deg-0.80mps.csv"
-    log.write_bytes(log.read_bytes() + b"\r\n")
-    refused("log drop-2 differs", *cut, "--resume")
-
-
-@pytest.mark.parametrize(
-    ("more", "words"),
-    [
+def test_another_fit_is_not_continued(cut, campaign, refused):
+    for more, words in (
         (("--algorithm", "de"), "the algorithm differs (now de, then ga)"),
         (("--finish", "none"), "the finisher differs (now none, then cmaes)"),
         (("--population", "24"), "the population differs (now 24, then 16)"),
         (("--max-generations", "9"), "the stop rule differs"),
         (("--max-evaluations", "900"), "the evaluation budget of a run differs (now 450, then nothing)"),
-    ],
-)
-def test_another_search_is_not_continued(more, words, cut, refused):
-    assert "restore it, or start again with --force" in refused(words, *cut, "--resume", *more)
-
-
-def test_another_surface_is_not_continued(cut, campaign, refused):
-    # Its low friction lies outside the bounds of high friction; it is left out there.
-    assert "kinetic_friction = 0.44" in campaign.read_text(encoding="utf-8")
-    refused("the parameter table differs", *cut, "--resume", "--surface", "hf")
+        # Its low friction lies outside the bounds of high friction; it is left out there.
+        (("--surface", "hf"), "the parameter table differs"),
+    ):
+        assert "restore it, or start again with --force" in refused(words, *cut, "--resume", *more)
+    for path, text, words in (
+        (campaign.parent / "drop-2-10deg-0.80mps.csv", b"\r\n", "log drop-2 differs"),
+        (campaign, b"# measured again in March\n", "cannot be continued because the campaign file differs"),
+    ):
+        before = path.read_bytes()
+        path.write_bytes(before + text)
+        refused(words, *cut, "--resume")
+        path.write_bytes(before)
 
 
 def test_low_friction_drops_are_fitted_on_the_high_friction_law(campaign, run, refused):
@@ -205,12 +200,6 @@ def test_low_friction_drops_are_fitted_on_the_high_friction_law(campaign, run, r
     said = "surface hf: ignoring kinetic_friction, slip_regularization, which the campaign states for law lf"
     assert " ".join(err.split()).count(said) == 1
     refused("no friction law 'ice'; known are lf, hf", "fit-gear", campaign, "--surface", "ice", "--force")
-
-
-def test_an_edited_campaign_is_not_continued(cut, refused):
-    path = cut[1]
-    path.write_bytes(path.read_bytes() + b"# measured again in March\n")
-    refused("cannot be continued because the campaign file differs", *cut, "--resume")
 
 
 def test_another_parameter_table_or_accuracy_is_not_continued(cut, monkeypatch, refused):

@@ -1,11 +1,18 @@
-"""Reads the files of maps and design studies back."""
+"""The published drone, and readers of the files of maps and design studies."""
 
+from sysid.export.published import table_1, table_2
 from sysid.landing.design_study import Change, DesignStudy, StudySettings
+from sysid.landing.drone import drones
 from sysid.landing.impulse_maps import UNITS, ImpulseMap
 from sysid.landing.maps import LandingMap, MapSettings
 from sysid.landing.outcomes import Rules
 from sysid.landing.store import MAPS, STUDY, MapFile
 from sysid.storage import get_json, get_texts, numbered
+
+
+def published(surface="lf"):
+    (drone,) = drones(table_2(surface), table_1())
+    return drone
 
 
 def read_maps(path):
