@@ -6,26 +6,75 @@ edge**, not its -3 dB point; `ChebyshevLowpass.cutoff_3db` states where the casc
 
 *Motion capture*: linear-phase FIR, Kaiser window, one symmetric pass (zero phase by symmetry).
 
-A sample that was not recorded stays masked: filters use a straight line across a gap so that its neighbours
-have something to lean on, and never return the bridged samples as valid. The same bridge is applied to a
-simulated signal before it is compared, so both sides pass through one linear operator.
+A sample that was not recorded stays masked: filters bridge a gap by a straight line, and never return the
+bridged samples as valid. A simulated signal is bridged alike before it is compared, so both sides pass
+through one linear operator.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import signal
 
 from sysid.errors import CampaignError, LogError
-from sysid.spectrum import Spectrum
-from sysid.types import BoolArray, FloatArray
+from sysid.types import BoolArray, FloatArray, Spectrum
+
+
+class _Lowpass(ABC):
+    """What the filters share: refusals, gaps, and the design as a result states it."""
+
+    KIND: ClassVar[str]
+    REMEDY: ClassVar[str]
+
+    @property
+    @abstractmethod
+    def minimum_samples(self) -> int:
+        """Shortest signal that can be filtered."""
+
+    @abstractmethod
+    def _filtered(self, values: FloatArray) -> FloatArray: ...
+
+    def apply(self, values: FloatArray) -> FloatArray:
+        """Filter (n,) or (n, k) along time; unknown samples, and those without a filtered value, are NaN.
+
+        Raises LogError for fewer samples than the filter needs, or no valid one.
+        """
+        values = np.asarray(values, dtype=np.float64)
+        if len(values) < self.minimum_samples:
+            raise LogError(
+                f"{len(values)} samples are fewer than the {self.minimum_samples} that the "
+                f"{self.KIND.capitalize()} filter needs; record longer or {self.REMEDY}"
+            )
+        bridged, known = _bridged(values)
+        out = self._filtered(bridged)
+        out[~known] = np.nan
+        return out
+
+    def design(self) -> dict[str, Any]:
+        """Return the design as a result states it: its kind, and the fields that define it."""
+        return {"kind": self.KIND} | {name: getattr(self, name) for name in _arguments(type(self))}
+
+
+def _arguments(model: type[Any]) -> list[str]:
+    return [argument.name for argument in fields(model) if argument.init]
+
+
+def stated_filter(design: Mapping[str, Any]) -> ChebyshevLowpass | KaiserLowpass | None:
+    """Return the filter whose `design` a result states; None for any other."""
+    for model in (ChebyshevLowpass, KaiserLowpass):
+        if design.get("kind") == model.KIND:
+            return model(**{name: design[name] for name in _arguments(model)})
+    return None
 
 
 @dataclass(frozen=True)
-class ChebyshevLowpass:
+class ChebyshevLowpass(_Lowpass):
     """Zero-phase Chebyshev type II low-pass of a uniformly sampled signal.
 
     Valid when the signal is sampled at more than twice `stop_edge`; ignores clock jitter.
@@ -45,6 +94,8 @@ class ChebyshevLowpass:
     ----------
     Bass & Lussier Desbiens, Section II-A.2 ("tenth-order 100-Hz low-pass Chebyshev Type II").
     """
+
+    KIND, REMEDY = "chebyshev", "switch the filter off"
 
     rate: float
     stop_edge: float = 100.0
@@ -87,36 +138,16 @@ class ChebyshevLowpass:
         below = self.gain(frequency) < 10 ** (-3 / 20)
         return float(frequency[int(np.argmax(below))])
 
-    def apply(self, values: FloatArray) -> FloatArray:
-        """Filter (n,) or (n, k) along time; unknown samples (NaN) come back NaN.
+    def _filtered(self, values: FloatArray) -> FloatArray:
+        return np.asarray(signal.sosfiltfilt(self.sections, values, axis=0), dtype=np.float64)
 
-        Raises LogError for fewer samples than the filter needs.
-        """
-        values = np.asarray(values, dtype=np.float64)
-        if len(values) < self.minimum_samples:
-            raise LogError(
-                f"{len(values)} samples are fewer than the {self.minimum_samples} that the Chebyshev filter "
-                f"needs; record longer or switch the filter off"
-            )
-        bridged, known = _bridged(values)
-        out = np.asarray(signal.sosfiltfilt(self.sections, bridged, axis=0), dtype=np.float64)
-        out[~known] = np.nan
-        return out
-
-    def describe(self) -> dict[str, float | str]:
-        """Return the design as it goes into a result file."""
-        return {
-            "kind": "chebyshev-2, forward-backward",
-            "rate [Hz]": self.rate,
-            "stop-band edge [Hz]": self.stop_edge,
-            "order of one pass": self.order,
-            "attenuation of one pass [dB]": self.attenuation_db,
-            "effective -3 dB [Hz]": round(self.cutoff_3db, 2),
-        }
+    def design(self) -> dict[str, Any]:
+        """Return the design as a result states it, and where the cascade loses 3 dB [Hz]."""
+        return super().design() | {"cutoff_3db": round(self.cutoff_3db, 2)}
 
 
 @dataclass(frozen=True)
-class KaiserLowpass:
+class KaiserLowpass(_Lowpass):
     """Zero-phase linear-phase FIR low-pass of a uniformly sampled signal.
 
     Parameters
@@ -138,6 +169,8 @@ class KaiserLowpass:
     ----------
     Bass & Lussier Desbiens, Section II-D ("zero-phase 65-Hz low-pass Kaiser filter").
     """
+
+    KIND, REMEDY = "kaiser", "widen its transition band"
 
     rate: float
     cutoff: float = 65.0
@@ -161,41 +194,22 @@ class KaiserLowpass:
         """Samples lost at each end: half of the taps."""
         return len(self.taps) // 2
 
+    @property
+    def minimum_samples(self) -> int:
+        """Number of taps."""
+        return len(self.taps)
+
     def gain(self, frequency: FloatArray) -> FloatArray:
         """Return the (real, signed) gain at `frequency` [Hz]."""
         offset = np.arange(len(self.taps)) - self.edge_samples
         phase = 2 * np.pi * np.asarray(frequency, dtype=np.float64)[..., None] * offset / self.rate
         return np.cos(phase) @ self.taps
 
-    def apply(self, values: FloatArray) -> FloatArray:
-        """Filter (n,) or (n, k) along time; the two edges and unknown samples (NaN) come back NaN.
-
-        Raises LogError for fewer samples than taps.
-        """
-        values = np.asarray(values, dtype=np.float64)
-        if len(values) < len(self.taps):
-            raise LogError(
-                f"{len(values)} samples are fewer than the {len(self.taps)} that the Kaiser filter needs; "
-                "record longer or widen its transition band"
-            )
-        bridged, known = _bridged(values)
-        out = np.full(values.shape, np.nan)
-        edge = self.edge_samples
+    def _filtered(self, values: FloatArray) -> FloatArray:
+        out, edge = np.full(values.shape, np.nan), self.edge_samples
         taps = self.taps if values.ndim == 1 else self.taps[:, None]
-        out[edge : len(values) - edge] = signal.convolve(bridged, taps, mode="valid", method="direct")
-        out[~known] = np.nan
+        out[edge : len(values) - edge] = signal.convolve(values, taps, mode="valid", method="direct")
         return out
-
-    def describe(self) -> dict[str, float | str]:
-        """Return the design as it goes into a result file."""
-        return {
-            "kind": "kaiser, zero phase",
-            "rate [Hz]": self.rate,
-            "cut-off [Hz]": self.cutoff,
-            "attenuation [dB]": self.attenuation_db,
-            "transition [Hz]": self.transition,
-            "taps": len(self.taps),
-        }
 
 
 def _bridged(values: FloatArray) -> tuple[FloatArray, BoolArray]:
@@ -212,7 +226,7 @@ def _bridged(values: FloatArray) -> tuple[FloatArray, BoolArray]:
 def bridge_gaps(values: FloatArray, valid: BoolArray) -> FloatArray:
     """Return (n,) or (n, k) `values` with the masked samples on straight lines between their neighbours.
 
-    Linear in the valid samples. Before the first and after the last valid sample the value is held.
+    Linear in the valid samples; constant before the first and after the last one.
     """
     index = np.arange(len(values), dtype=np.float64)
     out = values.reshape(len(values), -1).copy()
@@ -222,7 +236,7 @@ def bridge_gaps(values: FloatArray, valid: BoolArray) -> FloatArray:
 
 
 def runs(mask: BoolArray) -> list[tuple[int, int]]:
-    """Return start and stop of every run of True in a mask (n,), in their order."""
+    """Return start and stop of every run of True in a mask (n,), in order."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(mask, dtype=np.int8), [0]])))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
@@ -258,8 +272,7 @@ def amplitude_spectrum(values: FloatArray, rate: float) -> Spectrum:
 def differentiate(values: FloatArray, rate: float) -> FloatArray:
     """Return the central difference of (n,) or (n, k) samples on a uniform clock [unit/s].
 
-    Second-order accurate; the first and last sample, which have one neighbour only, come back NaN, and so
-    does every sample next to a NaN.
+    Second-order accurate; the first and last sample, and those next to a NaN, are NaN.
     """
     values = np.asarray(values, dtype=np.float64)
     out = np.full(values.shape, np.nan)

@@ -1,5 +1,6 @@
-"""Types that annotations share."""
+"""Arrays, directions and spectra: types that every room knows, free of heavy imports."""
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -12,3 +13,19 @@ IntArray = NDArray[np.int64]
 # Which way a motor turns, and which way a bench trial does.
 Rotation = Literal["forward", "reverse"]
 Direction = Literal["forward", "reverse", "reversal"]
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """How a signal is spread over frequency.
+
+    Parameters
+    ----------
+    frequency : (F,) array
+        Increasing, logarithmically spaced where the signal is long enough [Hz].
+    density : (F, C) array
+        Amplitude spectral density of each channel [unit/√Hz].
+    """
+
+    frequency: FloatArray
+    density: FloatArray

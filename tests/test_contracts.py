@@ -28,7 +28,7 @@ ROOMS = (
     "trials",
     "campaign",
     "loaders",
-    "filters spectra",
+    "filters",
     "recording | parameters",
     "storage resume units parallel documents exact_json",
     "journal",

@@ -15,8 +15,7 @@ from sysid.fit.optima import Agreement, agreement
 from sysid.journal import Finding
 from sysid.parameter_sets import ParameterRecord, ParameterSets, SetsContent
 from sysid.parameters import SearchSpace, about, in_words, with_unit
-from sysid.spectrum import Spectrum
-from sysid.types import BoolArray, FloatArray
+from sysid.types import BoolArray, FloatArray, Spectrum
 
 
 @dataclass(frozen=True, eq=False)

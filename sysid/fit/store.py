@@ -19,7 +19,6 @@ from sysid.fit.provenance import FitDocument
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.summary import run_record, summary
 from sysid.parameter_sets import ParameterSets, SetsMetadata
-from sysid.spectrum import Spectrum
 from sysid.storage import (
     FileKind,
     check_folder,
@@ -30,6 +29,7 @@ from sysid.storage import (
     put_texts,
     replaced_folder,
 )
+from sysid.types import Spectrum
 
 FIT_FILE = FileKind("sysid-fit", 3, "a fit", "run the fit again", FitError)
 _STAGE_FIELDS = ("algorithm", "evaluations", "simulations", "wall_time", "stop_reason")

@@ -384,7 +384,7 @@ class GearProblem(Problem):
         lowpass = lowpass_of(self.campaign, self.drops[0].motion.rate)
         if lowpass is None:
             return {"kind": "none"}
-        return {**lowpass.describe(), "simulation filtered too": self.campaign.filter.filter_simulation}
+        return lowpass.design() | {"simulation_filtered": self.campaign.filter.filter_simulation}
 
     def contacts(self, trial: int, row: FloatArray) -> FloatArray:
         """Return when feet touch in a prediction, on the drop's clock [s]; within 5 ms they touch once."""

@@ -125,7 +125,7 @@ def filter_design(campaign: MotorCampaign, logs: Sequence[BenchLog]) -> dict[str
     """Return the filter of the fast logs as it goes into a result, and which logs went without."""
     fast = [log for log in logs if log.fast]
     slow = [log.name for log in logs if not log.fast]
-    design: dict[str, Any] = _lowpass(campaign, fast[0]).describe() if fast else {"kind": "none"}
+    design: dict[str, Any] = _lowpass(campaign, fast[0]).design() if fast else {"kind": "none"}
     if slow:
         why = "switched off" if campaign.filter.kind == "none" else "too slow for it"
         design["unfiltered"] = {"trials": slow, "why": why}

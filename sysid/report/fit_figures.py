@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from sysid.errors import ExportError
-from sysid.filters import ChebyshevLowpass, KaiserLowpass, Spectrum, runs
+from sysid.filters import Spectrum, runs, stated_filter
 from sysid.fit.optima import SAME_NRMSE
 from sysid.fit.result import FitResult, TrialResult
 from sysid.report.drawing import (
@@ -50,15 +50,6 @@ _BARS = ("#009E73", "#CC79A7", "#E69F00")
 _SHORTEST_BAR = 2e-3
 # Markers of optima, best first.
 _MARKERS = "osD^vP*X"
-
-# Filters, and the keys under which a result states their arguments.
-_FILTERS: tuple[tuple[Any, ...], ...] = (
-    (KaiserLowpass, "rate [Hz]", "cut-off [Hz]", "attenuation [dB]", "transition [Hz]"),
-    (
-        ChebyshevLowpass, "rate [Hz]", "stop-band edge [Hz]", "order of one pass",
-        "attenuation of one pass [dB]",
-    ),
-)  # fmt: skip
 
 # Deviance beyond which a value lies outside the 68 % and the 95 % interval (chi-square, one freedom).
 _LIMITS = ((0.988946, "68 %"), (3.841459, "95 %"))
@@ -348,12 +339,11 @@ def figure_spectrum(
 
 def filter_gain(design: Mapping[str, Any], highest: float) -> tuple[FloatArray, FloatArray] | None:
     """Return the gain of a filter as it stands in a result: frequency [Hz] and gain [dB]."""
-    for make, *keys in _FILTERS:
-        if all(key in design for key in keys):
-            frequency = np.geomspace(1.0, highest, 400)
-            gain = np.abs(make(*(design[key] for key in keys)).gain(frequency))
-            return frequency, 20 * np.log10(np.maximum(gain, 1e-6))
-    return None
+    lowpass = stated_filter(design)
+    if lowpass is None:
+        return None
+    frequency = np.geomspace(1.0, highest, 400)
+    return frequency, 20 * np.log10(np.maximum(np.abs(lowpass.gain(frequency)), 1e-6))
 
 
 def figure_profile(row: Mapping[str, Any], values: FloatArray, deviance: FloatArray) -> Figure:
