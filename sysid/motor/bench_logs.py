@@ -26,6 +26,7 @@ from sysid.trials.bench_log import (
     check_command_direction,
     command_steps,
     find_stalls,
+    outside,
     real_samples,
     rows_at_rest,
     signed_speed,
@@ -44,7 +45,7 @@ from sysid.trials.steady import (
     steady_points,
     zero_of_steady,
 )
-from sysid.types import BoolArray, FloatArray
+from sysid.types import FloatArray
 
 # Times [s] and values of a channel.
 Samples = tuple[FloatArray, FloatArray]
@@ -193,8 +194,12 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> B
     where = f"{recording.provenance.path}, trial {entry.name!r}"
     if recording.kind == "static-map":
         raise LogError(f"{where}: holds averaged points, no transients; name it under curves.static")
-    time = recording["command"].time
-    u = _command(campaign, recording, where)
+    command = recording["command"]
+    time, u = command.time, command_range(campaign).to_u(command.values, command.unit, where)
+    if not np.isfinite(u).any():
+        raise LogError(f"{where}: holds no command; a motor fit needs the command beside the speed")
+    # A neutral that jitters is a neutral, for the tare too.
+    u = np.where(np.abs(u) <= JITTER, 0.0, u)
     steps = command_steps(time, u)
     window = _window(entry, time, where)
     speed = _signed_speed(entry, recording, u, window, where)
@@ -225,16 +230,6 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> B
     return log
 
 
-def _command(campaign: MotorCampaign, recording: Recording, where: str) -> FloatArray:
-    """Return the logged command as u (n,) in [-1, 1]."""
-    command = recording["command"]
-    u = command_range(campaign).to_u(command.values, command.unit, where)
-    if not np.isfinite(u).any():
-        raise LogError(f"{where}: holds no command; a motor fit needs the command beside the speed")
-    # A neutral that jitters is a neutral, for the tare too.
-    return np.where(np.abs(u) <= JITTER, 0.0, u)
-
-
 def _window(entry: MotorTrial, time: FloatArray, where: str) -> tuple[float, float]:
     begin = float(time[0]) if entry.start is None else entry.start
     end = float(time[-1]) if entry.end is None else entry.end
@@ -249,16 +244,13 @@ def _signed_speed(
     entry: MotorTrial, recording: Recording, u: FloatArray, window: tuple[float, float], where: str
 ) -> Samples:
     """Return the known samples of the speed with the sign of the trial's direction."""
-    raw, time = recording["speed"], recording["command"].time
-    signed_speed(raw.values[_inside(raw.time, window)], entry.direction, where)
-    check_command_direction(u[_inside(time, window)], entry.direction, where)
+    raw = recording["speed"]
+    signed_speed(raw.values[~outside(raw.time, (window,))], entry.direction, where)
+    inside = ~outside(recording["command"].time, (window,))
+    check_command_direction(u[inside], entry.direction, where)
     speed = raw.values if entry.direction == "reversal" else signed_speed(raw.values, entry.direction, where)
     known = np.isfinite(speed)
     return raw.time[known], speed[known]
-
-
-def _inside(time: FloatArray, window: tuple[float, float]) -> BoolArray:
-    return (time >= window[0]) & (time <= window[1])
 
 
 def _is_fast(campaign: MotorCampaign, time: FloatArray, where: str) -> bool:
@@ -276,7 +268,7 @@ def _is_fast(campaign: MotorCampaign, time: FloatArray, where: str) -> bool:
 def _warn_of_standing(log: BenchLog, u: FloatArray) -> None:
     """Warn where the rotor stands under a command that should turn it: its unit or neutral is another."""
     raw = log.recording["speed"]
-    seen = _inside(raw.time, log.window) & np.isfinite(raw.values)
+    seen = ~outside(raw.time, (log.window,)) & np.isfinite(raw.values)
     level = standing_command(raw.time[seen], raw.values[seen], log.steps, log.window)
     if level is not None:
         logged = float(log.recording["command"].values[np.flatnonzero(u == level)[0]])

@@ -103,7 +103,7 @@ def follow_up(problem: MotorProblem, course: Course) -> Outcome:
 
     The sets are ranked by the NRMSE of their final values over the fitted forward and reverse trials, starts
     from rest included. Where the fit is cut short, before this or in one of these steps, the missing steps
-    are noticed and left to ``--resume``.
+    are noticed and left to ``--resume``. Values of a direction that was not recorded are NaN.
     """
     campaign, bench, space = problem.campaign, problem.bench, problem.space
     rows = averaged(space, problem.complete(course.sets.values))
@@ -113,8 +113,9 @@ def follow_up(problem: MotorProblem, course: Course) -> Outcome:
             band = fit_saturation(problem, rows, course.settings, course.sets.seed, course.go_on)
         except CutShort as error:
             cut = error.reason
+    searched = [] if band is None else [space.table.index[row.name] for row in band.free]
     if band is not None:
-        rows[:, [space.table.index[row.name] for row in band.free]] = band.values
+        rows[:, searched] = band.values
     nrmse = problem.only([trial.entry.name for trial in bench.fitted]).nrmse(rows)
     sets, rows, nrmse, band = _ranked(course.sets, rows, nrmse, band)
     given = set(SATURATION) <= {*bench.measured, *campaign.parameters.fixed}
@@ -133,7 +134,24 @@ def follow_up(problem: MotorProblem, course: Course) -> Outcome:
     if not bench.scale_known:
         settings |= _scale_free(band is not None or given)
     _notice_unresolved_inductance(problem, rows[0])
-    return _outcome(problem, sets, rows, nrmse, band, settings, cut)
+
+    unknown = untested_rows(campaign, bench)
+    exported = rows.copy()
+    exported[:, [PARAMETERS.index[name] for name in unknown]] = np.nan
+    derived = np.array([list(invariants(unpack(row)).values()) for row in rows[:, : len(PARAMETERS)]])
+    at_bound = np.pad(sets.at_bound, ((0, 0), (0, derived.shape[1])))
+    if band is not None:
+        at_bound[:, searched] = band.at_bound
+    return Outcome(
+        sets=sets,
+        rows=rows,
+        records=_records(problem, unknown, band),
+        values=np.hstack([exported, derived]),
+        at_bound=at_bound,
+        nrmse=nrmse,
+        settings={**_circumstances(problem), **settings},
+        cut=cut,
+    )
 
 
 def _ranked(
@@ -291,36 +309,6 @@ def _notice_unresolved_inductance(problem: MotorProblem, row: FloatArray) -> Non
             f"L/R of the best set is {1e3 * rise:.3g} ms and the finest fitted log is compared every "
             f"{1e3 * finest:.3g} ms: the logs only say that L is small, not how small",
         )
-
-
-def _outcome(
-    problem: MotorProblem,
-    sets: RankedSets,
-    rows: FloatArray,
-    nrmse: FloatArray,
-    band: SaturationFit | None,
-    settings: Mapping[str, Any],
-    cut: CutReason | None,
-) -> Outcome:
-    """Return what the fit leaves behind; values of a direction that was not recorded are NaN."""
-    space = problem.space
-    unknown = untested_rows(problem.campaign, problem.bench)
-    exported = rows.copy()
-    exported[:, [PARAMETERS.index[name] for name in unknown]] = np.nan
-    derived = np.array([list(invariants(unpack(row)).values()) for row in rows[:, : len(PARAMETERS)]])
-    at_bound = np.pad(sets.at_bound, ((0, 0), (0, derived.shape[1])))
-    if band is not None:
-        at_bound[:, [space.table.index[row.name] for row in band.free]] = band.at_bound
-    return Outcome(
-        sets=sets,
-        rows=rows,
-        records=_records(problem, unknown, band),
-        values=np.hstack([exported, derived]),
-        at_bound=at_bound,
-        nrmse=nrmse,
-        settings={**_circumstances(problem), **settings},
-        cut=cut,
-    )
 
 
 def _records(

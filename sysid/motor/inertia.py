@@ -95,7 +95,7 @@ def spike_inertia(
             change = abs(levels[i]) - abs(levels[i - 1])
             start = float(log.steps.time[i])
             inside = (time >= start) & (time < min(start + _SPIKE, ends[i]))
-            inside &= (time >= log.window[0]) & (time <= log.window[1])
+            inside &= ~outside(time, (log.window,))
             shown = np.count_nonzero(inside) >= 5 and whole[inside].all()
             if levels[i] == 0 or abs(change) < _LEAST_STEP or not shown:
                 continue

@@ -251,7 +251,8 @@ def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
         needed += ["torque_sensor_delay", "torque_sensor_lag"]
     if campaign.motor.rotor_inertia is None and choices.free is None:
         needed.append("rotor_inertia")
-    wanted = dict.fromkeys([*(default if choices.free is None else choices.free), *needed])
+    wanted = default if choices.free is None else [*choices.free]
+    wanted += [name for name in needed if name not in wanted]
     # A name that the campaign both frees and fixes stays in the list, to be refused.
     asked = set(choices.free or ())
     chosen = tuple(n for n in wanted if n not in SATURATION and (n not in fixed or n in asked))

@@ -168,7 +168,7 @@ def _fast_target(
     end = min(window[1] + half * step, float(log.time[-1]))
     grid = np.asarray(start + step * np.arange(int((end - start) / step)), dtype=np.float64)
     rows = np.arange(half, grid.size - half, int(_SIMULATED / _COMPARED))
-    rows = rows[(grid[rows] >= window[0]) & (grid[rows] <= window[1])]
+    rows = rows[~outside(grid[rows], (window,))]
     if rows.size < 10:
         raise LogError(
             f"{log.where}: {rows.size} compared instants between {window[0]:g} and {window[1]:g} s; "
@@ -183,7 +183,7 @@ def _fast_target(
 def _slow_target(log: BenchLog, name: str, start: float) -> MotorTarget:
     """Compare the real samples of a slow log, each at its row."""
     step = float(np.clip(_SLOW_SHARE * log.interval, *_SLOW_GRID))
-    rows = log.time[(log.time >= log.window[0]) & (log.time <= log.window[1])]
+    rows = log.time[~outside(log.time, (log.window,))]
 
     def at_rows(channel: str) -> FloatArray:
         t, values = log.channels[channel]
