@@ -1,7 +1,7 @@
-"""What a campaign may tell a loader about its logs: every option of every format, checked before one is read.
+"""What a campaign may state about its logs: every option of every format, checked before one is read.
 
-`[log]` of a motor campaign and `[capture]` of a gear campaign hold for all logs whose format takes the
-option; `log_options` of one trial holds for its log, wins over them, and must fit its format.
+`[log]` of a motor campaign and `[capture]` of a gear campaign count for all logs whose format takes
+the option; `log_options` of a trial counts for its log, wins over them, and must fit its format.
 `sysid.loaders.options` declares the options and their checks; options of installed plug-in formats may be
 stated too.
 """

@@ -96,7 +96,7 @@ class StaticLog(Table):
 
 
 class Curves(Table):
-    """`[curves]`: logs that hold steady points; without any, the steady segments of the trials serve."""
+    """`[curves]`: logs of steady points; without any, the steady segments of the trials serve."""
 
     static: tuple[StaticLog, ...] = ()
     no_load: tuple[StaticLog, ...] = ()
@@ -115,7 +115,7 @@ class BenchLogs(BenchLogOptions):  # type: ignore[misc]
 
 
 class ChebyshevFilter(Table):
-    """`[filter]`: for logs fast enough; `auto` leaves slow logs unfiltered and says so."""
+    """`[filter]`: for logs fast enough; `auto` leaves slow logs unfiltered, with a note."""
 
     kind: Literal["auto", "chebyshev2", "none"] = "auto"
     stop_edge: Frequency = 100.0

@@ -3,7 +3,7 @@
 The offset is where the cross-correlation of a channel of each, resampled to a common rate and
 differentiated, is largest; a parabola through the peak refines it below the sample period. Valid for clocks
 that run at one speed (crystals do to some 50 ppm: 3 ms per minute) and for events that both channels show
-once; the confidence says if another offset would fit nearly as well.
+once; the confidence shows whether another offset would fit nearly as well.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sysid.recording import Channel, FloatArray, Recording
 _LARGEST_RATE = 2000.0
 # Correlation below which, and confidence below which, an offset is not to be used without a look.
 _WEAK, _UNSURE = 0.5, 0.2
-# Channels that agree this well tell a rival apart by less: steps up and down by turns, half a period off, are
+# Channels that agree this well differ less from a rival: steps up and down by turns, half a period off, are
 # 0.1 to 0.15 behind.
 _CLOSE, _UNSURE_CLOSE = 0.95, 0.1
 _FEWEST = 20
@@ -109,12 +109,12 @@ def find_offset(path: str, reference: Channel, other: Channel, *, sign: bool = T
     # one that shows all. Of the longer one counts what overlaps.
     longer = first.size >= second.size
     power = signal.correlate(first**2, ones[1], mode="full", method="fft") if longer else np.sum(first**2)
-    own_power = (
+    other_power = (
         np.sum(second**2) if longer else signal.correlate(ones[0], second**2, mode="full", method="fft")
     )
     # A lag at which the recordings hardly overlap correlates by chance.
     allowed = shared >= _OVERLAP * min(first.size, second.size)
-    scale = np.sqrt(_floor(power) * _floor(own_power))
+    scale = np.sqrt(_floor(power) * _floor(other_power))
     score = np.where(allowed, (products if sign else np.abs(products)) / scale, -np.inf)
     best = int(np.argmax(score))
     lag = float(best)

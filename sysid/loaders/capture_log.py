@@ -15,6 +15,7 @@ from sysid.loaders.columns import listing, listing_note, naming
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import family_format
 from sysid.loaders.rigid_pose import fit_pose
+from sysid.loaders.signal_log import plain_unit, unknown_units_note
 from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers
 from sysid.recording import BoolArray, Channel, FloatArray, Recording
@@ -47,7 +48,7 @@ class Body:
 
 @dataclass
 class RawCapture:
-    """What a motion capture holds.
+    """Content of a motion capture.
 
     `markers` are (time [s], position (n, 3) [m]) by name; `others` are signals beside the capture. `chosen`:
     `bodies` are already those of the option ``rigid_body``, so none is fitted for it. `states_length`: the
@@ -64,6 +65,13 @@ class RawCapture:
     states_length: bool = False
     marks_lost: bool = False
     kind: str = "motion-capture"
+    unknown_units: list[str] = field(default_factory=list)
+
+    def add_signal(self, name: str, stated: str, time: FloatArray, values: FloatArray) -> None:
+        """Add a signal beside the capture, in SI where its `stated` unit is known."""
+        unit, factor = plain_unit(stated)
+        self.unknown_units += [] if unit else [f"{name} [{stated}]" if stated else name]
+        self.others[name] = Channel(name, unit, time, values * factor)
 
 
 def unit_quaternions(
@@ -185,7 +193,7 @@ def wanted_bodies(path: str, names: Sequence[str], wanted: str | Sequence[str] |
 def body_name(path: str, declared: object) -> str:
     """Return the name that the only body of a table is given; LogError where `declared` is none."""
     if declared is not None and (not isinstance(declared, str) or not declared):
-        raise LogError(f"{path}: rigid_body = {declared!r} is no name; a pose table holds one body")
+        raise LogError(f"{path}: rigid_body = {declared!r} is no name; a pose table has one body")
     return declared or "body"
 
 
@@ -258,6 +266,7 @@ def _recording(
         if marker not in blank and key not in channels:
             channels[key] = Channel(key, "m", time, place)
     channels |= raw.others
+    notes += unknown_units_note(raw.unknown_units)
     if not channels:
         raise LogError(f"{path}: no body, marker or signal is ever seen; the capture is empty")
     stated = replace(options, length_unit=None) if raw.states_length else options

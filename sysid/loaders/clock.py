@@ -63,7 +63,7 @@ def order_rows(
     column `time_column` into seconds. With `stale_start`, one or two rows at the start whose time is beyond
     the next are dropped. `time_back` ``"drop"`` leaves out rows that do not pass the latest time;
     ``"refuse"`` (and the empty text, of a format without that option) makes a falling time a LogError, as is
-    a log without times. `coarse` says what to do about a clock that repeats its times.
+    a log without times. `coarse` is the advice where a clock repeats its times.
     """
     notes: list[Finding] = []
     timed = np.isfinite(numbers.columns[time_column])
@@ -202,7 +202,7 @@ def counted_clock(
 def rate_clock(path: str, rate: float, count: int, stated: FloatArray | None = None) -> FloatArray:
     """Return the times [s] of `count` samples at a declared rate [Hz].
 
-    `stated` (count,) are the log's times [s], too coarse or too unsteady to use: they fix the start, and a
+    `stated` (count,) are the log's times [s], too coarse or too unsteady to use: they give the start, and a
     span that contradicts the rate is a LogError.
     """
     time: NDArray[np.float64] = np.arange(count, dtype=np.float64) / rate

@@ -1,7 +1,7 @@
 """What every load-cell log shares: names of its columns and datasets, their channels, speed from pulses.
 
 The speed from the pulses of a tachometer is valid for one edge per pulse and a sample rate well above twice
-the pulse rate; it ignores the direction of turning, which one pulse train does not tell.
+the pulse rate; it ignores the direction of turning, which one pulse train does not show.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ QUANTITIES = {
 MEASURED = ("thrust", "torque")
 # Names that only a force sensor has.
 CELL_AXES = (QUANTITIES["thrust"].stems - {"thrust"}) | {"mz", "moment z"}
-# A second log beside the cell's may hold nothing but these.
+# A second log beside the cell's may have these alone.
 BESIDE = QUANTITIES["speed"].stems | QUANTITIES["voltage"].stems | QUANTITIES["current"].stems | TACHOMETER
 
 
@@ -80,7 +80,7 @@ def check_tachometer(path: str, channels: Collection[str], pulses_per_revolution
         )
     if "speed" in channels:
         raise LogError(
-            f"{path}: holds both a speed and a tachometer; leave out pulses_per_revolution, or name only "
+            f"{path}: has both a speed and a tachometer; leave out pulses_per_revolution, or name only "
             "one of them"
         )
 
@@ -107,7 +107,7 @@ def pulse_speed(
     """Return the channel ``speed`` [rad/s, never negative] of a pulse train, and notes.
 
     One sample per period, at its middle: 2π / (pulses per revolution · period). Between pulses nothing is
-    known and nothing is filled in; a period that holds a lost sample or a hole in the clock is NaN. `values`
+    known and nothing is filled in; a period with a lost sample or a hole in the clock is NaN. `values`
     are the level of the tachometer, any unit, either polarity. Fewer than two pulses, or pulses too fast for
     the samples, are a LogError.
     """
@@ -169,6 +169,6 @@ def speed_channel(
         )
         notes.append(note("tachometer-left-out", sentence))
         return {}
-    speed, found = pulse_speed(path, time, values, pulses_per_revolution)
-    notes += found
+    speed, pulse_notes = pulse_speed(path, time, values, pulses_per_revolution)
+    notes += pulse_notes
     return {"speed": speed}

@@ -41,7 +41,7 @@ def fit_rotations(shape: FloatArray, points: FloatArray) -> tuple[FloatArray, Fl
     centred = np.where(seen[..., None], known - middle[:, None], 0.0)
     local = np.where(seen[..., None], shape[None] - local_middle[:, None], 0.0)
     u, spread, vt = np.linalg.svd(np.einsum("nki,nkj->nij", centred, local))
-    # The nearest rotation: a reflection is turned back about the direction that the points tell least.
+    # The nearest rotation: a reflection is turned back about the direction that the points determine least.
     turn = np.sign(np.linalg.det(u @ vt))
     vt = vt.copy()
     vt[:, 2] *= turn[:, None]

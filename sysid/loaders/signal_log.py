@@ -3,7 +3,7 @@
 A signal is found by the name that its file gives it, in any case, or by the option ``datasets``; its unit is
 stated by the file or declared; its clock is, in this order, the declared rate, the times that come with it, a
 signal named time beside it (whose unit must be stated or declared too), the rate that the file states. A unit
-that is only the end of a name (``Fz_N``) is taken for known quantities, whose dimension tells a mistake, and
+that is only the end of a name (``Fz_N``) is taken for known quantities, whose dimension shows a mistake, and
 noted; of other signals it is not.
 """
 
@@ -105,11 +105,11 @@ class Signal:
 
 @dataclass
 class RawSignals:
-    """What a file of named signals holds.
+    """Content of a file of named signals.
 
     `measured`: only known quantities are read, thrust or torque among them; else signals of other names are
     kept too, in SI where their unit is known and as recorded (unit ``""``) where it is not. `passed_over`
-    names what the file holds besides signals.
+    names what else is in the file.
     """
 
     signals: Sequence[Signal]
@@ -197,7 +197,7 @@ class _Clocks:
         if not values.size:
             raise LogError(f"{self.path}: dataset {name} is empty; the log has no samples")
         values = np.where(np.isinf(values), np.nan, values)
-        # Beside the quantities a file may hold short rows of settings, whose clock nobody looks at.
+        # Beside the quantities a file may have short rows of settings, whose clock nobody looks at.
         key, time = self._clock(name, signal, values.size, known=channel != name)
         group = self.numbers.setdefault(
             key, Numbers({0: time}, np.arange(1, time.size + 1), row_word="sample")
@@ -372,7 +372,7 @@ def _recording(source: Source, name: str, parse: _Parse, options: BenchOptions) 
     with parse(source, options) as raw:  # the file stays open while its signals are read
         channels, notes = _channels(source.path, raw, options)
     if not channels:
-        raise LogError(f"{source.path}: holds no signal with a value; the log is empty")
+        raise LogError(f"{source.path}: has no signal with a value; the log is empty")
     kind = "load-cell" if any(channel in channels for channel in MEASURED) else "signals"
     provenance = source.provenance(name, device=raw.device, options=options, notes=[*raw.notes, *notes])
     return Recording(kind, channels, provenance)

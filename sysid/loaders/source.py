@@ -96,7 +96,7 @@ class Source:
         notes: Sequence[Finding] = (),
     ) -> Provenance:
         """Return where a recording read from this file comes from; options left at None are not listed."""
-        if isinstance(options, LogOptions):  # which rows are kept is not a matter of what they hold
+        if isinstance(options, LogOptions):  # which rows are kept is no matter of what they mean
             options = {name: value for name, value in vars(options).items() if name != "time_back"}
         given = {name: str(value) for name, value in (options or {}).items() if value is not None}
         return Provenance(self.path, self.sha256, format, device, given, tuple(notes))

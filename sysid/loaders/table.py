@@ -29,7 +29,7 @@ from sysid.recording import FloatArray
 HEADER_SEARCH = 100
 _MISSING = frozenset({"", "nan", "-nan", "+nan"})
 # Bytes that are searched, or parsed, at once: what is made of them is small beside the numbers. Of a small
-# table the pieces are smaller, as the engine holds several times a piece.
+# table the pieces are smaller, as the engine needs several times their size.
 _SEARCHED, _PARSED = 1 << 18, (1 << 18, 1 << 20)
 # A comma that may part thousands.
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
@@ -206,7 +206,7 @@ def read_numbers(
     if infinite:
         for values in columns.values():
             values[np.isinf(values)] = np.nan
-        sentence = f"cells that hold an infinite number: {infinite}; taken as missing"
+        sentence = f"cells with an infinite number: {infinite}; taken as missing"
         notes.append(note("infinite-cells", sentence))
     return Numbers(columns, body.lines, notes, open_end=open_end)
 

@@ -30,7 +30,7 @@ _SHOWN = {"N*m": "N·m", "m/s^2": "m/s²"}
 
 @dataclass
 class RawTable:
-    """What a table of one instrument holds.
+    """Content of a table of one instrument.
 
     `channels` are those that are ready. `loads` (n, 6) are Fx Fy Fz Tx Ty Tz before tare and transform.
     `scale`, six factors or a (6, 6) matrix, turns them into N and N·m; None where they are. `limits` (6,) are
@@ -94,7 +94,7 @@ def _without_tare(
 ) -> tuple[FloatArray, list[Finding]]:
     """Return values less the mean of the first `tare` seconds of each column, and a note; None takes nothing.
 
-    A `tare` that is no positive time or holds no sample is a LogError.
+    A `tare` that is no positive time or covers no sample is a LogError.
     """
     if tare is None:
         return values, []
@@ -106,7 +106,7 @@ def _without_tare(
     first = time < time[0] + float(tare)
     seen = np.isfinite(values[first])
     if not seen.any(axis=0).all():
-        raise LogError(f"{path}: the first {float(tare):g} s hold no sample to take the tare from")
+        raise LogError(f"{path}: the first {float(tare):g} s have no sample to take the tare from")
     offset = np.asarray(np.nanmean(values[first], axis=0))
     sentence = f"tare: the mean of the first {tare:g} s was subtracted"
     return values - offset, [note("tare-subtracted", sentence)]

@@ -167,8 +167,8 @@ def ros_recording(folder, form, topics, kind="PoseStamped"):
         for topic, (stamps, positions, quaternions, delay) in topics.items():
             place = writer.add_connection(topic, kind, typestore=store)
             for i, stamp in enumerate(stamps):
-                said = message(i, stamp, positions[i], quaternions[i])
-                writer.write(place, int(stamp) + delay, encode(said, kind))
+                data = encode(message(i, stamp, positions[i], quaternions[i]), kind)
+                writer.write(place, int(stamp) + delay, data)
         text = "std_msgs/msg/String"
         place = writer.add_connection("/remark", text, typestore=store)
         writer.write(place, int(stamps[0]), encode(store.types[text](data="x"), text))

@@ -58,8 +58,8 @@ def assert_c3d(log, names, points, lost, rate, volts, ratio, factor):
 @given(SEEDS, st.sampled_from([("mm", 1e-3), ("m", 1.0)]), st.sampled_from(["nan", "residual"]))
 def test_c3d(tmp_path, seed, unit, gap):
     random = np.random.default_rng(seed)
-    path, *told = random_c3d(tmp_path, random, unit[0], gap, analogs=int(random.integers(0, 3)))
-    assert_c3d(load(path), *told, unit[1])
+    path, *content = random_c3d(tmp_path, random, unit[0], gap, analogs=int(random.integers(0, 3)))
+    assert_c3d(load(path), *content, unit[1])
 
 
 def vax(data):
@@ -116,11 +116,11 @@ def other_processor(data, mark):
 @given(SEEDS)
 def test_c3d_of_a_dec_machine_reads_as_that_of_intel(tmp_path, seed):
     # A float of DEC has no NaN: occlusions are negative residuals.
-    path, *told = random_c3d(tmp_path, np.random.default_rng(seed), gap="residual")
+    path, *content = random_c3d(tmp_path, np.random.default_rng(seed), gap="residual")
     data = path.read_bytes()
     path.write_bytes(other_processor(data, 85))
     assert path.read_bytes() != data
-    assert_c3d(load(path), *told, 1e-3)
+    assert_c3d(load(path), *content, 1e-3)
 
 
 def test_c3d_of_an_sgi_machine_is_refused(tmp_path):
@@ -172,8 +172,8 @@ def test_ros_recordings(tmp_path_factory, seed, form, kind, names):
         body = name.strip("/")
         for clock, log in by_clock.items():
             assert set(log.rigid_bodies) == {item.strip("/") for item in names}
-            told = (stamps + (delay if clock == "arrival" else 0)) * 1e-9
-            np.testing.assert_allclose(log[f"{body}/position"].time, told, rtol=0, atol=STAMP)
+            stated = (stamps + (delay if clock == "arrival" else 0)) * 1e-9
+            np.testing.assert_allclose(log[f"{body}/position"].time, stated, rtol=0, atol=STAMP)
             np.testing.assert_array_equal(log[f"{body}/position"].values, position)
             assert_turns(log[f"{body}/orientation"], quaternions, lost[name], 1e-12)
 
@@ -181,7 +181,7 @@ def test_ros_recordings(tmp_path_factory, seed, form, kind, names):
 ULOG_TOPICS = {
     "vehicle_odometry": "float[3] position;float[4] q;", "battery_status": "float voltage_v;float current_a;",
     "actuator_motors": "float[4] control;",
-    "sensor_combined": "float[3] gyro_rad;float[3] accelerometer_m_s2;", "unknown_to_us": "uint8_t[5] said;",
+    "sensor_combined": "float[3] gyro_rad;float[3] accelerometer_m_s2;", "unknown_to_us": "uint8_t[5] other;",
 }  # fmt: skip
 
 
@@ -221,12 +221,12 @@ def test_ulog(tmp_path, seed, others):
     np.testing.assert_array_equal(log["vehicle/position"].values, table[:, :3].astype(float))
     # Quaternions are normalised, also where they are of single precision.
     assert_turns(log["vehicle/orientation"], table[:, 3:].astype(float), lost, 1e-6)
-    told = {
+    places = {
         "voltage": ("battery_status", 0), "current": ("battery_status", 1), "motor_0": ("actuator_motors", 0),
         "motor_3": ("actuator_motors", 3), "angular_velocity": ("sensor_combined", slice(0, 3)),
         "acceleration": ("sensor_combined", slice(3, 6)),
     }  # fmt: skip
-    for channel, (name, column) in told.items():
+    for channel, (name, column) in places.items():
         assert (channel in log.channels) == (name in topics)
         if name in topics:
             stamps, table = topics[name]

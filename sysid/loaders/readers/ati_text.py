@@ -118,7 +118,7 @@ def _table(text: Text, path: str) -> tuple[Text, TableHead, float | None]:
                 )
         elif begin is not None or not line.strip() or (rate is None and number > 1):
             continue
-        elif not cells or any(map(_is_number, cells)):  # labels hold no number
+        elif not cells or any(map(_is_number, cells)):  # labels are no numbers
             begin = number - 1, offset - len(line.encode("utf-8")) - 1
     raise LogError(
         f"{path}: no row of six numbers, or of a time and six, in the first {_HEADER_LINES} "
@@ -129,7 +129,7 @@ def _table(text: Text, path: str) -> tuple[Text, TableHead, float | None]:
 def _factors(path: str, units: Mapping[str, str] | None) -> FloatArray:
     if units is None:
         raise UnitError(
-            f"{path}: such a log does not say its units; declare them, for example "
+            f"{path}: such a log does not state its units; declare them, for example "
             'units = {force = "N", torque = "N*m"} or {force = "lbf", torque = "lbf-in"}'
         )
     if isinstance(units, Mapping) and "thrust" in units and "force" not in units:
@@ -147,7 +147,7 @@ def _six_numbers(where: str, axis: str, text: str) -> list[float]:
     except ValueError:
         values = []
     if len(values) != 6 or not np.all(np.isfinite(values)):
-        raise LogError(f"{where}: UserAxis {axis} does not hold six numbers; use the file as ATI sent it")
+        raise LogError(f"{where}: UserAxis {axis} is not six numbers; use the file as ATI sent it")
     return values
 
 
@@ -254,7 +254,7 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     notes = numbers.notes
     rate = stated if rate is None else rate
     if seconds is not None and not lead:
-        raise UnitError(f"{path}: units names a time, but rows hold six numbers and no time; leave it out")
+        raise UnitError(f"{path}: units names a time, but rows have six numbers and no time; leave it out")
     if lead and rate is None:
         time, ordered = order_rows(path, numbers, 0, seconds or 1.0, time_back=time_back, coarse=DECLARE_RATE)
         step = float(np.median(np.diff(time))) if time.size > 1 else 0.0

@@ -29,20 +29,19 @@ from sysid.loaders.capture_log import (
 from sysid.loaders.clock import known_rate
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.signal_log import plain_unit, unique_names, unknown_units_note
+from sysid.loaders.signal_log import unique_names
 from sysid.loaders.source import Source
 from sysid.loaders.table import promised_note
-from sysid.recording import Channel
 from sysid.types import FloatArray
 
 _BLOCK = 512
 # Where the header counts points and analog samples and names the first and the last frame.
 _COUNTS = 2
-# Where it says which block the data begin in, and the last frame that it can name.
+# Where the header states the block in which the data begin, and the last frame that it can number.
 _DATA_START, _LAST_FRAME = 16, 0xFFFF
 # Processor types: who wrote the numbers decides their byte order.
 _INTEL, _DEC, _MIPS = 84, 85, 86
-# Frames per second: what lies beyond is a number in another byte order than the file says.
+# Frames per second: a number beyond these is in another byte order than the file states.
 _RATES = (0.1, 1e5)
 _ANALOG_UNITS = {"nt": "N", "ntmm": "N*mm", "nmm": "N*mm", "nm": "N*m"}
 
@@ -111,10 +110,10 @@ def _frame_notes(source: Source, file: Any) -> list[Finding]:
     frames = frames or last - first + 1
     stated = _actual_frames(file)
     if max(there, stated or 0) > frames:
-        held = f"{np.ceil(there):.0f} or more" if stated is None or there > stated else f"{stated}"
+        count = f"{np.ceil(there):.0f} or more" if stated is None or there > stated else f"{stated}"
         sentence = (
             f"only the first {frames} frames were read: a C3D header counts to {_LAST_FRAME}, and the "
-            f"capture has {held}; export it in shorter pieces"
+            f"capture has {count}; export it in shorter pieces"
         )
     elif stated is not None:
         return cut
@@ -199,14 +198,10 @@ def _add_analogs(path: str, file: Any, raw: RawCapture) -> None:
         return
     units = _texts(file, "ANALOG", "UNITS")
     time = _first_time(file, rate) + np.arange(samples) / rate
-    unknown = []
     for i, label in enumerate(_labels(file, "ANALOG", count, "")):
         stated = units[i] if i < len(units) else ""
-        unit, factor = plain_unit(_ANALOG_UNITS.get(stated.casefold(), stated))
-        name = f"analog/{label}"
-        unknown += [] if unit else [f"{name} [{stated}]" if stated else name]
-        raw.others[name] = Channel(name, unit, time, np.asarray(values[0, i], dtype=np.float64) * factor)
-    raw.notes += unknown_units_note(unknown)
+        stated = _ANALOG_UNITS.get(stated.casefold(), stated)
+        raw.add_signal(f"analog/{label}", stated, time, np.asarray(values[0, i], dtype=np.float64))
 
 
 def _parse(source: Source, options: CaptureOptions) -> RawCapture:

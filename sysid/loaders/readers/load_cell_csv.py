@@ -2,7 +2,7 @@
 
     Time (s),Command (us),Speed (rad/s),Fx (N),Fy (N),Fz (N),Mx (N·m),My (N·m),Mz (N·m)
 
-Any of the columns may be missing but Fz or Mz (a log beside the cell's may hold speed, voltage or current
+Any of the columns may be missing but Fz or Mz (a log beside the cell's may have speed, voltage or current
 alone and is of kind ``signals``); the order is free, and the delimiter comma, semicolon or TAB.
 Thrust is Fz and torque Mz with the sign of the file: the mounting of the cell is not the log's to know.
 Ignores cross-talk and temperature: the writer's calibration is taken as it is.

@@ -35,7 +35,7 @@ from sysid.loaders.signal_log import SIGNAL_OPTIONS, RawSignals, Signal, signal_
 from sysid.loaders.source import Source
 from sysid.types import FloatArray
 
-# A file of the layout of `sysid_hdf5` says so in this attribute.
+# The attribute that marks a file in the layout of `sysid_hdf5`.
 LAYOUT_ATTRIBUTE = "sysid_recording"
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # Compression gains less than this on measured signals: a dataset that claims more is damaged.
@@ -87,7 +87,7 @@ def _recognize(source: Source) -> int:
             stems = {split_label(name.rsplit("/", 1)[-1])[0] for name in hdf5_datasets(file)}
             return CERTAIN if stems & CELL_AXES else POSSIBLE
     except LogError:
-        return POSSIBLE  # the reader says what is wrong with it
+        return POSSIBLE  # the reader refuses it
 
 
 def plain(value: Any) -> Any:
@@ -118,7 +118,7 @@ def _values(path: str, name: str, dataset: Any, file_bytes: int, column: int | N
         )
     if dataset.size * dataset.dtype.itemsize > _LARGEST_GAIN * file_bytes:
         raise LogError(
-            f"{path}: dataset {name} claims {dataset.size} samples, more than the file holds; it is damaged"
+            f"{path}: dataset {name} claims {dataset.size} samples, more than its file holds; it is damaged"
         )
     samples = dataset[()] if column is None else dataset[:, column]
     return np.asarray(samples, dtype=np.float64).reshape(-1)
@@ -132,7 +132,7 @@ def _columns(dataset: Any) -> Sequence[int | None]:
 
 
 def _signal(path: str, name: str, dataset: Any, file_bytes: int, column: int | None) -> Signal:
-    """Return a dataset as a signal; what it holds is read and checked only when it is asked for."""
+    """Return a dataset as a signal, whose samples are read and checked only on demand."""
     unit = plain(dataset.attrs.get("unit", dataset.attrs.get("units")))
     start = _attribute(dataset, ("start",))
     if start is not None and not (isinstance(start, int | float) and np.isfinite(start)):

@@ -3,7 +3,7 @@
 Layout: ``LabVIEW Measurement``, a file header, then a header for every segment (``Channels``,
 ``Samples``, units, ``X0``, ``Delta_X``), the row ``X_Value name ... Comment`` and the samples. Times are the
 written ones where there are any (``X_Columns One`` or ``Multi``), else X0 + i · Delta_X; both are seconds
-unless ``X_Unit_Label`` says another unit of time, and an ``X_Dimension`` that is no time is refused. A
+unless ``X_Unit_Label`` states another unit of time, and an ``X_Dimension`` that is no time is refused. A
 ``Delta_X`` of a few digits is noted, because the clock is then no better than them. The decimal mark is the
 declared one, else the one that the samples show. Comments are text and are left out.
 
@@ -130,7 +130,7 @@ def _number(path: str, segment: _Segment, what: str, column: int) -> float:
 def _segment_signals(
     text: Text, segment: _Segment, delimiter: str, decimal: str | None, rated: bool, notes: list[Finding]
 ) -> list[Signal]:
-    """Return the signals of one segment; `text` holds nothing behind its rows.
+    """Return the signals of one segment; `text` ends with its rows.
 
     With `rated` the user has declared the clock, and the header's is ignored.
     """
@@ -213,12 +213,12 @@ def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
         raise LogError(f"{path}: no row X_Value with the names of channels; the log is empty")
     if options.segment is None and len(segments) > 1:
         raise LogError(
-            f"{path}: holds {len(segments)} segments, each with its own clock; choose one with segment = 1 "
+            f"{path}: has {len(segments)} segments, each on another clock; choose one with segment = 1 "
             f"to {len(segments)}"
         )
     number = 1 if options.segment is None else options.segment
     if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= len(segments):
-        raise LogError(f"{path}: segment = {options.segment!r}; the file holds segments 1 to {len(segments)}")
+        raise LogError(f"{path}: segment = {options.segment!r}; the file has segments 1 to {len(segments)}")
     chosen = segments[number - 1]
     decimal = settings.get("decimal_separator") or None
     if decimal not in (None, ".", ","):

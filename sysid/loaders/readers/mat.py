@@ -5,7 +5,7 @@
     FT                              an (n, k) matrix is k signals FT[1] ... FT[k]
 
 Units that no struct states, also of time, must be declared. Ignores objects (timeseries, tables), which
-hold no plain arrays.
+have no plain arrays.
 """
 
 from __future__ import annotations

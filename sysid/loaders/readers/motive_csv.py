@@ -1,8 +1,8 @@
 """OptiTrack Motive CSV, versions 1.21 to 1.25: rigid bodies and markers.
 
 Layout: row 1 is ``key,value`` pairs (version, rates, rotation type, length unit), row 2 is empty, then rows
-of type, name, ID, (1.24 on) parent and component, then ``Frame,Time,X,Y,Z,W,...``. Rows are found by what
-they hold, not by number. A column without axis label is an error or a quality and is not read.
+of type, name, ID, (1.24 on) parent and component, then ``Frame,Time,X,Y,Z,W,...``. Rows are found by
+their content, not by number. A column without axis label is an error or a quality and is not read.
 
 Valid for quaternions and for the six Euler orders, which Motive defines as relative: about X, then the new Y,
 then the new Z for ``XYZ`` (vendor's note on Motive 1.6 and later), right-handed, degrees. The axes are of the
@@ -32,7 +32,7 @@ from sysid.loaders.capture_log import (
 )
 from sysid.loaders.clock import began_note, counted_clock, jitter_note, order_rows
 from sysid.loaders.columns import listing_note, parse_header, unread_note
-from sysid.loaders.options import CaptureOptions
+from sysid.loaders.options import CaptureOptions, is_positive
 from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source, Text, read_text, sniff_delimiter, split_line
 from sysid.loaders.table import Numbers, TableHead, promised_note, read_numbers
@@ -46,7 +46,7 @@ _KEYS = (
 )  # fmt: skip
 # The column rows come within the first dozen lines of every version seen.
 _HEADER_LINES = 40
-# Newer versions print times to 1 ms: half of it, and a little for their own rounding.
+# Newer versions print times to 1 ms: half of it, and a little for the rounding of times.
 _TIME_ROUNDING = 0.6e-3
 
 
@@ -91,7 +91,7 @@ def _read_header(text: Text) -> _Header:
         )
     number, offset, _ = lines[last]
     axes, upper = rows[last], [row for row in rows[:last] if any(row)]
-    # Row 1 is of pairs of key and value; keys are looked for, because a take's name may hold commas.
+    # Row 1 is of pairs of key and value; keys are looked for, because a take's name may contain commas.
     pairs = [cell.strip().strip('"') for cell in upper.pop(0)] if upper else []
     settings = {key: pairs[pairs.index(key) + 1] for key in _KEYS if key in pairs[:-1]}
     known = _BODIES | _SOLVED | _MEASURED
@@ -137,36 +137,33 @@ def _read_header(text: Text) -> _Header:
 
 
 def _euler_order(path: str, stated: str, declared: str | None) -> str:
-    order = stated.upper() if stated.upper() in EULER_ORDERS else ""
-    if declared is not None:
-        asked = str(declared).upper()
-        if asked not in EULER_ORDERS:
-            raise LogError(
-                f"{path}: euler_order = {declared!r} is unknown; expected one of {', '.join(EULER_ORDERS)}"
-            )
-        if order and asked != order:
-            raise LogError(f'{path}: euler_order = "{declared}" contradicts the header, which says {stated}')
-        return asked
-    if not order:
+    known, order = ", ".join(EULER_ORDERS), (stated if declared is None else str(declared)).upper()
+    if order not in EULER_ORDERS and declared is not None:
+        raise LogError(f"{path}: euler_order = {declared!r} is unknown; expected one of {known}")
+    if order not in EULER_ORDERS:
         raise LogError(
             f"{path}: rotations have no W column and the header's rotation type is {stated!r}; "
-            f"declare euler_order, one of {', '.join(EULER_ORDERS)}"
+            f"declare euler_order, one of {known}"
         )
+    if stated.upper() in EULER_ORDERS and order != stated.upper():
+        raise LogError(f'{path}: euler_order = "{declared}" contradicts the header, which says {stated}')
     return order
 
 
-def _rate(path: str, settings: dict[str, str], key: str) -> float | None:
-    try:
-        rate = float(settings.get(key, "nan").replace(",", "."))
-    except ValueError:
-        raise LogError(f"{path}: {key} is {settings[key]!r}; expected frames per second") from None
-    return rate if np.isfinite(rate) and rate > 0 else None
+def _rates(path: str, settings: dict[str, str]) -> list[float]:
+    """Return the frame rates [Hz] that the header states, of the export first."""
+    rates = []
+    for key in ("Export Frame Rate", "Capture Frame Rate"):
+        try:
+            rates.append(float(settings.get(key, "nan").replace(",", ".")))
+        except ValueError:
+            raise LogError(f"{path}: {key} is {settings[key]!r}; expected frames per second") from None
+    return [rate for rate in rates if is_positive(rate)]
 
 
 def _clock(path: str, header: _Header, numbers: Numbers, clock: str) -> tuple[FloatArray, list[Finding]]:
     """Return the times [s]: rebuilt from frame numbers and checked against the Time column, or written."""
-    rates = [_rate(path, header.settings, key) for key in ("Export Frame Rate", "Capture Frame Rate")]
-    known = [rate for rate in rates if rate is not None]
+    known = _rates(path, header.settings)
     if "frame" not in header.clocks and "time" not in header.clocks:
         raise LogError(f"{path}, line {header.table.line}: neither a Frame nor a Time column; export them")
     if clock == "time" or "frame" not in header.clocks or not known:

@@ -64,7 +64,7 @@ def _matched(path: str, columns: Sequence[Column], pattern: re.Pattern[str]) -> 
             if axis in matched:
                 raise LogError(
                     f'{path}: columns "{matched[axis].label}" and "{column.label}" both name component '
-                    f"{axis}; this format holds one body, so remove or rename one"
+                    f"{axis}; this format has one body, so remove or rename one"
                 )
             matched[axis] = column
     return matched

@@ -9,7 +9,7 @@ unless declared.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -67,23 +67,6 @@ def _header(text: Text) -> tuple[dict[str, list[str]], int, int, bool]:
     return keys, number, offset, False
 
 
-def _stated(path: str, keys: Mapping[str, list[str]], key: str) -> float:
-    try:
-        return known_rate(parse_number(keys[key][0].replace(",", ".")))
-    except (KeyError, IndexError, ValueError):
-        raise LogError(f"{path}: the header states no {key}; export it with the header") from None
-
-
-def _names(path: str, keys: Mapping[str, list[str]], key: str) -> list[str]:
-    names = [name for name in keys.get(key, []) if name]
-    if not names:
-        raise LogError(f"{path}: the header states no {key}; export it with the header")
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise LogError(f'{path}: {key} repeats "{twice}"; rename one and export again')
-    return names
-
-
 def _orientation(path: str, name: str, numbers: Numbers, columns: Sequence[int]) -> FloatArray:
     """Return quaternions, w first, of continuous sign; NaN where the matrix is missing."""
     cells = numbers.stacked(columns)
@@ -103,18 +86,6 @@ def _orientation(path: str, name: str, numbers: Numbers, columns: Sequence[int])
     return matrix_quaternions(matrix, seen)
 
 
-def _lead(text: Text, offset: int, cells: int) -> int:
-    """Return how many columns stand before the data where columns have no names: 2 or none."""
-    row = next((line for _, _, line in text.lines(1, offset)), "")
-    count = len(row.rstrip("\t").split("\t"))
-    if count not in (cells, cells + 2):
-        raise LogError(
-            f"{text.path}: rows have {count} cells where the header names {cells} (or {cells + 2} with Frame "
-            "and Time); export again with the header"
-        )
-    return count - cells
-
-
 def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     path = source.path
     text = read_text(source)
@@ -123,14 +94,30 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
         raise LogError(
             f"{path}: not a Qualisys TSV (no line {_FIRST}); check the format or export the header"
         )
-    rate = _stated(path, keys, "FREQUENCY")
+    missing = f"{path}: the header states no {{}}; export it with the header"
+    try:
+        rate = known_rate(parse_number(keys["FREQUENCY"][0].replace(",", ".")))
+    except (KeyError, IndexError, ValueError):
+        raise LogError(missing.format("FREQUENCY")) from None
     included = (keys.get("DATA_INCLUDED") or [""])[0].upper()
     if included not in ("3D", "6D"):
         raise LogError(f"{path}: DATA_INCLUDED is {included[:40]!r}; export 3D or 6D data")
     scale = declared_length(path, options.length_unit, "mm")
-    names = _names(path, keys, "MARKER_NAMES" if included == "3D" else "BODY_NAMES")
-    width = 3 if included == "3D" else _BODY_WIDTH
-    lead = 2 if clocked else _lead(text, offset, width * len(names))
+    width, key = (3, "MARKER_NAMES") if included == "3D" else (_BODY_WIDTH, "BODY_NAMES")
+    names = [name for name in keys.get(key, []) if name]
+    if not names:
+        raise LogError(missing.format(key))
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise LogError(f'{path}: {key} repeats "{twice[0]}"; rename one and export again')
+    lead, cells = 2, width * len(names)
+    if not clocked:  # and the columns may have no names
+        row = next((line for _, _, line in text.lines(1, offset)), "")
+        lead = len(row.rstrip("\t").split("\t")) - cells
+        if lead not in (0, 2):
+            raise LogError(
+                f"{path}: rows have {cells + lead} cells where the header names {cells} (or {cells + 2} with "
+                "Frame and Time); export again with the header"
+            )
     labels = [f"{name} {part}" for name in names for part in _BODY_PARTS[:width]]
     table = TableHead((*["Frame", "Time"][:lead], *labels), "\t", line, offset)
     numbers = read_numbers(text, table, range(len(table.names)))

@@ -130,7 +130,7 @@ def _messages(table: NamedTable, column: Column) -> list[Finding]:
     """Return a note with the messages of the stand's program, each once with its line."""
     messages: dict[str, int] = {}
     for number, _, line in table.text.lines(-1, table.head.offset, table.head.line):
-        # Of most rows the message is blank: a row without a letter or a quote cannot hold one.
+        # Of most rows the message is blank: a row without a letter or a quote cannot contain one.
         if line.startswith("#") or not any(letter.isalpha() and letter not in "eE" for letter in line):
             continue
         cells = split_line(line, table.head.delimiter)
@@ -186,7 +186,7 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     wanted += [clock] if clock else []
     message = table.find({"app message"})
     words = message.index if message is not None and message.index > max(c.index for c in wanted) else None
-    # Rows are ragged: a vendor script appends cells to some, behind the message, and a message may hold
+    # Rows are ragged: a vendor script appends cells to some, behind the message, and a message may contain
     # commas. A row that ends before it, or before the delimiter behind it, has lost cells somewhere.
     least = len(header) if words is None else words + 1 + min(table.head.trailing, 1)
     messages = [] if message is None else _messages(table, message)

@@ -119,9 +119,9 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     with reading(path, "bag", "recover or record it again", *errors):
         tracks, left_out = _read_tracks(source, options.topic, clock)
     if not tracks:
-        raise LogError(f"{path}: its topics of poses hold no message; record it again")
+        raise LogError(f"{path}: its topics of poses have no message; record it again")
     raw = RawCapture("ROS", [])
-    raw.notes += listing_note("topics-left-out", "topics that hold no pose, left out", left_out)
+    raw.notes += listing_note("topics-left-out", "topics without poses, left out", left_out)
     for name in wanted_bodies(path, list(tracks), options.rigid_body):
         table = np.array(tracks[name], dtype=np.float64)
         if clock == "header" and not table[:, 0].any():

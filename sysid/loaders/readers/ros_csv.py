@@ -51,7 +51,8 @@ def _axes(path: str, columns: Sequence[Column], words: Sequence[str], axes: str)
     if len(axis_columns) < len(axes):
         raise LogError(
             f"{path}: no columns {words[0]} {', '.join(axes)}; found "
-            f"{listing(one.label for one in columns)}; echo a PoseStamped, TransformStamped or Odometry topic"
+            f"{listing(column.label for column in columns)}; "
+            "echo a PoseStamped, TransformStamped or Odometry topic"
         )
     return [axis_columns[axis] for axis in axes]
 

@@ -8,7 +8,7 @@
                             index (order), unit, clock (number of its clock)
 
 A name with a slash lies in groups (``/channels/F450/position``); where that cannot be, under its number, and
-the attribute ``name`` says what it is called.
+the attribute ``name`` is its name.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def _recognize(source: Source) -> int:
         with open_hdf5(source, "") as file:
             return CERTAIN if LAYOUT_ATTRIBUTE in file.attrs else NO
     except LogError:
-        return NO  # the reader of other HDF5 files says what is wrong with it
+        return NO  # the reader of other HDF5 files refuses it
 
 
 def write_recording(recording: Recording, path: str | Path) -> Path:
@@ -106,7 +106,7 @@ def _dataset(group: Any, name: str, values: FloatArray) -> Any:
 
 
 def _note(stated: Any) -> Finding:
-    """Return a note as it was written; files of older versions hold its sentence alone."""
+    """Return a note as it was written; files of older versions have its sentence alone."""
     if isinstance(stated, dict):
         return Finding(str(stated["code"]), str(stated["sentence"]), stated.get("severity", "note"))
     return note("stated", str(stated))

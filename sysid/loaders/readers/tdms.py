@@ -1,4 +1,4 @@
-"""National Instruments TDMS (npTDMS): every channel that holds numbers, on the clock that the file states.
+"""National Instruments TDMS (npTDMS): every channel of numbers, on the clock that the file states.
 
 Valid for waveform channels: time = ``wf_start_offset`` + i · ``wf_increment``, counted from the earliest
 ``wf_start_time`` of the file, of which 1904-01-01 means not set. The number of samples is that of the data:
@@ -176,7 +176,7 @@ def _signals(path: str, file: Any, notes: list[Finding], declared: float | None)
     if thinned:
         notes.append(note("thinned-copies-left-out", f"thinned copies, left out: {len(thinned)}"))
     notes += listing_note("channels-not-over-time", "channels over another axis than time, left out", spectra)
-    notes += listing_note("channels-without-numbers", "channels that hold no numbers, left out", other)
+    notes += listing_note("channels-without-numbers", "channels without numbers, left out", other)
     return signals
 
 

@@ -108,7 +108,7 @@ def _axes_note(channels: Sequence[str], others: Sequence[str]) -> Finding:
 
 
 class _Topics:
-    """Topics of a log by name, the lowest instance of each; what they hold becomes a capture."""
+    """Topics of a log by name, the lowest instance of each; their content becomes a capture."""
 
     def __init__(self, path: str, log: Any, time_back: str) -> None:
         self.path, self.time_back = path, time_back
@@ -175,7 +175,7 @@ class _Topics:
                 sentence = f"{topic.name} is of instance {topic.multi_id}, the lowest in the log"
                 self.raw.notes.append(note("lowest-instance-read", sentence))
         elif masked and np.isnan(values).all():
-            sentence = f"{channel} was left out: no message holds a value that PX4 marks as known"
+            sentence = f"{channel} was left out: no message has a value that PX4 marks as known"
             self.raw.notes += [*masked, note("no-known-value", sentence)]
 
 

@@ -1,7 +1,7 @@
 """Vicon CSV: Nexus sections (Trajectories, Segments, Devices, Model Outputs, Joints) and Tracker objects.
 
 A section is a title, its rate [Hz], a row of names, ``Frame,Sub Frame,X,Y,Z,...``, a row of units and the
-rows; a blank line ends it and another may follow, at its own rate. Time is (frame + sub frame share) over
+rows; a blank line ends it and another may follow, at another rate. Time is (frame + sub frame share) over
 the capture's rate. Lost markers are blank cells; a lost object leaves a short row.
 
 Rotations: ``Global Angle (Quaternion)`` is x, y, z, w. ``Global Angle`` of Tracker is a rotation vector
@@ -34,10 +34,9 @@ from sysid.loaders.clock import known_rate, order_rows
 from sysid.loaders.columns import listing, naming
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.signal_log import plain_unit, unique_names, unknown_units_note
+from sysid.loaders.signal_log import unique_names
 from sysid.loaders.source import Source, Text, read_text, sniff_delimiter, split_line
 from sysid.loaders.table import Numbers, TableHead, parse_number, read_numbers
-from sysid.recording import Channel
 from sysid.types import FloatArray
 from sysid.units import factor_to_si
 
@@ -237,7 +236,6 @@ def _read_section(
     time, ordered = _clock(path, section, numbers)
     raw.notes += [*numbers.notes, *ordered]
     taken = {*(body.name for body in raw.bodies), *raw.markers, *raw.others}
-    unknown: list[str] = []
 
     def free(name: str) -> str:
         if name in taken:
@@ -273,10 +271,7 @@ def _read_section(
         else:
             labels = unique_names([f"{name}/{section.fields[column]}" for column in group])
             for label, column in zip(labels, group, strict=True):
-                unit, factor = plain_unit(section.units[column])
-                unknown += [] if unit else [f"{label} [{section.units[column]}]".removesuffix(" []")]
-                raw.others[free(label)] = Channel(label, unit, time, numbers.columns[column] * factor)
-    raw.notes += unknown_units_note(unknown)
+                raw.add_signal(free(label), section.units[column], time, numbers.columns[column])
 
 
 def _parse(source: Source, options: CaptureOptions) -> RawCapture:

@@ -23,7 +23,6 @@ from fakes.log_files import (
 from sysid.errors import SysidError, UnitError
 from sysid.loaders import detect, load
 from sysid.loaders.rigid_pose import fit_rotations
-from sysid.loaders.signal_log import plain_unit, written_unit
 
 CAL = """<?xml version="1.0" encoding="utf-8"?>
 <!-- NOTE: use UserAxis, not Axis -->
@@ -86,7 +85,7 @@ def test_ati_time_column_without_a_unit_is_noted_declared_or_refused(write):
     ]:
         log(1e-3, read=partial(refuses, sentence=sentence, error=error), **options)
     options = {"format": "ati-text", "rate": 100, "units": SI | {"time": "s"}}
-    refuses(write("1,0,5,0,0,0.1\n" * 5), "rows hold six numbers and no time", UnitError, **options)
+    refuses(write("1,0,5,0,0,0.1\n" * 5), "rows have six numbers and no time", UnitError, **options)
 
 
 def test_ati_loads_beyond_the_calibration_are_said(write):
@@ -96,7 +95,7 @@ def test_ati_loads_beyond_the_calibration_are_said(write):
 
 
 @pytest.mark.parametrize(("cal", "options", "message"), [
-    (CAL, {}, "does not say its units; declare them"),
+    (CAL, {}, "does not state its units; declare them"),
     (CAL, {"units": {"force": "N"}}, "expected {force"),
     (CAL, {"units": {"force": "N", "torque": "V"}}, "dimension"),
     (CAL, {"calibration": "none.cal"}, "calibration cannot be read"),
@@ -105,7 +104,7 @@ def test_ati_loads_beyond_the_calibration_are_said(write):
     (CAL, {"calibration": "cell.cal", "transform": {"dq": "1 m"}}, 'transform names "dq"'),
     (CAL, {"calibration": "cell.cal", "transform": {"dx": "1"}}, "has no unit"),
     (CAL.replace("UserAxis", "Other"), {"calibration": "cell.cal"}, "no UserAxis Fx"),
-    (CAL.replace('6 "', 'x "'), {"calibration": "cell.cal"}, "UserAxis Tz does not hold six numbers"),
+    (CAL.replace('6 "', 'x "'), {"calibration": "cell.cal"}, "UserAxis Tz is not six numbers"),
     (CAL.replace('"lbf"', '"stone"'), {"calibration": "cell.cal"}, "ForceUnits: unit 'stone'"),
     (CAL[:-20], {"calibration": "cell.cal"}, "the calibration is no XML"),
     ('<!DOCTYPE a [<!ENTITY b "c">]>' + CAL[40:], {"calibration": "cell.cal"}, "not a calibration as ATI"),
@@ -130,8 +129,8 @@ LVM = (
     (LVM.replace("0.5", "soon") + "\t1\n", {}, "line 12 states Delta_X as 'soon'"),
     (LVM.replace("\tN\n", "\tfurlong\n") + "\t1\n", {}, 'column "Fz": .*furlong'),
     (LVM.replace("Delta_X\t0.5\n", "") + "\t1\n", {}, "has no clock"),
-    (LVM + "\t1\n" + LVM[LVM.index("\n\n") :] + "\t2\n", {}, "holds 2 segments"),
-    (LVM + "\t1\n", {"segment": 2}, "the file holds segments 1 to 1"),
+    (LVM + "\t1\n" + LVM[LVM.index("\n\n") :] + "\t2\n", {}, "has 2 segments"),
+    (LVM + "\t1\n", {"segment": 2}, "the file has segments 1 to 1"),
     (LVM + "\t1\n", {"datasets": {"thrust": "Fq"}}, 'no dataset /Fq; found "/Fz"'),
 ])  # fmt: skip
 def test_lvm_refusals(write, content, options, message):
@@ -245,7 +244,7 @@ def test_missing_library_names_the_extra(write, monkeypatch):
     "data", [b"TDSm\x0e" + bytes(60), b"ULog\x01\x12\x35\x01" + bytes(3), b"\x89MCAP0\r\n12"]
 )
 def test_damaged_binary_logs_end_in_a_sentence(write, data):
-    refuses(write(data), r"damaged|holds no channel|none of the topics|empty")
+    refuses(write(data), r"damaged|has no signal|none of the topics|empty")
 
 
 @pytest.mark.parametrize("form", ["bag", "mcap", "sqlite"])
@@ -354,10 +353,3 @@ def test_kabsch_never_mirrors():
     # 1 mm of noise on a body of 100 mm turns it by about 7 mrad; five times that is no mirror image.
     assert away.max() < 0.035
     assert residual.max() < 5e-3
-
-
-def test_units_are_written_in_words():
-    assert written_unit("Newtons") == "newtons"
-    assert plain_unit(written_unit("Volts")) == ("V", 1.0)
-    # Gram or standard gravity, and scales with an offset: never guessed.
-    assert plain_unit("g") == plain_unit("degC") == plain_unit(None) == ("", 1.0)

@@ -114,7 +114,7 @@ def test_a_px4_channel_without_any_known_value_is_named(tmp_path):
     log = load(ulog(tmp_path / "a.ulg", ("battery_status", BATTERY, rows)))
     assert list(log.channels) == ["voltage"]
     assert "current_a is -1, which PX4 writes for unknown, in 9 messages" in notes(log)
-    assert "current was left out: no message holds a value that PX4 marks as known" in notes(log)
+    assert "current was left out: no message has a value that PX4 marks as known" in notes(log)
     rows = [struct.pack("<Qff", 10**6 + 10**4 * i, 0.0, -1.0) for i in range(9)]
     refuses(
         ulog(tmp_path / "b.ulg", ("battery_status", BATTERY, rows)),

@@ -1,7 +1,5 @@
 """Encodings, line ends, delimiters and the two ways of reading numbers, which must agree."""
 
-import math
-
 import numpy as np
 import pytest
 
@@ -9,8 +7,8 @@ from sysid.errors import LogError
 from sysid.loaders import table
 from sysid.loaders.clock import jitter_note
 from sysid.loaders.columns import split_label, table_head
-from sysid.loaders.source import Source, read_text, sniff_delimiter, split_line
-from sysid.loaders.table import parse_number, read_numbers
+from sysid.loaders.source import Source, read_text
+from sysid.loaders.table import read_numbers
 
 
 def numbers_of(path, wanted=None, **options):
@@ -105,18 +103,6 @@ def test_what_is_a_number_is_the_same_for_both_readers(write, cell, monkeypatch)
     slow = numbers_of(path).columns
     for index in fast:
         np.testing.assert_array_equal(fast[index], slow[index])
-
-
-def test_parse_number():
-    assert parse_number("1,5", ",") == 1.5
-    assert math.isnan(parse_number(" "))
-    with pytest.raises(ValueError, match=r"1\.5"):
-        parse_number("1.5", ",")
-
-
-def test_split_and_sniff():
-    assert sniff_delimiter("a;b,c;d") == ";"
-    assert split_line('1,"x, y",2', ",") == ["1", "x, y", "2"]
 
 
 @pytest.mark.parametrize(("label", "stem", "unit"), [

@@ -11,7 +11,7 @@ from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
 from sysid.loaders import load
 from sysid.loaders.readers.sysid_hdf5 import write_recording
-from sysid.loaders.signal_log import plain_unit
+from sysid.loaders.signal_log import plain_unit, written_unit
 from sysid.recording import Channel, Provenance, Recording
 from sysid.units import factor_to_si, parse_quantity
 
@@ -91,9 +91,14 @@ def test_a_missing_channel_names_those_there_are():
     ("mrad", "rad", 1e-3),
     ("rad/s", "rad/s", 1.0),
     ("mV", "V", 1e-3),
+    ("Volts", "V", 1.0),  # in words
+    # Gram or standard gravity, and scales with an offset: never guessed.
+    ("g", "", 1.0),
+    ("degC", "", 1.0),
+    (None, "", 1.0),
 ])  # fmt: skip
 def test_plain_units(stated, unit, factor):
-    assert plain_unit(stated) == (unit, pytest.approx(factor))
+    assert plain_unit(written_unit(stated)) == (unit, pytest.approx(factor))
 
 
 def test_a_log_is_never_replaced_by_its_conversion(write, run):
