@@ -154,12 +154,12 @@ def _compared(part, sensors, taps, time, start, step, out):
                 # Without a second tap its place is that of the first, which is there.
                 further = k + 1 if k + 1 < taps.size else k
                 places = (first - k, first + k, first - further, first + further)
-                one = sorted_samples[_place(places[0], stride, width) :]
-                two = sorted_samples[_place(places[1], stride, width) :]
-                three = sorted_samples[_place(places[2], stride, width) :]
-                four = sorted_samples[_place(places[3], stride, width) :]
+                before = sorted_samples[_place(places[0], stride, width) :]
+                after = sorted_samples[_place(places[1], stride, width) :]
+                further_before = sorted_samples[_place(places[2], stride, width) :]
+                further_after = sorted_samples[_place(places[3], stride, width) :]
                 for i in range(time.size):
-                    total[i] += tap * (one[i] + two[i]) + other * (three[i] + four[i])
+                    total[i] += tap * (before[i] + after[i]) + other * (further_before[i] + further_after[i])
             out[:, c] = total
         return
     for c in range(2):

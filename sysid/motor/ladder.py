@@ -43,15 +43,9 @@ _POPULATION, _SPREADS = 24, (0.1, 0.3)
 _LEAST, _LEAST_SPREAD = 10, 0.1
 # Rises within a thousandth of any step that a log shows.
 _NO_INDUCTANCE = 1e-8
-# What is scored, in the order of the table: (use, part of a trial) and its name.
-GROUPS = {
-    ("fit", "running"): "fitted",
-    ("validate", "running"): "held out",
-    ("fit", "start"): "starts, fitted",
-    ("validate", "start"): "starts, held out",
-    ("fit", "reversal"): "reversals, fitted",
-    ("validate", "reversal"): "reversals, held out",
-}
+# What is scored, in the order of the table: a use of trials, and which part of them.
+_USES = {"fit": "fitted", "validate": "held out"}
+_PARTS = ("{}", "starts, {}", "reversals, {}")
 # A trial, what it compares, and its group.
 _Part = tuple[PreparedTrial, MotorTarget, str]
 
@@ -88,14 +82,15 @@ def _parts(problem: MotorProblem) -> list[_Part]:
     weighted = [c for c, weight in enumerate((weights.torque, weights.speed)) if weight > 0]
     out = []
     for trial in problem.bench.trials:
-        use, whole = trial.entry.use, trial.target
+        whole = trial.target
+        running, start, reversal = (part.format(_USES[trial.entry.use]) for part in _PARTS)
         if trial.entry.direction == "reversal":
-            out.append((trial, whole, GROUPS[use, "reversal"]))
+            out.append((trial, whole, reversal))
             continue
-        out.append((trial, trial.dynamic_target, GROUPS[use, "running"]))
+        out.append((trial, trial.dynamic_target, running))
         starts = replace(whole, valid=whole.valid & trial.started[:, None])
         if all(_scorable(whole, starts, c) for c in weighted):
-            out.append((trial, starts, GROUPS[use, "start"]))
+            out.append((trial, starts, start))
     return out
 
 
@@ -173,7 +168,7 @@ def climb(
         every = replace(built(model, space, trials), targets=targets, ideal_reversal=ideal)
         nrmse = every.score(row).by_channel[0]
         out = {}
-        for title in GROUPS.values():
+        for title in (part.format(use) for part in _PARTS for use in _USES.values()):
             rows = [i for i, group in enumerate(groups) if group == title]
             if rows:
                 torque, speed = nrmse[rows].mean(axis=0)

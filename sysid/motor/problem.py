@@ -150,7 +150,7 @@ class MotorProblem(Problem):
         return Scores(by_channel, failed.astype(np.int8))
 
     def nrmse(self, rows: FloatArray) -> FloatArray:
-        """Return the NRMSE (P,) over the trials of rows (P, n_table) [SI]."""
+        """Return the mean NRMSE (P,) of rows (P, n_table) [SI]."""
         return self.cost.mean(self.score(rows).by_channel)
 
     def nrmse_with(self, row: FloatArray, **values: FloatArray) -> FloatArray:
@@ -174,13 +174,9 @@ class MotorProblem(Problem):
     def simulate(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return samples (P, n_total, 2) on the trials' grids, and the share reached (P, T), of full rows."""
         runs = simulate_population(
-            rows[:, : len(PARAMETERS)],
-            self.jobs,
-            delays=shifts(self.space.table, rows, self.prepared),
-            tolerance=FIT_TOLERANCE,
-            threads=self.threads,
-            ideal_reversal=self.ideal_reversal,
-        )
+            rows[:, : len(PARAMETERS)], self.jobs, delays=shifts(self.space.table, rows, self.prepared),
+            tolerance=FIT_TOLERANCE, threads=self.threads, ideal_reversal=self.ideal_reversal,
+        )  # fmt: skip
         # Success is a status, not a share that rounding could leave at 1 - 1e-16.
         return runs.outputs, np.where(runs.status == 0, 1.0, np.minimum(runs.reached, 1.0 - 1e-9))
 
@@ -203,7 +199,7 @@ class MotorProblem(Problem):
         channels = tuple(sorted({block.channel for block in self.blocks}))
         shortest = min(len(target.time) for target in self.targets)
         lags = max(1, min(20, shortest // 3))
-        # The widest: logs of two kinds in one campaign are rare, and white ones do not mind much.
+        # The widest: logs of two kinds in one campaign are rare, and white noise hardly changes by it.
         every = (filtered_correlation(target, lags) for target in self.targets)
         widest = max(every, key=lambda row: float(row.sum()))
         return NoiseModel(channels, np.eye(len(channels))[:, :, None] * widest)

@@ -157,8 +157,8 @@ def _trial(
     levels = np.array([0.0, plan.idle, *plan.levels])
     run = model.simulate(true, instants, levels, time, ideal_reversal=ideal_reversal)
     # Half a sample early, so that rounding of the clock cannot move a step by one row.
-    held = np.searchsorted(instants, time + 0.5 / rate, side="right") - 1
-    command = NEUTRAL + (MAXIMUM - NEUTRAL) * levels[held]
+    step = np.searchsorted(instants, time + 0.5 / rate, side="right") - 1
+    command = NEUTRAL + (MAXIMUM - NEUTRAL) * levels[step]
     tare_force, tare_torque = float(source.uniform(-0.6, 0.6)), float(source.uniform(-0.02, 0.02))
     shake = source.standard_normal((3, count))
     log = LoadCellLog(

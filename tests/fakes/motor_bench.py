@@ -48,11 +48,16 @@ def write_table(path: Path, header: str, table: np.ndarray) -> None:
     np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g", encoding="utf-8")
 
 
+def problem_of(campaign, bench, trials=None, **more) -> MotorProblem:
+    """Return the problem of all trials of a bench, or of some, with what its campaign frees."""
+    trials = bench.trials if trials is None else trials
+    return MotorProblem.build(campaign, search_space(campaign, bench), bench, trials, **more)
+
+
 def score_values(campaign, bench, values) -> np.ndarray:
     """Return the NRMSE (T, 2) of values by name [SI] on every trial; what is left out the campaign states."""
-    space = search_space(campaign, bench)
-    problem = MotorProblem.build(campaign, space, bench, bench.trials)
+    problem = problem_of(campaign, bench)
     left = {d: tie for d, tie in problem.ties.items() if f"no_load_slope_{d}" not in values}
-    known = {name: value for name, value in space.fixed.items() if name in PARAMETERS}
+    known = {name: value for name, value in problem.space.fixed.items() if name in PARAMETERS}
     row = pack({**bench.values, **known, **values})
     return replace(problem, ties=left).score(row[None]).by_channel[0]

@@ -1,4 +1,4 @@
-"""What a log may be off by on its own: starts from rest, command delay, tare, signs; and the scale of R."""
+"""What a log may be off by: starts from rest, command delay, tare, signs, volts; and the scale of R."""
 
 import re
 import shutil
@@ -9,17 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fakes.motor_bench import bench_of, edited, table_of, write_table
+from fakes.motor_bench import bench_of, edited, problem_of, table_of, write_table
 from sysid.errors import CampaignError, FitError, LogError
+from sysid.fit.problem import Course
+from sysid.fit.result import ranked_sets
 from sysid.fit.search import SearchSettings, run_one
 from sysid.fit.stopping import StopRule
+from sysid.journal import Journal
 from sysid.motor.dead_band import fit_saturation
-from sysid.motor.follow_up import log_delays
+from sysid.motor.follow_up import follow_up, log_delays
 from sysid.motor.known_values import search_space
 from sysid.motor.ladder import climb, ladder_doubt
 from sysid.motor.log_delays import averaged
 from sysid.motor.model import PARAMETERS, simulate, unpack
-from sysid.motor.problem import MotorProblem
+from sysid.parameter_sets import NOT_ALONE
 from sysid.synthetic import read_truth
 from sysid.synthetic.motor import TRUE_MOTOR, TrialPlan, synthesize_motor
 from sysid.workflows.fit import fit_motor
@@ -42,10 +45,17 @@ def _synthesize(folder: Path, seed: int, trials=SHORT, **true: float) -> Path:
 
 
 def _dynamic_fit(campaign, bench):
-    space = search_space(campaign, bench)
-    objective = MotorProblem.build(campaign, space, bench, bench.fitted, dynamic=True)
-    best = run_one(objective, SEARCH).best_point
-    return space, averaged(space, objective.complete(space.full(best)))
+    """Return the problem of all trials, the row (1, n) of its dynamic fit, and its values by name."""
+    problem = problem_of(campaign, bench)
+    space, best = problem.space, run_one(problem.fitted, SEARCH).best_point
+    row = averaged(space, problem.complete(space.full(best)))
+    return problem, row, unpack(row[0], space.table)
+
+
+def _forward_log(path: Path):
+    """Return the first forward log of a campaign, its header and its numbers."""
+    log = path.with_name("forward-1.csv")
+    return log, *table_of(log)
 
 
 @pytest.mark.parametrize("reversal", [True, False])
@@ -61,12 +71,11 @@ def test_starts_from_rest_do_not_bias_the_winding(tmp_path: Path, reversal: bool
         # From the first command, but for the filter's reach, to 0.4 s after the rotor has left the band.
         assert begin == pytest.approx(steps[1], abs=0.2)
         assert steps[1] + 0.5 < end < steps[1] + 1.0
-    space, rows = _dynamic_fit(campaign, bench)
-    values = unpack(rows[0], space.table)
+    problem, rows, values = _dynamic_fit(campaign, bench)
     assert values["winding_resistance"] == pytest.approx(0.299, rel=0.03)  # required
     assert values["winding_inductance"] == pytest.approx(0.0038, rel=0.05)  # required
     assert values["command_delay"] == pytest.approx(0.008, abs=5e-4)  # a quarter of the compared grid
-    found = fit_saturation(MotorProblem.build(campaign, space, bench, bench.trials), rows, SEARCH, (1,))
+    found = fit_saturation(problem, rows, SEARCH, (1,))
     assert found is not None
     assert found.shown_by == ("reversals" if reversal else "starts from rest")
     current, speed = found.values[0, :2]
@@ -81,9 +90,9 @@ def test_a_dead_band_that_no_log_feels_is_not_fitted(tmp_path: Path) -> None:
     path = _synthesize(tmp_path / "steady", 5, SHORT[:2])
     campaign, bench = bench_of(path)
     assert bench.banded == ()
-    space = search_space(campaign, bench)
-    row = np.array([[TRUTH.get(name, 0.008) for name in space.table]])
-    assert fit_saturation(MotorProblem.build(campaign, space, bench, bench.trials), row, SEARCH, (1,)) is None
+    problem = problem_of(campaign, bench)
+    row = np.array([[TRUTH.get(name, 0.008) for name in problem.space.table]])
+    assert fit_saturation(problem, row, SEARCH, (1,)) is None
     # A start that a mask leaves no sample of shows nothing either.
     trial = replace(bench.fitted[0], starts=((0.0, 1e-3),))
     assert not trial.shows_start
@@ -100,13 +109,11 @@ def test_every_log_has_its_own_command_delay(tmp_path: Path) -> None:
     shutil.copy(late.with_name("reverse-1.h5"), path.with_name("reverse-1.h5"))
     shutil.copy(late.with_name("forward-2.h5"), path.with_name("forward-2.h5"))
     campaign, bench = bench_of(path)
-    space, rows = _dynamic_fit(campaign, bench)
-    values = unpack(rows[0], space.table)
+    every, rows, values = _dynamic_fit(campaign, bench)
     assert values["command_delay[forward-1.csv]"] == pytest.approx(0.008, abs=5e-4)
     assert values["command_delay[reverse-1.h5]"] == pytest.approx(0.025, abs=5e-4)
     assert values["command_delay"] == pytest.approx(0.0165, abs=5e-4)
     assert values["winding_inductance"] == pytest.approx(0.0038, rel=0.05)
-    every = MotorProblem.build(campaign, space, bench, bench.trials)
     facts = {fact["log"]: fact for fact in log_delays(every, rows[0])}
     delay = pytest.approx(0.025, abs=5e-4)
     assert facts["reverse-1.h5"] == {"log": "reverse-1.h5", "delay [s]": delay, "estimated": True}
@@ -121,8 +128,7 @@ def test_every_log_has_its_own_command_delay(tmp_path: Path) -> None:
 
 def test_a_tare_without_rows_at_rest_is_estimated(tmp_path: Path) -> None:
     path = _synthesize(tmp_path / "tare", 3, SHORT[:2])
-    log = path.with_name("forward-1.csv")
-    header, table = table_of(log)
+    log, header, table = _forward_log(path)
     start = float(re.search(r'start = "([\d.]+) s"', path.read_text(encoding="utf-8")).group(1))
     _, rested = bench_of(path)
     write_table(log, header, table[table[:, 0] > start - 0.3])
@@ -145,9 +151,8 @@ def test_a_tare_without_rows_at_rest_is_estimated(tmp_path: Path) -> None:
 
 def test_signs_of_torque_and_thrust_are_settled(tmp_path: Path) -> None:
     path = _synthesize(tmp_path / "signs", 4, SHORT[:2])
-    log = path.with_name("forward-1.csv")
+    log, header, table = _forward_log(path)
     _, plain = bench_of(path)
-    header, table = table_of(log)
     columns = [i for i, name in enumerate(header.split(",")) if name.startswith(("Fz", "Mz"))]
     assert len(columns) == 2
     table[:, columns] *= -1.0
@@ -168,8 +173,7 @@ def test_signs_of_torque_and_thrust_are_settled(tmp_path: Path) -> None:
 
 def test_a_logged_motor_current_fixes_the_scale(tmp_path: Path) -> None:
     path = _synthesize(tmp_path / "current", 6, SHORT[:1])
-    log = path.with_name("forward-1.csv")
-    header, table = table_of(log)
+    log, header, table = _forward_log(path)
     steps = np.array(read_truth(path.parent)["trials"][0]["command steps"])
     run = simulate(TRUTH, steps[:, 0], steps[:, 1], table[:, 0])
     noise = 0.05 * np.random.default_rng(0).standard_normal(len(table))
@@ -190,8 +194,7 @@ def test_a_logged_motor_current_fixes_the_scale(tmp_path: Path) -> None:
     rubbed = bench_of(path)[1]
     assert rubbed.values["torque_constant"] == pytest.approx(0.00995, rel=0.015)
     assert re.search(r"less (1\.[5-9]|2(\.\d)?) mN·m of friction", rubbed.measured["torque_constant"])
-    space, rows = _dynamic_fit(campaign, bench)
-    values = unpack(rows[0], space.table)
+    _, _, values = _dynamic_fit(campaign, bench)
     assert values["winding_resistance"] == pytest.approx(0.299, rel=0.03)
     assert values["winding_inductance"] == pytest.approx(0.0038, rel=0.05)
     edited(path, (r"^\[motor\]", '[motor]\nkv = "480 rpm/V"'))
@@ -241,8 +244,7 @@ def test_without_a_scale_only_its_combinations_are_reported(tmp_path: Path, caps
 def test_the_ladder_believes_l_only_where_it_pays(tmp_path: Path, inductance: float, useful: bool) -> None:
     path = _synthesize(tmp_path / "ladder", 9, winding_inductance=inductance)
     campaign, bench = bench_of(path)
-    space = search_space(campaign, bench)
-    climbed = climb(MotorProblem.build(campaign, space, bench, bench.trials), TRUTH, False, SEARCH, 1)
+    climbed = climb(problem_of(campaign, bench), TRUTH, False, SEARCH, 1)
     ladder = [rung.document(below) for rung, below in zip(climbed, (None, *climbed[:-1]), strict=True)]
     by_name = {rung["rung"]: rung for rung in ladder}
     assert list(by_name) == ["first-order lag", "without L", "full"]
@@ -263,8 +265,7 @@ def test_the_ladder_believes_l_only_where_it_pays(tmp_path: Path, inductance: fl
 def test_refusals_name_the_log_and_the_trial(tmp_path: Path) -> None:
     path = _synthesize(tmp_path / "refusals", 12, SHORT[:2])
     original = path.read_text(encoding="utf-8")
-    log = path.with_name("forward-1.csv")
-    header, table = table_of(log)
+    log, header, table = _forward_log(path)
     names = header.split(",")
     torque, command = (next(i for i, n in enumerate(names) if n.startswith(s)) for s in ("Mz", "Command"))
     start = re.search(r'start = "([\d.]+) s"', original).group(1)
@@ -275,7 +276,7 @@ def test_refusals_name_the_log_and_the_trial(tmp_path: Path) -> None:
     write_table(log, header, dead)
     campaign, bench = bench_of(path)
     with pytest.raises(FitError, match=r"trial 'forward-1' of forward-1\.csv, stator_torque: constant"):
-        assert MotorProblem.build(campaign, search_space(campaign, bench), bench, bench.fitted).cost
+        assert problem_of(campaign, bench, bench.fitted).cost
     write_table(log, header, table)
     # Static curves from the trial itself, whose commands change too fast for one steady segment.
     edited(
@@ -301,14 +302,74 @@ def test_bounds_of_either_stage_do_not_hinder_the_other(tmp_path: Path) -> None:
     text = '[parameters.bounds]\nwinding_resistance = ["0.1 ohm", "1 ohm"]\n'
     text += 'saturation_speed = ["1 rad/s", "50 rad/s"]\n'
     campaign, bench = bench_of(edited(path, (r"^\[fit\]", text + "\n[fit]")))
-    space = search_space(campaign, bench)
-    assert (space.free[0].lower, space.free[0].upper) == (0.1, 1.0)
-    row = np.array([[TRUTH.get(name, 0.008) for name in space.table]])
+    problem = problem_of(campaign, bench)
+    assert (problem.space.free[0].lower, problem.space.free[0].upper) == (0.1, 1.0)
+    row = np.array([[TRUTH.get(name, 0.008) for name in problem.space.table]])
     few = replace(SEARCH, stop=StopRule(max_generations=2))
-    found = fit_saturation(MotorProblem.build(campaign, space, bench, bench.trials), row, few, (1,))
+    found = fit_saturation(problem, row, few, (1,))
     assert found is not None
     assert [(r.lower, r.upper) for r in found.free[1:2]] == [(1.0, 50.0)]
     edited(path, (r"^saturation_speed = .*$", 'rotor_inertia = ["1e-5 kg·m²", "1e-4 kg·m²"]'))
     campaign, bench = bench_of(path)
     with pytest.raises(CampaignError, match=r"parameters\.bounds\.rotor_inertia: the parameter is not free"):
         search_space(campaign, bench)
+
+
+@pytest.fixture(scope="module")
+def forward(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One short forward trial, its static logs at 11.1 V and no words on V_ref."""
+    path = _synthesize(tmp_path_factory.mktemp("doubts") / "motor", 3, SHORT[:1])
+    return edited(path, (r"^reference_voltage = .*\n", ""))
+
+
+def test_the_voltage_of_the_curves_serves_where_the_fitted_logs_hold_none(tmp_path: Path) -> None:
+    path = _synthesize(tmp_path / "14.8 V", 3, SHORT[:1], reference_voltage=14.8)
+    _, bench = bench_of(edited(path, (r"^reference_voltage = .*\n", "")))
+    # The stand's supply begins 0.05 V above 14.8 V and sags by the current of full thrust, under 1 V.
+    assert bench.values["reference_voltage"] == pytest.approx(14.8, rel=0.05)
+    assert "logs under [curves]" in bench.stated["reference_voltage"]
+    # The fitted log ran at V_ref, so its no-load line must be the true one; 25 % low beside 11.1 V.
+    assert bench.values["no_load_slope_forward"] == pytest.approx(1030.0, rel=0.05)
+
+
+def test_one_motor_constant_is_half_a_scale(forward: Path) -> None:
+    half = '[parameters.fixed]\ntorque_constant = "0.00995 N·m/A"\n'
+    both = half + 'back_emf_constant = "0.00995 V·s/rad"\n'
+    for name, fixed, known in (("half.toml", half, False), ("both.toml", both, True)):
+        path = edited(forward, (r"^kv = .*\n", ""), (r"^\[fit\]", f"{fixed}\n[fit]"), name=name)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            _, bench = bench_of(path)
+        assert bench.scale_known is known
+        assert any("determine only k²/R" in str(warning.message) for warning in caught) is not known
+
+
+def test_a_trial_that_is_little_but_a_start_is_warned_of(forward: Path) -> None:
+    read, bench = bench_of(forward)
+    trial = bench.fitted[0]
+    (begin, end) = trial.target.time[[0, -1]]
+    short = replace(bench, trials=(replace(trial, starts=((begin, begin + 0.9 * (end - begin)),)),))
+    assert short.fitted[0].only_starts
+    with pytest.warns(UserWarning, match="forward-1: little but a start from rest, so R, L and the"):
+        search_space(read, short)
+    # A dead band that the campaign states stays, and there is nothing to warn of.
+    given = {"saturation_current": "campaign", "saturation_speed": "campaign"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        search_space(read, replace(short, measured={**short.measured, **given}))
+        search_space(read, bench)
+
+
+def test_an_interrupted_fit_says_what_it_has_not_looked_at(forward: Path) -> None:
+    path = edited(forward, (r"^kv = .*\n", ""), name="guess.toml")
+    with pytest.warns(UserWarning, match="determine only k²/R"):
+        read, bench = bench_of(path)
+    problem = problem_of(read, bench)
+    run = run_one(problem.fitted, SearchSettings(8, 1, 1, StopRule(max_generations=1), "cmaes", "none"))
+    runs = (replace(run, stages=(replace(run.stages[-1], stop_reason="interrupted"),)),)
+    with Journal() as journal:
+        after = follow_up(problem, Course(ranked_sets(runs, problem.space), None, "interrupted", bool))
+    # Torque and speed fix no R, L or I_sat alone, interrupted or not.
+    assert {"winding_resistance", "winding_inductance", "saturation_current"} <= {*after.settings[NOT_ALONE]}
+    (finding,) = (finding for finding in journal.findings if finding.code == "cut-short")
+    assert "viscous_damping was not profiled" in finding.sentence

@@ -7,7 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fakes.motor_bench import bench_of, edited, score_values, table_of, with_trials, write_table
+from fakes.motor_bench import (
+    bench_of,
+    edited,
+    problem_of,
+    score_values,
+    table_of,
+    with_trials,
+    write_table,
+)
 from sysid.errors import CampaignError, LogError, UnitError
 from sysid.fit.optima import SAME_NRMSE
 from sysid.journal import Journal
@@ -16,7 +24,6 @@ from sysid.motor.dead_band import saturation_space
 from sysid.motor.inertia import spike_inertia
 from sysid.motor.known_values import in_search, search_space
 from sysid.motor.model import PARAMETERS, simulate
-from sysid.motor.problem import MotorProblem
 from sysid.synthetic import read_truth
 from sysid.synthetic.motor import TRUE_MOTOR, synthesize_motor
 from sysid.workflows.fit import fit_motor
@@ -71,8 +78,7 @@ def test_simulation_walks_the_way_of_the_log(prepared) -> None:
     # The filtered and compared simulation of the truth against the filtered log, in one trial: what is left
     # has no memory of the steps, so it must not grow where the torque moves fastest.
     campaign, bench = prepared
-    space = search_space(campaign, bench)
-    objective = MotorProblem.build(campaign, space, bench, bench.trials)
+    objective = problem_of(campaign, bench)
     row = np.array([[TRUTH[name] for name in PARAMETERS]])
     samples, _ = objective.simulate(row)
     torque = objective.cost.prepared(samples, objective.sensors(row))[0][0, :, 0]
@@ -209,13 +215,11 @@ def test_full_fit_of_five_runs(
 
 def test_numbers_do_not_depend_on_threads(prepared) -> None:
     campaign, bench = prepared
-    space = search_space(campaign, bench)
-    cube = np.random.default_rng(2).uniform(size=(6, len(space.free)))
-    one = MotorProblem.build(campaign, space, bench, bench.fitted, 1).evaluate(cube)
-    two = MotorProblem.build(campaign, space, bench, bench.fitted, 2).evaluate(cube)
-    np.testing.assert_array_equal(one.cost, two.cost)
-    alone = MotorProblem.build(campaign, space, bench, bench.fitted).evaluate(cube[3:4])
-    assert alone.cost[0] == one.cost[3]
+    problem = problem_of(campaign, bench, bench.fitted)
+    cube = np.random.default_rng(2).uniform(size=(6, len(problem.space.free)))
+    single, double = (dataclasses.replace(problem, threads=count).evaluate(cube) for count in (1, 2))
+    np.testing.assert_array_equal(single.cost, double.cost)
+    assert problem.evaluate(cube[3:4]).cost[0] == single.cost[3]
 
 
 def test_reversals_stay_out_of_the_dynamic_fit(prepared) -> None:
@@ -270,9 +274,8 @@ def test_tares_of_the_truth_file(campaign_file: Path, prepared) -> None:
 
 def test_without_a_log_without_propeller_the_no_load_line_follows_r(campaign_file: Path) -> None:
     campaign, bench = bench_of(edited(campaign_file, (r"^no_load = \[[^\]]*\]", ""), name="loaded.toml"))
-    space = search_space(campaign, bench)
-    assert "viscous_damping" not in space.names
-    problem = MotorProblem.build(campaign, space, bench, bench.fitted)
+    problem = problem_of(campaign, bench, bench.fitted)
+    assert "viscous_damping" not in problem.space.names
     truth = np.array([[TRUTH[name] for name in PARAMETERS]])
     row = dict(zip(PARAMETERS, problem.complete(truth)[0], strict=True))
     for direction in ("forward", "reverse"):
@@ -371,6 +374,8 @@ def test_torque_spikes_show_the_inertia(prepared) -> None:
     assert found.doubt is None
     half = dataclasses.replace(found, value={"up": 2.7e-5, "down": 2.0e-5})
     assert "do not belong to one rotor" in half.doubt.sentence
+    few = dataclasses.replace(found, steps={"up": 4, "down": 1})
+    assert "4 up-steps and 1 down-steps are too few" in few.doubt.sentence
 
 
 def test_a_missing_tare_and_a_borrowed_inertia_are_noticed(tmp_path: Path) -> None:

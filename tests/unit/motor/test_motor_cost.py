@@ -15,14 +15,17 @@ from sysid.motor.targets import filter_taps
 RNG = np.random.default_rng(8)
 
 
-def _slow(measured: np.ndarray, time: np.ndarray, valid: np.ndarray | None = None) -> MotorTarget:
+TIME = np.linspace(0.01, 1.9, 50)
+
+
+def _slow(measured: np.ndarray, time: np.ndarray = TIME, valid: np.ndarray | None = None) -> MotorTarget:
     mask = np.isfinite(measured) if valid is None else valid
     return MotorTarget("slow", time, measured, mask, 0.0, 0.002, 1001, np.zeros(0))
 
 
 def _zeros_score(measured: np.ndarray, weights: tuple[float, float]):
     """Return NRMSE (2,), its mean and failure of a simulation of zeros against 50 measured samples."""
-    cost = BenchCost((_slow(measured, np.linspace(0.01, 1.9, 50)),), weights, "std")
+    cost = BenchCost((_slow(measured),), weights, "std")
     by_channel, failed = cost(np.zeros((1, 1001, 2)), np.ones((1, 1)), np.zeros((1, 3)))
     return by_channel[0, 0], cost.mean(by_channel)[0], failed[0, 0]
 
@@ -35,12 +38,10 @@ def test_sensor_delay_and_lag_of_a_ramp() -> None:
     (plain,) = cost.prepared(ramp, np.zeros((1, 3)))
     np.testing.assert_allclose(plain[0], np.column_stack([time, time]), atol=1e-12)
     (late,) = cost.prepared(ramp, np.array([[0.03, 0.0, 0.0]]))
-    np.testing.assert_allclose(late[0, :, 0], time - 0.03, atol=1e-12)
-    np.testing.assert_allclose(late[0, :, 1], time, atol=1e-12)
+    np.testing.assert_allclose(late[0], np.column_stack([time - 0.03, time]), atol=1e-12)
     (lagging,) = cost.prepared(ramp, np.array([[0.0, 0.02, 0.01]]))
     # A lag trails a ramp by its time constant; the hold over each grid step of 2 ms takes half of one off.
-    np.testing.assert_allclose(lagging[0, :, 0], time - 0.02, atol=0.0011)
-    np.testing.assert_allclose(lagging[0, :, 1], time - 0.01, atol=0.0011)
+    np.testing.assert_allclose(lagging[0], np.column_stack([time - 0.02, time - 0.01]), atol=0.0011)
 
 
 def test_slow_score_is_the_plain_nrmse_over_valid_samples() -> None:
@@ -51,10 +52,9 @@ def test_slow_score_is_the_plain_nrmse_over_valid_samples() -> None:
     samples = RNG.normal(size=(2, 1001, 2))
     by_channel, failed = cost(samples, np.ones((2, 1)), np.zeros((2, 3)))
     (simulated,) = cost.prepared(samples, np.zeros((2, 3)))
-    for p in range(2):
-        for c in range(2):
-            expected = nrmse(simulated[p, :, c], measured[:, c], valid[:, c])
-            assert by_channel[p, 0, c] == pytest.approx(expected, rel=1e-12)  # order of the sum
+    for p, c in np.ndindex(2, 2):
+        expected = nrmse(simulated[p, :, c], measured[:, c], valid[:, c])
+        assert by_channel[p, 0, c] == pytest.approx(expected, rel=1e-12)  # order of the sum
     assert not failed.any()
     np.testing.assert_allclose(cost.mean(by_channel), by_channel[:, 0] @ [0.25, 0.75])
 
@@ -88,8 +88,7 @@ def test_taps_of_a_fast_log_are_the_filter() -> None:
 
 
 def test_failed_simulation_scores_its_graded_penalty() -> None:
-    time = np.linspace(0.01, 1.9, 50)
-    cost = BenchCost((_slow(RNG.normal(size=(50, 2)), time),), (1.0, 1.0), "std")
+    cost = BenchCost((_slow(RNG.normal(size=(50, 2))),), (1.0, 1.0), "std")
     samples = np.zeros((3, 1001, 2))
     samples[1, 400:] = np.nan
     by_channel, failed = cost(samples, np.array([[1.0], [1.0], [0.25]]), np.zeros((3, 3)))
@@ -100,17 +99,16 @@ def test_failed_simulation_scores_its_graded_penalty() -> None:
 
 
 def test_channel_without_samples_is_refused_unless_it_has_no_weight() -> None:
-    time = np.linspace(0.01, 1.9, 50)
     measured = np.column_stack([np.full(50, np.nan), RNG.normal(size=50)])
     with pytest.raises(FitError, match="slow, stator_torque: no valid sample"):
-        BenchCost((_slow(measured, time),), (1.0, 1.0), "std")
+        BenchCost((_slow(measured),), (1.0, 1.0), "std")
     by_channel, mean, failed = _zeros_score(measured, (0.0, 1.0))
     # No number where nothing was recorded, instead of a perfect one.
     assert np.isnan(by_channel[0])
     assert np.isfinite(mean)
     assert not failed
     with pytest.raises(FitError, match="speed: constant"):
-        BenchCost((_slow(np.ones((50, 2)), time),), (0.0, 1.0), "range")
+        BenchCost((_slow(np.ones((50, 2))),), (0.0, 1.0), "range")
 
 
 def test_a_channel_without_weight_has_its_nrmse_and_no_say() -> None:

@@ -1,15 +1,19 @@
 """Static curves: known coefficients back from noisy points with outliers, real logs, refusals."""
 
 import csv
+import re
 
 import numpy as np
 import pytest
 
 from fakes import places
 from sysid.errors import FitError
+from sysid.motor.follow_up import curve_sentence
 from sysid.motor.static_curves import NoLoadTie, fit_no_load_line, fit_speed_curve
 
 DATA = places.DATA / "rcbenchmark"
+# R/(k_m k_v) of Table I [rad/s per N·m], its drag curve, and a no-load line.
+DROP, DRAG, SLOPE, INTERCEPT = 0.299 / 0.00995**2, 1.65e-7, 973.0, 20.0
 
 
 def _points(count: int = 60, outliers: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -79,6 +83,43 @@ def test_no_load_line_from_loaded_points(sign: float) -> None:
     assert bare.coefficients == pytest.approx((1000.0, 25.0), rel=1e-9)  # noiseless: rounding
     fit = tie.fit(direction, 3000.0, 0.0)  # R/(k_m k_v) of 0.3 Ω and 0.01 N·m/A
     assert fit.coefficients == pytest.approx((1000.0, 25.0), rel=1e-6)  # noiseless: rounding of the bisection
+
+
+def _tie(bad: int | None, miss: float) -> NoLoadTie:
+    """Return a tie of 12 loaded points with 0.5 rad/s of noise, one of them read `miss` times too fast."""
+    u = np.linspace(0.2, 1.0, 12)
+    omega_0 = SLOPE * u + INTERCEPT
+    # Ω + DROP DRAG Ω² = Ω_0
+    speed = (np.sqrt(1.0 + 4.0 * DROP * DRAG * omega_0) - 1.0) / (2.0 * DROP * DRAG)
+    speed += np.random.default_rng(4).normal(0.0, 0.5, u.size)
+    if bad is not None:
+        speed[bad] *= miss
+    return NoLoadTie(np.column_stack([u, np.ones(12)]), np.column_stack([speed, DRAG * speed**2]))
+
+
+@pytest.mark.parametrize("bad", [None, 0, 6, 11])
+@pytest.mark.parametrize("miss", [0.5, 12.0 / 14.0])
+def test_one_bad_point_does_not_bend_the_no_load_line(bad: int | None, miss: float) -> None:
+    tie = _tie(bad, miss)
+    fit = tie.fit("forward", DROP, 0.0)
+    # 12 points of 0.5 rad/s, lifted by 1 + 2 DROP DRAG Ω < 1.6: 0.8 rad/s over an rms distance of 0.25 in u
+    # fixes the slope to 0.9 rad/s. A bad point pulls at most like one of the others at a few sigma.
+    assert fit.coefficients[0] == pytest.approx(SLOPE, abs=5.0)
+    assert fit.coefficients[1] == pytest.approx(INTERCEPT, abs=4.0)
+    assert fit.outliers == (0 if bad is None else 1)
+    assert fit.r_squared > 0.999
+    # About the 0.9 rad/s of above, more where an end point is lost: it holds most of the slope.
+    assert 0.4 < fit.standard_errors[0] < 3.0
+
+
+def test_a_static_curve_is_told_with_its_errors() -> None:
+    sentence = curve_sentence(_tie(6, 0.5).fit("forward", DROP, 0.0))
+    number = r"-?\d[\d.e+-]*"
+    assert re.fullmatch(
+        rf"no_load, forward: a = {number} ± {number} rad/s, b = {number} ± {number} rad/s; "
+        r"R² 0\.99\d* over 12 points, 1 of them outliers",
+        sentence,
+    )
 
 
 def test_refusals() -> None:
