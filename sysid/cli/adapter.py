@@ -53,7 +53,7 @@ def _parts(cls: type) -> list[tuple[str, Any, Any]]:
 
 
 def _parameters(parts: list[tuple[str, Any, Any]]) -> Iterator[inspect.Parameter]:
-    """Give typer's parameters, those of nested dataclasses in their place."""
+    """Yield typer's parameters; nested dataclasses contribute theirs in their place."""
     for name, hint, default in parts:
         if is_dataclass(hint):
             assert isinstance(hint, type)

@@ -40,7 +40,7 @@ def inspect(
     plot: Figure = None,
     json: Json = False,
 ) -> None:
-    """Say what logs hold: device, channels, rates, gaps, drops, and what looks wrong."""
+    """Say what logs contain: device, channels, rates, gaps, drops, and what looks wrong."""
     from sysid.workflows.inspect import inspect_files, parse_options
 
     draw = None if plot is None else _drawing(plot)

@@ -48,7 +48,7 @@ def say(sentence: str) -> None:
 
 
 def unless(silent: bool) -> Callable[[str], None] | None:
-    """Return `say`, or nothing that speaks."""
+    """Return `say`, or None where nothing is to be printed."""
     return None if silent else say
 
 

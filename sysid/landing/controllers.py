@@ -133,7 +133,7 @@ def impulse(
 
 
 def find_controller(text: str, *, ideal_reversal: bool = False, sensing: Sensing | None = None) -> Controller:
-    """Return a controller as it is asked for on the command line.
+    """Return a controller as the command line names it.
 
     `text` is a name, then its options by name or in order: ``reverse``, ``command:-0.5``,
     ``impulse:delay=50ms,duration=0.1``; a number without unit is SI. Raises `CampaignError` for a controller

@@ -40,7 +40,7 @@ class Drone:
         return gear_model.pack(self.gear, self.surface)
 
     def value(self, name: str) -> float:
-        """Return a number of the gear, the surface's default where the set does not hold it [SI]."""
+        """Return a number of the gear, by default the surface's [SI]."""
         return float(self.row[list(gear_model.PARAMETERS).index(name)])
 
     @property
@@ -73,7 +73,7 @@ class Drone:
 
 
 def drones(gear: ParameterSets, motor: ParameterSets, pairing: Pairing = "best") -> tuple[Drone, ...]:
-    """Pair the sets of a gear with those of a motor, one drone per gear set, best first.
+    """Pair the sets of a gear with sets of a motor, one drone per gear set, best first.
 
     Every gear set goes with the motor's best set, or set i with set i ("each"). The motor's ``command_delay``
     is of the log's instruments and is left out.
@@ -108,6 +108,6 @@ def _known(sets: ParameterSets, rank: int, table: Mapping[str, object]) -> dict[
     if missing:
         raise ExportError(
             f"{sets.name}, set {rank}: {', '.join(missing)} unknown (NaN), so nothing can be simulated; "
-            "record what fixes it, or state it in the campaign, and fit again"
+            "record what determines it, or state it in the campaign, and fit again"
         )
     return values

@@ -27,13 +27,13 @@ class Sensing:
     order : int
         Of the low-pass.
     window : float
-        An impact is looked for so long after touchdown [s].
+        An impact is looked for during this time after touchdown [s].
 
     Notes
     -----
     The filter's delay (about 11 ms at 30 Hz) is part of the reaction time. A gentle touchdown may stay below
-    the threshold: then nothing triggers, as on the real drone. Until then the motors hold the hover command;
-    without attitude control that says nothing after some tenths of a second, hence the window.
+    the threshold: then nothing triggers, as on the real drone. Until then the motors keep the hover command.
+    Without attitude control that says nothing after some tenths of a second, hence the window.
     """
 
     threshold: float = 2.0 * STANDARD_GRAVITY

@@ -36,7 +36,7 @@ _EQUAL_TURN = 0.02
 
 @dataclass(frozen=True)
 class ImpulseSettings:
-    """Which impulses are tried, by default those of Figs. 9 and 10.
+    """Which impulses are tried, by default as in Figs. 9 and 10.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ class ImpulseSettings:
 
     @property
     def followed_by(self) -> str:
-        """What the motors do after the impulse, as a controller is asked for."""
+        """What the motors do after the impulse, as a controller of the command line."""
         return {-1.0: "reverse", 0.0: "off"}.get(self.after, f"command:{self.after:g}")
 
     def check_within(self, horizon: float) -> None:

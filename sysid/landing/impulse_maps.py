@@ -61,7 +61,7 @@ class ImpulseMap(CellMap):
 class ImpulseWork:
     """Rows (P, 3) of a drone's number, slope [rad] and speed [m/s] to the best impulse and how it lands.
 
-    All rows are of one drone. Columns: those of `Optimum`, then `judged` of each variant.
+    All rows are of one drone. The columns are the fields of `Optimum`, then `judged` of each variant.
     """
 
     drones: tuple[Drone, ...]
@@ -95,7 +95,7 @@ class ImpulseWork:
     def _impulses(self, drone: int, after: float) -> Impulses:
         key = (drone, after)
         if key not in self._known:
-            # A drone's thousands of thrust histories are hundreds of megabytes: keep those of one.
+            # The thousands of thrust histories of a drone are hundreds of megabytes: keep one drone's.
             for other in [known for known in self._known if known[0] != drone]:
                 del self._known[other]
             settings = replace(self.impulses, after=after)

@@ -197,7 +197,7 @@ def cell_edges(centres: FloatArray) -> FloatArray:
 
 
 def nearest_cell(centres: FloatArray, value: float) -> int | None:
-    """Return the cell that holds a value; None outside. On an edge the lower cell does."""
+    """Return the cell around a value, on an edge the lower one; None outside."""
     edges = cell_edges(centres)
     if len(centres) < 2:
         return 0 if value == centres[0] else None
@@ -314,7 +314,7 @@ def landing_maps(
     for fleet, columns in zip(fleets, columns_of_fleets(work, fleets, parts, how), strict=False):
         names, shape = tuple(drone.name for drone in fleet), (len(fleet), len(settings.slopes_deg), -1)
         for controller, part in zip(controllers, parts, strict=True):
-            found = [column.reshape(shape) for column in columns[part]]
+            arrays = [column.reshape(shape) for column in columns[part]]
             head = (fleet[0].surface, controller.label, names, *settings.axes)
-            out.append(LandingMap(*head, *found, checked=settings.check, law=controller.name))
+            out.append(LandingMap(*head, *arrays, checked=settings.check, law=controller.name))
     return tuple(out)

@@ -109,8 +109,8 @@ class Rules:
         """Return the `Outcome` codes (...) of landings.
 
         `distance` is the displacement of the body's centre of mass down the slope when the landing was over
-        [m]. `rest` and `flip` tell when it came to rest and flipped [s], NaN where it did not; the earlier
-        one counts. `lost` tells whether the simulation failed.
+        [m]. `rest` and `flip` are the times when it came to rest and flipped [s], NaN where it did not; the
+        earlier one counts. `lost` is whether the simulation failed.
         """
         far = np.abs(distance)
         flipped = np.isfinite(flip) & ~(rest < flip)

@@ -62,7 +62,7 @@ VERTICAL = math.pi / 2
 # A stair of the ramp, and the width to which the last one is halved [rad].
 _STAIR = math.radians(1.0)
 _WIDTH = math.radians(0.02)
-# On a stair the drone settles in pieces of this length [s] until it stands, at most so many of them.
+# On a stair the drone settles in pieces of this length [s] until it stands, at most this number of them.
 _PIECE = 0.25
 _PIECES = 40
 # It stands when the body is slower than this [m/s, rad/s], and not faster than a piece before ...
@@ -170,7 +170,7 @@ def ramp_limit(gear: Mapping[str, float], surface: str | Surface, reverse_thrust
     The ramp climbs in stairs of 1 deg; on each the drone settles, and the stair on which it leaves is halved
     down to 0.02 deg. Dampers do not move an equilibrium, so they are raised to about critical: the drone
     settles within a fraction of a second instead of ringing. Feet are slipping when a stair begins, so the
-    kinetic coefficient decides whether they hold. A drone that is put on a slope at once (`set_down_limit`),
+    kinetic coefficient decides whether they stick. A drone that is put on a slope at once (`set_down_limit`),
     or lands on it, overshoots and tips earlier. On a surface that never sticks the drone creeps on every
     stair; there the slide limit is the slope on which a drone that slides, fast enough for the whole
     friction, no longer slows down.

@@ -1,4 +1,4 @@
-"""`sysid check CAMPAIGN`: are the logs good, do they excite the model, and what will they fix?"""
+"""`sysid check CAMPAIGN`: are the logs good, do they excite the model, and what will they determine?"""
 
 from __future__ import annotations
 
@@ -93,10 +93,11 @@ def _verdicts(
         after = float(best.half_widths[i])
         if better and after < row.half_width:
             lines.append(
-                f"to fix {row.symbol}: {best.title} ({percent(row.half_width)} now, {percent(after)} with it)"
+                f"to determine {row.symbol}: {best.title} ({percent(row.half_width)} now, "
+                f"{percent(after)} with it)"
             )
         else:
-            lines.append(f"no single {single} within the lab's reach fixes {row.symbol}")
+            lines.append(f"no single {single} within the lab's reach determines {row.symbol}")
     # Worth recording is what lifts a verdict.
     lifting = [(c, [e.symbol for e, w in zip(expected, c.half_widths, strict=True) if _lifts(e, w)])
                for c in candidates]  # fmt: skip

@@ -82,7 +82,8 @@ def _motor(sets: ParameterSets, rank: int) -> bytes:
     wrong = [name for name, value in values.items() if math.isnan(value)]
     if wrong:
         raise ExportError(
-            f"{sets.name}, set {rank}: {', '.join(wrong)} unknown (NaN); record what fixes it and fit again"
+            f"{sets.name}, set {rank}: {', '.join(wrong)} unknown (NaN); record what determines it and "
+            "fit again"
         )
     rotor = first_order_rotor(values)
     notes = [

@@ -99,7 +99,7 @@ def inspect_files(
 
 @dataclass(frozen=True)
 class SecondFile:
-    """A second log of the same run: its format and options, and the channel by which its clock is found."""
+    """A second log of the same run: its format and options, and the channel that aligns its clock."""
 
     path: Path
     format_name: str = "auto"

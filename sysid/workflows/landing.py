@@ -72,7 +72,7 @@ def simulate_landings(options: SimulateOptions) -> list[Landing]:
 
 
 def _files(out: Path | None, force: bool) -> list[Path]:
-    """Return the files to write; refuse what is in the way."""
+    """Return the files to write; refuse files that exist."""
     if out is None:
         return []
     kind = out.suffix.lower()
@@ -100,7 +100,7 @@ def event_rows(landing: Landing) -> list[dict[str, Any]]:
 
 
 def outcome_row(rank: int, landing: Landing) -> dict[str, Any]:
-    """Return what became of a landing."""
+    """Return the outcome of a landing."""
     return {
         "set": rank,
         "outcome": landing.outcome.name.lower(),

@@ -66,7 +66,7 @@ def chosen_controllers(
     for controller in chosen:
         controller.check_within(horizon)
         if controller.label in labels:
-            raise CampaignError(f"controller {controller.name!r} is asked for twice; name each once")
+            raise CampaignError(f"controller {controller.name!r} is named twice; name each once")
         labels.add(controller.label)
     return chosen
 
@@ -183,7 +183,7 @@ class BlockProgress:
             self._console.print(Text(self.line()), soft_wrap=True)
 
     def on_stop(self) -> None:
-        """Say that Ctrl-C was heard."""
+        """Acknowledge Ctrl-C."""
         if not self._quiet:
             self._console.print("stopping after the blocks at hand; Ctrl-C again aborts")
 

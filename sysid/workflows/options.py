@@ -168,7 +168,7 @@ class TrustOptions:
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """What a report holds and which files are written beside it."""
+    """What a report shows and which files are written beside it."""
 
     out: Annotated[Path | None, Flag("Write the page to this file.", default="FIT/report.html")] = None
     against: Annotated[Path | None, Flag("Campaign with other trials, which the sets predict.")] = None
@@ -239,7 +239,7 @@ class MotorOptions:
 
 @dataclass(frozen=True)
 class RulesOptions:
-    """When a landing is over; the fields are those of `sysid.landing.outcomes.Rules`."""
+    """When a landing is over; the fields of `sysid.landing.outcomes.Rules`."""
 
     horizon: Annotated[float, Flag("Simulate this time from the touchdown on [s].")] = 3.0
     short: Annotated[float, Flag("Short distance that divides the classes [m].")] = 0.45
@@ -346,7 +346,7 @@ class LandingMapOptions(MapOptions):
 
 @dataclass(frozen=True)
 class ImpulseOptions:
-    """Which impulses are tried; the fields are those of `sysid.landing.impulse.ImpulseSettings`."""
+    """Which impulses are tried; fields of `sysid.landing.impulse.ImpulseSettings`."""
 
     delays: Annotated[tuple[float, ...], _span("--delays", "0:0.26:0.01", "Delays of the impulse [s].")] = (
         span("0:0.26:0.01", "delays")

@@ -104,11 +104,11 @@ def _without_logs(fit: FitResult, problem: Problem, names: Collection[str]) -> l
 
 
 def predicted_fit(fit: FitResult, path: Path) -> FitResult:
-    """Return the sets of a fit on the trials of a campaign whose logs the fit does not hold.
+    """Return the sets of a fit on the trials of a campaign whose logs are not in the fit.
 
-    Those that it held back are in its report already.
+    Trials that the fit held back are in its report already.
 
-    Raises `SysidError` when the campaign is of the other kind, cannot be used, or holds nothing but trials of
+    Raises `SysidError` when the campaign is of the other kind, cannot be used, or has no other trials than
     the fit.
     """
     with Journal() as journal:

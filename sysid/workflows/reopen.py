@@ -17,7 +17,7 @@ from sysid.workflows.kinds import naming, open_campaign
 
 
 def fit_folder(path: Path) -> Path:
-    """Return a fit's folder, also of the file in it that holds the sets."""
+    """Return a fit's folder from the folder or from the file of the sets in it."""
     return path.parent if path.name == "fit.h5" else path
 
 
@@ -40,7 +40,7 @@ def campaign_of(result: FitResult, folder: Path, given: Path | None) -> Path:
     if stated.get("sha256") not in (None, file_sha256(path)):
         notice(
             "campaign-changed",
-            f"{path} has changed since the fit {folder} (another SHA-256): what follows speaks of the "
+            f"{path} has changed since the fit {folder} (another SHA-256): what follows is about the "
             "file as it is now",
         )
     return path
@@ -86,6 +86,6 @@ def open_fit(folder: Path, campaign: Path | None = None, threads: int | None = N
     if names != fitted or len(names) != result.cube.shape[1]:
         raise FitError(
             f"{path}: frees {', '.join(names)}, which are not the {result.cube.shape[1]} free parameters of "
-            f"{folder}; run the fit again, or name its own campaign with --campaign"
+            f"{folder}; run the fit again, or name the campaign of the fit with --campaign"
         )
     return opened

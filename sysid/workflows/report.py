@@ -24,7 +24,7 @@ from sysid.workflows.predict import predicted_fit
 def write_report(
     folder: str | Path, options: ReportOptions | None = None, say: Say = None
 ) -> dict[str, Path]:
-    """Write the report of a fit folder and what else is asked for; return the files by what they are.
+    """Write the report of a fit folder and the files beside it; return the files by what they are.
 
     Raises `SysidError` when something is missing or would be overwritten; nothing has been written then.
     """
@@ -72,7 +72,7 @@ def _check_targets(report: FitReport, options: ReportOptions, out: Path) -> None
     targets = [path.resolve() for path in (out, *options.films)]
     for path in options.films:
         if targets.count(path.resolve()) > 1:
-            raise ExportError(f"{path}: is named for two files of one report; give each a name of its own")
+            raise ExportError(f"{path}: is named for two files of one report; give each another name")
     if options.out is not None and out.exists() and not options.force:
         raise ExportError(f"{out}: exists already; choose a new name or add --force")
     if not out.parent.is_dir():

@@ -194,8 +194,8 @@ def _zero_without_rest(
     if speed is None:
         return _NO_TARE, "the tare of thrust is taken as 0"
     # Steady stretches turn as they are commanded, whatever an unsigned probe shows.
-    held = np.maximum(np.searchsorted(steps.time, speed.time, side="right") - 1, 0)
-    turning = np.sign(steps.level[held]) * np.abs(speed.values)
+    step = np.maximum(np.searchsorted(steps.time, speed.time, side="right") - 1, 0)
+    turning = np.sign(steps.level[step]) * np.abs(speed.values)
     channels = {"speed": (speed.time, turning), "thrust": (thrust.time[keep], thrust.values[keep])}
     points = steady_points(thrust.time, steps, channels)
     zero = zero_of_steady(points.thrust, points.speed)

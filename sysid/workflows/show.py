@@ -49,7 +49,7 @@ def print_fit(result: FitResult, folder: Path, json: bool) -> None:
         print(exact_json.dumps(head | sets.document().model_dump()))
         return
     _print_tables(sets)
-    state = "" if result.state == "done" else " (stopped early: the sets are what was found until then)"
+    state = "" if result.state == "done" else " (stopped early: the sets are the best until then)"
     print(f"fit written to {folder}{state}; next: sysid export {folder} --to sets.json")
 
 

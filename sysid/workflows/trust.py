@@ -27,9 +27,9 @@ from sysid.workflows.reopen import OpenedFit, open_fit
 
 _STATEMENT = (
     "the mean NRMSE is minimized by a weighted sum of squares, one noise level per trial and channel "
-    "(its NRMSE); the rise of that sum along a profile is divided by the parameter's inflation, which holds "
-    "the correlation of the residuals in time and between channels and the uncertainty of what the fit takes "
-    "as known, so that it follows chi-square with one degree of freedom"
+    "(its NRMSE); the rise of that sum along a profile is divided by the parameter's inflation, which "
+    "accounts for the correlation of the residuals in time and between channels and for the uncertainty of "
+    "what the fit takes as known, so that it follows chi-square with one degree of freedom"
 )
 _ENDS = ("interval_68", "interval_95", "open_68", "open_95")
 # Relative to the standard deviation of the linearization: farther apart is worth a word.
@@ -37,7 +37,7 @@ _MOVED = 2.0
 
 
 def assess_fit(folder: Path, options: TrustOptions | None = None, say: Say = None) -> dict[str, Any]:
-    """Assess a fit and store what was found in its folder; return the document of `sysid.trust.documents`.
+    """Assess a fit and store the result in its folder; return the document of `sysid.trust.documents`.
 
     Raises `SysidError` when the fit or its campaign cannot be used; nothing has been written then.
     """
@@ -144,7 +144,7 @@ def _document(
 
 
 def _doubt(row: dict[str, Any], why: str) -> None:
-    """Note why a row's interval may not hold the truth; such a parameter is not called well known."""
+    """Note why a row's interval may miss the truth; such a parameter is not called well known."""
     row["doubt"] = f"{row['doubt']}; {why}" if row["doubt"] else why
     if row["verdict"] == "well":
         row["verdict"] = "weakly"

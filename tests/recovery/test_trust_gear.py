@@ -273,7 +273,7 @@ def test_level_drops_name_what_they_cannot_fix_and_the_drop_that_does(tmp_path):
     before = check_campaign(synthesize_gear(tmp_path / "a", seed=7, drops=drops) / "campaign.toml")
     rank = {word: i for i, word in enumerate(VERDICTS)}
     old = {row["name"]: row for row in before["parameters"]}
-    named = [s for s in before["sentences"] if s.startswith("to fix ")]
+    named = [s for s in before["sentences"] if s.startswith("to determine ")]
     assert old["leg_bending_stiffness"]["verdict"] == "not identifiable"
     assert any("k_t" in sentence for sentence in named)
     first = before["candidates"][0]["title"]

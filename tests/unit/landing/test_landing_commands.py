@@ -258,7 +258,7 @@ def test_what_was_stopped_goes_on_on_another_number_of_threads(command, other, w
         (("--slopes", "45:0:1"), "--slopes"),
         (("--out", "map.csv"), "ends in .h5"),
         (("--resume",), "nothing to continue"),
-        (("--controller", "off", "--controller", "off"), "'off' is asked for twice"),
+        (("--controller", "off", "--controller", "off"), "'off' is named twice"),
         (("--slopes", "0:90:10"), "expected a slope within 85 deg"),
         (("--speeds=-1:1:1",), "a downward speed of 0 or more"),
         (("--experiments", "missing.csv"), "cannot be read as CSV"),
