@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from sysid.report.drawing import USES
 from sysid.report.drop_replay import RATE, DropReplay
 from sysid.report.html import Html, filled
 
@@ -49,7 +50,7 @@ def _document(drop: DropReplay) -> dict[str, Any]:
     frames = np.column_stack([1e4 * drop.body, 1e4 * points, *forces, 1e4 * measured])[::_EVERY]
     return {
         "name": drop.name,
-        "use": "fitted" if drop.use == "fit" else "not fitted",
+        "use": USES[drop.use],
         "slope": round(float(drop.slope), 5),
         "step": _EVERY / RATE,
         "frames": np.rint(np.nan_to_num(frames)).astype(int).tolist(),

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc, FancyBboxPatch, Polygon
 
 from sysid.gear.surfaces import high_friction
-from sysid.report.drawing import arrow, directions, panel
+from sysid.report.drawing import arrow, directions, draw_line, panel
 from sysid.report.drop_replay import DropReplay
 from sysid.report.snapshots import BODY, FRICTION, GROUND, NORMAL
 from sysid.types import FloatArray
@@ -34,26 +34,24 @@ def figure_geometry(values: Mapping[str, float], slope: float) -> Figure:
     figure, axes = panel(4.1)
     axes.set_aspect("equal")
     axes.set_axis_off()
-    slope = float(np.clip(slope, np.radians(8.0), np.radians(22.0)))
-    unit = v["foot_dz"]
-    along, normal = directions(slope)
+    along, normal = directions(float(np.clip(slope, np.radians(8.0), np.radians(22.0))))
+    unit, arm = v["foot_dz"], v["thrust_point_dx"]
     _, rear_foot = _leg(v, -1)
     far = 4 * unit
     ground = [rear_foot + a * along + b * normal for a, b in ((-far, 0), (far, 0), (far, -far), (-far, -far))]
     axes.add_patch(Polygon(ground, facecolor="#E9E2D3", edgecolor=GROUND, linewidth=1.2))
     for side in (-1, 1):
         joint, foot = _leg(v, side)
-        axes.plot(*np.stack([joint, foot]).T, color=BODY, linewidth=3.2, solid_capstyle="round", zorder=3)
+        draw_line(axes, [joint, foot], BODY, 3.2, solid_capstyle="round", zorder=3)
         axes.plot(*joint, marker="o", markersize=6, color="white", markeredgecolor=BODY, zorder=4)
         axes.plot(*foot, marker="o", markersize=5, color=BODY, zorder=4)
-        motor = np.array([side * v["thrust_point_dx"], 0.0])
-        axes.plot([motor[0], motor[0]], [0, 0.14 * unit], color=BODY, linewidth=2)
-        blade = [motor[0] - 0.42 * unit, motor[0] + 0.42 * unit]
-        axes.plot(blade, [0.14 * unit] * 2, color=BODY, linewidth=2)
-        arrow(axes, (motor[0], 0.14 * unit), (motor[0], 0.14 * unit + 0.42 * unit), _THRUST)
+        x, top = side * arm, 0.14 * unit
+        draw_line(axes, [(x, 0), (x, top)], BODY, 2)
+        draw_line(axes, [(x - 0.42 * unit, top), (x + 0.42 * unit, top)], BODY, 2)
+        arrow(axes, (x, top), (x, top + 0.42 * unit), _THRUST)
         name, way = (r"$T_r$", "right") if side < 0 else (r"$T_f$", "left")
-        _write(axes, (motor[0] + side * 8, 0.5 * unit), name, _THRUST, ha=way, va="baseline")
-    axes.plot([-v["thrust_point_dx"], v["thrust_point_dx"]], [0, 0], color=BODY, linewidth=3, zorder=3)
+        _write(axes, (x + side * 8, 0.5 * unit), name, _THRUST, ha=way, va="baseline")
+    draw_line(axes, [(-arm, 0), (arm, 0)], BODY, 3, zorder=3)
     low, high = (v["joint_dx"], -v["joint_dz"]), (0.3 * unit, 0.09 * unit)
     hull = [(-low[0], low[1]), low, high, (-high[0], high[1])]
     axes.add_patch(Polygon(hull, facecolor="#DDDDDD", edgecolor=BODY, linewidth=1.2, zorder=2))
@@ -61,7 +59,7 @@ def figure_geometry(values: Mapping[str, float], slope: float) -> Figure:
     _lengths(axes, v, unit)
     _forces(axes, v, unit, along, normal)
     _frames(axes, v, unit, along, normal)
-    axes.set_xlim(-v["thrust_point_dx"] - 0.62 * unit, v["thrust_point_dx"] + 0.82 * unit)
+    axes.set_xlim(-arm - 0.62 * unit, arm + 0.82 * unit)
     axes.set_ylim(-v["foot_dz"] - 0.85 * unit, 1.35 * unit)
     return figure
 
@@ -72,33 +70,32 @@ def _leg(v: Mapping[str, float], side: int = 1) -> tuple[FloatArray, FloatArray]
 
 
 def _lengths(axes: Axes, v: Mapping[str, float], unit: float) -> None:
-    look: dict[str, Any] = {"fontsize": 8}
-    axes.plot([0, 0], [0.55 * unit, 1.17 * unit], color=_DIMENSION, linewidth=0.6)
+    def dimension(start: tuple[float, float], end: tuple[float, float]) -> None:
+        arrow(axes, start, end, _DIMENSION, 0.9, zorder=5, arrowstyle="<|-|>", mutation_scale=7)
+
+    draw_line(axes, [(0, 0.55 * unit), (0, 1.17 * unit)], _DIMENSION, 0.6)
     for level, name, symbol, foot in (
         (0.72, "joint_dx", "dx_j", -v["joint_dz"]),
         (0.92, "foot_dx", "dx_f", -v["foot_dz"]),
         (1.12, "thrust_point_dx", "dx_m", 0.0),
     ):
         x, z = v[name], level * unit
-        axes.plot([x, x], [foot, z + 0.05 * unit], color=_DIMENSION, linewidth=0.6, zorder=1)
-        _dimension(axes, (0, z), (x, z))
-        _write(axes, (-6, z), f"${symbol}$ = {x:.0f} mm", _DIMENSION, **look)
+        draw_line(axes, [(x, foot), (x, z + 0.05 * unit)], _DIMENSION, 0.6, zorder=1)
+        dimension((0, z), (x, z))
+        _write(axes, (-6, z), f"${symbol}$ = {x:.0f} mm", _DIMENSION, fontsize=8)
     # The feet's depth on the left, the joints' on the right.
-    left, right = -v["thrust_point_dx"] - 0.3 * unit, v["thrust_point_dx"] + 0.12 * unit
-    for x, start, name, symbol in (
-        (left, -v["foot_dx"], "foot_dz", "dz_f"),
-        (right, v["joint_dx"], "joint_dz", "dz_j"),
+    arm = v["thrust_point_dx"]
+    for side, x, start, name, symbol in (
+        (-1, -arm - 0.3 * unit, -v["foot_dx"], "foot_dz", "dz_f"),
+        (1, arm + 0.12 * unit, v["joint_dx"], "joint_dz", "dz_j"),
     ):
         z = -v[name]
-        inner = np.sign(x) * v["thrust_point_dx"]
-        axes.plot([x, inner], [0, 0], color=_DIMENSION, linewidth=0.6, zorder=1)
-        axes.plot([x, start], [z, z], color=_DIMENSION, linewidth=0.6, zorder=1)
-        _dimension(axes, (x, 0), (x, z))
-        words = f"${symbol}$ = {v[name]:.0f} mm"
-        if x < 0:
-            _write(axes, (x - 5, 0.3 * z), words, _DIMENSION, rotation=90, **look)
-        else:
-            _write(axes, (x + 5, 0.5 * z), words, _DIMENSION, ha="left", **look)
+        draw_line(axes, [(x, 0), (side * arm, 0)], _DIMENSION, 0.6, zorder=1)
+        draw_line(axes, [(x, z), (start, z)], _DIMENSION, 0.6, zorder=1)
+        dimension((x, 0), (x, z))
+        look: dict[str, Any] = {"rotation": 90} if side < 0 else {"ha": "left"}
+        place = (x + 5 * side, (0.3 if side < 0 else 0.5) * z)
+        _write(axes, place, f"${symbol}$ = {v[name]:.0f} mm", _DIMENSION, fontsize=8, **look)
 
 
 def _forces(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, normal: FloatArray) -> None:
@@ -116,21 +113,22 @@ def _forces(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, 
     arrow(axes, rear, rear - 0.42 * unit * along, FRICTION)
     tip = rear - 0.46 * unit * along
     _write(axes, (tip[0], tip[1] + 0.07 * unit), r"$F_t$", FRICTION, va="bottom")
-    place = (v["thrust_point_dx"] + 0.12 * unit, -0.42 * unit)
-    _named(axes, "axial: $k_h$, $b_h$\nbending: $k_t$, $b_t$", joint, place)
-    _named(axes, "ground: $k_s$, $b_s$, $\\mu$", rear, (rear[0] + 0.3 * unit, rear[1] - 0.55 * unit))
+    thin = {"arrowstyle": "-", "color": "0.5", "linewidth": 0.7, "shrinkB": 4}
+    for words, what, place in (
+        (
+            "axial: $k_h$, $b_h$\nbending: $k_t$, $b_t$",
+            joint,
+            (v["thrust_point_dx"] + 0.12 * unit, -0.42 * unit),
+        ),
+        ("ground: $k_s$, $b_s$, $\\mu$", rear, (rear[0] + 0.3 * unit, rear[1] - 0.55 * unit)),
+    ):
+        axes.annotate(words, tuple(what), place, fontsize=8, va="center", ha="left", arrowprops=thin)
 
 
 def _write(axes: Axes, place: Any, words: str, colour: str, **look: Any) -> None:
     """Write words at a place, by default to its left."""
     chosen: dict[str, Any] = {"fontsize": 9, "ha": "right", "va": "center"} | look
     axes.text(float(place[0]), float(place[1]), words, color=colour, **chosen)
-
-
-def _named(axes: Axes, words: str, what: FloatArray, place: tuple[float, float]) -> None:
-    """Write words at a place, with a thin line to what they name."""
-    look = {"arrowstyle": "-", "color": "0.5", "linewidth": 0.7, "shrinkB": 4}
-    axes.annotate(words, tuple(what), place, fontsize=8, va="center", ha="left", arrowprops=look)
 
 
 def _frames(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, normal: FloatArray) -> None:
@@ -153,7 +151,7 @@ def _frames(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, 
     # The angle at rest, from straight down to the leg, at the front joint.
     angle = float(np.degrees(np.arctan2(foot[0] - joint[0], joint[1] - foot[1])))
     x, z = map(float, joint)
-    axes.plot([x, x], [z, z - 0.5 * unit], color=_DIMENSION, linewidth=0.6, linestyle="--")
+    draw_line(axes, [(x, z), (x, z - 0.5 * unit)], _DIMENSION, 0.6, linestyle="--")
     size = 0.8 * unit
     axes.add_patch(Arc((x, z), size, size, theta1=-90, theta2=-90 + angle, color=_DIMENSION))
     _write(axes, (x - 3, z - 0.62 * unit), f"$q_n$ = {angle:.0f}°", _DIMENSION, fontsize=8)
@@ -167,10 +165,6 @@ def _axes(axes: Axes, origin: FloatArray, x: FloatArray, z: FloatArray, size: fl
             place = place + (0.35 if name == "B" else -0.3) * size * z
         words = rf"$\hat{{{symbol}}}_{name}$"
         _write(axes, place, words, _AXES, fontsize=8.5, ha="center")
-
-
-def _dimension(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
-    arrow(axes, start, end, _DIMENSION, 0.9, zorder=5, arrowstyle="<|-|>", mutation_scale=7)
 
 
 def foot_transitions() -> tuple[tuple[str, str, str], ...]:

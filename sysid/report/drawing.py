@@ -32,6 +32,8 @@ BEST = "#D55E00"
 OTHERS = "#56B4E9"
 MASKED = "#E6E6E6"
 RUNS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000")
+# What was done with a trial.
+USES = {"fit": "fitted", "validate": "not fitted"}
 # Of one figure on a page that a phone shows too [in].
 WIDTH = 4.3
 
@@ -96,6 +98,11 @@ def directions(angle: float | FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the unit vectors (..., 2) in x and z along and normal to what is pitched by an angle [rad]."""
     cosine, sine = np.cos(angle), np.sin(angle)
     return np.stack([cosine, -sine], axis=-1), np.stack([sine, cosine], axis=-1)
+
+
+def draw_line(axes: Axes, points: Any, colour: str, width: float, **look: Any) -> None:
+    """Draw a line from point to point."""
+    axes.plot(*np.array(points).T, color=colour, linewidth=width, **look)
 
 
 def arrow(

@@ -25,6 +25,7 @@ from sysid.report.drawing import (
     MEASURED,
     OTHERS,
     RUNS,
+    USES,
     WIDTH,
     Entry,
     as_math,
@@ -123,8 +124,9 @@ def figure_measured_against_simulated(
             signal.tick_params(labelbottom=False)
             residual.tick_params(labelbottom=c == rows - 1)
             if c == 0 and trial is None:
-                use = "fitted" if shown.use == "fit" else "validation"
-                signal.set_title(f"{shortened(shown.name, 30)}\n{use}", fontsize="medium", loc="left")
+                signal.set_title(
+                    f"{shortened(shown.name, 30)}\n{USES[shown.use]}", fontsize="medium", loc="left"
+                )
             if t == 0:
                 first_column += [signal, residual]
             else:
@@ -216,10 +218,9 @@ def trial_means(fit: FitResult, trial: TrialResult) -> FloatArray:
 
 
 def _title(fit: FitResult, trial: TrialResult) -> str:
-    use = "fitted" if trial.use == "fit" else "validation, not fitted"
     means = trial_means(fit, trial)
     best, low, high = (percent_text(float(mean)) for mean in (means[0], means.min(), means.max()))
-    text = f"{fit.name}, {trial.name} ({use}): NRMSE {best}"
+    text = f"{fit.name}, {trial.name} ({USES[trial.use]}): NRMSE {best}"
     # Sets that score alike to the printed digits need no span.
     if low != high:
         text += f", {'both' if len(means) == 2 else f'all {len(means)}'} sets {low} to {high}"

@@ -23,7 +23,7 @@ from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.summary import record_lines, run_record
 from sysid.parameter_sets import in_place_of_digits
 from sysid.parameters import in_words
-from sysid.report.drawing import display_of, percent_text
+from sysid.report.drawing import USES, display_of, percent_text
 from sysid.report.fit_figures import (
     Bars,
     figure_channel,
@@ -496,10 +496,9 @@ class FitReport:
         return picture(figure_channel(fit, trial, c, bars=bars), words, vector=vector)
 
     def _title(self, fit: FitResult, trial: TrialResult) -> str:
-        use = "fitted" if trial.use == "fit" else "not fitted"
         mean = percent_text(float(trial_means(fit, trial)[0]))
         name = f"{fit.name}, {trial.name}" if fit is self.against else trial.name
-        return f"{name} ({use}{self.conditions(fit, trial)}): NRMSE {mean}"
+        return f"{name} ({USES[trial.use]}{self.conditions(fit, trial)}): NRMSE {mean}"
 
     def _cost_profiles(self) -> list[tuple[Any, dict[str, Any]]]:
         known = {record.name: record for record in self.fit.parameters}

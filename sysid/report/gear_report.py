@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from contextlib import suppress
+from dataclasses import replace
+from functools import cached_property
 
 from matplotlib.figure import Figure
 
@@ -51,15 +52,12 @@ _LENGTHS = (
 _SLOPE = 15.0
 
 
-@dataclass(frozen=True, eq=False)
 class GearReport(FitReport):
     """The report of a landing gear."""
 
-    _replays: dict[tuple[bool, str], DropReplay | None] = field(default_factory=dict, repr=False)
-
-    title: ClassVar[str] = "Landing gear: what the drops say"
-    noun: ClassVar[str] = "drop"
-    sections: ClassVar[tuple[Section, ...]] = arranged(
+    title = "Landing gear: what the drops say"
+    noun = "drop"
+    sections = arranged(
         "Parameters", GEOMETRY, ANIMATION, CONTACTS, "Errors", "Convergence", "Spread", "Profiles",
         "Correlation", "Validation", FRICTION, "Filter", "Provenance",
     )  # fmt: skip
@@ -95,7 +93,7 @@ class GearReport(FitReport):
         logs = self.fit.provenance.get("logs", {})
         known = [trial for trial in self.fit.trials if name in (None, trial.name)]
         if not known:
-            names = ", ".join(trial.name for trial in self.fit.trials) or "none"
+            names = ", ".join(trial.name for trial in self.fit.trials)
             raise ExportError(f"{self.fit.name}: no drop {name!r}; found {names}")
         steepest = max(known, key=lambda trial: logs.get(trial.name, {}).get("slope [deg]", 0.0))
         return replay_drop(self.fit, steepest)
@@ -113,12 +111,11 @@ class GearReport(FitReport):
 
     def animation(self) -> Html:
         """Return the drops in motion, slowed down, with forces, ghost and the instants of Fig. 7."""
-        replayed = self._replayed()
-        if not replayed:
+        if not self.replays:
             return paragraph(
                 "No animation: the fit does not hold the states in which its drops start; fit again.", "note"
             )
-        names = [fit.name for fit, _ in replayed] if self.against is not None else ()
+        names = [self.fits[other].name for other, _ in self.replays] if self.against is not None else ()
         return animation(self.drops(), names)
 
     def snapshots(self) -> Html:
@@ -164,25 +161,24 @@ class GearReport(FitReport):
             out[f"snapshots-{self.trial_name(fit, trial)}"] = figure_snapshots(drop, legend=True)
         return out
 
+    @cached_property
+    def replays(self) -> dict[tuple[bool, str], DropReplay]:
+        """Replays of the drops that can be repeated, with the best set; a key tells both campaigns apart."""
+        out = {}
+        for fit in self.fits:
+            for trial in fit.trials:
+                with suppress(ExportError):
+                    out[fit is self.against, trial.name] = replay_drop(fit, trial)
+        return out
+
     def drops(self) -> list[DropReplay]:
-        """Return the replays of all drops that can be repeated, with the best set."""
-        return [drop for _, drop in self._replayed()]
+        """Return the replays of all drops that can be repeated."""
+        return list(self.replays.values())
 
     def replay(self, fit: FitResult, trial: TrialResult) -> DropReplay | None:
         """Return the replay of a drop with the best set; None where it cannot be repeated."""
-        # Two campaigns may bear one name, and so may their drops.
-        key = (fit is self.against, trial.name)
-        if key not in self._replays:
-            try:
-                self._replays[key] = replay_drop(fit, trial)
-            except ExportError:
-                self._replays[key] = None
-        return self._replays[key]
+        return self.replays.get((fit is self.against, trial.name))
 
     def _geometry(self) -> Figure:
         slope = max((drop.slope for drop in self.drops()), default=math.radians(_SLOPE))
         return figure_geometry(self.values(), slope)
-
-    def _replayed(self) -> list[tuple[FitResult, DropReplay]]:
-        every = ((fit, self.replay(fit, trial)) for fit in self.fits for trial in fit.trials)
-        return [(fit, drop) for fit, drop in every if drop is not None]

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,6 +11,7 @@ from matplotlib.figure import Figure
 from sysid.fit.result import FitResult, TrialResult
 from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.motor.model import thrust as static_thrust
+from sysid.report.drawing import USES
 from sysid.report.fit_report import SECTIONS, FitReport, Section, arranged
 from sysid.report.html import Html, definitions, grid, markup_table, paragraph, picture
 from sysid.report.motor_figures import figure_thrust, reversal_commands
@@ -38,20 +38,16 @@ STEPS = Section(
 _MOST_REVERSALS = 6
 
 
-@dataclass(frozen=True, eq=False)
 class MotorReport(FitReport):
     """The report of a motor."""
 
-    title: ClassVar[str] = "Motor: what the bench logs say"
-    sections: ClassVar[tuple[Section, ...]] = arranged(
+    title = "Motor: what the bench logs say"
+    sections = arranged(
         "Parameters", THRUST, REVERSALS, "Errors", STEPS, "Convergence", "Spread", "Profiles",
         "Correlation", "Validation", "Filter", "Provenance",
     )  # fmt: skip
 
-    @property
-    def model(self) -> str:
-        """Motor."""
-        return "motor"
+    model = "motor"
 
     def more_panels(self, fit: FitResult, trial: TrialResult) -> list[Html]:
         """Return the thrust, which the fit does not compare."""
@@ -70,8 +66,7 @@ class MotorReport(FitReport):
         pieces = []
         for trial, time, before, after in (commands[k] for k in shown):
             figure = figure_thrust(trial, self.simulated_thrust(self.fit, trial), command=time)
-            use = "fitted" if trial.use == "fit" else "not fitted"
-            what = f"{trial.name} ({use}): from {_signed(before)} % to {_signed(after)} %"
+            what = f"{trial.name} ({USES[trial.use]}): from {_signed(before)} % to {_signed(after)} %"
             words = f"thrust after a reversal command, measured and simulated; {what}"
             pieces.append(picture(figure, words, what))
         out = grid(pieces)

@@ -158,7 +158,7 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
 def trial_table(sets: ParameterSets) -> Table:
     """Return the NRMSE [%] of the best set per trial and channel, and the mean of the worst set on each."""
     scores = zip(sets.nrmse_by_trial[0], _trial_means(sets).T, strict=True)
-    rows = [
+    rows: list[tuple[str | Cell, ...]] = [
         (trial, use, *map(percent, best), Cell(percent(mean[0]), "strong"), percent(mean.max()))
         for trial, use, (best, mean) in zip(sets.trials, sets.uses, scores, strict=True)
     ]

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from sysid.errors import ExportError
-from sysid.report.drawing import WIDTH, arrow, directions, draw_legend, panels
+from sysid.report.drawing import WIDTH, arrow, directions, draw_legend, draw_line, panels
 from sysid.report.drop_replay import DropReplay
 from sysid.storage import write_file
 from sysid.types import FloatArray
@@ -101,30 +101,24 @@ def _draw_body(
     for joint, foot in zip(legs[0], legs[1], strict=True):
         # The joint hangs below the arm.
         hang = centre + float((joint - centre) @ ex) * ex
-        axes.plot(*np.stack([hang, joint]).T, color=colour, linewidth=width, zorder=zorder)
-        (leg,) = axes.plot(*np.stack([joint, foot]).T, color=colour, linewidth=width + 0.6, zorder=zorder)
-        leg.set_solid_capstyle("round")
+        draw_line(axes, [hang, joint], colour, width, zorder=zorder)
+        draw_line(axes, [joint, foot], colour, width + 0.6, zorder=zorder, solid_capstyle="round")
         axes.plot(*foot, marker="o", markersize=3 + width, color=colour, zorder=zorder)
-    arms = np.stack([centre - arm * ex, centre + arm * ex])
-    axes.plot(*arms.T, color=colour, linewidth=width + 0.6, zorder=zorder)
+    draw_line(axes, [centre - arm * ex, centre + arm * ex], colour, width + 0.6, zorder=zorder)
     hub = [centre + a * _HUB * ex + b * _HUB_HEIGHT * ez for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     face = "none" if colour == GHOST else "#DDDDDD"
     axes.add_patch(Polygon(hub, facecolor=face, edgecolor=colour, linewidth=width, zorder=zorder))
     for side in (-1, 1):
         mast = centre + side * arm * ex
         top = mast + _MAST * ez
-        axes.plot(*np.stack([mast, top]).T, color=colour, linewidth=width, zorder=zorder)
-        blade = np.stack([top - _PROPELLER * ex, top + _PROPELLER * ex])
-        axes.plot(*blade.T, color=colour, linewidth=width, zorder=zorder)
+        draw_line(axes, [mast, top], colour, width, zorder=zorder)
+        draw_line(axes, [top - _PROPELLER * ex, top + _PROPELLER * ex], colour, width, zorder=zorder)
 
 
 def check_film(path: Path, force: bool) -> None:
-    """Refuse a film that cannot be written, before anything is drawn.
+    """Raise an ExportError for a film that cannot be written, before anything is drawn.
 
-    Raises
-    ------
-    ExportError
-        When the file exists and `force` is off, its suffix is unknown, or ffmpeg is missing.
+    Its file exists and `force` is off, its suffix is unknown, or ffmpeg is missing.
     """
     suffix = path.suffix.lower()
     if suffix not in (".gif", ".mp4"):
@@ -138,18 +132,11 @@ def check_film(path: Path, force: bool) -> None:
 
 
 def write_film(drop: DropReplay, path: Path, *, force: bool = False) -> Path:
-    """Write a drop as a film, ten times slower than life: ``.gif``, or ``.mp4`` where ffmpeg is installed.
-
-    Raises
-    ------
-    ExportError
-        When the file exists and `force` is off, its suffix is unknown, or ffmpeg is missing.
-    """
+    """Write a drop as a film, ten times slower than life, after `check_film`."""
     from matplotlib.animation import FFMpegWriter, FuncAnimation, PillowWriter
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     check_film(path, force)
-    suffix = path.suffix.lower()
     figure = Figure(figsize=(6.4, 4.4), dpi=100)
     axes = figure.add_axes((0.0, 0.0, 1.0, 0.92))
     scale = _force_scale(drop)
@@ -173,8 +160,8 @@ def write_film(drop: DropReplay, path: Path, *, force: bool = False) -> Path:
     FigureCanvasAgg(figure)
     film = FuncAnimation(figure, draw, frames=list(shots), blit=False, cache_frame_data=False)  # type: ignore[arg-type]
     with tempfile.TemporaryDirectory() as folder:
-        made = Path(folder) / f"film{suffix}"
-        writer = PillowWriter(fps=FILM_RATE) if suffix == ".gif" else FFMpegWriter(fps=FILM_RATE)
-        film.save(made, writer=writer)
+        made = Path(folder) / f"film{path.suffix.lower()}"
+        writer = PillowWriter if made.suffix == ".gif" else FFMpegWriter
+        film.save(made, writer=writer(fps=FILM_RATE))
         write_file(path, made.read_bytes(), ExportError)
     return path

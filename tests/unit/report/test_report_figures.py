@@ -77,7 +77,7 @@ def test_report_figure_names_units_trial_and_nrmse():
     assert labels == ["$x_B$ [m]", "$z_B$ [m]", r"$\dot{x}_B$ [m/s]", r"$\dot{z}_B$ [m/s]", "$q_B$ [deg]"]
     assert figure.axes[1].get_ylabel() == "residual\n[mm]"
     mean = 100 * fit.trials[2].nrmse[0].mean()
-    assert "drop-3 (validation, not fitted)" in figure.get_suptitle()
+    assert "drop-3 (not fitted)" in figure.get_suptitle()
     assert f"NRMSE {mean:.1f} %" in figure.get_suptitle()
     assert figure.axes[0].get_title(loc="right") == f"NRMSE {100 * fit.trials[2].nrmse[0, 0]:.1f} %"
     assert figure.axes[-1].get_xlabel().endswith("[s]")
@@ -96,7 +96,7 @@ def test_report_figure_of_all_trials_has_a_pair_of_axes_per_channel_and_trial():
     figure = figure_measured_against_simulated(fit)
     assert len(figure.axes) == 2 * 5 * 3
     titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_title(loc="left")]
-    assert titles == ["drop-1\nfitted", "drop-2\nfitted", "drop-3\nvalidation"]
+    assert titles == ["drop-1\nfitted", "drop-2\nfitted", "drop-3\nnot fitted"]
 
 
 def test_report_figure_keeps_to_the_measurement_when_a_set_goes_astray():
