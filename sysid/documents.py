@@ -1,9 +1,8 @@
 """Documents: JSON files whose content is declared, so that reading one is checking it.
 
-A document is a frozen pydantic model with a schema name and a version. JSON has no NaN and no infinity: a
-declared number is written as ``"NaN"``, ``"Infinity"`` or ``"-Infinity"`` then, and every float is read back
-bit for bit. What only the writer understands (the settings of a model) is an `Open` field, in the way of
-`sysid.exact_json`.
+A document is a frozen pydantic model with a schema name and a version. A declared number that JSON lacks is
+written as ``"NaN"``, ``"Infinity"`` or ``"-Infinity"``, and every float is read back bit for bit. Content
+that only the writer understands (the settings of a model) is an `Open` field, see `sysid.exact_json`.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ def _opened(value: Any, info: ValidationInfo) -> Any:
     return exact_json.decoded(value) if info.mode == "json" else exact_json.plain(value)
 
 
-# A field of any JSON content; floats survive inside it, and arrays become lists.
+# Fields of any JSON content; floats survive inside them, and arrays become lists.
 Open = Annotated[
     Any, BeforeValidator(_opened), PlainSerializer(exact_json.encoded, return_type=Any, when_used="json")
 ]
@@ -79,8 +78,8 @@ class _Schema(GenerateJsonSchema):
 class Document(Part):
     """A JSON file of its own.
 
-    A kind of document declares ``schema_`` (key ``schema``) and ``version`` as literals with defaults, and
-    says in `WHAT` what it is and in `REMEDY` what to do when a file of it is damaged.
+    A kind of document declares ``schema_`` (key ``schema``) and ``version`` as literals with defaults. A
+    refusal calls it `WHAT` and advises the `REMEDY`.
     """
 
     WHAT: ClassVar[str] = "a document"
@@ -99,7 +98,7 @@ class Document(Part):
 
     @classmethod
     def parse(cls, text: str | bytes, place: object, error_type: type[SysidError] = SysidError) -> Self:
-        """Return the document that a text (JSON, in UTF-8) holds; `place` is where it lies.
+        """Return the document in a JSON text that lies at `place`.
 
         Raises `error_type` when the text is foreign, of another version, damaged or cut off.
         """
@@ -115,7 +114,7 @@ class Document(Part):
 
     @classmethod
     def of(cls, content: Any, place: object, error_type: type[SysidError] = SysidError) -> Self:
-        """Return the document of a content that was read in another way; the arguments of `parse`."""
+        """Return the document of a content that is no JSON text; other arguments as for `parse`."""
         cls._check_head(content, place, error_type)
         try:
             return cls.model_validate(content)

@@ -1,8 +1,8 @@
 """Where many independent candidates are computed: the cores of this process, or a Dask cluster.
 
-One small interface for fits, maps, profiles and bootstraps: `share` sends the work with all its data once,
-and what it returns computes rows. Each row's numbers depend on that row alone, so neither the cluster's size
-nor the cut into chunks nor a lost worker changes a bit of a result.
+`Executor.share` sends the work with all its data once, and what it returns computes rows. Each row's numbers
+depend on that row alone, so neither the cluster's size nor the cut into chunks nor a lost worker changes a
+bit of a result.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import os
 import signal
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
@@ -25,19 +26,18 @@ from sysid.types import FloatArray
 
 Columns = tuple[NDArray[Any], ...]
 
-# Least computing time of a chunk [s]: long beside the millisecond that a scheduler spends on it, short beside
-# a generation.
+# Least computing time of a chunk [s]: a scheduler spends a millisecond on it, a generation lasts longer.
 CHUNK_TIME = 0.06
-# Where few workers have much to do [s]; longer chunks save nothing more, and a lost worker loses more.
+# Where few workers have much to do [s]: longer chunks save nothing, and a lost worker loses more.
 LONGEST_CHUNK_TIME = 0.25
 # Kernels compute several rows in the lanes of one core; fewer leave lanes empty.
 _LEAST_CHUNK = 8
 _FIRST_CHUNK = 16  # before any was measured
-# Of all that is computed at the moment: one would leave workers idle that end early.
+# With one chunk each, workers that end early would idle.
 _CHUNKS_PER_WORKER = 2
-# A chunk is submitted again this often before the cluster is given up.
+# How often a chunk is submitted before the cluster is given up.
 ATTEMPTS = 6
-# Without any worker [s]; they may be on their way from a queue.
+# How long to wait without any worker [s]; they may be on their way from a queue.
 PATIENCE = 120.0
 _LOOK = 2.0
 
@@ -47,7 +47,7 @@ class ClusterError(SysidError):
 
 
 class ClosedError(RuntimeError):
-    """Work was asked for after its executor was closed: by a run that has been called off."""
+    """A run that was called off asked for work after the executor had been closed."""
 
 
 class Work(Protocol):
@@ -58,21 +58,25 @@ class Work(Protocol):
         ...
 
 
-class Executor(Protocol):
-    """Where work is done."""
+class Executor(ABC):
+    """Where work is done; it is closed at the end of a ``with`` block."""
 
-    @property
-    def at_once(self) -> int:
-        """Callers that it takes at the same time to keep every core busy [1]."""
-        ...
+    # Callers at the same time that keep every core busy [1].
+    at_once: int
 
+    @abstractmethod
     def share(self, work: Work) -> Work:
         """Send the work with its data, once; the result computes rows and may be called from threads."""
-        ...
 
+    @abstractmethod
     def close(self) -> None:
-        """Release what was taken."""
-        ...
+        """Release cores or connections."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
 
 
 @contextmanager
@@ -88,26 +92,10 @@ def numba_threads(threads: int | None) -> Iterator[None]:
         numba.set_num_threads(before)
 
 
-class _Closing:
-    """What is closed at the end of a ``with`` block."""
+class LocalThreads(Executor):
+    """This process: the work itself spreads rows over the cores, so one caller at a time enters it."""
 
-    def close(self) -> None:
-        """Release what was taken."""
-        raise NotImplementedError
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
-
-class LocalThreads(_Closing):
-    """This process: the work itself spreads rows over the cores, so it is entered by one caller at a time.
-
-    Two callers keep the cores busy: while one prepares its next rows, the other computes.
-    """
-
+    # While one prepares its next rows, the other computes.
     at_once = 2
 
     def __init__(self) -> None:
@@ -126,25 +114,17 @@ class LocalThreads(_Closing):
         return in_turn
 
     def close(self) -> None:
-        """Wait for whoever computes: compiled code that runs in two threads can end the process."""
+        """Wait for the caller that computes: compiled code in two threads can end the process."""
         with self._turn:
             self._closed = True
 
 
-class DaskCluster(_Closing):
+class DaskCluster(Executor):
     """Workers of a Dask scheduler; each worker process computes one chunk at a time.
 
-    Parameters
-    ----------
-    address : str
-        ``tcp://host:8786``, or ``local`` for one worker process per core of this machine.
-    at_once : int
-        Callers at the same time, so that workers do not idle while one of them waits for its last chunk.
-
-    Raises
-    ------
-    ClusterError
-        When the extra is not installed or nothing answers at the address.
+    `address` is ``tcp://host:8786``, or ``local`` for one worker process per core of this machine. With
+    several callers `at_once` no worker idles while one caller waits for its last chunk. Raises ClusterError
+    when the extra is not installed or nothing answers at the address.
     """
 
     def __init__(self, address: str, at_once: int = 5) -> None:
@@ -174,11 +154,6 @@ class DaskCluster(_Closing):
             ) from error
 
     @property
-    def workers(self) -> int:
-        """Worker processes at the moment, at least 1 [1]."""
-        return max(1, self.alive)
-
-    @property
     def alive(self) -> int:
         """Worker processes at the moment [1]."""
         return len(self._client.scheduler_info(n_workers=-1)["workers"])
@@ -194,7 +169,7 @@ class DaskCluster(_Closing):
             self._cluster.close()
 
     def lost(self, why: object) -> ClusterError:
-        """Return the sentence that the cluster is gone."""
+        """Return the error that the cluster is gone."""
         first = next(iter(str(why).splitlines()), "no reason given").rstrip(":. ")
         return ClusterError(
             f"the Dask cluster at {self.address!r} lost the work ({first}); bring the scheduler and a worker "
@@ -208,24 +183,11 @@ class DaskCluster(_Closing):
 
 
 def chunk_size(rows: int, callers: int, workers: int, per_row: float | None) -> int:
-    """Return how many of a caller's rows make a chunk.
+    """Return how many of a caller's rows make a chunk; `callers` share the workers, this one included.
 
-    Parameters
-    ----------
-    rows : int
-        Of this caller [1].
-    callers : int
-        That share the workers at the moment, this one included [1].
-    workers : int
-        Of the cluster [1].
-    per_row : float or None
-        Computing time of a row as measured [s]; None before the first chunk.
-
-    Returns
-    -------
-    int
-        `CHUNK_TIME` of work; where workers are few, half of a worker's share up to `LONGEST_CHUNK_TIME`, so
-        that they are not kept busy with messages; never more than a worker's share.
+    `CHUNK_TIME` of work at the computing time `per_row` [s] (None before the first chunk). Where workers are
+    few, half of a worker's share up to `LONGEST_CHUNK_TIME`, so that messages do not keep them busy; never
+    more than a worker's share.
     """
     share = ceil(rows * callers / workers)
     if per_row is None:
@@ -244,15 +206,14 @@ class _Shared:
         self._lock = threading.Lock()
         self._callers = 0  # that wait for their rows
         self._data: Any = None
-        self._per_row = 0.0  # computing time [s], mean of what was measured
+        self._per_row = 0.0  # mean computing time [s]
         self._rows = 0
 
     def _shared(self) -> Any:
         """Return the handle of the data on the workers."""
         with self._lock:
             if self._data is None:
-                client = self._cluster._client
-                self._data = client.scatter(self._work, broadcast=True, hash=False)
+                self._data = self._cluster._client.scatter(self._work, broadcast=True, hash=False)
             return self._data
 
     def __call__(self, rows: FloatArray) -> Columns:
@@ -267,7 +228,7 @@ class _Shared:
     def _computed(self, rows: FloatArray) -> Columns:
         client = self._cluster._client
         per_row = self._per_row if self._rows else None
-        size = chunk_size(len(rows), self._callers, self._cluster.workers, per_row)
+        size = chunk_size(len(rows), self._callers, max(1, self._cluster.alive), per_row)
         pending = {first: rows[first : first + size] for first in range(0, len(rows), size)}
         done: dict[int, Columns] = {}
         why: object = "no answer"
@@ -302,7 +263,7 @@ class _Shared:
         raise self._cluster.lost(why)
 
     def _result(self, future: Any) -> tuple[float, Columns]:
-        """Wait for a chunk; give up where no worker has been left for a while."""
+        """Wait for a chunk; give up after a while without any worker."""
         since = time.monotonic()
         while True:
             try:
@@ -328,7 +289,7 @@ class _Shared:
 
 
 def _lost_errors() -> tuple[type[BaseException], ...]:
-    """Return what a lost worker, lost data or a lost scheduler raises."""
+    """Return the errors of a lost worker, lost data or a lost scheduler."""
     from distributed import KilledWorker
     from distributed.client import FutureCancelledError
     from distributed.comm import CommClosedError
@@ -353,6 +314,6 @@ def _compute(work: Work, rows: FloatArray) -> tuple[float, Columns]:
         return time.perf_counter() - began, columns
 
 
-def executor(dask: str | None, at_once: int = 5) -> LocalThreads | DaskCluster:
+def executor(dask: str | None, at_once: int = 5) -> Executor:
     """Return local threads, or the Dask cluster at an address (``tcp://host:8786``, ``local``)."""
     return LocalThreads() if dask is None else DaskCluster(dask, at_once)

@@ -1,7 +1,7 @@
 """Declared parameters of a model, and the unit cube in which an optimiser sees the free ones.
 
-A model is a table of `Parameter` rows; a `SearchSpace` is the choice of which of them are free, between
-which bounds, and the fixed values of all others.
+A model is a table of `Parameter` rows; a `SearchSpace` chooses which of them are free, between which bounds,
+and the fixed values of all others.
 """
 
 from __future__ import annotations
@@ -34,10 +34,8 @@ class Parameter:
     ----------
     name, symbol : str
         Words of the field, e.g. ``leg_axial_stiffness``; as in equations and tables, e.g. ``k_h``.
-    unit : str
-        SI unit of every number in this row.
     nominal, lower, upper : float
-        Default value and search bounds [unit].
+        Default value and search bounds [unit, which is SI].
     scale : {"linear", "log"}
         How the unit cube is laid between the bounds.
     meaning, source : str
@@ -45,8 +43,8 @@ class Parameter:
     group : str
         What the number belongs to, e.g. ``leg``, ``ground``, ``instrument``, ``nuisance``.
     trial : str
-        The trial or log that alone has this number; its name then ends in ``[trial]``. Empty for a number of
-        the model.
+        The trial or log that alone has this number, whose name ends in ``[trial]``; empty for a number of the
+        model.
     """
 
     name: str
@@ -127,7 +125,7 @@ class ParameterTable(Mapping[str, Parameter]):
 
 @dataclass(frozen=True, eq=False)
 class SearchSpace:
-    """Which parameters are free, between which bounds, and what the others are fixed to.
+    """Which parameters are free, between which bounds, and the values of the others.
 
     Parameters
     ----------
@@ -171,7 +169,7 @@ class SearchSpace:
         return cls(table, tuple(rows.values()), fixed)
 
     def __reduce__(self) -> tuple[type[SearchSpace], tuple[object, ...]]:
-        # A read-only view of a mapping cannot travel to another process; its content can.
+        # The content of a read-only view can travel to another process.
         return SearchSpace, (self.table, self.free, dict(self.fixed))
 
     @property

@@ -1,8 +1,7 @@
-"""What an instrument recorded: named channels in SI, each on its own clock, write-locked.
+"""What an instrument recorded: named channels in SI, each with its clock, write-locked.
 
-A loader makes a `Recording` from one file and nothing after it changes the numbers. A sample that the
-instrument did not deliver (a blank cell, an occluded frame) is NaN at its time and `False` in
-`Channel.valid`; it is never filled in.
+A loader makes a `Recording` from one file, and nothing changes its numbers later. A sample that the
+instrument did not deliver (a blank cell, an occluded frame) is NaN at its time and not `Channel.valid`.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from sysid.types import BoolArray, FloatArray
 
 
 def _locked(values: object) -> FloatArray:
-    # Channels of one log share their clock: an array that nobody can write any more needs no copy.
+    # Channels of one log share their clock: a write-locked array needs no copy.
     if (
         isinstance(values, np.ndarray)
         and values.dtype == np.float64
@@ -41,10 +40,9 @@ class Channel:
 
     Parameters
     ----------
-    name : str
-        What it is, in the words of the field: ``speed``, ``thrust``, ``F450/position``.
-    unit : str
-        SI unit of `values`; a command keeps the unit of its protocol (``us`` or ``dshot``).
+    name, unit : str
+        ``speed``, ``thrust``, ``F450/position``; SI, but a command keeps the unit of its protocol (``us`` or
+        ``dshot``).
     time : (n,) array
         Sample times on the file's own clock [s], strictly increasing.
     values : (n,) or (n, k) array
@@ -82,10 +80,8 @@ class Provenance:
 
     Parameters
     ----------
-    path : str
-        The file as it was named.
-    sha256 : str
-        Hash of its bytes.
+    path, sha256 : str
+        The file as it was named; hash of its bytes.
     format : str
         Name of the loader that read it, e.g. ``motive-csv``.
     device : str
@@ -139,13 +135,7 @@ class Recording:
         return tuple(name for name in names if f"{name}/orientation" not in self.channels)
 
     def __getitem__(self, name: str) -> Channel:
-        """Return a channel by name.
-
-        Raises
-        ------
-        LogError
-            When the file has no such channel; the message names those it has.
-        """
+        """Return a channel by name; LogError where the file has none of that name."""
         try:
             return self.channels[name]
         except KeyError:

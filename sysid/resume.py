@@ -1,8 +1,8 @@
 """Unfinished results: kept on disk while they are computed, continued after a kill, by one process at a time.
 
-Beside a result lies a folder while it is unfinished: a lock, what must be equal for the result to be
-continued (its identity), and states of the computation, each written whole or not at all. Fits keep one state
-per run (`sysid.fit.checkpoint`); maps and design studies keep one per finished block of rows.
+A folder lies beside a result while it is unfinished: a lock, the identity (what must be equal for the result
+to be continued) and states of the computation, each written whole or not at all. Fits keep one state per run
+(`sysid.fit.checkpoint`); maps and design studies keep one per finished block of rows.
 """
 
 from __future__ import annotations
@@ -28,30 +28,18 @@ from sysid.types import FloatArray
 
 # Key of an identity: the costs of a few fixed candidates, as hexadecimal numbers.
 PROBES = "probe_costs"
-# What a refusal calls a key of an identity where the key itself does not read well.
+# What a refusal calls a key of an identity that does not read well.
 _WORDS = {PROBES: "the cost of the same candidates (its inputs or code)"}
-# For another process that works on the same result, or only looks whether one does [s].
+# How long to wait for the lock: another process may only be looking at it [s].
 _PATIENCE = 0.3
 
 
 class Unfinished:
     """The folder of an unfinished result; locked against other processes until `close`.
 
-    Parameters
-    ----------
-    result : Path
-        The file or folder that the whole will be written to.
-    identity : mapping of str to JSON-able
-        What must be equal for it to be continued. A key's words stand in the refusal, joined by underscores.
-    resume : bool
-        Continue from the states that are there. Otherwise there must be none, or `force` discards them.
-    force : bool
-        Discard the states that are there.
-
-    Attributes
-    ----------
-    notes : list of str
-        What is worth saying about the states, one sentence each.
+    `result` is where the whole will be written. `identity` (JSON-able) must be equal for it to be continued;
+    the words of a key, joined by underscores, stand in the refusal. `resume` continues from existing states;
+    otherwise there must be none, or `force` discards them. `notes` are sentences about the states.
 
     Raises
     ------
@@ -98,8 +86,8 @@ class Unfinished:
 
     @classmethod
     def check_start(cls, result: str | Path, *, resume: bool, force: bool) -> None:
-        """Refuse at once what would be refused in the end: another process, states in the way, or none."""
-        if held(cls.folder_of(result)):
+        """Refuse early: another process works on the result, states are in the way, or there are none."""
+        if in_use(cls.folder_of(result)):
             raise cls.ERROR(cls._running(result))
         cls._check_states(result, resume, force)
 
@@ -119,7 +107,7 @@ class Unfinished:
         """Check and read the states of an unfinished result."""
 
     def begin(self) -> None:
-        """Write what belongs to a result that is begun."""
+        """Write what every begun result needs."""
 
     def refuse_other(self, stored: Mapping[str, Any], but: Collection[str] = ()) -> None:
         """Refuse an identity that differs from this result's in a key that is not one of `but`."""
@@ -165,11 +153,10 @@ class Unfinished:
         return f"{result}: another process is working on this {cls.WHAT}; wait for it, or choose --out"
 
 
-def held(folder: Path) -> bool | None:
-    """Return whether a process holds the lock of a folder of states; None where that cannot be known.
+def in_use(folder: Path) -> bool | None:
+    """Return whether a process holds the lock of a folder of states; no lock is made for that.
 
-    A folder without a lock is held by nobody, and stays without one. A lock that may not be opened (of
-    another user, on a read-only disk) says nothing.
+    None where the lock may not be opened (another user's, or on a read-only disk).
     """
     if not (folder / "lock").exists():
         return False
@@ -203,9 +190,8 @@ class BlockStore(Unfinished):
         try:
             stored = exact_json.loads((self.folder / self._FILE).read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            raise self.ERROR(
-                f"{self.folder}: cannot be continued ({error}); discard it with --force"
-            ) from error
+            refusal = f"{self.folder}: cannot be continued ({error}); discard it with --force"
+            raise self.ERROR(refusal) from error
         self.refuse_other(stored)
 
     def load(self, name: str) -> Columns | None:
@@ -231,20 +217,10 @@ class BlockStore(Unfinished):
 class Computing:
     """Where blocks of rows are computed, and who hears of them.
 
-    Parameters
-    ----------
-    where : Executor
-        Whose workers compute; this process by default.
-    threads : int, optional
-        Cores of this process; the result does not depend on it.
-    store : BlockStore, optional
-        What is finished already, and where to keep the others.
-    on_block : callable, optional
-        Called in the caller's thread with the rows of each block and whether it was computed now.
-    stop : callable, optional
-        Asked between blocks; True ends the work.
-    part : str
-        Where a result takes several computations: what the names of this one's stored blocks begin with.
+    `where` computes, on `threads` cores of this process, which do not change the result. `store` has finished
+    blocks and keeps the others. `on_block` is called in the caller's thread with the rows of each block and
+    whether it was computed now. `stop` is asked between blocks; True ends the work. Where a result takes
+    several computations, the names of this one's stored blocks begin with `part`.
     """
 
     where: Executor = field(default_factory=LocalThreads)
@@ -255,12 +231,9 @@ class Computing:
     part: str = ""
 
     def blocks(self, work: Work, blocks: Mapping[str, FloatArray]) -> dict[str, Columns]:
-        """Compute the rows (n, k) of every block that is not kept already.
+        """Compute the rows (n, k) of every block that is not stored; return columns by the block's name.
 
-        Returns
-        -------
-        dict
-            Columns by the block's name; some are missing only where `stop` ended the work.
+        Some are missing only where `stop` ended the work.
         """
         store = self.store
         done: dict[str, Columns] = {}
@@ -281,14 +254,12 @@ class Computing:
             waiting: dict[Future[Columns | None], str] = {pool.submit(compute, name): name for name in todo}
             try:
                 for future in as_completed(waiting):
-                    columns = future.result()
-                    if columns is None:
-                        continue
-                    name = waiting[future]
-                    if store is not None:
-                        store.save(self.part + name, columns)
-                    done[name] = columns
-                    self.on_block(len(blocks[name]), True)
+                    name, columns = waiting[future], future.result()
+                    if columns is not None:
+                        if store is not None:
+                            store.save(self.part + name, columns)
+                        done[name] = columns
+                        self.on_block(len(blocks[name]), True)
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise

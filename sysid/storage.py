@@ -1,12 +1,12 @@
 """Files and folders that are there whole or not at all, and HDF5 files that say what they are.
 
-New content goes to a temporary name beside its destination and takes the destination's name only when it
-is complete on disk. A full disk, an error or Ctrl-C leaves what was there before and no leftovers; a killed
-process may leave a file or folder whose name starts with a dot and ends in ``.part``.
+New content goes to a temporary name beside its destination and takes that name only when it is complete on
+disk. A full disk, an error or Ctrl-C leaves the earlier content and nothing else; a killed process may leave
+a file or folder whose name starts with a dot and ends in ``.part``.
 
-An HDF5 file of sysid carries the attributes ``schema`` and ``version``; its numeric datasets carry ``axes``
-and ``unit``; what is no array lies beside them as JSON. It is built in memory and written by `write_file`:
-on a full disk the HDF5 library itself would end the process.
+An HDF5 file of sysid has the attributes ``schema`` and ``version``; its numeric datasets have ``axes`` and
+``unit``; JSON texts beside them hold the rest. It is built in memory and written by `write_file`, because the
+HDF5 library ends the process on a full disk.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ import numpy as np
 from sysid import exact_json
 from sysid.errors import SysidError
 
-# How often a refused replacement is tried again, and how long after [s].
+# How often a refused replacement is tried, and how long to wait between [s].
 _TRIES, _PAUSE = 20, 0.05
-# What h5py raises on a damaged file depends on where the damage lies.
+# The errors of h5py on a damaged file depend on where the damage lies.
 _DAMAGE = (OSError, LookupError, ValueError, TypeError, RuntimeError, AttributeError, SysidError)
 
 
@@ -47,10 +47,7 @@ def _sentence(path: Path, error: BaseException) -> str:
 
 
 def write_file(path: str | Path, data: bytes, error_type: type[SysidError] = SysidError) -> None:
-    """Write `data` to `path`, replacing an existing file only once the new one is complete.
-
-    Raises `error_type` when the file cannot be written; an existing one is then unchanged.
-    """
+    """Write a file whole; `error_type`, and an existing file unchanged, where that is impossible."""
     path = Path(path)
     temporary: Path | None = None
     try:
@@ -74,8 +71,7 @@ def write_file(path: str | Path, data: bytes, error_type: type[SysidError] = Sys
 def replace_file(new: Path, path: Path) -> None:
     """Give a complete file the name of another one.
 
-    Windows refuses while a virus scanner or another command reads either: that passes, so it is tried again,
-    for a second.
+    Windows refuses while a virus scanner or another command reads either; that passes within a second.
     """
     for _ in range(_TRIES):
         try:
@@ -97,11 +93,10 @@ def _open_to_others(path: Path) -> None:
 def replaced_folder(
     path: str | Path, *, force: bool, marker: str, error_type: type[SysidError] = SysidError
 ) -> Iterator[Path]:
-    """Give a temporary folder that becomes `path` when the block ends well.
+    """Give a temporary folder that becomes `path`, whose parents are made, when the block ends well.
 
-    Its parents are made. `force` replaces an existing folder as a whole, if it holds the file `marker`.
-    Raises `error_type` when the folder exists and may not be replaced, or cannot be written; what was there
-    before is then unchanged.
+    `force` replaces an existing folder as a whole, if it holds the file `marker`. Raises `error_type`, with
+    nothing changed, when the folder exists and may not be replaced, or cannot be written.
     """
     path = Path(path)
     check_folder(path, force=force, marker=marker, error_type=error_type)
@@ -162,18 +157,10 @@ def check_file(path: str | Path, *, force: bool, error_type: type[SysidError] = 
 
 @dataclass(frozen=True)
 class FileKind:
-    """A kind of HDF5 file.
+    """A kind of HDF5 file, by its attributes `schema` and `version`.
 
-    Parameters
-    ----------
-    schema, version : str, int
-        What a file of this kind says of itself.
-    what : str
-        In a refusal: ``a fit``.
-    remedy : str
-        The next step where a file cannot be read: ``run the fit again``.
-    error_type : type
-        Of the refusals.
+    A refusal is an `error_type`; it calls the file `what` (``a fit``) and advises the `remedy` (``run the fit
+    again``).
     """
 
     schema: str
@@ -194,8 +181,8 @@ class FileKind:
     def opened(self, path: str | Path, content: bytes | None = None) -> Iterator[Any]:
         """Open a file of this kind, or its content, for reading.
 
-        Raises `error_type` when it is missing, foreign, of another version, damaged or cut off, and when what
-        the block takes from it is missing or wrong.
+        Raises `error_type` when it is missing, foreign, of another version, damaged or cut off, also where
+        only the block notices that.
         """
         if content is None and not Path(path).is_file():
             raise self.error_type(f"{path}: no such file; name {self.what} of sysid")

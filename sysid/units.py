@@ -14,31 +14,12 @@ from sysid.errors import UnitError
 
 # Spellings that instruments write and pint does not know.
 _SPELLINGS = {
-    "RPM": "rpm",
-    "Rpm": "rpm",
-    "RPS": "revolution/s",
-    "rev/s": "revolution/s",
-    "mNm": "mN*m",
-    "lbf-in": "lbf*inch",
-    "lbf-ft": "lbf*foot",
-    "in-lbf": "lbf*inch",
-    "in-lb": "lbf*inch",
-    "in-lbs": "lbf*inch",
-    "lb-in": "lbf*inch",
-    "ft-lbf": "lbf*foot",
-    "ft-lb": "lbf*foot",
-    "ft-lbs": "lbf*foot",
-    "lb-ft": "lbf*foot",
-    "Nm": "N*m",
-    "N-m": "N*m",
-    "Nmm": "N*mm",
-    "N-mm": "N*mm",
-    "ºC": "degC",
-    "º": "deg",
-    "Ohm": "ohm",
-    "": "1",
-    "-": "1",
-}
+    "RPM": "rpm", "Rpm": "rpm", "RPS": "revolution/s", "rev/s": "revolution/s", "Ohm": "ohm",
+    "Nm": "N*m", "N-m": "N*m", "Nmm": "N*mm", "N-mm": "N*mm", "mNm": "mN*m",
+    **dict.fromkeys(("lbf-in", "in-lbf", "in-lb", "in-lbs", "lb-in"), "lbf*inch"),
+    **dict.fromkeys(("lbf-ft", "ft-lbf", "ft-lb", "ft-lbs", "lb-ft"), "lbf*foot"),
+    "ºC": "degC", "º": "deg", "": "1", "-": "1",
+}  # fmt: skip
 
 _QUANTITY = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 
@@ -62,47 +43,27 @@ def _parse_unit(unit: str) -> Any:
 
 
 def factor_to_si(unit: str, expected: str = "") -> float:
-    """Return the factor that turns a value in `unit` into SI.
+    """Return the factor that turns a value in `unit` (``"gf"``, ``"RPM"``, ``"kg·m²"``) into SI.
 
-    Parameters
-    ----------
-    unit : str
-        Unit string as an instrument or a campaign writes it, e.g. ``"gf"``, ``"RPM"``, ``"kg·m²"``.
-    expected : str
-        A unit of the dimension that the caller needs; another dimension is refused. Empty: any.
-
-    Raises
-    ------
-    UnitError
-        When the unit is unknown or of another dimension than `expected`.
+    Raises UnitError when the unit is unknown, or of another dimension than the unit `expected`.
     """
-    found = _parse_unit(unit)
+    base = _parse_unit(unit)
     if expected:
         wanted = _parse_unit(expected)
-        # A frequency is no angular speed although both are 1/s: compare the base units, radian included,
-        # where the caller names an angle; elsewhere radian is the pure number it is.
-        mixes_hertz = "radian" in str(wanted.units) and "radian" not in str(found.units)
-        if found.dimensionality != wanted.dimensionality or (
+        # A frequency is no angular speed although both are 1/s: where the caller names an angle, the base
+        # units are compared, radian included.
+        mixes_hertz = "radian" in str(wanted.units) and "radian" not in str(base.units)
+        if base.dimensionality != wanted.dimensionality or (
             mixes_hertz and wanted.dimensionality == {"[time]": -1}
         ):
             raise UnitError(f"unit {unit!r} is not a {expected!r}; expected a unit of that dimension")
-    return float(found.magnitude)
+    return float(base.magnitude)
 
 
 def parse_quantity(text: str, expected: str) -> float:
-    """Return the SI value of a quantity written as ``"1.242 kg"``.
+    """Return the SI value of a quantity written as ``"1.242 kg"``; a pure number where ``"1"`` is expected.
 
-    Parameters
-    ----------
-    text : str
-        Number and unit; a pure number is accepted only where `expected` is ``"1"``.
-    expected : str
-        A unit of the dimension that is expected, e.g. ``"kg"``.
-
-    Raises
-    ------
-    UnitError
-        When there is no number, no unit, an unknown unit or one of another dimension.
+    Raises UnitError when there is no number, no unit, an unknown unit or one of another dimension.
     """
     match = _QUANTITY.match(text)
     if not match:

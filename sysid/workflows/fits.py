@@ -12,7 +12,7 @@ from sysid.fit.checkpoint import read_state, run_numbers, state_files
 from sysid.fit.store import FIT_FILE
 from sysid.report.fold import print_result, print_table
 from sysid.report.table import numbers, table, words
-from sysid.resume import held
+from sysid.resume import in_use
 
 _SUFFIX = ".checkpoint"
 
@@ -70,7 +70,7 @@ def _unfinished(path: Path) -> FitEntry:
             lowest = min([*costs, *([] if lowest is None else [lowest])], default=None)
             changed = max(changed, file.stat().st_mtime)
             break
-    state = {True: "running", False: "stopped", None: "unfinished"}[held(path)]
+    state = {True: "running", False: "stopped", None: "unfinished"}[in_use(path)]
     return FitEntry(path.name.removesuffix(_SUFFIX), state, lowest, len(runs), changed)
 
 
