@@ -19,21 +19,7 @@ from sysid.journal import Finding, note, notice
 from sysid.loaders import detect
 from sysid.loaders.alignment import join_recordings
 from sysid.recording import Recording
-from sysid.trials.bench_log import (
-    CommandRange,
-    CommandSteps,
-    Tare,
-    check_command_direction,
-    command_steps,
-    find_stalls,
-    outside,
-    real_samples,
-    rows_at_rest,
-    signed_speed,
-    standing_command,
-    tare,
-    wrong_poles,
-)
+from sysid.trials import bench_log as trial_log
 from sysid.trials.common_clock import on_one_clock
 from sysid.trials.reversal import JITTER
 from sysid.trials.steady import (
@@ -76,7 +62,7 @@ def read_log(
     recording = load_stated(log, name, _campaign_wide(campaign, name, options), options.loader_options())
     ratio = _electrical_share(recording)
     if ratio is not None:
-        notice("wrong-pole-count", wrong_poles(ratio), trial=entry.log)
+        notice("wrong-pole-count", trial_log.wrong_poles(ratio), trial=entry.log)
     second = None
     if entry.second_log is not None:
         # Another instrument: the campaign's `[log]` does not describe it.
@@ -152,14 +138,14 @@ class BenchLog:
     name: str
     recording: Recording
     second: SecondFile
-    steps: CommandSteps
+    steps: trial_log.CommandSteps
     time: FloatArray
     channels: dict[str, Samples]
     window: tuple[float, float]
     doubtful: tuple[tuple[float, float], ...]
     fast: bool
     notes: list[Finding]
-    tares: dict[str, Tare] = field(default_factory=dict)
+    tares: dict[str, trial_log.Tare] = field(default_factory=dict)
     signs: dict[str, int] = field(default_factory=lambda: {"torque": 1, "thrust": 1})
 
     @property
@@ -177,12 +163,12 @@ class BenchLog:
         self.notes.append(note(code, sentence))
 
 
-def command_range(campaign: MotorCampaign) -> CommandRange:
+def command_range(campaign: MotorCampaign) -> trial_log.CommandRange:
     """Return the campaign's command protocol; one direction where no neutral is given."""
     c = campaign.command
     if c.minimum is None or c.maximum is None:
-        return CommandRange(c.unit, 0.0, 0.0, 2047.0, c.forward_half)
-    return CommandRange(c.unit, c.minimum, c.minimum if c.neutral is None else c.neutral, c.maximum)
+        return trial_log.CommandRange(c.unit, 0.0, 0.0, 2047.0, c.forward_half)
+    return trial_log.CommandRange(c.unit, c.minimum, c.minimum if c.neutral is None else c.neutral, c.maximum)
 
 
 def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> BenchLog:
@@ -200,10 +186,10 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> B
         raise LogError(f"{where}: holds no command; a motor fit needs the command beside the speed")
     # A neutral that jitters is a neutral, for the tare too.
     u = np.where(np.abs(u) <= JITTER, 0.0, u)
-    steps = command_steps(time, u)
+    steps = trial_log.command_steps(time, u)
     window = _window(entry, time, where)
     speed = _signed_speed(entry, recording, u, window, where)
-    stalls = [s for s in find_stalls(time, steps) if s.end >= window[0] and s.start <= window[1]]
+    stalls = [s for s in trial_log.find_stalls(time, steps) if s.end >= window[0] and s.start <= window[1]]
     log = BenchLog(
         entry.name, recording, second, steps, time, {"speed": speed}, window,
         tuple(s.doubtful for s in stalls if s.doubtful is not None), _is_fast(campaign, time, where),
@@ -245,10 +231,12 @@ def _signed_speed(
 ) -> Samples:
     """Return the known samples of the speed with the sign of the trial's direction."""
     raw = recording["speed"]
-    signed_speed(raw.values[~outside(raw.time, (window,))], entry.direction, where)
-    inside = ~outside(recording["command"].time, (window,))
-    check_command_direction(u[inside], entry.direction, where)
-    speed = raw.values if entry.direction == "reversal" else signed_speed(raw.values, entry.direction, where)
+    trial_log.signed_speed(raw.values[~trial_log.outside(raw.time, (window,))], entry.direction, where)
+    inside = ~trial_log.outside(recording["command"].time, (window,))
+    trial_log.check_command_direction(u[inside], entry.direction, where)
+    speed = raw.values
+    if entry.direction != "reversal":
+        speed = trial_log.signed_speed(speed, entry.direction, where)
     known = np.isfinite(speed)
     return raw.time[known], speed[known]
 
@@ -268,8 +256,8 @@ def _is_fast(campaign: MotorCampaign, time: FloatArray, where: str) -> bool:
 def _warn_of_standing(log: BenchLog, u: FloatArray) -> None:
     """Warn where the rotor stands under a command that should turn it: its unit or neutral is another."""
     raw = log.recording["speed"]
-    seen = ~outside(raw.time, (log.window,)) & np.isfinite(raw.values)
-    level = standing_command(raw.time[seen], raw.values[seen], log.steps, log.window)
+    seen = ~trial_log.outside(raw.time, (log.window,)) & np.isfinite(raw.values)
+    level = trial_log.standing_command(raw.time[seen], raw.values[seen], log.steps, log.window)
     if level is not None:
         logged = float(log.recording["command"].values[np.flatnonzero(u == level)[0]])
         notice(
@@ -283,13 +271,13 @@ def _warn_of_standing(log: BenchLog, u: FloatArray) -> None:
 def _add_channels(campaign: MotorCampaign, log: BenchLog, u: FloatArray) -> None:
     """Add torque, thrust, voltage and current, as far as recorded, tares subtracted."""
     raw = log.recording["speed"]
-    rest = rows_at_rest(log.time, u, np.interp(log.time, raw.time, np.nan_to_num(raw.values)))
+    rest = trial_log.rows_at_rest(log.time, u, np.interp(log.time, raw.time, np.nan_to_num(raw.values)))
     for name in ("torque", "thrust", "voltage", "current"):
         if name not in log.recording.channels or (name == "current" and campaign.log.current != "motor"):
             continue
         channel = log.recording[name]
         values = channel.values
-        keep = channel.valid if log.fast or name in ("voltage", "current") else real_samples(values)
+        keep = channel.valid if log.fast or name in ("voltage", "current") else trial_log.real_samples(values)
         if name == "voltage":
             # A probe that is not connected reads 0; no supply that turns a motor does.
             keep = keep & (np.nan_to_num(values) > 0)
@@ -300,7 +288,7 @@ def _add_channels(campaign: MotorCampaign, log: BenchLog, u: FloatArray) -> None
                 continue
         else:
             row = np.minimum(np.searchsorted(log.time, channel.time), log.time.size - 1)
-            log.tares[name] = tare(values, rest[row])
+            log.tares[name] = trial_log.tare(values, rest[row])
             values = values - log.tares[name].value
         log.channels[name] = (channel.time[keep], values[keep])
 

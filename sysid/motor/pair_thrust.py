@@ -15,16 +15,7 @@ from numpy.typing import ArrayLike
 
 from sysid.errors import FitError
 from sysid.integrate.piecewise import PiecewiseCubic, refined
-from sysid.motor.model import (
-    TOLERANCE,
-    aerodynamic_torque,
-    complete,
-    no_load_speed,
-    schedule,
-    simulate,
-    thrust,
-    thrust_slope,
-)
+from sysid.motor import model
 from sysid.types import FloatArray
 
 # Longest piece to begin with [s]; error in the middle of a piece as a share of the largest thrust.
@@ -41,7 +32,7 @@ def thrust_history(
     motors: int = 2,
     initial: tuple[float, float] | Literal["steady"] = "steady",
     ideal_reversal: bool = False,
-    tolerance: float = TOLERANCE,
+    tolerance: float = model.TOLERANCE,
 ) -> PiecewiseCubic:
     """Return the thrust of equal motors under a command schedule [N], from 0 to `duration` [s].
 
@@ -66,22 +57,22 @@ def thrust_history(
     """
     if not duration > 0:
         raise FitError(f"thrust history of {duration:g} s; give a duration above 0")
-    instants, levels = schedule(command_time, command)
-    p = complete(parameters)
+    instants, levels = model.schedule(command_time, command)
+    p = model.complete(parameters)
     inertia, delay = p["rotor_inertia"], p["command_delay"]
     start = initial
     if isinstance(initial, str):
         level = levels[max(0, int(np.searchsorted(instants + delay, 0.0, side="left")) - 1)]
-        before = simulate({**parameters, "command_delay": 0.0}, [0.0], [level], [0.0], initial="steady")
+        before = model.simulate({**parameters, "command_delay": 0.0}, [0.0], [level], [0.0], initial="steady")
         start = (float(before.current[0]), float(before.speed[0]))
 
     def sample(time: FloatArray) -> tuple[FloatArray, FloatArray]:
-        run = simulate(
+        run = model.simulate(
             parameters, instants, levels, time, initial=start, ideal_reversal=ideal_reversal,
             tolerance=tolerance,
         )  # fmt: skip
-        rise = (run.stator_torque - aerodynamic_torque(run.speed, parameters)) / inertia
-        return motors * run.thrust, motors * thrust_slope(run.speed, parameters) * rise
+        rise = (run.stator_torque - model.aerodynamic_torque(run.speed, parameters)) / inertia
+        return motors * run.thrust, motors * model.thrust_slope(run.speed, parameters) * rise
 
     knots = np.linspace(0.0, duration, max(2, int(np.ceil(duration / _LONGEST)) + 1))
     commands = instants + delay
@@ -90,5 +81,5 @@ def thrust_history(
     knots = knots[[not len(commands) or np.abs(commands - t).min() > 1e-5 for t in knots]]
     knots = np.unique(np.concatenate([[0.0], knots, commands, [duration]]))
     # No motor turns faster than its no-load speed.
-    peak = motors * float(np.abs(thrust(no_load_speed(levels, parameters), parameters)).max())
+    peak = motors * float(np.abs(model.thrust(model.no_load_speed(levels, parameters), parameters)).max())
     return refined(sample, knots, _ERROR * max(1e-3, peak))

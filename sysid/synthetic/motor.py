@@ -18,17 +18,7 @@ import numpy as np
 
 from sysid.errors import CampaignError
 from sysid.motor import model
-from sysid.synthetic.bench import (
-    NOISE,
-    RESOLUTION,
-    LoadCellLog,
-    Sizes,
-    StandPoints,
-    load_cell_csv,
-    load_cell_hdf5,
-    quantized,
-    stand_csv,
-)
+from sysid.synthetic import bench
 from sysid.synthetic.folder import refuse_existing, truth_text, write_campaign
 from sysid.types import Direction
 
@@ -109,14 +99,14 @@ def synthesize_motor(
     if not rate >= 1000.0:
         raise CampaignError(f"rate: {rate:g} Hz is no load-cell log; expected 1 kHz or more")
     true = {**model.PARAMETERS.nominal, **TRUE_MOTOR, **(parameters or {})}
-    spread = NOISE if noise else Sizes(0.0, 0.0, 0.0)
+    spread = bench.NOISE if noise else bench.Sizes(0.0, 0.0, 0.0)
     logs: dict[str, Any] = {}
     facts, entries = [], []
     for number, plan in enumerate(trials, start=1):
         source = np.random.default_rng([seed, number])
         log, fact = _trial(plan, true, rate, spread, source, ideal_reversal)
         file = f"{plan.name}.{'csv' if plan.export == 'csv' else 'h5'}"
-        logs[file] = load_cell_csv(log) if plan.export == "csv" else load_cell_hdf5(log)
+        logs[file] = bench.load_cell_csv(log) if plan.export == "csv" else bench.load_cell_hdf5(log)
         facts.append({"name": plan.name, "log": file, "direction": plan.direction, "use": plan.use, **fact})
         entries.append(_trial_text(plan, file, fact["window start [s]"]))
     stands = {}
@@ -124,7 +114,7 @@ def synthesize_motor(
         source = np.random.default_rng([seed, number])
         points, tare = _stand_points(direction == "forward", kind == "static", true, noise, source)
         file = f"{kind}-{direction}.csv"
-        logs[file] = stand_csv(points, source, thrust_unit="gf" if direction == "forward" else "N")
+        logs[file] = bench.stand_csv(points, source, thrust_unit="gf" if direction == "forward" else "N")
         stands[file] = tare
     circumstances = {
         "seed": seed,
@@ -145,10 +135,10 @@ def _trial(
     plan: TrialPlan,
     true: Mapping[str, float],
     rate: float,
-    noise: Sizes,
+    noise: bench.Sizes,
     source: np.random.Generator,
     ideal_reversal: bool,
-) -> tuple[LoadCellLog, dict[str, Any]]:
+) -> tuple[bench.LoadCellLog, dict[str, Any]]:
     """Simulate one trial and record it with tare, noise and quantization."""
     first = round(float(source.uniform(3.0, 40.0)), 4)
     count = round((_REST + _IDLE + plan.hold * len(plan.levels)) * rate)
@@ -161,13 +151,13 @@ def _trial(
     command = NEUTRAL + (MAXIMUM - NEUTRAL) * levels[step]
     tare_force, tare_torque = float(source.uniform(-0.6, 0.6)), float(source.uniform(-0.02, 0.02))
     shake = source.standard_normal((3, count))
-    log = LoadCellLog(
+    log = bench.LoadCellLog(
         time,
         command,
         # A tachometer that sees nothing pass reads zero, without noise.
-        quantized(run.speed + noise.speed * shake[0] * (run.speed != 0), RESOLUTION.speed),
-        quantized(run.thrust + tare_force + noise.force * shake[1], RESOLUTION.force),
-        quantized(run.stator_torque + tare_torque + noise.torque * shake[2], RESOLUTION.torque),
+        bench.quantized(run.speed + noise.speed * shake[0] * (run.speed != 0), bench.RESOLUTION.speed),
+        bench.quantized(run.thrust + tare_force + noise.force * shake[1], bench.RESOLUTION.force),
+        bench.quantized(run.stator_torque + tare_torque + noise.torque * shake[2], bench.RESOLUTION.torque),
     )
     fact = {
         "log starts [s]": first,
@@ -181,7 +171,7 @@ def _trial(
 
 def _stand_points(
     forward: bool, loaded: bool, true: Mapping[str, float], noise: bool, source: np.random.Generator
-) -> tuple[StandPoints, dict[str, Any]]:
+) -> tuple[bench.StandPoints, dict[str, Any]]:
     """Walk up and down the commands on a battery that sags, one averaged point per step."""
     rise = np.linspace(0.0, 1.0, 11)
     u = np.concatenate([rise, rise[-2::-1]]) * (1.0 if forward else -1.0)
@@ -200,7 +190,7 @@ def _stand_points(
     blank = source.integers(2, len(u), size=2)
     thrust[blank[0]] = math.nan
     torque[blank[1]] = math.nan
-    points = StandPoints(
+    points = bench.StandPoints(
         2.1 + 4.4 * np.arange(len(u)) + 0.02 * shake[4],
         NEUTRAL + (MAXIMUM - NEUTRAL) * u,
         np.abs(speed) + 0.2 * shake[2] * (speed != 0),

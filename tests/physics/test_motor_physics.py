@@ -32,9 +32,9 @@ def test_steady_state_is_an_equilibrium(command: float) -> None:
     # Closed form: only rounding is left.
     assert volts - K * speed == pytest.approx(RESISTANCE * current, rel=1e-12)
     assert K * current == pytest.approx(drag, rel=1e-12)
-    held = simulate({}, [0.0], [command], [0.0, 1.0], initial="steady")
+    run = simulate({}, [0.0], [command], [0.0, 1.0], initial="steady")
     # Local error 1e-6 over one second at an equilibrium.
-    np.testing.assert_allclose(held.speed, speed, rtol=1e-8)
+    np.testing.assert_allclose(run.speed, speed, rtol=1e-8)
 
 
 def test_hover_speed_of_the_design_note() -> None:
@@ -81,21 +81,16 @@ def test_linear_motor_follows_its_eigenvalues() -> None:
 @pytest.mark.parametrize("factor", [0.3, 4.0])
 def test_scale_freedom_leaves_torque_and_speed(factor: float) -> None:
     base = dict(model.PARAMETERS.nominal)
-    scaled = {
-        **base,
-        "back_emf_constant": factor * base["back_emf_constant"],
-        "torque_constant": factor * base["torque_constant"],
-        "winding_resistance": factor**2 * base["winding_resistance"],
-        "winding_inductance": factor**2 * base["winding_inductance"],
-        "saturation_current": base["saturation_current"] / factor,
-    }
-    time = np.linspace(0.0, 1.5, 1501)
-    one = simulate(base, [0.0, 0.4, 1.0], [0.7, -0.9, 0.5], time)
-    two = simulate(scaled, [0.0, 0.4, 1.0], [0.7, -0.9, 0.5], time)
+    scaled = dict(base)
+    for power, names in ((1, ("back_emf_constant", "torque_constant")), (-1, ("saturation_current",)),
+                         (2, ("winding_resistance", "winding_inductance"))):  # fmt: skip
+        scaled |= {name: factor**power * base[name] for name in names}
+    schedule, time = ([0.0, 0.4, 1.0], [0.7, -0.9, 0.5]), np.linspace(0.0, 1.5, 1501)
+    plain, other = simulate(base, *schedule, time), simulate(scaled, *schedule, time)
     # The same arithmetic in other units: rounding, amplified once by each of the event times.
-    np.testing.assert_allclose(two.speed, one.speed, atol=1e-6)
-    np.testing.assert_allclose(two.stator_torque, one.stator_torque, atol=1e-9)
-    np.testing.assert_allclose(two.current * factor, one.current, atol=1e-6)
+    np.testing.assert_allclose(other.speed, plain.speed, atol=1e-6)
+    np.testing.assert_allclose(other.stator_torque, plain.stator_torque, atol=1e-9)
+    np.testing.assert_allclose(other.current * factor, plain.current, atol=1e-6)
     for name, value in model.invariants(base).items():
         assert model.invariants(scaled)[name] == pytest.approx(value, rel=1e-12)
 
@@ -154,10 +149,10 @@ def test_direction_of_the_curves() -> None:
     # Mirror the command: a motor whose reverse curves equal the forward ones runs backwards exactly.
     even = {"torque_quadratic_reverse": 1.65e-7, "thrust_quadratic_reverse": 1.2e-5}
     time = np.linspace(0.0, 1.0, 501)
-    one = simulate(even, [0.0, 0.5], [0.7, -0.4], time)
-    two = simulate(even, [0.0, 0.5], [-0.7, 0.4], time)
-    np.testing.assert_array_equal(one.speed, -two.speed)
-    np.testing.assert_array_equal(one.stator_torque, -two.stator_torque)
+    plain = simulate(even, [0.0, 0.5], [0.7, -0.4], time)
+    mirrored = simulate(even, [0.0, 0.5], [-0.7, 0.4], time)
+    np.testing.assert_array_equal(plain.speed, -mirrored.speed)
+    np.testing.assert_array_equal(plain.stator_torque, -mirrored.stator_torque)
 
 
 def test_supply_that_sags_lowers_the_speed() -> None:
@@ -195,10 +190,11 @@ def test_population_equals_single_simulations() -> None:
     for i, row in enumerate(rows):
         for j, trial in enumerate(trials.trials):
             part = found.outputs[i, trials.first[j] : trials.first[j + 1]]
-            one = simulate(unpack(row), trial.command_time, trial.command, trial.time, initial=trial.initial)
+            commands = (trial.command_time, trial.command)
+            alone = simulate(unpack(row), *commands, trial.time, initial=trial.initial)
             # One tolerance, one kernel; only the output times differ.
-            np.testing.assert_array_equal(part[:, 1], one.speed)
-            dense = simulate(unpack(row), trial.command_time, trial.command, fine, initial=trial.initial)
+            np.testing.assert_array_equal(part[:, 1], alone.speed)
+            dense = simulate(unpack(row), *commands, fine, initial=trial.initial)
             edges = np.searchsorted(fine, 0.5 * (trial.time[1:] + trial.time[:-1]))
             k = row[COLUMN["torque_constant"]]
             for m in range(50, len(edges), 97):

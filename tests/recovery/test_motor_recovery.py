@@ -92,16 +92,10 @@ def test_simulation_walks_the_way_of_the_log(prepared) -> None:
 def test_holes_of_a_fast_log_are_masked_not_closed_up(campaign_file: Path, prepared) -> None:
     # 30 ms of blank speed and 50 ms of missing rows; closing the hole up would shift what follows by 50 ms.
     _, whole = prepared
-    source = campaign_file.parent / "forward-1.csv"
-    lines = source.read_text(encoding="utf-8").splitlines()
-    first = 1 + int(3.0 * 10_000)
-    for i in range(first, first + 300):
-        cells = lines[i].split(",")
-        cells[2] = ""
-        lines[i] = ",".join(cells)
-    del lines[first + 4000 : first + 4500]
-    holed = campaign_file.parent / "holed.csv"
-    holed.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    header, table = table_of(campaign_file.with_name("forward-1.csv"))
+    table[30_000:30_300, 2] = np.nan
+    table = np.delete(table, np.s_[34_000:34_500], axis=0)
+    write_table(campaign_file.with_name("holed.csv"), header, table)
     path = edited(campaign_file, ('log = "forward-1.csv"', 'log = "holed.csv"'), name="holed.toml")
     campaign, bench = bench_of(path)
     lost = whole.trials[0].target.valid.sum(axis=0) - bench.trials[0].target.valid.sum(axis=0)

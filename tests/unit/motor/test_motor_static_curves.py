@@ -1,6 +1,5 @@
 """Static curves: known coefficients back from noisy points with outliers, real logs, refusals."""
 
-import csv
 import re
 
 import numpy as np
@@ -8,6 +7,7 @@ import pytest
 
 from fakes import places
 from sysid.errors import FitError
+from sysid.loaders import load
 from sysid.motor.follow_up import curve_sentence
 from sysid.motor.static_curves import NoLoadTie, fit_no_load_line, fit_speed_curve
 
@@ -155,16 +155,9 @@ def test_real_static_logs(name: str) -> None:
     path = DATA / name
     if not path.exists():
         pytest.skip(f"real static log {name} is not beside the project (shared/data/rcbenchmark)")
-    with path.open(encoding="utf-8-sig", newline="") as stream:
-        rows = list(csv.reader(stream))
-    header = [cell.split("(")[0].strip() for cell in rows[0]]
-    columns = {
-        key: np.array([float(row[header.index(key)] or "nan") for row in rows[1:] if len(row) > 10])
-        for key in ("Torque", "Thrust", "Motor Optical Speed")
-    }
-    speed = columns["Motor Optical Speed"]
-    for quantity, key in (("thrust", "Thrust"), ("torque", "Torque")):
-        fit = fit_speed_curve(quantity, "forward", speed, columns[key])
+    log = load(path)
+    for quantity in ("thrust", "torque"):
+        fit = fit_speed_curve(quantity, "forward", log["speed"].values, log[quantity].values)
         # Required: 0.99; both motors reach 0.998 or better, the paper's figure.
         assert fit.r_squared >= 0.998, fit
         assert fit.points > 40

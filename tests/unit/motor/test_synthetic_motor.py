@@ -25,10 +25,12 @@ def noisy(tmp_path_factory):
     return synthesize_motor(tmp_path_factory.mktemp("noisy") / "motor", seed=22)
 
 
-def loaded(path, trial):
-    recording = load(path / trial["log"])
-    time = recording["speed"].time
-    return time, {name: recording[name].values for name in ("command", "speed", "thrust", "torque")}
+def trials_of(folder):
+    """Yield what the truth says of each trial, the times of its log, and its channels."""
+    for trial in read_truth(folder)["trials"]:
+        recording = load(folder / trial["log"])
+        channels = {name: recording[name].values for name in ("command", "speed", "thrust", "torque")}
+        yield trial, recording["speed"].time, channels
 
 
 def test_synthetic_motor_campaign_is_the_asked_for_one(noisy):
@@ -48,8 +50,7 @@ def test_synthetic_motor_campaign_is_the_asked_for_one(noisy):
 
 def test_synthetic_motor_steady_speeds_are_those_of_the_model(exact):
     truth = read_truth(exact)
-    for trial in truth["trials"]:
-        time, log = loaded(exact, trial)
+    for trial, time, log in trials_of(exact):
         steps = trial["command steps"]
         ends = [t for t, _ in steps[1:]] + [time[-1]]
         for (start, u), end in zip(steps, ends, strict=True):
@@ -66,8 +67,7 @@ def test_synthetic_motor_steady_speeds_are_those_of_the_model(exact):
 def test_synthetic_motor_cell_feels_the_stator_not_the_air(exact):
     truth = read_truth(exact)
     p = truth["parameters"]
-    for trial in truth["trials"]:
-        time, log = loaded(exact, trial)
+    for trial, time, log in trials_of(exact):
         assert abs(trial["tare force [N]"]) > 0
         torque = log["torque"] - trial["tare torque [N·m]"]
         air = model.aerodynamic_torque(log["speed"], p)
@@ -85,8 +85,7 @@ def test_synthetic_motor_cell_feels_the_stator_not_the_air(exact):
 
 
 def test_synthetic_motor_rows_at_rest_show_the_tare_only(exact):
-    for trial in read_truth(exact)["trials"]:
-        time, log = loaded(exact, trial)
+    for trial, time, log in trials_of(exact):
         assert time[0] == pytest.approx(trial["log starts [s]"], abs=1e-9)
         assert time[0] > 1.0
         rest = log["command"] == 1500
@@ -102,11 +101,9 @@ def test_synthetic_motor_rows_at_rest_show_the_tare_only(exact):
 
 
 def test_synthetic_motor_responds_after_the_command_delay(exact):
-    truth = read_truth(exact)
-    delay = truth["parameters"]["command_delay"]
+    delay = read_truth(exact)["parameters"]["command_delay"]
     assert delay > 0
-    trial = truth["trials"][0]
-    time, log = loaded(exact, trial)
+    trial, time, log = next(trials_of(exact))
     start, u = trial["command steps"][3]
     row = int(np.argmin(np.abs(time - start)))
     assert log["command"][row] == 1500 + 500 * u
@@ -118,20 +115,17 @@ def test_synthetic_motor_responds_after_the_command_delay(exact):
 
 
 def test_synthetic_motor_noise_has_the_stated_size(noisy):
-    stated = NOISE
-    for trial in read_truth(noisy)["trials"]:
-        time, log = loaded(noisy, trial)
+    for trial, time, log in trials_of(noisy):
         start = trial["window start [s]"]
         idle = (time > start) & (time < start + 0.19)
-        for name, size in (("speed", stated.speed), ("thrust", stated.force), ("torque", stated.torque)):
+        for name, size in (("speed", NOISE.speed), ("thrust", NOISE.force), ("torque", NOISE.torque)):
             jumps = np.diff(log[name][idle]) / np.sqrt(2)
             # 1900 differences: the size is known to about 2 %; quantization adds 0.3 % at most.
             assert jumps.std() == pytest.approx(size, rel=0.1), (trial["name"], name)
 
 
 def test_synthetic_motor_reversals_change_the_sign_of_speed_and_thrust(noisy):
-    for trial in read_truth(noisy)["trials"]:
-        _, log = loaded(noisy, trial)
+    for trial, _, log in trials_of(noisy):
         senses = {"forward": (False, True), "reverse": (True, False), "reversal": (True, True)}
         assert (log["speed"].min() < -100, log["speed"].max() > 100) == senses[trial["direction"]]
 
@@ -185,9 +179,9 @@ def test_synthetic_motor_same_seed_same_numbers(tmp_path, noisy):
     again = synthesize_motor(tmp_path / "again", seed=22)
     for file in sorted(noisy.iterdir()):
         if file.suffix == ".h5":
-            one, two = load(file), load(again / file.name)
-            for name, channel in one.channels.items():
-                np.testing.assert_array_equal(channel.values, two[name].values)
+            repeated = load(again / file.name)
+            for name, channel in load(file).channels.items():
+                np.testing.assert_array_equal(channel.values, repeated[name].values)
         else:
             assert file.read_bytes() == (again / file.name).read_bytes(), file.name
 
