@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from sysid.landing.scenario import Scenario
 from sysid.landing.simulate import Landing, land
 from sysid.landing.thrust import Motors
 from sysid.report.fold import print_result, print_table
-from sysid.report.table import Column, Table, numbers, table, with_unit, words
+from sysid.report.table import Column, Table, table, with_unit
 from sysid.storage import FileKind, check_file, put, put_json, put_texts, write_file
 from sysid.workflows.landing_sources import chosen_controllers, open_fleets, rules_of
 from sysid.workflows.options import SimulateOptions
@@ -179,10 +180,8 @@ def _hdf5(
 
 
 def _table(rows: Sequence[dict[str, Any]], first: Landing) -> Table:
-    def column(name: str) -> Column:
-        kind, form = (words if name == "outcome" else numbers), "" if name in ("set", "outcome") else ".3f"
-        return kind(head(name), lambda row: format(row[name], form))
-
     title = f"{first.drone.surface.upper()}, {math.degrees(first.scenario.slope):g} deg, "
     title += f"{first.scenario.speed:g} m/s: {first.controller.label}"
-    return table(title, rows, [column(name) for name in rows[0]])
+    cells = [[f"{v:.3f}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
+    columns = [Column(head(name), itemgetter(k), number=name != "outcome") for k, name in enumerate(rows[0])]
+    return table(title, cells, columns)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import numpy as np
 
 from sysid.journal import Say
 from sysid.landing.controllers import Controller
-from sysid.landing.drone import Drone
 from sysid.landing.impulse import ImpulseSettings, rear_command
 from sysid.landing.impulse_maps import after_impulses, impulse_maps
 from sysid.landing.maps import Fleets, LandingMap, MapSettings, landing_maps, map_identity
@@ -25,7 +23,7 @@ from sysid.report.drawing import save_figure
 from sysid.report.fold import print_lines, print_result, print_table
 from sysid.report.landing_figures import DrawnLimits, figure_impulse, figure_landing_maps
 from sysid.report.landing_tables import at_least
-from sysid.report.table import Table, numbers, table, words
+from sysid.report.table import Table, listed
 from sysid.resume import Computing
 from sysid.workflows.landing_sources import (
     check_result,
@@ -39,7 +37,7 @@ from sysid.workflows.options import ImpulseMapOptions, LandingMapOptions
 
 def compute_landing_maps(options: LandingMapOptions, say: Say = None) -> MapFile | None:
     """Compute, write, draw and print the maps of every surface under every controller; None if stopped."""
-    rules, picture = rules_of(options.rules), options.figure or options.out.with_suffix(".png")
+    rules, picture = rules_of(options.rules), options.picture
     settings = MapSettings(
         options.slopes_deg, options.speeds, rules, check=not options.no_check, pitch=options.pitch,
         horizontal_speed=options.horizontal_speed,
@@ -77,7 +75,7 @@ def compute_landing_maps(options: LandingMapOptions, say: Say = None) -> MapFile
 
 def compute_impulse_maps(options: ImpulseMapOptions, say: Say = None) -> MapFile | None:
     """Search the best impulse of every cell and set, land with it, write and draw; None if stopped."""
-    picture = options.figure or options.out.with_suffix(".png")
+    picture = options.picture
     impulse_picture = picture.with_name(f"{picture.stem}-impulse{picture.suffix}")
     settings = MapSettings(
         options.slopes_deg, options.speeds, rules_of(options.rules), check=not options.no_check
@@ -139,7 +137,9 @@ def static_lines(fleets: Fleets, controllers: Sequence[Controller]) -> dict[tupl
     for fleet in fleets:
         drone = fleet[0]
         for controller in controllers:
-            push = final_reverse_thrust(drone, controller)
+            # Toward the ground, once the last command has settled [N].
+            thrust = Motors(drone, controller.ideal_reversal).propulsion(controller.steps)
+            push = -float(sum(pair(pair.knots[-1]) for pair in (thrust.rear, thrust.front)))
             if push <= -drone.weight:
                 continue  # the motors carry the drone, so there is no static limit
             rigid = rigid_limits(drone.gear, drone.surface, push).first.slope
@@ -148,12 +148,6 @@ def static_lines(fleets: Fleets, controllers: Sequence[Controller]) -> dict[tupl
                 push, float(np.degrees(rigid)), float(np.degrees(bending))
             )
     return out
-
-
-def final_reverse_thrust(drone: Drone, controller: Controller) -> float:
-    """Return the thrust toward the ground [N] of all motors once the last command has settled."""
-    thrust = Motors(drone, controller.ideal_reversal).propulsion(controller.steps)
-    return -float(thrust.rear(thrust.rear.knots[-1]) + thrust.front(thrust.front.knots[-1]))
 
 
 def _draw_maps(
@@ -191,40 +185,32 @@ def _print(
 
 
 def _summary_table(counts: Sequence[dict[str, Any]]) -> Table:
-    def slope(k: int) -> Callable[[dict[str, Any]], str]:
-        return lambda entry: at_least(entry["steepest_deg"][k], entry["at_edge"][k], "g")
-
-    def doubt(entry: dict[str, Any]) -> str:
-        return "–" if entry["uncertain"] is None else f"{100 * entry['uncertain']:.2f}"
-
-    return table(
-        "Steepest slope [deg] that half of the sets land on, by touchdown speed [m/s]",
-        counts,
+    rows = [
         (
-            words("map", lambda entry: f"{entry['surface'].upper()}, {entry['controller']}"),
-            *(numbers(f"{speed:g}", slope(k)) for k, speed in enumerate(counts[0]["speeds"])),
-            numbers("time [s]", lambda entry: f"{entry['mean_time']:.2f}"),
-            numbers("way [m]", lambda entry: f"{entry['mean_distance']:.2f}"),
-            numbers("doubt [%]", doubt),
-        ),
-    )
+            f"{entry['surface'].upper()}, {entry['controller']}",
+            *(at_least(*slope, "g") for slope in zip(entry["steepest_deg"], entry["at_edge"], strict=True)),
+            f"{entry['mean_time']:.2f}",
+            f"{entry['mean_distance']:.2f}",
+            "–" if entry["uncertain"] is None else f"{100 * entry['uncertain']:.2f}",
+        )
+        for entry in counts
+    ]
+    heads = ("map", *(f"{speed:g}" for speed in counts[0]["speeds"]), "time [s]", "way [m]", "doubt [%]")
+    return listed("Steepest slope [deg] that half of the sets land on, by touchdown speed [m/s]", rows, heads)
 
 
 def _print_confusion(drawn: LandingMap, chosen: Sequence[Experiment]) -> None:
     compared = confusion(chosen, drawn)
     total = int(compared.counts.sum())
-    title = f"{drawn.title}: {compared.agreeing} of {total} real landings agree with the likeliest class of "
-    title += "their cell"
-    title += f", {compared.outside} outside the map" if compared.outside else ""
-    title += f", {compared.lost} in cells that could not be simulated" if compared.lost else ""
+    sentence = f"{drawn.title}: {compared.agreeing} of {total} real landings agree with the likeliest class "
+    sentence += "of their cell"
+    sentence += f", {compared.outside} outside the map" if compared.outside else ""
+    sentence += f", {compared.lost} in cells that could not be simulated" if compared.lost else ""
     # Above the table: a title would be folded to the width of the few short columns.
-    print_lines([title])
-    heads = [outcome.name.lower() for outcome in OUTCOMES]
-    cells = (numbers(head, itemgetter(k)) for k, head in enumerate(heads, start=2))
+    print_lines([sentence])
     rows = [
-        (word, "", *(str(int(count)) for count in counts))
-        for word, counts in zip(compared.words, compared.counts, strict=True)
+        (word, "", *map(str, counts))
+        for word, counts in zip(compared.words, compared.counts.tolist(), strict=True)
     ]
-    print_table(
-        table("", rows, (words("observed", itemgetter(0)), words("simulated:", itemgetter(1)), *cells))
-    )
+    heads = ("observed", "simulated:", *(outcome.name.lower() for outcome in OUTCOMES))
+    print_table(listed("", rows, heads, texts=2))

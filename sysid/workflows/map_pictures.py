@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from sysid.landing.impulse import ImpulseSettings
+from sysid.landing.impulse import ImpulseSettings, rear_command
 from sysid.landing.impulse_maps import after_impulses, impulse_maps
-from sysid.landing.maps import LandingMap, MapSettings, landing_maps
+from sysid.landing.maps import Fleets, LandingMap, MapSettings, landing_maps
 from sysid.landing.outcomes import Outcome
 from sysid.report.html import Html, grid, legend, picture
 from sysid.report.landing_figures import MapLegend, figure_impulse, figure_landing_maps
@@ -32,8 +32,7 @@ def landing_pictures(
     There is one file of `gears` per surface. `slopes` [deg] and `speeds` [m/s] are first:last:step or a list,
     `controllers` as for ``sysid landing-map``.
     """
-    fleets, _ = open_fleets(MotorOptions(Path(motor)), [Path(gear) for gear in gears])
-    settings = MapSettings(span(slopes, "slopes"), span(speeds, "speeds"), check=False)
+    fleets, settings = _opened(gears, MotorOptions(Path(motor)), slopes, speeds)
     chosen = chosen_controllers(controllers, settings.rules.horizon)
     return _pictures(landing_maps(fleets, chosen, settings), static_lines(fleets, chosen))
 
@@ -54,10 +53,9 @@ def impulse_pictures(
     pair then reverses in the impulse (Fig. 11). The rest is as for `landing_pictures`.
     """
     motors = MotorOptions(Path(motor), ideal_reversal=ideal_reversal)
-    fleets, _ = open_fleets(motors, [Path(gear) for gear in gears])
-    settings = MapSettings(span(slopes, "slopes"), span(speeds, "speeds"), check=False)
+    fleets, settings = _opened(gears, motors, slopes, speeds)
     tried = (span(delays, "delays"), span(durations, "durations"))
-    rear = -0.8 if ideal_reversal else 0.1
+    rear = rear_command(ideal_reversal=ideal_reversal)
     impulses = ImpulseSettings(*tried, rear=rear, ideal_reversal=ideal_reversal)
     best, maps = impulse_maps(fleets, settings, impulses)
     pieces = []
@@ -66,6 +64,13 @@ def impulse_pictures(
         words = f"delay and duration of the best impulse over touchdown speed and slope, {chart.surface}"
         pieces.append(picture(figure, words))
     return _pictures(maps, static_lines(fleets, after_impulses(impulses))) + grid(pieces)
+
+
+def _opened(
+    gears: Sequence[str | Path], motors: MotorOptions, slopes: str, speeds: str
+) -> tuple[Fleets, MapSettings]:
+    settings = MapSettings(span(slopes, "slopes"), span(speeds, "speeds"), check=False)
+    return open_fleets(motors, [Path(gear) for gear in gears])[0], settings
 
 
 def _pictures(maps: Sequence[LandingMap], limits: Any) -> Html:

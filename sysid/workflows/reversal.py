@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from sysid.recording import Channel
 from sysid.report.drawing import save_figure
 from sysid.report.fold import print_result, print_table
 from sysid.report.motor_figures import ReversalCurves, figure_reversals
-from sysid.report.table import Table, numbers, table, words
+from sysid.report.table import Table, listed
 from sysid.trials.bench_log import (
     CommandRange,
     CommandSteps,
@@ -120,9 +119,6 @@ class LogReversals:
                 for group in self.groups
             ],
         }
-
-
-_NUMBERS = ("n", "to 90 %", "to zero", "dead band", "outliers")
 
 
 def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> LogReversals:
@@ -274,13 +270,13 @@ def _table(timed: Sequence[LogReversals], slow: float) -> Table:
                 # A single repetition is the quickest of its group.
                 f"{100 * group.outliers(slow) / count:.0f} %" if count > 1 else "–",
             ))  # fmt: skip
-    heads = ((words, "log"), (words, "u"), *((numbers, name) for name in _NUMBERS))
-    return table(
+    return listed(
         "reversal times from the command, median (quartiles) [ms]",
         rows,
-        [kind(name, itemgetter(i)) for i, (kind, name) in enumerate(heads)],
+        ("log", "u", "n", "to 90 %", "to zero", "dead band", "outliers"),
         f"outliers: over {slow:g} times the quickest, or 90 % not seen to be reached; zero crossing and "
         "dead band of the speed where it is signed, else (T) of the thrust",
+        texts=2,
     )
 
 
