@@ -10,14 +10,6 @@ from sysid.campaign.gear import GearCampaign, GearTrial
 from sysid.campaign.motor import MotorCampaign, MotorTrial
 
 __all__ = [
-    "Campaign",
-    "FitTable",
-    "GearCampaign",
-    "GearTrial",
-    "MotorCampaign",
-    "MotorTrial",
-    "ParameterChoices",
-    "TrialUse",
-    "read_campaign",
-    "register_campaign",
-]
+    "Campaign", "FitTable", "GearCampaign", "GearTrial", "MotorCampaign", "MotorTrial", "ParameterChoices",
+    "TrialUse", "read_campaign", "register_campaign",
+]  # fmt: skip

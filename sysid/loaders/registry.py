@@ -181,7 +181,7 @@ def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording
     _check_kinds(source.path, given)
     for name, value in given.items():
         option = DECLARED.get(name, Option(""))
-        choices = (chosen.takes or {}).get(name) or option.choices
+        choices = () if chosen.takes is None else chosen.takes[name] or option.choices
         if choices and value not in choices:
             expected = " or ".join(", ".join(f'"{word}"' for word in choices).rsplit(", ", 1))
             raise LogError(f"{source.path}: {name} = {value!r} is unknown; expected {expected}")

@@ -96,6 +96,11 @@ class Signal:
         return self.unit if self.unit is not None or self.numbered else split_label(self.label)[1]
 
     @property
+    def guesses_unit(self) -> bool:
+        """Whether the unit is only the end of the label."""
+        return self.unit is None and suffix_unit(self.label) is not None
+
+    @property
     def is_time(self) -> bool:
         """Whether it is a clock by its name; a ``T`` in degrees is a temperature."""
         if self.stem != "t" or self.stated_unit is None:
@@ -271,26 +276,20 @@ def _channels(path: str, raw: RawSignals, options: BenchOptions) -> tuple[dict[s
     chosen = _choose(path, by_name, raw, options.datasets)
     check_tachometer(path, chosen, per_revolution)
     declared = DeclaredUnits(path, options.units)
-    columns = {}
-    for index, (name, signal) in enumerate(by_name.items()):
-        guessed = signal.unit is None and suffix_unit(signal.label) is not None
-        columns[name] = Column(index, signal.label, signal.stem, signal.stated_unit, guessed)
+    columns = {
+        name: Column(index, signal.label, signal.stem, signal.stated_unit, signal.guesses_unit)
+        for index, (name, signal) in enumerate(by_name.items())
+    }
     clocks = _Clocks(
         path, by_name, rate, chosen.get("time"), lambda name: declared.factor(columns[name], "time", "s")
     )
-    others = []
-    for channel, name in chosen.items():
+    left = [] if named else [name for name in by_name if name not in chosen.values()]
+    others = [] if raw.measured else [name for name in left if not by_name[name].is_time]
+    for channel, name in [*chosen.items(), *zip(others, others, strict=True)]:
         if channel != "time":
             clocks.add(channel, name)
-    if not raw.measured and not named:
-        times = {name for name, signal in by_name.items() if signal.is_time}
-        others = [name for name in by_name if name not in chosen.values() and name not in times]
-        for name in others:
-            clocks.add(name, name)
-
     notes = clocks.notes
-    if raw.measured and not named:
-        left = [name for name in by_name if name not in chosen.values()]
+    if raw.measured:
         notes += listing_note("datasets-not-read", "datasets not read", left)
     channels: dict[str, Channel] = {}
     unknown: list[str] = []
@@ -298,7 +297,7 @@ def _channels(path: str, raw: RawSignals, options: BenchOptions) -> tuple[dict[s
         time, ordered = order_rows(
             path, clocks.numbers[key], 0, 1.0, time_back=options.time_back or "refuse", coarse=DECLARE_RATE
         )
-        notes += [note for note in ordered if note not in notes]
+        notes += [finding for finding in ordered if finding not in notes]
         for index, channel in enumerate(names, start=1):
             values = clocks.numbers[key].columns[index]
             column = columns[channel if channel in others else chosen[channel]]

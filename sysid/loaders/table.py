@@ -42,12 +42,7 @@ _MOST_TRAILING = 64
 def all_numeric(cells: Sequence[str]) -> bool:
     """Return whether all cells that are not blank are numbers, and one is."""
     filled = [cell for cell in cells if cell.strip()]
-    for cell in filled:
-        try:
-            parse_number(cell)
-        except ValueError:
-            return False
-    return bool(filled)
+    return bool(filled) and all(map(is_number, filled))
 
 
 @dataclass(frozen=True)
@@ -135,6 +130,11 @@ class Numbers:
         """Return columns side by side, (n, k)."""
         return np.column_stack([self.columns[index] for index in columns])
 
+    def blank(self, rows: NDArray[Any]) -> None:
+        """Make all numbers of some rows missing."""
+        for values in self.columns.values():
+            values[rows] = np.nan
+
     def keep(self, mask: NDArray[np.bool_]) -> None:
         """Keep only the rows where `mask` is true."""
         if not mask.all():
@@ -192,11 +192,11 @@ def read_numbers(
     columns = _read_rows(path, body, names, len(head.names), decimal, surplus)
     if not body.lines.size:
         raise empty
-    notes += _blank_short(path, body, columns, least, free_text, ends)
+    numbers = Numbers(columns, body.lines, notes, open_end=open_end)
+    notes += _blank_short(path, body, numbers, least, free_text, ends)
     shifted = _shifted(path, body, head, wanted, surplus, free_text)
     if shifted.size:
-        for values in columns.values():
-            values[shifted] = np.nan
+        numbers.blank(shifted)
         sentence = (
             f"rows with a cell too many, whose numbers are not below their names: {shifted.size} (first: "
             f"line {body.lines[shifted[0]]}); taken as missing"
@@ -208,16 +208,11 @@ def read_numbers(
             values[np.isinf(values)] = np.nan
         sentence = f"cells with an infinite number: {infinite}; taken as missing"
         notes.append(note("infinite-cells", sentence))
-    return Numbers(columns, body.lines, notes, open_end=open_end)
+    return numbers
 
 
 def _blank_short(
-    path: str,
-    body: _Rows,
-    columns: Mapping[int, FloatArray],
-    least: int,
-    free_text: int | None,
-    ends: Sequence[int],
+    path: str, body: _Rows, numbers: Numbers, least: int, free_text: int | None, ends: Sequence[int]
 ) -> list[Finding]:
     """Blank rows with too few cells, and return a note; refuse a table where most are."""
     lines, fields = body.lines, body.fields
@@ -236,8 +231,7 @@ def _blank_short(
             f"{path}, line {lines[first]}: {fields[first]} cells where {least} are expected, as in "
             "most rows; check the delimiter and the header"
         )
-    for values in columns.values():
-        values[short] = np.nan
+    numbers.blank(short)
     sentence = (
         f"rows with fewer than {least} cells: {int(short.sum())} (first: line {lines[first]}); "
         "taken as missing"
@@ -300,18 +294,16 @@ def _shifted(
 
 def _is_whole(cells: Sequence[str], wanted: Sequence[int], least: int, decimal: str) -> bool:
     """Return whether a last line without line end has every wanted number."""
-    if len(cells) < max(least, wanted[-1] + 1):
-        return False
-    try:
-        for index in wanted:
-            parse_number(cells[index], decimal)
-    except ValueError:
-        return False
-    return True
+    return len(cells) >= max(least, wanted[-1] + 1) and all(is_number(cells[i], decimal) for i in wanted)
 
 
 def parse_number(cell: str, decimal: str = ".") -> float:
     """Return the number in a cell, NaN for a blank cell or a written nan; ValueError for anything else."""
+    if decimal == "." and cell.isascii() and "_" not in cell:
+        try:
+            return float(cell)  # most cells, at a third of the time
+        except ValueError:
+            pass
     text = cell.strip().strip('"').strip()
     if text.lower() in _MISSING:
         return math.nan
@@ -324,14 +316,13 @@ def parse_number(cell: str, decimal: str = ".") -> float:
     return float(text)
 
 
-def _quick_number(cell: str) -> float:
-    """Return `parse_number` of a cell, most of them at a third of the time."""
-    if cell.isascii() and "_" not in cell:
-        try:
-            return float(cell)
-        except ValueError:
-            pass
-    return parse_number(cell)
+def is_number(cell: str, decimal: str = ".") -> bool:
+    """Return whether `parse_number` takes a cell."""
+    try:
+        parse_number(cell, decimal)
+    except ValueError:
+        return False
+    return True
 
 
 @dataclass
@@ -392,8 +383,7 @@ class _Rows:
 
 
 def _body_end(data: bytes, start: int, delimiter: str) -> tuple[int, bool]:
-    """Return where the last row ends, comments and blank lines after it left out, and if it has a "
-    "line end."""
+    """Return where the last row ends, before comments and blank lines, and whether it has a line end."""
     # A row of nothing but tabs is a row where tabs part the cells.
     blanks = b" \r\v\f" if delimiter == "\t" else b" \t\r\v\f"
     end = len(data)
@@ -571,7 +561,7 @@ def _read_slow(
         for index, into in values.items():
             cell = cells[index] if index < len(cells) else ""
             try:
-                into[row] = _quick_number(cell) if decimal == "." else parse_number(cell, decimal)
+                into[row] = parse_number(cell, decimal)
             except ValueError:
                 raise LogError(
                     f"{path}, line {body.lines[row]}: {shortened(cell)!r} in column "

@@ -2,8 +2,8 @@
 
 The readers of `log_readers` turn the bytes of a log into tables of rows, each number in SI with the channel
 that it belongs to; `assert_matches` then walks a recording row by row and finds each row in a line of the
-file. A sample that no line holds, one from another line, a line that vanished without a reason, a number that
-became a gap, a factor that is not that of the printed unit: each is an assertion that names the line.
+file. A sample that is in no line, a sample from another line, a line that vanished without a reason, a number
+that became a gap and a factor of another unit than the printed one are an assertion that names the line.
 """
 
 import csv
@@ -183,8 +183,8 @@ def fill(
     """Add the rows of lines `first` to `last`.
 
     `columns` is (channel, component) -> (column, factor); `time` a function of the row's numbers by column.
-    A row of more cells than `most`, and than most rows have, is told by none of them; but the words of column
-    `words` may hold delimiters. `width`: columns with a name, where rows may have filled cells behind them.
+    A row of more cells than `most`, and than most rows have, gives no number; but the words of column `words`
+    may contain delimiters. `width`: columns with a name, where rows may have filled cells behind them.
     """
     wanted = sorted({column for column, _ in columns.values()})
     for channel, component in columns:
@@ -354,6 +354,16 @@ def same_time(got, stated, shift):
     return abs(got - shift - stated) <= (1e-9 if shift else 4 * math.ulp(max(abs(stated), 1e-3)))
 
 
+def matrix_of(unit):
+    """Return the rotation matrix of a unit quaternion, w first, multiplied out by hand."""
+    w, x, y, z = unit
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+
+
 def quaternion(stated, got):
     """Return the unit quaternion of four printed numbers, of the sign that was recorded."""
     length = float(np.linalg.norm(stated))
@@ -384,12 +394,4 @@ def turned(stated, got):
     left, _, right = np.linalg.svd(matrix)
     nearest = left @ right
     # The rotation that the recorded quaternion is, compared as a matrix: there the sign is no matter.
-    w, x, y, z = got
-    recorded = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    return got if np.abs(recorded - nearest).max() < 1e-9 and abs(got @ got - 1) < 1e-12 else None
+    return got if np.abs(matrix_of(got) - nearest).max() < 1e-9 and abs(got @ got - 1) < 1e-12 else None

@@ -71,14 +71,9 @@ def vax(data):
     return quadruple[2:] + quadruple[:2]
 
 
-def reversed_bytes(data):
-    return data[::-1]
-
-
 def other_processor(data, mark):
     """Return an Intel C3D file with every number as another processor writes it: 85 DEC, 86 SGI/MIPS."""
-    real = vax if mark == 85 else reversed_bytes
-    whole = bytes if mark == 85 else reversed_bytes
+    real, whole = (vax, bytes) if mark == 85 else (lambda data: data[::-1],) * 2
     out = bytearray(data)
 
     def convert(start, size, count, how):
@@ -183,6 +178,7 @@ ULOG_TOPICS = {
     "actuator_motors": "float[4] control;",
     "sensor_combined": "float[3] gyro_rad;float[3] accelerometer_m_s2;", "unknown_to_us": "uint8_t[5] other;",
 }  # fmt: skip
+ULOG_WIDTHS = {"battery_status": 2, "actuator_motors": 4, "sensor_combined": 6, "unknown_to_us": 5}
 
 
 @SETTINGS
@@ -193,9 +189,7 @@ def test_ulog(tmp_path, seed, others):
     for name in sorted({"vehicle_odometry", *others}):
         count = int(random.integers(1, 40))
         stamps = 1_000_000 + np.cumsum(random.integers(1, 4, count)) * int(random.choice([4000, 10_001]))
-        width = {"battery_status": 2, "actuator_motors": 4, "sensor_combined": 6, "unknown_to_us": 5}.get(
-            name
-        )
+        width = ULOG_WIDTHS.get(name)
         table = random.normal(size=(count, width or 7)).astype("<f4")
         if width is None:
             position, quaternions, lost = random_walk(random, count)
@@ -207,15 +201,11 @@ def test_ulog(tmp_path, seed, others):
             table[random.uniform(size=table.shape) < 0.2] = np.nan
             table[0] = 1
         topics[name] = (stamps, table)
-    written = [
-        (
-            name,
-            ULOG_TOPICS[name],
-            [struct.pack("<Q", t) + row.tobytes() for t, row in zip(*rows, strict=True)],
-        )
-        for name, rows in topics.items()
-    ]
-    log = load(ulog(tmp_path / "log.bin", *written))
+    rows = {
+        name: [struct.pack("<Q", t) + row.tobytes() for t, row in zip(*topic, strict=True)]
+        for name, topic in topics.items()
+    }
+    log = load(ulog(tmp_path / "log.bin", *((name, ULOG_TOPICS[name], rows[name]) for name in rows)))
     stamps, table = topics["vehicle_odometry"]
     np.testing.assert_allclose(log["vehicle/position"].time, stamps * 1e-6, rtol=1e-14)
     np.testing.assert_array_equal(log["vehicle/position"].values, table[:, :3].astype(float))

@@ -99,11 +99,9 @@ def assert_same(channel, time, values, rtol=ULPS):
 
 @SETTINGS
 @given(stands())
-def test_thrust_stand(tmp_path, case):
+def test_thrust_stand(write, case):
     time, values, unit, text = case
-    path = tmp_path / "stand.csv"
-    path.write_bytes(text)
-    log = load(path, static=False)
+    log = load(write(text), static=False)
     factor = {"N": 1.0, "gf": 9.80665e-3, "kgf": 9.80665, "RPM": RPM, "rad/s": 1.0}
     assert log["command"].unit == ("us" if unit["ESC signal"] else "dshot")
     assert_same(log["command"], time, values["ESC signal"])
@@ -141,11 +139,9 @@ def cells(draw):
 
 @SETTINGS
 @given(cells())
-def test_load_cell_csv(tmp_path, case):
+def test_load_cell_csv(write, case):
     time, values, text = case
-    path = tmp_path / "cell.csv"
-    path.write_bytes(text)
-    log = load(path, format="load-cell-csv")
+    log = load(write(text), format="load-cell-csv")
     for name, expected in values.items():
         if not np.isnan(expected).all():
             assert_same(log[name], time, expected)
@@ -255,11 +251,9 @@ def takes(draw):
 
 @SETTINGS
 @given(takes())
-def test_motive(tmp_path, case):
+def test_motive(write, case):
     time, bodies, digits, scale, text = case
-    path = tmp_path / "take.csv"
-    path.write_bytes(text)
-    log = load(path)
+    log = load(write(text))
     assert log.rigid_bodies == tuple(bodies)
     for name, (position, continuous, _, lost) in bodies.items():
         np.testing.assert_array_equal(log[f"{name}/position"].time, time)
@@ -297,11 +291,9 @@ def pose_tables(draw):
 
 @SETTINGS
 @given(pose_tables())
-def test_pose_table(tmp_path, case):
+def test_pose_table(write, case):
     time, position, continuous, lost, options, text = case
-    path = tmp_path / "poses.csv"
-    path.write_bytes(text)
-    log = load(path, **options)
+    log = load(write(text), **options)
     np.testing.assert_array_equal(log["body/position"].time, time)
     np.testing.assert_allclose(log["body/position"].values, position, rtol=ULPS)
     assert_turns(log["body/orientation"], continuous, lost, 1e-14)

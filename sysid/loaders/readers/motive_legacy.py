@@ -38,19 +38,11 @@ def _recognize(source: Source) -> int:
 
 @dataclass
 class _Frames:
-    """Rows gathered while reading: time, bodies and markers by name."""
+    """Rows gathered while reading: times, and numbers by row of each ``("body" or "marker", name)``."""
 
     lines: list[int] = field(default_factory=list)
     time: list[float] = field(default_factory=list)
-    bodies: dict[str, dict[int, list[float]]] = field(default_factory=dict)
-    markers: dict[str, dict[int, list[float]]] = field(default_factory=dict)
-
-    def stacked(self, rows: dict[int, list[float]], width: int) -> FloatArray:
-        """Return an (n, width) array, NaN where a frame has no row."""
-        out = np.full((len(self.lines), width), np.nan)
-        for row, values in rows.items():
-            out[row] = values
-        return out
+    tracks: dict[tuple[str, str], dict[int, list[float]]] = field(default_factory=dict)
 
 
 def _parts(cells: Sequence[str], place: int, width: int) -> tuple[list[Sequence[str]], int]:
@@ -66,31 +58,28 @@ def _parts(cells: Sequence[str], place: int, width: int) -> tuple[list[Sequence[
 
 def _add_frame(frames: _Frames, names: dict[str, str], number: int, cells: Sequence[str]) -> None:
     """Add one row; ValueError or IndexError where its counts and its cells do not agree."""
-    bodies: dict[str, list[float]] = {}
-    markers: dict[str, list[float]] = {}
+    numbers: dict[tuple[str, str], list[float]] = {}
     parse_number(cells[1])  # refuses an index that is no number
     time = parse_number(cells[2])
     parts, place = _parts(cells, 3, _BODY_CELLS)
     for part in parts:
         name = names.get(part[0].strip(), f"body {part[0].strip()}")
-        if name in bodies:
+        if ("body", name) in numbers:
             raise ValueError(f"{name} twice")
-        bodies[name] = [parse_number(cell) for cell in part[1:8]]
+        numbers["body", name] = [parse_number(cell) for cell in part[1:8]]
     parts, place = _parts(cells, place, _MARKER_CELLS)
     for part in parts:
         name = part[4].strip() or f"marker {part[3].strip()}"
-        if name in markers:
+        if ("marker", name) in numbers:
             name = f"{name} {part[3].strip()}"
-        markers[name] = [parse_number(cell) for cell in part[:3]]
+        numbers["marker", name] = [parse_number(cell) for cell in part[:3]]
     if any(cell.strip() for cell in cells[place:]):
         raise ValueError("cells left over")
     row = len(frames.lines)
     frames.lines.append(number)
     frames.time.append(time)
-    for name, values in bodies.items():
-        frames.bodies.setdefault(name, {})[row] = values
-    for name, values in markers.items():
-        frames.markers.setdefault(name, {})[row] = values
+    for key, values in numbers.items():
+        frames.tracks.setdefault(key, {})[row] = values
 
 
 def _frames(text: Text, notes: list[Finding]) -> _Frames:
@@ -129,7 +118,7 @@ def _frames(text: Text, notes: list[Finding]) -> _Frames:
     if handed == "lefthanded":
         raise LogError(f"{text.path}: axes are left-handed; export again with right-handed axes")
     if not frames.lines:
-        raise LogError(f"{text.path}: holds no row that begins with frame; the capture is empty")
+        raise LogError(f"{text.path}: has no row that begins with frame; the capture is empty")
     return frames
 
 
@@ -144,13 +133,14 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     del text  # the file's bytes are not needed any more
     columns: dict[int, FloatArray] = {0: np.array(frames.time)}
     places: dict[tuple[str, str], range] = {}
-    for kind, rows, width in (("body", frames.bodies, 7), ("marker", frames.markers, 3)):
-        for name, cells in rows.items():
-            places[kind, name] = range(len(columns), len(columns) + width)
-            for values in frames.stacked(cells, width).T:
-                columns[len(columns)] = np.where(np.isinf(values), np.nan, values)
+    for key, rows in frames.tracks.items():
+        table = np.full((len(frames.lines), 7 if key[0] == "body" else 3), np.nan)
+        for row, cells in rows.items():
+            table[row] = cells
+        places[key] = range(len(columns), len(columns) + table.shape[1])
+        columns |= zip(places[key], np.where(np.isinf(table), np.nan, table).T, strict=True)
     numbers = Numbers(columns, np.array(frames.lines, dtype=np.int64))
-    kept = wanted_bodies(path, list(frames.bodies), options.rigid_body)
+    kept = wanted_bodies(path, [name for kind, name in places if kind == "body"], options.rigid_body)
     time, ordered = order_rows(path, numbers, 0, 1.0)
     raw = RawCapture("OptiTrack Motive CSV 1.1", [*notes, *ordered], marks_lost=True)
     for (kind, name), place in places.items():

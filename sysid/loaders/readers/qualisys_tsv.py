@@ -27,7 +27,7 @@ from sysid.loaders.clock import began_note, counted_clock, known_rate, order_row
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source, Text, read_text
-from sysid.loaders.table import Numbers, TableHead, parse_number, promised_note, read_numbers
+from sysid.loaders.table import Numbers, TableHead, is_number, parse_number, promised_note, read_numbers
 from sysid.types import FloatArray
 
 _FIRST = "NO_OF_FRAMES"
@@ -58,11 +58,9 @@ def _header(text: Text) -> tuple[dict[str, list[str]], int, int, bool]:
         if word[:1].isalpha() and word.upper() == word:
             keys[word] = cells[1:]
         elif line.strip():
-            try:
-                parse_number(word)
-            except ValueError:  # a row of column names without Frame and Time
-                return keys, line_number, behind, False
-            return keys, number, offset, False
+            if is_number(word):
+                return keys, number, offset, False
+            return keys, line_number, behind, False  # a row of column names without Frame and Time
         number, offset = line_number, behind
     return keys, number, offset, False
 
