@@ -43,10 +43,9 @@ def test_stand_semicolon_decimal_comma_cp1252_old_line_ends_stale_row():
 
 
 def test_stand_time_back_is_refused_or_dropped_on_demand():
-    refuses(
-        HERE / "stand_time_back.csv", r"stand_time_back.csv, line 5: time goes back from 3.214 s to 3.209 s"
-    )
-    log = load(HERE / "stand_time_back.csv", time_back="drop")
+    path = HERE / "stand_time_back.csv"
+    refuses(path, r"stand_time_back.csv, line 5: time goes back from 3.214 s to 3.209 s")
+    log = load(path, time_back="drop")
     np.testing.assert_array_equal(log["thrust"].time, [3.19, 3.20, 3.214, 3.22])
 
 
@@ -75,10 +74,8 @@ def test_load_cell_without_clock_needs_a_rate_and_command_unit():
 
 
 def test_text_in_a_number_names_line_and_column():
-    refuses(
-        HERE / "load_cell_text.csv",
-        r"load_cell_text.csv, line 3: 'over' in column 'Fz \(N\)' is not a number",
-    )
+    fault = r"load_cell_text.csv, line 3: 'over' in column 'Fz \(N\)' is not a number"
+    refuses(HERE / "load_cell_text.csv", fault)
 
 
 def test_motive_121_millimetres_gap_flip_and_cut_last_line():
@@ -124,6 +121,8 @@ def test_motive_124_euler_parent_row_and_times_rounded_to_milliseconds():
 def test_pose_table_w_last_cut_and_duplicate_stamp():
     path = HERE / "pose_xyzw_cut.csv"
     refuses(path, "state no unit", UnitError)
+    order = "contradicts the columns, which are named in the order xyzw"
+    refuses(path, order, length_unit="m", quaternion_order="wxyz")
     log = load(path, length_unit="m", rigid_body="cf")
     assert log.rigid_bodies == ("cf",)
     np.testing.assert_array_equal(log["cf/position"].values[:, 2], [0.3, 0.32, 0.33])
@@ -149,15 +148,6 @@ def test_pose_table_commented_header_in_nanoseconds():
     # 1.4e9 s in double precision resolves 0.24 µs.
     np.testing.assert_allclose(np.diff(log["body/position"].time), [0.00499968], atol=3e-7)
     np.testing.assert_allclose(log["body/orientation"].values[0], [0.5, -0.5, -0.5, -0.5])
-
-
-def test_named_quaternion_contradicts_declared_order():
-    refuses(
-        HERE / "pose_xyzw_cut.csv",
-        "contradicts the columns, which are named in the order xyzw",
-        length_unit="m",
-        quaternion_order="wxyz",
-    )
 
 
 def test_provenance_names_file_hash_and_options():

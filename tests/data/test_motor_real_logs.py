@@ -14,17 +14,13 @@ from sysid.workflows.fit import fit_motor
 from sysid.workflows.options import FitOptions
 
 DATA = places.DATA / "rcbenchmark"
+# The running log, the log of averaged points, and the middle of the first [s].
 LOGS = {
-    "IM": (
-        "sar_IM_TimeConstant_Test_2023-12-17_162234.csv",
-        "sar_IM_StepsTestV2_2024-02-06_131025.csv",
-        23.4,
-    ),
-    "SOV5": (
-        "sar_SOV5_TimeConstant_Test_2023-12-16_130840.csv",
-        "sar_SOV5_StepsTestV2_2024-02-06_103903.csv",
-        50.5,
-    ),
+    motor: (f"sar_{motor}_TimeConstant_Test_{running}.csv", f"sar_{motor}_StepsTestV2_{points}.csv", middle)
+    for motor, running, points, middle in [
+        ("IM", "2023-12-17_162234", "2024-02-06_131025", 23.4),
+        ("SOV5", "2023-12-16_130840", "2024-02-06_103903", 50.5),
+    ]
 }
 pytestmark = pytest.mark.filterwarnings("ignore:no Kv in the campaign")
 
@@ -67,7 +63,7 @@ def torque_spikes(bench, result) -> np.ndarray:
         spike = (time >= start) & (time < start + 0.4)
         settled = (time >= start + 0.4) & (time < end)
         lost = any(a < start + 0.4 and b > start for a, b in prepared.log.doubtful)
-        # A rotor that stops is told by a probe that still waits for its next mark.
+        # A probe that still waits for its next mark does not show that the rotor stopped.
         if lost or end - start < 0.6 or not settled.any() or steps.level[i] == 0:
             continue
         extreme = np.max if steps.level[i] > steps.level[i - 1] else np.min
@@ -148,12 +144,8 @@ def test_real_motor_is_fitted_and_carries_over(
 def test_wrong_pole_count_is_said(tmp_path: Path) -> None:
     path = _campaign(tmp_path, "IM", split=False)
     (tmp_path / "static.csv").write_bytes((DATA / LOGS["IM"][1]).read_bytes())
-    path.write_text(
-        path.read_text(encoding="utf-8").replace(
-            "[[trials]]", '[curves]\nstatic = [{ log = "static.csv" }]\n[[trials]]', 1
-        ),
-        encoding="utf-8",
-    )
+    static = '[curves]\nstatic = [{ log = "static.csv" }]\n[[trials]]'
+    path.write_text(path.read_text(encoding="utf-8").replace("[[trials]]", static, 1), encoding="utf-8")
     # Fourteen poles entered for twelve: 12/14 = 0.857.
     with pytest.warns(UserWarning, match=r"electrical speed is 0\.857"):
         bench = prepare_bench(read_campaign(path, "motor"), path)

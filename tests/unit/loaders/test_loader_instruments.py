@@ -152,9 +152,8 @@ def test_tracker_helical_angles_in_radians_and_degrees_and_a_dropped_object(writ
     rows = f"1,0,0,0,{np.pi / 2},1,2,3\n2,0\n3,0,0,0,0,1,2,3\n"
     log = load(write(TRACKER.format(u="") + rows))
     half = np.sqrt(0.5)
-    np.testing.assert_allclose(
-        log["drone/orientation"].values, [[half, 0, 0, half], [1, 0, 0, 0]], atol=1e-12
-    )
+    turns = [[half, 0, 0, half], [1, 0, 0, 0]]
+    np.testing.assert_allclose(log["drone/orientation"].values, turns, atol=1e-12)
     np.testing.assert_allclose(log["drone/position"].time, [0.01, 0.03])
     np.testing.assert_allclose(log["drone/position"].values[0], [1e-3, 2e-3, 3e-3])
     log = load(write(TRACKER.format(u="deg") + "1,0,0,0,90,1,2,3\n2,0,0,0,0,1,2,3\n"))
@@ -263,17 +262,14 @@ def test_ros_recordings(tmp_path, form):
 
 
 def test_ulog(tmp_path):
-    odometry = [
-        struct.pack("<Q7f", 1_000_000 + 4000 * i, i, 0.5, -1.5, 0.6, 0.0, 0.0, 0.8) for i in range(20)
-    ]
-    log = load(
-        ulog(
-            tmp_path / "log",
-            ("vehicle_odometry", "float[3] position;float[4] q;", odometry),
-            ("battery_status", "float voltage_v;", [struct.pack("<Qf", 5_000_000, 16.25)]),
-            ("actuator_outputs", "float[2] output;", [struct.pack("<Q2f", 5_000_000, 1100.0, 0.0)]),
-        )
+    pose = [0.5, -1.5, 0.6, 0.0, 0.0, 0.8]
+    odometry = [struct.pack("<Q7f", 1_000_000 + 4000 * i, i, *pose) for i in range(20)]
+    topics = (
+        ("vehicle_odometry", "float[3] position;float[4] q;", odometry),
+        ("battery_status", "float voltage_v;", [struct.pack("<Qf", 5_000_000, 16.25)]),
+        ("actuator_outputs", "float[2] output;", [struct.pack("<Q2f", 5_000_000, 1100.0, 0.0)]),
     )
+    log = load(ulog(tmp_path / "log", *topics))
     assert (log.kind, log.rigid_bodies) == ("onboard", ("vehicle",))
     assert log["voltage"].values[0] == 16.25
     # Pulse widths or DShot levels: the log does not say it, so the channel has no unit.
@@ -289,7 +285,8 @@ def test_c3d_pose_follows_the_markers(tmp_path):
     points = np.einsum("nij,kj->nki", turns.as_matrix(), shape) + way[:, None]
     points[10:14, 2] = np.nan
     points[20:23, :3] = np.nan  # two markers left: no pose
-    log = load(c3d(tmp_path / "log.c3d", points), rigid_body="quad")
+    path = c3d(tmp_path / "log.c3d", points)
+    log = load(path, rigid_body="quad")
     assert log.rigid_bodies == ("quad",)
     seen = log["quad/orientation"].valid
     np.testing.assert_array_equal(np.flatnonzero(~seen), [20, 21, 22])
@@ -301,19 +298,14 @@ def test_c3d_pose_follows_the_markers(tmp_path):
     centre = (np.einsum("nij,j->ni", turns.as_matrix(), shape.mean(axis=0)) + way) / 1000
     np.testing.assert_allclose(log["quad/position"].values[seen], centre[seen], atol=1e-6)
     assert np.nanmax(log["quad/residual"].values) < 1e-6
-    refuses(
-        c3d(tmp_path / "log.c3d", points),
-        'body "board" has 0 markers, a pose needs three',
-        rigid_body="board",
-    )
+    refuses(path, 'body "board" has 0 markers, a pose needs three', rigid_body="board")
 
 
 def test_every_wanted_body_is_fitted_to_its_markers(tmp_path):
     points = np.random.default_rng(7).normal(size=(1, 6, 3)).repeat(5, axis=0) * 100
     labels = ["a1", "a2", "a3", "b1", "b2", "b3"]
-    log = load(
-        c3d(tmp_path / "log.c3d", points, labels=labels), bodies={"a": labels[:3]}, rigid_body=["a", "b"]
-    )
+    path = c3d(tmp_path / "log.c3d", points, labels=labels)
+    log = load(path, bodies={"a": labels[:3]}, rigid_body=["a", "b"])
     assert log.rigid_bodies == ("a", "b")
     for place, name in enumerate(log.rigid_bodies):
         # Single precision in the file: 1e-5 mm in 100 mm.
@@ -323,9 +315,8 @@ def test_every_wanted_body_is_fitted_to_its_markers(tmp_path):
 
 
 def test_what_was_declared_of_signals_is_in_the_record(tmp_path):
-    path = hdf5(
-        tmp_path / "log.h5", {"a": (None, np.arange(50.0)), "b": (None, np.tile([0.0] * 5 + [1.0] * 5, 5))}
-    )
+    pulses = np.tile([0.0] * 5 + [1.0] * 5, 5)
+    path = hdf5(tmp_path / "log.h5", {"a": (None, np.arange(50.0)), "b": (None, pulses)})
     stated = {"rate": 100.0, "datasets": {"thrust": "a", "tachometer": "b"}, "units": {"thrust": "N"}}
     log = load(path, **stated, pulses_per_revolution=2.0)
     wanted = {name: str(value) for name, value in stated.items()} | {"pulses_per_revolution": "2.0"}

@@ -122,10 +122,9 @@ def test_jitter_of_arrival_is_taken_out_by_frame_numbers(write):
     np.testing.assert_array_equal(log.values[:, 0], frames)
     refuses(write(text.replace("frame,", "n,")), 'no column "frame"', length_unit="m", clock="frame")
     other = "".join(f"{f},{t:.6f},1,2,3,0,0,0,1\n" for f, t in zip(frames, 3 * np.sqrt(late), strict=True))
-    refuses(
-        write(text.splitlines()[0] + "\n" + other), "do not belong together", length_unit="m", clock="frame"
-    )
     refuses(path, 'expected "auto", "time" or "frame"', length_unit="m", clock="soon")
+    path = write(text.splitlines()[0] + "\n" + other)
+    refuses(path, "do not belong together", length_unit="m", clock="frame")
 
 
 def test_sequence_numbers_of_ros_messages_are_frames(write):

@@ -1,6 +1,5 @@
 """What the notes must state: rows that the instrument doubts, columns not read, units of another kind."""
 
-import re
 import struct
 
 import numpy as np
@@ -81,10 +80,8 @@ def test_ros_stamps_in_seconds(write):
     assert "as seconds" not in notes(load(write(stamped([10**18 + i * 10**7 for i in range(40)]))))
     # Microseconds or milliseconds as whole numbers are neither: not guessed.
     for step in (10, 1):
-        refuses(
-            write(stamped([1_600_000_000_000 + i * step for i in range(40)])),
-            re.escape(f"steps by {step}, too little for nanoseconds"),
-        )
+        path = write(stamped([1_600_000_000_000 + i * step for i in range(40)]))
+        refuses(path, f"steps by {step}, too little for nanoseconds")
 
 
 def test_qualisys_frequency_with_a_decimal_comma(write):

@@ -11,13 +11,8 @@ ROWS = [f"{0.01 * i:.2f},{1000 + i},0.5,{2 + i},16," for i in range(20)]
 
 
 @pytest.fixture
-def stand(tmp_path):
-    def stand(rows, names=NAMES):
-        path = tmp_path / "log.csv"
-        path.write_text("\n".join([names, *rows, ""]), encoding="utf-8")
-        return path
-
-    return stand
+def stand(write):
+    return lambda rows, names=NAMES: write("\n".join([names, *rows, ""]), "log.csv")
 
 
 def changed(**rows):
@@ -57,10 +52,8 @@ def test_words_may_hold_delimiters_and_scripts_append_cells(stand):
 
 
 def test_a_header_that_lost_a_name_is_refused(stand):
-    refuses(
-        stand(changed(), NAMES.replace("Torque (N·m),", "")),
-        r"log\.csv, line 2: 7 cells where the header has 6, as in most rows",
-    )
+    path = stand(changed(), NAMES.replace("Torque (N·m),", ""))
+    refuses(path, r"log\.csv, line 2: 7 cells where the header has 6, as in most rows")
 
 
 def test_rows_that_lost_a_column_are_refused(stand):
@@ -103,8 +96,5 @@ def test_short_rows_of_a_lost_body_do_not_make_the_whole_ones_long(write):
 def test_words_among_the_settings_of_ati_are_refused(write):
     head = ["First line indicates sampling freq [Hz], samples per channel", "Fx, Fy, Fz, Mx, My, Mz"]
     path = write("\n".join([*head, "150,75,500,x#.2,-0.5,-0.3,-0.5", *["1,2,3,4,5,6"] * 5, ""]), "log.csv")
-    refuses(
-        path,
-        r"line 3: 'x#\.2' is no number in the line that states the rate",
-        units={"force": "N", "torque": "N*m"},
-    )
+    units = {"force": "N", "torque": "N*m"}
+    refuses(path, r"line 3: 'x#\.2' is no number in the line that states the rate", units=units)

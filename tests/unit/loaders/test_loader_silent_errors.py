@@ -27,14 +27,9 @@ def test_the_number_of_a_matrix_column_is_no_unit(tmp_path):
     path = tmp_path / "log.mat"
     savemat(path, {"Fs": 1000.0, "D": np.column_stack([1000 + RAMP, 2 * RAMP])})
     chosen = {"command": "D[1]", "thrust": "D[2]"}
-    refuses(
-        path,
-        r'"D\[1\]" states no unit; expected us, dshot or 1',
-        UnitError,
-        datasets=chosen,
-        units={"thrust": "N"},
-    )
-    log = load(path, datasets=chosen, units={"thrust": "N", "command": "us"})
+    no_unit, options = r'"D\[1\]" states no unit; expected us, dshot or 1', {"datasets": chosen}
+    refuses(path, no_unit, UnitError, units={"thrust": "N"}, **options)
+    log = load(path, units={"thrust": "N", "command": "us"}, **options)
     assert log["command"].unit == "us"
     np.testing.assert_array_equal(log["thrust"].values, 2 * RAMP)
 
@@ -116,10 +111,8 @@ def test_a_px4_channel_without_any_known_value_is_named(tmp_path):
     assert "current_a is -1, which PX4 writes for unknown, in 9 messages" in notes(log)
     assert "current was left out: no message has a value that PX4 marks as known" in notes(log)
     rows = [struct.pack("<Qff", 10**6 + 10**4 * i, 0.0, -1.0) for i in range(9)]
-    refuses(
-        ulog(tmp_path / "b.ulg", ("battery_status", BATTERY, rows)),
-        r"nothing is left to read: .*current was left out",
-    )
+    path = ulog(tmp_path / "b.ulg", ("battery_status", BATTERY, rows))
+    refuses(path, r"nothing is left to read: .*current was left out")
 
 
 def test_px4_velocities_count_only_where_their_own_flags_are_set(tmp_path):
@@ -222,9 +215,8 @@ def test_a_c3d_says_in_its_trial_how_long_the_capture_is(tmp_path, trial, words)
 
 def test_signals_of_unknown_unit_are_named(tmp_path, write):
     ones = np.ones(50)
-    log = load(
-        c3d(tmp_path / "a.c3d", np.ones((50, 1, 3)), analogs={"a0": ("in-lb", ones), "a1": ("quux", ones)})
-    )
+    analogs = {"a0": ("in-lb", ones), "a1": ("quux", ones)}
+    log = load(c3d(tmp_path / "a.c3d", np.ones((50, 1, 3)), analogs=analogs))
     np.testing.assert_allclose(log["analog/a0"].values, LBF_IN, rtol=1e-12)
     assert 'kept as recorded: "analog/a1 [quux]"' in notes(log)
     for unit, factor in (("in-lbs", 1 / 12), ("ft-lb", 1.0), ("ft-lbs", 1.0)):
