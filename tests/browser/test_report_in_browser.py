@@ -11,11 +11,13 @@ import time
 import pytest
 
 from fakes.notebooks import notebook_page
-from fakes.places import ROOT
+from fakes.places import SAMPLES
+from sysid.workflows.fit import fit_gear, fit_motor
+from sysid.workflows.options import FitOptions, ReportOptions
+from sysid.workflows.report import write_report
 
 pytestmark = pytest.mark.browser
 
-SAMPLES = ROOT / "data_samples"
 WIDTHS = (1280, 400)
 FLAGS = (
     "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
@@ -24,26 +26,20 @@ FLAGS = (
 
 
 def browser(folder, *flags):
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    driver = shutil.which("chromedriver")
-    missing = [name for name, path in (("chromium", chromium), ("chromedriver", driver)) if path is None]
     try:
         from selenium import webdriver
-        from selenium.webdriver.chrome.options import Options
-        from selenium.webdriver.chrome.service import Service
     except ImportError:
-        missing.append("selenium")
-    if missing:
-        pytest.fail(
-            f"missing: {', '.join(missing)}; install them (apt-get install chromium chromium-driver; "
-            'pip install -e ".[dev]")'
-        )
-    options = Options()
-    options.binary_location = chromium
+        pytest.fail('selenium is missing; install it with: pip install -e ".[dev]"')
+    names = {"chromium": ("chromium", "chromium-browser", "google-chrome"), "chromedriver": ("chromedriver",)}
+    paths = {what: next(filter(None, map(shutil.which, every)), None) for what, every in names.items()}
+    if missing := [what for what, path in paths.items() if path is None]:
+        pytest.fail(f"missing: {', '.join(missing)}; install with: apt-get install chromium chromium-driver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = paths["chromium"]
     for flag in (*FLAGS, f"--user-data-dir={folder}", *flags):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    return webdriver.Chrome(options=options, service=Service(driver))
+    return webdriver.Chrome(options=options, service=webdriver.ChromeService(paths["chromedriver"]))
 
 
 PAGES = ("gear-lf", "motor", "the-model", "gear-hf", "against", "landing-maps", "bring-your-own-logs")
@@ -53,10 +49,6 @@ COARSE = {"slopes": "0:45:15", "speeds": "0.3,1", "impulse_slopes": "10,25", "im
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory):
     """Every kind of page, of searches that end at once."""
-    from sysid.workflows.fit import fit_gear, fit_motor
-    from sysid.workflows.options import FitOptions, ReportOptions
-    from sysid.workflows.report import write_report
-
     folder = tmp_path_factory.mktemp("fits")
     out = {}
     for name, fit in (("gear-lf", fit_gear), ("motor", fit_motor), ("gear-hf", fit_gear)):
@@ -85,11 +77,24 @@ def other_day(folder):
     return campaign
 
 
+@pytest.fixture
+def start(tmp_path):
+    """Return a function that starts a browser with flags."""
+    drivers = []
+
+    def started(*flags):
+        drivers.append(browser(tmp_path / "profile", *flags))
+        return drivers[-1]
+
+    yield started
+    for driver in drivers:
+        driver.quit()
+
+
 @pytest.fixture(params=WIDTHS)
-def opened(request, tmp_path, pages):
+def opened(request, start, pages):
     """Return a function that opens a page at a width."""
-    driver = browser(tmp_path / "profile")
-    width = request.param
+    driver, width = start(), request.param
     metrics = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 600}
     driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
 
@@ -99,8 +104,7 @@ def opened(request, tmp_path, pages):
         driver.get(pages[name].as_uri())
         return driver
 
-    yield show
-    driver.quit()
+    return show
 
 
 def requests(driver):
@@ -142,26 +146,21 @@ def stands_alone(driver, pages, name):
     assert lost == []
 
 
-def test_letters_of_figures_stay_readable(opened):
-    # Figures are drawn with 8 to 10 point letters; shrunk to less than three quarters they cannot be read.
+@pytest.mark.parametrize(
+    "broken",
+    [
+        # Figures are drawn with 8 to 10 point letters; below three quarters of their size nobody reads them.
+        "[...document.images].filter(i => i.width < 0.75 * i.getAttribute('width')).map(i => i.alt)",
+        "[...document.querySelectorAll('td:not(.prose)')]"
+        ".filter(c => c.clientHeight > 2 * parseFloat(getComputedStyle(c).lineHeight)"
+        " && c.parentElement.querySelector('.prose') === null).map(c => c.textContent)",
+    ],
+    ids=["letters of figures", "numbers of tables"],
+)
+def test_what_is_unfolded_stays_readable(opened, broken):
     for name in PAGES:
-        small = opened(name).execute_script(
-            "document.querySelectorAll('details').forEach(d => d.open = true);"
-            "return [...document.images]"
-            ".filter(i => i.width < 0.75 * i.getAttribute('width')).map(i => i.alt)"
-        )
-        assert small == [], name
-
-
-def test_no_number_of_a_table_is_broken(opened):
-    for name in PAGES:
-        broken = opened(name).execute_script(
-            "document.querySelectorAll('details').forEach(d => d.open = true);"
-            "return [...document.querySelectorAll('td:not(.prose)')]"
-            ".filter(c => c.clientHeight > 2 * parseFloat(getComputedStyle(c).lineHeight)"
-            " && c.parentElement.querySelector('.prose') === null).map(c => c.textContent)"
-        )
-        assert broken == [], name
+        unfold = "document.querySelectorAll('details').forEach(d => d.open = true); return "
+        assert opened(name).execute_script(unfold + broken) == [], name
 
 
 def test_drops_of_two_campaigns_are_told_apart(opened):
@@ -184,7 +183,6 @@ def test_what_inspect_says_is_one_piece(opened):
 
 
 def test_keys_reach_every_control(opened):
-    from selenium.webdriver.common.by import By
     from selenium.webdriver.common.keys import Keys
 
     driver = opened("gear-lf")
@@ -192,7 +190,7 @@ def test_keys_reach_every_control(opened):
         "return [...document.querySelectorAll('a, button, select, input, summary, [tabindex]')]"
         ".filter(e => e.checkVisibility()).length"
     )
-    body = driver.find_element(By.TAG_NAME, "body")
+    body = driver.find_element("css selector", "body")
     seen = set()
     for _ in range(controls + 5):
         body.send_keys(Keys.TAB) if not seen else driver.switch_to.active_element.send_keys(Keys.TAB)
@@ -209,13 +207,12 @@ def test_keys_reach_every_control(opened):
 
 
 def test_the_animation_plays_pauses_and_goes_to_an_instant(opened):
-    from selenium.webdriver.common.by import By
     from selenium.webdriver.common.keys import Keys
 
     driver = opened("gear-lf")
-    root = driver.find_element(By.CSS_SELECTOR, ".animation")
-    play = root.find_element(By.CSS_SELECTOR, '[data-do="play"]')
-    canvas = root.find_element(By.TAG_NAME, "canvas")
+    root = driver.find_element("css selector", ".animation")
+    play = root.find_element("css selector", '[data-do="play"]')
+    canvas = root.find_element("css selector", "canvas")
 
     def picture():
         return driver.execute_script("return arguments[0].toDataURL()", canvas)
@@ -236,43 +233,36 @@ def test_the_animation_plays_pauses_and_goes_to_an_instant(opened):
     held = instant()
     time.sleep(0.3)
     assert instant() == held
-    buttons = root.find_elements(By.CSS_SELECTOR, '[data-do="instants"] button')
+    buttons = root.find_elements("css selector", '[data-do="instants"] button')
     assert len(buttons) >= 2
     assert all(button.get_attribute("aria-label") for button in buttons)
     buttons[1].send_keys(Keys.ENTER)
     assert instant() != held
-    seek = root.find_element(By.CSS_SELECTOR, '[data-do="seek"]')
+    seek = root.find_element("css selector", '[data-do="seek"]')
     seek.send_keys(Keys.HOME)
     assert instant() == 0.0
     assert picture() == first
 
 
-def test_reduced_motion_steps_instead_of_moving(tmp_path, pages):
-    from selenium.webdriver.common.by import By
-
-    driver = browser(tmp_path / "profile", "--force-prefers-reduced-motion")
-    try:
-        driver.get(pages["gear-lf"].as_uri())
-        root = driver.find_element(By.CSS_SELECTOR, ".animation")
-        root.find_element(By.CSS_SELECTOR, '[data-do="play"]').click()
-        instants = set()
-        for _ in range(10):
-            instants.add(root.get_attribute("data-time"))
-            time.sleep(0.1)
-        # One instant is held for a second and a half.
-        assert len(instants) == 1
-        assert float(instants.pop()) > 0
-    finally:
-        driver.quit()
+def test_reduced_motion_steps_instead_of_moving(start, pages):
+    driver = start("--force-prefers-reduced-motion")
+    driver.get(pages["gear-lf"].as_uri())
+    driver.find_element("css selector", '[data-do="play"]').click()
+    instants = set()
+    for _ in range(10):
+        instants.add(driver.find_element("css selector", ".animation").get_attribute("data-time"))
+        time.sleep(0.1)
+    # Each instant stands for a second and a half.
+    assert len(instants) == 1
+    assert float(instants.pop()) > 0
 
 
-def test_printing_shows_what_is_folded(tmp_path, pages):
-    driver = browser(tmp_path / "profile")
-    try:
-        driver.get(pages["gear-lf"].as_uri())
-        driver.execute_script("dispatchEvent(new Event('beforeprint'))")
-        assert driver.execute_script("return document.querySelectorAll('details:not([open])').length") == 0
-        driver.execute_script("dispatchEvent(new Event('afterprint'))")
-        assert driver.execute_script("return document.querySelectorAll('details:not([open])').length") > 0
-    finally:
-        driver.quit()
+def test_printing_shows_what_is_folded(start, pages):
+    driver = start()
+    driver.get(pages["gear-lf"].as_uri())
+    count = (
+        "dispatchEvent(new Event(arguments[0]));"
+        "return document.querySelectorAll('details:not([open])').length"
+    )
+    assert driver.execute_script(count, "beforeprint") == 0
+    assert driver.execute_script(count, "afterprint") > 0

@@ -44,11 +44,13 @@ def test_what_the_fit_saw_is_not_predicted(monkeypatch):
     assert list(found.provenance["logs"]) == ["drop-1", "new"]
 
 
-def test_a_campaign_of_fitted_trials_alone_is_refused(monkeypatch):
-    with pytest.raises(FitError, match="made from every trial in it, so they validate nothing"):
-        _predicted(monkeypatch, {"again": "aa", "twice": "bb"})
-
-
-def test_what_the_fit_held_back_is_not_shown_twice(monkeypatch):
-    with pytest.raises(FitError, match="whose report shows the ones held back anyway; leave --against out"):
-        _predicted(monkeypatch, {"again": "aa", "held": "cc"})
+@pytest.mark.parametrize(
+    ("logs", "words"),
+    [
+        ({"again": "aa", "twice": "bb"}, "made from every trial in it, so they validate nothing"),
+        ({"again": "aa", "held": "cc"}, "whose report shows the ones held back anyway; leave --against out"),
+    ],
+)
+def test_a_campaign_without_unseen_trials_is_refused(monkeypatch, logs, words):
+    with pytest.raises(FitError, match=words):
+        _predicted(monkeypatch, logs)

@@ -6,43 +6,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from sysid.parameter_sets import ParameterSets, parameter_records
-from sysid.parameters import Parameter, ParameterTable, SearchSpace
+from fakes.sets import made_sets
 from sysid.report.fold import print_table
 from sysid.report.set_tables import mean_sigma_table, mean_table, ranked_table, trial_table
 from sysid.report.table import mean_sigma, plain
-
-
-def made_sets(**changes):
-    table = ParameterTable(
-        [
-            Parameter("body_mass", "m_B", "kg", 1.242, 0.1, 10.0, "log", "Mass.", "measured"),
-            Parameter(
-                "leg_axial_stiffness", "k_h", "N/m", 6440.0, 2e3, 12e3, "log", "Stiffness.", "Table II"
-            ),
-            Parameter("joint_dx", "dx_j", "m", 0.088, 0.04, 0.1, "linear", "Joint.", "Table II"),
-            Parameter("kinetic_friction", "μ_k", "1", 0.44, 0.1, 1.2, "linear", "Friction.", "tilted board"),
-        ]
-    )
-    space = SearchSpace.build(table, ["leg_axial_stiffness", "joint_dx"], {})
-    records = parameter_records(
-        space,
-        measured={"body_mass": "scale", "kinetic_friction": "tilted board"},
-        measured_ranges={"leg_axial_stiffness": (5600.0, 6600.0)},
-    )
-    values = np.array(
-        [[1.242, 6000.0, 0.0401, 0.44], [1.242, 6500.0, 0.0899, 0.44], [1.242, 7000.0, 0.0880, 0.44]]
-    )
-    at_bound = np.zeros((3, 4), dtype=np.int8)
-    at_bound[0, 2] = -1
-    by_trial = np.arange(18, dtype=float).reshape(3, 3, 2) / 100
-    settings = dict(
-        kind="gear", name="lab", parameters=records, values=values, nrmse=np.array([0.08, 0.09, 0.1]),
-        runs=(3, 1, 2), seeds=(33, 11, 22), at_bound=at_bound, trials=("drop-1", "drop-2", "drop-7"),
-        uses=("fit", "fit", "validate"), channels=("x_B", "q_B"), channel_units=("m", "rad"),
-        channel_weights=(1.0, 3.0), nrmse_by_trial=by_trial, settings={}, provenance={},
-    )  # fmt: skip
-    return ParameterSets(**(settings | changes))
 
 
 def lines_of(table, width=110):
@@ -59,56 +26,51 @@ def line_with(lines, word):
 
 
 def test_report_ranked_table_shows_sets_in_order_with_units_and_bounds():
-    lines = lines_of(ranked_table(made_sets()))
-    assert line_with(lines, "NRMSE fitted")[1:] == ["8.00 %", "9.00 %", "10.00 %"]
-    # The third trial's two channels with weights 1 and 3: (4 + 3·5)/4 and so on.
-    assert line_with(lines, "NRMSE validated")[1:] == ["4.75 %", "10.75 %", "16.75 %"]
+    lines = lines_of(ranked_table(made_sets(channel_weights=(1.0, 3.0))))
+    assert line_with(lines, "NRMSE fitted")[1:] == ["8.30 %", "10.00 %", "12.10 %"]
+    # The second trial's two channels with weights 1 and 3: (2 + 3·3)/4/7 and so on.
+    assert line_with(lines, "NRMSE validated")[1:] == ["39.29 %", "96.43 %", "153.57 %"]
     assert line_with(lines, "run ")[1:] == ["3", "1", "2"]
-    assert line_with(lines, "k_h [N/m]")[1:] == ["6000", "6500", "7000"]
-    assert line_with(lines, "dx_j [m]")[1:] == ["0.0401*", "0.0899", "0.088"]
+    assert line_with(lines, "k_h [N/m]")[1:] == ["6400", "6500", "2000*"]
     assert any("within 1 %" in line for line in lines)
     assert not any("m_B" in line for line in lines)
 
 
 def test_report_ranked_table_fits_a_narrow_terminal():
-    wide = made_sets()
-    values = np.repeat(wide.values, 2, axis=0)[:5]
     five = made_sets(
-        values=values, nrmse=np.full(5, 0.1), runs=(1, 2, 3, 4, 5), seeds=(1, 2, 3, 4, 5),
-        at_bound=np.zeros((5, 4), dtype=np.int8), nrmse_by_trial=np.zeros((5, 3, 2)),
+        values=np.repeat(made_sets().values, 2, axis=0)[:5], nrmse=np.full(5, 0.1), runs=(1, 2, 3, 4, 5),
+        seeds=(1, 2, 3, 4, 5), at_bound=np.zeros((5, 4)), nrmse_by_trial=np.zeros((5, 2, 2)),
     )  # fmt: skip
     lines = lines_of(ranked_table(five), width=80)
-    assert line_with(lines, "k_h [N/m]")[1:] == ["6000", "6000", "6500", "6500", "7000"]
+    assert line_with(lines, "k_h [N/m]")[1:] == ["6400", "6400", "6500", "6500", "2000"]
 
 
 def test_report_mean_sigma_table_has_the_layout_of_table_two():
     lines = lines_of(mean_sigma_table(made_sets()), width=80)
     assert line_with(lines, "m_B [kg]") == ["m_B [kg]", "—", "1.242", "—"]
-    # Mean 6500, sigma 500 (divided by S - 1), two digits of sigma.
-    assert line_with(lines, "k_h [N/m]")[1:] == ["6500 ± 500", "5600 to 6600", "2000 to 12000"]
-    assert line_with(lines, "dx_j [m]")[-1] == "0.04 to 0.1"
-    assert line_with(lines, "dx_j [m]")[1].endswith("*")
-    assert line_with(lines, "μ_k")[2] == "0.44"
+    # Mean 4967, sigma 2570 (divided by S - 1), two digits of sigma; one set ends at a bound.
+    assert line_with(lines, "k_h [N/m]")[1:] == ["5000 ± 2600*", "5600 to 6600", "2000 to 12000"]
     assert any("not the accuracy" in line for line in lines)
 
 
 def test_report_trial_table_shows_the_best_and_the_worst_set():
     lines = lines_of(trial_table(made_sets()))
-    assert line_with(lines, "drop-1") == ["drop-1", "fit", "0.00", "1.00", "0.75", "12.75"]
-    assert line_with(lines, "drop-7")[:2] == ["drop-7", "validate"]
+    # In sevenths: 0 and 1 of the best set; 8 and 9 of the worst.
+    assert line_with(lines, "drop-1") == ["drop-1", "fit", "0.00", "14.29", "7.14", "121.43"]
+    assert line_with(lines, "drop-2")[:2] == ["drop-2", "validate"]
 
 
 def test_report_tables_of_printed_sets_without_trials_or_scores():
     bare = made_sets(
         values=made_sets().values[:1], nrmse=np.array([np.nan]), runs=(0,), seeds=(0,),
-        at_bound=np.zeros((1, 4), dtype=np.int8), trials=(), uses=(), channels=(), channel_units=(),
-        channel_weights=(), nrmse_by_trial=np.empty((1, 0, 0)),
+        at_bound=np.zeros((1, 4)), trials=(), uses=(), channels=(), channel_units=(), channel_weights=(),
+        nrmse_by_trial=np.empty((1, 0, 0)),
     )  # fmt: skip
     lines = lines_of(ranked_table(bare))
     assert line_with(lines, "NRMSE fitted")[1:] == ["—"]
     assert not any("validated" in line or "run " in line for line in lines)
     assert lines_of(trial_table(bare))
-    assert line_with(lines_of(mean_sigma_table(bare), 130), "k_h [N/m]")[1] == "6000"
+    assert line_with(lines_of(mean_sigma_table(bare), 130), "k_h [N/m]")[1] == "6400"
 
 
 @pytest.mark.parametrize("make", [ranked_table, mean_sigma_table, trial_table])
@@ -118,17 +80,15 @@ def test_report_tables_print_brackets_as_text(make):
 
 
 def test_mean_table_is_table_two():
-    rows = {
-        row.record.name: row
-        for row in mean_table(made_sets(), made_sets(values=[[1.242, 6670.0, 0.08, 0.44]] * 3))
-    }
-    assert list(rows) == ["body_mass", "leg_axial_stiffness", "joint_dx", "kinetic_friction"]
-    stiffness = rows["leg_axial_stiffness"]
+    rows = mean_table(made_sets(), made_sets(values=[[6670.0, 1.242, np.inf, 0.1]] * 3))
+    assert [row.record.name for row in rows] == ["leg_axial_stiffness", "body_mass"]
+    stiffness, mass = rows
+    column = np.array([6400.1, 6500.3, 2000.1])
     # σ over the runs is the sample's: divided by S - 1.
-    assert stiffness.fitted == (pytest.approx((6500.0, 500.0)), (6670.0, 0.0))
+    assert stiffness.fitted == (pytest.approx((column.mean(), column.std(ddof=1))), (6670.0, 0.0))
     assert stiffness.measured == (5600.0, 6600.0)
-    assert rows["body_mass"].measured == (1.242,)
-    assert rows["body_mass"].fitted == (None, None)
+    assert mass.measured == (1.242,)
+    assert mass.fitted == (None, None)
 
 
 @pytest.mark.parametrize(

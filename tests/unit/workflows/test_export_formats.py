@@ -14,47 +14,12 @@ import pytest
 import scipy.io
 
 import sysid
+from fakes.sets import made_sets
 from sysid.errors import ExportError
 from sysid.export import export, load_parameter_sets
 from sysid.parameter_sets import ParameterRecord, ParameterSets
 
 SUFFIXES = ["json", "csv", "h5", "mat"]
-
-
-def made_sets(**changes):
-    parameters = (
-        ParameterRecord(
-            "leg_axial_stiffness", "k_h", "N/m", "free", "Stiffness.", "guess", 6440.0, 2e3, 12e3, "log",
-            (5600.0, 6600.0),
-        ),
-        ParameterRecord("body_mass", "m_B", "kg", "measured", "Mass.", "scale", 1.242, 0.1, 10.0, "log"),
-        ParameterRecord("saturation_current", "I_sat", "A", "fixed", "Limit.", "", 0.35, 0.05, 9.0, "log"),
-        ParameterRecord("leg_length", "l", "m", "derived", "At rest.", "computed"),
-    )  # fmt: skip
-    fields = {
-        "kind": "gear",
-        "name": "six-drops",
-        "parameters": parameters,
-        "values": [
-            [6400.1, 1.242, np.inf, 0.13],
-            [6500.3, 1.242, np.inf, 0.129],
-            [2000.1, 1.242, np.inf, 0.1],
-        ],
-        "nrmse": [0.083, 0.1, 0.121],
-        "runs": (3, 1, 2),
-        "seeds": (33, 11, 22),
-        "at_bound": [[0, 0, 0, 0], [0, 0, 0, 0], [-1, 0, 0, 0]],
-        "trials": ("drop-1", "drop-2"),
-        "uses": ("fit", "validate"),
-        "channels": ("x_B", "z_B"),
-        "channel_units": ("m", "m"),
-        "channel_weights": (1.0, 1.0),
-        "nrmse_by_trial": np.arange(12.0).reshape(3, 2, 2) / 7,
-        "settings": {"surface_law": "lf", "gravity": 9.81, "filter": {"kind": "kaiser", "taps": 75}},
-        "provenance": {"logs": {"drop-1.csv": "00ff"}, "nrmse_denominator": "std"},
-        "warnings": ("1 of 3 sets ends at the lower bound of leg_axial_stiffness.",),
-    }
-    return ParameterSets(**(fields | changes))
 
 
 def test_json_is_what_a_simulator_wants(tmp_path):
