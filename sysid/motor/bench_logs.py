@@ -25,7 +25,6 @@ from sysid.trials.reversal import JITTER
 from sysid.trials.steady import (
     SETTLE,
     SteadyPoints,
-    ramp_points,
     sign_against_speed,
     sign_of_log,
     steady_points,
@@ -359,11 +358,12 @@ def log_points(log: BenchLog) -> SteadyPoints:
     """Return the steady points of a step log inside its window."""
     skip = (*log.doubtful, (-np.inf, log.window[0]), (log.window[1], np.inf))
     zeros = {name: zero.rows for name, zero in log.tares.items()}
-    points = steady_points(log.time, log.steps, log.channels, skip, zero_rows=zeros)
+    points = steady_points(log.time, log.steps, log.channels, skip, zeros)
     if len(points) >= 3:
         return points
     # Too few plateaus for any curve: a command that creeps serves as well.
-    return SteadyPoints.join([points, ramp_points(log.time, log.steps, log.channels, skip, zeros)])
+    creeping = steady_points(log.time, log.steps, log.channels, skip, zeros, ramp=True)
+    return SteadyPoints.join([points, creeping])
 
 
 class TorquePerCurrent(NamedTuple):

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from sysid.trials.bench_log import CommandSteps, outside
+from sysid.trials.bench_log import CommandSteps, command_steps, outside
 from sysid.types import FloatArray
 
 Sense = Literal["to-reverse", "to-forward", "both"]
@@ -87,15 +87,10 @@ def held_commands(steps: CommandSteps) -> CommandSteps:
             meant[first:i] = values[first:i][np.argmax(weight[first:i])]
             first = i
     meant[np.abs(values) <= JITTER] = 0.0
-    merged = _changes(steps.time, meant[which])
+    merged = command_steps(steps.time, meant[which])
     passing = (merged.level == 0) & (np.append(np.diff(merged.time), np.inf) < _PASSING)
     passing[0] = False
-    return _changes(merged.time[~passing], merged.level[~passing])
-
-
-def _changes(time: FloatArray, level: FloatArray) -> CommandSteps:
-    keep = np.concatenate([[True], np.diff(level) != 0])
-    return CommandSteps(time[keep], level[keep])
+    return command_steps(merged.time[~passing], merged.level[~passing])
 
 
 def find_reversals(

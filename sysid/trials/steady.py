@@ -62,6 +62,8 @@ def steady_points(
     channels: dict[str, tuple[FloatArray, FloatArray]],
     skip: Sequence[tuple[float, float]] = (),
     zero_rows: Mapping[str, int] | None = None,
+    *,
+    ramp: bool = False,
 ) -> SteadyPoints:
     """Average every stretch at one command, from 0.4 s after the command until the next.
 
@@ -69,52 +71,12 @@ def steady_points(
     the log [s]. Channels are (times, values) of real samples: ``speed`` and, where the log has them,
     ``thrust``, ``torque`` and ``voltage``. Intervals (start, end) [s] of `skip` do not count; `zero_rows` are
     rows at rest behind the tare of ``thrust`` and ``torque``.
-    """
-    ends = np.append(steps.time[1:], time[-1] + 1e-9)
-    stretches = [
-        (max(start, float(time[0])) + SETTLE, end, level)
-        for start, end, level in zip(steps.time, ends, steps.level, strict=True)
-    ]
-    return _averages(stretches, channels, skip, _DRIFT, zero_rows or {})
 
-
-def ramp_points(
-    time: FloatArray,
-    steps: CommandSteps,
-    channels: dict[str, tuple[FloatArray, FloatArray]],
-    skip: Sequence[tuple[float, float]] = (),
-    zero_rows: Mapping[str, int] | None = None,
-) -> SteadyPoints:
-    """Average windows of 0.4 s of a command that creeps, so slowly that the rotor keeps up with it.
-
+    With `ramp`, average windows of 0.4 s of a command that creeps, so slowly that the rotor keeps up with it.
     Valid for ramps of 20 s or more from rest to full; ignores what the rotor trails by (0.5 % of its speed).
-    Arguments as of `steady_points`; `u` is the mean over the window.
     """
-    windows = []
-    for start in np.arange(float(time[0]) + SETTLE, float(time[-1]) - SETTLE, SETTLE):
-        end = start + SETTLE
-        first, last = np.searchsorted(steps.time, [start - SETTLE, end], side="right")
-        held = steps.level[max(first - 1, 0) : last]
-        if held.size < 2 or np.ptp(held) > _RAMP_TRAVEL or np.min(np.abs(held)) < AT_REST:
-            continue
-        rows = time[(time >= start) & (time < end)]
-        u = steps.level[np.maximum(np.searchsorted(steps.time, rows, side="right") - 1, 0)]
-        if u.size:
-            windows.append((float(start), float(end), float(u.mean())))
-    return _averages(windows, channels, skip, _RAMP_DRIFT, zero_rows or {})
-
-
-def _averages(
-    stretches: Sequence[tuple[float, float, float]],
-    channels: dict[str, tuple[FloatArray, FloatArray]],
-    skip: Sequence[tuple[float, float]],
-    drift: float,
-    zero_rows: Mapping[str, int],
-) -> SteadyPoints:
-    """Average (start, end, u) stretches that turn and whose speed is the same in both halves to `drift`."""
-    names = ("speed", "thrust", "torque", "voltage")
-    rows: list[list[float]] = []
-    for first, end, level in stretches:
+    names, rows = ("speed", "thrust", "torque", "voltage"), []
+    for first, end, level in _ramp_windows(time, steps) if ramp else _plateaus(time, steps):
         cut = {}
         for name in names:
             if name in channels:
@@ -126,14 +88,39 @@ def _averages(
             continue
         half = speed.size // 2
         early, late = float(speed[:half].mean()), float(speed[half:].mean())
-        if abs(late) < 1.0 or abs(late - early) > drift * abs(late):
+        if abs(late) < 1.0 or abs(late - early) > (_RAMP_DRIFT if ramp else _DRIFT) * abs(late):
             continue
         means = [float(cut[n].mean()) if n in cut and cut[n].size else float("nan") for n in names]
         rows.append([level, *means, float(speed.size)])
-    table = np.array(rows, dtype=np.float64).reshape(len(rows), 6)
-    u, turning, thrust, torque, voltage, samples = table.T
-    zeros = [np.full(len(rows), zero_rows.get(name, 0), dtype=np.int64) for name in ("thrust", "torque")]
+    u, turning, thrust, torque, voltage, samples = np.array(rows, dtype=np.float64).reshape(len(rows), 6).T
+    at_rest = zero_rows or {}
+    zeros = [np.full(len(rows), at_rest.get(name, 0), dtype=np.int64) for name in ("thrust", "torque")]
     return SteadyPoints(u, turning, thrust, torque, voltage, samples.astype(np.int64), *zeros)
+
+
+def _plateaus(time: FloatArray, steps: CommandSteps) -> list[tuple[float, float, float]]:
+    """Return (start, end, u) of every stretch at one command but its first 0.4 s."""
+    ends = np.append(steps.time[1:], time[-1] + 1e-9)
+    return [
+        (max(start, float(time[0])) + SETTLE, end, level)
+        for start, end, level in zip(steps.time, ends, steps.level, strict=True)
+    ]
+
+
+def _ramp_windows(time: FloatArray, steps: CommandSteps) -> list[tuple[float, float, float]]:
+    """Return (start, end, mean u) of windows of 0.4 s in which a command creeps."""
+    windows = []
+    for start in np.arange(float(time[0]) + SETTLE, float(time[-1]) - SETTLE, SETTLE):
+        end = start + SETTLE
+        first, last = np.searchsorted(steps.time, [start - SETTLE, end], side="right")
+        levels = steps.level[max(first - 1, 0) : last]
+        if levels.size < 2 or np.ptp(levels) > _RAMP_TRAVEL or np.min(np.abs(levels)) < AT_REST:
+            continue
+        rows = time[(time >= start) & (time < end)]
+        u = steps.level[np.maximum(np.searchsorted(steps.time, rows, side="right") - 1, 0)]
+        if u.size:
+            windows.append((float(start), float(end), float(u.mean())))
+    return windows
 
 
 def zero_of_steady(values: FloatArray, speed: FloatArray) -> Tare | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,97 +39,80 @@ class BenchReport:
     top_speed: float
 
 
-def _largest(channel: Channel | None) -> float:
-    if channel is None or not channel.valid.any():
-        return float("nan")
-    return float(np.nanmax(np.abs(channel.values)))
+def _largest(known: Mapping[str, Channel], name: str) -> float:
+    return float(np.nanmax(np.abs(known[name].values))) if name in known else float("nan")
 
 
-def _at_rest(recording: Recording, channel: Channel | None) -> float:
+def _at_rest(known: Mapping[str, Channel], name: str) -> float:
     """Return the mean reading of a sensor before the first command or turn; NaN where nothing rests."""
-    if channel is None:
+    if name not in known:
         return float("nan")
-    end = float(channel.time[-1])
-    begin = end
-    for name in ("command", "speed"):
-        other = recording.channels.get(name)
-        if other is None or not other.valid.any():
-            continue
-        values, time = other.values[other.valid], other.time[other.valid]
-        moved = values != values[0] if name == "command" else np.abs(values) > 1.0
-        begin = min(begin, float(time[np.argmax(moved)]) if moved.any() else end)
+    channel = known[name]
+    begin = end = float(channel.time[-1])
+    for cause in ("command", "speed"):
+        if cause in known:
+            valid = known[cause].valid
+            values, time = known[cause].values[valid], known[cause].time[valid]
+            moved = values != values[0] if cause == "command" else np.abs(values) > 1.0
+            begin = min(begin, float(time[np.argmax(moved)]) if moved.any() else end)
     still = channel.valid & (channel.time < begin)
     return float(channel.values[still].mean()) if still.sum() >= 3 and begin < end else float("nan")
 
 
 def inspect_bench(recording: Recording) -> tuple[BenchReport, list[Finding]]:
     """Return the report of a running log of a thrust stand or load cell, and its suspicions."""
-    channels = recording.channels
-    command, speed = channels.get("command"), channels.get("speed")
-    thrust, torque = channels.get("thrust"), channels.get("torque")
-    clock = next(iter(channels.values())).time
-    levels, hidden, low, high = 0, 0, float("nan"), float("nan")
+    known = {name: channel for name, channel in recording.channels.items() if channel.valid.any()}
+    levels, low, high = 0, float("nan"), float("nan")
     stalls: tuple[Stall, ...] = ()
-    if command is not None and command.valid.any():
-        steps = command_steps(command.time, command.values)
-        stalls = find_stalls(clock, steps)
-        levels, hidden = len(steps.time), sum(stall.doubtful is not None for stall in stalls)
-        low, high = float(steps.level.min()), float(steps.level.max())
-    rest_thrust, rest_torque = _at_rest(recording, thrust), _at_rest(recording, torque)
-    report = BenchReport(levels, low, high, len(stalls), hidden, rest_thrust, rest_torque, _largest(speed))
-    return report, list(_suspicions(recording, report))
+    if "command" in known:
+        steps = command_steps(known["command"].time, known["command"].values)
+        stalls = find_stalls(next(iter(recording.channels.values())).time, steps)
+        levels, low, high = len(steps.time), float(steps.level.min()), float(steps.level.max())
+    hidden = sum(stall.doubtful is not None for stall in stalls)
+    rests = _at_rest(known, "thrust"), _at_rest(known, "torque")
+    report = BenchReport(levels, low, high, len(stalls), hidden, *rests, _largest(known, "speed"))
+    return report, list(_suspicions(recording, known, report))
 
 
-def _suspicions(recording: Recording, report: BenchReport) -> Iterator[Finding]:
-    channels = recording.channels
-    thrust, torque = channels.get("thrust"), channels.get("torque")
+def _suspicions(recording: Recording, known: Mapping[str, Channel], report: BenchReport) -> Iterator[Finding]:
     if report.top_speed > _FASTEST:
         advice = unit_advice(recording, "speed", "rpm")
-        sentence = (
-            f"speed reaches {report.top_speed:.4g} rad/s, faster than any such motor: probably rpm; {advice}"
+        yield Finding(
+            "speed-unit",
+            f"speed reaches {report.top_speed:.4g} rad/s, faster than any such motor: probably rpm; {advice}",
         )
-        yield Finding("speed-unit", sentence)
     elif report.top_speed == 0.0:
         yield Finding("no-speed", "speed is zero throughout: the probe was off or saw no mark")
-    largest = _largest(thrust)
+    largest = _largest(known, "thrust")
     if largest > _STRONGEST:
         advice = unit_advice(recording, "thrust", "gf")
         yield Finding("thrust-unit", f"thrust reaches {largest:.4g} N: probably grams; {advice}")
-    if _largest(torque) > _LARGEST_TORQUE:
+    if _largest(known, "torque") > _LARGEST_TORQUE:
         advice = unit_advice(recording, "torque", "mN*m")
         yield Finding("torque-unit", f"torque exceeds 100 N·m: probably mN·m; {advice}")
-    for name, channel, rest, unit in (
-        ("thrust", thrust, report.rest_thrust, "N"), ("torque", torque, report.rest_torque, "N·m"),
-    ):  # fmt: skip
-        if channel is None or not np.isfinite(rest):
-            continue
-        span = float(np.nanmax(channel.values) - np.nanmin(channel.values))
-        if span > 0 and abs(rest) > _TARE * span:
+    for name, rest, unit in (("thrust", report.rest_thrust, "N"), ("torque", report.rest_torque, "N·m")):
+        if np.isfinite(rest) and abs(rest) > _TARE * np.ptp(known[name].values[known[name].valid]) > 0:
             sentence = f"{name} reads {rest:.3g} {unit} before anything turns: no tare; subtract it"
             yield Finding("no-tare", sentence)
-    if _falls(channels.get("speed"), thrust):
-        sentence = (
+    if "speed" in known and "thrust" in known and _falls(known["speed"], known["thrust"]):
+        yield Finding(
+            "thrust-falls",
             "thrust falls when the speed rises: the sign of the axis is reversed, or the propeller turns in "
-            "reverse"
+            "reverse",
         )
-        yield Finding("thrust-falls", sentence)
-    for name in ("force_x", "force_y"):
-        side = channels.get(name)
-        if thrust is None or side is None or not side.valid.any():
-            continue
-        if np.nanstd(side.values) > 2.0 * np.nanstd(thrust.values) > 0.0:
+    sides = ("force_x", "force_y")
+    spread = {name: float(np.nanstd(known[name].values)) for name in ("thrust", *sides) if name in known}
+    for name in sides:
+        if spread.get(name, 0.0) > 2.0 * spread.get("thrust", np.inf) > 0.0:
             sentence = f"{name} changes more than thrust (Fz): the cell's axes may be swapped"
             yield Finding("cell-axes-swapped", sentence)
 
 
-def _falls(speed: Channel | None, thrust: Channel | None) -> bool:
+def _falls(speed: Channel, thrust: Channel) -> bool:
     """Return whether thrust falls when the speed rises."""
-    if speed is None or thrust is None or not speed.valid.any() or not thrust.valid.any():
-        return False
     turning: FloatArray = np.interp(thrust.time, speed.time[speed.valid], np.abs(speed.values[speed.valid]))
-    known = thrust.valid
-    fast = known & (turning > 0.7 * turning.max())
-    slow = known & (turning < 0.2 * turning.max())
+    fast = thrust.valid & (turning > 0.7 * turning.max())
+    slow = thrust.valid & (turning < 0.2 * turning.max())
     if fast.sum() < 5 or slow.sum() < 5:
         return False
     change = np.median(thrust.values[fast]) - np.median(thrust.values[slow])

@@ -20,7 +20,7 @@ from sysid.trials.bench_log import (
     tare,
     wrong_poles,
 )
-from sysid.trials.steady import ramp_points, sign_against_speed, sign_of_log, steady_points, zero_of_steady
+from sysid.trials.steady import sign_against_speed, sign_of_log, steady_points, zero_of_steady
 
 DATA = places.DATA / "rcbenchmark"
 PULSES = CommandRange("us", 1000.0, 1500.0, 2000.0)
@@ -160,7 +160,7 @@ def test_ramp_points_of_a_creeping_command() -> None:
     speed = 1000.0 * np.maximum(0.0, (time - 1.1) / 46.0)
     channels = {"speed": (time, speed), "torque": (time, 1e-7 * speed**2)}
     assert len(steady_points(time, command_steps(time, u), channels)) == 0
-    points = ramp_points(time, command_steps(time, u), channels, zero_rows={"torque": 7})
+    points = steady_points(time, command_steps(time, u), channels, (), {"torque": 7}, ramp=True)
     assert len(points) > 40
     # Slower than 1 % per 0.2 s: a ramp of 1000 rad/s in 46 s is that above 0.2 · 1000/46/0.01 = 435 rad/s.
     assert points.speed.min() > 400.0
@@ -171,11 +171,11 @@ def test_ramp_points_of_a_creeping_command() -> None:
     # Nor is a staircase whose rotor has not answered yet: a steady speed, but whose?
     stairs = np.floor(time / 0.7) / 70.0
     late = {"speed": (time, np.full(time.size, 300.0))}
-    assert len(ramp_points(time, command_steps(time, 5.0 * stairs % 1.0), late)) == 0
+    assert len(steady_points(time, command_steps(time, 5.0 * stairs % 1.0), late, ramp=True)) == 0
     # A ramp of 5 s is no steady log: the rotor would trail by a tenth of it.
     quick = np.arange(0.0, 5.0, 0.01)
     fast = {"speed": (quick, 200.0 * quick)}
-    assert len(ramp_points(quick, command_steps(quick, 0.2 * quick), fast)) == 0
+    assert len(steady_points(quick, command_steps(quick, 0.2 * quick), fast, ramp=True)) == 0
 
 
 @pytest.mark.parametrize(
