@@ -38,7 +38,7 @@ from sysid.types import FloatArray
 _EARLY, _LATE, _YIELDING = 0.006, 0.035, 0.01
 # The slopes that board markers and campaign state may differ by this much without a warning.
 _SLOPE_DOUBT = np.radians(1.0)
-# Five samples of fall tell g to some 10 %: of a fall shorter than this [s] g says little.
+# Five samples of fall determine g to some 10 %; a fall shorter than this [s] says little about it.
 _TELLS_GRAVITY, _GRAVITY_DOUBT = 0.06, 0.15
 # The least number of samples in a window.
 _LEAST_SAMPLES = 10
@@ -92,7 +92,7 @@ class PreparedDrop:
 def cost_channels(campaign: GearCampaign) -> tuple[CostChannel, ...]:
     """Return the five compared channels with the campaign's weights, as columns of (x, z, q, rates)."""
     weights = campaign.cost.weights
-    # Rates that a simulation gives itself stand beside a log that alone was filtered.
+    # Where the log alone was filtered, the simulation's own rates are compared.
     derived = _same_way(campaign)
     return (
         CostChannel("x_B", "m", 0, weight=weights.x_B),
@@ -111,22 +111,21 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
     """
     # Several drops may lie in one long take: keep the last files read.
     read = lru_cache(maxsize=2)(partial(read_drop_log, campaign))
-
-    for trial in campaign.trials:  # every file must exist before the first is read
-        resolve_log(path, trial.log)
+    # Every file must exist before the first is read.
+    logs = [(trial, resolve_log(path, trial.log)) for trial in campaign.trials]
     capture = campaign.capture
     warn_of_idle_options(
         "capture",
         {name: value for name, value in capture.loader_options().items() if name != "rigid_body"},
-        [(resolve_log(path, t.log), t.log_options.format or capture.format) for t in campaign.trials],
+        [(log, trial.log_options.format or capture.format) for trial, log in logs],
     )
     rest = None
     if campaign.surface.rest_log is not None:
         rest = read(resolve_log(path, campaign.surface.rest_log), None, "{}")
     drops = []
-    for trial in campaign.trials:
-        log, options = resolve_log(path, trial.log), trial.log_options.model_dump_json()
-        drops.append(_Preparation(campaign, trial, read(log, trial.rigid_body, options), rest).drop())
+    for trial, log in logs:
+        recording = read(log, trial.rigid_body, trial.log_options.model_dump_json())
+        drops.append(_Preparation(campaign, trial, recording, rest).drop())
     return tuple(drops)
 
 

@@ -12,10 +12,10 @@ import numpy as np
 from sysid.campaign import GearCampaign
 from sysid.fit.nrmse import TrialTarget
 from sysid.fit.problem import Course, Kind, Outcome, Words
-from sysid.gear.capture_noise import compared_noise
 from sysid.gear.drops import PreparedDrop, prepare_drops
 from sysid.gear.model import PARAMETERS
 from sysid.gear.problem import CONSTANTS, TRUST_TOLERANCE, GearProblem, on_surface, search_space
+from sysid.gear.starts import compared_noise
 from sysid.journal import Finding
 from sysid.parameter_sets import ParameterRecord, parameter_records
 from sysid.types import FloatArray

@@ -17,9 +17,7 @@ from sysid.errors import CampaignError
 from sysid.fit.nrmse import FilteredNrmse, PopulationCost
 from sysid.fit.problem import Block, NoiseModel, Problem, Scores, Trial
 from sysid.fit.result import FitResult
-from sysid.gear.capture_noise import compared_noise, level_error, noise_signals, start_roots
-from sysid.gear.centre_of_mass import centre_of_mass
-from sysid.gear.drop_offsets import offsets, shifted_before, shifted_starts, with_nuisance
+from sysid.gear.beyond_window import centre_of_mass, stopping
 from sysid.gear.drops import PreparedDrop, cost_channels, lowpass_of, read_drop_log
 from sysid.gear.lost_drops import CAUSES, judged_drops
 from sysid.gear.model import (
@@ -35,7 +33,16 @@ from sysid.gear.model import (
     simulate,
     simulate_population,
 )
-from sysid.gear.resting_place import stopping
+from sysid.gear.starts import (
+    compared_noise,
+    level_error,
+    noise_signals,
+    offsets,
+    shifted_before,
+    shifted_starts,
+    start_roots,
+    with_nuisance,
+)
 from sysid.journal import Finding, notice, tell
 from sysid.parameters import SearchSpace
 from sysid.trials.look import inspect_recording, log_quality
@@ -293,7 +300,7 @@ class GearProblem(Problem):
 
     def correlation(self) -> NoiseModel:
         """Return the correlations of the noise as compared, from noise that is filtered like a log."""
-        signals = noise_signals(self.drops[0], 0)
+        signals = noise_signals(self.drops[0])
         used = sorted({block.channel for block in self.blocks})
         n = len(signals)
         blocks = [Block(0, c, k * n, (k + 1) * n, n, 1.0, 1.0, 1.0) for k, c in enumerate(used)]
@@ -455,7 +462,7 @@ class GearProblem(Problem):
 
 
 def _fall_error(drop: PreparedDrop) -> float:
-    """Return the standard error of g as the fall itself tells it [m/s²].
+    """Return the standard error of the g that the fall itself shows [m/s²].
 
     Of a parabola through n samples of noise σ over a time T: σ sqrt(720/n)/T².
     """

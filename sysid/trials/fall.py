@@ -1,6 +1,6 @@
 """Find a drop in planar motion: when it was released, when a foot first touched, and its state there.
 
-A drone that an electromagnet lets go follows ``z = z_0 - g/2 max(0, t - t_release)²`` until a foot touches:
+A drone that an electromagnet releases follows ``z = z_0 - g/2 max(0, t - t_release)²`` until a foot touches:
 two numbers that all samples of hold and fall share, so the state at the window's start is known far
 better than differentiated positions would tell it (at 0.3 mm noise, 0.2 mm and 2 mm/s instead of 60 mm/s).
 """
@@ -18,8 +18,8 @@ from sysid.trials.capture import PlanarMotion, SpatialMotion, held_level
 from sysid.trials.flight import HALF_WINDOW, accelerations, fall_onset, half_window, hold_before, release_time
 from sysid.types import FloatArray
 
-# Of a hold, samples back to the last one this far from its place or turned by this much count, at most for
-# this long [m, rad, s]: a magnet holds for long, and every simulation starts from the mean of its samples.
+# A hold counts back to the last sample this far from its place or turned by this much, at most for this long
+# [m, rad, s]: every simulation starts from the mean of its samples.
 _STILL = 2e-3
 _STILL_TURN = np.radians(1.5)
 _LONGEST_HOLD = 2.0
@@ -148,7 +148,7 @@ def fit_flight(
     """Fit hold and free flight; return them and the first contact of a foot with the plane [s].
 
     `held` are the samples of the hold (`find_fall`); where they are empty, the flight is ballistic from
-    there. `level`: the hold defines level, so a body that is let go at rest has exactly no pitch. Raises
+    there. `level`: the hold defines level, so a body that is released at rest has exactly no pitch. Raises
     LogError when a foot is below the surface before the fall, or never reaches it.
     """
     clearance = feet.clearances(plane, motion.x, motion.z, motion.pitch).min(axis=1)
@@ -205,7 +205,7 @@ def _fit(
         solution, *_ = np.linalg.lstsq(design, values, rcond=None)
         noise[column] = np.std(values - design @ solution)
         sigma = noise[column] * np.sqrt(np.linalg.inv(design.T @ design)[1, 1])
-        # A magnet lets go at rest: a rate counts only where the data insist on it.
+        # A magnet releases at rest: a rate counts only where it is three times its error.
         if abs(solution[1]) > 3 * sigma:
             origin[column], rates[column] = solution
         else:

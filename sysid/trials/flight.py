@@ -22,7 +22,7 @@ _FALLING = 0.6
 # A hold shows in this long before the fall [s]. A hand moves by more than this in that time [m]; a magnet
 # does not.
 _SEEN_HANGING, _HANDS_MOVE = 0.3, 0.004
-# From this on a fall tells g to some percent [s].
+# A fall of this length determines g to some percent [s].
 _LONG_FALL = 0.06
 # Tolerance on |a|/g, and the shortest flight [s] of a body in motion and of a body that hung still.
 _NEAR, _SHORTEST, _SHORTEST_FALL = 0.25, 0.05, 0.03
@@ -62,7 +62,7 @@ def hold_before(onset: int, half: int, rate: float, position: FloatArray) -> sli
 def release_time(
     since: FloatArray, height: FloatArray, gravity: float, bounds: tuple[float, float], tolerance: float
 ) -> float:
-    """Return when a body that hung still was let go [s], from heights (n,) of hold and fall [m].
+    """Return when a body that hung still was released [s], from heights (n,) of hold and fall [m].
 
     Times count from any instant near the release, because the solver steps in shares of the number itself,
     which may be Unix seconds. The release is searched within `bounds` to a tolerance [s].
@@ -128,7 +128,7 @@ def held_fall(
             continue
         height = -np.sign(acceleration[onset, axis]) * position[:, axis]
         end, release = min(time.size - 1, onset + half), float(time[onset])
-        for _ in range(40):  # the fit tells how far the fall reaches, which lets in more of it
+        for _ in range(40):  # the fit shows how far the fall reaches, which lets in more of it
             near = slice(hold.start, end)
             bounds = (-(half + 4) * step, float(time[end - 1] - time[onset]))
             release = time[onset] + release_time(
@@ -140,9 +140,9 @@ def held_fall(
             if away == end:
                 break
             end = min(away, end + max(2, (end - hold.stop) // 4))
-        if time[end] - release > _LONG_FALL:  # long enough to tell g itself, which a wrong rate changes
+        if time[end] - release > _LONG_FALL:  # long enough to determine g, which a wrong rate changes
             end, release = _longer(time, height, hold, end, release)
-        # The positions tell the acceleration, in size and direction.
+        # The positions determine the acceleration, in size and direction.
         place, fall = _parabola(time[hold.start : end] - release, position[hold.start : end])
         flight = FreeFlight(release, True, place, np.zeros(3), fall)
         size = float(np.linalg.norm(flight.acceleration))
@@ -208,7 +208,7 @@ def thrown(
 
 
 def lands(time: FloatArray, position: FloatArray, flight: FreeFlight, end: int, stops: bool = False) -> bool:
-    """Return whether a body stops falling (or comes to half its speed) where its flight is said to end."""
+    """Return whether a body stops falling (or comes to half its speed) at the end of its flight."""
     step = float(time[1] - time[0])
     size = float(np.linalg.norm(flight.acceleration))
     depth = position @ (flight.acceleration / size)

@@ -148,7 +148,7 @@ def zero_of_steady(values: FloatArray, speed: FloatArray) -> Tare | None:
 
 
 def sign_against_speed(values: FloatArray, speed: FloatArray) -> int:
-    """Return -1 where values (n,) oppose their speeds (n,) on balance, else +1; 0: nothing tells.
+    """Return -1 where values (n,) oppose their speeds (n,) on balance, else +1; 0 where nothing shows it.
 
     A propeller's drag has the sign of its speed, so the torque of a stand that reads it otherwise is flipped.
     """
@@ -158,7 +158,7 @@ def sign_against_speed(values: FloatArray, speed: FloatArray) -> int:
 
 
 def sign_of_log(values: tuple[FloatArray, FloatArray], speed: tuple[FloatArray, FloatArray]) -> int:
-    """Return the sign of a channel (times, values) against a speed, transients included; 0: nothing tells.
+    """Return the sign of a channel (times, values) against a speed over a log; 0 where nothing shows it.
 
     Serves logs without a steady stretch. Over a whole log the air takes more than the rotor gives back.
     """

@@ -147,6 +147,7 @@ def test_tip_limit_of_rigid_legs():
 
 @njit(error_model="numpy", forceinline=True)
 def viscous(force_c, force_d, slip_c, slip_d, law):
+    """F_t = -c F_n v with c in the place of the kinetic friction [s/m]."""
     return -law[0] * force_c * slip_c, -law[0] * force_d * slip_d
 
 
@@ -159,7 +160,6 @@ def viscous_damping(force, slip, law):
 def test_a_third_law_is_one_declaration(monkeypatch, tmp_path):
     wet = Surface(
         name="wet",
-        meaning="Viscous: F_t = -c F_n v with c in the place of the kinetic friction [s/m].",
         reads=("kinetic_friction",),
         free=SURFACES["lf"].free,
         solve=continuous_law(viscous, viscous_damping),
@@ -194,4 +194,4 @@ def test_surfaces_are_declared():
     assert parameters_on("hf")["kinetic_friction"].nominal == 0.87
     assert parameters_on("lf").nominal == PARAMETERS.nominal
     with pytest.raises(ValueError, match="memory"):
-        Surface("x", "", ("kinetic_friction",), (), SURFACES["lf"].solve)
+        Surface("x", ("kinetic_friction",), (), SURFACES["lf"].solve)

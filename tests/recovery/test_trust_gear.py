@@ -14,10 +14,10 @@ from sysid import exact_json
 from sysid.campaign import read_campaign
 from sysid.cli import app
 from sysid.errors import FitError
-from sysid.gear.capture_noise import compared_noise, start_roots
-from sysid.gear.centre_of_mass import centre_of_mass, turning_point
+from sysid.gear.beyond_window import centre_of_mass, turning_point
 from sysid.gear.drops import prepare_drops
 from sysid.gear.problem import TRUST_TOLERANCE, GearProblem, search_space
+from sysid.gear.starts import compared_noise, start_roots
 from sysid.synthetic import synthesize_gear
 from sysid.synthetic.gear import DropPlan
 from sysid.trust.assessment import linearize

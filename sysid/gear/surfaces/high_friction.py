@@ -257,7 +257,6 @@ def after_step(work, lane, lanes, h, taken, new_h):
 SURFACE = Surface(
     name="hf",
     title="high-friction",
-    meaning="High friction, equations (9, 10) and Fig. 5: each foot slips or sticks.",
     reads=("kinetic_friction", "static_friction_excess"),
     free=(*LEGS_AND_GROUND, "leg_mass", "leg_inertia", "kinetic_friction", "static_friction_excess"),
     solve=solve,

@@ -1,4 +1,4 @@
-"""Low friction (8): a continuous law that never sticks but creeps."""
+"""Low friction, equation (8): a continuous law that slides and creeps, and never sticks."""
 
 from numba import njit
 
@@ -35,7 +35,6 @@ def low_friction_damping(force, slip, law):
 SURFACE = Surface(
     name="lf",
     title="low-friction",
-    meaning="Low friction, equation (8): sliding and creeping, never sticking.",
     reads=("kinetic_friction", "slip_regularization"),
     free=LEGS_AND_GROUND,
     solve=continuous_law(low_friction, low_friction_damping),

@@ -60,7 +60,6 @@ class Surface:
     """
 
     name: str
-    meaning: str
     reads: tuple[str, ...]
     free: tuple[str, ...]
     solve: Any

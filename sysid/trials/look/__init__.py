@@ -133,7 +133,7 @@ def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: 
             f"{drop.body} falls as if lengths were in {drop.length_unit}; {length_advice(recording, unit)}",
         )
         return
-    # 3 % over a flight of 0.2 s is a few sample errors; shorter flights tell g worse.
+    # 3 % over a flight of 0.2 s is a few sample errors; shorter flights determine g worse.
     flight = drop.touchdown - (drop.release if drop.release is not None else drop.touchdown - 0.1)
     if abs(drop.gravity / gravity - 1.0) > max(_WRONG_GRAVITY, 0.01 / max(flight, 1e-3)):
         yield Finding(

@@ -82,7 +82,7 @@ def inspect_channel(channel: Channel, clock: bool = True) -> ChannelReport:
     time, valid = channel.time, channel.valid
     steps = np.diff(time)
     median = float(np.median(steps)) if steps.size else float("nan")
-    # Zero where steps are equal to what times of this size can tell.
+    # Zero where steps are equal as far as times of this size can show.
     rounding = 4.0 * float(np.spacing(np.abs(time).max(initial=1.0)))
     deviation = float(np.percentile(np.abs(steps - median), 90)) if steps.size else float("nan")
     known = channel.values[valid]

@@ -38,7 +38,7 @@ _ODD_GRAVITIES = tuple(1.06 ** (sign * power) for power in range(2, 26) for sign
 _LONG_ODD_FALL = 0.1
 # Legs yield softly: this long after the feet touch the body visibly leaves its flight [s].
 _YIELDING = 0.010
-# A shallower board has no direction that its markers could tell; a way further off an axis lies between two.
+# A shallower board has no direction that its markers could show; a way further off an axis lies between two.
 _SHALLOW, _OFF_AXIS = np.radians(2.0), np.radians(30.0)
 
 

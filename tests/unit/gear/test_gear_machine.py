@@ -95,7 +95,7 @@ def test_a_law_typed_in_a_session_has_a_fingerprint():
         exec(compile(TYPED.format(power=power), "<stdin>", "exec"), typed)
         solve = continuous_law(typed["friction"], typed["damping"])
         reads, free = ("kinetic_friction",), SURFACES["lf"].free
-        prints.append(kernel.fingerprint(Surface("wet", "", reads, free, solve, friction=typed["friction"])))
+        prints.append(kernel.fingerprint(Surface("wet", reads, free, solve, friction=typed["friction"])))
     # The same text gives the same driver; another constant in a function that the law calls, another one.
     assert prints[0] == prints[2] != prints[1]
 

@@ -1,0 +1,140 @@
+"""What a drop's start may be off by: the capture's noise, and the offsets that a campaign frees.
+
+Free are the height of the surface and the instant of the start, one number per fitted drop and kind, appended
+to the search: 1 mm of height is 1.4 ms of touchdown at 0.7 m/s, which no stiffness explains. There are none
+unless the campaign asks for them, and never any of a validation drop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sysid.campaign import GearCampaign
+from sysid.filters import differentiate
+from sysid.gear.drops import PreparedDrop, as_compared
+from sysid.parameters import Parameter, ParameterTable, SearchSpace
+from sysid.types import FloatArray
+
+# Samples of noise that pass the filter to show what becomes of it.
+_NOISE_SAMPLES = 20_000
+# The fit of the flight looks back into a hold this far at most [s].
+_HOLD = 2.0
+
+_HEIGHT = Parameter(
+    "height_offset", "δz", "m", 0.0, -1.0, 1.0, "linear",
+    "Height of the surface above its stated place", "campaign, [nuisance]", "nuisance",
+)  # fmt: skip
+_START = Parameter(
+    "start_offset", "δt", "s", 0.0, -1.0, 1.0, "linear",
+    "Delay of the motion behind its stated start", "campaign, [nuisance]", "nuisance",
+)  # fmt: skip
+
+
+def start_roots(drop: PreparedDrop) -> FloatArray:
+    """Return a square root (6, 6) of the covariance of a drop's state at the start of its window [SI].
+
+    Rows are independent changes of one standard deviation: height, instant of the release (or downward speed
+    of a body that was thrown), place along x, pitch, and pitch rate; the last row is empty, kept for the
+    error of the measured level (`level_error`). From the noise of the flight and the samples that its fit
+    saw. A body that was held has no speed, and one that was held level has exactly no pitch.
+    """
+    flight, motion = drop.flight, drop.motion
+    before = motion.valid & (motion.time < drop.touchdown) & np.isfinite(motion.z)
+    out = np.zeros((6, 6))
+    noise_x, noise_z, noise_q = flight.noise
+    if flight.held:
+        seen = motion.time[before & (motion.time > flight.start - _HOLD)]
+        still = max(1, int(np.count_nonzero(seen < flight.start)))
+        fall = np.maximum(0.0, seen - flight.start)
+        design = np.column_stack([np.ones_like(fall), flight.gravity * fall])
+        covariance = noise_z**2 * np.linalg.inv(design.T @ design + 1e-9 * np.eye(2))
+        root = np.linalg.cholesky(covariance).T
+        height, late = root.T
+        out[:2, 1] = height + late * flight.gravity * max(float(drop.time[0] - flight.start), 0.0)
+        out[:2, 4] = late * flight.gravity
+        out[2, 0] = noise_x / np.sqrt(len(seen))
+        if drop.initial_state[2] != 0.0:
+            out[3, 2] = noise_q / np.sqrt(still)
+        return out
+    seen = motion.time[before & (motion.time >= flight.start - 1e-9)] - flight.start
+    design = np.column_stack([np.ones_like(seen), seen])
+    root = np.linalg.cholesky(np.linalg.inv(design.T @ design)).T
+    out[:2, [1, 4]] = noise_z * root
+    out[2, [0, 3]] = noise_x * root[0]
+    out[3:5, [2, 5]] = noise_q * root
+    return out
+
+
+def level_error(drop: PreparedDrop) -> float:
+    """Return the error of the level from which pitch is measured [rad], which is the mean of the hold."""
+    motion, flight = drop.motion, drop.flight
+    if not flight.held or drop.initial_state[2] != 0.0:
+        return 0.0
+    hold = motion.valid & (motion.time < flight.start) & (motion.time > flight.start - _HOLD)
+    return float(flight.noise[2]) / float(np.sqrt(max(1, int(np.count_nonzero(hold)))))
+
+
+def compared_noise(drop: PreparedDrop) -> FloatArray:
+    """Return the standard deviation (5,) of the capture's noise in every compared channel [channel units]."""
+    return np.sqrt(np.mean(noise_signals(drop) ** 2, axis=0))
+
+
+def noise_signals(drop: PreparedDrop) -> FloatArray:
+    """Return (n, 5) samples of the capture's noise, filtered and differentiated as the log was."""
+    white = np.random.default_rng(0).standard_normal((_NOISE_SAMPLES, 3)) * drop.flight.noise
+    taps = drop.target.taps
+    if taps is not None:
+        white = np.column_stack([np.convolve(white[:, c], taps, "valid") for c in range(3)])
+    return as_compared(white, differentiate(white, drop.target.rate))[1:-1]
+
+
+def with_nuisance(space: SearchSpace, campaign: GearCampaign) -> SearchSpace:
+    """Append the free offsets that a campaign asks for, one per fitted drop and kind."""
+    bounds = ((_HEIGHT, campaign.nuisance.height), (_START, campaign.nuisance.start_time))
+    rows = [
+        replace(
+            kind.of_trial(trial.name), lower=-bound, upper=bound, meaning=f"{kind.meaning}, {trial.name}."
+        )
+        for trial in campaign.trials
+        if trial.use == "fit"
+        for kind, bound in bounds
+        if bound is not None
+    ]
+    if not rows:
+        return space
+    return SearchSpace(ParameterTable([*space.table.values(), *rows]), (*space.free, *rows), space.fixed)
+
+
+def offsets(
+    table: ParameterTable, rows: FloatArray, drops: Sequence[PreparedDrop]
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return heights [m] and delays [s] (P, D) of rows of a table (P, n); None where it has none."""
+    index = {(row.common_name, row.trial): i for i, row in enumerate(table.values()) if row.trial}
+    if not index or rows.shape[1] <= min(index.values()):
+        return None
+    out = np.zeros((2, len(rows), len(drops)))
+    for k, kind in enumerate((_HEIGHT, _START)):
+        for d, drop in enumerate(drops):
+            column = index.get((kind.name, drop.name))
+            if column is not None:
+                out[k, :, d] = rows[:, column]
+    return out[0], out[1]
+
+
+def shifted_starts(drops: Sequence[PreparedDrop], height: FloatArray, delay: FloatArray) -> FloatArray:
+    """Return initial states (P, D, 6) over a surface that is higher, of a motion that is later."""
+    out = np.empty((*height.shape, 6))
+    for d, drop in enumerate(drops):
+        out[:, d] = drop.flight.at(drop.time[0] - delay[:, d], free=True)
+        out[:, d, 1] -= height[:, d]
+    return out
+
+
+def shifted_before(drop: PreparedDrop, delay: FloatArray) -> FloatArray:
+    """Return x, z, pitch (P, margin, 3) at the samples before the window, of a motion that is later."""
+    lead = len(drop.before)
+    time = drop.time[0] - np.arange(lead, 0, -1) / drop.motion.rate
+    return drop.flight.at((time - delay[:, None]).ravel())[:, :3].reshape(len(delay), lead, 3)
