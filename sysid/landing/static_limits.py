@@ -47,7 +47,15 @@ from typing import Literal
 import numpy as np
 
 from sysid.errors import CampaignError
-from sysid.gear.model import PARAMETERS, Drops, Status, pack, simulate, simulate_population
+from sysid.gear.model import (
+    PARAMETERS,
+    Drops,
+    GearTrajectory,
+    Status,
+    pack,
+    simulate,
+    simulate_population,
+)
 from sysid.gear.propulsion import Propulsion
 from sysid.gear.surfaces import Surface, find_surface
 from sysid.integrate.piecewise import PiecewiseCubic
@@ -300,14 +308,17 @@ class _Ramp:
                 step = step if failed == "stays" else 0.5 * step
         return slope, slope + 2 * step, failed
 
+    def _run(self, state: FloatArray, slope: float, pieces: int) -> GearTrajectory:
+        return simulate(
+            self.row, slope, None, _PIECE * np.arange(pieces + 1.0), state=state, surface=self.surface,
+            propulsion=self.thrust, tolerance=_TOLERANCE,
+        )  # fmt: skip
+
     def _settle(self, state: FloatArray, slope: float) -> tuple[FloatArray | None, How]:
         """Let the drone come to rest on a slope; None and what it did where it does not."""
         begin = state
         for _ in range(_PIECES):
-            run = simulate(
-                self.row, slope, None, np.array([0.0, _PIECE]), state=state, surface=self.surface,
-                propulsion=self.thrust, tolerance=_TOLERANCE,
-            )  # fmt: skip
+            run = self._run(state, slope, 1)
             if run.status != Status.OK:
                 return None, "tips"
             before, state = state, run.state[-1]
@@ -334,10 +345,7 @@ class _Ramp:
         near, state = min(self.stairs, key=lambda stair: abs(stair[0] - slope))
         state = _turned(state, slope - near)
         state[7:9] = self.slip * math.cos(slope), -self.slip * math.sin(slope)
-        run = simulate(
-            self.row, slope, None, np.array([0.0, _PIECE, 2 * _PIECE]), state=state, surface=self.surface,
-            propulsion=self.thrust, tolerance=_TOLERANCE,
-        )  # fmt: skip
+        run = self._run(state, slope, 2)
         gained = _along((run.state[2] - run.state[1])[7:9], slope)
         return bool(gained > 0.0)
 

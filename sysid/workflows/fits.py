@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict, dataclass
-from operator import attrgetter
 from pathlib import Path
 
 from sysid.errors import FitError
 from sysid.fit.checkpoint import read_state, run_numbers, state_files
 from sysid.fit.store import FIT_FILE
 from sysid.report.fold import print_result, print_table
-from sysid.report.table import numbers, table, words
+from sysid.report.table import listed
 from sysid.resume import in_use
 
 _SUFFIX = ".checkpoint"
@@ -83,14 +82,14 @@ def print_fits(folder: Path, json: bool = False) -> None:
         print(f"no fits in {folder}; sysid fit-motor and sysid fit-gear write there")
         return
     now = time.time()
-    columns = (
-        words("fit", attrgetter("name")),
-        words("state", attrgetter("state")),
-        numbers("NRMSE", lambda entry: "-" if entry.nrmse is None else f"{100 * entry.nrmse:.3f} %"),
-        numbers("runs", lambda entry: str(entry.runs)),
-        numbers("age", lambda entry: _age(now - entry.changed) if entry.changed else "-"),
-    )
-    print_table(table("", entries, columns))
+    rows = [
+        (
+            entry.name, entry.state, "-" if entry.nrmse is None else f"{100 * entry.nrmse:.3f} %",
+            str(entry.runs), _age(now - entry.changed) if entry.changed else "-",
+        )
+        for entry in entries
+    ]  # fmt: skip
+    print_table(listed("", rows, ("fit", "state", "NRMSE", "runs", "age"), texts=2))
     if any(entry.state == "stopped" for entry in entries):
         print("a stopped fit goes on with its command and --resume")
 

@@ -6,7 +6,7 @@ import json
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from operator import attrgetter, itemgetter
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,8 @@ from sysid.loaders import formats, load
 from sysid.loaders.alignment import join_recordings
 from sysid.loaders.readers.sysid_hdf5 import write_recording
 from sysid.recording import Recording
-from sysid.report.fold import print_table
-from sysid.report.table import number, numbers, table, words
+from sysid.report.fold import print_result, print_table
+from sysid.report.table import listed, number, numbers, table, words
 from sysid.storage import check_file
 from sysid.trials.look import BenchReport, ChannelReport, DropReport, LogReport, inspect_recording
 
@@ -136,19 +136,11 @@ def convert_file(
 
 def print_formats(as_json: bool = False) -> None:
     """Print the formats that are read, those of installed packages included, with the options of each."""
-    if as_json:
-        rows = [
-            {"format": name, "reads": kind.describes, "options": list(kind.options)}
-            for name, kind in formats().items()
-        ]
-        print(json.dumps(rows, ensure_ascii=False, indent=2))
-        return
-    columns = (
-        words("format", itemgetter(0)),
-        words("reads", lambda row: row[1].describes),
-        words("options", lambda row: ", ".join(row[1].options) or "none"),
-    )
-    print_table(table("", formats().items(), columns))
+    kinds = formats().items()
+    rows = [{"format": name, "reads": kind.describes, "options": list(kind.options)} for name, kind in kinds]
+    if not print_result(rows, as_json):
+        cells = [(name, kind.describes, ", ".join(kind.options) or "none") for name, kind in kinds]
+        print_table(listed("", cells, ("format", "reads", "options"), texts=3))
 
 
 def _clock_words(channel: ChannelReport) -> str:
