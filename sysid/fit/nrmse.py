@@ -1,7 +1,6 @@
-"""The normalised RMS error, once as an obvious function and once compiled for a whole population.
+"""The normalised RMS error of a population's samples, compiled.
 
-Both know no model: they see samples. Law (MATLAB's ``goodnessOfFit``; the paper names the measure, not
-its denominator)::
+Law (MATLAB's ``goodnessOfFit``; the paper names the measure, not its denominator)::
 
     NRMSE = rms(simulated − measured) / std(measured)        denominator "std", the default
     NRMSE = rms(simulated − measured) / (max − min)(measured)             denominator "range"
@@ -9,9 +8,9 @@ its denominator)::
 rms, std (divided by n, not n − 1) and range are taken over the valid samples of one channel of one trial.
 The cost of a candidate is the weighted mean over the channels of a trial, then the mean over trials.
 
-The simulated signal walks the way of the measured one: samples inside the log's gaps are replaced by
-linear interpolation, the same symmetric FIR filter runs over it, and rates are central differences of the
-filtered signal. An impact is broadband, so treating one side only biases the fit.
+The simulated signal is treated like the measured one: linear interpolation replaces samples inside the log's
+gaps, the same symmetric FIR filter runs over it, and rates are central differences of the filtered signal. An
+impact is broadband, so treating one side only biases the fit.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from sysid.fit.nrmse_kernels import FAILED_NRMSE, prepare_trial, score_populatio
 from sysid.parallel import numba_threads
 from sysid.types import BoolArray, FloatArray
 
-__all__ = ["FAILED_NRMSE", "CostChannel", "FilteredNrmse", "PopulationCost", "TrialTarget", "nrmse", "spread"]
+__all__ = ["FAILED_NRMSE", "CostChannel", "FilteredNrmse", "PopulationCost", "TrialTarget", "spread"]
 
 Denominator = Literal["std", "range"]
 
@@ -51,39 +50,11 @@ def spread(measured: ArrayLike, valid: ArrayLike | None = None, denominator: Den
     raise FitError(f"unknown NRMSE denominator {denominator!r}; expected 'std' or 'range'")
 
 
-def nrmse(
-    simulated: ArrayLike,
-    measured: ArrayLike,
-    valid: ArrayLike | None = None,
-    denominator: Denominator = "std",
-) -> float:
-    """Return the normalised RMS error of one channel of one trial [1].
-
-    Samples (n,) are on the same clock, in the same unit; those that are not `valid` do not count. 0 is a
-    perfect fit; the mean of the measurement scores 1 with ``"std"``. Raises FitError when no sample is valid
-    or the measured channel is constant.
-    """
-    simulated = np.asarray(simulated, dtype=np.float64)
-    measured = np.asarray(measured, dtype=np.float64)
-    mask = np.ones(measured.shape, np.bool_) if valid is None else np.asarray(valid, dtype=np.bool_)
-    scale = spread(measured, mask, denominator)
-    if scale == 0.0:
-        raise FitError("the measured channel is constant, so its NRMSE is undefined; give it weight 0")
-    return float(np.sqrt(np.mean((simulated - measured)[mask] ** 2)) / scale)
-
-
 @dataclass(frozen=True)
 class CostChannel:
-    """One compared channel and where it comes from in the simulated samples.
+    """One compared channel: a column of the simulated samples; with `rate` its derivative after the filter.
 
-    Parameters
-    ----------
-    column : int
-        Input column of the simulated samples.
-    rate : bool
-        True: the channel is the time derivative of that column (after the filter).
-    weight : float
-        Weight in the mean over channels, ≥ 0 [1].
+    `weight` counts in the mean over channels, ≥ 0 [1].
     """
 
     name: str
@@ -108,8 +79,8 @@ class TrialTarget:
     taps : (2 h + 1,) array, optional
         Symmetric FIR filter [1]. Default: none, samples are compared as they are.
     delivered : (n_window + 2 margin,) bool array, optional
-        False inside a gap of the log; there the simulated samples are interpolated linearly between
-        their neighbours, as the log was before its filter (at the array's ends: held). Default: no gap.
+        False inside a gap of the log; there the simulated samples are interpolated linearly between their
+        neighbours, as the log was before its filter (constant at the array's ends). Default: no gap.
     """
 
     name: str
@@ -144,17 +115,9 @@ class FilteredNrmse:
 
     Simulated samples are laid out trial after trial along one axis: trial ``t`` occupies rows
     ``offsets[t]:offsets[t + 1]``, which are its ``n_window`` samples and ``margins[t]`` extra samples on
-    either side (half the filter's length, and one more where a rate is compared). Numbers do not depend
-    on the number of threads: each candidate is summed by one thread in a fixed order.
-
-    Parameters
-    ----------
-    trials : sequence of TrialTarget
-        At least one.
-    channels : sequence of CostChannel
-        The columns of every trial's `measured`, in order.
-    denominator : {"std", "range"}
-        Of the measured samples, per trial and channel.
+    either side (half the filter's length, and one more where a rate is compared). `channels` are the columns
+    of every trial's `measured`. One thread sums each candidate in a fixed order, so numbers do not depend on
+    the number of threads.
 
     Attributes
     ----------
@@ -253,7 +216,7 @@ class FilteredNrmse:
                 raise FitError(f"trial {trial.name}: no sample was delivered in its window; drop the trial")
             lost = np.flatnonzero(~delivered)
             after = np.searchsorted(known, lost)
-            # Before the first and after the last delivered sample both neighbours are the same one: held.
+            # Before the first and after the last delivered sample both neighbours are that sample.
             left = known[np.maximum(after - 1, 0)]
             right = known[np.minimum(after, known.size - 1)]
             width = np.maximum(right - left, 1)
@@ -279,21 +242,11 @@ class FilteredNrmse:
     def __call__(
         self, samples: FloatArray, reached: FloatArray | None = None, threads: int | None = None
     ) -> PopulationCost:
-        """Score a population.
+        """Score samples (P, n_total, n_columns), simulated on each recording's clock [SI].
 
-        Parameters
-        ----------
-        samples : (P, n_total, n_columns) array
-            Simulated samples on each recording's clock [SI].
-        reached : (P, T) array, optional
-            Share of the trial that was simulated, 1 = complete [1]; below 1 the trial failed. Default: 1.
-            A trial whose samples are not finite failed too, where they stop being so.
-        threads : int, optional
-            Cores to use; all by default. The numbers do not depend on it.
-
-        Notes
-        -----
-        A failed trial scores ``FAILED_NRMSE · (2 − reached)`` in every channel.
+        `reached` (P, T) is the share of the trial that was simulated [1], by default 1. A trial failed where
+        that is below 1, or from its first sample on that is not finite; it scores
+        ``FAILED_NRMSE · (2 − reached)`` in every channel. The numbers do not depend on `threads`.
         """
         samples = self._checked(samples)
         n_candidates, n_trials = len(samples), len(self.trials)

@@ -1,9 +1,9 @@
 """The skeleton of every model: what a verb needs to know of a fit problem, and of a kind of model.
 
 A `Problem` is the prepared trials of one campaign under one model. The search scores it, trust takes its
-residuals, validation and report its predictions; none of them asks which model it is. A `Kind` says how a
-campaign becomes a problem and what a fit of it leaves behind. A third model is one more folder that makes a
-`Problem` and a `Kind`, see `sysid.workflows.kinds.register`.
+residuals, validation and report its predictions; none of them asks which model it is. A `Kind` makes a
+problem of a campaign and an outcome of a fit. A third model is one more folder with a `Problem` and a `Kind`,
+see `sysid.workflows.kinds.register`.
 """
 
 from __future__ import annotations
@@ -50,7 +50,6 @@ class Trial:
 
     Parameters
     ----------
-    use : {"fit", "validate"}
     time : (n,) array
         Compared instants on the log's clock [s].
     measured, valid : (n, C) arrays
@@ -80,12 +79,10 @@ class Trial:
 
 @dataclass(frozen=True)
 class Block:
-    """The samples of one channel of one trial.
+    """The samples of one channel of one trial, both numbered from 0.
 
     Parameters
     ----------
-    trial, channel : int
-        Numbers from 0.
     start, stop : int
         Its residuals are ``[start:stop]``, one per compared sample, 0 where a sample does not count.
     count : int
@@ -112,12 +109,8 @@ class Block:
 class NoiseModel:
     """Correlations of residuals, each block scaled to unit variance.
 
-    Parameters
-    ----------
-    channels : tuple of int
-        Which channels, in the order of the arrays.
-    covariance : (C, C, L + 1) array
-        Of channel c at a sample and channel c' as many samples later as the last index says [1].
+    `covariance` (C, C, L + 1) is of channel c at a sample and channel c' later by the lag [1], for `channels`
+    in their order.
     """
 
     channels: tuple[int, ...]
@@ -125,7 +118,7 @@ class NoiseModel:
 
     @property
     def inflation(self) -> FloatArray:
-        """(C,) samples of each channel that carry as much as one independent sample [1]."""
+        """(C,) samples of each channel that are worth one independent sample [1]."""
         auto = np.array([self.covariance[c, c] for c in range(len(self.channels))])
         return np.maximum(1.0, (auto[:, 0] + 2 * auto[:, 1:].sum(axis=1)) / np.maximum(auto[:, 0], 1e-300))
 
@@ -157,24 +150,15 @@ class Problem(ABC):
     """Prepared trials of one campaign under one model.
 
     Equal rows give equal numbers whatever their neighbours and the number of threads. A subclass is a frozen
-    dataclass; what it computes from its fields are cached properties, which stay behind when it travels to
-    another process.
-
-    Attributes
-    ----------
-    campaign
-        Where the trials come from.
-    space : SearchSpace
-        Free parameters, and the values of all others.
-    causes : tuple of str
-        Causes of a lost simulation that are told apart, in the order in which a candidate is counted.
-    known_words : str
-        What trust counts as uncertain beside the noise, in words.
+    dataclass; cached properties, which it computes from its fields, stay behind when it travels to another
+    process.
     """
 
     campaign: Any
     space: SearchSpace
+    # Causes of a lost simulation, in the order in which a candidate is counted.
     causes: tuple[str, ...] = UNNAMED_CAUSE
+    # What trust counts as uncertain beside the noise.
     known_words: str = ""
 
     # --- what a model must say ------------------------------------------------------------------------------
@@ -234,16 +218,16 @@ class Problem(ABC):
         return NoiseModel(used, np.eye(len(used))[:, :, None])
 
     def disturbances_at(self, row: FloatArray) -> FloatArray:
-        """Return how one standard deviation of each thing that the fit takes as known moves the residuals.
+        """Return how one standard deviation of each assumed value moves the residuals: (K, m).
 
-        (K, m), at a row (n_table,) of the table [SI]. Such as the initial state of a drop, which noise has
-        moved as well. Independent of each other; the last `common` of them concern all trials.
+        At a row (n_table,) of the table [SI]. The initial state of a drop is such a value: noise moves it as
+        well. They are independent; the last `common` of them concern all trials.
         """
         return np.zeros((0, self.blocks[-1].stop))
 
     @property
     def common(self) -> int:
-        """How many of the disturbances, the last ones, are of no single trial."""
+        """Number of disturbances, the last ones, that concern all trials."""
         return 0
 
     def floors(self, row: FloatArray) -> FloatArray:
@@ -255,12 +239,12 @@ class Problem(ABC):
         return self.noise
 
     def known(self, fit: FitResult) -> Collection[str]:
-        """Return the parameters of which this campaign states a value that stands beside those of a fit."""
+        """Return the parameters for which this campaign's value replaces one that a fit took as known."""
         return self.campaign.parameters.fixed
 
     @property
     def instruments(self) -> Collection[str]:
-        """Parameters of logs and instruments, not of what is identified."""
+        """Parameters of logs and instruments, not of the vehicle."""
         return ()
 
     @property
@@ -274,7 +258,7 @@ class Problem(ABC):
 
     @property
     def row_logs(self) -> Mapping[str, str]:
-        """SHA-256 of the log of every row of the table that belongs to one log, by the row's name."""
+        """SHA-256 of the log of every row of one log, by the row's name."""
         digest = {trial.name: trial.digest for trial in self.trials}
         return {row.name: digest.get(row.trial, "") for row in self.space.table.values() if row.trial}
 
@@ -328,11 +312,11 @@ class Problem(ABC):
         return {}
 
     def advice(self, weak: Collection[str]) -> list[str]:
-        """Return what to record for parameters that the trials do not fix well."""
+        """Return what to record for parameters that the trials do not determine well."""
         return []
 
     def given(self) -> Mapping[str, str]:
-        """Return what the intervals take as exact, in words, by the parameter whose range would count."""
+        """Return what the intervals take as exact, by the parameter whose range would count."""
         return {}
 
     # --- what every model shares ----------------------------------------------------------------------------
@@ -430,23 +414,22 @@ class Problem(ABC):
     def adopt(self, fit: FitResult, values: FloatArray | None = None) -> FloatArray:
         """Return the rows (S, n_table) with which the sets of a fit predict these trials [SI].
 
-        `values` (S, n) of the fit's parameters stand in for its sets.
+        `values` (S, n) of the fit's parameters may replace its sets.
 
         The one rule of every prediction (`validate`, `cross-validate`, `compare`, `report --against`):
 
-        * What the fit has found is the fit's.
-        * What the campaign states or measures (vehicle, surface, rotor, static curves) is the campaign's,
-          where the fit has only taken it as known. Of what the campaign says nothing, the value that the fit
-          took as known counts as well.
+        * A parameter that the fit has found keeps the fit's value.
+        * A value that the campaign states or measures (vehicle, surface, rotor, static curves) replaces one
+          that the fit only took as known. Where the campaign states none, the fit's value counts.
         * Delays and lags of instruments are the campaign's where it states them. Else a log that the fit has
-          seen keeps what the fit found for that log, and any other takes the fit's mean. Tares belong to
-          the log and are read from it.
+          seen keeps the value found for that log, and any other takes the fit's mean. Tares are read from
+          each log.
         * Friction stays with its law: the campaign is opened under the fit's law (`Kind.under`), where
           friction stated for another law does not count.
-        * A motor's R stays with its k: torque and speed fix k²/R, so an R that was found keeps the k under
-          which it was found.
+        * A motor's R stays with its k: torque and speed determine k²/R, so a found R keeps the k under which
+          it was found.
 
-        A fit's accuracy plays no part: predictions are simulated as exactly as `exact` does.
+        Predictions are simulated as exactly as by `exact`, whatever the accuracy of the fit.
         """
         known = set(self.known(fit))
         instruments, row_logs = set(self.instruments), self.row_logs
@@ -470,7 +453,7 @@ class Problem(ABC):
 
 
 def first_cause(causes: NDArray[np.int8], count: int) -> NDArray[np.int8] | BoolArray:
-    """Return what a candidate (P,) is counted by, of the causes (P, T) of its trials; one cause: whether."""
+    """Return the cause by which a candidate (P,) counts, of its trials' (P, T); of one cause: whether."""
     if count == 1:
         return np.any(causes > 0, axis=1)
     codes = np.where(causes > 0, causes, count + 1).min(axis=1)
@@ -479,24 +462,16 @@ def first_cause(causes: NDArray[np.int8], count: int) -> NDArray[np.int8] | Bool
 
 @dataclass(frozen=True)
 class Words:
-    """What a kind's trials are called, and what sentences about them advise.
-
-    Parameters
-    ----------
-    single : str
-        A further recording that `sysid check` could suggest.
-    misleads : str
-        What makes a fit hang on one trial.
-    remedy : str
-        What else can be done about a trial that fits unlike the others; empty: nothing.
-    unlike : str
-        What makes one trial predicted far worse than the others.
-    """
+    """What a kind's trials are called, and what sentences about them advise."""
 
     trials: str = "trials"
+    # A further recording that `sysid check` could suggest.
     single: str = "trial"
+    # What makes a fit hang on one trial.
     misleads: str = "an error of that log"
+    # A further remedy for a trial that fits unlike the others.
     remedy: str = ""
+    # What makes the prediction of one trial far worse than the others.
     unlike: str = "a misread unit, clock or log"
 
 
@@ -504,12 +479,8 @@ class Words:
 class Course:
     """A fit after its search.
 
-    Parameters
-    ----------
-    cut : {"interrupted", "time"} or None
-        What cut the search short.
-    go_on : callable
-        Returns False; raises `sysid.fit.stopping.CutShort` where the fit must end.
+    `cut` is what cut the search short. `go_on` returns False, or raises `sysid.fit.stopping.CutShort` where
+    the fit must end.
     """
 
     sets: RankedSets
@@ -530,14 +501,10 @@ class Outcome:
         With which the trials are scored [SI].
     records : tuple of ParameterRecord
         One per column of `values`.
-    values, at_bound : (S, n) arrays
-        Of the sets [SI]; -1, 0, 1 where a value ends at a bound.
-    nrmse : (S,) array
-        Of the sets [1].
-    settings : mapping
-        What a simulator must know beside the numbers.
+    values, at_bound, nrmse, settings : arrays, mapping
+        As in `FitResult`.
     provenance : mapping
-        Beside that of every fit.
+        Beside the keys of every fit.
     cut : {"interrupted", "time"} or None
         What cut the search or the follow-up short.
     """
@@ -582,14 +549,14 @@ class Kind:
     Parameters
     ----------
     name : str
-        As campaign files and results say it.
+        As campaign files and results state it.
     campaign : type
         Of the campaign file; a subclass of `sysid.campaign.common.CampaignTable` with the tables ``fit`` and
         ``cost``.
     open : callable
         (campaign, path, threads) -> the problem of all its trials.
     begin : callable
-        (problem of all trials) -> None: refuses what could not be fitted in the end, tells what is fitted.
+        (problem of all trials) -> None: refuses early what could not be fitted, tells what is fitted.
     follow_up : callable
         (problem of all trials, `Course`) -> `Outcome`.
     candidates : callable

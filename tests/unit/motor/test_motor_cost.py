@@ -5,10 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from fakes.nrmse import nrmse
 from sysid.campaign.motor import ChebyshevFilter
 from sysid.errors import FitError
 from sysid.filters import ChebyshevLowpass
-from sysid.fit.nrmse import FAILED_NRMSE, nrmse
+from sysid.fit.nrmse import FAILED_NRMSE
 from sysid.motor.cost import BenchCost, MotorTarget
 from sysid.motor.targets import filter_taps
 
