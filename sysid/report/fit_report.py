@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -61,6 +62,7 @@ from sysid.report.trust_tables import interval_table, narrow_table, validation_t
 from sysid.trust import documents
 from sysid.types import FloatArray
 
+Content = TypeVar("Content", bound=Callable[..., Html])
 # Panels of channels beyond which a page holds them as pixels: vectors of 40 take 2 MB.
 _MOST_VECTORS = 60
 _COUNTS = (
@@ -68,65 +70,14 @@ _COUNTS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Section:
-    """A heading, a text and the methods of a report that fill it."""
+def titled(title: str, text: str = "") -> Callable[[Content], Content]:
+    """Give a method of a report, which returns the content of a section, the heading and text above it."""
 
-    title: str
-    methods: tuple[str, ...]
-    text: str = ""
+    def title_of(method: Content) -> Content:
+        vars(method).update(title=title, text=text)
+        return method
 
-
-# The sections of every fit.
-SECTIONS = {
-    section.title: section
-    for section in (
-        Section(
-            "Parameters",
-            ("parameters",),
-            "Identified values first, set by set; then their mean and spread over the runs, beside what was "
-            "measured independently and the bounds of the search, in the layout of the paper's Tables I and "
-            "II.",
-        ),
-        Section(
-            "Measured and simulated",
-            ("measured_against_simulated",),
-            "Dots or a black line: measured, filtered as the campaign says. Orange: the best set.",
-        ),
-        Section("Errors", ("trial_errors",), "rms error over the spread of the measurement, by channel."),
-        Section(
-            "Convergence",
-            ("convergence",),
-            "Every run starts from its own random seed. Runs that end in the same optimum are a good sign, "
-            "not a proof.",
-        ),
-        Section("Spread", ("spread",)),
-        Section(
-            "Profiles",
-            ("profiles",),
-            "One parameter is kept at each value of the axis while all others are fitted again. Where the "
-            "curve stays low, the data do not tell the values apart.",
-        ),
-        Section(
-            "Correlation",
-            ("correlation",),
-            "Parameters that stand in for each other cannot be told apart by these trials.",
-        ),
-        Section("Validation", ("validation",), "The same sets on trials that the search never saw."),
-        Section(
-            "Filter",
-            ("filter_response",),
-            "What was measured, over frequency, and what the filter leaves of it. Signal that the filter "
-            "takes away is not compared.",
-        ),
-        Section("Provenance", ("provenance",)),
-    )
-}
-
-
-def arranged(*sections: Section | str) -> tuple[Section, ...]:
-    """Return sections in an order; those of every fit by their titles."""
-    return tuple(SECTIONS[section] if isinstance(section, str) else section for section in sections)
+    return title_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +90,13 @@ class FitReport:
 
     title: ClassVar[str] = "What the trials say"
     noun: ClassVar[str] = "trial"
-    sections: ClassVar[tuple[Section, ...]] = tuple(SECTIONS.values())
+    # What the figures of measured and simulated signals show beside them.
+    about_signals: ClassVar[str] = ""
+    # Methods in the order of the page.
+    sections: ClassVar[tuple[str, ...]] = (
+        "parameters", "measured_against_simulated", "trial_errors", "convergence", "spread", "profiles",
+        "correlation", "validation", "filter_response", "provenance",
+    )  # fmt: skip
 
     # What a kind may add.
 
@@ -175,16 +132,18 @@ class FitReport:
     def page(self) -> str:
         """Return the report as one page of HTML."""
         top = heading(self.title, 1) + self.verdict()
-        body = top + joined([self.section(section.title) for section in self.sections])
-        return page(f"sysid: {self.fit.name}", body)
+        return page(f"sysid: {self.fit.name}", top + joined([self.section(t) for t in self.section_titles()]))
+
+    def section_titles(self) -> list[str]:
+        """Return the headings in their order."""
+        return [getattr(self, name).title for name in self.sections]
 
     def section(self, title: str) -> Html:
         """Return a section by its title: heading, text and content."""
-        section = next(section for section in self.sections if section.title == title)
-        text = paragraph(section.text) if section.text else NOTHING
-        return heading(title) + text + joined([getattr(self, name)() for name in section.methods])
+        content = getattr(self, self.sections[self.section_titles().index(title)])
+        return heading(title) + (paragraph(content.text) if content.text else NOTHING) + content()
 
-    # What the fit and its folder hold.
+    # The content of the fit and its folder.
 
     @cached_property
     def trust(self) -> dict[str, Any] | None:
@@ -326,6 +285,11 @@ class FitReport:
         free = [record.name for record in fit.parameters if record.status == "free"]
         return tuple(name for name in free if name in wide or in_place_of_digits(fit.settings, name))
 
+    @titled(
+        "Parameters",
+        "Identified values first, set by set; then their mean and spread over the runs, beside what was "
+        "measured independently and the bounds of the search, in the layout of the paper's Tables I and II.",
+    )
     def parameters(self) -> Html:
         """Return the tables of parameters: sets, the layout of Tables I and II, intervals."""
         sets = self.fit.parameter_sets()
@@ -336,15 +300,24 @@ class FitReport:
         more = folded("68 % intervals", markup_table(narrow_table(self.trust)))
         return out + markup_table(interval_table(self.trust)) + more
 
+    @titled(
+        "Errors",
+        "rms error over the spread of the measurement, by channel.",
+    )
     def trial_errors(self) -> Html:
         """Return NRMSE per trial and channel."""
         return joined([markup_table(trial_table(f.parameter_sets())) for f in self.fits if f.trials])
 
+    @titled(
+        "Measured and simulated",
+        "Dots or a black line: measured, filtered as the campaign says. Orange: the best set.",
+    )
     def measured_against_simulated(self) -> Html:
         """Return every trial's channels, folded but for the first of each use."""
         bars = [self.bars(fit, trial) for fit in self.fits for trial in fit.trials]
         names = list(dict.fromkeys(name for trial in bars for name in trial))
-        out = legend(legend_of(self.fit, self.fit.trials, names))
+        out = paragraph(self.about_signals) if self.about_signals else NOTHING
+        out += legend(legend_of(self.fit, self.fit.trials, names))
         seen = set()
         vector = len(self.trials) * len(self.fit.channels) <= _MOST_VECTORS
         for fit in self.fits:
@@ -356,6 +329,11 @@ class FitReport:
                 seen.add(trial.use)
         return out
 
+    @titled(
+        "Convergence",
+        "Every run starts from its own random seed. Runs that end in the same optimum are a good sign, not a "
+        "proof.",
+    )
     def convergence(self) -> Html:
         """Return how the runs went, and where they ended."""
         agreement = self.fit.agreement
@@ -374,6 +352,7 @@ class FitReport:
             f"{sentence[:1].upper()}{sentence[1:]}."
         )
 
+    @titled("Spread")
     def spread(self) -> Html:
         """Return where the sets lie between the bounds."""
         return picture(
@@ -383,6 +362,11 @@ class FitReport:
             "Parameters in the unit cube: best set (diamond) and the others between their bounds [SI].",
         )
 
+    @titled(
+        "Profiles",
+        "One parameter is kept at each value of the axis while all others are fitted again. Where the curve"
+        " stays low, the data do not tell the values apart.",
+    )
     def profiles(self) -> Html:
         """Return the profiles of the cost and of the likelihood."""
         pieces = []
@@ -400,6 +384,10 @@ class FitReport:
         out = grid(pieces)
         return out if self.trust else out + self.missing("profiles of the likelihood", "sysid trust")
 
+    @titled(
+        "Correlation",
+        "Parameters that stand in for each other cannot be told apart by these trials.",
+    )
     def correlation(self) -> Html:
         """Return how the estimates go together."""
         if self.trust is None:
@@ -412,6 +400,10 @@ class FitReport:
         words = "correlation of the estimates" + (f"; strongest: {'; '.join(strong[:6])}" if strong else "")
         return picture(figure_correlation(self.trust), words, "Correlation of the estimates.")
 
+    @titled(
+        "Validation",
+        "The same sets on trials that the search never saw.",
+    )
     def validation(self) -> Html:
         """Return how trials that were not fitted are predicted."""
         out = NOTHING
@@ -428,6 +420,11 @@ class FitReport:
             out += self.missing("validation on other trials", "sysid validate", " CAMPAIGN")
         return out
 
+    @titled(
+        "Filter",
+        "What was measured, over frequency, and what the filter leaves of it. Signal that the filter takes "
+        "away is not compared.",
+    )
     def filter_response(self) -> Html:
         """Return the filter's gain over the spectrum of what was measured."""
         kind = str(self.fit.provenance.get("filter", {}).get("kind", "none"))
@@ -438,6 +435,7 @@ class FitReport:
         missing = "The signals were not filtered, or the fit does not hold their spectra."
         return grid(pieces) if pieces else paragraph(missing, "note")
 
+    @titled("Provenance")
     def provenance(self) -> Html:
         """Return what a reader needs to repeat the fit, or to doubt it."""
         record = run_record(self.fit)

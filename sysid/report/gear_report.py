@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import replace
 from functools import cached_property
 
 from matplotlib.figure import Figure
@@ -16,34 +15,10 @@ from sysid.report.animation import animation
 from sysid.report.diagrams import figure_geometry, figure_modes, mode_shares
 from sysid.report.drop_replay import FEET, DropReplay, replay_drop
 from sysid.report.fit_figures import Bars
-from sysid.report.fit_report import SECTIONS, FitReport, Section, arranged
+from sysid.report.fit_report import FitReport, titled
 from sysid.report.html import NOTHING, Html, paragraph, picture
 from sysid.report.snapshots import figure_snapshots
 
-GEOMETRY = Section(
-    "Geometry",
-    ("diagram",),
-    "The lengths that the model needs and the forces that it knows. Measure the masses, the moment of "
-    "inertia and where the feet are; the joints come from the fit. Each leg stands for the pair of legs at "
-    "its end.",
-)
-ANIMATION = Section(
-    "Animation",
-    ("animation", "snapshots"),
-    "One drop at a time, slowed down. The numbered buttons go to the instants of the paper's Fig. 7.",
-)
-_MEASURED = SECTIONS["Measured and simulated"]
-CONTACTS = replace(
-    _MEASURED,
-    text=f"{_MEASURED.text} The simulated signals have passed through the same filter. Bars at the bottom "
-    "of each figure: the rear and the front foot of the best set's simulation are on the ground.",
-)
-FRICTION = Section(
-    "Friction",
-    ("modes",),
-    "On high friction each foot slips or sticks by itself; the simulation switches where one of the "
-    "conditions comes true.",
-)
 _LENGTHS = (
     ("dx_j", "joint_dx"), ("dz_j", "joint_dz"), ("dx_f", "foot_dx"), ("dz_f", "foot_dz"),
     ("dx_m", "thrust_point_dx"),
@@ -57,9 +32,13 @@ class GearReport(FitReport):
 
     title = "Landing gear: what the drops say"
     noun = "drop"
-    sections = arranged(
-        "Parameters", GEOMETRY, ANIMATION, CONTACTS, "Errors", "Convergence", "Spread", "Profiles",
-        "Correlation", "Validation", FRICTION, "Filter", "Provenance",
+    about_signals = (
+        "The simulated signals have passed through the same filter. Bars at the bottom of each figure: the "
+        "rear and the front foot of the best set's simulation are on the ground."
+    )
+    sections = (
+        "parameters", "diagram", "animation", "measured_against_simulated", "trial_errors", "convergence",
+        "spread", "profiles", "correlation", "validation", "modes", "filter_response", "provenance",
     )  # fmt: skip
 
     @property
@@ -98,6 +77,12 @@ class GearReport(FitReport):
         steepest = max(known, key=lambda trial: logs.get(trial.name, {}).get("slope [deg]", 0.0))
         return replay_drop(self.fit, steepest)
 
+    @titled(
+        "Geometry",
+        "The lengths that the model needs and the forces that it knows. Measure the masses, the moment of "
+        "inertia and where the feet are; the joints come from the fit. Each leg stands for the pair of legs"
+        " at its end.",
+    )
     def diagram(self) -> Html:
         """Return the labelled diagram of frames, lengths and forces (Fig. 2), from the best set's values."""
         values = self.values()
@@ -109,14 +94,18 @@ class GearReport(FitReport):
         caption = "Frames, lengths and forces (Fig. 2), drawn to scale from the best set."
         return picture(self._geometry(), words, caption)
 
+    @titled(
+        "Animation",
+        "One drop at a time, slowed down. The numbered buttons go to the instants of the paper's Fig. 7.",
+    )
     def animation(self) -> Html:
-        """Return the drops in motion, slowed down, with forces, ghost and the instants of Fig. 7."""
+        """Return the drops in motion, with forces and ghost, and the instants of Fig. 7."""
         if not self.replays:
             return paragraph(
                 "No animation: the fit does not hold the states in which its drops start; fit again.", "note"
             )
         names = [self.fits[other].name for other, _ in self.replays] if self.against is not None else ()
-        return animation(self.drops(), names)
+        return animation(self.drops(), names) + self.snapshots()
 
     def snapshots(self) -> Html:
         """Return the instants (1) to (4) of Fig. 7 of the steepest drop."""
@@ -133,6 +122,11 @@ class GearReport(FitReport):
         )
         return picture(figure_snapshots(drop), f"simulated snapshots of {drop.name}: {instants}", caption)
 
+    @titled(
+        "Friction",
+        "On high friction each foot slips or sticks by itself; the simulation switches where one of the "
+        "conditions comes true.",
+    )
     def modes(self) -> Html:
         """Return the modes of the high-friction hybrid with the transitions that happen (Fig. 5)."""
         if self._law is None or not self._law.switching:

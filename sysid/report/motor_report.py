@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,28 +11,12 @@ from sysid.fit.result import FitResult, TrialResult
 from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.motor.model import thrust as static_thrust
 from sysid.report.drawing import USES
-from sysid.report.fit_report import SECTIONS, FitReport, Section, arranged
+from sysid.report.fit_report import FitReport, titled
 from sysid.report.html import Html, definitions, grid, markup_table, paragraph, picture
 from sysid.report.motor_figures import figure_thrust, reversal_commands
 from sysid.report.set_tables import ladder_table
 from sysid.types import FloatArray
 
-_MEASURED = SECTIONS["Measured and simulated"]
-THRUST = replace(
-    _MEASURED,
-    text=f"{_MEASURED.text} The thrust is not compared in the fit: it follows from the speed and the static "
-    "curve, and so tells whether both hold.",
-)
-REVERSALS = Section(
-    "Reversals",
-    ("reversals",),
-    "Thrust around commands that turn the motor round, and the time until 90 % of the final thrust.",
-)
-STEPS = Section(
-    "Steps of the model",
-    ("ladder",),
-    "What each part of the model buys on trials that were fitted and on trials that were held back.",
-)
 # Reversals that a page draws.
 _MOST_REVERSALS = 6
 
@@ -42,11 +25,14 @@ class MotorReport(FitReport):
     """The report of a motor."""
 
     title = "Motor: what the bench logs say"
-    sections = arranged(
-        "Parameters", THRUST, REVERSALS, "Errors", STEPS, "Convergence", "Spread", "Profiles",
-        "Correlation", "Validation", "Filter", "Provenance",
+    about_signals = (
+        "The thrust is not compared in the fit: it follows from the speed and the static curve, and so tells "
+        "whether both are right."
+    )
+    sections = (
+        "parameters", "measured_against_simulated", "reversals", "trial_errors", "ladder", "convergence",
+        "spread", "profiles", "correlation", "validation", "filter_response", "provenance",
     )  # fmt: skip
-
     model = "motor"
 
     def more_panels(self, fit: FitResult, trial: TrialResult) -> list[Html]:
@@ -57,6 +43,10 @@ class MotorReport(FitReport):
         words = f"{trial.name}: thrust in newton, measured and simulated, and the command over time"
         return [picture(figure, words, "Thrust (Fig. 4); it is not compared in the fit.")]
 
+    @titled(
+        "Reversals",
+        "Thrust around commands that turn the motor round, and the time until 90 % of the final thrust.",
+    )
     def reversals(self) -> Html:
         """Return thrust after reversal commands, in the manner of Fig. 3, and the delays."""
         commands = [(trial, *each) for trial in self.fit.trials for each in reversal_commands(trial)]
@@ -87,6 +77,10 @@ class MotorReport(FitReport):
             out += definitions(rows, "from the command to 90 % of the final thrust")
         return out if out.text else paragraph("No trial reverses the motor.", "note")
 
+    @titled(
+        "Steps of the model",
+        "What each part of the model buys on trials that were fitted and on trials that were held back.",
+    )
     def ladder(self) -> Html:
         """Return what each step of the model buys."""
         sets = self.fit.parameter_sets()

@@ -38,7 +38,8 @@ def test_notebooks_are_thin_stripped_and_take_parameters(path):
     shown = [match[1] for match in sections if match]
     if path.stem.startswith("fit-report-"):
         # The sections bring their own prose, so that page and notebook read alike.
-        assert shown == [section.title for section in REPORTS[path.stem.split("-")[-1]].sections]
+        report = REPORTS[path.stem.split("-")[-1]]
+        assert shown == [getattr(report, name).title for name in report.sections]
     else:
         assert prose >= 4
     assert len({cell["id"] for cell in notebook["cells"]}) == len(notebook["cells"])
