@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
@@ -70,28 +71,23 @@ def _first_sentence(error: ValidationError, model: type[BaseModel], data: dict[s
     """Turn pydantic's list into one sentence: unknown keys first, since they cause the missing ones."""
     details = sorted(error.errors(include_url=False), key=lambda d: d["type"] != "extra_forbidden")
     detail = details[0]
-    where = _place(detail["loc"], data)
-    near: list[str] = []
-    known: list[str] = []
+    where, value = _place(detail["loc"], data), detail.get("input")
     if detail["type"] == "extra_forbidden":
-        known = _known_keys(model, detail["loc"][:-1])
-        near = difflib.get_close_matches(str(detail["loc"][-1]), known, 1)
+        *table, key = detail["loc"]
+        known = _known_keys(model, table)
+        near = difflib.get_close_matches(str(key), known, 1)
         # A required key that was mistyped is missing as well: one mistake, counted once.
-        meant = (*detail["loc"][:-1], *near)
-        details = [d for d in details if d["type"] != "missing" or d["loc"] != meant]
-    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-    if detail["type"] == "extra_forbidden":
+        details = [d for d in details if d["type"] != "missing" or d["loc"] != (*table, *near)]
         hint = f"nearest known key is {near[0]!r}" if near else f"known keys are {', '.join(known)}"
-        return f"unknown key {where}; {hint}{more}"
-    if detail["type"] == "missing":
-        return f"{where} is missing; 'sysid new-campaign' shows how it is written{more}"
-    message = detail["msg"].removeprefix("Value error, ").replace("a valid tuple", "a list")
-    value = detail.get("input")
-    shown = (
-        f", found {value!r}" if isinstance(value, str | int | float) and repr(value) not in message else ""
-    )
-    prefix = f"{where}: " if where else ""
-    return f"{prefix}{message}{shown}{more}"
+        sentence = f"unknown key {where}; {hint}"
+    elif detail["type"] == "missing":
+        sentence = f"{where} is missing; 'sysid new-campaign' shows how it is written"
+    else:
+        message = detail["msg"].removeprefix("Value error, ").replace("a valid tuple", "a list")
+        shown = isinstance(value, str | int | float) and repr(value) not in message
+        place, value_shown = (f"{where}: " if where else ""), (f", found {value!r}" if shown else "")
+        sentence = f"{place}{message}{value_shown}"
+    return sentence + (f" (and {len(details) - 1} more)" if len(details) > 1 else "")
 
 
 def _place(loc: tuple[int | str, ...], data: Any) -> str:
@@ -109,7 +105,7 @@ def _place(loc: tuple[int | str, ...], data: Any) -> str:
     return out
 
 
-def _known_keys(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
+def _known_keys(model: type[BaseModel], loc: Iterable[int | str]) -> list[str]:
     for key in loc:
         if isinstance(key, str):
             inner = _model_in(model.model_fields[key].annotation)

@@ -50,6 +50,10 @@ QUANTITIES = {
     "voltage": Quantity(frozenset({"voltage", "supply voltage", "battery voltage"}), "V"),
     "current": Quantity(frozenset({"current", "supply current", "motor current"}), "A"),
 }
+# Names by channel, with the signals beside the quantities.
+STEMS = {"time": TIME, "command": COMMAND, "tachometer": TACHOMETER} | {
+    name: quantity.stems for name, quantity in QUANTITIES.items()
+}
 # At least one of these makes a log a load-cell log.
 MEASURED = ("thrust", "torque")
 # Names that only a force sensor has.

@@ -30,11 +30,9 @@ from sysid.loaders.columns import (
     suffix_unit,
 )
 from sysid.loaders.load_cell import (
-    COMMAND,
     MEASURED,
     QUANTITIES,
-    TACHOMETER,
-    TIME,
+    STEMS,
     check_tachometer,
     quantity_channel,
     speed_channel,
@@ -54,7 +52,6 @@ _OTHER_UNITS = {
 # Lengths of signals on one rate that differ by this share were not recorded over one span, and a stated rate
 # that differs by this from the rate of the times is another one: no clock drifts by as much.
 _LENGTHS, _RATES = 0.02, 0.1
-_SPECIAL = {"time": TIME, "command": COMMAND, "tachometer": TACHOMETER}
 
 
 @dataclass(frozen=True)
@@ -104,7 +101,7 @@ class Signal:
     def is_time(self) -> bool:
         """Whether it is a clock by its name; a ``T`` in degrees is a temperature."""
         if self.stem != "t" or self.stated_unit is None:
-            return self.stem in TIME
+            return self.stem in STEMS["time"]
         return factor_or_none(self.stated_unit, "s") is not None
 
 
@@ -126,15 +123,14 @@ class RawSignals:
 
 def _named(path: str, signals: Mapping[str, Signal], datasets: object, what: str) -> dict[str, str]:
     """Return channel -> signal name as the user states them in `datasets`; `what` is in the file."""
-    known = {**_SPECIAL, **QUANTITIES}
     if not isinstance(datasets, Mapping):
         raise LogError(
             f'{path}: datasets = {datasets!r} is no table; expected for example {{thrust = "/ft/Fz"}}'
         )
     chosen = {}
     for channel, where in datasets.items():
-        if channel not in known:
-            raise LogError(f'{path}: datasets names "{channel}"; it can name {", ".join(known)}')
+        if channel not in STEMS:
+            raise LogError(f'{path}: datasets names "{channel}"; it can name {", ".join(STEMS)}')
         given = str(where)
         full = next((name for name in (given, "/" + given.strip("/")) if name in signals), None)
         if full is None:
@@ -158,12 +154,11 @@ def _choose(path: str, signals: Mapping[str, Signal], raw: RawSignals, datasets:
     if datasets is not None:
         chosen = _named(path, signals, datasets, what)
     else:
-        stems = {**_SPECIAL, **{name: quantity.stems for name, quantity in QUANTITIES.items()}}
-        for channel, known in stems.items():
+        for channel, stems in STEMS.items():
             matches = [
                 name
                 for name, signal in signals.items()
-                if (signal.is_time if channel == "time" else signal.stem in known)
+                if (signal.is_time if channel == "time" else signal.stem in stems)
             ]
             if len(matches) > 1 and channel != "time":
                 raise LogError(

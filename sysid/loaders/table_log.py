@@ -89,15 +89,11 @@ def motor_transform(path: str, transform: Mapping[str, Any]) -> FloatArray:
     return out
 
 
-def _without_tare(
-    path: str, values: FloatArray, time: FloatArray, tare: Any
-) -> tuple[FloatArray, list[Finding]]:
-    """Return values less the mean of the first `tare` seconds of each column, and a note; None takes nothing.
+def _without_tare(path: str, values: FloatArray, time: FloatArray, tare: Any) -> tuple[FloatArray, Finding]:
+    """Return values less the mean of the first `tare` seconds of each column, and a note.
 
     A `tare` that is no positive time or covers no sample is a LogError.
     """
-    if tare is None:
-        return values, []
     if not is_positive(tare):
         raise LogError(
             f"{path}: tare = {tare!r}; expected seconds at the start of the log without load, or with their "
@@ -109,13 +105,15 @@ def _without_tare(
         raise LogError(f"{path}: the first {float(tare):g} s have no sample to take the tare from")
     offset = np.asarray(np.nanmean(values[first], axis=0))
     sentence = f"tare: the mean of the first {tare:g} s was subtracted"
-    return values - offset, [note("tare-subtracted", sentence)]
+    return values - offset, note("tare-subtracted", sentence)
 
 
 def _load_channels(path: str, raw: RawTable, loads: FloatArray, options: BenchOptions) -> dict[str, Channel]:
     """Return the six loads: tare off, scaled, at the motor's axes."""
-    load, tared = _without_tare(path, loads, raw.time, options.tare)
-    raw.notes += tared
+    load = loads
+    if options.tare is not None:
+        load, tared = _without_tare(path, load, raw.time, options.tare)
+        raw.notes.append(tared)
     if raw.scale is not None:
         load = load @ raw.scale.T if raw.scale.ndim == 2 else load * raw.scale
     if raw.limits is not None and (over := np.any(np.abs(load) > raw.limits, axis=0)).any():

@@ -23,14 +23,7 @@ from sysid.errors import LogError, UnitError
 from sysid.journal import note
 from sysid.loaders.capture_log import Body, RawCapture, body_name, capture_format, declared_length
 from sysid.loaders.clock import EXPORT_FINER, frame_clock, jitter_note, order_rows
-from sysid.loaders.columns import (
-    Column,
-    DeclaredUnits,
-    NamedTable,
-    header_columns,
-    listing,
-    unread_note,
-)
+from sysid.loaders.columns import Column, DeclaredUnits, NamedTable, header_columns, listing, unread_note
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
 from sysid.loaders.source import Source

@@ -22,13 +22,7 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.readers.load_cell_hdf5 import (
-    LAYOUT_ATTRIBUTE,
-    hdf5_datasets,
-    is_hdf5,
-    open_hdf5,
-    plain,
-)
+from sysid.loaders.readers.load_cell_hdf5 import LAYOUT_ATTRIBUTE, hdf5_datasets, is_hdf5, open_hdf5, plain
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
 from sysid.recording import Channel, FloatArray, Provenance, Recording
