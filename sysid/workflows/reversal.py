@@ -12,6 +12,7 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.filters import ChebyshevLowpass
+from sysid.journal import Finding, note
 from sysid.loaders import load
 from sysid.motor.targets import uniform_filtered
 from sysid.recording import Channel
@@ -90,7 +91,7 @@ class LogReversals:
     thrust: tuple[FloatArray, FloatArray]
     crossing_from: str
     lost: int
-    notes: tuple[str, ...]
+    notes: tuple[Finding, ...]
 
     def document(self, slow: float) -> dict[str, Any]:
         """Return what `--json` prints."""
@@ -98,7 +99,7 @@ class LogReversals:
             "log": self.name,
             "crossing_from": self.crossing_from,
             "lost_to_stalls": self.lost,
-            "notes": list(self.notes),
+            "notes": [finding.document() for finding in self.notes],
             "repetitions": [
                 {
                     "before": group.before,
@@ -145,11 +146,11 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
     fast = rate >= _FAST * options.stop_edge
     speed = recording["speed"] if "speed" in recording.channels else None
     zero = tare(thrust.values, rows_at_rest(time, u, None if speed is None else speed.values))
-    notes = recording.provenance.sentences
+    notes = list(recording.provenance.notes)
     keep = thrust.valid if fast else real_samples(thrust.values)
     if zero.rows == 0:
-        zero, basis = _zero_without_rest(steps, thrust, keep, speed)
-        notes.append(f"no row at rest: {basis}")
+        zero, finding = _zero_without_rest(steps, thrust, keep, speed)
+        notes.append(finding)
     forces = (thrust.time[keep], options.thrust_sign * (thrust.values[keep] - zero.value))
     turns = None if speed is None else (speed.time[speed.valid], speed.values[speed.valid])
     if fast:
@@ -157,7 +158,8 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
         forces = _known(uniform_filtered(*forces, lowpass, f"{where}, thrust"))
         turns = None if turns is None else _known(uniform_filtered(*turns, lowpass, f"{where}, speed"))
     else:
-        notes.append(f"rows every {1e3 / rate:.1f} ms: timed between real samples, unfiltered")
+        sentence = f"rows every {1e3 / rate:.1f} ms: timed between real samples, unfiltered"
+        notes.append(note("unfiltered", sentence))
     doubtful = tuple(s.doubtful for s in find_stalls(time, steps) if s.doubtful is not None)
     _check_sense(steps, forces, options.thrust_sign < 0, where)
     everything = find_reversals(time, steps, forces, turns, sense=options.sense)
@@ -170,12 +172,16 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
             "--sense, or record one"
         )
     groups = repetitions(kept)
-    notes += [
-        f"u {group.before:+.2f} → {group.after:+.2f}: no repetition settled while it was held (at most "
-        f"{max(r.hold for r in group.reversals):.2g} s), so its final thrust is not known; hold it longer"
-        for group in groups
-        if group.unsettled
-    ]
+    for group in groups:
+        if group.unsettled:
+            hold = max(r.hold for r in group.reversals)
+            notes.append(
+                Finding(
+                    "reversals-unsettled",
+                    f"u {group.before:+.2f} → {group.after:+.2f}: no repetition settled during its command "
+                    f"(at most {hold:.2g} s), so its final thrust is not known; command it for longer",
+                )
+            )
     signed = turns is not None and bool(np.any(turns[1] < 0) and np.any(turns[1] > 0))
     return LogReversals(
         path.name, groups, forces, "speed" if signed else "thrust",
@@ -185,22 +191,21 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
 
 def _zero_without_rest(
     steps: CommandSteps, thrust: Channel, keep: BoolArray, speed: Channel | None
-) -> tuple[Tare, str]:
-    """Return the tare [N] of a thrust without a row at rest, and what it rests on, in words."""
-    if speed is None:
-        return _NO_TARE, "the tare of thrust is taken as 0"
-    # Steady stretches turn as they are commanded, whatever an unsigned probe shows.
-    step = np.maximum(np.searchsorted(steps.time, speed.time, side="right") - 1, 0)
-    turning = np.sign(steps.level[step]) * np.abs(speed.values)
-    channels = {"speed": (speed.time, turning), "thrust": (thrust.time[keep], thrust.values[keep])}
-    points = steady_points(thrust.time, steps, channels)
-    zero = zero_of_steady(points.thrust, points.speed)
-    if zero is None:
-        return _NO_TARE, "too few steady points beside it, so the tare of thrust is taken as 0"
-    return zero, (
-        f"the tare of thrust, {1e3 * zero.value:.3g} ± {1e3 * zero.error:.2g} mN, is what its steady "
-        "points over Ω|Ω| leave at standstill"
-    )
+) -> tuple[Tare, Finding]:
+    """Return the tare [N] of a thrust without a row at rest, and where it comes from."""
+    zero, basis = None, "the tare of thrust is taken as 0"
+    if speed is not None:
+        # Steady stretches turn as they are commanded, whatever an unsigned probe shows.
+        step = np.maximum(np.searchsorted(steps.time, speed.time, side="right") - 1, 0)
+        turning = np.sign(steps.level[step]) * np.abs(speed.values)
+        channels = {"speed": (speed.time, turning), "thrust": (thrust.time[keep], thrust.values[keep])}
+        points = steady_points(thrust.time, steps, channels)
+        zero = zero_of_steady(points.thrust, points.speed)
+        basis = f"too few steady points beside it, so {basis}"
+    if zero is not None:
+        basis = f"the tare of thrust, {1e3 * zero.value:.3g} ± {1e3 * zero.error:.2g} mN, is what its steady "
+        basis += "points over Ω|Ω| leave at standstill"
+    return zero or _NO_TARE, note("no-row-at-rest", f"no row at rest: {basis}")
 
 
 def _known(signal: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
@@ -248,8 +253,8 @@ def reversal_times(
     if not print_result(document, json):
         print_table(_table(timed, options.slow))
         for log in timed:
-            for note in log.notes:
-                print(f"{log.name}: {note}")
+            for finding in log.notes:
+                print(f"{log.name}: {finding}")
             if log.lost:
                 print(f"{log.name}: {log.lost} reversals left out, the logger stalled around their command")
         if figure is not None:
