@@ -1,7 +1,7 @@
 """Bench trials that could be recorded next, simulated as they would be compared.
 
-Reversals are no candidates: what they tell is I_sat and Ω_min, which are fitted after everything else. Nor is
-a rotor without propeller that coasts down, which tells k_d: it is another motor to the dynamic fit.
+Reversals are no candidates: they show I_sat and Ω_min, which are fitted after everything else. Nor is a rotor
+without propeller that coasts down, which shows k_d: it is another motor to the dynamic fit.
 """
 
 from __future__ import annotations
@@ -64,9 +64,8 @@ def _commands() -> list[tuple[str, FloatArray, FloatArray]]:
     out.append((f"a ramp from {100 * low:g} to {100 * high:g} % in {_LASTS:g} s", fine, ramp))
     for mean, swing, rate in _SINES:
         command = mean + swing * np.sin(2 * np.pi * rate * fine)
-        out.append(
-            (f"a sine of {100 * mean:g} ± {100 * swing:g} % at {rate:g} Hz for {_LASTS:g} s", fine, command)
-        )
+        title = f"a sine of {100 * mean:g} ± {100 * swing:g} % at {rate:g} Hz for {_LASTS:g} s"
+        out.append((title, fine, command))
     return out
 
 
@@ -76,7 +75,7 @@ def _candidate(
     """Return a trial as it would be compared at a row (1, n) of the table; None where it cannot be simulated.
 
     With the template's sampling, filter, channels and delay. The delay of a new log would be one more
-    unknown, which steps of the command fix.
+    unknown, which steps of the command determine.
     """
     before = template.target
     half = max(0, len(before.taps) - 1)
@@ -98,9 +97,5 @@ def _candidate(
         command=np.concatenate([[command[0]], command]), time=grid, supply=None,
     )  # fmt: skip
     trial = replace(template, simulated=schedule, target=blank, starts=(), thrust=None)
-    alone = problem.of((trial,))
-    samples, reached = alone.simulate(row)
-    if np.any(reached < 1.0):
-        return None
-    clean = alone.cost.prepared(samples, alone.sensors(row))[0][0]
-    return replace(trial, target=replace(blank, measured=clean))
+    signals, lost = problem.of((trial,)).signals(row)
+    return None if lost.any() else replace(trial, target=replace(blank, measured=signals[0][0]))

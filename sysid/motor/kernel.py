@@ -14,7 +14,7 @@ I^r     rotor_inertia          kg·m²           rotor and propeller
 I_sat   saturation_current     A
 Ω_min   saturation_speed       rad/s           edge of the dead band
 a, b    no_load_*              rad/s           Ω_0(u) = a u + b sign(u), per direction
-c2, c1  thrust_*, torque_*                     c2 Ω|Ω| + c1 Ω, per direction
+c2, c1  torque_*                               c2 Ω|Ω| + c1 Ω, per direction
 ======  =====================  ==============  ==================================================
 
 The right-hand side is smooth between events, and each event ends a step: a command change, a knot of the
@@ -44,7 +44,6 @@ READS = (
     "saturation_speed",
     "command_delay",
     *(f"no_load_{name}_{way}" for way in ("forward", "reverse") for name in ("slope", "intercept")),
-    *(f"thrust_{name}_{way}" for way in ("forward", "reverse") for name in ("quadratic", "linear")),
     *(f"torque_{name}_{way}" for way in ("forward", "reverse") for name in ("quadratic", "linear")),
 )
 R, L = READS.index("winding_resistance"), READS.index("winding_inductance")
@@ -55,7 +54,6 @@ I_SAT, OMEGA_MIN = READS.index("saturation_current"), READS.index("saturation_sp
 DELAY = READS.index("command_delay")
 # First of four coefficients: two of forward rotation, and `REVERSE` columns further the same of reverse.
 NO_LOAD = READS.index("no_load_slope_forward")
-THRUST = READS.index("thrust_quadratic_forward")
 TORQUE = READS.index("torque_quadratic_forward")
 REVERSE = READS.index("torque_quadratic_reverse") - TORQUE
 
@@ -85,13 +83,6 @@ _H21, _H22, _H23 = 10.12623508344586, -7.487995877610167, -34.80091861555747
 _H24, _H25 = -7.992771707568823, 1.025137723295662
 _H31, _H32, _H33 = -0.6762803392801253, 6.087714651680015, 16.43084320892478
 _H34, _H35 = 24.76722511418386, -6.594389125716872
-
-
-@njit(cache=True, error_model="numpy")
-def curve(speed, row, first):
-    """Return c2 Ω|Ω| + c1 Ω with the coefficients of the direction of `speed`."""
-    k = first if speed >= 0.0 else first + REVERSE
-    return (row[k] * abs(speed) + row[k + 1]) * speed
 
 
 @njit(cache=True, error_model="numpy")

@@ -25,8 +25,7 @@ _SIMULATED, _COMPARED = 10.0, 2.5
 _SLOW_SHARE, _SLOW_GRID = 0.35, (1e-3, 4e-3)
 # The supply voltage is averaged over this time [s]: its noise is no physics.
 _SUPPLY_MEAN = 0.04
-# Every knot of the supply ends a step of the simulation: those within this share of V_ref of a line are left
-# out.
+# Every knot of the supply ends a simulated step: knots within this share of V_ref of a line are left out.
 _SUPPLY_LINE = 2e-3
 # Filter taps below this share of the centre are cut.
 _TAP_LEAST = 1e-4

@@ -19,7 +19,7 @@ from scipy.integrate import solve_ivp
 
 from sysid.motor import model
 from sysid.motor.batch import SimulatedTrial, SimulatedTrials, simulate_population
-from sysid.motor.kernel import INERTIA, K_D, K_M, K_V, TORQUE, L, R, curve
+from sysid.motor.kernel import INERTIA, K_D, K_M, K_V, REVERSE, TORQUE, L, R
 from sysid.motor.problem import FIT_TOLERANCE
 
 LIMIT = 1e-3
@@ -32,7 +32,8 @@ def derivative(state, volts, row):
     """Rates of current and speed outside the dead band, for an integrator of somebody else."""
     out = np.empty(2)
     out[0] = (volts - row[K_V] * state[1] - row[R] * state[0]) / row[L]
-    drag = curve(state[1], row, TORQUE) + row[K_D] * state[1]
+    k = TORQUE if state[1] >= 0.0 else TORQUE + REVERSE
+    drag = (row[k] * abs(state[1]) + row[k + 1]) * state[1] + row[K_D] * state[1]
     out[1] = (row[K_M] * state[0] - drag) / row[INERTIA]
     return out
 

@@ -132,10 +132,12 @@ def test_a_tare_without_rows_at_rest_is_estimated(tmp_path: Path) -> None:
     start = float(re.search(r'start = "([\d.]+) s"', path.read_text(encoding="utf-8")).group(1))
     _, rested = bench_of(path)
     write_table(log, header, table[table[:, 0] > start - 0.3])
-    with pytest.warns(
-        UserWarning, match=r"no row at rest: the tare of torque, .* ± .* mN·m.*record a second"
-    ):
+    # Without rows at rest an offset would pass as torque.
+    with Journal() as journal:
         _, bench = bench_of(path)
+    (finding,) = (finding for finding in journal.findings if finding.code == "no-row-at-rest")
+    assert finding.trials == ("forward-1",)
+    assert re.match(r"no row at rest: the tare of torque, .* ± .* mN·m.*record a second", finding.sentence)
     fact = next(t for t in read_truth(path.parent)["trials"] if t["name"] == "forward-1")
     tares = bench.trials[0].log.tares
     # 2000 rows of 1.5 mN·m per point, six points of which the slowest is at 260 rad/s: 0.1 mN·m.
