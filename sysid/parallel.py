@@ -178,7 +178,7 @@ class DaskCluster(Executor):
 
     @property
     def running(self) -> bool:
-        """False once the scheduler has gone."""
+        """Whether the scheduler is there."""
         return str(self._client.status) == "running"
 
 
@@ -255,7 +255,10 @@ class _Shared:
                     why = error
                     continue
                 done[first] = columns
-                self._measured(spent, len(pending.pop(first)))
+                count = len(pending.pop(first))
+                with self._lock:
+                    self._rows += count
+                    self._per_row += (spent / count - self._per_row) * count / self._rows
             if not pending:
                 parts = [done[first] for first in sorted(done)]
                 return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
@@ -281,11 +284,6 @@ class _Shared:
         with self._lock:
             if self._data is data:
                 self._data = None
-
-    def _measured(self, spent: float, rows: int) -> None:
-        with self._lock:
-            self._rows += rows
-            self._per_row += (spent / rows - self._per_row) * rows / self._rows
 
 
 def _lost_errors() -> tuple[type[BaseException], ...]:

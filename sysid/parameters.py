@@ -7,7 +7,7 @@ and the fixed values of all others.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from sysid.errors import CampaignError
 from sysid.journal import Finding
-from sysid.types import FloatArray
+from sysid.types import BoolArray, FloatArray
 
 Scale = Literal["linear", "log"]
 
@@ -80,47 +80,33 @@ class Parameter:
         return replace(self, name=f"{self.name}[{trial}]", symbol=f"{self.symbol}[{trial}]", trial=trial)
 
 
-class ParameterTable(Mapping[str, Parameter]):
-    """Ordered rows of a model, by name."""
+class ParameterTable(dict[str, Parameter]):
+    """Ordered rows of a model, by name; not changed after it is made."""
 
     def __init__(self, rows: Iterable[Parameter]) -> None:
         rows = tuple(rows)
-        self._rows = {row.name: row for row in rows}
-        if len(self._rows) != len(rows):
+        super().__init__((row.name, row) for row in rows)
+        if len(self) != len(rows):
             raise ValueError("two parameters share one name")
 
-    def __getitem__(self, name: str) -> Parameter:
-        try:
-            return self._rows[name]
-        except KeyError:
-            near = difflib.get_close_matches(
-                name, [*self._rows, *(row.symbol for row in self._rows.values())], 1
-            )
-            hint = f"; nearest is {near[0]!r}" if near else f"; known are {', '.join(self._rows)}"
-            raise CampaignError(f"no parameter {name!r}{hint}") from None
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._rows
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._rows)
-
-    def __len__(self) -> int:
-        return len(self._rows)
+    def __missing__(self, name: str) -> Parameter:
+        near = difflib.get_close_matches(name, [*self, *(row.symbol for row in self.values())], 1)
+        hint = f"; nearest is {near[0]!r}" if near else f"; known are {', '.join(self)}"
+        raise CampaignError(f"no parameter {name!r}{hint}")
 
     @property
     def nominal(self) -> dict[str, float]:
         """Default value of every row [its unit]."""
-        return {name: row.nominal for name, row in self._rows.items()}
+        return {name: row.nominal for name, row in self.items()}
 
     @cached_property
     def index(self) -> Mapping[str, int]:
         """Place of every row in the table."""
-        return {name: i for i, name in enumerate(self._rows)}
+        return {name: i for i, name in enumerate(self)}
 
     def group(self, *groups: str) -> tuple[str, ...]:
         """Return the names of the rows of some groups, in table order."""
-        return tuple(name for name, row in self._rows.items() if row.group in groups)
+        return tuple(name for name, row in self.items() if row.group in groups)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,12 +129,6 @@ class SearchSpace:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fixed", MappingProxyType(dict(self.fixed)))
-        lower = np.array([p.lower for p in self.free], dtype=np.float64)
-        upper = np.array([p.upper for p in self.free], dtype=np.float64)
-        log = np.array([p.scale == "log" for p in self.free], dtype=np.bool_)
-        object.__setattr__(self, "_log", log)
-        object.__setattr__(self, "_low", np.where(log, np.log(np.where(log, lower, 1.0)), lower))
-        object.__setattr__(self, "_high", np.where(log, np.log(np.where(log, upper, 1.0)), upper))
 
     @classmethod
     def build(
@@ -182,15 +162,23 @@ class SearchSpace:
         """Places of the free parameters in the table, in search order."""
         return [self.table.index[p.name] for p in self.free]
 
+    @cached_property
+    def _edges(self) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Lower and upper bounds, as logarithms on logarithmic scales, and which scales are logarithmic."""
+        log = np.array([p.scale == "log" for p in self.free], dtype=np.bool_)
+        bounds = np.array([[p.lower, p.upper] for p in self.free], dtype=np.float64).reshape(-1, 2)
+        low, high = (np.where(log, np.log(np.where(log, edge, 1.0)), edge) for edge in bounds.T)
+        return low, high, log
+
     def decode(self, cube: FloatArray) -> FloatArray:
         """Map unit-cube points (..., n_free) to parameter values (..., n_free) [SI]."""
-        low, high, log = self._low, self._high, self._log  # type: ignore[attr-defined]
+        low, high, log = self._edges
         linear = low + np.asarray(cube, dtype=np.float64) * (high - low)
         return np.where(log, np.exp(np.where(log, linear, 0.0)), linear)
 
     def encode(self, values: FloatArray) -> FloatArray:
         """Map parameter values (..., n_free) [SI] to the unit cube; outside the bounds gives < 0 or > 1."""
-        low, high, log = self._low, self._high, self._log  # type: ignore[attr-defined]
+        low, high, log = self._edges
         values = np.asarray(values, dtype=np.float64)
         linear = np.where(log, np.log(np.where(log, values, 1.0)), values)
         return (linear - low) / (high - low)

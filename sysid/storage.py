@@ -59,13 +59,12 @@ def write_file(path: str | Path, data: bytes, error_type: type[SysidError] = Sys
             os.fsync(stream.fileno())
         _open_to_others(temporary)
         replace_file(temporary, path)
-        temporary = None
     except OSError as error:
         raise error_type(_sentence(path, error)) from error
     finally:
         if temporary is not None:
             with suppress(OSError):
-                temporary.unlink()
+                temporary.unlink(missing_ok=True)
 
 
 def replace_file(new: Path, path: Path) -> None:
