@@ -13,7 +13,7 @@ from sysid.report.drawing import USES
 from sysid.report.drop_replay import RATE, DropReplay
 from sysid.report.html import Html, filled
 
-# Of so many samples one is kept.
+# Every second sample is drawn.
 _EVERY = 2
 
 

@@ -34,7 +34,7 @@ MASKED = "#E6E6E6"
 RUNS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000")
 # What was done with a trial.
 USES = {"fit": "fitted", "validate": "not fitted"}
-# Of one figure on a page that a phone shows too [in].
+# Width of a figure on a page that a phone shows too [in].
 WIDTH = 4.3
 
 # Points of a curve beyond which only the least and the largest value of every stretch are drawn.
@@ -194,19 +194,25 @@ def check_figure_name(path: Path) -> None:
         )
 
 
+def figure_bytes(figure: Figure, kind: str, dpi: float = 150.0) -> bytes:
+    """Return a figure as ``png``, ``pdf`` or ``svg``; the same figure gives the same bytes.
+
+    `dpi` are the pixels per inch of a PNG, and of dense curves inside the others.
+    """
+    buffer = io.BytesIO()
+    # No date and no random names inside.
+    metadata = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
+    with rc_context({"svg.hashsalt": "sysid"}):
+        figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
+    return buffer.getvalue()
+
+
 def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0) -> Path:
     """Write a figure as PNG, PDF or SVG; an existing file is replaced only by a complete one.
 
-    `dpi` are the pixels per inch of a PNG, and of dense curves inside the others. An ExportError names
-    another suffix, or a file that cannot be written.
+    An ExportError names another suffix, or a file that cannot be written.
     """
     path = Path(path)
     check_figure_name(path)
-    suffix = path.suffix.lower()
-    buffer = io.BytesIO()
-    # No date and no random names inside: the same figure gives the same bytes.
-    metadata = {".png": {}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}[suffix]
-    with rc_context({"svg.hashsalt": "sysid"}):
-        figure.savefig(buffer, format=suffix[1:], dpi=dpi, metadata=metadata)
-    write_file(path, buffer.getvalue(), ExportError)
+    write_file(path, figure_bytes(figure, path.suffix.lower()[1:], dpi), ExportError)
     return path

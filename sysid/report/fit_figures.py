@@ -230,7 +230,7 @@ def _title(fit: FitResult, trial: TrialResult) -> str:
 def figure_convergence(fit: FitResult, *, wide: bool = False) -> Figure:
     """Draw the best NRMSE after every generation, a line per run; a dot where it ended.
 
-    `wide`: for a file of its own, with a title and where every run ended.
+    A `wide` one is for a file: it has a title, and says where every run ended.
     """
     figure, axes = panel(4.6, 9.5) if wide else panel(3.2)
     for number, run in enumerate(fit.runs, start=1):

@@ -43,7 +43,6 @@ from sysid.report.fit_figures import (
 from sysid.report.html import (
     NOTHING,
     Html,
-    box,
     bullets,
     definitions,
     folded,
@@ -196,7 +195,8 @@ class FitReport:
 
     def verdict(self) -> Html:
         """Return the verdict in one paragraph, and the warnings."""
-        out, warnings = box(paragraph(" ".join(self.sentences())), "verdict"), self.warnings()
+        out = Html(f'<div class="verdict">{paragraph(" ".join(self.sentences())).text}</div>')
+        warnings = self.warnings()
         if warnings:
             count = f"{len(warnings)} warning{'s' if len(warnings) > 1 else ''}"
             out += folded(count, bullets(warnings, "warnings"), opened=len(warnings) <= 4)

@@ -15,12 +15,14 @@ from dataclasses import dataclass
 from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader
-from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 import sysid
+from sysid.report.drawing import figure_bytes
 from sysid.report.table import Table, listed
 
+# Pixels per inch.
+_DPI = 130.0
 # A vector figure with more bytes than this goes into the page as pixels [bytes].
 _LARGEST_VECTOR = 160_000
 _PATH, _STEPS = re.compile(r' d="[^"]*"'), re.compile(r"\s*([MLHVCQZz])\s*")
@@ -41,9 +43,8 @@ class Html:
     def _repr_html_(self) -> str:
         return self.text
 
-    def __html__(self) -> str:
-        # jinja2 does not escape what has this method.
-        return self.text
+    # jinja2 does not escape what has this method.
+    __html__ = _repr_html_
 
     def __add__(self, other: Html) -> Html:
         return Html(self.text + other.text)
@@ -97,33 +98,26 @@ def grid(pieces: Sequence[Html]) -> Html:
     return Html(f'<div class="grid">{joined(pieces).text}</div>') if pieces else NOTHING
 
 
-def box(piece: Html, kind: str) -> Html:
-    """Return a piece in a box of a class."""
-    return Html(f"<div{_class(kind)}>{piece.text}</div>")
-
-
 def folded(summary: str, piece: Html, *, opened: bool = False) -> Html:
     """Return a piece that a reader unfolds; printing shows it."""
     state = " open" if opened else ""
     return Html(f"<details{state}><summary>{html.escape(summary)}</summary>{piece.text}</details>")
 
 
-def picture(
-    figure: Figure, alternative: str, caption: str = "", *, dpi: float = 130.0, vector: bool = True
-) -> Html:
+def picture(figure: Figure, alternative: str, caption: str = "", *, vector: bool = True) -> Html:
     """Return a figure as an image inside the page, with a caption below.
 
-    It is drawn as vectors; as pixels (`dpi` per inch) where vectors would be large, or `vector` is off. The
-    `alternative` says in words what the figure shows.
+    It is drawn as vectors, or as pixels where vectors would be large or `vector` is off. The `alternative`
+    says in words what the figure shows.
     """
     if not alternative.strip():
         raise ValueError("a figure needs a text alternative")
     width, height = (float(side) for side in figure.get_size_inches())
-    svg = _brief(_drawn(figure, "svg", dpi)) if vector else ""
+    svg = _brief(figure_bytes(figure, "svg", _DPI)) if vector else ""
     if vector and len(svg) <= _LARGEST_VECTOR:
         source = f"data:image/svg+xml,{quote(svg, safe=_SAFE)}"
     else:
-        pixels = base64.b64encode(_few_colours(_drawn(figure, "png", dpi))).decode("ascii")
+        pixels = base64.b64encode(_few_colours(figure_bytes(figure, "png", _DPI))).decode("ascii")
         source = f"data:image/png;base64,{pixels}"
     below = f"<figcaption>{html.escape(caption)}</figcaption>" if caption else ""
     size = f'width="{96 * width:.0f}" height="{96 * height:.0f}"'
@@ -146,14 +140,6 @@ def _few_colours(png: bytes) -> bytes:
 
     buffer = io.BytesIO()
     Image.open(io.BytesIO(png)).convert("RGB").quantize(64).save(buffer, "PNG", optimize=True)
-    return buffer.getvalue()
-
-
-def _drawn(figure: Figure, kind: str, dpi: float) -> bytes:
-    buffer = io.BytesIO()
-    metadata = {"Date": None, "Creator": None, "Format": None, "Type": None} if kind == "svg" else {}
-    with rc_context({"svg.hashsalt": "sysid"}):
-        figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
     return buffer.getvalue()
 
 

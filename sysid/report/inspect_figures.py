@@ -64,7 +64,7 @@ def _draw(axes: Axes, channel: Channel, points: bool, change: bool = False) -> N
             loc="lower right", bbox_to_anchor=(1.0, 0.98), borderaxespad=0.0, ncols=len(labels),
             frameon=False, fontsize="small",
         )  # fmt: skip
-    # A number without unit is one, such as the parts of a quaternion.
+    # The unit of a pure number is 1, as of the parts of a quaternion.
     unit = f" [{channel.unit or '1'}]"
     name = channel.name.replace("/", "\n") + (" change" if change else "")
     axes.set_ylabel(name + unit, fontsize="small")

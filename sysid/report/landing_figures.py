@@ -32,7 +32,7 @@ COLOURS: dict[Outcome, str] = {
 _DISTANCES = (0.1, 0.2, 0.45, 1.0)
 _TIMES = (0.5, 1.0, 2.0)
 _DISTANCE_COLOUR, _TIME_COLOUR, _LIMIT_COLOUR = "#000000", "#00224E", BEST
-# Not those of the contours.
+# Line styles that no contour has.
 _LIMIT_STYLES = {"rigid": "dashdot", "bending": "dotted"}
 _TIME_STYLE = (0, (4, 2))
 # Every set lost; and slopes above the map.
@@ -182,7 +182,7 @@ def figure_landing_maps(
 
 
 def _top(chart: LandingMap, limits: DrawnLimits | None) -> float:
-    """Upper end of a map's axis [deg]: its own, or a little above a limit that lies not far beyond."""
+    """Return the upper end of a map's axis [deg]: the map's edge, or a little above a limit near it."""
     edge = float(cell_edges(chart.slopes_deg)[-1])
     reach = [s + 1.0 for s in (limits.slopes.values() if limits else ()) if s <= edge + _ROOM]
     return max([edge, *reach])
@@ -348,7 +348,7 @@ def _name_limits(legend: MapLegend, maps: Sequence[LandingMap], limits: Limits, 
             # Idle motors leave some -1e-12 N, which is 0, not -0.
             thrusts.setdefault(f"{round(limit.thrust, 1) + 0.0:g} N", {})[chart.controller] = None
     together = "; ".join(f"{' / '.join(names)}: {thrust}" for thrust, names in thrusts.items())
-    # Three long names of one thrust would make the legend wider than the figure.
+    # Three long names with the same thrust would make the legend wider than the figure.
     thrust = together if len(together) <= _LONGEST else " or ".join(thrusts)
     for legs in _LIMIT_STYLES:
         if legs in drawn:
@@ -357,7 +357,7 @@ def _name_limits(legend: MapLegend, maps: Sequence[LandingMap], limits: Limits, 
 
 
 def _middle(cells: BoolArray, rows: BoolArray) -> tuple[int, int] | None:
-    """The cell of a zone that lies deepest in it and in one of the rows, None where the zone is too small."""
+    """Return the deepest cell of a zone within the rows; None where the zone is too small."""
     from scipy.ndimage import distance_transform_edt
 
     if cells.sum() < 0.02 * cells.size:

@@ -58,7 +58,7 @@ def checks(motor: ParameterSets, gear: ParameterSets) -> Html:
     slide = math.degrees(slide_limit(values["kinetic_friction"]))
     pressed = math.degrees(slide_limit(values["kinetic_friction"], ratio))
     tip = math.degrees(tip_limit(values["foot_dx"], values["foot_dz"]))
-    held = math.degrees(tip_limit(values["foot_dx"], values["foot_dz"], ratio))
+    pressed_tip = math.degrees(tip_limit(values["foot_dx"], values["foot_dz"], ratio))
     delays = [f"{1e3 * reversal_delay(motor, share=share):.0f} ms" for share in (0.9, 0.95, 0.98)]
     same = f"{1e3 * reversal_delay(motor, after=-0.62):.0f} ms"
     creep = 1e3 * _creep(values, _PAPER_SLIDES)
@@ -71,7 +71,7 @@ def checks(motor: ParameterSets, gear: ParameterSets) -> Html:
         ),
         (f"the same with {_REVERSE_THRUST:g} N of reverse thrust", "48°", f"{pressed:.1f}°", thrust),
         ("tips over, stiff legs", "35°", f"{tip:.1f}°", "rounding"),
-        (f"the same with {_REVERSE_THRUST:g} N of reverse thrust", "67°", f"{held:.1f}°", thrust),
+        (f"the same with {_REVERSE_THRUST:g} N of reverse thrust", "67°", f"{pressed_tip:.1f}°", thrust),
         (
             "reversal, from 62 % forward to full reverse", "250 ms", delays[0],
             "here until 90 % of the final thrust; the paper prints neither the commands nor the share: until "

@@ -33,8 +33,8 @@ class ReversalCurves:
 def figure_reversals(logs: Sequence[ReversalCurves]) -> Figure:
     """Draw the thrust after each reversal command: a panel per pair of commands, a colour per log.
 
-    At least one log holds a reversal. Repetitions are thin, the one of median time is thick; a dot marks 90 %
-    of the final thrust.
+    At least one log has a reversal. Repetitions are thin lines, and the repetition of median time is thick; a
+    dot marks 90 % of the final thrust.
     """
     pairs = list(dict.fromkeys((g.before, g.after) for log in logs for g in log.groups))
     figure, every = panels(len(pairs), min(len(pairs), 3), (4.2, 3.2), (2.2, 0.6))
@@ -46,7 +46,7 @@ def figure_reversals(logs: Sequence[ReversalCurves]) -> Figure:
         for number, log in enumerate(logs):
             colour = RUNS[number % len(RUNS)]
             for group in (g for g in log.groups if (g.before, g.after) == pair):
-                # One log may hold many pairs; within one, the repetition of median time stands for all.
+                # Of each pair of commands, the repetition of median time stands for all.
                 reached = [r for r in group.reversals if np.isfinite(r.to_level)]
                 ranked = sorted(reached, key=lambda r: r.to_level)
                 middle = ranked[len(ranked) // 2] if ranked else group.reversals[0]
@@ -73,7 +73,7 @@ def figure_reversals(logs: Sequence[ReversalCurves]) -> Figure:
 def reversal_commands(trial: TrialResult) -> list[tuple[float, float, float]]:
     """Return (time [s], command before, after) of the commands that reverse the motor in a trial.
 
-    Only those that a figure of one fits around.
+    Commands too near to an end of the trial are left out.
     """
     if trial.thrust is None or trial.commands is None:
         return []

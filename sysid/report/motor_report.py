@@ -50,7 +50,7 @@ class MotorReport(FitReport):
     def reversals(self) -> Html:
         """Return thrust after reversal commands, in the manner of Fig. 3, and the delays."""
         commands = [(trial, *each) for trial in self.fit.trials for each in reversal_commands(trial)]
-        # Evenly among many: fitted ones and ones held back.
+        # Evenly spread, so that fitted trials and held-out trials are among them.
         count = min(len(commands), _MOST_REVERSALS)
         shown = np.unique(np.linspace(0, len(commands) - 1, count).round().astype(int))
         pieces = []

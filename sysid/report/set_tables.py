@@ -39,8 +39,8 @@ def ranked_table(sets: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
 
     The values of `unfixed` parameters, which the data do not determine, have one digit and a mark.
     """
-    found = [i for i, record in enumerate(sets.parameters) if _is_found(sets, record)]
-    shown = found or [i for i, record in enumerate(sets.parameters) if record.status == "measured"]
+    searched = [i for i, record in enumerate(sets.parameters) if _is_found(sets, record)]
+    shown = searched or [i for i, record in enumerate(sets.parameters) if record.status == "measured"]
     rows = [_scores("NRMSE fitted", sets.nrmse, "strong")]
     held_out = [t for t, use in enumerate(sets.uses) if use == "validate"]
     validated = _trial_means(sets)[:, held_out].mean(axis=1) if held_out else np.full(len(sets), np.nan)

@@ -281,8 +281,8 @@ def cross_table(document: Row) -> Table:
         "NRMSE [%] of the best set of a fit (row) on the fitted trials of another (column)",
         [(n, *map(percent, scores)) for n, scores in zip(document["fits"], document["cross"], strict=True)],
         ("best set of", *document["fits"]),
-        "a set brings what it found, and the values that its fit took as known where the campaign states "
-        "none; clock offsets stay with their logs",
+        "a set brings the values that it found, and those that its fit took as known where the campaign "
+        "states none; clock offsets stay with their logs",
     )
 
 
@@ -346,14 +346,9 @@ def print_trust(document: Row, folder: Path, json: bool, *, long: bool = False) 
     wide = [narrow_table(document), spread_table(document)] if long else []
     for part in (interval_table(document), *wide, noise_table(document)):
         print_table(part)
-    print_lines([trials_line(document), *document["notes"]])
-    print_lines([f"written to {folder / 'trust.json'} and .h5 in {document['seconds']:.0f} s"])
-
-
-def trials_line(document: Row) -> str:
-    """Return the residual of every fitted trial over its noise, in one line."""
     scores = ", ".join(f"{trial['name']} {trial['ratio']:.2f}" for trial in document["trials"])
-    return f"residual over noise by trial: {scores}"
+    print_lines([f"residual over noise by trial: {scores}", *document["notes"]])
+    print_lines([f"written to {folder / 'trust.json'} and .h5 in {document['seconds']:.0f} s"])
 
 
 def print_validation(document: Row, folder: Path, json: bool) -> None:

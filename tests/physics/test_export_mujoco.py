@@ -69,8 +69,8 @@ def kernel(p, surface, slope, start, clock):
     rest = math.atan2(p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"])
     state = np.array(start, dtype=float)
     state[[4, 6]] += rest
-    found = simulate(p, slope, None, clock, state=state, surface=surface, tolerance=1e-7).state[:, :7]
-    return found - [0, 0, 0, 0, rest, 0, rest]
+    run = simulate(p, slope, None, clock, state=state, surface=surface, tolerance=1e-7)
+    return run.state[:, :7] - [0, 0, 0, 0, rest, 0, rest]
 
 
 def test_the_document_holds_the_set():

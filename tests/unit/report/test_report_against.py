@@ -36,12 +36,12 @@ def _predicted(monkeypatch, logs):
 
 
 def test_what_the_fit_saw_is_not_predicted(monkeypatch):
-    found = _predicted(monkeypatch, LOGS)
-    assert [(trial.name, trial.use) for trial in found.trials] == [
+    fit = _predicted(monkeypatch, LOGS)
+    assert [(trial.name, trial.use) for trial in fit.trials] == [
         ("drop-1", "validate"),
         ("new", "validate"),
     ]
-    assert list(found.provenance["logs"]) == ["drop-1", "new"]
+    assert list(fit.provenance["logs"]) == ["drop-1", "new"]
 
 
 @pytest.mark.parametrize(

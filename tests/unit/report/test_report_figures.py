@@ -33,14 +33,14 @@ def overlapping_texts(figure):
         (t.get_text(), t.get_window_extent(renderer)) for t in texts if t and t.get_visible() and t.get_text()
     ]
     boxes = [(text, box) for text, box in boxes if box.width > 0]
-    found = []
-    for i, (one, box) in enumerate(boxes):
+    overlapping = []
+    for i, (text, box) in enumerate(boxes):
         for other, second in boxes[i + 1 :]:
             # Touching corners of neighbouring tick labels are no overlap: one pixel inside.
             shrunk = second.padded(-1.0)
             if box.x0 < shrunk.x1 and shrunk.x0 < box.x1 and box.y0 < shrunk.y1 and shrunk.y0 < box.y1:
-                found.append((one, other))
-    return found
+                overlapping.append((text, other))
+    return overlapping
 
 
 def test_report_figure_draws_the_valid_samples_and_every_set():

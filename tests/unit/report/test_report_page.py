@@ -125,21 +125,21 @@ def test_the_spread_shows_every_set_between_its_bounds():
 
 def test_the_spectrum_of_white_noise_is_flat_at_its_density():
     rate = 1000.0
-    found = amplitude_spectrum(0.3 * np.random.default_rng(2).standard_normal((200_000, 1)), rate)
+    spectrum = amplitude_spectrum(0.3 * np.random.default_rng(2).standard_normal((200_000, 1)), rate)
     # 100 averaged stretches: 5 % of the amplitude per point, less in the wide bands.
-    inner = (found.frequency > 3) & (found.frequency < 490)
-    np.testing.assert_allclose(found.density[inner, 0], 0.3 * np.sqrt(2 / rate), rtol=0.2)
-    assert len(found.frequency) <= 80
+    inner = (spectrum.frequency > 3) & (spectrum.frequency < 490)
+    np.testing.assert_allclose(spectrum.density[inner, 0], 0.3 * np.sqrt(2 / rate), rtol=0.2)
+    assert len(spectrum.frequency) <= 80
 
 
 def test_the_spectrum_peaks_at_the_frequency_of_a_tone_and_skips_lost_channels():
     rate, tone = 200.0, 23.0
     time = np.arange(1000) / rate
     values = np.column_stack([np.sin(2 * np.pi * tone * time), np.full(1000, np.nan)])
-    found = amplitude_spectrum(values, rate)
+    spectrum = amplitude_spectrum(values, rate)
     # Bands are 6 % wide.
-    assert found.frequency[np.argmax(found.density[:, 0])] == pytest.approx(tone, rel=0.06)
-    assert np.isnan(found.density[:, 1]).all()
+    assert spectrum.frequency[np.argmax(spectrum.density[:, 0])] == pytest.approx(tone, rel=0.06)
+    assert np.isnan(spectrum.density[:, 1]).all()
 
 
 def test_a_fit_keeps_what_its_report_shows(tmp_path):
@@ -208,10 +208,10 @@ def test_contacts_of_a_replay_are_the_events_of_the_simulation(drop_fit):
     run = simulate(pack({}), SLOPE, BODY, drop.time)
     for foot, name in enumerate(("rear", "front")):
         touches = [e.time for e in run.events if e.kind is EventKind.TOUCHDOWN and e.foot == name]
-        found = [contact.start for contact in drop.contacts if contact.foot == foot]
+        starts = [contact.start for contact in drop.contacts if contact.foot == foot]
         # Sampled every millisecond; touches within 5 ms of a lift-off belong to one contact.
-        assert found[0] == pytest.approx(touches[0], abs=1.1e-3)
-        assert all(min(abs(t - touch) for touch in touches) < 1.1e-3 for t in found)
+        assert starts[0] == pytest.approx(touches[0], abs=1.1e-3)
+        assert all(min(abs(t - touch) for touch in touches) < 1.1e-3 for t in starts)
     (first, what), *_ = drop.first_contacts()
     assert what == "the rear leg touches"
     assert first == drop.contacts[0].start
@@ -265,8 +265,8 @@ def test_drops_of_one_name_keep_to_their_own_campaign(drop_fit, tmp_path, monkey
     log = drop_fit.provenance["logs"]["drop-1"] | {START: [BODY[0], BODY[1] + 0.05, *BODY[2:]]}
     other = replace(drop_fit, provenance={"logs": {"drop-1": log}})
     report = GearReport(tmp_path, drop_fit, other)
-    own, theirs = report.drops()
-    assert theirs.contacts[0].start > own.contacts[0].start + 0.01
+    first, second = report.drops()
+    assert second.contacts[0].start > first.contacts[0].start + 0.01
 
     seen = []
 
@@ -276,15 +276,15 @@ def test_drops_of_one_name_keep_to_their_own_campaign(drop_fit, tmp_path, monkey
 
     monkeypatch.setattr(fit_report, "figure_channel", watched)
     monkeypatch.setattr(fit_report, "figure_measured_against_simulated", watched)
-    expected = {(False, own.contacts[0].start), (True, theirs.contacts[0].start)}
+    expected = {(False, first.contacts[0].start), (True, second.contacts[0].start)}
     report.measured_against_simulated()
     assert set(seen) == expected
     seen.clear()
     monkeypatch.setattr(gear_report, "figure_snapshots", lambda drop, legend: drop)
     figures = [report.trial_figures(fit, fit.trials[0]) for fit in report.fits]
     assert set(seen) == expected
-    assert figures[0]["snapshots-drop-1"] is own
-    assert figures[1]["snapshots-against-bench-drop-1"] is theirs
+    assert figures[0]["snapshots-drop-1"] is first
+    assert figures[1]["snapshots-against-bench-drop-1"] is second
 
 
 def motor_fit():
@@ -302,19 +302,19 @@ def motor_fit():
 def test_the_figures_of_a_motor_for_a_paper(tmp_path, monkeypatch):
     monkeypatch.setattr(MotorReport, "simulated_thrust", staticmethod(lambda fit, trial: np.ones((5, 600))))
     report = MotorReport(tmp_path, motor_fit())
-    found = report.figures()
+    figures = report.figures()
     names = {f"reversal-drop-{t}-{k}" for t in (1, 2, 3, 4) for k in (1, 2, 3)}
-    assert {name for name in found if name.startswith("reversal")} == names
-    assert "profile-nrmse-leg_axial_stiffness" in found
+    assert {name for name in figures if name.startswith("reversal")} == names
+    assert "profile-nrmse-leg_axial_stiffness" in figures
     for name in ("reversal-drop-1-1", "thrust-drop-1"):
-        (legend,) = found[name].legends
-        told = [text.get_text() for text in legend.get_texts()]
-        assert told == ["measured", "best set", "other sets", "command"]
-    top, bottom = found["reversal-drop-1-1"].axes
+        (legend,) = figures[name].legends
+        labels = [text.get_text() for text in legend.get_texts()]
+        assert labels == ["measured", "best set", "other sets", "command"]
+    top, bottom = figures["reversal-drop-1-1"].axes
     # 0 is the command.
     assert top.get_xlim() == pytest.approx((-0.1, 0.5), abs=0.006)
     assert bottom.get_xlabel() == "time after the command [s]"
-    legend = found["profile-nrmse-leg_axial_stiffness"].axes[0].get_legend()
+    legend = figures["profile-nrmse-leg_axial_stiffness"].axes[0].get_legend()
     assert [text.get_text() for text in legend.get_texts()] == ["1 % above the best", "values not told apart"]
     text = report.reversals().text
     assert text.count("<img") == 6
@@ -357,14 +357,14 @@ def test_the_animation_holds_the_numbers_and_no_way_out_of_its_script(drop_fit):
     text = animation([drop]).text
     assert text.count("</script") == 2
     data = json.loads(re.search(r'<script type="application/json">(.*?)</script>', text, re.DOTALL).group(1))
-    (one,) = data["drops"]
-    assert one["name"] == NASTY
-    frames = np.array(one["frames"])
+    (document,) = data["drops"]
+    assert document["name"] == NASTY
+    frames = np.array(document["frames"])
     # Tenths of a millimetre and of a milliradian, rounded.
     np.testing.assert_allclose(frames[:, :3] / 1e4, drop.body[::2], atol=0.6e-4)
     np.testing.assert_allclose(frames[:, 7:11].reshape(-1, 2, 2) / 1e4, drop.feet[::2], atol=0.6e-4)
     np.testing.assert_allclose(frames[:, 11:13], drop.normal_force[::2], atol=0.51)
-    assert [what for _, what in one["snapshots"]] == [what for _, what in drop.first_contacts()]
+    assert [what for _, what in document["snapshots"]] == [what for _, what in drop.first_contacts()]
 
 
 def test_the_diagram_of_modes_asks_the_code():
@@ -411,11 +411,11 @@ def test_the_numbers_beside_the_misprints_are_those_of_the_design_notes(sets):
 
 
 def test_the_verdict_says_what_is_open_and_what_is_not_known(tmp_path):
-    said = " ".join(FitReport(tmp_path, made_fit(uses=("fit", "fit"))).sentences())
-    assert "five sets fit two trials" in said
-    assert "none was held back" in said
-    assert "Intervals have not been computed" in said
-    assert "leg axial stiffness (k_h)" in said
+    sentences = " ".join(FitReport(tmp_path, made_fit(uses=("fit", "fit"))).sentences())
+    assert "five sets fit two trials" in sentences
+    assert "none was held back" in sentences
+    assert "Intervals have not been computed" in sentences
+    assert "leg axial stiffness (k_h)" in sentences
 
 
 def cut_fit(cut=1):
@@ -431,13 +431,13 @@ def cut_fit(cut=1):
 @pytest.mark.parametrize("cut", [1, 3])
 def test_an_unfinished_search_is_not_told_as_a_finding(tmp_path, cut):
     whole, fit = cut_fit(0), cut_fit(cut)
-    said = " ".join(FitReport(tmp_path, whole).sentences())
-    assert "The data determine" in said
-    assert "of 3 independent runs" in said
-    said = " ".join(FitReport(tmp_path, fit).sentences())
-    assert "The search was not finished: nothing is known about what the data determine." in said
+    sentences = " ".join(FitReport(tmp_path, whole).sentences())
+    assert "The data determine" in sentences
+    assert "of 3 independent runs" in sentences
+    sentences = " ".join(FitReport(tmp_path, fit).sentences())
+    assert "The search was not finished: nothing is known about what the data determine." in sentences
     for claim in ("The data determine", "do not determine", "independent runs", "optimum"):
-        assert claim not in said
+        assert claim not in sentences
     (axes,) = figure_waterfall(fit).axes
     names = axes.get_legend_handles_labels()[1]
     assert names.count("not finished") == 1

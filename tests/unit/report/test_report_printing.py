@@ -31,13 +31,13 @@ def printed(content, width):
 @pytest.mark.parametrize("width", [8, 20, 33, 47, 60, 79, 80, 120, 200])
 def test_every_number_is_whole_at_every_width(width):
     columns = 5
-    said = printed(made(columns), width)
-    assert "…" not in said
+    text = printed(made(columns), width)
+    assert "…" not in text
     for k in range(columns):
         for row in NUMBERS:
-            assert said.count(row[k % 3]) == sum(row[j % 3] == row[k % 3] for j in range(columns))
-        assert said.count(f"set {k + 1}") == 1
-    longest = max(len(line.rstrip()) for line in said.splitlines())
+            assert text.count(row[k % 3]) == sum(row[j % 3] == row[k % 3] for j in range(columns))
+        assert text.count(f"set {k + 1}") == 1
+    longest = max(len(line.rstrip()) for line in text.splitlines())
     # The widest number, the words of the first column and the rules between them.
     assert longest <= max(width, 40)
 

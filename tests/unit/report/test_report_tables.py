@@ -20,9 +20,9 @@ def lines_of(table, width=110):
 
 
 def line_with(lines, word):
-    found = [line for line in lines if word in line]
-    assert len(found) == 1, (word, lines)
-    return re.split(r" {2,}", found[0].strip())
+    matching = [line for line in lines if word in line]
+    assert len(matching) == 1, (word, lines)
+    return re.split(r" {2,}", matching[0].strip())
 
 
 def test_report_ranked_table_shows_sets_in_order_with_units_and_bounds():

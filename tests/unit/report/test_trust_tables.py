@@ -34,9 +34,9 @@ def _bench(stated=None, measured=(), guessed=False):
     ],
 )
 def test_a_constant_is_called_what_it_is(bench, fixed, words):
-    said = taken_as_exact((R,), (), bench, fixed)[K[0]]
-    assert said.startswith(words)
-    assert "Kv as stated" not in said or words == "Kv as stated"
+    name = taken_as_exact((R,), (), bench, fixed)[K[0]]
+    assert name.startswith(words)
+    assert "Kv as stated" not in name or words == "Kv as stated"
 
 
 def test_what_is_free_or_has_a_range_is_not_taken_as_exact():
@@ -57,9 +57,11 @@ def test_advice_on_an_odd_trial_fits_what_was_fitted(kind):
         _notice_trials(("a", "b", "c"), odd.without, odd, rows, words)
         judged = [SimpleNamespace(name=n, ratio=r) for n, r in zip("abc", odd.ratio, strict=True)]
         _notice_unlike(judged, words)
-    said = journal.sentences()
-    assert len(said) == 3
-    of_drops = [word for word in ("bounce", "start_time", "slope") if any(word in one for one in said)]
+    sentences = journal.sentences()
+    assert len(sentences) == 3
+    of_drops = [
+        word for word in ("bounce", "start_time", "slope") if any(word in sentence for sentence in sentences)
+    ]
     assert of_drops == (["bounce", "start_time", "slope"] if kind == "gear" else [])
 
 
@@ -77,5 +79,5 @@ def test_a_second_log_is_said_by_its_clock():
         "log": "rpm.csv", "sha256": "0" * 64, "format": "tacho", "device": None, "aligned": "a with b",
         "offset [s]": 0.12345678, "correlation": 0.99123456, "confidence": 0.87654321, "notes": ["one"],
     }  # fmt: skip
-    said = check_lines({"quality": [{"name": "forward-1", "second log": second}], "excitation": {}})[0]
-    assert said == "forward-1: second log rpm.csv: clock offset 0.1235 s, confidence 0.8765"
+    line = check_lines({"quality": [{"name": "forward-1", "second log": second}], "excitation": {}})[0]
+    assert line == "forward-1: second log rpm.csv: clock offset 0.1235 s, confidence 0.8765"

@@ -31,42 +31,42 @@ def test_a_first_order_motor_gives_its_own_time_constant():
     values = PARAMETERS.nominal | {
         "winding_inductance": 1e-9, "torque_quadratic_forward": 1e-12, "torque_quadratic_reverse": 1e-12,
     }  # fmt: skip
-    found = first_order_rotor(values)
+    rotor = first_order_rotor(values)
     exact = 2.7e-5 * 0.299 / (values["torque_constant"] * values["back_emf_constant"])
-    assert found.time_constant_up == pytest.approx(exact, rel=1e-3)
-    assert found.time_constant_down == pytest.approx(exact, rel=1e-3)
-    assert max(found.misfit_up, found.misfit_down) < 1e-3
+    assert rotor.time_constant_up == pytest.approx(exact, rel=1e-3)
+    assert rotor.time_constant_down == pytest.approx(exact, rel=1e-3)
+    assert max(rotor.misfit_up, rotor.misfit_down) < 1e-3
 
 
 def test_constants_of_the_paper_s_motor():
     values = table_1().set_values(1)
-    found = first_order_rotor(values)
+    rotor = first_order_rotor(values)
     # Around hover the time to 63 % of a step, which the lag stands for.
-    for before, after, constant in ((0.5, 0.7, found.time_constant_up), (0.7, 0.5, found.time_constant_down)):
-        current, speed = (float(one) for one in steady_state(before, values))
+    for before, after, constant in ((0.5, 0.7, rotor.time_constant_up), (0.7, 0.5, rotor.time_constant_down)):
+        current, speed = (float(value) for value in steady_state(before, values))
         end = float(steady_state(after, values)[1])
         time = np.linspace(0, 0.5, 5001)
         run = simulate(values, [0.0], [after], time, initial=(current, speed))
         reached = np.interp(1 - np.exp(-1), (run.speed - speed) / (end - speed), time)
         # The winding's L/R of 13 ms makes the rise an S: the lag nearest to it is not the 63 % point.
         assert constant == pytest.approx(reached, rel=0.15)
-    assert 0.03 < found.misfit_up < 0.035
-    speed = found.maximum_speed
-    assert found.thrust_constant * speed**2 == pytest.approx(float(thrust(speed, values)))
+    assert 0.03 < rotor.misfit_up < 0.035
+    speed = rotor.maximum_speed
+    assert rotor.thrust_constant * speed**2 == pytest.approx(float(thrust(speed, values)))
     torque = float(aerodynamic_torque(speed, values))
-    assert found.moment_constant * found.thrust_constant * speed**2 == pytest.approx(torque)
-    assert found.reverse_thrust_constant == pytest.approx(0.62e-5)
+    assert rotor.moment_constant * rotor.thrust_constant * speed**2 == pytest.approx(torque)
+    assert rotor.reverse_thrust_constant == pytest.approx(0.62e-5)
 
 
 def test_a_linear_part_of_the_thrust_is_spread_by_least_squares():
     values = table_1().set_values(1) | {"thrust_linear_forward": 5e-4}
-    found = first_order_rotor(values)
-    speed = np.linspace(0, found.maximum_speed, 20001)
+    rotor = first_order_rotor(values)
+    speed = np.linspace(0, rotor.maximum_speed, 20001)
     curve = 1.2e-5 * speed**2 + 5e-4 * speed
     exact = (curve @ speed**2) / (speed**2 @ speed**2)
-    assert found.thrust_constant == pytest.approx(exact, rel=1e-3)
-    misfit = np.abs(curve - found.thrust_constant * speed**2).max() / curve[-1]
-    assert found.thrust_misfit == pytest.approx(misfit, rel=1e-2)
+    assert rotor.thrust_constant == pytest.approx(exact, rel=1e-3)
+    misfit = np.abs(curve - rotor.thrust_constant * speed**2).max() / curve[-1]
+    assert rotor.thrust_misfit == pytest.approx(misfit, rel=1e-2)
 
 
 def test_a_motor_that_does_not_turn_is_refused():
@@ -92,8 +92,7 @@ def test_one_file_per_set_or_one_alone(tmp_path, run):
     assert code == 0, err
     assert len(out.splitlines()) == 3
     for rank in (1, 2, 3):
-        found = from_mjcf((tmp_path / f"quad-{rank}.xml").read_bytes())
-        assert found == sets.set_values(rank)
+        assert from_mjcf((tmp_path / f"quad-{rank}.xml").read_bytes()) == sets.set_values(rank)
     code, _, err = run("export", gear, "--to", tmp_path / "quad.xml")
     assert (code, "exists already" in err) == (2, True)
     target = tmp_path / "one.xml"
