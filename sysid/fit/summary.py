@@ -99,7 +99,7 @@ def summary(result: FitResult) -> str:
             head = f"{record.symbol} [{record.unit}]"
             derived = " (derived)" if record.status == "derived" else ""
             lines.append(f"{head:<22}{cells}  {record.name}{derived}")
-    lines += ["", "held (SI)", ""]
+    lines += ["", "not searched (SI)", ""]
     for i, record in enumerate(result.parameters):
         if record.status in ("measured", "fixed"):
             value = result.values[0, i] if len(fitted) else np.nan

@@ -58,13 +58,12 @@ def test_a_prediction_leaves_where_it_is_off_for_good():
 
 
 def test_two_samples_are_no_departure():
-    source = _judged(offset=0.0)
     time = np.arange(50) * 0.01
     measured = np.zeros((50, 2))
     measured[20:22] = 10.0
     found = _judge(time, measured, np.zeros((1, 50, 2)), spread=np.ones(2), noise=np.full(2, 0.1))
     assert found.leaves is None
-    assert source.nrmse_third_contact is None
+    assert found.nrmse_third_contact is None
 
 
 def test_up_to_the_third_contact_nothing_later_counts():
@@ -105,55 +104,55 @@ def _document(value, low, high, opened=(False, False), doubt=None):
     return {"parameters": [row]}
 
 
-def test_differences_are_judged_by_the_sides_that_face_each_other():
-    # 1.0 reaches up to 1.3, 2.0 down to 1.6: together 0.5, the root of 0.09 + 0.16.
-    documents = [_document(1.0, 0.0, 1.3), _document(2.0, 1.6, 9.0)]
-    found = compare_values(("a", "b"), [_sets("a", 1.0), _sets("b", 2.0)], documents)[0]
-    assert found["allowed"] == pytest.approx(0.5)
-    assert found["differs"] is True
-    assert found["difference"] == pytest.approx(1.0)
-    near = compare_values(
-        ("a", "b"), [_sets("a", 1.0), _sets("b", 1.4)], [documents[0], _document(1.4, 1.0, 9.0)]
-    )
-    assert near[0]["differs"] is False
+def _compare(first, second, documents):
+    return compare_values(("a", "b"), [_sets("a", first), _sets("b", second)], documents)[0]
 
 
-def test_an_open_interval_leaves_a_difference_unknown():
-    documents = [_document(1.0, 0.0, 1.3), _document(2.0, 0.1, 9.0, (True, False))]
-    found = compare_values(("a", "b"), [_sets("a", 1.0), _sets("b", 2.0)], documents)[0]
-    assert found["differs"] is None
-    assert found["doubt"] == "the interval is open in b"
+@pytest.mark.parametrize(
+    ("second", "documents", "allowed"),
+    [
+        # 1.0 reaches up to 1.3, 2.0 down to 1.6: together 0.5, the root of 0.09 + 0.16.
+        (2.0, [_document(1.0, 0.0, 1.3), _document(2.0, 1.6, 9.0)], 0.5),
+        (1.4, [_document(1.0, 0.0, 1.3), _document(1.4, 1.0, 9.0)], 0.5),
+        # An interval from 1.2 to 1.3 ends before its value 1.4 on the side that faces b: it allows nothing.
+        (2.0, [_document(1.4, 1.2, 1.3), _document(2.0, 1.6, 9.0)], 0.4),
+    ],
+)
+def test_differences_are_judged_by_the_sides_that_face_each_other(second, documents, allowed):
+    found = _compare(1.0, second, documents)
+    assert found["allowed"] == pytest.approx(allowed)
+    first = documents[0]["parameters"][0]["refined"]
+    assert found["differs"] is (second - first > allowed)
+    assert found["difference"] == pytest.approx((second - first) / first)
+
+
+@pytest.mark.parametrize(
+    ("documents", "doubt"),
+    [
+        ([_document(1.0, 0.0, 1.3), _document(2.0, 0.1, 9.0, (True, False))], "the interval is open in b"),
+        ([_document(1.0, 0.9, 1.1, doubt="not converged"), _document(2.0, 1.9, 2.1)], "a: not converged"),
+    ],
+)
+def test_an_open_or_doubtful_interval_judges_nothing(documents, doubt):
+    found = _compare(1.0, 2.0, documents)
+    assert (found["differs"], found["doubt"]) == (None, doubt)
     # The same difference of another parameter shares the sentence, another reason has its own.
-    more = [found, {**found, "symbol": "k_h"}, {**found, "symbol": "b_s", "doubt": "a: not converged"}]
+    more = [found, {**found, "symbol": "k_h"}, {**found, "symbol": "b_s", "doubt": "c: why"}]
     assert unjudged([*more, {**found, "doubt": None}]) == [
-        "not judged: m_leg, k_h (the interval is open in b)",
-        "not judged: b_s (a: not converged)",
+        f"not judged: m_leg, k_h ({doubt})",
+        "not judged: b_s (c: why)",
     ]
 
 
-def test_an_interval_that_does_not_reach_its_value_allows_nothing():
-    # What lies between the ends is 1.2 to 1.3; the side that faces b ends before the value.
-    documents = [_document(1.4, 1.2, 1.3), _document(2.0, 1.6, 9.0)]
-    found = compare_values(("a", "b"), [_sets("a", 1.4), _sets("b", 2.0)], documents)[0]
-    assert found["allowed"] == pytest.approx(0.4)
-
-
-def test_a_doubtful_interval_judges_nothing():
-    documents = [_document(1.0, 0.9, 1.1, doubt="not converged"), _document(2.0, 1.9, 2.1)]
-    found = compare_values(("a", "b"), [_sets("a", 1.0), _sets("b", 2.0)], documents)[0]
-    assert found["differs"] is None
-    assert found["doubt"] == "a: not converged"
-
-
 def test_without_profiles_nothing_is_judged():
-    found = compare_values(("a", "b"), [_sets("a", 1.0), _sets("b", 2.0)], [None, None])[0]
+    found = _compare(1.0, 2.0, [None, None])
     assert found["by"] == "spread of the sets"
     # Far beyond the spread, which says only that the runs agree.
     assert found["differs"] is None
     assert "run sysid trust on a and b" in found["doubt"]
     assert found["allowed"] == pytest.approx(1.959964 * 0.1 * math.sqrt(2), rel=1e-6)
-    held = compare_values(("a", "b"), [_sets("a", 1.0, status="fixed"), _sets("b", 2.0)], [None, None])
-    assert held == []
+    fixed = compare_values(("a", "b"), [_sets("a", 1.0, status="fixed"), _sets("b", 2.0)], [None, None])
+    assert fixed == []
 
 
 def _write(folder, part, arrays=None, **content):
