@@ -173,25 +173,18 @@ def foot_transitions() -> tuple[tuple[str, str, str], ...]:
     The functions that switch modes in every simulation are called with a foot in each situation.
     """
     mu_k, mu_s, normal = 0.8, 0.9, 10.0
-    # slip just through zero; the friction that sticking would need below and above what is available.
-    slipping = dict(stuck=0.0, way=1.0, slip=-1e-3, margin=0.1)
-    sticking = dict(stuck=1.0, way=1.0, slip=0.0, margin=0.5)
-    cases = (
-        (slipping, 0.5 * mu_k * normal, r"$v_t \to 0$ and $\mu_k F_n > |f_{req}|$"),
-        (slipping, 1.5 * mu_k * normal, r"$v_t \to 0$ but $\mu_k F_n \leq |f_{req}|$"),
-        (sticking, 1.1 * mu_s * normal, r"$\mu_s F_n < |f_{req}|$"),
-        (sticking, 0.9 * mu_s * normal, r"$\mu_s F_n \geq |f_{req}|$"),
-    )
-    names = ("slips", "sticks")
-    out = []
-    for foot, required, condition in cases:
-        now, lost, _ = high_friction.event(
-            foot["stuck"], foot["way"], normal, foot["slip"], required, foot["margin"], mu_s
-        )
-        after, _, _ = high_friction.next_mode(
-            lost, foot["stuck"], foot["way"], normal, foot["slip"], required, foot["margin"], now, 1.0, mu_k
-        )
-        out.append((names[int(foot["stuck"])], condition, names[int(after)]))
+    names, out = ("slips", "sticks"), []
+    # Stuck or with a slip just through zero; the friction that sticking needs, below and above what there is.
+    for stuck, slip, margin, required, condition in (
+        (0.0, -1e-3, 0.1, 0.5 * mu_k * normal, r"$v_t \to 0$ and $\mu_k F_n > |f_{req}|$"),
+        (0.0, -1e-3, 0.1, 1.5 * mu_k * normal, r"$v_t \to 0$ but $\mu_k F_n \leq |f_{req}|$"),
+        (1.0, 0.0, 0.5, 1.1 * mu_s * normal, r"$\mu_s F_n < |f_{req}|$"),
+        (1.0, 0.0, 0.5, 0.9 * mu_s * normal, r"$\mu_s F_n \geq |f_{req}|$"),
+    ):
+        foot = (stuck, 1.0, normal, slip, required, margin)
+        now, lost, _ = high_friction.event(*foot, mu_s)
+        after, _, _ = high_friction.next_mode(lost, *foot, now, 1.0, mu_k)
+        out.append((names[int(stuck)], condition, names[int(after)]))
     return tuple(out)
 
 

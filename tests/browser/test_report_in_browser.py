@@ -10,10 +10,9 @@ import time
 
 import pytest
 
-from fakes.notebooks import notebook_page
 from fakes.places import SAMPLES
-from sysid.workflows.fit import fit_gear, fit_motor
-from sysid.workflows.options import FitOptions, ReportOptions
+from fakes.reports import COARSE, notebook_page, short_fits
+from sysid.workflows.options import ReportOptions
 from sysid.workflows.report import write_report
 
 pytestmark = pytest.mark.browser
@@ -43,20 +42,13 @@ def browser(folder, *flags):
 
 
 PAGES = ("gear-lf", "motor", "the-model", "gear-hf", "against", "landing-maps", "bring-your-own-logs")
-COARSE = {"slopes": "0:45:15", "speeds": "0.3,1", "impulse_slopes": "10,25", "impulse_speeds": "0.5"}
 
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory):
     """Every kind of page, of searches that end at once."""
     folder = tmp_path_factory.mktemp("fits")
-    out = {}
-    for name, fit in (("gear-lf", fit_gear), ("motor", fit_motor), ("gear-hf", fit_gear)):
-        options = FitOptions(
-            folder / name, quiet=True, runs=2, population=16, max_generations=3, finish="none"
-        )
-        _, path = fit(SAMPLES / name / "campaign.toml", options)
-        out[name] = write_report(path)["report"]
+    out = {name: write_report(path)["report"] for name, path in short_fits(folder).items()}
     options = ReportOptions(against=other_day(folder), out=folder / "against.html")
     out["against"] = write_report(folder / "gear-lf", options)["report"]
     short = {"out": str(folder / "first"), "runs": 1, "max_generations": 1}

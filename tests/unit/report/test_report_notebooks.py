@@ -4,20 +4,17 @@ import re
 import shutil
 from html.parser import HTMLParser
 
+import h5py
 import pytest
+from PIL import Image
 
-from fakes.notebooks import notebook_page
 from fakes.places import SAMPLES
-from sysid.workflows.fit import fit_gear, fit_motor
+from fakes.reports import COARSE, SHORT, notebook_page, short_fits
+from sysid.workflows.fit import fit_gear
 from sysid.workflows.options import FitOptions, ReportOptions
 from sysid.workflows.report import write_report
 
 pytestmark = pytest.mark.slow
-
-# A search that ends at once: the page does not depend on how good the sets are.
-SHORT = {"quiet": True, "runs": 2, "population": 16, "max_generations": 2, "finish": "none"}
-
-COARSE = {"slopes": "0:45:15", "speeds": "0.3,1", "impulse_slopes": "10,25", "impulse_speeds": "0.5"}
 
 
 class Balanced(HTMLParser):
@@ -55,15 +52,12 @@ def checked(text, pictures):
 
 @pytest.fixture(scope="module")
 def fits(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("fits")
-    for name, fit in (("gear-lf", fit_gear), ("gear-hf", fit_gear), ("motor", fit_motor)):
-        fit(SAMPLES / name / "campaign.toml", FitOptions(folder / name, **SHORT))
-    return folder
+    return short_fits(tmp_path_factory.mktemp("fits"))
 
 
 @pytest.mark.parametrize(("name", "pictures"), [("gear-lf", 45), ("gear-hf", 45), ("motor", 15)])
 def test_the_report_of_a_fit(fits, name, pictures):
-    text = checked(write_report(fits / name)["report"].read_text(encoding="utf-8"), pictures)
+    text = checked(write_report(fits[name])["report"].read_text(encoding="utf-8"), pictures)
     assert "not computed; run sysid" in text
     assert "two trials that it never saw" in text
     if name != "motor":
@@ -93,22 +87,18 @@ def test_the_report_of_a_single_drop_against_the_others(fits, tmp_path):
     figures = sorted(path.name for path in (tmp_path / "pdf").iterdir())
     assert {"convergence.pdf", "geometry.pdf", "spread.pdf", "waterfall.pdf"} <= set(figures)
     assert all((tmp_path / "pdf" / name).read_bytes().startswith(b"%PDF") for name in figures)
-    from PIL import Image
-
     film = Image.open(tmp_path / "a.gif")
     # 0.75 s, ten times slower, 20 frames per second.
     assert film.n_frames == pytest.approx(150, abs=3)
 
 
 def test_the_motor_s_report_against_another_campaign(fits, tmp_path):
-    import h5py
-
     # The same bench on another day: equal numbers in a file of other bytes, the only log not of the fit.
     shutil.copytree(SAMPLES / "motor", tmp_path / "motor")
     with h5py.File(tmp_path / "motor" / "forward-2.h5", "a") as log:
         log.attrs["note"] = "copied"
-    options = ReportOptions(against=tmp_path / "motor" / "campaign.toml", out=fits / "against.html")
-    text = checked(write_report(fits / "motor", options)["report"].read_text(encoding="utf-8"), 15)
+    options = ReportOptions(against=tmp_path / "motor" / "campaign.toml", out=tmp_path / "against.html")
+    text = checked(write_report(fits["motor"], options)["report"].read_text(encoding="utf-8"), 15)
     # The same trials with the same sets: the same errors as in the fit itself.
     shares = re.findall(r"<summary>(?:synthetic-motor, )?forward-2 \(not fitted\): NRMSE ([\d.]+) %", text)
     assert len(shares) == 2

@@ -11,10 +11,13 @@ import pytest
 from matplotlib.figure import Figure
 
 from fakes.fits import GEAR, MOTOR, made_fit
+from fakes.places import PUBLISHED
 from sysid.export import load_parameter_sets
 from sysid.filters import Spectrum, amplitude_spectrum
+from sysid.fit.result import TrialResult
 from sysid.fit.store import read_fit, write_fit
-from sysid.gear.model import EventKind, pack, simulate
+from sysid.gear.model import PARAMETERS, EventKind, pack, simulate
+from sysid.parameter_sets import ParameterRecord
 from sysid.report import diagrams, fit_report, gear_report, model_notes
 from sysid.report.animation import animation
 from sysid.report.drawing import as_math, thinned
@@ -34,10 +37,8 @@ NASTY = "</script><img src=x onerror=alert(1)>"
 
 @pytest.fixture(scope="module")
 def sets():
-    from fakes.places import SAMPLES
-
-    names = ("motor", "gear-lf", "gear-hf")
-    return {name: load_parameter_sets(SAMPLES / "published" / f"published-{name}.json") for name in names}
+    names = ("motor", "gear-lf")
+    return {name: load_parameter_sets(PUBLISHED / f"published-{name}.json") for name in names}
 
 
 def small_figure():
@@ -166,10 +167,6 @@ BODY = [0.0, 0.21, 0.0, 0.0, -0.7, 0.0]
 @pytest.fixture(scope="module")
 def drop_fit():
     """A fit of one drop whose measurement is a simulation with the published low-friction values."""
-    from sysid.fit.result import TrialResult
-    from sysid.gear.model import PARAMETERS
-    from sysid.parameter_sets import ParameterRecord
-
     row = pack({})
     time = np.arange(0.0, 0.75, 0.005)
     run = simulate(row, SLOPE, BODY, time, events=False)
@@ -186,8 +183,12 @@ def drop_fit():
     )  # fmt: skip
 
 
-def test_a_replay_repeats_the_drop_with_its_feet_and_forces(drop_fit):
-    drop = replay_drop(drop_fit, drop_fit.trials[0])
+@pytest.fixture(scope="module")
+def drop(drop_fit):
+    return replay_drop(drop_fit, drop_fit.trials[0])
+
+
+def test_a_replay_repeats_the_drop_with_its_feet_and_forces(drop_fit, drop):
     every = slice(None, None, 5)
     # The same simulation on another clock: only the interpolation between its steps differs.
     np.testing.assert_allclose(drop.body[every], drop_fit.trials[0].measured[:, [0, 1, 4]], atol=1e-9)
@@ -203,8 +204,7 @@ def test_a_replay_repeats_the_drop_with_its_feet_and_forces(drop_fit):
     np.testing.assert_allclose(drop.feet[0], [[-0.105, 0.059], [0.105, 0.059]], atol=1e-12)
 
 
-def test_contacts_of_a_replay_are_the_events_of_the_simulation(drop_fit):
-    drop = replay_drop(drop_fit, drop_fit.trials[0])
+def test_contacts_of_a_replay_are_the_events_of_the_simulation(drop):
     run = simulate(pack({}), SLOPE, BODY, drop.time)
     for foot, name in enumerate(("rear", "front")):
         touches = [e.time for e in run.events if e.kind is EventKind.TOUCHDOWN and e.foot == name]
@@ -334,8 +334,7 @@ def test_the_options_of_the_animation_tell_the_drops_apart(drop_fit, tmp_path):
     assert re.findall(r"<summary>(.*?) \(", text) == ["drop-1", "other, drop-1"]
 
 
-def test_snapshots_are_titled_with_the_instants_that_the_caption_names(drop_fit, tmp_path):
-    drop = replay_drop(drop_fit, drop_fit.trials[0])
+def test_snapshots_are_titled_with_the_instants_that_the_caption_names(drop_fit, drop, tmp_path):
     panels = figure_snapshots(drop, legend=True).axes
     titles = [axes.get_title(loc="left") for axes in panels if axes.get_visible()]
     assert titles == [f"({k}) {1e3 * t:.0f} ms" for k, (t, _) in enumerate(drop.first_contacts(), 1)]

@@ -1,13 +1,26 @@
-"""Notebooks without a kernel: their cells run in one process, one after the other."""
+"""Fits of the samples for reports, and notebooks without a kernel: their cells run one after the other."""
 
 import ast
 import contextlib
 import json
 
-from fakes.places import ROOT
+from fakes.places import ROOT, SAMPLES
 from sysid.report.html import Html, joined, page
+from sysid.workflows.fit import fit_campaign
+from sysid.workflows.options import FitOptions
 
 NOTEBOOKS = ROOT / "notebooks"
+# Searches that end at once, and few cells: the pages do not depend on how good the numbers are.
+SHORT = {"quiet": True, "runs": 2, "population": 16, "max_generations": 3, "finish": "none"}
+COARSE = {"slopes": "0:45:15", "speeds": "0.3,1", "impulse_slopes": "10,25", "impulse_speeds": "0.5"}
+
+
+def short_fits(folder):
+    """Fit both gears and the motor of the samples; return the folders by name."""
+    return {
+        name: fit_campaign(SAMPLES / name / "campaign.toml", FitOptions(folder / name, **SHORT))[1]
+        for name in ("gear-lf", "gear-hf", "motor")
+    }
 
 
 def notebook_page(name, parameters):
