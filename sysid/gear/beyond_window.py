@@ -18,7 +18,6 @@ from sysid.gear.drops import PreparedDrop
 from sysid.gear.model import PARAMETERS, Drops, Ending, simulate_population
 from sysid.gear.starts import start_roots
 from sysid.journal import notice
-from sysid.trials.fall import Feet, SlopedPlane
 from sysid.types import FloatArray
 
 # Starts that are drawn per set.
@@ -43,7 +42,7 @@ def stopping(
     `rows` (S, n_table) are the sets [SI]; `board_length` counts down-slope from the touchdown [m];
     `simulation` gives law, tolerance and threads of `simulate_population`.
     """
-    motion, tangent = drop.motion, drop.tangent
+    motion, tangent = drop.motion, drop.feet.tangent
     touch = float(drop.flight.at(np.array([drop.touchdown]))[0, :2] @ tangent)
     last = motion.time[-1]
     if board_length is not None:
@@ -97,7 +96,7 @@ def _measured(drop: PreparedDrop, after: FloatArray) -> tuple[float, float, bool
     first = int(moving[-1]) + 1 if len(moving) else 0
     stops = first < len(after) and after[-1] - after[first] >= _REST.rest_time
     at = first if stops else len(after) - 1
-    return float(after[at]), float(smooth[at, :2] @ drop.tangent), bool(stops)
+    return float(after[at]), float(smooth[at, :2] @ drop.feet.tangent), bool(stops)
 
 
 def centre_of_mass(drops: tuple[PreparedDrop, ...], campaign: GearCampaign) -> dict[str, float] | None:
@@ -107,8 +106,7 @@ def centre_of_mass(drops: tuple[PreparedDrop, ...], campaign: GearCampaign) -> d
     Down-slope and up in the body while it hangs level. None where it flew too little after a contact. Flights
     of some 50 ms determine it to centimetres only: they mostly show the velocity at their start.
     """
-    feet = Feet(campaign.vehicle.foot_dx, campaign.vehicle.foot_dz)
-    flights = [part for drop in drops for part in _flights(drop, feet)]
+    flights = [part for drop in drops for part in _flights(drop)]
     noise = max(float(np.max(drop.flight.noise[:2])) for drop in drops)
     if sum(len(part[0]) for part in flights) < 4 * _LEAST_FLIGHT:
         return None
@@ -158,11 +156,11 @@ def turning_point(
     return -offset, np.asarray(error)
 
 
-def _flights(drop: PreparedDrop, feet: Feet) -> list[FlightPhase]:
+def _flights(drop: PreparedDrop) -> list[FlightPhase]:
     """Return (time, x, z, pitch) of the flights after the first contact in which the body turns."""
     motion = drop.motion
     inside = (motion.time > drop.touchdown + 0.02) & (motion.time < drop.time[-1]) & motion.valid
-    clear = feet.clearances(SlopedPlane(drop.slope), motion.x, motion.z, motion.pitch).min(axis=1)
+    clear = drop.feet.clearances(motion.x, motion.z, motion.pitch).min(axis=1)
     free = inside & (np.nan_to_num(clear, nan=-1.0) > _CLEAR)
     return [
         (motion.time[first:last], motion.x[first:last], motion.z[first:last], motion.pitch[first:last])

@@ -30,7 +30,7 @@ from sysid.trials.capture import (
     planar_motion,
     spatial_motion,
 )
-from sysid.trials.fall import Feet, Flight, SlopedPlane, find_fall, fit_flight
+from sysid.trials.fall import Feet, Flight, find_fall, fit_flight
 from sysid.types import FloatArray
 
 # A body leaves free fall visibly some 10 ms after the feet touch, because its legs yield first. Leaving it
@@ -50,8 +50,6 @@ class PreparedDrop:
 
     Parameters
     ----------
-    slope : float
-        Angle of the surface [rad].
     motion : PlanarMotion
         The whole log, relative to a point of the surface.
     touchdown, impact_speed : float
@@ -70,7 +68,7 @@ class PreparedDrop:
 
     name: str
     use: TrialUse
-    slope: float
+    feet: Feet
     motion: PlanarMotion
     flight: Flight
     touchdown: float
@@ -84,9 +82,9 @@ class PreparedDrop:
     provenance: dict[str, Any]
 
     @property
-    def tangent(self) -> FloatArray:
-        """(2,) unit vector down the slope, in x and z."""
-        return SlopedPlane(self.slope).tangent
+    def slope(self) -> float:
+        """Angle of the surface [rad]."""
+        return self.feet.slope
 
 
 def cost_channels(campaign: GearCampaign) -> tuple[CostChannel, ...]:
@@ -170,12 +168,12 @@ class _Preparation:
         motion = self._spatial(recording, trial.rigid_body or trial.log_options.rigid_body)
         self.notes = [*recording.provenance.sentences, *motion.notes]
         slope, point = self._surface()
-        self.plane = SlopedPlane(slope)
-        feet, gravity = Feet(campaign.vehicle.foot_dx, campaign.vehicle.foot_dz), campaign.vehicle.gravity
+        self.feet = Feet(campaign.vehicle.foot_dx, campaign.vehicle.foot_dz, slope)
+        gravity = campaign.vehicle.gravity
         held = find_fall(motion, gravity, self.where, trial.release)
         levels = held.stop > held.start and campaign.capture.level == "release"
         self.motion = planar_motion(motion, point, held_level(motion, held) if levels else np.eye(3))
-        self.flight, touchdown = fit_flight(self.motion, self.plane, feet, held, gravity, self.where, levels)
+        self.flight, touchdown = fit_flight(self.motion, self.feet, held, gravity, self.where, levels)
         self.touchdown = touchdown if trial.touchdown is None else trial.touchdown
         self.at_touchdown = self.flight.at(np.array([self.touchdown]))[0]
         self.lowpass = lowpass_of(campaign, self.motion.rate)
@@ -194,7 +192,7 @@ class _Preparation:
         return PreparedDrop(
             name=self.trial.name,
             use=self.trial.use,
-            slope=self.plane.angle,
+            feet=self.feet,
             motion=motion,
             flight=flight,
             touchdown=self.touchdown,
@@ -211,7 +209,7 @@ class _Preparation:
                 "format": origin.format,
                 "device": origin.device,
                 "rate [Hz]": motion.rate,
-                "slope [deg]": float(np.degrees(self.plane.angle)),
+                "slope [deg]": float(np.degrees(self.feet.slope)),
                 "held before release": flight.held,
                 "release [s]": flight.start,
                 "touchdown [s]": self.touchdown,
@@ -318,11 +316,11 @@ class _Preparation:
         motion, board = self.motion, self.campaign.surface.board_length
         if board is None:
             return None
-        along = np.column_stack([motion.x, motion.z]) @ self.plane.tangent
+        along = np.column_stack([motion.x, motion.z]) @ self.feet.tangent
         at_touchdown = int(np.clip(np.searchsorted(motion.time, self.touchdown), 0, len(along) - 1))
         origin = along[at_touchdown]
         if not np.isfinite(origin):
-            origin = float(self.at_touchdown[:2] @ self.plane.tangent)
+            origin = float(self.at_touchdown[:2] @ self.feet.tangent)
         left = np.flatnonzero(along[at_touchdown:last] - origin > board)
         return at_touchdown + int(left[0]) if len(left) else None
 

@@ -105,13 +105,13 @@ def _candidates(problem: GearProblem, row: FloatArray) -> tuple[GearProblem, Seq
 def _candidate(problem: GearProblem, row: FloatArray, slope: float, speed: float) -> PreparedDrop | None:
     """Return a drop as it would be recorded at the parameters `row`; None where it cannot be compared."""
     template, campaign = problem.drops[0], problem.campaign
-    gravity, feet = campaign.vehicle.gravity, campaign.vehicle
+    gravity, feet = campaign.vehicle.gravity, template.feet
     rate = template.motion.rate
     fall = min(campaign.window.before_contact, speed / gravity)
     foot_x = -_FOOT_FROM_POINT * np.cos(slope)
     start = np.zeros(6)
-    start[0] = foot_x + feet.foot_dx
-    start[1] = -foot_x * np.tan(slope) + feet.foot_dz + speed * fall - gravity * fall**2 / 2
+    start[0] = foot_x + feet.dx
+    start[1] = -foot_x * np.tan(slope) + feet.dz + speed * fall - gravity * fall**2 / 2
     start[4] = -(speed - gravity * fall)
     window = round((fall + campaign.window.after_contact) * rate)
     extra = len(template.simulated_time) - len(template.time)
@@ -124,9 +124,9 @@ def _candidate(problem: GearProblem, row: FloatArray, slope: float, speed: float
         template.target.rate, template.target.taps, None,
     )  # fmt: skip
     drop = replace(
-        template, name=f"{np.degrees(slope):g} deg, {speed:g} m/s", slope=float(slope),
-        touchdown=float(time[0] + fall), impact_speed=speed, time=time[:window], initial_state=start,
-        simulated_time=time, before=before, target=blank,
+        template, name=f"{np.degrees(slope):g} deg, {speed:g} m/s",
+        feet=replace(feet, slope=float(slope)), touchdown=float(time[0] + fall), impact_speed=speed,
+        time=time[:window], initial_state=start, simulated_time=time, before=before, target=blank,
     )  # fmt: skip
     alone = replace(problem, drops=(drop,))
     samples, result = alone.simulate(row[None])

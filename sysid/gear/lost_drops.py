@@ -40,7 +40,7 @@ def judged_drops(
 ) -> tuple[PopulationCost, NDArray[np.int8]]:
     """Return the scores with all penalties, and why (from 1) each drop (P, D) is lost, 0 where it is not.
 
-    `samples` (P, n_total, 6) are those of the simulation with every drop's margins, `scored` is what they
+    `samples` (P, n_total, 6) come from the simulation, with every drop's margins; `scored` is what they
     scored; the board ends this way down-slope of the touchdown [m], None: never.
     """
     cause = np.zeros(scored.failed.shape, dtype=np.int8)
@@ -75,7 +75,7 @@ def _share_on_board(
     first = int(cost.offsets[d]) + len(drop.before)
     window = samples[:, first : first + len(drop.time), :2]
     foot = np.nanargmin(np.nan_to_num(result.first_contact[:, d], nan=np.inf), axis=1)
-    start = result.contact_state[np.arange(len(foot)), d, foot, :2] @ drop.tangent
-    beyond = window @ drop.tangent - start[:, None] > BEYOND_BOARD * board_length
+    start = result.contact_state[np.arange(len(foot)), d, foot, :2] @ drop.feet.tangent
+    beyond = window @ drop.feet.tangent - start[:, None] > BEYOND_BOARD * board_length
     away = np.argmax(beyond, axis=1)
     return np.asarray(np.where(beyond.any(axis=1), away / len(drop.time), 1.0))

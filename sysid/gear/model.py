@@ -48,7 +48,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -78,6 +78,8 @@ _MARKS = 1000
 # Lanes of the population driver: one register of eight doubles where the CPU has it, two or four registers
 # elsewhere.
 _LANES = 8
+_driver = lru_cache(maxsize=16)(kernel.drop_driver)
+_force_reader = lru_cache(maxsize=8)(kernel.force_reader)
 
 
 class Status(IntEnum):
@@ -376,7 +378,7 @@ def simulate(
         tolerance = min(law.tolerance, _LOGGED_TOLERANCE)
     if isinstance(parameters, Mapping):
         parameters = pack(parameters, law)
-    rows = _checked(np.asarray(parameters, dtype=np.float64)[None])
+    rows = np.asarray(parameters, dtype=np.float64)[None]
     body, legs = _one_start(body_state, state)
     clock = np.asarray(time, dtype=np.float64)
     drops = Drops(np.array([slope]), body, (clock,), propulsion)
@@ -460,7 +462,7 @@ def simulate_population(
     `simulate`, but the default tolerance is always what a fit needs; `body_states` (P, D, 6) are starts of
     every candidate and drop, instead of one per drop.
     """
-    rows = _checked(np.atleast_2d(np.asarray(parameters, dtype=np.float64)))
+    rows = np.atleast_2d(np.asarray(parameters, dtype=np.float64))
     bodies = drops.body_state[None]
     if body_states is not None:
         bodies = np.ascontiguousarray(body_states, dtype=np.float64).view()
@@ -490,16 +492,6 @@ def prepare(surface: str | Surface = "lf", *, single: bool = True) -> None:
         simulate(pack({}, law), 0.0, drops.body_state[0], drops.time[0], surface=law)
 
 
-@lru_cache(maxsize=16)
-def _driver(lanes: int, surface: Surface) -> Any:
-    return kernel.drop_driver(lanes, surface)
-
-
-@lru_cache(maxsize=8)
-def _force_reader(surface: Surface) -> Any:
-    return kernel.force_reader(surface)
-
-
 def in_kernel_order(rows: FloatArray, surface: Surface) -> FloatArray:
     """Return rows of the table in the kernel's order, then the columns that the friction law reads."""
     index = PARAMETERS.index
@@ -521,6 +513,10 @@ def _run(
     room: int = 0,
 ) -> PopulationSamples:
     """Simulate from the body's start (P or 1, D, 6) in frame N and the legs' (8,), empty for legs at rest."""
+    if rows.ndim != 2 or rows.shape[1] != len(PARAMETERS):
+        raise CampaignError(
+            f"parameters: found rows of {rows.shape[-1]}, expected {len(PARAMETERS)}; build them with pack()"
+        )
     if tolerance is None:
         tolerance = surface.tolerance
     if not 0 < tolerance < 1:
@@ -571,11 +567,3 @@ def _run(
         end_state=states[:, :, 2],
         marks=marks[np.isfinite(marks[:, 0])],
     )
-
-
-def _checked(rows: FloatArray) -> FloatArray:
-    if rows.ndim != 2 or rows.shape[1] != len(PARAMETERS):
-        raise CampaignError(
-            f"parameters: found rows of {rows.shape[-1]}, expected {len(PARAMETERS)}; build them with pack()"
-        )
-    return np.ascontiguousarray(rows)

@@ -28,36 +28,29 @@ _LOOK_BACK = 0.6
 
 
 @dataclass(frozen=True)
-class SlopedPlane:
-    """The surface in the plane of motion: through the origin, falling toward +x by `angle` [rad]."""
+class Feet:
+    """Feet at rest, `dx` to either side of the centre of mass and `dz` below it [m], over a sloped plane.
 
-    angle: float
+    The plane passes through the origin and falls toward +x by `slope` [rad].
+    """
+
+    dx: float
+    dz: float
+    slope: float
 
     @property
     def tangent(self) -> FloatArray:
         """(2,) unit vector down the slope, in x and z."""
-        return np.array([np.cos(self.angle), -np.sin(self.angle)])
+        return np.array([np.cos(self.slope), -np.sin(self.slope)])
 
-    def height(self, x: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the distance above the surface along its normal [m]."""
-        return x * np.sin(self.angle) + z * np.cos(self.angle)
-
-
-@dataclass(frozen=True)
-class Feet:
-    """Feet at rest below the centre of mass: `dx` to either side and `dz` down [m]."""
-
-    dx: float
-    dz: float
-
-    def clearances(self, plane: SlopedPlane, x: FloatArray, z: FloatArray, pitch: FloatArray) -> FloatArray:
+    def clearances(self, x: FloatArray, z: FloatArray, pitch: FloatArray) -> FloatArray:
         """Return (n, 2): distance of the rear and the front foot above the plane, legs unloaded [m]."""
         cos, sin = np.cos(pitch), np.sin(pitch)
         feet = [
             (x + side * self.dx * cos - self.dz * sin, z - side * self.dx * sin - self.dz * cos)
             for side in (-1.0, 1.0)
         ]
-        return np.stack([plane.height(*foot) for foot in feet], axis=-1)
+        return np.stack([x * np.sin(self.slope) + z * np.cos(self.slope) for x, z in feet], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,13 +130,7 @@ def _still_since(motion: SpatialMotion, held: slice) -> int:
 
 
 def fit_flight(
-    motion: PlanarMotion,
-    plane: SlopedPlane,
-    feet: Feet,
-    held: slice,
-    gravity: float,
-    where: str,
-    level: bool = False,
+    motion: PlanarMotion, feet: Feet, held: slice, gravity: float, where: str, level: bool = False
 ) -> tuple[Flight, float]:
     """Fit hold and free flight; return them and the first contact of a foot with the plane [s].
 
@@ -151,7 +138,7 @@ def fit_flight(
     there. `level`: the hold defines level, so a body that is released at rest has exactly no pitch. Raises
     LogError when a foot is below the surface before the fall, or never reaches it.
     """
-    clearance = feet.clearances(plane, motion.x, motion.z, motion.pitch).min(axis=1)
+    clearance = feet.clearances(motion.x, motion.z, motion.pitch).min(axis=1)
     before, after = clearance[: max(held.stop, 1)], clearance[held.stop :]
     lowest = float(np.nanmin(before[-max(1, round(0.1 * motion.rate)) :], initial=np.inf))
     if lowest < 0:
@@ -168,7 +155,7 @@ def fit_flight(
     touchdown = float(motion.time[held.stop + contact[0]])
     for _ in range(3):  # the samples that count depend on the touchdown, which they move by less than one
         flight = _fit(motion, held, touchdown, gravity, where, level)
-        refined = _contact_time(flight, plane, feet, touchdown)
+        refined = _contact_time(flight, feet, touchdown)
         if abs(refined - touchdown) < 1e-6:
             break
         touchdown = refined
@@ -234,12 +221,12 @@ def _fit_ballistic(time: FloatArray, coordinates: FloatArray, gravity: float) ->
     return Flight(start, False, np.concatenate([solution[0], solution[1]]), gravity, measured, noise)
 
 
-def _contact_time(flight: Flight, plane: SlopedPlane, feet: Feet, guess: float) -> float:
+def _contact_time(flight: Flight, feet: Feet, guess: float) -> float:
     """Return when the flight model brings a foot to the surface [s]."""
 
     def clearance(time: float) -> float:
         state = flight.at(np.array([time]))[0]
-        return float(feet.clearances(plane, state[:1], state[1:2], state[2:3]).min())
+        return float(feet.clearances(state[:1], state[1:2], state[2:3]).min())
 
     low, high = flight.start, guess
     while clearance(high) > 0 and high < guess + 0.5:

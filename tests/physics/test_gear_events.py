@@ -156,7 +156,7 @@ def viscous_damping(force, slip, law):
     return law[0] * force
 
 
-@pytest.mark.slow  # compiles a law of its own
+@pytest.mark.slow  # compiles another law
 def test_a_third_law_is_one_declaration(monkeypatch, tmp_path):
     wet = Surface(
         name="wet",
@@ -171,7 +171,7 @@ def test_a_third_law_is_one_declaration(monkeypatch, tmp_path):
     # Terminal speed tan(slope)/c.
     assert along[-1] == pytest.approx(math.tan(slope), rel=0.02)
     np.testing.assert_allclose(run.friction_force[-1], -run.normal_force[-1] * along[-1], rtol=0.05)
-    # In the table, where a file of its own puts it, it can be named wherever a law is.
+    # In the table, where its file puts it, it can be named wherever a law is.
     monkeypatch.setitem(SURFACES, "wet", wet)
     folder = synthesize_gear(tmp_path / "drops", seed=1, surface="wet", drops=LF_DROPS[:2])
     campaign = folder / "campaign.toml"

@@ -39,7 +39,7 @@ def test_offsets_of_a_drop_are_found_where_they_were_put(drops):
         # millisecond) shows.
         assert np.argmin(cost) == 4
         assert min(cost[0], cost[-1]) > 5 * cost[4]
-    # A validation drop has no offset: those of the others leave its score alone to the bit.
+    # A validation drop has no offset: the offsets of the others change no bit of its score.
     accurate = campaign.model_copy(update={"fit": campaign.fit.model_copy(update={"tolerance": 1e-6})})
     every = GearProblem(accurate, space, prepared)
     moved = space.encode(exact)[None].repeat(2, axis=0)

@@ -16,7 +16,7 @@ SAMPLES = ROOT / "data_samples"
 
 
 def child(code, **environment):
-    """Run Python code in a process of its own and return the JSON that it prints last."""
+    """Run Python code in another process and return the JSON that it prints last."""
     env = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
     run = subprocess.run(
         [sys.executable, "-c", code], env=env, capture_output=True, text=True, encoding="utf-8", check=False
@@ -30,10 +30,10 @@ import json
 from sysid.gear import model
 found = {}
 for name in ("lf", "hf"):
-    own = model.find_surface(name)
-    model.prepare(own)
+    law = model.find_surface(name)
+    model.prepare(law)
     for lanes in (1, model._LANES):
-        stats = model._driver(lanes, own).stats
+        stats = model._driver(lanes, law).stats
         found[f"{name} {lanes}"] = [sum(stats.cache_hits.values()), sum(stats.cache_misses.values())]
 print(json.dumps(found))
 """
@@ -83,7 +83,7 @@ def damping(force, slip, law):
 
 
 def test_a_law_typed_in_a_session_has_a_fingerprint():
-    """It has no file: its code stands for it, with that of what it calls."""
+    """It has no file: its code, and the code that it calls, stand for it."""
     from numba import njit
 
     from sysid.gear.kernel import driver as kernel
@@ -143,9 +143,9 @@ from sysid.gear.model import Drops, _driver, _LANES, find_surface, pack, simulat
 drops = Drops(np.array([0.2, 0.5]), np.array(STARTS), [np.arange(0, 0.0401, 0.005)] * 2)
 out = {}
 for name in ("lf", "hf"):
-    own = find_surface(name)
-    driver = _driver(_LANES, own)
-    found = simulate_population(pack({}, own), drops, surface=own, tolerance=1e-6, threads=1)
+    law = find_surface(name)
+    driver = _driver(_LANES, law)
+    found = simulate_population(pack({}, law), drops, surface=law, tolerance=1e-6, threads=1)
     out[name] = [found.samples.tolist(), found.rhs_evaluations.tolist()]
     (code,) = driver.inspect_asm().values() if not driver.stats.cache_hits else ("",)
     out[name + " wide registers"] = sum(code.count(register) for register in ("ymm", "zmm"))

@@ -79,7 +79,7 @@ def test_zeros_of_the_voltage_of_averaged_points_are_no_volts(tmp_path: Path) ->
         for i, (c, s) in enumerate(zip(u, speed, strict=True))
     ]
     (tmp_path / "static.csv").write_text(COLUMNS + "\n".join(rows) + "\n", encoding="utf-8", newline="\n")
-    # Unknown volts are those of the reference: the columns are u itself.
+    # Unknown volts count as the reference: the columns are u itself.
     np.testing.assert_allclose(_bench(path).curves.ties["forward"].columns[:, 0], u[1:], rtol=1e-9)
 
 
@@ -131,7 +131,7 @@ def test_rotor_that_stands_under_a_command_is_told(tmp_path: Path) -> None:
 
 
 def _made(*holds: tuple[float, float]) -> float | None:
-    """What is said of holds of 1 s, each (u, speed [rad/s])."""
+    """The command that counts as standing among holds of 1 s, each (u, speed [rad/s])."""
     time = np.arange(0.0, len(holds), 0.01)
     speed = np.repeat([turning for _, turning in holds], 100).astype(float)
     steps = CommandSteps(np.arange(float(len(holds))), np.array([u for u, _ in holds]))

@@ -7,11 +7,11 @@ from scipy.spatial.transform import Rotation
 from sysid.errors import LogError
 from sysid.recording import Channel, Provenance, Recording
 from sysid.trials.capture import CaptureFrame, held_level, marker_plane, planar_motion, spatial_motion
-from sysid.trials.fall import Feet, SlopedPlane, find_fall, fit_flight
+from sysid.trials.fall import Feet, find_fall, fit_flight
 
 G = 9.81
-FEET = Feet(0.105, 0.151)
 SLOPE = np.radians(15.0)
+FEET = Feet(0.105, 0.151, SLOPE)
 RELEASE = 7.4137  # on a clock that starts at 6.2 s
 SPEED = 0.6
 X = 0.3  # down-slope of the surface's origin
@@ -57,7 +57,7 @@ def _prepare(recording, frame, **options):
     motion = spatial_motion(recording, None, frame, **options)
     held = find_fall(motion, G, "drop.csv")
     planar = planar_motion(motion, np.zeros(3), held_level(motion, held))
-    return planar, held, *fit_flight(planar, SlopedPlane(SLOPE), FEET, held, G, "drop.csv")
+    return planar, held, *fit_flight(planar, FEET, held, G, "drop.csv")
 
 
 @pytest.mark.parametrize(("up", "down"), [("+y", "+x"), ("+z", "-y"), ("-x", "+z"), ("+y", "-z")])
@@ -168,7 +168,7 @@ def test_a_thrown_body_is_ballistic():
     held = find_fall(motion, G, "made")
     assert held.start == held.stop
     planar = planar_motion(motion, np.zeros(3), np.eye(3))
-    flight, touchdown = fit_flight(planar, SlopedPlane(0.0), FEET, held, G, "made")
+    flight, touchdown = fit_flight(planar, Feet(0.105, 0.151, 0.0), held, G, "made")
     assert not flight.held
     expected = (0.4 + np.sqrt(0.4**2 + 2 * G * (0.30 - FEET.dz))) / G
     assert touchdown == pytest.approx(expected, abs=1e-6)
@@ -214,10 +214,7 @@ def test_a_level_release_has_exactly_no_pitch():
     motion = spatial_motion(_long_hold(noise_deg=0.2), None, frame)
     held = find_fall(motion, G, "drop.csv")
     planar = planar_motion(motion, np.zeros(3), held_level(motion, held))
-    states = [
-        fit_flight(planar, SlopedPlane(SLOPE), FEET, held, G, "drop.csv", level)[0].state
-        for level in (True, False)
-    ]
+    states = [fit_flight(planar, FEET, held, G, "drop.csv", level)[0].state for level in (True, False)]
     assert (states[0][2], states[0][5]) == (0.0, 0.0)
     # Without that word it is the mean of the fall's samples too: 0.2 deg over the root of 400 samples.
     assert 0 < abs(states[1][2]) < np.radians(0.04)
@@ -238,4 +235,4 @@ def test_refusals_name_the_cause():
     ):
         planar = planar_motion(motion, np.array([0.0, 0.0, height]), np.eye(3))
         with pytest.raises(LogError, match=sentence):
-            fit_flight(planar, SlopedPlane(SLOPE), FEET, held, G, "drop.csv")
+            fit_flight(planar, FEET, held, G, "drop.csv")
