@@ -30,8 +30,8 @@ from sysid.trials.look.drop import STANDARD_GRAVITY, DropReport, inspect_drop
 _FARTHEST = 100.0
 _WRONG_GRAVITY = 0.03
 _CROOKED = np.radians(5.0)
-# Units of a drop's report as an option says them.
-_WRITTEN = {"inches": "inch", "feet": "foot", "metres, read as mm": "m"}
+# Units of length in a sentence, where it says them otherwise than an option.
+_IN_WORDS = {"inch": "inches", "foot": "feet", "m": "metres, read as mm"}
 
 
 @dataclass(frozen=True)
@@ -127,11 +127,9 @@ def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: 
     if drop is None:
         return
     if drop.length_unit:
-        unit = _WRITTEN.get(drop.length_unit, drop.length_unit)
-        yield Finding(
-            "length-unit",
-            f"{drop.body} falls as if lengths were in {drop.length_unit}; {length_advice(recording, unit)}",
-        )
+        words = _IN_WORDS.get(drop.length_unit, drop.length_unit)
+        advice = length_advice(recording, drop.length_unit)
+        yield Finding("length-unit", f"{drop.body} falls as if lengths were in {words}; {advice}")
         return
     # 3 % over a flight of 0.2 s is a few sample errors; shorter flights determine g worse.
     flight = drop.touchdown - (drop.release if drop.release is not None else drop.touchdown - 0.1)

@@ -26,10 +26,8 @@ from sysid.trials.flight import (
 from sysid.types import BoolArray, FloatArray
 
 STANDARD_GRAVITY = 9.80665
-# Units that a length may have been read in: its factor on g, and what it means.
-_SCALES = {
-    1.0: "", 1e3: "mm", 1e2: "cm", 1 / 0.0254: "inches", 1 / 0.3048: "feet", 1e-3: "metres, read as mm",
-}  # fmt: skip
+# Factor on g of lengths that were read in another unit than theirs, and theirs; the last was read as mm.
+_SCALES = {1.0: "", 1e3: "mm", 1e2: "cm", 1 / 0.0254: "inch", 1 / 0.3048: "foot", 1e-3: "m"}
 # Only g distinguishes a wrong unit from a wrong rate; two readings of one long fall differ by less than this.
 _NEAR_UNIT = 0.1
 # Factors on g that a wrong rate or scale may cause, the nearest first; one step moves the end of a fall of
@@ -55,7 +53,7 @@ class DropReport:
     gravity
         What the fall itself says [m/s²].
     length_unit
-        Empty; else the unit that the lengths seem to be in although they were read in another.
+        Empty; else the unit that the lengths seem to have, as options name it, but were not read in.
     release, touchdown
         [s]; no release where the body was thrown or carried into the flight.
     impact_speed, fall_height

@@ -155,14 +155,20 @@ def test_drop_without_markers_suggests_the_tilt_at_rest():
 
 
 @pytest.mark.parametrize(
-    ("scale", "unit"), [(1000.0, "mm"), (100.0, "cm"), (1 / 0.3048, "feet"), (1e-3, "metres, read as mm")]
+    ("scale", "unit", "words"),
+    [
+        (1000.0, "mm", "mm"),
+        (100.0, "cm", "cm"),
+        (1 / 0.3048, "foot", "feet"),
+        (1e-3, "m", "metres, read as mm"),
+    ],
 )
-def test_lengths_in_a_wrong_unit_are_suspected(scale, unit):
+def test_lengths_in_a_wrong_unit_are_suspected(scale, unit, words):
     log, release, _ = drop(scale=scale)
     report = inspect_recording(log)
     assert report.drop.length_unit == unit
     assert report.drop.release == pytest.approx(release, abs=4e-3)
-    assert any(f"as if lengths were in {unit}" in sentence for sentence in map(str, report.suspicions))
+    assert any(f"as if lengths were in {words}" in sentence for sentence in map(str, report.suspicions))
 
 
 def test_a_wrong_rate_shows_in_gravity():
