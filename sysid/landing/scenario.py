@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,8 +67,3 @@ def along_slope(position: FloatArray, slope: ArrayLike) -> FloatArray:
     """Return the coordinate down the slope (...) [m] of x and z, the first two entries of (..., >= 2)."""
     angle = np.asarray(slope, dtype=np.float64)
     return np.asarray(position[..., 0] * np.cos(angle) - position[..., 1] * np.sin(angle))
-
-
-def slopes_of(scenarios: Sequence[Scenario]) -> FloatArray:
-    """Return the slopes (n,) [rad]."""
-    return np.array([scenario.slope for scenario in scenarios])

@@ -25,7 +25,7 @@ from sysid.gear.propulsion import Propulsion
 from sysid.landing.controllers import Controller
 from sysid.landing.drone import Drone
 from sysid.landing.outcomes import Outcome, Rules
-from sysid.landing.scenario import Scenario, along_slope, slopes_of
+from sysid.landing.scenario import Scenario, along_slope
 from sysid.landing.thrust import Motors
 from sysid.types import FloatArray
 
@@ -52,8 +52,6 @@ class Landings:
         [m].
     time, flip, trigger : (n,) arrays
         From touchdown until it came to rest, flipped, and the controller began [s]; NaN where it never did.
-    status : (n,) int8 array
-        `sysid.gear.model.Status` codes.
     """
 
     outcome: NDArray[np.int8]
@@ -61,7 +59,6 @@ class Landings:
     time: FloatArray
     flip: FloatArray
     trigger: FloatArray
-    status: NDArray[np.int8]
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +110,10 @@ def run(
     """Simulate landings under a given thrust; see `land_many`."""
     clock = np.array([0.0, rules.horizon])
     drops, flown = _fly(drone, scenarios, thrust, clock, tolerance, threads, rules.ending("rest"))
-    status, rest, flip = flown.status[0], flown.rest[0], flown.flip[0]
+    rest, flip = flown.rest[0], flown.flip[0]
     distance = along_slope(flown.end_state[0], drops.slope) - along_slope(drops.body_state, drops.slope)
-    outcome = rules.classes(distance, rest, flip, np.isin(status, _FAILED))
-    return Landings(outcome, distance, rest, flip, triggers, status)
+    outcome = rules.classes(distance, rest, flip, np.isin(flown.status[0], _FAILED))
+    return Landings(outcome, distance, rest, flip, triggers)
 
 
 def _fly(
@@ -130,7 +127,8 @@ def _fly(
 ) -> tuple[Drops, PopulationSamples]:
     """Simulate landings in the gear's kernel; all share one clock [s]."""
     starts = np.array([scenario.start(drone) for scenario in scenarios])
-    drops = Drops(slopes_of(scenarios), starts, [clock] * len(scenarios), thrust)
+    slopes = np.array([scenario.slope for scenario in scenarios])
+    drops = Drops(slopes, starts, [clock] * len(scenarios), thrust)
     return drops, simulate_population(
         drone.row, drops, surface=drone.surface, tolerance=tolerance, threads=threads, ending=ending
     )

@@ -91,9 +91,6 @@ CampaignFile = Annotated[Path, Argument("Campaign file (TOML).")]
 FitFolder = Annotated[Path, Argument("Fit folder.")]
 Sets = Annotated[Path, Argument("Fit folder, or file of parameter sets.")]
 GearSets = Annotated[Path, Argument("Fit folder or file with the gear sets.")]
-GearSetsBySurface = Annotated[
-    tuple[Path, ...], Argument("Fit folders or files with gear sets, one a surface.")
-]
 Force = Annotated[bool, Flag("Replace what exists.")]
 Quiet = Annotated[bool, Flag("Print neither progress nor tables.")]
 Json = Annotated[bool, Flag("Print the result as JSON.")]
@@ -304,7 +301,7 @@ class SimulateOptions:
 class MapOptions:
     """What the commands on maps share."""
 
-    sets: GearSetsBySurface
+    sets: Annotated[tuple[Path, ...], Argument("Fit folders or files with gear sets, one a surface.")]
     motors: MotorOptions
     out: ResultFile
     figure: Annotated[Path | None, Flag("Write the figure to this file.", default="beside the HDF5 file")] = (
