@@ -71,7 +71,7 @@ class Controller:
     @property
     def label(self) -> str:
         """Name with its options, for tables and figures."""
-        options = (", ideal reversal", self.ideal_reversal), (", own sensing", self.sensing)
+        options = (", ideal reversal", self.ideal_reversal), (", accelerometer trigger", self.sensing)
         return self.name + "".join(words for words, given in options if given)
 
     def check_within(self, horizon: float) -> None:

@@ -37,9 +37,9 @@ GRID = MapSettings(tuple(range(0, 46, 3)), (0.1, 0.3, 0.5, 0.7, 0.9, 1.1, 1.3, 1
 @pytest.fixture(scope="module")
 def maps():
     fleets = [drones(table_2(surface), table_1()) for surface in ("lf", "hf")]
-    told = [find_controller("off"), find_controller("reverse")]
-    told.append(find_controller("reverse", ideal_reversal=True))
-    out = {(one.surface, one.controller): one for one in landing_maps(fleets, told, GRID)}
+    controllers = [find_controller("off"), find_controller("reverse")]
+    controllers.append(find_controller("reverse", ideal_reversal=True))
+    out = {(one.surface, one.controller): one for one in landing_maps(fleets, controllers, GRID)}
     for ideal in (False, True):
         # Motors that reverse at once can push and pull: "a pure angular impulse" (Fig. 11).
         rear = rear_command(ideal_reversal=ideal)

@@ -78,11 +78,11 @@ def test_ideal_reversal_only_saves_the_dead_time():
 @pytest.mark.parametrize("surface", ["lf", "hf"])
 @pytest.mark.parametrize("controller", ["off", "reverse"])
 def test_one_landing_and_many_agree(surface, controller):
-    told = find_controller(controller)
+    law = find_controller(controller)
     for slope, speed in ((8.0, 0.4), (38.0, 1.0)):
         cell = Scenario(math.radians(slope), speed)
-        one = land(published(surface), cell, told)
-        many = land_many(published(surface), [cell], told)
+        one = land(published(surface), cell, law)
+        many = land_many(published(surface), [cell], law)
         assert many.outcome[0] == one.outcome
         # The many locate rest and flip to a step of at most 5 ms, and look at most one step later.
         np.testing.assert_allclose(many.time[0], one.time, atol=6e-3)
@@ -118,9 +118,9 @@ def test_rules_reach_the_kernel():
 
 @pytest.mark.parametrize("surface", ["lf", "hf"])
 def test_own_sensing_triggers_late_or_never(surface):
-    told = find_controller("reverse", sensing=Sensing())
+    law = find_controller("reverse", sensing=Sensing())
     cells = [Scenario(math.radians(15.0), speed) for speed in (0.0, 0.1, 0.6, 1.0)]
-    found = land_many(published(surface), cells, told)
+    found = land_many(published(surface), cells, law)
     # A gentle touchdown stays below 2 g: nothing triggers, the motors run on, nothing has landed.
     assert np.isnan(found.trigger[:2]).all()
     assert set(found.outcome[:2].tolist()) <= {Outcome.OTHER, Outcome.FLIPPED}
@@ -128,7 +128,7 @@ def test_own_sensing_triggers_late_or_never(surface):
     # The filter needs some milliseconds.
     assert (found.trigger[2:] > 1e-3).all()
     assert (found.trigger[2:] < 0.05).all()
-    run = land(published(surface), cells[2], told)
+    run = land(published(surface), cells[2], law)
     assert run.trigger == found.trigger[2]
     hovering = run.trajectory.time < run.trigger
     assert run.trajectory.thrust[hovering].sum(axis=1) == pytest.approx(published(surface).weight, rel=1e-5)
@@ -185,9 +185,9 @@ def test_pairs_that_share_a_simulation_equal_their_own(surface):
     assert simulated[0] <= 3
     for c, cell in enumerate(cells):
         delay, duration = (a.ravel() for a in np.meshgrid(SMALL.delays, SMALL.durations, indexing="ij"))
-        own = impulses.second_impacts([cell] * len(delay), delay, duration)
+        separate = impulses.second_impacts([cell] * len(delay), delay, duration)
         # Thrust histories agree within 1e-6 before the command that they do not share.
-        np.testing.assert_allclose(found[c].reshape(-1, 3), own, atol=1e-4)
+        np.testing.assert_allclose(found[c].reshape(-1, 3), separate, atol=1e-4)
 
 
 def test_the_best_impulse_stops_the_pitching():
@@ -244,10 +244,10 @@ def test_borders_that_physics_fixes():
         drone = published(surface)
         landed = {}
         for name in ("off", "command:-0.5", "reverse"):
-            told = find_controller(name)
-            found = land_many(drone, grid(np.radians(slopes), [0.1]), told)
+            law = find_controller(name)
+            found = land_many(drone, grid(np.radians(slopes), [0.1]), law)
             landed[name] = np.isin(found.outcome, LANDED)
-            thrust = Motors(drone).propulsion(told.steps)
+            thrust = Motors(drone).propulsion(law.steps)
             push = -float(thrust.rear(9.0) + thrust.front(9.0))
             limit = rigid_limits(drone.gear, surface, push)
             # Creep at the speed of rest is rest on low friction.

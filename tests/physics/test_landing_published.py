@@ -62,8 +62,8 @@ def test_high_friction_makes_a_larger_zone_of_flips(controller):
 def maps():
     """Both surfaces under both controllers, every third degree and every 0.2 m/s."""
     settings = MapSettings(tuple(range(0, 46, 3)), tuple(0.2 * k for k in range(11)))
-    told = [find_controller("off"), find_controller("reverse")]
-    found = landing_maps([[published("lf")], [published("hf")]], told, settings)
+    controllers = [find_controller("off"), find_controller("reverse")]
+    found = landing_maps([[published("lf")], [published("hf")]], controllers, settings)
     return {(one.surface, one.controller): one for one in found}
 
 

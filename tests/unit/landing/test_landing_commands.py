@@ -77,9 +77,9 @@ def test_options_reach_the_landing(run):
         "@controller('hold')\ndef hold(u: float) -> list[Step]:\n    return [Step(0.0, u, u)]\n",
         encoding="utf-8",
     )
-    held = json.loads(run(*command, "--controllers", "mine.py", "--controller", "hold:0")[1])[0]
+    stopped = json.loads(run(*command, "--controllers", "mine.py", "--controller", "hold:0")[1])[0]
     off = json.loads(run(*command, "--controller", "off")[1])[0]
-    assert held["distance"] == off["distance"]
+    assert stopped["distance"] == off["distance"]
 
 
 @pytest.mark.parametrize(
@@ -131,13 +131,13 @@ def test_a_landing_map_of_both_surfaces(done, refused):
     }  # fmt: skip
     Path("map.h5").rename("first.h5")
     out, _ = done(*command, "--force", "--json", "--no-check", "--threads", "1", "--experiments", "real.csv")
-    told = [entry["real_landings"] for entry in json.loads(out)["maps"]]
-    assert told[0] == {
+    compared = [entry["real_landings"] for entry in json.loads(out)["maps"]]
+    assert compared[0] == {
         "counts": {"landed": {"short": 1, "near": 0, "flipped": 0, "other": 0}},
         "agreeing": 1, "outside": 0, "lost": 0,
     }  # fmt: skip
-    assert told[2]["counts"]["failed"]["flipped"] == 1
-    assert told[1]["counts"] == told[3]["counts"] == {}
+    assert compared[2]["counts"]["failed"]["flipped"] == 1
+    assert compared[1]["counts"] == compared[3]["counts"] == {}
     again = read_maps("map.h5")
     assert not any(one.checked for one in again.maps)
     assert [entry["uncertain"] for entry in json.loads(out)["maps"]] == [None] * 4

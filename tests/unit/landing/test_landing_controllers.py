@@ -31,10 +31,10 @@ def test_the_papers_controllers():
     assert find_controller("reverse").steps == (Step(0.0, -1.0, -1.0),)
     assert find_controller("command:-0.4").steps == (Step(0.0, -0.4, -0.4),)
     assert find_controller("command:u=-40%").steps == (Step(0.0, -0.4, -0.4),)
-    told = find_controller("impulse:delay=50ms,duration=0.1", ideal_reversal=True)
+    impulse = find_controller("impulse:delay=50ms,duration=0.1", ideal_reversal=True)
     # 10 % at impact, 80 % on the front pair, then full reverse (section III-C).
-    assert told.steps == (Step(0.0, 0.1, 0.1), Step(0.05, 0.1, 0.8), Step(0.05 + 0.1, -1.0, -1.0))
-    assert told.label == "impulse:delay=50ms,duration=0.1, ideal reversal"
+    assert impulse.steps == (Step(0.0, 0.1, 0.1), Step(0.05, 0.1, 0.8), Step(0.05 + 0.1, -1.0, -1.0))
+    assert impulse.label == "impulse:delay=50ms,duration=0.1, ideal reversal"
 
 
 def test_an_impulse_without_length_is_none():

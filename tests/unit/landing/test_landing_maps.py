@@ -317,7 +317,7 @@ def test_the_legend_lists_what_is_drawn_and_nothing_else():
         "mean distance to rest", "mean time to rest",
     ]  # fmt: skip
     one.uncertain[2, 3, 4] = True
-    # A limit that is told beside the map is no line of the legend.
+    # A limit that is stated beside the map is no line of the legend.
     limits = {("lf", "off"): DrawnLimits(0.0, 30.0, 90.0)}
     words = [
         t.get_text() for t in figure_landing_maps([some_map("off")], limits=limits).legends[0].get_texts()
@@ -326,10 +326,10 @@ def test_the_legend_lists_what_is_drawn_and_nothing_else():
         "static limit of the first set, rigid legs (off: 0 N)"
     ]
     # A page's one legend takes the entries, and the figure bears none.
-    told = MapLegend()
-    assert figure_landing_maps([some_map("off")], limits=limits, legend=told).legends == []
-    assert sorted(entry[2] for entry in told.entries()) == sorted(words)
-    assert ("#d55e00", "dashed", words[-1]) in told.entries()
+    legend = MapLegend()
+    assert figure_landing_maps([some_map("off")], limits=limits, legend=legend).legends == []
+    assert sorted(entry[2] for entry in legend.entries()) == sorted(words)
+    assert ("#d55e00", "dashed", words[-1]) in legend.entries()
     far = replace(one, outcome=np.minimum(one.outcome, 1))
     figure = figure_landing_maps([far], lines=False)
     assert [text.get_text() for text in figure.legends[0].get_texts()] == [

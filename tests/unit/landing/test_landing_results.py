@@ -75,7 +75,7 @@ def test_real_landings_find_their_map_by_the_controllers_name(done):
         encoding="utf-8",
     )
     out, err = done(*MAP, "--experiments", "real.csv", "--trigger", "imu")
-    assert "LF, off, own sensing: 1 of 1 real landings agree" in " ".join(out.split())
+    assert "LF, off, accelerometer trigger: 1 of 1 real landings agree" in " ".join(out.split())
     assert "real.csv: 3 of 4 real landings belong to no map" in err
     assert "lf 'reverse' (1), grass 'off' (2)" in err
 
@@ -85,14 +85,14 @@ def test_names_of_surfaces_and_controllers(write):
     rows = "".join(f"{word},impulse:0.05, 4,0.3,landed\n".replace(" 4", "4") for word in words)
     path = write("surface,controller,slope [deg],speed [m/s],outcome\n" + rows, "real.csv")
     assert {one.surface for one in read_experiments(path)} == {"lf"}
-    told = find_controller("reverse", ideal_reversal=True)
-    assert told.label == "reverse, ideal reversal"
-    assert told.name == "reverse"
+    ideal = find_controller("reverse", ideal_reversal=True)
+    assert ideal.label == "reverse, ideal reversal"
+    assert ideal.name == "reverse"
     real = [
         Experiment("hf", name, 5.0, 0.3, "landed") for name in ("Reverse", "reverse, ideal reversal", "off")
     ]
-    assert strangers(real, [("hf", told)]) == {("hf", "off"): 1}
-    assert strangers(real[:1], [("lf", told)]) == {("hf", "Reverse"): 1}
+    assert strangers(real, [("hf", ideal)]) == {("hf", "off"): 1}
+    assert strangers(real[:1], [("lf", ideal)]) == {("hf", "Reverse"): 1}
 
 
 HEAD = "from sysid.landing.controllers import Step, controller\n"
@@ -232,8 +232,8 @@ def test_spans_that_make_no_sense(text):
 
 def test_what_flips_first_has_no_time_to_rest():
     """On 10 deg at 2 m/s the drone is over after 0.40 s and lies still on its back after 2.5 s."""
-    drone, cell, told = published(), Scenario(math.radians(10.0), 2.0), find_controller("off")
-    one, many = land(drone, cell, told), land_many(drone, [cell], told)
+    drone, cell, off = published(), Scenario(math.radians(10.0), 2.0), find_controller("off")
+    one, many = land(drone, cell, off), land_many(drone, [cell], off)
     kinds = [event.kind.name for event in one.trajectory.events]
     assert kinds.index("FLIP") < kinds.index("REST")
     assert one.outcome == many.outcome[0] == Outcome.FLIPPED

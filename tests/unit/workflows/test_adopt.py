@@ -48,8 +48,8 @@ def test_a_resistance_that_was_found_keeps_the_constant_it_was_found_under(statu
     campaign = SimpleNamespace(parameters=SimpleNamespace(fixed={}))
     space = SearchSpace(MOTOR, (), MOTOR.nominal | values)
     problem = MotorProblem(campaign, bench, space, (), (), {})
-    held = {name: (K_FIT, "fixed") for name in ("back_emf_constant", "torque_constant")}
-    row = _row(problem, _fit(winding_resistance=(0.2, status), rotor_inertia=(1e-5, "fixed"), **held))
+    constants = {name: (K_FIT, "fixed") for name in ("back_emf_constant", "torque_constant")}
+    row = _row(problem, _fit(winding_resistance=(0.2, status), rotor_inertia=(1e-5, "fixed"), **constants))
     # k²/R is what torque and speed have fixed; with the rated k it would be 55 % more.
     assert row["torque_constant"] == row["back_emf_constant"] == k
     # An inertia that the campaign has measured is the campaign's all the same.
@@ -73,9 +73,9 @@ def test_friction_stays_with_its_law(law):
     # The campaign is opened under the law of the fit, whose friction then counts.
     assert _row(_drops(campaign), _fit(kinetic_friction=(0.6, "free")))["kinetic_friction"] == 0.6
     stated = read_campaign(LF, "gear").surface.kinetic_friction
-    held = _row(_drops(campaign), _fit(kinetic_friction=(0.6, "fixed")))["kinetic_friction"]
+    kept = _row(_drops(campaign), _fit(kinetic_friction=(0.6, "fixed")))["kinetic_friction"]
     # What the campaign states of its surface is not of the other law.
-    assert held == (stated if law == "lf" else 0.6)
+    assert kept == (stated if law == "lf" else 0.6)
 
 
 @pytest.fixture(scope="module")
@@ -114,9 +114,9 @@ def test_every_verb_predicts_with_the_same_bits(campaigns):
     cross = compare_fits([first, second])[0]["cross"]
     assert cross[0, 1] == np.mean(nrmse)
     # The fit's own mass predicts otherwise, far beyond rounding.
-    held = replace(result, parameters=tuple(replace(r, status="free") for r in result.parameters))
-    write_fit(held, campaigns / "held")
-    assert validate_fit(campaigns / "held", other)["nrmse"] != pytest.approx(validated["nrmse"], rel=1e-3)
+    freed = replace(result, parameters=tuple(replace(r, status="free") for r in result.parameters))
+    write_fit(freed, campaigns / "freed")
+    assert validate_fit(campaigns / "freed", other)["nrmse"] != pytest.approx(validated["nrmse"], rel=1e-3)
 
     # Leaving a trial out and predicting it is validating the refit on it.
     left_out = cross_validate(second)["trials"]

@@ -197,8 +197,8 @@ def test_low_friction_drops_are_fitted_on_the_high_friction_law(campaign, run, r
     fit = ("fit-gear", campaign, *SMALL[:-1], "--surface", "hf", "--max-generations", "1", "--finish", "none")
     code, _, err = run(*fit)
     assert code == 0, err
-    said = "surface hf: ignoring kinetic_friction, slip_regularization, which the campaign states for law lf"
-    assert " ".join(err.split()).count(said) == 1
+    line = "surface hf: ignoring kinetic_friction, slip_regularization, which the campaign states for law lf"
+    assert " ".join(err.split()).count(line) == 1
     refused("no friction law 'ice'; known are lf, hf", "fit-gear", campaign, "--surface", "ice", "--force")
 
 

@@ -68,8 +68,8 @@ class LagProblem(Problem):
     @cached_property
     def trials(self):
         return tuple(
-            Trial(entry.name, entry.use, t, y[:, None], np.ones((t.size, 1), bool), said, 0.0)
-            for entry, t, y, said in self.logs_read
+            Trial(entry.name, entry.use, t, y[:, None], np.ones((t.size, 1), bool), record, 0.0)
+            for entry, t, y, record in self.logs_read
         )
 
     @cached_property
@@ -96,8 +96,8 @@ def open_lag(campaign, path, threads):
     for entry in campaign.trials:
         text = (Path(path).parent / entry.log).read_bytes()
         time, speed = np.array(json.loads(text))
-        said = {"log": entry.log, "sha256": hashlib.sha256(text).hexdigest()}
-        logs.append((entry, time, speed, said))
+        record = {"log": entry.log, "sha256": hashlib.sha256(text).hexdigest()}
+        logs.append((entry, time, speed, record))
     space = campaign.parameters.search_space(TABLE, ("gain", "time_constant"), {})
     return LagProblem(campaign, space, tuple(logs), threads)
 
