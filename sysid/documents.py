@@ -8,6 +8,7 @@ that only the writer understands (the settings of a model) is an `Open` field, s
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -106,35 +107,30 @@ class Document(Part):
             head = json.loads(text)
         except ValueError as error:
             raise error_type(f"{place}: damaged or cut off ({error}); {cls.REMEDY}") from error
-        cls._check_head(head, place, error_type)
-        try:
-            return cls.model_validate_json(text)
-        except ValidationError as error:
-            raise error_type(cls._damage(error, place)) from error
+        return cls._checked(head, place, error_type, lambda: cls.model_validate_json(text))
 
     @classmethod
     def of(cls, content: Any, place: object, error_type: type[SysidError] = SysidError) -> Self:
         """Return the document of a content that is no JSON text; other arguments as for `parse`."""
-        cls._check_head(content, place, error_type)
-        try:
-            return cls.model_validate(content)
-        except ValidationError as error:
-            raise error_type(cls._damage(error, place)) from error
+        return cls._checked(content, place, error_type, lambda: cls.model_validate(content))
 
     @classmethod
-    def _check_head(cls, head: Any, place: object, error_type: type[SysidError]) -> None:
+    def _checked(
+        cls, content: Any, place: object, error_type: type[SysidError], validated: Callable[[], Self]
+    ) -> Self:
         name, number = (cls.model_fields[field].default for field in ("schema_", "version"))
-        found = head if isinstance(head, dict) else {}
-        if found.get("schema") != name:
+        head = content if isinstance(content, dict) else {}
+        if head.get("schema") != name:
             raise error_type(f"{place}: not {cls.WHAT} of sysid; {cls.REMEDY}")
-        if found.get("version") != number:
+        if head.get("version") != number:
             raise error_type(
-                f"{place}: {cls.WHAT} of version {found.get('version')!r}, expected {number}; read it with "
+                f"{place}: {cls.WHAT} of version {head.get('version')!r}, expected {number}; read it with "
                 f"the version of sysid that wrote it, or {cls.REMEDY}"
             )
-
-    @classmethod
-    def _damage(cls, error: ValidationError, place: object) -> str:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(str(key) for key in first["loc"])
-        return f"{place}: damaged or cut off ({where}: {first['msg']}); {cls.REMEDY}"
+        try:
+            return validated()
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            where = ".".join(str(key) for key in first["loc"])
+            refusal = f"{place}: damaged or cut off ({where}: {first['msg']}); {cls.REMEDY}"
+            raise error_type(refusal) from error

@@ -79,10 +79,8 @@ class ParameterRecord:
 
     def computed(self, source: str) -> ParameterRecord:
         """Return the record of the same number, computed from other values."""
-        return ParameterRecord(
-            self.name, self.symbol, self.unit, "derived", self.meaning, source,
-            group=self.group, trial=self.trial,
-        )  # fmt: skip
+        kept = {key: getattr(self, key) for key in ("name", "symbol", "unit", "meaning", "group", "trial")}
+        return ParameterRecord(**kept, status="derived", source=source)
 
 
 class TrialUse(Part):
@@ -349,19 +347,16 @@ class ParameterSets(SetsContent):
         free = [i for i, record in enumerate(self.parameters) if record.status == "free"]
         sets = [
             OneSet(
-                rank=s + 1,
-                run=self.runs[s],
-                seed=self.seeds[s],
-                nrmse=self.nrmse[s],
+                rank=s + 1, run=self.runs[s], seed=self.seeds[s], nrmse=self.nrmse[s],
                 values=self.set_values(s + 1),
                 at_bound={self.names[i]: int(self.at_bound[s, i]) for i in free},
                 nrmse_by_trial={
-                    trial: dict(zip(self.channels, self.nrmse_by_trial[s, t].tolist(), strict=True))
-                    for t, trial in enumerate(self.trials)
+                    trial: dict(zip(self.channels, row, strict=True))
+                    for trial, row in zip(self.trials, self.nrmse_by_trial[s].tolist(), strict=True)
                 },
             )
             for s in range(len(self))
-        ]
+        ]  # fmt: skip
         mean, sigma = (
             dict(zip(self.names, row.tolist(), strict=True)) if len(self) else {}
             for row in (self.mean, self.sigma)

@@ -121,18 +121,18 @@ class Recording:
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
 
+    def _with(self, quantity: str) -> list[str]:
+        return [name.removesuffix(quantity) for name in self.channels if name.endswith(quantity)]
+
     @property
     def rigid_bodies(self) -> tuple[str, ...]:
         """Names that have an orientation, in file order."""
-        ends = "/orientation"
-        return tuple(name[: -len(ends)] for name in self.channels if name.endswith(ends))
+        return tuple(self._with("/orientation"))
 
     @property
     def markers(self) -> tuple[str, ...]:
         """Names that have a position and no orientation, in file order."""
-        ends = "/position"
-        names = (name[: -len(ends)] for name in self.channels if name.endswith(ends))
-        return tuple(name for name in names if f"{name}/orientation" not in self.channels)
+        return tuple(n for n in self._with("/position") if f"{n}/orientation" not in self.channels)
 
     def __getitem__(self, name: str) -> Channel:
         """Return a channel by name; LogError where the file has none of that name."""

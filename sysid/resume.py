@@ -71,18 +71,15 @@ class Unfinished:
                 f"{self.folder}: cannot be made ({error.strerror or error}); choose another place with --out"
             ) from error
         try:
-            self._open(resume, force)
+            self._check_states(self.result, resume, force)
+            if resume:
+                self.take_up()
+            else:
+                self._remove_states()
+                self.begin()
         except BaseException:
             self.close()
             raise
-
-    def _open(self, resume: bool, force: bool) -> None:
-        self._check_states(self.result, resume, force)
-        if resume:
-            self.take_up()
-        else:
-            self._remove_states()
-            self.begin()
 
     @classmethod
     def check_start(cls, result: str | Path, *, resume: bool, force: bool) -> None:

@@ -63,8 +63,12 @@ def fit(three, tmp_path_factory):
     return fit_gear(three, options)[1]
 
 
-def _truth(problem):
-    true = json.loads((SAMPLES / "gear-lf" / "truth.json").read_text(encoding="utf-8"))["parameters"]
+def _read_truth(folder=LF.parent):
+    return json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+
+
+def _truth(problem, folder=LF.parent):
+    true = _read_truth(folder)["parameters"]
     return problem.space.encode(np.array([true[name] for name in problem.space.names]))
 
 
@@ -97,9 +101,8 @@ def test_the_noise_floor_is_what_the_truth_scores(lf):
 
 def test_starts_err_by_what_their_covariance_says(lf):
     _, drops, _ = lf
-    facts = json.loads((SAMPLES / "gear-lf" / "truth.json").read_text(encoding="utf-8"))["drops"]
     scores = []
-    for drop, fact in zip(drops, facts, strict=True):
+    for drop, fact in zip(drops, _read_truth()["drops"], strict=True):
         root = start_roots(drop)
         late = (drop.flight.start - fact["release [s]"]) * drop.flight.gravity
         scores.append(late / math.sqrt((root.T @ root)[4, 4]))
@@ -204,9 +207,7 @@ def test_the_drop_that_misleads_a_fit_is_named(tmp_path):
     path = synthesize_gear(tmp_path / "c", seed=1011) / "campaign.toml"
     campaign = read_campaign(path, "gear")
     problem = find_kind("gear").open(campaign, path, None).fitted.exact
-    true = json.loads((tmp_path / "c" / "truth.json").read_text(encoding="utf-8"))["parameters"]
-    truth = problem.space.encode(np.array([true[name] for name in problem.space.names]))
-    linear = linearize(problem, truth)
+    linear = linearize(problem, _truth(problem, path.parent))
     found = influence(problem, linear, np.array([block.noise for block in problem.blocks]))
     # Its residual tells nothing, for the fit has bent to it.
     assert found.outliers == ()
@@ -215,19 +216,17 @@ def test_the_drop_that_misleads_a_fit_is_named(tmp_path):
     # Without it k_h comes back to within one percent, its half-width; with it it is 5 % off.
     stiffness = problem.space.names.index("leg_axial_stiffness")
     back = problem.space.decode(found.without[problem.names.index("drop-5")])[stiffness]
-    assert back == pytest.approx(true["leg_axial_stiffness"], rel=0.012)
-    assert problem.space.decode(linear.point)[stiffness] < 0.97 * true["leg_axial_stiffness"]
+    true = _read_truth(path.parent)["parameters"]["leg_axial_stiffness"]
+    assert back == pytest.approx(true, rel=0.012)
+    assert problem.space.decode(linear.point)[stiffness] < 0.97 * true
 
 
-def test_nothing_unseen_is_refused(fit, three, tmp_path):
-    kept = three.read_text(encoding="utf-8").split('[[trials]]\nname = "drop-7"')[0]
-    own = tmp_path / "own.toml"
-    own.write_text(kept, encoding="utf-8")
+def test_campaigns_without_unseen_trials_or_file_are_refused(fit, three, tmp_path):
+    seen = tmp_path / "seen.toml"
+    text = three.read_text(encoding="utf-8").split('[[trials]]\nname = "drop-7"')[0]
+    seen.write_text(text, encoding="utf-8")
     with pytest.raises(FitError, match="sysid cross-validate"):
-        validate_fit(fit, own)
-
-
-def test_a_missing_campaign_is_asked_for(fit, tmp_path):
+        validate_fit(fit, seen)
     with pytest.raises(FitError, match="name it with --campaign"):
         open_fit(fit, tmp_path / "gone.toml")
 
