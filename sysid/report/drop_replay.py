@@ -1,7 +1,7 @@
 """Drops of a fit, simulated once more with forces and legs: what snapshots, animation and diagrams draw.
 
-A fit keeps the five compared channels of every drop. Legs and forces come from repeating the simulation of
-one set from the state at the window's start, which the fit keeps as well.
+A fit keeps the five compared channels of every drop, and the state at the window's start. Legs and forces
+come from a second simulation from that state.
 """
 
 from __future__ import annotations
@@ -30,10 +30,7 @@ FEET = ("rear", "front")
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """One stay of a foot (0 rear, 1 front) on the surface, to a millisecond since the window's start [s].
-
-    `end` is the window's end where the foot stays.
-    """
+    """One stay of a foot (0 rear, 1 front) on the surface until it lifts off or the window ends [s]."""
 
     foot: int
     start: float
@@ -76,7 +73,7 @@ class DropReplay:
     def sticks(self) -> BoolArray:
         """Which foot (n, 2) is down and does not move along the slope: on high friction it sticks.
 
-        Friction does not tell: a sticking foot may need anything up to mu_s F_n, more than a slipping one.
+        The friction force does not tell: a sticking foot may need up to mu_s F_n, more than a slipping one.
         """
         return np.asarray((np.nan_to_num(self.normal_force) > 0.0) & (np.abs(self.slip_speed) < _STICKS))
 
@@ -100,20 +97,14 @@ class DropReplay:
         return int(np.argmin(np.abs(self.time - time)))
 
 
-def replay_drop(fit: FitResult, trial: TrialResult, rank: int = 1) -> DropReplay:
-    """Simulate one drop of a fit with the set of a rank.
-
-    Raises
-    ------
-    ExportError
-        When the fit does not hold the state in which the drop starts.
-    """
+def replay_drop(fit: FitResult, trial: TrialResult) -> DropReplay:
+    """Simulate one drop with a fit's best set; raise an ExportError where the fit lacks the drop's start."""
     log = fit.provenance.get("logs", {}).get(trial.name, {})
     if START not in log or "slope [deg]" not in log:
         raise ExportError(
             f"{fit.name}, {trial.name}: the fit does not hold the state in which the drop starts; fit again"
         )
-    values = dict(zip((r.name for r in fit.parameters), map(float, fit.values[rank - 1]), strict=True))
+    values = dict(zip((r.name for r in fit.parameters), map(float, fit.values[0]), strict=True))
     height, start = _start_of(values, trial.name, np.array(log[START], dtype=np.float64))
     slope = float(np.radians(log["slope [deg]"]))
     span = float(trial.time[-1] - trial.time[0])

@@ -117,13 +117,7 @@ class FitReport:
         return ""
 
     def film(self, name: str | None) -> Any:
-        """Return the motion that a film shows.
-
-        Raises
-        ------
-        ExportError
-            When there is none.
-        """
+        """Return the motion that a film shows; raise an ExportError where there is none."""
         raise ExportError(f"{self.fit.name}: a {self.fit.kind} makes no drops; films show landing gears")
 
     # The page.
@@ -185,11 +179,6 @@ class FitReport:
         trust = (self.trust or {}).get("warnings") or ()
         against = self.against.warnings if self.against is not None else ()
         return list(dict.fromkeys([*self.fit.warnings, *trust, *against]))
-
-    def values(self) -> dict[str, float]:
-        """Return the best set by name [SI]."""
-        names = (record.name for record in self.fit.parameters)
-        return dict(zip(names, map(float, self.fit.values[0]), strict=True))
 
     # The sections' contents.
 
@@ -440,11 +429,13 @@ class FitReport:
         """Return what a reader needs to repeat the fit, or to doubt it."""
         record = run_record(self.fit)
         totals, search = record["totals"], record.get("search", {})
+        every = (str(search.get("algorithm")), str(search.get("finish") or "none"))
+        steps = [step for step in dict.fromkeys(every) if step != "none"]
         rows = [
             ("sysid", f"{record.get('sysid')}, revision {(record.get('git_revision') or 'unknown')[:12]}"),
             ("written", str(record.get("written"))),
             ("campaign", f"{record.get('campaign', {}).get('file')}"),
-            ("search", f"{_search_words(search)}, {len(self.fit.runs)} runs"),
+            ("search", f"{', then '.join(steps)}, {len(self.fit.runs)} runs"),
             ("NRMSE", f"rms error over {record.get('nrmse_denominator')} of the measurement"),
             ("candidates", f"{totals['candidates']}, {totals['failed']} failed"),
             ("computed in", f"{totals['wall_time']:.0f} s of runs"),
@@ -520,8 +511,3 @@ def _counted(number: int, noun: str) -> str:
 def file_name(text: str) -> str:
     """Return a text as part of a file's name."""
     return re.sub(r"[^A-Za-z0-9._-]+", "-", text)
-
-
-def _search_words(search: dict[str, Any]) -> str:
-    algorithm, finish = str(search.get("algorithm")), str(search.get("finish") or "none")
-    return algorithm if finish in ("none", algorithm) else f"{algorithm}, then {finish}"

@@ -85,7 +85,7 @@ class GearReport(FitReport):
     )
     def diagram(self) -> Html:
         """Return the labelled diagram of frames, lengths and forces (Fig. 2), from the best set's values."""
-        values = self.values()
+        values = self.fit.parameter_sets().set_values()
         words = (
             "side view of the drone on a slope: body, two legs, frames N, A, B, C and D, the lengths "
             + ", ".join(f"{symbol} {1e3 * values[name]:.0f} mm" for symbol, name in _LENGTHS)
@@ -175,4 +175,4 @@ class GearReport(FitReport):
 
     def _geometry(self) -> Figure:
         slope = max((drop.slope for drop in self.drops()), default=math.radians(_SLOPE))
-        return figure_geometry(self.values(), slope)
+        return figure_geometry(self.fit.parameter_sets().set_values(), slope)
