@@ -14,10 +14,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.fit.nrmse import FAILED_NRMSE, FilteredNrmse, PopulationCost
+from sysid.fit.nrmse import FilteredNrmse
 from sysid.gear.drops import PreparedDrop
 from sysid.gear.model import PopulationSamples, Status
-from sysid.types import FloatArray
+from sysid.types import BoolArray, FloatArray
 
 # In the order in which a candidate with several of them is counted. Too expensive: a contact or leg that is
 # too stiff, or (on high friction mostly) too many bounces and mode switches.
@@ -30,52 +30,39 @@ _NEVER_TOUCHED, _LEFT_BOARD = 4, 5
 BEYOND_BOARD = 1.05
 
 
-def judged_drops(
+def lost_drops(
     cost: FilteredNrmse,
     drops: Sequence[PreparedDrop],
     board_length: float | None,
     result: PopulationSamples,
     samples: FloatArray,
-    scored: PopulationCost,
-) -> tuple[PopulationCost, NDArray[np.int8]]:
-    """Return the scores with all penalties, and why (from 1) each drop (P, D) is lost, 0 where it is not.
+    failed: BoolArray,
+) -> tuple[NDArray[np.int8], FloatArray]:
+    """Return why (from 1) each drop (P, D) is lost, 0: it is not, and which share of its window is missing.
 
-    `samples` (P, n_total, 6) come from the simulation, with every drop's margins; `scored` is what they
-    scored; the board ends this way down-slope of the touchdown [m], None: never.
+    `samples` (P, n_total, 6) come from the simulation, with every drop's margins. Of a simulation that
+    `failed` (P, D) nothing is missing: it has scored its penalty. The board ends this way down-slope of the
+    touchdown [m]; None: nowhere.
     """
-    cause = np.zeros(scored.failed.shape, dtype=np.int8)
+    cause = np.zeros(failed.shape, dtype=np.int8)
     for status, number in _OF_STATUS.items():
-        cause[scored.failed & (result.status == status)] = number
+        cause[failed & (result.status == status)] = number
     # A share below 1 without a status is a trajectory that is not finite.
-    cause[scored.failed & (cause == 0)] = _OF_STATUS[Status.STEP_COLLAPSED]
-    missing = np.zeros(scored.failed.shape)
+    cause[failed & (cause == 0)] = _OF_STATUS[Status.STEP_COLLAPSED]
+    missing = np.zeros(failed.shape)
     touches = np.isfinite(result.first_contact).any(axis=2)
     missing[~touches] = 1.0
     cause[(cause == 0) & ~touches] = _NEVER_TOUCHED
-    if board_length is not None:
-        for d, drop in enumerate(drops):
-            share = _share_on_board(cost, d, drop, board_length, result, samples)
-            left = (cause[:, d] == 0) & (share < 1.0)
-            missing[left, d] = 1.0 - share[left]
-            cause[left, d] = _LEFT_BOARD
-    missing[scored.failed] = 0.0
-    by_channel = scored.by_channel + FAILED_NRMSE * missing[:, :, None]
-    return PopulationCost(cost.mean(by_channel), by_channel, cause > 0), cause
-
-
-def _share_on_board(
-    cost: FilteredNrmse,
-    d: int,
-    drop: PreparedDrop,
-    board_length: float,
-    result: PopulationSamples,
-    samples: FloatArray,
-) -> FloatArray:
-    """Return which share of a drop's window (P,) every candidate spends on the board."""
-    first = int(cost.offsets[d]) + len(drop.before)
-    window = samples[:, first : first + len(drop.time), :2]
-    foot = np.nanargmin(np.nan_to_num(result.first_contact[:, d], nan=np.inf), axis=1)
-    start = result.contact_state[np.arange(len(foot)), d, foot, :2] @ drop.feet.tangent
-    beyond = window @ drop.feet.tangent - start[:, None] > BEYOND_BOARD * board_length
-    away = np.argmax(beyond, axis=1)
-    return np.asarray(np.where(beyond.any(axis=1), away / len(drop.time), 1.0))
+    way = np.inf if board_length is None else BEYOND_BOARD * board_length
+    for d, drop in enumerate(drops if way < np.inf else ()):
+        first = int(cost.offsets[d]) + len(drop.before)
+        window = samples[:, first : first + len(drop.time), :2]
+        foot = np.nanargmin(np.nan_to_num(result.first_contact[:, d], nan=np.inf), axis=1)
+        start = result.contact_state[np.arange(len(foot)), d, foot, :2] @ drop.feet.tangent
+        beyond = window @ drop.feet.tangent - start[:, None] > way
+        share = np.where(beyond.any(axis=1), np.argmax(beyond, axis=1) / len(drop.time), 1.0)
+        left = (cause[:, d] == 0) & (share < 1.0)
+        missing[left, d] = 1.0 - share[left]
+        cause[left, d] = _LEFT_BOARD
+    missing[failed] = 0.0
+    return cause, missing

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from sysid.campaign import GearCampaign
 from sysid.campaign.file import resolve_log
 from sysid.errors import CampaignError
-from sysid.fit.nrmse import FilteredNrmse, PopulationCost
+from sysid.fit.nrmse import FAILED_NRMSE, FilteredNrmse, PopulationCost
 from sysid.fit.problem import Block, NoiseModel, Problem, Scores, Trial
 from sysid.fit.result import FitResult
 from sysid.gear.beyond_window import centre_of_mass, stopping
 from sysid.gear.drops import PreparedDrop, cost_channels, lowpass_of, read_drop_log
-from sysid.gear.lost_drops import CAUSES, judged_drops
+from sysid.gear.lost_drops import CAUSES, lost_drops
 from sysid.gear.model import (
     LF_FREE,
     PARAMETERS,
@@ -206,12 +206,13 @@ class GearProblem(Problem):
         return Scores(scored.by_channel, causes)
 
     def judge_samples(
-        self, samples: FloatArray, result: PopulationSamples, scored: PopulationCost | None = None
+        self, samples: FloatArray, result: PopulationSamples
     ) -> tuple[PopulationCost, NDArray[np.int8]]:
         """Score what `simulate` returned, with all penalties, and say of each drop (P, D) why it is lost."""
-        if scored is None:
-            scored = self.cost(samples, result.reached, self.threads)
-        return judged_drops(self.cost, self.drops, self.board_length, result, samples, scored)
+        scored = self.cost(samples, result.reached, self.threads)
+        causes, missing = lost_drops(self.cost, self.drops, self.board_length, result, samples, scored.failed)
+        by_channel = scored.by_channel + FAILED_NRMSE * missing[:, :, None]
+        return PopulationCost(self.cost.mean(by_channel), by_channel, causes > 0), causes
 
     def simulate(
         self, rows: FloatArray, body_states: FloatArray | None = None
@@ -245,9 +246,8 @@ class GearProblem(Problem):
 
     def _lost(self, samples: FloatArray, result: PopulationSamples) -> BoolArray:
         """Return which drops (P, D) are lost, unscored."""
-        none = np.zeros((*result.reached.shape, len(self.channels)))
-        unscored = PopulationCost(np.zeros(len(samples)), none, result.reached < 1.0)
-        return self.judge_samples(samples, result, unscored)[0].failed
+        failed = result.reached < 1.0
+        return lost_drops(self.cost, self.drops, self.board_length, result, samples, failed)[0] > 0
 
     def signals(self, rows: FloatArray) -> tuple[tuple[FloatArray, ...], BoolArray]:
         """Return the signals as compared, (P, n, 5) per drop, and which drops are lost (P, D)."""
