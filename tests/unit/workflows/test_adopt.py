@@ -132,5 +132,5 @@ def test_every_verb_predicts_with_the_same_bits(campaigns):
         folder = write_fit(replace(fitted, values=values, trials=kept), campaigns / f"refit-{t}")
         again = validate_fit(folder, other)["trials"]
         assert [one["name"] for one in again] == [trial["name"]]
-        assert again[0]["nrmse"].tolist() == trial["nrmse"].tolist()
+        assert again[0]["nrmse"] == trial["nrmse"]
         assert again[0]["by_channel"] == trial["by_channel"]
