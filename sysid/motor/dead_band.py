@@ -66,13 +66,10 @@ class SaturationFit:
         """Return what a result states of the stage."""
         return {
             "stage": "after the dynamic fit, all other values fixed",
-            "free": [row.name for row in self.free],
-            "trials": list(self.trials),
-            "shown by": self.shown_by,
-            "nrmse": self.nrmse.tolist(),
-            "nrmse without saturation": self.without.tolist(),
+            "free": [row.name for row in self.free], "trials": list(self.trials), "shown by": self.shown_by,
+            "nrmse": self.nrmse.tolist(), "nrmse without saturation": self.without.tolist(),
             "evaluations": self.evaluations,
-        }
+        }  # fmt: skip
 
 
 def fit_saturation(

@@ -347,10 +347,7 @@ def _circumstances(problem: MotorProblem) -> dict[str, Any]:
     u_of = command_range(problem.campaign)
     return {
         "command": {
-            "unit": u_of.unit,
-            "minimum": u_of.minimum,
-            "neutral": u_of.neutral,
-            "maximum": u_of.maximum,
+            **{name: getattr(u_of, name) for name in ("unit", "minimum", "neutral", "maximum")},
             "bidirectional": u_of.forward_half is not None or u_of.neutral > u_of.minimum,
             "forward half": u_of.forward_half,
         },

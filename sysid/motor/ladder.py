@@ -89,16 +89,15 @@ def _parts(problem: MotorProblem) -> list[_Part]:
             continue
         out.append((trial, trial.dynamic_target, running))
         starts = replace(whole, valid=whole.valid & trial.started[:, None])
-        if all(_scorable(whole, starts, c) for c in weighted):
+        if all(_shows(starts, c, whole.measured[whole.valid[:, c], c]) for c in weighted):
             out.append((trial, starts, start))
     return out
 
 
-def _scorable(whole: MotorTarget, part: MotorTarget, channel: int) -> bool:
-    inside, values = part.valid[:, channel], whole.measured[:, channel]
-    if np.count_nonzero(inside) < _LEAST:
-        return False
-    return bool(np.std(values[inside]) >= _LEAST_SPREAD * np.std(values[whole.valid[:, channel]]))
+def _shows(part: MotorTarget, channel: int, whole: FloatArray) -> bool:
+    """Return whether a part of a trial has enough samples, and enough spread beside the whole trial's."""
+    values = part.measured[part.valid[:, channel], channel]
+    return values.size >= _LEAST and bool(np.std(values) >= _LEAST_SPREAD * np.std(whole))
 
 
 class LagProblem(MotorProblem):
