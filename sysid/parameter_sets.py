@@ -147,7 +147,7 @@ class SetsDocument(SetsHead):
 # Fields of `ParameterSets` that every file of sets states under the same names.
 _SAME = ("kind", "name", "parameters", "settings", "provenance", "warnings")
 # Keys of a result's settings: numbers that the data determine only in combination, and those combinations.
-NOT_ALONE, COMBINATIONS = "fixed only in combination", "combinations"
+NOT_ALONE, COMBINATIONS = "not_identifiable_alone", "combinations"
 
 
 def in_place_of_digits(settings: Mapping[str, Any], name: str) -> str | None:

@@ -1,7 +1,7 @@
-"""What a fit says while it runs: run, generation, best and median NRMSE, simulations per second, time left.
+"""What a fit prints while it runs: run, generation, best and median NRMSE, simulations per second, time left.
 
-In a terminal one live line; elsewhere (a file, a batch queue) one plain line per run and one every few
-seconds; quiet says nothing.
+A terminal shows one live line. Elsewhere (a file, a batch queue) a plain line follows each run and every few
+seconds.
 """
 
 from __future__ import annotations
@@ -100,8 +100,8 @@ class FitProgress:
     def time_left(self, run: int, generation: Generation) -> str:
         """Return an estimate of the time that is left, or ``-``.
 
-        A search that ends by convergence cannot tell when; once a run has finished the others are taken to
-        last as long as the finished ones on average. A limit gives an upper bound (``<``).
+        A search that converges cannot tell when; further runs are taken to last as long as the finished ones
+        on average. A limit gives an upper bound (``<``).
         """
         limit = self._settings.stop.time_limit
         bound = None if limit is None else max(0.0, limit - (time.perf_counter() - self._started))

@@ -56,20 +56,11 @@ class TrialResult:
 
 @dataclass(frozen=True, eq=False)
 class RankedSets:
-    """The best individual of each run, best first.
+    """The best individual of each run, best first, with the run (from 1) and its seed.
 
-    Parameters
-    ----------
-    run, seed : tuples of int
-        Run (from 1) of each set, and its seed.
-    cube : (S, n_free) array
-        Unit-cube point [1].
-    cost : (S,) array
-        NRMSE that the search saw [1].
-    values : (S, n_table) array
-        Rows of the model's table [SI].
-    at_bound : (S, n_table) int8 array
-        -1 within 1 % of the lower bound, +1 of the upper, else 0.
+    `cube` (S, n_free) are unit-cube points, `cost` (S,) the NRMSE that the search saw [1], `values`
+    (S, n_table) rows of the model's table [SI]. `at_bound` (S, n_table) is -1 within 1 % of the lower bound,
+    +1 of the upper, else 0.
     """
 
     run: tuple[int, ...]

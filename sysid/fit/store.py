@@ -43,12 +43,8 @@ def check_new_fit(path: str | Path, force: bool = False) -> None:
 def write_fit(result: FitResult, path: str | Path, force: bool = False) -> Path:
     """Write a fit folder, whose parents are made, and return its path.
 
-    `force` replaces an existing fit folder, with all that is in it, once the new one is complete.
-
-    Raises
-    ------
-    FitError
-        When the folder exists and `force` is off, or it cannot be written; nothing has changed then.
+    `force` replaces an existing fit folder, with all that is in it, once the new one is complete. Raises
+    FitError, with nothing changed, when the folder exists and `force` is off, or it cannot be written.
     """
     path = Path(path)
     sets = result.parameter_sets()
@@ -104,13 +100,7 @@ def _write_numbers(file: Any, result: FitResult, sets: ParameterSets) -> None:
 
 
 def read_fit(path: str | Path) -> FitResult:
-    """Read a fit folder, or its ``fit.h5``.
-
-    Raises
-    ------
-    FitError
-        When there is no fit, or it is foreign, damaged, cut off or of an unknown version.
-    """
+    """Read a fit folder, or its ``fit.h5``; FitError when that is missing, foreign, damaged or cut off."""
     path = Path(path)
     file_path = path / "fit.h5" if path.is_dir() else path
     if not file_path.is_file():

@@ -13,11 +13,7 @@ from sysid.parameter_sets import in_place_of_digits
 
 
 def run_record(result: FitResult) -> dict[str, Any]:
-    """Return everything that a reader needs to repeat a fit or to doubt it; JSON-able.
-
-    Provenance (versions, git revision, processor, hashes, settings) and what the runs cost: seeds,
-    candidates, failed ones, simulations, wall time [s] and simulations per second.
-    """
+    """Return the provenance of a fit and what its runs cost (wall time in seconds); JSON-able."""
     evaluations = sum(run.evaluations for run in result.runs)
     simulations = sum(run.simulations for run in result.runs)
     wall_time = sum(run.wall_time for run in result.runs)

@@ -354,7 +354,7 @@ def read_arrays(folder: Path, part: str) -> dict[str, Any]:
 
 
 def parts(folder: Path) -> tuple[str, ...]:
-    """Return which documents a fit folder holds, whether or not the fit has changed since."""
+    """Return the documents in a fit folder, whether or not the fit has changed since."""
     stems = sorted(path.stem for path in folder.glob("*.json") if (folder / f"{path.stem}.h5").is_file())
     return tuple(name for name in stems if name in (TRUST, CROSS_VALIDATION) or name.startswith(VALIDATION))
 

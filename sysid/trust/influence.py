@@ -42,17 +42,10 @@ def standing_out(ratio: FloatArray) -> tuple[int, ...]:
 class Influence:
     """What the trials of a fit do to it.
 
-    Parameters
-    ----------
-    ratio : (T,) array
-        NRMSE of each over what noise alone costs [1].
-    without : (T, n) array
-        Parameters of the fit without it [unit cube]; NaN where that fit did not succeed.
-    shift : (T, n) array
-        How far they move, in standard deviations of what one trial less explains [1]; 0 for parameters that
-        the data do not determine.
-    evaluations : int
-        Points that the fits simulated.
+    `ratio` (T,) is the NRMSE of each over what noise alone costs [1]. `without` (T, n) are the parameters of
+    the fit without it [unit cube], NaN where that fit did not succeed. `shift` (T, n) is how far they move,
+    in standard deviations of what one trial less explains [1], 0 for parameters that the data do not
+    determine. The fits simulated `evaluations` points.
     """
 
     ratio: FloatArray

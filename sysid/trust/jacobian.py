@@ -25,14 +25,8 @@ TRUSTED = 0.1
 class Jacobian:
     """Derivatives of weighted residuals at one point.
 
-    Parameters
-    ----------
-    values : (m, n) array
-        By the unit cube's coordinates, extrapolated to step 0 (Richardson) where both steps agree.
-    steps : (n,) array
-        The larger step [unit cube].
-    doubt : (n,) array
-        Share by which the derivative changes when the step is halved [1].
+    `values` (m, n) are extrapolated to step 0 (Richardson) where both steps agree [1/unit cube]. `steps` (n,)
+    are the larger ones [unit cube]. `doubt` (n,) is the change of the derivative when the step is halved [1].
     """
 
     values: FloatArray

@@ -48,17 +48,9 @@ _NEGLIGIBLE, _IN_A_ROW = 2.0, 5
 class Information:
     """Linearized uncertainty at one point, in the unit cube.
 
-    Parameters
-    ----------
-    curvature : (n, n) array
-        H.
-    gradient_noise : (n, n) array
-        V.
-    covariance : (n, n) array
-        Of the minimum, the bounds included.
-    inflation : (n,) array
-        By how much the drop of the cost along a parameter's profile exceeds chi-square (Kent 1982):
-        ``(H⁻¹VH⁻¹)_ii/(H⁻¹)_ii``.
+    `curvature` H, `gradient_noise` V and the `covariance` of the minimum, the bounds included, are (n, n).
+    The drop of the cost along a parameter's profile exceeds chi-square by the factor `inflation` (n,), which
+    is ``(H⁻¹VH⁻¹)_ii/(H⁻¹)_ii`` (Kent 1982).
     """
 
     curvature: FloatArray
@@ -90,18 +82,10 @@ class Information:
 
 @dataclass(frozen=True, eq=False)
 class Linearized:
-    """What noise leaves open at one point.
+    """What noise leaves open at one `point` (n,) of the unit cube.
 
-    Parameters
-    ----------
-    point : (n,) array
-        In the unit cube.
-    levels : (B,) array
-        NRMSE of every block [1].
-    scale : (m,) array
-        Weights of the residuals.
-    half_widths : (n,) array
-        Relative, 95 % [1].
+    `levels` (B,) are the NRMSE of every block [1], `scale` (m,) the weights of the residuals, `half_widths`
+    (n,) relative, 95 % [1].
     """
 
     point: FloatArray
@@ -253,16 +237,8 @@ def gradient_noise(
 ) -> FloatArray:
     """Return V (n, n), the covariance of ``Jᵀ rho``.
 
-    Parameters
-    ----------
-    jacobian : (m, n) array
-        Of the weighted residuals.
-    scale : (m,) array
-        Their weights.
-    levels : (B,) array
-        NRMSE of the noise in every block [1].
-    disturbances : (K, m) array
-        See `Problem.disturbances`; unweighted.
+    `jacobian` (m, n) is of the residuals weighted by `scale` (m,). `levels` (B,) are the NRMSE of the noise
+    in every block [1]. `disturbances` (K, m) are unweighted, see `Problem.disturbances_at`.
     """
     parts = []
     for block, level in zip(blocks, levels, strict=True):

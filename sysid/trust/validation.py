@@ -42,17 +42,12 @@ def judge(
     ----------
     nrmse : (S,) array
         Weighted mean over channels of every set, best first [1].
-    by_channel : (C,) array
-        Of the best set [1].
-    simulated : (n, C) array
-        With the best set, as compared [channel units].
+    by_channel, simulated : (C,), (n, C) arrays
+        NRMSE and samples as compared, of the best set [1, channel units].
     spread, noise : (C,) arrays
-        What NRMSE divides by; standard deviation of the noise as compared, NaN where not known [channel
-        units].
-    weights : (C,) array
-        Of the channels.
+        What NRMSE divides by, and the noise's standard deviation, NaN where not known [channel units].
     contacts : (k,) array, optional
-        Touchdowns of the prediction on the trial's clock [s]; of a trial without contacts: none.
+        Touchdowns of the prediction on the trial's clock [s]; None for a model without contacts.
     """
     used = weights > 0
     share = np.where(used, weights, 0.0) / weights[used].sum()
