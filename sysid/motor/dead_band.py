@@ -205,7 +205,7 @@ def saturation_space(
     bounds = {name: pair for name, pair in choices.bounds.items() if name in names}
     choices = choices.model_copy(update={"free": names, "bounds": bounds})
     space = choices.search_space(PARAMETERS, names, known)
-    # Delays of logs that only this stage sees are free; those of the dynamic fit stay.
+    # Delays of logs that only this stage sees are free; the delays of the dynamic fit stay.
     seen = {delay_name(trial.entry.log) for trial in bench.fitted}
     late = {delay_name(trial.entry.log) for trial in bench.banded} - seen
     delays = [row for name, row in table.items() if name in late]

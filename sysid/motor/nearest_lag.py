@@ -34,7 +34,7 @@ class FirstOrderRotor:
     Time constants T_up and T_down [s], and the rms distance of the lag from the motor's speed over the steps,
     over the size of the step [1]; the loaded steady speed at full forward command [rad/s]; k_T [N·s²/rad²]
     and the largest distance of k_T Ω² from the identified curve over the largest thrust [1]; k_M [m]. Speed
-    and thrust are forward; simulators' symmetric rotors have no place for those of reverse rotation.
+    and thrust are forward; the symmetric rotors of simulators have no place for reverse rotation.
     """
 
     time_constant_up: float

@@ -48,20 +48,20 @@ def test_mechanical_time_constant_without_inductance_and_drag() -> None:
     tau = INERTIA * RESISTANCE / K**2
     assert tau == pytest.approx(0.082, abs=0.0005)  # printed: 82 ms
     time = np.linspace(0.0, 0.4, 401)
-    found = simulate(parameters, [0.0], [0.5], time, ideal_reversal=True)
+    run = simulate(parameters, [0.0], [0.5], time, ideal_reversal=True)
     expected = 515.0 * (1.0 - np.exp(-time / tau))
     # L/R is 3e-9 s: the exponential is exact up to the local error of 1e-6.
-    np.testing.assert_allclose(found.speed, expected, atol=515.0 * 5e-6)
+    np.testing.assert_allclose(run.speed, expected, atol=515.0 * 5e-6)
 
 
 def test_current_of_a_locked_rotor_rises_with_l_over_r() -> None:
     parameters = {**FREE_OF_DRAG, "rotor_inertia": 1e3}
     time = np.linspace(0.0, 0.1, 201)
-    found = simulate(parameters, [0.0], [1.0], time, ideal_reversal=True)
+    run = simulate(parameters, [0.0], [1.0], time, ideal_reversal=True)
     locked = K * 1030.0 / RESISTANCE
     expected = locked * (1.0 - np.exp(-time * RESISTANCE / INDUCTANCE))
     # The rotor of 1e3 kg·m² stays put to 1e-8; the rest is the local error.
-    np.testing.assert_allclose(found.current, expected, atol=locked * 5e-6)
+    np.testing.assert_allclose(run.current, expected, atol=locked * 5e-6)
 
 
 def test_linear_motor_follows_its_eigenvalues() -> None:
@@ -72,10 +72,10 @@ def test_linear_motor_follows_its_eigenvalues() -> None:
     weights = np.linalg.solve(vectors, -rest.astype(complex))
     time = np.linspace(0.0, 0.5, 101)
     expected = (vectors @ (weights[:, None] * np.exp(values[:, None] * time))).real + rest[:, None]
-    found = simulate(parameters, [0.0], [800.0 / 1030.0], time, ideal_reversal=True)
+    run = simulate(parameters, [0.0], [800.0 / 1030.0], time, ideal_reversal=True)
     # Local error 1e-6 of the scale, summed over some hundred steps.
-    np.testing.assert_allclose(found.current, expected[0], atol=5e-6 * np.max(expected[0]))
-    np.testing.assert_allclose(found.speed, expected[1], atol=5e-6 * np.max(expected[1]))
+    np.testing.assert_allclose(run.current, expected[0], atol=5e-6 * np.max(expected[0]))
+    np.testing.assert_allclose(run.speed, expected[1], atol=5e-6 * np.max(expected[1]))
 
 
 @pytest.mark.parametrize("factor", [0.3, 4.0])
@@ -99,7 +99,7 @@ def test_stiff_winding_equals_the_quasi_steady_current() -> None:
     # L/R = 1e-6 s: the current is (V - k_v Ω)/R everywhere but within microseconds of a command.
     parameters = {"winding_inductance": 0.299e-6}
     time = np.arange(0.0, 1.0, 1e-3) + 0.5e-3
-    found = simulate(parameters, [0.0, 0.5], [0.4, 0.9], np.concatenate([[0.0], time]), ideal_reversal=True)
+    run = simulate(parameters, [0.0, 0.5], [0.4, 0.9], np.concatenate([[0.0], time]), ideal_reversal=True)
     # Riccati equation of the quasi-steady motor, stepped by RK4 with 1000 times smaller error.
     omega, expected, h = 0.0, [], 1e-5
     for step in range(100_000):
@@ -116,7 +116,7 @@ def test_stiff_winding_equals_the_quasi_steady_current() -> None:
         d = rate(omega + h * c)
         omega += h * (a + 2 * b + 2 * c + d) / 6
     # The winding delays the rotor by about L/R: 1e-6 s of at most 12 000 rad/s².
-    np.testing.assert_allclose(found.speed[1:], expected, atol=0.03)
+    np.testing.assert_allclose(run.speed[1:], expected, atol=0.03)
 
 
 def test_energy_balance_through_a_reversal() -> None:
@@ -159,10 +159,10 @@ def test_supply_that_sags_lowers_the_speed() -> None:
     time = np.linspace(0.0, 2.0, 201)
     knots = np.linspace(0.0, 2.0, 21)
     volts = np.linspace(11.1, 10.0, 21)
-    found = simulate({}, [0.0], [0.8], time, initial="steady", voltage=(knots, volts))
+    run = simulate({}, [0.0], [0.8], time, initial="steady", voltage=(knots, volts))
     _, expected = model.steady_state(0.8, {}, voltage=10.0)
     # The sag of 0.55 V/s is slow beside the rotor's 50 ms under load: it trails by 2 rad/s.
-    assert found.speed[-1] == pytest.approx(float(expected), abs=3.0)
+    assert run.speed[-1] == pytest.approx(float(expected), abs=3.0)
     constant = simulate({}, [0.0], [0.8], time, initial="steady", voltage=([0.0, 5.0], [11.1, 11.1]))
     reference = simulate({}, [0.0], [0.8], time, initial="steady")
     np.testing.assert_allclose(constant.speed, reference.speed, rtol=1e-9)  # rounding of the ratio
@@ -185,11 +185,11 @@ def test_population_equals_single_simulations() -> None:
             SimulatedTrial(np.array([0.0, 0.5]), np.array([0.6, -0.8]), grid[::2], initial=(0.0, 0.0)),
         ]
     )
-    found = simulate_population(rows, trials)
-    assert np.all(found.status == 0)
+    run = simulate_population(rows, trials)
+    assert np.all(run.status == 0)
     for i, row in enumerate(rows):
         for j, trial in enumerate(trials.trials):
-            part = found.outputs[i, trials.first[j] : trials.first[j + 1]]
+            part = run.outputs[i, trials.first[j] : trials.first[j + 1]]
             commands = (trial.command_time, trial.command)
             alone = simulate(unpack(row), *commands, trial.time, initial=trial.initial)
             # One tolerance, one kernel; only the output times differ.
@@ -220,11 +220,11 @@ def test_hopeless_candidate_has_a_status_and_harms_no_other() -> None:
     rows = np.tile(pack({}), (3, 1))
     for name in model.PARAMETERS.group("torque curve"):
         rows[1, COLUMN[name]] = -1.0  # drag that drives: no equilibrium
-    found = simulate_population(rows, trials)
-    assert found.status[1, 0] != 0
-    assert found.reached[1, 0] < 1.0
-    assert np.isnan(found.outputs[1, 1:]).all()  # the first sample is the given start
-    np.testing.assert_array_equal(found.outputs[0], found.outputs[2])
+    run = simulate_population(rows, trials)
+    assert run.status[1, 0] != 0
+    assert run.reached[1, 0] < 1.0
+    assert np.isnan(run.outputs[1, 1:]).all()  # the first sample is the given start
+    np.testing.assert_array_equal(run.outputs[0], run.outputs[2])
     with pytest.raises(FitError, match="stopped at"):
         simulate(unpack(rows[1]), [0.0], [0.5], grid)
 

@@ -75,15 +75,15 @@ def test_starts_from_rest_do_not_bias_the_winding(tmp_path: Path, reversal: bool
     assert values["winding_resistance"] == pytest.approx(0.299, rel=0.03)  # required
     assert values["winding_inductance"] == pytest.approx(0.0038, rel=0.05)  # required
     assert values["command_delay"] == pytest.approx(0.008, abs=5e-4)  # a quarter of the compared grid
-    found = fit_saturation(problem, rows, SEARCH, (1,))
-    assert found is not None
-    assert found.shown_by == ("reversals" if reversal else "starts from rest")
-    current, speed = found.values[0, :2]
+    band = fit_saturation(problem, rows, SEARCH, (1,))
+    assert band is not None
+    assert band.shown_by == ("reversals" if reversal else "starts from rest")
+    current, speed = band.values[0, :2]
     assert speed / current == pytest.approx(11.0 / 0.25, rel=0.05)  # required
-    assert found.nrmse[0] < 0.02 < 0.1 < found.without[0]
+    assert band.nrmse[0] < 0.02 < 0.1 < band.without[0]
     if reversal:
         # The reversal's log has its own delay, which no forward log shows.
-        assert found.values[0, 2] == pytest.approx(0.008, abs=5e-4)
+        assert band.values[0, 2] == pytest.approx(0.008, abs=5e-4)
 
 
 def test_a_dead_band_that_no_log_feels_is_not_fitted(tmp_path: Path) -> None:
@@ -308,9 +308,9 @@ def test_bounds_of_either_stage_do_not_hinder_the_other(tmp_path: Path) -> None:
     assert (problem.space.free[0].lower, problem.space.free[0].upper) == (0.1, 1.0)
     row = np.array([[TRUTH.get(name, 0.008) for name in problem.space.table]])
     few = replace(SEARCH, stop=StopRule(max_generations=2))
-    found = fit_saturation(problem, row, few, (1,))
-    assert found is not None
-    assert [(r.lower, r.upper) for r in found.free[1:2]] == [(1.0, 50.0)]
+    band = fit_saturation(problem, row, few, (1,))
+    assert band is not None
+    assert [(r.lower, r.upper) for r in band.free[1:2]] == [(1.0, 50.0)]
     edited(path, (r"^saturation_speed = .*$", 'rotor_inertia = ["1e-5 kg·m²", "1e-4 kg·m²"]'))
     campaign, bench = bench_of(path)
     with pytest.raises(CampaignError, match=r"parameters\.bounds\.rotor_inertia: the parameter is not free"):
