@@ -2,5 +2,5 @@
 
 Knows no model: a `sysid.fit.problem.Problem` turns points of the unit cube into residuals. From these follow
 derivatives (`jacobian`), what noise leaves open (`linearized`), profiles of the cost (`profiles`), fits of
-resampled trials (`resampling`), verdicts, and what to record next (`sensitivity`).
+resampled trials (`assessment`), verdicts, and what to record next (`sensitivity`).
 """

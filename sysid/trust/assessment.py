@@ -1,4 +1,9 @@
-"""The assessment of one fit: refine, derive, linearize, profile, resample."""
+"""The assessment of one fit: refine, derive, linearize, profile, resample.
+
+The bootstrap draws whole trials with replacement, because samples of one trial are not independent. With few
+trials some resamples consist of two or three different ones, so it tends to be wider than the profile. It
+also sees what the model does not describe, if that differs from trial to trial.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +15,9 @@ from sysid.fit.problem import Problem
 from sysid.journal import Say
 from sysid.trust.least_squares import Solved, solve
 from sysid.trust.linearized import Linearized, linearized, noise_model, undisturbed
-from sysid.trust.problem import nrmse_of, scales
+from sysid.trust.problem import nrmse_of, scales, trial_rows
 from sysid.trust.profiles import Profiles, walk_profiles
-from sysid.trust.resampling import bootstrap
-from sysid.types import FloatArray
+from sysid.types import FloatArray, IntArray
 
 # Rounds of fitting and weighting; the weights follow the NRMSE, which hardly moves.
 _ROUNDS = 3
@@ -48,6 +52,30 @@ def _linearized(problem: Problem, point: FloatArray) -> Linearized:
     rise = linear.information.inflation
     rise = np.where(linear.jacobian.trusted, rise, rise.max())
     return replace(linear, information=replace(linear.information, inflation=rise))
+
+
+def bootstrap(problem: Problem, linear: Linearized, resamples: int, seed: int) -> Solved:
+    """Fit resamples of whole trials, drawn with replacement."""
+    count = len(problem.trials)
+    drawn = np.random.default_rng(seed).integers(count, size=(resamples, count))
+    return refit(problem, linear, np.stack([np.bincount(row, minlength=count) for row in drawn]))
+
+
+def leave_one_out(problem: Problem, linear: Linearized) -> Solved:
+    """Fit all trials but one, for each."""
+    return refit(problem, linear, 1 - np.eye(len(problem.trials)))
+
+
+def refit(
+    problem: Problem, linear: Linearized, weights: FloatArray | IntArray, tolerance: float | None = None
+) -> Solved:
+    """Fit the trials under each row of `weights` (F, T), from the minimum on."""
+    scale, weights = linear.scale, np.asarray(weights, dtype=np.float64)
+    return solve(
+        problem, np.tile(linear.point, (len(weights), 1)), scale, linear.jacobian.steps,
+        weights=lambda part: trial_rows(problem.blocks, weights[part], len(scale)),
+        tolerance=linear.tolerance if tolerance is None else tolerance, iterations=8,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

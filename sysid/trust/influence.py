@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid.fit.problem import Problem
+from sysid.trust.assessment import leave_one_out
 from sysid.trust.linearized import Linearized, bounded_information, gradient_noise
 from sysid.trust.problem import trial_rows
-from sysid.trust.resampling import leave_one_out
 from sysid.trust.verdicts import WEAKLY
 from sysid.types import FloatArray
 

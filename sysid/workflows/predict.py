@@ -20,11 +20,10 @@ from sysid.fit.store import read_fit
 from sysid.journal import Journal, Say, notice
 from sysid.parallel import executor
 from sysid.recording import file_sha256
-from sysid.trust.assessment import linearize
+from sysid.trust.assessment import leave_one_out, linearize
 from sysid.trust.documents import CROSS_VALIDATION, JudgedTrial, free_part, validation_part, write_part
 from sysid.trust.influence import standing_out
 from sysid.trust.problem import spread_over
-from sysid.trust.resampling import leave_one_out
 from sysid.trust.validation import judge, summary
 from sysid.types import FloatArray
 from sysid.workflows.kinds import naming, open_campaign

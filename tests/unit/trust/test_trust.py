@@ -8,14 +8,13 @@ from scipy.optimize import lsq_linear
 
 from sysid.fit.problem import Block, NoiseModel
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
-from sysid.trust.assessment import assess, linearize
+from sysid.trust.assessment import assess, bootstrap, linearize, refit
 from sysid.trust.influence import influence
 from sysid.trust.jacobian import jacobian
 from sysid.trust.least_squares import search_around, solve
 from sysid.trust.linearized import NORMAL_95, bounded_information, half_widths, information, noise_model
 from sysid.trust.problem import nrmse_of, scales
 from sysid.trust.profiles import _crossing
-from sysid.trust.resampling import bootstrap, refit
 from sysid.trust.sensitivity import expectations, morris, rank_candidates
 from sysid.trust.verdicts import sentences, verdict
 
