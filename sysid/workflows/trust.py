@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,9 @@ import numpy as np
 from sysid.errors import FitError
 from sysid.fit.problem import Words
 from sysid.fit.result import FitResult
-from sysid.journal import Journal, Say, notice
+from sysid.journal import Finding, Journal, Say, notice
 from sysid.parallel import executor
-from sysid.parameters import SearchSpace
+from sysid.parameters import Parameter, SearchSpace, about
 from sysid.recording import file_sha256
 from sysid.trust.assessment import Assessment, assess
 from sysid.trust.documents import TRUST, write_part
@@ -65,7 +66,8 @@ def assess_fit(folder: Path, options: TrustOptions | None = None, say: Say = Non
             trials = influence(spread, assessed.linear, floors)
         rows = _parameters(opened.result, opened.space, assessed)
         _notice_trials(problem.names, opened.space.decode(trials.without), trials, rows, opened.kind.words)
-        _notice_parameters(rows, assessed, opened.result.cube[0])
+        for finding in _doubts(opened.space.free, rows, assessed, opened.result.cube[0]):
+            journal.add(finding)
         document, arrays = _document(opened, assessed, trials, floors, rows)
         document["warnings"] = journal.sentences()
         document["seconds"] = time.perf_counter() - began
@@ -73,31 +75,30 @@ def assess_fit(folder: Path, options: TrustOptions | None = None, say: Say = Non
     return document
 
 
-def _notice_parameters(rows: list[dict[str, Any]], assessed: Assessment, best: FloatArray) -> None:
-    """Notice rough derivatives and a best set (n,) that is not the minimum; mark the rows they touch."""
+def _doubts(
+    free: Sequence[Parameter], rows: list[dict[str, Any]], assessed: Assessment, best: FloatArray
+) -> Iterator[Finding]:
+    """Yield rough derivatives, and that the best set (n,) is not the minimum; mark the rows they touch."""
     linear = assessed.linear
     moves = np.abs(linear.point - best) / np.maximum(linear.information.sigma, 1e-12)
-    for row, jump in zip(rows, moves, strict=True):
+    for parameter, row, jump in zip(free, rows, moves, strict=True):
+        name, rough = parameter.common_name, row["derivative_doubt"]
         if not row["derivative_trusted"]:
-            notice(
-                "rough-derivative",
-                f"{row['name']}: its derivative changes by {100 * row['derivative_doubt']:.0f} % when the "
-                "step is halved (the cost is rough there, or hardly depends on it): read its profile, not "
-                "its linearized sigma",
+            sentence = (
+                f"{name}: its derivative changes by {100 * rough:.0f} % when the step is halved (the cost is "
+                "rough there, or hardly depends on it): read its profile, not its linearized sigma"
             )
+            yield about(parameter, "rough-derivative", sentence, rough)
         if jump > _MOVED:
-            notice(
-                "not-converged",
-                f"{row['name']}: the best set lies {jump:.1f} standard deviations from where the sum of "
-                "squares is least; the search has not converged, or its simulations are too inexact "
-                "(fit.tolerance)",
+            sentence = (
+                f"{name}: the best set lies {jump:.1f} standard deviations from where the sum of squares is "
+                "least; the search has not converged, or its simulations are too inexact (fit.tolerance)"
             )
+            yield about(parameter, "not-converged", sentence, float(jump))
             _doubt(row, "the best set is not where the sum of squares is least")
     if assessed.profiles.lowered > 1.0:
-        notice(
-            "profile-lowered",
-            "a profile found a better set than the profiles' start: the fit has not converged",
-        )
+        sentence = "a profile found a better set than the profiles' start: the fit has not converged"
+        yield Finding("profile-lowered", sentence)
 
 
 def _document(
