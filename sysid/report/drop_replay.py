@@ -102,7 +102,7 @@ def replay_drop(fit: FitResult, trial: TrialResult) -> DropReplay:
     log = fit.provenance.get("logs", {}).get(trial.name, {})
     if START not in log or "slope [deg]" not in log:
         raise ExportError(
-            f"{fit.name}, {trial.name}: the fit does not hold the state in which the drop starts; fit again"
+            f"{fit.name}, {trial.name}: the fit lacks the state in which the drop starts; fit again"
         )
     values = dict(zip((r.name for r in fit.parameters), map(float, fit.values[0]), strict=True))
     height, start = _start_of(values, trial.name, np.array(log[START], dtype=np.float64))

@@ -79,24 +79,9 @@ def figure_measured_against_simulated(
 ) -> Figure:
     """Draw what was measured and what each set simulates: a column per trial, a row per channel.
 
-    The residual of the best set stands below each channel.
-
-    Parameters
-    ----------
-    trial : str, optional
-        Draw this trial alone, by name.
-    bars : mapping, optional
-        Intervals to mark below the signals.
-
-    Raises
-    ------
-    ExportError
-        When there is no such trial.
-
-    Notes
-    -----
-    Samples that did not count are not drawn; where they were lost for every channel the time is shaded (an
-    occlusion, a stall of the logger).
+    The residual of the best set stands below each channel. Samples that did not count are not drawn; where
+    they were lost for every channel the time is shaded (an occlusion, a stall of the logger). A `trial` by
+    name is drawn alone, `bars` are drawn below the signals; an ExportError names an unknown trial.
     """
     trials = [candidate for candidate in fit.trials if trial in (None, candidate.name)]
     if not trials:

@@ -421,7 +421,7 @@ class FitReport:
         for name, figure in self._spectra().items():
             words = f"amplitude spectrum of {name} before the filter, and the gain of the filter ({kind})"
             pieces.append(picture(figure, words))
-        missing = "The signals were not filtered, or the fit does not hold their spectra."
+        missing = "The signals were not filtered, or the fit lacks their spectra."
         return grid(pieces) if pieces else paragraph(missing, "note")
 
     @titled("Provenance")

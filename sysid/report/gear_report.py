@@ -102,7 +102,7 @@ class GearReport(FitReport):
         """Return the drops in motion, with forces and ghost, and the instants of Fig. 7."""
         if not self.replays:
             return paragraph(
-                "No animation: the fit does not hold the states in which its drops start; fit again.", "note"
+                "No animation: the fit lacks the states in which its drops start; fit again.", "note"
             )
         names = [self.fits[other].name for other, _ in self.replays] if self.against is not None else ()
         return animation(self.drops(), names) + self.snapshots()

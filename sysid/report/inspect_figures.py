@@ -18,7 +18,7 @@ from sysid.trials.look import LogReport
 _FIRST = ("command", "speed", "thrust", "torque", "voltage", "current")
 _MOST_ROWS = 6
 _MOST_POINTS = 20_000
-# [in]
+# Width below which a name stands above the legend, not beside it [in].
 _NARROW = 6.0
 
 
@@ -96,7 +96,6 @@ def figure_logs(
             shared = shared or axes
             if place == 0:
                 title = shortened(Path(report.path).name, 60)
-                # On a narrow figure the name stands above the legend, not beside it.
                 room = {"pad": 20.0} if width < _NARROW else {}
                 axes.set_title(f"{title} ({report.kind})", fontsize="medium", loc="left", **room)
             if report.drop is not None and falls:

@@ -263,7 +263,7 @@ def _draw_letters(axes: Axes, chart: LandingMap, lines: Sequence[float]) -> list
 
 
 def _relative(axes: Axes, points: FloatArray) -> FloatArray:
-    """Points (n, 2) in widths of the axes."""
+    """Return points (n, 2) in widths of the axes."""
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
     return np.asarray((points - [left, low]) / [right - left, high - low])
 
@@ -337,7 +337,7 @@ def _draw_limits(axes: Axes, limit: DrawnLimits) -> str:
 
 
 def _name_limits(legend: MapLegend, maps: Sequence[LandingMap], limits: Limits, highest: float) -> None:
-    """Say which thrust the drawn limits are for: it differs between controllers, hardly between surfaces."""
+    """Name the drawn limits with their thrust, which differs between controllers, hardly between surfaces."""
     drawn: set[str] = set()
     thrusts: dict[str, dict[str, None]] = {}
     for chart in maps:
