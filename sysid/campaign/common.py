@@ -157,7 +157,7 @@ class FitTable(Table):
     runs: int = Field(default=5, ge=1, le=1000)
     seed: int = Field(default=1, ge=0)
     algorithm: Literal["ga", "matlab-ga", "cmaes", "de", "pso"] | None = None
-    finish: Literal["cmaes", "none"] = "cmaes"
+    finish: Literal["least-squares", "cmaes", "none"] = "least-squares"
     stop_reading: Literal["relative", "matlab"] = "relative"
     stop_window: int = Field(default=4, ge=1)
     stop_tolerance: float = Field(default=1e-4, gt=0)

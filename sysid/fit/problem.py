@@ -335,6 +335,23 @@ class Problem(ABC):
         failed = first_cause(scores.cause, len(self.causes))
         return Evaluation(self.cost.mean(scores.by_channel), failed, scores.cause.size)
 
+    def examine(self, cube: FloatArray) -> tuple[Evaluation, FloatArray]:
+        """Return what `evaluate` returns, and the residuals (P, m) [1]; NaN where a simulation failed.
+
+        Unlike `residuals`, equal points give equal bits whatever their neighbours.
+        """
+        rows = self.space.full(cube)
+        residuals = np.zeros((len(rows), self.blocks[-1].stop))
+        parts = []
+        for part in self._parts(len(rows)):
+            parts.append(self.predict(rows[part]))
+            self._subtract(parts[-1].signals, residuals[part])
+        cause = np.concatenate([part.cause for part in parts])
+        failed = first_cause(cause, len(self.causes))
+        residuals[failed > 0] = np.nan
+        cost = self.cost.mean(np.concatenate([part.by_channel for part in parts]))
+        return Evaluation(cost, failed, cause.size), residuals
+
     def predict(self, rows: FloatArray) -> Prediction:
         """Return scores and signals of rows of the whole table (P, n_table) [SI]."""
         scores = self.score(rows)
@@ -387,19 +404,26 @@ class Problem(ABC):
 
     def compared(self, rows: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return residuals and failures of rows of the whole table (P, n_table) [SI]."""
-        share = max(1, int(_MEMORY / (16 * self.samples)))
         out = np.zeros((len(rows), self.blocks[-1].stop))
         failed = np.zeros(len(rows), dtype=np.bool_)
-        for first in range(0, len(rows), share):
-            part = slice(first, min(first + share, len(rows)))
+        for part in self._parts(len(rows)):
             signals, lost = self.signals(rows[part])
             failed[part] = lost.any(axis=1)
-            for block in self.blocks:
-                trial = self.trials[block.trial]
-                error = signals[block.trial][:, :, block.channel] - trial.measured[:, block.channel]
-                error = np.where(trial.valid[:, block.channel], error, 0.0)
-                out[part, block.start : block.stop] = error / block.spread
+            self._subtract(signals, out[part])
         return np.nan_to_num(out), failed
+
+    def _parts(self, count: int) -> list[slice]:
+        """Return the parts in which candidates are compared, so that their samples fit into memory."""
+        share = max(1, int(_MEMORY / (16 * self.samples)))
+        return [slice(first, min(first + share, count)) for first in range(0, count, share)]
+
+    def _subtract(self, signals: Sequence[FloatArray], out: FloatArray) -> None:
+        """Fill residuals (P, m) from signals as compared, (P, n, C) per trial."""
+        for block in self.blocks:
+            trial = self.trials[block.trial]
+            error = signals[block.trial][:, :, block.channel] - trial.measured[:, block.channel]
+            valid = trial.valid[:, block.channel]
+            out[:, block.start : block.stop] = np.where(valid, error, 0.0) / block.spread
 
     def disturbances(self, cube: FloatArray) -> FloatArray:
         """Return `disturbances_at` of a point of the unit cube (n_free,)."""

@@ -22,15 +22,18 @@ from typing import Protocol
 import numpy as np
 
 from sysid.errors import FitError
-from sysid.fit.breeders.algorithms import ALGORITHMS, DEFAULT_ALGORITHM, POPULATION, Start, breeder
-from sysid.fit.breeders.breeder import Breeder
-from sysid.fit.breeders.in_process import BreederApart
+from sysid.fit.breeders.algorithms import ALGORITHMS, DEFAULT_ALGORITHM, POPULATION, breeder
+from sysid.fit.breeders.breeder import Breeder, Start
 from sysid.fit.history import Generation, RunHistory, StageHistory
+from sysid.fit.least_squares import LeastSquares
 from sysid.fit.objective import Evaluation, Objective, causes_of
 from sysid.fit.run_log import RunMemory, StageMemory
 from sysid.fit.stopping import StopReason, StopRule
 from sysid.types import FloatArray
 
+FINISHERS = ("least-squares", "cmaes", "none")
+# Chosen by tests/benchmarks/engine.py.
+DEFAULT_FINISH = "least-squares"
 # CMA-ES is not elitist and learns its shape over tens of generations, so its best cost stands still longer
 # than a GA's: its window is cma's default of 10 + 30 n/P generations, its tolerance a tenth of the paper's.
 CMAES_TOLERANCE = 1e-5
@@ -38,8 +41,12 @@ CMAES_TOLERANCE = 1e-5
 CMAES_SPREAD = 0.01
 # Of a finisher; chosen by tests/benchmarks/engine.py.
 FINISH_POPULATION = 64
-# What the first stage may use of a budget when a finisher follows.
-_SEARCH_SHARE = 0.6
+# Of CMA-ES after least squares: its axes are those of the cost, so a small population learns nothing else.
+ROUGH_POPULATION = 16
+# Generations of the first stage that least squares needs to find its starts.
+FIRST_GENERATIONS = 3
+# What may be used of a budget until the end of each stage that another one may follow.
+_SHARES, _FAST_SHARES = (0.6,), (0.3, 0.5, 0.8)
 # A generation that takes longer is scored in parts of about this [s], so that a kill costs no more.
 PART_TIME = 1.0
 # Between two looks at what the user wants [s].
@@ -63,8 +70,10 @@ class SearchSettings:
         `max_generations` is that of every stage.
     algorithm : str
         A key of `sysid.fit.breeders.algorithms.ALGORITHMS`.
-    finish : {"cmaes", "none"}
-        CMA-ES from mean and spread of each run's last generation; ``none`` is the paper's method.
+    finish : {"least-squares", "cmaes", "none"}
+        Least squares from the best of a few generations, followed by CMA-ES where the cost is too rough for
+        derivatives, and by the whole search and CMA-ES where more is left than noise; CMA-ES from mean and
+        spread of each run's last generation; ``none`` is the paper's method.
     """
 
     population: int = POPULATION[DEFAULT_ALGORITHM]
@@ -72,7 +81,7 @@ class SearchSettings:
     seed: int = 1
     stop: StopRule = field(default_factory=StopRule)
     algorithm: str = DEFAULT_ALGORITHM
-    finish: str = "cmaes"
+    finish: str = DEFAULT_FINISH
 
     def __post_init__(self) -> None:
         if self.population < 4 or self.runs < 1 or self.seed < 0:
@@ -82,8 +91,8 @@ class SearchSettings:
             )
         if self.algorithm not in ALGORITHMS:
             raise FitError(f"unknown algorithm {self.algorithm!r}; expected one of {', '.join(ALGORITHMS)}")
-        if self.finish not in ("cmaes", "none"):
-            raise FitError(f"unknown finisher {self.finish!r}; expected 'cmaes' or 'none'")
+        if self.finish not in FINISHERS:
+            raise FitError(f"unknown finisher {self.finish!r}; expected one of {', '.join(FINISHERS)}")
 
     def run_seeds(self) -> tuple[int, ...]:
         """Return the seed of every run; more runs keep the first ones."""
@@ -92,7 +101,7 @@ class SearchSettings:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """Algorithms of a run, in order; CMA-ES needs no finisher."""
+        """Algorithms of a run, in order; CMA-ES needs no finisher, and least squares may call for more."""
         if self.finish == "none" or self.algorithm == "cmaes":
             return (self.algorithm,)
         return (self.algorithm, self.finish)
@@ -130,7 +139,7 @@ _NO_HOOKS = Hooks()
 class _Breeds(Protocol):
     def __call__(
         self, name: str, n_free: int, population: int, seed: int, start: Start | None
-    ) -> Breeder | BreederApart: ...
+    ) -> Breeder: ...
 
 
 def run_one(
@@ -192,38 +201,54 @@ class _Run:
 
     def history(self) -> RunHistory:
         stages: list[StageHistory] = []
-        names = self.settings.stages
-        for number, name in enumerate(names):
-            start = Start.of_population(stages[-1].cube[-1]) if stages else None
-            population = self.settings.population if number == 0 else FINISH_POPULATION
-            rule = self._rule(name, population, last=number == len(names) - 1)
-            seed = self.seed if number == 0 else _child_seed(self.seed, number)
+        start: Start | None = None
+        left = list(self.settings.stages)
+        while left:
+            number, name = len(stages), left.pop(0)
             memory = self.memory.stage(number, name)
-            with closing(self.breeds(name, len(self.objective.space.free), population, seed, start)) as bred:
-                stages.append(self._bred(name, bred, rule, memory))
+            if name == "least-squares":
+                population = 0
+                bred: Breeder = LeastSquares(self.objective, stages[-1].cube[-1], stages[-1].cost[-1])
+            else:
+                along_axes = start is not None and start.axes is not None
+                finishing = ROUGH_POPULATION if along_axes else FINISH_POPULATION
+                searching = name == self.settings.algorithm
+                population = self.settings.population if searching else finishing
+                seed = self.seed if searching else _child_seed(self.seed, number)
+                bred = self.breeds(name, len(self.objective.space.free), population, seed, start)
+            with closing(bred):
+                stages.append(self._bred(name, bred, self._rule(name, number, population), memory))
+                start = bred.start()
             self.before += stages[-1].wall_time
-            if stages[-1].stop_reason == "interrupted":
+            reason = stages[-1].stop_reason
+            if reason == "interrupted":
                 break
+            # What least squares could not settle, the search without it does: as if it had not been tried.
+            left += {"apart": ["cmaes"], "unexplained": [self.settings.algorithm, "cmaes"]}.get(reason, [])
         return RunHistory(self.seed, tuple(stages))
 
-    def _rule(self, name: str, population: int, last: bool) -> StopRule:
-        """Return the rule of a stage; of the run's budgets the first of two stages gets a share."""
-        share = 1.0 if last else _SEARCH_SHARE
+    def _rule(self, name: str, number: int, population: int) -> StopRule:
+        """Return the rule of a stage; of the run's budgets all stages but the last get a share."""
+        fast = self.settings.finish == "least-squares"
+        last = name == "cmaes" or len(self.settings.stages) == 1
+        share = 1.0 if last else (_FAST_SHARES if fast else _SHARES)[number]
         rule = replace(self.settings.stop.share(self.settings.runs), time_limit=None)
         if rule.max_evaluations is not None:
             rule = replace(rule, max_evaluations=int(share * rule.max_evaluations))
         if self.time_limit is not None:
             rule = replace(rule, time_limit=share * self.time_limit)
-        if name == "cmaes":
+        if name == "least-squares":
+            rule = replace(rule, tolerance=0.0)
+        elif name == "cmaes":
             window = 10 + ceil(30 * len(self.objective.space.free) / population)
             rule = replace(
                 rule, reading="relative", window=window, tolerance=CMAES_TOLERANCE, spread=CMAES_SPREAD
             )
+        elif fast and number == 0:
+            rule = replace(rule, max_generations=min(rule.max_generations, FIRST_GENERATIONS))
         return rule
 
-    def _bred(
-        self, name: str, bred: Breeder | BreederApart, rule: StopRule, memory: StageMemory
-    ) -> StageHistory:
+    def _bred(self, name: str, bred: Breeder, rule: StopRule, memory: StageMemory) -> StageHistory:
         remembered, already = len(memory.cost), memory.spent
         # While a checkpoint is replayed, Ctrl-C and the clock do not end a stage that had ended already: the
         # next stage starts from its last generation.
@@ -233,20 +258,24 @@ class _Run:
         best: list[float] = []
         evaluations_before, simulations_before = self.evaluations, self.simulations
         reason: StopReason | None = None
+        residuals: FloatArray | None = None
         while reason is None:
             points = bred.ask()
             if points is None:
-                reason = "exhausted"
+                reason = bred.ended
                 break
             new = len(generations) >= remembered
             if not new and not memory.recalls(len(generations), points, self.memory.elsewhere):
                 self.memory.forget_from(memory, len(generations))
                 new, remembered = True, len(generations)
             if new:
-                scored = self._scored(points, memory, already - began)
+                scored, residuals = self._scored(points, memory, already - began, bred.needs_residuals)
                 elapsed = already + time.perf_counter() - began
                 memory.append(points, scored, elapsed, causes_of(self.objective))
-            bred.tell(memory.cost[len(generations)])
+            elif bred.needs_residuals:
+                # What is remembered are costs: the finisher takes seconds, so it is simulated again.
+                residuals = self.objective.examine(points)[1]
+            bred.tell(memory.cost[len(generations)], residuals)
             generation = self._generation(memory, len(generations), name, bred.population())
             generations.append(generation)
             best.append(min([*best[-1:], float(generation.cost.min())]))
@@ -278,11 +307,16 @@ class _Run:
             stop_reason=reason,
         )
 
-    def _scored(self, points: FloatArray, memory: StageMemory, offset: float) -> Evaluation:
+    def _scored(
+        self, points: FloatArray, memory: StageMemory, offset: float, residuals: bool
+    ) -> tuple[Evaluation, FloatArray | None]:
         """Score a generation; one that takes long in parts, each of which is kept.
 
         Rows do not know each other, so the cut changes no bit. `offset` brings the clock to the stage's [s].
+        With `residuals` they are returned as well, and there are no parts.
         """
+        if residuals:
+            return self.objective.examine(points)
         done = memory.recalls_begun(points, self.memory.elsewhere)
         while True:
             size = self._part(len(points) - done)
@@ -291,11 +325,11 @@ class _Run:
             now = time.perf_counter()
             self.candidate_time = (now - began) / size
             if size == len(points):
-                return scored
+                return scored, None
             begun = memory.begin(points, scored, offset + now)
             done += size
             if done == len(points):
-                return Evaluation(begun.cost, begun.failed, begun.simulations)
+                return Evaluation(begun.cost, begun.failed, begun.simulations), None
             self.hooks.keep(self.run, self.memory, False)
 
     def _part(self, left: int) -> int:

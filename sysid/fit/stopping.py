@@ -26,7 +26,9 @@ from typing import Literal
 from sysid.errors import FitError
 
 Reading = Literal["relative", "matlab"]
-StopReason = Literal["converged", "generations", "evaluations", "time", "interrupted", "exhausted"]
+StopReason = Literal[
+    "converged", "apart", "unexplained", "generations", "evaluations", "time", "interrupted", "exhausted"
+]  # fmt: skip
 CutReason = Literal["time", "interrupted"]
 
 # Launchers pass Ctrl-C on to a child that the terminal has told as well: signals so close [s] are one press.
@@ -35,6 +37,8 @@ ONE_PRESS = 0.5
 # What each reason means to a person; "exhausted" is pymoo's: no new candidate could be bred.
 REASONS: dict[str, str] = {
     "converged": "NRMSE change below the tolerance",
+    "apart": "its fronts ended apart",
+    "unexplained": "more is left than noise",
     "generations": "generation limit",
     "evaluations": "evaluation budget",
     "time": "time limit",

@@ -15,7 +15,7 @@ from sysid.campaign import GearCampaign
 from sysid.campaign.file import resolve_log
 from sysid.errors import CampaignError
 from sysid.fit.nrmse import FAILED_NRMSE, FilteredNrmse, PopulationCost
-from sysid.fit.problem import Block, NoiseModel, Problem, Scores, Trial
+from sysid.fit.problem import Block, NoiseModel, Prediction, Problem, Scores, Trial
 from sysid.fit.result import FitResult
 from sysid.gear.beyond_window import centre_of_mass, stopping
 from sysid.gear.drops import PreparedDrop, cost_channels, lowpass_of, read_drop_log
@@ -253,6 +253,12 @@ class GearProblem(Problem):
         """Return the signals as compared, (P, n, 5) per drop, and which drops are lost (P, D)."""
         samples, result = self.simulate(rows)
         return self.cost.prepared(samples), self._lost(samples, result)
+
+    def predict(self, rows: FloatArray) -> Prediction:
+        """Return scores and signals of rows (P, n_table) [SI], simulated once."""
+        samples, result = self.simulate(rows)
+        scored, causes = self.judge_samples(samples, result)
+        return Prediction(scored.by_channel, causes, self.cost.prepared(samples))
 
     def compared(
         self, rows: FloatArray, body_states: FloatArray | None = None

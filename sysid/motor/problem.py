@@ -15,7 +15,7 @@ import numba
 import numpy as np
 
 from sysid.campaign import MotorCampaign
-from sysid.fit.problem import NoiseModel, Problem, Scores, Trial
+from sysid.fit.problem import NoiseModel, Prediction, Problem, Scores, Trial
 from sysid.fit.result import FitResult
 from sysid.motor.batch import SimulatedTrials, simulate_population
 from sysid.motor.bench_logs import log_hashes
@@ -159,6 +159,14 @@ class MotorProblem(Problem):
         for name, column in values.items():
             rows[:, self.space.table.index[name]] = column
         return self.nrmse(rows)
+
+    def predict(self, rows: FloatArray) -> Prediction:
+        """Return scores and signals of rows (P, n_table) [SI], simulated once."""
+        rows = self.complete(rows)
+        samples, reached = self.simulate(rows)
+        by_channel, failed = self.cost(samples, reached, self.sensors(rows), self.threads)
+        signals = self.cost.prepared(samples, self.sensors(rows))
+        return Prediction(by_channel, failed.astype(np.int8), signals)
 
     def signals(self, rows: FloatArray) -> tuple[tuple[FloatArray, ...], BoolArray]:
         """Return the signals as compared, (P, n, 2) per trial, and which trials are lost (P, T)."""

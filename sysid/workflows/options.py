@@ -136,7 +136,8 @@ class FitOptions:
         Flag("Use this search algorithm instead of the campaign's."),
     ] = None
     finish: Annotated[
-        Literal["cmaes", "none"] | None, Flag("Let CMA-ES follow every run, or nothing, as in the paper.")
+        Literal["least-squares", "cmaes", "none"] | None,
+        Flag("Let this follow every run. 'none' is the paper's method."),
     ] = None
     max_evaluations: Annotated[int | None, Flag("End the fit after this many candidates.", least=1)] = None
     resume: Resume = False

@@ -1,8 +1,9 @@
-"""A cheap objective with a known minimum, and how two runs are compared."""
+"""Cheap objectives with a known minimum, and how two runs are compared."""
 
 import numpy as np
 
 from sysid.fit.objective import Evaluation
+from sysid.fit.problem import Block, Trial
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 
 
@@ -37,3 +38,42 @@ def assert_same_run(a, b):
     for x, y in zip(a.stages, b.stages, strict=True):
         for name in ("cube", "cost", "failed"):
             np.testing.assert_array_equal(getattr(x, name), getattr(y, name))
+
+
+class Decay(Bowl):
+    """Three numbers of a decay that two trials measured with noise, as residuals.
+
+    `rough` adds dents to the residuals in which derivatives mean nothing. The point (0.2, 0.5, 0.8) is right.
+    """
+
+    def __init__(self, rough=0.0):
+        super().__init__(trials=())
+        self.rough = rough
+        time = np.linspace(0.0, 2.0, 80)
+        noise = np.random.default_rng(5).normal(0.0, 0.02, (2, 80))
+        self.measured = self._signals(self.target[None], 0.0)[0] + noise
+        ones = np.ones((80, 1), bool)
+        self.trials = [
+            Trial(f"t{t}", "fit", time, self.measured[t, :, None], ones, {}, 0.0) for t in range(2)
+        ]
+        self.blocks = [Block(t, 0, 80 * t, 80 * t + 80, 80, 0.5, 1.0, 0.02) for t in range(2)]
+
+    def _signals(self, cube, rough):
+        time = np.linspace(0.0, 2.0, 80)
+        a, rate, offset = (cube[:, i, None] for i in range(3))
+        one = (1 + a) * np.exp(-4 * rate * time) + offset
+        two = offset * np.cos(6 * rate * time) - a
+        dents = rough * np.sin(900 * cube.sum(axis=1))[:, None]
+        return np.stack([one + dents, two + dents], axis=1)
+
+    def examine(self, cube):
+        self.calls += 1
+        error = self._signals(cube, self.rough) - self.measured
+        failed = cube[:, 0] > 0.95
+        cost = np.where(failed, 15.0, np.sqrt(np.mean(error**2, axis=2)).mean(axis=1))
+        residuals = error.reshape(len(cube), -1)
+        residuals[failed] = np.nan
+        return Evaluation(cost, failed, 2 * len(cube)), residuals
+
+    def evaluate(self, cube):
+        return self.examine(cube)[0]

@@ -4,20 +4,17 @@ A `Breeder` says which candidates to score next and is told their costs; nothing
 rules, histories or evaluation budgets takes part. Its candidates are a pure function of seed and costs, so a
 run that was cut off continues exactly where it was once it has been told the costs that were stored.
 
-The two algorithms of the default search breed on whole arrays (`genetic`, `evolution_strategy`); the others
-go through pymoo's own objects (`PymooBreeder`), whose default operators are shared by every instance and are
-therefore built again here.
+CMA-ES maps whole generations into the cube (`evolution_strategy`); the others go through pymoo's objects.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from sysid.errors import FitError
-from sysid.fit.breeders.breeder import Breeder
+from sysid.fit.breeders.breeder import RANDOM_SPREAD, Breeder, Start
 from sysid.types import FloatArray
 
 # Name in campaigns and on the command line: what it is.
@@ -39,24 +36,6 @@ POPULATION = {"ga": 100, "matlab-ga": 400, "cmaes": 64, "de": 100, "pso": 100}
 
 # What pymoo calls the values of a scored individual.
 _SCORED = ("F", "G", "H")
-# Of a CMA-ES that starts anywhere: 0.3 of the cube's edge is cma's own advice for a bounded search.
-_RANDOM_SPREAD = 0.3
-# A converged population spans almost nothing in some directions; CMA-ES needs room to measure them, and to
-# leave a valley that the population has settled in too soon.
-_LEAST_SPREAD = 0.05
-
-
-@dataclass(frozen=True, eq=False)
-class Start:
-    """Where CMA-ES begins: centre and standard deviation (n_free,) along every axis of the unit cube [1]."""
-
-    mean: FloatArray
-    spread: FloatArray
-
-    @classmethod
-    def of_population(cls, cube: FloatArray) -> Start:
-        """Return mean and spread of a population (P, n_free); the spread is kept between 0.05 and 0.3."""
-        return cls(cube.mean(axis=0), np.clip(cube.std(axis=0), _LEAST_SPREAD, _RANDOM_SPREAD))
 
 
 class PymooBreeder(Breeder):
@@ -80,7 +59,7 @@ class PymooBreeder(Breeder):
             return None
         return np.asarray(self._asked.get("X"), dtype=np.float64)
 
-    def tell(self, cost: FloatArray) -> None:
+    def tell(self, cost: FloatArray, residuals: FloatArray | None = None) -> None:
         """Take the costs (P,) of the candidates last asked for."""
         # pymoo's evaluator would ask every individual several times for constraints that there are not.
         for individual, value in zip(self._asked, cost, strict=True):
@@ -118,12 +97,15 @@ def breeder(name: str, n_free: int, population: int, seed: int, start: Start | N
 
         random = np.random.default_rng(seed)
         if start is None:
-            start = Start(random.random(n_free), np.full(n_free, _RANDOM_SPREAD))
-        return EvolutionStrategy(start.mean, start.spread, population, random)
+            start = Start(random.random(n_free), np.full(n_free, RANDOM_SPREAD))
+        return EvolutionStrategy(start, population, random)
     if name == "ga":
-        from sysid.fit.breeders.genetic import GeneticBreeder
+        from pymoo.algorithms.soo.nonconvex.ga import GA
+        from pymoo.operators.crossover.sbx import SBX
+        from pymoo.operators.mutation.pm import PM
 
-        return GeneticBreeder(n_free, population, seed)
+        # pymoo's defaults, which all its instances would share.
+        return PymooBreeder(GA(population, crossover=SBX(), mutation=PM(), seed=seed), n_free)
     if name == "matlab-ga":
         from sysid.fit.breeders.matlab_genetic import MatlabGA
 

@@ -2,21 +2,58 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
+from sysid.fit.stopping import StopReason
 from sysid.types import FloatArray
+
+# Of a CMA-ES that starts anywhere: 0.3 of the cube's edge is cma's own advice for a bounded search.
+RANDOM_SPREAD = 0.3
+# A converged population spans almost nothing in some directions; CMA-ES needs room to measure them, and to
+# leave a valley that the population has settled in too soon.
+_LEAST_SPREAD = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where CMA-ES begins.
+
+    Parameters
+    ----------
+    mean : (n_free,) array
+        Centre in the unit cube [1].
+    spread : (n_free,) array
+        Standard deviation along every axis [1].
+    axes : (n_free, n_free) array, optional
+        Unit vectors of the axes as columns; by default the coordinates.
+    """
+
+    mean: FloatArray
+    spread: FloatArray
+    axes: FloatArray | None = None
+
+    @classmethod
+    def of_population(cls, cube: FloatArray) -> Start:
+        """Return mean and spread of a population (P, n_free); the spread is kept between 0.05 and 0.3."""
+        return cls(cube.mean(axis=0), np.clip(cube.std(axis=0), _LEAST_SPREAD, RANDOM_SPREAD))
 
 
 class Breeder(Protocol):
-    """One algorithm as ask and tell over the unit cube."""
+    """One algorithm as ask and tell over the unit cube.
+
+    One with `needs_residuals` takes residuals (P, m) beside the costs, NaN where a simulation failed.
+    """
+
+    needs_residuals: bool = False
 
     def ask(self) -> FloatArray | None:
         """Return the candidates (P, n_free) to score next, or None when no new one can be bred."""
         ...
 
-    def tell(self, cost: FloatArray) -> None:
+    def tell(self, cost: FloatArray, residuals: FloatArray | None = None) -> None:
         """Take the costs (P,) of the candidates last asked for."""
         ...
 
@@ -24,18 +61,15 @@ class Breeder(Protocol):
         """Return points (P, n_free) and costs (P,) of the population, best first."""
         ...
 
+    @property
+    def ended(self) -> StopReason:
+        """Why there is nothing to ask for."""
+        return "exhausted"
+
+    def start(self) -> Start:
+        """Return where a finisher begins."""
+        return Start.of_population(self.population()[0])
+
     def close(self) -> None:
         """Release what was taken; by default nothing was."""
         return
-
-
-class ArrayBreeder(Breeder, Protocol):
-    """A breeder that holds its population as arrays."""
-
-    _points: FloatArray
-    _cost: FloatArray
-
-    def population(self) -> tuple[FloatArray, FloatArray]:
-        """Return points (P, n_free) and costs (P,) of the population, best first."""
-        order = np.argsort(self._cost, kind="stable")
-        return self._points[order], self._cost[order]

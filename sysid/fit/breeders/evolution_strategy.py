@@ -7,58 +7,32 @@ for bit, those of `pymoo.algorithms.soo.nonconvex.cmaes.CMAES` with the same opt
 
 from __future__ import annotations
 
-from typing import Any
-
 import cma
 import numpy as np
 from cma.transformations import BoxConstraintsLinQuadTransformation
 
-from sysid.fit.breeders.breeder import ArrayBreeder
+from sysid.fit.breeders.breeder import Breeder, Start
 from sysid.types import FloatArray
 
 # Largest standard deviation [1]: cma's default for a bounded range.
 _LARGEST_STD = 1 / 3
 
 
-class _Drawn:
-    """In the place of cma's archive of what it has drawn, which takes a third of its time.
-
-    cma looks up how a candidate was drawn, in case its user has moved it; no candidate is moved in a fit.
-    """
-
-    last_iteration = 0
-
-    def __getitem__(self, point: FloatArray) -> dict[str, Any]:
-        return {"geno": point, "iteration": self.last_iteration}
-
-    def get(self, point: FloatArray, default: Any = None) -> dict[str, Any]:
-        return self[point]
-
-    def insert(self, point: FloatArray, **facts: Any) -> None:
-        """Remember nothing."""
-
-    def pop(self, point: FloatArray, default: Any = None) -> Any:
-        return default
-
-    def truncate_to(self, size: int) -> None:
-        """Forget nothing."""
-
-
-class EvolutionStrategy(ArrayBreeder):
+class EvolutionStrategy(Breeder):
     """CMA-ES as ask and tell over the unit cube.
 
-    It begins at `mean` with a standard deviation `spread` along every axis (n_free,) [1], and draws from
-    `random`; cma itself would draw from numpy's global generator.
+    It draws from `random`; cma itself would draw from numpy's global generator.
     """
 
-    def __init__(
-        self, mean: FloatArray, spread: FloatArray, population: int, random: np.random.Generator
-    ) -> None:
-        largest = float(spread.max())
+    def __init__(self, start: Start, population: int, random: np.random.Generator) -> None:
+        largest = float(start.spread.max())
         self._box = BoxConstraintsLinQuadTransformation([[0.0, 1.0]])
+        origin = np.asarray(self._box.inverse(start.mean))
+        # Along axes of its own it draws around 0, and its coordinates are turned into those of the cube.
+        self._origin, self._axes = origin, start.axes
         options = {
             "popsize": population,
-            "CMA_stds": spread / largest,
+            "CMA_stds": start.spread / largest,
             "maxstd": _LARGEST_STD,
             # The search's own rule ends it: cma's tolerances are far below what a cost resolves.
             "tolfun": 0.0,
@@ -70,10 +44,10 @@ class EvolutionStrategy(ArrayBreeder):
             # No file of the working folder takes part.
             "signals_filename": "",
         }
-        self._strategy = cma.CMAEvolutionStrategy(self._box.inverse(mean), largest, options)
-        self._strategy.sent_solutions = _Drawn()
+        first = origin if start.axes is None else np.zeros(len(origin))
+        self._strategy = cma.CMAEvolutionStrategy(first, largest, options)
         self._drawn: list[FloatArray] = []
-        self._points = np.empty((0, len(mean)))
+        self._points = np.empty((0, len(origin)))
         self._cost = np.empty(0)
 
     def ask(self) -> FloatArray | None:
@@ -82,11 +56,18 @@ class EvolutionStrategy(ArrayBreeder):
             return None
         self._drawn = self._strategy.ask()
         drawn = np.array(self._drawn)
+        if self._axes is not None:
+            drawn = self._origin + drawn @ self._axes.T
         # The box is the same for every coordinate, so all candidates are mapped as one long vector.
         self._points = np.reshape(self._box(drawn.ravel()), drawn.shape)
         return self._points
 
-    def tell(self, cost: FloatArray) -> None:
+    def tell(self, cost: FloatArray, residuals: FloatArray | None = None) -> None:
         """Take the costs (P,) of the candidates last asked for."""
         self._cost = np.array(cost, dtype=np.float64)
         self._strategy.tell(self._drawn, self._cost.tolist())
+
+    def population(self) -> tuple[FloatArray, FloatArray]:
+        """Return points (P, n_free) and costs (P,) of the population, best first."""
+        order = np.argsort(self._cost, kind="stable")
+        return self._points[order], self._cost[order]

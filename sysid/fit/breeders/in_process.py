@@ -12,15 +12,15 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import Any
 
-from sysid.fit.breeders.algorithms import Start, breeder
-from sysid.fit.breeders.breeder import Breeder
+from sysid.fit.breeders.algorithms import breeder
+from sysid.fit.breeders.breeder import Breeder, Start
 from sysid.types import FloatArray
 
 # Of the process that breeds; it serves one breeder.
 _BREEDER: dict[str, Breeder] = {}
 
 
-class BreederApart:
+class BreederApart(Breeder):
     """A breeder in another process; see `sysid.fit.breeders.algorithms.breeder` for the parameters."""
 
     def __init__(self, name: str, n_free: int, population: int, seed: int, start: Start | None) -> None:
@@ -36,7 +36,7 @@ class BreederApart:
         points: FloatArray | None = self._call(_ask)
         return points
 
-    def tell(self, cost: FloatArray) -> None:
+    def tell(self, cost: FloatArray, residuals: FloatArray | None = None) -> None:
         """Take the costs (P,) of the candidates last asked for."""
         self._population = self._call(_tell, cost)
 

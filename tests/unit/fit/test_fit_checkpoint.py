@@ -31,7 +31,7 @@ from sysid.fit.search import Hooks, SearchSettings, run_many
 from sysid.fit.stopping import StopFlag, StopRule
 
 IDENTITY = {"campaign_file": "ab" * 32, "population": 40, "log drop-1": "cd" * 32}
-SETTINGS = SearchSettings(40, 3, 5, StopRule(max_generations=14), "ga")
+SETTINGS = SearchSettings(40, 3, 5, StopRule(max_generations=14), "ga", "cmaes")
 
 
 def run_all(
@@ -89,7 +89,9 @@ def test_resume_is_bit_identical(tmp_path, whole, calls):
 
 def test_more_runs_continue_the_same_fit(tmp_path, whole):
     interrupted(tmp_path / "fit", 20)
-    found, _ = run_all(tmp_path / "fit", resume=True, settings=SearchSettings(40, 4, 5, SETTINGS.stop, "ga"))
+    found, _ = run_all(
+        tmp_path / "fit", resume=True, settings=SearchSettings(40, 4, 5, SETTINGS.stop, "ga", "cmaes")
+    )
     assert_same(found[:3], whole)
     assert len(found) == 4
 
@@ -352,7 +354,7 @@ def test_no_state_is_older_than_two_seconds(tmp_path, monkeypatch, generation):
             return super().evaluate(cube)
 
     hold, begun = Checkpoint(tmp_path / "fit", IDENTITY), clock.now
-    settings = SearchSettings(40, 1, 5, StopRule(max_generations=9), "ga")
+    settings = SearchSettings(40, 1, 5, StopRule(max_generations=9), "ga", "cmaes")
     (run,) = run_many(Slow(), settings, hooks=Hooks(keep=hold.keep), candidate_time=generation / 40)
     hold.discard()
     gaps = np.diff([begun, *written])

@@ -26,7 +26,7 @@ from sysid.gear.problem import GearProblem, search_space
 from sysid.parallel import ClosedError, ClusterError, DaskCluster, LocalThreads, chunk_size, executor
 
 HERE = str(Path(__file__).parent)
-SETTINGS = SearchSettings(40, 3, 5, StopRule(max_generations=10), "ga")
+SETTINGS = SearchSettings(40, 3, 5, StopRule(max_generations=10), "ga", "cmaes")
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fakes.bowl import Bowl, assert_same_run, table
+from fakes.bowl import Bowl, Decay, assert_same_run, table
 from sysid.errors import FitError
 from sysid.fit.breeders.algorithms import ALGORITHMS, Start, breeder
 from sysid.fit.breeders.in_process import BreederApart
@@ -148,7 +148,7 @@ def test_matlab_ga_breeds_as_documented():
 
 
 def test_finisher_starts_from_mean_and_spread_and_reaches_the_bottom():
-    settings = SearchSettings(population=40, runs=1, seed=3, stop=SHORT, algorithm="ga")
+    settings = SearchSettings(population=40, runs=1, seed=3, stop=SHORT, algorithm="ga", finish="cmaes")
     assert settings.stages == ("ga", "cmaes")
     assert SearchSettings(algorithm="cmaes").stages == ("cmaes",)
     short = replace(settings, stop=replace(SHORT, max_generations=200))
@@ -169,9 +169,78 @@ def test_finisher_starts_from_mean_and_spread_and_reaches_the_bottom():
     assert len(paper.stages) == 1
 
 
+def test_least_squares_ends_where_the_fronts_agree():
+    settings = SearchSettings(population=40, runs=1, seed=3)
+    run = run_one(Decay(), settings)
+    first, second = run.stages
+    assert (first.algorithm, first.stop_reason, len(first.cost)) == ("ga", "generations", 3)
+    assert (second.algorithm, second.stop_reason) == ("least-squares", "converged")
+    assert np.all(np.abs(run.best_point - Decay().target) < 0.02)
+    # The bottom: no neighbour scores less, and every run ends in the same place.
+    around = run.best_point + 1e-3 * np.vstack([np.eye(3), -np.eye(3)])
+    assert np.all(Decay().evaluate(around).cost > run.best[-1])
+    for seed in (4, 5, 6):
+        other = run_one(Decay(), replace(settings, seed=seed))
+        assert abs(other.best[-1] / run.best[-1] - 1) < 1e-5
+    # What a candidate cost is what the objective says, also in the first part of the window.
+    np.testing.assert_array_equal(Decay().evaluate(second.cube[4]).cost, second.cost[4])
+    assert run.evaluations < 900
+
+
+def test_cmaes_follows_least_squares_where_the_cost_is_rough():
+    run = run_one(Decay(rough=0.01), SearchSettings(population=40, runs=1, seed=3))
+    assert [stage.algorithm for stage in run.stages] == ["ga", "least-squares", "cmaes"]
+    assert run.stages[1].stop_reason == "apart"
+    assert run.stages[2].cost.min() < run.stages[1].cost.min()
+    # Among the dents, it is as good as the smooth bottom.
+    smooth = run_one(Decay(), SearchSettings(population=40, runs=1, seed=3))
+    assert run.best[-1] < Decay(rough=0.01).evaluate(smooth.best_point[None]).cost[0]
+    assert run.best[-1] < 1.05 * smooth.best[-1]
+
+
+def test_least_squares_leaves_fronts_that_fail_and_bounds_that_hold():
+    class Fails(Decay):
+        def examine(self, cube):
+            _, residuals = super().examine(cube)
+            residuals[:] = np.nan
+            return Evaluation(np.full(len(cube), 15.0), np.ones(len(cube), bool), len(cube)), residuals
+
+    run = run_one(Fails(), SearchSettings(population=16, runs=1, seed=1, stop=StopRule(max_generations=30)))
+    assert [stage.algorithm for stage in run.stages] == ["ga", "least-squares", "ga", "cmaes"]
+    assert run.stages[1].stop_reason == "unexplained"
+    assert run.best[-1] == 15.0
+    outside = Decay()
+    outside.measured = outside._signals(np.array([[0.2, 1.1, 0.8]]), 0.0)[0]
+    run = run_one(outside, SearchSettings(population=40, runs=1, seed=3))
+    assert run.best_point[1] == 1.0
+
+
+def test_a_wrong_model_is_searched_as_if_least_squares_had_not_been_tried():
+    wrong = Decay()
+    wrong.measured = wrong.measured + 0.2 * np.sin(9 * wrong.trials[0].time)
+    settings = SearchSettings(population=40, runs=1, seed=3)
+    run, plain = run_one(wrong, settings), run_one(wrong, replace(settings, finish="cmaes"))
+    assert run.stages[1].stop_reason == "unexplained"
+    np.testing.assert_array_equal(run.stages[2].cube, plain.stages[0].cube)
+    assert run.best[-1] <= plain.best[-1] * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("rough", [0.0, 0.01])
+def test_least_squares_cut_at_any_generation_continues_to_the_same_bits(rough):
+    settings = SearchSettings(40, 1, 5)
+    whole = run_one(Decay(rough), settings)
+    for cut in sorted({1, 4, 9, 25, len(whole.best) - 2, len(whole.best)}):
+        memory, counter = RunMemory(settings.run_seeds()[0]), Decay(rough)
+        first = run_one(
+            counter, settings, memory=memory, hooks=Hooks(should_stop=lambda n=cut, c=counter: c.calls >= n)
+        )
+        assert first.stop_reason == "interrupted"
+        assert_same_run(run_one(Decay(rough), settings, memory=memory), whole)
+
+
 @pytest.mark.parametrize("algorithm", ["ga", "matlab-ga", "cmaes", "de", "pso"])
 def test_a_run_cut_at_any_generation_continues_to_the_same_bits(algorithm):
-    settings = SearchSettings(40, 1, 5, StopRule(max_generations=14), algorithm)
+    settings = SearchSettings(40, 1, 5, StopRule(max_generations=14), algorithm, "cmaes")
     whole = run_one(Bowl(), settings)
     for cut in sorted({1, 5, 13, min(20, len(whole.best)), len(whole.best)}):
         memory, counter = RunMemory(settings.run_seeds()[0]), Bowl()
@@ -187,7 +256,7 @@ def test_a_run_cut_at_any_generation_continues_to_the_same_bits(algorithm):
 
 
 def test_a_memory_of_another_search_is_refused():
-    settings = SearchSettings(40, 1, 5, SHORT, "ga")
+    settings = SearchSettings(40, 1, 5, SHORT, "ga", "cmaes")
     memory = RunMemory(settings.run_seeds()[0])
     run_one(Bowl(), settings, memory=memory)
     memory.stages[0].asked[6] ^= 1
@@ -196,7 +265,7 @@ def test_a_memory_of_another_search_is_refused():
 
 
 def test_runs_at_once_give_the_same_numbers():
-    settings = SearchSettings(40, 5, 5, StopRule(max_generations=14), "ga")
+    settings = SearchSettings(40, 5, 5, StopRule(max_generations=14), "ga", "cmaes")
     for a, b in zip(run_many(Bowl(), settings), run_many(Bowl(), settings, at_once=3), strict=True):
         assert_same_run(a, b)
 
@@ -216,11 +285,11 @@ def test_runs_at_once_give_the_same_numbers():
 
 def test_budgets_are_shared_between_search_and_finisher():
     stop = StopRule(max_generations=500, tolerance=0, max_evaluations=2000)
-    run = run_one(Bowl(), SearchSettings(40, 1, 5, stop, "ga"))
+    run = run_one(Bowl(), SearchSettings(40, 1, 5, stop, "ga", "cmaes"))
     assert run.stages[0].stop_reason == "evaluations"
     assert run.stages[0].evaluations == 1200
     assert 1200 < run.evaluations <= 2000
-    timed = run_one(Bowl(), SearchSettings(40, 1, 5, StopRule(tolerance=0), "ga"), time_limit=0.5)
+    timed = run_one(Bowl(), SearchSettings(40, 1, 5, StopRule(tolerance=0), "ga", "cmaes"), time_limit=0.5)
     assert timed.stages[0].stop_reason == "time"
     # A generation here takes a few milliseconds; half a second is left for a loaded machine.
     assert timed.wall_time < 1.0

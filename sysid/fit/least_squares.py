@@ -1,0 +1,364 @@
+"""Levenberg-Marquardt on many fronts at once, and the finisher that a search makes of it.
+
+A front is one point that walks downhill. A population's kernel is fastest with hundreds of candidates, so
+all fronts walk side by side: one population holds every column of every front's difference Jacobian, the next
+one several damping factors of every front's step. The walk asks for residuals and does not know who computes
+them.
+
+The finisher minimizes the mean NRMSE ``C = sum_k w_k s_k`` over blocks k (a channel of a trial). With
+residuals r in units of what NRMSE divides by, ``s_k <= s_k'/2 + mean(r_k²)/(2 s_k')`` with equality and equal
+gradient at ``s_k' = s_k``: a sum of squares weighted by the blocks' present scores descends where C does.
+After the third contact of a drop the cost is rough, and a fit of the whole window stops in the first dent.
+The finisher therefore begins with the first part of every trial's window and lets it grow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from sysid.fit.breeders.breeder import Breeder, Start
+from sysid.fit.objective import Objective
+from sysid.fit.stopping import StopReason
+from sysid.types import BoolArray, FloatArray
+
+# Damping that is tried in every step, as multiples of a front's present damping.
+_FACTORS = (0.1, 1.0, 10.0)
+_DAMPING = (1e-8, 1e-3, 1e6)
+# Difference steps of the finisher [unit cube]: first, least, largest; the share of the distance that moves
+# the cost by a thousandth.
+_FIRST_STEP, _LEAST_STEP, _LARGEST_STEP, _STEP_SHARE = 3e-3, 1e-3, 0.03, 0.3
+# Starts closer than this in every coordinate count as one [unit cube].
+_SAME_START = 0.05
+# A front of the finisher has converged when a step takes less than this share off its cost.
+_TOLERANCE = 1e-4
+# The two best fronts agree where their NRMSE differ by less than this share.
+_AGREE = 3e-4
+# A model explains the trials where its NRMSE is at most this multiple of what noise costs [1].
+EXPLAINED = 1.2
+# The axes of what follows reach where the cost is this share higher, but not beyond this part of the cube.
+_AXIS_COST, _AXIS_LENGTH = 0.005, 0.15
+# A channel that fits better than this is not weighted up any further: noise-free samples have no scale [1].
+LEAST_NRMSE = 1e-5
+
+# Points (P, n) out, residuals (P, m) and which points failed (P,) in.
+Walk = Generator[FloatArray, tuple[FloatArray, BoolArray], None]
+
+
+class Weighing(Protocol):
+    """What a walk minimizes: a sum of squares of weighted residuals, or a cost that behaves like one."""
+
+    def cost(self, fronts: object, residuals: FloatArray) -> FloatArray:
+        """Return the costs (F, ...) of residuals (F, ..., m) of fronts, an index of the first axis."""
+        ...
+
+    def scale(self, front: int, residuals: FloatArray) -> FloatArray:
+        """Return what weights the residuals (m,) of a front where it stands."""
+        ...
+
+
+@dataclass(eq=False)
+class Fronts:
+    """Where fronts stand; a walk changes the arrays in place.
+
+    Parameters
+    ----------
+    points : (F, n) array
+        In the unit cube.
+    cost : (F,) array
+        By the walk's `Weighing`; inf where the simulation failed.
+    converged : (F,) bool array
+        True where two steps in a row took less than the tolerance off the cost.
+    curvature : (F, n, n) array
+        Half the second derivative of the cost at the last step.
+    """
+
+    points: FloatArray
+    cost: FloatArray
+    converged: BoolArray
+    curvature: FloatArray
+
+    @classmethod
+    def at(cls, points: FloatArray) -> Fronts:
+        """Return fronts at points (F, n) of the unit cube."""
+        count, n = points.shape
+        return cls(
+            np.array(points, dtype=np.float64), np.full(count, np.inf), np.zeros(count, dtype=np.bool_),
+            np.zeros((count, n, n)),
+        )  # fmt: skip
+
+    def part(self, part: slice) -> Fronts:
+        """Return some of the fronts, which share their arrays with these."""
+        return Fronts(*(values[part] for values in vars(self).values()))
+
+    def sort(self) -> None:
+        """Bring the fronts of the lowest cost to the front."""
+        order = np.argsort(self.cost, kind="stable")
+        for values in vars(self).values():
+            values[:] = values[order]
+
+
+def descend(
+    fronts: Fronts,
+    weighing: Weighing,
+    *,
+    steps: FloatArray | None = None,
+    fixed: BoolArray | None = None,
+    central: bool = True,
+    tolerance: float,
+    iterations: int,
+) -> Walk:
+    """Walk downhill.
+
+    Parameters
+    ----------
+    steps : (n,) array, optional
+        Of the differences [unit cube]; by default from the curvature of every front.
+    fixed : (F, n) bool array, optional
+        Coordinates that keep their value.
+    central : bool
+        Central differences; else one-sided ones, which cost half.
+    tolerance : float
+        A front has converged when two steps in a row take less than this off its cost.
+    iterations : int
+        At most.
+    """
+    points, cost = fronts.points, fronts.cost
+    count, n = points.shape
+    fixed = np.zeros(points.shape, dtype=np.bool_) if fixed is None else fixed
+    adaptive = steps is None
+    widths = np.full(points.shape, _FIRST_STEP) if steps is None else np.broadcast_to(steps, points.shape)
+    damping = np.full(count, _DAMPING[1])
+    little = np.zeros(count, dtype=np.int64)
+    fronts.converged[:] = False
+    current, failed = yield points
+    cost[:] = np.where(failed, np.inf, weighing.cost(slice(None), current))
+    for _ in range(iterations):
+        walking = np.flatnonzero(~fronts.converged & np.isfinite(cost))
+        if not len(walking):
+            return
+        columns, usable = yield from _columns(
+            points[walking], current[walking], fixed[walking], widths[walking], central
+        )
+        at = points[walking]
+        trials = np.repeat(at[:, None], len(_FACTORS), axis=1)
+        promised = np.zeros(len(walking))
+        for f, front in enumerate(walking):
+            scale = weighing.scale(int(front), current[front])
+            weighted = columns[f] * scale
+            gradient = np.einsum("im,m->i", weighted, current[front] * scale)
+            curvature = fronts.curvature[front] = np.einsum("im,jm->ij", weighted, weighted)
+            if adaptive:
+                reach = np.sqrt(2e-3 / np.maximum(np.diag(curvature), 1e-30))
+                widths[front] = np.clip(_STEP_SHARE * reach, _LEAST_STEP, _LARGEST_STEP)
+            # A coordinate at its bound whose descent leads out of the cube stays there.
+            stuck = ((at[f] <= 0) & (gradient > 0)) | ((at[f] >= 1) & (gradient < 0)) | ~usable[f]
+            free = np.flatnonzero(~stuck)
+            inner = curvature[np.ix_(free, free)]
+            for k, times in enumerate(_FACTORS[: len(_FACTORS) if len(free) else 0]):
+                # What the data hardly see must not be thrown across the cube by the noise of its derivative:
+                # a way of half the cube costs the tolerance.
+                damped = damping[front] * times * np.diag(inner) + 4 * tolerance
+                step = _inside(inner + np.diag(damped), gradient[free], at[f, free])
+                trials[f, k, free] += step
+                # Of the last, the most damped one: what the cost should lose.
+                promised[f] = -(2 * gradient[free] @ step + step @ inner @ step)
+        values, failed = yield trials.reshape(-1, n)
+        values = values.reshape(len(walking), len(_FACTORS), -1)
+        reached = weighing.cost(walking, values)
+        reached[failed.reshape(reached.shape)] = np.inf
+        best = np.argmin(reached, axis=1)
+        for f, front in enumerate(walking):
+            gain = cost[front] - reached[f, best[f]]
+            if gain > 0:
+                points[front], cost[front] = trials[f, best[f]], reached[f, best[f]]
+                current[front] = values[f, best[f]]
+            factor = _FACTORS[best[f]] if gain > 0 else 100.0
+            damping[front] = np.clip(damping[front] * factor, _DAMPING[0], _DAMPING[2])
+            # A step that fails although it promises much was too long: damped more, it is tried again.
+            if gain > 0 or promised[f] < tolerance:
+                little[front] = little[front] + 1 if gain < tolerance else 0
+            fronts.converged[front] = bool(little[front] == 2)
+
+
+def _columns(
+    at: FloatArray, current: FloatArray, fixed: BoolArray, widths: FloatArray, central: bool
+) -> Generator[FloatArray, tuple[FloatArray, BoolArray], tuple[FloatArray, BoolArray]]:
+    """Return differences (F, n, m) of the residuals by coordinate, and which coordinates (F, n) have one."""
+    count, n = at.shape
+    which = np.flatnonzero(~fixed.ravel())
+    axis = np.arange(n)
+
+    def moved(by: FloatArray) -> FloatArray:
+        out = np.repeat(at[:, None], n, axis=1)
+        out[:, axis, axis] = np.clip(at + by, 0.0, 1.0)
+        return out
+
+    if central:
+        ahead, behind = moved(widths), moved(-widths)
+        asked = np.concatenate([ahead.reshape(-1, n)[which], behind.reshape(-1, n)[which]])
+    else:
+        # Away from a face that is near.
+        ahead, behind = moved(np.where(at + widths <= 1.0, widths, -widths)), moved(np.zeros_like(at))
+        asked = ahead.reshape(-1, n)[which]
+    values, failed = yield asked
+    half = len(which)
+    base = values[half:] if central else np.repeat(current, n, axis=0)[which]
+    lost = failed[:half] | failed[half:] if central else failed
+    run = (ahead - behind)[:, axis, axis].ravel()[which]
+    run = np.where(np.abs(run) < 1e-12, 1e-12, run)
+    out = np.zeros((count * n, values.shape[1]))
+    usable = np.zeros(count * n, dtype=np.bool_)
+    usable[which] = ~lost
+    out[which] = np.where(~lost[:, None], values[:half] - base, 0.0) / run[:, None]
+    return out.reshape(count, n, -1), usable.reshape(count, n)
+
+
+def _inside(matrix: FloatArray, gradient: FloatArray, at: FloatArray) -> FloatArray:
+    """Return the step (k,) that solves ``matrix step = -gradient`` and stays in the cube.
+
+    A coordinate that would leave it goes to its bound, and the others follow: a step that is merely cut
+    there leads correlated parameters uphill, and a fit that ends at a bound would seem to have converged.
+    """
+    step = np.zeros(len(at))
+    free = np.ones(len(at), dtype=np.bool_)
+    for _ in range(len(at)):
+        step[free] = np.linalg.solve(
+            matrix[np.ix_(free, free)], -gradient[free] - matrix[np.ix_(free, ~free)] @ step[~free]
+        )
+        # One at a time, the farthest first: with it at its bound another may stay inside.
+        excess = np.where(free, np.maximum(-(at + step), at + step - 1.0), 0.0)
+        worst = int(np.argmax(excess))
+        if excess[worst] <= 0.0:
+            break
+        step[worst] = np.clip(at[worst] + step[worst], 0.0, 1.0) - at[worst]
+        free[worst] = False
+        if not free.any():
+            break
+    return np.asarray(np.clip(at + step, 0.0, 1.0) - at)
+
+
+class MeanNrmse:
+    """The logarithm of the mean NRMSE over the first part of every trial's window, twice, as a `Weighing`.
+
+    `share` is the part of the window after the instant from which its times are counted [1].
+    """
+
+    def __init__(self, objective: Objective, share: float = 1.0) -> None:
+        blocks, trials = objective.blocks, objective.trials
+        self._starts = np.array([block.start for block in blocks])
+        self._weights = np.array([block.weight for block in blocks])
+        self._counts = np.empty(len(blocks))
+        self._seen = np.zeros(blocks[-1].stop)
+        for k, block in enumerate(blocks):
+            trial = trials[block.trial]
+            since = trial.time - trial.zero
+            inside = (since <= share * since[-1]) & trial.valid[:, block.channel]
+            self._seen[block.start : block.stop] = inside
+            self._counts[k] = max(1, int(np.count_nonzero(inside)))
+        self._lengths = np.diff([*self._starts, len(self._seen)])
+
+    def _scores(self, residuals: FloatArray) -> FloatArray:
+        """Return the NRMSE of every block (..., B)."""
+        squares = np.add.reduceat(residuals**2 * self._seen, self._starts, axis=-1)
+        return np.maximum(np.sqrt(squares / self._counts), LEAST_NRMSE)
+
+    def cost(self, fronts: object, residuals: FloatArray) -> FloatArray:
+        """Return the costs (F, ...) of residuals (F, ..., m)."""
+        mean = np.einsum("...b,b->...", self._scores(residuals), self._weights)
+        return np.asarray(2.0 * np.log(mean))
+
+    def scale(self, front: int, residuals: FloatArray) -> FloatArray:
+        """Return what weights the residuals (m,) where they are as given."""
+        scores = self._scores(residuals)
+        mean = float(np.sum(self._weights * scores))
+        each = np.sqrt(self._weights / (self._counts * scores * mean))
+        return np.asarray(np.repeat(each, self._lengths) * self._seen)
+
+
+# Of the finisher: part of the window [1], fronts that take part, iterations at most, central differences.
+STAGES = ((0.15, 6, 6, False), (0.4, 4, 5, False), (1.0, 3, 6, False), (1.0, 2, 8, True))
+
+
+class LeastSquares(Breeder):
+    """Least squares from the best distinct points of a population, over windows that grow."""
+
+    needs_residuals = True
+
+    def __init__(self, objective: Objective, cube: FloatArray, cost: FloatArray) -> None:
+        """Begin at the best of a population: points (P, n_free) and costs (P,), best first."""
+        self._objective = objective
+        self._fronts = Fronts.at(_distinct(cube, STAGES[0][1]))
+        self._scored = {point.tobytes(): float(value) for point, value in zip(cube, cost, strict=True)}
+        self._walk = self._staged()
+        self._asked: FloatArray | None = next(self._walk)
+
+    def _staged(self) -> Walk:
+        for share, count, iterations, central in STAGES:
+            # The best come first; those that are left behind stay where they are.
+            self._fronts.sort()
+            walking = self._fronts.part(slice(count))
+            weighing = MeanNrmse(self._objective, share)
+            yield from descend(
+                walking, weighing, central=central, tolerance=_TOLERANCE, iterations=iterations
+            )
+            self._fronts.cost[count:] = np.inf
+
+    def ask(self) -> FloatArray | None:
+        """Return the candidates (P, n_free) to score next, or None when the walk has ended."""
+        return self._asked
+
+    def tell(self, cost: FloatArray, residuals: FloatArray | None = None) -> None:
+        """Take the costs (P,) and residuals (P, m) of the candidates last asked for.
+
+        The residuals of a failed candidate are NaN.
+        """
+        assert self._asked is not None
+        assert residuals is not None, "least squares lives on residuals"
+        for point, value in zip(self._asked, cost, strict=True):
+            self._scored[point.tobytes()] = float(value)
+        lost = np.asarray(np.isnan(residuals).any(axis=1))
+        try:
+            self._asked = self._walk.send((np.where(lost[:, None], 0.0, residuals), lost))
+        except StopIteration:
+            self._asked = None
+
+    def population(self) -> tuple[FloatArray, FloatArray]:
+        """Return points (F, n_free) and costs (F,) of the fronts, best first."""
+        cost = np.array([self._scored[point.tobytes()] for point in self._fronts.points])
+        order = np.argsort(cost, kind="stable")
+        return self._fronts.points[order], cost[order]
+
+    @property
+    def ended(self) -> StopReason:
+        """Why there is nothing to ask for.
+
+        The two best fronts agree in a place that explains the trials; they ended apart, as the cost is too
+        rough for derivatives; or the residuals are more than noise, so that another place may fit better.
+        """
+        cost = np.sort(self._fronts.cost[np.isfinite(self._fronts.cost)])
+        floor = sum(block.weight * block.noise for block in self._objective.blocks)
+        if not len(cost) or np.exp(cost[0] / 2) > EXPLAINED * floor:
+            return "unexplained"
+        return "converged" if len(cost) > 1 and cost[1] - cost[0] < 2 * _AGREE else "apart"
+
+    def start(self) -> Start:
+        """Return where and along which axes CMA-ES goes on: at the best front, by the cost's curvature."""
+        best = int(np.argmin(self._fronts.cost))
+        curvature, axes = np.linalg.eigh(self._fronts.curvature[best])
+        lengths = np.sqrt(2 * _AXIS_COST / np.maximum(curvature, 1e-30))
+        return Start(self._fronts.points[best], np.minimum(lengths, _AXIS_LENGTH), axes)
+
+
+def _distinct(cube: FloatArray, count: int) -> FloatArray:
+    """Return at most `count` of the points (P, n), the first ones that differ."""
+    chosen: list[FloatArray] = []
+    for point in cube:
+        if all(np.max(np.abs(point - other)) > _SAME_START for other in chosen):
+            chosen.append(point)
+        if len(chosen) == count:
+            break
+    return np.array(chosen)
