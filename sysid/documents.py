@@ -43,6 +43,26 @@ OpenMapping = Annotated[
     PlainSerializer(exact_json.encoded, return_type=dict[str, Any], when_used="json"),
 ]
 
+# Units of the quantities in open fields, by key. A key that ends in _deg states its unit.
+UNITS = {
+    **dict.fromkeys(("rate", "cutoff", "cutoff_3db", "stop_edge", "transition"), "Hz"),
+    **dict.fromkeys(("release", "touchdown", "window", "doubtful", "starts_from_rest", "offset"), "s"),
+    **dict.fromkeys(("time", "time_to_rest", "trigger", "time_limit", "wall_time"), "s"),
+    **dict.fromkeys(("before_contact", "after_contact", "delay", "own_delay"), "s"),
+    **dict.fromkeys(("measured", "simulated"), "s"),
+    **dict.fromkeys(("distance", "down_slope", "down_slope_error", "up", "up_error"), "m"),
+    **dict.fromkeys(("inertia", "standard_error"), "kg·m²"),
+    "impact_speed": "m/s", "measured_gravity": "m/s²", "saturation_speed_range": "rad/s",
+}  # fmt: skip
+
+
+def label(key: str) -> str:
+    """Return a key of a document as people read it: ``time to rest [s]``."""
+    name = key.removesuffix("_deg")
+    unit = UNITS.get(key, "") if name == key else "deg"
+    return name.replace("_", " ") + (f" [{unit}]" if unit else "")
+
+
 CONFIG = ConfigDict(
     frozen=True,
     extra="forbid",
@@ -67,8 +87,10 @@ class Part(BaseModel):
 
     @classmethod
     def json_schema(cls) -> dict[str, Any]:
-        """Return the JSON Schema."""
-        return cls.model_json_schema(by_alias=True, schema_generator=_Schema, mode="serialization")
+        """Return the JSON Schema; its comment states the units of `UNITS`."""
+        units = f"Units in open fields: {', '.join(map(label, UNITS))}; keys in _deg: deg."
+        schema = cls.model_json_schema(by_alias=True, schema_generator=_Schema, mode="serialization")
+        return {"$comment": units} | schema
 
 
 class _Schema(GenerateJsonSchema):

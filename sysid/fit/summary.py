@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from sysid.documents import label
 from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.optima import waterfall
 from sysid.fit.result import FitResult
@@ -56,7 +57,7 @@ def record_lines(record: dict[str, Any], indent: str = "") -> list[str]:
     for name, value in record.items():
         if name == "runs" and not indent:
             continue
-        key = name.replace("_", " ")
+        key = label(name)
         if isinstance(value, dict) and value:
             lines += [f"{indent}{key}", *record_lines(value, indent + "  ")]
         elif isinstance(value, list | tuple) and any(isinstance(item, dict | list) for item in value):

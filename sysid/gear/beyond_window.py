@@ -119,8 +119,8 @@ def centre_of_mass(drops: tuple[PreparedDrop, ...], campaign: GearCampaign) -> d
                 f"the stated centre of mass ({name}); check capture.centre_of_mass_offset",
             )
     return {
-        "down_slope [m]": float(offset[0]), "down_slope error [m]": float(error[0]),
-        "up [m]": float(offset[1]), "up error [m]": float(error[1]),
+        "down_slope": float(offset[0]), "down_slope_error": float(error[0]),
+        "up": float(offset[1]), "up_error": float(error[1]),
     }  # fmt: skip
 
 

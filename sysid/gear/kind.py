@@ -68,10 +68,10 @@ def _follow_up(problem: GearProblem, course: Course) -> Outcome:
             "rear leg up-slope at -x, front leg at +x; every leg value is of the pair at that end"
         ),
         "window": {
-            "before_contact [s]": campaign.window.before_contact,
-            "after_contact [s]": campaign.window.after_contact,
+            "before_contact": campaign.window.before_contact,
+            "after_contact": campaign.window.after_contact,
         },
-        "slopes [deg]": {drop.name: float(np.degrees(drop.slope)) for drop in problem.fitted.drops},
+        "slopes_deg": {drop.name: float(np.degrees(drop.slope)) for drop in problem.fitted.drops},
         "tolerance": problem.tolerance,
     }
     return Outcome(

@@ -436,7 +436,7 @@ class GearProblem(Problem):
         report = inspect_recording(recording, campaign.vehicle.gravity)
         window = (motion.time >= drop.time[0]) & (motion.time <= drop.time[-1])
         tilt = np.nanmax(np.abs([motion.roll[window], motion.yaw[window]]))
-        noise = zip(("x [m]", "z [m]", "pitch [rad]"), flight.noise.tolist(), strict=True)
+        noise = zip(("x", "z", "pitch"), flight.noise.tolist(), strict=True)
         return log_quality(drop.name, drop.use, report) | {
             "slope_deg": float(np.degrees(drop.slope)),
             "noise": dict(noise),

@@ -69,7 +69,7 @@ def read_log(
         beside = load_stated(other, entry.second_log.format, {}, entry.second_log.loader_options())
         recording, clock = join_recordings(recording, beside, entry.second_log.align_by)
         second = source_of(beside) | {
-            "aligned": f"{clock.other} with {clock.reference}", "offset [s]": clock.offset,
+            "aligned": f"{clock.other} with {clock.reference}", "offset": clock.offset,
             "correlation": clock.correlation, "confidence": clock.confidence,
             "notes": beside.provenance.sentences,
         }  # fmt: skip
@@ -84,7 +84,7 @@ def source_of(recording: Recording) -> dict[str, Any]:
 
 def log_hashes(provenance: Mapping[str, Any]) -> str:
     """Return the SHA-256 of a log as its provenance states it, and of its second file where it has one."""
-    second = provenance.get("second log", {})
+    second = provenance.get("second_log", {})
     return " ".join(str(source["sha256"]) for source in (provenance, second) if source)
 
 

@@ -83,8 +83,8 @@ def _curve_log(
     provenance = {
         **source_of(recording),
         "direction": static.direction,
-        "steady points": len(points),
-        **({} if second is None else {"second log": second}),
+        "steady_points": len(points),
+        **({} if second is None else {"second_log": second}),
         "notes": recording.provenance.sentences,
     }
     return CurveLog(static, table, points, provenance)

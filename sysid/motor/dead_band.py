@@ -66,8 +66,8 @@ class SaturationFit:
         """Return what a result states of the stage."""
         return {
             "stage": "after the dynamic fit, all other values fixed",
-            "free": [row.name for row in self.free], "trials": list(self.trials), "shown by": self.shown_by,
-            "nrmse": self.nrmse.tolist(), "nrmse without saturation": self.without.tolist(),
+            "free": [row.name for row in self.free], "trials": list(self.trials), "shown_by": self.shown_by,
+            "nrmse": self.nrmse.tolist(), "nrmse_without_saturation": self.without.tolist(),
             "evaluations": self.evaluations,
         }  # fmt: skip
 
@@ -148,7 +148,7 @@ def reversal_delays(campaign: MotorCampaign, bench: Bench, best: Mapping[str, fl
 
     `best` is the best set with the delays of logs, by name [SI].
     """
-    names = ("trial", "use", "command before", "command after", "measured [s]", "simulated [s]")
+    names = ("trial", "use", "command_before", "command_after", "measured", "simulated")
     out: list[dict[str, Any]] = []
     for trial in bench.trials:
         log, entry = trial.log, trial.entry

@@ -123,8 +123,8 @@ def follow_up(problem: MotorProblem, course: Course) -> Outcome:
     if cut is None:
         best = unpack(rows[0], space.table)
         settings |= {
-            "reversal delays": reversal_delays(campaign, bench, best),
-            "command delays": log_delays(problem, rows[0]),
+            "reversal_delays": reversal_delays(campaign, bench, best),
+            "command_delays": log_delays(problem, rows[0]),
             "saturation": _about_saturation(problem, band, rows[0], given),
         }
         cut = _judge(problem, course, sets, best, band is not None or given, settings)
@@ -204,7 +204,7 @@ def _about_saturation(
             "the saturation_current that fits best beside each, the NRMSE is within 1 % of the lowest; its "
             "digits mean nothing",
         )
-    return band.document() | {"saturation_speed that serves as well [rad/s]": edges}
+    return band.document() | {"saturation_speed_range": edges}
 
 
 def log_delays(problem: MotorProblem, row: FloatArray) -> list[dict[str, Any]]:
@@ -219,7 +219,7 @@ def log_delays(problem: MotorProblem, row: FloatArray) -> list[dict[str, Any]]:
     out: list[dict[str, Any]] = []
     for log in dict.fromkeys(trial.entry.log for trial in bench.trials):
         used = values.get(delay_name(log), values["command_delay"])
-        fact: dict[str, Any] = {"log": log, "delay [s]": used, "estimated": log in seen}
+        fact: dict[str, Any] = {"log": log, "delay": used, "estimated": log in seen}
         if log not in seen:
             alone = problem.only([trial.entry.name for trial in bench.trials if trial.entry.log == log])
             best, costs = used, np.zeros(1)
@@ -229,8 +229,8 @@ def log_delays(problem: MotorProblem, row: FloatArray) -> list[dict[str, Any]]:
                 around = np.concatenate([[used], steps]).astype(np.float64)
                 costs = alone.nrmse_with(row, command_delay=around)
                 best = float(around[np.argmin(costs)])
-            fact |= {"own delay [s]": best, "nrmse": float(costs[0])}
-            fact["nrmse with its own delay"] = float(costs.min())
+            fact |= {"own_delay": best, "nrmse": float(costs[0])}
+            fact["nrmse_with_own_delay"] = float(costs.min())
         out.append(fact)
     return out
 
@@ -246,7 +246,7 @@ def _judge(
     """Climb the ladder, profile k_d, check the inertia, and add to `settings`; return what cut this short."""
     bench, space = problem.bench, problem.space
     drop = best["winding_resistance"] / (best["torque_constant"] * best["back_emf_constant"])
-    settings["static curves of the best set"] = [
+    settings["static_curves_of_best_set"] = [
         tie.fit(direction, drop, best["viscous_damping"]).document()
         for direction, tie in bench.curves.ties.items()
         if direction in problem.ties
@@ -270,7 +270,7 @@ def _judge(
         _notice_cut(cut, space, settings)
     curve = {name: best[name] for name in PARAMETERS}
     spikes = spike_inertia(problem.campaign, [trial.log for trial in bench.fitted], curve)
-    settings["rotor inertia from torque spikes"] = spikes.document()
+    settings["rotor_inertia_from_torque_spikes"] = spikes.document()
     _notice(spikes.doubt)
     return cut
 
@@ -349,11 +349,11 @@ def _circumstances(problem: MotorProblem) -> dict[str, Any]:
         "command": {
             **{name: getattr(u_of, name) for name in ("unit", "minimum", "neutral", "maximum")},
             "bidirectional": u_of.forward_half is not None or u_of.neutral > u_of.minimum,
-            "forward half": u_of.forward_half,
+            "forward_half": u_of.forward_half,
         },
         "voltage": "V_c = k_v Ω_0(u) V/V_ref; Ω_0(u) = a u + b sign(u) per direction",
         "curves": "c2 Ω|Ω| + c1 Ω, one pair of coefficients per direction",
-        "stator torque": "k_m I_eff - k_d Ω, positive when it drives the rotor forward",
-        "static curves": [fit.document() for fit in problem.bench.curves.fits],
+        "stator_torque": "k_m I_eff - k_d Ω, positive when it drives the rotor forward",
+        "static_curves": [fit.document() for fit in problem.bench.curves.fits],
         "tolerance": FIT_TOLERANCE,
     }

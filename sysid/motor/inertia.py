@@ -48,7 +48,7 @@ class SpikeInertia:
 
     def document(self) -> dict[str, Any]:
         """Return what a result states."""
-        names = ("inertia [kg·m²]", "standard error [kg·m²]", "steps")
+        names = ("inertia", "standard_error", "steps")
         return {
             kind: dict(zip(names, (self.value[kind], self.error[kind], self.steps[kind]), strict=True))
             for kind in ("up", "down")

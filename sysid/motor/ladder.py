@@ -44,15 +44,23 @@ _LEAST, _LEAST_SPREAD = 10, 0.1
 # Rises within a thousandth of any step that a log shows.
 _NO_INDUCTANCE = 1e-8
 # What is scored, in the order of the table: a use of trials, and which part of them.
-_USES = {"fit": "fitted", "validate": "held out"}
-_PARTS = ("{}", "starts, {}", "reversals, {}")
+_USES = {"fit": "fitted", "validate": "held_out"}
+_PARTS = ("{}", "starts_{}", "reversals_{}")
+# What people call the rungs.
+_TITLES = {
+    "lag": "first-order lag",
+    "without_inductance": "without L",
+    "full": "full",
+    "saturation": "full with saturation",
+    "saturation_given": "full, saturation as in Table I",
+}
 # A trial, what it compares, and its group.
 _Part = tuple[PreparedTrial, MotorTarget, str]
 
 
 @dataclass(frozen=True, eq=False)
 class Rung:
-    """One model of the ladder.
+    """One model of the ladder; `name` is a code.
 
     `values` are the free parameters by name [SI], `nrmse` the means (torque, speed) over the parts of trials
     of each group [1], `evaluations` the number of scored candidates.
@@ -71,8 +79,8 @@ class Rung:
             for group, pair in nrmse.items()
         }  # fmt: skip
         return {
-            "rung": self.name, "values": self.values, "evaluations": self.evaluations, "nrmse": nrmse,
-            "buys": buys,
+            "rung": self.name, "title": _TITLES[self.name], "values": self.values,
+            "evaluations": self.evaluations, "nrmse": nrmse, "buys": buys,
         }  # fmt: skip
 
 
@@ -167,11 +175,11 @@ def climb(
         every = replace(built(model, space, trials), targets=targets, ideal_reversal=ideal)
         nrmse = every.score(row).by_channel[0]
         out = {}
-        for title in (part.format(use) for part in _PARTS for use in _USES.values()):
-            rows = [i for i, group in enumerate(groups) if group == title]
+        for name in (part.format(use) for part in _PARTS for use in _USES.values()):
+            rows = [i for i, group in enumerate(groups) if group == name]
             if rows:
                 torque, speed = nrmse[rows].mean(axis=0)
-                out[title] = (float(torque), float(speed))
+                out[name] = (float(torque), float(speed))
         return out
 
     def fitted(model: type[MotorProblem], name: str, space: SearchSpace) -> tuple[Rung, FloatArray]:
@@ -185,11 +193,11 @@ def climb(
                 row[:, space.table.index[delay]] = best[delay]
         return Rung(name, values, scored(model, space, row, ideal=True), spent), row
 
-    rungs = [fitted(LagProblem, "first-order lag", lag_space(space, bench))[0]]
+    rungs = [fitted(LagProblem, "lag", lag_space(space, bench))[0]]
     if "winding_inductance" in space.names:
         fixed = {**space.fixed, "winding_inductance": _NO_INDUCTANCE}
         free = tuple(row for row in space.free if row.name != "winding_inductance")
-        rungs.append(fitted(MotorProblem, "without L", SearchSpace(space.table, free, fixed))[0])
+        rungs.append(fitted(MotorProblem, "without_inductance", SearchSpace(space.table, free, fixed))[0])
     full, row = fitted(MotorProblem, "full", space)
     rungs.append(full)
     for name in SATURATION:
@@ -198,7 +206,7 @@ def climb(
     # A log that starts from rest passes the dead band as well, and a dead band that was not fitted must show.
     if saturated or any(not np.allclose(last[g], full.nrmse[g], rtol=1e-3, equal_nan=True) for g in last):
         values = full.values | {name: float(best[name]) for name in SATURATION}
-        name = "full with saturation" if saturated else "full, saturation as in Table I"
+        name = "saturation" if saturated else "saturation_given"
         rungs.append(Rung(name, values, last, full.evaluations))
     return tuple(rungs)
 
@@ -226,15 +234,15 @@ def _search(
 def ladder_doubt(rungs: Sequence[Rung]) -> Finding | None:
     """Return what the held-out trials say against L, or that no trial is held out; None where L pays."""
     nrmse = {rung.name: rung.nrmse for rung in rungs}
-    if "held out" not in nrmse["full"]:
+    if "held_out" not in nrmse["full"]:
         return Finding(
             "ladder",
             "no forward or reverse trial is held out (use = 'validate'): the ladder cannot say what a fitted "
             "parameter is worth",
         )
-    if "without L" not in nrmse:
+    if "without_inductance" not in nrmse:
         return None
-    without, full = (float(np.nanmean(nrmse[name]["held out"])) for name in ("without L", "full"))
+    without, full = (float(np.nanmean(nrmse[name]["held_out"])) for name in ("without_inductance", "full"))
     # Below a twentieth of the error itself a step is within what another day's log would change.
     if full < 0.95 * without:
         return None

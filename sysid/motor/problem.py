@@ -359,7 +359,7 @@ class MotorProblem(Problem):
             handled = ["no-tare"] * bool(trial.log.tares) + ["thrust-falls"] * (entry.direction != "forward")
             left = tuple(finding for finding in report.suspicions if finding.code not in handled)
             quality = log_quality(entry.name, entry.use, replace(report, suspicions=left))
-            out.append(quality | {"second log": trial.log.second})
+            out.append(quality | {"second_log": trial.log.second})
         return out
 
     def excitation(self) -> dict[str, Any]:

@@ -76,8 +76,8 @@ class CostProfile:
     def document(self) -> dict[str, Any]:
         """Return the profile as a result states it."""
         return {
-            "values": self.values.tolist(), "nrmse": self.nrmse.tolist(), "best nrmse": self.best,
-            "limit": LIMIT, "resolution of the static curves": self.resolution, "below": self.below,
+            "values": self.values.tolist(), "nrmse": self.nrmse.tolist(), "best_nrmse": self.best,
+            "limit": LIMIT, "resolution": self.resolution, "below": self.below,
             "identified": self.below is None,
         }  # fmt: skip
 

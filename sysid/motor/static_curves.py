@@ -83,8 +83,9 @@ class CurveFit:
         """Return the fit as a result states it."""
         return {
             "quantity": self.quantity, "direction": self.direction, "coefficients": list(self.coefficients),
-            "standard errors": list(self.standard_errors), "correlation": self.correlation,
-            "units": list(self.units), "R²": self.r_squared, "points": self.points, "outliers": self.outliers,
+            "standard_errors": list(self.standard_errors), "correlation": self.correlation,
+            "units": list(self.units), "r_squared": self.r_squared, "points": self.points,
+            "outliers": self.outliers,
         }  # fmt: skip
 
 

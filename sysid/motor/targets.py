@@ -100,14 +100,14 @@ def prepare_trial(
     provenance = {
         **source_of(log.recording),
         "direction": entry.direction,
-        "rate [Hz]": 1.0 / log.interval,
-        "window [s]": [float(w) for w in log.window],
+        "rate": 1.0 / log.interval,
+        "window": [float(w) for w in log.window],
         "commands": int(log.steps.time.size),
-        **{f"{name} sign": sign for name, sign in log.signs.items()},
+        **{f"{name}_sign": sign for name, sign in log.signs.items()},
         "tare": {name: _tare(tare) for name, tare in log.tares.items()},
-        "doubtful [s]": [list(interval) for interval in log.doubtful],
-        "starts from rest [s]": [list(interval) for interval in starts],
-        **({} if log.second is None else {"second log": log.second}),
+        "doubtful": [list(interval) for interval in log.doubtful],
+        "starts_from_rest": [list(interval) for interval in starts],
+        **({} if log.second is None else {"second_log": log.second}),
         "notes": [str(note) for note in log.notes],
     }
     supply = _supply(log, reference_voltage)

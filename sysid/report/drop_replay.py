@@ -100,13 +100,13 @@ class DropReplay:
 def replay_drop(fit: FitResult, trial: TrialResult) -> DropReplay:
     """Simulate one drop with a fit's best set; raise an ExportError where the fit lacks the drop's start."""
     log = fit.provenance.get("logs", {}).get(trial.name, {})
-    if START not in log or "slope [deg]" not in log:
+    if START not in log or "slope_deg" not in log:
         raise ExportError(
             f"{fit.name}, {trial.name}: the fit lacks the state in which the drop starts; fit again"
         )
     values = dict(zip((r.name for r in fit.parameters), map(float, fit.values[0]), strict=True))
     height, start = _start_of(values, trial.name, np.array(log[START], dtype=np.float64))
-    slope = float(np.radians(log["slope [deg]"]))
+    slope = float(np.radians(log["slope_deg"]))
     span = float(trial.time[-1] - trial.time[0])
     time = np.arange(0.0, span + 0.5 / RATE, 1.0 / RATE)
     row = np.array([values[name] for name in PARAMETERS])

@@ -373,7 +373,7 @@ def figure_correlation(document: Mapping[str, Any]) -> Figure:
 def figure_nrmse_profile(symbol: str, unit: str, profile: Mapping[str, Any]) -> Figure:
     """Draw a profile of the cost itself, as `fit-motor` walks for the damping."""
     figure, axes = panel(2.8)
-    best = float(profile["best nrmse"])
+    best = float(profile["best_nrmse"])
     values, cost = np.array(profile["values"]), np.array(profile["nrmse"])
     axes.loglog(values, cost / best, color=BEST, marker="o", markersize=3.5, linewidth=1.3)
     limit = float(profile["limit"])

@@ -64,8 +64,8 @@ class GearReport(FitReport):
     def conditions(self, fit: FitResult, trial: TrialResult) -> str:
         """Return slope and speed of impact."""
         log = fit.provenance.get("logs", {}).get(trial.name, {})
-        slope = f", {log['slope [deg]']:.0f}°" if "slope [deg]" in log else ""
-        return slope + (f", {log['impact speed [m/s]']:.2f} m/s" if "impact speed [m/s]" in log else "")
+        slope = f", {log['slope_deg']:.0f}°" if "slope_deg" in log else ""
+        return slope + (f", {log['impact_speed']:.2f} m/s" if "impact_speed" in log else "")
 
     def film(self, name: str | None) -> DropReplay:
         """Return the replay of a drop by name, of the steepest one by default."""
@@ -74,7 +74,7 @@ class GearReport(FitReport):
         if not known:
             names = ", ".join(trial.name for trial in self.fit.trials)
             raise ExportError(f"{self.fit.name}: no drop {name!r}; found {names}")
-        steepest = max(known, key=lambda trial: logs.get(trial.name, {}).get("slope [deg]", 0.0))
+        steepest = max(known, key=lambda trial: logs.get(trial.name, {}).get("slope_deg", 0.0))
         return replay_drop(self.fit, steepest)
 
     @titled(

@@ -66,12 +66,10 @@ class MotorReport(FitReport):
         rows = [
             (
                 f"{row['trial']} ({row['use']}): "
-                + " to ".join(f"{_signed(row[f'command {when}'])} %" for when in ("before", "after")),
-                ", ".join(
-                    f"{_milliseconds(row[f'{what} [s]'])} {what}" for what in ("measured", "simulated")
-                ),
+                + " to ".join(f"{_signed(row[f'command_{when}'])} %" for when in ("before", "after")),
+                ", ".join(f"{_milliseconds(row[what])} {what}" for what in ("measured", "simulated")),
             )
-            for row in self.fit.settings.get("reversal delays", ())
+            for row in self.fit.settings.get("reversal_delays", ())
         ]
         if rows:
             out += definitions(rows, "from the command to 90 % of the final thrust")

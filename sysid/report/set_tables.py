@@ -184,7 +184,10 @@ def ladder_table(sets: ParameterSets) -> Table:
         f"{sets.name}: what each step of the model buys, NRMSE [%] of "
         f"{' / '.join(map(channel_symbol, sets.channels))}",
         dict.fromkeys(group for rung in rungs for group in rung["nrmse"]),
-        (words("trials", str), *(numbers(rung["rung"], partial(score, rung)) for rung in rungs)),
+        (
+            words("trials", lambda group: group.replace("_", " ")),
+            *(numbers(rung.get("title", rung["rung"]), partial(score, rung)) for rung in rungs),
+        ),
         "judge by the held-out rows: a parameter is not real because a search returned it",
     )
 

@@ -182,7 +182,7 @@ def quality_table(document: Row) -> Table:
     """Return what the logs of a campaign look like, a row each."""
 
     def noise(row: Row) -> str:
-        return f"{1000 * row['noise']['x [m]']:.2f}, {1000 * row['noise']['z [m]']:.2f}"
+        return f"{1000 * row['noise']['x']:.2f}, {1000 * row['noise']['z']:.2f}"
 
     columns = [
         _name("trial"),
@@ -195,7 +195,7 @@ def quality_table(document: Row) -> Table:
         columns += [
             numbers("lost", lambda row: str(row["lost_in_window"])),
             numbers("noise x, z", noise, "mm"),
-            numbers("pitch", lambda row: f"{math.degrees(row['noise']['pitch [rad]']):.2f}", "deg"),
+            numbers("pitch", lambda row: f"{math.degrees(row['noise']['pitch']):.2f}", "deg"),
             numbers("fall g", lambda row: _plus_minus(row["gravity"], row["gravity_error"], 3, 1), "m/s²"),
             numbers("slope", lambda row: number(row["slope_deg"], 3), "deg"),
             numbers("impact", lambda row: number(row["impact_speed"], 3), "m/s"),
@@ -305,15 +305,15 @@ def check_lines(document: Row) -> list[str]:
     if instants:
         out.append(f"start of the fall / touchdown on the log's clock [s]: {', '.join(instants)}")
     for row in rows:
-        if second := row.get("second log"):
+        if second := row.get("second_log"):
             out.append(
-                f"{row['name']}: second log {second['log']}: clock offset {second['offset [s]']:.4g} s, "
+                f"{row['name']}: second log {second['log']}: clock offset {second['offset']:.4g} s, "
                 f"confidence {second['confidence']:.4g}"
             )
     mass = document.get("centre_of_mass")
     if mass is not None:
         pairs = [
-            f"{1e3 * mass[f'{key} [m]']:.1f} ± {1e3 * mass[f'{key} error [m]']:.1f} mm {word}"
+            f"{1e3 * mass[key]:.1f} ± {1e3 * mass[f'{key}_error']:.1f} mm {word}"
             for key, word in (("down_slope", "down-slope"), ("up", "up"))
         ]
         out.append(f"centre of mass off the stated one, from the turns in flight: {', '.join(pairs)}")

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.documents import label
 from sysid.errors import ExportError
 from sysid.export.spreadsheet import csv_text
 from sysid.landing.approach import descend
@@ -19,13 +20,12 @@ from sysid.landing.scenario import Scenario
 from sysid.landing.simulate import Landing, land
 from sysid.landing.thrust import Motors
 from sysid.report.fold import print_result, print_table
-from sysid.report.table import Column, Table, table, with_unit
+from sysid.report.table import Column, Table, table
 from sysid.storage import FileKind, check_file, put, put_json, put_texts, write_file
 from sysid.workflows.landing_sources import chosen_controllers, open_fleets, rules_of
 from sysid.workflows.options import SimulateOptions
 
 EVENT = ("time", "event", "of")
-_UNITS = {"time": "s", "distance": "m", "time_to_rest": "s", "trigger": "s"}
 LANDINGS = FileKind("sysid-landings", 1, "a file of landings", "simulate again", ExportError)
 COLUMNS = (
     "time [s]",
@@ -111,14 +111,9 @@ def outcome_row(rank: int, landing: Landing) -> dict[str, Any]:
     }
 
 
-def head(name: str) -> str:
-    """Return a key of a row as the head of a column: ``time to rest [s]``."""
-    return with_unit(name.replace("_", " "), _UNITS.get(name, ""))
-
-
 def headed(row: Mapping[str, Any]) -> dict[str, Any]:
     """Return a row by the heads of its columns."""
-    return {head(name): value for name, value in row.items()}
+    return {label(name): value for name, value in row.items()}
 
 
 def conditions(landing: Landing) -> dict[str, Any]:
@@ -151,7 +146,7 @@ def _write(
             dict(zip(("set", *COLUMNS), (rank, *line), strict=True)) for line in samples(landing).tolist()
         ]
     outcomes = [headed(row) | conditions(landing) for row, landing in zip(rows, landings, strict=True)]
-    texts = (csv_text(histories), csv_text(events, ("set", *map(head, EVENT))), csv_text(outcomes))
+    texts = (csv_text(histories), csv_text(events, ("set", *map(label, EVENT))), csv_text(outcomes))
     for path, text in zip(files, texts, strict=True):
         write_file(path, text.encode("utf-8"), ExportError)
 
@@ -183,5 +178,5 @@ def _table(rows: Sequence[dict[str, Any]], first: Landing) -> Table:
     title = f"{first.drone.surface.upper()}, {math.degrees(first.scenario.slope):g} deg, "
     title += f"{first.scenario.speed:g} m/s: {first.controller.label}"
     cells = [[f"{v:.3f}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
-    columns = [Column(head(name), itemgetter(k), number=name != "outcome") for k, name in enumerate(rows[0])]
+    columns = [Column(label(name), itemgetter(k), number=name != "outcome") for k, name in enumerate(rows[0])]
     return table(title, cells, columns)

@@ -120,8 +120,8 @@ def test_real_motor_is_fitted_and_carries_over(
     # No inductance is worth believing in rows of 9 to 12 ms; without a held-out trial the result says that.
     assert any("the ladder cannot say" in sentence for sentence in result.warnings)
     values = result.parameter_sets().set_values(1)
-    spikes = result.settings["rotor inertia from torque spikes"]
-    up, down = (spikes[kind]["inertia [kg·m²]"] for kind in ("up", "down"))
+    spikes = result.settings["rotor_inertia_from_torque_spikes"]
+    up, down = (spikes[kind]["inertia"] for kind in ("up", "down"))
     if motor == "IM":
         assert up == pytest.approx(down, rel=0.15)  # required; found: 2 to 5 %
         assert values["rotor_inertia"] == pytest.approx(0.5 * (up + down), rel=0.15)
@@ -158,9 +158,9 @@ def test_second_half_of_a_real_log_is_predicted(tmp_path: Path, motor: str) -> N
     path = _campaign(tmp_path, motor, split=True)
     result, _ = fit_motor(path, FitOptions(out=tmp_path / "fit", runs=2, seed=1, quiet=True))
     held_out = {trial.name: trial.nrmse[0, 1] for trial in result.trials}["second"]
-    ladder = {rung["rung"]: rung["nrmse"]["held out"] for rung in result.settings["ladder"]}
+    ladder = {rung["rung"]: rung["nrmse"]["held_out"] for rung in result.settings["ladder"]}
     # The equations predict the torque of a step, a lag of the speed does not; L buys nothing at these rates.
-    assert ladder["first-order lag"]["stator_torque"] > 1.5 * ladder["without L"]["stator_torque"]
+    assert ladder["lag"]["stator_torque"] > 1.5 * ladder["without_inductance"]["stator_torque"]
     assert any("do not believe the fitted L" in sentence for sentence in result.warnings)
     # Required: 5 %; reached 3.8 % for IM. SOV5's second half stops and starts the rotor, unlike its
     # first: reached 6.2 %.

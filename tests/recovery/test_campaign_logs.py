@@ -202,10 +202,10 @@ def test_cell_and_tachometer_are_one_trial(cell_and_tachometer):
     campaign = read_campaign(path, "motor")
     bench = prepare_bench(campaign, path)
     record = bench.trials[0].provenance
-    second = record["second log"]
+    second = record["second_log"]
     # The cell's clock starts at 0 and the tachometer's at -7.3 s + 0.2 s: the cell's is 7.3 s ahead.
     # Its pulses are 2 to 5 ms apart, each a mean over that time: the steps place them to a quarter of one.
-    assert second["offset [s]"] == pytest.approx(7.3, abs=5e-4)
+    assert second["offset"] == pytest.approx(7.3, abs=5e-4)
     assert second["correlation"] > 0.8
     assert second["confidence"] > 0.1
     assert second["aligned"] == "speed with thrust"
@@ -225,7 +225,7 @@ def test_the_offset_is_in_the_record_of_a_fit(cell_and_tachometer):
     folder = cell_and_tachometer.with_name("fit")
     options = FitOptions(folder, population=8, runs=1, max_generations=1, finish="none", quiet=True)
     fit_motor(cell_and_tachometer, options)
-    second = read_fit(folder).provenance["logs"]["forward-1"]["second log"]
+    second = read_fit(folder).provenance["logs"]["forward-1"]["second_log"]
     assert second["log"] == "tach.csv"
-    assert second["offset [s]"] == pytest.approx(7.3, abs=5e-4)
+    assert second["offset"] == pytest.approx(7.3, abs=5e-4)
     assert second["confidence"] > 0.1

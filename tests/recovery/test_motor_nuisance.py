@@ -116,11 +116,11 @@ def test_every_log_has_its_own_command_delay(tmp_path: Path) -> None:
     assert values["winding_inductance"] == pytest.approx(0.0038, rel=0.05)
     facts = {fact["log"]: fact for fact in log_delays(every, rows[0])}
     delay = pytest.approx(0.025, abs=5e-4)
-    assert facts["reverse-1.h5"] == {"log": "reverse-1.h5", "delay [s]": delay, "estimated": True}
+    assert facts["reverse-1.h5"] == {"log": "reverse-1.h5", "delay": delay, "estimated": True}
     # A held-out log is scored with the mean; what it shows of its own is said beside.
     held_out = facts["forward-2.h5"]
-    assert held_out["own delay [s]"] == pytest.approx(0.025, abs=5e-4)
-    assert held_out["nrmse with its own delay"] < 0.01 < held_out["nrmse"]
+    assert held_out["own_delay"] == pytest.approx(0.025, abs=5e-4)
+    assert held_out["nrmse_with_own_delay"] < 0.01 < held_out["nrmse"]
     common = edited(path, (r"^\[fit\]", '[nuisance]\ncommand_delay = "common"\n\n[fit]'))
     campaign, bench = bench_of(common)
     assert "command_delay" in search_space(campaign, bench).names
@@ -249,10 +249,10 @@ def test_the_ladder_believes_l_only_where_it_pays(tmp_path: Path, inductance: fl
     climbed = climb(problem_of(campaign, bench), TRUTH, False, SEARCH, 1)
     ladder = [rung.document(below) for rung, below in zip(climbed, (None, *climbed[:-1]), strict=True)]
     by_name = {rung["rung"]: rung for rung in ladder}
-    assert list(by_name) == ["first-order lag", "without L", "full"]
+    assert list(by_name) == ["lag", "without_inductance", "full"]
     assert (ladder_doubt(climbed) is None) is useful
     lag, without, full = (by_name[name]["nrmse"] for name in by_name)
-    for group in ("fitted", "held out"):
+    for group in ("fitted", "held_out"):
         # The equations pay in torque whatever L is, and a larger model never fits worse.
         assert without[group]["stator_torque"] < 0.7 * lag[group]["stator_torque"]
         for channel in ("stator_torque", "speed"):

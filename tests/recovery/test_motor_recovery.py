@@ -124,8 +124,8 @@ def test_short_fit_finds_resistance_and_inductance(campaign_file: Path, tmp_path
     stage = result.settings["saturation"]
     assert stage["trials"] == ["reversal-1"]
     # Without the dead band the model is early by some 60 ms at each of six reversals.
-    assert stage["nrmse"][0] < 0.02 < 0.2 < stage["nrmse without saturation"][0]
-    worst = max(abs(d["measured [s]"] - d["simulated [s]"]) for d in result.settings["reversal delays"])
+    assert stage["nrmse"][0] < 0.02 < 0.2 < stage["nrmse_without_saturation"][0]
+    worst = max(abs(d["measured"] - d["simulated"]) for d in result.settings["reversal_delays"])
     assert worst < 8e-3  # 5 ms, and the noise of the thrust at 90 % of 1 N
     _ladder_climbs(result)
     # k_d = 9.2e-9 drags by 5 µN·m beside 40 mN·m: any small value serves.
@@ -150,13 +150,13 @@ def _delay(parameters: dict, before: float, after: float) -> float:
 
 def _ladder_climbs(result) -> None:
     ladder = {rung["rung"]: rung["nrmse"] for rung in result.settings["ladder"]}
-    assert list(ladder) == ["first-order lag", "without L", "full", "full with saturation"]
-    held_out = {name: sum(nrmse["held out"].values()) / 2 for name, nrmse in ladder.items()}
+    assert list(ladder) == ["lag", "without_inductance", "full", "saturation"]
+    held_out = {name: sum(nrmse["held_out"].values()) / 2 for name, nrmse in ladder.items()}
     # The truth has an L of 13 ms over R and a dead band: each step must show, held out.
-    assert held_out["first-order lag"] > held_out["without L"] > 2 * held_out["full"]
-    assert held_out["full"] == held_out["full with saturation"]
-    turned = {name: sum(nrmse["reversals, held out"].values()) / 2 for name, nrmse in ladder.items()}
-    assert turned["full"] > 10 * turned["full with saturation"]
+    assert held_out["lag"] > held_out["without_inductance"] > 2 * held_out["full"]
+    assert held_out["full"] == held_out["saturation"]
+    turned = {name: sum(nrmse["reversals_held_out"].values()) / 2 for name, nrmse in ladder.items()}
+    assert turned["full"] > 10 * turned["saturation"]
 
 
 @pytest.mark.slow

@@ -175,7 +175,7 @@ def drop_fit():
     records = tuple(ParameterRecord.of(parameter, "fixed") for parameter in PARAMETERS.values())
     valid = np.ones(measured.shape, bool)
     trial = TrialResult("drop-1", "fit", 100.0 + time, measured, valid, measured[None], np.zeros((1, 5)))
-    log = {START: BODY, "slope [deg]": 15.0}
+    log = {START: BODY, "slope_deg": 15.0}
     inside = np.zeros((1, len(row)), np.int8)
     return replace(
         base, parameters=records, values=row[None], at_bound=inside, trials=(trial,),
@@ -294,7 +294,7 @@ def motor_fit():
     commands = np.array([[0.0, 0.6], [0.5, -1.0], [1.2, 0.6], [2.0, -1.0]])
     commands[:, 0] += start
     trials = tuple(replace(t, thrust=np.linspace(0, 3, 600), commands=commands) for t in fit.trials)
-    profile = {"values": [1e-10, 1e-8, 1e-6], "nrmse": [0.1, 0.1, 0.2], "best nrmse": 0.1, "limit": 0.01,
+    profile = {"values": [1e-10, 1e-8, 1e-6], "nrmse": [0.1, 0.1, 0.2], "best_nrmse": 0.1, "limit": 0.01,
                "identified": False, "below": 1e-7}  # fmt: skip
     return replace(fit, trials=trials, settings={"profiles": {"leg_axial_stiffness": profile}})
 

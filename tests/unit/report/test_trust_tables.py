@@ -77,7 +77,7 @@ def test_a_parameter_that_no_channel_sees_is_told_by_nothing():
 def test_a_second_log_is_said_by_its_clock():
     second = {
         "log": "rpm.csv", "sha256": "0" * 64, "format": "tacho", "device": None, "aligned": "a with b",
-        "offset [s]": 0.12345678, "correlation": 0.99123456, "confidence": 0.87654321, "notes": ["one"],
+        "offset": 0.12345678, "correlation": 0.99123456, "confidence": 0.87654321, "notes": ["one"],
     }  # fmt: skip
-    line = check_lines({"quality": [{"name": "forward-1", "second log": second}], "excitation": {}})[0]
+    line = check_lines({"quality": [{"name": "forward-1", "second_log": second}], "excitation": {}})[0]
     assert line == "forward-1: second log rpm.csv: clock offset 0.1235 s, confidence 0.8765"

@@ -218,10 +218,10 @@ def test_reversal_delays_are_those_of_the_window():
     # it lies a start in reverse, from which nothing inside it comes.
     levels = [-0.5, 0.62, -1.0, 0.4, -0.6]
     delays = reversal_delays(CAMPAIGN, _bench(levels, (1.4, 3.7), best), best)
-    assert [(d["command before"], d["command after"]) for d in delays] == [(0.62, -1.0), (-1.0, 0.4)]
+    assert [(d["command_before"], d["command_after"]) for d in delays] == [(0.62, -1.0), (-1.0, 0.4)]
     for delay in delays:
         # The same motor twice, on grids of 1 and of 0.5 ms, starting at rest of the same command.
-        assert delay["simulated [s]"] == pytest.approx(delay["measured [s]"], abs=2e-4)
+        assert delay["simulated"] == pytest.approx(delay["measured"], abs=2e-4)
 
 
 def test_reversal_delays_pass_the_filter_of_the_campaign():
@@ -231,7 +231,7 @@ def test_reversal_delays_pass_the_filter_of_the_campaign():
     delays = reversal_delays(slow, _bench([0.5, 0.62, -1.0, 0.4, -0.6], (1.4, 3.7), best, 156.0, True), best)
     for delay in delays:
         # A stop band from 15 Hz on rings for some 0.05 s.
-        assert delay["simulated [s]"] == pytest.approx(delay["measured [s]"], abs=0.05)
+        assert delay["simulated"] == pytest.approx(delay["measured"], abs=0.05)
     assert len(delays) == 2
 
 
