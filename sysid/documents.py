@@ -99,7 +99,7 @@ class _Schema(GenerateJsonSchema):
 
 
 class Document(Part):
-    """A JSON file of its own.
+    """A document that is a JSON file.
 
     A kind of document declares ``schema_`` (key ``schema``) and ``version`` as literals with defaults. A
     refusal calls it `WHAT` and advises the `REMEDY`.

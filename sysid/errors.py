@@ -10,7 +10,7 @@ class SysidError(Exception):
 
 
 class LogError(SysidError):
-    """A log file cannot be read, or does not hold what the campaign says it holds."""
+    """A log file cannot be read, or lacks what the campaign says is in it."""
 
 
 class CampaignError(SysidError):

@@ -20,7 +20,7 @@ _LOOKS_SPECIAL = re.compile(r"'*(NaN|-?Infinity)\Z")
 
 
 def encoded(value: Any) -> Any:
-    """Return `value` as JSON can hold it."""
+    """Return `value` in a form that JSON can store."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if value is None or isinstance(value, bool | int):

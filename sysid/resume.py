@@ -142,7 +142,7 @@ class Unfinished:
 
     @classmethod
     def kept(cls, folder: Path) -> bool:
-        """Return whether a folder holds states."""
+        """Return whether a folder has states."""
         return any(folder.glob(cls.STATES))
 
     @classmethod
@@ -264,5 +264,5 @@ class Computing:
 
 
 def digest(value: Any) -> str:
-    """Return the SHA-256 of anything that JSON can hold, for an identity."""
+    """Return the SHA-256 of anything that JSON can store, for an identity."""
     return hashlib.sha256(exact_json.dumps(value, indent=None).encode("utf-8")).hexdigest()

@@ -5,7 +5,7 @@ disk. A full disk, an error or Ctrl-C leaves the earlier content and nothing els
 a file or folder whose name starts with a dot and ends in ``.part``.
 
 An HDF5 file of sysid has the attributes ``schema`` and ``version``; its numeric datasets have ``axes`` and
-``unit``; JSON texts beside them hold the rest. It is built in memory and written by `write_file`, because the
+``unit``; JSON texts beside them have the rest. It is built in memory and written by `write_file`, because the
 HDF5 library ends the process on a full disk.
 """
 
@@ -94,7 +94,7 @@ def replaced_folder(
 ) -> Iterator[Path]:
     """Give a temporary folder that becomes `path`, whose parents are made, when the block ends well.
 
-    `force` replaces an existing folder as a whole, if it holds the file `marker`. Raises `error_type`, with
+    `force` replaces an existing folder as a whole, if the file `marker` is in it. Raises `error_type`, with
     nothing changed, when the folder exists and may not be replaced, or cannot be written.
     """
     path = Path(path)
@@ -117,7 +117,7 @@ def replaced_folder(
 def check_folder(
     path: str | Path, *, force: bool, marker: str, error_type: type[SysidError] = SysidError
 ) -> None:
-    """Refuse a result folder that exists, unless `force` and it is one that holds `marker`."""
+    """Refuse a result folder that exists, unless `force` is set and `marker` is in it."""
     path = Path(path)
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return
@@ -217,7 +217,7 @@ def put_texts(group: Any, name: str, texts: str | Iterable[str]) -> None:
 
 
 def put_json(group: Any, name: str, value: Any) -> None:
-    """Write a value as exact JSON; an attribute would hold 64 kB at most."""
+    """Write a value as exact JSON; an attribute has room for 64 kB at most."""
     put_texts(group, name, exact_json.dumps(value, indent=None))
 
 

@@ -170,7 +170,7 @@ def export(
 
 @command(app, "fits")
 def fits(
-    folder: Annotated[Path, Argument("Folder that holds fits.")] = Path("fits"), json: Json = False
+    folder: Annotated[Path, Argument("Folder with fits in it.")] = Path("fits"), json: Json = False
 ) -> None:
     """List the fits of a folder: running, stopped or done, NRMSE, age."""
     from sysid.workflows.fits import print_fits

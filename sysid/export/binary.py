@@ -119,7 +119,7 @@ def to_mat(sets: ParameterSets) -> bytes:
         "nrmse": sets.nrmse,
         "at_bound": sets.at_bound.astype(np.float64),
         "nrmse_by_trial": sets.nrmse_by_trial,
-        # Plain ASCII: MATLAB stores text in a code of its own.
+        # Plain ASCII: MATLAB does not store text as UTF-8.
         "metadata_json": json.dumps(json.loads(metadata.line())),
     }
     from scipy.io import savemat  # takes as long to import as all else that `sysid show` needs

@@ -470,7 +470,7 @@ class Problem(ABC):
             if name in row_logs and row_logs[name] not in seen:
                 continue
             kept = name in known and (record.status != "free" or instrument)
-            # The mean delay of a fit is derived from those of its logs.
+            # The mean delay of a fit is derived from the delays of its logs.
             if not kept and (instrument or record.status in ("free", "fixed", "measured")):
                 rows[:, column[name]] = values[:, i]
         return self.completed(rows, fit)

@@ -77,7 +77,7 @@ class FitProvenance(TypedDict, total=False):
     failures: dict[str, int]
     # What was noticed, repeats over trials joined; the sentences of its warnings are `warnings`.
     findings: list[FindingRecord]
-    # What the trials were expected to fix, per parameter.
+    # What the trials were expected to determine, per parameter.
     expected: list[Open]
 
 

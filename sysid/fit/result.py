@@ -138,7 +138,7 @@ class FitResult(SetsContent):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        # Building the sets checks every shape but those of the trajectories.
+        # Building the sets checks every shape except the trajectories'.
         self.parameter_sets()
         for trial in self.trials:
             shape = (len(self.nrmse), len(trial.time), len(self.channels))

@@ -1,6 +1,6 @@
 """A fit on disk: one folder with everything, written whole or not at all.
 
-``fit.h5`` holds every number (the population of every generation, the sets, the trajectories), ``fit.json``
+``fit.h5`` has every number (the population of every generation, the sets, the trajectories), ``fit.json``
 the ranked sets with settings and provenance as text (the same document that ``sysid export`` writes), and
 ``summary.txt`` what a person reads first.
 """

@@ -170,10 +170,10 @@ class _Preparation:
         slope, point = self._surface()
         self.feet = Feet(campaign.vehicle.foot_dx, campaign.vehicle.foot_dz, slope)
         gravity = campaign.vehicle.gravity
-        held = find_fall(motion, gravity, self.where, trial.release)
-        levels = held.stop > held.start and campaign.capture.level == "release"
-        self.motion = planar_motion(motion, point, held_level(motion, held) if levels else np.eye(3))
-        self.flight, touchdown = fit_flight(self.motion, self.feet, held, gravity, self.where, levels)
+        hold = find_fall(motion, gravity, self.where, trial.release)
+        levels = hold.stop > hold.start and campaign.capture.level == "release"
+        self.motion = planar_motion(motion, point, held_level(motion, hold) if levels else np.eye(3))
+        self.flight, touchdown = fit_flight(self.motion, self.feet, hold, gravity, self.where, levels)
         self.touchdown = touchdown if trial.touchdown is None else trial.touchdown
         self.at_touchdown = self.flight.at(np.array([self.touchdown]))[0]
         self.lowpass = lowpass_of(campaign, self.motion.rate)

@@ -32,7 +32,7 @@ class Descent:
 def descend(drone: Drone, begin: Scenario, height: float) -> Descent:
     """Fly down until the first foot touches.
 
-    `begin` holds the slope and what the drone has at the beginning: pitch, rates, speed of descent. `height`
+    `begin` is the slope and what the drone has at the beginning: pitch, rates, speed of descent. `height`
     is the way down of the body from there to its touchdown at that pitch [m]. Raises `CampaignError` when
     height or speed is not above 0, or the drone turns over or rises before it touches.
 

@@ -83,7 +83,7 @@ def drones(gear: ParameterSets, motor: ParameterSets, pairing: Pairing = "best")
     for sets, kind in ((gear, "gear"), (motor, "motor")):
         if sets.kind != kind:
             raise ExportError(
-                f"{sets.name}: holds {sets.kind} sets, expected {kind} sets; give the gear's sets first and "
+                f"{sets.name}: has {sets.kind} sets, expected {kind} sets; give the gear's sets first and "
                 "the motor's with --motor"
             )
     if pairing == "each" and len(motor) < len(gear):

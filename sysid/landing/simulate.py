@@ -89,7 +89,7 @@ def land_many(
     """Simulate one drone's landings until each is at rest, flipped or over.
 
     The numbers do not depend on the number of threads, nor on what else is simulated. `tolerance` bounds the
-    weighted rms error of the rates per step; `motors` holds thrust histories that were computed before.
+    weighted rms error of the rates per step; `motors` are thrust histories that were computed before.
     """
     rules = rules or Rules()
     source = motors or Motors(drone, controller.ideal_reversal)

@@ -22,7 +22,7 @@ STUDY = FileKind("sysid-design-study", 1, "a design study", "compute the study a
 
 @dataclass(frozen=True, eq=False)
 class MapFile:
-    """What a file holds: settings are grid, rules, tolerance, controllers; provenance is sets, versions."""
+    """Content of a file: settings are grid, rules, tolerance, controllers; provenance is sets, versions."""
 
     maps: tuple[LandingMap, ...]
     impulses: tuple[ImpulseMap, ...]

@@ -51,7 +51,7 @@ class RawCapture:
     """Content of a motion capture.
 
     `markers` are (time [s], position (n, 3) [m]) by name; `others` are signals beside the capture. `chosen`:
-    `bodies` are already those of the option ``rigid_body``, so none is fitted for it. `states_length`: the
+    the option ``rigid_body`` has chosen `bodies`, so none is fitted for it. `states_length`: the
     file states its length unit, so the option ``length_unit`` changes nothing. `marks_lost`: the system
     writes frames in which it lost a body, so a note counts them.
     """
@@ -79,9 +79,9 @@ def unit_quaternions(
 ) -> tuple[FloatArray, list[Finding]]:
     """Return unit quaternions (n, 4) of continuous sign, in the component order of `raw`, and notes.
 
-    A quaternion and its negative are one orientation, and capture systems switch between them; continuous is
-    the one nearest to that of the last recorded frame. A row that lacks a component, or is all zero, is NaN;
-    a length that is not 1 within 2 % is a LogError that names the row in `numbers`.
+    A quaternion and its negative are one orientation, and capture systems switch between them; of the
+    two, the result has the one nearest to the last recorded frame's. A row that lacks a component, or is
+    all zero, is NaN; a length that is not 1 within 2 % is a LogError that names the row in `numbers`.
     """
     notes: list[Finding] = []
     with np.errstate(over="ignore"):  # a damaged number may be too large to square: its length is no 1

@@ -132,7 +132,7 @@ def frame_clock(
 ) -> tuple[FloatArray, list[Finding]]:
     """Return times [s] rebuilt from frame numbers, and notes, where the written ones are times of arrival.
 
-    They lie on the straight line that fits the written times best, so the rate is that of the log and a
+    They lie on the straight line that fits the written times best, so they have the log's rate, and a
     constant delay stays in it. `numbers` keeps only the rows they belong to; `factor` turns the written
     times into seconds. `other_clock` is what to choose where the two columns do not belong together (a
     LogError).
@@ -176,8 +176,8 @@ def counted_clock(
 ) -> tuple[FloatArray, Finding]:
     """Return times [s], frame numbers over the first rate that the written times fit, and a note.
 
-    `columns` are those of frame numbers (from `first`) and of times, which are printed to `rounding` [s]
-    and may begin later by a constant. With `check`, times that fit no rate are a LogError with `advice`.
+    `columns` are the columns of frame numbers (from `first`) and of times. Times are printed to `rounding`
+    [s] and may begin later by a constant. With `check`, times that fit no rate are a LogError with `advice`.
     """
     counted, written = (numbers.columns[column] for column in columns)
     seen = np.isfinite(written)

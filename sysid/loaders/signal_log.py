@@ -60,7 +60,7 @@ class Signal:
 
     `name` has its group (``/cell/Fz``) and `label` has not; `unit` is None where the file states none;
     `read` returns the samples (n,). `rate` [Hz] and `start` [s] are as the file states them, `time` (n,) [s]
-    is the signal's clock; `inherited`: the rate is that of the whole file. `numbered`: the label ends in the
+    is the signal's clock; `inherited`: the whole file has this rate. `numbered`: the label ends in the
     number of a matrix's column, ``FT[1]``, which is no unit.
     """
 
@@ -243,7 +243,7 @@ class _Clocks:
                     f"{self.path}: {first} has {length} samples and {name} has {size}, but both take "
                     f"one rate of {hertz:g} Hz, so one would last "
                     f"{max(size, length) / min(size, length):.3g} times as long as the other; give each "
-                    "dataset a rate or a time, or choose those of one rate with datasets = {...}"
+                    "dataset a rate or a time, or choose datasets of one rate with datasets = {...}"
                 )
         return (hertz, signal.start, size), rate_clock(self.path, hertz, size) + signal.start
 

@@ -178,11 +178,11 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> B
     recording, second = read_log(campaign, path, entry)
     where = f"{recording.provenance.path}, trial {entry.name!r}"
     if recording.kind == "static-map":
-        raise LogError(f"{where}: holds averaged points, no transients; name it under curves.static")
+        raise LogError(f"{where}: has averaged points, no transients; name it under curves.static")
     command = recording["command"]
     time, u = command.time, command_range(campaign).to_u(command.values, command.unit, where)
     if not np.isfinite(u).any():
-        raise LogError(f"{where}: holds no command; a motor fit needs the command beside the speed")
+        raise LogError(f"{where}: has no command; a motor fit needs the command beside the speed")
     # A neutral that jitters is a neutral, for the tare too.
     u = np.where(np.abs(u) <= JITTER, 0.0, u)
     steps = trial_log.command_steps(time, u)
@@ -384,7 +384,7 @@ def torque_per_current(logs: Sequence[BenchLog]) -> TorquePerCurrent:
 
     At a steady speed the load cell feels k_m I − τ_f, with τ_f the constant friction of bearings and iron,
     which the current pays for as well. Without τ_f k_m would come out too small; it is left out where the
-    points do not show it, by three of its standard errors. LogError when a log holds no current, or the
+    points do not show it, by three of its standard errors. LogError when a log has no current, or the
     points are fewer than three.
     """
     pairs = []
@@ -392,7 +392,7 @@ def torque_per_current(logs: Sequence[BenchLog]) -> TorquePerCurrent:
         if "current" not in log.channels or "torque" not in log.channels:
             missing = "current" if "torque" in log.channels else "torque"
             raise LogError(
-                f"{log.where}: log.current = 'motor', but the log holds no {missing}; record it, or leave "
+                f"{log.where}: log.current = 'motor', but the log has no {missing}; record it, or leave "
                 "log.current out"
             )
         channels = {**log.channels, "thrust": log.channels["current"]}
@@ -403,7 +403,7 @@ def torque_per_current(logs: Sequence[BenchLog]) -> TorquePerCurrent:
     current, torque = current[known], torque[known]
     if current.size < 3:
         raise LogError(
-            f"{', '.join(log.where for log in logs)}: {current.size} steady points hold torque and motor "
+            f"{', '.join(log.where for log in logs)}: {current.size} steady points have torque and motor "
             "current; expected at least 3: hold more commands for over "
             f"{SETTLE:g} s, or leave log.current out"
         )

@@ -36,7 +36,7 @@ _SCALE_AGREES = 0.1
 class Bench:
     """A motor campaign after its logs were read.
 
-    `values` are the parameters that the campaign or its static logs state, by name [SI]; `measured` holds the
+    `values` are the parameters that the campaign or its static logs state, by name [SI]; `measured` has the
     sources of measured values, `stated` the sources of the others (a rating, a guess); `guessed` are guesses.
     `scale_known`: a Kv, a logged motor current or the campaign determines the scale of R, L, I_sat.
     """
@@ -136,9 +136,9 @@ def _reference_voltage(
     volts = np.concatenate([np.zeros(0), *(log.points.voltage for log in curve_logs)])
     volts = volts[np.isfinite(volts) & (volts > 0)]
     if volts.size:
-        source = "median supply voltage of the logs under [curves]: the fitted logs hold none"
+        source = "median supply voltage of the logs under [curves]: the fitted logs have none"
         return float(np.median(volts)), source, False
-    return PARAMETERS.nominal["reference_voltage"], "guess: no log holds the supply voltage", True
+    return PARAMETERS.nominal["reference_voltage"], "guess: no log has the supply voltage", True
 
 
 def _known_values(
@@ -216,7 +216,7 @@ def _check_choice(chosen: tuple[str, ...], given: Collection[str], scale_known: 
     if scale and "winding_resistance" in chosen and not scale_known:
         notice(
             "scale-free",
-            f"{' and '.join(scale)} free beside winding_resistance, and no log holds the motor's current: "
+            f"{' and '.join(scale)} free beside winding_resistance, and no log has the motor's current: "
             "torque and speed determine only k²/R, R/L and k·I_sat, which the result lists; the values "
             "themselves are arbitrary together",
         )

@@ -1,6 +1,6 @@
 """The motor's table of parameters: what each number is, its unit, default, bounds and source.
 
-`sysid.motor.model` holds the equations and symbols.
+`sysid.motor.model` has the equations and symbols.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ _INDEX = PARAMETERS.index
 class MotorProblem(Problem):
     """Trials of one bench; see `sysid.fit.problem.Problem`.
 
-    `bench` holds all logs of the campaign, `prepared` the trials of this problem, `targets` what each trial
+    `bench` has all logs of the campaign, `prepared` the trials of this problem, `targets` what each trial
     compares. `ties` are the no-load lines that follow R and k_d. With an `ideal_reversal` there is no
     saturation (I_sat = ∞), as in Fig. 11. `stated_noise` (T, 2) is the standard deviation of the noise of
     trials that were never recorded [channel units].
@@ -390,8 +390,8 @@ class MotorProblem(Problem):
 _INSTRUMENTS = PARAMETERS.group("instrument")
 _ADVICE = {
     "viscous_damping": (
-        "to fix k_d: a log without propeller in which the unpowered rotor coasts down; beside a propeller "
-        "its drag is lost in the error of the torque curve"
+        "to determine k_d: a log without propeller in which the unpowered rotor coasts down; beside a "
+        "propeller its drag is lost in the error of the torque curve"
     ),
     "winding_inductance": (
         "L shows in what follows a step within milliseconds: record with a load cell at 1 kHz or more"

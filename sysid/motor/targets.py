@@ -258,7 +258,7 @@ def _steady_start(log: BenchLog, start: float) -> float:
 
 
 def _supply(log: BenchLog, reference_voltage: float) -> tuple[FloatArray, FloatArray] | None:
-    """Return knots [s] and V/V_ref there, (k,) each; None where the log does not hold the supply."""
+    """Return knots [s] and V/V_ref there, (k,) each; None where the log lacks the supply."""
     if "voltage" not in log.channels:
         return None
     t, volts = log.channels["voltage"]

@@ -30,7 +30,7 @@ def animation(drops: Sequence[DropReplay], campaigns: Sequence[str] = ()) -> Htm
     ]
     if campaigns:
         choices = [f"{campaign}, {words}" for campaign, words in zip(campaigns, choices, strict=True)]
-    # A page ends a script at the first "</script"; JSON may hold "<" as an escape.
+    # A page ends a script at the first "</script"; JSON may write "<" as an escape.
     data = json.dumps({"drops": documents}, separators=(",", ":")).replace("<", "\\u003c")
     return filled(
         "animation.html.j2",

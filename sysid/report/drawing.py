@@ -147,7 +147,7 @@ def thinned(time: FloatArray, values: FloatArray, points: int = _POINTS) -> tupl
 
 
 def shortened(name: str, longest: int) -> str:
-    """Return a name with at most so many characters, such as a title that must not reach into the next."""
+    """Return a name cut to `longest` characters, such as a title that must not reach into the next."""
     return name if len(name) <= longest else f"{name[: longest - 1]}…"
 
 

@@ -62,7 +62,7 @@ from sysid.trust import documents
 from sysid.types import FloatArray
 
 Content = TypeVar("Content", bound=Callable[..., Html])
-# Panels of channels beyond which a page holds them as pixels: vectors of 40 take 2 MB.
+# Panels of channels beyond which a page draws them as pixels: vectors of 40 take 2 MB.
 _MOST_VECTORS = 60
 _COUNTS = (
     "no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve",
@@ -220,9 +220,9 @@ class FitReport:
                 where = "" if fit is self.fit else f" of {fit.name}"
                 out.append(f"It predicts {_counted(trials, 'trial')}{where} that it never saw with {mean}.")
         for name, document in self.validations.items():
-            word = "is doubtful" if document.get("flagged") else "holds"
+            verdict = "is doubtful" if document.get("flagged") else "shows no doubt"
             mean = percent_text(float(document.get("nrmse", float("nan"))))
-            out.append(f"The validation on {name} {word} ({mean}).")
+            out.append(f"The validation on {name} {verdict} ({mean}).")
         return out or ["Nothing is known about trials that were not fitted: none was held back."]
 
     def _determined(self) -> list[str]:

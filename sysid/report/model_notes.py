@@ -112,7 +112,7 @@ def symbols(motor: ParameterSets, gear: ParameterSets) -> Html:
     rows = list(_VARIABLES)
     for title, parameters, sets in (("motor", MOTOR, motor), ("gear", GEAR, gear)):
         for parameter in (parameters[name] for name in sets.names if name in parameters):
-            # The equations hold neither the delays of instruments nor legs that differ.
+            # The equations have neither the delays of instruments nor legs that differ.
             if parameter.unit != "s" and "/" not in parameter.symbol:
                 meaning = parameter.meaning
                 text = f"{title}: {meaning[:1].lower()}{meaning[1:].rstrip('.')}"

@@ -1,4 +1,4 @@
-"""What a bench log of one motor holds: commands, logger stalls, real samples, tare, signs.
+"""Content of a bench log of one motor: commands, logger stalls, real samples, tare, signs.
 
 Knows no motor model: it sees channels of a `Recording` and turns them into what a fit can trust. Speeds and
 torques leave here signed: positive in the forward direction, a steady torque with the sign of its speed.
@@ -106,7 +106,7 @@ def command_steps(time: FloatArray, u: FloatArray) -> CommandSteps:
     """Return the changes of a logged command; a blank command holds the one before."""
     known = np.isfinite(u)
     if not known.any():
-        raise LogError("the log holds no command; a motor fit needs the command beside the speed")
+        raise LogError("the log has no command; a motor fit needs the command beside the speed")
     t, level = time[known], u[known]
     changes = np.concatenate([[0], np.flatnonzero(np.diff(level)) + 1])
     return CommandSteps(t[changes], level[changes])

@@ -73,14 +73,14 @@ def spatial_motion(
 
     The offset leads from the body's origin to the centre of mass, in the axes of the body [m]; a rate [Hz] is
     stated where the file's clock is the arrival time. Raises LogError when the body is not there, was never
-    seen, or the file holds several and none is named.
+    seen, or the file has several and none is named.
     """
     where = recording.provenance.path
     bodies = recording.rigid_bodies
     if rigid_body is None:
         if len(bodies) != 1:
             raise LogError(
-                f"{where}: holds {len(bodies)} rigid bodies ({', '.join(bodies) or 'none'}); "
+                f"{where}: has {len(bodies)} rigid bodies ({', '.join(bodies) or 'none'}); "
                 f"name one in capture.rigid_body"
             )
         rigid_body = bodies[0]
@@ -179,9 +179,9 @@ def planar_motion(motion: SpatialMotion, point: FloatArray, level: FloatArray) -
     )
 
 
-def held_level(motion: SpatialMotion, held: slice) -> FloatArray:
+def held_level(motion: SpatialMotion, hold: slice) -> FloatArray:
     """Return the mean rotation (3, 3) over samples during which the body hung still and level."""
-    turn = motion.rotation[held][motion.valid[held]]
+    turn = motion.rotation[hold][motion.valid[hold]]
     return np.asarray(Rotation.from_matrix(turn).mean().as_matrix())
 
 

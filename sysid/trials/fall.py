@@ -76,12 +76,12 @@ class Flight:
         freely, is on the true flight from `start` on.
         """
         elapsed = np.atleast_1d(time) - self.start
-        held = self.held and not free
-        if held:
+        hangs = self.held and not free
+        if hangs:
             elapsed = np.maximum(elapsed, 0.0)
         rates = np.tile(self.state[3:], (len(elapsed), 1))
         rates[:, 1] -= self.gravity * elapsed
-        if held:
+        if hangs:
             rates[elapsed == 0.0] = 0.0
         out = self.state[:3] + elapsed[:, None] * self.state[3:]
         out[:, 1] -= 0.5 * self.gravity * elapsed**2
@@ -109,18 +109,18 @@ def find_fall(motion: SpatialMotion, gravity: float, where: str, release: float 
                 f"{downward.max():.1f} m/s², expected {gravity:.2f}); check capture.up or the file"
             )
         onset = first
-    held = hold_before(onset, half, motion.rate, height)
-    if held is None or motion.valid[held].sum() < 3:
+    hold = hold_before(onset, half, motion.rate, height)
+    if hold is None or motion.valid[hold].sum() < 3:
         return slice(onset, onset)
-    return slice(_still_since(motion, held), held.stop)
+    return slice(_still_since(motion, hold), hold.stop)
 
 
-def _still_since(motion: SpatialMotion, held: slice) -> int:
+def _still_since(motion: SpatialMotion, hold: slice) -> int:
     """Return the first sample of the rest that a hold is the end of: more samples tell its place better."""
-    first = max(0, held.stop - round(_LONGEST_HOLD * motion.rate))
-    place = np.nanmean(np.where(motion.valid[held, None], motion.position[held], np.nan), axis=0)
-    turn = held_level(motion, held)
-    before = slice(first, held.start)
+    first = max(0, hold.stop - round(_LONGEST_HOLD * motion.rate))
+    place = np.nanmean(np.where(motion.valid[hold, None], motion.position[hold], np.nan), axis=0)
+    turn = held_level(motion, hold)
+    before = slice(first, hold.start)
     away = np.abs(motion.position[before] - place).max(axis=1) > _STILL
     # The angle of the rotation in between from its trace.
     trace = np.einsum("ij,nij->n", turn, motion.rotation[before])
@@ -130,16 +130,16 @@ def _still_since(motion: SpatialMotion, held: slice) -> int:
 
 
 def fit_flight(
-    motion: PlanarMotion, feet: Feet, held: slice, gravity: float, where: str, level: bool = False
+    motion: PlanarMotion, feet: Feet, hold: slice, gravity: float, where: str, level: bool = False
 ) -> tuple[Flight, float]:
     """Fit hold and free flight; return them and the first contact of a foot with the plane [s].
 
-    `held` are the samples of the hold (`find_fall`); where they are empty, the flight is ballistic from
-    there. `level`: the hold defines level, so a body that is released at rest has exactly no pitch. Raises
-    LogError when a foot is below the surface before the fall, or never reaches it.
+    `hold` are the samples before the release (`find_fall`); where they are empty, the flight is ballistic
+    from there. `level`: the hold defines level, so a body that is released at rest has exactly no pitch.
+    Raises LogError when a foot is below the surface before the fall, or never reaches it.
     """
     clearance = feet.clearances(motion.x, motion.z, motion.pitch).min(axis=1)
-    before, after = clearance[: max(held.stop, 1)], clearance[held.stop :]
+    before, after = clearance[: max(hold.stop, 1)], clearance[hold.stop :]
     lowest = float(np.nanmin(before[-max(1, round(0.1 * motion.rate)) :], initial=np.inf))
     if lowest < 0:
         raise LogError(
@@ -152,9 +152,9 @@ def fit_flight(
             f"{where}: no foot reaches the surface, the lowest stays {1000 * np.nanmin(after):.0f} mm above "
             "it; check the surface plane, capture.up, capture.down_slope and the feet"
         )
-    touchdown = float(motion.time[held.stop + contact[0]])
+    touchdown = float(motion.time[hold.stop + contact[0]])
     for _ in range(3):  # the samples that count depend on the touchdown, which they move by less than one
-        flight = _fit(motion, held, touchdown, gravity, where, level)
+        flight = _fit(motion, hold, touchdown, gravity, where, level)
         refined = _contact_time(flight, feet, touchdown)
         if abs(refined - touchdown) < 1e-6:
             break
@@ -163,11 +163,11 @@ def fit_flight(
 
 
 def _fit(
-    motion: PlanarMotion, held: slice, touchdown: float, gravity: float, where: str, level: bool
+    motion: PlanarMotion, hold: slice, touchdown: float, gravity: float, where: str, level: bool
 ) -> Flight:
     period = 1.0 / motion.rate
-    holds = held.stop > held.start
-    earliest = motion.time[held.start] if holds else max(motion.time[held.stop], touchdown - _LOOK_BACK)
+    hangs = hold.stop > hold.start
+    earliest = motion.time[hold.start] if hangs else max(motion.time[hold.stop], touchdown - _LOOK_BACK)
     use = motion.valid & (motion.time >= earliest - 1e-9) & (motion.time < touchdown - 0.25 * period)
     if use.sum() < 4:
         raise LogError(
@@ -175,11 +175,11 @@ def _fit(
             f"record from before the release"
         )
     time, coordinates = motion.time[use], motion.coordinates()[use]
-    if not holds:
+    if not hangs:
         return _fit_ballistic(time, coordinates, gravity)
 
     since = time - touchdown
-    bounds = (motion.time[held.stop - 1] - 0.02 - touchdown, -period)
+    bounds = (motion.time[hold.stop - 1] - 0.02 - touchdown, -period)
     release = release_time(since, coordinates[:, 1], gravity, bounds, 1e-7)
     elapsed = np.maximum(0.0, since - release)
     origin, rates, noise = np.empty(3), np.zeros(3), np.empty(3)

@@ -72,8 +72,8 @@ def release_time(
         level = height + 0.5 * gravity * np.maximum(0.0, since - start) ** 2
         return float(np.sum((level - np.mean(level)) ** 2))
 
-    found = optimize.minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": tolerance})
-    return float(found.x)
+    least = optimize.minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": tolerance})
+    return float(least.x)
 
 
 def _leaves(error: FloatArray, first: int, limit: float) -> int:
@@ -162,11 +162,11 @@ def _longer(time: FloatArray, height: FloatArray, hold: slice, end: int, release
             place, fall = _parabola(since - start, known)
             return float(np.sum((known - place - 0.5 * fall * np.maximum(0.0, since - start) ** 2) ** 2))
 
-        found = optimize.minimize_scalar(
+        least = optimize.minimize_scalar(
             misfit, bounds=(-4.0 * step, 4.0 * step), method="bounded", options={"xatol": 1e-6}
         )
-        place, fall = _parabola(since - float(found.x), known)
-        release += float(found.x)
+        place, fall = _parabola(since - float(least.x), known)
+        release += float(least.x)
         error = height - place - 0.5 * fall * np.maximum(0.0, time - release) ** 2
         away = _leaves(np.abs(error), hold.stop, limit)
         if away <= end:

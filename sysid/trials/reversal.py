@@ -77,9 +77,9 @@ def held_commands(steps: CommandSteps) -> CommandSteps:
     if steps.time.size < 2:
         return steps
     # The last hold has no end in the log; for the vote it counts as long as the hold before it.
-    held = np.append(np.diff(steps.time), np.diff(steps.time[-2:]))
+    lasting = np.append(np.diff(steps.time), np.diff(steps.time[-2:]))
     values, which = np.unique(steps.level, return_inverse=True)
-    weight = np.bincount(which, weights=held)
+    weight = np.bincount(which, weights=lasting)
     meant = values.copy()
     first = 0
     for i in range(1, values.size + 1):

@@ -56,8 +56,8 @@ def compare_values(
                 columns = zip(pair, (first[name], second[name]), strict=True)
                 by, values = "spread of the sets", [float(sets[k].values[0, i]) for k, i in columns]
             reach = [
-                _reach(sets[k], row if all(rows) else None, name, here < there)
-                for k, row, here, there in zip(pair, rows, values, values[::-1], strict=True)
+                _reach(sets[k], row if all(rows) else None, name, value < other)
+                for k, row, value, other in zip(pair, rows, values, values[::-1], strict=True)
             ]
             allowed, distance = math.hypot(*reach), values[1] - values[0]
             doubt = _doubt(fits, rows, reach)

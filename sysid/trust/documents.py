@@ -1,7 +1,7 @@
 """What is known about how far a fit can be trusted: ``NAME.json`` and ``NAME.h5`` in the fit folder.
 
 Three documents: ``trust`` (one per fit), ``validation-CAMPAIGN`` (``validation-CAMPAIGN-HASH`` for a second
-campaign file of that name) and ``cross-validation``. Units are SI. The HDF5 file holds arrays, each with the
+campaign file of that name) and ``cross-validation``. Units are SI. The HDF5 file has arrays, each with the
 attributes ``axes`` and ``unit``:
 
 ``trust``: ``correlation``, ``covariance`` (unit cube), ``profiles/NAME/{value, deviance, others}`` (ascending
@@ -380,5 +380,5 @@ def free_part(folder: Path, part: str, campaign: Mapping[str, str]) -> str:
 
 
 def validation_part(campaign: str) -> str:
-    """Return the name of a campaign's validation; characters that a file name cannot hold become hyphens."""
+    """Return the name of a campaign's validation; characters that a file name cannot have become hyphens."""
     return VALIDATION + re.sub(r"[^A-Za-z0-9._-]", "-", campaign)

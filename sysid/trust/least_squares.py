@@ -1,4 +1,4 @@
-"""Many small least-squares fits at once: each a front of its own, all their candidates in one population.
+"""Many small least-squares fits at once: each is a front, and one population has the candidates of all.
 
 The fronts (points of profiles, resampled trials) walk as `sysid.fit.least_squares` says. A front whose cost
 is too rough for derivatives is handed to CMA-ES around where it stands.
@@ -19,7 +19,7 @@ from sysid.fit.least_squares import Fronts, descend
 from sysid.fit.problem import Problem
 from sysid.types import BoolArray, FloatArray
 
-# Residuals that are held at once [bytes].
+# Residuals in memory at once [bytes].
 _MEMORY = 256e6
 # A front in CMA-ES: population, generations.
 _POPULATION, _GENERATIONS = 12, 16
@@ -53,7 +53,7 @@ def solve(
     scale: FloatArray,
     steps: FloatArray,
     *,
-    held: BoolArray | None = None,
+    fixed: BoolArray | None = None,
     weights: Callable[[slice], FloatArray] | None = None,
     tolerance: float = 1e-3,
     iterations: int = 12,
@@ -68,7 +68,7 @@ def solve(
         What weights the residuals.
     steps : (n,) array
         Of the difference Jacobian [unit cube].
-    held : (F, n) bool array, optional
+    fixed : (F, n) bool array, optional
         Coordinates that keep their value.
     weights : callable, optional
         Gives, for a slice of the fronts, further factors (F', m) on the squares of residuals.
@@ -78,7 +78,8 @@ def solve(
         At most.
     """
     n_fronts, n = starts.shape
-    fixed = np.zeros(starts.shape, dtype=np.bool_) if held is None else held
+    if fixed is None:
+        fixed = np.zeros(starts.shape, dtype=np.bool_)
     share = max(1, int(_MEMORY / (8 * len(scale) * (4 * n + 4))))
     ended, evaluations = Fronts.at(starts), 0
     for first in range(0, n_fronts, share):
@@ -114,13 +115,13 @@ class _Squares:
 
 
 def search_around(
-    problem: Problem, start: FloatArray, spread: FloatArray, scale: FloatArray, held: BoolArray, seed: int
+    problem: Problem, start: FloatArray, spread: FloatArray, scale: FloatArray, fixed: BoolArray, seed: int
 ) -> tuple[FloatArray, float, int]:
     """Look for a lower sum of squares around a point with a small CMA-ES: rough costs have no derivatives.
 
     Returns the best point (n,), its sum of squares, and how many points were simulated.
     """
-    free = np.flatnonzero(~held)
+    free = np.flatnonzero(~fixed)
     bred = breeder("cmaes", len(free), _POPULATION, seed, Start(start[free], spread[free]))
     values, _ = problem.residuals(start[None])
     best, lowest, evaluations = start, float(np.sum((values[0] * scale) ** 2)), 1

@@ -2,7 +2,7 @@
 
 With weighted residuals rho, their derivatives J, curvature ``H = JᵀJ`` and gradient noise ``V = cov(Jᵀ
 rho)``, the minimum of the sum of squares scatters with the covariance ``H⁻¹ V H⁻¹`` (White 1982, "sandwich").
-V holds what a plain Fisher matrix leaves out: neighbouring samples are correlated, rates are derived from
+V has what a plain Fisher matrix leaves out: neighbouring samples are correlated, rates are derived from
 positions, blocks are weighted by their NRMSE, and what the fit takes as known (initial states) is uncertain
 as well:
 
@@ -128,7 +128,7 @@ def information(jacobian: FloatArray, gradient_noise: FloatArray) -> Information
     size = np.maximum(size, 1e-9 * max(float(size.max()), 1e-300))
     hessian = curvature / np.outer(size, size)
     noise = _positive(gradient_noise / np.outer(size, size))
-    # The information of the data, H V⁻¹ H, and that of the bounds add up.
+    # The information of the data, H V⁻¹ H, and the information of the bounds add up.
     data = hessian @ np.linalg.pinv(noise, rcond=1e-10, hermitian=True) @ hessian * np.outer(size, size)
     covariance = np.linalg.inv(_positive(data) + _OF_BOUNDS * np.eye(n))
     # Directions that the data do not see at all would make the inverse infinite.

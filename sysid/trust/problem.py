@@ -1,4 +1,4 @@
-"""A fit as residuals, and the least-squares cost whose minimum is that of the mean NRMSE.
+"""A fit as residuals, and the least-squares cost which is least where the mean NRMSE is.
 
 The search minimizes ``C = sum_k w_k NRMSE_k`` over blocks k (a channel of a trial; the weights sum to 1).
 With residuals ``r`` in units of the channel's own deviation, ``NRMSE_k = sqrt(mean(r_k²))``, and near a point
@@ -7,9 +7,9 @@ that scores ``s_k``
     NRMSE_k <= s_k/2 + mean(r_k²)/(2 s_k),
 
 equal there with equal gradient. So the sum of squares of ``rho_ki = r_ki sqrt(w_k/(n_k s_k))`` with the s_k
-of the best point held has its minimum where C has. That sum is Gaussian with one noise level s_k per block,
-each block weighted by w_k s_k/n_k: it is *not* minus twice a log-likelihood, because blocks are weighted
-unlike independent data, neighbouring samples are correlated and rates are derived from positions.
+of the best point kept constant has its minimum where C has. That sum is Gaussian with one noise level s_k
+per block, each block weighted by w_k s_k/n_k: it is *not* minus twice a log-likelihood, because blocks are
+weighted unlike independent data, neighbouring samples are correlated and rates are derived from positions.
 `sysid.trust.linearized` corrects for all three.
 """
 

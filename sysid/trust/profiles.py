@@ -1,4 +1,4 @@
-"""Profile likelihood: fix one parameter beside its best value, fit all others, see what that costs.
+"""Profile likelihood: set one parameter beside its best value, fit all others, see what that costs.
 
 The deviance of a fixed value is the rise of the least sum of squares over the best one, divided by the
 inflation of that parameter (`sysid.trust.linearized`). It follows chi-square with one degree of freedom
@@ -120,12 +120,12 @@ def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profil
         if not moving:
             break
         starts = np.empty((len(moving), n))
-        held = np.zeros((len(moving), n), dtype=np.bool_)
+        fixed = np.zeros((len(moving), n), dtype=np.bool_)
         for f, side in enumerate(moving):
             rise = (side.squares[-1] - lowest) / info.inflation[side.parameter]
             starts[f] = _next(side, best, unit, tangent, np.sqrt(max(rise, 0.0)))
-            held[f, side.parameter] = True
-        solved = solve(problem, starts, scale, steps, held=held, tolerance=linear.tolerance, iterations=6)
+            fixed[f, side.parameter] = True
+        solved = solve(problem, starts, scale, steps, fixed=fixed, tolerance=linear.tolerance, iterations=6)
         evaluations += solved.evaluations
         for f, side in enumerate(moving):
             i = side.parameter
@@ -136,7 +136,7 @@ def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profil
             if not np.isfinite(squares) or (bumped and not solved.converged[f]):
                 around = np.clip(3 * steps, 1e-3, 0.05)
                 again, lower, spent = search_around(
-                    problem, starts[f], around, scale, held[f], seed + 2 * i + (side.sign > 0)
+                    problem, starts[f], around, scale, fixed[f], seed + 2 * i + (side.sign > 0)
                 )
                 evaluations += spent
                 if lower < squares:

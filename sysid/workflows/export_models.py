@@ -64,7 +64,7 @@ def _model_files(
     """Return the file of every set; refuse sets of the wrong kind and files that cannot be written."""
     what, kind = MODELS[target.suffix.lower()]
     if sets.kind != kind:
-        raise ExportError(f"{target}: {what} needs the sets of a {kind}; {sets.name} holds {sets.kind} sets")
+        raise ExportError(f"{target}: {what} needs the sets of a {kind}; {sets.name} has {sets.kind} sets")
     files = [target if alone else target.with_name(f"{target.stem}-{i}{target.suffix}") for i in ranks]
     for file in files:
         check_file(file, force=force, error_type=ExportError)

@@ -1,4 +1,4 @@
-"""What a log holds, in words and figures, and its conversion: the commands `inspect` and `convert`."""
+"""The content of a log, in words and figures, and its conversion: the commands `inspect` and `convert`."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def inspect_files(
     draw: Draw | None = None,
     as_json: bool = False,
 ) -> None:
-    """Print what logs hold, as tables or JSON, and draw them.
+    """Print the content of logs, as tables or JSON, and draw them.
 
     A refused log does not hide the others. Its refusal stands in its place, in JSON as an object with the
     keys ``path`` and ``error``, and is raised in the end. `draw` gets the logs that are not refused and
@@ -135,7 +135,7 @@ def convert_file(
 
 
 def print_formats(as_json: bool = False) -> None:
-    """Print the formats that are read, those of installed packages included, with the options of each."""
+    """Print the formats that are read, with the options of each; installed packages may add formats."""
     kinds = formats().items()
     rows = [{"format": name, "reads": kind.describes, "options": list(kind.options)} for name, kind in kinds]
     if not print_result(rows, as_json):
@@ -163,7 +163,7 @@ def _value_words(channel: ChannelReport) -> str:
 
 
 def print_report(console: Console, report: LogReport) -> None:
-    """Print what a log holds."""
+    """Print the content of a log."""
     described = formats()[report.format].describes if report.format in formats() else report.format
     console.print(Text(report.path, style="bold"))
     device = f"; {report.device}" if report.device else ""

@@ -76,7 +76,7 @@ def open_fit(folder: Path, campaign: Path | None = None, threads: int | None = N
     folder = fit_folder(Path(folder))
     result = read_fit(folder)
     if not len(result.nrmse):
-        raise FitError(f"{folder}: holds no set; run the fit again")
+        raise FitError(f"{folder}: has no set; run the fit again")
     path = campaign_of(result, folder, campaign)
     with naming(path):
         kind, content, _ = open_campaign(path, result.kind, result.settings)

@@ -82,7 +82,7 @@ def _check_targets(report: FitReport, options: ReportOptions, out: Path) -> None
         if figures.exists() and not figures.is_dir():
             raise ExportError(f"{figures}: is a file, expected a folder for the figures")
         if figures.is_dir() and any(figures.glob("*.pdf")) and not options.force:
-            raise ExportError(f"{figures}: holds PDF files already; choose a new folder or add --force")
+            raise ExportError(f"{figures}: has PDF files already; choose a new folder or add --force")
     if options.drop is not None and not options.films:
         raise SysidError("--drop names the drop of a film; add --gif FILE or --mp4 FILE")
     if options.films:

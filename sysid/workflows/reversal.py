@@ -125,7 +125,7 @@ class LogReversals:
 def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> LogReversals:
     """Read a log and time its reversals.
 
-    Raises `LogError` when it cannot be read, holds no thrust or command, or no reversal.
+    Raises `LogError` when it cannot be read, or has no thrust, command or reversal.
     """
     options = options or ReversalOptions()
     path = Path(path)
@@ -134,7 +134,7 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
     recording = load(path, units={"command": options.command_unit} if options.command_unit else None)
     where = recording.provenance.path
     if recording.kind == "static-map":
-        raise LogError(f"{where}: holds averaged points, no transients; a reversal time needs a running log")
+        raise LogError(f"{where}: has averaged points, no transients; a reversal time needs a running log")
     recording = on_one_clock(recording, _NEEDED, _CLOCK_OF)
     command, thrust = recording["command"], recording["thrust"]
     u = command_range(options, command.unit, where).to_u(command.values, command.unit, where)

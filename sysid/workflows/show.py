@@ -42,7 +42,7 @@ def stopped_by_user(result: FitResult) -> bool:
 
 
 def print_fit(result: FitResult, folder: Path, json: bool) -> None:
-    """Print the sets of a fit and the folder that holds it."""
+    """Print the sets of a fit and the fit's folder."""
     sets = result.parameter_sets()
     if json:
         head = {"folder": str(folder), "state": result.state}

@@ -23,7 +23,7 @@ def static_limits(source: str | Path, thrusts: Sequence[float]) -> tuple[str, li
     """
     sets = load_sets(source)
     if sets.kind != "gear":
-        raise ExportError(f"{source}: holds {sets.kind} sets; static limits need the sets of a landing gear")
+        raise ExportError(f"{source}: has {sets.kind} sets; static limits need the sets of a landing gear")
     surface = find_surface(str(sets.settings.get("surface", "lf")))
     rows: list[dict[str, object]] = []
     for rank in range(1, len(sets) + 1):

@@ -205,7 +205,7 @@ def test_a_logged_motor_current_fixes_the_scale(tmp_path: Path) -> None:
     ):
         bench_of(path)
     write_table(log, header, table)
-    with pytest.raises(LogError, match=r"forward-1\.csv, trial 'forward-1': .* holds no current"):
+    with pytest.raises(LogError, match=r"forward-1\.csv, trial 'forward-1': .* has no current"):
         bench_of(path)
 
 

@@ -2,7 +2,7 @@
 
 C3D carries points, not poses: a body's pose is fitted to its markers (`rigid_pose`) when the file has no
 ``ROTATION`` group. A point is missing where it is NaN or its residual is negative. Time is the frame number
-over the rate, from the first frame that the header names. Axes are those of the file; ``X_SCREEN`` and
+over the rate, from the first frame that the header names. Axes are the file's; ``X_SCREEN`` and
 ``Y_SCREEN`` are for display and turn nothing.
 """
 

@@ -118,7 +118,7 @@ def _values(path: str, name: str, dataset: Any, file_bytes: int, column: int | N
         )
     if dataset.size * dataset.dtype.itemsize > _LARGEST_GAIN * file_bytes:
         raise LogError(
-            f"{path}: dataset {name} claims {dataset.size} samples, more than its file holds; it is damaged"
+            f"{path}: dataset {name} claims {dataset.size} samples, more than its file has; it is damaged"
         )
     samples = dataset[()] if column is None else dataset[:, column]
     return np.asarray(samples, dtype=np.float64).reshape(-1)

@@ -1,7 +1,7 @@
 """National Instruments TDMS (npTDMS): every channel of numbers, on the clock that the file states.
 
 Valid for waveform channels: time = ``wf_start_offset`` + i · ``wf_increment``, counted from the earliest
-``wf_start_time`` of the file, of which 1904-01-01 means not set. The number of samples is that of the data:
+``wf_start_time`` of the file, of which 1904-01-01 means not set. The data state the number of samples:
 ``wf_samples`` is the size of one block. Segments that begin after a pause are refused,
 because the samples of a channel are on one clock. Both count in ``wf_xunit_string``, seconds where it is not
 set; a channel over another axis (a spectrum) is left out. Channels without ``wf_increment`` take a time

@@ -1,6 +1,6 @@
 """PX4 ULog (pyulog): pose, battery, ESC speeds and motor commands as the drone logged them itself.
 
-Frames are those of PX4: positions north, east, down from the point of take-off; body axes front, right, down;
+Frames are PX4's: positions north, east, down from the point of take-off; body axes front, right, down;
 quaternions w first, body to world. A body ``vehicle`` needs position and attitude on one clock, which
 ``vehicle_odometry`` or ``vehicle_visual_odometry`` has; the estimates of ``vehicle_attitude`` and
 ``vehicle_local_position`` are further channels. Of a topic that several sensors publish the lowest

@@ -1,4 +1,4 @@
-"""What a recording holds and what looks wrong with it, before anything is fitted.
+"""Content of a recording and what looks wrong with it, before anything is fitted.
 
     from sysid.trials.look import inspect_recording
     report = inspect_recording(load("drop.csv"))
@@ -79,7 +79,7 @@ def log_quality(name: str, use: str, report: LogReport) -> dict[str, Any]:
 
 
 def inspect_recording(recording: Recording, gravity: float = STANDARD_GRAVITY) -> LogReport:
-    """Return what a recording holds and what looks wrong with it, under a gravity [m/s²]."""
+    """Return the content of a recording and what looks wrong with it, under a gravity [m/s²]."""
     clock = recording.kind != "static-map"  # its points follow one another in no time
     channels = tuple(inspect_channel(channel, clock) for channel in recording.channels.values())
     suspicions = [finding for finding in recording.provenance.notes if finding.severity == "warning"]
@@ -100,7 +100,7 @@ def inspect_recording(recording: Recording, gravity: float = STANDARD_GRAVITY) -
         if c.saturated > 0
     ]
     suspicions += [
-        Finding("blank-channel", f"{c.name} holds no value at all") for c in channels if c.blank == 1.0
+        Finding("blank-channel", f"{c.name} has no value at all") for c in channels if c.blank == 1.0
     ]
     clocks = [channel.time for channel in recording.channels.values() if channel.time.size]
     first, last = min((t[0] for t in clocks), default=0.0), max((t[-1] for t in clocks), default=0.0)

@@ -238,9 +238,9 @@ def _slope(
     seen = channel.values[channel.valid & (channel.time > channel.time[-1] - 0.15)]
     if np.max(np.ptp(seen, axis=0)) > 5e-3:
         return unknown  # it still moves
-    held, lying = (
+    hanging, lying = (
         Rotation.from_quat(np.roll(orientation.values[part], -1, axis=1)).mean() for part in (before, rest)
     )
-    turned = (lying * held.inv()).apply(up)
+    turned = (lying * hanging.inv()).apply(up)
     angle = float(np.arccos(np.clip(turned @ up, -1.0, 1.0)))
     return angle, "tilt between hold and rest: right only where it hung level and all feet stand", None

@@ -244,7 +244,7 @@ def test_channels_without_samples_or_values():
         channel = inspect_channel(Channel("a", "N", np.arange(values.size, dtype=float), values))
         assert channel.samples == values.size
     report = inspect_recording(recording("signals", Channel("a", "V", np.zeros(1), np.full(1, np.nan))))
-    assert [str(finding) for finding in report.suspicions] == ["a holds no value at all"]
+    assert [str(finding) for finding in report.suspicions] == ["a has no value at all"]
     assert json.loads(json.dumps(report.as_json(), allow_nan=False))["channels"][0]["lowest"] is None
 
 

@@ -264,7 +264,7 @@ def test_command_line_compares_logs(run, tmp_path):
         (["reversal-1.h5", "--thrust-sign", "5"], "--thrust-sign 5: it turns thrust and does not scale it"),
         (["reversal-1.h5", "--slow", "-1"], "--slow -1: how many times slower"),
         (["reversal-1.h5", "--slow", "nan"], "--slow nan: how many times slower"),
-        (["static-forward.csv"], "holds averaged points"),
+        (["static-forward.csv"], "has averaged points"),
         (["no-such.csv"], "no such log"),
     ],
 )

@@ -242,7 +242,7 @@ def test_fronts_do_not_depend_on_their_neighbours():
 def test_fixed_coordinates_stay():
     problem = Linear(*_white())
     fixed, start, ones = np.array([[True, False]]), np.array([[0.3, 0.5]]), np.ones(problem.blocks[-1].stop)
-    found = solve(problem, start, ones, np.full(2, 1e-3), held=fixed)
+    found = solve(problem, start, ones, np.full(2, 1e-3), fixed=fixed)
     assert found.points[0, 0] == 0.3
     point, squares, spent = search_around(problem, start[0], np.full(2, 0.1), ones, fixed[0], 1)
     assert point[0] == 0.3
