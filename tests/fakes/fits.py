@@ -8,13 +8,11 @@ from sysid.parameter_sets import parameter_records
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 
 GEAR = (("x_B", "m"), ("z_B", "m"), ("x_B_rate", "m/s"), ("z_B_rate", "m/s"), ("q_B", "rad"))
-
-
 MOTOR = (("stator_torque", "N·m"), ("speed", "rad/s"))
 
 
-def made_fit(channels=GEAR, samples=150, lost=slice(40, 44), runs=5, uses=("fit", "fit", "validate")):
-    rng = np.random.default_rng(5)
+def made_fit(channels=GEAR, samples=150, lost=slice(40, 44), runs=5, uses=("fit", "fit", "validate"), seed=5):
+    rng = np.random.default_rng(seed)
     table = ParameterTable(
         [Parameter("leg_axial_stiffness", "k_h", "N/m", 6440.0, 2e3, 12e3, "log", "Stiffness.", "Table II")]
     )
@@ -47,15 +45,10 @@ def made_fit(channels=GEAR, samples=150, lost=slice(40, 44), runs=5, uses=("fit"
         simulated = measured + 0.3 * rng.standard_normal((runs, *measured.shape))
         trials.append(
             TrialResult(
-                f"drop-{number}",
-                use,
-                time,
-                measured,
-                valid,
-                simulated,
+                f"drop-{number}", use, time, measured, valid, simulated,
                 0.01 * number + rng.random((runs, len(channels))),
             )
-        )
+        )  # fmt: skip
     return FitResult(
         kind="gear" if channels is GEAR else "motor",
         name="bench",

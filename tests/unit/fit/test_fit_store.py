@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -13,85 +14,41 @@ import numpy as np
 import pytest
 
 import sysid
+from fakes import fits
 from fakes.bowl import assert_same_run
+from fakes.sets import made_sets
 from sysid import exact_json
 from sysid.errors import FitError
 from sysid.fit import store
-from sysid.fit.history import RunHistory, StageHistory
-from sysid.fit.result import FitResult, TrialResult, ranked_sets
 from sysid.fit.store import check_new_fit, read_fit, summary, write_fit
-from sysid.parameter_sets import ParameterRecord, parameter_records
-from sysid.parameters import Parameter, ParameterTable, SearchSpace
 
 
-def made_fit(name="bench", seed=0, state="done"):
-    """A fit whose every array is filled with different numbers."""
-    rng = np.random.default_rng(seed)
-    table = ParameterTable(
-        [
-            Parameter("winding_resistance", "R", "Ω", 0.3, 0.05, 2.0, "log", "Resistance.", "Table I"),
-            Parameter("winding_inductance", "L", "H", 4e-3, 1e-5, 2e-2, "log", "Inductance.", "Table I"),
-            Parameter("saturation_current", "I_sat", "A", 0.35, 0.05, 10.0, "log", "Limit.", "guess"),
-            Parameter("rotor_inertia", "I^r", "kg·m²", 2.7e-5, 1e-7, 1e-3, "log", "Inertia.", "Table I"),
-        ]
-    )
-    free = ["winding_resistance", "winding_inductance"]
-    space = SearchSpace.build(table, free, {"saturation_current": np.inf})
-    runs = tuple(
-        RunHistory(
-            100 + i,
-            tuple(
-                StageHistory(
-                    algorithm=algorithm,
-                    cube=rng.random((6, size, 2)),
-                    cost=np.sort(rng.random((6, size)), axis=1),
-                    failed=rng.integers(0, 5, 6),
-                    evaluations=6 * size,
-                    simulations=18 * size,
-                    wall_time=1.5 + i,
-                    stop_reason="converged",
-                    causes=tuple({"blew up": g, "left the board": 2} if g else {} for g in range(6)),
-                )
-                for algorithm, size in (("ga", 20), ("cmaes", 8))
-            ),
-        )
-        for i in range(3)
-    )
-    ranked = ranked_sets(runs, space)
-    derived = ParameterRecord("no_load_current", "I_0", "A", "derived", "From drag.", "computed")
-    values = np.column_stack([ranked.values, rng.random(3)])
-    trials = tuple(
-        TrialResult(
-            trial, use, np.arange(50) / 200, rng.random((50, 2)), rng.random((50, 2)) > 0.1,
-            rng.random((3, 50, 2)), rng.random((3, 2)),
-        )
-        for trial, use in (("up", "fit"), ("down", "fit"), ("reversal", "validate"))
-    )  # fmt: skip
-    return FitResult(
-        kind="motor",
-        name=name,
+def made_fit(seed=0, state="done"):
+    """A fit with parameters of every status, runs of two stages, failures, and a warning."""
+    fit = fits.made_fit(fits.MOTOR, samples=50, runs=3, seed=seed)
+    sets = made_sets()
+    runs = []
+    for run in fit.runs:
+        (stage,) = run.stages
+        causes = tuple({"blew up": g, "left the board": 2} if g else {} for g in range(len(stage.cost)))
+        stage = replace(stage, failed=np.arange(len(stage.cost)), causes=causes)
+        finish = replace(stage, algorithm="cmaes", cube=stage.cube / 2, cost=stage.cost / 2)
+        runs.append(replace(run, stages=(stage, finish)))
+    return replace(
+        fit,
         state=state,
-        parameters=parameter_records(
-            space, {"rotor_inertia": "scale"}, {"winding_resistance": (0.2, 0.4)}, [derived]
-        ),
-        runs=runs,
-        set_runs=ranked.run,
-        set_seeds=ranked.seed,
-        cube=ranked.cube,
-        values=values,
-        at_bound=np.column_stack([ranked.at_bound, np.zeros(3, np.int8)]),
-        nrmse=ranked.cost,
-        trials=trials,
-        channels=("torque", "speed"),
-        channel_units=("N·m", "rad/s"),
+        parameters=sets.parameters,
+        runs=tuple(runs),
+        values=np.column_stack([fit.values, sets.values[:, 1:]]),
+        at_bound=np.column_stack([fit.at_bound, np.zeros((3, 3), np.int8)]),
         channel_weights=(1.0, 3.0),
         settings={"command": {"unit": "us", "minimum": 1000, "neutral": None, "maximum": 2000.0}},
         provenance={
-            "logs": {"up": {"sha256": "ab" * 32}},
+            "logs": {"drop-1": {"sha256": "ab" * 32}},
             "filter": {"taps": (1, 2.5)},
             "nrmse_denominator": "std",
         },
-        warnings=("1 of 3 sets ends at the lower bound of winding_inductance.",),
+        warnings=sets.warnings,
     )
 
 
@@ -144,11 +101,11 @@ def test_summary_names_what_matters(tmp_path):
     text = summary(made_fit())
     for words in (
         "motor fit bench: done",
-        "winding_resistance",
+        "leg_axial_stiffness",
         "saturation_current (fixed)",
-        "rotor_inertia (measured)",
-        "no_load_current (derived)",
-        "reversal  validate",
+        "body_mass (measured)",
+        "leg_length (derived)",
+        "drop-3  validate",
         "NRMSE change below the tolerance",
         "ends at the lower bound",
         "std of the measurement",
@@ -198,13 +155,13 @@ def test_full_disk_leaves_the_old_fit(tmp_path, monkeypatch, where):
     elif where == "text":
         monkeypatch.setattr(Path, "write_text", full_disk)
     else:
-        replace, calls = os.replace, []
+        renamed, calls = os.replace, []
 
         def second_fails(source, target):
             calls.append(target)
             if len(calls) == 2:
                 full_disk()
-            replace(source, target)
+            renamed(source, target)
 
         monkeypatch.setattr(os, "replace", second_fails)
     with pytest.raises(FitError, match=r"cannot be written \(No space left on device\); .* unchanged"):
@@ -273,14 +230,14 @@ def test_damaged_fits_are_refused(tmp_path):
 
 def test_settings_must_be_text_and_numbers():
     with pytest.raises(TypeError, match="has no place in a result file"):
-        FitResult(**{**vars(made_fit()), "settings": {"law": object()}})
+        replace(made_fit(), settings={"law": object()})
 
 
 def test_trajectory_shapes_are_checked():
     fit = made_fit()
-    bad = TrialResult(**{**vars(fit.trials[0]), "simulated": np.zeros((3, 49, 2))})
-    with pytest.raises(ValueError, match="trial up: simulated"):
-        FitResult(**{**vars(fit), "trials": (bad, *fit.trials[1:])})
+    bad = replace(fit.trials[0], simulated=np.zeros((3, 49, 2)))
+    with pytest.raises(ValueError, match="trial drop-1: simulated"):
+        replace(fit, trials=(bad, *fit.trials[1:]))
 
 
 def test_failures_are_told_by_cause_in_text_and_numbers(tmp_path):
