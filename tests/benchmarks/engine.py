@@ -1,8 +1,12 @@
 """The search engine in numbers: algorithms, cost of checkpoints, two workers against one, 64 simulated.
 
-Run ``python tests/benchmarks/engine.py PART [--problem lf|hf|motor] [--seeds 5] [--algorithms ga:400,cmaes]
+Run ``python tests/benchmarks/engine.py PART [--problem NAME] [--seeds 5] [--algorithms ga:400,cmaes]
 [--json PATH]`` with PART one of
 
+``finishers``
+    On every campaign of ``--campaigns`` (see ``campaigns.py``): runs of the default search that end within
+    1.002 × the lowest NRMSE of all runs, the worst run, candidates and processor time, with the finisher by
+    least squares and with CMA-ES.
 ``algorithms``
     Candidates and processor time (of all threads) until the best NRMSE is within 1.01 × the best that any of
     the runs found, for every algorithm alone and with its finisher; how many seeds get there; where they end.
@@ -19,8 +23,6 @@ Run ``python tests/benchmarks/engine.py PART [--problem lf|hf|motor] [--seeds 5]
 ``table``
     ``--from A.json B.json`` (what ``--json`` has written) as the tables of ``tests/benchmarks/engine.md``.
 
-The problems are synthetic campaigns of seed 1 (six drops with 0.3 mm and 0.2° of noise) and the sample
-motor logs.
 """
 
 import argparse
@@ -38,25 +40,18 @@ from pathlib import Path
 
 import numpy as np
 
-from fakes.places import SAMPLES
-from sysid.campaign import read_campaign
+import campaigns
 from sysid.fit.breeders.algorithms import breeder
 from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.objective import SpreadObjective, causes_of
 from sysid.fit.search import Hooks, SearchSettings, run_many, run_one
 from sysid.fit.stopping import StopRule
 from sysid.parallel import DaskCluster, LocalThreads, chunk_size
-from sysid.synthetic import read_truth, synthesize_gear
 from sysid.workflows.provenance import processor
 
 # Algorithm and population: the paper's 400 (200 for a motor), a quarter of it, CMA-ES of 64 as in a
 # feasibility study.
 DEFAULT = "ga:400,ga:100,matlab-ga:400,matlab-ga:100,cmaes:64,de:100,pso:100"
-PROBLEMS = {
-    "lf": "Six synthetic drops on the low-friction board.",
-    "hf": "Six synthetic drops on the high-friction board.",
-    "motor": "The sample motor logs.",
-}
 NUMBERS = {
     "overhead": "One run of the default search on one thread: what is spent outside its simulations.",
     "workers": "Two cores against one.",
@@ -69,40 +64,62 @@ the paper's way); "with finisher" counts the candidates of both stages.
 """
 
 
-def gear(folder, surface, threads=None):
-    from sysid.gear.drops import prepare_drops
-    from sysid.gear.problem import GearProblem, search_space
-
-    source = synthesize_gear(Path(folder) / surface, seed=1, surface=surface)
-    path = source / "campaign.toml"
-    campaign = read_campaign(path, "gear")
-    drops = tuple(drop for drop in prepare_drops(campaign, path) if drop.use == "fit")
-    objective = GearProblem(campaign, search_space(campaign), drops, threads)
-    truth = read_truth(source)["parameters"]
-    row = np.array([[truth[name] for name in objective.space.table]])
-    return objective, float(objective.cost.mean(objective.score(row).by_channel)[0])
-
-
-def motor(threads=None):
-    from sysid.motor.known_values import prepare_bench, search_space
-    from sysid.motor.problem import MotorProblem
-
-    path = SAMPLES / "motor" / "campaign.toml"
-    campaign = read_campaign(path, "motor")
-    bench = prepare_bench(campaign, path)
-    space = search_space(campaign, bench)
-    return MotorProblem.build(campaign, space, bench, bench.fitted, threads), None
-
-
 def problem(name, folder, threads=None):
-    objective, truth = motor(threads) if name == "motor" else gear(folder, name, threads)
-    objective.evaluate(np.full((8, len(objective.space.free)), 0.5))  # compiles
-    return objective, truth
+    objective = campaigns.problem(name, Path(folder), threads)
+    middle = np.full((8, len(objective.space.free)), 0.5)
+    objective.evaluate(middle)  # compiles
+    objective.examine(middle)
+    return objective
+
+
+def finishers(arguments, folder):
+    """Return what every run of both finishers costs and where it ends, campaign by campaign."""
+    out = {}
+    for name in arguments.campaigns:
+        objective = problem(name, folder)
+        floor = sum(block.weight * block.noise for block in objective.blocks)
+        runs = {}
+        for finish in ("least-squares", "cmaes"):
+            run_one(
+                objective, SearchSettings(16, 1, 99, StopRule(max_generations=2), finish=finish)
+            )  # imports
+            for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
+                began = time.process_time()
+                run = run_one(objective, SearchSettings(runs=1, seed=seed, finish=finish))
+                spent = time.process_time() - began
+                runs.setdefault(finish, []).append([float(run.best[-1]), run.evaluations, spent])
+                print(name, finish, seed, [s.algorithm for s in run.stages], runs[finish][-1], flush=True)
+        out[name] = {"floor": floor, "runs": runs}
+    print("\n".join(finisher_lines([{"campaigns": out}])))
+    return {"campaigns": out}
+
+
+def finisher_lines(documents):
+    """Return the table of both finishers: runs at the lowest NRMSE known, the worst one, what they cost."""
+    lines = [
+        "| campaign | what it is | lowest NRMSE | × noise | finisher | runs within 1.002 × | worst × | "
+        "candidates | processor time [s] |",
+        "|---|---|---:|---:|---|---:|---:|---:|---:|",
+    ]
+    for document in documents:
+        for name, entry in document["campaigns"].items():
+            runs = {finish: np.array(rows) for finish, rows in entry["runs"].items()}
+            lowest = min(rows[:, 0].min() for rows in runs.values())
+            for finish, rows in runs.items():
+                ratio = rows[:, 0] / lowest
+                near, count = np.count_nonzero(ratio <= 1.002), len(ratio)
+                cells = (
+                    f"{name} | {campaigns.CAMPAIGNS[name][0]} | {100 * lowest:.3f} % | "
+                    f"{lowest / entry['floor']:.2f} | {finish} | {near}/{count} | {ratio.max():.4f} | "
+                    f"{np.median(rows[:, 1]):.0f} | {np.median(rows[:, 2]):.2g}"
+                )
+                lines.append(f"| {cells} |")
+    return lines
 
 
 def algorithms(arguments, folder):
     """Return every run of every algorithm, generation by generation; `rows` makes the table of it."""
-    objective, truth = problem(arguments.problem, folder)
+    objective = problem(arguments.problem, folder)
     runs = []
     for name in arguments.algorithms:
         algorithm, _, population = name.partition(":")
@@ -131,19 +148,18 @@ def algorithms(arguments, folder):
                 + ", ".join(f"{s.algorithm} {s.evaluations} -> {s.cost.min():.6f}" for s in run.stages),
                 flush=True,
             )
-    out = {"problem": arguments.problem, "truth": truth, "runs": runs}
+    out = {"problem": arguments.problem, "runs": runs}
     print("\n".join(["", *algorithm_lines([out])]))
     return out
 
 
 def algorithm_lines(documents):
     """Return the table of one problem: how soon and how often each comes within 1.01 x the best known."""
-    name, truth = documents[0]["problem"], documents[0]["truth"]
+    name = documents[0]["problem"]
     runs = [run for document in documents for run in document["runs"]]
     best = min(run["curve"][-1][2] for run in runs)
-    against = f", {best / truth:.4f} × the truth's" if truth else ""
     lines = [
-        f"**{PROBLEMS[name]}** Lowest NRMSE known: {100 * best:.4f} %{against}.",
+        f"**{name}: {campaigns.CAMPAIGNS[name][0]}.** Lowest NRMSE known: {100 * best:.4f} %.",
         "",
         "| algorithm:population | | reached | candidates to 1.01 | processor time to 1.01 [s] | candidates "
         "in all | ends at × the lowest, seed by seed |",
@@ -178,7 +194,10 @@ def table(arguments, folder):
     """Write the tables of what was measured (`--from`) into a file of the project (`--write`)."""
     documents = [json.loads(path.read_text(encoding="utf-8")) for path in arguments.sources]
     lines = [TITLE]
-    for name in PROBLEMS:
+    both = [d for d in documents if d["part"] == "finishers"]
+    if both:
+        lines += [*finisher_lines(both), ""]
+    for name in campaigns.CAMPAIGNS:
         own = [d for d in documents if d["part"] == "algorithms" and d["problem"] == name]
         if own:
             lines += [*algorithm_lines(own), ""]
@@ -223,7 +242,7 @@ def measured(words):
 
 def overhead(arguments, folder):
     """Return what a run spends outside its simulations, and what the checkpoints cost of that."""
-    objective, _ = problem(arguments.problem, folder, threads=1)
+    objective = problem(arguments.problem, folder, threads=1)
     simulating, computing = [0.0], [0.0]
 
     class Timed:
@@ -276,7 +295,7 @@ def workers(arguments, folder):
     spent = {"processes": {}, "threads": {}}
     busy = {}
     for count in (1, 2):
-        objective, _ = gear(Path(folder) / str(count), arguments.problem, threads=1)
+        objective = problem(arguments.problem, Path(folder) / str(count), threads=1)
         _pin(sorted(everywhere)[:count])
         options = {"n_workers": count, "threads_per_worker": 1, "dashboard_address": None}
         with distributed.LocalCluster(**options) as pool:
@@ -290,8 +309,7 @@ def workers(arguments, folder):
             where.close()
         _pin(everywhere)
     for count in (1, 2):
-        objective, _ = gear(Path(folder) / f"threads-{count}", arguments.problem, threads=count)
-        objective.evaluate(np.full((8, len(objective.space.free)), 0.5))
+        objective = problem(arguments.problem, Path(folder) / f"threads-{count}", threads=count)
         _pin(sorted(everywhere)[:count])
         with LocalThreads() as local:
             spread = SpreadObjective(objective, local)
@@ -328,7 +346,7 @@ def _processor_time(where):
 
 def schedule(arguments, folder):
     """Return how busy simulated workers are; a chunk goes to the first free worker, in order of arrival."""
-    objective, _ = gear(folder, arguments.problem, threads=1)
+    objective = problem(arguments.problem, folder, threads=1)
     rng = np.random.default_rng(0)
     points = 0.5 + 0.1 * rng.standard_normal((64, len(objective.space.free)))  # near an optimum, none fails
     objective.evaluate(points[:8])
@@ -383,8 +401,11 @@ def _simulated(n_workers, runs, population, candidate, spread, breed, shared, rn
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("part", choices=["algorithms", "overhead", "workers", "schedule", "table"])
-    parser.add_argument("--problem", choices=list(PROBLEMS), default="lf")
+    parser.add_argument(
+        "part", choices=["finishers", "algorithms", "overhead", "workers", "schedule", "table"]
+    )
+    parser.add_argument("--problem", choices=list(campaigns.CAMPAIGNS), default="lf")
+    parser.add_argument("--campaigns", type=lambda text: text.split(","), default=list(campaigns.CAMPAIGNS))
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--first-seed", type=int, default=1)
     parser.add_argument("--algorithms", type=lambda text: text.split(","), default=DEFAULT.split(","))
