@@ -1,4 +1,4 @@
-"""Campaigns on which the search is chosen: drawn truths, noise, gaps, bad drops, wrong models, motor sizes."""
+"""Campaigns on which the search is chosen: truths, noise, gaps, bad drops, wrong models, motor sizes."""
 
 import math
 from dataclasses import replace
