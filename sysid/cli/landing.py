@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable
+from typing import Annotated, Any
 
 from sysid.cli.adapter import command
 from sysid.cli.root import app, unless
+from sysid.journal import Journal
 from sysid.workflows.options import (
     DesignStudyOptions,
     Flag,
@@ -30,7 +32,7 @@ def landing_map(options: LandingMapOptions) -> int:
     """Map what becomes of landings over slope and touchdown speed, for every surface and controller."""
     from sysid.workflows.landing_maps import compute_landing_maps
 
-    return _code(compute_landing_maps(options, unless(options.compute.quiet)))
+    return _journalled(compute_landing_maps, options)
 
 
 @command(app, "impulse-map")
@@ -38,7 +40,7 @@ def impulse_map(options: ImpulseMapOptions) -> int:
     """Find for every slope and speed the impulse that stops the pitching at the second impact, and land."""
     from sysid.workflows.landing_maps import compute_impulse_maps
 
-    return _code(compute_impulse_maps(options, unless(options.compute.quiet)))
+    return _journalled(compute_impulse_maps, options)
 
 
 @command(app, "design-study")
@@ -46,7 +48,7 @@ def design_study(options: DesignStudyOptions) -> int:
     """Vary legs, feet and motors: the steepest slope that the drone lands on, and which change buys most."""
     from sysid.workflows.design_study import study_designs
 
-    return _code(study_designs(options, unless(options.compute.quiet)))
+    return _journalled(study_designs, options)
 
 
 @command(app, "static-limits")
@@ -63,6 +65,7 @@ def static_limits(
     print_static_limits(sets, thrust, json)
 
 
-def _code(result: object) -> int:
-    """Return the exit code: 130 where the user stopped the computation."""
-    return 130 if result is None else 0
+def _journalled(compute: Callable[[Any], object], options: Any) -> int:
+    """Compute with a journal; return the exit code, 130 where the user stopped the computation."""
+    with Journal(unless(options.compute.quiet), "landings"):
+        return 130 if compute(options) is None else 0

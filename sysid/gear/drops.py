@@ -18,7 +18,7 @@ from sysid.errors import LogError
 from sysid.filters import KaiserLowpass, Spectrum, amplitude_spectrum, bridge_gaps, differentiate, runs
 from sysid.fit.nrmse import CostChannel, TrialTarget
 from sysid.gear.parameters import parameters_on
-from sysid.journal import notice
+from sysid.journal import note, notice
 from sysid.recording import Recording
 from sysid.trials.capture import (
     PLANAR_LIMIT,
@@ -166,7 +166,7 @@ class _Preparation:
         self.where = f"{recording.provenance.path}, trial {trial.name!r}"
         self.frame = CaptureFrame(campaign.capture.up, trial.down_slope or campaign.capture.down_slope)
         motion = self._spatial(recording, trial.rigid_body or trial.log_options.rigid_body)
-        self.notes = [*recording.provenance.sentences, *motion.notes]
+        self.notes = [*recording.provenance.notes, *motion.notes]
         slope, point = self._surface()
         self.feet = Feet(campaign.vehicle.foot_dx, campaign.vehicle.foot_dz, slope)
         gravity = campaign.vehicle.gravity
@@ -217,7 +217,7 @@ class _Preparation:
                 "initial_state": [float(value) for value in initial_state],
                 "measured_gravity": flight.measured_gravity,
                 "lost_frames_in_window": int(np.sum(~motion.valid[window])),
-                "notes": self.notes,
+                "notes": list(map(str, self.notes)),
             },
         )
 
@@ -241,7 +241,8 @@ class _Preparation:
                 self.recording, surface.markers, frame, surface.marker_height, slope
             )
             if measured is not None:
-                self.notes.append(f"board markers lie {1000 * residual:.2f} mm rms off their plane")
+                sentence = f"board markers lie {1000 * residual:.2f} mm rms off their plane"
+                self.notes.append(note("board-markers-off-plane", sentence))
                 if slope is not None and abs(slope - measured) > _SLOPE_DOUBT:
                     self._notice(
                         "slopes-differ",
@@ -273,9 +274,8 @@ class _Preparation:
         off_board = self._off_board(last)
         if off_board is not None:
             last = off_board
-            self.notes.append(
-                f"the body leaves the board {time[last] - self.touchdown:.2f} s after touchdown"
-            )
+            sentence = f"the body leaves the board {time[last] - self.touchdown:.2f} s after touchdown"
+            self.notes.append(note("leaves-board", sentence))
         if first - margin < 0:
             raise LogError(
                 f"{self.where}: the window starts {first} samples into the log, the filter needs {margin} "
@@ -292,7 +292,8 @@ class _Preparation:
             )
         if ends_early:
             kept = float(time[last - 1] - self.touchdown)
-            self.notes.append(f"the log ends early: the window ends {kept:.2f} s after the touchdown")
+            sentence = f"the log ends early: the window ends {kept:.2f} s after the touchdown"
+            self.notes.append(note("log-ends-early", sentence))
             self._notice(
                 "log-ends-early",
                 f"the log ends early: its window ends {kept:.2f} s after the touchdown instead of "

@@ -48,7 +48,7 @@ _DELAY_GRID = 5e-4
 class SaturationFit:
     """The fitted dead band, set by set.
 
-    `free` are the n rows with the bounds that were searched, `shown_by` is "reversals" or "starts from rest".
+    `free` are the n rows with the bounds that were searched, `shown_by` is "reversals" or "starts_from_rest".
     `values` (S, n) are in [SI]; `at_bound` is -1 within 1 % of the lower bound, +1 of the upper, else 0.
     `nrmse` and `without` (S,) are over the trials with the fitted dead band and with none (I_sat = ∞) [1].
     """
@@ -65,10 +65,9 @@ class SaturationFit:
     def document(self) -> dict[str, Any]:
         """Return what a result states of the stage."""
         return {
-            "stage": "after the dynamic fit, all other values fixed",
-            "free": [row.name for row in self.free], "trials": list(self.trials), "shown_by": self.shown_by,
-            "nrmse": self.nrmse.tolist(), "nrmse_without_saturation": self.without.tolist(),
-            "evaluations": self.evaluations,
+            "fitted": True, "free": [row.name for row in self.free], "trials": list(self.trials),
+            "shown_by": self.shown_by, "nrmse": self.nrmse.tolist(),
+            "nrmse_without_saturation": self.without.tolist(), "evaluations": self.evaluations,
         }  # fmt: skip
 
 
@@ -107,7 +106,7 @@ def fit_saturation(
         ideal = replace(objective, ideal_reversal=True)
         without.append(float(ideal.evaluate(run.best_point[None]).cost[0]))
         count += run.evaluations
-    shown_by = "reversals" if trials[0].entry.direction == "reversal" else "starts from rest"
+    shown_by = "reversals" if trials[0].entry.direction == "reversal" else "starts_from_rest"
     return SaturationFit(
         objective.space.free, tuple(t.entry.name for t in trials), shown_by, np.array(values),
         np.array(flags, dtype=np.int8), np.array(costs), np.array(without), count,

@@ -69,7 +69,7 @@ def begin(problem: MotorProblem) -> None:
         )
         if tares:
             source = trial.log.tares["torque" if "torque" in trial.log.tares else "thrust"].source
-            tell(f"trial {trial.entry.name}: tare from its {source}: {tares}")
+            tell(f"trial {trial.entry.name}: tare from its {source.replace('_', ' ')}: {tares}")
         turned = " and ".join(name for name, sign in trial.log.signs.items() if sign < 0)
         if turned:
             tell(f"trial {trial.entry.name}: sign of {turned} turned")
@@ -129,7 +129,7 @@ def follow_up(problem: MotorProblem, course: Course) -> Outcome:
         }
         cut = _judge(problem, course, sets, best, band is not None or given, settings)
     else:
-        settings["saturation"] = {"stage": "not fitted", "why": _WHY[cut]}
+        settings["saturation"] = {"fitted": False, "why": _WHY[cut]}
         _notice_cut(cut, space, settings, "the dead band was not fitted")
     if not bench.scale_known:
         settings |= _scale_free(band is not None or given)
@@ -183,10 +183,10 @@ def _about_saturation(
                 f"saturation_current and saturation_speed are not fitted ({why}); they keep Table I's "
                 f"{best['saturation_current']:g} A and {best['saturation_speed']:g} rad/s",
             )
-        return {"stage": "not fitted", "why": why}
-    trials = ", ".join(band.trials)
+        return {"fitted": False, "why": why}
+    trials, parts = ", ".join(band.trials), band.shown_by.replace("_", " ")
     tell(
-        f"dead band from {band.shown_by} of {trials}: I_sat {best['saturation_current']:.3g} A below "
+        f"dead band from {parts} of {trials}: I_sat {best['saturation_current']:.3g} A below "
         f"{best['saturation_speed']:.3g} rad/s; NRMSE there {100 * band.without[0]:.2f} % without, "
         f"{100 * band.nrmse[0]:.2f} % with it"
     )
@@ -323,7 +323,8 @@ def _records(
     late, stage = {}, ""
     if band is not None:
         late = {row.name: row for row in band.free}
-        stage = f"second stage: {band.shown_by} of {', '.join(band.trials)}, all other values fixed"
+        parts = band.shown_by.replace("_", " ")
+        stage = f"second stage: {parts} of {', '.join(band.trials)}, all other values fixed"
     out = []
     for record in parameter_records(
         space,

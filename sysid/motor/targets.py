@@ -117,7 +117,7 @@ def prepare_trial(
 
 def _tare(tare: Tare) -> dict[str, Any]:
     error = tare.error if np.isfinite(tare.error) else None
-    return {"value": tare.value, "error": error, "rows": tare.rows, "from": tare.source}
+    return {"value": tare.value, "error": error, "rows": tare.rows, "source": tare.source}
 
 
 def filter_design(campaign: MotorCampaign, logs: Sequence[BenchLog]) -> dict[str, Any]:
@@ -126,7 +126,7 @@ def filter_design(campaign: MotorCampaign, logs: Sequence[BenchLog]) -> dict[str
     slow = [log.name for log in logs if not log.fast]
     design: dict[str, Any] = _lowpass(campaign, fast[0]).design() if fast else {"kind": "none"}
     if slow:
-        why = "switched off" if campaign.filter.kind == "none" else "too slow for it"
+        why = "filter_off" if campaign.filter.kind == "none" else "too_slow"
         design["unfiltered"] = {"trials": slow, "why": why}
     return design
 

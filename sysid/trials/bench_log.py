@@ -175,7 +175,7 @@ class Tare:
     value: float
     error: float
     rows: int
-    source: str = "rows at rest"
+    source: Literal["rows_at_rest", "steady_points", "assumed"] = "rows_at_rest"
 
 
 def tare(values: FloatArray, at_rest: BoolArray) -> Tare:

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError
+from sysid.journal import Finding, note
 from sysid.recording import Channel, Recording
 from sysid.types import BoolArray, FloatArray
 
@@ -58,7 +59,7 @@ class SpatialMotion:
     position: FloatArray
     rotation: FloatArray
     valid: BoolArray
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
 
 
 def spatial_motion(
@@ -95,22 +96,29 @@ def spatial_motion(
             f"{where}: rigid body {rigid_body!r} was seen in {valid.sum()} frames; record it again"
         )
 
-    time, found_rate, notes = _uniform_clock(position, rate)
+    time, found_rate, jitter = _uniform_clock(position, rate)
     quaternion = orientation.values.copy()
     quaternion[~valid] = np.nan
     columns = np.column_stack([position.values, quaternion])
     columns[~valid] = np.nan
-    placed = _place(position.time, columns, time, found_rate, snap=0.0 if notes else _SNAP)
+    placed = _place(position.time, columns, time, found_rate, snap=0.0 if jitter > _SNAP else _SNAP)
     seen = np.asarray(np.isfinite(placed).all(axis=1), dtype=np.bool_)
 
     turn = np.full((len(time), 3, 3), np.nan)
     turn[seen] = frame.matrix @ Rotation.from_quat(placed[seen][:, [4, 5, 6, 3]]).as_matrix()
     centre = placed[:, :3] @ frame.matrix.T + turn @ np.asarray(centre_of_mass_offset)
-    return SpatialMotion(time, found_rate, centre, turn, seen, notes)
+    notes = []
+    if jitter > _SNAP:
+        sentence = (
+            f"the clock jitters by {100 * jitter:.0f} % of a frame (arrival time?); "
+            f"frames were interpolated onto {found_rate:.6g} Hz"
+        )
+        notes.append(note("clock-jitters", sentence))
+    return SpatialMotion(time, found_rate, centre, turn, seen, tuple(notes))
 
 
-def _uniform_clock(channel: Channel, rate: float | None) -> tuple[FloatArray, float, tuple[str, ...]]:
-    """Return slots of a uniform clock that starts at the first sample."""
+def _uniform_clock(channel: Channel, rate: float | None) -> tuple[FloatArray, float, float]:
+    """Return slots of a uniform clock from the first sample on, its rate [Hz], and the jitter [frames]."""
     steps = np.diff(channel.time)
     median = float(np.median(steps))
     span = float(channel.time[-1] - channel.time[0])
@@ -118,14 +126,8 @@ def _uniform_clock(channel: Channel, rate: float | None) -> tuple[FloatArray, fl
     # Without holes the whole span gives the rate to many digits; with holes its nearest whole count does.
     period = 1.0 / rate if rate else (span / count if abs(span / count - median) < 0.02 * median else median)
     slots = int(np.floor(span / period + 0.5)) + 1
-    notes = []
     jitter = float(np.percentile(np.abs(steps - np.round(steps / period) * period), 95)) / period
-    if jitter > _SNAP:
-        notes.append(
-            f"the clock jitters by {100 * jitter:.0f} % of a frame (arrival time?); "
-            f"frames were interpolated onto {1 / period:.6g} Hz"
-        )
-    return channel.time[0] + period * np.arange(slots), 1.0 / period, tuple(notes)
+    return channel.time[0] + period * np.arange(slots), 1.0 / period, jitter
 
 
 def _place(source: FloatArray, values: FloatArray, time: FloatArray, rate: float, snap: float) -> FloatArray:

@@ -144,7 +144,7 @@ def zero_of_steady(values: FloatArray, speed: FloatArray) -> Tare | None:
     residual = y - columns @ solution
     spread = float(residual @ residual) / max(y.size - len(solution), 1)
     error = float(np.sqrt(spread * np.linalg.inv(columns.T @ columns)[-1, -1]))
-    return Tare(float(solution[-1]), error, 0, "steady points over Ω|Ω|")
+    return Tare(float(solution[-1]), error, 0, "steady_points")
 
 
 def sign_against_speed(values: FloatArray, speed: FloatArray) -> int:

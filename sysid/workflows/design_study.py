@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.journal import Say
+from sysid.journal import notice
 from sysid.landing.design_study import (
     DesignStudy,
     StudySettings,
@@ -33,7 +33,7 @@ from sysid.workflows.landing_sources import (
 from sysid.workflows.options import DesignStudyOptions
 
 
-def study_designs(options: DesignStudyOptions, say: Say = None) -> DesignStudy | None:
+def study_designs(options: DesignStudyOptions) -> DesignStudy | None:
     """Compute a study, write it and its figure, and print what each change buys; None if stopped.
 
     Raises `SysidError` before anything is computed, where an input cannot be used.
@@ -66,18 +66,19 @@ def study_designs(options: DesignStudyOptions, say: Say = None) -> DesignStudy |
     grids = settings.grids()
     identity = map_identity(fleets, [controller], *grids)
     blocks = (len(grids) * len(points) * len(fleet), "landings")
-    study = compute_and_write(options.out, identity, blocks, compute, write, options=how, say=say)
+    study = compute_and_write(options.out, identity, blocks, compute, write, options=how)
     if study is not None:
-        _print(study, options, picture, say)
+        _print(study, options, picture)
     return study
 
 
-def _print(study: DesignStudy, options: DesignStudyOptions, picture: Path, say: Say) -> None:
+def _print(study: DesignStudy, options: DesignStudyOptions, picture: Path) -> None:
     lost = int(study.lost.sum())
-    if lost and say is not None:
-        say(
-            f"warning: {lost} landings of {np.count_nonzero(study.lost)} of {len(study.points)} designs "
-            "could not be simulated and count nowhere; a slope on which none could counts as not safe"
+    if lost:
+        notice(
+            "lost-landings",
+            f"{lost} landings of {np.count_nonzero(study.lost)} of {len(study.points)} designs "
+            "could not be simulated and count nowhere; a slope on which none could counts as not safe",
         )
     if options.compute.json:
         print_result({

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.journal import Say
+from sysid.journal import notice, tell
 from sysid.landing.controllers import Controller
 from sysid.landing.impulse import ImpulseSettings, rear_command
 from sysid.landing.impulse_maps import after_impulses, impulse_maps
@@ -35,7 +35,7 @@ from sysid.workflows.landing_sources import (
 from sysid.workflows.options import ImpulseMapOptions, LandingMapOptions
 
 
-def compute_landing_maps(options: LandingMapOptions, say: Say = None) -> MapFile | None:
+def compute_landing_maps(options: LandingMapOptions) -> MapFile | None:
     """Compute, write, draw and print the maps of every surface under every controller; None if stopped."""
     rules, picture = rules_of(options.rules), options.picture
     settings = MapSettings(
@@ -50,7 +50,7 @@ def compute_landing_maps(options: LandingMapOptions, say: Say = None) -> MapFile
     )  # fmt: skip
     real = read_experiments(options.experiments) if options.experiments else ()
     maps = [(fleet[0].surface, controller) for fleet in fleets for controller in controllers]
-    _warn_of_strangers(options.experiments, real, maps, say)
+    _warn_of_strangers(options.experiments, real, maps)
 
     def compute(how: Computing) -> MapFile | None:
         maps = landing_maps(fleets, controllers, settings, how)
@@ -65,15 +65,13 @@ def compute_landing_maps(options: LandingMapOptions, say: Say = None) -> MapFile
 
     identity = map_identity(fleets, controllers, settings)
     blocks = (sum(map(len, fleets)) * len(controllers), "landings")
-    content = compute_and_write(
-        options.out, identity, blocks, compute, write, options=options.compute, say=say
-    )
+    content = compute_and_write(options.out, identity, blocks, compute, write, options=options.compute)
     if content is not None:
-        _print(content, options, picture, real if options.experiments else None, say)
+        _print(content, options, picture, real if options.experiments else None)
     return content
 
 
-def compute_impulse_maps(options: ImpulseMapOptions, say: Say = None) -> MapFile | None:
+def compute_impulse_maps(options: ImpulseMapOptions) -> MapFile | None:
     """Search the best impulse of every cell and set, land with it, write and draw; None if stopped."""
     picture = options.picture
     impulse_picture = picture.with_name(f"{picture.stem}-impulse{picture.suffix}")
@@ -101,33 +99,31 @@ def compute_impulse_maps(options: ImpulseMapOptions, say: Say = None) -> MapFile
 
     identity = map_identity(fleets, (), settings) | {"impulse_search": asdict(impulses)}
     blocks = (sum(map(len, fleets)) * len(settings.slopes_deg), "cells")
-    content = compute_and_write(
-        options.out, identity, blocks, compute, write, options=options.compute, say=say
-    )
+    content = compute_and_write(options.out, identity, blocks, compute, write, options=options.compute)
     if content is None:
         return None
     tried = sum(best.optimum["delay"].size for best in content.impulses) * impulses.combinations
     simulated = sum(int(best.optimum["simulated"].sum()) for best in content.impulses)
-    if say is not None:
-        say(
-            f"{tried} combinations of delay and duration judged by {simulated} landings to the second "
-            "impact; every other combination equals one of them, because the commands differ after it only"
-        )
-    _print(content, options, picture, None, say)
+    tell(
+        f"{tried} combinations of delay and duration judged by {simulated} landings to the second "
+        "impact; every other combination equals one of them, because the commands differ after it only"
+    )
+    _print(content, options, picture, None)
     return content
 
 
 def _warn_of_strangers(
-    path: Path | None, real: Sequence[Experiment], maps: Sequence[tuple[str, Controller]], say: Say
+    path: Path | None, real: Sequence[Experiment], maps: Sequence[tuple[str, Controller]]
 ) -> None:
     """Name the real landings that no map of surface and controller shows, before the minutes are spent."""
     lost = strangers(real, maps)
-    if lost and say is not None:
+    if lost:
         names = ", ".join(f"{surface} {label!r} ({count})" for (surface, label), count in lost.items())
         known = ", ".join(f"{surface} {controller.label!r}" for surface, controller in maps)
-        say(
-            f"warning: {path}: {sum(lost.values())} of {len(real)} real landings belong to no "
-            f"map and are left out: {names}; the maps are {known}"
+        notice(
+            "landings-without-map",
+            f"{path}: {sum(lost.values())} of {len(real)} real landings belong to no "
+            f"map and are left out: {names}; the maps are {known}",
         )
 
 
@@ -164,13 +160,13 @@ def _print(
     options: LandingMapOptions | ImpulseMapOptions,
     picture: Path,
     real: Sequence[Experiment] | None,
-    say: Say,
 ) -> None:
     """Print the maps in numbers; `real` landings, if any were given, are compared with them."""
     counts = [drawn.summary() for drawn in content.maps]
     for entry, drawn in zip(counts, content.maps, strict=True):
-        if entry["lost"] and say is not None:
-            say(f"warning: {drawn.title}: {entry['lost']} landings could not be simulated and count nowhere")
+        if entry["lost"]:
+            sentence = f"{drawn.title}: {entry['lost']} landings could not be simulated and count nowhere"
+            notice("lost-landings", sentence)
         if real is not None:
             entry["real_landings"] = confusion(of_map(real, drawn), drawn).document()
     document = {"file": str(options.out), "figure": str(picture), "maps": counts}

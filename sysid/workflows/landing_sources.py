@@ -16,7 +16,7 @@ from rich.text import Text
 from sysid import __version__
 from sysid.errors import CampaignError, ExportError
 from sysid.fit.stopping import stop_on_interrupt
-from sysid.journal import Say
+from sysid.journal import notice, tell
 from sysid.landing.controllers import Controller, find_controller, load_controllers
 from sysid.landing.drone import PAIRINGS, drones
 from sysid.landing.impact_sensor import Sensing
@@ -119,14 +119,12 @@ def compute_and_write(
     write: Callable[[Computed], object],
     *,
     options: ComputeOptions,
-    say: Say,
 ) -> Computed | None:
     """Compute with progress and write to `out`. Ctrl-C keeps the finished blocks for `--resume`.
 
     `identity` must be equal for the computation to be continued. `blocks` is their number and what a block
     counts. `compute` and this function return None where the computation was stopped.
     """
-    tell = say or (lambda sentence: None)
     store = BlockStore(out, identity, resume=options.resume, force=options.force)
     progress = BlockProgress(*blocks, options.quiet or options.json)
     with closing(store):
@@ -134,7 +132,7 @@ def compute_and_write(
             threads = 1 if options.dask is not None else options.threads
             result = compute(Computing(where, threads, store, progress.on_block, stop))
         for note in store.notes:
-            tell(f"warning: {note}")
+            notice("damaged-block", note)
         if result is None:
             tell(f"stopped: the finished blocks are kept beside {out}; continue with --resume")
             return None

@@ -17,7 +17,7 @@ from sysid.errors import FitError
 from sysid.fit.problem import ASSUMED_NOISE, Kind, Prediction, Problem, Words
 from sysid.fit.result import FitResult
 from sysid.fit.store import read_fit
-from sysid.journal import Journal, Say, notice
+from sysid.journal import Finding, Journal, Say, notice
 from sysid.parallel import executor
 from sysid.recording import file_sha256
 from sysid.trust.assessment import leave_one_out, linearize
@@ -186,7 +186,7 @@ def _document(
         "warnings": journal.sentences(),
     }
     for sentence in out["reasons"]:
-        journal.tell(f"warning: {sentence}")
+        journal.add(Finding("prediction-off", sentence))
     return out
 
 

@@ -77,7 +77,7 @@ def test_starts_from_rest_do_not_bias_the_winding(tmp_path: Path, reversal: bool
     assert values["command_delay"] == pytest.approx(0.008, abs=5e-4)  # a quarter of the compared grid
     band = fit_saturation(problem, rows, SEARCH, (1,))
     assert band is not None
-    assert band.shown_by == ("reversals" if reversal else "starts from rest")
+    assert band.shown_by == ("reversals" if reversal else "starts_from_rest")
     current, speed = band.values[0, :2]
     assert speed / current == pytest.approx(11.0 / 0.25, rel=0.05)  # required
     assert band.nrmse[0] < 0.02 < 0.1 < band.without[0]
@@ -143,7 +143,7 @@ def test_a_tare_without_rows_at_rest_is_estimated(tmp_path: Path) -> None:
     # 2000 rows of 1.5 mN·m per point, six points of which the slowest is at 260 rad/s: 0.1 mN·m.
     assert tares["torque"].value == pytest.approx(fact["tare torque [N·m]"], abs=3e-4)
     assert tares["thrust"].value == pytest.approx(fact["tare force [N]"], abs=0.02)
-    assert tares["torque"].source == "steady points over Ω|Ω|"
+    assert tares["torque"].source == "steady_points"
     for name, off in (("torque", 3e-4), ("thrust", 0.02)):
         cut, whole = (b.trials[0].log.channels[name][1] for b in (bench, rested))
         # Taken off the channel, not only reported.

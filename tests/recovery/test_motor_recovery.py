@@ -226,7 +226,7 @@ def test_without_reversals_the_dead_band_is_not_fitted(campaign_file: Path, tmp_
         tmp_path / "fit", population=12, runs=1, max_generations=2, quiet=True, finish="none"
     )
     result, _ = fit_motor(path, options)
-    assert result.settings["saturation"]["stage"] == "not fitted"
+    assert result.settings["saturation"]["fitted"] is False
     assert any("saturation_current and saturation_speed are not fitted" in s for s in result.warnings)
     records = {record.name: record for record in result.parameters}
     assert records["saturation_speed"].status == "fixed"

@@ -49,7 +49,7 @@ def test_the_record_names_the_logs_of_the_curves_and_a_changed_one_is_not_contin
 
     # Of the limit nothing was left for what follows the search.
     settings = document("cut")["settings"]
-    assert settings["saturation"] == {"stage": "not fitted", "why": "the time limit ended the fit"}
+    assert settings["saturation"] == {"fitted": False, "why": "the time limit ended the fit"}
     assert not {"ladder", "profiles"} & {*settings}
     assert LEFT_OUT.format("the time limit ended the fit") in document("cut")["warnings"]
     assert document("cut")["provenance"]["cut_short"] == "time"
