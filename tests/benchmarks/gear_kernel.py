@@ -1,19 +1,16 @@
 """Time and error of the gear's kernel beside scipy, SUNDIALS and MuJoCo, the latter two where installed.
 
-Run ``python tests/benchmarks/gear_kernel.py [--json PATH] [--population N] [--lanes] [--cold] [--fits]``. Six
+Run ``python tests/benchmarks/gear_kernel.py [--json PATH] [--population N] [--lanes] [--cold]``. Six
 drops of 0.7 s sampled every 5 ms; error is the mean NRMSE over x, z, q, vx, vz against a converged run. Each
 method of another library gets, per drop, its loosest relative tolerance that keeps 0.1 % there; MuJoCo, whose
 contact law is another one, steps of 1 ms. Times are CPU time of the calling thread, best of several, so that
 other work on the machine disturbs the ratios little; drops/s over all threads is wall-clock time. A library's
 ratio is the geometric mean over the drops, beside the least. ``--cold`` compiles each surface in a process of
-its own with an empty cache and prints the processor time and the peak memory of that. ``--fits`` measures
-nothing but whole fits of both sample campaigns, from logs to the written folder, at the default settings and
-with the paper's population of 400.
+its own with an empty cache and prints the processor time and the peak memory of that.
 """
 
 import argparse
 import json
-import math
 import os
 import platform
 import subprocess
@@ -24,32 +21,14 @@ from pathlib import Path
 
 import numpy as np
 
-from gear_rivals import LIMIT, best, installed, mujoco_drop, nrmse, scipy_drop, sundials_drop
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from fakes.gear_drops import SIX, level_drops
+from gear_rivals import installed, mujoco_drop, scipy_drop, sundials_drop
+from paired import LIMIT, best, mean_nrmse, measured, memory, write_json
 from sysid.gear import model
 from sysid.gear.kernel.driver import drop_driver
-from sysid.gear.model import (
-    HF_FREE,
-    LF_FREE,
-    SURFACES,
-    Drops,
-    pack,
-    parameters_on,
-    simulate,
-    simulate_population,
-)
+from sysid.gear.model import SURFACES, Drops, pack, parameters_on, simulate, simulate_population
 from sysid.parameters import SearchSpace
-
-CASES = [(5, 0.5), (10, 0.8), (15, 0.6), (20, 1.0), (27, 0.7), (35, 0.45)]
-
-
-def make_drops():
-    """Level drops with the rear foot 1 mm above the slope."""
-    slopes, states = [], []
-    for slope_deg, speed in CASES:
-        q = math.radians(slope_deg)
-        slopes.append(q)
-        states.append([0.0, 0.151 + (1e-3 + 0.105 * math.sin(q)) / math.cos(q), 0.0, 0.0, -speed, 0.0])
-    return Drops(np.array(slopes), np.array(states), [np.arange(0, 0.7001, 0.005)] * len(CASES))
 
 
 def lane_widths(drops, population):
@@ -61,37 +40,36 @@ def lane_widths(drops, population):
         driver = drop_driver(lanes, SURFACES["lf"])
         model._driver = lambda _lanes, _surface, driver=driver: driver
         simulate_population(rows[:1], drops, threads=1)
-        spent, found = best(lambda: simulate_population(rows, drops, threads=1), 3)
-        out[lanes] = found.status.size / spent
+        spent, run = best(lambda: simulate_population(rows, drops, threads=1), 3)
+        out[lanes] = run.status.size / spent
     model._driver = used
     return out
 
 
-def throughput(surface, free, drops, population):
+def throughput(surface, drops, population):
     """Drops per second of a surface: equal candidates and random ones, one core's CPU time and all cores."""
-    table = parameters_on(surface)
+    table, free = parameters_on(surface), SURFACES[surface].free
     equal = np.repeat(pack({}, surface)[None], population, axis=0)
     space = SearchSpace.build(table, free, table.nominal)
     rows = {"equal": equal, "random": space.full(np.random.default_rng(1).random((population, len(free))))}
     out = {}
-    for name, own in rows.items():
-        simulate_population(own[:1], drops, surface=surface)
-        spent, found = best(lambda own=own: simulate_population(own, drops, surface=surface, threads=1), 3)
-        walls = {}
-        for threads in sorted({1, os.cpu_count() or 1}):
-            times = []
-            for _ in range(3):
-                start = time.perf_counter()
-                simulate_population(own, drops, surface=surface, threads=threads)
-                times.append(time.perf_counter() - start)
-            walls[threads] = found.status.size / min(times)
+    for name, candidates in rows.items():
+        simulate_population(candidates[:1], drops, surface=surface)
+
+        def score(threads=1, candidates=candidates):
+            return simulate_population(candidates, drops, surface=surface, threads=threads)
+
+        spent, run = best(score, 3)
         out[name] = {
-            "drops_per_cpu_second": found.status.size / spent,
-            "drops_per_second": walls,
-            "rhs": float(found.rhs_evaluations.mean()),
-            "most_rhs": int(found.rhs_evaluations.max()),
-            "switches": float(found.switches.mean()),
-            "failed": int((found.status != 0).sum()),
+            "drops_per_cpu_second": run.status.size / spent,
+            "drops_per_second": {
+                threads: run.status.size / best(lambda n=threads: score(n), 3, time.perf_counter)[0]
+                for threads in sorted({1, os.cpu_count() or 1})
+            },
+            "rhs": float(run.rhs_evaluations.mean()),
+            "most_rhs": int(run.rhs_evaluations.max()),
+            "switches": float(run.switches.mean()),
+            "failed": int((run.status != 0).sum()),
         }
     return out
 
@@ -101,84 +79,74 @@ COLD = """
 import json, sys, time
 from pathlib import Path
 sys.path.insert(0, {folder!r})
-from gear_kernel import peak_memory
+from paired import memory
 from sysid.gear.model import prepare
-before, start = peak_memory(), time.process_time()
+before, start = memory() / 2**20, time.process_time()
 prepare({surface!r}, single=False)
-print(json.dumps([time.process_time() - start, before, peak_memory()]))
+print(json.dumps([time.process_time() - start, before, memory() / 2**20]))
 """
-
-
-def peak_memory():
-    """Peak resident memory of this program [MB], NaN where the system does not tell."""
-    status = Path("/proc/self/status")
-    if status.exists():
-        # Not getrusage, whose peak begins with that of the process that started this one.
-        lines = status.read_text(encoding="utf-8").splitlines()
-        return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
-    try:
-        import psutil
-    except ImportError:
-        return math.nan
-    return getattr(psutil.Process().memory_info(), "peak_wset", math.nan * 1024**2) / 1024**2
 
 
 def cold_compile(surface):
     """Processor time [s] and peak memory [MB] of the first start of a surface's population driver."""
     with tempfile.TemporaryDirectory() as cache:
         code = COLD.format(folder=str(Path(__file__).parent), surface=surface)
-        own = {**os.environ, "NUMBA_CACHE_DIR": cache}
+        environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
         command = [sys.executable, "-c", code]
-        run = subprocess.run(command, env=own, capture_output=True, text=True, encoding="utf-8", check=True)
+        run = subprocess.run(command, env=environment, capture_output=True, encoding="utf-8", check=True)
     seconds, before, peak = json.loads(run.stdout.splitlines()[-1])
     return {"cpu_seconds": seconds, "imported_mb": before, "peak_mb": peak}
 
 
+def each_drop(drops, population, surface):
+    """Per drop: its arguments for a rival, the exact channels, and an entry with the time in lanes."""
+    row = pack({}, surface)
+    rows = np.repeat(row[None], population, axis=0)
+    # x, z, q, vx, vz, as the rivals have them.
+    exact = simulate_population(row, drops, surface=surface, tolerance=1e-8).samples[0, :, :5]
+    for d, (slope_deg, speed) in enumerate(SIX):
+        part = exact[drops.offset[d] : drops.offset[d + 1]]
+        only = Drops(drops.slope[d : d + 1], drops.body_state[d : d + 1], drops.time[d : d + 1])
+        spent, many = best(lambda only=only: simulate_population(rows, only, surface=surface, threads=1), 3)
+        lanes = {
+            "seconds": spent / population,
+            "error": mean_nrmse(many.samples[0, :, :5], part),
+            "rhs": int(many.rhs_evaluations[0, 0]),
+        }
+        entry = {"slope_deg": slope_deg, "speed": speed, "lanes": lanes}
+        yield (drops.slope[d], drops.body_state[d], drops.time[d]), part, entry
+
+
 def high_friction(drops, population):
     """The same drops on high friction: our time in lanes and its error, and MuJoCo's time over ours."""
-    row, out = pack({}, "hf"), []
-    rows = np.repeat(row[None], population, axis=0)
-    exact = simulate_population(row, drops, surface="hf", tolerance=1e-8).samples[0]
-    for d, (slope_deg, speed) in enumerate(CASES):
-        own = exact[drops.offset[d] : drops.offset[d + 1]]
-        only = Drops(drops.slope[d : d + 1], drops.body_state[d : d + 1], drops.time[d : d + 1])
-        spent, many = best(lambda only=only: simulate_population(rows, only, surface="hf", threads=1), 3)
-        entry = {"slope_deg": slope_deg, "speed": speed, "seconds": spent / population}
-        entry["error"] = nrmse(many.samples[0], own)
+    out = []
+    for start, exact, entry in each_drop(drops, population, "hf"):
         if installed("mujoco"):
-            found = mujoco_drop(drops.slope[d], drops.body_state[d], drops.time[d], own, "hf")
-            entry["mujoco_ratio"] = found["seconds"] / entry["seconds"]
+            rival = mujoco_drop(*start, exact, "hf")
+            entry["mujoco_ratio"] = rival["seconds"] / entry["lanes"]["seconds"]
         out.append(entry)
     return out
 
 
-def whole_fits():
-    """Wall-clock and processor time [s] of fits of each sample campaign."""
-    from sysid.workflows.fit import fit_gear
-    from sysid.workflows.options import FitOptions
-
-    samples, out = Path(__file__).parents[2] / "data_samples", {}
-    for surface in SURFACES:
-        model.prepare(surface, single=False)
-        for population in (None, 400):
-            with tempfile.TemporaryDirectory() as folder:
-                wall, spent = time.perf_counter(), time.process_time()
-                options = FitOptions(out=Path(folder) / "fit", population=population, quiet=True)
-                result, _ = fit_gear(samples / f"gear-{surface}" / "campaign.toml", options)
-                part = {
-                    "wall_seconds": time.perf_counter() - wall,
-                    "cpu_seconds": time.process_time() - spent,
-                    "drops": sum(run.simulations for run in result.runs),
-                    "nrmse": result.nrmse.tolist(),
-                }
-            title = f"{surface}, population {population or 'by default'}"
-            out[title] = part
-            scores = ", ".join(f"{100 * value:.3f}" for value in part["nrmse"])
-            print(
-                f"{title}: {part['wall_seconds']:.1f} s ({part['cpu_seconds']:.1f} s of processor time) for "
-                f"{part['drops']} drops; NRMSE of its sets {scores} %",
-                flush=True,
-            )
+def low_friction(drops, population):
+    """Our times and errors in lanes and alone, and each library's, over ours."""
+    rivals = {name: lambda *a, n=name: scipy_drop(n, *a) for name in ("LSODA", "Radau")}
+    if installed("sksundae"):
+        rivals["CVODE"] = sundials_drop
+    if installed("mujoco"):
+        rivals["MuJoCo"] = mujoco_drop
+    out, row = [], pack({})
+    for start, exact, entry in each_drop(drops, population, "lf"):
+        spent, alone = best(lambda start=start: simulate(row, *start), 20)
+        error = mean_nrmse(alone.state[:, [0, 1, 2, 7, 8]], exact)
+        entry["scalar"] = {"seconds": spent, "error": error, "rhs": alone.rhs_evaluations}
+        for name, measure in rivals.items():
+            rival = measure(*start, exact)
+            ratios = {
+                f"ratio_{ours}": rival["seconds"] / entry[ours]["seconds"] for ours in ("lanes", "scalar")
+            }
+            entry[name] = rival | ratios
+        out.append(entry)
     return out
 
 
@@ -202,64 +170,17 @@ def main():
     parser.add_argument("--population", type=int, default=400)
     parser.add_argument("--lanes", action="store_true", help="also other numbers of lanes (compiles each)")
     parser.add_argument("--cold", action="store_true", help="also the first compilation (a minute or two)")
-    parser.add_argument("--fits", action="store_true", help="only whole fits of the sample campaigns")
     arguments = parser.parse_args()
-    if arguments.fits:
-        fits = {"machine": platform.platform(), "cores": os.cpu_count(), "fits": whole_fits()}
-        if arguments.json:
-            arguments.json.write_text(json.dumps(fits, indent=1), encoding="utf-8")
-        return
-    drops, row = make_drops(), pack({})
-    rows = np.repeat(row[None], arguments.population, axis=0)
-    start = time.perf_counter()
-    exact = simulate_population(row, drops, tolerance=1e-8).samples[0]
-    simulate(row, drops.slope[0], drops.body_state[0], drops.time[0])
-    print(f"compiled or loaded in {time.perf_counter() - start:.1f} s on {platform.machine()}")
+    drops = level_drops()
 
-    rates = {
-        "lf": throughput("lf", LF_FREE, drops, arguments.population),
-        "hf": throughput("hf", HF_FREE, drops, arguments.population),
-    }
+    def load():
+        simulate(pack({}), drops.slope[0], drops.body_state[0], drops.time[0])
+        simulate_population(pack({}), drops)
+
+    print(f"compiled or loaded in {measured(load)[0]:.1f} s on {platform.machine()}")
+    rates = {surface: throughput(surface, drops, arguments.population) for surface in ("lf", "hf")}
     widths = lane_widths(drops, arguments.population // 4) if arguments.lanes else {}
-
-    table = []
-    for d, (slope_deg, speed) in enumerate(CASES):
-        own = slice(drops.offset[d], drops.offset[d + 1])
-        only = Drops(drops.slope[d : d + 1], drops.body_state[d : d + 1], drops.time[d : d + 1])
-        lane_time, many = best(lambda only=only: simulate_population(rows, only, threads=1), 3)
-        lane_time /= len(rows)
-        scalar_time, one = best(
-            lambda d=d: simulate(row, drops.slope[d], drops.body_state[d], drops.time[d]), 20
-        )
-        entry = {
-            "slope_deg": slope_deg,
-            "speed": speed,
-            "lanes": {
-                "seconds": lane_time,
-                "error": nrmse(many.samples[0], exact[own]),
-                "rhs": int(many.rhs_evaluations[0, 0]),
-            },
-            "scalar": {
-                "seconds": scalar_time,
-                "error": nrmse(one.state[:, [0, 1, 2, 7, 8]], exact[own]),
-                "rhs": one.rhs_evaluations,
-            },
-        }
-        others = {
-            "LSODA": lambda *a: scipy_drop("LSODA", *a),
-            "Radau": lambda *a: scipy_drop("Radau", *a),
-        }
-        if installed("sksundae"):
-            others["CVODE"] = sundials_drop
-        if installed("mujoco"):
-            others["MuJoCo"] = mujoco_drop
-        for name, measure in others.items():
-            found = measure(drops.slope[d], drops.body_state[d], drops.time[d], exact[own])
-            entry[name] = found | {
-                "ratio_lanes": found["seconds"] / lane_time,
-                "ratio_scalar": found["seconds"] / scalar_time,
-            }
-        table.append(entry)
+    table = low_friction(drops, arguments.population)
 
     head = f"{'drop':>14} {'kernel':>8} {'ms':>9} {'error %':>8} {'rhs':>7} {'x lanes':>8} {'x scalar':>8}"
     print(head)
@@ -282,14 +203,15 @@ def main():
     high = high_friction(drops, arguments.population)
     for entry in high:
         beside = f", MuJoCo {entry['mujoco_ratio']:.0f} x" if "mujoco_ratio" in entry else ""
+        seconds, error = entry["lanes"]["seconds"], entry["lanes"]["error"]
         print(
-            f"hf {entry['slope_deg']} deg {entry['speed']} m/s: {1e3 * entry['seconds']:.4f} ms in lanes, "
-            f"error {100 * entry['error']:.3f} %{beside}"
+            f"hf {entry['slope_deg']} deg {entry['speed']} m/s: {1e3 * seconds:.4f} ms in lanes, "
+            f"error {100 * error:.3f} %{beside}"
         )
     if "mujoco_ratio" in high[0]:
-        ratio = float(np.exp(np.mean([math.log(entry["mujoco_ratio"]) for entry in high])))
+        ratio = float(np.exp(np.mean(np.log([entry["mujoco_ratio"] for entry in high]))))
         print(f"hf MuJoCo: {ratio:.0f} x lanes, goal {GOALS['MuJoCo']} (geometric mean)")
-    peak = peak_memory()
+    peak = memory() / 2**20
     print(f"peak memory of this run: {peak:.0f} MB")
     cold = {surface: cold_compile(surface) for surface in SURFACES} if arguments.cold else {}
     for surface, part in cold.items():
@@ -307,20 +229,18 @@ def main():
             )
     for lanes, rate in widths.items():
         print(f"{lanes} lane(s): {rate:.0f} drops per CPU second")
-    if arguments.json:
-        result = {
-            "machine": platform.platform(),
-            "tolerance": {name: own.tolerance for name, own in SURFACES.items()},
-            "limit": LIMIT,
-            "drops": table,
-            "throughput": rates,
-            "mean_ratios": ratios,
-            "high_friction": high,
-            "peak_mb": peak,
-            "cold": cold,
-            "drops_per_cpu_second_by_lanes": widths,
-        }
-        arguments.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
+    result = {
+        "tolerance": {name: surface.tolerance for name, surface in SURFACES.items()},
+        "limit": LIMIT,
+        "drops": table,
+        "throughput": rates,
+        "mean_ratios": ratios,
+        "high_friction": high,
+        "peak_mb": peak,
+        "cold": cold,
+        "drops_per_cpu_second_by_lanes": widths,
+    }
+    write_json(arguments.json, result)
 
 
 if __name__ == "__main__":

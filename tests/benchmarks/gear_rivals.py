@@ -6,20 +6,17 @@ model of the same bodies, springs and slope, with its own (soft) contact law and
 
 import importlib.util
 import math
-import time
 
 import numpy as np
 from numba import njit
 from scipy.integrate import solve_ivp
 
-from sysid.gear.kernel.dynamics import Coefficients, accelerations, feet, pose
+from paired import best, loosest, mean_nrmse
+from sysid.gear.kernel import parameter_row
+from sysid.gear.kernel.dynamics import accelerations, derived, feet, pose
 from sysid.gear.kernel.geometry import normal_force
 from sysid.gear.model import PARAMETERS, parameters_on
 from sysid.gear.surfaces.low_friction import low_friction
-
-# Mean NRMSE that a method must keep on a drop.
-LIMIT = 1e-3
-TOLERANCES = (1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6, 3e-7, 1e-7)
 
 
 def installed(name):
@@ -27,35 +24,19 @@ def installed(name):
     return importlib.util.find_spec(name) is not None
 
 
-def nrmse(ours, exact):
-    """Mean NRMSE over x, z, q, vx, vz."""
-    error = np.sqrt(np.mean((ours[:, :5] - exact[:, :5]) ** 2, axis=0)) / exact[:, :5].std(axis=0)
-    return float(error.mean())
-
-
-def best(call, repeats):
-    """Least CPU time of the thread [s] and the last result."""
-    spent, result = math.inf, None
-    for _ in range(repeats):
-        start = time.thread_time()
-        result = call()
-        spent = min(spent, time.thread_time() - start)
-    return spent, result
-
-
 @njit(error_model="numpy")
 def thrust_at(t, segments):
     """Thrust of the rear and front pair [N] from the kernel's own segments (`Propulsion.segments`)."""
-    own = segments[np.searchsorted(segments[1:, 0], t, side="right")]
-    s = t - own[0]
-    rear = own[2] + s * (own[3] + s * (own[4] + s * own[5]))
-    front = own[6] + s * (own[7] + s * (own[8] + s * own[9]))
+    piece = segments[np.searchsorted(segments[1:, 0], t, side="right")]
+    s = t - piece[0]
+    rear = piece[2] + s * (piece[3] + s * (piece[4] + s * piece[5]))
+    front = piece[6] + s * (piece[7] + s * (piece[8] + s * piece[9]))
     return rear, front
 
 
 @njit(error_model="numpy")
 def derivative(t, y, coefficients, k_s, b_s, mu_k, eps_v, segments, lever):
-    """Rates of the state in the slope's frame, for an integrator of somebody else.
+    """Rates of the state in the slope's frame, for another library's integrator.
 
     Without segments the motors are off; lever: distance of the thrust points from the centre of mass [m].
     """
@@ -79,17 +60,8 @@ def derivative(t, y, coefficients, k_s, b_s, mu_k, eps_v, segments, lever):
 def problem(slope, body, propulsion=None):
     """Right-hand side of t and y, start (14,) in the slope's frame, and the way back to x, z, q, vx, vz."""
     p = PARAMETERS.nominal
-    span, depth = p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"]
-    length, rest = math.hypot(span, depth), math.atan2(span, depth)
-    c, s = math.cos(slope), math.sin(slope)
-    names = ("axial_stiffness", "axial_damping", "bending_stiffness", "bending_damping")
-    leg = [p[f"leg_{name}"] for name in names]
-    inverse = (1 / p["leg_mass"], 1 / p["leg_inertia"])
-    coefficients = Coefficients(
-        *leg, *leg, p["joint_dx"], p["joint_dz"], length, rest, p["leg_mass_fraction"] * length,
-        (1 - p["leg_mass_fraction"]) * length, 1 / p["body_mass"], 1 / p["body_inertia"], *inverse, *inverse,
-        p["gravity"] * s, -p["gravity"] * c,
-    )  # fmt: skip
+    coefficients = derived(np.array([p[name] for name in parameter_row.NAMES]), slope)
+    c, s, rest = math.cos(slope), math.sin(slope), coefficients.q_n
     surface = (p["ground_stiffness"], p["ground_damping"], p["kinetic_friction"], p["slip_regularization"])
     x, z, q, dx, dz, dq = body
     phi = q - slope
@@ -102,32 +74,11 @@ def problem(slope, body, propulsion=None):
         return derivative(t, y, coefficients, *surface, segments, p["thrust_point_dx"])
 
     def back(y):
-        return np.column_stack(
-            [
-                c * y[:, 0] + s * y[:, 1],
-                c * y[:, 1] - s * y[:, 0],
-                y[:, 2] + slope,
-                c * y[:, 7] + s * y[:, 8],
-                c * y[:, 8] - s * y[:, 7],
-            ]
-        )
+        (x, z), (dx, dz) = ((c * a + s * b, c * b - s * a) for a, b in (y.T[:2], y.T[7:9]))
+        return np.column_stack([x, z, y[:, 2] + slope, dx, dz])
 
     right_hand_side(0.0, start)
     return right_hand_side, start, back
-
-
-def _loosest(attempt, exact):
-    """Time [s], error, tolerance, right-hand sides at the loosest tolerance that keeps the limit."""
-    for rtol in TOLERANCES:
-        spent, found = best(lambda rtol=rtol: attempt(rtol), 1)
-        if found is None:
-            continue
-        ours, count = found
-        error = nrmse(ours, exact)
-        if error <= LIMIT:
-            again, _ = best(lambda rtol=rtol: attempt(rtol), 2)
-            return {"seconds": min(spent, again), "error": error, "rtol": rtol, "rhs": count}
-    return {"seconds": math.nan, "error": math.nan, "rtol": math.nan, "rhs": 0}
 
 
 def scipy_drop(method, slope, body, clock, exact):
@@ -135,13 +86,13 @@ def scipy_drop(method, slope, body, clock, exact):
     right_hand_side, start, back = problem(slope, body)
 
     def attempt(rtol):
-        found = solve_ivp(
+        run = solve_ivp(
             right_hand_side, (0, clock[-1]), start,
             method=method, t_eval=clock, rtol=rtol, atol=rtol * 1e-2,
         )  # fmt: skip
-        return (back(found.y.T), int(found.nfev)) if found.y.shape[1] == len(clock) else None
+        return (back(run.y.T), int(run.nfev)) if run.y.shape[1] == len(clock) else None
 
-    return _loosest(attempt, exact)
+    return loosest(attempt, exact, 2)
 
 
 def sundials_drop(slope, body, clock, exact):
@@ -158,10 +109,10 @@ def sundials_drop(slope, body, clock, exact):
     def attempt(rtol):
         count[0] = 0
         solver = CVODE(rates, method="BDF", rtol=rtol, atol=rtol * 1e-2, max_num_steps=100_000)
-        found = solver.solve(clock, start)
-        return (back(np.asarray(found.y)), count[0]) if len(found.t) == len(clock) else None
+        run = solver.solve(clock, start)
+        return (back(np.asarray(run.y)), count[0]) if len(run.t) == len(clock) else None
 
-    return _loosest(attempt, exact)
+    return loosest(attempt, exact, 2)
 
 
 def mujoco_model(slope, surface="lf"):
@@ -204,21 +155,27 @@ def mujoco_model(slope, surface="lf"):
     return mujoco.MjModel.from_xml_string(text)
 
 
+def _begin(model, data, body):
+    import mujoco
+
+    mujoco.mj_resetData(model, data)
+    data.qpos[:3] = body[:3]
+    data.qvel[:3] = body[3:]
+
+
 def mujoco_landing(slope, body, propulsion, horizon):
-    """Processor time [s] of a powered landing in MuJoCo at steps of 1 ms, the thrust told at every step."""
+    """Processor time [s] of a powered landing in MuJoCo at steps of 1 ms, thrust set at every step."""
     import mujoco
 
     model = mujoco_model(slope)
     data = mujoco.MjData(model)
     clock = np.arange(round(horizon / 1e-3)) * 1e-3
-    told = np.column_stack([propulsion.rear(clock), propulsion.front(clock)])
+    thrust = np.column_stack([propulsion.rear(clock), propulsion.front(clock)])
 
     def run():
-        mujoco.mj_resetData(model, data)
-        data.qpos[:3] = body[:3]
-        data.qvel[:3] = body[3:]
+        _begin(model, data, body)
         command = data.ctrl
-        for now in told:
+        for now in thrust:
             command[:] = now
             mujoco.mj_step(model, data)
 
@@ -235,9 +192,7 @@ def mujoco_drop(slope, body, clock, exact, surface="lf"):
     every = round((clock[1] - clock[0]) / 1e-3)
 
     def run():
-        mujoco.mj_resetData(model, data)
-        data.qpos[:3] = body[:3]
-        data.qvel[:3] = body[3:]
+        _begin(model, data, body)
         out = np.empty((len(clock), 5))
         for n in range(len(clock)):
             out[n] = [*data.qpos[:3], *data.qvel[:2]]
@@ -246,4 +201,4 @@ def mujoco_drop(slope, body, clock, exact, surface="lf"):
         return out
 
     spent, out = best(run, 3)
-    return {"seconds": spent, "error": nrmse(out, exact), "rtol": math.nan, "rhs": steps}
+    return {"seconds": spent, "error": mean_nrmse(out, exact), "rtol": math.nan, "rhs": steps}

@@ -1,19 +1,20 @@
-"""Do the intervals hold the truth? Twenty synthetic campaigns, each fitted and profiled.
+"""Do the intervals contain the truth? Twenty synthetic campaigns, each fitted and profiled.
 
     python tests/benchmarks/interval_coverage.py [--replications 20] [--problem lf]
 
-Prints how many of the 95 % profile intervals of each parameter hold the true value, over all replications,
+Prints how many of the 95 % profile intervals of each parameter contain the true value, over all replications,
 how often each was called well, weakly or not identifiable, and how far outside the worst one lies.
 
-Measured: 126 of 133 intervals held the truth (95 %), of the seeds 1001 to 1019 times the seven parameters
-other than b_s, which is not identifiable in any. Five of the seven misses are seed 1011's, where a single
-bounce misleads the fit. At the true parameters five drops score 0.9 to 1.1 times their noise and drop-5 2.3
-times, because noise has moved its start past a fork of the bounces. The fit bends the rest to it: all six
-score 1.0 to 1.1, b_s ends at its bound, and k_h and b_h 4.1 and 3.6 half-widths from the truth; without that
-drop 0.6 and 0.7. Freeing the starts within 1 ms does not help. `sysid.trust.influence` therefore fits
-without each trial in turn: drop-5 moves k_h by 6.4 times what one trial less explains, where the farthest of
-the nineteen other campaigns (seed 1018) moves by 4.1. Motors, seeds 2001 to 2020: R held in 19 of 20 and L
-in 18, with errors of 0.85 and 1.06 times what is stated; k_d is not identifiable in any.
+Measured: 126 of 133 intervals contained the truth (95 %), of the seeds 1001 to 1019 times the seven
+parameters other than b_s, which is not identifiable in any. Five of the seven misses are seed 1011's, where
+a single bounce misleads the fit. At the true parameters five drops score 0.9 to 1.1 times their noise and
+drop-5 2.3 times, because noise has moved its start past a fork of the bounces. The fit bends the rest to it:
+all six score 1.0 to 1.1, b_s ends at its bound, and k_h and b_h 4.1 and 3.6 half-widths from the truth;
+without that drop 0.6 and 0.7. Freeing the starts within 1 ms does not help. `sysid.trust.influence`
+therefore fits without each trial in turn: drop-5 moves k_h by 6.4 times what one trial less explains, where
+the farthest of the nineteen other campaigns (seed 1018) moves by 4.1. Motors, seeds 2001 to 2020: R is
+inside in 19 of 20 and L in 18, with errors of 0.85 and 1.06 times what is stated; k_d is not identifiable in
+any.
 """
 
 from __future__ import annotations
@@ -108,28 +109,28 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(chosen.first_seed, chosen.first_seed + chosen.replications):
             began = time.perf_counter()
-            found = replicate(seed, chosen.problem, Path(folder))
-            for one in found:
-                rows.setdefault(one.name, []).append(one)
-            missed = [one.name for one in found if not one.inside]
-            words = f"{len(found) - len(missed)} of {len(found)} hold the truth {missed or ''}"
+            intervals = replicate(seed, chosen.problem, Path(folder))
+            for covered in intervals:
+                rows.setdefault(covered.name, []).append(covered)
+            missed = [covered.name for covered in intervals if not covered.inside]
+            words = f"{len(intervals) - len(missed)} of {len(intervals)} contain the truth {missed or ''}"
             print(f"seed {seed}: {words}, {time.perf_counter() - began:.0f} s", flush=True)
     inside = total = 0
     print(f"{'parameter':<26}{'covered':>9}{'worst':>7}{'half':>8}{'rms z':>7}  verdicts")
     for name, found in rows.items():
-        held = [one.inside for one in found]
+        inside_of = [one.inside for one in found]
         names = [one.verdict for one in found]
         counts = ", ".join(f"{names.count(word)} {word}" for word in dict.fromkeys(names))
         scatter = [1.96 * (one.best - one.truth) / max(one.half_width * one.best, 1e-300) for one in found]
         print(
-            f"{name:<26}{sum(held):>4}/{len(held):<4}{max(one.beyond for one in found):>7.2f}"
+            f"{name:<26}{sum(inside_of):>4}/{len(inside_of):<4}{max(one.beyond for one in found):>7.2f}"
             f"{100 * float(np.median([one.half_width for one in found])):>7.1f}%"
             f"{float(np.sqrt(np.mean(np.square(scatter)))):>7.2f}  {counts}"
         )
         if names.count("not identifiable") < len(names):
-            inside, total = inside + sum(held), total + len(held)
+            inside, total = inside + sum(inside_of), total + len(inside_of)
     share = 100 * inside / total
-    print(f"identifiable parameters: {inside} of {total} intervals hold the truth ({share:.0f} %)")
+    print(f"identifiable parameters: {inside} of {total} intervals contain the truth ({share:.0f} %)")
 
 
 if __name__ == "__main__":

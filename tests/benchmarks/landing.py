@@ -6,16 +6,13 @@ the wall and of the processor; the ratio is what counts on a machine that does o
 """
 
 import argparse
-import sys
-import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
-sys.path.insert(0, str(Path(__file__).parent))
 import gear_rivals
+from paired import mean_nrmse, measured
 from sysid.export.published import table_1, table_2
 from sysid.gear.model import PARAMETERS, Drops, Ending, prepare, simulate, simulate_population
 from sysid.landing.controllers import find_controller
@@ -26,9 +23,6 @@ from sysid.landing.maps import MapSettings, landing_maps
 from sysid.landing.scenario import Scenario, grid
 from sysid.landing.simulate import LANDING_TOLERANCE, land_many
 from sysid.landing.thrust import Motors
-from sysid.report.drawing import save_figure
-from sysid.report.landing_figures import figure_landing_maps
-from sysid.workflows.landing_maps import static_lines
 
 
 def fleet(surface, sets=5):
@@ -46,13 +40,6 @@ def fleet(surface, sets=5):
             )
         out.append(Drone(values, drone.motor, surface, f"{surface} {rank + 1}"))
     return tuple(out)
-
-
-def measured(call):
-    """Wall time [s], processor time [s] and the result."""
-    wall, cpu = time.perf_counter(), time.process_time()
-    found = call()
-    return time.perf_counter() - wall, time.process_time() - cpu, found
 
 
 # Bound within which LSODA must agree with the kernel until the second touchdown, or it solves another
@@ -92,16 +79,16 @@ def rivals(repeats):
         cpu, worst = 0.0, 0.0
         for cell in some:
             rhs, start, back = gear_rivals.problem(cell.slope, cell.start(drone), thrust)
-            _, own, found = measured(
+            _, seconds, rival = measured(
                 lambda rhs=rhs, start=start: solve_ivp(
                     rhs, (0.0, 3.0), start, method="LSODA", rtol=1e-5, atol=1e-7, dense_output=True
                 )
             )
-            cpu += own / len(some)
+            cpu += seconds / len(some)
             early = np.linspace(0.0, 0.1, 101)
             run = simulate(drone.row, cell.slope, cell.start(drone), early, tolerance=1e-6, propulsion=thrust)
             exact = run.state[:, [0, 1, 2, 7, 8]]
-            worst = max(worst, gear_rivals.nrmse(back(found.sol(early).T), exact))
+            worst = max(worst, mean_nrmse(back(rival.sol(early).T), exact))
         spent["scipy LSODA, same right-hand side"] = cpu
         if gear_rivals.installed("mujoco"):
             times = [gear_rivals.mujoco_landing(c.slope, c.start(drone), thrust, 3.0) for c in some]
@@ -118,7 +105,6 @@ def main():
     """Measure."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--maps", action="store_true")
-    parser.add_argument("--picture", type=Path, help="with --maps: figure to write")
     parser.add_argument("--impulse", choices=["lf", "hf"])
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--no-check", action="store_true")
@@ -127,38 +113,33 @@ def main():
     settings = replace(
         settings, slopes_deg=settings.slopes_deg[:: chosen.every], speeds=settings.speeds[:: chosen.every]
     )
-    told = (find_controller("off"), find_controller("reverse"))
+    controllers = (find_controller("off"), find_controller("reverse"))
     for surface in ("lf", "hf"):
         prepare(surface, single=False)
-        land_many(fleet(surface, 1)[0], [Scenario(0.1, 0.1)], told[0])
+        land_many(fleet(surface, 1)[0], [Scenario(0.1, 0.1)], controllers[0])
     if chosen.maps:
-        wall, cpu, maps = measured(lambda: landing_maps([fleet("lf"), fleet("hf")], told, settings))
-        count = sum(one.outcome.size for one in maps)
+        wall, cpu, maps = measured(lambda: landing_maps([fleet("lf"), fleet("hf")], controllers, settings))
+        count = sum(landings.outcome.size for landings in maps)
         print(
             f"Fig. 8: {count} landings, {wall:.1f} s, {cpu:.1f} s of processor, "
             f"{count / cpu:.0f} per core and second"
         )
-        for one in maps:
-            print(f"  {one.title}: {100 * one.uncertain.mean():.2f} % uncertain")
-        if chosen.picture:
-            limits = static_lines([fleet("lf"), fleet("hf")], told)
-            save_figure(figure_landing_maps(maps, limits=limits), chosen.picture, dpi=100)
+        for landings in maps:
+            print(f"  {landings.title}: {100 * landings.uncertain.mean():.2f} % uncertain")
     elif chosen.impulse:
-        wall, cpu, found = measured(
-            lambda: impulse_maps([fleet(chosen.impulse)], settings, ImpulseSettings())
-        )
-        best = found[0][0].optimum
-        pairs = best["delay"].size * ImpulseSettings().combinations
+        search = ImpulseSettings()
+        wall, cpu, (maps, *_) = measured(lambda: impulse_maps([fleet(chosen.impulse)], settings, search))
+        best = maps[0].optimum
+        pairs = best["delay"].size * search.combinations
         print(
             f"Fig. 9, {chosen.impulse}: {pairs} combinations, {int(best['simulated'].sum())} simulated, "
-            f"{wall:.1f} s, "
-            f"{cpu:.1f} s of processor"
+            f"{wall:.1f} s, {cpu:.1f} s of processor"
         )
     else:
         drone = fleet("lf", 1)[0]
         motors = Motors(drone)
         cells = settings.cells()
-        for controller in told:
+        for controller in controllers:
             _, cpu, _ = measured(
                 lambda controller=controller: land_many(drone, cells, controller, motors=motors, threads=1)
             )

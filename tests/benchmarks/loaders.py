@@ -1,8 +1,8 @@
 """Time and memory of reading a minute of a 10 kHz load cell (8 columns, about 50 MB) as each dialect of CSV.
 
 Run ``python tests/benchmarks/loaders.py [--rows N] [--dialects NAMES] [--ours] [--json PATH]``. Every reading
-is a process of its own: seconds of processor time and of the clock, MB/s of processor time, and the peak of
-memory above that of the imports as a multiple of the arrays (8 bytes a number). Beside it stand readers that
+is a separate process: seconds of processor time and of the clock, MB/s of processor time, and the peak of
+memory above the imports as a multiple of the arrays (8 bytes a number). Beside it stand readers that
 only parse: pandas with its default and with its exact conversion, pyarrow where it is installed, and
 numpy.loadtxt. They check no header and name no line; what they cannot read is shown as "no".
 """
@@ -13,8 +13,9 @@ import json
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
+
+from paired import measured, memory
 
 COLUMNS = ["Time (s)", "Command (us)", "Speed (rad/s)", "Fx (N)", "Fy (N)", "Fz (N)", "Mx (N·m)", "Mz (N·m)"]
 # delimiter, decimal mark, line end, encoding, and every how many rows something odd stands in one.
@@ -62,35 +63,6 @@ def write_log(path, dialect, rows):
             stream.write(end.join(lines) + end)
 
 
-def memory(peak):
-    """Return the largest size of this process so far, or its size now [bytes]."""
-    status = Path("/proc/self/status")
-    if status.exists():
-        key = "VmHWM" if peak else "VmRSS"
-        with status.open(encoding="utf-8") as stream:
-            return next(int(line.split()[1]) * 1024 for line in stream if line.startswith(key))
-    if sys.platform == "win32":
-        import ctypes
-        from ctypes import wintypes
-
-        class Counters(ctypes.Structure):
-            _fields_ = (
-                *(("cb", wintypes.DWORD), ("faults", wintypes.DWORD)),
-                *((name, ctypes.c_size_t) for name in ("peak", "now", "a", "b", "c", "d", "e", "f")),
-            )
-
-        found = Counters()
-        own = ctypes.windll.kernel32.GetCurrentProcess
-        own.restype = wintypes.HANDLE
-        ask = ctypes.windll.psapi.GetProcessMemoryInfo
-        ask.argtypes = (wintypes.HANDLE, ctypes.c_void_p, wintypes.DWORD)
-        ask(own(), ctypes.byref(found), ctypes.sizeof(found))
-        return found.peak if peak else found.now
-    import resource
-
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-
-
 def reader_of(name, dialect):
     """Return a function of a path, with everything imported that it needs."""
     mark, decimal, _, encoding, _ = DIALECTS[dialect]
@@ -132,9 +104,7 @@ def measure(path, name, dialect):
     """Read once in this process; print seconds and bytes as JSON."""
     read = reader_of(name, dialect)
     before = memory(peak=False)
-    wall, spent = time.perf_counter(), time.process_time()
-    values = read(path)
-    wall, spent = time.perf_counter() - wall, time.process_time() - spent
+    wall, spent, values = measured(lambda: read(path))
     numbers = len(values) * len(COLUMNS)
     assert str(values.dtype) == "float64"
     print(json.dumps({"rows": len(values), "seconds": spent, "wall": wall,
@@ -143,7 +113,7 @@ def measure(path, name, dialect):
 
 def benchmark(rows, dialects, readers):
     """Return one entry per dialect and reader; None where the reader cannot read the dialect."""
-    found = []
+    results = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "minute.csv"
         for dialect in dialects:
@@ -156,7 +126,7 @@ def benchmark(rows, dialects, readers):
                 entry = json.loads(done.stdout) if done.returncode == 0 else None
                 if entry is not None and entry["rows"] != rows:
                     entry = None
-                found.append({"dialect": dialect, "reader": name, "megabytes": size, "found": entry})
+                results.append({"dialect": dialect, "reader": name, "megabytes": size, "measured": entry})
                 if entry is None:
                     print(f"  {name:14} no: {(done.stderr.strip().splitlines() or ['other rows'])[-1][:70]}")
                     continue
@@ -164,7 +134,7 @@ def benchmark(rows, dialects, readers):
                     f"  {name:14} {entry['seconds']:6.2f} s of processor, {entry['wall']:6.2f} s of clock, "
                     f"{size / entry['seconds']:6.1f} MB/s, memory {entry['memory']:5.2f} times the arrays"
                 )
-    return found
+    return results
 
 
 def main():
@@ -179,9 +149,9 @@ def main():
     if options.measure:
         measure(Path(options.measure[0]), *options.measure[1:])
         return
-    found = benchmark(options.rows, options.dialects.split(","), READERS[:1] if options.ours else READERS)
+    results = benchmark(options.rows, options.dialects.split(","), READERS[:1] if options.ours else READERS)
     if options.json:
-        options.json.write_text(json.dumps(found, indent=2), encoding="utf-8")
+        options.json.write_text(json.dumps(results, indent=2), encoding="utf-8")
 
 
 if __name__ == "__main__":

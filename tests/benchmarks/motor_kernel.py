@@ -7,8 +7,6 @@ Times are CPU time of the calling thread; trials/s over all threads is wall-cloc
 """
 
 import argparse
-import json
-import math
 import os
 import time
 from pathlib import Path
@@ -17,19 +15,19 @@ import numpy as np
 from numba import njit
 from scipy.integrate import solve_ivp
 
+from paired import best, loosest, mean_nrmse, write_json
 from sysid.motor import model
 from sysid.motor.batch import SimulatedTrial, SimulatedTrials, simulate_population
 from sysid.motor.kernel import INERTIA, K_D, K_M, K_V, REVERSE, TORQUE, L, R
 from sysid.motor.problem import FIT_TOLERANCE
 
-LIMIT = 1e-3
 GRID = np.arange(0.0, 2.0, 1e-3)
 INSTANTS = np.array([0.0, 0.5, 1.0, 1.5])
 
 
 @njit(error_model="numpy")
 def derivative(state, volts, row):
-    """Rates of current and speed outside the dead band, for an integrator of somebody else."""
+    """Rates of current and speed outside the dead band, for another library's integrator."""
     out = np.empty(2)
     out[0] = (volts - row[K_V] * state[1] - row[R] * state[0]) / row[L]
     k = TORQUE if state[1] >= 0.0 else TORQUE + REVERSE
@@ -38,42 +36,23 @@ def derivative(state, volts, row):
     return out
 
 
-def nrmse(ours, exact):
-    """Mean NRMSE of current and speed."""
-    return float(np.mean(np.sqrt(np.mean((ours - exact) ** 2, axis=0)) / exact.std(axis=0)))
-
-
-def least(call, repeats):
-    """Least CPU time of the thread [s] and the last result."""
-    spent, result = math.inf, None
-    for _ in range(repeats):
-        start = time.thread_time()
-        result = call()
-        spent = min(spent, time.thread_time() - start)
-    return spent, result
-
-
 def lsoda(levels, row, rtol):
-    """Current and speed (n, 2) on the grid, restarted at every command."""
-    out = np.empty((GRID.size, 2))
+    """Current and speed (n, 2) on the grid, restarted at every command, and calls of the derivative."""
+    out, count = np.empty((GRID.size, 2)), 0
     omega = model.no_load_speed(levels, {})
     current, speed = model.steady_state(levels[0], {})
     state = np.array([float(current), float(speed)])
     for start, end, target in zip(INSTANTS, [*INSTANTS[1:], GRID[-1] + 1e-3], omega, strict=True):
         rows = slice(*np.searchsorted(GRID, [start - 1e-9, end - 1e-9]))
         volts = row[K_V] * target
-        found = solve_ivp(
-            lambda _, y, volts=volts: derivative(y, volts, row),
-            (start, end),
-            state,
-            method="LSODA",
-            t_eval=np.append(GRID[rows], end),
-            rtol=rtol,
-            atol=rtol * 1e-1,
-        )
-        out[rows] = found.y[:, :-1].T
-        state = found.y[:, -1]
-    return out
+        run = solve_ivp(
+            lambda _, y, volts=volts: derivative(y, volts, row), (start, end), state,
+            method="LSODA", t_eval=np.append(GRID[rows], end), rtol=rtol, atol=rtol * 1e-1,
+        )  # fmt: skip
+        count += int(run.nfev)
+        out[rows] = run.y[:, :-1].T
+        state = run.y[:, -1]
+    return out, count
 
 
 def main():
@@ -90,40 +69,30 @@ def main():
     simulate_population(rows[:2], trials, tolerance=FIT_TOLERANCE)
     derivative(np.zeros(2), 1.0, row)
 
-    spent, _ = least(lambda: simulate_population(rows, trials, tolerance=FIT_TOLERANCE, threads=1), 5)
-    ours = spent / (arguments.population * len(levels))
-    walls = []
-    for _ in range(5):
-        start = time.perf_counter()
-        simulate_population(rows, trials, tolerance=FIT_TOLERANCE)
-        walls.append(time.perf_counter() - start)
-    per_second = arguments.population * len(levels) / min(walls)
+    count = arguments.population * len(levels)
+    ours = best(lambda: simulate_population(rows, trials, tolerance=FIT_TOLERANCE, threads=1), 5)[0] / count
+    wall, _ = best(lambda: simulate_population(rows, trials, tolerance=FIT_TOLERANCE), 5, time.perf_counter)
 
     table = []
     for u in levels:
-        exact = model.simulate({}, INSTANTS, u, GRID, initial="steady", tolerance=1e-10)
-        exact = np.column_stack([exact.current, exact.speed])
-        own = model.simulate({}, INSTANTS, u, GRID, initial="steady", tolerance=FIT_TOLERANCE)
-        error = nrmse(np.column_stack([own.current, own.speed]), exact)
-        for rtol in (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6):
-            seconds, theirs = least(lambda u=u, rtol=rtol: lsoda(u, row, rtol), 1)
-            if nrmse(theirs, exact) <= LIMIT:
-                seconds = min(seconds, least(lambda u=u, rtol=rtol: lsoda(u, row, rtol), 3)[0])
-                break
-        off = nrmse(theirs, exact)
-        table.append({"error": error, "lsoda_seconds": seconds, "lsoda_rtol": rtol, "lsoda_error": off})
+        exact, fitted = (
+            np.column_stack([run.current, run.speed])
+            for tolerance in (1e-10, FIT_TOLERANCE)
+            for run in [model.simulate({}, INSTANTS, u, GRID, initial="steady", tolerance=tolerance)]
+        )
+        error, rival = mean_nrmse(fitted, exact), loosest(lambda rtol, u=u: lsoda(u, row, rtol), exact, 3)
+        table.append({"error": error, **{f"lsoda_{name}": value for name, value in rival.items()}})
         print(
-            f"ours {1e6 * ours:6.1f} µs, {100 * error:.4f} %   LSODA {1e3 * seconds:6.2f} ms at "
-            f"rtol {rtol:g}, {100 * off:.4f} %   ratio {seconds / ours:.0f}"
+            f"ours {1e6 * ours:6.1f} µs, {100 * error:.4f} %   LSODA {1e3 * rival['seconds']:6.2f} ms at "
+            f"rtol {rival['rtol']:g}, {100 * rival['error']:.4f} %   ratio {rival['seconds'] / ours:.0f}"
         )
     ratio = float(np.median([entry["lsoda_seconds"] for entry in table])) / ours
     print(
-        f"median ratio {ratio:.0f} on one core; {per_second:.0f} trials/s on {os.cpu_count()} cores, "
+        f"median ratio {ratio:.0f} on one core; {count / wall:.0f} trials/s on {os.cpu_count()} cores, "
         f"population {arguments.population}"
     )
-    if arguments.json:
-        summary = {"seconds": ours, "trials_per_second": per_second, "median_ratio": ratio, "trials": table}
-        arguments.json.write_text(json.dumps(summary, indent=1), encoding="utf-8")
+    result = {"seconds": ours, "trials_per_second": count / wall, "median_ratio": ratio, "trials": table}
+    write_json(arguments.json, result)
 
 
 if __name__ == "__main__":

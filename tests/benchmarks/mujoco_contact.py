@@ -1,6 +1,6 @@
 """How far the exported MuJoCo model is from the kernel in a drop: the same springs, another contact law.
 
-    python tests/benchmarks/mujoco_contact.py [--figure contact.png]
+    python tests/benchmarks/mujoco_contact.py
 
 Three models of each drop: the kernel; the exported MuJoCo model, whose contact is set to the identified
 spring (`sysid.export.mjcf`); and the same with MuJoCo's default contact (solref 0.02 1, solimp 0.9 0.95), as
@@ -11,20 +11,17 @@ first 0.1 s and in 0.7 s, against the kernel. Bounces are chaotic: after several
 import argparse
 import math
 import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 
 import mujoco
 import numpy as np
-from matplotlib.figure import Figure
 
+from paired import mean_nrmse
 from sysid.export.mjcf import to_mjcf
 from sysid.export.published import table_2
 from sysid.gear.model import PARAMETERS, simulate
-from sysid.report.drawing import save_figure
 
 DROPS = (("lf", 15.0, 0.8), ("lf", 30.0, 0.5), ("hf", 10.0, 0.5), ("hf", 20.0, 0.7))
 CLOCK = np.arange(0, 0.7005, 1e-3)
-CHANNELS = ("x_B [m]", "z_B [m]", "q_B [deg]", "x_B rate [m/s]", "z_B rate [m/s]")
 
 
 def values(surface):
@@ -65,53 +62,21 @@ def kernel(surface, slope, speed):
     return state[:, [0, 1, 2, 7, 8]]
 
 
-def nrmse(ours, exact, until):
-    """Mean NRMSE over the channels up to a time."""
-    rows = until + 1e-9 >= CLOCK
-    error = np.sqrt(np.mean((ours[rows] - exact[rows]) ** 2, axis=0)) / exact[rows].std(axis=0)
-    return float(error.mean())
-
-
 def main():
-    """Print the table; draw if asked."""
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    options.add_argument("--figure", type=Path)
-    figure_path = options.parse_args().figure
-    figure = Figure(figsize=(12, 7), layout="constrained")
-    panels = figure.subplots(3, len(DROPS), sharex=True)
+    """Print the table."""
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     print("drop               exported 0.1 s   0.7 s     MuJoCo's default 0.1 s   0.7 s")
-    for column, (surface, slope_deg, speed) in enumerate(DROPS):
+    for surface, slope_deg, speed in DROPS:
         slope = math.radians(slope_deg)
         document = to_mjcf(values(surface), sticks=surface == "hf", slope=slope)
         exact = kernel(surface, slope, speed)
-        models = {
-            "exported": drop(document, speed),
-            "MuJoCo's default": drop(default_contact(document), speed),
-        }
-        shares = [100 * nrmse(one, exact, until) for one in models.values() for until in (0.1, 0.7)]
+        shares = [
+            100 * mean_nrmse(model[rows], exact[rows])
+            for model in (drop(document, speed), drop(default_contact(document), speed))
+            for rows in (until + 1e-9 >= CLOCK for until in (0.1, 0.7))
+        ]
         name = f"{surface.upper()} {slope_deg:g} deg {speed:g} m/s"
         print(f"{name:<18} {shares[0]:12.2f} % {shares[1]:6.1f} % {shares[2]:22.2f} % {shares[3]:6.1f} %")
-        for row, (channel, factor) in enumerate(((0, 1.0), (1, 1.0), (2, 180 / math.pi))):
-            panel = panels[row, column]
-            panel.plot(
-                CLOCK, factor * exact[:, channel], color="black", linewidth=2.2, label="sysid's kernel"
-            )
-            for (label, one), colour in zip(models.items(), ("#D55E00", "#56B4E9"), strict=True):
-                panel.plot(
-                    CLOCK, factor * one[:, channel], color=colour, linewidth=1.3, label=f"MuJoCo, {label}"
-                )
-            panel.grid(True, color="0.92")
-            if column == 0:
-                panel.set_ylabel(CHANNELS[channel])
-        panels[0, column].set_title(name, fontsize="medium")
-        panels[2, column].set_xlabel("time [s]")
-    figure.align_ylabels(panels[:, 0])
-    figure.legend(
-        *panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False
-    )
-    figure.suptitle("One drone in two simulators: contact set to the identified spring, and MuJoCo's default")
-    if figure_path is not None:
-        print(f"wrote {save_figure(figure, figure_path, dpi=110)}")
 
 
 if __name__ == "__main__":

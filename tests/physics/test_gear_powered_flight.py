@@ -8,7 +8,8 @@ from numba import njit
 
 from fakes.gear_drops import level_start as start
 from sysid.errors import CampaignError
-from sysid.gear.kernel.dynamics import Coefficients, accelerations, feet, pose
+from sysid.gear.kernel import parameter_row
+from sysid.gear.kernel.dynamics import accelerations, derived, feet, pose
 from sysid.gear.kernel.geometry import normal_force
 from sysid.gear.model import (
     PARAMETERS,
@@ -117,13 +118,8 @@ def no_load(command):
 
 def test_histories_equal_a_joint_integration_of_18_states():
     slope, speed = math.radians(15), 0.6
-    span, depth = P["foot_dx"] - P["joint_dx"], P["foot_dz"] - P["joint_dz"]
-    length, rest = math.hypot(span, depth), math.atan2(span, depth)
-    leg = [P[f"leg_{way}_{what}"] for way in ("axial", "bending") for what in ("stiffness", "damping")]
-    inverse = (1 / P["leg_mass"], 1 / P["leg_inertia"])
-    c = Coefficients(*leg, *leg, P["joint_dx"], P["joint_dz"], length, rest, 0.5 * length, 0.5 * length,
-         1 / P["body_mass"], 1 / P["body_inertia"], *inverse, *inverse,
-         P["gravity"] * math.sin(slope), -P["gravity"] * math.cos(slope))  # fmt: skip
+    c = derived(np.array([P[name] for name in parameter_row.NAMES]), slope)
+    rest = c.q_n
     x, z, q, dx, dz, dq = start(slope, speed)
     co, si = math.cos(slope), math.sin(slope)
     steady = simulate_motor(M, [0.0], [0.5], [0.0], initial="steady")
