@@ -80,16 +80,18 @@ def fit_saturation(
 ) -> SaturationFit | None:
     """Fit I_sat and Ω_min of every set to the reversal trials.
 
-    `rows` (S, n_table) are the sets of the dynamic fit [SI], with one of the `seeds` each. Algorithm,
-    finisher and stop rule of the first stage serve the second, but not CMA-ES alone. None where no trial
-    shows the dead band, or both numbers are given. CampaignError as `saturation_space`.
+    `rows` (S, n_table) are the sets of the dynamic fit [SI], with one of the `seeds` each. Algorithm and stop
+    rule of the first stage serve the second, but not CMA-ES alone. CMA-ES takes the place of least squares: a
+    dead band has no derivatives. None where no trial shows the dead band, or both numbers are given.
+    CampaignError as `saturation_space`.
     """
     campaign, bench, table = problem.campaign, problem.bench, problem.space.table
     trials = bench.banded
     spaces = [saturation_space(campaign, bench, table, unpack(row, table)) for row in rows]
     stop = replace(settings.stop, time_limit=None, max_evaluations=None)
-    if settings.algorithm == "cmaes":
-        settings = replace(settings, algorithm=DEFAULT_ALGORITHM, finish="cmaes")
+    if settings.finish == "least-squares" or settings.algorithm == "cmaes":
+        algorithm = DEFAULT_ALGORITHM if settings.algorithm == "cmaes" else settings.algorithm
+        settings = replace(settings, algorithm=algorithm, finish="cmaes")
     values, costs, without, flags, count = [], [], [], [], 0
     for space, seed in zip(spaces, seeds, strict=True):
         if space is None:

@@ -42,7 +42,7 @@ def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, run, r
     assert not Path("whole.checkpoint").exists()
     whole = read_fit("whole")
     assert whole.state == "done"
-    assert [s.algorithm for r in whole.runs for s in r.stages] == ["ga", "cmaes"] * 2
+    assert [s.algorithm for r in whole.runs for s in r.stages] == ["ga", "least-squares"] * 2
 
     fit = ("fit-gear", campaign, *SMALL, "--out", "cut")
     assert run(*fit, "--time-limit", "0.001 s")[0] == 0
@@ -174,7 +174,7 @@ def test_the_record_says_what_was_run(campaign, run):
 def test_another_fit_is_not_continued(cut, campaign, refused):
     for more, words in (
         (("--algorithm", "de"), "the algorithm differs (now de, then ga)"),
-        (("--finish", "none"), "the finisher differs (now none, then cmaes)"),
+        (("--finish", "none"), "the finisher differs (now none, then least-squares)"),
         (("--population", "24"), "the population differs (now 24, then 16)"),
         (("--max-generations", "9"), "the stop rule differs"),
         (("--max-evaluations", "900"), "the evaluation budget of a run differs (now 450, then nothing)"),
