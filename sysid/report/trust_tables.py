@@ -36,14 +36,14 @@ _UNITS = {"slope_deg": "deg", "impact_speed": "m/s", "pitch_rate": "rad/s", "spe
           "command": "of full"}  # fmt: skip
 # A channel with a smaller share of the information on a parameter is not named.
 _TELLS = 0.2
-_TONES: dict[str, Tone] = {"well": "good", "weakly": "doubtful", "not identifiable": "bad"}
+_TONES: dict[str, Tone] = {"well": "good", "weakly": "doubtful"}
 _VERDICTS = {"well": "well determined", "weakly": "weakly determined"}
 _OPEN = "≤ or ≥: open, the data do not end the interval inside the bounds of the search"
 
 
 def verdict_words(verdict: str) -> str:
     """Return a verdict of `sysid.trust.verdicts` as it reads after a parameter."""
-    return _VERDICTS.get(verdict, verdict)
+    return _VERDICTS.get(verdict, verdict.replace("_", " "))
 
 
 def interval(row: Row, level: int) -> str:
@@ -74,7 +74,9 @@ def _name(header: str, key: str = "name") -> Column:
 
 
 _PARAMETER = words("parameter", lambda row: with_unit(row["symbol"], row["unit"]))
-_VERDICT = words("verdict", lambda row: Cell(row["verdict"], _TONES.get(row["verdict"], "")))
+_VERDICT = words(
+    "verdict", lambda row: Cell(row["verdict"].replace("_", " "), _TONES.get(row["verdict"], "bad"))
+)
 
 
 def _partners(row: Row) -> str:

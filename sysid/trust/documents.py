@@ -55,7 +55,7 @@ class FreeParameter(Part):
     derivative changes when its step is halved; from a tenth on it is not trusted. Intervals [low, high] come
     from the profile; an open end is a bound of the search. ``half_width`` is half of ``interval_95`` over the
     profile's best value, infinite where open; ``expected_half_width`` is linearized, as in `sysid check`.
-    ``verdict`` is "well" below 0.1, "weakly" below 0.5, else "not identifiable"; never "well" with a
+    ``verdict`` is "well" below 0.1, "weakly" below 0.5, else "not_identifiable"; never "well" with a
     ``doubt``, which says why the interval may miss the truth. ``partners`` come strongest first, from a
     correlation of 0.8 on. ``at_bound`` is -1, 0 or 1: the best set ends within 1 % of a bound. ``measured``
     is the campaign's independent measurement. ``rough_points`` of the profile needed a random search.

@@ -10,7 +10,7 @@ from sysid.trust.documents import Expected
 
 # Relative 95 % half-widths that part the verdicts.
 WELL, WEAKLY = 0.1, 0.5
-VERDICTS = ("well", "weakly", "not identifiable")
+VERDICTS = ("well", "weakly", "not_identifiable")
 
 
 def verdict(half_width: float) -> str:

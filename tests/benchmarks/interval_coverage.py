@@ -127,7 +127,7 @@ def main() -> None:
             f"{100 * float(np.median([one.half_width for one in found])):>7.1f}%"
             f"{float(np.sqrt(np.mean(np.square(scatter)))):>7.2f}  {counts}"
         )
-        if names.count("not identifiable") < len(names):
+        if names.count("not_identifiable") < len(names):
             inside, total = inside + sum(inside_of), total + len(inside_of)
     share = 100 * inside / total
     print(f"identifiable parameters: {inside} of {total} intervals contain the truth ({share:.0f} %)")

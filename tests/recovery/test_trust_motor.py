@@ -140,7 +140,7 @@ def test_what_a_fit_held_predicts_another_campaign(fit: Path, bench: Path, tmp_p
 def test_trust_on_a_motor_holds_the_truth_and_says_what_it_takes_as_known(fit: Path, bench: Path) -> None:
     found = assess_fit(fit, TrustOptions(resamples=5))
     rows = {row["name"]: row for row in found["parameters"]}
-    assert rows["viscous_damping"]["verdict"] == "not identifiable"
+    assert rows["viscous_damping"]["verdict"] == "not_identifiable"
     low, high = rows["winding_resistance"]["interval_95"]
     # One interval of 95 %: outside by half its half-width happens in 0.3 %.
     assert low - (high - low) / 4 < 0.299 < high + (high - low) / 4
@@ -168,7 +168,7 @@ def test_a_stated_range_of_kv_widens_what_is_known_of_the_resistance(bench: Path
 def test_check_on_a_motor_says_what_to_record_next(bench: Path) -> None:
     found = check_campaign(bench)
     rows = {row["name"]: row for row in found["parameters"]}
-    assert rows["viscous_damping"]["verdict"] == "not identifiable"
+    assert rows["viscous_damping"]["verdict"] == "not_identifiable"
     assert rows["winding_resistance"]["verdict"] == "well"
     assert rows["winding_inductance"]["verdict"] == "well"
     assert any(re.search("coasts down", one) for one in found["sentences"])
@@ -199,7 +199,7 @@ def test_the_trial_that_is_suggested_fixes_what_it_promises(tmp_path: Path) -> N
         assert after[name]["verdict"] == steps["verdicts"][name]
         # Its own delay and the noise of another draw: the same within a third.
         assert after[name]["half_width"] == pytest.approx(steps["half_widths"][name], rel=0.35)
-    assert after["viscous_damping"]["verdict"] == "not identifiable"
+    assert after["viscous_damping"]["verdict"] == "not_identifiable"
 
 
 @pytest.mark.slow
@@ -213,4 +213,4 @@ def test_three_motors_lie_within_their_intervals(tmp_path: Path) -> None:
     assert sum(one.inside for one in known) >= 5
     assert all(one.beyond < 1.0 for one in known)
     assert all(one.verdict == "well" for one in known)
-    assert all(one.verdict == "not identifiable" for one in found if one.name == "viscous_damping")
+    assert all(one.verdict == "not_identifiable" for one in found if one.name == "viscous_damping")

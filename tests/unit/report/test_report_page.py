@@ -500,7 +500,7 @@ def test_open_intervals_are_shown_as_open():
     row = {
         "name": "ground_damping", "symbol": "b_s", "unit": "N·s/m", "value": 2.0, "mean": 2.0, "sigma": 1.0,
         "interval_68": [0.001, 5.0], "open_68": [True, False], "interval_95": [0.001, 10.0],
-        "open_95": [True, True], "verdict": "not identifiable", "at_bound": 0, "measured": None,
+        "open_95": [True, True], "verdict": "not_identifiable", "at_bound": 0, "measured": None,
         "half_width": float("inf"), "bootstrap_95": None, "refined": 2.0, "fisher_sigma": 1.0, "doubt": None,
     }  # fmt: skip
     wide, narrow = (make({"parameters": [row]}) for make in (interval_table, narrow_table))

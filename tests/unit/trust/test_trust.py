@@ -144,8 +144,8 @@ def test_a_parameter_that_nothing_sees_is_open_and_not_identifiable_and_moves_no
     last = found.profiles.profiles[2]
     assert last.open_95 == (True, True)
     assert last.interval_95 == (0.0, 2.0)
-    assert verdict(last.half_width) == "not identifiable"
-    assert verdict(found.linear.half_widths[2]) == "not identifiable"
+    assert verdict(last.half_width) == "not_identifiable"
+    assert verdict(found.linear.half_widths[2]) == "not_identifiable"
     assert [verdict(p.half_width) for p in found.profiles.profiles[:2]] == ["well", "well"]
     effect, interaction = morris(problem, seed=1)
     assert effect[2] == pytest.approx(0.0, abs=1e-12)
@@ -285,7 +285,7 @@ def test_white_noise_counts_every_sample():
         (0.0999, "well"),
         (0.1, "weakly"),
         (0.4999, "weakly"),
-        *((x, "not identifiable") for x in (0.5, np.inf, np.nan)),
+        *((x, "not_identifiable") for x in (0.5, np.inf, np.nan)),
     ],
 )
 def test_verdicts_part_at_ten_and_fifty_percent(half_width, word):
@@ -306,7 +306,7 @@ def test_the_recording_that_sees_the_blind_parameter_is_ranked_first():
     problem = Linear(blind, data)
     noise = NoiseModel((0,), np.ones((1, 1, 1)))
     view, expected = expectations(problem, np.array([0.5, 0.5]), noise, over_bounds=False)
-    assert [one.verdict for one in expected] == ["well", "not identifiable"]
+    assert [one.verdict for one in expected] == ["well", "not_identifiable"]
     shapes = [np.array([1.0, 0.0]), np.array([0.0, 1.0]), np.array([0.0, 0.3])]
     extra = [source.standard_normal((200, 1, 1)) * shape[None, :, None] for shape in shapes]
     others = Linear(extra, [a[:, :, 0] @ np.ones(2)[:, None] for a in extra])
