@@ -45,15 +45,20 @@ OpenMapping = Annotated[
 
 # Units of the quantities in open fields, by key. A key that ends in _deg states its unit.
 UNITS = {
-    **dict.fromkeys(("rate", "cutoff", "cutoff_3db", "stop_edge", "transition"), "Hz"),
-    **dict.fromkeys(("release", "touchdown", "window", "doubtful", "starts_from_rest", "offset"), "s"),
-    **dict.fromkeys(("time", "time_to_rest", "trigger", "time_limit", "wall_time"), "s"),
-    **dict.fromkeys(("before_contact", "after_contact", "delay", "own_delay"), "s"),
-    **dict.fromkeys(("measured", "simulated"), "s"),
-    **dict.fromkeys(("distance", "down_slope", "down_slope_error", "up", "up_error"), "m"),
-    **dict.fromkeys(("inertia", "standard_error"), "kg·m²"),
-    "impact_speed": "m/s", "measured_gravity": "m/s²", "saturation_speed_range": "rad/s",
-}  # fmt: skip
+    key: unit
+    for unit, keys in {
+        "Hz": "rate cutoff cutoff_3db stop_edge transition",
+        "s": "release touchdown window doubtful starts_from_rest offset before_contact after_contact delay "
+        "own_delay measured simulated time time_to_rest trigger time_limit wall_time",
+        "m": "distance x z down_slope down_slope_error up up_error",
+        "m/s": "impact_speed",
+        "m/s²": "gravity gravity_error measured_gravity",
+        "rad": "pitch",
+        "rad/s": "saturation_speed_range",
+        "kg·m²": "inertia standard_error",
+    }.items()
+    for key in keys.split()
+}
 
 
 def label(key: str) -> str:
@@ -88,7 +93,8 @@ class Part(BaseModel):
     @classmethod
     def json_schema(cls) -> dict[str, Any]:
         """Return the JSON Schema; its comment states the units of `UNITS`."""
-        units = f"Units in open fields: {', '.join(map(label, UNITS))}; keys in _deg: deg."
+        listed = ", ".join(f"{key} [{unit}]" for key, unit in UNITS.items())
+        units = f"Units of keys in open fields: {listed}; keys that end in _deg: degrees."
         schema = cls.model_json_schema(by_alias=True, schema_generator=_Schema, mode="serialization")
         return {"$comment": units} | schema
 

@@ -363,7 +363,7 @@ class Problem(ABC):
         for s, causes in enumerate(prediction.cause, start=1):
             for code in np.unique(causes[causes > 0]):
                 where = ", ".join(self.trials[t].name for t in np.flatnonzero(causes == code))
-                cause = self.causes[code - 1]
+                cause = self.causes[code - 1].replace("_", " ")
                 notice("simulation-lost", f"set {s}: {cause} on {where}; its NRMSE there is a penalty")
         return tuple(
             TrialResult(

@@ -47,7 +47,7 @@ def _stage_record(stage: StageHistory) -> dict[str, Any]:
 
 def failures(run: RunHistory) -> str:
     """Return how many candidates of a run failed, and of what: ``3 failed: 2 blew up, 1 never touched``."""
-    by_cause = ", ".join(f"{count} {cause}" for cause, count in run.failures.items())
+    by_cause = ", ".join(f"{count} {cause.replace('_', ' ')}" for cause, count in run.failures.items())
     return f"{int(run.failed.sum())} failed" + (f": {by_cause}" if by_cause else "")
 
 

@@ -21,7 +21,7 @@ from sysid.types import BoolArray, FloatArray
 
 # In the order in which a candidate with several of them is counted. Too expensive: a contact or leg that is
 # too stiff, or (on high friction mostly) too many bounces and mode switches.
-CAUSES = ("blew up", "too expensive", "step collapsed", "never touched", "left the board")
+CAUSES = ("blew_up", "too_expensive", "step_collapsed", "never_touched", "left_the_board")
 _OF_STATUS = {Status.BLEW_UP: 1, Status.TOO_EXPENSIVE: 2, Status.STEP_COLLAPSED: 3}
 _NEVER_TOUCHED, _LEFT_BOARD = 4, 5
 

@@ -67,7 +67,7 @@ def test_the_truth_is_fine(problem):
 def test_a_drop_that_never_touches_is_penalized_by_its_height(problem):
     objective, row = problem
     judged = [cause(lifted(objective, height, height), row) for height in (5.0, 10.0)]
-    assert [why for _, why in judged] == ["never touched"] * 2
+    assert [why for _, why in judged] == ["never_touched"] * 2
     # Finite, above what any simulation that touches scores, and graded.
     assert FAILED_NRMSE < judged[0][0] < judged[1][0]
     # What is missing, the whole window, is paid on top of how far away it is.
@@ -84,7 +84,7 @@ def test_leaving_the_board_is_penalized_by_what_is_missing(problem):
     objective, row = problem
     boards = (0.05, 0.1, 0.2, 0.3, 5.0)
     judged = [cause(on_board(objective, board), row) for board in boards]
-    assert [why for _, why in judged[:2]] == ["left the board"] * 2
+    assert [why for _, why in judged[:2]] == ["left_the_board"] * 2
     assert judged[-1] == cause(objective, row)
     costs = [cost for cost, _ in judged]
     # The sooner it leaves, the more it pays; who stays on is scored as ever.
@@ -105,16 +105,16 @@ def test_the_penalty_of_leaving_begins_at_nothing(problem):
     # Up to 5 % before the end of the measured way nothing is paid; 2 % more are some samples of the window.
     assert cause(on_board(objective, 0.97 * way), row) == (plain, "fine")
     cost, why = cause(on_board(objective, 0.92 * way), row)
-    assert why == "left the board"
+    assert why == "left_the_board"
     assert plain < cost < plain + 0.1 * FAILED_NRMSE
 
 
 def test_every_way_to_be_lost_is_told_apart(problem):
     objective, row = problem
-    assert cause(objective, changed(row, 8, 5.0))[1] == "blew up"
-    assert cause(objective, changed(row, 12, 1e13))[1] == "too expensive"
+    assert cause(objective, changed(row, 8, 5.0))[1] == "blew_up"
+    assert cause(objective, changed(row, 12, 1e13))[1] == "too_expensive"
     cost, why = cause(objective, changed(row, 15, 0.0))
-    assert why == "step collapsed"
+    assert why == "step_collapsed"
     # Lost before the first touchdown it pays for what it did not reach, once.
     assert FAILED_NRMSE < cost <= 2 * FAILED_NRMSE
     later, sooner = (cause(objective, changed(row, 8, k_h))[0] for k_h in (50.0, 5.0))
@@ -127,7 +127,7 @@ def test_a_candidate_with_several_causes_is_counted_by_the_first(problem):
     # The flat drop starts far too high, the steep one leaves a short board.
     drops = lifted(objective, 5.0, 0.0).drops
     for order in (drops, drops[::-1]):
-        assert cause(on_board(replace(objective, drops=order), 0.05), row)[1] == "never touched"
+        assert cause(on_board(replace(objective, drops=order), 0.05), row)[1] == "never_touched"
 
 
 def lost(objective, rows):
@@ -173,14 +173,14 @@ def test_a_fit_counts_them_by_cause(folder, tmp_path):
     )  # fmt: skip
     result, out = fit_gear(path, options)
     counts = result.runs[0].failures
-    assert {"blew up", "left the board"} <= set(counts) <= set(CAUSES)
+    assert {"blew_up", "left_the_board"} <= set(counts) <= set(CAUSES)
     assert sum(counts.values()) == result.runs[0].failed.sum()
     # The accuracy is kept beside what it led to.
     assert read_fit(out).settings["tolerance"] == SURFACES["lf"].tolerance
     # In text, numbers and JSON.
     assert read_fit(out).runs[0].failures == counts
-    for cause_text, count in counts.items():
-        assert f"{count} {cause_text}" in (out / "summary.txt").read_text(encoding="utf-8")
+    for code, count in counts.items():
+        assert f"{count} {code.replace('_', ' ')}" in (out / "summary.txt").read_text(encoding="utf-8")
     document = exact_json.loads((out / "fit.json").read_text(encoding="utf-8"))
     assert document["provenance"]["failures"] == counts
 
