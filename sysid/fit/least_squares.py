@@ -14,7 +14,8 @@ The finisher therefore begins with the first part of every trial's window and le
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -184,6 +185,22 @@ def descend(
             fronts.converged[front] = bool(little[front] == 2)
 
 
+def drive(walk: Walk, residuals: Callable[[FloatArray], tuple[FloatArray, BoolArray]]) -> int:
+    """Let a walk ask for residuals until it ends; return how many points were simulated."""
+    asked, count = next(walk), 0
+    with suppress(StopIteration):
+        while True:
+            count += len(asked)
+            asked = walk.send(residuals(asked))
+    return count
+
+
+def comparable(residuals: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return residuals (P, m) without NaN, and which points (P,) failed, as a walk takes them."""
+    failed = np.asarray(np.isnan(residuals).any(axis=1))
+    return np.where(failed[:, None], 0.0, residuals), failed
+
+
 def _columns(
     at: FloatArray, current: FloatArray, fixed: BoolArray, widths: FloatArray, central: bool
 ) -> Generator[FloatArray, tuple[FloatArray, BoolArray], tuple[FloatArray, BoolArray]]:
@@ -320,9 +337,8 @@ class LeastSquares(Breeder):
         assert residuals is not None, "least squares lives on residuals"
         for point, value in zip(self._asked, cost, strict=True):
             self._scored[point.tobytes()] = float(value)
-        lost = np.asarray(np.isnan(residuals).any(axis=1))
         try:
-            self._asked = self._walk.send((np.where(lost[:, None], 0.0, residuals), lost))
+            self._asked = self._walk.send(comparable(residuals))
         except StopIteration:
             self._asked = None
 

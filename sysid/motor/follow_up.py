@@ -260,9 +260,7 @@ def _judge(
         if _PROFILED in space.names:
             # Of the torque curve's linear coefficient, which stands beside k_d in the equation of the rotor.
             errors = [fit.standard_errors[1] for fit in bench.curves.fits if fit.quantity == "torque"]
-            damping = profile(
-                problem.fitted, _PROFILED, sets.cube[0], sets.seed[0], max(errors), course.go_on
-            )
+            damping = profile(problem.fitted, _PROFILED, sets.cube[0], max(errors), course.go_on)
             settings[_PROFILES] = {damping.name: damping.document()}
             _notice(damping.doubt)
     except CutShort as error:

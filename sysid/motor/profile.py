@@ -8,25 +8,21 @@ everywhere in a result; the intervals of `sysid trust` follow the noise instead.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from sysid.fit.breeders.algorithms import Start, breeder
-from sysid.fit.breeders.breeder import Breeder
-from sysid.fit.search import Hooks, SearchSettings, run_one
-from sysid.fit.stopping import StopRule
+from sysid.fit.least_squares import Fronts, MeanNrmse, comparable, descend, drive
 from sysid.journal import Finding
 from sysid.motor.problem import MotorProblem
-from sysid.parameters import SearchSpace
-from sysid.types import FloatArray
+from sysid.types import BoolArray, FloatArray
 
 # Values that move the NRMSE by less than this share of itself are equally good.
 LIMIT = 0.01
 _POINTS = 9
-# Others are refitted near where the last point left them: population, generations, spread in the unit cube.
-_REFIT = (12, 16, 0.02)
+# Of the refits: share of the NRMSE that is not worth another step, steps at most.
+_TOLERANCE, _ITERATIONS = 1e-4, 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,48 +79,26 @@ class CostProfile:
 
 
 def profile(
-    objective: MotorProblem,
-    name: str,
-    best: FloatArray,
-    seed: int,
-    resolution: float,
-    should_stop: Callable[[], bool],
+    objective: MotorProblem, name: str, best: FloatArray, resolution: float, should_stop: Callable[[], bool]
 ) -> CostProfile:
-    """Walk a free parameter through its bounds and fit the others at every step.
+    """Walk a free parameter through its bounds and fit the others at every step, by least squares.
 
-    `best` (n_free,) is the best set in the unit cube, `resolution` is of the static curves [SI]. Value i is
-    searched with seed + i. `should_stop` is asked after every generation, and raises where the fit must end.
+    `best` (n_free,) is the best set in the unit cube, `resolution` is of the static curves [SI].
+    `should_stop` is asked before every population, and raises where the fit must end.
     """
     space = objective.space
     column = space.names.index(name)
-    others = tuple(row for row in space.free if row.name != name)
-    places = np.linspace(0.0, 1.0, _POINTS)
-    values = space.decode(np.where(np.arange(len(space.free)) == column, places[:, None], 0.5))[:, column]
-    costs = np.empty(_POINTS)
-    lowest = float(objective.evaluate(best[None]).cost[0])
-    nearest = int(np.argmin(np.abs(places - best[column])))
-    # Outward from the best set, so that every search starts beside an optimum.
-    for order in (range(nearest, _POINTS), range(nearest - 1, -1, -1)):
-        at = np.delete(best, column)
-        for i in order:
-            fixed = {**space.fixed, name: float(values[i])}
-            beside = replace(objective, space=SearchSpace(space.table, others, fixed))
-            costs[i], at = _refit(beside, at, seed + i, should_stop)
-    lowest = min(lowest, float(costs.min()))
-    return CostProfile(name, space.free[column].unit, values, costs, lowest, resolution)
+    fronts = Fronts.at(np.repeat(best[None], _POINTS, axis=0))
+    fronts.points[:, column] = np.linspace(0.0, 1.0, _POINTS)
+    fixed = np.zeros(fronts.points.shape, dtype=np.bool_)
+    fixed[:, column] = True
 
+    def residuals(points: FloatArray) -> tuple[FloatArray, BoolArray]:
+        should_stop()
+        return comparable(objective.examine(points)[1])
 
-def _refit(
-    objective: MotorProblem, at: FloatArray, seed_of_value: int, should_stop: Callable[[], bool]
-) -> tuple[float, FloatArray]:
-    """Return the lowest NRMSE near a point of the unit cube, and where it is."""
-    many, generations, spread = _REFIT
-
-    def near(name: str, n_free: int, population: int, seed: int, start: Start | None) -> Breeder:
-        return breeder(name, n_free, population, seed_of_value, Start(at, np.full(n_free, spread)))
-
-    settings = SearchSettings(many, 1, seed_of_value, StopRule(max_generations=generations), "cmaes", "none")
-    run = run_one(objective, settings, hooks=Hooks(should_stop=should_stop), breeds=near)
-    before = float(objective.evaluate(at[None]).cost[0])
-    after = float(run.best[-1])
-    return (after, run.best_point) if after < before else (before, at)
+    walk = descend(fronts, MeanNrmse(objective), fixed=fixed, tolerance=_TOLERANCE, iterations=_ITERATIONS)
+    drive(walk, residuals)
+    costs = objective.evaluate(np.vstack([fronts.points, best])).cost
+    values = space.decode(fronts.points)[:, column]
+    return CostProfile(name, space.free[column].unit, values, costs[:-1], float(costs.min()), resolution)

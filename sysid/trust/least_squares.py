@@ -7,7 +7,6 @@ is too rough for derivatives is handed to CMA-ES around where it stands.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from sysid.fit.breeders.algorithms import breeder
 from sysid.fit.breeders.breeder import Start
-from sysid.fit.least_squares import Fronts, descend
+from sysid.fit.least_squares import Fronts, descend, drive
 from sysid.fit.problem import Problem
 from sysid.types import BoolArray, FloatArray
 
@@ -89,11 +88,7 @@ def solve(
             ended.part(part), _Squares(np.sqrt(factor) * scale), steps=steps, fixed=fixed[part],
             tolerance=tolerance, iterations=iterations,
         )  # fmt: skip
-        asked = next(walk)
-        with suppress(StopIteration):
-            while True:
-                evaluations += len(asked)
-                asked = walk.send(problem.residuals(asked))
+        evaluations += drive(walk, problem.residuals)
     return Solved(ended.points, ended.cost, ended.converged, evaluations)
 
 
