@@ -1,5 +1,7 @@
 """A running fit on disk: no kill loses more than two seconds, and it is continued to the same bits.
 
+Least squares is the exception: it needs residuals, which are not stored, so its seconds are simulated again.
+
 Beside the result folder ``NAME`` lies ``NAME.checkpoint`` while a fit is unfinished. Each run has a file
 ``run-3.h5``, which holds the costs that it has paid for (see `sysid.fit.run_log`). It is an HDF5 file behind
 a block of 512 bytes (HDF5's user block, so every reader opens it) that carries the SHA-256 of the rest. A new

@@ -3,6 +3,7 @@
 A breeder is a pure function of its seed and of the costs it was told. A run is therefore continued by
 breeding again from the start and telling the remembered costs, until they are used up: no state of any
 library is stored, and the candidates asked for are compared with a fingerprint of those that were scored.
+Least squares is given residuals, which are not stored: its candidates are simulated again.
 
 Another processor rounds otherwise, so the same seed and costs breed candidates that differ in their last
 digits. A sketch of every generation tells these from candidates that have nothing to do with the scored ones.

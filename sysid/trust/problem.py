@@ -20,12 +20,10 @@ from copy import copy
 
 import numpy as np
 
+from sysid.fit.least_squares import LEAST_NRMSE
 from sysid.fit.problem import Block, Problem
 from sysid.parallel import Executor
 from sysid.types import FloatArray
-
-# A channel that fits better than this is not weighted up any further: noise-free samples have no scale [1].
-LEAST_NRMSE = 1e-5
 
 
 def spread_over(problem: Problem, executor: Executor) -> Problem:
