@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -103,6 +104,12 @@ class Provenance:
     def sentences(self) -> list[str]:
         """The notes in words, as files and terminals state them."""
         return [str(note) for note in self.notes]
+
+    @property
+    def source(self) -> dict[str, Any]:
+        """File, hash, format and device, as a result states them."""
+        head = {"log": Path(self.path).name, "sha256": self.sha256}
+        return head | {"format": self.format, "device": self.device}
 
 
 @dataclass(frozen=True, eq=False)

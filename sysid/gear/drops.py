@@ -182,7 +182,7 @@ class _Preparation:
 
     def drop(self) -> PreparedDrop:
         """Return the drop, cut, filtered and judged."""
-        motion, flight, origin = self.motion, self.flight, self.recording.provenance
+        motion, flight = self.motion, self.flight
         window = self._window()
         target, spectrum = self._target(window)
         self._doubt(window)
@@ -204,10 +204,7 @@ class _Preparation:
             target=target,
             spectrum=spectrum,
             provenance={
-                "log": Path(origin.path).name,
-                "sha256": origin.sha256,
-                "format": origin.format,
-                "device": origin.device,
+                **self.recording.provenance.source,
                 "rate": motion.rate,
                 "slope_deg": float(np.degrees(self.feet.slope)),
                 "held_before_release": flight.held,

@@ -436,19 +436,16 @@ class GearProblem(Problem):
         report = inspect_recording(recording, campaign.vehicle.gravity)
         window = (motion.time >= drop.time[0]) & (motion.time <= drop.time[-1])
         tilt = np.nanmax(np.abs([motion.roll[window], motion.yaw[window]]))
-        noise = zip(("x", "z", "pitch"), flight.noise.tolist(), strict=True)
-        return log_quality(drop.name, drop.use, report) | {
-            "slope_deg": float(np.degrees(drop.slope)),
-            "noise": dict(noise),
+        stated = ("slope_deg", "release", "touchdown", "impact_speed", "notes")
+        return {
+            **log_quality(drop.name, drop.use, report),
+            **{key: drop.provenance[key] for key in stated},
+            "noise": dict(zip(("x", "z", "pitch"), flight.noise.tolist(), strict=True)),
             "gravity": flight.measured_gravity,
             "gravity_error": _fall_error(drop),
             "held": flight.held,
-            "release": flight.start,
-            "touchdown": drop.touchdown,
-            "impact_speed": drop.impact_speed,
             "lost_in_window": int(np.sum(~motion.valid[window])),
             "out_of_plane_deg": float(np.degrees(tilt)),
-            "notes": list(drop.provenance["notes"]),
         }
 
     def excitation(self) -> dict[str, Any]:

@@ -68,18 +68,12 @@ def read_log(
         other = resolve_log(path, entry.second_log.log)
         beside = load_stated(other, entry.second_log.format, {}, entry.second_log.loader_options())
         recording, clock = join_recordings(recording, beside, entry.second_log.align_by)
-        second = source_of(beside) | {
+        second = beside.provenance.source | {
             "aligned": f"{clock.other} with {clock.reference}", "offset": clock.offset,
             "correlation": clock.correlation, "confidence": clock.confidence,
             "notes": beside.provenance.sentences,
         }  # fmt: skip
     return on_one_clock(recording, _NEEDED, _CLOCK_OF), second
-
-
-def source_of(recording: Recording) -> dict[str, Any]:
-    """Return file, hash, format and device of a log, as a result states them."""
-    p = recording.provenance
-    return {"log": Path(p.path).name, "sha256": p.sha256, "format": p.format, "device": p.device}
 
 
 def log_hashes(provenance: Mapping[str, Any]) -> str:

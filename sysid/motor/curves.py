@@ -21,7 +21,6 @@ from sysid.motor.bench_logs import (
     command_range,
     log_points,
     read_log,
-    source_of,
 )
 from sysid.motor.static_curves import (
     CurveFit,
@@ -81,7 +80,7 @@ def _curve_log(
             "or ramp from rest to full in 20 s or more"
         )
     provenance = {
-        **source_of(recording),
+        **recording.provenance.source,
         "direction": static.direction,
         "steady_points": len(points),
         **({} if second is None else {"second_log": second}),

@@ -12,7 +12,7 @@ from sysid.campaign import MotorCampaign, MotorTrial
 from sysid.errors import LogError
 from sysid.filters import ChebyshevLowpass, Spectrum, amplitude_spectrum
 from sysid.motor.batch import SimulatedTrial
-from sysid.motor.bench_logs import BenchLog, Samples, source_of
+from sysid.motor.bench_logs import BenchLog, Samples
 from sysid.motor.cost import MotorTarget
 from sysid.motor.parameters import PARAMETERS
 from sysid.trials.bench_log import Tare, outside
@@ -98,7 +98,7 @@ def prepare_trial(
     if "thrust" in log.channels:
         thrust = np.interp(target.time, *filtered(campaign, log, "thrust"))
     provenance = {
-        **source_of(log.recording),
+        **log.recording.provenance.source,
         "direction": entry.direction,
         "rate": 1.0 / log.interval,
         "window": [float(w) for w in log.window],
