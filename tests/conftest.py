@@ -1,9 +1,12 @@
 """What tests share: the command line, small logs, and two threads also on one core."""
 
 import os
+import shutil
 from pathlib import Path
 
 import pytest
+
+from fakes.places import SAMPLES
 
 # Processes that a test starts find `fakes` and this checkout as the test itself does.
 _TESTS = Path(__file__).resolve().parent
@@ -64,3 +67,10 @@ def write(tmp_path):
         return path
 
     return call
+
+
+@pytest.fixture
+def drops(tmp_path, monkeypatch):
+    """A copy of the sample drops on low friction; results go to a fits/ beside it."""
+    monkeypatch.chdir(tmp_path)
+    return Path(shutil.copytree(SAMPLES / "gear-lf", tmp_path / "drops"))

@@ -20,7 +20,6 @@ any.
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
 import time
 from dataclasses import dataclass
@@ -28,11 +27,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.campaign import GearCampaign, MotorCampaign, read_campaign
-from sysid.fit.problem import Problem
-from sysid.gear.drops import prepare_drops
-from sysid.gear.problem import TRUST_TOLERANCE, GearProblem, search_space
-from sysid.synthetic import synthesize_gear, synthesize_motor
+from sysid.campaign import read_campaign
+from sysid.synthetic import read_truth, synthesize_gear, synthesize_motor
 from sysid.synthetic.motor import TRIALS
 from sysid.trust.assessment import assess
 from sysid.trust.verdicts import verdict
@@ -61,40 +57,26 @@ class Covered:
         return max(self.low - self.truth, self.truth - self.high, 0.0) / ((self.high - self.low) / 2)
 
 
-def replicate(seed: int, surface: str, folder: Path) -> list[Covered]:
-    """Synthesize drops, fit from the truth (no search: a fit's best set lies there), profile."""
-    if surface == "motor":
-        return replicate_motor(seed, folder)
-    out = synthesize_gear(folder / f"{surface}-{seed}", seed=seed, surface=surface)
-    path = out / "campaign.toml"
-    campaign = read_campaign(path, "gear")
-    assert isinstance(campaign, GearCampaign)
-    space = search_space(campaign)
-    drops = tuple(drop for drop in prepare_drops(campaign, path) if drop.use == "fit")
-    problem = GearProblem(campaign, space, drops, None, TRUST_TOLERANCE)
-    true = json.loads((out / "truth.json").read_text(encoding="utf-8"))["parameters"]
-    truth = np.array([true[name] for name in space.names])
-    return _covered(problem, truth)
+def replicate(seed: int, problem: str, folder: Path) -> list[Covered]:
+    """Synthesize logs, fit from the truth (no search: a fit's best set lies there), profile.
 
-
-def replicate_motor(seed: int, folder: Path) -> list[Covered]:
-    """The same of a forward and a reverse bench trial; command delays, of no motor, are left out."""
-    out = synthesize_motor(folder / f"motor-{seed}", seed=seed, trials=TRIALS[:2])
-    path = out / "campaign.toml"
-    campaign = read_campaign(path, "motor")
-    assert isinstance(campaign, MotorCampaign)
-    problem = find_kind("motor").open(campaign, path, None).fitted
-    true = json.loads((out / "truth.json").read_text(encoding="utf-8"))["parameters"]
-    truth = np.array([true[row.common_name] for row in problem.space.free])
-    rows = zip(_covered(problem, truth), problem.space.free, strict=True)
-    return [covered for covered, row in rows if not row.trial]
-
-
-def _covered(problem: Problem, truth: np.ndarray) -> list[Covered]:
-    found = assess(problem, problem.space.encode(truth), resamples=0)
+    A motor has a forward and a reverse trial; command delays, of no motor, are left out.
+    """
+    kind, out = "motor" if problem == "motor" else "gear", folder / f"{problem}-{seed}"
+    if kind == "motor":
+        synthesize_motor(out, seed=seed, trials=TRIALS[:2])
+    else:
+        synthesize_gear(out, seed=seed, surface=problem)
+    path, true = out / "campaign.toml", read_truth(out)["parameters"]
+    fitted = find_kind(kind).open(read_campaign(path, kind), path, None).fitted
+    fitted = fitted if kind == "motor" else fitted.exact
+    free = fitted.space.free
+    truth = np.array([true[row.common_name] for row in free])
+    profiles = assess(fitted, fitted.space.encode(truth), resamples=0).profiles.profiles
     return [
         Covered(p.name, t, p.best, *p.interval_95, p.half_width, verdict(p.half_width))
-        for p, t in zip(found.profiles.profiles, truth, strict=True)
+        for p, t, row in zip(profiles, truth, free, strict=True)
+        if not row.trial
     ]
 
 

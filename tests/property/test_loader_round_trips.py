@@ -47,7 +47,7 @@ def columns(draw, count, number=NUMBER, gaps=True):
 def dress(draw, names, table):
     """Write a table with a random delimiter, line end, encoding and blanks, and with comments."""
     delimiter = draw(st.sampled_from([",", ";", "\t"]))
-    line_end = draw(st.sampled_from(["\n", "\r\n", "\r"]))
+    line_end = draw(st.sampled_from(["\n", "\r\n", "\r", "\r\r\n"]))
     encoding = draw(st.sampled_from(["utf-8", "utf-8-sig", "cp1252", "utf-16"]))
     blank = draw(st.sampled_from(["", " ", "nan", "NaN"]))
     trailing = draw(st.sampled_from(["", delimiter]))

@@ -13,7 +13,7 @@ from sysid.fit.nrmse import FAILED_NRMSE
 from sysid.fit.problem import first_cause
 from sysid.fit.store import read_fit
 from sysid.gear.lost_drops import CAUSES
-from sysid.gear.model import SURFACES, pack, simulate_population
+from sysid.gear.model import SURFACES, pack
 from sysid.gear.problem import GearProblem, search_space
 from sysid.journal import Journal
 from sysid.synthetic import LF_DROPS, synthesize_gear
@@ -57,13 +57,6 @@ def changed(row, column, value):
     return out
 
 
-def test_the_truth_is_fine(problem):
-    objective, row = problem
-    cost, why = cause(objective, row)
-    assert why == "fine"
-    assert cost < 2e-3  # integration and quantization, as elsewhere in these tests
-
-
 def test_a_drop_that_never_touches_is_penalized_by_its_height(problem):
     objective, row = problem
     judged = [cause(lifted(objective, height, height), row) for height in (5.0, 10.0)]
@@ -86,6 +79,8 @@ def test_leaving_the_board_is_penalized_by_what_is_missing(problem):
     judged = [cause(on_board(objective, board), row) for board in boards]
     assert [why for _, why in judged[:2]] == ["left_the_board"] * 2
     assert judged[-1] == cause(objective, row)
+    assert judged[-1][1] == "fine"
+    assert judged[-1][0] < 2e-3  # integration and quantization, as elsewhere in these tests
     costs = [cost for cost, _ in judged]
     # The sooner it leaves, the more it pays; who stays on is scored as ever.
     assert costs == sorted(costs, reverse=True)
@@ -146,19 +141,6 @@ def test_a_ranked_set_that_is_lost_on_a_drop_says_why(problem):
     ways = ("set 1: left the board", "set 2: left the board", "set 3: blew up")
     assert lost(on_board(objective, 0.05), rows) == [f"{way} on {both}" for way in ways]
     assert lost(objective, rows[:2]) == []
-
-
-def test_none_costs_more_than_five_ordinary_candidates(problem):
-    objective, row = problem
-    jobs = objective.jobs
-    rows = np.stack(
-        [row, *(changed(row, *change) for change in ((8, 5.0), (12, 1e13), (15, 0.0), (12, 1e300)))]
-    )
-    spent = simulate_population(rows, jobs).rhs_evaluations
-    high = simulate_population(row, lifted(objective, 5.0, 5.0).jobs).rhs_evaluations
-    # In right-hand sides, which is what a candidate costs. Leaving the board is the truth's own drop.
-    assert spent[1:].max() <= 5 * spent[0].mean()
-    assert high.max() < spent[0].mean()
 
 
 def test_a_fit_counts_them_by_cause(folder, tmp_path):

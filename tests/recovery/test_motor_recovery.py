@@ -6,15 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fakes.motor_bench import (
-    bench_of,
-    edited,
-    problem_of,
-    score_values,
-    table_of,
-    with_trials,
-    write_table,
-)
+from fakes.motor_bench import bench_of, edited, problem_of, score_values, table_of, with_trials, write_table
 from sysid.errors import CampaignError, LogError, UnitError
 from sysid.fit.optima import SAME_NRMSE
 from sysid.loaders import load

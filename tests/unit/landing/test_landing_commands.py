@@ -228,16 +228,8 @@ STUDY += ("--vary", "dx_f=1.3:1.3:1")
             ("--delays", "0,0.04"),
             "the impulse search differs",
         ),
-        (
-            STUDY,
-            ("--share", "0.9", "--short", "0.3"),
-            "the grid or rule differs",
-        ),
-        (
-            (*STUDY, "--spread-deg", "5"),
-            ("--spread-deg", "0"),
-            "the grid or rule",
-        ),
+        (STUDY, ("--share", "0.9", "--short", "0.3"), "the grid or rule differs"),
+        ((*STUDY, "--spread-deg", "5"), ("--spread-deg", "0"), "the grid or rule"),
     ],
 )
 def test_what_was_stopped_goes_on_on_another_number_of_threads(command, other, words, done, killed, refused):

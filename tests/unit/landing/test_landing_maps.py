@@ -361,16 +361,6 @@ def test_uneven_cells_are_drawn_between_their_edges():
             assert axes.get_xlim() == pytest.approx((0.05, 2.2))
 
 
-def test_labels_of_contours_keep_apart():
-    figure = figure_landing_maps([some_map()], limits={("lf", "off"): DrawnLimits(0.0, 23.7, 22.0)})
-    figure.canvas.draw()
-    axes = figure.axes[0]
-    boxes = [text.get_window_extent() for text in axes.texts]
-    assert {text.get_text() for text in axes.texts} >= {"A", "B", "0.2 m", "0.5 s"}
-    for k, box in enumerate(boxes):
-        assert not any(box.overlaps(other) for other in boxes[:k])
-
-
 @pytest.mark.parametrize(("rows", "columns"), [([3], ALL), (ALL, [2]), ([2], [2]), ([0, 1, 4, 9], [0, 1, 8])])
 def test_odd_grids_are_drawn(rows, columns):
     one = cut(some_map(), rows, columns)
@@ -444,14 +434,6 @@ def test_loops_around_single_cells_are_no_contours():
     assert [len(one) for one in pieces] == [1, 1, 1]
     for (line,), level in zip(pieces, (0.1, 0.2, 0.45), strict=True):
         np.testing.assert_allclose(line[[0, -1], 1], 60 * level, rtol=1e-9)
-
-
-def test_long_names_of_one_thrust_do_not_stretch_the_legend():
-    names = ("impulse, then reverse", "refined impulse, then reverse", "impulse alone")
-    limits = {("lf", name): DrawnLimits(0.0 if "alone" in name else 13.76, 30.0, 25.0) for name in names}
-    figure = figure_landing_maps([some_map(name) for name in names], limits=limits)
-    words = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert "static limit of the first set, rigid legs (13.8 N or 0 N)" in words
 
 
 def test_slopes_that_do_not_increase():

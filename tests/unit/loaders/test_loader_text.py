@@ -17,21 +17,6 @@ def numbers_of(path, wanted=None, **options):
     return read_numbers(text, head, range(len(head.names)) if wanted is None else wanted, **options)
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
-@pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r", "\r\r\n"])
-@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
-def test_encodings_line_ends_delimiters(write, encoding, line_end, delimiter):
-    rows = [["Torque (N·m)", "ESC (µs)"], ["1.5", "-2"], ["", "4e-3"]]
-    path = write(line_end.join(delimiter.join(row) for row in [*rows, []]).encode(encoding))
-    text = read_text(Source(path))
-    head = table_head(text)
-    assert head.names == ("Torque (N·m)", "ESC (µs)")
-    numbers = read_numbers(text, head, [0, 1])
-    np.testing.assert_array_equal(numbers.columns[0], [1.5, np.nan])
-    np.testing.assert_array_equal(numbers.columns[1], [-2, 4e-3])
-    np.testing.assert_array_equal(numbers.lines, [2, 3])
-
-
 def test_broken_utf16_and_nul(write):
     with pytest.raises(LogError, match=r"marked as UTF-16 but broken"):
         read_text(Source(write("a,b\n".encode("utf-16") + b"\x00")))

@@ -148,8 +148,7 @@ def test_standard_errors_hold_the_tare() -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["sar_IM_StepsTestV2_2024-02-06_131025.csv", "sar_SOV5_StepsTestV2_2024-02-06_103903.csv"],
+    "name", ["sar_IM_StepsTestV2_2024-02-06_131025.csv", "sar_SOV5_StepsTestV2_2024-02-06_103903.csv"]
 )
 def test_real_static_logs(name: str) -> None:
     path = DATA / name

@@ -37,10 +37,7 @@ def _predicted(monkeypatch, logs):
 
 def test_what_the_fit_saw_is_not_predicted(monkeypatch):
     fit = _predicted(monkeypatch, LOGS)
-    assert [(trial.name, trial.use) for trial in fit.trials] == [
-        ("drop-1", "validate"),
-        ("new", "validate"),
-    ]
+    assert [(trial.name, trial.use) for trial in fit.trials] == [("drop-1", "validate"), ("new", "validate")]
     assert list(fit.provenance["logs"]) == ["drop-1", "new"]
 
 

@@ -46,10 +46,7 @@ def drop(up="+z", slope=0.0, rate=200.0, noise=2e-4, scale=1.0, height=0.1, held
     tilt = Rotation.from_rotvec(slope * side)
     landed = time >= touchdown
     turns = np.where(landed[:, None], np.roll(tilt.as_quat(), 1), [[1.0, 0, 0, 0]])
-    made = [
-        Channel("quad/position", "m", time, place * scale),
-        Channel("quad/orientation", "1", time, turns),
-    ]
+    made = [Channel("quad/position", "m", time, place * scale), Channel("quad/orientation", "1", time, turns)]
     if markers:
         for i, corner in enumerate(([0, 0], [0.5, 0], [0, 0.5])):
             point = tilt.apply(np.roll(np.array([0.0, *corner]), int(np.argmax(np.abs(axis)))))

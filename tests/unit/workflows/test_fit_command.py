@@ -1,24 +1,19 @@
 """Unfinished fits on the command line: cut short, refused by accident, continued to the same numbers."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from filelock import FileLock
 
-from fakes.places import SAMPLES
 from sysid.fit.store import read_fit
 
 SMALL = ("--algorithm", "ga", "--population", "16", "--runs", "2", "--max-generations", "4", "--quiet")
 
 
 @pytest.fixture
-def campaign(tmp_path, monkeypatch):
-    """A copy of the sample drops; results go to a fits/ beside it."""
-    shutil.copytree(SAMPLES / "gear-lf", tmp_path / "drops")
-    monkeypatch.chdir(tmp_path)
-    return tmp_path / "drops" / "campaign.toml"
+def campaign(drops):
+    return drops / "campaign.toml"
 
 
 @pytest.fixture
