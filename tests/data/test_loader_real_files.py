@@ -7,7 +7,6 @@ import pytest
 
 from fakes.log_files import refuses
 from fakes.places import DATA
-from sysid.errors import SysidError
 from sysid.loaders import load
 
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no real recordings beside the project ({DATA})")
@@ -88,30 +87,6 @@ def test_motive_take():
         log["Rigid Body 1/orientation"].values[0], [-1, 3.5e-5, 1.6e-5, -3e-5], atol=1e-8
     )
     refuses(path, 'no rigid body "F450"; found "Rigid Body 1"', rigid_body="F450")
-
-
-# Every file that is no log, by name or ending: texts beside the recordings.
-NO_LOGS = ("LICENSE", "README", ".urdf", ".json")
-# Logs that need to be told something, and what they say without it.
-NEEDS = {
-    "xinlong_20240811_01_18_04.csv": ({"length_unit": "m"}, 'declare it, for example length_unit = "m"'),
-    "xinlong_pose_0h5_1.csv": ({"length_unit": "m"}, 'declare it, for example length_unit = "m"'),
-}
-
-
-@pytest.mark.parametrize(
-    "path", sorted(p for p in DATA.rglob("*") if p.is_file()) if DATA.is_dir() else [], ids=lambda p: p.name
-)
-def test_every_file_loads_or_is_refused(path):
-    if any(word in path.name for word in NO_LOGS):
-        refuses(path, r"not recognized as any log format by its content")
-        return
-    options, message = NEEDS.get(path.name, ({}, ""))
-    if message:
-        refuses(path, message, SysidError)
-    log = load(path, **options)
-    assert log.channels
-    assert all(channel.valid.any() for channel in log.channels.values())
 
 
 def test_tdms_lengths_rates_and_starts():

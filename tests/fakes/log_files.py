@@ -4,6 +4,7 @@ import struct
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError
@@ -11,6 +12,13 @@ from sysid.loaders import load
 
 # One lbf and one lbf-in as the maker of the transducers states them.
 LBF, LBF_IN = 4.4482216152605, 0.1129848290276167
+
+
+def examples(count):
+    """Settings of a property of `count` examples: a file is written for each, so one may be slow."""
+    return settings(
+        max_examples=count, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    )
 
 
 def refuses(path, sentence, error=LogError, **options):

@@ -4,15 +4,22 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from fakes.log_files import assert_turns, c3d, quaternions_of, refuses, ros_recording, small_turns, ulog
+from fakes.log_files import (
+    assert_turns,
+    c3d,
+    examples,
+    quaternions_of,
+    refuses,
+    ros_recording,
+    small_turns,
+    ulog,
+)
 from sysid.loaders import load
 
-SETTINGS = settings(
-    max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+SETTINGS = examples(20)
 SEEDS = st.integers(0, 2**32 - 1)
 # Unix seconds in double precision resolve 0.24 µs.
 STAMP = 5e-7

@@ -2,17 +2,15 @@
 
 import h5py
 import numpy as np
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from fakes.log_files import LBF, LBF_IN, assert_turns, notes, quaternions_of, small_turns
+from fakes.log_files import LBF, LBF_IN, assert_turns, examples, notes, quaternions_of, small_turns
 from fakes.log_files import tdms as write_tdms
 from sysid.loaders import load
 
-SETTINGS = settings(
-    max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+SETTINGS = examples(30)
 SEEDS = st.integers(0, 2**32 - 1)
 # How the lines of a text log end, and its encoding.
 ENDS = st.tuples(st.sampled_from(["\n", "\r\n", "\r"]), st.sampled_from(["utf-8", "utf-8-sig", "utf-16"]))

@@ -9,17 +9,14 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from fakes.log_files import assert_turns, quaternions_of, small_turns
+from fakes.log_files import assert_turns, examples, quaternions_of, small_turns
 from sysid.loaders import load
 
-# A file is written per case, so the first one may be slow on a cold disk.
-SETTINGS = settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+SETTINGS = examples(60)
 
 NUMBER = st.floats(-1e6, 1e6, allow_nan=False, width=64)
 RPM = 2 * np.pi / 60

@@ -1,24 +1,21 @@
 """Trust on drops with known truth: intervals hold it, wrong models are flagged, the next drop helps."""
 
-import json
 import math
 import re
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from fakes.gear_campaigns import on_board
 from fakes.places import SAMPLES
 from sysid import exact_json
 from sysid.campaign import read_campaign
-from sysid.cli import app
 from sysid.errors import FitError
 from sysid.gear.beyond_window import centre_of_mass, turning_point
 from sysid.gear.drops import prepare_drops
 from sysid.gear.problem import TRUST_TOLERANCE, GearProblem, search_space
 from sysid.gear.starts import compared_noise, start_roots
-from sysid.synthetic import synthesize_gear
+from sysid.synthetic import read_truth, synthesize_gear
 from sysid.synthetic.gear import DropPlan
 from sysid.trust.assessment import linearize
 from sysid.trust.documents import TRUST, parts, read_arrays, read_part
@@ -27,7 +24,6 @@ from sysid.trust.problem import nrmse_of
 from sysid.trust.sensitivity import quick_expectations
 from sysid.trust.verdicts import VERDICTS
 from sysid.workflows.check import check_campaign
-from sysid.workflows.compare import compare_fits
 from sysid.workflows.fit import fit_gear
 from sysid.workflows.kinds import find_kind
 from sysid.workflows.options import FitOptions, TrustOptions
@@ -63,12 +59,8 @@ def fit(three, tmp_path_factory):
     return fit_gear(three, options)[1]
 
 
-def _read_truth(folder=LF.parent):
-    return json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-
-
 def _truth(problem, folder=LF.parent):
-    true = _read_truth(folder)["parameters"]
+    true = read_truth(folder)["parameters"]
     return problem.space.encode(np.array([true[name] for name in problem.space.names]))
 
 
@@ -102,7 +94,7 @@ def test_the_noise_floor_is_what_the_truth_scores(lf):
 def test_starts_err_by_what_their_covariance_says(lf):
     _, drops, _ = lf
     scores = []
-    for drop, fact in zip(drops, _read_truth()["drops"], strict=True):
+    for drop, fact in zip(drops, read_truth(LF.parent)["drops"], strict=True):
         root = start_roots(drop)
         late = (drop.flight.start - fact["release [s]"]) * drop.flight.gravity
         scores.append(late / math.sqrt((root.T @ root)[4, 4]))
@@ -216,7 +208,7 @@ def test_the_drop_that_misleads_a_fit_is_named(tmp_path):
     # Without it k_h comes back to within one percent, its half-width; with it it is 5 % off.
     stiffness = problem.space.names.index("leg_axial_stiffness")
     back = problem.space.decode(found.without[problem.names.index("drop-5")])[stiffness]
-    true = _read_truth(path.parent)["parameters"]["leg_axial_stiffness"]
+    true = read_truth(path.parent)["parameters"]["leg_axial_stiffness"]
     assert back == pytest.approx(true, rel=0.012)
     assert problem.space.decode(linear.point)[stiffness] < 0.97 * true
 
@@ -238,28 +230,6 @@ def test_leaving_drops_out_predicts_them(fit):
     # The right model, but two drops to fit it: what they leave open adds to the noise.
     assert 0.9 < found["ratio"] < 2.0
     assert len(found["trials"][0]["refit"]) == 8
-
-
-def test_a_fit_does_not_differ_from_itself(fit):
-    document, sets = compare_fits([fit, fit])
-    assert len(sets) == 2
-    assert all(one["differs"] is not True for one in document["differences"])
-    cross = np.asarray(document["cross"])
-    # The same set by two ways: the campaign's row and the fit's own.
-    assert cross == pytest.approx(np.full((2, 2), cross[0, 0]), rel=1e-9)
-    with pytest.raises(FitError, match="two or more"):
-        compare_fits([fit])
-
-
-@pytest.mark.slow
-def test_check_as_a_command_prints_json(three):
-    run = CliRunner().invoke(app, ["check", str(three), "--json"])
-    assert run.exit_code == 0, run.output
-    found = exact_json.loads(run.stdout)
-    assert [row["name"] for row in found["quality"]] == ["drop-1", "drop-3", "drop-5", "drop-7"]
-    assert found["quality"][0]["noise"]["z [m]"] == pytest.approx(0.3e-3, rel=0.2)
-    assert found["candidates"][0]["gain"] >= found["candidates"][-1]["gain"]
-    assert found["parameters"][0]["channels"].keys() == {"x_B", "z_B", "x_B_rate", "z_B_rate", "q_B"}
 
 
 def _plan(slope_deg, speed):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import pytest
 from sysid.campaign import read_campaign
 from sysid.fit.store import read_fit
 from sysid.report.trust_tables import validation_table
+from sysid.synthetic import read_truth
 from sysid.synthetic.motor import TrialPlan, synthesize_motor
 from sysid.trust.problem import nrmse_of
 from sysid.workflows.check import check_campaign
@@ -59,7 +59,7 @@ def fit(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_floor_of_a_bench_is_what_the_truth_scores(bench: Path) -> None:
-    truth = json.loads((bench.parent / "truth.json").read_text(encoding="utf-8"))
+    truth = read_truth(bench.parent)
     names = [n for n in truth["parameters"] if n.startswith(("torque_quad", "torque_lin", "no_load"))]
     known = ", ".join(f'{n} = "{truth["parameters"][n]:.10g} {truth["units"][n]}"' for n in names)
     exact = _edited(

@@ -12,7 +12,7 @@ from sysid.errors import CampaignError, ExportError
 from sysid.gear import model
 from sysid.loaders import detect, load
 from sysid.synthetic import LF_DROPS, DropPlan, read_truth, synthesize_gear
-from sysid.trials.capture import CaptureFrame, held_level, marker_plane, planar_motion, spatial_motion
+from sysid.trials.capture import CaptureFrame, held_level, planar_motion, spatial_motion
 
 ONE_DROP = (DropPlan(math.radians(15), 0.6),)
 
@@ -206,20 +206,6 @@ def test_synthetic_gear_axes_of_the_room_change_nothing_in_the_plane(tmp_path):
         # Roll and yaw swing by 0.4 and 0.28 deg after the contact, whatever the axes are called.
         assert np.max(np.abs(other.roll)) == pytest.approx(math.radians(0.4), rel=0.05)
         assert np.max(np.abs(other.yaw)) == pytest.approx(math.radians(0.28), rel=0.05)
-
-
-def test_synthetic_gear_board_markers_give_the_plane(tmp_path):
-    path = synthesize_gear(tmp_path / "m", seed=5, plane="markers", drops=ONE_DROP, noise_position=0.0)
-    campaign = read_campaign(path / "campaign.toml", "gear")
-    truth = read_truth(path)
-    frame = CaptureFrame(campaign.capture.up, campaign.capture.down_slope)
-    log = load(path / truth["drops"][0]["log"])
-    point, slope, _ = marker_plane(log, campaign.surface.markers, frame, 7e-3, None)
-    # Markers are written in micrometres, half a metre apart.
-    assert slope == pytest.approx(ONE_DROP[0].slope, abs=5e-6)
-    normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
-    hinge = frame.matrix @ np.array(truth["capture"]["surface point [m]"])
-    assert (point - hinge) @ normal == pytest.approx(0.0, abs=5e-6)
 
 
 def test_synthetic_gear_same_seed_same_bytes(tmp_path):

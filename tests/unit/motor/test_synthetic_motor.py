@@ -11,8 +11,6 @@ from sysid.loaders import detect, load
 from sysid.motor import model
 from sysid.synthetic import read_truth, synthesize_motor
 from sysid.synthetic.bench import NOISE, RESOLUTION
-from sysid.synthetic.motor import TrialPlan
-from sysid.workflows.reversal import log_reversals
 
 
 @pytest.fixture(scope="module")
@@ -196,15 +194,3 @@ def test_synthetic_motor_refuses_and_writes_nothing(tmp_path):
     (tmp_path / "there" / "log.csv").write_text("mine", encoding="utf-8")
     with pytest.raises(ExportError, match="there"):
         synthesize_motor(tmp_path / "there", seed=1)
-
-
-def test_ideal_reversal_is_a_faster_motor(tmp_path):
-    plan = [TrialPlan("one", "reversal", "fit", 0.3, (0.62, -1.0), 0.6, "hdf5")]
-    delays = []
-    for ideal in (False, True):
-        folder = tmp_path / str(ideal)
-        synthesize_motor(folder, seed=3, trials=plan, ideal_reversal=ideal)
-        (group,) = log_reversals(folder / "one.h5").groups
-        delays.append(group.median("to_level"))
-    # The dead band costs I^r Ω_min/(k_m I_sat) = 49 ms; thrust noise moves a 90 % crossing by 1 to 2 ms.
-    assert 0.035 < delays[0] - delays[1] < 0.06

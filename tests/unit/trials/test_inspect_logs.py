@@ -7,10 +7,11 @@ import re
 import h5py
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from fakes.log_files import examples
 from fakes.places import SAMPLES
 from sysid.errors import LogError, SysidError
 from sysid.journal import Finding
@@ -248,7 +249,7 @@ def test_channels_without_samples_or_values():
 NAMES = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), min_size=1, max_size=12)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(60)
 @given(
     names=st.lists(st.one_of(NAMES, st.sampled_from(["a", "a/b", "a/b/c", "/", ".", "..", "#0", "a/"])),
                    min_size=1, max_size=6, unique=True),

@@ -16,6 +16,7 @@ import pytest
 
 from sysid.campaign import FitTable
 from sysid.campaign.common import CampaignTable, Table, TrialTable
+from sysid.errors import FitError
 from sysid.fit.nrmse import CostChannel, FilteredNrmse, TrialTarget
 from sysid.fit.problem import Kind, Problem, Scores, Trial
 from sysid.fit.store import read_fit
@@ -156,8 +157,11 @@ def test_every_verb_serves_it(lag, capsys):
     fit = read_fit(folder)
     assert validated["nrmse"] == fit.mean_nrmse("validate")[0]
     assert len(cross_validate(folder)["trials"]) == 3
-    cross = compare_fits([folder, folder])[0]["cross"]
-    assert cross.tolist() == [[fit.nrmse[0]] * 2] * 2
+    document, _ = compare_fits([folder, folder])
+    assert all(row["differs"] is not True for row in document["differences"])
+    assert document["cross"].tolist() == [[fit.nrmse[0]] * 2] * 2
+    with pytest.raises(FitError, match="two or more"):
+        compare_fits([folder])
     assert "step-3" in capsys.readouterr().out
 
 
