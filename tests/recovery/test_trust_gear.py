@@ -143,7 +143,7 @@ def test_a_tumbling_body_tells_its_centre_of_mass(lf):
     assert np.all(np.abs(offset - [-0.012, 0.004]) < 4 * error)
     # The sample's short hops tell it to within their own error, and nobody is warned.
     found = centre_of_mass(drops, campaign)
-    assert found is None or abs(found["up [m]"]) < 4 * found["up error [m]"]
+    assert found is None or abs(found["up"]) < 4 * found["up_error"]
 
 
 def test_trust_is_stored_and_holds_the_truth(fit, lf):
