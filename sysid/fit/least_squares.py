@@ -1,7 +1,7 @@
 """Levenberg-Marquardt on many fronts at once, and the finisher that a search makes of it.
 
 A front is one point that walks downhill. A population's kernel is fastest with hundreds of candidates, so
-all fronts walk side by side: one population holds every column of every front's difference Jacobian, the next
+all fronts walk side by side: one population has every column of every front's difference Jacobian, the next
 one several damping factors of every front's step. The walk asks for residuals and does not know who computes
 them.
 

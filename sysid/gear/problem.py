@@ -360,7 +360,7 @@ class GearProblem(Problem):
                 notice(
                     "stated-and-free",
                     f"{name} is stated in the campaign and free on {law}: the search chooses it, the stated "
-                    "value is not used; fix it under [parameters.fixed] to keep it",
+                    "value is not used; name it under [parameters.fixed] to keep it",
                 )
         reads = find_surface(law).reads
         given = {*stated, *self.campaign.parameters.fixed, *CONSTANTS, *LF_FREE}

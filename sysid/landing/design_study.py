@@ -247,7 +247,7 @@ class DesignStudy:
     def gains(self) -> list[dict[str, Any]]:
         """Return per change its best and worst value, what the best one buys and the worst one costs.
 
-        What buys most comes first. ``steepest_deg`` and ``at_edge`` hold at the best value, by speed. Gains
+        What buys most comes first. ``steepest_deg`` and ``at_edge`` are at the best value, by speed. Gains
         are in landable degrees, mean over the speeds; designs with several changes count as they are. Slopes
         beyond the grid count nowhere, so a design that is safe up to the grid's edge may gain more.
         """

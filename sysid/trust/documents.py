@@ -311,7 +311,7 @@ def write_part(
 ) -> Path:
     """Write one document and its arrays into a fit folder, in place of an earlier one.
 
-    `part` is ``trust``, ``cross-validation`` or ``validation-CAMPAIGN``. `document` holds what `model_of` the
+    `part` is ``trust``, ``cross-validation`` or ``validation-CAMPAIGN``. `document` has what `model_of` the
     part declares beside `TrustPart`, and campaign and warnings; `arrays` are (values, axes, unit) by path in
     the HDF5 file. `fit` is the fit's name. Raises FitError, with nothing changed, when it cannot be written.
     """

@@ -35,6 +35,26 @@ def thrust_at(t, segments):
 
 
 @njit(error_model="numpy")
+def body_rates(y, push, coefficients, k_s, b_s, law):
+    """Rates (14,) of the state in the slope's frame under low friction, and how deep the lower foot is [m].
+
+    push: acceleration of the body alone by thrust, along its own axis and in turn [m/s², rad/s²].
+    """
+    joints = pose(y[2], y[4], y[6], coefficients.dx_j, coefficients.dz_j)
+    rates = (y[7], y[8], y[9], y[10], y[11], y[12], y[13])
+    p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, y[1], y[3], y[5], rates, coefficients.length)
+    n_c, n_d = normal_force(p_c, dp_c, k_s, b_s), normal_force(p_d, dp_d, k_s, b_s)
+    f_c, f_d = low_friction(n_c, n_d, v_c, v_d, law)
+    angles = (y[2], y[3], y[4], y[5], y[6])
+    a = accelerations(joints, angles, rates, push, (n_c, n_d), f_c, f_d, coefficients)
+    out = np.empty(14)
+    out[:7] = y[7:14]
+    for i in range(7):
+        out[7 + i] = a[i]
+    return out, max(p_c, p_d)
+
+
+@njit(error_model="numpy")
 def derivative(t, y, coefficients, k_s, b_s, mu_k, eps_v, segments, lever):
     """Rates of the state in the slope's frame, for another library's integrator.
 
@@ -42,19 +62,7 @@ def derivative(t, y, coefficients, k_s, b_s, mu_k, eps_v, segments, lever):
     """
     rear, front = thrust_at(t, segments) if len(segments) else (0.0, 0.0)
     push = ((rear + front) * coefficients.per_m, (rear - front) * lever * coefficients.per_i)
-    joints = pose(y[2], y[4], y[6], coefficients.dx_j, coefficients.dz_j)
-    rates = (y[7], y[8], y[9], y[10], y[11], y[12], y[13])
-    p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, y[1], y[3], y[5], rates, coefficients.length)
-    n_c = normal_force(p_c, dp_c, k_s, b_s)
-    n_d = normal_force(p_d, dp_d, k_s, b_s)
-    f_c, f_d = low_friction(n_c, n_d, v_c, v_d, (mu_k, eps_v))
-    angles = (y[2], y[3], y[4], y[5], y[6])
-    a = accelerations(joints, angles, rates, push, (n_c, n_d), f_c, f_d, coefficients)
-    out = np.empty(14)
-    out[:7] = y[7:]
-    for i in range(7):
-        out[7 + i] = a[i]
-    return out
+    return body_rates(y, push, coefficients, k_s, b_s, (mu_k, eps_v))[0]
 
 
 def problem(slope, body, propulsion=None):

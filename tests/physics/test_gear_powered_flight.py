@@ -7,10 +7,10 @@ import pytest
 from numba import njit
 
 from fakes.gear_drops import level_start as start
+from gear_rivals import body_rates
 from sysid.errors import CampaignError
 from sysid.gear.kernel import parameter_row
-from sysid.gear.kernel.dynamics import accelerations, derived, feet, pose
-from sysid.gear.kernel.geometry import normal_force
+from sysid.gear.kernel.dynamics import derived
 from sysid.gear.model import (
     PARAMETERS,
     Drops,
@@ -21,7 +21,6 @@ from sysid.gear.model import (
     simulate,
     simulate_population,
 )
-from sysid.gear.surfaces.low_friction import low_friction
 from sysid.integrate.piecewise import PiecewiseCubic
 from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.motor.model import simulate as simulate_motor
@@ -63,18 +62,9 @@ def joint(y, commands, motor, thrust, p, c, law):
         out[14 + 2 * pair], out[15 + 2 * pair] = motor_rates(i, w, commands[pair], motor)
         push[pair] = 2 * (thrust[0] if w >= 0 else thrust[1]) * w * abs(w)
     m_b, i_b, dx_m, k_s, b_s = p
-    joints = pose(y[2], y[4], y[6], c.dx_j, c.dz_j)
-    rates = (y[7], y[8], y[9], y[10], y[11], y[12], y[13])
-    p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, y[1], y[3], y[5], rates, c.length)
-    n_c, n_d = normal_force(p_c, dp_c, k_s, b_s), normal_force(p_d, dp_d, k_s, b_s)
-    f_c, f_d = low_friction(n_c, n_d, v_c, v_d, law)
-    angles = (y[2], y[3], y[4], y[5], y[6])
     lift = ((push[0] + push[1]) / m_b, dx_m * (push[0] - push[1]) / i_b)
-    a = accelerations(joints, angles, rates, lift, (n_c, n_d), f_c, f_d, c)
-    out[:7] = y[7:14]
-    for k in range(7):
-        out[7 + k] = a[k]
-    return out, max(p_c, p_d)
+    out[:14], depth = body_rates(y, lift, c, k_s, b_s, law)
+    return out, depth
 
 
 @njit(error_model="numpy")

@@ -56,7 +56,7 @@ def test_the_cost_sees_every_parameter_but_ground_damping(clean):
     cost = objective.evaluate(moved).cost
     gain = dict(zip(LF_FREE, cost[1:] - cost[0], strict=True))
     assert all(gain[name] > 2e-3 for name in LF_FREE if name not in ("ground_stiffness", "ground_damping"))
-    # The contact damper is 0.04 N·s/m against a spring of 1e5 N/m: the data do not hold it.
+    # The contact damper is 0.04 N·s/m against a spring of 1e5 N/m: the data do not determine it.
     assert abs(gain["ground_damping"]) < 1e-3
 
 

@@ -5,8 +5,8 @@ declared.
     t_s,qw,qx,qy,qz,px_m,py_m,pz_m,vx_m_s,...            nothing to declare
     t [ms];x (mm);y (mm);z (mm);q0;q1;q2;q3              quaternion_order = "wxyz" or "xyzw" declared
 
-Times are kept as written; without a unit they are seconds, if their steps are as short as those of a
-capture. A network that stamps them on arrival adds jitter: it is kept and noted, or, with frame numbers,
+Times are kept as written; without a unit they are seconds, if their steps are as short as a
+capture's. A network that stamps them on arrival adds jitter: it is kept and noted, or, with frame numbers,
 taken out on demand.
 Velocities, where the table has them, are kept as channels; the frame of an angular velocity is not in the
 file.
