@@ -2,15 +2,16 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from fakes.places import SAMPLES
 from sysid.gear import model
 from sysid.synthetic import DropPlan, synthesize_gear, synthesize_motor
 from sysid.synthetic.motor import TRUE_MOTOR
 from sysid.workflows.kinds import open_campaign
 
+_SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
 # Of every true parameter, up or down, and of drawn drops: steepest slope [deg], fastest impact [m/s].
 _SPREAD = 0.2
 _DROPS = {"lf": (30.0, 0.85), "hf": (26.0, 0.7)}
@@ -64,7 +65,7 @@ def _motor(folder, seed, size):
 
 # Name: what it is, and (folder) -> campaign folder.
 CAMPAIGNS = {
-    "motor": ("sample logs", lambda _: SAMPLES / "motor"),
+    "motor": ("sample logs", lambda _: _SAMPLES / "motor"),
     "motor-small": ("half the rotor", lambda folder: _motor(folder, 3, 0.5)),
     "motor-large": ("twice the rotor", lambda folder: _motor(folder, 4, 2.0)),
 }
