@@ -62,7 +62,6 @@ from sysid.gear.surfaces import SURFACES, Surface, find_surface
 from sysid.types import FloatArray, IntArray
 
 LF_FREE = SURFACES["lf"].free
-HF_FREE = SURFACES["hf"].free
 COORDINATES = ("x_B", "z_B", "q_B", "h_C", "q_C", "h_D", "q_D")
 
 # Bound of the weighted rms error of the seven rates per step that keeps every channel of the converged

@@ -6,7 +6,7 @@ import pytest
 from fakes.gear_campaigns import EXACT, opened, score_values, used
 from fakes.sets import assert_sets_agree
 from sysid.gear.drops import prepare_drops
-from sysid.gear.model import HF_FREE, LF_FREE, PARAMETERS, parameters_on
+from sysid.gear.model import LF_FREE, PARAMETERS, SURFACES, parameters_on
 from sysid.gear.problem import GearProblem, search_space
 from sysid.synthetic import HF_DROPS, LF_DROPS, read_truth, synthesize_gear
 from sysid.workflows.fit import fit_gear
@@ -74,8 +74,9 @@ def test_a_surface_that_is_a_millimetre_off_is_found_by_its_offset(drops):
 def test_the_truth_of_high_friction_drops_scores_nothing(tmp_path):
     folder = synthesize_gear(tmp_path / "hf", seed=3, surface="hf", drops=HF_DROPS[:3], **EXACT)
     campaign, prepared, truth = opened(folder)
-    assert search_space(campaign).names == HF_FREE
-    assert {name: truth[name] for name in HF_FREE} == {n: parameters_on("hf").nominal[n] for n in HF_FREE}
+    free = SURFACES["hf"].free
+    assert search_space(campaign).names == free
+    assert {name: truth[name] for name in free} == {n: parameters_on("hf").nominal[n] for n in free}
     scored = score_values(campaign, prepared, truth)
     # Quantization, and 0.3 % of integration where a foot switches its mode.
     assert scored.cost[0] < 5e-3

@@ -5,7 +5,7 @@ import pytest
 from fakes.places import SAMPLES
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError, SysidWarning
-from sysid.gear.model import HF_FREE, PARAMETERS, SURFACES, parameters_on
+from sysid.gear.model import PARAMETERS, SURFACES, parameters_on
 from sysid.gear.problem import GearProblem, on_surface, search_space
 
 
@@ -47,7 +47,7 @@ def test_bounds_are_the_surfaces_own(tmp_path):
 def test_a_stated_value_that_is_free_is_said_to_be_unused(tmp_path, recwarn):
     campaign = opened(tmp_path, "hf", stated="kinetic_friction = 0.8")
     space = search_space(campaign)
-    assert space.names == HF_FREE
+    assert space.names == SURFACES["hf"].free
     with pytest.warns(SysidWarning, match="kinetic_friction is stated in the campaign and free on hf"):
         GearProblem(campaign, space, ())._notice_defaults()
     fixed = opened(

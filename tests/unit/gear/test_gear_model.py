@@ -15,7 +15,6 @@ from sysid.gear import model
 from sysid.gear import parameters as gear_parameters
 from sysid.gear.kernel import driver as kernel
 from sysid.gear.model import (
-    HF_FREE,
     LF_FREE,
     PARAMETERS,
     SURFACES,
@@ -37,8 +36,9 @@ def random_rows(count, seed=0, surface="lf"):
 
 def test_table():
     assert len(LF_FREE) == 8
-    assert len(HF_FREE) == 12
-    assert set(HF_FREE) <= set(PARAMETERS)
+    high = SURFACES["hf"].free
+    assert len(high) == 12
+    assert set(high) <= set(PARAMETERS)
     symbols = [row.symbol for row in PARAMETERS.values()]
     assert len(set(symbols)) == len(symbols)
 
