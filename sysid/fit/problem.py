@@ -588,6 +588,8 @@ class Kind:
         next, their titles), or None.
     under : callable
         (campaign, settings of a fit) -> (the campaign under the law of that fit, what is noticed).
+    laws : tuple of str
+        Settings that a user may state instead of the campaign's; `under` reads them.
     """
 
     name: str
@@ -597,4 +599,5 @@ class Kind:
     follow_up: Callable[[Any, Course], Outcome] = _as_found
     candidates: Callable[[Any, FloatArray], tuple[Problem, Sequence[str]] | None] = _no_candidates
     under: Callable[[Any, Mapping[str, Any]], tuple[Any, tuple[Finding, ...]]] = _as_stated
+    laws: tuple[str, ...] = ()
     words: Words = Words()

@@ -150,6 +150,7 @@ GEAR = Kind(
     follow_up=_follow_up,
     candidates=_candidates,
     under=_under,
+    laws=("surface",),
     words=Words(
         trials="drops",
         single="level drop on this surface",

@@ -40,7 +40,7 @@ def check_campaign(
     path = Path(path)
     with naming(path):
         law = {} if surface is None else {"surface": surface}
-        kind, campaign, ignored = open_campaign(path, settings=law)
+        kind, campaign, ignored = open_campaign(path, law=law)
         with Journal(say, kind.words.trials) as journal:
             for finding in ignored:
                 journal.add(finding)

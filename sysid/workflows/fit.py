@@ -76,7 +76,7 @@ def fit_gear(
     own law and is ignored, with a warning.
     """
     law = {} if surface is None else {"surface": surface}
-    return fit_campaign(path, options, kind="gear", settings=law, say=say)
+    return fit_campaign(path, options, kind="gear", law=law, say=say)
 
 
 def fit_motor(
@@ -91,17 +91,17 @@ def fit_campaign(
     options: FitOptions | None = None,
     *,
     kind: str | None = None,
-    settings: Mapping[str, Any] | None = None,
+    law: Mapping[str, Any] | None = None,
     say: Say = None,
 ) -> tuple[FitResult, Path]:
     """Fit a model to the trials of a campaign; return the ranked sets, what led to them, and the folder.
 
-    The campaign must be of the `kind`, if one is named. `settings` are a law instead of the campaign's, see
+    The campaign must be of the `kind`, if one is named. `law` replaces the campaign's, see
     `sysid.workflows.kinds.open_campaign`. Raises `SysidError` when an input cannot be used; nothing has been
     written then.
     """
     path, options = Path(path), options or FitOptions()
-    model, campaign, ignored = open_campaign(path, kind, settings)
+    model, campaign, ignored = open_campaign(path, kind, law=law)
     folder, search = options.folder(campaign.name), search_settings(options, campaign.fit)
     deadline = Deadline(options.time_limit)
     if options.resume and options.force:

@@ -33,16 +33,26 @@ def find_kind(name: str) -> Kind:
 
 
 def open_campaign(
-    path: str | Path, kind: str | None = None, settings: Mapping[str, Any] | None = None
+    path: str | Path,
+    kind: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+    *,
+    law: Mapping[str, Any] | None = None,
 ) -> tuple[Kind, Any, tuple[Finding, ...]]:
     """Return the kind of a campaign file, its content, and what is noticed about it.
 
     Another `kind` than the one named is refused. With the `settings` of a fit, such as ``{"surface": "hf"}``,
-    the campaign is taken under the law of that fit; what it states and that law ignores is noticed.
+    the campaign is taken under the law of that fit; what it states and that law ignores is noticed. A `law`
+    that the user states does the same, and is refused where the kind does not know it.
     """
+    law = law or {}
     campaign = read_campaign(path, kind)
     model = find_kind(campaign.kind)
-    campaign, ignored = model.under(campaign, settings or {})
+    for name in law:
+        if name not in model.laws:
+            lacks = f"a campaign of kind {campaign.kind!r} has no {name}"
+            raise CampaignError(f"{path}: {lacks}; leave --{name} out")
+    campaign, ignored = model.under(campaign, {**(settings or {}), **law})
     return model, campaign, ignored
 
 

@@ -165,6 +165,11 @@ def test_every_verb_serves_it(lag, capsys):
     assert "step-3" in capsys.readouterr().out
 
 
+def test_a_law_that_the_kind_does_not_know_is_refused(lag, refused):
+    words = "lag.toml: a campaign of kind 'lag' has no surface; leave --surface out"
+    refused(words, "check", lag[0], "--surface", "hf")
+
+
 def test_its_report_and_exports_are_written(lag):
     folder = lag[1]
     page = write_report(folder, ReportOptions())["report"].read_text(encoding="utf-8")
