@@ -32,9 +32,6 @@ def main() -> None:
             raise
         typer.echo(f"error: {' '.join(str(error).split())}", err=True)
         sys.exit(2)
-    except KeyboardInterrupt:
-        typer.echo("stopped by the user", err=True)
-        sys.exit(130)
 
 
 if __name__ == "__main__":

@@ -32,7 +32,12 @@ def command(app: typer.Typer, name: str) -> Callable[[Run], Run]:
         parts = [(key, hints[key], defaults[key]) for key in defaults]
 
         def call(**given: Any) -> None:
-            code = run(**_values(parts, given))
+            try:
+                code = run(**_values(parts, given))
+            except KeyboardInterrupt:
+                # typer would end without a word.
+                typer.echo("stopped by the user", err=True)
+                code = 130
             if code:
                 raise typer.Exit(code)
 

@@ -10,9 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from scipy.spatial.transform import Rotation
 
 import sysid
+from sysid.cli.adapter import command
 
 
 def edit(path, old, new, count=1):
@@ -64,6 +66,17 @@ def test_fit_gear_show_export_and_read_back(drops, run, tmp_path, refused):
     refused(["exists", "--force"], "fit-gear", campaign, *SMALL)
     refused(["exists already"], "export", folder, "--to", "sets.json")
     assert run("fit-gear", campaign, *SMALL, "--force")[0] == 0
+
+
+def test_an_early_ctrl_c_says_so(monkeypatch, run):
+    app = typer.Typer()
+
+    @command(app, "wait")
+    def wait() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sysid.cli.app", app)
+    assert run() == (130, "", "stopped by the user\n")
 
 
 def test_printing_a_fit_imports_nothing_slow():

@@ -122,7 +122,8 @@ def test_an_aborted_fit_says_how_it_goes_on(campaign, monkeypatch, run):
         code, _, err = run(*fit)
     assert code == 130
     folder = Path("fits") / "synthetic-lf"
-    assert err.endswith(f"{folder}: aborted; what was scored is kept, continue with --resume\n")
+    kept = f"{folder}: aborted; what was scored is kept, continue with --resume"
+    assert err.endswith(f"{kept}\nstopped by the user\n")
     assert signal.getsignal(signal.SIGINT) is before
     assert not folder.exists()
     assert run(*fit, "--resume")[0] == 0
