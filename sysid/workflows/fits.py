@@ -32,32 +32,39 @@ class FitEntry:
 
 
 def list_fits(folder: str | Path) -> list[FitEntry]:
-    """Return the fits of a folder by name; an unfinished fit takes the place of its earlier, partial result.
+    """Return the fits of a folder and of the folders in it by name, such as ``demo/motor``.
+
+    An unfinished fit takes the place of an earlier, partial result.
 
     Raises `FitError` when there is no such folder.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise FitError(f"{folder}: no such folder; name the one in which the fits lie")
-    entries = {path.name: _finished(path) for path in folder.iterdir() if (path / "fit.h5").is_file()}
-    for path in folder.iterdir():
-        if path.name.endswith(_SUFFIX) and path.is_dir() and run_numbers(path):
-            entries[path.name.removesuffix(_SUFFIX)] = _unfinished(path)
+    entries: dict[str, FitEntry] = {}
+    for pattern in ("*", "*/*"):
+        for path in folder.glob(f"{pattern}/fit.h5"):
+            name = path.parent.relative_to(folder).as_posix()
+            entries[name] = _finished(name, path)
+    for pattern in ("*", "*/*"):
+        for path in folder.glob(pattern + _SUFFIX):
+            if run_numbers(path):
+                name = path.relative_to(folder).as_posix().removesuffix(_SUFFIX)
+                entries[name] = _unfinished(name, path)
     return [entries[name] for name in sorted(entries)]
 
 
-def _finished(path: Path) -> FitEntry:
-    file_path = path / "fit.h5"
-    changed = file_path.stat().st_mtime
+def _finished(name: str, path: Path) -> FitEntry:
+    changed = path.stat().st_mtime
     try:
-        with FIT_FILE.opened(file_path) as file:
+        with FIT_FILE.opened(path) as file:
             nrmse = float(file["sets/nrmse"][()].min())
-            return FitEntry(path.name, str(file.attrs["state"]), nrmse, len(file.get("runs", ())), changed)
+            return FitEntry(name, str(file.attrs["state"]), nrmse, len(file.get("runs", ())), changed)
     except FitError:
-        return FitEntry(path.name, "damaged", None, 0, changed)
+        return FitEntry(name, "damaged", None, 0, changed)
 
 
-def _unfinished(path: Path) -> FitEntry:
+def _unfinished(name: str, path: Path) -> FitEntry:
     lowest, changed, runs = None, 0.0, run_numbers(path)
     for run in runs:
         for file in state_files(path, run):
@@ -70,7 +77,7 @@ def _unfinished(path: Path) -> FitEntry:
             changed = max(changed, file.stat().st_mtime)
             break
     state = {True: "running", False: "stopped", None: "unfinished"}[in_use(path)]
-    return FitEntry(path.name.removesuffix(_SUFFIX), state, lowest, len(runs), changed)
+    return FitEntry(name, state, lowest, len(runs), changed)
 
 
 def print_fits(folder: Path, json: bool = False) -> None:

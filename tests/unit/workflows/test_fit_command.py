@@ -64,11 +64,12 @@ def test_fits_lists_states(campaign, run, refused):
     assert run("fit-gear", campaign, *SMALL, "--out", "fits/whole")[0] == 0
     cut = ("fit-gear", campaign, *SMALL, "--out", "fits/cut", "--time-limit", "0.001 s")
     assert run(*cut)[0] == 0
-    Path("fits/broken").mkdir()
-    Path("fits/broken/fit.h5").write_bytes(b"dust")
+    for name in ("broken", "demo/motor"):
+        Path("fits", name).mkdir(parents=True)
+        Path("fits", name, "fit.h5").write_bytes(b"dust")
     found = {entry.name: entry for entry in list_fits("fits")}
     assert {name: entry.state for name, entry in found.items()} == {
-        "broken": "damaged", "cut": "stopped", "whole": "done",
+        "broken": "damaged", "cut": "stopped", "demo/motor": "damaged", "whole": "done",
     }  # fmt: skip
     assert found["whole"].nrmse == read_fit("fits/whole").nrmse[0]
     assert found["cut"].nrmse == read_fit("fits/cut").nrmse[0]
