@@ -42,7 +42,7 @@ def write_report(
     if options.pdf_figures is not None:
         options.pdf_figures.mkdir(parents=True, exist_ok=True)
         for name, figure in report.figures().items():
-            written[f"figure {name}"] = save_figure(figure, options.pdf_figures / f"{name}.pdf")
+            written[f"figure/{name}"] = save_figure(figure, options.pdf_figures / f"{name}.pdf")
     for path in options.films:
         tell(f"drawing {path}")
         written[path.suffix[1:].lower()] = write_film(report.film(options.drop), path, force=options.force)
