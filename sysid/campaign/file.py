@@ -38,10 +38,17 @@ def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
     except FileNotFoundError:
         raise CampaignError(f"{path}: no such campaign file; 'sysid new-campaign' writes one") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise CampaignError(f"{path}: cannot be read as UTF-8 text ({error}); save it as UTF-8") from error
+        raise CampaignError(
+            f"{path}: cannot be read as UTF-8 text ({error}); name a campaign, which is a TOML file in UTF-8"
+        ) from error
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
+        if path.suffix.lower() != ".toml":
+            raise CampaignError(
+                f"{path}: looks like a log, for it is no TOML ({error}); name a campaign, which "
+                "is a TOML file that lists the logs ('sysid new-campaign' writes one)"
+            ) from None
         raise CampaignError(f"{path}: not valid TOML: {error}; correct that line") from None
     stated = data.get("kind")
     if stated not in _KINDS:

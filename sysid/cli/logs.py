@@ -100,7 +100,7 @@ def new_campaign(
     """Write a commented campaign file that says how each value is measured."""
     from sysid.workflows.show import write_template
 
-    print_next(write_template(kind, path, force), f"edit it, then: sysid fit-{kind} {path}", json)
+    print_next(write_template(kind, path, force), f"edit it, then run sysid fit-{kind} {path}", json)
 
 
 @command(synthesize, "gear")
@@ -123,7 +123,7 @@ def synthesize_gear(
         out, seed=seed, surface=surface, noise_position=noise_mm / 1000, noise_angle=radians(noise_deg),
         rate=rate, force=force,
     )  # fmt: skip
-    print_next(folder, f"next: sysid fit-gear {folder / 'campaign.toml'}", json)
+    print_next(folder, f"sysid fit-gear {folder / 'campaign.toml'}", json)
 
 
 @command(synthesize, "motor")
@@ -138,4 +138,4 @@ def synthesize_motor(
     from sysid.synthetic import synthesize_motor as write
 
     folder = write(out, seed=seed, ideal_reversal=ideal_reversal, force=force)
-    print_next(folder, f"next: sysid fit-motor {folder / 'campaign.toml'}", json)
+    print_next(folder, f"sysid fit-motor {folder / 'campaign.toml'}", json)

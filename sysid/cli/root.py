@@ -62,6 +62,6 @@ def print_json(document: object) -> None:
 def print_next(path: Path, next_step: str, json: bool) -> None:
     """Print where a campaign was written and what comes next."""
     if json:
-        print_json({"written": [str(path)], "next": next_step.removeprefix("next: ")})
+        print_json({"written": [str(path)], "next": next_step})
     else:
-        typer.echo(f"wrote {path}; {next_step}")
+        typer.echo(f"wrote {path}; next: {next_step}")

@@ -128,11 +128,14 @@ def _detect(source: Source) -> LogFormat:
     if not winners:
         raise LogError(
             f"{source.path}: not recognized as any log format by its content; "
-            f'if it is one of {", ".join(known)}, say so with format = "..."'
+            f'if it is one of {", ".join(known)}, say so with --format, or in a campaign with format = "..."'
         )
     if len(winners) > 1:
         fits = f"the content fits {' and '.join(winners)}"
-        raise LogError(f'{source.path}: {fits}; choose one with format = "{winners[0]}"')
+        raise LogError(
+            f"{source.path}: {fits}; choose one with --format {winners[0]}, or in a campaign with "
+            f'format = "{winners[0]}"'
+        )
     return known[winners[0]]
 
 

@@ -53,8 +53,8 @@ def seconds(text: str) -> float:
     """Return a time limit [s] above 0 from a text such as ``20min``; a lone ``m`` means minutes."""
     try:
         value = parse_quantity(text.replace("m", "min") if text[-1:] == "m" else text, "s")
-    except UnitError:
-        value = 0.0
+    except UnitError as error:
+        raise SysidError(f"--time-limit {text}: {error}") from error
     if not value > 0:
         raise SysidError(f"--time-limit {text}: expected a time above 0, for example 20min")
     return value

@@ -48,7 +48,7 @@ def test_tie_names_candidates_and_the_option(write, monkeypatch):
     known = {**formats(), "keen": keen}
     monkeypatch.setattr(registry, "formats", lambda: known)
     path = write(CELL)
-    refuses(path, r'fits load-cell-csv and keen; choose one with format = "load-cell-csv"')
+    refuses(path, r"fits load-cell-csv and keen; choose one with --format load-cell-csv")
     assert load(path, format="load-cell-csv").kind == "load-cell"
 
 
