@@ -41,6 +41,12 @@ _VERDICTS = {"well": "well determined", "weakly": "weakly determined"}
 _OPEN = "≤ or ≥: open, the data do not end the interval inside the bounds of the search"
 
 
+def _open_note(rows: Sequence[Row], level: int) -> list[str]:
+    """Return the note that explains ≤ and ≥ if an interval shows either."""
+    shown = any(interval(row, level).startswith(("≤", "≥")) for row in rows)
+    return [_OPEN] if shown else []
+
+
 def verdict_words(verdict: str) -> str:
     """Return a verdict of `sysid.trust.verdicts` as it reads after a parameter."""
     return _VERDICTS.get(verdict, verdict.replace("_", " "))
@@ -90,6 +96,7 @@ def interval_table(document: Row) -> Table:
     """Return Table II with what the data leave open: value, mean ± σ of the sets, interval, verdict."""
     rows = document["parameters"]
     drawn, measured = (any(row.get(key) for row in rows) for key in ("bootstrap_95", "measured"))
+    at_bound = ["* the best set ends at a bound"] if any(row.get("at_bound") for row in rows) else []
     return table(
         "what the data determine: intervals of the profile likelihood",
         rows,
@@ -104,7 +111,7 @@ def interval_table(document: Row) -> Table:
             numbers("bootstrap 95 %", lambda row: _span(row["bootstrap_95"])) if drawn else None,
             numbers("measured", lambda row: _span(row["measured"])) if measured else None,
         ),
-        f"{_OPEN}; * the best set ends at a bound",
+        "; ".join([*_open_note(rows, 95), *at_bound]),
     )
 
 
@@ -120,7 +127,7 @@ def narrow_table(document: Row) -> Table:
             numbers("linearized σ", lambda row: number(row["fisher_sigma"], 2)),
             words("doubt", lambda row: row["doubt"] or NONE),
         ),
-        _OPEN,
+        "".join(_open_note(document["parameters"], 68)),
     )
 
 
@@ -259,6 +266,7 @@ def comparison_table(document: Row) -> Table:
     def allowed(row: Row) -> str:
         return f"± {row['allowed']:.2g}" if math.isfinite(row["allowed"]) else "open"
 
+    ends = all(math.isfinite(row["allowed"]) for row in document["differences"])
     differs = {True: Cell("yes", "bad"), False: Cell("no"), None: Cell("not known")}
     return table(
         "differences between the fits",
@@ -272,8 +280,8 @@ def comparison_table(document: Row) -> Table:
             _name("by", "by"),
             words("differs", lambda row: differs[row["differs"]]),
         ),
-        "values: minima of the profiles (best sets where there are none); allowed: 95 % of the difference; "
-        "open: an interval has no end",
+        "values: minima of the profiles (best sets where there are none); allowed: 95 % of the difference"
+        + ("" if ends else "; open: an interval has no end"),
     )
 
 
@@ -283,8 +291,8 @@ def cross_table(document: Row) -> Table:
         "NRMSE [%] of the best set of a fit (row) on the fitted trials of another (column)",
         [(n, *map(percent, scores)) for n, scores in zip(document["fits"], document["cross"], strict=True)],
         ("best set of", *document["fits"]),
-        "a set brings the values that it found, and those that its fit took as known where the campaign "
-        "states none; clock offsets stay with their logs",
+        "a set brings its fitted values; the values that its fit took as known count where the campaign "
+        "states none; every log keeps its clock offset",
     )
 
 
