@@ -103,7 +103,7 @@ class LocalThreads(Executor):
         self._closed = False
 
     def share(self, work: Work) -> Work:
-        """Return the work, which takes callers one by one; closed, it takes none."""
+        """Return the work, which one caller at a time can enter; raises ClosedError after `close`."""
 
         def in_turn(rows: FloatArray) -> Columns:
             with self._turn:

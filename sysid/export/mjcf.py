@@ -39,8 +39,8 @@ _IMPEDANCE = 1e-3
 # Time steps to choose from [s]; a foot alone on the ground's spring turns by at most this angle in one [rad].
 _TIMESTEPS = (1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6)
 _TURN = 0.25
-# Rate at which friction pulls a slip toward its reference [1/s]: slow enough for the time step, and that of
-# stuck feet in `sysid.gear.surfaces.high_friction`.
+# Rate at which friction pulls a slip toward its reference [1/s]: slow enough for the time step. Feet
+# that stick have the rate of `sysid.gear.surfaces.high_friction`.
 _CREEPING_RATE, _STICKING_RATE = 2000.0, 200.0
 # Regularization of friction that sticks, over A.
 _STICKING = 1e-4

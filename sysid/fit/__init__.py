@@ -1,6 +1,7 @@
 """The search that knows no model.
 
-`cost` scores simulated samples, `objective` is what a problem shows of itself, `algorithms` breeds, `engine`
-runs, `stopping` says when to end, `memory` is what a run needs to be continued, `progress` reports, `history`
-and `result` are what came out, `store` writes it.
+`problem` states what a model offers to a fit, `nrmse` scores simulated samples, and `objective` scores
+candidates. `breeders` propose candidates, `search` runs them, `stopping` ends a run, and `least_squares`
+finishes it. `run_log` and `checkpoint` keep what a run needs to be continued; `progress` reports. `history`
+and `result` are the outcome, and `store` writes it.
 """

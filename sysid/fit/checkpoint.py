@@ -105,14 +105,14 @@ class Checkpoint(Unfinished):
         return None
 
     def _begun_elsewhere(self, stored: Mapping[str, Any]) -> bool:
-        """Return whether the state is of another processor, and note it."""
+        """Return whether another processor wrote the state, and note it."""
         then, now = stored.get(PROCESSOR), self.identity.get(PROCESSOR)
         if then == now:
             return False
         note = (
-            f"the fit was begun on another processor ({then}; this is {now}): it goes on, but the same bits "
-            "as of an uninterrupted fit are no longer promised, and candidates that come out otherwise here "
-            "are computed again"
+            f"the fit was begun on another processor ({then}; this is {now}): it goes on, but its result "
+            "may differ in the last bits from an uninterrupted fit, and candidates that score differently "
+            "here are computed again"
         )
         if note not in self.notes:
             self.notes.append(note)
@@ -121,8 +121,8 @@ class Checkpoint(Unfinished):
     def keep(self, run: int, memory: RunMemory, stage_ended: bool) -> None:
         """Write the state of a run (from 0) when it is due: every second, and when a stage has ended.
 
-        It is due, too, where the next state that is offered, after as long as this one, would come too late.
-        Raises FitError when it cannot be written; the state before is intact.
+        It is also due when the next state would probably come too late.
+        Raises FitError when the state cannot be written; the state before stays intact.
         """
         now = time.monotonic()
         age, step = (now - times.get(run, self._begun) for times in (self._written, self._offered))

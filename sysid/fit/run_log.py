@@ -46,7 +46,7 @@ def sketch(cube: FloatArray) -> FloatArray:
 
 @dataclass
 class Begun:
-    """The first k candidates of a generation that takes long: what of it is paid for.
+    """The first k candidates of a long generation, which are already computed.
 
     `asked` is the `fingerprint` of all candidates of the generation, `elapsed` the wall time of the stage
     until then [s]; the rest as in `sysid.fit.objective.Evaluation`.

@@ -41,7 +41,7 @@ CMAES_TOLERANCE = 1e-5
 CMAES_SPREAD = 0.01
 # Of a finisher; chosen by tests/benchmarks/engine.py.
 FINISH_POPULATION = 64
-# Of CMA-ES after least squares: its axes are those of the cost, so a small population learns nothing else.
+# Of CMA-ES after least squares: the axes of the cost are known, so a small population has to learn no others.
 ROUGH_POPULATION = 16
 # Generations of the first stage that least squares needs to find its starts.
 FIRST_GENERATIONS = 3
@@ -66,8 +66,8 @@ class SearchSettings:
     seed : int
         Seed of the fit; every run draws from another child of it.
     stop : StopRule
-        When the first stage ends. `time_limit` and `max_evaluations` are those of the whole fit, and
-        `max_generations` is that of every stage.
+        When the first stage ends. `time_limit` and `max_evaluations` count for the whole fit,
+        `max_generations` for every stage.
     algorithm : str
         A key of `sysid.fit.breeders.algorithms.ALGORITHMS`.
     finish : {"least-squares", "cmaes", "none"}

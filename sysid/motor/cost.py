@@ -151,7 +151,7 @@ def _compared(part, sensors, taps, time, start, step, out):
                 total[i] = taps[0] * centre[i]
             for k in range(1, taps.size, 2):
                 tap, other = taps[k], taps[k + 1] if k + 1 < taps.size else 0.0
-                # Without a second tap its place is that of the first, which is there.
+                # An odd last tap reads the samples of `k` twice; the second reading has weight 0.
                 further = k + 1 if k + 1 < taps.size else k
                 places = (first - k, first + k, first - further, first + further)
                 before = sorted_samples[_place(places[0], stride, width) :]

@@ -253,11 +253,12 @@ def check_command_direction(u: FloatArray, direction: Direction, where: str) -> 
 def standing_command(
     time: FloatArray, speed: FloatArray, steps: CommandSteps, window: tuple[float, float]
 ) -> float | None:
-    """Return the u under which a rotor stands that a wrong unit or neutral explains; None: there is none.
+    """Return a command u at which the rotor stands because unit or neutral seem wrong; None: no such u.
 
-    It stands throughout a hold of over 0.5 s, and either turns under a smaller |u| elsewhere, or the log
-    never commands less. A late start, one above some throttle and a stand's safety cut are neither. `time`
-    and `speed` (n,) are known samples [s], [rad/s]; `window` is the part of the log that counts [s].
+    The rotor must stand throughout a hold of over 0.5 s. It must also turn at a smaller |u| elsewhere, or the
+    log must command no smaller |u|. A late start, a start above some throttle and a stand's safety cut
+    do not count. `time` and `speed` (n,) are known samples [s], [rad/s]; `window` is the part of the log that
+    counts [s].
     """
     if not speed.size or not (top := float(np.abs(speed).max())) > 0.0:
         return None

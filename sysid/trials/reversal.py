@@ -189,8 +189,8 @@ def _first(time: FloatArray, values: FloatArray, threshold: float) -> float:
 def _passed(time: FloatArray, values: FloatArray, threshold: float, beyond: float) -> float:
     """Return when rising `values` pass `threshold` on their way to `beyond`; NaN when they never do.
 
-    It is as long after the first sample as they lie below the threshold: noise, which makes a slow signal
-    cross it many times, lengthens that as often as it shortens it.
+    It is the time of the first sample plus the total time that the values lie below the threshold. Noise
+    makes a slow signal cross the threshold many times, and lengthens the total as often as it shortens it.
     """
     if not np.isfinite(threshold) or values.size == 0 or not np.any(values >= threshold):
         return float("nan")

@@ -211,8 +211,8 @@ def _notice_assumed(problem: Problem) -> None:
     if silent:
         notice(
             "no-noise-shown",
-            f"{', '.join(silent)}: the log shows no noise at its resolution, so {100 * ASSUMED_NOISE:g} % "
-            "NRMSE is taken for it: what follows judges it no finer than that",
+            f"{', '.join(silent)}: the log shows no noise at its resolution, so a noise of "
+            f"{100 * ASSUMED_NOISE:g} % NRMSE is assumed; smaller differences are not judged",
         )
 
 

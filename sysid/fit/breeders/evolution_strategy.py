@@ -1,8 +1,8 @@
 """CMA-ES of the package `cma` (which pymoo's own CMA-ES wraps) on whole arrays.
 
 The cube's faces are kept by cma's own mapping of unbounded coordinates into a box, computed for a generation
-at once rather than for one candidate after the other, which takes most of cma's time. The candidates are, bit
-for bit, those of `pymoo.algorithms.soo.nonconvex.cmaes.CMAES` with the same options.
+at once rather than for one candidate after the other, which takes most of cma's time. The candidates equal,
+bit for bit, the candidates of `pymoo.algorithms.soo.nonconvex.cmaes.CMAES` with the same options.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class EvolutionStrategy(Breeder):
         largest = float(start.spread.max())
         self._box = BoxConstraintsLinQuadTransformation([[0.0, 1.0]])
         origin = np.asarray(self._box.inverse(start.mean))
-        # Along axes of its own it draws around 0, and its coordinates are turned into those of the cube.
+        # With other axes, candidates are drawn around 0 along these axes and then turned into the cube.
         self._origin, self._axes = origin, start.axes
         options = {
             "popsize": population,

@@ -1,8 +1,8 @@
 """Breeding in another process, so that the runs of a fit on a cluster do not wait for each other.
 
 Breeding a population of 800 takes tens of milliseconds of one core. Five runs that breed in one process keep
-sixty workers waiting; five processes do not. The numbers are those of
-`sysid.fit.breeders.algorithms.breeder`, which is what runs there.
+sixty workers waiting; five processes do not. The other process runs
+`sysid.fit.breeders.algorithms.breeder`, so the numbers are the same.
 """
 
 from __future__ import annotations

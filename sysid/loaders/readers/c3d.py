@@ -89,8 +89,8 @@ def _open(source: Source) -> Any:
         rate = float(file["header"]["points"]["frame_rate"])
     if rate and not _RATES[0] <= rate <= _RATES[1]:
         raise LogError(
-            f"{path}: states {rate:.3g} frames per second, which no camera takes: its mark of the processor "
-            f"({processor}) is not that of its numbers, or it is damaged; export it again"
+            f"{path}: states {rate:.3g} frames per second, which no camera takes: the processor that the "
+            f"file names ({processor}) did not write its numbers, or the file is damaged; export it again"
         )
     return file
 

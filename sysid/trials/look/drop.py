@@ -221,7 +221,7 @@ def _slope(
             normal = axes[2] * np.sign(axes[2] @ up)
             angle = float(np.arccos(np.clip(normal @ up, 0.0, 1.0)))
             off = 1e3 * spread[2] / np.sqrt(len(still))
-            sure = f"{off:.2g} mm rms off it" if len(still) > 3 else "which three always share"
+            sure = f"{off:.2g} mm rms off it" if len(still) > 3 else "three markers always lie in one plane"
             source = (
                 f"plane of {len(still)} markers that stand still, {sure}: check that they lie on the board"
             )
