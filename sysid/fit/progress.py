@@ -24,7 +24,8 @@ PLAIN_INTERVAL = 10.0
 class FitProgress:
     """Reports a fit on standard error; give its methods to `run_many` as `on_generation` and `on_run`.
 
-    `simulated` is what a simulation is called: ``drops``, ``trials``.
+    `simulated` is what a simulation is called: ``drops``, ``trials``. A time limit counts from
+    the creation on.
     """
 
     def __init__(
@@ -43,7 +44,7 @@ class FitProgress:
         self._finished: list[float] = []
 
     def __enter__(self) -> Self:
-        self._started = self._last_line = time.perf_counter()
+        self._last_line = time.perf_counter()
         if not self._quiet and self._console.is_terminal:
             self._live = Live(console=self._console, refresh_per_second=4, transient=True)
             self._live.start()

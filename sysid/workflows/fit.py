@@ -111,17 +111,20 @@ def fit_campaign(
     check_new_fit(folder, options.force or options.resume)
     with Journal(say, model.words.trials) as journal, ExitStack() as until_written:
         try:
+            progress = FitProgress(search, model.words.trials, options.quiet)
+            # An exception would be lost where kernels are compiled, in a callback of LLVM; a flag is not.
+            deadline.flag = until_written.enter_context(stop_on_interrupt(progress.on_stop))
             with naming(path):
                 for finding in ignored:
                     journal.add(finding)
                 problem = model.open(campaign, path, options.threads)
                 model.begin(problem)
+            _heed(deadline.flag)
             journal.fold(len(problem.trials))
             fitted = problem.fitted
             expected = _expected(fitted) if options.check else {}
+            _heed(deadline.flag)
             limited = replace(search, stop=replace(search.stop, time_limit=deadline.left))
-            progress = FitProgress(limited, model.words.trials, options.quiet)
-            deadline.flag = until_written.enter_context(stop_on_interrupt(progress.on_stop))
             identity, candidate_time = _identity(path, search, problem, fitted)
             checkpoint = Checkpoint(folder, identity, resume=options.resume, force=options.force)
             until_written.callback(checkpoint.close)
@@ -141,7 +144,7 @@ def fit_campaign(
             )
             written = write_fit(result, folder, options.force or options.resume)
         except KeyboardInterrupt:
-            # Aborted by a second Ctrl-C, or before the first one was listened to.
+            # Aborted by a second Ctrl-C, or by the first one before the search.
             if Checkpoint.kept(Checkpoint.folder_of(folder)):
                 tell(f"{folder}: aborted; what was scored is kept, continue with --resume")
             raise
@@ -149,6 +152,12 @@ def fit_campaign(
             # What is done needs no checkpoint any more.
             checkpoint.discard()
         return result, written
+
+
+def _heed(flag: StopFlag) -> None:
+    """Abort a fit that was stopped before its search: nothing has been found that could be kept."""
+    if flag():
+        raise KeyboardInterrupt
 
 
 def _expected(fitted: Problem) -> dict[str, Any]:

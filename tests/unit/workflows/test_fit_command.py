@@ -1,5 +1,6 @@
 """Unfinished fits on the command line: cut short, refused by accident, continued to the same numbers."""
 
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,8 @@ import pytest
 from filelock import FileLock
 
 from sysid.fit.store import read_fit
+from sysid.gear import kind
+from sysid.workflows import fit as walk
 
 SMALL = ("--algorithm", "ga", "--population", "16", "--runs", "2", "--max-generations", "4", "--quiet")
 
@@ -109,9 +112,6 @@ def test_fits_of_a_lock_that_cannot_be_opened(cut, monkeypatch, run):
 
 def test_an_aborted_fit_says_how_it_goes_on(campaign, monkeypatch, run):
     """Aborted after its search: nothing is written, nothing is lost, and nobody is kept out."""
-    import signal
-
-    from sysid.workflows import fit as walk
 
     def aborted(*arguments):
         raise KeyboardInterrupt
@@ -131,9 +131,25 @@ def test_an_aborted_fit_says_how_it_goes_on(campaign, monkeypatch, run):
     assert read_fit(folder).state == "done"
 
 
-def test_a_fit_whose_last_runs_were_not_begun_is_not_done(campaign, monkeypatch, run):
-    from sysid.workflows import fit as walk
+@pytest.mark.parametrize(("module", "step"), [(kind, "prepare_drops"), (walk, "quick_expectations")])
+def test_ctrl_c_before_the_search_ends_the_fit(module, step, campaign, monkeypatch, run):
+    """The step under way is not torn, as a compiler swallows exceptions; then nothing is written."""
+    real, whole = getattr(module, step), []
 
+    def pressed(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        whole.append(step)
+        return real(*arguments)
+
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(module, step, pressed)
+    assert run("fit-gear", campaign, *SMALL) == (130, "", "stopped by the user\n")
+    assert whole == [step]
+    assert not Path("fits").exists()
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_fit_whose_last_runs_were_not_begun_is_not_done(campaign, monkeypatch, run):
     real = walk.run_many
     with monkeypatch.context() as patched:
         patched.setattr(walk, "run_many", lambda *a, **more: real(*a, **more)[:1])
@@ -216,8 +232,6 @@ def test_another_parameter_table_or_accuracy_is_not_continued(cut, monkeypatch, 
 
 
 def test_another_processor_is_noted(cut, monkeypatch, run):
-    from sysid.workflows import fit as walk
-
     monkeypatch.setattr(walk, "processor", lambda: "Abacus 2")
     code, _, err = run(*cut, "--resume")
     assert code == 0, err
