@@ -4,7 +4,11 @@ import numpy as np
 
 from sysid.fit.objective import Evaluation
 from sysid.fit.problem import Block, Trial
+from sysid.fit.search import SearchSettings, run_one
+from sysid.fit.stopping import StopRule
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
+
+SHORT = StopRule(max_generations=12)
 
 
 def table(n=3):
@@ -30,6 +34,12 @@ class Bowl:
         distance = np.sqrt(np.mean((cube - self.target) ** 2, axis=1))
         failed = cube[:, 0] > 0.95
         return Evaluation(np.where(failed, 15.0, 0.01 + distance), failed, self.trials * len(cube))
+
+
+def run_genetic(objective, *, population, seed, stop, algorithm="ga", finish="none", **more):
+    """One run of one stage; `seed` is the fit's."""
+    settings = SearchSettings(population, 1, seed, stop, algorithm, finish)
+    return run_one(objective, settings, **more)
 
 
 def assert_same_run(a, b):

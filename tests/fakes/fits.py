@@ -1,7 +1,10 @@
-"""A made-up fit with every part that a report shows."""
+"""Made-up fits: one with every part that a report shows, one with all that a fit folder stores."""
+
+from dataclasses import replace
 
 import numpy as np
 
+from fakes.sets import made_sets
 from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.result import FitResult, TrialResult, ranked_sets
 from sysid.parameter_sets import parameter_records
@@ -67,4 +70,33 @@ def made_fit(channels=GEAR, samples=150, lost=slice(40, 44), runs=5, uses=("fit"
         channel_weights=(1.0,) * len(channels),
         settings={},
         provenance={"search": {"axes": ["leg_axial_stiffness"]}},
+    )
+
+
+def full_fit(seed=0, state="done"):
+    """A fit with parameters of every status, runs of two stages, failures, and a warning."""
+    fit = made_fit(MOTOR, samples=50, runs=3, seed=seed)
+    sets = made_sets()
+    runs = []
+    for run in fit.runs:
+        (stage,) = run.stages
+        causes = tuple({"blew_up": g, "left_the_board": 2} if g else {} for g in range(len(stage.cost)))
+        stage = replace(stage, failed=np.arange(len(stage.cost)), causes=causes)
+        finish = replace(stage, algorithm="cmaes", cube=stage.cube / 2, cost=stage.cost / 2)
+        runs.append(replace(run, stages=(stage, finish)))
+    return replace(
+        fit,
+        state=state,
+        parameters=sets.parameters,
+        runs=tuple(runs),
+        values=np.column_stack([fit.values, sets.values[:, 1:]]),
+        at_bound=np.column_stack([fit.at_bound, np.zeros((3, 3), np.int8)]),
+        channel_weights=(1.0, 3.0),
+        settings={"command": {"unit": "us", "minimum": 1000, "neutral": None, "maximum": 2000.0}},
+        provenance={
+            "logs": {"drop-1": {"sha256": "ab" * 32}},
+            "filter": {"taps": (1, 2.5)},
+            "nrmse_denominator": "std",
+        },
+        warnings=sets.warnings,
     )

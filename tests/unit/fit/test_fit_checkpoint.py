@@ -6,13 +6,13 @@ import random
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
 from fakes.bowl import Bowl, assert_same_run
+from fakes.slow_fit import IDENTITY, SETTINGS
 from sysid.errors import FitError
 from sysid.fit import checkpoint as checkpoint_module
 from sysid.fit import search as engine_module
@@ -29,9 +29,6 @@ from sysid.fit.objective import Evaluation
 from sysid.fit.run_log import RunMemory
 from sysid.fit.search import Hooks, SearchSettings, run_many
 from sysid.fit.stopping import StopFlag, StopRule
-
-IDENTITY = {"campaign_file": "ab" * 32, "population": 40, "log drop-1": "cd" * 32}
-SETTINGS = SearchSettings(40, 3, 5, StopRule(max_generations=14), "ga", "cmaes")
 
 
 def run_all(
@@ -305,12 +302,12 @@ if sys.platform != "win32":  # which has no such limit
 
     def test_a_state_that_the_system_refuses_to_write_leaves_the_last_one(tmp_path, whole):
         code = (
-            "import resource, sys; sys.path.insert(0, sys.argv[1]);"
-            "from test_fit_checkpoint import *;"
-            "work(sys.argv[2], False, lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (17000, 17000)))"
+            "import resource, sys; from fakes.slow_fit import work;"
+            "resource.setrlimit(resource.RLIMIT_FSIZE, (17000, 17000));"
+            "work(sys.argv[1], False)"
         )
         full = subprocess.run(
-            [sys.executable, "-c", code, HERE, str(tmp_path / "fit")], capture_output=True, text=True
+            [sys.executable, "-c", code, str(tmp_path / "fit")], capture_output=True, text=True
         )
         assert full.returncode == 1
         said = full.stderr.splitlines()[-1]
@@ -396,33 +393,9 @@ def test_a_generation_under_way_is_continued(tmp_path, monkeypatch, whole, calls
     assert first.scored + again.scored == sum(run.evaluations for run in whole)
 
 
-HERE = str(Path(__file__).parent)
-WORK = """
-import sys; sys.path.insert(0, sys.argv[1])
-from test_fit_checkpoint import *
-work(sys.argv[2], sys.argv[3] == "resume")
-"""
-
-
-class Paced(Bowl):
-    """Slow enough that a kill hits every part of a fit, writing and generations under way included."""
-
-    def evaluate(self, cube):
-        time.sleep(5e-5 * len(cube))
-        return super().evaluate(cube)
-
-
-def work(fit, resume, limit=lambda: None):
-    checkpoint_module.INTERVAL = 0.0
-    engine_module.PART_TIME = 1e-3
-    limit()
-    hold = Checkpoint(fit, IDENTITY, resume=resume)
-    print("begun", flush=True)
-    run_many(Paced(), SETTINGS, memories=hold.memories, hooks=Hooks(keep=hold.keep))
-
-
 def started(fit, how):
-    process = subprocess.Popen([sys.executable, "-c", WORK, HERE, str(fit), how], stdout=subprocess.PIPE)
+    command = [sys.executable, "-m", "fakes.slow_fit", str(fit), how]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE)
     assert process.stdout.readline().strip() == b"begun"
     return process
 

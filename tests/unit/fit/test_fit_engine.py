@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fakes.bowl import Bowl, Decay, assert_same_run, table
+from fakes.bowl import SHORT, Bowl, Decay, assert_same_run, run_genetic, table
 from sysid.errors import FitError
 from sysid.fit.breeders.algorithms import ALGORITHMS, Start, breeder
 from sysid.fit.breeders.in_process import BreederApart
@@ -21,14 +21,7 @@ from sysid.fit.stopping import StopFlag, StopRule
 from sysid.parameter_sets import parameter_records
 from sysid.parameters import SearchSpace
 
-SHORT = StopRule(max_generations=12)
 PAPER = {"algorithm": "ga", "finish": "none"}
-
-
-def run_genetic(objective, *, population, seed, stop, algorithm="ga", finish="none", **more):
-    """One run of one stage; the seed is that of the fit."""
-    settings = SearchSettings(population, 1, seed, stop, algorithm, finish)
-    return run_one(objective, settings, **more)
 
 
 class Torn(Bowl):
@@ -307,12 +300,10 @@ def test_a_run_is_reproducible_without_those_before_it():
 
 def test_another_process_gets_the_same_numbers():
     code = (
-        "import sys; sys.path.insert(0, sys.argv[1]);"
-        "from test_fit_engine import *;"
+        "from fakes.bowl import SHORT, Bowl, run_genetic;"
         "print(run_genetic(Bowl(), population=40, seed=9, stop=SHORT).stages[0].cost.tobytes().hex()[-4000:])"
     )
-    here = str(__import__("pathlib").Path(__file__).parent)
-    out = subprocess.run([sys.executable, "-c", code, here], capture_output=True, text=True, check=True)
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     run = run_genetic(Bowl(), population=40, seed=9, stop=SHORT)
     assert out.stdout.strip() == run.stages[0].cost.tobytes().hex()[-4000:]
 

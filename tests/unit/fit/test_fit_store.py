@@ -14,42 +14,12 @@ import numpy as np
 import pytest
 
 import sysid
-from fakes import fits
 from fakes.bowl import assert_same_run
-from fakes.sets import made_sets
+from fakes.fits import full_fit
 from sysid import exact_json
 from sysid.errors import FitError
 from sysid.fit import store
 from sysid.fit.store import check_new_fit, read_fit, summary, write_fit
-
-
-def made_fit(seed=0, state="done"):
-    """A fit with parameters of every status, runs of two stages, failures, and a warning."""
-    fit = fits.made_fit(fits.MOTOR, samples=50, runs=3, seed=seed)
-    sets = made_sets()
-    runs = []
-    for run in fit.runs:
-        (stage,) = run.stages
-        causes = tuple({"blew_up": g, "left_the_board": 2} if g else {} for g in range(len(stage.cost)))
-        stage = replace(stage, failed=np.arange(len(stage.cost)), causes=causes)
-        finish = replace(stage, algorithm="cmaes", cube=stage.cube / 2, cost=stage.cost / 2)
-        runs.append(replace(run, stages=(stage, finish)))
-    return replace(
-        fit,
-        state=state,
-        parameters=sets.parameters,
-        runs=tuple(runs),
-        values=np.column_stack([fit.values, sets.values[:, 1:]]),
-        at_bound=np.column_stack([fit.at_bound, np.zeros((3, 3), np.int8)]),
-        channel_weights=(1.0, 3.0),
-        settings={"command": {"unit": "us", "minimum": 1000, "neutral": None, "maximum": 2000.0}},
-        provenance={
-            "logs": {"drop-1": {"sha256": "ab" * 32}},
-            "filter": {"taps": (1, 2.5)},
-            "nrmse_denominator": "std",
-        },
-        warnings=sets.warnings,
-    )
 
 
 def assert_same(a, b):
@@ -72,7 +42,7 @@ def leftovers(folder):
 
 
 def test_round_trip(tmp_path):
-    fit = made_fit(state="stopped")
+    fit = full_fit(state="stopped")
     path = write_fit(fit, tmp_path / "fits" / "bench")
     assert sorted(p.name for p in path.iterdir()) == ["fit.h5", "fit.json", "summary.txt"]
     assert_same(read_fit(path), fit)
@@ -81,7 +51,7 @@ def test_round_trip(tmp_path):
 
 
 def test_folder_is_a_parameter_set_source(tmp_path):
-    fit = made_fit()
+    fit = full_fit()
     path = write_fit(fit, tmp_path / "bench")
     assert sysid.load_parameter_sets(path) == fit.parameter_sets()
     for name in ("fit.json", "fit.h5"):
@@ -91,14 +61,14 @@ def test_folder_is_a_parameter_set_source(tmp_path):
 
 
 def test_mean_nrmse_weights_channels_and_splits_uses():
-    fit = made_fit()
+    fit = full_fit()
     by_trial = fit.nrmse_by_trial @ np.array([0.25, 0.75])
     np.testing.assert_allclose(fit.mean_nrmse("fit"), by_trial[:, :2].mean(axis=1), rtol=1e-14)
     np.testing.assert_allclose(fit.mean_nrmse("validate"), by_trial[:, 2], rtol=1e-14)
 
 
 def test_summary_names_what_matters(tmp_path):
-    text = summary(made_fit())
+    text = summary(full_fit())
     for words in (
         "motor fit bench: done",
         "leg_axial_stiffness",
@@ -114,7 +84,7 @@ def test_summary_names_what_matters(tmp_path):
 
 
 def test_existing_folder_is_refused_then_replaced(tmp_path):
-    old, new = made_fit(seed=1), made_fit(seed=2)
+    old, new = full_fit(seed=1), full_fit(seed=2)
     path = write_fit(old, tmp_path / "bench")
     with pytest.raises(FitError, match=r"bench exists already; .* --force"):
         write_fit(new, path)
@@ -132,14 +102,14 @@ def test_a_folder_that_is_no_fit_is_never_replaced(tmp_path):
     folder.mkdir()
     (folder / "chapter-1.txt").write_text("years of work", encoding="utf-8")
     with pytest.raises(FitError, match=r"holds no fit.h5, so it is not a result folder"):
-        write_fit(made_fit(), folder, force=True)
+        write_fit(full_fit(), folder, force=True)
     assert (folder / "chapter-1.txt").read_text(encoding="utf-8") == "years of work"
 
 
 def test_an_empty_folder_is_used(tmp_path):
     (tmp_path / "bench").mkdir()
-    write_fit(made_fit(), tmp_path / "bench")
-    assert_same(read_fit(tmp_path / "bench"), made_fit())
+    write_fit(full_fit(), tmp_path / "bench")
+    assert_same(read_fit(tmp_path / "bench"), full_fit())
 
 
 def full_disk(*args, **kwargs):
@@ -148,7 +118,7 @@ def full_disk(*args, **kwargs):
 
 @pytest.mark.parametrize("where", ["numbers", "text", "swap"])
 def test_full_disk_leaves_the_old_fit(tmp_path, monkeypatch, where):
-    old = made_fit(seed=1)
+    old = full_fit(seed=1)
     path = write_fit(old, tmp_path / "bench")
     if where == "numbers":
         monkeypatch.setattr(Path, "write_bytes", full_disk)
@@ -165,7 +135,7 @@ def test_full_disk_leaves_the_old_fit(tmp_path, monkeypatch, where):
 
         monkeypatch.setattr(os, "replace", second_fails)
     with pytest.raises(FitError, match=r"cannot be written \(No space left on device\); .* unchanged"):
-        write_fit(made_fit(seed=2), path, force=True)
+        write_fit(full_fit(seed=2), path, force=True)
     monkeypatch.undo()
     assert_same(read_fit(path), old)
     assert leftovers(tmp_path) == []
@@ -176,7 +146,7 @@ def test_hdf5_is_built_in_memory(tmp_path, monkeypatch):
     targets = []
     real = h5py.File
     monkeypatch.setattr(h5py, "File", lambda target, mode: (targets.append(target), real(target, mode))[1])
-    write_fit(made_fit(), tmp_path / "bench")
+    write_fit(full_fit(), tmp_path / "bench")
     assert [type(target) for target in targets] == [io.BytesIO]
 
 
@@ -186,29 +156,27 @@ def test_interrupt_while_writing_leaves_nothing(tmp_path, monkeypatch):
 
     monkeypatch.setattr(store, "summary", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        write_fit(made_fit(), tmp_path / "bench")
+        write_fit(full_fit(), tmp_path / "bench")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_kill_while_writing_leaves_the_old_fit(tmp_path):
-    path = write_fit(made_fit(seed=1), tmp_path / "bench")
+    path = write_fit(full_fit(seed=1), tmp_path / "bench")
     code = (
-        "import os, sys; sys.path.insert(0, sys.argv[1]);"
-        "from test_fit_store import *;"
+        "import os, sys; from fakes.fits import full_fit; from sysid.fit import store;"
         "store.summary = lambda result: os._exit(9);"
-        "write_fit(made_fit(seed=2), sys.argv[2], force=True)"
+        "store.write_fit(full_fit(seed=2), sys.argv[1], force=True)"
     )
-    here = str(Path(__file__).parent)
-    killed = subprocess.run([sys.executable, "-c", code, here, str(path)], capture_output=True, text=True)
+    killed = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True)
     assert killed.returncode == 9, killed.stderr
-    assert_same(read_fit(path), made_fit(seed=1))
+    assert_same(read_fit(path), full_fit(seed=1))
     # What the killed process left does not stand in the way of the next one.
-    write_fit(made_fit(seed=3), path, force=True)
-    assert_same(read_fit(path), made_fit(seed=3))
+    write_fit(full_fit(seed=3), path, force=True)
+    assert_same(read_fit(path), full_fit(seed=3))
 
 
 def test_damaged_fits_are_refused(tmp_path):
-    path = write_fit(made_fit(), tmp_path / "bench")
+    path = write_fit(full_fit(), tmp_path / "bench")
     whole = (path / "fit.h5").read_bytes()
     with pytest.raises(FitError, match=r"no fit.h5"):
         read_fit(tmp_path / "nowhere")
@@ -230,18 +198,18 @@ def test_damaged_fits_are_refused(tmp_path):
 
 def test_settings_must_be_text_and_numbers():
     with pytest.raises(TypeError, match="has no place in a result file"):
-        replace(made_fit(), settings={"law": object()})
+        replace(full_fit(), settings={"law": object()})
 
 
 def test_trajectory_shapes_are_checked():
-    fit = made_fit()
+    fit = full_fit()
     bad = replace(fit.trials[0], simulated=np.zeros((3, 49, 2)))
     with pytest.raises(ValueError, match="trial drop-1: simulated"):
         replace(fit, trials=(bad, *fit.trials[1:]))
 
 
 def test_failures_are_told_by_cause_in_text_and_numbers(tmp_path):
-    path = write_fit(made_fit(), tmp_path / "bench")
+    path = write_fit(full_fit(), tmp_path / "bench")
     # 1 + 2 + 3 + 4 + 5 in each of two stages, and 2 in five generations of each.
     assert read_fit(path).runs[0].failures == {"blew_up": 30, "left_the_board": 20}
     assert "failed: 30 blew up, 20 left the board" in (path / "summary.txt").read_text(encoding="utf-8")
