@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from sysid.fit.problem import Course, Outcome
 from sysid.fit.result import RankedSets
 from sysid.fit.stopping import CutReason, CutShort
-from sysid.journal import Finding, notice, tell
+from sysid.journal import Finding, folded, note, notice, spoken, tell
 from sysid.motor.bench_logs import command_range
 from sysid.motor.dead_band import (
     SaturationFit,
@@ -28,6 +28,7 @@ from sysid.motor.model import PARAMETERS, invariants, unpack
 from sysid.motor.problem import FIT_TOLERANCE, MotorProblem
 from sysid.motor.profile import profile
 from sysid.motor.static_curves import CurveFit, no_load_line
+from sysid.motor.targets import PreparedTrial
 from sysid.parameter_sets import COMBINATIONS, NOT_ALONE, ParameterRecord, parameter_records
 from sysid.parameters import SearchSpace
 from sysid.types import FloatArray
@@ -53,6 +54,31 @@ _DERIVED = tuple(
 )  # fmt: skip
 
 
+def _treatment(trial: PreparedTrial) -> Iterator[Finding]:
+    """Yield what was done to the log of a trial: tare, turned signs, stalls of the logger."""
+    log, trials = trial.log, (trial.entry.name,)
+    tares = {name: tare for name, tare in log.tares.items() if np.isfinite(tare.error)}
+    shown = [
+        f"{name} {1e3 * tares[name].value:.3g} m{unit}"
+        for name, unit in (("torque", "N·m"), ("thrust", "N"))
+        if name in tares
+    ]
+    if shown:
+        source = log.tares["torque" if "torque" in log.tares else "thrust"].source
+        largest = max(abs(tare.value) for tare in tares.values())
+        sentence = f"tare from its {source.replace('_', ' ')}: {', '.join(shown)}"
+        yield replace(note(f"tare-{source}", sentence), trials=trials, size=largest)
+    turned = " and ".join(name for name, sign in log.signs.items() if sign < 0)
+    if turned:
+        yield replace(note(f"turned-{turned}", f"sign of {turned} turned"), trials=trials)
+    lost = sum(end - start for start, end in log.doubtful)
+    if lost:
+        sentence = (
+            f"{len(log.doubtful)} stalls of the logger around commands, {lost:.1f} s left out of the cost"
+        )
+        yield replace(note("logger-stalls", sentence), trials=trials, size=lost)
+
+
 def begin(problem: MotorProblem) -> None:
     """Refuse a dead band that cannot be fitted, and tell what is free and what the logs showed."""
     campaign, bench, space = problem.campaign, problem.bench, problem.space
@@ -61,24 +87,8 @@ def begin(problem: MotorProblem) -> None:
     tell(f"{len(bench.fitted)} trials to fit, {scored} to validate; free: {', '.join(space.names)}")
     for fit in bench.curves.fits:
         tell(curve_sentence(fit))
-    for trial in bench.trials:
-        tares = ", ".join(
-            f"{name} {1e3 * tare.value:.3g} m{unit}"
-            for name, unit in (("torque", "N·m"), ("thrust", "N"))
-            if (tare := trial.log.tares.get(name)) is not None and np.isfinite(tare.error)
-        )
-        if tares:
-            source = trial.log.tares["torque" if "torque" in trial.log.tares else "thrust"].source
-            tell(f"trial {trial.entry.name}: tare from its {source.replace('_', ' ')}: {tares}")
-        turned = " and ".join(name for name, sign in trial.log.signs.items() if sign < 0)
-        if turned:
-            tell(f"trial {trial.entry.name}: sign of {turned} turned")
-        lost = sum(end - start for start, end in trial.log.doubtful)
-        if lost:
-            tell(
-                f"trial {trial.entry.name}: {len(trial.log.doubtful)} stalls of the logger around commands, "
-                f"{lost:.1f} s left out of the cost"
-            )
+    for finding in folded(finding for trial in bench.trials for finding in _treatment(trial)):
+        tell(spoken(finding, len(bench.trials)))
     if bench.curves.ties and "viscous_damping" not in space.names:
         tell(
             "no log without propeller: the no-load speed follows R from loaded points, and k_d, which then "
