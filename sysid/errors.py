@@ -17,6 +17,10 @@ class CampaignError(SysidError):
     """A campaign file is malformed, incomplete or contradicts itself."""
 
 
+class CampaignFileError(CampaignError):
+    """A campaign cannot be used; the message begins with the path of its file."""
+
+
 class UnitError(SysidError):
     """A quantity has no unit, an unknown unit or a unit of the wrong dimension."""
 

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from sysid.campaign.gear import GearCampaign
 from sysid.campaign.motor import MotorCampaign
-from sysid.errors import CampaignError
+from sysid.errors import CampaignFileError
 
 Campaign = GearCampaign | MotorCampaign
 _KINDS: dict[str, type[BaseModel]] = {"gear": GearCampaign, "motor": MotorCampaign}
@@ -28,49 +28,51 @@ def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
     """Read a campaign file (TOML; logs in it are named relative to its folder).
 
     A file that is missing, is no TOML, is of another `kind` than the caller needs, or breaks the schema is a
-    CampaignError.
+    CampaignFileError.
     """
     path = Path(path)
     if path.is_dir():
-        raise CampaignError(f"{path}: is a folder; name the campaign in it, such as {path / 'campaign.toml'}")
+        raise CampaignFileError(
+            f"{path}: is a folder; name the campaign in it, such as {path / 'campaign.toml'}"
+        )
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        raise CampaignError(f"{path}: no such campaign file; 'sysid new-campaign' writes one") from None
+        raise CampaignFileError(f"{path}: no such campaign file; 'sysid new-campaign' writes one") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise CampaignError(
+        raise CampaignFileError(
             f"{path}: cannot be read as UTF-8 text ({error}); name a campaign, which is a TOML file in UTF-8"
         ) from error
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         if path.suffix.lower() != ".toml":
-            raise CampaignError(
+            raise CampaignFileError(
                 f"{path}: looks like a log, for it is no TOML ({error}); name a campaign, which "
                 "is a TOML file that lists the logs ('sysid new-campaign' writes one)"
             ) from None
-        raise CampaignError(f"{path}: not valid TOML: {error}; correct that line") from None
+        raise CampaignFileError(f"{path}: not valid TOML: {error}; correct that line") from None
     stated = data.get("kind")
     if stated not in _KINDS:
-        raise CampaignError(
+        raise CampaignFileError(
             f"{path}: kind is {stated!r}; expected {' or '.join(map(repr, sorted(_KINDS, reverse=True)))}"
         )
     if kind is not None and stated != kind:
-        raise CampaignError(
+        raise CampaignFileError(
             f"{path}: is a {stated} campaign, expected {kind}; use 'sysid fit-{stated}', "
             f"or name a {kind} campaign"
         )
     try:
         return _KINDS[stated].model_validate(data)  # type: ignore[return-value]
     except ValidationError as error:
-        raise CampaignError(f"{path}: {_first_sentence(error, _KINDS[stated], data)}") from None
+        raise CampaignFileError(f"{path}: {_first_sentence(error, _KINDS[stated], data)}") from None
 
 
 def resolve_log(campaign_path: str | Path, log: str) -> Path:
-    """Return the path of a log named in a campaign; CampaignError when there is no such file."""
+    """Return the path of a log named in a campaign; CampaignFileError when there is no such file."""
     path = Path(campaign_path).parent / log
     if not path.is_file():
-        raise CampaignError(f"{campaign_path}: log {log!r} does not exist at {path}; correct its path")
+        raise CampaignFileError(f"{campaign_path}: log {log!r} does not exist at {path}; correct its path")
     return path
 
 
@@ -90,8 +92,10 @@ def _first_sentence(error: ValidationError, model: type[BaseModel], data: dict[s
     elif detail["type"] == "missing":
         sentence = f"{where} is missing; 'sysid new-campaign' shows how it is written"
     else:
-        message = detail["msg"].removeprefix("Value error, ").replace("a valid tuple", "a list")
-        shown = isinstance(value, str | int | float) and repr(value) not in message
+        # A validator of a campaign says what it found; pydantic's own sentences do not.
+        cause = detail["ctx"]["error"] if detail["type"] == "value_error" else None
+        message = detail["msg"].replace("a valid tuple", "a list") if cause is None else str(cause)
+        shown = cause is None and isinstance(value, str | int | float)
         place, value_shown = (f"{where}: " if where else ""), (f", found {value!r}" if shown else "")
         sentence = f"{place}{message}{value_shown}"
     return sentence + (f" (and {len(details) - 1} more)" if len(details) > 1 else "")

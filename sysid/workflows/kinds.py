@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.campaign import read_campaign, register_campaign
-from sysid.errors import CampaignError, UnitError
+from sysid.errors import CampaignError, CampaignFileError, UnitError
 from sysid.fit.problem import Kind
 from sysid.gear.kind import GEAR
 from sysid.journal import Finding
@@ -51,17 +51,17 @@ def open_campaign(
     for name in law:
         if name not in model.laws:
             lacks = f"a campaign of kind {campaign.kind!r} has no {name}"
-            raise CampaignError(f"{path}: {lacks}; leave --{name} out")
+            raise CampaignFileError(f"{path}: {lacks}; leave --{name} out")
     campaign, ignored = model.under(campaign, {**(settings or {}), **law})
     return model, campaign, ignored
 
 
 @contextmanager
 def naming(path: str | Path) -> Iterator[None]:
-    """Put the campaign's path before a complaint about its content."""
+    """Put the campaign's path before a refusal of its content that does not name it yet."""
     try:
         yield
+    except CampaignFileError:
+        raise
     except (CampaignError, UnitError) as error:
-        if str(path) in str(error):
-            raise
-        raise CampaignError(f"{path}: {error}") from error
+        raise CampaignFileError(f"{path}: {error}") from error
