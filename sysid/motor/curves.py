@@ -49,7 +49,7 @@ class CurveLog:
     @property
     def name(self) -> str:
         """The name in a result; no trial has such a name."""
-        return f"{self.entry.log} (curves.{self.table}, {self.entry.direction})"
+        return f"curves.{self.table}.{self.entry.direction}/{self.entry.log}"
 
 
 def read_curve_logs(campaign: MotorCampaign, path: str | Path) -> tuple[CurveLog, ...]:

@@ -59,7 +59,7 @@ def test_the_record_names_the_logs_of_the_curves_and_a_changed_one_is_not_contin
     log.write_bytes(log.read_bytes() + b"\r\n")
     code, _, err = run(*fit, "--resume")
     assert code == 2
-    assert "log static-forward.csv (curves.static, forward) differs" in err
+    assert "log curves.static.forward/static-forward.csv differs" in err
 
 
 def interrupting(monkeypatch, step):
