@@ -54,7 +54,8 @@ def ranked_table(sets: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
         record = sets.parameters[column]
         heading = with_unit(record.symbol, record.unit) + (f" {_UNFIXED}" if loose else "")
         rows.append([Cell(heading), *(_value(sets, s, column, loose) for s in range(len(sets)))])
-    notes = [_FLAG] if np.any(sets.at_bound[:, shown]) else []
+    digits = [i for i in shown if in_place_of_digits(sets.settings, sets.names[i]) is None]
+    notes = [_FLAG] if np.any(sets.at_bound[:, digits]) else []
     if any(sets.names[column] in unfixed for column in shown):
         notes.append(f"{_UNFIXED} not determined by the data: no digits")
     count = "one set" if len(sets) == 1 else f"{len(sets)} sets, best first"
@@ -124,6 +125,12 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
     ends at a bound is flagged.
     """
     flags = [{sets.names[i] for i in np.flatnonzero(np.any(sets.at_bound != 0, axis=0))} for sets in fits]
+    # Words in place of digits carry no mark.
+    marked = any(
+        name not in unfixed and in_place_of_digits(sets.settings, name) is None
+        for sets, names in zip(fits, flags, strict=True)
+        for name in names
+    )
 
     def fitted(k: int, row: MeanRow) -> Cell:
         cell, name = row.fitted[k], row.record.name
@@ -151,7 +158,7 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
             words("measured", lambda row: " to ".join(dict.fromkeys(map(plain, row.measured))) or NONE),
             words("bounds", bounds),
         ),
-        _SPREAD + (f"\n{_FLAG} in at least one set" if any(flags) else ""),
+        _SPREAD + (f"\n{_FLAG} in at least one set" if marked else ""),
     )
 
 
