@@ -210,9 +210,9 @@ def _about_saturation(
     if edges is not None:
         notice(
             "dead-band-edge-open",
-            f"{trials} do not determine saturation_speed: from {edges[0]:.2g} to {edges[1]:.2g} rad/s, with "
-            "the saturation_current that fits best beside each, the NRMSE is within 1 % of the lowest; its "
-            "digits mean nothing",
+            f"{parts} of {trials} do not determine saturation_speed: from {edges[0]:.2g} to {edges[1]:.2g} "
+            "rad/s, with the saturation_current that fits best beside each, the NRMSE is within 1 % of the "
+            "lowest; its digits mean nothing",
         )
     return band.document() | {"saturation_speed_range": edges}
 

@@ -131,6 +131,8 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
         for sets, names in zip(fits, flags, strict=True)
         for name in names
     )
+    notes = [_SPREAD] if any(np.any(np.nan_to_num(sets.sigma, posinf=0.0) > 0) for sets in fits) else []
+    notes += [f"{_FLAG} in at least one set"] if marked else []
 
     def fitted(k: int, row: MeanRow) -> Cell:
         cell, name = row.fitted[k], row.record.name
@@ -158,7 +160,7 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
             words("measured", lambda row: " to ".join(dict.fromkeys(map(plain, row.measured))) or NONE),
             words("bounds", bounds),
         ),
-        _SPREAD + (f"\n{_FLAG} in at least one set" if marked else ""),
+        "\n".join(notes),
     )
 
 
