@@ -1,8 +1,8 @@
 """Qualisys QTM TSV: markers (3D) and rigid bodies (6D).
 
 A header of ``KEY<TAB>value`` lines, then rows of numbers; the row of column names and the columns Frame and
-Time are options of the export, so columns are counted from MARKER_NAMES or BODY_NAMES. Orientation is that
-of the matrix Rot[0] ... Rot[8], which QTM writes by columns; its angles follow a definition that the user
+Time are options of the export, so columns are counted from MARKER_NAMES or BODY_NAMES. Orientation is
+the matrix Rot[0] ... Rot[8], which QTM writes by columns; its angles follow a definition that the user
 can change and are not read. A body or marker whose cells are blank or all zero is missing. Lengths are mm
 unless declared.
 """

@@ -1,8 +1,8 @@
 """ROS recordings (rosbags): ROS 1 bag, and the MCAP and SQLite files of ROS 2.
 
 Every topic of poses (PoseStamped, PoseWithCovarianceStamped, TransformStamped, Odometry) is a rigid body of
-the topic's name; a TFMessage gives one per child frame. Time is the stamp of the message's header, or that
-of arrival; lengths are metres and quaternions x, y, z, w by the definition of the messages.
+the topic's name; a TFMessage gives one per child frame. Time is the stamp of the message's header, or the
+time of arrival; lengths are metres and quaternions x, y, z, w by the definition of the messages.
 """
 
 from __future__ import annotations

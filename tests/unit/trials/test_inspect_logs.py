@@ -86,7 +86,7 @@ def test_stated_errors_hold_the_truth_of_the_sample_drops(kind):
         assert seen.impact_speed_error < 0.18
         assert (seen.down_slope, seen.down_slope_doubt) == ("-z", "")
         if seen.slope is not None:
-            assert "three always share: check that they lie on the board" in seen.slope_source
+            assert "lie in one plane: check that they lie on the board" in seen.slope_source
 
 
 def test_a_throw_does_not_tell_the_slope():
