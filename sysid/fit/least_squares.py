@@ -36,8 +36,6 @@ _FIRST_STEP, _LEAST_STEP, _LARGEST_STEP, _STEP_SHARE = 3e-3, 1e-3, 0.03, 0.3
 _SAME_START = 0.05
 # A front of the finisher has converged when a step takes less than this share off its cost.
 _TOLERANCE = 1e-4
-# The two best fronts agree where their NRMSE differ by less than this share.
-_AGREE = 3e-4
 # A model explains the trials where its NRMSE is at most this multiple of what noise costs [1].
 EXPLAINED = 1.2
 # The axes of what follows reach where the cost is this share higher, but not beyond this part of the cube.
@@ -350,16 +348,9 @@ class LeastSquares(Breeder):
 
     @property
     def ended(self) -> StopReason:
-        """Why there is nothing to ask for.
-
-        The two best fronts agree in a place that explains the trials; they ended apart, as the cost is too
-        rough for derivatives; or the residuals are more than noise, so that another place may fit better.
-        """
-        cost = np.sort(self._fronts.cost[np.isfinite(self._fronts.cost)])
+        """Why there is nothing to ask for: the walk has ended, or more is left than noise explains."""
         floor = sum(block.weight * block.noise for block in self._objective.blocks)
-        if not len(cost) or np.exp(cost[0] / 2) > EXPLAINED * floor:
-            return "unexplained"
-        return "converged" if len(cost) > 1 and cost[1] - cost[0] < 2 * _AGREE else "apart"
+        return "converged" if np.exp(self._fronts.cost.min() / 2) <= EXPLAINED * floor else "unexplained"
 
     def start(self) -> Start:
         """Return where and along which axes CMA-ES goes on: at the best front, by the cost's curvature."""

@@ -195,15 +195,20 @@ def loose_findings(runs: Sequence[RunHistory], space: SearchSpace) -> tuple[Find
     """Return which free parameters the data do not determine, judged from the candidates.
 
     An `unfixed` parameter is not identifiable. Of the others those are named whose value differs by more than
-    1 % between candidates within 0.003 % of the best NRMSE: no search tells these apart. Runs that were cut
-    short do not count: far from an optimum candidates score alike for other reasons.
+    1 % between candidates within 0.003 % of the best NRMSE, which no search tells apart, or between runs that
+    end within 0.2 % of it. Runs that were cut short do not count: far from an optimum candidates score alike
+    for other reasons.
     """
     runs = [run for run in runs if run.stop_reason not in _CUT]
     if not runs:
         return ()
     low, high = _span(runs, space, SAME_NRMSE)
     wide = unfixed(runs, space.free)
+    # Runs that end in one optimum may end in neighbouring dents of it.
+    best = min(float(run.best[-1]) for run in runs)
+    ends = space.decode(np.stack([r.best_point for r in runs if r.best[-1] <= (1 + SAME_NRMSE) * best]))
     least, most = _span(runs, space, ENDS_WITHIN)
+    least, most = np.minimum(least, ends.min(axis=0)), np.maximum(most, ends.max(axis=0))
     spread = (most - least) / np.maximum(np.abs(most + least) / 2, np.finfo(float).tiny)
     out = []
     for i in np.flatnonzero(wide):
@@ -219,7 +224,7 @@ def loose_findings(runs: Sequence[RunHistory], space: SearchSpace) -> tuple[Find
         shares = ", ".join(f"{in_words(space.free[i])} {100 * spread[i]:.2g} %" for i in weak)
         sentence = (
             f"determined no better than this, over sets that score within {100 * ENDS_WITHIN:g} % of the "
-            f"best NRMSE: {shares}"
+            f"best NRMSE, or with which a run ended within {100 * SAME_NRMSE:g} % of it: {shares}"
         )
         names = tuple(dict.fromkeys(common_name(space.free[i]) for i in weak))
         out.append(Finding("weakly-determined", sentence, parameters=names))

@@ -71,9 +71,10 @@ class SearchSettings:
     algorithm : str
         A key of `sysid.fit.breeders.algorithms.ALGORITHMS`.
     finish : {"least-squares", "cmaes", "none"}
-        Least squares from the best of a few generations, followed by CMA-ES where the cost is too rough for
-        derivatives, and by the whole search and CMA-ES where more is left than noise; CMA-ES from mean and
-        spread of each run's last generation; ``none`` is the paper's method.
+        Least squares from the best of a few generations, then CMA-ES along the axes of the cost's curvature,
+        because the cost is too rough for derivatives to find the last digits; where more is left than noise,
+        the whole search and CMA-ES follow instead. CMA-ES from mean and spread of each run's last generation.
+        ``none`` is the paper's method.
     """
 
     population: int = POPULATION[DEFAULT_ALGORITHM]
@@ -101,7 +102,7 @@ class SearchSettings:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """Algorithms of a run, in order; CMA-ES needs no finisher, and least squares may call for more."""
+        """Algorithms of a run, in order; CMA-ES needs no finisher, and more follows least squares."""
         if self.finish == "none" or self.algorithm == "cmaes":
             return (self.algorithm,)
         return (self.algorithm, self.finish)
@@ -223,8 +224,9 @@ class _Run:
             reason = stages[-1].stop_reason
             if reason == "interrupted":
                 break
-            # What least squares could not settle, the search without it does: as if it had not been tried.
-            left += {"apart": ["cmaes"], "unexplained": [self.settings.algorithm, "cmaes"]}.get(reason, [])
+            if name == "least-squares":
+                # Where more is left than noise, the search goes on as if least squares had not been tried.
+                left += [self.settings.algorithm] * (reason == "unexplained") + ["cmaes"]
         return RunHistory(self.seed, tuple(stages))
 
     def _rule(self, name: str, number: int, population: int) -> StopRule:

@@ -27,7 +27,7 @@ from sysid.errors import FitError
 
 Reading = Literal["relative", "matlab"]
 StopReason = Literal[
-    "converged", "apart", "unexplained", "generations", "evaluations", "time", "interrupted", "exhausted"
+    "converged", "unexplained", "generations", "evaluations", "time", "interrupted", "exhausted"
 ]  # fmt: skip
 CutReason = Literal["time", "interrupted"]
 
@@ -37,7 +37,6 @@ ONE_PRESS = 0.5
 # What each reason means to a person; "exhausted" is pymoo's: no new candidate could be bred.
 REASONS: dict[str, str] = {
     "converged": "NRMSE change below the tolerance",
-    "apart": "its fronts ended apart",
     "unexplained": "more is left than noise",
     "generations": "generation limit",
     "evaluations": "evaluation budget",

@@ -142,7 +142,7 @@ def test_low_noise_fit_finds_stiffnesses_and_joint(tmp_path):
     folder = synthesize_gear(tmp_path / "drops", seed=1, noise_position=0.05e-3, noise_angle=radians(0.05))
     campaign, drops, truth = opened(folder)
     floor = float(score_values(campaign, used(drops), truth).cost[0])
-    options = FitOptions(out=tmp_path / "fit", algorithm="ga", population=800, quiet=True)
+    options = FitOptions(out=tmp_path / "fit", algorithm="ga", population=800, finish="cmaes", quiet=True)
     result, _ = fit_gear(folder / "campaign.toml", options)
     plain = np.array([run.stages[0].cost.min() for run in result.runs])
     print(f"truth {floor:.4%}, sets {result.nrmse}, of the GA alone {plain}, excess {_excess(plain, floor)}")

@@ -162,11 +162,13 @@ def test_finisher_starts_from_mean_and_spread_and_reaches_the_bottom():
     assert len(paper.stages) == 1
 
 
-def test_least_squares_ends_where_the_fronts_agree():
+def test_least_squares_and_a_short_cmaes_reach_the_bottom():
     settings = SearchSettings(population=40, runs=1, seed=3)
     run = run_one(Decay(), settings)
-    first, second = run.stages
+    first, second, third = run.stages
     assert (first.algorithm, first.stop_reason, len(first.cost)) == ("ga", "generations", 3)
+    assert third.algorithm == "cmaes"
+    assert third.cube.shape[1] == 16
     assert (second.algorithm, second.stop_reason) == ("least-squares", "converged")
     assert np.all(np.abs(run.best_point - Decay().target) < 0.02)
     # The bottom: no neighbour scores less, and every run ends in the same place.
@@ -177,13 +179,13 @@ def test_least_squares_ends_where_the_fronts_agree():
         assert abs(other.best[-1] / run.best[-1] - 1) < 1e-5
     # What a candidate cost is what the objective says, also in the first part of the window.
     np.testing.assert_array_equal(Decay().evaluate(second.cube[4]).cost, second.cost[4])
-    assert run.evaluations < 900
+    assert second.cost.min() < (1 + 1e-6) * run.best[-1]
+    assert run.evaluations < 1500
 
 
 def test_cmaes_follows_least_squares_where_the_cost_is_rough():
     run = run_one(Decay(rough=0.01), SearchSettings(population=40, runs=1, seed=3))
     assert [stage.algorithm for stage in run.stages] == ["ga", "least-squares", "cmaes"]
-    assert run.stages[1].stop_reason == "apart"
     assert run.stages[2].cost.min() < run.stages[1].cost.min()
     # Among the dents, it is as good as the smooth bottom.
     smooth = run_one(Decay(), SearchSettings(population=40, runs=1, seed=3))
