@@ -71,4 +71,7 @@ def parse_quantity(text: str, expected: str) -> float:
     number, unit = match.groups()
     if not unit and expected != "1":
         raise UnitError(f"{text!r} has no unit; expected for example '{number} {expected}'")
-    return float(number) * factor_to_si(unit, expected)
+    try:
+        return float(number) * factor_to_si(unit, expected)
+    except UnitError as error:
+        raise UnitError(f"{error}; found {text!r}") from None

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fakes.bowl import Bowl, assert_same_run
+from fakes.bowl import Bowl, Decay, assert_same_run
 from fakes.places import SAMPLES
 from sysid.campaign import read_campaign
 from sysid.errors import SysidError
@@ -171,6 +171,15 @@ def test_three_workers_give_the_local_numbers_and_one_may_be_killed(tmp_path, ge
         assert (begun, where.alive) == (3, 2)
         for a, b in zip(killed, local, strict=True):
             assert_same_run(a, b)
+
+
+def test_least_squares_on_a_cluster_gives_the_same_numbers(tmp_path):
+    settings = SearchSettings(40, 2, 5)
+    with cluster(tmp_path, 2) as (where, _):
+        found = run_many(SpreadObjective(Decay(), where), settings, at_once=2)
+    for a, b in zip(found, run_many(Decay(), settings), strict=True):
+        assert [stage.algorithm for stage in a.stages] == ["ga", "least-squares", "cmaes"]
+        assert_same_run(a, b)
 
 
 @pytest.mark.slow
