@@ -138,6 +138,22 @@ def local_imports(imports: dict[str, list[tuple[str, int, bool]]]) -> list[str]:
     ]
 
 
+# The same function of two models: the two kinds are strangers, so each has its own.
+TWINS = {"pack", "simulate", "simulate_population"}
+# A kernel names its steps for itself, and a command is named after the function that it calls.
+APART = ("sysid.cli", "sysid.gear.kernel", "sysid.gear.surfaces", "sysid.motor.kernel")
+
+
+def ambiguous_names(sources: dict[str, str]) -> dict[str, list[str]]:
+    """Return every public class and function that more than one module defines, with these modules."""
+    homes: dict[str, list[str]] = {}
+    for module, text in sources.items():
+        for node in () if module.startswith(APART) else ast.parse(text).body:
+            if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and not node.name.startswith("_"):
+                homes.setdefault(node.name, []).append(module)
+    return {name: modules for name, modules in homes.items() if len(modules) > 1 and name not in TWINS}
+
+
 @pytest.fixture(scope="module")
 def sources():
     return {name: path.read_text(encoding="utf-8") for name, path in MODULES.items()}
@@ -153,6 +169,10 @@ def test_rooms_import_downward(sources):
 
 def test_no_imports_inside_functions(sources):
     assert local_imports(graph(sources)) == []
+
+
+def test_a_public_name_has_one_meaning(sources):
+    assert ambiguous_names(sources) == {}
 
 
 @pytest.mark.parametrize(

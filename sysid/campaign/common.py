@@ -34,13 +34,13 @@ Frequency = Annotated[float, BeforeValidator(_quantity("Hz")), Field(gt=0)]
 Voltage = Annotated[float, BeforeValidator(_quantity("V")), Field(gt=0)]
 
 
-class Table(BaseModel):
+class TomlTable(BaseModel):
     """A TOML table: frozen, and closed to keys it does not know."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class ParameterChoices(Table):
+class ParameterChoices(TomlTable):
     """`[parameters]`: which rows of the model are free, between which bounds, and what others are fixed to.
 
     Quantities stay text here: `search_space` checks their unit against the model's row.
@@ -150,7 +150,7 @@ def _quantity_of(where: str, name: str, text: str, table: ParameterTable) -> flo
         return parse_quantity(text, unit)
 
 
-class FitTable(Table):
+class FitTable(TomlTable):
     """`[fit]`: the search; the search chooses an algorithm or a population that is not named."""
 
     population: int | None = Field(default=None, ge=8, le=100_000)
@@ -164,7 +164,7 @@ class FitTable(Table):
     max_generations: int = Field(default=1000, ge=1)
 
 
-class TrialTable(Table):
+class TrialTable(TomlTable):
     """What every `[[trials]]` entry has."""
 
     name: str = Field(min_length=1)
@@ -172,7 +172,7 @@ class TrialTable(Table):
     use: TrialUse = "fit"
 
 
-class CampaignTable(Table):
+class CampaignTable(TomlTable):
     """Top level of every campaign."""
 
     name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]*$")
@@ -192,7 +192,7 @@ class CampaignTable(Table):
         return self
 
 
-class Weights(Table):
+class Weights(TomlTable):
     """`[cost.weights]`: weight of each channel in the mean of a trial."""
 
     @model_validator(mode="after")
@@ -202,7 +202,7 @@ class Weights(Table):
         return self
 
 
-class CostTable(Table):
+class CostTable(TomlTable):
     """`[cost]`: the NRMSE."""
 
     denominator: Literal["std", "range"] = "std"

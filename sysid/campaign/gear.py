@@ -21,8 +21,8 @@ from sysid.campaign.common import (
     PositiveLength,
     PositiveTime,
     Speed,
-    Table,
     Time,
+    TomlTable,
     TrialTable,
     Weights,
 )
@@ -43,7 +43,7 @@ def _slope_on_earth(value: float) -> float:
 Slope = Annotated[Angle, AfterValidator(_slope_on_earth)]
 
 
-class Vehicle(Table):
+class Vehicle(TomlTable):
     """`[vehicle]`: measured values of the drone, propellers on, as dropped. Feet from the centre of mass."""
 
     body_mass: Mass
@@ -75,7 +75,7 @@ class Capture(CaptureLogOptions):  # type: ignore[misc]
         return self
 
 
-class SurfaceTable(Table):
+class SurfaceTable(TomlTable):
     """`[surface]`: the friction law and where the plane lies in the capture frame (one way of three)."""
 
     law: str = "lf"  # a declared friction law, resolved where the model is known
@@ -98,7 +98,7 @@ class SurfaceTable(Table):
         return self
 
 
-class Window(Table):
+class Window(TomlTable):
     """`[window]`: which part of a drop is compared."""
 
     before_contact: PositiveTime = 0.05
@@ -118,14 +118,14 @@ def _small(value: float, thousandth: str) -> float:
     return value
 
 
-class Nuisance(Table):
+class Nuisance(TomlTable):
     """`[nuisance]`: offsets of each fitted drop that the search may choose, up to these; none by default."""
 
     height: Annotated[PositiveLength, AfterValidator(partial(_small, thousandth="mm"))] | None = None
     start_time: Annotated[PositiveTime, AfterValidator(partial(_small, thousandth="ms"))] | None = None
 
 
-class KaiserFilter(Table):
+class KaiserFilter(TomlTable):
     """`[filter]`: the low-pass that both the recording and the simulation pass through."""
 
     kind: Literal["kaiser", "none"] = "kaiser"
@@ -182,6 +182,11 @@ class GearCampaign(CampaignTable):
     cost: GearCost = GearCost()
     fit: GearFitTable = GearFitTable()
     trials: tuple[GearTrial, ...]
+
+    @property
+    def every_log(self) -> Capture:
+        """What is stated of all logs."""
+        return self.capture
 
     @model_validator(mode="after")
     def _every_drop_has_one_body_and_a_plane(self) -> GearCampaign:

@@ -19,7 +19,7 @@ from pydantic import (
     model_validator,
 )
 
-from sysid.campaign.common import Angle, Length, Table
+from sysid.campaign.common import Angle, Length, TomlTable
 from sysid.loaders.options import BenchOptions, CaptureOptions, LogOptions, known_unit
 from sysid.loaders.registry import plug_in_options
 
@@ -27,7 +27,7 @@ Unit = Annotated[str, AfterValidator(known_unit)]
 
 
 # A frozen model may inherit a frozen dataclass, but mypy takes a model for a dataclass that is not frozen.
-class LogTable(Table, LogOptions):  # type: ignore[misc]
+class LogTable(TomlTable, LogOptions):  # type: ignore[misc]
     """What is common to all logs. An option of a plug-in format is passed on as it stands."""
 
     model_config = ConfigDict(extra="allow")
@@ -54,7 +54,7 @@ class LogTable(Table, LogOptions):  # type: ignore[misc]
         return self.declared() | (self.model_extra or {})
 
 
-class MotorAxes(Table):
+class MotorAxes(TomlTable):
     """`transform`: from the load cell's origin and axes to the motor's."""
 
     dx: Length = 0.0

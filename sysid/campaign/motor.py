@@ -13,8 +13,8 @@ from sysid.campaign.common import (
     FitTable,
     Frequency,
     Inertia,
-    Table,
     Time,
+    TomlTable,
     TrialTable,
     Voltage,
     Weights,
@@ -37,7 +37,7 @@ def _speed_per_volt(value: Any) -> float:
 SpeedPerVolt = Annotated[float, BeforeValidator(_speed_per_volt), Field(gt=0)]
 
 
-class MotorRatings(Table):
+class MotorRatings(TomlTable):
     """`[motor]`: what the datasheet and a pendulum say."""
 
     kv: SpeedPerVolt | None = None
@@ -47,7 +47,7 @@ class MotorRatings(Table):
     saturation_speed: AngularSpeed | None = None
 
 
-class CommandProtocol(Table):
+class CommandProtocol(TomlTable):
     """`[command]`: how a logged command becomes u in [-1, 1]."""
 
     unit: Literal["us", "dshot"]
@@ -86,7 +86,7 @@ class CommandProtocol(Table):
         return self
 
 
-class StaticLog(Table):
+class StaticLog(TomlTable):
     """One entry of `curves.static` or `curves.no_load`."""
 
     log: str
@@ -95,7 +95,7 @@ class StaticLog(Table):
     second_log: SecondLog | None = None
 
 
-class Curves(Table):
+class Curves(TomlTable):
     """`[curves]`: logs of steady points; without any, the steady segments of the trials serve."""
 
     static: tuple[StaticLog, ...] = ()
@@ -114,7 +114,7 @@ class BenchLogs(BenchLogOptions):  # type: ignore[misc]
     current: Literal["supply", "motor"] = "supply"
 
 
-class ChebyshevFilter(Table):
+class ChebyshevFilter(TomlTable):
     """`[filter]`: for logs fast enough; `auto` leaves slow logs unfiltered, with a note."""
 
     kind: Literal["auto", "chebyshev2", "none"] = "auto"
@@ -136,7 +136,7 @@ class MotorCost(CostTable):
     weights: MotorWeights = MotorWeights()
 
 
-class MotorNuisance(Table):
+class MotorNuisance(TomlTable):
     """`[nuisance]`: an offset of each log, estimated and reported."""
 
     command_delay: Literal["log", "common"] = "log"
@@ -165,6 +165,11 @@ class MotorCampaign(CampaignTable):
     nuisance: MotorNuisance = MotorNuisance()
     fit: FitTable = FitTable()
     trials: tuple[MotorTrial, ...]
+
+    @property
+    def every_log(self) -> BenchLogs:
+        """What is stated of all logs."""
+        return self.log
 
     @model_validator(mode="after")
     def _bidirectional_needs_neutral(self) -> MotorCampaign:

@@ -12,7 +12,7 @@ from sysid.cli.adapter import command
 from sysid.cli.root import app, print_json, unless
 from sysid.workflows.options import (
     Argument,
-    CampaignFile,
+    CampaignPath,
     Dask,
     FitCampaign,
     FitFolder,
@@ -31,7 +31,7 @@ from sysid.workflows.options import (
 
 
 @command(app, "fit-motor")
-def fit_motor(campaign: CampaignFile, options: FitOptions, json: Json = False) -> int:
+def fit_motor(campaign: CampaignPath, options: FitOptions, json: Json = False) -> int:
     """Fit a motor to thrust-stand and load-cell logs: five ranked parameter sets."""
     from sysid.workflows.fit import fit_motor as fit
 
@@ -39,7 +39,7 @@ def fit_motor(campaign: CampaignFile, options: FitOptions, json: Json = False) -
 
 
 @command(app, "fit-gear")
-def fit_gear(campaign: CampaignFile, options: FitOptions, surface: Surface = None, json: Json = False) -> int:
+def fit_gear(campaign: CampaignPath, options: FitOptions, surface: Surface = None, json: Json = False) -> int:
     """Fit the landing gear to motion-capture logs of drops: five ranked parameter sets."""
     from sysid.workflows.fit import fit_gear as fit
 
@@ -58,7 +58,7 @@ def _fit(fit: Any, campaign: Path, options: FitOptions, json: bool, **more: Any)
 
 @command(app, "check")
 def check(
-    campaign: CampaignFile,
+    campaign: CampaignPath,
     surface: Surface = None,
     threads: Threads = None,
     quiet: Quiet = False,
@@ -89,7 +89,7 @@ def trust(
 
 @command(app, "validate")
 def validate(
-    fit: FitFolder, campaign: CampaignFile, threads: Threads = None, quiet: Quiet = False, json: Json = False
+    fit: FitFolder, campaign: CampaignPath, threads: Threads = None, quiet: Quiet = False, json: Json = False
 ) -> None:
     """Predict trials that a fit has not seen: NRMSE over the noise, when it ends, where it stops."""
     from sysid.report.trust_tables import print_validation

@@ -514,7 +514,7 @@ class Course:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class FitOutcome:
     """What a kind makes of the ranked sets of a fit.
 
     Parameters
@@ -544,12 +544,12 @@ class Outcome:
     cut: CutReason | None = None
 
 
-def _as_found(problem: Problem, course: Course) -> Outcome:
+def _as_found(problem: Problem, course: Course) -> FitOutcome:
     """Return ranked sets as they are."""
     sets, choices = course.sets, problem.campaign.parameters
     ranges = choices.measured_ranges(problem.space.table)
     records = parameter_records(problem.space, None, ranges, stated=dict.fromkeys(choices.fixed, "campaign"))
-    return Outcome(sets, sets.values, records, sets.values, sets.at_bound, sets.cost, cut=course.cut)
+    return FitOutcome(sets, sets.values, records, sets.values, sets.at_bound, sets.cost, cut=course.cut)
 
 
 def _as_stated(campaign: Any, settings: Mapping[str, Any]) -> tuple[Any, tuple[Finding, ...]]:
@@ -582,7 +582,7 @@ class Kind:
     begin : callable
         (problem of all trials) -> None: refuses early what could not be fitted, tells what is fitted.
     follow_up : callable
-        (problem of all trials, `Course`) -> `Outcome`.
+        (problem of all trials, `Course`) -> `FitOutcome`.
     candidates : callable
         (fitted problem, row (n_table,) [SI]) -> (problem with one trial per recording that could be made
         next, their titles), or None.
@@ -596,7 +596,7 @@ class Kind:
     campaign: type
     open: Callable[[Any, Path, int | None], Problem]
     begin: Callable[[Any], None] = _begin
-    follow_up: Callable[[Any, Course], Outcome] = _as_found
+    follow_up: Callable[[Any, Course], FitOutcome] = _as_found
     candidates: Callable[[Any, FloatArray], tuple[Problem, Sequence[str]] | None] = _no_candidates
     under: Callable[[Any, Mapping[str, Any]], tuple[Any, tuple[Finding, ...]]] = _as_stated
     laws: tuple[str, ...] = ()

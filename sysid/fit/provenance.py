@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Required
 
 from pydantic import with_config
 from typing_extensions import TypedDict
@@ -14,11 +14,12 @@ from sysid.parameter_sets import SetsDocument
 
 @with_config(CONFIG)
 class CampaignFile(TypedDict, total=False):
-    """The campaign that was fitted: its name, its SHA-256, and its path seen from the fit folder."""
+    """A campaign file. A fitted one has its path seen from the fit folder, a checked one its name."""
 
-    file: str
-    sha256: str
+    file: Required[str]
+    sha256: Required[str]
     from_fit_folder: str
+    name: str
 
 
 @with_config(CONFIG)

@@ -23,7 +23,7 @@ from sysid.fit.stopping import StopReason
 from sysid.types import FloatArray
 
 
-def fingerprint(cube: FloatArray) -> int:
+def population_hash(cube: FloatArray) -> int:
     """Return 64 bits that tell one population of candidates from another."""
     data = np.ascontiguousarray(cube, dtype="<f8").tobytes()
     return int.from_bytes(hashlib.blake2b(data, digest_size=8).digest(), "little")
@@ -48,7 +48,7 @@ def sketch(cube: FloatArray) -> FloatArray:
 class Begun:
     """The first k candidates of a long generation, which are already computed.
 
-    `asked` is the `fingerprint` of all candidates of the generation, `elapsed` the wall time of the stage
+    `asked` is the `population_hash` of all candidates of the generation, `elapsed` the wall time of the stage
     until then [s]; the rest as in `sysid.fit.objective.Evaluation`.
     """
 
@@ -70,7 +70,7 @@ class StageMemory:
     failed, simulations, causes : lists
         Candidates that failed, simulations, and failures by cause [1].
     asked, sketch : lists
-        `fingerprint`, and `sketch` (n_free,), of the candidates.
+        `population_hash`, and `sketch` (n_free,), of the candidates.
     elapsed : list of float
         Wall time of the stage at the end of every generation [s].
     ended : str, optional
@@ -103,7 +103,7 @@ class StageMemory:
         self.failed.append(int(np.count_nonzero(scored.failed)))
         self.causes.append(count_causes(scored.failed, causes))
         self.simulations.append(int(scored.simulations))
-        self.asked.append(fingerprint(points))
+        self.asked.append(population_hash(points))
         self.sketch.append(sketch(points))
         self.elapsed.append(elapsed)
         self.begun = None
@@ -116,14 +116,14 @@ class StageMemory:
             cost = np.concatenate([self.begun.cost, cost])
             failed = np.concatenate([self.begun.failed, failed])
             simulations += self.begun.simulations
-        self.begun = Begun(fingerprint(points), cost, failed, simulations, elapsed)
+        self.begun = Begun(population_hash(points), cost, failed, simulations, elapsed)
         return self.begun
 
     def recalls_begun(self, points: FloatArray, elsewhere: bool) -> int:
         """Return how many of the candidates asked for were scored before; see `recalls`."""
         if self.begun is None:
             return 0
-        if self.begun.asked == fingerprint(points):
+        if self.begun.asked == population_hash(points):
             return len(self.begun.cost)
         if not elsewhere:
             raise self._other_candidates(len(self.cost))
@@ -144,7 +144,7 @@ class StageMemory:
         the same, and those that differ by more are not remembered. On the same processor other candidates
         are refused: the search cannot be continued to the result that it would have had.
         """
-        if self.asked[generation] == fingerprint(points):
+        if self.asked[generation] == population_hash(points):
             return True
         if not elsewhere:
             raise self._other_candidates(generation)
@@ -152,7 +152,7 @@ class StageMemory:
         if not same or np.max(np.abs(sketch(points) - self.sketch[generation])) > SAME_SKETCH:
             return False
         # From here on it is continued on this processor.
-        self.asked[generation] = fingerprint(points)
+        self.asked[generation] = population_hash(points)
         return True
 
     def forget_from(self, generation: int) -> None:

@@ -11,10 +11,10 @@ import numpy as np
 
 from sysid.campaign import GearCampaign
 from sysid.fit.nrmse import TrialTarget
-from sysid.fit.problem import Course, Kind, Outcome, Words
+from sysid.fit.problem import Course, FitOutcome, Kind, Words
 from sysid.gear.drops import PreparedDrop, prepare_drops
 from sysid.gear.model import PARAMETERS
-from sysid.gear.problem import CONSTANTS, TRUST_TOLERANCE, GearProblem, on_surface, search_space
+from sysid.gear.problem import CONSTANTS, TRUST_TOLERANCE, GearProblem, gear_space, on_surface
 from sysid.gear.starts import compared_noise
 from sysid.journal import Finding
 from sysid.parameter_sets import ParameterRecord, parameter_records
@@ -43,13 +43,13 @@ def _derived(rows: FloatArray) -> FloatArray:
 
 
 def _open(campaign: GearCampaign, path: Path, threads: int | None) -> GearProblem:
-    space = search_space(campaign)
+    space = gear_space(campaign)
     # Refused before the drops are read.
     campaign.parameters.measured_ranges(PARAMETERS)
     return GearProblem(campaign, space, prepare_drops(campaign, path), threads, path=path)
 
 
-def _follow_up(problem: GearProblem, course: Course) -> Outcome:
+def _follow_up(problem: GearProblem, course: Course) -> FitOutcome:
     """Return the ranked sets with the numbers that follow from them."""
     campaign, sets = problem.campaign, course.sets
     stated = problem.stated
@@ -74,7 +74,7 @@ def _follow_up(problem: GearProblem, course: Course) -> Outcome:
         "slopes_deg": {drop.name: float(np.degrees(drop.slope)) for drop in problem.fitted.drops},
         "tolerance": problem.tolerance,
     }
-    return Outcome(
+    return FitOutcome(
         sets=sets,
         rows=sets.values,
         records=records,

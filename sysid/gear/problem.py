@@ -60,7 +60,7 @@ CONSTANTS = ("gravity", "leg_mass_fraction", "slip_regularization", *PARAMETERS.
 _NEVER_IN_DROPS = ("thrust_point_dx",)
 
 
-def search_space(campaign: GearCampaign) -> SearchSpace:
+def gear_space(campaign: GearCampaign) -> SearchSpace:
     """Return the free parameters of a campaign and the values of all others.
 
     Raises CampaignError for an unknown parameter, a wrong unit, crossed bounds, bounds that exclude a
@@ -416,7 +416,10 @@ class GearProblem(Problem):
         return drop.time[0] + np.array(out)
 
     def beyond(self, rows: FloatArray) -> list[dict[str, Any]]:
-        """Return slope and resting place of every drop."""
+        """Return slope and resting place of every drop, over the sets and the starts' uncertainty.
+
+        ``stop``: place [m, down-slope] and time [s] since the first touchdown, each measured, mean and sigma.
+        """
         stops = [stopping(drop, rows, self.board_length, **self._simulation) for drop in self.drops]
         return [
             {"slope_deg": float(np.degrees(drop.slope)), "stop": stop}

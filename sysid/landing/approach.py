@@ -29,7 +29,7 @@ class Descent:
     duration: float
 
 
-def descend(drone: Drone, begin: Scenario, height: float) -> Descent:
+def fly_down(drone: Drone, begin: Scenario, height: float) -> Descent:
     """Fly down until the first foot touches.
 
     `begin` is the slope and what the drone has at the beginning: pitch, rates, speed of descent. `height`

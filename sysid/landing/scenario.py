@@ -63,7 +63,7 @@ def grid(slopes: ArrayLike, speeds: ArrayLike, **others: float) -> list[Scenario
     return [Scenario(float(slope), float(speed), **others) for slope in rows for speed in columns]
 
 
-def along_slope(position: FloatArray, slope: ArrayLike) -> FloatArray:
+def down_slope(position: FloatArray, slope: ArrayLike) -> FloatArray:
     """Return the coordinate down the slope (...) [m] of x and z, the first two entries of (..., >= 2)."""
     angle = np.asarray(slope, dtype=np.float64)
     return np.asarray(position[..., 0] * np.cos(angle) - position[..., 1] * np.sin(angle))

@@ -25,7 +25,7 @@ from sysid.gear.propulsion import Propulsion
 from sysid.landing.controllers import Controller
 from sysid.landing.drone import Drone
 from sysid.landing.outcomes import Outcome, Rules
-from sysid.landing.scenario import Scenario, along_slope
+from sysid.landing.scenario import Scenario, down_slope
 from sysid.landing.thrust import Motors
 from sysid.types import FloatArray
 
@@ -111,7 +111,7 @@ def run(
     clock = np.array([0.0, rules.horizon])
     drops, flown = _fly(drone, scenarios, thrust, clock, tolerance, threads, rules.ending("rest"))
     rest, flip = flown.rest[0], flown.flip[0]
-    distance = along_slope(flown.end_state[0], drops.slope) - along_slope(drops.body_state, drops.slope)
+    distance = down_slope(flown.end_state[0], drops.slope) - down_slope(drops.body_state, drops.slope)
     outcome = rules.classes(distance, rest, flip, np.isin(flown.status[0], _FAILED))
     return Landings(outcome, distance, rest, flip, triggers)
 
@@ -180,7 +180,7 @@ def land(
     rest = first.get(EventKind.REST, math.nan)
     flip = first.get(EventKind.FLIP, math.nan)
     over = np.nanmin([flip, rest + rules.rest_time, math.inf])
-    down = along_slope(trajectory.state, scenario.slope)
+    down = down_slope(trajectory.state, scenario.slope)
     known = np.isfinite(down)
     distance = float(np.interp(over, clock[known], down[known]) - down[0])
     if flip < rest:

@@ -156,7 +156,7 @@ class BenchLog:
         self.notes.append(note(code, sentence))
 
 
-def command_range(campaign: MotorCampaign) -> trial_log.CommandRange:
+def campaign_range(campaign: MotorCampaign) -> trial_log.CommandRange:
     """Return the campaign's command protocol; one direction where no neutral is given."""
     c = campaign.command
     if c.minimum is None or c.maximum is None:
@@ -174,7 +174,7 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> B
     if recording.kind == "static-map":
         raise LogError(f"{where}: has averaged points, no transients; name it under curves.static")
     command = recording["command"]
-    time, u = command.time, command_range(campaign).to_u(command.values, command.unit, where)
+    time, u = command.time, campaign_range(campaign).to_u(command.values, command.unit, where)
     if not np.isfinite(u).any():
         raise LogError(f"{where}: has no command; a motor fit needs the command beside the speed")
     # A neutral that jitters is a neutral, for the tare too.

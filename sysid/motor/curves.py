@@ -18,7 +18,7 @@ from sysid.motor.bench_logs import (
     STATED_SIGNS,
     BenchLog,
     bench_log,
-    command_range,
+    campaign_range,
     log_points,
     read_log,
 )
@@ -93,7 +93,7 @@ def _rows_as_points(campaign: MotorCampaign, recording: Recording, direction: Ro
     """Return the rows of an averaged log that turn, tare subtracted and signs settled."""
     where = recording.provenance.path
     command = recording["command"]
-    u = command_range(campaign).to_u(command.values, command.unit, where)
+    u = campaign_range(campaign).to_u(command.values, command.unit, where)
     speed = signed_speed(recording["speed"].values, direction, where)
     turning = np.nan_to_num(speed) != 0
     rest = (np.abs(u) < 1e-9) & ~turning

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from sysid.fit.problem import Course, Outcome
+from sysid.fit.problem import Course, FitOutcome
 from sysid.fit.result import RankedSets
 from sysid.fit.stopping import CutReason, CutShort
 from sysid.journal import Finding, folded, note, notice, spoken, tell
-from sysid.motor.bench_logs import command_range
+from sysid.motor.bench_logs import campaign_range
 from sysid.motor.dead_band import (
     SaturationFit,
     edges_that_serve,
@@ -79,7 +79,7 @@ def _treatment(trial: PreparedTrial) -> Iterator[Finding]:
         yield replace(note("logger-stalls", sentence), trials=trials, size=lost)
 
 
-def begin(problem: MotorProblem) -> None:
+def begin_fit(problem: MotorProblem) -> None:
     """Refuse a dead band that cannot be fitted, and tell what is free and what the logs showed."""
     campaign, bench, space = problem.campaign, problem.bench, problem.space
     saturation_space(campaign, bench, space.table, PARAMETERS.nominal)
@@ -108,7 +108,7 @@ def curve_sentence(fit: CurveFit) -> str:
     return f"{fit.quantity}, {fit.direction}: {numbers}; {quality}"
 
 
-def follow_up(problem: MotorProblem, course: Course) -> Outcome:
+def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
     """Fit the dead band, rank the final sets, climb the ladder, walk the profile, notice what is doubtful.
 
     The sets are ranked by the NRMSE of their final values over the fitted forward and reverse trials, starts
@@ -152,7 +152,7 @@ def follow_up(problem: MotorProblem, course: Course) -> Outcome:
     at_bound = np.pad(sets.at_bound, ((0, 0), (0, derived.shape[1])))
     if band is not None:
         at_bound[:, searched] = band.at_bound
-    return Outcome(
+    return FitOutcome(
         sets=sets,
         rows=rows,
         records=_records(problem, unknown, band),
@@ -353,7 +353,7 @@ def _records(
 
 def _circumstances(problem: MotorProblem) -> dict[str, Any]:
     """Return what a simulator must know beside the numbers."""
-    u_of = command_range(problem.campaign)
+    u_of = campaign_range(problem.campaign)
     return {
         "command": {
             **{name: getattr(u_of, name) for name in ("unit", "minimum", "neutral", "maximum")},

@@ -7,8 +7,8 @@ from pathlib import Path
 from sysid.campaign import MotorCampaign
 from sysid.fit.problem import Kind, Words
 from sysid.motor.candidates import candidate_trials
-from sysid.motor.follow_up import begin, follow_up
-from sysid.motor.known_values import prepare_bench, search_space
+from sysid.motor.follow_up import begin_fit, follow_up
+from sysid.motor.known_values import motor_space, prepare_bench
 from sysid.motor.model import PARAMETERS
 from sysid.motor.problem import MotorProblem
 
@@ -17,14 +17,14 @@ def _open(campaign: MotorCampaign, path: Path, threads: int | None) -> MotorProb
     # Refused before the logs are read.
     campaign.parameters.measured_ranges(PARAMETERS)
     bench = prepare_bench(campaign, path)
-    return MotorProblem.build(campaign, search_space(campaign, bench), bench, bench.trials, threads)
+    return MotorProblem.build(campaign, motor_space(campaign, bench), bench, bench.trials, threads)
 
 
 MOTOR = Kind(
     name="motor",
     campaign=MotorCampaign,
     open=_open,
-    begin=begin,
+    begin=begin_fit,
     follow_up=follow_up,
     candidates=candidate_trials,
     words=Words(

@@ -16,7 +16,7 @@ from sysid.motor.curves import CurveLog, StaticCurves, read_curve_logs, static_c
 from sysid.motor.log_delays import with_log_delays
 from sysid.motor.model import FREE_DEFAULT, PARAMETERS
 from sysid.motor.static_curves import no_load_line
-from sysid.motor.targets import PreparedTrial, prepare_trial
+from sysid.motor.targets import PreparedTrial, prepare_run
 from sysid.parameters import SearchSpace
 
 # Full duty of an unloaded motor turns at V_ref/k_v; steady loaded speed extrapolated to u = 1 falls short of
@@ -92,8 +92,7 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
     # Freed beside R, the constants are arbitrary with it whatever they start from.
     scale_known &= current is not None or not {*CONSTANTS} & {*(chosen.free or ())}
     trials = tuple(
-        prepare_trial(campaign, entry, log, reference)
-        for entry, log in zip(campaign.trials, logs, strict=True)
+        prepare_run(campaign, entry, log, reference) for entry, log in zip(campaign.trials, logs, strict=True)
     )
     guesses = {"reference_voltage"} if guessed else set()
     if not rated:
@@ -222,7 +221,7 @@ def _check_choice(chosen: tuple[str, ...], given: Collection[str], scale_known: 
         )
 
 
-def search_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
+def motor_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
     """Return what the dynamic fit frees: the campaign's, or R, L and k_d, and what its logs need beside them.
 
     The rotor's inertia is free where it was not measured; the command delay always, one per log where there

@@ -78,7 +78,7 @@ class PreparedTrial:
         return self.target.valid & ~self.started[:, None]
 
 
-def prepare_trial(
+def prepare_run(
     campaign: MotorCampaign, entry: MotorTrial, log: BenchLog, reference_voltage: float
 ) -> PreparedTrial:
     """Filter a log where it is fast, choose the grids, and join command schedule and supply."""

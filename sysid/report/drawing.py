@@ -146,7 +146,7 @@ def thinned(time: FloatArray, values: FloatArray, points: int = _POINTS) -> tupl
     return time[kept], values[kept]
 
 
-def shortened(name: str, longest: int) -> str:
+def cut_to(name: str, longest: int) -> str:
     """Return a name cut to `longest` characters, such as a title that must not reach into the next."""
     return name if len(name) <= longest else f"{name[: longest - 1]}…"
 

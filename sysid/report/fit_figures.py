@@ -30,13 +30,13 @@ from sysid.report.drawing import (
     Entry,
     as_math,
     axis_label,
+    cut_to,
     display_of,
     draw_legend,
     panel,
     paper,
     percent_text,
     plain_powers,
-    shortened,
     thinned,
     tidy,
 )
@@ -110,7 +110,7 @@ def figure_measured_against_simulated(
             residual.tick_params(labelbottom=c == rows - 1)
             if c == 0 and trial is None:
                 signal.set_title(
-                    f"{shortened(shown.name, 30)}\n{USES[shown.use]}", fontsize="medium", loc="left"
+                    f"{cut_to(shown.name, 30)}\n{USES[shown.use]}", fontsize="medium", loc="left"
                 )
             if t == 0:
                 first_column += [signal, residual]

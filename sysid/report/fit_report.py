@@ -45,8 +45,6 @@ from sysid.report.html import (
     Html,
     bullets,
     definitions,
-    folded,
-    grid,
     heading,
     joined,
     legend,
@@ -55,6 +53,8 @@ from sysid.report.html import (
     paragraph,
     picture,
     preformatted,
+    side_by_side,
+    unfoldable,
 )
 from sysid.report.set_tables import mean_sigma_table, ranked_table, trial_table
 from sysid.report.trust_tables import interval_table, narrow_table, validation_table, verdict_words
@@ -188,7 +188,7 @@ class FitReport:
         warnings = self.warnings()
         if warnings:
             count = f"{len(warnings)} warning{'s' if len(warnings) > 1 else ''}"
-            out += folded(count, bullets(warnings, "warnings"), opened=len(warnings) <= 4)
+            out += unfoldable(count, bullets(warnings, "warnings"), opened=len(warnings) <= 4)
         return out
 
     def sentences(self) -> list[str]:
@@ -286,7 +286,7 @@ class FitReport:
         out = markup_table(ranked_table(sets, opened)) + markup_table(mean_sigma_table(sets, unfixed=opened))
         if self.trust is None:
             return out + self.missing("profile intervals and verdicts", "sysid trust")
-        more = folded("68 % intervals", markup_table(narrow_table(self.trust)))
+        more = unfoldable("68 % intervals", markup_table(narrow_table(self.trust)))
         return out + markup_table(interval_table(self.trust)) + more
 
     @titled(
@@ -314,7 +314,7 @@ class FitReport:
                 shown = [c for c in range(len(fit.channels)) if trial.valid[:, c].any()]
                 panels = [self._channel(fit, trial, c, vector) for c in shown]
                 panels += self.more_panels(fit, trial)
-                out += folded(self._title(fit, trial), grid(panels), opened=trial.use not in seen)
+                out += unfoldable(self._title(fit, trial), side_by_side(panels), opened=trial.use not in seen)
                 seen.add(trial.use)
         return out
 
@@ -337,7 +337,7 @@ class FitReport:
         curves = picture(figure_convergence(self.fit), words, "Convergence of the runs.")
         words = f"final NRMSE of {runs} runs over the best one, by rank; {ended}"
         sentence = agreement.sentence()
-        return grid([curves, picture(figure_waterfall(self.fit), words, caption)]) + paragraph(
+        return side_by_side([curves, picture(figure_waterfall(self.fit), words, caption)]) + paragraph(
             f"{sentence[:1].upper()}{sentence[1:]}."
         )
 
@@ -370,7 +370,7 @@ class FitReport:
         for row, *curve in self.likelihood_profiles:
             words = f"deviance over {row['name']}, all others fitted again: {verdict_words(row['verdict'])}"
             pieces.append(picture(figure_profile(row, *curve), words))
-        out = grid(pieces)
+        out = side_by_side(pieces)
         return out if self.trust else out + self.missing("profiles of the likelihood", "sysid trust")
 
     @titled(
@@ -422,7 +422,7 @@ class FitReport:
             words = f"amplitude spectrum of {name} before the filter, and the gain of the filter ({kind})"
             pieces.append(picture(figure, words))
         missing = "The signals were not filtered, or the fit lacks their spectra."
-        return grid(pieces) if pieces else paragraph(missing, "note")
+        return side_by_side(pieces) if pieces else paragraph(missing, "note")
 
     @titled("Provenance")
     def provenance(self) -> Html:
@@ -440,7 +440,7 @@ class FitReport:
             ("candidates", f"{totals['candidates']}, {totals['failed']} failed"),
             ("computed in", f"{totals['wall_time']:.0f} s of runs"),
         ]
-        whole = folded("the whole record", preformatted("\n".join(record_lines(record))))
+        whole = unfoldable("the whole record", preformatted("\n".join(record_lines(record))))
         return definitions(rows, "where it comes from") + whole
 
     def figures(self) -> dict[str, Figure]:

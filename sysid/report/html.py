@@ -93,12 +93,12 @@ def joined(pieces: Sequence[Html]) -> Html:
     return Html("".join(piece.text for piece in pieces))
 
 
-def grid(pieces: Sequence[Html]) -> Html:
+def side_by_side(pieces: Sequence[Html]) -> Html:
     """Return pieces side by side where the window is wide enough, else below each other."""
     return Html(f'<div class="grid">{joined(pieces).text}</div>') if pieces else NOTHING
 
 
-def folded(summary: str, piece: Html, *, opened: bool = False) -> Html:
+def unfoldable(summary: str, piece: Html, *, opened: bool = False) -> Html:
     """Return a piece that a reader unfolds; printing shows it."""
     state = " open" if opened else ""
     return Html(f"<details{state}><summary>{html.escape(summary)}</summary>{piece.text}</details>")

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from sysid.recording import BoolArray, Channel, FloatArray, Recording
-from sysid.report.drawing import BEST, MEASURED, RUNS, paper, shortened
+from sysid.report.drawing import BEST, MEASURED, RUNS, cut_to, paper
 from sysid.trials.look import LogReport
 
 # Channels that tell most about a bench log, first; of other logs the first ones.
@@ -95,7 +95,7 @@ def figure_logs(
                 axes.sharex(shared)
             shared = shared or axes
             if place == 0:
-                title = shortened(Path(report.path).name, 60)
+                title = cut_to(Path(report.path).name, 60)
                 room = {"pad": 20.0} if width < _NARROW else {}
                 axes.set_title(f"{title} ({report.kind})", fontsize="medium", loc="left", **room)
             if report.drop is not None and falls:

@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sysid.landing.design_study import DesignStudy
-from sysid.report.table import Column, Table, listed, numbers, table, words
+from sysid.report.table import Table, TableColumn, listed, numbers, table, words
 
 
 def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return static limits, one row per set and thrust, as `workflows.static_limits` writes them."""
     creeps = any(row["rigid_creep_deg"] < row["rigid_slide_deg"] for row in rows)
 
-    def degrees(header: str, key: str) -> Column:
+    def degrees(header: str, key: str) -> TableColumn:
         return numbers(header, lambda row: f"{row[key]:.1f}")
 
     return table(

@@ -12,7 +12,7 @@ from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.motor.model import thrust as static_thrust
 from sysid.report.drawing import USES
 from sysid.report.fit_report import FitReport, titled
-from sysid.report.html import Html, definitions, grid, markup_table, paragraph, picture
+from sysid.report.html import Html, definitions, markup_table, paragraph, picture, side_by_side
 from sysid.report.motor_figures import figure_thrust, reversal_commands
 from sysid.report.set_tables import ladder_table
 from sysid.types import FloatArray
@@ -59,7 +59,7 @@ class MotorReport(FitReport):
             what = f"{trial.name} ({USES[trial.use]}): from {_signed(before)} % to {_signed(after)} %"
             words = f"thrust after a reversal command, measured and simulated; {what}"
             pieces.append(picture(figure, words, what))
-        out = grid(pieces)
+        out = side_by_side(pieces)
         if len(shown) < len(commands):
             drawn = f"{len(shown)} of {len(commands)} reversals are drawn"
             out += paragraph(f"{drawn}; sysid report --pdf-figures draws all.", "note")

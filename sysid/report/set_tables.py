@@ -17,11 +17,11 @@ from sysid.report.table import (
     Tone,
     listed,
     mean_sigma,
+    name_and_unit,
     numbers,
     percent,
-    plain,
+    rounded,
     table,
-    with_unit,
     words,
 )
 from sysid.types import FloatArray
@@ -52,7 +52,7 @@ def ranked_table(sets: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
     for column in shown:
         loose = sets.names[column] in unfixed
         record = sets.parameters[column]
-        heading = with_unit(record.symbol, record.unit) + (f" {_UNFIXED}" if loose else "")
+        heading = name_and_unit(record.symbol, record.unit) + (f" {_UNFIXED}" if loose else "")
         rows.append([Cell(heading), *(_value(sets, s, column, loose) for s in range(len(sets)))])
     digits = [i for i in shown if in_place_of_digits(sets.settings, sets.names[i]) is None]
     notes = [_FLAG] if np.any(sets.at_bound[:, digits]) else []
@@ -72,7 +72,7 @@ def _value(sets: ParameterSets, s: int, column: int, loose: bool) -> Cell:
     bound = bool(sets.at_bound[s, column])
     text = in_place_of_digits(sets.settings, sets.names[column])
     if text is None:
-        text = plain(sets.values[s, column], 1 if loose else 4) + (_AT_BOUND if bound else "")
+        text = rounded(sets.values[s, column], 1 if loose else 4) + (_AT_BOUND if bound else "")
     return Cell(text, "doubtful" if bound else "")
 
 
@@ -147,17 +147,17 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
         free = next((r for r in every if r.status == "free"), None)
         if free is None or free.lower is None or free.upper is None:
             return NONE
-        return f"{plain(free.lower)} to {plain(free.upper)}"
+        return f"{rounded(free.lower)} to {rounded(free.upper)}"
 
     return table(
         "measured and identified parameters (mean ± σ of the sets)",
         mean_table(*fits),
         (
-            words("parameter", lambda row: with_unit(row.record.symbol, row.record.unit)),
+            words("parameter", lambda row: name_and_unit(row.record.symbol, row.record.unit)),
             # The fits first: a phone shows the left of a table.
             *(numbers(sets.name, partial(fitted, k)) for k, sets in enumerate(fits)),
             # A range of no width is one value.
-            words("measured", lambda row: " to ".join(dict.fromkeys(map(plain, row.measured))) or NONE),
+            words("measured", lambda row: " to ".join(dict.fromkeys(map(rounded, row.measured))) or NONE),
             words("bounds", bounds),
         ),
         "\n".join(notes),

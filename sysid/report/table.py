@@ -23,7 +23,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """One column and how a row of the data fills it.
 
     The unit is printed behind the header in brackets. Numbers are aligned to the right, never broken or cut.
@@ -37,7 +37,7 @@ class Column:
     @property
     def title(self) -> str:
         """Header and unit."""
-        return with_unit(self.header, self.unit)
+        return name_and_unit(self.header, self.unit)
 
 
 @dataclass(frozen=True)
@@ -48,14 +48,14 @@ class Table:
     """
 
     title: str
-    columns: tuple[Column, ...]
+    columns: tuple[TableColumn, ...]
     rows: tuple[tuple[Cell, ...], ...]
     caption: str = ""
     rules: frozenset[int] = frozenset()
 
 
 def table(
-    title: str, rows: Iterable[Any], columns: Sequence[Column | None], caption: str = "",
+    title: str, rows: Iterable[Any], columns: Sequence[TableColumn | None], caption: str = "",
     rules: Iterable[int] = (),
 ) -> Table:  # fmt: skip
     """Fill a table: every column that is not None, for every row of the data."""
@@ -70,14 +70,14 @@ def listed(
     rules: Iterable[int] = (), *, texts: int = 1,
 ) -> Table:  # fmt: skip
     """Return a table of rows of cells; the first `texts` columns are words, all others numbers."""
-    columns = [Column(head, itemgetter(k), number=k >= texts) for k, head in enumerate(heads)]
+    columns = [TableColumn(head, itemgetter(k), number=k >= texts) for k, head in enumerate(heads)]
     return table(title, rows, columns, caption, rules)
 
 
-words, numbers = partial(Column, number=False), partial(Column, number=True)
+words, numbers = partial(TableColumn, number=False), partial(TableColumn, number=True)
 
 
-def with_unit(name: str, unit: str) -> str:
+def name_and_unit(name: str, unit: str) -> str:
     """Return ``name [unit]``; a number without unit stands alone."""
     return name if unit in ("", "1") else f"{name} [{unit}]"
 
@@ -92,7 +92,7 @@ def percent(value: float | None, digits: int = 2) -> str:
     return NONE if value is None or not math.isfinite(value) else f"{100 * value:.{digits}f}"
 
 
-def plain(value: float, digits: int = 4) -> str:
+def rounded(value: float, digits: int = 4) -> str:
     """Return a number with `digits` digits; an exponent only below 1e-4 and from 1e7 on."""
     text = f"{value:.{digits}g}"
     return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e7 else text
@@ -107,7 +107,7 @@ def mean_sigma(cell: tuple[float, float] | None) -> str:
         return NONE
     mean, sigma = cell
     if not math.isfinite(sigma) or sigma == 0 or not math.isfinite(mean):
-        return plain(mean)
+        return rounded(mean)
     exponent = math.floor(math.log10(max(abs(mean), sigma)))
     scale = 10.0**exponent if exponent < -3 or exponent > 6 else 1.0
     power = "" if scale == 1.0 else f"e{exponent}"

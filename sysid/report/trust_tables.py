@@ -15,17 +15,17 @@ from sysid.report.set_tables import channel_symbol, mean_sigma_table
 from sysid.report.table import (
     NONE,
     Cell,
-    Column,
     Table,
+    TableColumn,
     Tone,
     listed,
     mean_sigma,
+    name_and_unit,
     number,
     numbers,
     percent,
-    plain,
+    rounded,
     table,
-    with_unit,
     words,
 )
 
@@ -54,7 +54,7 @@ def verdict_words(verdict: str) -> str:
 
 def interval(row: Row, level: int) -> str:
     """Return the 68 % or 95 % interval of a parameter; an end that the data leave open is not printed."""
-    (low, high), (below, above) = map(plain, row[f"interval_{level}"]), row[f"open_{level}"]
+    (low, high), (below, above) = map(rounded, row[f"interval_{level}"]), row[f"open_{level}"]
     if below and above:
         return "open"
     return f"≤ {high}" if below else f"≥ {low}" if above else f"{low} to {high}"
@@ -68,18 +68,18 @@ def half_width(value: float) -> str:
 
 
 def _span(ends: Sequence[float] | None) -> str:
-    return NONE if ends is None else " to ".join(map(plain, ends))
+    return NONE if ends is None else " to ".join(map(rounded, ends))
 
 
 def _plus_minus(mean: float | None, sigma: float | None, digits: int = 3, of_sigma: int = 2) -> str:
     return f"{number(mean, digits)} ± {number(sigma, of_sigma)}"
 
 
-def _name(header: str, key: str = "name") -> Column:
+def _name(header: str, key: str = "name") -> TableColumn:
     return words(header, itemgetter(key))
 
 
-_PARAMETER = words("parameter", lambda row: with_unit(row["symbol"], row["unit"]))
+_PARAMETER = words("parameter", lambda row: name_and_unit(row["symbol"], row["unit"]))
 _VERDICT = words(
     "verdict", lambda row: Cell(row["verdict"].replace("_", " "), _TONES.get(row["verdict"], "bad"))
 )
@@ -102,7 +102,7 @@ def interval_table(document: Row) -> Table:
         rows,
         (
             _PARAMETER,
-            numbers("best set", lambda row: plain(row["value"]) + ("*" if row.get("at_bound") else "")),
+            numbers("best set", lambda row: rounded(row["value"]) + ("*" if row.get("at_bound") else "")),
             numbers("mean ± σ of the sets", lambda row: mean_sigma((row["mean"], row["sigma"]))),
             numbers("95 % interval", lambda row: interval(row, 95)),
             numbers("half-width", lambda row: half_width(row["half_width"])),
@@ -230,7 +230,7 @@ def validation_table(name: str, document: Row) -> Table:
         place = row.get("leaves")
         return "never" if not place else f"{place['time']:.3f} ({channel_symbol(place['channel'])})"
 
-    def stopping(what: str, unit: str) -> tuple[Column, ...]:
+    def stopping(what: str, unit: str) -> tuple[TableColumn, ...]:
         def measured(row: Row) -> str:
             return number(row["stop"][what]["measured"], 3) if row.get("stop") else NONE
 

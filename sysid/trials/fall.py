@@ -15,7 +15,14 @@ from scipy import optimize
 from sysid.errors import LogError
 from sysid.filters import bridge_gaps
 from sysid.trials.capture import PlanarMotion, SpatialMotion, held_level
-from sysid.trials.flight import HALF_WINDOW, accelerations, fall_onset, half_window, hold_before, release_time
+from sysid.trials.flight import (
+    HALF_WINDOW,
+    fall_onset,
+    half_window,
+    hold_before,
+    release_time,
+    second_derivative,
+)
 from sysid.types import FloatArray
 
 # A hold counts back to the last sample this far from its place or turned by this much, at most for this long
@@ -101,7 +108,7 @@ def find_fall(motion: SpatialMotion, gravity: float, where: str, release: float 
     if release is not None:
         onset = int(np.searchsorted(motion.time, release))
     else:
-        downward = -accelerations(height, half, 1 / motion.rate)
+        downward = -second_derivative(height, half, 1 / motion.rate)
         first = fall_onset(downward, gravity)
         if first is None:
             raise LogError(

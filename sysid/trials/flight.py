@@ -37,7 +37,7 @@ def half_window(samples: float) -> int:
     return max(2, round(samples))
 
 
-def accelerations(position: FloatArray, half: int, step: float) -> FloatArray:
+def second_derivative(position: FloatArray, half: int, step: float) -> FloatArray:
     """Return the second derivative of (n,) or (n, k) positions on a uniform clock [m/s²]."""
     return np.asarray(signal.savgol_filter(position, 2 * half + 1, 2, deriv=2, delta=step, axis=0))
 

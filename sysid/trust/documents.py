@@ -19,24 +19,17 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
-from sysid.documents import Document, OpenMapping, Part
+from sysid.documents import Document, Open, OpenMapping, Part
 from sysid.errors import FitError
+from sysid.fit.provenance import CampaignFile
 from sysid.recording import file_sha256
 from sysid.storage import FileKind, datasets, put, write_file
 
 TRUST, CROSS_VALIDATION, VALIDATION = "trust", "cross-validation", "validation-"
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Flags = Annotated[list[bool], Field(min_length=2, max_length=2)]
-
-
-class CampaignFile(Part):
-    """A campaign file; a validation also states its path seen from the fit folder."""
-
-    file: str
-    sha256: str
-    from_fit_folder: str | None = None
 
 
 class Partner(Part):
@@ -164,13 +157,10 @@ class JudgedTrial(Part):
 
 
 class ValidatedTrial(JudgedTrial):
-    """A validated trial; of a drop its slope and where it stops, over the sets and the starts' uncertainty.
+    """A validated trial; further keys are its kind's, see `sysid.fit.problem.Problem.beyond`."""
 
-    ``stop``: place [m, down-slope] and time [s] since the first touchdown, each measured, mean and sigma.
-    """
-
-    slope_deg: float | None
-    stop: OpenMapping | None
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Open]
 
 
 class LeftOutTrial(JudgedTrial):
@@ -234,12 +224,6 @@ class CrossValidationDocument(Judgement):
     trials: list[LeftOutTrial]
 
 
-class CheckedCampaign(CampaignFile):
-    """The campaign that is checked."""
-
-    name: str
-
-
 class Expected(Part):
     """What the trials of a campaign are expected to determine of a parameter, before a fit.
 
@@ -278,7 +262,7 @@ class CandidateRecording(Part):
 class CheckDocument(Part):
     """What `sysid check` prints as JSON. Quality and excitation are in the words of the kind."""
 
-    campaign: CheckedCampaign
+    campaign: CampaignFile
     kind: str
     parameters: list[ExpectedParameter]
     limits: dict[str, float]

@@ -109,7 +109,7 @@ def reasons(trials: Sequence[JudgedTrial]) -> tuple[str, ...]:
     return tuple(out)
 
 
-def summary(trials: Sequence[JudgedTrial], nrmse_fitted: float) -> dict[str, Any]:
+def judgement(trials: Sequence[JudgedTrial], nrmse_fitted: float) -> dict[str, Any]:
     """Return what a validation or cross-validation states of all trials together, for JSON."""
     why, (whole, early) = reasons(trials), _ratios(trials)
     return {

@@ -20,7 +20,7 @@ def verdict(half_width: float) -> str:
     return VERDICTS[1] if half_width < WEAKLY else VERDICTS[2]
 
 
-def percent(share: float) -> str:
+def as_half_width(share: float) -> str:
     """Return a relative half-width as a person says it."""
     if not np.isfinite(share) or share >= 10:
         return "more than its own size"
@@ -36,5 +36,5 @@ def sentences(expected: Sequence[Expected]) -> tuple[str, ...]:
             word = "weakly identifiable" if row.verdict == "weakly" else "not identifiable"
             partners = " and ".join(partner.name for partner in row.partners[:2])
             trades = f"; trades with {partners}" if partners else ""
-            out.append(f"{row.symbol} ({row.name}) is {word}: {percent(row.half_width)}{trades}")
+            out.append(f"{row.symbol} ({row.name}) is {word}: {as_half_width(row.half_width)}{trades}")
     return tuple(out)

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from sysid.fit.problem import Problem
+from sysid.fit.provenance import CampaignFile
 from sysid.journal import Journal, Say
 from sysid.recording import file_sha256
-from sysid.trust.documents import CheckDocument, CheckedCampaign, Expected
+from sysid.trust.documents import CheckDocument, Expected
 from sysid.trust.linearized import Linearized
 from sysid.trust.sensitivity import (
     Candidate,
@@ -20,8 +21,8 @@ from sysid.trust.sensitivity import (
     nominal_point,
     rank_candidates,
 )
-from sysid.trust.verdicts import WEAKLY, WELL, percent, sentences, verdict
-from sysid.workflows.kinds import naming, open_campaign
+from sysid.trust.verdicts import WEAKLY, WELL, as_half_width, sentences, verdict
+from sysid.workflows.kinds import naming_campaign, open_campaign
 
 # Candidates that are named.
 _NAMED = 3
@@ -38,7 +39,7 @@ def check_campaign(
     """
     began = time.perf_counter()
     path = Path(path)
-    with naming(path):
+    with naming_campaign(path):
         law = {} if surface is None else {"surface": surface}
         kind, campaign, ignored = open_campaign(path, law=law)
         with Journal(say, kind.words.trials) as journal:
@@ -61,7 +62,7 @@ def check_campaign(
             out |= {"quality": whole.quality(), "excitation": whole.excitation(), **whole.about()}
             warnings = journal.sentences()
     document = CheckDocument(
-        campaign=CheckedCampaign(file=path.name, sha256=file_sha256(path), name=campaign.name),
+        campaign=CampaignFile(file=path.name, sha256=file_sha256(path), name=campaign.name),
         kind=kind.name,
         warnings=warnings,
         seconds=time.perf_counter() - began,
@@ -93,8 +94,8 @@ def _verdicts(
         after = float(best.half_widths[i])
         if better and after < row.half_width:
             lines.append(
-                f"to determine {row.symbol}: {best.title} ({percent(row.half_width)} now, "
-                f"{percent(after)} with it)"
+                f"to determine {row.symbol}: {best.title} ({as_half_width(row.half_width)} now, "
+                f"{as_half_width(after)} with it)"
             )
         else:
             lines.append(f"no single {single} within the lab's reach determines {row.symbol}")

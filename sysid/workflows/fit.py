@@ -21,7 +21,7 @@ from sysid.fit.checkpoint import PROBES, PROCESSOR, Checkpoint
 from sysid.fit.history import RunHistory, summed
 from sysid.fit.objective import SpreadObjective
 from sysid.fit.optima import agreement, loose_findings, waterfall
-from sysid.fit.problem import Course, Outcome, Problem
+from sysid.fit.problem import Course, FitOutcome, Problem
 from sysid.fit.progress import FitProgress
 from sysid.fit.result import FitResult, bound_findings, ranked_sets
 from sysid.fit.search import Hooks, SearchSettings, run_many
@@ -31,7 +31,7 @@ from sysid.journal import Journal, Say, notice, tell
 from sysid.parallel import executor
 from sysid.trust.sensitivity import quick_expectations
 from sysid.trust.verdicts import sentences
-from sysid.workflows.kinds import naming, open_campaign
+from sysid.workflows.kinds import naming_campaign, open_campaign
 from sysid.workflows.options import FitOptions
 from sysid.workflows.provenance import fit_identity, processor, provenance
 
@@ -114,7 +114,7 @@ def fit_campaign(
             progress = FitProgress(search, model.words.trials, options.quiet)
             # An exception would be lost where kernels are compiled, in a callback of LLVM; a flag is not.
             deadline.flag = until_written.enter_context(stop_on_interrupt(progress.on_stop))
-            with naming(path):
+            with naming_campaign(path):
                 for finding in ignored:
                     journal.add(finding)
                 problem = model.open(campaign, path, options.threads)
@@ -230,7 +230,7 @@ def _search(
 
 
 def _result(
-    kind: str, problem: Problem, runs: tuple[RunHistory, ...], outcome: Outcome, record: Mapping[str, Any]
+    kind: str, problem: Problem, runs: tuple[RunHistory, ...], outcome: FitOutcome, record: Mapping[str, Any]
 ) -> FitResult:
     """Return what a fit has found; notice which simulations are lost."""
     trials = problem.results(outcome.rows)

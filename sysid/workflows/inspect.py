@@ -82,7 +82,7 @@ def inspect_files(
         console = Console(soft_wrap=True)
         for path, result in results:
             if isinstance(result, LogReport):
-                print_report(console, result)
+                print_log(console, result)
             else:
                 console.print(Text(str(path), style="bold"))
                 console.print(Text(f"  refused: {result}", style="bold red"))
@@ -162,7 +162,7 @@ def _value_words(channel: ChannelReport) -> str:
     return "; ".join(words)
 
 
-def print_report(console: Console, report: LogReport) -> None:
+def print_log(console: Console, report: LogReport) -> None:
     """Print the content of a log."""
     described = formats()[report.format].describes if report.format in formats() else report.format
     console.print(Text(report.path, style="bold"))

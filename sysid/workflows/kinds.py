@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from sysid.campaign import read_campaign, register_campaign
@@ -14,17 +15,27 @@ from sysid.gear.kind import GEAR
 from sysid.journal import Finding
 from sysid.motor.kind import MOTOR
 
+_ANY_REPORT = "sysid.report.fit_report:FitReport"
 _KINDS: dict[str, Kind] = {}
+_REPORTS: dict[str, str] = {}
 
 
-def register(kind: Kind) -> None:
-    """Let every verb serve a kind of model."""
-    _KINDS[kind.name] = kind
+def register(kind: Kind, report: str = _ANY_REPORT) -> None:
+    """Let every verb serve a kind of model.
+
+    `report` names the class that shows its fits, ``module:class``; only `find_report` imports the module.
+    """
+    _KINDS[kind.name], _REPORTS[kind.name] = kind, report
     register_campaign(kind.name, kind.campaign)
 
 
-register(GEAR)
-register(MOTOR)
+register(GEAR, "sysid.report.gear_report:GearReport")
+register(MOTOR, "sysid.report.motor_report:MotorReport")
+
+
+def find_report(name: str) -> Any:
+    """Return the class of the report of a kind; an unknown kind has the sections that every fit has."""
+    return resolve_name(_REPORTS.get(name, _ANY_REPORT))
 
 
 def find_kind(name: str) -> Kind:
@@ -57,7 +68,7 @@ def open_campaign(
 
 
 @contextmanager
-def naming(path: str | Path) -> Iterator[None]:
+def naming_campaign(path: str | Path) -> Iterator[None]:
     """Put the campaign's path before a refusal of its content that does not name it yet."""
     try:
         yield

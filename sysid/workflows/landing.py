@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from sysid.documents import label
 from sysid.errors import ExportError
 from sysid.export.spreadsheet import csv_text
-from sysid.landing.approach import descend
+from sysid.landing.approach import fly_down
 from sysid.landing.scenario import Scenario
 from sysid.landing.simulate import Landing, land
 from sysid.landing.thrust import Motors
 from sysid.report.fold import print_result, print_table
-from sysid.report.table import Column, Table, table
+from sysid.report.table import Table, TableColumn, table
 from sysid.storage import FileKind, check_file, put, put_json, put_texts, write_file
 from sysid.workflows.landing_sources import chosen_controllers, open_fleets, rules_of
 from sysid.workflows.options import SimulateOptions
@@ -58,7 +58,7 @@ def simulate_landings(options: SimulateOptions) -> list[Landing]:
     for drone in fleet:
         begin, motors = scenario, None
         if options.height is not None:
-            way = descend(drone, scenario, options.height)
+            way = fly_down(drone, scenario, options.height)
             begin, motors = way.touchdown, Motors(drone, controller.ideal_reversal, way.motors)
         landings.append(land(drone, begin, controller, rules=rules, rate=options.rate, motors=motors))
     rows = [outcome_row(rank, landing) for rank, landing in enumerate(landings, start=1)]
@@ -178,5 +178,7 @@ def _table(rows: Sequence[dict[str, Any]], first: Landing) -> Table:
     title = f"{first.drone.surface.upper()}, {math.degrees(first.scenario.slope):g} deg, "
     title += f"{first.scenario.speed:g} m/s: {first.controller.label}"
     cells = [[f"{v:.3f}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
-    columns = [Column(label(name), itemgetter(k), number=name != "outcome") for k, name in enumerate(rows[0])]
+    columns = [
+        TableColumn(label(name), itemgetter(k), number=name != "outcome") for k, name in enumerate(rows[0])
+    ]
     return table(title, cells, columns)

@@ -12,7 +12,7 @@ from sysid.landing.impulse import ImpulseSettings, rear_command
 from sysid.landing.impulse_maps import after_impulses, impulse_maps
 from sysid.landing.maps import Fleets, LandingMap, MapSettings, landing_maps
 from sysid.landing.outcomes import Outcome
-from sysid.report.html import Html, grid, legend, picture
+from sysid.report.html import Html, legend, picture, side_by_side
 from sysid.report.landing_figures import MapLegend, figure_impulse, figure_landing_maps
 from sysid.workflows.landing_maps import static_lines
 from sysid.workflows.landing_sources import chosen_controllers, open_fleets
@@ -63,7 +63,7 @@ def impulse_pictures(
         figure = figure_impulse([chart], stacked=True)
         words = f"delay and duration of the best impulse over touchdown speed and slope, {chart.surface}"
         pieces.append(picture(figure, words))
-    return _pictures(maps, static_lines(fleets, after_impulses(impulses))) + grid(pieces)
+    return _pictures(maps, static_lines(fleets, after_impulses(impulses))) + side_by_side(pieces)
 
 
 def _opened(
@@ -78,7 +78,7 @@ def _pictures(maps: Sequence[LandingMap], limits: Any) -> Html:
     for chart in maps:
         figure = figure_landing_maps([chart], limits=limits, legend=key)
         pieces.append(picture(figure, _words(chart)))
-    return legend(key.entries()) + grid(pieces)
+    return legend(key.entries()) + side_by_side(pieces)
 
 
 def _words(chart: LandingMap) -> str:

@@ -87,7 +87,7 @@ def _degrees(name: str, help: str, default: str = "") -> Flag:
     return Flag(help, name, read=math.radians, default=default)
 
 
-CampaignFile = Annotated[Path, Argument("Campaign file (TOML).")]
+CampaignPath = Annotated[Path, Argument("Campaign file (TOML).")]
 FitFolder = Annotated[Path, Argument("Fit folder.")]
 Sets = Annotated[Path, Argument("Fit folder, or file of parameter sets.")]
 GearSets = Annotated[Path, Argument("Fit folder or file with the gear sets.")]

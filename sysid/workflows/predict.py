@@ -24,9 +24,9 @@ from sysid.trust.assessment import leave_one_out, linearize
 from sysid.trust.documents import CROSS_VALIDATION, JudgedTrial, free_part, validation_part, write_part
 from sysid.trust.influence import standing_out
 from sysid.trust.problem import spread_over
-from sysid.trust.validation import judge, summary
+from sysid.trust.validation import judge, judgement
 from sysid.types import FloatArray
-from sysid.workflows.kinds import naming, open_campaign
+from sysid.workflows.kinds import naming_campaign, open_campaign
 from sysid.workflows.provenance import stated_campaign
 from sysid.workflows.reopen import fit_folder, open_fit
 
@@ -76,7 +76,7 @@ def open_under(fit: FitResult, path: Path, threads: int | None = None) -> tuple[
 
     Raises `SysidError` when the campaign is of another kind or cannot be used.
     """
-    with naming(path):
+    with naming_campaign(path):
         kind, campaign, _ = open_campaign(path, fit.kind, fit.settings)
         return kind, kind.open(campaign, path, threads)
 
@@ -156,7 +156,7 @@ def validate_fit(
         judged = [predicted.judge(t, slice(None), floor) for t in range(len(problem.trials))]
         _notice_unlike(judged, kind.words)
         stated = stated_campaign(campaign_path, folder)
-        more = [{"slope_deg": None, "stop": None} | row for row in problem.beyond(predicted.rows)]
+        more = problem.beyond(predicted.rows)
         whole_document = _document(journal, result, stated, judged, more)
     units = ", ".join(result.channel_units)
     arrays: dict[str, tuple[Any, str, str]] = {}
@@ -181,7 +181,7 @@ def _document(
     """Return the document of predicted trials, with `more` of each; tell why they are flagged."""
     out = {
         "campaign": stated,
-        **summary(judged, float(result.nrmse[0])),
+        **judgement(judged, float(result.nrmse[0])),
         "trials": [vars(trial) | row for trial, row in zip(judged, more, strict=True)],
         "warnings": journal.sentences(),
     }

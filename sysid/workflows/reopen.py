@@ -13,7 +13,7 @@ from sysid.fit.store import read_fit
 from sysid.journal import notice
 from sysid.parameters import SearchSpace
 from sysid.recording import file_sha256
-from sysid.workflows.kinds import naming, open_campaign
+from sysid.workflows.kinds import naming_campaign, open_campaign
 
 
 def fit_folder(path: Path) -> Path:
@@ -78,7 +78,7 @@ def open_fit(folder: Path, campaign: Path | None = None, threads: int | None = N
     if not len(result.nrmse):
         raise FitError(f"{folder}: has no set; run the fit again")
     path = campaign_of(result, folder, campaign)
-    with naming(path):
+    with naming_campaign(path):
         kind, content, _ = open_campaign(path, result.kind, result.settings)
         opened = OpenedFit(folder, result, path, kind, kind.open(content, path, threads))
     names = opened.space.names

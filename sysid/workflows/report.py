@@ -11,14 +11,26 @@ from rich.text import Text
 
 from sysid import exact_json
 from sysid.errors import ExportError, SysidError
+from sysid.fit.store import read_fit
 from sysid.journal import Say
 from sysid.report.drawing import save_figure
 from sysid.report.fit_report import FitReport
-from sysid.report.kinds import open_fit
 from sysid.report.snapshots import check_film, write_film
 from sysid.storage import write_file
+from sysid.workflows.kinds import find_report
 from sysid.workflows.options import ReportOptions
 from sysid.workflows.predict import predicted_fit
+from sysid.workflows.reopen import fit_folder
+
+
+def open_report(fit: str | Path, against: str | Path | None = None) -> FitReport:
+    """Read a fit for its report; `against` is a folder with the same sets on trials of another campaign.
+
+    Raises `FitError` when there is no fit.
+    """
+    folder, result = fit_folder(Path(fit)), read_fit(fit)
+    report: FitReport = find_report(result.kind)(folder, result, read_fit(against) if against else None)
+    return report
 
 
 def write_report(
@@ -30,7 +42,7 @@ def write_report(
     """
     options = options or ReportOptions()
     tell = say or (lambda sentence: None)
-    report = open_fit(folder)
+    report = open_report(folder)
     out = options.out if options.out is not None else report.folder / "report.html"
     _check_targets(report, options, out)
     if options.against is not None:

@@ -7,7 +7,7 @@ import numpy as np
 from sysid.campaign import read_campaign
 from sysid.gear.drops import prepare_drops
 from sysid.gear.model import PARAMETERS
-from sysid.gear.problem import GearProblem, search_space
+from sysid.gear.problem import GearProblem, gear_space
 from sysid.synthetic import read_truth
 
 # Only the quantization of the files is left.
@@ -33,7 +33,7 @@ def used(drops, use="fit"):
 
 def score_values(campaign, drops, values, **options):
     """Score one set of parameter values [SI] on prepared drops; absent names take the campaign's."""
-    problem = GearProblem(campaign, search_space(campaign), drops, **options)
+    problem = GearProblem(campaign, gear_space(campaign), drops, **options)
     known = dict(zip(problem.space.table, problem.base, strict=True)) | values
     return problem.judge_samples(*problem.simulate(np.array([[known[name] for name in PARAMETERS]])))[0]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.campaign import read_campaign
-from sysid.motor.known_values import prepare_bench, search_space
+from sysid.motor.known_values import motor_space, prepare_bench
 from sysid.motor.model import PARAMETERS, pack
 from sysid.motor.problem import MotorProblem
 
@@ -51,7 +51,7 @@ def write_table(path: Path, header: str, table: np.ndarray) -> None:
 def problem_of(campaign, bench, trials=None, **more) -> MotorProblem:
     """Return the problem of all trials of a bench, or of some, with what its campaign frees."""
     trials = bench.trials if trials is None else trials
-    return MotorProblem.build(campaign, search_space(campaign, bench), bench, trials, **more)
+    return MotorProblem.build(campaign, motor_space(campaign, bench), bench, trials, **more)
 
 
 def score_values(campaign, bench, values) -> np.ndarray:

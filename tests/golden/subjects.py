@@ -28,10 +28,9 @@ from sysid.campaign import read_campaign
 from sysid.cli import app
 from sysid.errors import SysidError
 from sysid.gear.drops import prepare_drops
-from sysid.gear.problem import GearProblem, search_space
+from sysid.gear.problem import GearProblem, gear_space
 from sysid.loaders import load
-from sysid.motor.known_values import prepare_bench
-from sysid.motor.known_values import search_space as motor_space
+from sysid.motor.known_values import motor_space, prepare_bench
 from sysid.motor.problem import MotorProblem
 from sysid.workflows.fit import fit_gear, fit_motor
 from sysid.workflows.options import FitOptions
@@ -123,7 +122,7 @@ def verdicts_of(document):
 def _gear_objective(name):
     campaign = read_campaign(CAMPAIGNS[name], "gear")
     drops = tuple(drop for drop in prepare_drops(campaign, CAMPAIGNS[name]) if drop.use == "fit")
-    objective = GearProblem(campaign, search_space(campaign), drops)
+    objective = GearProblem(campaign, gear_space(campaign), drops)
     return objective, lambda rows: objective.score(rows).by_channel
 
 

@@ -10,7 +10,7 @@ from fakes.landings import published
 from sysid.errors import CampaignError
 from sysid.export.published import table_1
 from sysid.gear.model import Ending, EventKind, simulate
-from sysid.landing.approach import descend
+from sysid.landing.approach import fly_down
 from sysid.landing.controllers import Controller, Step, find_controller
 from sysid.landing.impact_sensor import Sensing
 from sysid.landing.impulse import Impulses, ImpulseSettings, best_pair
@@ -149,7 +149,7 @@ def test_hovering_reads_one_g_and_falling_nothing():
 def test_a_level_descent_arrives_as_it_began():
     drone = published()
     begin = Scenario(math.radians(20.0), 0.5)
-    way = descend(drone, begin, 0.4)
+    way = fly_down(drone, begin, 0.4)
     assert way.duration == pytest.approx(0.8, rel=1e-4)  # LSODA at 1e-8, hover to 1e-6 of the weight
     assert way.touchdown.pitch == pytest.approx(0.0, abs=1e-9)
     assert way.touchdown.speed == pytest.approx(0.5, rel=1e-4)
@@ -162,14 +162,14 @@ def test_a_level_descent_arrives_as_it_began():
 def test_the_attitude_controller_levels_a_tilted_drone():
     drone = published()
     begin = Scenario(math.radians(10.0), 0.5, pitch=math.radians(8.0))
-    near, far = descend(drone, begin, 0.05), descend(drone, begin, 1.0)
+    near, far = fly_down(drone, begin, 0.05), fly_down(drone, begin, 1.0)
     assert abs(far.touchdown.pitch) < 0.02 * begin.pitch < abs(near.touchdown.pitch)
     # Tilted nose-down the thrust pulls it down-slope, as long as the tilt lasts.
     assert far.touchdown.horizontal_speed > 0.05
     with pytest.raises(CampaignError, match="give both above 0"):
-        descend(drone, Scenario(0.1, 0.0), 1.0)
+        fly_down(drone, Scenario(0.1, 0.0), 1.0)
     with pytest.raises(CampaignError, match="never touches down"):
-        descend(drone, Scenario(0.1, 0.5, pitch_rate=-60.0), 1.0)
+        fly_down(drone, Scenario(0.1, 0.5, pitch_rate=-60.0), 1.0)
 
 
 @pytest.mark.parametrize("surface", ["lf", "hf"])

@@ -10,7 +10,7 @@ from fakes.gear_campaigns import EXACT, opened, score_values, used
 from fakes.sets import assert_sets_agree
 from sysid.errors import LogError
 from sysid.gear.model import LF_FREE
-from sysid.gear.problem import GearProblem, search_space
+from sysid.gear.problem import GearProblem, gear_space
 from sysid.journal import Journal
 from sysid.synthetic import LF_DROPS, read_truth, synthesize_gear
 from sysid.workflows.fit import fit_gear
@@ -46,7 +46,7 @@ def test_level_at_release_is_told_to_the_flight(tmp_path):
 
 def test_the_cost_sees_every_parameter_but_ground_damping(clean):
     campaign, drops, truth = opened(clean)
-    space = search_space(campaign)
+    space = gear_space(campaign)
     assert space.names == LF_FREE
     objective = GearProblem(campaign, space, used(drops))
     centre = space.encode(np.array([truth[name] for name in space.names]))

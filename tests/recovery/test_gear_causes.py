@@ -14,7 +14,7 @@ from sysid.fit.problem import first_cause
 from sysid.fit.store import read_fit
 from sysid.gear.lost_drops import CAUSES
 from sysid.gear.model import SURFACES, pack
-from sysid.gear.problem import GearProblem, search_space
+from sysid.gear.problem import GearProblem, gear_space
 from sysid.journal import Journal
 from sysid.synthetic import LF_DROPS, synthesize_gear
 from sysid.workflows.fit import fit_gear
@@ -31,7 +31,7 @@ def folder(tmp_path_factory):
 def problem(folder):
     """Objective, and the truth's row of the table."""
     campaign, prepared, truth = opened(folder)
-    return GearProblem(campaign, search_space(campaign), prepared), pack(truth)
+    return GearProblem(campaign, gear_space(campaign), prepared), pack(truth)
 
 
 def cause(objective, row):
@@ -174,7 +174,7 @@ def test_the_accuracy_of_a_simulation_is_the_campaigns(folder, problem):
     path = folder / "exact.toml"
     path.write_text(text.replace("[fit]\n", "[fit]\ntolerance = 1e-5\n"), encoding="utf-8")
     campaign = read_campaign(path, "gear")
-    exact = GearProblem(campaign, search_space(campaign), objective.drops)
+    exact = GearProblem(campaign, gear_space(campaign), objective.drops)
     assert exact.tolerance == 1e-5
     # It reaches the kernel: 30 times the accuracy of a method of order 3 takes three times the work where
     # accuracy rules the steps, and none more where the slip's stability does.

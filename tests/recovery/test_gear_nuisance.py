@@ -7,7 +7,7 @@ from fakes.gear_campaigns import EXACT, opened, score_values, used
 from fakes.sets import assert_sets_agree
 from sysid.gear.drops import prepare_drops
 from sysid.gear.model import LF_FREE, PARAMETERS, SURFACES, parameters_on
-from sysid.gear.problem import GearProblem, search_space
+from sysid.gear.problem import GearProblem, gear_space
 from sysid.synthetic import HF_DROPS, LF_DROPS, read_truth, synthesize_gear
 from sysid.workflows.fit import fit_gear
 from sysid.workflows.options import FitOptions
@@ -21,9 +21,9 @@ def drops(tmp_path_factory):
 
 
 def test_offsets_of_a_drop_are_found_where_they_were_put(drops):
-    assert search_space(opened(drops)[0]).names == LF_FREE  # there are none by default
+    assert gear_space(opened(drops)[0]).names == LF_FREE  # there are none by default
     campaign, prepared, truth = opened(drops, '[nuisance]\nheight = "2 mm"\nstart_time = "2 ms"\n')
-    space = search_space(campaign)
+    space = gear_space(campaign)
     assert space.names[8:] == tuple(
         f"{kind}[drop-{n}]" for n in (1, 2) for kind in ("height_offset", "start_offset")
     )
@@ -59,7 +59,7 @@ def test_a_surface_that_is_a_millimetre_off_is_found_by_its_offset(drops):
     moved = (point[0], point[1] + 1e-3, point[2])
     surface = campaign.surface.model_copy(update={"point": moved})
     wrong = campaign.model_copy(update={"surface": surface})
-    space = search_space(wrong)
+    space = gear_space(wrong)
     objective = GearProblem(wrong, space, used(prepare_drops(wrong, drops / "changed.toml")))
     exact = np.array([truth.get(name, 0.0) for name in space.names])
     corrected = exact.copy()
@@ -75,7 +75,7 @@ def test_the_truth_of_high_friction_drops_scores_nothing(tmp_path):
     folder = synthesize_gear(tmp_path / "hf", seed=3, surface="hf", drops=HF_DROPS[:3], **EXACT)
     campaign, prepared, truth = opened(folder)
     free = SURFACES["hf"].free
-    assert search_space(campaign).names == free
+    assert gear_space(campaign).names == free
     assert {name: truth[name] for name in free} == {n: parameters_on("hf").nominal[n] for n in free}
     scored = score_values(campaign, prepared, truth)
     # Quantization, and 0.3 % of integration where a foot switches its mode.

@@ -12,7 +12,7 @@ from fakes.gear_campaigns import opened, score_values, used
 from fakes.gear_drops import touchdowns
 from sysid.fit.search import SearchSettings, run_one
 from sysid.gear.model import simulate
-from sysid.gear.problem import GearProblem, measured_values, search_space
+from sysid.gear.problem import GearProblem, gear_space, measured_values
 from sysid.parameters import SearchSpace
 from sysid.synthetic import read_truth, synthesize_gear
 from sysid.workflows.fit import fit_gear
@@ -125,7 +125,7 @@ def test_parameters_are_found_within_what_the_data_fix(surface, tmp_path):
         folder = synthesize_gear(tmp_path / str(seed), seed=seed, surface=surface)
         campaign, drops, truth = opened(folder)
         start = exact_start(used(drops, "fit"), read_truth(folder), truth["gravity"])
-        objective = GearProblem(campaign, search_space(campaign), start)
+        objective = GearProblem(campaign, gear_space(campaign), start)
         draws.append(errors(objective, truth, seed))
     median = {name: float(np.median([abs(draw[name]) for draw in draws])) for name in draws[0]}
     print(f"\n{surface}: relative errors over {len(SEEDS)} draws of noise [%]")
@@ -143,7 +143,7 @@ def test_two_accuracies_find_the_same_high_friction_parameters(tmp_path):
     """From near the truth, which spares the search: what moves is where the cost is least."""
     folder = synthesize_gear(tmp_path / "drops", seed=1, surface="hf")
     campaign, drops, truth = opened(folder)
-    wide = search_space(campaign)
+    wide = gear_space(campaign)
     near = {r.name: (max(r.lower, 0.7 * truth[r.name]), min(r.upper, 1.4 * truth[r.name])) for r in wide.free}
     space = SearchSpace.build(wide.table, wide.names, measured_values(campaign), near)
     errs = [

@@ -18,7 +18,7 @@ from sysid.fit.stopping import StopRule
 from sysid.journal import Journal
 from sysid.motor.dead_band import fit_saturation
 from sysid.motor.follow_up import follow_up, log_delays
-from sysid.motor.known_values import search_space
+from sysid.motor.known_values import motor_space
 from sysid.motor.ladder import climb, ladder_doubt
 from sysid.motor.log_delays import averaged
 from sysid.motor.model import PARAMETERS, simulate, unpack
@@ -123,7 +123,7 @@ def test_every_log_has_its_own_command_delay(tmp_path: Path) -> None:
     assert held_out["nrmse_with_own_delay"] < 0.01 < held_out["nrmse"]
     common = edited(path, (r"^\[fit\]", '[nuisance]\ncommand_delay = "common"\n\n[fit]'))
     campaign, bench = bench_of(common)
-    assert "command_delay" in search_space(campaign, bench).names
+    assert "command_delay" in motor_space(campaign, bench).names
 
 
 def test_a_tare_without_rows_at_rest_is_estimated(tmp_path: Path) -> None:
@@ -314,7 +314,7 @@ def test_bounds_of_either_stage_do_not_hinder_the_other(tmp_path: Path) -> None:
     edited(path, (r"^saturation_speed = .*$", 'rotor_inertia = ["1e-5 kg·m²", "1e-4 kg·m²"]'))
     campaign, bench = bench_of(path)
     with pytest.raises(CampaignError, match=r"parameters\.bounds\.rotor_inertia: the parameter is not free"):
-        search_space(campaign, bench)
+        motor_space(campaign, bench)
 
 
 @pytest.fixture(scope="module")
@@ -353,13 +353,13 @@ def test_a_trial_that_is_little_but_a_start_is_warned_of(forward: Path) -> None:
     short = replace(bench, trials=(replace(trial, starts=((begin, begin + 0.9 * (end - begin)),)),))
     assert short.fitted[0].only_starts
     with pytest.warns(UserWarning, match="forward-1: little but a start from rest, so R, L and the"):
-        search_space(read, short)
+        motor_space(read, short)
     # A dead band that the campaign states stays, and there is nothing to warn of.
     given = {"saturation_current": "campaign", "saturation_speed": "campaign"}
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        search_space(read, replace(short, measured={**short.measured, **given}))
-        search_space(read, bench)
+        motor_space(read, replace(short, measured={**short.measured, **given}))
+        motor_space(read, bench)
 
 
 def test_an_interrupted_fit_says_what_it_has_not_looked_at(forward: Path) -> None:

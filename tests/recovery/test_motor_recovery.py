@@ -12,7 +12,7 @@ from sysid.fit.optima import SAME_NRMSE
 from sysid.loaders import load
 from sysid.motor.dead_band import saturation_space
 from sysid.motor.inertia import spike_inertia
-from sysid.motor.known_values import in_search, search_space
+from sysid.motor.known_values import in_search, motor_space
 from sysid.motor.model import PARAMETERS, simulate
 from sysid.synthetic import read_truth
 from sysid.synthetic.motor import TRUE_MOTOR, synthesize_motor
@@ -326,7 +326,7 @@ def test_freed_parameters_that_no_log_fixes_are_noticed(campaign_file: Path) -> 
     def space(*names: str, edits: tuple = ()):
         free = "[parameters]\nfree = [" + ", ".join(f'"{name}"' for name in names) + "]\n\n[fit]"
         pairs = ((r"^\[fit\]", free), *edits)
-        return search_space(*bench_of(edited(campaign_file, *pairs, name="freed-more.toml")))
+        return motor_space(*bench_of(edited(campaign_file, *pairs, name="freed-more.toml")))
 
     with pytest.warns(UserWarning, match="torque_constant free beside winding_resistance.* only k²/R, R/L"):
         space("winding_resistance", "torque_constant")

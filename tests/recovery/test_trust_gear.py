@@ -13,7 +13,7 @@ from sysid.campaign import read_campaign
 from sysid.errors import FitError
 from sysid.gear.beyond_window import centre_of_mass, turning_point
 from sysid.gear.drops import prepare_drops
-from sysid.gear.problem import TRUST_TOLERANCE, GearProblem, search_space
+from sysid.gear.problem import TRUST_TOLERANCE, GearProblem, gear_space
 from sysid.gear.starts import compared_noise, start_roots
 from sysid.synthetic import read_truth, synthesize_gear
 from sysid.synthetic.gear import DropPlan
@@ -296,7 +296,7 @@ def test_three_replications_hold_the_truth(tmp_path):
 def test_trust_tolerance_is_finer_than_the_fit():
     campaign = read_campaign(LF, "gear")
     drops = tuple(drop for drop in prepare_drops(campaign, LF) if drop.use == "fit")
-    space = search_space(campaign)
+    space = gear_space(campaign)
     exact = GearProblem(campaign, space, drops, None, 1e-6)
     point = _truth(exact)[None]
     best, _ = exact.residuals(point)

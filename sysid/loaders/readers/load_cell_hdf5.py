@@ -90,7 +90,7 @@ def _recognize(source: Source) -> int:
         return POSSIBLE  # the reader refuses it
 
 
-def plain(value: Any) -> Any:
+def attribute_value(value: Any) -> Any:
     """Return an attribute as a number or as text, whatever of the two HDF5 wrapped."""
     value = value.item() if isinstance(value, np.ndarray | np.generic) and value.size == 1 else value
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
@@ -102,7 +102,7 @@ def _attribute(dataset: Any, names: tuple[str, ...]) -> Any:
     while True:
         for name in names:
             if name in node.attrs:
-                return plain(node.attrs[name])
+                return attribute_value(node.attrs[name])
         if node.name == "/":
             return None
         node = node.parent
@@ -133,7 +133,7 @@ def _columns(dataset: Any) -> Sequence[int | None]:
 
 def _signal(path: str, name: str, dataset: Any, file_bytes: int, column: int | None) -> Signal:
     """Return a dataset as a signal, whose samples are read and checked only on demand."""
-    unit = plain(dataset.attrs.get("unit", dataset.attrs.get("units")))
+    unit = attribute_value(dataset.attrs.get("unit", dataset.attrs.get("units")))
     start = _attribute(dataset, ("start",))
     if start is not None and not (isinstance(start, int | float) and np.isfinite(start)):
         raise LogError(f"{path}: attribute start of {name} is {start!r}; expected seconds")
@@ -158,7 +158,7 @@ def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
             for name, dataset in hdf5_datasets(file).items()
             for column in _columns(dataset)
         ]
-        yield RawSignals(signals, str(plain(file.attrs.get("device", ""))))
+        yield RawSignals(signals, str(attribute_value(file.attrs.get("device", ""))))
 
 
 FORMAT = signal_format(

@@ -22,7 +22,13 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.readers.load_cell_hdf5 import LAYOUT_ATTRIBUTE, hdf5_datasets, is_hdf5, open_hdf5, plain
+from sysid.loaders.readers.load_cell_hdf5 import (
+    LAYOUT_ATTRIBUTE,
+    attribute_value,
+    hdf5_datasets,
+    is_hdf5,
+    open_hdf5,
+)
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
 from sysid.recording import Channel, FloatArray, Provenance, Recording
@@ -107,7 +113,7 @@ def _note(stated: Any) -> Finding:
 
 
 def _text(attributes: Any, key: str) -> str:
-    return str(plain(attributes.get(key, "")))
+    return str(attribute_value(attributes.get(key, "")))
 
 
 def _read(source: Source) -> Recording:

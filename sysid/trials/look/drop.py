@@ -16,11 +16,11 @@ from sysid.trials.capture import signed_axis
 from sysid.trials.flight import (
     HALF_WINDOW,
     FreeFlight,
-    accelerations,
     contact_time,
     half_window,
     held_fall,
     lands,
+    second_derivative,
     thrown,
 )
 from sysid.types import BoolArray, FloatArray
@@ -129,7 +129,7 @@ def _inspect_body(recording: Recording, body: str, channel: Channel, gravity: fl
     half = half_window(HALF_WINDOW / step)
     if step > 0.02 or time.size < 4 * half + 4:
         return None
-    acceleration = accelerations(position, half, step)
+    acceleration = second_derivative(position, half, step)
     for scale, unit in _SCALES.items():
         place = position / scale
         flight = held_fall(time, place, acceleration / scale, sure, gravity)

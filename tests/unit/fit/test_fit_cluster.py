@@ -22,7 +22,7 @@ from sysid.fit.objective import SpreadObjective
 from sysid.fit.search import Hooks, SearchSettings, run_many
 from sysid.fit.stopping import StopRule
 from sysid.gear.drops import prepare_drops
-from sysid.gear.problem import GearProblem, search_space
+from sysid.gear.problem import GearProblem, gear_space
 from sysid.parallel import ClosedError, ClusterError, DaskCluster, LocalThreads, chunk_size, executor
 
 HERE = str(Path(__file__).parent)
@@ -35,7 +35,7 @@ def gear():
     path = SAMPLES / "gear-lf" / "campaign.toml"
     campaign = read_campaign(path, "gear")
     drops = tuple(drop for drop in prepare_drops(campaign, path) if drop.use == "fit")
-    return GearProblem(campaign, search_space(campaign), drops, threads=1)
+    return GearProblem(campaign, gear_space(campaign), drops, threads=1)
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from fakes.places import SAMPLES
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError, SysidWarning
 from sysid.gear.model import PARAMETERS, SURFACES, parameters_on
-from sysid.gear.problem import GearProblem, on_surface, search_space
+from sysid.gear.problem import GearProblem, gear_space, on_surface
 
 
 def opened(tmp_path, surface, text="", stated=""):
@@ -25,16 +25,16 @@ def opened(tmp_path, surface, text="", stated=""):
 def test_what_no_drop_depends_on_cannot_be_free(surface, name, law, tmp_path):
     campaign = opened(tmp_path, surface, f'[parameters]\nfree = ["joint_dx", "{name}"]\n')
     if surface == law:
-        assert search_space(campaign).names == ("joint_dx", name)
+        assert gear_space(campaign).names == ("joint_dx", name)
         return
     with pytest.raises(CampaignError, match=rf"parameters\.free: .*'{surface}' depends on {name}; remove it"):
-        search_space(campaign)
+        gear_space(campaign)
 
 
 def test_bounds_are_the_surfaces_own(tmp_path):
     stated = '[parameters.bounds]\nkinetic_friction = ["0.3", "0.9"]\n'
     for text, bounds in (("", (0.5, 1.2)), (stated, (0.3, 0.9))):
-        space = search_space(opened(tmp_path, "hf", text))
+        space = gear_space(opened(tmp_path, "hf", text))
         row = next(row for row in space.free if row.name == "kinetic_friction")
         assert (row.lower, row.upper) == bounds
     assert (PARAMETERS["kinetic_friction"].lower, parameters_on("lf")["kinetic_friction"].lower) == (0.1, 0.1)
@@ -46,7 +46,7 @@ def test_bounds_are_the_surfaces_own(tmp_path):
 
 def test_a_stated_value_that_is_free_is_said_to_be_unused(tmp_path, recwarn):
     campaign = opened(tmp_path, "hf", stated="kinetic_friction = 0.8")
-    space = search_space(campaign)
+    space = gear_space(campaign)
     assert space.names == SURFACES["hf"].free
     with pytest.warns(SysidWarning, match="kinetic_friction is stated in the campaign and free on hf"):
         GearProblem(campaign, space, ())._notice_defaults()
@@ -54,7 +54,7 @@ def test_a_stated_value_that_is_free_is_said_to_be_unused(tmp_path, recwarn):
         tmp_path, "hf", '[parameters.fixed]\nkinetic_friction = "0.8"\n', stated="kinetic_friction = 0.8"
     )
     recwarn.clear()
-    GearProblem(fixed, search_space(fixed), ())._notice_defaults()
+    GearProblem(fixed, gear_space(fixed), ())._notice_defaults()
     assert not [w for w in recwarn if "is stated" in str(w.message)]
 
 
@@ -62,7 +62,7 @@ def test_a_stated_value_outside_the_surfaces_bounds_is_refused(tmp_path):
     with pytest.raises(
         CampaignError, match=r"kinetic_friction: 0\.5 to 1\.2 exclude the measured value 0\.44"
     ):
-        search_space(opened(tmp_path, "hf", stated="kinetic_friction = 0.44"))
+        gear_space(opened(tmp_path, "hf", stated="kinetic_friction = 0.44"))
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_friction_of_another_surface_is_dropped_and_said(surface, other, stated,
     assert moved.vehicle == campaign.vehicle
     assert moved.parameters.bounds == campaign.parameters.bounds
     assert moved.surface.point == campaign.surface.point
-    space = search_space(
+    space = gear_space(
         moved.model_copy(update={"parameters": moved.parameters.model_copy(update={"bounds": {}})})
     )
     assert space.names == SURFACES[other].free
@@ -104,4 +104,4 @@ def test_an_unknown_law_is_refused_with_the_known_ones(tmp_path):
         on_surface(campaign, "ice")
     written = campaign.model_copy(update={"surface": campaign.surface.model_copy(update={"law": "ice"})})
     with pytest.raises(CampaignError, match="no friction law 'ice'; known are lf, hf"):
-        search_space(written)
+        gear_space(written)

@@ -12,7 +12,7 @@ from sysid.landing.controllers import Controller, Step, find_controller, load_co
 from sysid.landing.drone import Drone, drones
 from sysid.landing.impact_sensor import STANDARD_GRAVITY, Sensing
 from sysid.landing.outcomes import Outcome, Rules
-from sysid.landing.scenario import Scenario, along_slope
+from sysid.landing.scenario import Scenario, down_slope
 from sysid.motor.model import simulate as simulate_motor
 
 OWN = """\
@@ -110,7 +110,7 @@ def test_the_lowest_foot_touches_and_the_other_does_not_sink(slope, pitch):
 
 def test_distance_is_along_the_slope():
     down = np.array([[math.cos(0.3), -math.sin(0.3)], [math.sin(0.3), math.cos(0.3)]])
-    np.testing.assert_allclose(along_slope(down, 0.3), [1.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(down_slope(down, 0.3), [1.0, 0.0], atol=1e-15)
 
 
 @pytest.mark.parametrize("wrong", [{"speed": -0.1}, {"slope": 1.6}, {"pitch": 1.5}, {"pitch_rate": math.nan}])

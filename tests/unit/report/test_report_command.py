@@ -12,8 +12,8 @@ from fakes.places import ROOT
 from sysid import cli
 from sysid.errors import ExportError
 from sysid.fit.store import write_fit
-from sysid.report.kinds import REPORTS
 from sysid.report.snapshots import check_film
+from sysid.workflows.kinds import find_report
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 NAMES = {"fit-report-motor", "fit-report-gear", "landing-maps", "the-model", "bring-your-own-logs"}
@@ -39,7 +39,7 @@ def test_notebooks_are_thin_stripped_and_take_parameters(path):
     shown = [match[1] for match in sections if match]
     if path.stem.startswith("fit-report-"):
         # The sections bring their own prose, so that page and notebook read alike.
-        report = REPORTS[path.stem.split("-")[-1]]
+        report = find_report(path.stem.split("-")[-1])
         assert shown == [getattr(report, name).title for name in report.sections]
     else:
         assert prose >= 4

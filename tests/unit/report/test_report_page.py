@@ -25,12 +25,12 @@ from sysid.report.drop_replay import START, DropReplay, leg_points, replay_drop
 from sysid.report.fit_figures import figure_channel, figure_spread, figure_waterfall
 from sysid.report.fit_report import FitReport
 from sysid.report.gear_report import GearReport
-from sysid.report.html import bullets, folded, heading, markup_table, page, paragraph, picture
-from sysid.report.kinds import open_fit
+from sysid.report.html import bullets, heading, markup_table, page, paragraph, picture, unfoldable
 from sysid.report.motor_report import MotorReport
 from sysid.report.snapshots import figure_snapshots
 from sysid.report.table import Cell, table, words
 from sysid.report.trust_tables import interval_table, narrow_table
+from sysid.workflows.report import open_report
 
 NASTY = "</script><img src=x onerror=alert(1)>"
 
@@ -51,7 +51,7 @@ def test_names_of_a_log_are_text_and_never_markup():
     for piece in (
         paragraph(NASTY),
         bullets([NASTY]),
-        folded(NASTY, paragraph("a")),
+        unfoldable(NASTY, paragraph("a")),
         markup_table(table(NASTY, [NASTY], [words("trial", str)], NASTY)),
         picture(small_figure(), NASTY, NASTY),
     ):
@@ -344,7 +344,7 @@ def test_snapshots_are_titled_with_the_instants_that_the_caption_names(drop_fit,
 
 
 def test_a_fit_without_starts_has_no_animation_and_says_so(tmp_path):
-    report = open_fit(write_fit(made_fit(), tmp_path / "fit"))
+    report = open_report(write_fit(made_fit(), tmp_path / "fit"))
     assert "fit again" in report.animation().text
     assert "<canvas" not in report.animation().text
 

@@ -9,7 +9,7 @@ import pytest
 from fakes.places import SAMPLES
 from sysid.campaign import read_campaign
 from sysid.fit.store import read_fit, write_fit
-from sysid.gear.problem import GearProblem, on_surface, search_space
+from sysid.gear.problem import GearProblem, gear_space, on_surface
 from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.motor.problem import MotorProblem
 from sysid.parameters import SearchSpace
@@ -31,7 +31,7 @@ def _fit(settings=None, **values):
 
 
 def _drops(campaign):
-    return GearProblem(campaign, search_space(campaign), ())
+    return GearProblem(campaign, gear_space(campaign), ())
 
 
 def _row(problem, fit):

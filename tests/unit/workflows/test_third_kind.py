@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from sysid.campaign import FitTable
-from sysid.campaign.common import CampaignTable, Table, TrialTable
+from sysid.campaign.common import CampaignTable, TomlTable, TrialTable
 from sysid.errors import FitError
 from sysid.fit.nrmse import CostChannel, FilteredNrmse, TrialTarget
 from sysid.fit.problem import Kind, Problem, Scores, Trial
@@ -43,7 +43,7 @@ TABLE = ParameterTable(
 )
 
 
-class LagCost(Table):
+class LagCost(TomlTable):
     denominator: Literal["std", "range"] = "std"
 
 
