@@ -11,6 +11,7 @@ import hashlib
 import io
 import shutil
 import zipfile
+import zlib
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
@@ -23,9 +24,11 @@ from filelock import FileLock, Timeout
 from sysid import exact_json
 from sysid.errors import ExportError, SysidError
 from sysid.parallel import Columns, Executor, LocalThreads, Work
-from sysid.storage import write_file
+from sysid.storage import check_place, write_file
 from sysid.types import FloatArray
 
+# What reading a damaged block may raise.
+_DAMAGE = (OSError, ValueError, KeyError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
 # Key of an identity: the costs of a few fixed candidates, as hexadecimal numbers.
 PROBES = "probe_costs"
 # What a refusal calls a key of an identity that does not read well.
@@ -83,7 +86,8 @@ class Unfinished:
 
     @classmethod
     def check_start(cls, result: str | Path, *, resume: bool, force: bool) -> None:
-        """Refuse early: another process works on the result, states are in the way, or there are none."""
+        """Refuse early: no place for a result, another process works on it, states are in the way or lack."""
+        check_place(result, cls.ERROR)
         if in_use(cls.folder_of(result)):
             raise cls.ERROR(cls._running(result))
         cls._check_states(result, resume, force)
@@ -138,7 +142,7 @@ class Unfinished:
     def folder_of(cls, result: str | Path) -> Path:
         """Return the folder in which the states of an unfinished result lie."""
         path = Path(result)
-        return path.with_name(path.name + cls.SUFFIX)
+        return path.parent / (path.name + cls.SUFFIX)
 
     @classmethod
     def kept(cls, folder: Path) -> bool:
@@ -198,15 +202,21 @@ class BlockStore(Unfinished):
             return None
         try:
             with np.load(path) as file:
-                return tuple(file[f"arr_{i}"] for i in range(len(file.files)))
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+                if str(file["block"]) != self._block(name):
+                    raise ValueError("it is no block of this result")
+                return tuple(file[f"arr_{i}"] for i in range(len(file.files) - 1))
+        except _DAMAGE as error:
             self.notes.append(f"{path}: damaged ({error}), so it is computed again")
             return None
+
+    def _block(self, name: str) -> str:
+        """Return what a block's file states, so that no file of another name, result or program is one."""
+        return digest([self.identity, name])
 
     def save(self, name: str, columns: Columns) -> None:
         """Keep a finished block."""
         buffer = io.BytesIO()
-        np.savez(buffer, *columns)
+        np.savez(buffer, *columns, block=np.array(self._block(name)))
         write_file(self.folder / f"{name}.npz", buffer.getvalue(), self.ERROR)
 
 

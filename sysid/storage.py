@@ -31,7 +31,10 @@ from sysid.errors import SysidError
 # How often a refused replacement is tried, and how long to wait between [s].
 _TRIES, _PAUSE = 20, 0.05
 # The errors of h5py on a damaged file depend on where the damage lies.
-_DAMAGE = (OSError, LookupError, ValueError, TypeError, RuntimeError, AttributeError, SysidError)
+_DAMAGE = (
+    OSError, LookupError, ValueError, TypeError, RuntimeError, AttributeError, MemoryError, OverflowError,
+    SysidError,
+)  # fmt: skip
 
 
 def _sentence(path: Path, error: BaseException) -> str:
@@ -114,11 +117,34 @@ def replaced_folder(
             shutil.rmtree(temporary, ignore_errors=True)
 
 
+def check_place(path: str | Path, error_type: type[SysidError] = SysidError) -> None:
+    """Refuse a place whose name a result cannot take: the current folder, a root, a link, too long a name."""
+    path = Path(path)
+    if path.name in ("", ".."):
+        raise error_type(f"{path}: no result can take the place of this folder; name a new one inside it")
+    try:
+        path.lstat()
+        target = os.readlink(path) if path.is_symlink() else ""
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except (OSError, ValueError) as error:  # ValueError: a NUL byte inside the path
+        why = getattr(error, "strerror", None) or error
+        raise error_type(f"{shortened(str(path))}: cannot be written ({why}); choose another name") from error
+    if target:
+        raise error_type(f"{path}: is a symbolic link to {target}; name the folder or file itself")
+
+
+def shortened(text: str, most: int = 100) -> str:
+    """Return a text for a message, of which a name may make a whole page."""
+    return text if len(text) <= most else text[: most - 3] + "..."
+
+
 def check_folder(
     path: str | Path, *, force: bool, marker: str, error_type: type[SysidError] = SysidError
 ) -> None:
     """Refuse a result folder that exists, unless `force` is set and `marker` is in it."""
     path = Path(path)
+    check_place(path, error_type)
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return
     if not force:
@@ -146,8 +172,11 @@ def _swap(new: Path, path: Path) -> None:
 
 
 def check_file(path: str | Path, *, force: bool, error_type: type[SysidError] = SysidError) -> None:
-    """Refuse a result file that exists, unless `force`, or whose folder does not."""
+    """Refuse a result file that exists, unless `force`, that is a folder, or whose folder does not exist."""
     path = Path(path)
+    check_place(path, error_type)
+    if path.is_dir():
+        raise error_type(f"{path}: is a folder; name a file in it")
     if path.exists() and not force:
         raise error_type(f"{path}: exists already; choose a new name or add --force")
     if not path.resolve().parent.is_dir():

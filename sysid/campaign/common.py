@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
 
 from sysid.errors import CampaignError, UnitError
 from sysid.loaders.options import quantity
@@ -172,12 +174,27 @@ class TrialTable(TomlTable):
     use: TrialUse = "fit"
 
 
+@dataclass(frozen=True)
+class CampaignSource:
+    """The file of a campaign as it was read, once: what becomes of it later changes no record."""
+
+    path: Path
+    sha256: str
+    text: str
+
+
 class CampaignTable(TomlTable):
-    """Top level of every campaign."""
+    """Top level of every campaign; `source` is the file that it was read from."""
 
     name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]*$")
     parameters: ParameterChoices = ParameterChoices()
     trials: tuple[Any, ...]
+    _source: CampaignSource = PrivateAttr()
+
+    @property
+    def source(self) -> CampaignSource:
+        """The file; AttributeError where the campaign was made in memory."""
+        return self._source
 
     @model_validator(mode="after")
     def _trials_are_usable(self) -> CampaignTable:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import hashlib
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
+from sysid.campaign.common import CampaignSource
 from sysid.campaign.gear import GearCampaign
 from sysid.campaign.motor import MotorCampaign
 from sysid.errors import CampaignFileError
@@ -36,7 +38,8 @@ def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
             f"{path}: is a folder; name the campaign in it, such as {path / 'campaign.toml'}"
         )
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        content = path.read_bytes()
+        text = content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except FileNotFoundError:
         raise CampaignFileError(f"{path}: no such campaign file; 'sysid new-campaign' writes one") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -63,9 +66,11 @@ def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
             f"or name a {kind} campaign"
         )
     try:
-        return _KINDS[stated].model_validate(data)  # type: ignore[return-value]
+        campaign: Campaign = _KINDS[stated].model_validate(data)  # type: ignore[assignment]
     except ValidationError as error:
         raise CampaignFileError(f"{path}: {_first_sentence(error, _KINDS[stated], data)}") from None
+    campaign._source = CampaignSource(path, hashlib.sha256(content).hexdigest(), text)
+    return campaign
 
 
 def resolve_log(campaign_path: str | Path, log: str) -> Path:

@@ -54,6 +54,10 @@ class DamagedState(FitError):
     """A state file that is not whole; the one before it may be."""
 
 
+class ForeignState(DamagedState):
+    """A whole file that another program, or another version of sysid, wrote."""
+
+
 class Checkpoint(Unfinished):
     """The unfinished state of one fit, see `Unfinished`; `memories` is what the runs had scored."""
 
@@ -83,7 +87,7 @@ class Checkpoint(Unfinished):
         self.memories = [memory for memory in read if memory is not None]
 
     def _read(self, run: int) -> RunMemory | None:
-        damage = []
+        damage, foreign = [], False
         for path in state_files(self.folder, run):
             if not path.is_file():
                 continue
@@ -91,6 +95,7 @@ class Checkpoint(Unfinished):
                 memory, identity = read_state(path)
             except DamagedState as error:
                 damage.append(str(error))
+                foreign = foreign or isinstance(error, ForeignState)
                 continue
             memory.elsewhere = self._begun_elsewhere(identity)
             near = memory.elsewhere and _near(identity.get(PROBES), self.identity.get(PROBES))
@@ -101,6 +106,8 @@ class Checkpoint(Unfinished):
                     f"{'; '.join(damage)}: run {run} goes on from the state before, {done} generations"
                 )
             return memory
+        if foreign:
+            raise FitError("; ".join(damage))
         self.notes.append(f"{'; '.join(damage)}: nothing of run {run} can be used, it starts again")
         return None
 
@@ -189,7 +196,8 @@ def _header(content: bytes) -> bytes:
 def read_state(path: Path) -> tuple[RunMemory, dict[str, Any]]:
     """Return what a run had scored, and the identity of its fit.
 
-    Raises `DamagedState` when the file is damaged, cut off or foreign, FitError for an unknown version.
+    Raises `DamagedState` when the file is damaged or cut off, `ForeignState` when this version of sysid did
+    not write it.
     """
     try:
         data = path.read_bytes()
@@ -198,24 +206,47 @@ def read_state(path: Path) -> tuple[RunMemory, dict[str, Any]]:
     content = data[_BLOCK:]
     if data[:_BLOCK] != _header(content):
         raise DamagedState(f"{path}: damaged or cut off, its checksum does not fit")
-    with STATE_FILE.opened(path, content) as file:
-        stages = [_read_stage(group) for group in numbered(file, "stages")]
-        return RunMemory(int(file.attrs["seed"]), stages), get_json(file, "identity_json")
+    try:
+        with STATE_FILE.opened(path, content) as file:
+            stages = [_read_stage(group) for group in numbered(file, "stages")]
+            return RunMemory(int(file.attrs["seed"]), stages), dict(get_json(file, "identity_json"))
+    except FitError as error:
+        raise ForeignState(str(error)) from error
 
 
 def _read_stage(group: Any) -> StageMemory:
-    ends = np.cumsum(group["candidates"][()])
-    ended = group.attrs["ended"]
-    columns = {name: group[name][()] for name in _NUMBERS}
-    begun = {name: item[()] for name, item in group.get("begun", {}).items()}
+    """Return a stage; ValueError, among others, where its numbers do not fit each other."""
+    sizes, cost = group["candidates"][()], _numbers(group, "cost", np.float64)
+    ends = np.cumsum(sizes)
+    ended, causes = group.attrs["ended"], get_json(group, "causes_json")
+    columns = {name: _numbers(group, name, kind) for name, kind in _NUMBERS.items()}
+    lengths = {len(sizes), len(causes), *map(len, columns.values())}
+    if len(lengths) > 1 or np.any(sizes < 1) or cost.shape != (sizes.sum(),):
+        raise ValueError("its generations do not fit each other")
+    begun = None
+    if "begun" in group:
+        kinds = {"cost": np.float64, "failed": np.int8}
+        arrays = {name: _numbers(group["begun"], name, kind) for name, kind in kinds.items()}
+        if len({array.shape for array in arrays.values()}) > 1:
+            raise ValueError("the generation under way does not fit")
+        singles = {"asked": int, "simulations": int, "elapsed": float}
+        begun = Begun(**arrays, **{name: kind(group[f"begun/{name}"][()]) for name, kind in singles.items()})
     return StageMemory(
-        algorithm=group.attrs["algorithm"],
-        cost=np.split(group["cost"][()], ends[:-1]) if len(ends) else [],
-        causes=get_json(group, "causes_json"),
+        algorithm=str(group.attrs["algorithm"]),
+        cost=np.split(cost, ends[:-1]) if len(ends) else [],
+        causes=[dict(cause) for cause in causes],
         ended=ended if ended in REASONS else None,
-        begun=Begun(**{k: v if np.ndim(v) else v.item() for k, v in begun.items()}) if begun else None,
+        begun=begun,
         **{k: list(v) if v.ndim > 1 else v.tolist() for k, v in columns.items()},
     )
+
+
+def _numbers(group: Any, name: str, kind: Any) -> Any:
+    """Return an array of finite numbers of a kind."""
+    values = group[name][()].astype(kind, casting="safe")
+    if not np.all(np.isfinite(values)):
+        raise ValueError(f"{name} has a number that is not finite")
+    return values
 
 
 def _near(then: Any, now: Any) -> bool:

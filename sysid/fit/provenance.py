@@ -14,12 +14,13 @@ from sysid.parameter_sets import SetsDocument
 
 @with_config(CONFIG)
 class CampaignFile(TypedDict, total=False):
-    """A campaign file. A fitted one has its path seen from the fit folder, a checked one its name."""
+    """A campaign file: its path seen from the fit folder and its text (fitted), its name (checked)."""
 
     file: Required[str]
     sha256: Required[str]
     from_fit_folder: str
     name: str
+    text: str
 
 
 @with_config(CONFIG)

@@ -29,6 +29,13 @@ def population_hash(cube: FloatArray) -> int:
     return int.from_bytes(hashlib.blake2b(data, digest_size=8).digest(), "little")
 
 
+def _not_continued(why: str) -> FitError:
+    return FitError(
+        f"the checkpoint cannot be continued: {why}, so a library has changed, or another program wrote it; "
+        "continue where the fit was begun, or start again with --force"
+    )
+
+
 # Of a sketch's entries [1]: far above what rounding leaves of a replayed search, and a thousandth of what a
 # fit resolves of a parameter.
 SAME_SKETCH = 1e-5
@@ -123,7 +130,7 @@ class StageMemory:
         """Return how many of the candidates asked for were scored before; see `recalls`."""
         if self.begun is None:
             return 0
-        if self.begun.asked == population_hash(points):
+        if self.begun.asked == population_hash(points) and len(self.begun.cost) <= len(points):
             return len(self.begun.cost)
         if not elsewhere:
             raise self._other_candidates(len(self.cost))
@@ -131,10 +138,8 @@ class StageMemory:
         return 0
 
     def _other_candidates(self, generation: int) -> FitError:
-        return FitError(
-            f"the checkpoint cannot be continued: generation {generation + 1} of {self.algorithm} asks "
-            "for other candidates than were scored, so a library has changed; continue where the fit was "
-            "begun, or start again with --force"
+        return _not_continued(
+            f"generation {generation + 1} of {self.algorithm} asks for other candidates than were scored"
         )
 
     def recalls(self, generation: int, points: FloatArray, elsewhere: bool) -> bool:
@@ -144,11 +149,11 @@ class StageMemory:
         the same, and those that differ by more are not remembered. On the same processor other candidates
         are refused: the search cannot be continued to the result that it would have had.
         """
-        if self.asked[generation] == population_hash(points):
+        same = len(self.cost[generation]) == len(points)
+        if same and self.asked[generation] == population_hash(points):
             return True
         if not elsewhere:
             raise self._other_candidates(generation)
-        same = len(self.cost[generation]) == len(points)
         if not same or np.max(np.abs(sketch(points) - self.sketch[generation])) > SAME_SKETCH:
             return False
         # From here on it is continued on this processor.
@@ -188,4 +193,6 @@ class RunMemory:
         """Return the memory of a stage (from 0), which is begun if it is new."""
         if number == len(self.stages):
             self.stages.append(StageMemory(algorithm))
+        if self.stages[number].algorithm != algorithm:
+            raise _not_continued(f"{algorithm} follows where {self.stages[number].algorithm} did")
         return self.stages[number]

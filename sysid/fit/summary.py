@@ -62,8 +62,12 @@ def record_lines(record: dict[str, Any], indent: str = "") -> list[str]:
             lines += [f"{indent}{key}", *record_lines(value, indent + "  ")]
         elif isinstance(value, list | tuple) and any(isinstance(item, dict | list) for item in value):
             lines += [f"{indent}{key}", *(f"{indent}  {item}" for item in value)]
+        elif isinstance(value, str) and "\n" in value:
+            lines += [f"{indent}{key}", *(f"{indent}  {line}".rstrip() for line in value.splitlines())]
         else:
-            shown = f"{value:.6g}" if isinstance(value, float) else value
+            # A clock of Unix seconds has ten digits before the point.
+            large = isinstance(value, float) and 1e6 <= abs(value) < 1e15
+            shown = f"{value:{'.3f' if large else '.6g'}}" if isinstance(value, float) else value
             lines.append(f"{indent}{key}: {'-' if value is None or value == [] else shown}")
     return lines
 

@@ -11,7 +11,6 @@ import numpy as np
 from sysid.fit.problem import Problem
 from sysid.fit.provenance import CampaignFile
 from sysid.journal import Journal, Say
-from sysid.recording import file_sha256
 from sysid.trust.documents import CheckDocument, Expected
 from sysid.trust.linearized import Linearized
 from sysid.trust.sensitivity import (
@@ -62,7 +61,7 @@ def check_campaign(
             out |= {"quality": whole.quality(), "excitation": whole.excitation(), **whole.about()}
             warnings = journal.sentences()
     document = CheckDocument(
-        campaign=CampaignFile(file=path.name, sha256=file_sha256(path), name=campaign.name),
+        campaign=CampaignFile(file=path.name, sha256=campaign.source.sha256, name=campaign.name),
         kind=kind.name,
         warnings=warnings,
         seconds=time.perf_counter() - began,

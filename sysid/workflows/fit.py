@@ -125,13 +125,13 @@ def fit_campaign(
             expected = _expected(fitted) if options.check else {}
             _heed(deadline.flag)
             limited = replace(search, stop=replace(search.stop, time_limit=deadline.left))
-            identity, candidate_time = _identity(path, search, problem, fitted)
+            identity, candidate_time = _identity(search, problem, fitted)
             checkpoint = Checkpoint(folder, identity, resume=options.resume, force=options.force)
             until_written.callback(checkpoint.close)
             runs, cut = _search(fitted, limited, options, checkpoint, progress, deadline.flag, candidate_time)
             sets = ranked_sets(runs, problem.space)
             outcome = model.follow_up(problem, Course(sets, search, cut, deadline.check))
-            record = {**provenance(path, search, problem, folder), **expected}
+            record = {**provenance(search, problem, folder), **expected}
             result = _result(model.name, problem, runs, outcome, record)
             doubts = bound_findings(outcome.records, outcome.at_bound), loose_findings(runs, problem.space)
             for finding in chain(*doubts):
@@ -168,9 +168,7 @@ def _expected(fitted: Problem) -> dict[str, Any]:
     return {"expected": [parameter.model_dump() for parameter in rows]}
 
 
-def _identity(
-    path: Path, settings: SearchSettings, problem: Problem, fitted: Problem
-) -> tuple[dict[str, Any], float]:
+def _identity(settings: SearchSettings, problem: Problem, fitted: Problem) -> tuple[dict[str, Any], float]:
     """Return what must be equal for the fit to be continued, and the time that a candidate takes [s]."""
     # What no hash of a log or a table covers (a static log, a kernel) shows in the costs of some candidates.
     points = np.random.default_rng(0).random((_PROBES, len(fitted.space.free)))
@@ -178,7 +176,7 @@ def _identity(
     costs = [float(cost).hex() for cost in fitted.evaluate(points).cost]
     # With what is loaded or compiled on the way rather too long, which only makes the first part shorter.
     candidate_time = (time.perf_counter() - began) / _PROBES
-    identity = fit_identity(path, settings, problem)
+    identity = fit_identity(settings, problem)
     return {**identity, PROBES: costs, PROCESSOR: processor()}, candidate_time
 
 

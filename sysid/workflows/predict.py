@@ -19,7 +19,6 @@ from sysid.fit.result import FitResult
 from sysid.fit.store import read_fit
 from sysid.journal import Finding, Journal, Say, notice
 from sysid.parallel import executor
-from sysid.recording import file_sha256
 from sysid.trust.assessment import leave_one_out, linearize
 from sysid.trust.documents import CROSS_VALIDATION, JudgedTrial, free_part, validation_part, write_part
 from sysid.trust.influence import standing_out
@@ -155,7 +154,7 @@ def validate_fit(
         floor = problem.floor_by_channel(predicted.rows[0])
         judged = [predicted.judge(t, slice(None), floor) for t in range(len(problem.trials))]
         _notice_unlike(judged, kind.words)
-        stated = stated_campaign(campaign_path, folder)
+        stated = stated_campaign(problem.campaign.source, folder)
         more = problem.beyond(predicted.rows)
         whole_document = _document(journal, result, stated, judged, more)
     units = ", ".join(result.channel_units)
@@ -248,7 +247,7 @@ def cross_validate(
         predicted = predict(result, opened.whole.only(problem.names), values)
         floor = predicted.problem.floor_by_channel(space.full(linear.point[None])[0])
         judged = [predicted.judge(t, slice(t, t + 1), floor) for t in range(len(problem.trials))]
-        stated = {"file": opened.path.name, "sha256": file_sha256(opened.path)}
+        stated = opened.stated
         more = [{"refit": dict(zip(space.names, refit, strict=True))} for refit in decoded.tolist()]
         whole_document = _document(journal, result, stated, judged, more)
     arrays = {"values": (decoded, "trial left out, free parameter", "SI")}

@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from sysid import __version__, exact_json
+from sysid.campaign.common import CampaignSource
 from sysid.fit.problem import Problem
 from sysid.fit.search import FINISH_POPULATION, SearchSettings
-from sysid.recording import file_sha256
 
 _LIBRARIES = ("numpy", "scipy", "numba", "pymoo", "cma", "pandas", "h5py")
 
 
-def fit_identity(path: Path, settings: SearchSettings, problem: Problem) -> dict[str, Any]:
+def fit_identity(settings: SearchSettings, problem: Problem) -> dict[str, Any]:
     """Return what must be equal for a fit to be continued; see `sysid.resume.Unfinished`.
 
     `problem` is of all trials. More runs, or another time limit, do not hinder.
@@ -29,7 +29,7 @@ def fit_identity(path: Path, settings: SearchSettings, problem: Problem) -> dict
     table = exact_json.dumps([rows, dict(space.fixed)], indent=None)
     stop = settings.stop.share(settings.runs)
     return {
-        "campaign_file": file_sha256(path),
+        "campaign_file": problem.campaign.source.sha256,
         **{f"log {name}": digest for name, digest in problem.hashes.items()},
         "parameter_table": hashlib.sha256(table.encode()).hexdigest(),
         "version_of_sysid": __version__,
@@ -43,12 +43,12 @@ def fit_identity(path: Path, settings: SearchSettings, problem: Problem) -> dict
     }  # fmt: skip
 
 
-def provenance(path: Path, settings: SearchSettings, problem: Problem, folder: Path) -> dict[str, Any]:
+def provenance(settings: SearchSettings, problem: Problem, folder: Path) -> dict[str, Any]:
     """Return what a reader needs to repeat a fit, or to doubt it.
 
     `problem` is of all trials; where the campaign lies is stored as seen from the folder of the fit.
     """
-    stop = settings.stop
+    stop, source = settings.stop, problem.campaign.source
     return {
         "sysid": __version__,
         "git_revision": _git_revision(),
@@ -58,7 +58,7 @@ def provenance(path: Path, settings: SearchSettings, problem: Problem, folder: P
         "processor": processor(),
         "cores": os.cpu_count(),
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
-        "campaign": stated_campaign(path, folder),
+        "campaign": {**stated_campaign(source, folder), "text": source.text},
         "logs": dict(problem.logs),
         "filter": dict(problem.filters),
         "nrmse_denominator": problem.campaign.cost.denominator,
@@ -76,9 +76,10 @@ def provenance(path: Path, settings: SearchSettings, problem: Problem, folder: P
     }
 
 
-def stated_campaign(path: Path, folder: Path) -> dict[str, str]:
-    """Return what the documents of a fit folder state of a campaign file."""
-    return {"file": path.name, "sha256": file_sha256(path), "from_fit_folder": seen_from(folder, path)}
+def stated_campaign(source: CampaignSource, folder: Path) -> dict[str, str]:
+    """Return what the documents of a fit folder state of a campaign file, as it was read."""
+    place = seen_from(folder, source.path)
+    return {"file": source.path.name, "sha256": source.sha256, "from_fit_folder": place}
 
 
 def seen_from(folder: Path, path: Path) -> str:

@@ -12,7 +12,6 @@ from sysid.fit.result import FitResult
 from sysid.fit.store import read_fit
 from sysid.journal import notice
 from sysid.parameters import SearchSpace
-from sysid.recording import file_sha256
 from sysid.workflows.kinds import naming_campaign, open_campaign
 
 
@@ -25,8 +24,6 @@ def campaign_of(result: FitResult, folder: Path, given: Path | None) -> Path:
     """Return the campaign file of a fit: given, or where it lay when the fit was made.
 
     Raises `FitError` when it is not there.
-
-    A file that has changed since the fit is noticed.
     """
     stated = result.provenance.get("campaign", {})
     path = given
@@ -36,12 +33,6 @@ def campaign_of(result: FitResult, folder: Path, given: Path | None) -> Path:
     if path is None or not path.is_file():
         raise FitError(
             f"{folder}: its campaign {stated.get('file', '')!r} is not where it was; name it with --campaign"
-        )
-    if stated.get("sha256") not in (None, file_sha256(path)):
-        notice(
-            "campaign-changed",
-            f"{path} has changed since the fit {folder} (another SHA-256): what follows is about the "
-            "file as it is now",
         )
     return path
 
@@ -62,6 +53,11 @@ class OpenedFit:
         return self.whole.fitted.exact
 
     @property
+    def stated(self) -> dict[str, str]:
+        """Name and hash of the campaign file as it was read."""
+        return {"file": self.path.name, "sha256": self.whole.campaign.source.sha256}
+
+    @property
     def space(self) -> SearchSpace:
         """The free parameters."""
         return self.whole.space
@@ -80,6 +76,12 @@ def open_fit(folder: Path, campaign: Path | None = None, threads: int | None = N
     path = campaign_of(result, folder, campaign)
     with naming_campaign(path):
         kind, content, _ = open_campaign(path, result.kind, result.settings)
+        if result.provenance.get("campaign", {}).get("sha256") not in (None, content.source.sha256):
+            notice(
+                "campaign-changed",
+                f"{path} has changed since the fit {folder} (another SHA-256): what follows is about the "
+                "file as it is now",
+            )
         opened = OpenedFit(folder, result, path, kind, kind.open(content, path, threads))
     names = opened.space.names
     fitted = tuple(record.name for record in result.parameters if record.name in names)

@@ -15,7 +15,6 @@ from sysid.fit.result import FitResult
 from sysid.journal import Finding, Journal, Say, notice
 from sysid.parallel import executor
 from sysid.parameters import Parameter, SearchSpace, about
-from sysid.recording import file_sha256
 from sysid.trust.assessment import Assessment, assess
 from sysid.trust.documents import TRUST, write_part
 from sysid.trust.influence import FEWEST, Influence, influence
@@ -119,7 +118,7 @@ def _document(
     if boot is not None:
         arrays["bootstrap/values"] = (space.decode(boot.points), "resample, free parameter", "SI")
     document = {
-        "campaign": {"file": opened.path.name, "sha256": file_sha256(opened.path)},
+        "campaign": opened.stated,
         "parameters": rows,
         "correlation": linear.information.correlation,
         "noise": {"statement": _statement(opened), "channels": _channels(opened, assessed, floors)},

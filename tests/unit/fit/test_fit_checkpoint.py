@@ -1,6 +1,7 @@
 """Checkpoints: whole or not at all, continued to the same bits, refused when anything differs, one owner."""
 
 import errno
+import io
 import os
 import random
 import subprocess
@@ -134,6 +135,88 @@ def test_damage_is_detected_and_the_previous_state_used(tmp_path, whole, damage)
     assert "run-1.h5: damaged or cut off" in notes[0]
     # The previous state is that of the first stage's end.
     assert notes[0].endswith("run 1 goes on from the state before, 14 generations")
+
+
+def _edited(change):
+    """Return what gives a state another content under a checksum that fits."""
+
+    def rewritten(data):
+        buffer = io.BytesIO(data[512:])
+        with h5py.File(buffer, "r+") as file:
+            change(file)
+        content = buffer.getvalue()
+        return checkpoint_module._header(content) + content
+
+    return rewritten
+
+
+def _replaced(name, values):
+    def change(file):
+        del file[name]
+        file[name] = values
+
+    return _edited(change)
+
+
+FOREIGN = {
+    "another program's HDF5": _edited(lambda file: file.attrs.clear()),
+    "another version": _edited(lambda file: file.attrs.modify("version", 99)),
+    "no HDF5": lambda data: checkpoint_module._header(b"garbage") + b"garbage",
+    "nothing": lambda data: checkpoint_module._header(b""),
+    "no seed": _edited(lambda file: file.attrs.pop("seed")),
+    "no costs": _edited(lambda file: file.pop("stages/1/cost")),
+    "too few costs": _replaced("stages/1/cost", np.zeros(7)),
+    "costs without end": _edited(lambda file: _promise(file, "stages/1/cost")),
+    "costs that are no numbers": _replaced("stages/1/cost", np.full(560, np.nan)),
+    "costs as text": _replaced("stages/1/cost", "text"),
+    "a group in place of costs": _edited(lambda f: (f.pop("stages/1/cost"), f.create_group("stages/1/cost"))),
+    "sizes that go back": _replaced("stages/1/candidates", np.array([600, -40])),
+    "too many generations": _replaced("stages/1/elapsed", np.zeros(99)),
+    "stages without the first": _edited(lambda file: file.pop("stages/1")),
+    "an identity that is a list": _replaced("identity_json", "[1, 2]"),
+    "causes that are numbers": _replaced("stages/1/causes_json", "[" + ", ".join(["3"] * 14) + "]"),
+}
+
+
+def _promise(file, name):
+    del file[name]
+    file.create_dataset(name, (10**12,), "f8", chunks=(1024,))
+
+
+@pytest.mark.parametrize("foreign", FOREIGN)
+def test_a_state_of_another_program_is_refused_and_the_previous_one_used(tmp_path, whole, foreign):
+    interrupted(tmp_path / "fit", 20)
+    states = state_files(Checkpoint.folder_of(tmp_path / "fit"), 1)
+    kept = [path.read_bytes() for path in states]
+    strange = FOREIGN[foreign](kept[0])
+    for path in states:
+        path.write_bytes(strange)
+    with pytest.raises(FitError, match=r"run-1\.h5: ") as refusal:
+        Checkpoint(tmp_path / "fit", IDENTITY, resume=True)
+    assert "start the fit again with --force" in str(refusal.value)
+    # Nothing is lost: what lay there still does, and the state before can be continued.
+    assert [path.read_bytes() for path in states] == [strange, strange]
+    states[1].write_bytes(kept[1])
+    found, notes = run_all(tmp_path / "fit", resume=True)
+    assert_same(found, whole)
+    assert notes[0].endswith("run 1 goes on from the state before, 14 generations")
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("stages/1/asked", np.arange(14, dtype=np.uint64)), ("stages/1/candidates", [20, 60, *([40] * 12)])],
+)
+def test_a_state_that_another_search_wrote_is_refused(tmp_path, name, values):
+    interrupted(tmp_path / "fit", 20)
+    current, _ = state_files(Checkpoint.folder_of(tmp_path / "fit"), 1)
+    current.write_bytes(_replaced(name, values)(current.read_bytes()))
+    with pytest.raises(FitError, match="generation 1 of ga asks for other candidates than were scored"):
+        run_all(tmp_path / "fit", resume=True, done=False)
+    current.write_bytes(
+        _edited(lambda file: file["stages/1"].attrs.modify("algorithm", "de"))(current.read_bytes())
+    )
+    with pytest.raises(FitError, match="ga follows where de did"):
+        run_all(tmp_path / "fit", resume=True, done=False)
 
 
 def test_a_kill_between_the_two_renames_loses_nothing_but_a_second(tmp_path, whole):

@@ -1,130 +1,32 @@
-"""The skeleton serves a model that it has never seen: a first-order lag that is fitted to steps.
-
-The kind below is all that such a model needs: its campaign, its parameter table, how a simulation is scored.
-No file of the package knows it.
-"""
+"""The skeleton serves a model that it has never seen: no file of the package knows `fakes.lag_kind`."""
 
 import hashlib
-import json
-from dataclasses import dataclass, replace
-from functools import cached_property
+import re
 from pathlib import Path
-from typing import Literal
 
-import numpy as np
 import pytest
 
-from sysid.campaign import FitTable
-from sysid.campaign.common import CampaignTable, TomlTable, TrialTable
-from sysid.errors import FitError
-from sysid.fit.nrmse import CostChannel, FilteredNrmse, TrialTarget
-from sysid.fit.problem import Kind, Problem, Scores, Trial
+from fakes.lag_kind import TRUE, LagProblem, write_lag
+from sysid import exact_json
+from sysid.errors import FitError, SysidWarning
 from sysid.fit.store import read_fit
-from sysid.parameters import Parameter, ParameterTable
 from sysid.report.trust_tables import print_check, print_trust, print_validation
 from sysid.workflows.check import check_campaign
 from sysid.workflows.compare import compare_fits
 from sysid.workflows.export_models import export_sets
 from sysid.workflows.fit import fit_campaign
-from sysid.workflows.kinds import register
 from sysid.workflows.options import FitOptions, ReportOptions, TrustOptions
 from sysid.workflows.predict import cross_validate, validate_fit
+from sysid.workflows.reopen import open_fit
 from sysid.workflows.report import write_report
 from sysid.workflows.trust import assess_fit
-
-# --- the kind -----------------------------------------------------------------------------------------------
-
-TABLE = ParameterTable(
-    [
-        Parameter("gain", "K", "rad/s", 1.0, 0.1, 10.0, "log", "Speed per unit step.", "guess"),
-        Parameter("time_constant", "τ", "s", 0.2, 0.01, 2.0, "log", "Time to 63 %.", "guess"),
-        Parameter("offset", "y_0", "rad/s", 0.0, -1.0, 1.0, "linear", "Speed at rest.", "guess"),
-    ]
-)
-
-
-class LagCost(TomlTable):
-    denominator: Literal["std", "range"] = "std"
-
-
-class LagTrial(TrialTable):
-    step: float
-
-
-class LagCampaign(CampaignTable):
-    kind: Literal["lag"]
-    cost: LagCost = LagCost()
-    fit: FitTable = FitTable()
-    trials: tuple[LagTrial, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class LagProblem(Problem):
-    campaign: LagCampaign
-    space: object
-    logs_read: tuple
-    threads: int | None = None
-    channels, units = ("speed",), ("rad/s",)
-
-    @cached_property
-    def trials(self):
-        return tuple(
-            Trial(entry.name, entry.use, t, y[:, None], np.ones((t.size, 1), bool), record, 0.0)
-            for entry, t, y, record in self.logs_read
-        )
-
-    @cached_property
-    def cost(self):
-        targets = [TrialTarget(trial.name, trial.measured) for trial in self.trials]
-        return FilteredNrmse(targets, [CostChannel("speed", "rad/s", 0)], self.campaign.cost.denominator)
-
-    def only(self, names):
-        return replace(self, logs_read=tuple(log for log in self.logs_read if log[0].name in names))
-
-    def signals(self, rows):
-        gain, tau, offset = (rows[:, i, None] for i in range(3))
-        out = [offset + gain * log[0].step * (1 - np.exp(-log[1] / tau)) for log in self.logs_read]
-        return tuple(y[:, :, None] for y in out), np.zeros((len(rows), len(out)), bool)
-
-    def score(self, rows):
-        signals, _ = self.signals(rows)
-        found = self.cost(np.concatenate(signals, axis=1), threads=self.threads)
-        return Scores(found.by_channel, found.failed.astype(np.int8))
-
-
-def open_lag(campaign, path, threads):
-    logs = []
-    for entry in campaign.trials:
-        text = (Path(path).parent / entry.log).read_bytes()
-        time, speed = np.array(json.loads(text))
-        record = {"log": entry.log, "sha256": hashlib.sha256(text).hexdigest()}
-        logs.append((entry, time, speed, record))
-    space = campaign.parameters.search_space(TABLE, ("gain", "time_constant"), {})
-    return LagProblem(campaign, space, tuple(logs), threads)
-
-
-# --- what the verbs make of it ------------------------------------------------------------------------------
-
-TRUE = {"gain": 3.0, "time_constant": 0.15}
-SIGMA = 0.02
 
 
 @pytest.fixture(scope="module")
 def lag(tmp_path_factory):
     """A campaign of four steps, three to fit, and its fit."""
-    register(Kind("lag", LagCampaign, open_lag))
     folder = tmp_path_factory.mktemp("lag")
-    source = np.random.default_rng(3)
-    text = 'name = "bench"\nkind = "lag"\n[fit]\nruns = 2\npopulation = 24\nmax_generations = 40\n'
-    for k, step in enumerate((0.5, 1.0, 1.5, 2.0)):
-        time = np.arange(200) * 0.005
-        speed = TRUE["gain"] * step * (1 - np.exp(-time / TRUE["time_constant"]))
-        speed += SIGMA * source.standard_normal(time.size)
-        (folder / f"{k}.json").write_text(json.dumps([time.tolist(), speed.tolist()]), encoding="utf-8")
-        use = "fit" if k < 3 else "validate"
-        text += f'[[trials]]\nname = "step-{k}"\nlog = "{k}.json"\nuse = "{use}"\nstep = {step}\n'
-    path = folder / "lag.toml"
-    path.write_text(text, encoding="utf-8")
+    path = write_lag(folder)
     return path, fit_campaign(path, FitOptions(out=folder / "fit", quiet=True))[1]
 
 
@@ -178,3 +80,52 @@ def test_its_report_and_exports_are_written(lag):
     for name in ("sets.csv", "sets.json", "sets.h5", "sets.mat"):
         export_sets(folder, folder.parent / name)
         assert (folder.parent / name).stat().st_size > 0
+
+
+@pytest.mark.parametrize("change", ["edited", "deleted"])
+def test_a_campaign_that_changes_while_the_fit_runs_is_recorded_as_it_was_read(tmp_path, monkeypatch, change):
+    path = write_lag(tmp_path, "runs = 1\npopulation = 24\nmax_generations = 2\n")
+    read = path.read_text(encoding="utf-8")
+    evaluate = LagProblem.score
+
+    def meanwhile(problem, rows):
+        path.write_text(read + "# edited\n", encoding="utf-8") if change == "edited" else path.unlink(True)
+        return evaluate(problem, rows)
+
+    monkeypatch.setattr(LagProblem, "score", meanwhile)
+    result, folder = fit_campaign(path, FitOptions(out=tmp_path / "fit", quiet=True))
+    stated = result.provenance["campaign"]
+    assert stated["text"] == read
+    assert stated["sha256"] == hashlib.sha256(read.encode()).hexdigest()
+    assert (
+        exact_json.loads((folder / "fit.json").read_text(encoding="utf-8"))["provenance"]["campaign"]
+        == stated
+    )
+    assert '    kind = "lag"\n' in (folder / "summary.txt").read_text(encoding="utf-8")
+    if change == "edited":
+        with pytest.warns(SysidWarning, match="lag.toml has changed since the fit"):
+            open_fit(folder)
+
+
+@pytest.mark.parametrize(
+    ("out", "words"),
+    [
+        (".", ".: no result can take the place of this folder; name a new one inside it"),
+        ("/", "/: no result can take the place of this folder"),
+        ("..", "..: no result can take the place of this folder"),
+        ("link", "link: is a symbolic link to elsewhere; name the folder or file itself"),
+        ("x" * 10_000, "cannot be written (File name too long); choose another name"),
+    ],
+)
+@pytest.mark.parametrize("force", [False, True])
+def test_an_out_that_no_folder_can_be_is_refused_before_anything_is_read(
+    tmp_path, monkeypatch, out, words, force
+):
+    monkeypatch.chdir(tmp_path)
+    path = write_lag(tmp_path)
+    (tmp_path / "link").symlink_to("elsewhere")
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(FitError, match=re.escape(words)) as refusal:
+        fit_campaign(path, FitOptions(out=Path(out), force=force, quiet=True))
+    assert len(str(refusal.value)) < 250
+    assert sorted(tmp_path.iterdir()) == before
