@@ -129,14 +129,9 @@ def check_place(path: str | Path, error_type: type[SysidError] = SysidError) -> 
         return
     except (OSError, ValueError) as error:  # ValueError: a NUL byte inside the path
         why = getattr(error, "strerror", None) or error
-        raise error_type(f"{shortened(str(path))}: cannot be written ({why}); choose another name") from error
+        raise error_type(f"{str(path)[:100]}: cannot be written ({why}); choose another name") from error
     if target:
         raise error_type(f"{path}: is a symbolic link to {target}; name the folder or file itself")
-
-
-def shortened(text: str, most: int = 100) -> str:
-    """Return a text for a message, of which a name may make a whole page."""
-    return text if len(text) <= most else text[: most - 3] + "..."
 
 
 def check_folder(
