@@ -12,7 +12,7 @@ from sysid.parameters import ParameterTable
 from sysid.storage import check_folder, replaced_folder
 
 TRUTH_FILE = "truth.json"
-SCHEMA = "sysid-truth/1"
+SCHEMA = "sysid-truth/2"
 
 # A file is its text, or a function that writes it at the path it is given (HDF5).
 Content = str | Callable[[Path], None]
@@ -41,15 +41,23 @@ def refuse_existing(folder: str | Path, *, force: bool) -> None:
 
 
 def truth_text(
-    kind: str, table: ParameterTable, values: Mapping[str, float], facts: Mapping[str, Any]
+    kind: str,
+    table: ParameterTable,
+    values: Mapping[str, float],
+    facts: Mapping[str, Any],
+    fact_units: Mapping[str, str],
 ) -> str:
-    """Return the truth file: the facts of the trials, then every parameter [SI] and its unit."""
+    """Return the truth file: the facts of the trials, then every parameter [SI], then units by key.
+
+    `fact_units` lists the keys of the facts under their unit.
+    """
+    units = {key: unit for unit, keys in fact_units.items() for key in keys.split()}
     document = {
         "schema": SCHEMA,
         "kind": kind,
         **facts,
         "parameters": {name: float(values[name]) for name in table},
-        "units": {name: row.unit for name, row in table.items()},
+        "units": units | {name: row.unit for name, row in table.items()},
     }
     return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 

@@ -42,6 +42,16 @@ _AFTER_CONTACT = 1.05
 _EPOCH = 1_700_000_000.0
 
 
+# Of the keys in the truth file. The state is from the surface point, the travel along the slope in 0.7 s.
+_FACT_UNITS = {
+    "Hz": "rate",
+    "m": "position surface_point centre_of_mass_offset marker_height fall_height x_B z_B travel",
+    "rad": "angle slope q_B",
+    "m/s": "impact_speed",
+    "s": "release touchdown",
+}
+
+
 @dataclass(frozen=True)
 class DropPlan:
     """One drop to synthesize: angle of the board [rad], vertical speed when the rear foot touches [m/s]."""
@@ -203,20 +213,20 @@ def synthesize_gear(
     circumstances = {
         "surface": surface,
         "seed": seed,
-        "rate [Hz]": setup.rate,
-        "noise": {"position [m]": setup.noise_position, "angle [rad]": setup.noise_angle},
+        "rate": setup.rate,
+        "noise": {"position": setup.noise_position, "angle": setup.noise_angle},
         "capture": {
             "up": setup.up,
             "down_slope": setup.down_slope,
-            "surface point [m]": setup.hinge.tolist(),
-            "centre of mass offset [m]": list(_CENTRE_OF_MASS),
-            "own axes, pitch roll yaw [deg]": list(_BODY_AXES_DEG),
-            "marker height [m]": _MARKER_HEIGHT,
+            "surface_point": setup.hinge.tolist(),
+            "centre_of_mass_offset": list(_CENTRE_OF_MASS),
+            "body_axes_deg": list(_BODY_AXES_DEG),
+            "marker_height": _MARKER_HEIGHT,
         },
         "free": list(model.find_surface(surface).free),
         "drops": facts,
     }
-    truths = truth_text("gear", model.PARAMETERS, true, circumstances)
+    truths = truth_text("gear", model.PARAMETERS, true, circumstances, _FACT_UNITS)
     return write_campaign(folder, campaign + "\n".join(trials), logs, truths, force=force)
 
 
@@ -293,7 +303,7 @@ def _record(
     wand = observe(np.tile(place, (count, 1)), turn, noise, source)
     started = f"2024-03-0{1 + number % 7} 10.{10 + number % 50:02d}.07.412 AM"
     take = Take(f"drop-{number}", started, truth.first_frame, rate, {"wand": wand, _BODY: body}, markers)
-    return take, {"occlusions": [list(gap) for gap in gaps], "sign flips": flips}
+    return take, {"occlusions": [list(gap) for gap in gaps], "sign_flips": flips}
 
 
 def _board_markers(slope: float, frame: CaptureFrame, hinge: FloatArray) -> FloatArray:
@@ -315,14 +325,14 @@ def _facts(number: int, truth: _Truth, log: str) -> dict[str, Any]:
         "log": log,
         "export": plan.export,
         "use": plan.use,
-        "slope [rad]": plan.slope,
-        "impact speed [m/s]": plan.impact_speed,
-        "fall height [m]": truth.fall_height,
-        "release [s]": shift + truth.release,
-        "touchdown [s]": shift + truth.touchdown,
-        "state at release, from the surface point": {"x_B [m]": x, "z_B [m]": z, "q_B [rad]": pitch},
-        "way along the slope in 0.7 s [m]": round(truth.travel, 4),
-        "first frame": truth.first_frame,
+        "slope": plan.slope,
+        "impact_speed": plan.impact_speed,
+        "fall_height": truth.fall_height,
+        "release": shift + truth.release,
+        "touchdown": shift + truth.touchdown,
+        "state_at_release": {"x_B": x, "z_B": z, "q_B": pitch},
+        "travel": round(truth.travel, 4),
+        "first_frame": truth.first_frame,
     }
 
 

@@ -40,6 +40,16 @@ TRUE_MOTOR = {
 }  # fmt: skip
 
 
+# Of the keys in the truth file. Command steps are pairs of time [s] and command [1].
+_FACT_UNITS = {
+    "Hz": "rate",
+    "N": "force tare_force tare_thrust",
+    "N·m": "torque tare_torque",
+    "rad/s": "speed",
+    "s": "log_start window_start",
+}
+
+
 @dataclass(frozen=True)
 class TrialPlan:
     """One load-cell trial: idle command, then levels of u, each held for `hold` [s]."""
@@ -108,7 +118,7 @@ def synthesize_motor(
         file = f"{plan.name}.{'csv' if plan.export == 'csv' else 'h5'}"
         logs[file] = bench.load_cell_csv(log) if plan.export == "csv" else bench.load_cell_hdf5(log)
         facts.append({"name": plan.name, "log": file, "direction": plan.direction, "use": plan.use, **fact})
-        entries.append(_trial_text(plan, file, fact["window start [s]"]))
+        entries.append(_trial_text(plan, file, fact["window_start"]))
     stands = {}
     for number, (kind, direction) in enumerate(product(("static", "no-load"), ("forward", "reverse")), 101):
         source = np.random.default_rng([seed, number])
@@ -118,16 +128,16 @@ def synthesize_motor(
         stands[file] = tare
     circumstances = {
         "seed": seed,
-        "rate [Hz]": rate,
+        "rate": rate,
         # I_sat and Ω_min are no truth then.
-        **({"ideal reversal": True} if ideal_reversal else {}),
-        "noise": {"force [N]": spread.force, "torque [N·m]": spread.torque, "speed [rad/s]": spread.speed},
+        **({"ideal_reversal": True} if ideal_reversal else {}),
+        "noise": {"force": spread.force, "torque": spread.torque, "speed": spread.speed},
         "free": list(model.FREE_DEFAULT),
         "trials": facts,
-        "thrust stand": stands,
+        "thrust_stand": stands,
     }
     campaign = _campaign_text(name, true, seed) + "\n".join(entries)
-    truth = truth_text("motor", model.PARAMETERS, true, circumstances)
+    truth = truth_text("motor", model.PARAMETERS, true, circumstances, _FACT_UNITS)
     return write_campaign(folder, campaign, logs, truth, force=force)
 
 
@@ -160,11 +170,11 @@ def _trial(
         bench.quantized(run.stator_torque + tare_torque + noise.torque * shake[2], bench.RESOLUTION.torque),
     )
     fact = {
-        "log starts [s]": first,
-        "window start [s]": round(first + _REST + _IDLE - _STEADY, 4),
-        "tare force [N]": tare_force,
-        "tare torque [N·m]": tare_torque,
-        "command steps": [[round(float(t), 4), float(u)] for t, u in zip(instants, levels, strict=True)],
+        "log_start": first,
+        "window_start": round(first + _REST + _IDLE - _STEADY, 4),
+        "tare_force": tare_force,
+        "tare_torque": tare_torque,
+        "command_steps": [[round(float(t), 4), float(u)] for t, u in zip(instants, levels, strict=True)],
     }
     return log, fact
 
@@ -199,7 +209,7 @@ def _stand_points(
         voltage + 0.002 * shake[3],
         drawn,
     )
-    return points, {"tare thrust [N]": tare_thrust, "tare torque [N·m]": tare_torque}
+    return points, {"tare_thrust": tare_thrust, "tare_torque": tare_torque}
 
 
 def _trial_text(plan: TrialPlan, file: str, start: float) -> str:

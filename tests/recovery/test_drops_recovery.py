@@ -27,9 +27,9 @@ def test_truth_scores_nothing_but_quantization(clean):
     campaign, drops, truth = opened(clean)
     for drop, facts in zip(drops, read_truth(clean)["drops"], strict=True):
         # A millimetre export writes three decimals, a metre export six: 1e-6 m is 0.01 ms at 0.1 m/s.
-        assert drop.flight.start == pytest.approx(facts["release [s]"], abs=2e-5)
-        assert drop.touchdown == pytest.approx(facts["touchdown [s]"], abs=2e-5)
-        assert drop.impact_speed == pytest.approx(facts["impact speed [m/s]"], abs=1e-3)
+        assert drop.flight.start == pytest.approx(facts["release"], abs=2e-5)
+        assert drop.touchdown == pytest.approx(facts["touchdown"], abs=2e-5)
+        assert drop.impact_speed == pytest.approx(facts["impact_speed"], abs=1e-3)
     scored = score_values(campaign, drops, truth)
     # The window is integrated to 0.1 % per drop; the validation drops bounce as long.
     assert not scored.failed.any()
@@ -90,11 +90,11 @@ def test_plane_from_board_markers(tmp_path):
     assert campaign.surface.markers is not None
     for drop, facts in zip(drops, read_truth(folder)["drops"], strict=True):
         # Markers are written to 1e-6 m or 1e-3 mm.
-        assert drop.touchdown == pytest.approx(facts["touchdown [s]"], abs=5e-5)
+        assert drop.touchdown == pytest.approx(facts["touchdown"], abs=5e-5)
 
 
 def test_a_wrong_plane_is_doubted(clean):
-    point = read_truth(clean)["capture"]["surface point [m]"]
+    point = read_truth(clean)["capture"]["surface_point"]
     text = (clean / "campaign.toml").read_text(encoding="utf-8")
     line = next(line for line in text.splitlines() if line.startswith("point = "))
     with Journal() as journal:
@@ -123,7 +123,7 @@ def test_a_log_that_starts_too_late_is_refused(clean, tmp_path):
     facts = read_truth(folder)["drops"][0]
     path = folder / facts["log"]
     lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
-    keep = int(facts["release [s]"] * 200) - facts["first frame"] - 15
+    keep = int(facts["release"] * 200) - facts["first_frame"] - 15
     path.write_text("".join(lines[:7] + lines[7 + keep :]), encoding="utf-8", newline="")
     with pytest.raises(LogError, match="start recording earlier"):
         opened(folder)

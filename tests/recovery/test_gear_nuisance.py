@@ -54,7 +54,7 @@ def test_offsets_of_a_drop_are_found_where_they_were_put(drops):
 
 
 def test_a_surface_that_is_a_millimetre_off_is_found_by_its_offset(drops):
-    point = read_truth(drops)["capture"]["surface point [m]"]
+    point = read_truth(drops)["capture"]["surface_point"]
     campaign, _, truth = opened(drops, '[nuisance]\nheight = "3 mm"\n')
     moved = (point[0], point[1] + 1e-3, point[2])
     surface = campaign.surface.model_copy(update={"point": moved})

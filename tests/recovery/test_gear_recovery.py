@@ -97,9 +97,9 @@ def exact_start(drops, facts, gravity):
     out = []
     for drop in drops:
         fact = by_name[drop.name]
-        held = fact["state at release, from the surface point"]
-        fall = max(0.0, drop.time[0] - fact["release [s]"])
-        x, z, q = held["x_B [m]"], held["z_B [m]"] - 0.5 * gravity * fall**2, held["q_B [rad]"]
+        held = fact["state_at_release"]
+        fall = max(0.0, drop.time[0] - fact["release"])
+        x, z, q = held["x_B"], held["z_B"] - 0.5 * gravity * fall**2, held["q_B"]
         out.append(replace(drop, initial_state=np.array([x, z, q, 0.0, -gravity * fall, 0.0])))
     return tuple(out)
 

@@ -141,8 +141,8 @@ def test_a_tare_without_rows_at_rest_is_estimated(tmp_path: Path) -> None:
     fact = next(t for t in read_truth(path.parent)["trials"] if t["name"] == "forward-1")
     tares = bench.trials[0].log.tares
     # 2000 rows of 1.5 mN·m per point, six points of which the slowest is at 260 rad/s: 0.1 mN·m.
-    assert tares["torque"].value == pytest.approx(fact["tare torque [N·m]"], abs=3e-4)
-    assert tares["thrust"].value == pytest.approx(fact["tare force [N]"], abs=0.02)
+    assert tares["torque"].value == pytest.approx(fact["tare_torque"], abs=3e-4)
+    assert tares["thrust"].value == pytest.approx(fact["tare_force"], abs=0.02)
     assert tares["torque"].source == "steady_points"
     for name, off in (("torque", 3e-4), ("thrust", 0.02)):
         cut, whole = (b.trials[0].log.channels[name][1] for b in (bench, rested))
@@ -176,7 +176,7 @@ def test_signs_of_torque_and_thrust_are_settled(tmp_path: Path) -> None:
 def test_a_logged_motor_current_fixes_the_scale(tmp_path: Path) -> None:
     path = _synthesize(tmp_path / "current", 6, SHORT[:1])
     log, header, table = _forward_log(path)
-    steps = np.array(read_truth(path.parent)["trials"][0]["command steps"])
+    steps = np.array(read_truth(path.parent)["trials"][0]["command_steps"])
     run = simulate(TRUTH, steps[:, 0], steps[:, 1], table[:, 0])
     noise = 0.05 * np.random.default_rng(0).standard_normal(len(table))
     wider = header + ",Motor current (A)"

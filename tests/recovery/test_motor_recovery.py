@@ -249,7 +249,7 @@ def test_tares_of_the_truth_file(campaign_file: Path, prepared) -> None:
     facts = {trial["name"]: trial for trial in read_truth(campaign_file.parent)["trials"]}
     for trial in prepared[1].trials:
         # 5000 rows of 1.5 mN·m noise: 21 µN·m, three of them.
-        truth = facts[trial.entry.name]["tare torque [N·m]"]
+        truth = facts[trial.entry.name]["tare_torque"]
         assert trial.log.tares["torque"].value == pytest.approx(truth, abs=7e-5)
 
 

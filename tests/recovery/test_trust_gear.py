@@ -96,7 +96,7 @@ def test_starts_err_by_what_their_covariance_says(lf):
     scores = []
     for drop, fact in zip(drops, read_truth(LF.parent)["drops"], strict=True):
         root = start_roots(drop)
-        late = (drop.flight.start - fact["release [s]"]) * drop.flight.gravity
+        late = (drop.flight.start - fact["release"]) * drop.flight.gravity
         scores.append(late / math.sqrt((root.T @ root)[4, 4]))
     # Eight releases: their rms of one standard deviation lies between 0.5 and 1.6 in 99 % of all draws.
     assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.6

@@ -49,7 +49,7 @@ def test_synthetic_motor_campaign_is_the_asked_for_one(noisy):
 def test_synthetic_motor_steady_speeds_are_those_of_the_model(exact):
     truth = read_truth(exact)
     for trial, time, log in trials_of(exact):
-        steps = trial["command steps"]
+        steps = trial["command_steps"]
         ends = [t for t, _ in steps[1:]] + [time[-1]]
         for (start, u), end in zip(steps, ends, strict=True):
             if u == 0.0 or end - start < 0.45:
@@ -66,43 +66,39 @@ def test_synthetic_motor_cell_feels_the_stator_not_the_air(exact):
     truth = read_truth(exact)
     p = truth["parameters"]
     for trial, time, log in trials_of(exact):
-        assert abs(trial["tare force [N]"]) > 0
-        torque = log["torque"] - trial["tare torque [N·m]"]
+        assert abs(trial["tare_force"]) > 0
+        torque = log["torque"] - trial["tare_torque"]
         air = model.aerodynamic_torque(log["speed"], p)
         # I^r ΔΩ = ∫ (stator − air) dt over an acceleration: the first step from idle.
-        start = trial["command steps"][2][0]
+        start = trial["command_steps"][2][0]
         inside = (time >= start) & (time <= start + 0.1)
         gained = p["rotor_inertia"] * (log["speed"][inside][-1] - log["speed"][inside][0])
-        impulse = np.sum((torque - air)[inside]) / truth["rate [Hz]"]
+        impulse = np.sum((torque - air)[inside]) / truth["rate"]
         # The dead band, if any, jumps within one sample: 1e-4 s of 0.3 N·m, 3e-5; else quantization only.
         assert impulse == pytest.approx(gained, rel=0.005, abs=3.5e-5), trial["name"]
         assert np.max(np.abs(torque - air)[inside]) > 0.01
-        thrust = log["thrust"] - trial["tare force [N]"]
+        thrust = log["thrust"] - trial["tare_force"]
         # Half a quantum each of the cell (0.01 N) and of the speed (0.05 rad/s at 1.2e-5·2·900 N·s/rad).
         np.testing.assert_allclose(thrust, model.thrust(log["speed"], p), atol=0.0051 + 0.0006)
 
 
 def test_synthetic_motor_rows_at_rest_show_the_tare_only(exact):
     for trial, time, log in trials_of(exact):
-        assert time[0] == pytest.approx(trial["log starts [s]"], abs=1e-9)
+        assert time[0] == pytest.approx(trial["log_start"], abs=1e-9)
         assert time[0] > 1.0
         rest = log["command"] == 1500
         assert rest[: round(0.4 * 10_000)].all()
         assert not np.any(log["speed"][rest])
         # Half a quantum.
-        np.testing.assert_allclose(
-            log["thrust"][rest], trial["tare force [N]"], atol=0.5001 * RESOLUTION.force
-        )
-        np.testing.assert_allclose(
-            log["torque"][rest], trial["tare torque [N·m]"], atol=0.5001 * RESOLUTION.torque
-        )
+        np.testing.assert_allclose(log["thrust"][rest], trial["tare_force"], atol=0.5001 * RESOLUTION.force)
+        np.testing.assert_allclose(log["torque"][rest], trial["tare_torque"], atol=0.5001 * RESOLUTION.torque)
 
 
 def test_synthetic_motor_responds_after_the_command_delay(exact):
     delay = read_truth(exact)["parameters"]["command_delay"]
     assert delay > 0
     trial, time, log = next(trials_of(exact))
-    start, u = trial["command steps"][3]
+    start, u = trial["command_steps"][3]
     row = int(np.argmin(np.abs(time - start)))
     assert log["command"][row] == 1500 + 500 * u
     assert log["command"][row - 1] != log["command"][row]
@@ -114,7 +110,7 @@ def test_synthetic_motor_responds_after_the_command_delay(exact):
 
 def test_synthetic_motor_noise_has_the_stated_size(noisy):
     for trial, time, log in trials_of(noisy):
-        start = trial["window start [s]"]
+        start = trial["window_start"]
         idle = (time > start) & (time < start + 0.19)
         for name, size in (("speed", NOISE.speed), ("thrust", NOISE.force), ("torque", NOISE.torque)):
             jumps = np.diff(log[name][idle]) / np.sqrt(2)
@@ -153,11 +149,11 @@ def test_synthetic_motor_stand_files_look_like_the_programs(noisy):
 def test_synthetic_motor_stand_gives_the_true_curves(noisy, direction, sign, thrust):
     truth = read_truth(noisy)
     recording = load(noisy / f"static-{direction}.csv")
-    tare = truth["thrust stand"][f"static-{direction}.csv"]
+    tare = truth["thrust_stand"][f"static-{direction}.csv"]
     speed = recording["speed"].values
     for name, key, size in (
-        ("thrust", "tare thrust [N]", thrust),
-        ("torque", "tare torque [N·m]", truth["parameters"][f"torque_quadratic_{direction}"]),
+        ("thrust", "tare_thrust", thrust),
+        ("torque", "tare_torque", truth["parameters"][f"torque_quadratic_{direction}"]),
     ):
         values = sign * (recording[name].values - tare[key])
         known = np.isfinite(values)

@@ -302,7 +302,7 @@ def test_synthesized_motor_without_a_dead_band(monkeypatch, tmp_path, run):
     # 54 ms with a dead band; the filter of 100 Hz alone makes some of a sharp crossing.
     assert group.median("dead_band") < 0.015
     truth = json.loads((tmp_path / "m" / "truth.json").read_text(encoding="utf-8"))
-    assert "ideal reversal" in json.dumps(truth)
+    assert "ideal_reversal" in json.dumps(truth)
 
 
 def test_channels_with_their_own_clocks(monkeypatch):
