@@ -32,7 +32,7 @@ ROOMS = (
     "recording | parameters",
     "storage resume units parallel documents exact_json",
     "journal",
-    "errors | types",
+    "errors | types | interrupt",
 )
 
 

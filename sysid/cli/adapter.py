@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 import typer
 
+from sysid.interrupt import heard_interrupts
 from sysid.workflows.options import Argument, Flag
 
 Run = Callable[..., int | None]
@@ -33,7 +34,8 @@ def command(app: typer.Typer, name: str) -> Callable[[Run], Run]:
 
         def call(**given: Any) -> None:
             try:
-                code = run(**_values(parts, given))
+                with heard_interrupts():
+                    code = run(**_values(parts, given))
             except KeyboardInterrupt:
                 # typer would end without a word.
                 typer.echo("stopped by the user", err=True)

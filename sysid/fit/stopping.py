@@ -24,6 +24,7 @@ from types import FrameType
 from typing import Literal
 
 from sysid.errors import FitError
+from sysid.interrupt import raise_interrupt
 
 Reading = Literal["relative", "matlab"]
 StopReason = Literal[
@@ -200,7 +201,7 @@ def stop_on_interrupt(on_stop: Callable[[], None] | None = None) -> Iterator[Sto
         if flag():
             if time.monotonic() - heard < ONE_PRESS:
                 return
-            raise KeyboardInterrupt
+            raise_interrupt(signum, frame)
         heard = time.monotonic()
         flag.set()
         if on_stop is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +58,13 @@ _ONE_TOUCHDOWN = 5e-3
 CONSTANTS = ("gravity", "leg_mass_fraction", "slip_regularization", *PARAMETERS.group("front leg"))
 # Motors do not run in a drop.
 _NEVER_IN_DROPS = ("thrust_point_dx",)
+
+
+@cache
+def prepare_kernel(law: str) -> None:
+    """Compile or load a law's kernel, once per process, and say so before: it may take a minute."""
+    tell(f"preparing the {law} kernel: compiled once per version (under a minute), then loaded")
+    prepare(law, single=False)
 
 
 def gear_space(campaign: GearCampaign) -> SearchSpace:
@@ -221,6 +228,7 @@ class GearProblem(Problem):
 
         `body_states` (P, D, 6) are starts of each candidate, instead of the measured ones.
         """
+        prepare_kernel(self.campaign.surface.law)
         shift = offsets(self.space.table, rows, self.drops)
         if body_states is None and shift is not None:
             body_states = shifted_starts(self.drops, *shift)
@@ -348,9 +356,7 @@ class GearProblem(Problem):
         count = len(self.fitted.drops)
         validated, free = len(self.drops) - count, len(self.space.free)
         tell(f"{count} drops to fit, {validated} to validate; {free} free parameters")
-        law = self.campaign.surface.law
-        tell(f"preparing the {law} kernel: compiled once per version (under a minute), then loaded")
-        prepare(law, single=False)
+        prepare_kernel(self.campaign.surface.law)
 
     def _notice_defaults(self) -> None:
         """Name stated values that are not used, and values of the paper's drone that stand in for others."""

@@ -112,22 +112,20 @@ def fit_campaign(
     with Journal(say, model.words.trials) as journal, ExitStack() as until_written:
         try:
             progress = FitProgress(search, model.words.trials, options.quiet)
-            # An exception would be lost where kernels are compiled, in a callback of LLVM; a flag is not.
-            deadline.flag = until_written.enter_context(stop_on_interrupt(progress.on_stop))
             with naming_campaign(path):
                 for finding in ignored:
                     journal.add(finding)
                 problem = model.open(campaign, path, options.threads)
                 model.begin(problem)
-            _heed(deadline.flag)
             journal.fold(len(problem.trials))
             fitted = problem.fitted
             expected = _expected(fitted) if options.check else {}
-            _heed(deadline.flag)
             limited = replace(search, stop=replace(search.stop, time_limit=deadline.left))
             identity, candidate_time = _identity(search, problem, fitted)
             checkpoint = Checkpoint(folder, identity, resume=options.resume, force=options.force)
             until_written.callback(checkpoint.close)
+            # From here on Ctrl-C is a flag: what was found so far is kept.
+            deadline.flag = until_written.enter_context(stop_on_interrupt(progress.on_stop))
             runs, cut = _search(fitted, limited, options, checkpoint, progress, deadline.flag, candidate_time)
             sets = ranked_sets(runs, problem.space)
             outcome = model.follow_up(problem, Course(sets, search, cut, deadline.check))
@@ -152,12 +150,6 @@ def fit_campaign(
             # What is done needs no checkpoint any more.
             checkpoint.discard()
         return result, written
-
-
-def _heed(flag: StopFlag) -> None:
-    """Abort a fit that was stopped before its search: nothing has been found that could be kept."""
-    if flag():
-        raise KeyboardInterrupt
 
 
 def _expected(fitted: Problem) -> dict[str, Any]:

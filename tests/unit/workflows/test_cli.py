@@ -1,11 +1,14 @@
 """The command line as a user meets it: results, and refusals in one sentence with exit code 2."""
 
+import ctypes
 import errno
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +82,28 @@ def test_an_early_ctrl_c_says_so(monkeypatch, run):
     assert run() == (130, "", "stopped by the user\n")
 
 
+def test_ctrl_c_outlives_a_compiler_that_swallows_exceptions(monkeypatch, run):
+    """In any command: an exception in a callback of LLVM is printed by ctypes and forgotten."""
+    app = typer.Typer()
+    swallowed = []
+    callback = ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGINT))
+    compiler = {"__name__": "llvmlite.binding.ffi", "callback": callback}
+    exec("def optimize():\n    callback()", compiler)
+    monkeypatch.setattr(sys, "unraisablehook", swallowed.append)
+
+    @command(app, "wait")
+    def wait() -> None:
+        compiler["optimize"]()
+        time.sleep(5.0)
+        raise AssertionError("not heard")
+
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr("sysid.cli.app", app)
+    assert run() == (130, "", "stopped by the user\n")
+    assert swallowed == []
+    assert signal.getsignal(signal.SIGINT) is before
+
+
 def test_printing_a_fit_imports_nothing_slow():
     """`sysid show` takes half a second of processor time; any of these modules would take longer."""
     code = "import sys, sysid.workflows.show as _; print(*({'scipy', 'numba', 'pandas'} & {*sys.modules}))"
@@ -143,7 +168,7 @@ def truth(drops):
 def test_a_long_occlusion_inside_a_drop_is_refused(drops, truth, refused):
     def lose_body(lines, first):
         """Blank the body for 13 frames, 65 ms, 0.25 s after the touchdown, clear of other gaps."""
-        start = first + int((truth["touchdown [s]"] + 0.25) * 200) - truth["first frame"]
+        start = first + int((truth["touchdown"] + 0.25) * 200) - truth["first_frame"]
         for i in range(start, start + 13):
             frame, time, *cells = lines[i].rstrip("\r\n").split(",")
             lines[i] = ",".join([frame, time, *[""] * len(cells)]) + "\r\n"
@@ -162,7 +187,7 @@ def test_rotation_out_of_the_plane_is_a_warning_with_the_trials_name(drops, trut
         quaternion = body_columns(lines, first)
         for i in range(first, len(lines)):
             cells = lines[i].rstrip("\r\n").split(",")
-            if float(cells[1]) > truth["touchdown [s]"] + 0.1 and cells[quaternion.start]:
+            if float(cells[1]) > truth["touchdown"] + 0.1 and cells[quaternion.start]:
                 attitude = Rotation.from_quat([float(c) for c in cells[quaternion]])
                 cells[quaternion] = [f"{c:.6f}" for c in (turn * attitude).as_quat()]
             lines[i] = ",".join(cells) + "\r\n"
