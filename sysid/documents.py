@@ -59,6 +59,7 @@ UNITS = {
     }.items()
     for key in keys.split()
 }
+_SYMBOLS = {"x_B_rate": "ẋ_B", "z_B_rate": "ż_B", "stator_torque": "stator torque"}
 
 
 def label(key: str) -> str:
@@ -66,6 +67,11 @@ def label(key: str) -> str:
     name = key.removesuffix("_deg")
     unit = UNITS.get(key, "") if name == key else "deg"
     return name.replace("_", " ") + (f" [{unit}]" if unit else "")
+
+
+def channel_symbol(channel: str) -> str:
+    """Return what tables call a compared channel: ``ẋ_B`` for ``x_B_rate``."""
+    return _SYMBOLS.get(channel, channel)
 
 
 CONFIG = ConfigDict(

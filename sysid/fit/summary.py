@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.documents import label
+from sysid.documents import channel_symbol, label
 from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.optima import waterfall
 from sysid.fit.result import FitResult
@@ -108,7 +108,9 @@ def summary(result: FitResult) -> str:
             lines.append(f"{head:<22}{value:>13.5g}   {record.name} ({record.status})")
     lines += ["", "NRMSE of the best set by trial and channel [%]", ""]
     width = max([len(trial.name) for trial in result.trials], default=0)
-    lines.append(" " * (width + 12) + "".join(f"{channel:>14}" for channel in result.channels))
+    lines.append(
+        " " * (width + 12) + "".join(f"{channel_symbol(channel):>14}" for channel in result.channels)
+    )
     for trial in result.trials:
         cells = "".join(f"{100 * value:>14.2f}" for value in trial.nrmse[0])
         lines.append(f"{trial.name:<{width}}  {trial.use:<10}{cells}")

@@ -82,9 +82,13 @@ def _treatment(trial: PreparedTrial) -> Iterator[Finding]:
 def begin_fit(problem: MotorProblem) -> None:
     """Refuse a dead band that cannot be fitted, and tell what is free and what the logs showed."""
     campaign, bench, space = problem.campaign, problem.bench, problem.space
-    saturation_space(campaign, bench, space.table, PARAMETERS.nominal)
-    scored = len(bench.trials) - len(bench.fitted)
-    tell(f"{len(bench.fitted)} trials to fit, {scored} to validate; free: {', '.join(space.names)}")
+    band = saturation_space(campaign, bench, space.table, PARAMETERS.nominal)
+    searched = len(bench.fitted)
+    late = sum(trial not in bench.fitted for trial in bench.banded) if band is not None else 0
+    tell(
+        f"{searched} trials to fit, {f'{late} for the dead band, ' if late else ''}"
+        f"{len(bench.trials) - searched - late} to validate; free: {', '.join(space.names)}"
+    )
     for fit in bench.curves.fits:
         tell(curve_sentence(fit))
     for finding in folded(finding for trial in bench.trials for finding in _treatment(trial)):

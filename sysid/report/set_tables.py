@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from sysid.documents import channel_symbol
 from sysid.parameter_sets import COMBINATIONS, ParameterRecord, ParameterSets, in_place_of_digits
 from sysid.report.table import (
     NONE,
@@ -31,7 +32,6 @@ _FLAG = f"{_AT_BOUND} ends within 1 % of a bound of the search"
 _SPREAD = "σ is the spread of the runs, not the accuracy; it includes runs that ended elsewhere"
 _NOISE = "the NRMSE of a velocity (ẋ_B, ż_B) is mostly noise: velocities are differentiated positions"
 # Channels whose symbol is another than their name.
-_SYMBOLS = {"x_B_rate": "ẋ_B", "z_B_rate": "ż_B", "stator_torque": "stator torque"}
 
 
 def ranked_table(sets: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
@@ -199,11 +199,6 @@ def ladder_table(sets: ParameterSets) -> Table:
         ),
         "judge by the held-out rows: a parameter is not real because a search returned it",
     )
-
-
-def channel_symbol(channel: str) -> str:
-    """Return what tables call a compared channel: ``ẋ_B`` for ``x_B_rate``."""
-    return _SYMBOLS.get(channel, channel)
 
 
 def _is_found(sets: ParameterSets, record: ParameterRecord) -> bool:

@@ -99,14 +99,14 @@ def rounded(value: float, digits: int = 4) -> str:
 
 
 def mean_sigma(cell: tuple[float, float] | None) -> str:
-    """Return `mean ± σ`, σ with two digits and the mean to the same place; a dash for None.
+    """Return `mean ± σ`, σ with two digits and the mean to the same place; a dash where there is no mean.
 
     The mean has decimals up to its fourth significant digit; a σ beyond them is printed with one digit.
     """
-    if cell is None:
+    if cell is None or None in cell or not math.isfinite(cell[0]):
         return NONE
     mean, sigma = cell
-    if not math.isfinite(sigma) or sigma == 0 or not math.isfinite(mean):
+    if not math.isfinite(sigma) or sigma == 0:
         return rounded(mean)
     exponent = math.floor(math.log10(max(abs(mean), sigma)))
     scale = 10.0**exponent if exponent < -3 or exponent > 6 else 1.0

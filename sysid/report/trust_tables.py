@@ -9,9 +9,10 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+from sysid.documents import channel_symbol
 from sysid.parameter_sets import ParameterSets
 from sysid.report.fold import print_lines, print_result, print_table
-from sysid.report.set_tables import channel_symbol, mean_sigma_table
+from sysid.report.set_tables import mean_sigma_table
 from sysid.report.table import (
     NONE,
     Cell,
@@ -69,10 +70,6 @@ def half_width(value: float) -> str:
 
 def _span(ends: Sequence[float] | None) -> str:
     return NONE if ends is None else " to ".join(map(rounded, ends))
-
-
-def _plus_minus(mean: float | None, sigma: float | None, digits: int = 3, of_sigma: int = 2) -> str:
-    return f"{number(mean, digits)} ± {number(sigma, of_sigma)}"
 
 
 def _name(header: str, key: str = "name") -> TableColumn:
@@ -178,7 +175,7 @@ def expected_table(document: Row) -> Table:
             numbers("at", lambda row: number(row["value"])),
             numbers("half-width", lambda row: half_width(row["half_width"])),
             numbers("over bounds", lambda row: half_width(row["half_width_over_bounds"])),
-            numbers("effect", lambda row: _plus_minus(row["effect"], row["interaction"], 2)),
+            numbers("effect", lambda row: mean_sigma((row["effect"], row["interaction"]))),
             _VERDICT,
             _TRADES,
         ),
@@ -205,7 +202,7 @@ def quality_table(document: Row) -> Table:
             numbers("lost", lambda row: str(row["lost_in_window"])),
             numbers("noise x, z", noise, "mm"),
             numbers("pitch", lambda row: f"{math.degrees(row['noise']['pitch']):.2f}", "deg"),
-            numbers("fall g", lambda row: _plus_minus(row["gravity"], row["gravity_error"], 3, 1), "m/s²"),
+            numbers("fall g", lambda row: mean_sigma((row["gravity"], row["gravity_error"])), "m/s²"),
             numbers("slope", lambda row: number(row["slope_deg"], 3), "deg"),
             numbers("impact", lambda row: number(row["impact_speed"], 3), "m/s"),
             numbers("out of plane", lambda row: number(row["out_of_plane_deg"], 2), "deg"),
@@ -236,7 +233,7 @@ def validation_table(name: str, document: Row) -> Table:
 
         def predicted(row: Row) -> str:
             place = row["stop"][what] if row.get("stop") else {}
-            return _plus_minus(place["mean"], place["sigma"]) if place else NONE
+            return mean_sigma((place["mean"], place["sigma"])) if place else NONE
 
         return numbers(f"{what}, measured", measured, unit), numbers(f"{what}, predicted", predicted, unit)
 

@@ -9,7 +9,7 @@ from rich.console import Console
 from fakes.sets import made_sets
 from sysid.report.fold import print_table
 from sysid.report.set_tables import mean_sigma_table, mean_table, ranked_table, trial_table
-from sysid.report.table import mean_sigma, plain
+from sysid.report.table import mean_sigma, rounded
 
 
 def lines_of(table, width=110):
@@ -111,6 +111,6 @@ def test_digits_of_mean_and_sigma(mean, sigma, text):
 
 
 def test_large_numbers_without_exponent():
-    assert [plain(v) for v in (113_340.0, 1.2e4, 2e4, 0.04, 9e-9, 3e8)] == [
+    assert [rounded(v) for v in (113_340.0, 1.2e4, 2e4, 0.04, 9e-9, 3e8)] == [
         "113300", "12000", "20000", "0.04", "9e-09", "3e+08",
     ]  # fmt: skip
