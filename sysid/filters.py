@@ -127,7 +127,7 @@ class ChebyshevLowpass(_Lowpass):
         return 3 * (2 * len(self.sections) + 1) + 1
 
     def gain(self, frequency: FloatArray) -> FloatArray:
-        """Return the gain of the forward-backward cascade at `frequency` [Hz]."""
+        """Return the gain [1] of the forward-backward cascade at frequencies (n,) [Hz]."""
         _, response = signal.sosfreqz(self.sections, worN=np.asarray(frequency), fs=self.rate)
         return np.abs(response) ** 2
 
@@ -246,7 +246,7 @@ _SPECTRUM_POINTS, _SPECTRUM_STRETCH = 80, 4.0
 
 
 def amplitude_spectrum(values: FloatArray, rate: float) -> Spectrum:
-    """Return the amplitude spectral density of (n, C) samples on a uniform clock, gaps bridged.
+    """Return the amplitude spectral density [unit/√Hz] of (n, C) samples on a uniform clock, gaps bridged.
 
     A channel that is not finite throughout has none (NaN).
 

@@ -372,7 +372,7 @@ class ParameterSets(SetsContent):
         at_bound: NDArray[np.int8],
         nrmse_by_trial: FloatArray,
     ) -> ParameterSets:
-        """Return the sets that `metadata` and the arrays describe; ValueError where these contradict it."""
+        """Return the sets of `metadata` and arrays as in `ParameterSets`; ValueError where these disagree."""
         trials, channels = metadata.trials, metadata.channels
         return cls(
             **{name: getattr(metadata, name) for name in (*_SAME, "runs", "seeds")},

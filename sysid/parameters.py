@@ -193,7 +193,7 @@ class SearchSpace:
         return out
 
     def at_bound(self, cube: FloatArray) -> NDArray[np.int8]:
-        """Return -1 within 1 % of the lower bound, +1 of the upper, else 0, per point and free parameter."""
+        """Return -1 within 1 % of the lower bound, +1 of the upper, else 0, of points (P, n_free) [1]."""
         cube = np.asarray(cube)
         return np.where(cube < AT_BOUND, -1, np.where(cube > 1 - AT_BOUND, 1, 0)).astype(np.int8)
 

@@ -184,7 +184,7 @@ def descend(
 
 
 def drive(walk: Walk, residuals: Callable[[FloatArray], tuple[FloatArray, BoolArray]]) -> int:
-    """Let a walk ask for residuals until it ends; return how many points were simulated."""
+    """Let a walk ask for residuals (P, m) [1] until it ends; return how many points were simulated."""
     asked, count = next(walk), 0
     with suppress(StopIteration):
         while True:

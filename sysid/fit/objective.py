@@ -78,7 +78,7 @@ class Objective(Protocol):
         ...
 
     def evaluate(self, cube: FloatArray) -> Evaluation:
-        """Simulate and score unit-cube points (P, n_free)."""
+        """Simulate and score points (P, n_free) [unit cube]."""
         ...
 
     def examine(self, cube: FloatArray) -> tuple[Evaluation, FloatArray]:
@@ -94,7 +94,7 @@ class Scored:
     residuals: bool = False
 
     def __call__(self, rows: FloatArray) -> tuple[NDArray[Any], ...]:
-        """Simulate and score unit-cube points (P, n_free)."""
+        """Simulate and score points (P, n_free) [unit cube]."""
         further: list[FloatArray] = []
         if self.residuals:
             scored, *further = self.objective.examine(rows)
@@ -117,7 +117,7 @@ class SpreadObjective:
         return getattr(self._objective, name)
 
     def evaluate(self, cube: FloatArray) -> Evaluation:
-        """Simulate and score unit-cube points (P, n_free)."""
+        """Simulate and score points (P, n_free) [unit cube]."""
         cost, failed, simulations = self._work[False](cube)
         return Evaluation(cost, failed, int(simulations.sum()))
 

@@ -40,7 +40,7 @@ class Cost(Protocol):
     denominators: FloatArray
 
     def mean(self, by_channel: FloatArray) -> FloatArray:
-        """Return the weighted mean over channels, then over trials, of (..., T, C) NRMSE."""
+        """Return the weighted mean (...) over channels, then over trials, of (..., T, C) NRMSE [1]."""
         ...
 
 
@@ -235,7 +235,7 @@ class Problem(ABC):
         return np.array([block.noise for block in self.blocks])
 
     def floor_by_channel(self, row: FloatArray) -> FloatArray:
-        """Return the same in channel units, (T, C); NaN where it is not known."""
+        """Return the same (T, C) [channel units]; NaN where it is not known."""
         return self.noise
 
     def known(self, fit: FitResult) -> Collection[str]:
@@ -253,7 +253,7 @@ class Problem(ABC):
         return {}
 
     def completed(self, rows: FloatArray, fit: FitResult) -> FloatArray:
-        """Return adopted rows with what follows from the other values."""
+        """Return adopted rows (S, n_table) [SI] with what follows from the other values."""
         return rows
 
     @property
@@ -283,11 +283,11 @@ class Problem(ABC):
         return {"kind": "none"}
 
     def contacts(self, trial: int, row: FloatArray) -> FloatArray | None:
-        """Return when a predicted trial has contacts [s]; None for a model without contacts."""
+        """Return contacts (k,) [s] of a trial predicted by a row (n_table,) [SI]; None of a model without."""
         return None
 
     def beyond(self, rows: FloatArray) -> list[dict[str, Any]]:
-        """Return what a validation states of each trial beside its scores."""
+        """Return what a validation adds to the scores of each trial, predicted by rows (S, n_table) [SI]."""
         return [{} for _ in self.trials]
 
     def quality(self) -> list[dict[str, Any]]:
@@ -330,7 +330,7 @@ class Problem(ABC):
         return tuple(trial.name for trial in self.trials)
 
     def evaluate(self, cube: FloatArray) -> Evaluation:
-        """Simulate and score unit-cube points (P, n_free)."""
+        """Simulate and score points (P, n_free) [unit cube]."""
         scores = self.score(self.space.full(cube))
         failed = first_cause(scores.cause, len(self.causes))
         return Evaluation(self.cost.mean(scores.by_channel), failed, scores.cause.size)

@@ -24,7 +24,7 @@ from sysid.types import FloatArray
 
 
 def population_hash(cube: FloatArray) -> int:
-    """Return 64 bits that tell one population of candidates from another."""
+    """Return 64 bits that tell one population of candidates (P, n_free) [unit cube] from another."""
     data = np.ascontiguousarray(cube, dtype="<f8").tobytes()
     return int.from_bytes(hashlib.blake2b(data, digest_size=8).digest(), "little")
 
@@ -105,7 +105,7 @@ class StageMemory:
     def append(
         self, points: FloatArray, scored: Evaluation, elapsed: float, causes: tuple[str, ...] = UNNAMED_CAUSE
     ) -> None:
-        """Remember a generation."""
+        """Remember a generation of candidates (P, n_free)."""
         self.cost.append(np.array(scored.cost, dtype=np.float64))
         self.failed.append(int(np.count_nonzero(scored.failed)))
         self.causes.append(count_causes(scored.failed, causes))

@@ -152,7 +152,7 @@ def _same_way(campaign: GearCampaign) -> bool:
 
 
 def as_compared(coordinates: FloatArray, rates: FloatArray) -> FloatArray:
-    """Return the compared channels (n, 5) of x, z, pitch and their rates, as `cost_channels` orders them."""
+    """Return the compared channels (n, 5) [SI] of x, z, pitch and rates, as `cost_channels` orders them."""
     return np.column_stack([coordinates[:, :2], rates[:, :2], coordinates[:, 2]])
 
 

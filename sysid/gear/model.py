@@ -454,7 +454,7 @@ def simulate_population(
     body_states: ArrayLike | None = None,
     ending: Ending = TO_THE_CLOCK,
 ) -> PopulationSamples:
-    """Simulate candidates, rows (P, n_par) as from `pack`, on every drop; by default on all cores.
+    """Simulate candidates, rows (P, n_par) [SI] as from `pack`, on every drop; by default on all cores.
 
     The numbers do not depend on the number of threads nor on the candidates' order. A candidate that is lost
     ends with a status; nothing is raised. Samples later than an early end are NaN. Arguments as for
@@ -492,7 +492,7 @@ def prepare(surface: str | Surface = "lf", *, single: bool = True) -> None:
 
 
 def in_kernel_order(rows: FloatArray, surface: Surface) -> FloatArray:
-    """Return rows of the table in the kernel's order, then the columns that the friction law reads."""
+    """Return rows (P, n_par) [SI] in the kernel's order, then the columns that the friction law reads."""
     index = PARAMETERS.index
     columns = [index[PARAMETERS[name].name] for name in (*parameter_row.NAMES, *surface.reads)]
     return np.ascontiguousarray(rows[:, columns])

@@ -224,7 +224,7 @@ class GearProblem(Problem):
     def simulate(
         self, rows: FloatArray, body_states: FloatArray | None = None
     ) -> tuple[FloatArray, PopulationSamples]:
-        """Return samples (P, n_total, 6) with every drop's margins, and all that the simulation gives.
+        """Return samples (P, n_total, 6) [SI] with every drop's margins, and all that the simulation gives.
 
         `body_states` (P, D, 6) are starts of each candidate, instead of the measured ones.
         """
@@ -258,7 +258,7 @@ class GearProblem(Problem):
         return lost_drops(self.cost, self.drops, self.board_length, result, samples, failed)[0] > 0
 
     def signals(self, rows: FloatArray) -> tuple[tuple[FloatArray, ...], BoolArray]:
-        """Return the signals as compared, (P, n, 5) per drop, and which drops are lost (P, D)."""
+        """Return the signals as compared, (P, n, 5) [SI] per drop, and which drops are lost (P, D)."""
         samples, result = self.simulate(rows)
         return self.cost.prepared(samples), self._lost(samples, result)
 
@@ -323,7 +323,7 @@ class GearProblem(Problem):
         return NoiseModel(model.channels, model.covariance[:, :, : max(2, shortest // 3)])
 
     def disturbances_at(self, row: FloatArray) -> FloatArray:
-        """Return how one standard deviation of every drop's start moves the residuals (K, m)."""
+        """Return how one standard deviation of every drop's start moves the residuals (K, m) [1]."""
         rows = row[None]
         shift = offsets(self.space.table, rows, self.drops)
         nominal = np.array([[drop.initial_state for drop in self.drops]])
@@ -406,7 +406,7 @@ class GearProblem(Problem):
         return lowpass.design() | {"simulation_filtered": self.campaign.filter.filter_simulation}
 
     def contacts(self, trial: int, row: FloatArray) -> FloatArray:
-        """Return when feet touch in a prediction, on the drop's clock [s]; within 5 ms they touch once."""
+        """Return when feet touch (k,) [s] in a prediction, on the drop's clock; within 5 ms: once."""
         drop = self.drops[trial]
         run = simulate(
             row[: len(PARAMETERS)], drop.slope, drop.initial_state, drop.simulated_time,

@@ -68,7 +68,7 @@ class Propulsion:
 
 
 def plans(propulsion: Sequence[Propulsion | None]) -> tuple[FloatArray, FloatArray]:
-    """Lay the drops' thrust into the kernel's arrays: all segments, and one plan per drop.
+    """Lay the drops' thrust into the kernel's arrays: all segments (n, SEGMENT_COLUMNS), plans (D, k) [SI].
 
     Drops that share a `Propulsion` share its segments.
     """

@@ -83,7 +83,7 @@ def compared_noise(drop: PreparedDrop) -> FloatArray:
 
 
 def noise_signals(drop: PreparedDrop) -> FloatArray:
-    """Return (n, 5) samples of the capture's noise, filtered and differentiated as the log was."""
+    """Return (n, 5) samples [SI] of the capture's noise, filtered and differentiated as the log was."""
     white = np.random.default_rng(0).standard_normal((_NOISE_SAMPLES, 3)) * drop.flight.noise
     taps = drop.target.taps
     if taps is not None:
@@ -125,7 +125,7 @@ def offsets(
 
 
 def shifted_starts(drops: Sequence[PreparedDrop], height: FloatArray, delay: FloatArray) -> FloatArray:
-    """Return initial states (P, D, 6) over a surface that is higher, of a motion that is later."""
+    """Return initial states (P, D, 6) [SI], the surface higher (P, D) [m], the fall later (P, D) [s]."""
     out = np.empty((*height.shape, 6))
     for d, drop in enumerate(drops):
         out[:, d] = drop.flight.at(drop.time[0] - delay[:, d], free=True)
@@ -134,7 +134,7 @@ def shifted_starts(drops: Sequence[PreparedDrop], height: FloatArray, delay: Flo
 
 
 def shifted_before(drop: PreparedDrop, delay: FloatArray) -> FloatArray:
-    """Return x, z, pitch (P, margin, 3) at the samples before the window, of a motion that is later."""
+    """Return x, z, pitch (P, margin, 3) [m, rad] at the samples before the window, `delay` (P,) [s] later."""
     lead = len(drop.before)
     time = drop.time[0] - np.arange(lead, 0, -1) / drop.motion.rate
     return drop.flight.at((time - delay[:, None]).ravel())[:, :3].reshape(len(delay), lead, 3)

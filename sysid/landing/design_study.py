@@ -236,7 +236,7 @@ class DesignStudy:
         return np.asarray(np.trapezoid(self.landed, np.array(self.settings.slopes_deg), axis=1))
 
     def along(self, change: int) -> NDArray[np.intp]:
-        """Return the designs in which only one change acts, the sets as they are among them, by value."""
+        """Return the numbers (k,) of the designs in which only one change acts, by its value."""
         others = [c for c in range(len(self.changes)) if c != change]
         neutral = np.array([self.changes[c].neutral for c in others])
         alone = np.all(self.points[:, others] == neutral, axis=1)
@@ -272,7 +272,7 @@ class DesignStudy:
 
 
 def designs(changes: Sequence[Change], together: bool = False) -> FloatArray:
-    """Return the values (p, c) of every design: the sets as they are, then one change at a time or a grid.
+    """Return the values (p, c) [1, s] of designs: the sets as they are, then one change at a time or a grid.
 
     Raises `CampaignError` for a grid of other than two changes.
     """
@@ -290,7 +290,7 @@ def designs(changes: Sequence[Change], together: bool = False) -> FloatArray:
 
 
 def fleets_of(drones: Sequence[Drone], changes: Sequence[Change], points: FloatArray) -> list[list[Drone]]:
-    """Return the drones of every design."""
+    """Return the drones of every design, a row of `points` (p, c) with a value per change."""
     out = []
     for row in points:
         fleet = list(drones)
@@ -327,7 +327,7 @@ def design_study(
 
 
 def shares_of(outcome: NDArray[np.int8]) -> tuple[FloatArray, IntArray]:
-    """Return the share (p, n, m) that landed, of what could be simulated, and how many (p,) could not.
+    """Return the share (p, n, m) [1] that landed, of what could be simulated, and how many (p,) could not.
 
     From `Outcome` codes (p, S, n, m) of p designs, S sets and attitudes, n slopes and m speeds. The share is
     0 where nothing could be simulated: what is not known to be safe is none.

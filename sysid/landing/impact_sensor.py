@@ -61,6 +61,6 @@ class Sensing:
         return np.asarray(np.hypot(*parts))
 
     def trigger(self, specific_force: FloatArray) -> float:
-        """Return when the impact is seen, since the first sample [s], NaN where it never is."""
+        """Return when an impact is seen in specific forces (n,) [m/s²], from sample 0 on [s]; NaN: never."""
         above = np.flatnonzero(self.filtered(specific_force) > self.threshold)
         return float(above[0] / self.rate) if len(above) else float("nan")

@@ -48,11 +48,11 @@ class ImpulseMap(CellMap):
     optimum: dict[str, FloatArray]
 
     def mean(self, name: str) -> FloatArray:
-        """Mean over the sets (n, m)."""
+        """Mean over the sets (n, m) [SI]."""
         return np.asarray(self.optimum[name].mean(axis=0))
 
     def sigma(self, name: str) -> FloatArray:
-        """Standard deviation over the sets (n, m), divided by S - 1; 0 for a single set."""
+        """Standard deviation over the sets (n, m) [SI], divided by S - 1; 0 for a single set."""
         values = self.optimum[name]
         return np.asarray(values.std(axis=0, ddof=1)) if len(values) > 1 else np.zeros(values.shape[1:])
 

@@ -106,14 +106,14 @@ class LandingMap(CellMap):
     checked: bool = field(default=True, kw_only=True)
 
     def share(self, outcome: Outcome) -> FloatArray:
-        """Return the share of the sets (n, m) that end so, of those that were not lost; NaN without any."""
+        """Return the share (n, m) [1] that ends so of the sets that were not lost; NaN without any."""
         sound = np.sum(self.outcome != Outcome.LOST, axis=0)
         with np.errstate(invalid="ignore"):
             return np.asarray(np.sum(self.outcome == outcome, axis=0) / np.where(sound, sound, np.nan))
 
     @property
     def landed(self) -> FloatArray:
-        """Share of the sets (n, m) that come to rest within the long distance."""
+        """Share (n, m) [1] of the sets that come to rest within the long distance."""
         return np.sum([self.share(outcome) for outcome in LANDED], axis=0)
 
     @property
@@ -197,7 +197,7 @@ def cell_edges(centres: FloatArray) -> FloatArray:
 
 
 def nearest_cell(centres: FloatArray, value: float) -> int | None:
-    """Return the cell around a value, on an edge the lower one; None outside."""
+    """Return which cell of centres (n,) is around a value, on an edge the lower one; None outside."""
     edges = cell_edges(centres)
     if len(centres) < 2:
         return 0 if value == centres[0] else None

@@ -107,7 +107,7 @@ def run(
     tolerance: float,
     threads: int | None = None,
 ) -> Landings:
-    """Simulate landings under a given thrust; see `land_many`."""
+    """Simulate landings under a given thrust, triggered at `triggers` (D,) [s]; see `land_many`."""
     clock = np.array([0.0, rules.horizon])
     drops, flown = _fly(drone, scenarios, thrust, clock, tolerance, threads, rules.ending("rest"))
     rest, flip = flown.rest[0], flown.flip[0]

@@ -110,7 +110,7 @@ def unit_quaternions(
 
 
 def continuous_quaternions(unit: FloatArray) -> tuple[FloatArray, int]:
-    """Return quaternions of the sign nearest to the last recorded one, and how often it changed."""
+    """Return quaternions (n, 4) of the sign nearest to the last recorded one, and how often it changed."""
     seen = np.flatnonzero(np.isfinite(unit[:, 0]))
     turned = np.einsum("ij,ij->i", unit[seen[1:]], unit[seen[:-1]]) < 0.0
     if turned.any():

@@ -223,7 +223,7 @@ def rate_clock(path: str, rate: float, count: int, stated: FloatArray | None = N
 
 
 def jitter_note(time: FloatArray) -> list[Finding]:
-    """Return a note when the steps of a clock vary by more than a tenth of their median."""
+    """Return a note when the steps of a clock (n,) [s] vary by more than a tenth of their median."""
     if time.size < 3:
         return []
     steps = np.diff(time)

@@ -131,12 +131,12 @@ class Numbers:
         return np.column_stack([self.columns[index] for index in columns])
 
     def blank(self, rows: NDArray[Any]) -> None:
-        """Make all numbers of some rows missing."""
+        """Make all numbers of some rows (k,) missing."""
         for values in self.columns.values():
             values[rows] = np.nan
 
     def keep(self, mask: NDArray[np.bool_]) -> None:
-        """Keep only the rows where `mask` is true."""
+        """Keep only the rows where `mask` (n,) is true."""
         if not mask.all():
             self.columns = {index: values[mask] for index, values in self.columns.items()}
             self.lines = self.lines[mask]

@@ -85,7 +85,7 @@ class BenchCost:
         )  # fmt: skip
 
     def mean(self, by_channel: FloatArray) -> FloatArray:
-        """Return the weighted mean over channels, then over trials, of (..., T, 2) NRMSE."""
+        """Return the weighted mean over channels, then over trials, of (..., T, 2) NRMSE [1]."""
         weighted = by_channel[..., self.weights > 0] @ (self.weights[self.weights > 0] / self.weights.sum())
         return np.mean(weighted, axis=-1)
 

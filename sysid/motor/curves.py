@@ -115,7 +115,7 @@ def _rows_as_points(campaign: MotorCampaign, recording: Recording, direction: Ro
 
 
 def supply_ratio(points: SteadyPoints, reference_voltage: float) -> FloatArray:
-    """Return V/V_ref (n,) of steady points; 1 where the voltage is not known."""
+    """Return V/V_ref (n,) [1] of steady points; 1 where the voltage is not known."""
     return np.where(np.isfinite(points.voltage), points.voltage / reference_voltage, 1.0)
 
 

@@ -222,7 +222,7 @@ def _about_saturation(
 
 
 def log_delays(problem: MotorProblem, row: FloatArray) -> list[dict[str, Any]]:
-    """Return the command delay of every log: as fitted, or as a log shows it that no stage has seen.
+    """Return the command delay [s] of every log: as fitted, or as a log shows it that no stage has seen.
 
     `problem` has all trials. A delay of the second kind is looked for on the log itself with all other
     values of the row (n_table,) fixed; the scores of that log do not use it.

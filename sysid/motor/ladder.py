@@ -112,11 +112,11 @@ class LagProblem(MotorProblem):
     """First-order lags on the same trials: rows of the lag's table and the delays of logs."""
 
     def complete(self, rows: FloatArray) -> FloatArray:
-        """Return the rows: nothing of a lag follows from the others."""
+        """Return the rows (P, n): nothing of a lag follows from the others."""
         return rows
 
     def simulate(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return samples (P, n_total, 2) on the trials' grids; every lag reaches the end of every trial."""
+        """Return samples (P, n_total, 2) [SI] on the trials' grids; every lag reaches the end of all."""
         delays = shifts(self.space.table, rows, self.prepared)
         return lag.simulate_lag(rows, self.jobs, delays), np.ones((len(rows), len(self.jobs)))
 

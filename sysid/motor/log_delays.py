@@ -53,7 +53,7 @@ def log_rows(space: SearchSpace) -> tuple[str, ...]:
 
 
 def averaged(space: SearchSpace, rows: FloatArray) -> FloatArray:
-    """Return rows (P, n) whose common delay, and every delay not fitted yet, is the mean of the free."""
+    """Return rows (P, n) [SI] whose common delay, and every delay not fitted yet, is the mean of the free."""
     index, delays = space.table.index, log_rows(space)
     free = [index[name] for name in delays if name in space.names]
     if free:

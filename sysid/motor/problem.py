@@ -130,7 +130,7 @@ class MotorProblem(Problem):
     # --- scores and signals ---------------------------------------------------------------------------------
 
     def complete(self, rows: FloatArray) -> FloatArray:
-        """Return rows (P, n_table) with the no-load lines that belong to their R and k_d."""
+        """Return rows (P, n_table) [SI] with the no-load lines that belong to their R and k_d."""
         rows = np.array(rows, dtype=np.float64)
         column = {name: rows[:, i] for name, i in _INDEX.items()}
         drop = column["winding_resistance"] / (column["torque_constant"] * column["back_emf_constant"])
@@ -169,7 +169,7 @@ class MotorProblem(Problem):
         return Prediction(by_channel, failed.astype(np.int8), signals)
 
     def signals(self, rows: FloatArray) -> tuple[tuple[FloatArray, ...], BoolArray]:
-        """Return the signals as compared, (P, n, 2) per trial, and which trials are lost (P, T)."""
+        """Return the signals as compared, (P, n, 2) [SI] per trial, and which trials are lost (P, T)."""
         rows = self.complete(rows)
         samples, reached = self.simulate(rows)
         return self.cost.prepared(samples, self.sensors(rows)), reached < 1.0
@@ -180,7 +180,7 @@ class MotorProblem(Problem):
         return self.jobs.time.size
 
     def simulate(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return samples (P, n_total, 2) on the trials' grids, and the share reached (P, T), of full rows."""
+        """Return samples (P, n_total, 2) [SI] on the trials' grids, and the share reached (P, T) [1]."""
         runs = simulate_population(
             rows[:, : len(PARAMETERS)], self.jobs, delays=shifts(self.space.table, rows, self.prepared),
             tolerance=FIT_TOLERANCE, threads=self.threads, ideal_reversal=self.ideal_reversal,
@@ -213,7 +213,7 @@ class MotorProblem(Problem):
         return NoiseModel(channels, np.eye(len(channels))[:, :, None] * widest)
 
     def disturbances_at(self, row: FloatArray) -> FloatArray:
-        """Return how one standard deviation of what the fit takes as known moves the residuals (K, m).
+        """Return how one standard deviation of what the fit takes as known moves the residuals (K, m) [1].
 
         The tare of every trial's torque, static curves, values that the campaign states within a range.
         """
@@ -293,7 +293,7 @@ class MotorProblem(Problem):
         return np.asarray(np.sqrt(noise**2 + known))
 
     def floor_by_channel(self, row: FloatArray) -> FloatArray:
-        """Return the same in channel units, (T, 2); NaN where a channel has no weight."""
+        """Return the same (T, 2) [channel units]; NaN where a channel has no weight."""
         out = np.full((len(self.prepared), len(CHANNELS)), np.nan)
         for block, level in zip(self.blocks, self.floors(row), strict=True):
             out[block.trial, block.channel] = level
@@ -324,7 +324,7 @@ class MotorProblem(Problem):
         return {delay_name(trial.entry.log): trial.provenance["sha256"] for trial in self.bench.trials}
 
     def completed(self, rows: FloatArray, fit: FitResult) -> FloatArray:
-        """Return adopted rows with a delay for logs that the fit has not seen, and their no-load lines."""
+        """Return adopted rows (S, n_table) [SI] with delays of logs new to the fit, and no-load lines."""
         index = self.space.table.index
         fitted = {trial.name for trial in fit.trials if trial.use == "fit"}
         seen = {log.get("sha256") for name, log in fit.provenance.get("logs", {}).items() if name in fitted}

@@ -208,7 +208,7 @@ def _compared(log: BenchLog, time: FloatArray, values: Callable[[str], FloatArra
 
 
 def measured_spectrum(log: BenchLog, time: FloatArray) -> Spectrum | None:
-    """Return the spectrum of torque and speed before the filter, over the span of `time`; None if too short.
+    """Return the spectrum of torque and speed before the filter, over `time` (n,) [s]; None if too short.
 
     A channel that was not recorded is NaN.
     """
@@ -232,7 +232,7 @@ def filtered(campaign: MotorCampaign, log: BenchLog, channel: str) -> Samples:
 
 
 def uniform_filtered(time: FloatArray, values: FloatArray, lowpass: ChebyshevLowpass, where: str) -> Samples:
-    """Return a filtered channel on a clock without holes: rows that the log lacks are NaN there."""
+    """Return a filtered channel (n,) on a clock [s] without holes: rows that the log lacks are NaN there."""
     if time.size < lowpass.minimum_samples:
         raise LogError(
             f"{where}: {time.size} samples are fewer than the {lowpass.minimum_samples} that the filter "

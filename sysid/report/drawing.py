@@ -132,7 +132,7 @@ def _draw_grid(panels: Iterable[Axes]) -> None:
 
 
 def thinned(time: FloatArray, values: FloatArray, points: int = _POINTS) -> tuple[FloatArray, FloatArray]:
-    """Return a curve that looks the same with few points: least and largest value of every stretch."""
+    """Return a curve (k,) that looks like one (n,) with few points: least and largest of every stretch."""
     if len(time) <= points:
         return time, values
     edges = np.linspace(0, len(time), points // 2 + 1).astype(int)

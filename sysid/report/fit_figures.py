@@ -324,7 +324,7 @@ def figure_spectrum(
 
 
 def filter_gain(design: Mapping[str, Any], highest: float) -> tuple[FloatArray, FloatArray] | None:
-    """Return the gain of a filter as it stands in a result: frequency [Hz] and gain [dB]."""
+    """Return the gain of a filter as it stands in a result: frequency (n,) [Hz] and gain (n,) [dB]."""
     lowpass = stated_filter(design)
     if lowpass is None:
         return None
@@ -333,7 +333,7 @@ def filter_gain(design: Mapping[str, Any], highest: float) -> tuple[FloatArray, 
 
 
 def figure_profile(row: Mapping[str, Any], values: FloatArray, deviance: FloatArray) -> Figure:
-    """Draw the deviance over one parameter, all others fitted again, with its 68 % and 95 % limits."""
+    """Draw the deviance (n,) [1] over values (n,) [SI] of one parameter, with its 68 % and 95 % limits."""
     figure, axes = panel(2.8)
     axes.plot(values, deviance, color=BEST, marker="o", markersize=3.5, linewidth=1.3)
     for limit, word in _LIMITS:

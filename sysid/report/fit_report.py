@@ -156,7 +156,7 @@ class FitReport:
 
     @cached_property
     def likelihood_profiles(self) -> list[tuple[dict[str, Any], FloatArray, FloatArray]]:
-        """Row of the document of trust, values [SI], deviance [1] of every profile."""
+        """Row of the document of trust, values (n,) [SI] and deviance (n,) [1] of every profile."""
         if self.trust is None:
             return []
         arrays = documents.read_arrays(self.folder, documents.TRUST)

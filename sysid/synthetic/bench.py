@@ -53,7 +53,7 @@ class LoadCellLog:
 
 
 def quantized(values: FloatArray, step: float) -> FloatArray:
-    """Round to whole steps of an instrument."""
+    """Round values (n,) to whole steps of an instrument [unit of the values]."""
     return np.asarray(np.round(values / step) * step, dtype=np.float64)
 
 

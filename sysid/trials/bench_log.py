@@ -103,7 +103,7 @@ class CommandSteps:
 
 
 def command_steps(time: FloatArray, u: FloatArray) -> CommandSteps:
-    """Return the changes of a logged command; a blank command holds the one before."""
+    """Return the changes of a logged command u (n,) [1] over time (n,) [s]; a blank one repeats the last."""
     known = np.isfinite(u)
     if not known.any():
         raise LogError("the log has no command; a motor fit needs the command beside the speed")
@@ -179,7 +179,7 @@ class Tare:
 
 
 def tare(values: FloatArray, at_rest: BoolArray) -> Tare:
-    """Return the mean of a sensor over the rows at rest."""
+    """Return the mean of a sensor's values (n,) [SI] over the rows (n,) at rest."""
     used = values[at_rest & np.isfinite(values)]
     if used.size == 0:
         return Tare(0.0, float("nan"), 0, "assumed")
@@ -203,7 +203,7 @@ def rows_at_rest(time: FloatArray, u: FloatArray, speed: FloatArray | None) -> B
 
 
 def signed_speed(speed: FloatArray, direction: Direction, where: str) -> FloatArray:
-    """Return speeds (n,) with the sign of the direction; optical probes see none.
+    """Return speeds (n,) [rad/s] with the sign of the direction; optical probes see none.
 
     Raises LogError for a channel of zeros, a log of one direction that turns both ways, and one of reversals
     that never does.
@@ -232,7 +232,7 @@ def signed_speed(speed: FloatArray, direction: Direction, where: str) -> FloatAr
 
 
 def check_command_direction(u: FloatArray, direction: Direction, where: str) -> None:
-    """Refuse a log whose commands (n,) contradict its direction; a probe without sign would not show it."""
+    """Refuse a log whose commands (n,) [1] contradict its direction; a probe without sign shows nothing."""
     if not np.isfinite(u).any():
         return
     low, high = float(np.nanmin(u)), float(np.nanmax(u))

@@ -160,7 +160,7 @@ class PlanarMotion:
     valid: BoolArray
 
     def coordinates(self) -> FloatArray:
-        """Return (n, 3): x, z, pitch."""
+        """Return (n, 3): x, z, pitch [m, rad]."""
         return np.column_stack([self.x, self.z, self.pitch])
 
 

@@ -43,7 +43,7 @@ def second_derivative(position: FloatArray, half: int, step: float) -> FloatArra
 
 
 def fall_onset(downward: FloatArray, gravity: float, sure: BoolArray | None = None) -> int | None:
-    """Return the first of three samples running whose downward acceleration (n,) is a fall's, if any."""
+    """Return the first of three samples running whose downward acceleration (n,) [m/s²] is a fall's."""
     falling = downward > _FALLING * gravity
     if sure is not None:
         falling &= sure
@@ -52,7 +52,7 @@ def fall_onset(downward: FloatArray, gravity: float, sure: BoolArray | None = No
 
 
 def hold_before(onset: int, half: int, rate: float, position: FloatArray) -> slice | None:
-    """Return the samples before a fall at which (n,) or (n, k) positions hung still; None if they moved."""
+    """Return the samples before a fall at which (n,) or (n, k) positions [m] hung still, or None."""
     last = max(0, onset - half)
     first = max(0, last - round(_SEEN_HANGING * rate))
     hung = last - first >= 5 and np.max(np.ptp(position[first:last], axis=0)) <= _HANDS_MOVE
@@ -117,7 +117,10 @@ def _parabola(elapsed: FloatArray, position: FloatArray) -> FloatArray:
 def held_fall(
     time: FloatArray, position: FloatArray, acceleration: FloatArray, sure: BoolArray, gravity: float
 ) -> tuple[FreeFlight, int] | None:
-    """Return the first fall of a body that hung still, and the sample at which it ends; None without one."""
+    """Return the first fall of a body that hung still, and the sample that ends it; None without one.
+
+    Positions (n, 3) [m] and accelerations (n, 3) [m/s²] on a uniform clock (n,) [s]; `sure` (n,) ones count.
+    """
     step = float(time[1] - time[0])
     half = half_window(HALF_WINDOW / step)
     # The impact accelerates the other way, but later: whichever axis comes first is the way down.
@@ -183,7 +186,10 @@ def _longest(mask: BoolArray) -> tuple[int, int]:
 def thrown(
     time: FloatArray, position: FloatArray, acceleration: FloatArray, sure: BoolArray, gravity: float
 ) -> tuple[FreeFlight, int] | None:
-    """Return the longest free flight of a body in motion, and the sample that ends it; None without one."""
+    """Return the longest free flight of a body in motion, and the sample that ends it; None without one.
+
+    Arguments as for `held_fall`.
+    """
     step = float(time[1] - time[0])
     half = half_window(HALF_WINDOW / step)
     near = sure & (np.abs(np.linalg.norm(acceleration, axis=1) - gravity) < _NEAR * gravity)
@@ -208,7 +214,7 @@ def thrown(
 
 
 def lands(time: FloatArray, position: FloatArray, flight: FreeFlight, end: int, stops: bool = False) -> bool:
-    """Return whether a body stops falling (or comes to half its speed) at the end of its flight."""
+    """Return whether a body at (n, 3) [m] stops falling (or halves its speed) where its flight ends."""
     step = float(time[1] - time[0])
     size = float(np.linalg.norm(flight.acceleration))
     depth = position @ (flight.acceleration / size)
@@ -222,7 +228,7 @@ def lands(time: FloatArray, position: FloatArray, flight: FreeFlight, end: int, 
 
 
 def contact_time(time: FloatArray, error: FloatArray, end: int) -> float:
-    """Return when a surface began to push [s].
+    """Return when a surface began to push [s], from the error (n,) [m] of a ballistic path.
 
     Legs give way softly, so a body on legs leaves the flight like (t - t0) cubed; a stiff body leaves it like
     t - t0. The law that fits the next samples better is followed back to zero.

@@ -69,7 +69,7 @@ def leave_one_out(problem: Problem, linear: Linearized) -> Solved:
 def refit(
     problem: Problem, linear: Linearized, weights: FloatArray | IntArray, tolerance: float | None = None
 ) -> Solved:
-    """Fit the trials under each row of `weights` (F, T), from the minimum on."""
+    """Fit the trials under each row of `weights` (F, T) [1], from the minimum on."""
     scale, weights = linear.scale, np.asarray(weights, dtype=np.float64)
     return solve(
         problem, np.tile(linear.point, (len(weights), 1)), scale, linear.jacobian.steps,

@@ -31,7 +31,7 @@ _LEAST = 0.2
 
 
 def standing_out(ratio: FloatArray) -> tuple[int, ...]:
-    """Return the trials whose NRMSE over noise (T,) is unlike the others'; of fewer than three, none."""
+    """Return the trials whose NRMSE over noise (T,) [1] is unlike the others'; of fewer than three, none."""
     if len(ratio) < FEWEST or not np.isfinite(ratio).all():
         return ()
     limit = max(STANDS_OUT * float(np.median(ratio)), 1.0)

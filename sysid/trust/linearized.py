@@ -120,7 +120,7 @@ def linearized(
 
 
 def information(jacobian: FloatArray, gradient_noise: FloatArray) -> Information:
-    """Return the uncertainty from derivatives (m, n) of weighted residuals and the gradient's noise."""
+    """Return the uncertainty from derivatives (m, n) [1] of weighted residuals and the gradient's noise."""
     n = jacobian.shape[1]
     curvature = jacobian.T @ jacobian
     size = np.sqrt(np.diag(curvature))
@@ -179,7 +179,7 @@ def _pairs(
 
 
 def noise_model(blocks: Sequence[Block], residuals: FloatArray) -> NoiseModel:
-    """Estimate the correlations of residuals (m,), pooled over trials."""
+    """Estimate the correlations of residuals (m,) [1], pooled over trials."""
     channels = tuple(dict.fromkeys(block.channel for block in blocks))
     parts = []
     for block in blocks:
@@ -204,7 +204,7 @@ def noise_model(blocks: Sequence[Block], residuals: FloatArray) -> NoiseModel:
 
 
 def undisturbed(blocks: Sequence[Block], residuals: FloatArray, disturbances: FloatArray) -> FloatArray:
-    """Return residuals (m,) without what one-sigma changes (K, m) of the assumed values explain.
+    """Return residuals (m,) [1] without what one-sigma changes (K, m) of the assumed values explain.
 
     That part lasts through a whole trial; counted as noise it would count twice. The prior of each change is
     its standard deviation, and each block is weighted by its NRMSE.

@@ -34,7 +34,7 @@ def spread_over(problem: Problem, executor: Executor) -> Problem:
 
 
 def nrmse_of(blocks: Sequence[Block], residuals: FloatArray) -> FloatArray:
-    """Return the NRMSE (..., B) of every block."""
+    """Return the NRMSE (..., B) [1] of every block from residuals (..., m)."""
     return np.stack(
         [
             np.sqrt(np.sum(residuals[..., block.start : block.stop] ** 2, axis=-1) / block.count)
@@ -45,7 +45,7 @@ def nrmse_of(blocks: Sequence[Block], residuals: FloatArray) -> FloatArray:
 
 
 def scales(blocks: Sequence[Block], levels: FloatArray, size: int) -> FloatArray:
-    """Return what turns residuals r (m,) into rho, for blocks at NRMSE `levels` (B,)."""
+    """Return what turns residuals r (m,) into rho, for blocks at NRMSE `levels` (B,) [1]."""
     out = np.zeros(size)
     for block, level in zip(blocks, levels, strict=True):
         out[block.start : block.stop] = np.sqrt(block.weight / (block.count * max(level, LEAST_NRMSE)))
@@ -53,7 +53,7 @@ def scales(blocks: Sequence[Block], levels: FloatArray, size: int) -> FloatArray
 
 
 def trial_rows(blocks: Sequence[Block], weights: FloatArray, size: int) -> FloatArray:
-    """Spread weights of trials (..., T) over the residuals (..., m)."""
+    """Spread weights of trials (..., T) [1] over the residuals (..., m)."""
     out = np.zeros((*weights.shape[:-1], size))
     for block in blocks:
         out[..., block.start : block.stop] = weights[..., block.trial, None]

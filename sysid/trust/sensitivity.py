@@ -30,7 +30,7 @@ _INSIDE = 0.05
 
 
 def outlook(problem: Problem, point: FloatArray, noise: NoiseModel) -> Linearized:
-    """Return what noise, correlated like `noise`, would leave open at a point of the unit cube."""
+    """Return what noise, correlated like `noise`, would leave open at a point (n_free,) of the unit cube."""
     floor = np.array([block.noise for block in problem.blocks])
     scale = scales(problem.blocks, floor, problem.blocks[-1].stop)
     weight = sum(block.weight * block.noise for block in problem.blocks)
@@ -41,7 +41,7 @@ def outlook(problem: Problem, point: FloatArray, noise: NoiseModel) -> Linearize
 def expectations(
     problem: Problem, point: FloatArray, noise: NoiseModel, *, over_bounds: bool = True, seed: int = 0
 ) -> tuple[Linearized, tuple[Expected, ...]]:
-    """Return what the trials are expected to determine of every free parameter, at a point of the unit cube.
+    """Return what the trials should determine of every free parameter, at a unit-cube point (n_free,).
 
     With `over_bounds` also at points drawn from the bounds, and the elementary effects.
     """

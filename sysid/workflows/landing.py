@@ -88,7 +88,7 @@ def _files(out: Path | None, force: bool) -> list[Path]:
 
 
 def samples(landing: Landing) -> NDArray[np.float64]:
-    """Return the history (n, len(COLUMNS)) in the columns' units."""
+    """Return the history (n, k) in the units of `COLUMNS`."""
     t = landing.trajectory
     return np.column_stack([t.time, t.state, t.normal_force, t.friction_force, t.thrust])
 

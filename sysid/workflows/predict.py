@@ -48,7 +48,7 @@ class Predicted:
         return np.stack([mean(by_channel[:, [t]]) for t in range(by_channel.shape[1])], axis=1)
 
     def judge(self, t: int, sets: slice, floor: FloatArray) -> JudgedTrial:
-        """Judge a trial as some of the sets predict it, the first of them best; `floor` in channel units."""
+        """Judge a trial as some sets predict it, the first of them best; `floor` (T, C) [channel units]."""
         problem, best = self.problem, sets.start or 0
         return judge(
             problem.trials[t],
@@ -64,7 +64,7 @@ class Predicted:
 
 
 def predict(fit: FitResult, problem: Problem, values: FloatArray | None = None) -> Predicted:
-    """Predict the trials of a problem by a fit, or by other `values` (S, n) of the fit's parameters."""
+    """Predict the trials of a problem by a fit, or by other `values` (S, n) [SI] of its parameters."""
     problem = problem.exact
     rows = problem.adopt(fit, values)
     return Predicted(problem, rows, problem.predict(rows))

@@ -50,15 +50,15 @@ class Breeder(Protocol):
     needs_residuals: bool = False
 
     def ask(self) -> FloatArray | None:
-        """Return the candidates (P, n_free) to score next, or None when no new one can be bred."""
+        """Return the candidates (P, n_free) [unit cube] to score next; None when no new one can be bred."""
         ...
 
     def tell(self, cost: FloatArray, residuals: FloatArray | None = None) -> None:
-        """Take the costs (P,) of the candidates last asked for."""
+        """Take the costs (P,) [1] of the candidates last asked for."""
         ...
 
     def population(self) -> tuple[FloatArray, FloatArray]:
-        """Return points (P, n_free) and costs (P,) of the population, best first."""
+        """Return points (P, n_free) [unit cube] and costs (P,) [1] of the population, best first."""
         ...
 
     @property

@@ -1,5 +1,6 @@
 """Tables: what a person reads is what the sets hold."""
 
+import math
 import re
 
 import numpy as np
@@ -104,6 +105,8 @@ def test_mean_table_is_table_two():
         (0.0, 2e-3, "0.0000 ± 0.0020"),
         (97442.0, 33113.0, "97000 ± 33000"),  # no more digits than the spread allows
         (113_340.0, 250.0, "113340 ± 250"),
+        (1.05, 2.2e-16, "1.050 (σ < 1e-6)"),
+        (math.nan, 1.0, "—"),
     ],
 )
 def test_digits_of_mean_and_sigma(mean, sigma, text):
