@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import difflib
 import hashlib
+import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
@@ -65,6 +66,11 @@ def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
             f"{path}: is a {stated} campaign, expected {kind}; use 'sysid fit-{stated}', "
             f"or name a {kind} campaign"
         )
+    if unfilled := dict.fromkeys(_unfilled(data, ())):
+        raise CampaignFileError(
+            f"{path}: still TODO: {', '.join(unfilled)}; measure each and write it with its unit "
+            "('sysid new-campaign' says how)"
+        )
     try:
         campaign: Campaign = _KINDS[stated].model_validate(data)  # type: ignore[assignment]
     except ValidationError as error:
@@ -79,6 +85,17 @@ def resolve_log(campaign_path: str | Path, log: str) -> Path:
     if not path.is_file():
         raise CampaignFileError(f"{campaign_path}: log {log!r} does not exist at {path}; correct its path")
     return path
+
+
+def _unfilled(value: Any, loc: tuple[int | str, ...], data: Any = None) -> Iterator[str]:
+    """Yield where a campaign holds a placeholder of `sysid new-campaign` instead of a value."""
+    data = value if data is None else data
+    if isinstance(value, str) and re.match(r"TODO\b", value):
+        # A vector is one thing to measure.
+        yield _place(loc[:-1] if isinstance(loc[-1], int) else loc, data)
+    elif isinstance(value, dict | list):
+        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from _unfilled(inner, (*loc, key), data)
 
 
 def _first_sentence(error: ValidationError, model: type[BaseModel], data: dict[str, Any]) -> str:

@@ -7,13 +7,16 @@ What a parameter is called, means and refuses stands in `sysid.workflows.options
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import MISSING, fields, is_dataclass
 from enum import Enum, StrEnum
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import typer
+from typer.core import TyperCommand
 
 from sysid.interrupt import heard_interrupts
 from sysid.workflows.options import Argument, Flag
@@ -21,10 +24,41 @@ from sysid.workflows.options import Argument, Flag
 Run = Callable[..., int | None]
 
 
-def command(app: typer.Typer, name: str) -> Callable[[Run], Run]:
+_LAST, _DEFAULT = ("Output", "Computing"), re.compile(r"\[default: \(([^)]*)\)")
+# What the help calls a value; it lists those of a choice.
+_VALUES = {Path: "PATH", str: "TEXT", int: "NUMBER", float: "NUMBER"}
+# An example that is longer goes on in the next line [characters].
+_LINE = 74
+# A command with more options shows them under the headings that their declarations name.
+_MANY = 8
+
+
+class Command(TyperCommand):
+    """A command whose help shows many options under headings, as plain text."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write arguments and options; typer calls this."""
+        groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        several = sum(param.param_type_name == "option" for param in self.params) > _MANY
+        for param in self.get_params(ctx):
+            group = "Arguments" if param.param_type_name == "argument" else "Options"
+            panel: str | None = getattr(param, "rich_help_panel", None)
+            if several and panel:
+                group = panel
+            if record := param.get_help_record(ctx):
+                groups.setdefault(group, []).append(record)
+        for group in sorted(groups, key=_LAST.__contains__):
+            if rows := groups[group]:
+                with formatter.section(group):
+                    # click puts brackets around a default that is a text.
+                    formatter.write_dl([(name, _DEFAULT.sub(r"[default: \1", help)) for name, help in rows])
+
+
+def command(app: typer.Typer, name: str, example: str) -> Callable[[Run], Run]:
     """Return a decorator that makes a function a command of `app`.
 
-    The function's docstring is the help of the command; an integer that it returns is the exit code.
+    The function's docstring is the help of the command, and its first line what lists of commands say; an
+    integer that it returns is the exit code. The help ends with an `example`, which runs after the demo.
     """
 
     def register(run: Run) -> Run:
@@ -47,10 +81,21 @@ def command(app: typer.Typer, name: str) -> Callable[[Run], Run]:
         parameters = list(_parameters(parts))
         call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         call.__annotations__ = {p.name: p.annotation for p in parameters}
-        app.command(name)(call)
+        app.command(name, cls=Command, epilog=f"\b\nExample:\n  {_folded(example)}")(call)
         return run
 
     return register
+
+
+def _folded(example: str) -> str:
+    """Return a command in lines that a shell joins again."""
+    lines = [""]
+    for part in re.split(r" (?=--)", example):
+        if lines[-1] and len(lines[-1]) + len(part) > _LINE:
+            lines.append(f"  {part}")
+        else:
+            lines[-1] = f"{lines[-1]} {part}".strip() if len(lines) == 1 else f"{lines[-1]} {part}"
+    return " \\\n  ".join(lines)
 
 
 def _parts(cls: type) -> list[tuple[str, Any, Any]]:
@@ -59,12 +104,12 @@ def _parts(cls: type) -> list[tuple[str, Any, Any]]:
     return [(f.name, hints[f.name], empty if f.default is MISSING else f.default) for f in fields(cls)]
 
 
-def _parameters(parts: list[tuple[str, Any, Any]]) -> Iterator[inspect.Parameter]:
-    """Yield typer's parameters; nested dataclasses contribute theirs in their place."""
+def _parameters(parts: list[tuple[str, Any, Any]], panel: str = "") -> Iterator[inspect.Parameter]:
+    """Yield typer's parameters; nested dataclasses contribute theirs in their place, under their heading."""
     for name, hint, default in parts:
         if is_dataclass(hint):
             assert isinstance(hint, type)
-            yield from _parameters(_parts(hint))
+            yield from _parameters(_parts(hint), getattr(hint, "panel", ""))
             continue
         mark = _mark(hint)
         if mark is None:
@@ -72,21 +117,36 @@ def _parameters(parts: list[tuple[str, Any, Any]]) -> Iterator[inspect.Parameter
         kind, values = _kind(get_args(hint)[0])
         required = default is inspect.Parameter.empty
         info: Any
-        shown: bool | str = not required
         if isinstance(mark, Argument):
-            info = typer.Argument(help=mark.help, show_default=shown)
+            metavar = name.upper() if kind in _VALUES else "|".join(word.value for word in kind)
+            info = typer.Argument(help=mark.help, show_default=not required, metavar=metavar)
         else:
-            if mark.read is not None:
-                kind, values = mark.given, False
-                default = default if required else mark.given(mark.default) if mark.default else None
-            elif mark.default or values:
+            shown: bool | str = not required
+            help = mark.help
+            if mark.read is not None or mark.unit:
+                kind, values = (Path if kind is Path else str), values and not mark.read
+            shown_as = "QUANTITY" if mark.unit else _VALUES.get(kind)
+            if mark.unit:
+                help = f"{help.removesuffix('.')} [{mark.unit}]."
+            if mark.read or mark.unit or mark.default or values:
                 # What the user does not give keeps the default of the dataclass or function, see `_values`.
-                default, shown = (default if required else None), mark.default or False
-            flags = mark.names or (f"--{name.replace('_', '-')}",)
-            info = typer.Option(*flags, help=mark.help, min=mark.least, show_default=shown)
+                shown = mark.default or (
+                    mark.shown(default) if mark.unit and not required and default is not None else False
+                )
+                default = default if required else None
+            least = None if mark.unit else mark.least
+            info = typer.Option(
+                *_names(name, mark), help=help, min=least, show_default=shown, metavar=shown_as,
+                rich_help_panel=mark.panel or panel or None,
+            )  # fmt: skip
         kind = list[kind] if values else kind  # type: ignore[valid-type]
         annotation = Annotated[kind | None if default is None else kind, info]  # type: ignore[valid-type]
         yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+def _names(name: str, mark: Flag) -> tuple[str, ...]:
+    """Return how the command line spells an option."""
+    return mark.names or (f"--{name.replace('_', '-')}",)
 
 
 def _values(parts: list[tuple[str, Any, Any]], given: dict[str, Any]) -> dict[str, Any]:
@@ -98,12 +158,20 @@ def _values(parts: list[tuple[str, Any, Any]], given: dict[str, Any]) -> dict[st
             out[name] = hint(**_values(_parts(hint), given))
         elif given.get(name) is not None:
             value, mark = given[name], _mark(hint)
-            if isinstance(mark, Flag) and mark.read is not None:
-                value = mark.read(value)
-            elif isinstance(value, Enum):
+            several = isinstance(value, list)
+            if isinstance(value, Enum):
                 value = value.value
-            elif isinstance(value, list):
+            elif several:
                 value = tuple(value)
+            if isinstance(mark, Argument) and mark.read is not None:
+                value = mark.read(value)
+            elif isinstance(mark, Flag):
+                option = _names(name, mark)[0]
+                if mark.read is not None:
+                    value = mark.read(value, option)
+                elif mark.unit:
+                    read = [mark.quantity(one, option) for one in (value if several else (value,))]
+                    value = tuple(read) if several else read[0]
             out[name] = value
     return out
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from sysid.cli.adapter import command
-from sysid.cli.root import app, print_json, unless
+from sysid.cli.root import FLAGGED, app, print_json, unless
 from sysid.workflows.options import (
     Argument,
     CampaignPath,
@@ -24,39 +24,48 @@ from sysid.workflows.options import (
     ReportOptions,
     Sets,
     SlopeOfGround,
+    Strict,
     Surface,
     Threads,
     TrustOptions,
 )
 
 
-@command(app, "fit-motor")
-def fit_motor(campaign: CampaignPath, options: FitOptions, json: Json = False) -> int:
-    """Fit a motor to thrust-stand and load-cell logs: five ranked parameter sets."""
+@command(app, "fit-motor", "sysid fit-motor data_samples/motor")
+def fit_motor(campaign: CampaignPath, options: FitOptions, strict: Strict = False, json: Json = False) -> int:
+    """Fit a motor to thrust-stand and load-cell logs."""
     from sysid.workflows.fit import fit_motor as fit
 
-    return _fit(fit, campaign, options, json)
+    return _fit(fit, campaign, options, strict, json)
 
 
-@command(app, "fit-gear")
-def fit_gear(campaign: CampaignPath, options: FitOptions, surface: Surface = None, json: Json = False) -> int:
-    """Fit the landing gear to motion-capture logs of drops: five ranked parameter sets."""
+@command(app, "fit-gear", "sysid fit-gear data_samples/gear-lf")
+def fit_gear(
+    campaign: CampaignPath,
+    options: FitOptions,
+    surface: Surface = None,
+    strict: Strict = False,
+    json: Json = False,
+) -> int:
+    """Fit a landing gear to motion-capture logs of drops."""
     from sysid.workflows.fit import fit_gear as fit
 
-    return _fit(fit, campaign, options, json, surface=surface)
+    return _fit(fit, campaign, options, strict, json, surface=surface)
 
 
-def _fit(fit: Any, campaign: Path, options: FitOptions, json: bool, **more: Any) -> int:
+def _fit(fit: Any, campaign: Path, options: FitOptions, strict: bool, json: bool, **more: Any) -> int:
     from sysid.workflows.show import print_fit, stopped_by_user
 
     tell = unless(options.quiet)
     result, folder = fit(campaign, replace(options, quiet=options.quiet or json), say=tell, **more)
     if json or not options.quiet:
         print_fit(result, folder, json)
-    return 130 if stopped_by_user(result) else 0
+    if stopped_by_user(result):
+        return 130
+    return FLAGGED if strict and result.state != "done" else 0
 
 
-@command(app, "check")
+@command(app, "check", "sysid check data_samples/gear-lf")
 def check(
     campaign: CampaignPath,
     surface: Surface = None,
@@ -64,7 +73,10 @@ def check(
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Judge a campaign before the fit: logs, excitation, what the trials determine, what to record next."""
+    """Say before a fit what the trials will determine.
+
+    Judges every log, names what excites the model, and says what to record next.
+    """
     from sysid.report.trust_tables import print_check
     from sysid.workflows.check import check_campaign
 
@@ -72,33 +84,42 @@ def check(
     print_check(document, json)
 
 
-@command(app, "trust")
+@command(app, "trust", "sysid trust fits/demo/motor")
 def trust(
     fit: FitFolder,
     options: TrustOptions,
     quiet: Quiet = False,
     json: Json = False,
-    long: Annotated[bool, Flag("Print the 68 % intervals and the predictions of the runs too.")] = False,
+    details: Annotated[bool, Flag("Print the 68 % intervals and the predictions of the runs too.")] = False,
 ) -> None:
-    """Profile every free parameter of a fit: intervals, verdicts, bootstrap, spread of the runs."""
+    """Give every parameter of a fit an interval and a verdict.
+
+    Profiles every free parameter, fits without each trial in turn, and resamples the trials.
+    """
     from sysid.report.trust_tables import print_trust
     from sysid.workflows.trust import assess_fit
 
-    print_trust(assess_fit(fit, options, unless(quiet or json)), fit, json, long=long)
+    print_trust(assess_fit(fit, options, unless(quiet or json)), fit, json, long=details)
 
 
-@command(app, "validate")
+@command(app, "validate", "sysid validate fits/demo/gear-lf data_samples/gear-lf")
 def validate(
     fit: FitFolder, campaign: CampaignPath, threads: Threads = None, quiet: Quiet = False, json: Json = False
-) -> None:
-    """Predict trials that a fit has not seen: NRMSE over the noise, when it ends, where it stops."""
+) -> int:
+    """Predict trials that a fit has not seen.
+
+    Says the NRMSE over the noise, when a prediction leaves the noise, and where the drone stops. The exit
+    code is 3 where a prediction is flagged.
+    """
     from sysid.report.trust_tables import print_validation
     from sysid.workflows.predict import validate_fit
 
-    print_validation(validate_fit(fit, campaign, threads=threads, say=unless(quiet or json)), fit, json)
+    document = validate_fit(fit, campaign, threads=threads, say=unless(quiet or json))
+    print_validation(document, fit, json)
+    return FLAGGED if document["flagged"] else 0
 
 
-@command(app, "cross-validate")
+@command(app, "cross-validate", "sysid cross-validate fits/demo/gear-lf")
 def cross_validate(
     fit: FitFolder,
     campaign: FitCampaign = None,
@@ -106,16 +127,20 @@ def cross_validate(
     dask: Dask = None,
     quiet: Quiet = False,
     json: Json = False,
-) -> None:
-    """Leave out one trial after the other, fit the rest again, predict the trial left out."""
+) -> int:
+    """Leave out each trial in turn, fit the rest, predict it.
+
+    The exit code is 3 where a prediction is flagged.
+    """
     from sysid.report.trust_tables import print_validation
     from sysid.workflows.predict import cross_validate as leave_out
 
     document = leave_out(fit, campaign, threads=threads, dask=dask, say=unless(quiet or json))
     print_validation(document, fit, json)
+    return FLAGGED if document["flagged"] else 0
 
 
-@command(app, "compare")
+@command(app, "compare", "sysid compare fits/demo/gear-lf fits/demo/gear-hf")
 def compare(
     fits: Annotated[tuple[Path, ...], Argument("Two or more fit folders.")],
     cross: Annotated[
@@ -125,77 +150,83 @@ def compare(
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Compare fits: Table II side by side, which differences are real, which fit predicts which trials."""
+    """Say which differences between fits are real.
+
+    Prints Table II side by side, and which fit predicts which trials.
+    """
     from sysid.report.trust_tables import print_comparison
     from sysid.workflows.compare import compare_fits
 
     print_comparison(*compare_fits(fits, cross=cross, threads=threads, say=unless(quiet or json)), json)
 
 
-@command(app, "report")
+@command(app, "report", "sysid report fits/demo/gear-lf")
 def report(fit: FitFolder, options: ReportOptions, quiet: Quiet = False, json: Json = False) -> None:
-    """Write a fit's report: one HTML page that needs nothing else."""
+    """Write a fit's report: one HTML page with every trial."""
     from sysid.workflows.report import print_report
 
     print_report(fit, options, json, unless(quiet or json))
 
 
-@command(app, "show")
+@command(app, "show", "sysid show fits/demo/gear-lf")
 def show(fit: Sets, json: Json = False) -> None:
-    """Print the ranked sets of a fit: values, spread, bounds, NRMSE."""
+    """Print the ranked parameter sets of a fit."""
     from sysid.workflows.show import print_sets
 
     print_sets(fit, json)
 
 
-@command(app, "export")
+@command(app, "export", "sysid export fits/demo/gear-lf --out sets.json")
 def export(
     fit: Sets,
-    to: Annotated[Path, Flag("File to write: .json, .csv, .h5, .mat, .xml or .sdf.")],
+    out: Annotated[Path, Flag("File to write: .json, .csv, .h5, .mat, .xml or .sdf.")],
     set: Annotated[int | None, Flag("Write only the set of this rank (.xml, .sdf).", least=1)] = None,
     slope: SlopeOfGround = 0.0,
     per_leg: Annotated[bool, Flag("Model four single legs in space (.xml).")] = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write the ranked sets for a simulator, or each as a MuJoCo (.xml) or Gazebo motor (.sdf) model."""
+    """Write the ranked sets for a simulator.
+
+    Each set becomes a model of its own in MuJoCo (.xml) and in Gazebo (.sdf, a motor).
+    """
     from sysid.workflows.export_models import export_sets
 
-    files = export_sets(fit, to, force, rank=set, slope=slope, per_leg=per_leg)
+    files = export_sets(fit, out, force, rank=set, slope=slope, per_leg=per_leg)
     if json:
         print_json({"written": [str(file) for file in files]})
     for file in () if json else files:
         typer.echo(f"wrote {file}")
 
 
-@command(app, "fits")
+@command(app, "fits", "sysid fits")
 def fits(
     folder: Annotated[Path, Argument("Folder with fits in it.")] = Path("fits"), json: Json = False
 ) -> None:
-    """List the fits of a folder: running, stopped or done, NRMSE, age."""
+    """List the fits of a folder: state, NRMSE, age."""
     from sysid.workflows.fits import print_fits
 
     print_fits(folder, json)
 
 
-@command(app, "schema")
+@command(app, "schema", "sysid schema trust")
 def schema(
     name: Annotated[str | None, Argument("Name of a document. Without it, it prints all names.")] = None,
 ) -> None:
-    """Print the JSON Schema of a document that sysid writes: fit, trust, validation, …"""
+    """Print the JSON Schema of a document that sysid writes."""
     from sysid.workflows.schema import print_schema
 
     print_schema(name)
 
 
-@command(app, "demo")
+@command(app, "demo", "sysid demo")
 def demo(
     data: Annotated[Path | None, Flag("Folder with the data samples.", default="found")] = None,
     out: Annotated[Path, Flag("Write the results to this folder.")] = Path("fits") / "demo",
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Run the whole job on data_samples: load, filter, fits, exports, figures, reports."""
+    """Fit the sample data and write reports to look at."""
     from sysid.workflows.demo import run_demo
 
     run_demo(data, out, quiet, unless(quiet), json)

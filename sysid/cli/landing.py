@@ -19,7 +19,11 @@ from sysid.workflows.options import (
 )
 
 
-@command(app, "simulate")
+@command(
+    app,
+    "simulate",
+    'sysid simulate fits/demo/gear-lf --motor fits/demo/motor --slope "20 deg" --speed "0.5 m/s"',
+)
 def simulate(options: SimulateOptions) -> None:
     """Land once per set: history, events, outcome."""
     from sysid.workflows.landing import simulate_landings
@@ -27,39 +31,61 @@ def simulate(options: SimulateOptions) -> None:
     simulate_landings(options)
 
 
-@command(app, "landing-map")
+@command(app, "landing-map", "sysid landing-map fits/demo/gear-lf --motor fits/demo/motor --out map.h5")
 def landing_map(options: LandingMapOptions) -> int:
-    """Map what becomes of landings over slope and touchdown speed, for every surface and controller."""
+    """Map what becomes of landings over slope and speed.
+
+    One map for every surface and controller, in one file and one figure.
+    """
     from sysid.workflows.landing_maps import compute_landing_maps
 
     return _journalled(compute_landing_maps, options)
 
 
-@command(app, "impulse-map")
+@command(
+    app,
+    "impulse-map",
+    "sysid impulse-map fits/demo/gear-lf --motor fits/demo/motor --slopes 0:30:10 --speeds 0.4,0.8 "
+    "--out impulses.h5",
+)
 def impulse_map(options: ImpulseMapOptions) -> int:
-    """Find for every slope and speed the impulse that stops the pitching at the second impact, and land."""
+    """Find the impulse that stops the pitching, and land.
+
+    For every slope and speed: the delay and duration after which the drone turns least at its second impact.
+    """
     from sysid.workflows.landing_maps import compute_impulse_maps
 
     return _journalled(compute_impulse_maps, options)
 
 
-@command(app, "design-study")
+@command(
+    app,
+    "design-study",
+    "sysid design-study fits/demo/gear-lf --motor fits/demo/motor --vary k_t=0.5:2:3 --slopes 0:60:5 "
+    "--out study.h5",
+)
 def design_study(options: DesignStudyOptions) -> int:
-    """Vary legs, feet and motors: the steepest slope that the drone lands on, and which change buys most."""
+    """Vary legs, feet and motors: which change buys most.
+
+    Says the steepest slope that each design lands on.
+    """
     from sysid.workflows.design_study import study_designs
 
     return _journalled(study_designs, options)
 
 
-@command(app, "static-limits")
+@command(app, "static-limits", "sysid static-limits fits/demo/gear-lf --thrust 12")
 def static_limits(
     sets: GearSets,
     thrust: Annotated[
-        tuple[float, ...], Flag("Reverse thrust [N]. Repeat it for several.", default="0 and 12")
+        tuple[float, ...], Flag("Reverse thrust. Repeat it for several.", unit="N", default="0 and 12")
     ] = (0.0, 12.0),
     json: Json = False,
 ) -> None:
-    """Print the steepest slope on which each set's drone stays, its legs rigid and as fitted."""
+    """Print the steepest slope on which a drone stays.
+
+    For every set, with rigid legs and with the legs as fitted.
+    """
     from sysid.workflows.static_limits import print_static_limits
 
     print_static_limits(sets, thrust, json)

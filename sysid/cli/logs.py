@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -17,34 +18,41 @@ from sysid.workflows.options import (
     Json,
     LoaderOption,
     LogFormat,
+    Logs,
     ReversalOptions,
+    log_files,
 )
 
 if TYPE_CHECKING:
     from sysid.workflows.inspect import Draw
 
+SynthesizedFolder = Annotated[Path, Flag("Folder to write.", "--out")]
 
-@command(app, "formats")
+
+@command(app, "formats", "sysid formats")
 def formats(json: Json = False) -> None:
-    """List the log formats that are read, with the options of each."""
+    """List the log formats that are read, with their options."""
     from sysid.workflows.inspect import print_formats
 
     print_formats(json)
 
 
-@command(app, "inspect")
+@command(app, "inspect", "sysid inspect data_samples/motor/forward-1.csv")
 def inspect(
-    files: Annotated[tuple[Path, ...], Argument("Logs.")],
+    logs: Logs,
     format: LogFormat = "auto",
     option: LoaderOption = (),
-    plot: Figure = None,
+    figure: Figure = None,
     json: Json = False,
 ) -> None:
-    """Say what logs contain: device, channels, rates, gaps, drops, and what looks wrong."""
+    """Say what logs contain, and what looks wrong in them.
+
+    Device, channels, rates, gaps; of a drop its release, touchdown and slope.
+    """
     from sysid.workflows.inspect import inspect_files, parse_options
 
-    draw = None if plot is None else _drawing(plot)
-    inspect_files(files, format_name=format, options=parse_options(option), draw=draw, as_json=json)
+    draw = None if figure is None else _drawing(figure)
+    inspect_files(logs, format_name=format, options=parse_options(option), draw=draw, as_json=json)
 
 
 def _drawing(path: Path) -> Draw:
@@ -55,10 +63,10 @@ def _drawing(path: Path) -> Draw:
     return lambda recordings, reports: save_figure(figure_logs(recordings, reports), path)
 
 
-@command(app, "convert")
+@command(app, "convert", "sysid convert data_samples/motor/forward-1.csv --out forward-1.h5")
 def convert(
     file: Annotated[Path, Argument("Log.")],
-    to: Annotated[Path, Argument("HDF5 file to write.")],
+    out: Annotated[Path, Flag("HDF5 file to write.", panel="Output")],
     format: LogFormat = "auto",
     option: LoaderOption = (),
     add: Annotated[Path | None, Flag("Join a second log of the same run, which has another clock.")] = None,
@@ -68,73 +76,86 @@ def convert(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write a log in SI as HDF5, joined with a second one if asked."""
+    """Write a log in SI as HDF5, joined with a second one."""
     from sysid.workflows.inspect import SecondFile, convert_file, parse_options
 
     second = SecondFile(add, add_format, parse_options(add_option), align_by) if add else None
     options = parse_options(option)
-    sentence = convert_file(file, to, format_name=format, options=options, second=second, force=force)
-    print_json({"written": [str(to)], "sentence": sentence}) if json else typer.echo(sentence)
+    sentence = convert_file(file, out, format_name=format, options=options, second=second, force=force)
+    print_json({"written": [str(out)], "sentence": sentence}) if json else typer.echo(sentence)
 
 
-@command(app, "reversal-time")
+@command(app, "reversal-time", "sysid reversal-time data_samples/motor/reversal-1.h5")
 def reversal_time(
-    logs: Annotated[tuple[Path, ...], Argument("Bench logs with reversals.")],
+    logs: Logs,
     options: ReversalOptions,
     figure: Figure = None,
     json: Json = False,
 ) -> None:
-    """Compare speed controllers: time from a reversal command to 90 % of the final thrust."""
+    """Time speed controllers from command to reverse thrust.
+
+    Says the time to 90 % of the final thrust, and how often a reversal fails.
+    """
     from sysid.workflows.reversal import reversal_times
 
     reversal_times(logs, options, figure=figure, json=json)
 
 
-@command(app, "new-campaign")
+@command(
+    app, "new-campaign", "sysid new-campaign gear --minimal --from data_samples/gear-lf --out drops.toml"
+)
 def new_campaign(
     kind: Annotated[Literal["motor", "gear"], Argument("What was recorded.")],
-    path: Annotated[Path, Argument("File to write.")] = Path("campaign.toml"),
+    logs: Annotated[tuple[Path, ...] | None, Argument("More logs after --from LOG.")] = None,
+    out: Annotated[Path, Flag("File to write.")] = Path("campaign.toml"),
+    minimal: Annotated[bool, Flag("Write only what a fit needs.")] = False,
+    source: Annotated[
+        tuple[Path, ...], Flag("Fill in what these logs say: a log or a folder.", "--from")
+    ] = (),
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write a commented campaign file that says how each value is measured."""
-    from sysid.workflows.show import write_template
+    """Write a campaign file that describes your recordings.
 
-    print_next(write_template(kind, path, force), f"edit it, then run sysid fit-{kind} {path}", json)
+    The whole file says how each value is measured. The minimal one has what a fit needs, filled in from the
+    logs where they say it; what only you can measure stands there as TODO, which is refused.
+    """
+    from sysid.workflows.new_campaign import write_campaign
+
+    written = write_campaign(kind, out, log_files((*source, *(logs or ()))), minimal=minimal, force=force)
+    print_next(written, f"edit it, then run sysid check {out} and sysid fit-{kind} {out}", json)
 
 
-@command(synthesize, "gear")
+@command(synthesize, "gear", "sysid synthesize gear --out my-drops")
 def synthesize_gear(
-    out: Annotated[Path, Argument("Folder to write.")],
+    out: SynthesizedFolder,
     surface: Annotated[str, Flag("Friction law, for example lf or hf.")] = "lf",
     seed: Annotated[int, Flag("Seed of the noise.", least=0)] = 1,
-    noise_mm: Annotated[float, Flag("Noise of positions [mm].", least=0)] = 0.3,
-    noise_deg: Annotated[float, Flag("Noise of angles [deg].", least=0)] = 0.2,
-    rate: Annotated[float, Flag("Rate of the motion capture [Hz].", least=140)] = 200.0,
+    noise_position: Annotated[float, Flag("Noise of positions.", unit="mm", least=0)] = 0.3 / 1000,
+    noise_angle: Annotated[float, Flag("Noise of angles.", unit="deg", least=0)] = math.radians(0.2),
+    rate: Annotated[float, Flag("Rate of the motion capture.", unit="Hz", least=140)] = 200.0,
     force: Force = False,
     json: Json = False,
 ) -> None:
     """Write drops with known truth as motion-capture logs."""
-    from math import radians
-
     from sysid.synthetic import synthesize_gear as write
 
     folder = write(
-        out, seed=seed, surface=surface, noise_position=noise_mm / 1000, noise_angle=radians(noise_deg),
-        rate=rate, force=force,
+        out, seed=seed, surface=surface, noise_position=noise_position, noise_angle=noise_angle, rate=rate,
+        force=force,
     )  # fmt: skip
     print_next(folder, f"sysid fit-gear {folder / 'campaign.toml'}", json)
 
 
-@command(synthesize, "motor")
+@command(synthesize, "motor", "sysid synthesize motor --out my-motor")
 def synthesize_motor(
-    out: Annotated[Path, Argument("Folder to write.")],
+    out: SynthesizedFolder,
     seed: Annotated[int, Flag("Seed of the noise.", least=0)] = 1,
-    ideal_reversal: Annotated[bool, Flag("Give the motor no dead band, as in Fig. 11.")] = False,
+    ideal_reversal: Annotated[bool, Flag("Let the motors reverse without delay.")] = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write motor tests with known truth as load-cell and thrust-stand logs."""
+    """Write motor tests with known truth as bench logs."""
     from sysid.synthetic import synthesize_motor as write
 
     folder = write(out, seed=seed, ideal_reversal=ideal_reversal, force=force)

@@ -4,20 +4,61 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
+
+# The commands in the order of work; `sysid --help` lists them so.
+GROUPS = {
+    "Start": ("demo", "new-campaign", "synthesize"),
+    "Look": ("inspect", "convert", "formats", "reversal-time"),
+    "Fit": ("check", "fit-motor", "fit-gear", "fits", "show", "report"),
+    "Trust": ("trust", "validate", "cross-validate", "compare", "ladder"),
+    "Use": (
+        "export", "simulate", "static-limits", "landing-map", "impulse-map", "design-study", "schema",
+    ),
+}  # fmt: skip
+# The exit code of a result that calls for a look.
+FLAGGED = 3
+EXIT_CODES = {
+    0: "done",
+    2: "refused: one sentence says what, where, and what to do next",
+    FLAGGED: "flagged by validate or cross-validate; an unfinished fit with --strict",
+    130: "stopped with Ctrl-C",
+}
+_CODES = "\n".join(f"  {code:<4} {meaning}" for code, meaning in EXIT_CODES.items())
+_EPILOG = f"""Quantities carry a unit, as in --slope "20 deg" and --speed "0.5 m/s"; a bare number is in the
+unit that the help names. COMMAND -h explains a command and ends with an example.
+
+\b
+Exit codes:
+{_CODES}"""
+
+
+class _Program(TyperGroup):
+    """The program, whose help lists the commands in the order of work."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the groups of commands; typer calls this."""
+        for group, names in GROUPS.items():
+            known = {name: self.commands[name] for name in names if name in self.commands}
+            with formatter.section(group):
+                formatter.write_dl([(f"{n:<14}", str(c.help).partition("\n")[0]) for n, c in known.items()])
+
 
 app = typer.Typer(
     name="sysid",
+    cls=_Program,
     help="Physical parameters of multirotor motors and landing gears from the logs of a lab.",
+    epilog=_EPILOG,
+    context_settings={"help_option_names": ["-h", "--help"]},
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # takes units in brackets for markup and drops them
 )
 synthesize = typer.Typer(
-    help="Write a campaign with known truth in real log formats.",
+    help="Write a campaign with known truth, to try everything on.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )

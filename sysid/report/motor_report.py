@@ -62,7 +62,7 @@ class MotorReport(FitReport):
         out = side_by_side(pieces)
         if len(shown) < len(commands):
             drawn = f"{len(shown)} of {len(commands)} reversals are drawn"
-            out += paragraph(f"{drawn}; sysid report --pdf-figures draws all.", "note")
+            out += paragraph(f"{drawn}; sysid report --figure FOLDER draws all.", "note")
         rows = [
             (
                 f"{row['trial']} ({row['use']}): "

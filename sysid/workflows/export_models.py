@@ -40,9 +40,7 @@ def export_sets(
     suffix = target.suffix.lower()
     if suffix in MODELS:
         if suffix == ".sdf" and (per_leg or slope):
-            raise ExportError(
-                f"{target}: --per-leg and --slope-deg are for MuJoCo models (.xml); leave them out"
-            )
+            raise ExportError(f"{target}: --per-leg and --slope are for MuJoCo models (.xml); leave them out")
         ranks = [rank] if rank is not None else range(1, len(sets) + 1)
         files = _model_files(sets, target, ranks, force, alone=rank is not None or len(sets) == 1)
         documents = [_motor(sets, i) if suffix == ".sdf" else _gear(sets, i, slope, per_leg) for i in ranks]
@@ -51,7 +49,7 @@ def export_sets(
         return files
     if rank is not None or slope or per_leg:
         raise ExportError(
-            f"{target}: --set, --slope-deg and --per-leg are for models of other simulators (.xml, .sdf); "
+            f"{target}: --set, --slope and --per-leg are for models of other simulators (.xml, .sdf); "
             "leave them out"
         )
     check_file(target, force=force, error_type=ExportError)

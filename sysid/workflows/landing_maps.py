@@ -39,7 +39,7 @@ def compute_landing_maps(options: LandingMapOptions) -> MapFile | None:
     """Compute, write, draw and print the maps of every surface under every controller; None if stopped."""
     rules, picture = rules_of(options.rules), options.picture
     settings = MapSettings(
-        options.slopes_deg, options.speeds, rules, check=not options.no_check, pitch=options.pitch,
+        options.slopes_deg, options.speeds, rules, check=options.repeat, pitch=options.pitch,
         horizontal_speed=options.horizontal_speed,
     )  # fmt: skip
     check_result("map", options.out, options.compute.force, picture)
@@ -75,9 +75,7 @@ def compute_impulse_maps(options: ImpulseMapOptions) -> MapFile | None:
     """Search the best impulse of every cell and set, land with it, write and draw; None if stopped."""
     picture = options.picture
     impulse_picture = picture.with_name(f"{picture.stem}-impulse{picture.suffix}")
-    settings = MapSettings(
-        options.slopes_deg, options.speeds, rules_of(options.rules), check=not options.no_check
-    )
+    settings = MapSettings(options.slopes_deg, options.speeds, rules_of(options.rules), check=options.repeat)
     stated, ideal = asdict(options.impulses), options.motors.ideal_reversal
     # The rear pair follows the paper unless the user states it.
     if stated["rear"] is None:

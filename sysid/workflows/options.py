@@ -8,12 +8,13 @@ builds the commands from this, so the module imports nothing heavy.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from sysid.errors import CampaignError, ExportError, LogError, SysidError, UnitError
 from sysid.units import parse_quantity
@@ -22,18 +23,28 @@ from sysid.units import parse_quantity
 _MOST_VALUES = 100_000
 
 
+# What one of a unit is in SI, for bare numbers; every other unit in which they are read is an SI unit.
+_SI = {"deg": math.pi / 180, "mm": 1e-3}
+
+
 @dataclass(frozen=True)
 class Argument:
-    """A field that the command line takes by its position; `help` is what the user reads."""
+    """A field that the command line takes by its position; `help` is what the user reads.
+
+    `read` makes the field's value from what the user gives.
+    """
 
     help: str
+    read: Callable[[Any], Any] | None = None
 
 
 class Flag:
     """A field that the command line takes by its name, ``--name`` of the field or one of `names`.
 
-    The user reads `help`. `least` is the smallest number that is accepted. `read` makes the field's value
-    from what the user gives, which is of the type `given`. The help shows `default`, or the field's default.
+    The user reads `help`, under the heading `panel` where a command has many options. A field with a `unit`
+    takes quantities such as ``"20 deg"``; a bare number is in that unit, and the field's value in SI. `least`
+    is the smallest number that is accepted, in that unit. `read` makes the field's value from the text that
+    the user gives and the name of the option. The help shows `default`, or the field's default.
     """
 
     def __init__(
@@ -41,70 +52,163 @@ class Flag:
         help: str,
         *names: str,
         least: float | None = None,
-        read: Callable[[Any], Any] | None = None,
-        given: type = float,
+        unit: str = "",
+        read: Callable[[str, str], Any] | None = None,
         default: str = "",
+        panel: str = "",
     ) -> None:
-        self.help, self.names, self.least = help, names, least
-        self.read, self.given, self.default = read, given, default
+        self.help, self.names, self.least, self.unit = help, names, least, unit
+        self.read, self.default, self.panel = read, default, panel
+
+    def quantity(self, text: str, name: str) -> float:
+        """Return what the user gave for the option `name` in SI; `UnitError` where it cannot be used."""
+        value = quantity(text, self.unit, name)
+        if self.least is not None and value < self.least * _SI.get(self.unit, 1.0):
+            raise UnitError(f"{name} {text}: expected {self.least:g} {self.unit} or more")
+        return value
+
+    def shown(self, value: float) -> str:
+        """Return a default, given in SI, in the unit of the option."""
+        return f"{value / _SI.get(self.unit, 1.0):.6g} {self.unit}"
 
 
-def seconds(text: str) -> float:
-    """Return a time limit [s] above 0 from a text such as ``20min``; a lone ``m`` means minutes."""
+def quantity(text: str, unit: str, name: str) -> float:
+    """Return a quantity such as ``20 deg`` in SI, a bare number from `unit`; a refusal names `name`."""
     try:
-        value = parse_quantity(text.replace("m", "min") if text[-1:] == "m" else text, "s")
-    except UnitError as error:
-        raise SysidError(f"--time-limit {text}: {error}") from error
-    if not value > 0:
-        raise SysidError(f"--time-limit {text}: expected a time above 0, for example 20min")
+        value = float(text) * _SI.get(unit, 1.0)
+    except ValueError:
+        try:
+            value = parse_quantity(text, unit)
+        except UnitError as error:
+            raise UnitError(f"{name}: {error}; a bare number is in {unit}") from error
+    if not math.isfinite(value):
+        raise UnitError(f"{name} {text}: expected a finite number; a bare number is in {unit}")
     return value
 
 
-def span(text: str, what: str) -> tuple[float, ...]:
-    """Return ``first:last:step`` or a list ``a,b,c`` as increasing numbers; `what` is named in a refusal."""
-    values: list[float] = []
+def seconds(text: str, name: str) -> float:
+    """Return a time [s] above 0 from a text such as ``20min``; a lone ``m`` means minutes."""
     try:
+        value = parse_quantity(text.replace("m", "min") if text[-1:] == "m" else text, "s")
+    except UnitError as error:
+        raise SysidError(f"{name} {text}: {error}") from error
+    if not value > 0:
+        raise SysidError(f"{name} {text}: expected a time above 0, for example 20min")
+    return value
+
+
+def span(text: str, name: str, unit: str = "1") -> tuple[float, ...]:
+    """Return ``first:last:step`` or a list ``a,b,c`` as increasing numbers in `unit`.
+
+    A unit stands behind each number, or behind the last one for all: ``0:45:1 deg``. `name` stands in a
+    refusal.
+    """
+    values: list[float] = []
+    parts = re.split("[:,]", text)
+    behind = parts[-1].strip().lstrip("+-.0123456789eE")
+    if behind and len(parts) > 1 and all(_is_number(part) for part in parts[:-1]):
+        parts = [*(f"{part} {behind}" for part in parts[:-1]), parts[-1]]
+    try:
+        # In `unit`, where bare numbers keep every digit.
+        numbers = [
+            float(part) if _is_number(part) else parse_quantity(part, unit) / _SI.get(unit, 1.0)
+            for part in parts
+        ]
         if ":" in text:
-            first, last, step = (float(part) for part in text.split(":"))
+            first, last, step = numbers
             # Never past `last`; the excess keeps 0:0.3:0.1 whole, whose quotient falls short of 3.
             count = math.floor((last - first) / step + 1e-9) + 1
             values = [first + step * i for i in range(count if count <= _MOST_VALUES else 0)]
         else:
-            values = [float(part) for part in text.split(",")]
+            values = numbers
+    except UnitError as error:
+        raise CampaignError(f"{name} {text!r}: {error}") from error
     except (ValueError, ZeroDivisionError, OverflowError):
         pass
     rising = all(b > a for a, b in pairwise(values))
     if not values or not rising or not all(math.isfinite(value) for value in values):
-        raise CampaignError(f"{what} {text!r}: expected first:last:step or increasing numbers, as in 0:45:1")
+        raise CampaignError(f"{name} {text!r}: expected first:last:step or increasing numbers, as in 0:45:1")
     return tuple(round(value, 9) for value in values)
 
 
-def _span(name: str, default: str, help: str) -> Flag:
-    return Flag(help, name, read=partial(span, what=name), given=str, default=default)
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
-def _degrees(name: str, help: str, default: str = "") -> Flag:
-    return Flag(help, name, read=math.radians, default=default)
+def _span(name: str, default: str, help: str, unit: str) -> Flag:
+    help = f"{help} [{unit}]: first:last:step, or a list."
+    return Flag(help, name, read=partial(span, unit=unit), default=default)
 
 
-CampaignPath = Annotated[Path, Argument("Campaign file (TOML).")]
-FitFolder = Annotated[Path, Argument("Fit folder.")]
+def campaign_file(path: Path) -> Path:
+    """Return a campaign file from its path, or from the folder in which it is ``campaign.toml`` or alone."""
+    if not path.is_dir() or (path / "campaign.toml").is_file():
+        return path / "campaign.toml" if path.is_dir() else path
+    files = sorted(path.glob("*.toml"))
+    if len(files) != 1:
+        found = ", ".join(file.name for file in files) or "no .toml file"
+        raise CampaignError(f"{path}: expected one campaign in this folder, found {found}; name the file")
+    return files[0]
+
+
+def _campaign_named(text: str, name: str) -> Path:
+    return campaign_file(Path(text))
+
+
+def _degrees(text: str, name: str) -> float:
+    return round(math.degrees(quantity(text, "deg", name)), 9)
+
+
+# What lies beside logs and is none.
+_NO_LOGS = {".toml", ".json", ".md", ".html", ".pdf", ".png", ".svg", ".py", ".cal"}
+
+
+def log_files(paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    """Return logs, and those in folders by name: every file but hidden ones, campaigns, JSON and pictures."""
+    out: list[Path] = []
+    for path in paths:
+        inside = [path]
+        if path.is_dir():
+            inside = sorted(
+                file for file in path.iterdir()
+                if file.is_file() and file.suffix.lower() not in _NO_LOGS and not file.name.startswith(".")
+            )  # fmt: skip
+            if not inside:
+                raise LogError(f"{path}: no log in this folder; name the logs, or the folder that holds them")
+        out += inside
+    return tuple(out)
+
+
+_OUTPUT, _COMPUTING, _SEARCH = "Output", "Computing", "Search"
+CampaignPath = Annotated[Path, Argument("Campaign file (TOML), or the folder that holds it.", campaign_file)]
+Logs = Annotated[tuple[Path, ...], Argument("Logs, or folders of logs.", log_files)]
+FitFolder = Annotated[Path, Argument("Fit folder, or its fit.h5.")]
 Sets = Annotated[Path, Argument("Fit folder, or file of parameter sets.")]
 GearSets = Annotated[Path, Argument("Fit folder or file with the gear sets.")]
-Force = Annotated[bool, Flag("Replace what exists.")]
-Quiet = Annotated[bool, Flag("Print neither progress nor tables.")]
-Json = Annotated[bool, Flag("Print the result as JSON.")]
-Resume = Annotated[bool, Flag("Continue a computation that was stopped or killed.")]
+Force = Annotated[bool, Flag("Replace what exists.", panel=_OUTPUT)]
+Quiet = Annotated[bool, Flag("Print neither progress nor tables.", panel=_OUTPUT)]
+Json = Annotated[bool, Flag("Print the result as JSON.", panel=_OUTPUT)]
+Strict = Annotated[bool, Flag("End with exit code 3 where the fit is unfinished.", panel=_OUTPUT)]
+Resume = Annotated[bool, Flag("Continue a computation that was stopped or killed.", panel=_COMPUTING)]
 Dask = Annotated[
-    str | None, Flag("Compute on a Dask cluster: an address, tcp://host:8786, or the word local.")
+    str | None,
+    Flag("Compute on a Dask cluster: an address, tcp://host:8786, or the word local.", panel=_COMPUTING),
 ]
-Threads = Annotated[int | None, Flag("Use this many cores. The result does not depend on it.", least=1)]
+Threads = Annotated[
+    int | None, Flag("Use this many cores. The result does not depend on it.", least=1, panel=_COMPUTING)
+]
 Surface = Annotated[
     str | None, Flag("Use this friction law instead of the campaign's, for example lf or hf.")
 ]
-FitCampaign = Annotated[Path | None, Flag("Campaign of the fit, if it has moved since.", "--campaign")]
-SlopeOfGround = Annotated[float, _degrees("--slope-deg", "Slope of the ground [deg] (.xml).", "0")]
-Figure = Annotated[Path | None, Flag("Write a figure to this .png, .pdf or .svg file.")]
+FitCampaign = Annotated[
+    Path | None, Flag("Campaign of the fit, if it has moved since.", "--campaign", read=_campaign_named)
+]
+SlopeOfGround = Annotated[float, Flag("Slope of the ground (.xml).", "--slope", unit="deg")]
+Figure = Annotated[Path | None, Flag("Write a figure to this .png, .pdf or .svg file.", panel=_OUTPUT)]
 LogFormat = Annotated[str, Flag("Read the log as this format. By default the content decides.", "--format")]
 LoaderOption = Annotated[tuple[str, ...], Flag("Loader option, for example rate=10000.", "--option", "-o")]
 
@@ -117,29 +221,35 @@ class FitOptions:
     one core.
     """
 
-    out: Annotated[Path | None, Flag("Write the result to this folder.", default="fits/NAME")] = None
+    out: Annotated[
+        Path | None, Flag("Write the result to this folder.", default="fits/NAME", panel=_OUTPUT)
+    ] = None
     force: Force = False
     population: Annotated[
-        int | None, Flag("Individuals per generation. The algorithm has a default.", least=8)
+        int | None, Flag("Individuals per generation. The algorithm has a default.", least=8, panel=_SEARCH)
     ] = None
-    runs: Annotated[int | None, Flag("Number of independent runs.", least=1)] = None
-    seed: Annotated[int | None, Flag("Seed of the random numbers.", least=0)] = None
-    max_generations: Annotated[int | None, Flag("End every run after this many generations.", least=1)] = None
+    runs: Annotated[int | None, Flag("Number of independent runs.", least=1, panel=_SEARCH)] = None
+    seed: Annotated[int | None, Flag("Seed of the random numbers.", least=0, panel=_SEARCH)] = None
+    max_generations: Annotated[
+        int | None, Flag("End every run after this many generations.", least=1, panel=_SEARCH)
+    ] = None
     time_limit: Annotated[
         float | None,
-        Flag("End the fit after this time, for example 20min, and keep its result.", read=seconds, given=str),
+        Flag("End the fit after this time, as in 20min, and keep its result.", read=seconds, panel=_SEARCH),
     ] = None
     threads: Threads = None
     quiet: Quiet = False
     algorithm: Annotated[
         Literal["ga", "matlab-ga", "cmaes", "de", "pso"] | None,
-        Flag("Use this search algorithm instead of the campaign's."),
+        Flag("Use this search algorithm instead of the campaign's.", panel=_SEARCH),
     ] = None
     finish: Annotated[
         Literal["least-squares", "cmaes", "none"] | None,
-        Flag("Let this follow every run. 'none' is the paper's method."),
+        Flag("Let this follow every run. 'none' is the paper's method.", panel=_SEARCH),
     ] = None
-    max_evaluations: Annotated[int | None, Flag("End the fit after this many candidates.", least=1)] = None
+    max_evaluations: Annotated[
+        int | None, Flag("End the fit after this many candidates.", least=1, panel=_SEARCH)
+    ] = None
     resume: Resume = False
     dask: Dask = None
     check: Annotated[bool, Flag("First say what the trials should determine.", "--check/--no-check")] = True
@@ -169,8 +279,10 @@ class ReportOptions:
     """What a report shows and which files are written beside it."""
 
     out: Annotated[Path | None, Flag("Write the page to this file.", default="FIT/report.html")] = None
-    against: Annotated[Path | None, Flag("Campaign with other trials, which the sets predict.")] = None
-    pdf_figures: Annotated[Path | None, Flag("Write vector figures to this folder.")] = None
+    against: Annotated[
+        Path | None, Flag("Campaign with other trials, which the sets predict.", read=_campaign_named)
+    ] = None
+    figure: Annotated[Path | None, Flag("Write every figure as PDF to this folder.")] = None
     gif: Annotated[Path | None, Flag("Write a film of a drop, in 10 × slow motion, as GIF.")] = None
     mp4: Annotated[Path | None, Flag("Write the same film as MP4, which needs ffmpeg.")] = None
     drop: Annotated[str | None, Flag("Show this drop in the film.", default="the steepest")] = None
@@ -227,6 +339,7 @@ class ReversalOptions:
 class MotorOptions:
     """The motors of a drone that lands."""
 
+    panel: ClassVar[str] = "Motors"
     motor: Annotated[Path, Flag("Fit folder or file with the motor sets.")]
     pair: Annotated[
         Literal["best", "each"],
@@ -239,14 +352,15 @@ class MotorOptions:
 class RulesOptions:
     """When a landing is over; the fields of `sysid.landing.outcomes.Rules`."""
 
-    horizon: Annotated[float, Flag("Simulate this time from the touchdown on [s].")] = 3.0
-    short: Annotated[float, Flag("Short distance that divides the classes [m].")] = 0.45
-    long: Annotated[float, Flag("Long distance that divides the classes [m].")] = 1.0
-    rest_speed: Annotated[float, Flag("A drone at rest is slower than this [m/s].")] = 0.05
-    rest_turn: Annotated[float, Flag("A drone at rest turns more slowly than this [rad/s].")] = 0.2
-    rest_time: Annotated[float, Flag("A drone is at rest when it stays slow for this time [s].")] = 0.2
+    panel: ClassVar[str] = "When a landing is over"
+    horizon: Annotated[float, Flag("Simulate this time from the touchdown on.", unit="s")] = 3.0
+    short: Annotated[float, Flag("Short distance that divides the classes.", unit="m")] = 0.45
+    long: Annotated[float, Flag("Long distance that divides the classes.", unit="m")] = 1.0
+    rest_speed: Annotated[float, Flag("A drone at rest is slower than this.", unit="m/s")] = 0.05
+    rest_turn: Annotated[float, Flag("A drone at rest turns more slowly than this.", unit="rad/s")] = 0.2
+    rest_time: Annotated[float, Flag("A drone is at rest when it stays slow this long.", unit="s")] = 0.2
     flip_angle: Annotated[
-        float, _degrees("--flip-deg", "A drone that leans further from the slope has flipped [deg].", "80")
+        float, Flag("A drone that leans further from the slope has flipped.", unit="deg")
     ] = math.radians(80.0)
 
 
@@ -265,15 +379,14 @@ class ComputeOptions:
 OneController = Annotated[
     str, Flag("off, reverse, command:U, impulse:delay=50ms,duration=0.1, or the name of another controller.")
 ]
-ControllerFile = Annotated[Path | None, Flag("Python file with further controllers.", "--controllers")]
+ControllerFile = Annotated[Path | None, Flag("Python file with further controllers.")]
 Trigger = Annotated[
     Literal["contact", "imu"],
     Flag("The controller starts at the first contact, or when the accelerometer feels it (2 g, 30 Hz)."),
 ]
-Pitch = Annotated[float, _degrees("--pitch-deg", "Pitch at touchdown, positive down-slope [deg].", "0")]
-Drift = Annotated[float, Flag("Horizontal speed at touchdown, positive down-slope [m/s].")]
-ResultFile = Annotated[Path, Flag("Write the result to this HDF5 file.")]
-_SLOPES, _SPEEDS = "Slopes [deg]: first:last:step, or a list.", "Touchdown speeds [m/s], in the same way."
+Pitch = Annotated[float, Flag("Pitch at touchdown, positive down-slope.", unit="deg")]
+Drift = Annotated[float, Flag("Horizontal speed at touchdown, positive down-slope.", unit="m/s")]
+ResultFile = Annotated[Path, Flag("Write the result to this HDF5 file.", panel=_OUTPUT)]
 
 
 @dataclass(frozen=True)
@@ -282,17 +395,19 @@ class SimulateOptions:
 
     sets: GearSets
     motors: MotorOptions
-    slope: Annotated[float, _degrees("--slope-deg", "Slope of the surface [deg].")]
-    speed: Annotated[float, Flag("Vertical touchdown speed [m/s].", least=0)]
+    slope: Annotated[float, Flag("Slope of the surface.", unit="deg")]
+    speed: Annotated[float, Flag("Vertical touchdown speed.", unit="m/s", least=0)]
     controller: OneController = "reverse"
     controller_file: ControllerFile = None
     trigger: Trigger = "contact"
     pitch: Pitch = 0.0
-    pitch_rate: Annotated[float, Flag("Pitch rate at touchdown [rad/s].")] = 0.0
+    pitch_rate: Annotated[float, Flag("Pitch rate at touchdown.", unit="rad/s")] = 0.0
     horizontal_speed: Drift = 0.0
-    height: Annotated[float | None, Flag("First descend from this height with attitude control [m].")] = None
-    rate: Annotated[float, Flag("Write this many samples per second [Hz].", least=10)] = 1000.0
-    out: Annotated[Path | None, Flag("Write the histories to this .csv or .h5 file.")] = None
+    height: Annotated[
+        float | None, Flag("First descend from this height with attitude control.", unit="m")
+    ] = None
+    rate: Annotated[float, Flag("Write this many samples per second.", unit="Hz", least=10)] = 1000.0
+    out: Annotated[Path | None, Flag("Write the histories to this .csv or .h5 file.", panel=_OUTPUT)] = None
     force: Force = False
     json: Json = False
     rules: RulesOptions = field(default_factory=RulesOptions)
@@ -305,14 +420,19 @@ class MapOptions:
     sets: Annotated[tuple[Path, ...], Argument("Fit folders or files with gear sets, one a surface.")]
     motors: MotorOptions
     out: ResultFile
-    figure: Annotated[Path | None, Flag("Write the figure to this file.", default="beside the HDF5 file")] = (
-        None
+    figure: Annotated[
+        Path | None, Flag("Write the figure to this file.", default="beside the HDF5 file", panel=_OUTPUT)
+    ] = None
+    slopes_deg: Annotated[tuple[float, ...], _span("--slopes", "0:45:1", "Slopes", "deg")] = span(
+        "0:45:1", "--slopes"
     )
-    slopes_deg: Annotated[tuple[float, ...], _span("--slopes", "0:45:1", _SLOPES)] = span("0:45:1", "slopes")
-    speeds: Annotated[tuple[float, ...], _span("--speeds", "0:2:0.05", _SPEEDS)] = span("0:2:0.05", "speeds")
-    no_check: Annotated[
-        bool, Flag("Do not repeat landings at half the tolerance to mark uncertain cells.")
-    ] = False
+    speeds: Annotated[tuple[float, ...], _span("--speeds", "0:2:0.05", "Touchdown speeds", "m/s")] = span(
+        "0:2:0.05", "--speeds"
+    )
+    repeat: Annotated[
+        bool,
+        Flag("Repeat landings at half the tolerance to mark uncertain cells.", "--repeat/--no-repeat"),
+    ] = True
     rules: RulesOptions = field(default_factory=RulesOptions)
     compute: ComputeOptions = field(default_factory=ComputeOptions)
 
@@ -346,12 +466,13 @@ class LandingMapOptions(MapOptions):
 class ImpulseOptions:
     """Which impulses are tried; fields of `sysid.landing.impulse.ImpulseSettings`."""
 
-    delays: Annotated[tuple[float, ...], _span("--delays", "0:0.26:0.01", "Delays of the impulse [s].")] = (
-        span("0:0.26:0.01", "delays")
+    panel: ClassVar[str] = "Impulses"
+    delays: Annotated[tuple[float, ...], _span("--delays", "0:0.26:0.01", "Delays of the impulse", "s")] = (
+        span("0:0.26:0.01", "--delays")
     )
     durations: Annotated[
-        tuple[float, ...], _span("--durations", "0:0.16:0.01", "Durations of the impulse [s].")
-    ] = span("0:0.16:0.01", "durations")
+        tuple[float, ...], _span("--durations", "0:0.16:0.01", "Durations of the impulse", "s")
+    ] = span("0:0.16:0.01", "--durations")
     front: Annotated[float, Flag("Command of the front pair in the impulse.")] = 0.8
     rear: Annotated[
         float | None,
@@ -365,7 +486,9 @@ class ImpulseOptions:
     worth: Annotated[
         float, Flag("Leave out an impulse that takes less than this share of the turn rate.")
     ] = 0.05
-    equal: Annotated[float, Flag("Below this turn rate the attitude decides what is best [rad/s].")] = 0.0
+    equal: Annotated[float, Flag("Below this turn rate the attitude decides what is best.", unit="rad/s")] = (
+        0.0
+    )
 
 
 @dataclass(frozen=True)
@@ -388,10 +511,25 @@ class DesignStudyOptions:
     out: ResultFile
     controller: OneController = "reverse"
     controller_file: ControllerFile = None
-    slopes_deg: Annotated[tuple[float, ...], _span("--slopes", "0:60:1", _SLOPES)] = span("0:60:1", "slopes")
-    speeds: Annotated[tuple[float, ...], _span("--speeds", "0.3,0.6,0.9,1.2", _SPEEDS)] = (0.3, 0.6, 0.9, 1.2)
+    slopes_deg: Annotated[tuple[float, ...], _span("--slopes", "0:60:1", "Slopes", "deg")] = span(
+        "0:60:1", "--slopes"
+    )
+    speeds: Annotated[tuple[float, ...], _span("--speeds", "0.3,0.6,0.9,1.2", "Touchdown speeds", "m/s")] = (
+        0.3,
+        0.6,
+        0.9,
+        1.2,
+    )
     share: Annotated[float, Flag("A slope is safe where this share of landings rests within --long.")] = 0.5
-    spread_deg: Annotated[float, Flag("Land every set also with its nose this much up and down [deg].")] = 0.0
+    spread_deg: Annotated[
+        float,
+        Flag(
+            "Land every set also with its nose this much up and down [deg].",
+            "--spread",
+            read=_degrees,
+            default="0",
+        ),
+    ] = 0.0
     together: Annotated[bool, Flag("Vary two parameters on a grid and draw a map.")] = False
     rules: RulesOptions = field(default_factory=RulesOptions)
     compute: ComputeOptions = field(default_factory=ComputeOptions)

@@ -51,10 +51,10 @@ def write_report(
     tell(f"drawing the figures of {report.fit.name}")
     write_file(out, report.page().encode("utf-8"), ExportError)
     written = {"report": out}
-    if options.pdf_figures is not None:
-        options.pdf_figures.mkdir(parents=True, exist_ok=True)
+    if options.figure is not None:
+        options.figure.mkdir(parents=True, exist_ok=True)
         for name, figure in report.figures().items():
-            written[f"figure/{name}"] = save_figure(figure, options.pdf_figures / f"{name}.pdf")
+            written[f"figure/{name}"] = save_figure(figure, options.figure / f"{name}.pdf")
     for path in options.films:
         tell(f"drawing {path}")
         written[path.suffix[1:].lower()] = write_film(report.film(options.drop), path, force=options.force)
@@ -89,7 +89,7 @@ def _check_targets(report: FitReport, options: ReportOptions, out: Path) -> None
         raise ExportError(f"{out}: exists already; choose a new name or add --force")
     if not out.parent.is_dir():
         raise ExportError(f"{out}: the folder {out.parent} does not exist; make it first")
-    figures = options.pdf_figures
+    figures = options.figure
     if figures is not None:
         if figures.exists() and not figures.is_dir():
             raise ExportError(f"{figures}: is a file, expected a folder for the figures")

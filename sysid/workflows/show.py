@@ -1,19 +1,16 @@
-"""Opens and prints ranked sets, and writes campaign templates."""
+"""Opens and prints ranked sets."""
 
 from __future__ import annotations
 
-from importlib import resources
 from pathlib import Path
 
 from sysid import exact_json
-from sysid.errors import CampaignError, FitError
 from sysid.export import load_parameter_sets
 from sysid.fit.result import FitResult
 from sysid.fit.store import read_fit
 from sysid.parameter_sets import ParameterSets
 from sysid.report.fold import print_table
 from sysid.report.set_tables import ladder_table, mean_sigma_table, ranked_table, trial_table
-from sysid.storage import check_file, write_file
 
 
 def load_sets(path: str | Path) -> ParameterSets:
@@ -60,14 +57,3 @@ def _print_tables(sets: ParameterSets) -> None:
         print_table(trial_table(sets))
     if "ladder" in sets.settings:
         print_table(ladder_table(sets))
-
-
-def write_template(kind: str, path: Path, force: bool = False) -> Path:
-    """Write a commented campaign file.
-
-    Raises `CampaignError` when the file exists and `force` is off.
-    """
-    check_file(path, force=force, error_type=CampaignError)
-    template = resources.files("sysid").joinpath("templates", f"{kind}.toml")
-    write_file(path, template.read_bytes(), FitError)
-    return path

@@ -278,10 +278,10 @@ def json_keys():
         calls = {
             "formats": (),
             "inspect": (_DROP, *bench_logs),
-            "convert": (_DROP, folder / "drop.h5"),
-            "new-campaign": ("gear", folder / "new.toml"),
-            "synthesize gear": (folder / "gear",),
-            "synthesize motor": (folder / "motor",),
+            "convert": (_DROP, "--out", folder / "drop.h5"),
+            "new-campaign": ("gear", "--out", folder / "new.toml"),
+            "synthesize gear": ("--out", folder / "gear"),
+            "synthesize motor": ("--out", folder / "motor"),
             "reversal-time": (SAMPLES / "motor" / "reversal-1.h5",),
             "fit-gear": (CAMPAIGNS["gear-lf"], *small, "--out", folder / "lf"),
             "fit-motor": (CAMPAIGNS["motor"], *small, "--out", folder / "mo"),
@@ -291,7 +291,7 @@ def json_keys():
             "compare": (lf, other),
             "trust": (bench,),
             "static-limits": _LANDED[:1],
-            "simulate": (*_LANDED, "--slope-deg", 10, "--speed", 0.5),
+            "simulate": (*_LANDED, "--slope", 10, "--speed", 0.5),
             "landing-map": (*_LANDED, "--out", folder / "map.h5", *_GRID),
             "impulse-map": (
                 *_LANDED, "--out", folder / "impulse.h5", "--slopes", "14,24", "--speeds", "0.7,1.1",

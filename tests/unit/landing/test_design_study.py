@@ -229,7 +229,7 @@ def test_rules_are_options_of_a_study(files, refused, done):
     )  # fmt: skip
     refused(["only 3 s are simulated", "--horizon"], *late)
     rules = ("--short", 0.1, "--long", 2, "--rest-speed", 0.06, "--rest-turn", 0.3, "--rest-time", 0.1)
-    done(*late, "--horizon", "3.5", *rules, "--flip-deg", "70", "--quiet")
+    done(*late, "--horizon", "3.5", *rules, "--flip-angle", "70", "--quiet")
     found, _ = read_study(files / "s.h5")
     assert found.settings.maps.rules == Rules(3.5, 0.1, 2.0, 0.06, 0.3, 0.1, math.radians(70.0))
 
@@ -260,7 +260,7 @@ def test_a_study_warns_of_lost_landings(files, monkeypatch, run):
         (("--vary", "k_t=1:2:3", "--controller", "impulse:50,100"), "only 3 s are simulated"),
         (("--vary", "reversal_delay=-1s:0s:2"), "pause for"),
         (
-            ("--vary", "k_t=1:1:1", "--slopes", "50:60:10", "--speeds", "0.3", "--spread-deg", "15"),
+            ("--vary", "k_t=1:1:1", "--slopes", "50:60:10", "--speeds", "0.3", "--spread", "15"),
             "within 74 deg",
         ),
     ],

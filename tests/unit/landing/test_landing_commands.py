@@ -38,8 +38,8 @@ def rows_of(path):
 
 
 def test_one_landing_per_set_as_csv_and_hdf5(done, tmp_path):
-    command = ("simulate", LF, "--motor", MOTOR, "--slope-deg", 10, "--speed", 0.5)
-    command += ("--flip-deg", 70)
+    command = ("simulate", LF, "--motor", MOTOR, "--slope", 10, "--speed", 0.5)
+    command += ("--flip-angle", 70)
     out, _ = done(*command, "--controller", "off", "--out", "x.csv")
     assert "short" in out
     rows = rows_of("x.csv")
@@ -65,19 +65,19 @@ def test_one_landing_per_set_as_csv_and_hdf5(done, tmp_path):
 
 
 def test_options_reach_the_landing(run):
-    command = ("simulate", LF, "--motor", MOTOR, "--slope-deg", 10, "--speed", 0.5, "--json")
+    command = ("simulate", LF, "--motor", MOTOR, "--slope", 10, "--speed", 0.5, "--json")
     wide = json.loads(run(*command, "--short", "0.001", "--long", "5")[1])[0]
     assert wide["outcome"] == "near"
     imu = json.loads(run(*command, "--trigger", "imu")[1])[0]
     assert 0.001 < imu["trigger"] < 0.05
-    down = json.loads(run(*command, "--height", "0.5", "--pitch-deg", "3")[1])[0]
+    down = json.loads(run(*command, "--height", "0.5", "--pitch", "3")[1])[0]
     assert down["distance"] != wide["distance"]
     Path("mine.py").write_text(
         "from sysid.landing.controllers import Step, controller\n\n\n"
         "@controller('hold')\ndef hold(u: float) -> list[Step]:\n    return [Step(0.0, u, u)]\n",
         encoding="utf-8",
     )
-    stopped = json.loads(run(*command, "--controllers", "mine.py", "--controller", "hold:0")[1])[0]
+    stopped = json.loads(run(*command, "--controller-file", "mine.py", "--controller", "hold:0")[1])[0]
     off = json.loads(run(*command, "--controller", "off")[1])[0]
     assert stopped["distance"] == off["distance"]
 
@@ -88,7 +88,7 @@ def test_options_reach_the_landing(run):
         (("--controller", "revers"), "known are off, reverse"),
         (("--out", "x.txt"), "ends in .csv or .h5"),
         (("--out", "no/x.csv"), "make it first"),
-        (("--slope-deg", "95"), "expected a slope within 85 deg"),
+        (("--slope", "95"), "expected a slope within 85 deg"),
         (("--motor", LF), "expected motor sets"),
         (("--height", "-1"), "give both above 0"),
         (("--short", "2"), "swap them"),
@@ -97,7 +97,7 @@ def test_options_reach_the_landing(run):
     ],
 )
 def test_refusals_of_simulate(tmp_path, arguments, says, refused):
-    base = ["simulate", LF, "--motor", MOTOR, "--slope-deg", 10, "--speed", 0.5]
+    base = ["simulate", LF, "--motor", MOTOR, "--slope", 10, "--speed", 0.5]
     assert refused(says, *base, *arguments).count("\n") == 1
     assert not list(tmp_path.iterdir())
 
@@ -130,7 +130,7 @@ def test_a_landing_map_of_both_surfaces(done, refused):
         "surface": "hf", "controller": "off", "slope_deg": 40.0, "speed": 1.5, "outcome": "failed"
     }  # fmt: skip
     Path("map.h5").rename("first.h5")
-    out, _ = done(*command, "--force", "--json", "--no-check", "--threads", "1", "--experiments", "real.csv")
+    out, _ = done(*command, "--force", "--json", "--no-repeat", "--threads", "1", "--experiments", "real.csv")
     compared = [entry["real_landings"] for entry in json.loads(out)["maps"]]
     assert compared[0] == {
         "counts": {"landed": {"short": 1, "near": 0, "flipped": 0, "other": 0}},
@@ -159,7 +159,7 @@ def test_progress_of_few_landings_is_a_fraction(monkeypatch):
 
 
 def test_ctrl_c_keeps_the_finished_blocks(run, done, monkeypatch, refused):
-    command = ("landing-map", LF, HF, "--motor", MOTOR, *GRID, "--out", "map.h5", "--no-check")
+    command = ("landing-map", LF, HF, "--motor", MOTOR, *GRID, "--out", "map.h5", "--no-repeat")
     compute, calls = LandingWork.__call__, []
 
     def pressed(self, rows):
@@ -177,7 +177,7 @@ def test_ctrl_c_keeps_the_finished_blocks(run, done, monkeypatch, refused):
     assert 1 <= len(list(folder.glob("*.npz"))) < 4
     done(*command, "--resume")
     assert not folder.exists()
-    done(*command[:-3], "--out", "whole.h5", "--no-check")
+    done(*command[:-3], "--out", "whole.h5", "--no-repeat")
     assert_same("map.h5", "whole.h5")
 
 
@@ -203,7 +203,7 @@ def test_an_impulse_map(done, refused):
 
 
 IMPULSE = ("impulse-map", LF, "--motor", MOTOR, "--slopes", "0,20", "--speeds", "0.4,0.8")
-IMPULSE += ("--quiet", "--no-check")
+IMPULSE += ("--quiet", "--no-repeat")
 
 
 @pytest.mark.parametrize(
@@ -229,7 +229,7 @@ STUDY += ("--vary", "dx_f=1.3:1.3:1")
             "the impulse search differs",
         ),
         (STUDY, ("--share", "0.9", "--short", "0.3"), "the grid or rule differs"),
-        ((*STUDY, "--spread-deg", "5"), ("--spread-deg", "0"), "the grid or rule"),
+        ((*STUDY, "--spread", "5"), ("--spread", "0"), "the grid or rule"),
     ],
 )
 def test_what_was_stopped_goes_on_on_another_number_of_threads(command, other, words, done, killed, refused):

@@ -22,7 +22,7 @@ from sysid.workflows import landing_maps
 from sysid.workflows.options import span
 
 LF, HF, MOTOR = (PUBLISHED / f"published-{name}.json" for name in ("gear-lf", "gear-hf", "motor"))
-CELLS = ("--slopes", "4", "--speeds", "0.3", "--no-check")
+CELLS = ("--slopes", "4", "--speeds", "0.3", "--no-repeat")
 MAP = ("landing-map", LF, "--motor", MOTOR, *CELLS, "--controller", "off", "--out", "map.h5")
 IMPULSE = ("impulse-map", LF, "--motor", MOTOR, *CELLS, "--delays", 0, "--durations", 0, "--out", "map.h5")
 
@@ -111,7 +111,7 @@ HEAD = "from sysid.landing.controllers import Step, controller\n"
 def test_a_file_of_controllers_that_cannot_be_used(refused, write, text, says):
     if text is not None:
         write(HEAD + text, "mine.py")
-    assert refused(says, *MAP, "--controllers", "mine.py").count("\n") == 1
+    assert refused(says, *MAP, "--controller-file", "mine.py").count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ LATE = "impulse:50,100"  # milliseconds were meant
     ("command", "words"),
     [
         ((*MAP, "--controller", LATE), ["a step at 50 s, but only 3 s are simulated", "50ms"]),
-        (("simulate", *MAP[1:4], "--slope-deg", 4, "--speed", 0.3, "--controller", LATE), ["50ms"]),
+        (("simulate", *MAP[1:4], "--slope", 4, "--speed", 0.3, "--controller", LATE), ["50ms"]),
         ((*IMPULSE, "--delays", "0:260:10"), ["delays up to 260 s"]),
     ],
 )
@@ -189,7 +189,7 @@ def test_the_search_for_an_impulse_keeps_the_rules_of_landings():
 def test_the_horizon_and_the_flip_angle_reach_the_search_of_an_impulse_map(done):
     command = (*IMPULSE, "--slopes", "20", "--speeds", "0.4", "--delays", "0,0.02", "--durations", "0,0.04")
     seen = {}
-    for rules in ((), ("--flip-deg", "10"), ("--horizon", "0.07")):
+    for rules in ((), ("--flip-angle", "10"), ("--horizon", "0.07")):
         done(*command, *rules, "--quiet", "--force")
         (best,) = read_maps("map.h5").impulses
         seen[rules] = bool(np.isfinite(best.optimum["turn"]).all())

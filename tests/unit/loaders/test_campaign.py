@@ -11,10 +11,27 @@ from sysid.campaign.file import _model_in, resolve_log
 from sysid.errors import CampaignError
 from sysid.parameters import Parameter, ParameterTable
 
-TEMPLATES = {
+# What is measured, by line of a template.
+MEASURED = {
+    "body_mass": "1.242 kg", "body_inertia": "0.0137 kg·m²", "foot_dx": "105 mm", "foot_dz": "151 mm",
+    "thrust_point_dx": "159 mm", "leg_mass": "0.02 kg", "leg_inertia": "2.0e-4 kg·m²",
+    "kinetic_friction": "0.44", "kv": "960 rpm/V", "rotor_inertia": "2.7e-5 kg·m²",
+    "reference_voltage": "11.1 V",
+}  # fmt: skip
+PLAIN = {
     kind: resources.files("sysid").joinpath("templates", f"{kind}.toml").read_text(encoding="utf-8")
     for kind in ("gear", "motor")
 }
+
+
+def measured(text):
+    """Return a campaign whose placeholders are filled in."""
+    for key, value in MEASURED.items():
+        text = re.sub(rf'(?m)^{key} = "TODO[^"]*"', f'{key} = "{value}"', text)
+    return re.sub('"TODO m+"', '"0 m"', text)
+
+
+TEMPLATES = {kind: measured(text) for kind, text in PLAIN.items()}
 
 
 def _write(tmp_path, text):
@@ -46,6 +63,24 @@ def test_templates_are_valid_and_their_quantities_become_si(tmp_path):
     motor = read_campaign(_write(tmp_path, TEMPLATES["motor"]), "motor")
     assert isinstance(motor, MotorCampaign)
     assert motor.motor.kv == pytest.approx(100.53, rel=1e-4)  # 960 rpm/V
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("gear", ["vehicle.body_mass", "vehicle.leg_inertia", "surface.kinetic_friction", "surface.point"]),
+        ("motor", ["motor.kv", "motor.rotor_inertia", "motor.reference_voltage"]),
+    ],
+)
+def test_what_the_user_must_measure_is_refused_until_it_is_filled_in(kind, words, tmp_path):
+    """No number of another drone survives in a new campaign."""
+    with pytest.raises(CampaignError, match="still TODO: ") as refusal:
+        read_campaign(_write(tmp_path, PLAIN[kind]), kind)
+    for word in words:
+        assert word in str(refusal.value)
+    stated = "\n".join(line.partition("#")[0] for line in PLAIN[kind].splitlines())
+    for value in MEASURED.values():
+        assert value not in stated
 
 
 @pytest.mark.parametrize(("kind", "old", "new", "sentence"), [

@@ -305,7 +305,7 @@ def test_the_command_inspect_shows_and_draws_the_logs_around_a_bad_one(tmp_path,
         rows = "".join(f"{t:.2f},{level + np.sin(t):.4f}\n" for t in time)
         (tmp_path / name).write_text("Time (s),Fz (N)\n" + rows, encoding="utf-8")
     (tmp_path / "bad.csv").write_text("Time (s),Fz (N)\n", encoding="utf-8")
-    result = CliRunner().invoke(app, ["inspect", "a.csv", "bad.csv", "c.csv", "--plot", "look.png"])
+    result = CliRunner().invoke(app, ["inspect", "a.csv", "bad.csv", "c.csv", "--figure", "look.png"])
     assert isinstance(result.exception, LogError)
     assert re.search(r"bad\.csv.*1 of 3 logs refused", str(result.exception))
     for words in ("a.csv", "c.csv", "refused: bad.csv", "wrote look.png"):
@@ -313,13 +313,13 @@ def test_the_command_inspect_shows_and_draws_the_logs_around_a_bad_one(tmp_path,
     drawn = (tmp_path / "look.png").read_bytes()
     assert drawn.startswith(b"\x89PNG")
     # The figure shows the good logs alone.
-    assert CliRunner().invoke(app, ["inspect", "a.csv", "c.csv", "--plot", "two.png"]).exit_code == 0
+    assert CliRunner().invoke(app, ["inspect", "a.csv", "c.csv", "--figure", "two.png"]).exit_code == 0
     assert struct.unpack_from(">2I", drawn, 16) == struct.unpack_from(
         ">2I", (tmp_path / "two.png").read_bytes(), 16
     )
     # Without a good log nothing is drawn; the process exits with 2 and one sentence.
     ended = subprocess.run(
-        [sys.executable, "-m", "sysid", "inspect", "bad.csv", "bad.csv", "--plot", "none.png"],
+        [sys.executable, "-m", "sysid", "inspect", "bad.csv", "bad.csv", "--figure", "none.png"],
         capture_output=True, text=True, encoding="utf-8", check=False,
     )  # fmt: skip
     assert ended.returncode == 2

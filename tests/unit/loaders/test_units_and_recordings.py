@@ -104,7 +104,7 @@ def test_plain_units(stated, unit, factor):
 def test_a_log_is_never_replaced_by_its_conversion(write, run):
     log = write("Time (s),Speed (rad/s)\n0,1\n0.01,2\n0.02,3\n", "log.csv")
     before = log.read_bytes()
-    code, _, err = run("convert", log, log, "--force")
+    code, _, err = run("convert", log, "--out", log, "--force")
     assert code == 2
     assert "is the log itself" in err
     assert log.read_bytes() == before

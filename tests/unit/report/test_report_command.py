@@ -66,9 +66,9 @@ def test_json_of_the_commands_that_list_and_write(tmp_path, run):
     code, out, _ = run("formats", "--json")
     assert "motive-csv" in {row["format"] for row in json.loads(out)}
     target = tmp_path / "sets.json"
-    code, out, _ = run("export", tmp_path / "fits" / "a", "--to", target, "--json")
+    code, out, _ = run("export", tmp_path / "fits" / "a", "--out", target, "--json")
     assert json.loads(out) == {"written": [str(target)]}
-    code, out, _ = run("new-campaign", "gear", tmp_path / "c.toml", "--json")
+    code, out, _ = run("new-campaign", "gear", "--out", tmp_path / "c.toml", "--json")
     assert json.loads(out)["written"] == [str(tmp_path / "c.toml")]
 
 
@@ -83,7 +83,7 @@ def test_what_report_refuses(tmp_path, refused):
     refused("--gif", "report", fit, "--drop", "drop-1")
     refused("found drop-1", "report", fit, "--gif", tmp_path / "a.gif", "--drop", "x")
     refused("fit again", "report", fit, "--gif", tmp_path / "a.gif")
-    refused("is a file", "report", fit, "--pdf-figures", there)
+    refused("is a file", "report", fit, "--figure", there)
     refused("--gif writes a .gif file", "report", fit, "--gif", tmp_path / "x.mp4")
     refused("--mp4 writes a .mp4 file", "report", fit, "--mp4", tmp_path / "x.gif")
     both = tmp_path / "a.gif"

@@ -76,7 +76,7 @@ def test_the_report_of_a_single_drop_against_the_others(fits, tmp_path):
     campaign.write_text("[[trials]]".join([head, trials[3]]), encoding="utf-8")
     _, fit = fit_gear(campaign, FitOptions(tmp_path / "fit", **SHORT))
     options = ReportOptions(
-        against=SAMPLES / "gear-lf" / "campaign.toml", pdf_figures=tmp_path / "pdf", gif=tmp_path / "a.gif"
+        against=SAMPLES / "gear-lf" / "campaign.toml", figure=tmp_path / "pdf", gif=tmp_path / "a.gif"
     )
     written = write_report(fit, options)
     page_text = checked(written["report"].read_text(encoding="utf-8"), 45)

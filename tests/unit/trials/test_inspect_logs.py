@@ -335,7 +335,7 @@ def test_a_second_log_of_the_command_line_has_its_own_options(run, tmp_path):
     words = ["--add", second, "--add-format", "load-cell-csv", "--add-option", "rate=100"]
     words += ["--add-option", 'columns={speed = "n", voltage = "U"}']
     words += ["--add-option", 'units={speed = "rpm", voltage = "V"}']
-    code, _, err = run("convert", first, to, *words)
+    code, _, err = run("convert", first, "--out", to, *words)
     assert code == 0, err
     assert load(to)["voltage"].values[0] == 16.1
     assert load(to)["voltage"].time[0] == pytest.approx(0, abs=2.5e-3)
@@ -355,7 +355,7 @@ def test_commands(run, tmp_path):
     log, *_ = drop(markers=False)
     place, turn = log["quad/position"], log["quad/orientation"]
     _table(path, "t,x,y,z,qw,qx,qy,qz", place.time, *place.values.T, *turn.values.T)
-    code, shown, err = run("inspect", path, "-o", "length_unit=m", "--plot", plot)
+    code, shown, err = run("inspect", path, "-o", "length_unit=m", "--figure", plot)
     assert code == 0, err
     assert float(shown.split("released at ")[1].split(" ±")[0]) == pytest.approx(3.5, abs=4e-3)
     assert 'up = "+z"' in shown
@@ -363,7 +363,7 @@ def test_commands(run, tmp_path):
     report = json.loads(run("inspect", path, "-o", "length_unit=m", "--json")[1])[0]
     assert report["drop"]["up"] == "+z"
     assert report["channels"][0]["unit"] == "m"
-    assert run("convert", path, to, "-o", "length_unit=m")[0] == 0
+    assert run("convert", path, "--out", to, "-o", "length_unit=m")[0] == 0
     assert "drop of body" in run("inspect", to)[1]
 
 

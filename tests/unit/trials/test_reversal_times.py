@@ -296,7 +296,7 @@ def test_synthesized_motor_without_a_dead_band(monkeypatch, tmp_path, run):
         "sysid.synthetic.motor.synthesize_motor.__kwdefaults__",
         {**synthesize_motor.__kwdefaults__, "trials": TRIALS[-1:]},
     )
-    code, _, err = run("synthesize", "motor", tmp_path / "m", "--ideal-reversal")
+    code, _, err = run("synthesize", "motor", "--out", tmp_path / "m", "--ideal-reversal")
     assert code == 0, err
     (group,) = log_reversals(tmp_path / "m" / "reversal-2.h5").groups[:1]
     # 54 ms with a dead band; the filter of 100 Hz alone makes some of a sharp crossing.

@@ -1,6 +1,7 @@
 """Commands from annotated parameters and option dataclasses."""
 
 import math
+import re
 from dataclasses import dataclass, fields
 from typing import Annotated, Literal
 
@@ -8,16 +9,27 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from sysid.cli import app
 from sysid.cli.adapter import command
+from sysid.cli.root import EXIT_CODES, GROUPS
+from sysid.errors import CampaignError, UnitError
 from sysid.landing.impulse import ImpulseSettings
 from sysid.landing.outcomes import Rules
-from sysid.workflows.options import Argument, Flag, ImpulseOptions, RulesOptions
+from sysid.workflows.options import (
+    Argument,
+    Flag,
+    ImpulseOptions,
+    RulesOptions,
+    campaign_file,
+    log_files,
+    span,
+)
 
 
 @dataclass(frozen=True)
 class Group:
     kind: Annotated[Literal["a", "b"], Flag("Kind.")] = "a"
-    turn: Annotated[float, Flag("Turn [deg].", "--turn-deg", read=math.radians, default="90")] = math.pi / 2
+    turn: Annotated[float, Flag("Turn.", unit="deg", least=0)] = math.pi / 2
     python_only: int = 3
 
 
@@ -26,11 +38,11 @@ def parse():
     """Return what a command of one argument, flags and a group of options gets from a command line."""
     app, received = typer.Typer(rich_markup_mode=None), []
 
-    @command(app, "go")
+    @command(app, "go", "sysid go")
     def go(
         names: Annotated[tuple[str, ...], Argument("Names.")],
         options: Group,
-        many: Annotated[tuple[float, ...], Flag("Numbers.", default="1 and 2")] = (1.0, 2.0),
+        many: Annotated[tuple[float, ...], Flag("Forces.", unit="N", default="1 and 2")] = (1.0, 2.0),
         least: Annotated[int | None, Flag("Count.", least=2)] = None,
     ) -> int:
         """Go."""
@@ -48,7 +60,7 @@ def test_values_and_defaults_reach_the_function(parse):
     result, values = parse("x", "y")
     assert result.exit_code == 7
     assert values == (("x", "y"), Group(), (1.0, 2.0), None)
-    _, values = parse("x", "--kind", "b", "--turn-deg", "180", "--many", "3", "--many", "4", "--least", "2")
+    _, values = parse("x", "--kind", "b", "--turn", "180", "--many", "3", "--many", "4", "--least", "2")
     assert values == (("x",), Group("b", math.pi), (3.0, 4.0), 2)
 
 
@@ -56,9 +68,96 @@ def test_wrong_values_are_refused_and_help_shows_defaults(parse):
     for wrong in (("x", "--kind", "c"), ("x", "--least", "1"), (), ("x", "--python-only", "3")):
         assert parse(*wrong)[0].exit_code == 2
     text = parse("--help")[0].output
-    for words in ("Go.", "[default: 90", "1 and 2", "--kind"):
+    for words in ("Go.", "Turn [deg].", "[default: 90 deg]", "[default: 1 and 2]", "--kind", "sysid go"):
         assert words in text
     assert "python" not in text
+
+
+def test_quantities_carry_units_and_bare_numbers_keep_theirs(parse):
+    for text in ("90", "90 deg", "90deg", f"{math.pi / 2!r} rad"):
+        assert parse("x", "--turn", text)[1][1].turn == pytest.approx(math.pi / 2, rel=1e-15)
+    assert parse("x", "--many", "3 mN", "--many", "4")[1][2] == (0.003, 4.0)
+    refusals = {
+        "3 m": "unit 'm' is not a 'deg'", "fast": "--turn: 'fast' is not a number", "nan": "finite",
+        "-1 deg": "--turn -1 deg: expected 0 deg or more",
+    }  # fmt: skip
+    for text, words in refusals.items():
+        refusal = parse("x", "--turn", text)[0].exception
+        assert isinstance(refusal, UnitError), text
+        assert words in str(refusal)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "values"),
+    [
+        ("0:45:15", "deg", (0, 15, 30, 45)),
+        ("0:45:15 deg", "deg", (0, 15, 30, 45)),
+        ("0 deg, 1 rad", "deg", (0, 57.295779513)),
+        ("0:100:50 ms", "s", (0, 0.05, 0.1)),
+        ("0.3,0.6 m/s", "m/s", (0.3, 0.6)),
+    ],
+)
+def test_grids_carry_units(text, unit, values):
+    assert span(text, "--slopes", unit) == values
+
+
+def test_a_grid_in_a_wrong_unit_is_refused():
+    with pytest.raises(CampaignError, match="--slopes '0:45:1 m': unit 'm' is not a 'deg'"):
+        span("0:45:1 m", "--slopes", "deg")
+
+
+def test_folders_stand_for_what_lies_in_them(tmp_path):
+    assert campaign_file(tmp_path / "none.toml") == tmp_path / "none.toml"
+    with pytest.raises(CampaignError, match=r"found no \.toml file"):
+        campaign_file(tmp_path)
+    for name in ("b.toml", "z.csv", "a.h5", "truth.json", ".hidden"):
+        (tmp_path / name).touch()
+    assert campaign_file(tmp_path) == tmp_path / "b.toml"
+    assert log_files((tmp_path, tmp_path / "c")) == (tmp_path / "a.h5", tmp_path / "z.csv", tmp_path / "c")
+    (tmp_path / "c.toml").touch()
+    with pytest.raises(CampaignError, match=r"found b\.toml, c\.toml; name the file"):
+        campaign_file(tmp_path)
+    (tmp_path / "campaign.toml").touch()
+    assert campaign_file(tmp_path) == tmp_path / "campaign.toml"
+
+
+def every_command():
+    """Yield name and command, those of `synthesize` too."""
+    program = typer.main.get_command(app)
+    for name, one in program.commands.items():
+        below = getattr(one, "commands", {})
+        yield from {f"{name} {key}": sub for key, sub in below.items()}.items() if below else [(name, one)]
+
+
+def test_help_fits_80_columns_lists_every_command_and_ends_with_an_example():
+    program = typer.main.get_command(app)
+    listed = {name for names in GROUPS.values() for name in names}
+    assert set(program.commands) <= listed
+    runner = CliRunner()
+    whole = runner.invoke(app, ["-h"], terminal_width=80).output
+    for code, meaning in EXIT_CODES.items():
+        assert f"{code:<4} {meaning}" in whole
+    for name, one in every_command():
+        text = runner.invoke(app, [*name.split(), "-h"], terminal_width=80).output
+        assert max(map(len, text.splitlines())) <= 80, name
+        assert re.search(rf"Example:\n *sysid {name}\b", text), name
+        summary = one.help.partition("\n")[0]
+        assert len(summary) <= 60
+        assert summary in (whole if " " not in name else runner.invoke(app, [name.split()[0], "-h"]).output)
+        if sum(p.param_type_name == "option" for p in one.params) > 8:
+            assert "\nOutput:\n" in text, name
+
+
+def test_an_option_means_the_same_in_every_command():
+    """Only files, rates, laws and grids say in each command what they are about."""
+    own = {"--out", "--figure", "--seed", "--rate", "--surface", "--slope", "--slopes", "--speeds", "--help"}
+    meant = {}
+    for name, one in every_command():
+        for param in one.params:
+            for option in getattr(param, "opts", ()):
+                if option.startswith("--") and option not in own:
+                    meaning = param.help.removesuffix(" Repeat it for several.")
+                    assert meant.setdefault(option, meaning) == meaning, (name, option)
 
 
 @pytest.mark.parametrize(("options", "domain"), [(RulesOptions, Rules), (ImpulseOptions, ImpulseSettings)])

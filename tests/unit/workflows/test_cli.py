@@ -61,20 +61,20 @@ def test_fit_gear_show_export_and_read_back(drops, run, tmp_path, refused):
 
     first = sysid.load_parameter_sets(folder / "fit.json")
     for suffix in ("json", "csv", "h5", "mat"):
-        code, out, err = run("export", folder, "--to", f"sets.{suffix}")
+        code, out, err = run("export", folder, "--out", f"sets.{suffix}")
         assert code == 0, err
         assert sysid.load_parameter_sets(f"sets.{suffix}") == first
 
     # A fit that exists is not overwritten unless asked.
     refused(["exists", "--force"], "fit-gear", campaign, *SMALL)
-    refused(["exists already"], "export", folder, "--to", "sets.json")
+    refused(["exists already"], "export", folder, "--out", "sets.json")
     assert run("fit-gear", campaign, *SMALL, "--force")[0] == 0
 
 
 def test_an_early_ctrl_c_says_so(monkeypatch, run):
     app = typer.Typer()
 
-    @command(app, "wait")
+    @command(app, "wait", "sysid wait")
     def wait() -> None:
         raise KeyboardInterrupt
 
@@ -113,11 +113,11 @@ def test_printing_a_fit_imports_nothing_slow():
 
 def test_new_campaign_writes_a_template(tmp_path, run, refused):
     target = tmp_path / "mine.toml"
-    code, out, _ = run("new-campaign", "motor", target)
+    code, out, _ = run("new-campaign", "motor", "--out", target)
     assert code == 0
     assert "fit-motor" in out
     assert "datasheet" in target.read_text(encoding="utf-8")
-    refused(["exists already"], "new-campaign", "motor", target)
+    refused(["exists already"], "new-campaign", "motor", "--out", target)
 
 
 FIRST = "drop-1-5deg-0.50mps.csv"
@@ -202,14 +202,14 @@ def test_rotation_out_of_the_plane_is_a_warning_with_the_trials_name(drops, trut
 def test_a_full_disk_during_export_leaves_the_old_file(drops, monkeypatch, run, refused):
     assert run("fit-gear", drops / "campaign.toml", *SMALL)[0] == 0
     folder = Path("fits") / "synthetic-lf"
-    assert run("export", folder, "--to", "sets.json")[0] == 0
+    assert run("export", folder, "--out", "sets.json")[0] == 0
     before = Path("sets.json").read_bytes()
 
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    refused(["sets.json", "space"], "export", folder, "--to", "sets.json", "--force")
+    refused(["sets.json", "space"], "export", folder, "--out", "sets.json", "--force")
     assert Path("sets.json").read_bytes() == before
     assert [p.name for p in Path().iterdir() if p.name.startswith("sets")] == ["sets.json"]
 
@@ -219,7 +219,7 @@ def test_foreign_and_missing_fits(tmp_path, refused):
     foreign = tmp_path / "foreign.json"
     foreign.write_text("{}", encoding="utf-8")
     refused(["foreign.json"], "show", foreign)
-    refused(["fit.h5"], "export", tmp_path, "--to", tmp_path / "x.json")
+    refused(["fit.h5"], "export", tmp_path, "--out", tmp_path / "x.json")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs a file system of its own size: Linux with root")

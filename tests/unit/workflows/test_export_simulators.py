@@ -88,22 +88,22 @@ def test_sdf_reads_back():
 def test_one_file_per_set_or_one_alone(tmp_path, run):
     sets = several(table_2("hf"))
     gear = export(sets, tmp_path / "hf.json")
-    code, out, err = run("export", gear, "--to", tmp_path / "quad.xml")
+    code, out, err = run("export", gear, "--out", tmp_path / "quad.xml")
     assert code == 0, err
     assert len(out.splitlines()) == 3
     for rank in (1, 2, 3):
         assert from_mjcf((tmp_path / f"quad-{rank}.xml").read_bytes()) == sets.set_values(rank)
-    code, _, err = run("export", gear, "--to", tmp_path / "quad.xml")
+    code, _, err = run("export", gear, "--out", tmp_path / "quad.xml")
     assert (code, "exists already" in err) == (2, True)
     target = tmp_path / "one.xml"
-    run("export", gear, "--to", target, "--set", "2", "--slope-deg", "20", "--per-leg")
+    run("export", gear, "--out", target, "--set", "2", "--slope", "20", "--per-leg")
     root = ElementTree.fromstring(target.read_bytes())
     assert from_mjcf(target.read_bytes()) == sets.set_values(2)
     slope = root.find("worldbody/geom[@name='slope']").get("euler").split()
     assert float(slope[1]) == np.radians(20.0)
     assert len(list(root.iter("key"))) == 1
     motor = export(table_1(), tmp_path / "motor.json")
-    code, out, err = run("export", motor, "--to", tmp_path / "motor.sdf")
+    code, out, err = run("export", motor, "--out", tmp_path / "motor.sdf")
     assert code == 0, err
     rotor = first_order_rotor(table_1().set_values(1))
     assert from_sdf((tmp_path / "motor.sdf").read_bytes()) == MotorPlugin(
@@ -114,13 +114,13 @@ def test_one_file_per_set_or_one_alone(tmp_path, run):
 @pytest.mark.parametrize(
     ("kind", "arguments", "words"),
     [
-        ("motor", ("--to", "x.xml"), "needs the sets of a gear"),
-        ("gear", ("--to", "x.sdf"), "needs the sets of a motor"),
-        ("gear", ("--to", "x.json", "--per-leg"), "leave them out"),
-        ("gear", ("--to", "x.xml", "--set", "9"), "no set of rank 9"),
-        ("gear", ("--to", "x.xml", "--slope-deg", "88"), "between -85 and 85"),
-        ("motor", ("--to", "x.sdf", "--slope-deg", "8"), "leave them out"),
-        ("gear", ("--to", "no/x.xml"), "does not exist"),
+        ("motor", ("--out", "x.xml"), "needs the sets of a gear"),
+        ("gear", ("--out", "x.sdf"), "needs the sets of a motor"),
+        ("gear", ("--out", "x.json", "--per-leg"), "leave them out"),
+        ("gear", ("--out", "x.xml", "--set", "9"), "no set of rank 9"),
+        ("gear", ("--out", "x.xml", "--slope", "88"), "between -85 and 85"),
+        ("motor", ("--out", "x.sdf", "--slope", "8"), "leave them out"),
+        ("gear", ("--out", "no/x.xml"), "does not exist"),
     ],
 )
 def test_refusals_write_nothing(kind, arguments, words, tmp_path, monkeypatch, run):

@@ -1,0 +1,133 @@
+"""`sysid new-campaign`: a campaign to fill in, whole, or with what a fit needs and what the logs say."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader
+
+from sysid.errors import CampaignError
+from sysid.loaders import load
+from sysid.storage import check_file, write_file
+from sysid.trials.look import LogReport, inspect_recording
+
+# What the logs of a kind of campaign record, and what is asked for.
+_RECORDED = {
+    "gear": ({"motion-capture"}, "drops under motion capture"),
+    "motor": ({"thrust-stand", "load-cell", "static-map"}, "a motor on a thrust stand or load cell"),
+}
+# Numbers of servo pulses; a log within this of rest [µs] turns one way only.
+_US = {"minimum": 1000, "neutral": 1500, "maximum": 2000}
+_NEAR_REST = 20.0
+# Of the largest thrust among the logs; a log with less was taken without propeller.
+_NO_THRUST = 0.02
+_TODO = "TODO"
+
+
+def write_campaign(
+    kind: str, path: Path, logs: Sequence[Path] = (), *, minimal: bool = False, force: bool = False
+) -> Path:
+    """Write a commented campaign file; with logs, or a `minimal` one, only what a fit needs.
+
+    What logs say is filled in: names, slopes, axes, directions, commands. What they do not say stands there
+    as TODO, which no command accepts. Raises `SysidError` when the file exists and `force` is off, or a log
+    cannot be read or is of another kind; nothing has been written then.
+    """
+    check_file(path, force=force, error_type=CampaignError)
+    if minimal or logs:
+        environment = Environment(loader=PackageLoader("sysid", "templates"), autoescape=False)
+        content = _content(kind, path, [_look(kind, log) for log in logs])
+        text = environment.get_template(f"{kind}-minimal.toml").render(content) + "\n"
+    else:
+        text = resources.files("sysid").joinpath("templates", f"{kind}.toml").read_text(encoding="utf-8")
+    write_file(path, text.encode("utf-8"), CampaignError)
+    return path
+
+
+def _look(kind: str, log: Path) -> LogReport:
+    report = inspect_recording(load(log))
+    kinds, wanted = _RECORDED[kind]
+    if report.kind not in kinds:
+        raise CampaignError(
+            f"{log}: is a {report.kind} log; a {kind} campaign needs {wanted}, so leave this log out"
+        )
+    return report
+
+
+def _content(kind: str, path: Path, reports: Sequence[LogReport]) -> dict[str, Any]:
+    """Return what the template of a kind is filled with."""
+    drops = [report.drop for report in reports if report.drop is not None]
+    most = max((_span(report, "thrust") for report in reports), default=0.0)
+    units = {channel.unit for report in reports for channel in report.channels if channel.name == "command"}
+    supply = [_highest(report, "voltage") for report in reports if report.kind == "static-map"]
+    volts = [value for value in supply if math.isfinite(value)]
+    both = any(_one_way(report) for report in reports)
+    known = units == {"us"}
+    numbers = _US if known else dict.fromkeys(_US, f'"{_TODO}"')
+    return {
+        "name": re.sub(r"[^A-Za-z0-9._-]+", "-", path.stem).strip(".-") or f"my-{kind}",
+        "body": _usual(drop.body for drop in drops),
+        "up": _usual(drop.up for drop in drops),
+        "down_slope": _usual(drop.down_slope for drop in drops),
+        "voltage": f"{max(volts):.3g} V" if volts else f"{_TODO} V",
+        "unit": _usual(units),
+        **numbers,
+        # Without a log that begins at the middle, nothing says that the motor turns both ways.
+        "neutral": numbers["neutral"] if both or not known else None,
+        "logs": [_entry(report, path, most, both) for report in reports] or [_BLANK],
+    }
+
+
+_BLANK = {
+    "name": "trial-1",
+    "file": f"{_TODO}.csv",
+    "slope": f"{_TODO} deg",
+    "direction": _TODO,
+    "points": "",
+}
+
+
+def _entry(report: LogReport, path: Path, most: float, both: bool) -> dict[str, str]:
+    """Return a log's row: its name, file seen from the campaign, and what a fit must know of it."""
+    slope = report.drop.slope if report.drop else None
+    curve = "no_load" if _span(report, "thrust") < _NO_THRUST * most else "static"
+    source = Path(report.path)
+    return {
+        "name": source.stem,
+        "file": Path(os.path.relpath(source, path.parent)).as_posix(),
+        "slope": f"{_TODO} deg" if slope is None else f"{math.degrees(slope):.1f} deg",
+        "direction": _one_way(report) or ("reversal" if both else "forward"),
+        "points": curve if report.kind == "static-map" else "",
+    }
+
+
+def _one_way(report: LogReport) -> str:
+    """Return which way a motor turns whose command stays on one side of the middle; else an empty text."""
+    for channel in report.channels:
+        if channel.name == "command" and channel.unit == "us":
+            rest = _US["neutral"]
+            return "forward" if channel.lowest > rest - _NEAR_REST else (
+                "reverse" if channel.highest < rest + _NEAR_REST else ""
+            )  # fmt: skip
+    return ""
+
+
+def _span(report: LogReport, name: str) -> float:
+    return sum(channel.highest - channel.lowest for channel in report.channels if channel.name == name)
+
+
+def _highest(report: LogReport, name: str) -> float:
+    return max((channel.highest for channel in report.channels if channel.name == name), default=math.nan)
+
+
+def _usual(words: Iterable[str | None]) -> str:
+    """Return the most frequent word, or the placeholder where there is none."""
+    found = Counter(word for word in words if word).most_common(1)
+    return found[0][0] if found else _TODO
