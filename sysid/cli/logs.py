@@ -120,9 +120,9 @@ def new_campaign(
     The whole file says how each value is measured. The minimal one has what a fit needs, filled in from the
     logs where they say it; what only you can measure stands there as TODO, which is refused.
     """
-    from sysid.workflows.new_campaign import write_campaign
+    from sysid.workflows.new_campaign import write_new_campaign
 
-    written = write_campaign(kind, out, log_files((*source, *(logs or ()))), minimal=minimal, force=force)
+    written = write_new_campaign(kind, out, log_files((*source, *(logs or ()))), minimal=minimal, force=force)
     print_next(written, f"edit it, then run sysid check {out} and sysid fit-{kind} {out}", json)
 
 

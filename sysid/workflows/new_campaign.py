@@ -31,7 +31,7 @@ _NO_THRUST = 0.02
 _TODO = "TODO"
 
 
-def write_campaign(
+def write_new_campaign(
     kind: str, path: Path, logs: Sequence[Path] = (), *, minimal: bool = False, force: bool = False
 ) -> Path:
     """Write a commented campaign file; with logs, or a `minimal` one, only what a fit needs.

@@ -62,7 +62,7 @@ class Flag:
 
     def quantity(self, text: str, name: str) -> float:
         """Return what the user gave for the option `name` in SI; `UnitError` where it cannot be used."""
-        value = quantity(text, self.unit, name)
+        value = stated_quantity(text, self.unit, name)
         if self.least is not None and value < self.least * _SI.get(self.unit, 1.0):
             raise UnitError(f"{name} {text}: expected {self.least:g} {self.unit} or more")
         return value
@@ -72,7 +72,7 @@ class Flag:
         return f"{value / _SI.get(self.unit, 1.0):.6g} {self.unit}"
 
 
-def quantity(text: str, unit: str, name: str) -> float:
+def stated_quantity(text: str, unit: str, name: str) -> float:
     """Return a quantity such as ``20 deg`` in SI, a bare number from `unit`; a refusal names `name`."""
     try:
         value = float(text) * _SI.get(unit, 1.0)
@@ -160,7 +160,7 @@ def _campaign_named(text: str, name: str) -> Path:
 
 
 def _degrees(text: str, name: str) -> float:
-    return round(math.degrees(quantity(text, "deg", name)), 9)
+    return round(math.degrees(stated_quantity(text, "deg", name)), 9)
 
 
 # What lies beside logs and is none.
