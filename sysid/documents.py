@@ -8,7 +8,7 @@ that only the writer understands (the settings of a model) is an `Open` field, s
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -166,5 +166,31 @@ class Document(Part):
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             where = ".".join(str(key) for key in first["loc"])
-            refusal = f"{place}: damaged or cut off ({where}: {first['msg']}); {cls.REMEDY}"
+            refusal = f"{place}: damaged or cut off ({where}: {mistake(first)}); {cls.REMEDY}"
             raise error_type(refusal) from error
+
+
+# What pydantic finds, by the beginning of its type of mistake, in the words of this house.
+_MISTAKES = {
+    "int_": "expected a whole number", "float_": "expected a number",
+    "finite_number": "expected a finite number",
+    "string_type": "expected text in quotes", "string_too_short": "expected text that is not empty",
+    "string_too_long": "expected at most {max_length} characters",
+    "string_pattern": "expected letters, digits, dots, hyphens and underscores, as in drop-1.a",
+    "bool_": "expected true or false", "literal_error": "expected {expected}",
+    "greater_than_equal": "expected at least {ge:g}", "greater_than": "expected more than {gt:g}",
+    "less_than_equal": "expected at most {le:g}", "less_than": "expected less than {lt:g}",
+    "too_long": "expected at most {max_length} values", "too_short": "expected at least {min_length} values",
+    "tuple_type": "expected a list", "list_type": "expected a list", "dict_type": "expected a table",
+    "model_": "expected a table", "missing": "it is missing", "extra_forbidden": "it is unknown",
+    "unexpected_positional": "expected fewer values",
+}  # fmt: skip
+
+
+def mistake(detail: Mapping[str, Any]) -> str:
+    """Return what one of the errors of a `ValidationError` says, in words."""
+    kind, context = detail["type"], detail.get("ctx", {})
+    if kind in ("value_error", "assertion_error"):
+        return str(context["error"])
+    near = next((words for begin, words in _MISTAKES.items() if kind.startswith(begin)), detail["msg"])
+    return near.format(**context)

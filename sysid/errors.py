@@ -4,6 +4,21 @@ Every message is one sentence that names what, where, what was found, what was e
 The command line prints it on one line and exits with 2.
 """
 
+import re
+
+# Control characters, line separators, and marks that turn the direction of text.
+_UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+_LONG = re.compile(r"\S{400,}")
+
+
+def printable(text: str) -> str:
+    """Return text as a terminal may show it: what would move its cursor or turn its lines is written out.
+
+    Names in files may be anything. A word of over 400 characters is cut.
+    """
+    text = _UNSEEN.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
+    return _LONG.sub(lambda match: f"{match[0][:200]}…", text)
+
 
 class SysidError(Exception):
     """Base of every refusal that sysid makes on purpose."""

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Any, Literal, Self
 
-from sysid.errors import SysidWarning
+from sysid.errors import SysidWarning, printable
 
 Severity = Literal["note", "warning"]
 # Called with one sentence at a time.
@@ -100,7 +100,7 @@ class Journal:
     """
 
     def __init__(self, say: Say = None, noun: str = "trials") -> None:
-        self._say = say or (lambda line: None)
+        self._say = (lambda line: say(printable(line))) if say else lambda line: None
         self.noun = noun
         self.trials = 0
         self._findings: list[Finding] = []

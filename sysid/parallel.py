@@ -7,6 +7,7 @@ bit of a result.
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import threading
@@ -22,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import SysidError
+from sysid.journal import tell
 from sysid.types import FloatArray
 
 Columns = tuple[NDArray[Any], ...]
@@ -37,8 +39,10 @@ _FIRST_CHUNK = 16  # before any was measured
 _CHUNKS_PER_WORKER = 2
 # How often a chunk is submitted before the cluster is given up.
 ATTEMPTS = 6
-# How long to wait without any worker [s]; they may be on their way from a queue.
-PATIENCE = 120.0
+# How long to wait without any worker [s]; they may be on their way from a queue. First it is said.
+PATIENCE, SAID_AFTER = 120.0, 10.0
+# What they print of a lost connection says less than the refusal that follows.
+_LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado.application", "asyncio")
 _LOOK = 2.0
 
 
@@ -146,12 +150,37 @@ class DaskCluster(Executor):
                     dashboard_address=None,
                     preload=[__name__],
                 )
+            for name in _LOGGERS:
+                logging.getLogger(name).setLevel(logging.CRITICAL)
             self._client = distributed.Client(self._cluster or address, timeout=10, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise ClusterError(
                 f"no Dask scheduler answers at {address!r} ({error}); start one with 'dask scheduler', "
                 "workers with 'dask worker', and give its address as tcp://host:8786"
             ) from error
+
+        try:
+            self._await_worker()
+        except BaseException:
+            self.close()
+            raise
+
+    def _await_worker(self) -> None:
+        since, said = time.monotonic(), False
+        while not self.alive:
+            waited = time.monotonic() - since
+            start = f"start one with 'dask worker {self.address}'"
+            if waited >= PATIENCE:
+                raise ClusterError(
+                    f"the Dask scheduler at {self.address!r} has had no worker for {PATIENCE:.0f} s; {start}"
+                )
+            if waited >= SAID_AFTER and not said:
+                tell(
+                    f"the Dask scheduler at {self.address!r} has no worker; waiting up to "
+                    f"{PATIENCE - waited:.0f} s more; {start}"
+                )
+                said = True
+            time.sleep(0.2)
 
     @property
     def alive(self) -> int:

@@ -9,7 +9,15 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    model_validator,
+)
 
 from sysid.errors import CampaignError, UnitError
 from sysid.loaders.options import quantity
@@ -166,10 +174,17 @@ class FitTable(TomlTable):
     max_generations: int = Field(default=1000, ge=1)
 
 
+def _one_line(name: str) -> str:
+    # It heads tables, pages and columns of files.
+    if not name.isprintable():
+        raise ValueError(f"{name!r} has characters that cannot be seen; use a name of one plain line")
+    return name
+
+
 class TrialTable(TomlTable):
     """What every `[[trials]]` entry has."""
 
-    name: str = Field(min_length=1)
+    name: Annotated[str, AfterValidator(_one_line)] = Field(min_length=1, max_length=100)
     log: str = Field(min_length=1)
     use: TrialUse = "fit"
 
@@ -186,7 +201,7 @@ class CampaignSource:
 class CampaignTable(TomlTable):
     """Top level of every campaign; `source` is the file that it was read from."""
 
-    name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]*$")
+    name: str = Field(min_length=1, max_length=100, pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]*$")
     parameters: ParameterChoices = ParameterChoices()
     trials: tuple[Any, ...]
     _source: CampaignSource = PrivateAttr()

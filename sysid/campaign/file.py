@@ -16,6 +16,7 @@ from pydantic import BaseModel, ValidationError
 from sysid.campaign.common import CampaignSource
 from sysid.campaign.gear import GearCampaign
 from sysid.campaign.motor import MotorCampaign
+from sysid.documents import mistake
 from sysid.errors import CampaignFileError
 
 Campaign = GearCampaign | MotorCampaign
@@ -82,7 +83,11 @@ def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
 def resolve_log(campaign_path: str | Path, log: str) -> Path:
     """Return the path of a log named in a campaign; CampaignFileError when there is no such file."""
     path = Path(campaign_path).parent / log
-    if not path.is_file():
+    try:
+        there = path.is_file()
+    except OSError:  # such as too long a name
+        there = False
+    if not there:
         raise CampaignFileError(f"{campaign_path}: log {log!r} does not exist at {path}; correct its path")
     return path
 
@@ -114,12 +119,10 @@ def _first_sentence(error: ValidationError, model: type[BaseModel], data: dict[s
     elif detail["type"] == "missing":
         sentence = f"{where} is missing; 'sysid new-campaign' shows how it is written"
     else:
-        # A validator of a campaign says what it found; pydantic's own sentences do not.
-        cause = detail["ctx"]["error"] if detail["type"] == "value_error" else None
-        message = detail["msg"].replace("a valid tuple", "a list") if cause is None else str(cause)
-        shown = cause is None and isinstance(value, str | int | float)
+        # A validator of a campaign says what it found.
+        shown = detail["type"] != "value_error" and isinstance(value, str | int | float)
         place, value_shown = (f"{where}: " if where else ""), (f", found {value!r}" if shown else "")
-        sentence = f"{place}{message}{value_shown}"
+        sentence = f"{place}{mistake(detail)}{value_shown}"
     return sentence + (f" (and {len(details) - 1} more)" if len(details) > 1 else "")
 
 

@@ -1,16 +1,20 @@
 """The command line: options in, one call, one table out.
 
-A refusal is one sentence on standard error and exit code 2; ``--debug`` shows the traceback instead.
+A refusal is one sentence on standard error and exit code 2. An exception that nobody foresaw is one as well,
+with exit code 1, and its trace is in a file. ``--debug`` shows the traceback instead.
 """
 
 from __future__ import annotations
 
+import shlex
 import sys
+import tempfile
+import traceback
 
 import typer
 
 from sysid.cli.root import app
-from sysid.errors import SysidError
+from sysid.errors import SysidError, printable
 
 # The modules register their commands when they are imported, in the order of `sysid --help`.
 from sysid.cli import logs, fits, landing  # noqa: F401  # isort: skip
@@ -30,8 +34,28 @@ def main() -> None:
     except SysidError as error:
         if debug:
             raise
-        typer.echo(f"error: {' '.join(str(error).split())}", err=True)
+        typer.echo(f"error: {printable(' '.join(str(error).split()))}", err=True)
         sys.exit(2)
+    except Exception as error:
+        if debug:
+            raise
+        typer.echo(f"error: {_bug(error)}", err=True)
+        sys.exit(1)
+
+
+def _bug(error: Exception) -> str:
+    """Return a sentence about an exception that nobody foresaw; its trace goes to a file."""
+    doing = " ".join(["sysid", *map(shlex.quote, sys.argv[1:])])
+    trace = "".join(traceback.format_exception(error))
+    try:
+        handle, name = tempfile.mkstemp(prefix="sysid-", suffix=".txt")
+        with open(handle, "w", encoding="utf-8", errors="backslashreplace") as stream:
+            stream.write(f"{doing}\n\n{trace}")
+        where = f"the trace is in {name}; please report it with that file"
+    except OSError:
+        where = "please report it with what --debug prints"
+    words = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+    return printable(f"{doing} ended in a bug of sysid, not in a mistake of yours ({words}); {where}")
 
 
 if __name__ == "__main__":

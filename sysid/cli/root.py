@@ -47,6 +47,8 @@ class _Program(TyperGroup):
                 formatter.write_dl([(f"{n:<14}", str(c.help).partition("\n")[0]) for n, c in known.items()])
 
 
+from sysid.errors import printable
+
 app = typer.Typer(
     name="sysid",
     cls=_Program,
@@ -85,7 +87,7 @@ def _options(
 
 def say(sentence: str) -> None:
     """Print a sentence on standard error, where it does not mix with results."""
-    typer.echo(sentence, err=True)
+    typer.echo(printable(sentence), err=True)
 
 
 def unless(silent: bool) -> Callable[[str], None] | None:

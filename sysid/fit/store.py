@@ -103,6 +103,11 @@ def read_fit(path: str | Path) -> FitResult:
     """Read a fit folder, or its ``fit.h5``; FitError when that is missing, foreign, damaged or cut off."""
     path = Path(path)
     file_path = path / "fit.h5" if path.is_dir() else path
+    if file_path.is_file() and file_path.suffix.lower() not in (".h5", ".hdf5"):
+        raise FitError(
+            f"{path}: is no fit folder; a file of sets has neither runs nor trials, so name the folder that "
+            "sysid fit-motor or fit-gear wrote"
+        )
     if not file_path.is_file():
         raise FitError(f"{path}: no fit.h5 there; expected a folder that sysid fit-motor or fit-gear wrote")
     with FIT_FILE.opened(file_path) as file:

@@ -6,6 +6,7 @@ No number is ever cut.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from rich import box
 from rich.cells import cell_len
@@ -14,6 +15,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from sysid import exact_json
+from sysid.errors import printable
 from sysid.report.table import Table
 
 _STYLES = {"": "", "strong": "bold", "good": "green", "doubtful": "yellow", "bad": "red"}
@@ -32,7 +34,7 @@ def print_lines(lines: Iterable[str], style: str = "") -> None:
     """Print plain sentences; the terminal breaks them."""
     console = Console(soft_wrap=True)
     for line in lines:
-        console.print(Text(line, style=style))
+        console.print(Text(printable(line), style=style))
 
 
 def print_table(table: Table, console: Console | None = None) -> None:
@@ -42,6 +44,7 @@ def print_table(table: Table, console: Console | None = None) -> None:
     may wrap between two of them.
     """
     console = console or Console()
+    table = _shown(table)
     texts = [[column.title, *(row[k].text for row in table.rows)] for k, column in enumerate(table.columns)]
     # Width of the longest line of every column, and the least width at which nothing of it is cut.
     widest = [max(cell_len(line) for text in column for line in text.split("\n")) for column in texts]
@@ -68,6 +71,13 @@ def print_table(table: Table, console: Console | None = None) -> None:
         else:  # one column is too wide by itself: the terminal may break the line, but it stays whole
             whole = console.width - spare
             Console(file=console.file, width=whole, force_terminal=console.is_terminal or None).print(part)
+
+
+def _shown(table: Table) -> Table:
+    columns = tuple(replace(column, header=printable(column.header)) for column in table.columns)
+    rows = tuple(tuple(replace(cell, text=printable(cell.text)) for cell in row) for row in table.rows)
+    title, caption = printable(table.title), printable(table.caption)
+    return replace(table, title=title, caption=caption, columns=columns, rows=rows)
 
 
 def _part(table: Table, widths: dict[int, int], *, first: bool, last: bool) -> RichTable:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sysid.errors import FitError
 from sysid.fit.problem import Problem
 from sysid.types import BoolArray, FloatArray
 
@@ -61,6 +62,8 @@ def _differences(problem: Problem, point: FloatArray, scale: FloatArray, steps: 
     points[1 : n + 1][np.diag_indices(n)] = np.minimum(point + steps, 1.0)
     points[n + 1 :][np.diag_indices(n)] = np.maximum(point - steps, 0.0)
     values, failed = problem.residuals(points)
+    if failed[0]:
+        raise FitError(_lost(problem, point))
     values = values * scale
     out = np.zeros((values.shape[1], n))
     for i in range(n):
@@ -71,3 +74,14 @@ def _differences(problem: Problem, point: FloatArray, scale: FloatArray, steps: 
         if width > 0:
             out[:, i] = (values[high] - values[low]) / width
     return out
+
+
+def _lost(problem: Problem, point: FloatArray) -> str:
+    causes = problem.score(problem.space.full(point[None])).cause[0]
+    lost = [
+        f"{problem.names[t]} ({problem.causes[c - 1].replace('_', ' ')})" for t, c in enumerate(causes) if c
+    ]
+    return (
+        f"{', '.join(lost)}: cannot be simulated at the values that are judged; check the masses, lengths "
+        "and units that the campaign states, or leave the check before a fit out with --no-check"
+    )

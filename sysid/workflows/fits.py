@@ -12,6 +12,7 @@ from sysid.fit.store import FIT_FILE
 from sysid.report.fold import print_result, print_table
 from sysid.report.table import listed
 from sysid.resume import in_use
+from sysid.storage import numbered
 
 _SUFFIX = ".checkpoint"
 
@@ -21,7 +22,8 @@ class FitEntry:
     """One fit of a folder: best NRMSE until now [1], runs begun, last change [s since 1970].
 
     The state is ``running`` (a process works on it), ``stopped`` (can be continued), ``unfinished`` (one of
-    these two; its lock may not be opened), ``done``, or ``damaged``.
+    these two; its lock may not be opened), ``done``, ``cut`` (a run ended by its budget of candidates or
+    generations), or ``damaged``.
     """
 
     name: str
@@ -59,7 +61,11 @@ def _finished(name: str, path: Path) -> FitEntry:
     try:
         with FIT_FILE.opened(path) as file:
             nrmse = float(file["sets/nrmse"][()].min())
-            return FitEntry(name, str(file.attrs["state"]), nrmse, len(file.get("runs", ())), changed)
+            state, runs = str(file.attrs["state"]), numbered(file, "runs")
+            ended = {numbered(run, "stages")[-1].attrs["stop_reason"] for run in runs}
+            if state == "done" and ended & {"evaluations", "generations"}:
+                state = "cut"
+            return FitEntry(name, state, nrmse, len(runs), changed)
     except FitError:
         return FitEntry(name, "damaged", None, 0, changed)
 
@@ -99,6 +105,8 @@ def print_fits(folder: Path, json: bool = False) -> None:
     print_table(listed("", rows, ("fit", "state", "NRMSE", "runs", "age"), texts=2))
     if any(entry.state == "stopped" for entry in entries):
         print("a stopped fit goes on with its command and --resume")
+    if any(entry.state == "cut" for entry in entries):
+        print("runs of a cut fit ended by their budget; fit again with a larger one")
 
 
 def _age(seconds: float) -> str:

@@ -57,7 +57,11 @@ def open_campaign(
     that the user states does the same, and is refused where the kind does not know it.
     """
     law = law or {}
-    campaign = read_campaign(path, kind)
+    campaign = read_campaign(path, kind if settings is None else None)
+    if settings is not None and kind not in (None, campaign.kind):
+        raise CampaignFileError(
+            f"{path}: is a {campaign.kind} campaign, but the fit is a {kind} fit; name a {kind} campaign"
+        )
     model = find_kind(campaign.kind)
     for name in law:
         if name not in model.laws:

@@ -29,12 +29,18 @@ def campaign_of(result: FitResult, folder: Path, given: Path | None) -> Path:
     path = given
     if path is None:
         stored = stated.get("from_fit_folder")
-        path = folder / stored if stored else None
+        path = _shown_from_here(folder / stored) if stored else None
     if path is None or not path.is_file():
         raise FitError(
             f"{folder}: its campaign {stated.get('file', '')!r} is not where it was; name it with --campaign"
         )
     return path
+
+
+def _shown_from_here(path: Path) -> Path:
+    """Return a path without the steps back in it, from the current folder where it lies in that."""
+    path = path.resolve()
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
 @dataclass(frozen=True, eq=False)

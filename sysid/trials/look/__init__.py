@@ -21,15 +21,18 @@ from pydantic import TypeAdapter
 
 from sysid.journal import Finding
 from sysid.recording import Recording
+from sysid.trials.capture import signed_axis
 from sysid.trials.look.advice import length_advice
 from sysid.trials.look.bench import BenchReport, inspect_bench
 from sysid.trials.look.channels import ChannelReport, inspect_channel
-from sysid.trials.look.drop import STANDARD_GRAVITY, DropReport, inspect_drop
+from sysid.trials.look.drop import STANDARD_GRAVITY, DropReport, hanging_turn, inspect_drop
 
 # A capture volume is no larger [m].
 _FARTHEST = 100.0
 _WRONG_GRAVITY = 0.03
 _CROOKED = np.radians(5.0)
+# A body is hung level by eye, and its axes are defined on a table.
+_TILTED = np.radians(10.0)
 # Units of length in a sentence, where it says them otherwise than an option.
 _IN_WORDS = {"inch": "inches", "foot": "feet", "m": "metres, read as mm"}
 
@@ -145,6 +148,16 @@ def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: 
             f"the fall is {np.degrees(drop.up_error):.0f} deg off the axis {drop.up}: the capture's ground "
             "plane is tilted",
         )
+    orientation = recording.channels.get(f"{drop.body}/orientation")
+    if orientation is not None and drop.release is not None:
+        up, hanging = signed_axis(drop.up), hanging_turn(orientation, drop.release)
+        tilt = 0.0 if hanging is None else float(np.arccos(np.clip(hanging.apply(up) @ up, -1.0, 1.0)))
+        if tilt > _TILTED:
+            yield Finding(
+                "hangs-tilted",
+                f"{drop.body} hangs {np.degrees(tilt):.0f} deg off level before its release: check the order "
+                "of the quaternion's components, and that the body was level when the capture defined it",
+            )
     if drop.up[0] == "-":
         sentence = f'{drop.body} falls toward +{drop.up[1]}: that axis points down; set up = "{drop.up}"'
         yield Finding("axis-down", sentence)

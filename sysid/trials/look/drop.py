@@ -199,6 +199,17 @@ def _down_slope(way: FloatArray, downhill: FloatArray | None, held: bool) -> tup
     return _axis_name(direction), "; ".join(doubts)
 
 
+def hanging_turn(orientation: Channel, release: float) -> Rotation | None:
+    """Return the mean rotation of a body in the 0.3 s before its release; None without three samples."""
+    time = orientation.time
+    before = orientation.valid & (time < release) & (time > release - 0.3)
+    return _mean_turn(orientation, before) if before.sum() >= 3 else None
+
+
+def _mean_turn(orientation: Channel, part: BoolArray) -> Rotation:
+    return Rotation.from_quat(np.roll(orientation.values[part], -1, axis=1)).mean()
+
+
 def _slope(
     recording: Recording, body: str, channel: Channel, up: FloatArray, release: float | None, touchdown: float
 ) -> tuple[float | None, str, FloatArray | None]:
@@ -231,16 +242,13 @@ def _slope(
     if orientation is None or release is None:
         return unknown
     valid = orientation.valid
-    before = valid & (orientation.time < release) & (orientation.time > release - 0.3)
+    hanging = hanging_turn(orientation, release)
     rest = valid & (orientation.time > orientation.time[-1] - 0.15) & (orientation.time > touchdown + 0.2)
-    if before.sum() < 3 or rest.sum() < 3:
+    if hanging is None or rest.sum() < 3:
         return unknown
     seen = channel.values[channel.valid & (channel.time > channel.time[-1] - 0.15)]
     if np.max(np.ptp(seen, axis=0)) > 5e-3:
         return unknown  # it still moves
-    hanging, lying = (
-        Rotation.from_quat(np.roll(orientation.values[part], -1, axis=1)).mean() for part in (before, rest)
-    )
-    turned = (lying * hanging.inv()).apply(up)
+    turned = (_mean_turn(orientation, rest) * hanging.inv()).apply(up)
     angle = float(np.arccos(np.clip(turned @ up, -1.0, 1.0)))
     return angle, "tilt between hold and rest: right only where it hung level and all feet stand", None

@@ -14,6 +14,7 @@ import pytest
 
 from fakes.bowl import Bowl, Decay, assert_same_run
 from fakes.places import SAMPLES
+from sysid import parallel
 from sysid.campaign import read_campaign
 from sysid.errors import SysidError
 from sysid.fit import checkpoint
@@ -23,6 +24,7 @@ from sysid.fit.search import Hooks, SearchSettings, run_many
 from sysid.fit.stopping import StopRule
 from sysid.gear.drops import prepare_drops
 from sysid.gear.problem import GearProblem, gear_space
+from sysid.journal import Journal
 from sysid.parallel import ClosedError, ClusterError, DaskCluster, LocalThreads, chunk_size, executor
 
 HERE = str(Path(__file__).parent)
@@ -148,6 +150,31 @@ def test_nothing_answers():
     pytest.importorskip("distributed", reason="Dask comes with the extra 'cluster'")
     with pytest.raises(ClusterError, match=r"no Dask scheduler answers at 'nonsense://x'"):
         DaskCluster("nonsense://x")
+
+
+def test_a_scheduler_without_workers_is_said_and_then_refused(tmp_path, monkeypatch, capfd):
+    monkeypatch.setattr(parallel, "SAID_AFTER", 0.5)
+    monkeypatch.setattr(parallel, "PATIENCE", 1.5)
+    said = []
+    words = r"has had no worker for 2 s; start one with 'dask worker tcp:"
+    with pytest.raises(ClusterError, match=words), Journal(said.append), cluster(tmp_path, 0):
+        pass
+    assert len(said) == 1
+    assert "has no worker; waiting up to 1 s more; start one with 'dask worker tcp:" in said[0]
+    # The libraries add nothing of their own.
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.slow
+def test_local_workers_listen_on_this_machine_only():
+    psutil = pytest.importorskip("psutil", reason="comes with the extra 'cluster'")
+    with executor("local") as where:
+        np.testing.assert_array_equal(where.share(lambda rows: (rows[:, 0],))(np.ones((3, 2)))[0], np.ones(3))
+        processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
+        listening = [c.laddr.ip for p in processes for c in p.net_connections() if c.status == "LISTEN"]
+    # The scheduler's, and those of each worker.
+    assert len(listening) > (os.cpu_count() or 1)
+    assert set(listening) <= {"127.0.0.1", "::1"}
 
 
 @pytest.mark.slow

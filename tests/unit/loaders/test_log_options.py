@@ -82,7 +82,7 @@ def test_another_kind_of_campaign_can_be_registered(tmp_path, monkeypatch):
     monkeypatch.setattr(campaign_file, "_KINDS", dict(campaign_file._KINDS))
     campaign_file.register_campaign("wing", GearCampaign)
     text = GEAR.format(capture="", trial="").replace('"gear"', '"wing"')
-    with pytest.raises(CampaignError, match="Input should be 'gear'"):  # validated by the class that is given
+    with pytest.raises(CampaignError, match="expected 'gear'"):  # validated by the class that is given
         campaign(tmp_path, text)
     with pytest.raises(CampaignError, match="expected 'wing' or 'motor' or 'gear'"):
         campaign(tmp_path, text.replace('"wing"', '"sail"'))
@@ -103,7 +103,7 @@ def test_another_kind_of_campaign_can_be_registered(tmp_path, monkeypatch):
     (MOTOR.format(log="tare = '1 N'", trial=""), "log.tare: unit 'N' is not a 's'"),
     (GEAR.format(capture="bodys = { a = ['b'] }", trial=""),
      "unknown key capture.bodys; nearest known key is 'bodies'"),
-    (GEAR.format(capture="bodies = { a = 'b' }", trial=""), "capture.bodies.a: Input should be a list"),
+    (GEAR.format(capture="bodies = { a = 'b' }", trial=""), "capture.bodies.a: expected a list"),
     (GEAR.format(capture="", trial="log_options = { lenght_unit = 'mm' }"),
      "unknown key trials['t'].log_options.lenght_unit; nearest known key is 'length_unit'"),
     (GEAR.format(capture="", trial="rigid_body = 'a'\nlog_options = { rigid_body = 'b' }"),

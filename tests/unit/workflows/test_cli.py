@@ -8,7 +8,9 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,10 @@ import typer
 from scipy.spatial.transform import Rotation
 
 import sysid
+from fakes.fits import full_fit
+from fakes.places import SAMPLES
 from sysid.cli.adapter import command
+from sysid.fit.store import write_fit
 
 
 def edit(path, old, new, count=1):
@@ -245,3 +250,93 @@ def test_a_full_disk_during_a_fit_is_one_sentence(drops, tmp_path):
         assert not (small / "f").exists()
     finally:
         subprocess.run(["umount", str(small)], check=True)
+
+
+def test_a_mass_in_grams_called_kilograms_is_refused(drops, refused):
+    edit(drops / "campaign.toml", '"1.242 kg"', '"1310 kg"')
+    words = [
+        "cannot be simulated at the values",
+        "check the masses, lengths and units that the campaign states",
+    ]
+    refused(words, "check", drops / "campaign.toml")
+    refused([*words, "--no-check"], "fit-gear", drops / "campaign.toml", "--out", "fit")
+    assert not list(drops.parent.glob("fit*"))
+
+
+def test_a_body_that_hangs_tilted_is_suspicious(drops, run):
+    log = next(drops.glob("drop-1-*.csv"))
+    _, level, _ = run("inspect", log)
+    edit(log, ",X,Y,Z,,X,Y,Z,W,", ",X,Y,Z,,W,Y,Z,X,")
+    _, tilted, _ = run("inspect", log)
+    assert "off level before its release" not in level
+    assert "off level before its release: check the order of the quaternion's components" in tilted
+
+
+def test_what_nobody_foresaw_is_one_line_and_a_trace_in_a_file(tmp_path, monkeypatch, run):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+
+    def broken(*arguments):
+        raise LookupError("no such\n\x1b[31mthing")
+
+    monkeypatch.setattr("sysid.workflows.show.print_sets", broken)
+    code, out, err = run("show", "a fit")
+    (trace,) = tmp_path.glob("sysid-*.txt")
+    assert (code, out) == (1, "")
+    assert err == (
+        "error: sysid show 'a fit' ended in a bug of sysid, not in a mistake of yours (LookupError: no such "
+        f"\\u001b[31mthing); the trace is in {trace}; please report it with that file\n"
+    )
+    text = trace.read_text(encoding="utf-8")
+    assert text.startswith("sysid show 'a fit'\n\nTraceback")
+    assert "in broken" in text
+    with pytest.raises(LookupError):
+        run("show", "a fit", "--debug")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("seed = 1", 'seed = "two"', "fit.seed: expected a whole number, found 'two'"),
+        ("runs = 5", "population = 3", "fit.population: expected at least 8, found 3"),
+        ("[fit]", '[fit]\nfinish = "soon"', "fit.finish: expected 'least-squares', 'cmaes' or 'none', found"),
+        ("[surface]", "[[surface]]", "surface: expected a table"),
+        ('name = "drop-1"', 'name = ""', "expected text that is not empty"),
+        ('name = "drop-1"', f'name = "{"x" * 10_000}"', "expected at most 100 characters"),
+        (
+            'name = "drop-1"',
+            'name = "a\\nb"',
+            "has characters that cannot be seen; use a name of one plain line",
+        ),
+        ('name = "drop-1"', 'name = "a\\u202eb"', "'a\\u202eb' has characters that cannot be seen"),
+        ('log = "drop-1', f'log = "{"x" * 10_000}', "does not exist"),
+    ],
+)
+def test_refusals_of_a_campaign_are_short_and_in_our_words(old, new, words, drops, refused):
+    edit(drops / "campaign.toml", old, new)
+    said = refused(words, "check", drops / "campaign.toml")
+    assert "Input" not in said
+    assert "should" not in said
+    assert len(said) < 1000
+
+
+def test_what_is_no_fit_and_what_is_a_fit_of_another_kind(tmp_path, refused):
+    fit = write_fit(full_fit(), tmp_path / "fit")
+    words = "published-motor.json: is no fit folder; a file of sets has neither runs nor trials"
+    refused(words, "compare", SAMPLES / "published" / "published-motor.json", fit)
+    words = "campaign.toml: is a gear campaign, but the fit is a motor fit; name a motor campaign"
+    refused(words, "validate", fit, SAMPLES / "gear-lf" / "campaign.toml")
+
+
+def test_a_fit_that_its_budget_cut_is_not_listed_as_done(tmp_path, run):
+    fit = full_fit()
+    write_fit(fit, tmp_path / "whole")
+    first, *others = fit.runs
+    ended = replace(first.stages[-1], stop_reason="evaluations")
+    short = replace(first, stages=(*first.stages[:-1], ended))
+    write_fit(replace(fit, runs=(short, *others)), tmp_path / "short")
+    _, listed, _ = run("fits", tmp_path, "--json")
+    assert {entry["name"]: entry["state"] for entry in json.loads(listed)} == {
+        "short": "cut",
+        "whole": "done",
+    }
+    assert "runs of a cut fit ended by their budget" in run("fits", tmp_path)[1]
