@@ -41,7 +41,7 @@ class Finding:
     size : float
         How bad it is, on any scale, to choose the worst among findings of one code.
     parameters : tuple of str
-        The parameters concerned; the name of a parameter of one trial stands without the trial.
+        The parameters concerned; a parameter of one trial is named without the trial.
     """
 
     code: str

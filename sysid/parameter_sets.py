@@ -111,7 +111,7 @@ class OneSet(Part):
 
 
 class SetsHead(Document):
-    """What every file of parameter sets says beside the numbers."""
+    """What every file of parameter sets says besides the numbers."""
 
     WHAT: ClassVar[str] = "a parameter-set file"
     REMEDY: ClassVar[str] = "export the fit again with sysid export"
@@ -130,7 +130,7 @@ class SetsHead(Document):
 
 
 class SetsMetadata(SetsHead):
-    """What a file with arrays says beside the arrays."""
+    """What a file with arrays says besides the arrays."""
 
     runs: tuple[int, ...]
     seeds: tuple[int, ...]

@@ -1,6 +1,6 @@
 """Unfinished results: kept on disk while they are computed, continued after a kill, by one process at a time.
 
-A folder lies beside a result while it is unfinished: a lock, the identity (what must be equal for the result
+An unfinished result has a folder next to it: a lock, the identity (what must be equal for the result
 to be continued) and states of the computation, each written whole or not at all. Fits keep one state per run
 (`sysid.fit.checkpoint`); maps and design studies keep one per finished block of rows.
 """

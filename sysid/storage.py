@@ -1,11 +1,11 @@
 """Files and folders that are there whole or not at all, and HDF5 files that say what they are.
 
-New content goes to a temporary name beside its destination and takes that name only when it is complete on
+New content goes to a temporary name next to its destination and takes that name only when it is complete on
 disk. A full disk, an error or Ctrl-C leaves the earlier content and nothing else; a killed process may leave
 a file or folder whose name starts with a dot and ends in ``.part``.
 
 An HDF5 file of sysid has the attributes ``schema`` and ``version``; its numeric datasets have ``axes`` and
-``unit``; JSON texts beside them have the rest. It is built in memory and written by `write_file`, because the
+``unit``; JSON texts have the rest. It is built in memory and written by `write_file`, because the
 HDF5 library ends the process on a full disk.
 """
 

@@ -31,7 +31,7 @@ def register_campaign(kind: str, model: type[BaseModel]) -> None:
 def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
     """Read a campaign file (TOML; logs in it are named relative to its folder).
 
-    A file that is missing, is no TOML, is of another `kind` than the caller needs, or breaks the schema is a
+    A file that is missing, is no TOML, has another `kind` than the caller needs, or breaks the schema is a
     CampaignFileError.
     """
     path = Path(path)

@@ -28,7 +28,7 @@ Unit = Annotated[str, AfterValidator(known_unit)]
 
 # A frozen model may inherit a frozen dataclass, but mypy takes a model for a dataclass that is not frozen.
 class LogTable(TomlTable, LogOptions):  # type: ignore[misc]
-    """What is common to all logs. An option of a plug-in format is passed on as it stands."""
+    """What is common to all logs. An option of a plug-in format is passed on unchanged."""
 
     model_config = ConfigDict(extra="allow")
 

@@ -27,7 +27,7 @@ def main() -> None:
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
     debug = "--debug" in sys.argv
-    if debug:  # wherever it stands on the line
+    if debug:  # anywhere on the line
         sys.argv = [argument for argument in sys.argv if argument != "--debug"]
     try:
         app()

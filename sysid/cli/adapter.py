@@ -1,6 +1,6 @@
 """Turns functions of annotated parameters and option dataclasses into commands of typer.
 
-What a parameter is called, means and refuses stands in `sysid.workflows.options`, once; typer is known in
+`sysid.workflows.options` says once what a parameter is called, means and refuses; typer is known in
 `sysid.cli` only.
 """
 

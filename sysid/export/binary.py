@@ -1,6 +1,6 @@
 """Parameter sets as HDF5 and MATLAB files.
 
-Arrays are native datasets and matrices; texts, records and settings travel as one exact JSON text beside
+Arrays are native datasets and matrices; texts, records and settings are one exact JSON text next to
 them (``metadata_json``), which is what sysid reads. Copies of it in native form (names, units, bounds; in
 MATLAB also one structure per set) are for other readers.
 """

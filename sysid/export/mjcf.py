@@ -3,7 +3,7 @@
 Body and legs are MuJoCo bodies, each leg on a hinge (bending) and a slide (its axis) with the set's springs
 and dampers; equations (5, 6, 11, 12) of the gear's model hold exactly but for MuJoCo's time step. Values of a
 set are of leg *pairs*: the planar model has one leg per pair, the model in space two legs of half the
-stiffness, damping, mass and inertia each. The whole set stands in ``custom/numeric`` by name [SI] as well.
+stiffness, damping, mass and inertia each. ``custom/numeric`` has the whole set by name [SI] as well.
 
 Contact
 -------
@@ -123,7 +123,7 @@ def to_mjcf(
         rate, standing = _CREEPING_RATE, values["kinetic_friction"] * weight / len(legs)
         ratio = inverse[0] * stiff * standing / values["slip_regularization"] / rate
     x = values["thrust_point_dx"]
-    # A motor stands above every leg in space, a pair of motors at each end in the plane.
+    # A motor is above every leg in space, a pair of motors at each end in the plane.
     thrust_points = {
         leg.name: (-leg.side * x, math.copysign(x, leg.joint[1]) if per_leg else 0.0, 0.0) for leg in legs
     }

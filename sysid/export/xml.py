@@ -1,4 +1,4 @@
-"""XML documents that other simulators read, filled in from the templates beside this file."""
+"""XML documents that other simulators read, filled in from the templates in this folder."""
 
 from __future__ import annotations
 

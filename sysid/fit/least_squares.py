@@ -55,7 +55,7 @@ class Weighing(Protocol):
         ...
 
     def scale(self, front: int, residuals: FloatArray) -> FloatArray:
-        """Return what weights the residuals (m,) of a front where it stands."""
+        """Return what weights the residuals (m,) of a front at its point."""
         ...
 
 

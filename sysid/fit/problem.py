@@ -109,7 +109,7 @@ class Block:
 class NoiseModel:
     """Correlations of residuals, each block scaled to unit variance.
 
-    `covariance` (C, C, L + 1) is of channel c at a sample and channel c' later by the lag [1], for `channels`
+    `covariance` (C, C, L + 1) pairs channel c at a sample with c' later by the lag [1], for `channels`
     in their order.
     """
 
@@ -158,7 +158,7 @@ class Problem(ABC):
     space: SearchSpace
     # Causes of a lost simulation, in the order in which a candidate is counted.
     causes: tuple[str, ...] = UNNAMED_CAUSE
-    # What trust counts as uncertain beside the noise.
+    # What trust counts as uncertain besides the noise.
     known_words: str = ""
 
     # --- what a model must say ------------------------------------------------------------------------------

@@ -143,7 +143,7 @@ class StageMemory:
         )
 
     def recalls(self, generation: int, points: FloatArray, elsewhere: bool) -> bool:
-        """Return whether the costs of a generation (from 0) are of the candidates (P, n_free) asked for.
+        """Return whether the costs of a generation (from 0) belong to the candidates (P, n_free) asked for.
 
         Where the costs were paid on another processor (`elsewhere`), candidates that differ by rounding are
         the same, and those that differ by more are not remembered. On the same processor other candidates

@@ -60,7 +60,7 @@ def _follow_up(problem: GearProblem, course: Course) -> FitOutcome:
         _DERIVED,
         stated=dict.fromkeys({*stated, *campaign.parameters.fixed}, "campaign"),
     )
-    # What a simulator must know beside the numbers.
+    # What else a simulator must know.
     settings = {
         "surface": campaign.surface.law,
         "frame": (
@@ -154,8 +154,8 @@ GEAR = Kind(
     words=Words(
         trials="drops",
         single="level drop on this surface",
-        misleads="a bounce beside a bifurcation",
+        misleads="a bounce near a bifurcation",
         remedy="free its start ([nuisance] start_time, height)",
-        unlike="a start beside a fork of the bounces, or a misread slope, surface or log",
+        unlike="a start near a bifurcation of the bounces, or a misread slope, surface or log",
     ),
 )

@@ -8,7 +8,7 @@ Frame N: x down-slope to the right, z up, y into the page; positive pitch is nos
 > 0`` falls toward +x; its surface passes through the origin. For an angle a: ``ex(a) = (cos a, -sin a)``,
 ``ez(a) = (sin a, cos a)``; the surface has the tangent ``ex(q_A)`` and the normal ``ez(q_A)``.
 
-Each leg stands for the *pair* of real legs at its end: rear C up-slope at -x, front D at +x.
+Each leg represents the *pair* of real legs at its end: rear C up-slope at -x, front D at +x.
 
 =========  ============================================================================================
 symbol     meaning [unit]

@@ -348,7 +348,7 @@ class GearProblem(Problem):
             out[block.trial * kinds : (block.trial + 1) * kinds, where] = change[:, where]
         return out
 
-    # --- what a campaign says beside its drops --------------------------------------------------------------
+    # --- what else a campaign says --------------------------------------------------------------
 
     def begin(self) -> None:
         """Tell what is fitted and what is not used, and compile the kernel."""
@@ -469,7 +469,7 @@ class GearProblem(Problem):
         return {name: [min(values), max(values)] for name, values in spans.items()}
 
     def about(self) -> dict[str, Any]:
-        """Return where the centre of mass lies beside the stated one."""
+        """Return where the centre of mass is, seen from the stated one."""
         return {"centre_of_mass": centre_of_mass(self.drops, self.campaign)}
 
 

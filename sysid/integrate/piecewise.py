@@ -64,7 +64,7 @@ class PiecewiseCubic:
         return c[..., 0] + s * (c[..., 1] + s * (c[..., 2] + s * c[..., 3]))
 
     def on(self, knots: FloatArray) -> FloatArray:
-        """Return coefficients (n, 4) about other knots (n + 1,) [s], which include those of this history."""
+        """Return coefficients (n, 4) about other knots (n + 1,) [s], this history's among them."""
         middle = 0.5 * (knots[:-1] + knots[1:])
         piece = np.clip(np.searchsorted(self.knots, middle, side="right") - 1, 0, len(self.coefficients) - 1)
         s = np.asarray(knots[:-1] - self.knots[piece])

@@ -76,7 +76,7 @@ def drones(gear: ParameterSets, motor: ParameterSets, pairing: Pairing = "best")
     """Pair the sets of a gear with sets of a motor, one drone per gear set, best first.
 
     Every gear set goes with the motor's best set, or set i with set i ("each"). The motor's ``command_delay``
-    is of the log's instruments and is left out.
+    belongs to the log's instruments and is left out.
 
     Raises `ExportError` when the kinds are wrong, a number is unknown, or there are too few motor sets.
     """

@@ -61,7 +61,7 @@ class ImpulseMap(CellMap):
 class ImpulseWork:
     """Rows (P, 3) of a drone's number, slope [rad] and speed [m/s] to the best impulse and how it lands.
 
-    All rows are of one drone. The columns are the fields of `Optimum`, then `judged` of each variant.
+    All rows have one drone. The columns are the fields of `Optimum`, then `judged` of each variant.
     """
 
     drones: tuple[Drone, ...]

@@ -66,7 +66,7 @@ class MapSettings:
 
 @dataclass(frozen=True, eq=False)
 class CellMap:
-    """What every map is of: S sets by name on a surface under a controller.
+    """What every map states: S sets by name on a surface under a controller.
 
     `controller` is its label, `law` its name, whatever triggers it. The cells lie over slope (n,) [deg] and
     touchdown speed (m,) [m/s].
@@ -230,7 +230,7 @@ def judged(land: Callable[[float], Landings], settings: MapSettings) -> Columns:
 class LandingWork:
     """Rows (P, 4) of drone, controller (both by number), slope [rad] and speed [m/s] to `judged`.
 
-    All rows are of one drone and one controller.
+    All rows have one drone and one controller.
     """
 
     drones: tuple[Drone, ...]

@@ -1,4 +1,4 @@
-"""Real landings beside a map: read from a table, looked up in the map, counted."""
+"""Real landings compared with a map: read from a table, looked up in the map, counted."""
 
 from __future__ import annotations
 

@@ -127,7 +127,7 @@ def slide_limit(friction: float, thrust_ratio: float = 0.0) -> float:
 def tip_limit(distance: float, height: float, thrust_ratio: float = 0.0, lever: float | None = None) -> float:
     """Return the slope [rad] at which a rigid drone tips over its front feet, 0 to 90 deg.
 
-    `distance` and `height` are of the whole's centre of mass from the front feet, along and normal to the
+    `distance` and `height` place the whole's centre of mass from the front feet, along and normal to the
     slope [m]; `thrust_ratio` is reverse thrust over weight [1], negative lifts; `lever` is the distance of
     the thrust from the front feet along the slope [m], by default `distance`.
     """

@@ -176,7 +176,7 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> B
     command = recording["command"]
     time, u = command.time, campaign_range(campaign).to_u(command.values, command.unit, where)
     if not np.isfinite(u).any():
-        raise LogError(f"{where}: has no command; a motor fit needs the command beside the speed")
+        raise LogError(f"{where}: has no command; a motor fit needs command and speed")
     # A neutral that jitters is a neutral, for the tare too.
     u = np.where(np.abs(u) <= JITTER, 0.0, u)
     steps = trial_log.command_steps(time, u)

@@ -46,8 +46,8 @@ class MotorTarget:
 class BenchCost:
     """Compiled NRMSE of a population on several trials; the same numbers on any number of threads.
 
-    `weights` are of torque and speed in the mean over channels. The `denominator`, "std" or "range", is of
-    the measured samples, per trial and channel. A channel without samples or a constant one is a FitError; if
+    `weights` of torque and speed count in the mean over channels; the `denominator`, "std" or "range" of the
+    measured samples, is per trial and channel. A channel without samples or a constant one is a FitError; if
     it has no weight, its NRMSE is NaN.
     """
 
@@ -124,7 +124,7 @@ def _first(sizes: list[int]) -> IntArray:
 
 @njit(cache=True, error_model="numpy")
 def _place(sample, stride, width):
-    """Return where a sample lies after sorting by its remainder."""
+    """Return the place of a sample after sorting by its remainder."""
     whole = sample // stride
     return (sample - whole * stride) * width + whole
 

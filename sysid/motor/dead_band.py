@@ -35,7 +35,7 @@ _POPULATION = 40
 # Trials do not feel the dead band when it moves the cost of this many random candidates by less than this
 # share.
 _PROBES, _FELT = 32, 1e-6
-# Edges Ω_min that are tried beside the fitted one, currents beside each, and the share of the NRMSE below
+# Edges Ω_min that are tried around the fitted one, currents for each, and the share of the NRMSE below
 # which two dead bands are equally good.
 _EDGES, _CURRENTS, _LIMIT = 25, 31, 0.01
 # A range of equally good edges is reported when its ends differ by this ratio.
@@ -118,7 +118,7 @@ def fit_saturation(
 def edges_that_serve(
     problem: MotorProblem, row: FloatArray, fit: SaturationFit
 ) -> tuple[float, float] | None:
-    """Return the range of Ω_min [rad/s] over which the trials fit equally well, the best I_sat beside each.
+    """Return the range of Ω_min [rad/s] over which the trials fit equally well, each with its best I_sat.
 
     `row` (n_table,) is a set with its dead band [SI]. None where the stage did not free both numbers, or the
     trials bound Ω_min within a factor of 1.5. The tried currents lie around the fitted ratio Ω_min/I_sat,

@@ -215,7 +215,7 @@ def _about_saturation(
         notice(
             "dead-band-edge-open",
             f"{parts} of {trials} do not determine saturation_speed: from {edges[0]:.2g} to {edges[1]:.2g} "
-            "rad/s, with the saturation_current that fits best beside each, the NRMSE is within 1 % of the "
+            "rad/s, each with the saturation_current that fits best, the NRMSE is within 1 % of the "
             "lowest; its digits mean nothing",
         )
     return band.document() | {"saturation_speed_range": edges}
@@ -272,7 +272,7 @@ def _judge(
         settings[_LADDER] = [rung.document(other) for rung, other in zip(rungs, below, strict=True)]
         _notice(ladder_doubt(rungs))
         if _PROFILED in space.names:
-            # Of the torque curve's linear coefficient, which stands beside k_d in the equation of the rotor.
+            # Of the torque curve's linear coefficient, which the rotor's equation adds to k_d.
             errors = [fit.standard_errors[1] for fit in bench.curves.fits if fit.quantity == "torque"]
             damping = profile(problem.fitted, _PROFILED, sets.cube[0], max(errors), course.go_on)
             settings[_PROFILES] = {damping.name: damping.document()}
@@ -356,7 +356,7 @@ def _records(
 
 
 def _circumstances(problem: MotorProblem) -> dict[str, Any]:
-    """Return what a simulator must know beside the numbers."""
+    """Return what else a simulator must know."""
     u_of = campaign_range(problem.campaign)
     return {
         "command": {

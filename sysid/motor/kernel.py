@@ -21,7 +21,7 @@ The right-hand side is smooth between events, and each event ends a step: a comm
 supply voltage, Ω = 0, |Ω| = Ω_min, and inside the dead band |I| = I_sat and d|Ω|/dt = 0. Steps are those
 of RODAS, an L-stable Rosenbrock method of order 4(3) with six stages and a continuous extension of order
 3 (Hairer & Wanner, Solving Ordinary Differential Equations II, 2nd ed., section IV.7), because the search
-bounds allow L/R of microseconds beside rotor time constants of 0.1 s. On two states each stage is a 2 × 2
+bounds allow L/R of microseconds and rotor time constants of 0.1 s. On two states each stage is a 2 × 2
 product.
 """
 

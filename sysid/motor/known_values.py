@@ -89,7 +89,7 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
     chosen, rated = campaign.parameters, campaign.motor.kv is not None or current is not None
     # One constant alone says nothing where the other is a guess.
     scale_known = rated or all(name in chosen.fixed for name in CONSTANTS)
-    # Freed beside R, the constants are arbitrary with it whatever they start from.
+    # Freed together with R, the constants are arbitrary whatever they start from.
     scale_known &= current is not None or not {*CONSTANTS} & {*(chosen.free or ())}
     trials = tuple(
         prepare_run(campaign, entry, log, reference) for entry, log in zip(campaign.trials, logs, strict=True)
@@ -131,7 +131,7 @@ def _reference_voltage(
     logged = [log.channels["voltage"][1] for log in fitted if "voltage" in log.channels]
     if logged:
         return float(np.median(np.concatenate(logged))), "median supply voltage of the fitted logs", False
-    # Static speeds are divided by the volts beside them: another reference would tilt the no-load line.
+    # Static speeds are divided by the volts of their rows: another reference would tilt the no-load line.
     volts = np.concatenate([np.zeros(0), *(log.points.voltage for log in curve_logs)])
     volts = volts[np.isfinite(volts) & (volts > 0)]
     if volts.size:
@@ -215,14 +215,14 @@ def _check_choice(chosen: tuple[str, ...], given: Collection[str], scale_known: 
     if scale and "winding_resistance" in chosen and not scale_known:
         notice(
             "scale-free",
-            f"{' and '.join(scale)} free beside winding_resistance, and no log has the motor's current: "
+            f"{' and '.join(scale)} free with winding_resistance, and no log has the motor's current: "
             "torque and speed determine only k²/R, R/L and k·I_sat, which the result lists; the values "
             "themselves are arbitrary together",
         )
 
 
 def motor_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
-    """Return what the dynamic fit frees: the campaign's, or R, L and k_d, and what its logs need beside them.
+    """Return what the dynamic fit frees: the campaign's, or R, L and k_d, and what else its logs need.
 
     The rotor's inertia is free where it was not measured; the command delay always, one per log where there
     are several, and the torque sensor's delay and lag where a trial is a slow log, unless the campaign fixes
@@ -234,7 +234,7 @@ def motor_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
     """
     choices, fixed = campaign.parameters, campaign.parameters.fixed
     if not set(SATURATION) <= {*fixed, *bench.measured}:
-        # Freeing the dead band beside R, L and the delay does not help: they hide in one another.
+        # Freeing the dead band together with R, L and the delay does not help: they hide in one another.
         for trial in bench.fitted:
             if trial.only_starts:
                 notice(

@@ -103,7 +103,7 @@ def _parts(problem: MotorProblem) -> list[_Part]:
 
 
 def _shows(part: MotorTarget, channel: int, whole: FloatArray) -> bool:
-    """Return whether a part of a trial has enough samples, and enough spread beside the whole trial's."""
+    """Return whether a part of a trial has enough samples, and enough of the whole trial's spread."""
     values = part.measured[part.valid[:, channel], channel]
     return values.size >= _LEAST and bool(np.std(values) >= _LEAST_SPREAD * np.std(whole))
 

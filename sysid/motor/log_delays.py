@@ -1,7 +1,7 @@
 """The command delay of every log: instruments have different clocks, and one delay for all would blur steps.
 
 Every log that the search sees has a free delay; the set's `command_delay` is their mean, which serves logs
-without a delay. The delay that fits a held-out log best is reported beside its score, never used for it.
+without a delay. The delay that fits a held-out log best is reported with its score, never used for it.
 """
 
 from __future__ import annotations

@@ -299,7 +299,7 @@ class MotorProblem(Problem):
             out[block.trial, block.channel] = level
         return out * self.cost.denominators
 
-    # --- what a campaign says beside its trials -------------------------------------------------------------
+    # --- what else a campaign says -------------------------------------------------------------
 
     @property
     def stated(self) -> Mapping[str, float]:
@@ -307,7 +307,7 @@ class MotorProblem(Problem):
         return self.bench.values
 
     def known(self, fit: FitResult) -> Collection[str]:
-        """Return what the campaign gives that is no guess; not k beside an R that the fit has identified."""
+        """Return what the campaign gives that is no guess; without k where the fit has identified R."""
         known = {*self.bench.values, *self.campaign.parameters.fixed} - self.bench.guessed
         if any(r.name == "winding_resistance" and r.status == "free" for r in fit.parameters):
             known -= {*CONSTANTS}

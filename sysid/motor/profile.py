@@ -1,6 +1,6 @@
 """NRMSE over one parameter that hardly moves it, all others fitted again at every value.
 
-k_d (9.2e-9 N·m·s/rad in Table I) drags by 5 µN·m at 500 rad/s, beside 40 mN·m of the air: any small value
+k_d (9.2e-9 N·m·s/rad in Table I) drags by 5 µN·m at 500 rad/s, the air by 40 mN·m: any small value
 serves, and a result must say so instead of printing three digits. The limit is a share of the NRMSE, as
 everywhere in a result; the intervals of `sysid trust` follow the noise instead.
 """
@@ -29,7 +29,7 @@ _TOLERANCE, _ITERATIONS = 1e-4, 12
 class CostProfile:
     """NRMSE over one parameter, the others fitted at each of its values.
 
-    `values` (n,) ascend [SI], `nrmse` (n,) is of the best refit, `best` the lowest, the fit's included. A
+    `values` (n,) ascend [SI], `nrmse` (n,) the best refit's, `best` the lowest, the fit's included. A
     parameter below `resolution` [SI], the standard error of the static curves, cannot be seen.
     """
 
@@ -83,7 +83,7 @@ def profile(
 ) -> CostProfile:
     """Walk a free parameter through its bounds and fit the others at every step, by least squares.
 
-    `best` (n_free,) is the best set in the unit cube, `resolution` is of the static curves [SI].
+    `best` (n_free,) is the best set in the unit cube, `resolution` the static curves' [SI].
     `should_stop` is asked before every population, and raises where the fit must end.
     """
     space = objective.space

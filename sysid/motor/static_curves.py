@@ -210,7 +210,7 @@ def _soft_weights(columns: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def turns(values: FloatArray, direction: Rotation) -> BoolArray:
-    """Return True (n,) where a speed or command (n,) [any unit] is of the direction."""
+    """Return True (n,) where a speed or command (n,) [any unit] has the direction."""
     return values > 0 if direction == "forward" else values < 0
 
 

@@ -29,7 +29,7 @@ _SUPPLY_MEAN = 0.04
 _SUPPLY_LINE = 2e-3
 # Filter taps below this share of the centre are cut.
 _TAP_LEAST = 1e-4
-# A trial of which less than this share is left beside its starts from rest is searched whole.
+# A trial of which less than this share is no start from rest is searched whole.
 _LEAST_LEFT = 0.25
 # Samples of the speed that a start from rest needs to show a dead band.
 _LEAST_SHOWN = 10
@@ -64,7 +64,7 @@ class PreparedTrial:
 
     @property
     def only_starts(self) -> bool:
-        """Whether too little is left of the trial beside its starts from rest."""
+        """Whether too little of the trial is left without its starts from rest."""
         return bool(self.starts) and self._left().sum() < _LEAST_LEFT * self.target.valid.sum()
 
     @property

@@ -112,7 +112,7 @@ def _axis(panel: Axes, change: Change, values: FloatArray) -> None:
 
 
 def _apart(values: FloatArray, neutral: float) -> list[float]:
-    """Return the values that fit beside each other on a logarithmic axis, the neutral one among them."""
+    """Return the values whose labels do not overlap on a logarithmic axis, the neutral one among them."""
     near = 0.12 * math.log(values[-1] / values[0])
     kept: list[float] = []
     for value in sorted(values.tolist(), key=lambda v: (v != neutral, v)):

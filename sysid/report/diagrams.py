@@ -212,7 +212,7 @@ def figure_modes(shares: Mapping[str, float] | None = None) -> Figure:
         look: dict[str, Any] = {"facecolor": "white", "edgecolor": BODY, "linewidth": 1.4, "zorder": 3}
         style = "round,pad=0.02,rounding_size=0.1"
         axes.add_patch(FancyBboxPatch((x - 0.36, y - 0.2), 0.72, 0.4, boxstyle=style, **look))
-        # Shares are of the time on the ground.
+        # Shares of the time on the ground.
         flight = "\n(also in flight)" if mode == "both slip" and not shares else ""
         share = f"\n{100 * shares[mode]:.0f} % on the ground" if shares else ""
         _write(axes, (x, y), f"{mode}{flight}{share}", "black", ha="center", fontsize=8, zorder=4)

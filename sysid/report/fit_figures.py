@@ -79,7 +79,7 @@ def figure_measured_against_simulated(
 ) -> Figure:
     """Draw what was measured and what each set simulates: a column per trial, a row per channel.
 
-    The residual of the best set stands below each channel. Samples that did not count are not drawn; where
+    The residual of the best set is drawn below each channel. Samples that did not count are not drawn; where
     they were lost for every channel the time is shaded (an occlusion, a stall of the logger). A `trial` by
     name is drawn alone, `bars` are drawn below the signals; an ExportError names an unknown trial.
     """
@@ -324,7 +324,7 @@ def figure_spectrum(
 
 
 def filter_gain(design: Mapping[str, Any], highest: float) -> tuple[FloatArray, FloatArray] | None:
-    """Return the gain of a filter as it stands in a result: frequency (n,) [Hz] and gain (n,) [dB]."""
+    """Return the gain of a filter that a result states: frequency (n,) [Hz] and gain (n,) [dB]."""
     lowpass = stated_filter(design)
     if lowpass is None:
         return None

@@ -89,7 +89,7 @@ class FitReport:
 
     title: ClassVar[str] = "What the trials say"
     noun: ClassVar[str] = "trial"
-    # What the figures of measured and simulated signals show beside them.
+    # What else the figures of measured and simulated signals show.
     about_signals: ClassVar[str] = ""
     # Methods in the order of the page.
     sections: ClassVar[tuple[str, ...]] = (
@@ -276,7 +276,7 @@ class FitReport:
 
     @titled(
         "Parameters",
-        "Identified values first, set by set; then their mean and spread over the runs, beside what was "
+        "Identified values first, set by set; then their mean and spread over the runs, next to what was "
         "measured independently and the bounds of the search, in the layout of the paper's Tables I and II.",
     )
     def parameters(self) -> Html:

@@ -19,7 +19,7 @@ from sysid.errors import printable
 from sysid.report.table import Table
 
 _STYLES = {"": "", "strong": "bold", "good": "green", "doubtful": "yellow", "bad": "red"}
-# What rich draws beside every cell [characters].
+# What rich draws around every cell [characters].
 _AROUND = 2
 
 

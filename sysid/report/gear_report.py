@@ -80,7 +80,7 @@ class GearReport(FitReport):
     @titled(
         "Geometry",
         "The lengths that the model needs and the forces that it knows. Measure the masses, the moment of "
-        "inertia and where the feet are; the joints come from the fit. Each leg stands for the pair of legs"
+        "inertia and where the feet are; the joints come from the fit. Each leg represents the pair of legs"
         " at its end.",
     )
     def diagram(self) -> Html:

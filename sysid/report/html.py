@@ -29,7 +29,7 @@ _PATH, _STEPS = re.compile(r' d="[^"]*"'), re.compile(r"\s*([MLHVCQZz])\s*")
 _NUMBERS, _DECIMALS = re.compile(r' (?:d|x|y)="[^"]*"|translate\([^)]*\)'), re.compile(r"(\d+\.\d\d)\d+")
 # A cell with more characters is prose, which may be broken [characters].
 _LONGEST_CELL = 40
-# What stands for itself in an address inside double quotes.
+# What needs no escape in an address inside double quotes.
 _SAFE = " =:;,/()'-."
 _PART = re.compile(r'<h2 id="([^"]*)">(.*?)</h2>')
 
@@ -77,7 +77,7 @@ def heading(text: str, level: int = 2) -> Html:
 
 
 def preformatted(text: str) -> Html:
-    """Return text as it stands; keys scroll it."""
+    """Return text unchanged; keys scroll it."""
     return Html(f'<pre tabindex="0">{html.escape(text)}</pre>')
 
 

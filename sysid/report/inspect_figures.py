@@ -18,7 +18,7 @@ from sysid.trials.look import LogReport
 _FIRST = ("command", "speed", "thrust", "torque", "voltage", "current")
 _MOST_ROWS = 6
 _MOST_POINTS = 20_000
-# Width below which a name stands above the legend, not beside it [in].
+# Width below which a name is drawn above the legend, not to its left [in].
 _NARROW = 6.0
 
 

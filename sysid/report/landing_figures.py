@@ -386,7 +386,7 @@ def figure_impulse(
 ) -> Figure:
     """Draw the best impulse: a row per surface; mean, σ over the sets of delay and duration on the grid.
 
-    With `stacked`, for a narrow page, they stand below each other; then `best` is of one surface.
+    With `stacked`, for a narrow page, they are drawn below each other; then `best` has one surface.
     """
     shown = ("mean", "sigma") if any(len(chart.sets) > 1 for chart in best) else ("mean",)
     columns = [(which, name) for name in names for which in shown]

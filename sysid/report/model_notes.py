@@ -51,7 +51,7 @@ def misprints(motor: ParameterSets, gear: ParameterSets) -> Html:
 
 
 def checks(motor: ParameterSets, gear: ParameterSets) -> Html:
-    """Return numbers of the paper beside this code's."""
+    """Compare numbers of the paper with this code's."""
     values = gear.set_values(1)
     weight = (values["body_mass"] + 2 * values["leg_mass"]) * values["gravity"]
     ratio = _REVERSE_THRUST / weight

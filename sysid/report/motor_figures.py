@@ -46,7 +46,7 @@ def figure_reversals(logs: Sequence[ReversalCurves]) -> Figure:
         for number, log in enumerate(logs):
             colour = RUNS[number % len(RUNS)]
             for group in (g for g in log.groups if (g.before, g.after) == pair):
-                # Of each pair of commands, the repetition of median time stands for all.
+                # Of each pair of commands, the repetition of median time is drawn.
                 reached = [r for r in group.reversals if np.isfinite(r.to_level)]
                 ranked = sorted(reached, key=lambda r: r.to_level)
                 middle = ranked[len(ranked) // 2] if ranked else group.reversals[0]
@@ -96,7 +96,7 @@ def figure_thrust(
     """Draw measured and simulated thrust (S, n) [N], as in the paper's Fig. 4; commands as steps.
 
     With `command`, an instant [s], only what lies around it is drawn, and the axis counts from there. The
-    `legend` is for a figure that stands alone.
+    `legend` is for a single figure.
     """
     assert trial.thrust is not None
     figure, (top, bottom) = panel(3.4, nrows=2, sharex=True, height_ratios=(2.6, 1.0))

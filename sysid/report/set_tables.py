@@ -120,7 +120,7 @@ def _mean_row(record: ParameterRecord, fits: Sequence[ParameterSets]) -> MeanRow
 def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
     """Return mean ± σ over the sets of fits of one kind, in the layout of the paper's Table II.
 
-    Each fit has a column; measured values, independent ranges and bounds stand beside them. "Not fixed"
+    Each fit has a column; further columns are measured values, independent ranges and bounds. "Not fixed"
     replaces the digits of `unfixed` parameters, which the data do not determine. A parameter of which any set
     ends at a bound is flagged.
     """

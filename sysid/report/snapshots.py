@@ -32,7 +32,7 @@ FILM_RATE, SLOW = 20, 10.0
 def figure_snapshots(drop: DropReplay, *, legend: bool = False) -> Figure:
     """Draw the instants (1) to (4) of Fig. 7 of a drop.
 
-    At the very instant of a touch or a lift-off the foot's force is zero: arrows are of the sample within
+    At the very instant of a touch or a lift-off the foot's force is zero: arrows show the sample within
     8 ms in which the feet bear most.
     """
     instants = drop.first_contacts()

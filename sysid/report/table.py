@@ -9,7 +9,7 @@ from functools import partial
 from operator import itemgetter
 from typing import Any, Literal
 
-# What a cell says beside its text; a reader who sees no colours loses nothing.
+# What a cell's colour says; a reader who sees no colours loses nothing.
 Tone = Literal["", "strong", "good", "doubtful", "bad"]
 NONE = "—"
 
@@ -78,7 +78,7 @@ words, numbers = partial(TableColumn, number=False), partial(TableColumn, number
 
 
 def name_and_unit(name: str, unit: str) -> str:
-    """Return ``name [unit]``; a number without unit stands alone."""
+    """Return ``name [unit]``; the name alone where the unit is 1."""
     return name if unit in ("", "1") else f"{name} [{unit}]"
 
 

@@ -149,7 +149,7 @@ def spread_table(document: Row) -> Table:
 
 
 def noise_table(document: Row) -> Table:
-    """Return the residuals per channel beside the noise floor, and the number of independent samples."""
+    """Return the residuals per channel, the noise floor and the number of independent samples."""
     return table(
         "residuals",
         document["noise"]["channels"],
@@ -215,7 +215,7 @@ def quality_table(document: Row) -> Table:
 def validation_table(name: str, document: Row) -> Table:
     """Return the score of a validation or cross-validation, a row per trial.
 
-    The NRMSE of the best set stands beside what noise alone explains, also up to the third contact.
+    It compares the NRMSE of the best set with what noise alone explains, also up to the third contact.
     """
     rows = document["trials"]
     early = any(row.get("nrmse_third_contact") is not None for row in rows)

@@ -63,9 +63,9 @@ def truth_text(
 
 
 def read_truth(folder: str | Path) -> dict[str, Any]:
-    """Return the truth beside a synthesized campaign; ``parameters`` maps names to SI values.
+    """Return the truth of a synthesized campaign; ``parameters`` maps names to SI values.
 
-    `folder` may also be the campaign file or the truth file. ExportError when there is no truth, or it is of
+    `folder` may also be the campaign file or the truth file. ExportError when there is no truth, or it has
     another schema.
     """
     path = Path(folder)

@@ -106,7 +106,7 @@ def command_steps(time: FloatArray, u: FloatArray) -> CommandSteps:
     """Return the changes of a logged command u (n,) [1] over time (n,) [s]; a blank one repeats the last."""
     known = np.isfinite(u)
     if not known.any():
-        raise LogError("the log has no command; a motor fit needs the command beside the speed")
+        raise LogError("the log has no command; a motor fit needs command and speed")
     t, level = time[known], u[known]
     changes = np.concatenate([[0], np.flatnonzero(np.diff(level)) + 1])
     return CommandSteps(t[changes], level[changes])

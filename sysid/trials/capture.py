@@ -206,7 +206,7 @@ def marker_plane(
         channel = recording[f"{name}/position"]
         if not channel.valid.any():
             raise LogError(f"{where}: marker {name!r} was never seen; name another one")
-        # The board stands still: the median ignores the few frames in which a marker was mistaken.
+        # The board does not move: the median ignores the few frames in which a marker was mistaken.
         centres.append(np.median(channel.values[channel.valid], axis=0) @ frame.matrix.T)
     points = np.array(centres)
     centre = points.mean(axis=0)
@@ -217,7 +217,7 @@ def marker_plane(
         return centre - height * normal, None, 0.0
     _, singular, axes = np.linalg.svd(points - centre)
     if singular[1] < 0.02 * singular[0]:
-        raise LogError(f"{where}: markers {', '.join(markers)} lie on one line; name one beside it")
+        raise LogError(f"{where}: markers {', '.join(markers)} are on one line; name one off that line")
     normal = axes[2] * np.sign(axes[2][2] or 1.0)
     residual = float(np.sqrt(np.mean(((points - centre) @ normal) ** 2)))
     return centre - height * normal, float(np.arctan2(normal[0], normal[2])), residual

@@ -228,7 +228,7 @@ class Repetitions:
         """Return how many took over `slow` times the quickest's time to 90 %, or were not seen to get there.
 
         Measured against a low percentile, not the median: of a controller that fails half of the time the
-        median is a failure. One that fails every time is only seen beside others.
+        median is a failure. One that fails every time is only seen next to others.
         """
         values = np.array([r.to_level for r in self.reversals])
         reached = values[np.isfinite(values)]

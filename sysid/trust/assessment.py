@@ -43,7 +43,7 @@ def _linearized(problem: Problem, point: FloatArray) -> Linearized:
     blocks, residuals = problem.blocks, problem.residuals(point[None])[0][0]
     levels = nrmse_of(blocks, residuals)
     scale = scales(blocks, levels, len(residuals))
-    # One standard deviation of a sum of squares is of the size of a sample's share of it.
+    # One standard deviation of a sum of squares is about a sample's share of it.
     sample = float(np.sqrt(np.sum((residuals * scale) ** 2) / sum(block.count for block in blocks)))
     changes = problem.disturbances(point)
     noise = noise_model(blocks, undisturbed(blocks, residuals, changes))

@@ -137,7 +137,7 @@ class Bootstrap(Part):
 
 
 class JudgedTrial(Part):
-    """A predicted trial. ``nrmse`` is of each set, best first; the other numbers are of the best set [1].
+    """A predicted trial. ``nrmse`` has a value per set, best first; the other numbers are the best's [1].
 
     ``floor`` is what the measurement's noise alone costs (NaN where not known), ``ratio`` the NRMSE over it.
     NRMSE and ratio are also stated up to the prediction's third touchdown, ``third_contact`` after the first
@@ -296,7 +296,7 @@ def write_part(
     """Write one document and its arrays into a fit folder, in place of an earlier one.
 
     `part` is ``trust``, ``cross-validation`` or ``validation-CAMPAIGN``. `document` has what `model_of` the
-    part declares beside `TrustPart`, and campaign and warnings; `arrays` are (values, axes, unit) by path in
+    part adds to `TrustPart`, and campaign and warnings; `arrays` are (values, axes, unit) by path in
     the HDF5 file. `fit` is the fit's name. Raises FitError, with nothing changed, when it cannot be written.
     """
     text = model_of(part)(

@@ -1,6 +1,6 @@
-"""Does a fit hang on a single trial? How each trial scores beside the others, and the fit without it.
+"""Does a fit hang on a single trial? How each trial scores among the others, and the fit without it.
 
-A bounce that begins beside a bifurcation (which foot touches first, does it stick) predicts nothing: a shift
+A bounce that begins near a bifurcation (which foot touches first, does it stick) predicts nothing: a shift
 of 0.04 ms at its start changes all that follows, and the parameters absorb the noise of such a start. Two
 signs tell: the trial fits worse than the others, or the fit without the trial moves farther than one trial
 less explains.

@@ -1,7 +1,7 @@
 """Many small least-squares fits at once: each is a front, and one population has the candidates of all.
 
 The fronts (points of profiles, resampled trials) walk as `sysid.fit.least_squares` says. A front whose cost
-is too rough for derivatives is handed to CMA-ES around where it stands.
+is too rough for derivatives is handed to CMA-ES around its point.
 """
 
 from __future__ import annotations

@@ -237,7 +237,7 @@ def gradient_noise(
 ) -> FloatArray:
     """Return V (n, n), the covariance of ``Jᵀ rho``.
 
-    `jacobian` (m, n) is of the residuals weighted by `scale` (m,). `levels` (B,) are the NRMSE of the noise
+    `jacobian` (m, n) derives the residuals weighted by `scale` (m,). `levels` (B,) are the NRMSE of the noise
     in every block [1]. `disturbances` (K, m) are unweighted, see `Problem.disturbances_at`.
     """
     parts = []

@@ -1,4 +1,4 @@
-"""Profile likelihood: set one parameter beside its best value, fit all others, see what that costs.
+"""Profile likelihood: move one parameter off its best value, fit all others, see what that costs.
 
 The deviance of a fixed value is the rise of the least sum of squares over the best one, divided by the
 inflation of that parameter (`sysid.trust.linearized`). It follows chi-square with one degree of freedom
@@ -99,7 +99,7 @@ class _Side:
 
 
 def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profiles:
-    """Walk every free parameter from the minimum outward; `seed` is of CMA-ES where the cost is rough."""
+    """Walk every free parameter from the minimum outward; `seed` is for CMA-ES where the cost is rough."""
     best, scale, steps, info = linear.point, linear.scale, linear.jacobian.steps, linear.information
     n = len(best)
     values, _ = problem.residuals(best[None])

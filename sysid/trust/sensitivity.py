@@ -117,7 +117,7 @@ def information_by_channel(problem: Problem, view: Linearized) -> FloatArray:
 class Candidate:
     """A recording that could be made next, such as ``a drop on 25 deg at 0.8 m/s``.
 
-    `half_widths` (n,) are of every parameter with it [1]. `gain` is the logarithm by which the half-widths of
+    `half_widths` (n,) are every parameter's with it [1]. `gain` is the logarithm by which the half-widths of
     the weakly determined parameters fall, summed [1].
     """
 

@@ -35,7 +35,7 @@ _CAMPAIGNS = {
 
 
 def find_samples(given: Path | None) -> Path:
-    """Return the data_samples folder: given, in the working directory, or beside the installed sources.
+    """Return the data_samples folder: given, in the working directory, or next to the installed sources.
 
     Raises `SysidError` when it is not there.
     """

@@ -41,14 +41,14 @@ def look_at_log(campaign: str | Path, trial: int = 0) -> Html:
 
 
 def campaign_text(campaign: str | Path) -> Html:
-    """Return a campaign file as it stands."""
+    """Return the text of a campaign file."""
     return preformatted(Path(campaign).read_text(encoding="utf-8"))
 
 
 def first_fit(
     campaign: str | Path, out: str | Path, *, runs: int | None = None, max_generations: int | None = None
 ) -> FitReport:
-    """Fit a campaign, replacing what lies in the folder `out`, and return the parts of its report.
+    """Fit a campaign, replacing the content of the folder `out`, and return the parts of its report.
 
     `runs` and `max_generations` cut the search short; the campaign states them otherwise.
     """

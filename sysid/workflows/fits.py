@@ -1,4 +1,4 @@
-"""`sysid fits`: what lies in a folder of fits, finished or not."""
+"""`sysid fits`: the fits in a folder, finished or not."""
 
 from __future__ import annotations
 

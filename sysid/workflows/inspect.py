@@ -55,7 +55,7 @@ def inspect_files(
 ) -> None:
     """Print the content of logs, as tables or JSON, and draw them.
 
-    A refused log does not hide the others. Its refusal stands in its place, in JSON as an object with the
+    A refused log does not hide the others. Its refusal takes its place, in JSON as an object with the
     keys ``path`` and ``error``, and is raised in the end. `draw` gets the logs that are not refused and
     returns the file.
     """

@@ -55,7 +55,7 @@ def chosen_controllers(
 
     The first contact starts them, or with the trigger ``imu`` the drone's accelerometer.
 
-    Raises `CampaignError` when a name is unknown or stands twice, or a step comes later than the `horizon`
+    Raises `CampaignError` when a name is unknown or repeated, or a step comes later than the `horizon`
     [s].
     """
     if file is not None:
@@ -74,7 +74,7 @@ def chosen_controllers(
 def open_fleets(motors: MotorOptions, gears: Sequence[Path]) -> tuple[Fleets, dict[str, Any]]:
     """Return the drones of every gear file, and where their numbers come from, for the result.
 
-    Raises `SysidError` when sets cannot be used, or two gear files are of one surface.
+    Raises `SysidError` when sets cannot be used, or two gear files have one surface.
     """
     if motors.pair not in PAIRINGS:
         raise CampaignError(f"--pair {motors.pair!r}: expected one of {', '.join(PAIRINGS)}")
@@ -101,7 +101,7 @@ def _origin(path: Path, sets: ParameterSets) -> dict[str, Any]:
 def check_result(what: str, out: Path, force: bool, *pictures: Path) -> None:
     """Refuse an HDF5 file or pictures that cannot be written, before the minutes of a result are spent.
 
-    Raises `ExportError` when a file is of no known format or exists, or its folder does not exist.
+    Raises `ExportError` when a file has no known format or exists, or its folder does not exist.
     """
     if out.suffix.lower() not in (".h5", ".hdf5"):
         raise ExportError(f"{out}: a {what} is written as HDF5; give --out a name that ends in .h5")
@@ -134,13 +134,13 @@ def compute_and_write(
         for note in store.notes:
             notice("damaged-block", note)
         if result is None:
-            tell(f"stopped: the finished blocks are kept beside {out}; continue with --resume")
+            tell(f"stopped: the finished blocks are kept next to {out}; continue with --resume")
             return None
         try:
             write(result)
         except BaseException:
             computed = f"{out} is written, " if out.exists() else ""
-            tell(f"{computed}the finished blocks are kept beside it; go on with --resume --force")
+            tell(f"{computed}the finished blocks are kept next to it; go on with --resume --force")
             raise
         store.discard()
         return result

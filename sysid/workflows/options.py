@@ -215,7 +215,7 @@ LoaderOption = Annotated[tuple[str, ...], Flag("Loader option, for example rate=
 
 @dataclass(frozen=True)
 class FitOptions:
-    """What a user may state about a fit beside the campaign; it overrides the campaign's `[fit]`.
+    """What a user may state about a fit; it overrides the campaign's `[fit]`.
 
     `time_limit` [s] counts from the reading of the campaign on. On a Dask cluster every worker process uses
     one core.
@@ -276,7 +276,7 @@ class TrustOptions:
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """What a report shows and which files are written beside it."""
+    """What a report shows and which further files are written."""
 
     out: Annotated[Path | None, Flag("Write the page to this file.", default="FIT/report.html")] = None
     against: Annotated[

@@ -73,7 +73,7 @@ def predict(fit: FitResult, problem: Problem, values: FloatArray | None = None) 
 def open_under(fit: FitResult, path: Path, threads: int | None = None) -> tuple[Kind, Problem]:
     """Return the trials of a campaign under the law of a fit.
 
-    Raises `SysidError` when the campaign is of another kind or cannot be used.
+    Raises `SysidError` when the campaign has another kind or cannot be used.
     """
     with naming_campaign(path):
         kind, campaign, _ = open_campaign(path, fit.kind, fit.settings)
@@ -106,7 +106,7 @@ def predicted_fit(fit: FitResult, path: Path) -> FitResult:
 
     Trials that the fit held back are in its report already.
 
-    Raises `SysidError` when the campaign is of the other kind, cannot be used, or has no other trials than
+    Raises `SysidError` when the campaign has another kind, cannot be used, or has no other trials than
     the fit.
     """
     with Journal() as journal:

@@ -22,7 +22,7 @@ _LIBRARIES = ("numpy", "scipy", "numba", "pymoo", "cma", "pandas", "h5py")
 def fit_identity(settings: SearchSettings, problem: Problem) -> dict[str, Any]:
     """Return what must be equal for a fit to be continued; see `sysid.resume.Unfinished`.
 
-    `problem` is of all trials. More runs, or another time limit, do not hinder.
+    `problem` has all trials. More runs, or another time limit, do not hinder.
     """
     space = problem.space
     rows = [[str(value) for value in vars(row).values()] for row in (*space.table.values(), *space.free)]
@@ -46,7 +46,7 @@ def fit_identity(settings: SearchSettings, problem: Problem) -> dict[str, Any]:
 def provenance(settings: SearchSettings, problem: Problem, folder: Path) -> dict[str, Any]:
     """Return what a reader needs to repeat a fit, or to doubt it.
 
-    `problem` is of all trials; where the campaign lies is stored as seen from the folder of the fit.
+    `problem` has all trials; the campaign's path is stored as seen from the folder of the fit.
     """
     stop, source = settings.stop, problem.campaign.source
     return {
@@ -83,7 +83,7 @@ def stated_campaign(source: CampaignSource, folder: Path) -> dict[str, str]:
 
 
 def seen_from(folder: Path, path: Path) -> str:
-    """Return where a file lies, seen from a folder; absolute where they share no drive."""
+    """Return the path of a file, seen from a folder; absolute where they share no drive."""
     try:
         return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
     except ValueError:

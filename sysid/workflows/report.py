@@ -1,4 +1,4 @@
-"""`sysid report`: a fit as one page; vector figures and films beside it."""
+"""`sysid report`: a fit as one page, with vector figures and films."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def open_report(fit: str | Path, against: str | Path | None = None) -> FitReport
 def write_report(
     folder: str | Path, options: ReportOptions | None = None, say: Say = None
 ) -> dict[str, Path]:
-    """Write the report of a fit folder and the files beside it; return the files by what they are.
+    """Write the report of a fit folder and its further files; return the files by what they are.
 
     Raises `SysidError` when something is missing or would be overwritten; nothing has been written then.
     """
@@ -62,7 +62,7 @@ def write_report(
 
 
 def print_report(folder: str | Path, options: ReportOptions, json: bool, say: Say) -> None:
-    """Write a report and print where it lies."""
+    """Write a report and print its path."""
     started = time.perf_counter()
     console = Console(stderr=True)
     if say is not None and console.is_terminal:

@@ -201,7 +201,7 @@ def _zero_without_rest(
         channels = {"speed": (speed.time, turning), "thrust": (thrust.time[keep], thrust.values[keep])}
         points = steady_points(thrust.time, steps, channels)
         zero = zero_of_steady(points.thrust, points.speed)
-        basis = f"too few steady points beside it, so {basis}"
+        basis = f"too few steady points in this log, so {basis}"
     if zero is not None:
         basis = f"the tare of thrust, {1e3 * zero.value:.3g} ± {1e3 * zero.error:.2g} mN, is what its steady "
         basis += "points over Ω|Ω| leave at standstill"

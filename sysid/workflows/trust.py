@@ -1,4 +1,4 @@
-"""`sysid trust FIT`: profiles, linearized uncertainty, bootstrap and spread of a fit, stored beside it."""
+"""`sysid trust FIT`: profiles, linearized uncertainty, bootstrap and spread of a fit, kept in its folder."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def _doubts(
             yield about(parameter, "rough-derivative", sentence, rough)
         if jump > _MOVED:
             sentence = (
-                f"{name}: the best set lies {jump:.1f} standard deviations from where the sum of squares is "
+                f"{name}: the best set is {jump:.1f} standard deviations from where the sum of squares is "
                 "least; the search has not converged, or its simulations are too inexact (fit.tolerance)"
             )
             yield about(parameter, "not-converged", sentence, float(jump))
@@ -155,7 +155,7 @@ def _notice_trials(
 ) -> None:
     """Notice trials that stand out or decide the fit, and mark the rows of the parameters they touch.
 
-    `names` are of the trials; `without` (T, n) are the parameters of the fits without each [SI].
+    `names` are the trials'; `without` (T, n) are the parameters of the fits without each [SI].
     """
     advice = 'look at it, and fit without it (use = "validate")'
     remedy = f" or {words.remedy}" if words.remedy else ""

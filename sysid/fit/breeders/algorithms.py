@@ -1,6 +1,6 @@
 """Every search algorithm behind one adapter: pymoo's, and cma's evolution strategy.
 
-A `Breeder` says which candidates to score next and is told their costs; nothing of the libraries' own stop
+A `Breeder` says which candidates to score next and takes their costs; nothing of the libraries' own stop
 rules, histories or evaluation budgets takes part. Its candidates are a pure function of seed and costs, so a
 run that was cut off continues exactly where it was once it has been told the costs that were stored.
 

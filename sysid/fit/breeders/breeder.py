@@ -44,7 +44,7 @@ class Start:
 class Breeder(Protocol):
     """One algorithm as ask and tell over the unit cube.
 
-    One with `needs_residuals` takes residuals (P, m) beside the costs, NaN where a simulation failed.
+    One with `needs_residuals` takes residuals (P, m) with the costs, NaN where a simulation failed.
     """
 
     needs_residuals: bool = False
