@@ -9,6 +9,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from sysid.errors import printable
+
 # The commands in the order of work; `sysid --help` lists them so.
 GROUPS = {
     "Start": ("demo", "new-campaign", "synthesize"),
@@ -46,8 +48,6 @@ class _Program(TyperGroup):
             with formatter.section(group):
                 formatter.write_dl([(f"{n:<14}", str(c.help).partition("\n")[0]) for n, c in known.items()])
 
-
-from sysid.errors import printable
 
 app = typer.Typer(
     name="sysid",
