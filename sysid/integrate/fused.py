@@ -45,6 +45,21 @@ def fused_multiply_add(typing, a, b, c):
     return kind(kind, kind, kind), generate
 
 
+def _chosen(typing, condition, a, b):
+    """`a` where a condition holds, else `b`: both are read, so that a choice between rows is packed.
+
+    Of ``a if condition else b`` the compiler makes a choice between two addresses, which it cannot pack.
+    """
+
+    def generate(context, builder, signature, arguments):
+        return builder.select(*arguments)
+
+    return numba_types.float64(numba_types.boolean, numba_types.float64, numba_types.float64), generate
+
+
+chosen: Any = intrinsic(_chosen)
+
+
 class _Fusing(ast.NodeTransformer):
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
         left, right = self.visit(node.left), self.visit(node.right)

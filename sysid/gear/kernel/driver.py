@@ -42,7 +42,7 @@ from sysid.gear.kernel.lane import (
 from sysid.gear.kernel.parameter_row import THRUST_POINT_DX
 from sysid.gear.kernel.stage import law_at
 from sysid.gear.surfaces.surface import Surface, law_text, specialized
-from sysid.integrate.fused import fused
+from sysid.integrate.fused import chosen, fused
 from sysid.integrate.tableau import STAGES, E
 
 # Bound to a surface's functions when a driver or a reader is made.
@@ -87,6 +87,20 @@ def _error(work, lane, lanes):
         gap = gap * WEIGHTS[i]
         total += gap * gap
     return total
+
+
+@njit(error_model="numpy", inline="always")
+def _advance(work, taken, lane, lanes):
+    """Make the end of a taken step the start of the next one."""
+    for i in range(2 * at.COORDINATES):
+        start, end = (at.START + i) * lanes + lane, (at.END + i) * lanes + lane
+        work[start] = chosen(taken, work[end], work[start])
+    for i in range(at.COORDINATES):
+        start, end = (at.RATES + i) * lanes + lane, (at.RATES + at.COORDINATES * STAGES + i) * lanes + lane
+        work[start] = chosen(taken, work[end], work[start])
+    for foot in range(2):
+        start, end = (at.FRICTION_0 + foot) * lanes + lane, (at.FRICTION + foot) * lanes + lane
+        work[start] = chosen(taken, work[end], work[start])
 
 
 @njit(error_model="numpy")
@@ -261,10 +275,11 @@ def drop_driver(lanes: int, surface: Surface):
                 due = due if taken > 0.0 else -1.0
                 due = due if sound > 0.0 else 1.0
                 due = due if news <= 0.0 else 1.0
+                work[at.DUE * lanes + lane] = due
                 attention += 1 if due >= 0.0 else 0
             if attention > 0:
                 for lane in range(lanes):
-                    if job[lane] < 0:
+                    if job[lane] < 0 or work[at.DUE * lanes + lane] < 0.0:
                         continue
                     number = job[lane]
                     candidate = number // drops
@@ -285,7 +300,7 @@ def drop_driver(lanes: int, surface: Surface):
                                 if touch > 0.0 and np.isnan(moments[candidate, drop, foot]):
                                     moments[candidate, drop, foot] = t + share * h
                                     row = states[candidate, drop, foot]
-                                    sample(work, lane, lanes, share, slope[drop], row)
+                                    sample(work, lane, lanes, share, row)
                                     begins = t + share * h + plans[drop, at.PLAN_START]
                                     waits = plans[drop, at.PLAN_WAITS] > 0.0
                                     waits = waits and segment[lane] == plans[drop, at.PLAN_FIRST]
@@ -324,7 +339,7 @@ def drop_driver(lanes: int, surface: Surface):
                         while cursor[lane] < end and clock[cursor[lane]] <= t + h:
                             share = (clock[cursor[lane]] - t) / h if h > 0.0 else 1.0
                             row = samples[candidate, cursor[lane]]
-                            sample(work, lane, lanes, share, slope[drop], row)
+                            sample(work, lane, lanes, share, row)
                             cursor[lane] += 1
                         stretch = min(
                             work[(at.END + at.H_C) * lanes + lane], work[(at.END + at.H_D) * lanes + lane]
@@ -358,7 +373,7 @@ def drop_driver(lanes: int, surface: Surface):
                     share = 1.0 if taken else 0.0
                     if taken and cursor[lane] == end and code == OK:
                         share = (length - t) / h if h > 0.0 else 0.0
-                    sample(work, lane, lanes, share, slope[drop], states[candidate, drop, AT_END])
+                    sample(work, lane, lanes, share, states[candidate, drop, AT_END])
                     status[candidate, drop] = code
                     spent[candidate, drop] = np.int64(work[at.COUNT * lanes + lane])
                     if waiting < len(jobs):
@@ -384,21 +399,8 @@ def drop_driver(lanes: int, surface: Surface):
                 if modes:
                     switched = work[at.SWITCH * lanes + lane] + work[(at.SWITCH + 1) * lanes + lane]
                     fresh = 1.0 if switched > 0.0 and fresh == 0.0 else fresh
-                for foot in range(2):
-                    before = work[(at.FRICTION_0 + foot) * lanes + lane]
-                    now = work[(at.FRICTION + foot) * lanes + lane]
-                    work[(at.FRICTION_0 + foot) * lanes + lane] = now if taken > 0.0 else before
+                _advance(work, taken > 0.0, lane, lanes)
                 work[at.FRESH * lanes + lane] = fresh
-            for i in range(2 * at.COORDINATES):
-                for lane in range(lanes):
-                    old = work[(at.START + i) * lanes + lane]
-                    new = work[(at.END + i) * lanes + lane]
-                    work[(at.START + i) * lanes + lane] = new if work[at.TAKEN * lanes + lane] > 0.0 else old
-            for i in range(at.COORDINATES):
-                for lane in range(lanes):
-                    old = work[(at.RATES + i) * lanes + lane]
-                    new = work[(at.RATES + at.COORDINATES * STAGES + i) * lanes + lane]
-                    work[(at.RATES + i) * lanes + lane] = new if work[at.TAKEN * lanes + lane] > 0.0 else old
 
     text = specialized(stages.evaluate, solve=surface.solve, modes=surface.switching)
     stage = njit(error_model="numpy", inline="always")(text)

@@ -62,6 +62,9 @@ def begin(parameters, slope, body, legs, work, lane, lanes):
         work[(at.LAW + i) * lanes + lane] = parameters[reads] if reads < len(parameters) else 0.0
     c = np.cos(slope)
     s = np.sin(slope)
+    work[at.SLOPE * lanes + lane] = slope
+    work[at.COS_SLOPE * lanes + lane] = c
+    work[at.SIN_SLOPE * lanes + lane] = s
     x, z, pitch, x_rate, z_rate, omega = body[0], body[1], body[2], body[3], body[4], body[5]
     phi = pitch - slope
     h_c, theta_c, h_d, theta_d = 0.0, phi + coefficients.q_n, 0.0, phi - coefficients.q_n
@@ -159,14 +162,14 @@ def interpolated(work, lane, lanes, share, i):
 
 
 @njit(error_model="numpy")
-def sample(work, lane, lanes, share, slope, row):
+def sample(work, lane, lanes, share, row):
     """Write the state at `share` (0..1) of the step of one lane into `row`, in frame N.
 
     6 columns: the body; 16: all coordinates, their rates, and friction on the feet, linear over the step.
     """
     columns = len(row)
-    c = np.cos(slope)
-    s = np.sin(slope)
+    c = work[at.COS_SLOPE * lanes + lane]
+    s = work[at.SIN_SLOPE * lanes + lane]
     half = 3 if columns == 6 else 7
     for i in range(half):
         row[i], row[half + i] = interpolated(work, lane, lanes, share, i)
@@ -180,7 +183,7 @@ def sample(work, lane, lanes, share, slope, row):
             turn = row[7 * i + 2]
             row[7 * i + 4] = row[7 * i + 4] - turn
             row[7 * i + 6] = turn - row[7 * i + 6]
-    row[2] = row[2] + slope
+    row[2] = row[2] + work[at.SLOPE * lanes + lane]
     if columns == 16:
         for foot in range(2):
             before = work[(at.FRICTION_0 + foot) * lanes + lane]
