@@ -5,6 +5,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import QuadMesh
 
 from fakes.landings import read_maps
@@ -416,6 +417,29 @@ def test_letters_and_labels_keep_off_lines_and_real_landings():
     for text in labels:
         x, y = text.get_position()
         assert np.hypot((x - 0.3) / (right - left), (y - 2.5) / (high - low)) > 0.1
+
+
+def test_labels_keep_apart_and_inside():
+    """Letters and contour labels inside their axes, legends inside the figure; long names are drawn once."""
+    names = ("impulse, then reverse", "refined impulse, then reverse", "impulse alone")
+    limits = {("lf", name): DrawnLimits(0.0 if "alone" in name else 13.76, 30.0, 25.0) for name in names}
+    figure = figure_landing_maps([some_map(name) for name in names], limits=limits)
+    FigureCanvasAgg(figure).draw()
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "static limit of the first set, rigid legs (13.8 N or 0 N)" in words
+    boxes = {}
+    for k, axes in enumerate(figure.axes):
+        frame = axes.get_window_extent().padded(1.0)
+        for text in axes.texts:
+            boxes[k, text.get_text()] = box = text.get_window_extent()
+            assert all(frame.contains(*corner) for corner in box.corners()), text
+    assert {text for _, text in boxes} >= {"A", "B", "0.2 m", "0.5 s"}
+    every = [*boxes.values(), *(legend.get_window_extent() for legend in figure.legends)]
+    assert not [1 for k, box in enumerate(every) if any(box.overlaps(other) for other in every[:k])]
+    for legend in figure.legends:
+        assert (
+            figure.bbox.x0 <= legend.get_window_extent().x0 <= legend.get_window_extent().x1 <= figure.bbox.x1
+        )
 
 
 def test_loops_around_single_cells_are_no_contours():
