@@ -26,6 +26,10 @@ from sysid.errors import SysidError
 from sysid.journal import tell
 from sysid.types import FloatArray
 
+# Threads that wait for the next population sleep: the OpenMP under numba would let them spin for some ms,
+# which takes as much processor time again as a small population. Read when numba first computes in parallel.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
 Columns = tuple[NDArray[Any], ...]
 
 # Least computing time of a chunk [s]: a scheduler spends a millisecond on it, a generation lasts longer.

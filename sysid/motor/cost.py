@@ -98,24 +98,30 @@ class BenchCost:
         end to end, `sensors` (P, 3) torque delay, torque lag, speed lag [s] of slow logs. A trial of which
         less than all is `reached` (P, T) failed and scores ``FAILED_NRMSE · (2 − reached)``.
         """
+        return self._scored(samples, reached, sensors, threads, np.empty((0, 0, 2)))
+
+    def compared(
+        self, samples: FloatArray, reached: FloatArray, sensors: FloatArray, threads: int | None = None
+    ) -> tuple[FloatArray, BoolArray, tuple[FloatArray, ...]]:
+        """Return the same, and per trial the simulated signals as compared: (P, n, 2) [N·m], [rad/s]."""
+        first = self._prepared[0]
+        signals = np.empty((len(samples), first[-1], 2))
+        by_channel, failed = self._scored(samples, reached, sensors, threads, signals)
+        return by_channel, failed, tuple(np.split(signals, first[1:-1], axis=1))
+
+    def _scored(
+        self,
+        samples: FloatArray,
+        reached: FloatArray,
+        sensors: FloatArray,
+        threads: int | None,
+        signals: FloatArray,
+    ) -> tuple[FloatArray, BoolArray]:
         by_channel = np.empty((len(samples), len(self.targets), 2))
         failed = np.zeros(by_channel.shape[:2], dtype=np.bool_)
         with numba_threads(threads):
-            _score(samples, reached, sensors, *self._prepared, by_channel, failed)
+            _score(samples, reached, sensors, *self._prepared, by_channel, failed, signals)
         return by_channel, failed
-
-    def prepared(self, samples: FloatArray, sensors: FloatArray) -> tuple[FloatArray, ...]:
-        """Return, per trial, the simulated signals as compared: (P, n, 2) [N·m], [rad/s]."""
-        out = []
-        for t, target in enumerate(self.targets):
-            block = np.empty((len(samples), len(target.time), 2))
-            for p in range(len(samples)):
-                part = samples[p, self.grid[t] : self.grid[t + 1]]
-                _compared(
-                    part, sensors[p], target.taps, target.time, target.grid_start, target.grid_step, block[p]
-                )
-            out.append(block)
-        return tuple(out)
 
 
 def _first(sizes: list[int]) -> IntArray:
@@ -182,17 +188,17 @@ def _compared(part, sensors, taps, time, start, step, out):
 @njit(cache=True, error_model="numpy", parallel=True, nogil=True)
 def _score(
     samples, reached, sensors, rows, grid, tap_first, taps, time, measured, valid, start, step, denominators,
-    weights, by_channel, failed,
+    weights, by_channel, failed, signals,
 ):  # fmt: skip
-    n_trials = start.size
+    n_trials, wanted = start.size, signals.shape[0] > 0
     for job in prange(samples.shape[0] * n_trials):
         p = job // n_trials
         t = job % n_trials
         complete = reached[p, t] >= 1.0
-        if complete:
+        if complete or wanted:
             first = rows[t]
             n = rows[t + 1] - first
-            out = np.empty((n, 2))
+            out = signals[p, first : first + n] if wanted else np.empty((n, 2))
             _compared(
                 samples[p, grid[t] : grid[t + 1]], sensors[p], taps[tap_first[t] : tap_first[t + 1]],
                 time[first : first + n], start[t], step[t], out,

@@ -164,15 +164,13 @@ class MotorProblem(Problem):
         """Return scores and signals of rows (P, n_table) [SI], simulated once."""
         rows = self.complete(rows)
         samples, reached = self.simulate(rows)
-        by_channel, failed = self.cost(samples, reached, self.sensors(rows), self.threads)
-        signals = self.cost.prepared(samples, self.sensors(rows))
+        by_channel, failed, signals = self.cost.compared(samples, reached, self.sensors(rows), self.threads)
         return Prediction(by_channel, failed.astype(np.int8), signals)
 
     def signals(self, rows: FloatArray) -> tuple[tuple[FloatArray, ...], BoolArray]:
         """Return the signals as compared, (P, n, 2) [SI] per trial, and which trials are lost (P, T)."""
-        rows = self.complete(rows)
-        samples, reached = self.simulate(rows)
-        return self.cost.prepared(samples, self.sensors(rows)), reached < 1.0
+        prediction = self.predict(rows)
+        return prediction.signals, prediction.cause > 0
 
     @property
     def samples(self) -> int:

@@ -24,6 +24,16 @@ def _slow(measured: np.ndarray, time: np.ndarray = TIME, valid: np.ndarray | Non
     return MotorTarget("slow", time, measured, mask, 0.0, 0.002, 1001, np.zeros(0))
 
 
+def _compared(cost: BenchCost, samples: np.ndarray, sensors: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the signals (P, n, 2) as compared; a population that fails nowhere scores the same with them."""
+    reached = np.ones((len(samples), 1))
+    by_channel, failed, signals = cost.compared(samples, reached, sensors)
+    plain, lost = cost(samples, reached, sensors)
+    np.testing.assert_array_equal(by_channel, plain)
+    np.testing.assert_array_equal(failed, lost)
+    return signals
+
+
 def _zeros_score(measured: np.ndarray, weights: tuple[float, float]):
     """Return NRMSE (2,), its mean and failure of a simulation of zeros against 50 measured samples."""
     cost = BenchCost((_slow(measured),), weights, "std")
@@ -36,11 +46,11 @@ def test_sensor_delay_and_lag_of_a_ramp() -> None:
     time = np.sort(RNG.uniform(0.5, 1.9, 80))
     cost = BenchCost((_slow(np.column_stack([time, time]), time),), (1.0, 1.0), "std")
     ramp = np.column_stack([grid, grid])[None]
-    (plain,) = cost.prepared(ramp, np.zeros((1, 3)))
+    (plain,) = _compared(cost, ramp, np.zeros((1, 3)))
     np.testing.assert_allclose(plain[0], np.column_stack([time, time]), atol=1e-12)
-    (late,) = cost.prepared(ramp, np.array([[0.03, 0.0, 0.0]]))
+    (late,) = _compared(cost, ramp, np.array([[0.03, 0.0, 0.0]]))
     np.testing.assert_allclose(late[0], np.column_stack([time - 0.03, time]), atol=1e-12)
-    (lagging,) = cost.prepared(ramp, np.array([[0.0, 0.02, 0.01]]))
+    (lagging,) = _compared(cost, ramp, np.array([[0.0, 0.02, 0.01]]))
     # A lag trails a ramp by its time constant; the hold over each grid step of 2 ms takes half of one off.
     np.testing.assert_allclose(lagging[0], np.column_stack([time - 0.02, time - 0.01]), atol=0.0011)
 
@@ -52,7 +62,7 @@ def test_slow_score_is_the_plain_nrmse_over_valid_samples() -> None:
     cost = BenchCost((_slow(measured, time, valid),), (1.0, 3.0), "std")
     samples = RNG.normal(size=(2, 1001, 2))
     by_channel, failed = cost(samples, np.ones((2, 1)), np.zeros((2, 3)))
-    (simulated,) = cost.prepared(samples, np.zeros((2, 3)))
+    (simulated,) = _compared(cost, samples, np.zeros((2, 3)))
     for p, c in np.ndindex(2, 2):
         expected = nrmse(simulated[p, :, c], measured[:, c], valid[:, c])
         assert by_channel[p, 0, c] == pytest.approx(expected, rel=1e-12)  # order of the sum
@@ -71,7 +81,7 @@ def test_fast_score_filters_as_the_taps_say() -> None:
     )
     cost = BenchCost((target,), (1.0, 1.0), "std")
     samples = RNG.normal(size=(1, grid, 2))
-    (found,) = cost.prepared(samples, np.zeros((1, 3)))
+    (found,) = _compared(cost, samples, np.zeros((1, 3)))
     for c in range(2):
         slow_twin = np.convolve(samples[0, :, c], full, mode="same")[rows]
         np.testing.assert_allclose(found[0, :, c], slow_twin, atol=1e-12)  # order of the sum
