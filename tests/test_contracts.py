@@ -5,6 +5,7 @@ are pure; nothing is pickled; start-up stays light.
 import ast
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -194,6 +195,14 @@ def test_import_contracts():
     from importlinter.cli import lint_imports
 
     assert lint_imports(config_filename=str(ROOT / ".importlinter"), no_cache=True) == 0
+
+
+def test_a_wheel_has_every_file_of_the_package():
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    packed = {path for pattern in settings["package-data"]["sysid"] for path in PACKAGE.glob(pattern)}
+    others = {path for path in PACKAGE.rglob("*") if path.is_file() and "__pycache__" not in path.parts}
+    assert {path for path in others - packed if path.suffix != ".py"} == set()
+    assert {path.parent for path in FILES} == {path.parent for path in PACKAGE.rglob("__init__.py")}
 
 
 def test_no_pickle_and_no_eval(sources):
