@@ -1,25 +1,19 @@
-"""Binary logs: libraries that an installation may lack, and damage on which a parser fails or never ends."""
+"""Binary logs: libraries that an installation may lack, and headers that promise more than a file has."""
 
 from __future__ import annotations
 
-import mmap
-import struct
-import zlib
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
+from threading import Lock
 from types import ModuleType
+from typing import Any
 
-from sysid.errors import LogError
-
-# What begins a global heap of an HDF5 file, and the bytes before each of its texts.
-_HEAP, _HEAD = b"GCOL\x01\0\0\0", 16
-# What parsers of binary files let through on a damaged file besides errors of their library.
-_DAMAGE = (
-    OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, AssertionError, RuntimeError,
-    OverflowError, MemoryError, EOFError, struct.error, zlib.error,
-)  # fmt: skip
+from sysid.errors import LogError, SysidError
+from sysid.journal import Finding, note
+from sysid.loaders.source import shortened
 
 
 def library(path: str, module: str, package: str) -> ModuleType:
@@ -34,48 +28,79 @@ def library(path: str, module: str, package: str) -> ModuleType:
 
 
 @contextmanager
-def reading(path: str, what: str, remedy: str, *errors: type[Exception]) -> Iterator[None]:
-    """Refuse a file (`what`) whose parser fails, by `errors` of its library or by what it lets through."""
-    damage: tuple[type[Exception], ...] = (*errors, *_DAMAGE)
+def reading(path: str, what: str, remedy: str) -> Iterator[None]:
+    """Refuse a file (`what`) whose parser fails: of a damaged file parsers let anything through."""
     try:
         yield
-    except damage as error:
-        words = " ".join(str(error).split())[:200] or type(error).__name__
+    except SysidError:
+        raise
+    except Exception as error:
+        words = shortened(" ".join(str(error).split()), 200) or type(error).__name__
         raise LogError(f"{path}: {what} is damaged or cut ({words}); {remedy}") from error
 
 
-def check_heaps(path: str) -> None:
-    """Refuse an HDF5 file whose heaps of texts cannot be walked to their end (lengths of 8 bytes).
+# All that a file unpacks to is less than so many times its size, where it is larger than this [bytes].
+_GAIN, _SMALL = 20, 1 << 28
+_LIMIT = Lock()
 
-    Each text in a heap states its length. The HDF5 library walks from text to text, and a free space that
-    states no length keeps it at one place for ever, where no caller can stop it.
+
+def most_bytes(size: int) -> float:
+    """Return how many bytes the numbers of a file of `size` bytes may take."""
+    return float(max(_GAIN * size, _SMALL))
+
+
+def check_claim(path: str, what: str, claimed: float, there: float) -> None:
+    """Refuse a damaged header, which claims more bytes for something than there are, before any are taken."""
+    if claimed > there:
+        raise LogError(
+            f"{path}: {what} claims {claimed:.4g} bytes where the file has at most {there:.4g} for it; it is "
+            "damaged; copy or export it again"
+        )
+
+
+@contextmanager
+def bounded_memory(most: float) -> Iterator[None]:
+    """Let this process take at most so many bytes more, on Linux, which alone keeps such a limit.
+
+    For a library in C that believes a length before it looks for what is so long. One limit at a time: a
+    second one in another thread leaves the first.
     """
+    pages = Path("/proc/self/statm")
+    if not pages.exists() or not _LIMIT.acquire(blocking=False):
+        yield
+        return
+    import resource  # not on Windows
+
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    now = int(pages.read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    lowest = [now + int(most), *(limit for limit in before if limit != resource.RLIM_INFINITY)]
     try:
-        with Path(path).open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            start = data.find(_HEAP)
-            while start >= 0:
-                if not _walkable(data, start):
-                    raise LogError(
-                        f"{path}: HDF5 file is damaged: the list of texts at byte {start} has no end; "
-                        "copy or export it again"
-                    )
-                start = data.find(_HEAP, start + 1)
-    except (OSError, ValueError) as error:
-        raise LogError(f"{path}: cannot be read ({error}); check its permissions") from error
+        resource.setrlimit(resource.RLIMIT_AS, (min(lowest), before[1]))
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+        _LIMIT.release()
 
 
-def _walkable(data: mmap.mmap, start: int) -> bool:
-    if start + _HEAD > len(data):
-        return True  # the file is cut, which the library itself sees
-    (size,) = struct.unpack_from("<Q", data, start + 8)
-    end = start + size
-    if end > len(data):
-        return True
-    place = start + _HEAD
-    while place + _HEAD <= end:
-        index, _, _, length = struct.unpack_from("<HHIQ", data, place)
-        step = length if index == 0 else _HEAD + (length + 7) // 8 * 8
-        if step < _HEAD or step % 8 or place + step > end:
-            return False
-        place += step
-    return True
+def length_note(stated: int, there: int) -> list[Finding]:
+    """Return a note where a file has another length than it states, so that what follows the place moved."""
+    sentence = f"the file has {there} bytes and its headers tell of {stated}: bytes were lost or added"
+    return [] if stated == there else [note("other-length", f"{sentence}, so check the numbers")]
+
+
+class _Bounded(io.BufferedReader):
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.FileIO(path))
+        self._size = path.stat().st_size
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        left = max(self._size - self.tell(), 0)
+        return super().read(left if size is None or size < 0 else min(size, left))
+
+
+class BoundedPath(type(Path())):  # type: ignore[misc]
+    """A path whose file is asked for no more bytes than it has, however long a damaged record says it is."""
+
+    def open(self, *_: Any, **__: Any) -> io.BufferedReader:
+        """Open the file for reading, as bytes."""
+        return _Bounded(self)

@@ -19,11 +19,13 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from sysid.errors import LogError
+import numpy as np
+
+from sysid.errors import LogError, SysidError
 from sysid.journal import notice
 from sysid.loaders.columns import naming
 from sysid.loaders.options import DECLARED, Option
-from sysid.loaders.source import Source
+from sysid.loaders.source import Source, one_line
 from sysid.recording import Recording
 from sysid.units import parse_quantity
 
@@ -191,7 +193,11 @@ def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording
         if option.unit and isinstance(value, str):
             with naming(f"{source.path}: {name} = {value!r}"):
                 given[name] = parse_quantity(value, option.unit)
-    return chosen.read(source, **given)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # of damaged numbers
+            return chosen.read(source, **given)
+    except SysidError as error:
+        raise type(error)(one_line(str(error))) from error
 
 
 def _check_kinds(path: str, given: Mapping[str, Any]) -> None:

@@ -12,7 +12,7 @@ import hashlib
 import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -29,8 +29,10 @@ _FEWEST_WORDS = 4
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 # What Excel writes before a table, to itself: which character parts its cells. The line's end stays.
 _SEPARATOR = re.compile(rb'\A[ ]*"?sep=[^\r\n"]?"?[,;\t ]*(?=[\r\n])', re.IGNORECASE)
-# Bytes that are decoded at once.
-_PIECE = 1 << 20
+# A sentence about a log is cut to so many characters, its end kept, which says what to do.
+_LONGEST = 1200
+# Bytes that are decoded at once, and bytes of the longest line: a header of ten thousand columns is shorter.
+_PIECE, _LINE = 1 << 20, 1 << 20
 
 
 class Source:
@@ -99,7 +101,8 @@ class Source:
         if isinstance(options, LogOptions):  # which rows are kept is no matter of what they mean
             options = {name: value for name, value in vars(options).items() if name != "time_back"}
         given = {name: str(value) for name, value in (options or {}).items() if value is not None}
-        return Provenance(self.path, self.sha256, format, device, given, tuple(notes))
+        told = tuple(replace(finding, sentence=one_line(finding.sentence)) for finding in notes)
+        return Provenance(self.path, self.sha256, format, device, given, told)
 
 
 def decode(data: bytes, path: str, *, partial: bool = False) -> str:
@@ -178,7 +181,23 @@ def read_text(source: Source) -> Text:
         if b"\r" in data:
             # "\r\r\n", which a text-mode copy makes, is one line end; a lone "\r" is an old one.
             data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    _check_lines(source.path, data)
     return Text(source.path, data, tuple(notes))
+
+
+def _check_lines(path: str, data: bytes) -> None:
+    """Refuse a line that is far too long for a table: its cells would take a hundred times its size."""
+    begin = 0
+    while len(data) - begin > _LINE:
+        end = data.rfind(b"\n", begin, begin + _LINE)
+        if end < 0:
+            end, line = data.find(b"\n", begin), data.count(b"\n", 0, begin) + 1
+            size = (len(data) if end < 0 else end) - begin
+            raise LogError(
+                f"{path}, line {line}: {size / 1e6:.3g} MB without a line end, which is no row of a table; "
+                "the file is damaged or of another kind, so export it again"
+            )
+        begin = end + 1
 
 
 def _pieces(data: bytes, coding: str, errors: str = "strict") -> Iterator[str]:
@@ -209,10 +228,23 @@ def _as_utf8(data: bytes, coding: str, path: str) -> bytes:
     return out.getvalue()
 
 
+def printable(text: str) -> str:
+    """Return text in which line ends, marks of direction and the like are written out, as ``\\n``."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 def shortened(text: str, most: int = 40) -> str:
     """Return a cell or a name for a message, of which a damaged file may make a whole page."""
-    text = text.strip()
+    text = printable(text.strip()[: most + 1])
     return text if len(text) <= most else text[: most - 3] + "..."
+
+
+def one_line(sentence: str) -> str:
+    """Return a sentence about a log as one line of printable text of which nobody tires."""
+    text = printable(sentence)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 300]} ... {text[-295:]}"
 
 
 def split_line(line: str, delimiter: str) -> list[str]:

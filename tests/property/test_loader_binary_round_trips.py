@@ -115,22 +115,14 @@ def other_processor(data, mark):
 
 
 @SETTINGS
-@given(SEEDS)
-def test_c3d_of_a_dec_machine_reads_as_that_of_intel(tmp_path, seed):
+@given(SEEDS, st.sampled_from([85, 86]))
+def test_c3d_of_another_processor_reads_as_that_of_intel(tmp_path, seed, mark):
     # A float of DEC has no NaN: occlusions are negative residuals.
     path, *content = random_c3d(tmp_path, np.random.default_rng(seed), gap="residual")
     data = path.read_bytes()
-    path.write_bytes(other_processor(data, 85))
+    path.write_bytes(other_processor(data, mark))
     assert path.read_bytes() != data
     assert_c3d(load(path), *content, 1e-3)
-
-
-def test_c3d_of_an_sgi_machine_is_refused(tmp_path):
-    path, *_ = random_c3d(tmp_path, np.random.default_rng(3))
-    data = path.read_bytes()
-    path.write_bytes(other_processor(data, 86))
-    for asked in ("auto", "c3d"):
-        refuses(path, r"log\.c3d: numbers are in the byte order of SGI/MIPS.*convert the file", format=asked)
 
 
 @pytest.mark.parametrize(("order", "mark"), [(86, 84), (84, 86), (86, 85), (85, 84), (84, 85)])

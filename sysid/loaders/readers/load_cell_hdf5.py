@@ -20,14 +20,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from sysid.errors import LogError
-from sysid.loaders.binary import check_heaps, reading
 from sysid.loaders.columns import split_label
+from sysid.loaders.hdf5 import Hdf5Log, attribute_value, is_hdf5, open_hdf5
 from sysid.loaders.load_cell import CELL_AXES
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
@@ -37,63 +37,22 @@ from sysid.types import FloatArray
 
 # The attribute that marks a file in the layout of `sysid_hdf5`.
 LAYOUT_ATTRIBUTE = "sysid_recording"
-_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-# Compression gains less than this on measured signals: a dataset that claims more is damaged.
-_LARGEST_GAIN = 1000
 # A matrix with more columns than this is no set of signals.
 _MOST_COLUMNS = 64
 _RATES = ("rate", "sample_rate", "sampling_rate")
-
-
-def is_hdf5(source: Source) -> bool:
-    """Return whether a file begins as HDF5 does."""
-    # A user block (MATLAB writes one) moves the signature to 512 bytes or a power of two beyond.
-    return any(source.head.startswith(_SIGNATURE, start) for start in (0, *(512 << k for k in range(7))))
-
-
-@contextmanager
-def open_hdf5(source: Source, remedy: str) -> Iterator[Any]:
-    """Open an HDF5 log, refusing one that is none or is damaged, also while it is read."""
-    import h5py
-
-    if not is_hdf5(source):
-        raise LogError(f"{source.path}: not an HDF5 file (its signature is missing); check the format")
-    check_heaps(source.path)
-    with reading(source.path, "HDF5 file", remedy), h5py.File(source.path, "r") as file:
-        yield file
-
-
-def hdf5_datasets(file: Any) -> dict[str, Any]:
-    """Return path -> dataset of a file or a group, links to other files not followed."""
-    import h5py
-
-    datasets: dict[str, Any] = {}
-
-    def visit(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset):
-            datasets["/" + name] = item
-
-    file.visititems(visit)
-    return datasets
 
 
 def _recognize(source: Source) -> int:
     if not is_hdf5(source) or source.head.startswith(b"MATLAB"):
         return NO
     try:
-        with open_hdf5(source, "") as file:
-            if LAYOUT_ATTRIBUTE in file.attrs:
+        with open_hdf5(source, "") as log:
+            if LAYOUT_ATTRIBUTE in log.file.attrs:
                 return NO
-            stems = {split_label(name.rsplit("/", 1)[-1])[0] for name in hdf5_datasets(file)}
+            stems = {split_label(name.rsplit("/", 1)[-1])[0] for name in log.datasets}
             return CERTAIN if stems & CELL_AXES else POSSIBLE
     except LogError:
         return POSSIBLE  # the reader refuses it
-
-
-def attribute_value(value: Any) -> Any:
-    """Return an attribute as a number or as text, whatever of the two HDF5 wrapped."""
-    value = value.item() if isinstance(value, np.ndarray | np.generic) and value.size == 1 else value
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
 
 
 def _attribute(dataset: Any, names: tuple[str, ...]) -> Any:
@@ -108,20 +67,14 @@ def _attribute(dataset: Any, names: tuple[str, ...]) -> Any:
         node = node.parent
 
 
-def _values(path: str, name: str, dataset: Any, file_bytes: int, column: int | None = None) -> FloatArray:
+def _values(log: Hdf5Log, name: str, dataset: Any, column: int | None) -> FloatArray:
     """Return a dataset, or a column of it, as one row of numbers."""
     shape = dataset.shape or ()
-    wide = column is None and sum(size != 1 for size in shape) > 1
-    if dataset.dtype.kind not in "iuf" or wide or dataset.size is None:
+    if column is None and sum(size != 1 for size in shape) > 1:
         raise LogError(
-            f"{path}: dataset {name} is {dataset.dtype} of shape {shape}; expected one row of numbers"
+            f"{log.path}: dataset {name} is {dataset.dtype} of shape {shape}; expected one row of numbers"
         )
-    if dataset.size * dataset.dtype.itemsize > _LARGEST_GAIN * file_bytes:
-        raise LogError(
-            f"{path}: dataset {name} claims {dataset.size} samples, more than its file has; it is damaged"
-        )
-    samples = dataset[()] if column is None else dataset[:, column]
-    return np.asarray(samples, dtype=np.float64).reshape(-1)
+    return log.numbers(name, dataset, column).reshape(-1)
 
 
 def _columns(dataset: Any) -> Sequence[int | None]:
@@ -131,16 +84,16 @@ def _columns(dataset: Any) -> Sequence[int | None]:
     return range(shape[1]) if matrix and dataset.dtype.kind in "iuf" else (None,)
 
 
-def _signal(path: str, name: str, dataset: Any, file_bytes: int, column: int | None) -> Signal:
+def _signal(log: Hdf5Log, name: str, dataset: Any, column: int | None) -> Signal:
     """Return a dataset as a signal, whose samples are read and checked only on demand."""
     unit = attribute_value(dataset.attrs.get("unit", dataset.attrs.get("units")))
     start = _attribute(dataset, ("start",))
     if start is not None and not (isinstance(start, int | float) and np.isfinite(start)):
-        raise LogError(f"{path}: attribute start of {name} is {start!r}; expected seconds")
+        raise LogError(f"{log.path}: attribute start of {name} is {start!r}; expected seconds")
     return Signal(
         name if column is None else f"{name}[{column + 1}]",
         None if unit is None else str(unit),
-        lambda: _values(path, name, dataset, file_bytes, column),
+        partial(_values, log, name, dataset, column),
         _attribute(dataset, _RATES),
         float(start or 0.0),
         inherited=not any(key in dataset.attrs for key in _RATES),
@@ -150,15 +103,13 @@ def _signal(path: str, name: str, dataset: Any, file_bytes: int, column: int | N
 
 @contextmanager
 def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
-    path = source.path
-    with open_hdf5(source, "copy or export it again") as file:
-        file_bytes = Path(path).stat().st_size
+    with open_hdf5(source, "copy or export it again") as log:
         signals = [
-            _signal(path, name, dataset, file_bytes, column)
-            for name, dataset in hdf5_datasets(file).items()
+            _signal(log, name, dataset, column)
+            for name, dataset in log.datasets.items()
             for column in _columns(dataset)
         ]
-        yield RawSignals(signals, str(attribute_value(file.attrs.get("device", ""))))
+        yield RawSignals(signals, str(attribute_value(log.file.attrs.get("device", ""))), notes=log.notes)
 
 
 FORMAT = signal_format(

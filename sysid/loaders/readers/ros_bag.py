@@ -9,20 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sysid.errors import LogError
-from sysid.loaders.binary import library, reading
+from sysid.journal import Finding
+from sysid.loaders.binary import BoundedPath, library, reading
 from sysid.loaders.capture_log import Body, RawCapture, capture_format, declared_length, wanted_bodies
 from sysid.loaders.clock import EXPORT_FINER, jitter_note, order_rows
 from sysid.loaders.columns import listing, listing_note
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source
-from sysid.loaders.table import Numbers
+from sysid.loaders.table import Numbers, promised_note
 
 _BAG, _MCAP, _SQLITE = b"#ROSBAG V2.0", b"\x89MCAP0\r\n", b"SQLite format 3\0"
 _Rows = list[tuple[float, ...]]
@@ -37,7 +37,7 @@ def _recognize(source: Source) -> int:
 
 def _open(source: Source) -> tuple[Any, bool]:
     """Return the library's reader for this kind of file, and whether messages are in the ROS 1 form."""
-    path, file = source.path, Path(source.path)
+    path, file = source.path, BoundedPath(source.path)
     if source.head.startswith(_BAG):
         return library(path, "rosbags.rosbag1", "rosbags").Reader(file), True
     if source.head.startswith(_MCAP):
@@ -74,8 +74,8 @@ def _poses(kind: str, message: Any) -> Iterator[tuple[str, Any, Any, Any]]:
         yield "", message.header, pose.position, pose.orientation
 
 
-def _read_tracks(source: Source, topic: str | None, clock: str) -> tuple[dict[str, _Rows], list[str]]:
-    """Return rows of (time [s], x, y, z, w, x, y, z) by body, and the topics without poses."""
+def _read_tracks(source: Source, topic: str | None, clock: str) -> tuple[dict[str, _Rows], list[Finding]]:
+    """Return rows of (time [s], x, y, z, w, x, y, z) by body, and notes."""
     path = source.path
     reader, first_form = _open(source)
     tracks: dict[str, _Rows] = {}
@@ -95,33 +95,31 @@ def _read_tracks(source: Source, topic: str | None, clock: str) -> tuple[dict[st
             raise LogError(f"{path}: no topic of poses; found {listing(topics)}; record a PoseStamped")
         store = _typestore(path, chosen)
         decode = store.deserialize_ros1 if first_form else store.deserialize_cdr
+        messages = 0
         for connection, arrival, data in reader.messages(chosen):
+            messages += 1
             kind = connection.msgtype.rsplit("/", 1)[-1]
             for child, header, place, turn in _poses(kind, decode(data, connection.msgtype)):
                 stamp = arrival if clock == "arrival" else header.stamp.sec * 10**9 + header.stamp.nanosec
                 row = (stamp * 1e-9, place.x, place.y, place.z, turn.w, turn.x, turn.y, turn.z)
                 tracks.setdefault(child or connection.topic.strip("/"), []).append(row)
         left_out = sorted(set(known) - {topic_of.topic for topic_of in chosen})
+        notes = listing_note("topics-left-out", "topics without poses, left out", left_out)
+        stated = sum(topic_of.msgcount for topic_of in chosen)
+        notes += promised_note("the file's number of messages", stated, messages)
     finally:
         reader.close()
-    return tracks, left_out
+    return tracks, notes
 
 
 def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     path, clock = source.path, options.clock or "header"
     scale = declared_length(path, options.length_unit)
-    errors = (
-        library(path, "rosbags.rosbag2", "rosbags").ReaderError,
-        library(path, "rosbags.rosbag1", "rosbags").ReaderError,
-        library(path, "rosbags.typesys", "rosbags").TypesysError,
-        library(path, "rosbags.serde", "rosbags").SerdeError,
-    )
-    with reading(path, "bag", "recover or record it again", *errors):
-        tracks, left_out = _read_tracks(source, options.topic, clock)
+    with reading(path, "bag", "recover or record it again"):
+        tracks, notes = _read_tracks(source, options.topic, clock)
     if not tracks:
         raise LogError(f"{path}: its topics of poses have no message; record it again")
-    raw = RawCapture("ROS", [])
-    raw.notes += listing_note("topics-left-out", "topics without poses, left out", left_out)
+    raw = RawCapture("ROS", notes)
     for name in wanted_bodies(path, list(tracks), options.rigid_body):
         table = np.array(tracks[name], dtype=np.float64)
         if clock == "header" and not table[:, 0].any():

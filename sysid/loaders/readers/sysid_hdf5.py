@@ -22,13 +22,8 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.readers.load_cell_hdf5 import (
-    LAYOUT_ATTRIBUTE,
-    attribute_value,
-    hdf5_datasets,
-    is_hdf5,
-    open_hdf5,
-)
+from sysid.loaders.hdf5 import Hdf5Log, attribute_value, is_hdf5, open_hdf5
+from sysid.loaders.readers.load_cell_hdf5 import LAYOUT_ATTRIBUTE
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
 from sysid.recording import Channel, FloatArray, Provenance, Recording
@@ -42,8 +37,8 @@ def _recognize(source: Source) -> int:
     if not is_hdf5(source) or source.head.startswith(b"MATLAB"):
         return NO
     try:
-        with open_hdf5(source, "") as file:
-            return CERTAIN if LAYOUT_ATTRIBUTE in file.attrs else NO
+        with open_hdf5(source, "") as log:
+            return CERTAIN if LAYOUT_ATTRIBUTE in log.file.attrs else NO
     except LogError:
         return NO  # the reader of other HDF5 files refuses it
 
@@ -118,12 +113,12 @@ def _text(attributes: Any, key: str) -> str:
 
 def _read(source: Source) -> Recording:
     """Return the recording as it was written, with a note that names the original file."""
-    with open_hdf5(source, "convert the log again") as file:
-        return _recording(source, file)
+    with open_hdf5(source, "convert the log again") as log:
+        return _recording(source, log)
 
 
-def _recording(source: Source, file: Any) -> Recording:
-    path, attributes = source.path, file.attrs
+def _recording(source: Source, log: Hdf5Log) -> Recording:
+    path, attributes = source.path, log.file.attrs
     if LAYOUT_ATTRIBUTE not in attributes:
         raise LogError(
             f"{path}: was not written by sysid (no attribute {LAYOUT_ATTRIBUTE}); check the format"
@@ -131,19 +126,20 @@ def _recording(source: Source, file: Any) -> Recording:
     version = int(attributes[LAYOUT_ATTRIBUTE])
     if version > _VERSION:
         raise LogError(f"{path}: layout version {version}, this sysid reads {_VERSION}; update sysid")
-    items = sorted(hdf5_datasets(file["channels"]).values(), key=lambda item: int(item.attrs["index"]))
-    clocks = {name: np.asarray(item[()], dtype=np.float64) for name, item in file["clocks"].items()}
+    items = {name: item for name, item in log.datasets.items() if name.startswith("/channels/")}
+    clocks: dict[int, FloatArray] = {}
     channels = {}
-    for item in items:
-        name, time = _text(item.attrs, "name"), clocks[str(int(item.attrs["clock"]))]
-        values = np.asarray(item[()], dtype=np.float64)
-        channels[name] = Channel(name, _text(item.attrs, "unit"), time, values)
+    for where, item in sorted(items.items(), key=lambda entry: int(entry[1].attrs["index"])):
+        name, clock = _text(item.attrs, "name"), int(item.attrs["clock"])
+        if clock not in clocks:
+            clocks[clock] = log.numbers(f"/clocks/{clock}", log.datasets[f"/clocks/{clock}"])
+        channels[name] = Channel(name, _text(item.attrs, "unit"), clocks[clock], log.numbers(where, item))
     kind, origin, origin_sha256, form, device, stated, options = (
         _text(attributes, key)
         for key in ("kind", "source", "source_sha256", "format", "device", "notes", "options")
     )
     converted = note("converted", f"converted from {origin} (SHA-256 {origin_sha256})")
-    notes = (*map(_note, json.loads(stated or "[]")), converted)
+    notes = (*map(_note, json.loads(stated or "[]")), converted, *log.notes)
     given = {str(key): str(value) for key, value in json.loads(options or "{}").items()}
     return Recording(kind, channels, Provenance(path, source.sha256, form, device, given, notes))
 

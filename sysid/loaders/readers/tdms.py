@@ -25,7 +25,7 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.binary import library, reading
+from sysid.loaders.binary import BoundedPath, check_claim, length_note, library, reading
 from sysid.loaders.columns import factor_or_none, listing_note
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
@@ -55,8 +55,8 @@ class _Starts:
     offset: int = 0
 
 
-def _waveform_starts(path: str) -> dict[str, _Starts]:
-    """Return the starts of the channels that state one, by their path in the file, ``/'group'/'channel'``.
+def _waveform_starts(path: str) -> tuple[dict[str, _Starts], int]:
+    """Return the starts of the channels that state one, by path in the file, and where its segments end.
 
     A program that appends to a file states ``wf_start_time`` again in each segment. npTDMS keeps the last
     start and joins the samples, so that a pause between two recordings would not be seen. The lead-in of a
@@ -85,7 +85,7 @@ def _waveform_starts(path: str) -> dict[str, _Starts]:
                 if start != known.last:
                     known.last, known.offset = start, at
             at += _LEAD_IN + behind
-    return starts
+    return starts, at
 
 
 def _samples_before(path: str, offset: int, channel: str) -> int:
@@ -129,7 +129,8 @@ def _check_segments(
 
 
 def _signals(path: str, file: Any, notes: list[Finding], declared: float | None) -> list[Signal]:
-    restarts = _waveform_starts(path)
+    (restarts, end), size = _waveform_starts(path), Path(path).stat().st_size
+    notes += length_note(end, size)
     signals, thinned, other, spectra = [], [], [], []
     waves = [(group, channel) for group in file.groups() for channel in group.channels()]
     begins = {}
@@ -148,6 +149,7 @@ def _signals(path: str, file: Any, notes: list[Finding], declared: float | None)
             continue
         if not len(channel):
             continue
+        check_claim(path, name, len(channel), size)  # a byte a sample is the least
         if channel.dtype is None or np.dtype(channel.dtype).kind not in "iufbM":
             other.append(name)
             continue
@@ -187,7 +189,8 @@ def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
     if not source.head.startswith(b"TDSm"):
         raise LogError(f"{path}: not a TDMS file (it does not begin with TDSm); check the format")
     notes: list[Finding] = []
-    with reading(path, "TDMS file", "copy or export it again"), nptdms.TdmsFile.open(path) as file:
+    damaged = reading(path, "TDMS file", "copy or export it again")
+    with damaged, BoundedPath(path).open() as stream, nptdms.TdmsFile.open(stream) as file:
         device = f"NI TDMS {file.properties.get('name', '')}".strip()
         yield RawSignals(_signals(path, file, notes, options.rate), device, measured=False, notes=notes)
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.binary import library, reading
+from sysid.loaders.binary import length_note, library, reading
 from sysid.loaders.capture_log import Body, RawCapture, capture_format, unit_quaternions
 from sysid.loaders.clock import order_rows
 from sysid.loaders.columns import listing
@@ -28,6 +28,8 @@ from sysid.recording import Channel
 from sysid.types import FloatArray
 
 _MAGIC = b"ULog\x01\x12\x35"
+# Bytes before the first message, and the kinds of messages.
+_HEADER, _KINDS = 16, b"BFIMPQARDLCSO"
 _ODOMETRY = {"vehicle_odometry": "vehicle", "vehicle_visual_odometry": "visual"}
 # The field of vehicle_odometry that names the frame of the poses, and its numbers; PX4 1.14 renamed and
 # renumbered it. x and y of FRD are turned by an unknown heading.
@@ -107,6 +109,14 @@ def _axes_note(channels: Sequence[str], others: Sequence[str]) -> Finding:
     return note("axes", f"{north}body front, right, down, as PX4 defines them")
 
 
+def _messages_end(data: bytes) -> int:
+    """Return where the chain of messages ends, each of which states its length and its kind."""
+    at = _HEADER
+    while at + 3 <= len(data) and data[at + 2] in _KINDS:
+        at += 3 + data[at] + (data[at + 1] << 8)
+    return at
+
+
 class _Topics:
     """Topics of a log by name, the lowest instance of each; their content becomes a capture."""
 
@@ -182,16 +192,15 @@ class _Topics:
 def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     path = source.path
     core = library(path, "pyulog.core", "pyulog")
-    error = library(path, "pyulog.exceptions", "pyulog").ULogException
     if not source.head.startswith(_MAGIC):
         raise LogError(f"{path}: not a ULog (its first bytes do not say so); check the format")
-    with reading(path, "ULog", "copy it from the drone again", error):
+    with reading(path, "ULog", "copy it from the drone again"):
         log = core.ULog(path)
-    topics = _Topics(path, log, options.time_back or "drop")
-    others = [body for name, body in _ODOMETRY.items() if topics.add_odometry(name, body)]
-    topics.add_attitude()
-    for plain in _PLAIN:
-        topics.add_plain(*plain)
+        topics = _Topics(path, log, options.time_back or "drop")
+        others = [body for name, body in _ODOMETRY.items() if topics.add_odometry(name, body)]
+        topics.add_attitude()
+        for plain in _PLAIN:
+            topics.add_plain(*plain)
     raw = topics.raw
     raw.notes = list(dict.fromkeys(raw.notes))
     channels = [*(f"{body.name}/position" for body in raw.bodies), *raw.others]
@@ -212,6 +221,8 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
         lost = 1e-3 * sum(dropout.duration for dropout in log.dropouts)
         sentence = f"the logger dropped out {len(log.dropouts)} times, {lost:.3g} s in all"
         raw.notes.append(note("logger-dropouts", sentence))
+    data = source.read_bytes()
+    raw.notes += length_note(_messages_end(data), len(data))
     if log.file_corruption:
         raw.notes.append(note("file-damaged", "parts of the file are damaged and were passed over"))
     raw.notes.append(_axes_note(channels, others))

@@ -1,0 +1,179 @@
+"""A process that loads damaged logs under limits and says what came of each, and the handle to drive it.
+
+Outcomes: ``equal`` (as the whole log), ``noted`` (differs, with a note that the whole log has not), ``local``
+(only as many rows differ as bytes or lines were damaged), ``refused`` in one sentence, ``silent`` (differs
+and says nothing); and what must not be: ``wrong`` (not what the bytes say, by the second reader),
+``traceback``, ``hang``, ``memory``, ``crash``, ``words`` (no short sentence).
+"""
+
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+# Seconds and bytes that one load may take: the whole bench is of logs of some kilobytes.
+SECONDS, BYTES, TIMES = 20.0, 1 << 30, 20
+BAD = ("wrong", "traceback", "hang", "memory", "crash", "words")
+_LONGEST = 1500
+
+
+class Worker:
+    """Handle of the process, which is started again after it died."""
+
+    def __init__(self):
+        self._process = None
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._end()
+
+    def _start(self):
+        root = Path(__file__).parents[2]
+        paths = os.pathsep.join([str(root), str(root / "tests"), os.environ.get("PYTHONPATH", "")])
+        self._process = subprocess.Popen(
+            [sys.executable, __file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+            stderr=subprocess.DEVNULL, env=os.environ | {"PYTHONPATH": paths}, encoding="utf-8",
+        )  # fmt: skip
+        self._answers = queue.Queue()
+        threading.Thread(
+            target=lambda out, into: [into.put(line) for line in out] + [into.put("")],
+            args=(self._process.stdout, self._answers), daemon=True,
+        ).start()  # fmt: skip
+        assert self._answers.get(timeout=120) == "ready\n"
+
+    def _end(self):
+        if self._process is not None:
+            self._process.kill()
+            self._process.communicate()
+            self._process = None
+
+    def outcome(self, path, whole, form, options, damaged):
+        """Return what came of loading `path` as {"outcome", "what"}.
+
+        `whole` is the log before it was damaged in so many bytes or lines (`damaged`).
+        """
+        if self._process is None:
+            self._start()
+        asked = {"path": str(path), "whole": str(whole), "form": form, "options": options, "damaged": damaged}
+        self._process.stdin.write(json.dumps(asked) + "\n")
+        self._process.stdin.flush()
+        try:
+            answer = self._answers.get(timeout=SECONDS)
+        except queue.Empty:
+            self._end()
+            return {"outcome": "hang", "what": f"no end after {SECONDS:g} s"}
+        if not answer:
+            code = self._process.wait()
+            self._end()
+            return {"outcome": "crash", "what": f"the process ended with {code}"}
+        return json.loads(answer)
+
+
+def _status(key):
+    lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
+    return next(int(line.split()[1]) * 1024 for line in lines if line.startswith(key))
+
+
+def _reset_peak():
+    Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")
+
+
+def difference(whole, log, damaged):
+    """Return "" where two recordings are alike, ``local``, or what differs first."""
+    import numpy as np
+
+    if list(whole.channels) != list(log.channels) or whole.kind != log.kind:
+        return "channels"
+    rows = set()
+    for name, channel in whole.channels.items():
+        other = log.channels[name]
+        if channel.unit != other.unit:
+            return "unit"
+        if channel.values.shape != other.values.shape:
+            return "rows"
+        same = np.isclose(channel.time, other.time, rtol=0, atol=1e-12)
+        equal = (channel.values == other.values) | (np.isnan(channel.values) & np.isnan(other.values))
+        same &= equal if equal.ndim == 1 else equal.all(axis=1)
+        if (~same).sum() > damaged:
+            return "clock" if not np.allclose(channel.time, other.time, rtol=0, atol=1e-12) else "values"
+        rows |= set(np.flatnonzero(~same).tolist())
+    return "local" if rows else ""
+
+
+def main():
+    """Answer requests, one JSON text a line."""
+    import resource
+    import warnings
+
+    from fakes.log_oracle import assert_matches
+    from fakes.log_readers import READERS
+    from sysid.errors import SysidError
+    from sysid.loaders import formats, load, registry
+
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    formats()
+    registry.entry_points = lambda group: ()  # other packages' formats take long to look for
+    resource.setrlimit(resource.RLIMIT_AS, (_status("VmSize") + 3 * BYTES,) * 2)
+    wholes = {}
+
+    def judged(asked):
+        path, form, options = Path(asked["path"]), asked["form"], asked["options"]
+        try:
+            log = load(path, format=form if asked["damaged"] % 4 or options else "auto", **options)
+        except SysidError as error:
+            text, causes = str(error), []
+            while error is not None:
+                causes.append(error)
+                error = error.__cause__
+            if any(isinstance(e, MemoryError) or "bad_alloc" in str(e) for e in causes):
+                return "memory", text
+            short = text.startswith(str(path)) and len(text) <= _LONGEST and text.isprintable()
+            return "refused" if short else "words", text[:3000]
+        data = path.read_bytes()
+        if form in READERS:
+            try:
+                assert_matches(log, READERS[form](data, log))
+            except Exception as error:
+                return "wrong", f"{type(error).__name__}: {error}"[:600]
+        place = Path(asked["whole"])
+        key = place.read_bytes()
+        if key not in wholes:
+            wholes.clear()
+            wholes[key] = load(place, format=form, **options)
+        whole = wholes[key]
+        what = difference(whole, log, asked["damaged"])
+        new = set(log.provenance.notes) - set(whole.provenance.notes)
+        if what in ("", "local"):
+            return what or "equal", ""
+        return ("noted", str(sorted(new, key=str)[0])) if new else ("silent", what)
+
+    answers.write("ready\n")
+    answers.flush()
+    for line in sys.stdin:
+        asked = json.loads(line)
+        _reset_peak()
+        before = _status("VmRSS")
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                outcome, what = judged(asked)
+        except BaseException as error:
+            import traceback
+
+            outcome, what = "traceback", "".join(traceback.format_exception(error))[-1500:]
+        most = max(BYTES, TIMES * Path(asked["path"]).stat().st_size)
+        if _status("VmHWM") - before > most:
+            outcome, what = "memory", f"{(_status('VmHWM') - before) / 1e9:.2f} GB; {outcome}: {what[:500]}"
+        answers.write(json.dumps({"outcome": outcome, "what": what}) + "\n")
+        answers.flush()
+
+
+if __name__ == "__main__":
+    sys.path[0] = str(Path(__file__).parents[1])
+    main()
