@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
-from sysid.errors import LogError
+from sysid.errors import LogError, printable
 from sysid.journal import Finding, note
 from sysid.loaders.options import LogOptions
 from sysid.recording import Provenance, file_sha256
@@ -228,22 +228,19 @@ def _as_utf8(data: bytes, coding: str, path: str) -> bytes:
     return out.getvalue()
 
 
-def printable(text: str) -> str:
-    """Return text in which line ends, marks of direction and the like are written out, as ``\\n``."""
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+def _on_one_line(text: str) -> str:
+    return printable(text.replace("\n", " ").replace("\t", " "))
 
 
 def shortened(text: str, most: int = 40) -> str:
     """Return a cell or a name for a message, of which a damaged file may make a whole page."""
-    text = printable(text.strip()[: most + 1])
+    text = _on_one_line(text.strip()[: most + 1])
     return text if len(text) <= most else text[: most - 3] + "..."
 
 
 def one_line(sentence: str) -> str:
     """Return a sentence about a log as one line of printable text of which nobody tires."""
-    text = printable(sentence)
+    text = _on_one_line(sentence)
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 300]} ... {text[-295:]}"
 
 

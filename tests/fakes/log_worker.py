@@ -9,6 +9,7 @@ and says nothing); and what must not be: ``wrong`` (not what the bytes say, by t
 import json
 import os
 import queue
+import re
 import subprocess
 import sys
 import threading
@@ -18,6 +19,8 @@ from pathlib import Path
 SECONDS, BYTES, TIMES = 20.0, 1 << 30, 20
 BAD = ("wrong", "traceback", "hang", "memory", "crash", "words")
 _LONGEST = 1500
+# Control characters, line ends and marks of direction.
+_UNSEEN = re.compile("[\x00-\x1f\x7f-\x9f\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 
 
 class Worker:
@@ -133,7 +136,7 @@ def main():
                 error = error.__cause__
             if any(isinstance(e, MemoryError) or "bad_alloc" in str(e) for e in causes):
                 return "memory", text
-            short = text.startswith(str(path)) and len(text) <= _LONGEST and text.isprintable()
+            short = text.startswith(str(path)) and len(text) <= _LONGEST and not _UNSEEN.search(text)
             return "refused" if short else "words", text[:3000]
         data = path.read_bytes()
         if form in READERS:
