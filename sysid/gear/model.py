@@ -342,7 +342,6 @@ def simulate(
     tolerance: float | None = None,
     propulsion: Propulsion | None = None,
     ending: Ending = TO_THE_CLOCK,
-    events: bool = True,
 ) -> GearTrajectory:
     """Simulate one drop or landing and log its events.
 
@@ -362,10 +361,7 @@ def simulate(
         Friction law: ``lf``, continuous (8), ``hf``, slipping and sticking feet (9, 10), or one of yours.
     tolerance : float, optional
         Bound of the weighted rms error of the rates per step; by default what a fit on the surface needs,
-        and at most 3e-5 where switches of modes are logged: a fit's setting misses short releases.
-    events : bool
-        False: log no events and switches. The driver of populations does the work then, which a fit has
-        compiled already.
+        and at most 3e-5 where feet switch their modes: a fit's setting misses short releases.
 
     Raises
     ------
@@ -373,7 +369,7 @@ def simulate(
         If the input cannot be used; a simulation that fails returns its status instead.
     """
     law = find_surface(surface)
-    if tolerance is None and events and law.switching:
+    if tolerance is None and law.switching:
         tolerance = min(law.tolerance, _LOGGED_TOLERANCE)
     if isinstance(parameters, Mapping):
         parameters = pack(parameters, law)
@@ -381,13 +377,10 @@ def simulate(
     body, legs = _one_start(body_state, state)
     clock = np.asarray(time, dtype=np.float64)
     drops = Drops(np.array([slope]), body, (clock,), propulsion)
-    start, room = (drops.body_state[None], legs), _MARKS if events else 0
+    start, room = (drops.body_state[None], legs), _MARKS
     while True:
-        result = _run(
-            rows, drops, start, law, tolerance,
-            lanes=1 if events else _LANES, columns=16, threads=1, ending=ending, room=room,
-        )  # fmt: skip
-        if not events or len(result.marks) < room:
+        result = _run(rows, drops, start, law, tolerance, columns=16, threads=1, ending=ending, room=room)
+        if len(result.marks) < room:
             break
         room *= 8
     states = result.samples[0, :, :14]
@@ -472,23 +465,19 @@ def simulate_population(
                 f"body_states: found {bodies.shape}, expected ({len(rows)}, {len(drops.slope)}, 6); give one "
                 "start per candidate and drop"
             )
-    return _run(
-        rows, drops, (bodies, np.empty(0)), find_surface(surface), tolerance,
-        lanes=_LANES, columns=6, threads=threads, ending=ending,
-    )  # fmt: skip
+    law, start = find_surface(surface), (bodies, np.empty(0))
+    return _run(rows, drops, start, law, tolerance, columns=6, threads=threads, ending=ending)
 
 
-def prepare(surface: str | Surface = "lf", *, single: bool = True) -> None:
-    """Compile a surface's driver of populations, and of `single` drops, or load them from the disk cache.
+def prepare(surface: str | Surface = "lf") -> None:
+    """Compile a surface's driver, or load it from the disk cache.
 
-    The first call after an installation compiles for some 40 s of processor time per surface, both drivers;
-    say so before. Every simulation does it on demand.
+    The first call after an installation compiles for some 12 s of processor time; say so before. Every
+    simulation does it on demand.
     """
     law = find_surface(surface)
     drops = Drops(np.zeros(1), np.array([[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]]), [np.array([0.0, 1e-3])])
     simulate_population(pack({}, law), drops, surface=law)
-    if single:
-        simulate(pack({}, law), 0.0, drops.body_state[0], drops.time[0], surface=law)
 
 
 def in_kernel_order(rows: FloatArray, surface: Surface) -> FloatArray:
@@ -505,7 +494,6 @@ def _run(
     surface: Surface,
     tolerance: float | None,
     *,
-    lanes: int,
     columns: int,
     threads: int | None,
     ending: Ending = TO_THE_CLOCK,
@@ -531,7 +519,7 @@ def _run(
     states = np.full((count, width, 3, 6), np.nan)
     marks = np.full((room, 7), np.nan)
     kernel_rows = in_kernel_order(rows, surface)
-    drive = _driver(lanes, surface)
+    drive = _driver(_LANES, surface)
     # A method of order 3 takes tolerance**(-1/3) more steps.
     cost = surface.budget * max(1.0, surface.tolerance / tolerance) ** (1 / 3)
     workers = max(1, min(threads or os.cpu_count() or 1, count * width))

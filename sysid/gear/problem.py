@@ -64,7 +64,7 @@ _NEVER_IN_DROPS = ("thrust_point_dx",)
 def prepare_kernel(law: str) -> None:
     """Compile or load a law's kernel, once per process, and say so before: it may take a minute."""
     tell(f"preparing the {law} kernel: compiled once per version (under a minute), then loaded")
-    prepare(law, single=False)
+    prepare(law)
 
 
 def gear_space(campaign: GearCampaign) -> SearchSpace:

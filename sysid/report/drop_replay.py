@@ -112,7 +112,7 @@ def replay_drop(fit: FitResult, trial: TrialResult) -> DropReplay:
     row = np.array([values[name] for name in PARAMETERS])
     surface = str(fit.settings.get("surface", "lf"))
     tolerance = float(fit.settings.get("tolerance", 3e-4))
-    run = simulate(row, slope, start, time, surface=surface, tolerance=tolerance, events=False)
+    run = simulate(row, slope, start, time, surface=surface, tolerance=tolerance)
     joints, feet = leg_points(run.state, values)
     lift = np.array([0.0, height])
     return DropReplay(

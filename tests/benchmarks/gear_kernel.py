@@ -82,7 +82,7 @@ sys.path.insert(0, {folder!r})
 from paired import memory
 from sysid.gear.model import prepare
 before, start = memory() / 2**20, time.process_time()
-prepare({surface!r}, single=False)
+prepare({surface!r})
 print(json.dumps([time.process_time() - start, before, memory() / 2**20]))
 """
 

@@ -115,7 +115,7 @@ def main():
     )
     controllers = (find_controller("off"), find_controller("reverse"))
     for surface in ("lf", "hf"):
-        prepare(surface, single=False)
+        prepare(surface)
         land_many(fleet(surface, 1)[0], [Scenario(0.1, 0.1)], controllers[0])
     if chosen.maps:
         wall, cpu, maps = measured(lambda: landing_maps([fleet("lf"), fleet("hf")], controllers, settings))

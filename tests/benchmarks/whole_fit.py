@@ -40,7 +40,7 @@ def whole_fit(problem, options, folder):
         options = replace(options, population=options.population or 200, runs=5)
         wall, spent, (result, _) = measured(lambda: fit_motor(campaign, options))
     else:
-        prepare(problem, single=False)
+        prepare(problem)
         campaign = SAMPLES / f"gear-{problem}" / "campaign.toml"
         wall, spent, (result, _) = measured(lambda: fit_gear(campaign, options))
     simulations = sum(run.simulations for run in result.runs)

@@ -1,9 +1,10 @@
-"""The landing gear in time: many drops side by side in lanes, one drop alone with a single lane.
+"""The landing gear in time: many drops side by side in lanes.
 
-`drop_driver(lanes, surface)` makes the compiled driver; the scalar form is the same code with one lane. Each
-lane integrates one job (a parameter row on a drop) with an adaptive step and takes the next job when its drop
-ends; loops over lanes become packed instructions. Lanes never exchange numbers. A result therefore depends
-neither on the number of lanes and threads nor on the order of jobs, and a lost lane does not disturb others.
+`drop_driver(lanes, surface)` makes the compiled driver. Each lane integrates one job (a parameter row on a
+drop) with an adaptive step and takes the next job when its drop ends; loops over lanes become packed
+instructions. Lanes never exchange numbers. A result therefore depends neither on the number of lanes and
+threads nor on the order of jobs, and a lost lane does not disturb others. One drop alone takes a lane while
+the others idle: that is no slower than a driver of one lane, which would have to be compiled too.
 
 The method is the explicit pair of `sysid.integrate.tableau`; samples between steps come from the cubic
 Hermite polynomial of the step (order 3), and so do the times of touchdown, lift-off, flip and rest. A step
@@ -75,7 +76,7 @@ FIRST_STEP = 6e-5
 _SAME = 1e-10
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy", forceinline=True)
 @fused
 def _error(work, lane, lanes):
     """Sum of the squared, weighted errors of a step's rates over its length squared."""
@@ -126,7 +127,7 @@ def fingerprint(surface: Surface) -> int:
 
 
 def drop_driver(lanes: int, surface: Surface):
-    """Make the driver for a number of lanes (1: the scalar form) and a surface."""
+    """Make the driver for a number of lanes and a surface."""
     sources = fingerprint(surface)
     modes = surface.switching
 
@@ -170,13 +171,13 @@ def drop_driver(lanes: int, surface: Surface):
             return
         ends_at, rest_speed, rest_turn, rest_time, flip_angle = ending
         ends = ends_at > 0.0
+        logs = 1.0 if len(marks) > 0 else 0.0
         drops = len(slope)
         work = np.ones(at.ROWS * lanes)
         job = np.full(lanes, -1, np.int64)
         cursor = np.zeros(lanes, np.int64)
         segment = np.zeros(lanes, np.int64)
         origin = np.zeros(lanes)
-        friction = np.zeros(4)
         per_tolerance = 1.0 / (7.0 * tolerance * tolerance)
         waiting = 0
         active = 0
@@ -237,10 +238,11 @@ def drop_driver(lanes: int, surface: Surface):
                 touch_d = 1.0 if work[(at.NORMAL + 1) * lanes + lane] > 0.0 else 0.0
                 change_c = touch_c - work[at.TOUCHED * lanes + lane]
                 change_d = touch_d - work[(at.TOUCHED + 1) * lanes + lane]
-                if lanes == 1:
-                    change_c = change_c * change_c
-                    change_d = change_d * change_d
                 news = change_c if change_c > change_d else change_d
+                # With a log a foot that lifts off is news too.
+                lift = change_c if change_c < change_d else change_d
+                lift = -lift * logs
+                news = news if news > lift else lift
                 turn = work[(at.END + at.PHI) * lanes + lane]
                 turn = turn if turn > 0.0 else -turn
                 turned = 1.0 if turn > flip_angle else 0.0
@@ -254,10 +256,9 @@ def drop_driver(lanes: int, surface: Surface):
                 motion = speed if speed > spin else spin
                 motion = motion if now >= work[at.HOLD * lanes + lane] else 1.0
                 moved = work[at.MOVED * lanes + lane]
-                if lanes == 1:
-                    calm = 1.0 if moved >= t else 0.0
-                    calm = calm if motion < 0.0 else 0.0
-                    news = news if news > calm else calm
+                calm = logs if moved >= t else 0.0
+                calm = calm if motion < 0.0 else 0.0
+                news = news if news > calm else calm
                 moved = now if motion >= 0.0 else moved
                 moved = moved if taken > 0.0 else work[at.MOVED * lanes + lane]
                 work[at.MOVED * lanes + lane] = moved
@@ -294,7 +295,7 @@ def drop_driver(lanes: int, surface: Surface):
                         for foot in range(2):
                             touch = 1.0 if work[(at.NORMAL + foot) * lanes + lane] > 0.0 else 0.0
                             before = work[(at.TOUCHED + foot) * lanes + lane]
-                            if touch > before or (lanes == 1 and touch < before):
+                            if touch > before or (logs > 0.0 and touch < before):
                                 share = locate(work, lane, lanes, foot, ending) if h > 0.0 else 0.0
                                 work[(at.TOUCHED + foot) * lanes + lane] = touch
                                 if touch > 0.0 and np.isnan(moments[candidate, drop, foot]):
@@ -315,12 +316,12 @@ def drop_driver(lanes: int, surface: Surface):
                             if modes and work[(at.SWITCH + foot) * lanes + lane] > 0.0:
                                 switches[candidate, drop] += 1
                                 if marked < len(marks):
-                                    for other in range(2):
-                                        friction[other] = available(work, lane, lanes, other)
-                                        friction[2 + other] = work[(at.REQUIRED + other) * lanes + lane]
                                     kind = STICK if work[(at.STUCK + foot) * lanes + lane] > 0.0 else SLIP
                                     marked = _mark(marks, marked, t + h, kind, foot)
-                                    marks[marked - 1, 3:] = friction
+                                    for other in range(2):
+                                        marks[marked - 1, 3 + other] = available(work, lane, lanes, other)
+                                        needed = work[(at.REQUIRED + other) * lanes + lane]
+                                        marks[marked - 1, 5 + other] = needed
                         if abs(work[(at.END + at.PHI) * lanes + lane]) > flip_angle and h > 0.0:
                             if work[at.FLIPPED * lanes + lane] == 0.0:
                                 work[at.FLIPPED * lanes + lane] = 1.0
@@ -328,7 +329,7 @@ def drop_driver(lanes: int, surface: Surface):
                                 moments[candidate, drop, FLIP_AT] = turned_at
                                 marked = _mark(marks, marked, turned_at, FLIP, BODY)
                             code = FLIPPED_OVER if ends else code
-                        if lanes == 1 and h > 0.0 and work[at.MOVED * lanes + lane] == t:
+                        if logs > 0.0 and h > 0.0 and work[at.MOVED * lanes + lane] == t:
                             work[at.MOVED * lanes + lane] = t + h * locate(work, lane, lanes, MOTION, ending)
                         if t + h - work[at.MOVED * lanes + lane] >= rest_time:
                             if work[at.RESTED * lanes + lane] == 0.0:

@@ -19,7 +19,7 @@ solve: Any = None
 modes: Any = None
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy", forceinline=True)
 @fused
 def advanced(work, stage, i, lane, lanes):
     """Coordinate `i` of one lane and its rate at the start of a stage.

@@ -56,7 +56,7 @@ TILT = _rows(4)  # [rad/s², ...]
 ORIGIN = _rows()  # lane time at which the clock of the segment is 0
 SEGMENT_END = _rows()  # lane time at which the segment ends
 # What has happened.
-TOUCHED = _rows(2)  # foot touches (one lane) or has touched (several lanes)
+TOUCHED = _rows(2)  # foot touches (with a log of events) or has touched (without)
 FLIPPED = _rows()  # 1 once the body has turned over
 RESTED = _rows()  # 1 once it has come to rest
 MOVED = _rows()  # end of the last step at whose end the body still moved

@@ -213,7 +213,7 @@ def solve(joints, angles, rates, thrust, normals, slips, modes, law, coefficient
     return acceleration, (f_c, f_d), (r_c, r_d), 0.0
 
 
-@njit(error_model="numpy", inline="always")
+@njit(error_model="numpy", forceinline=True)
 @fused
 def after_step(work, lane, lanes, h, taken, new_h):
     """Cut a step at the first loss of a foot's mode and switch modes there; returns taken and next step."""

@@ -169,7 +169,7 @@ def drop_fit():
     """A fit of one drop whose measurement is a simulation with the published low-friction values."""
     row = pack({})
     time = np.arange(0.0, 0.75, 0.005)
-    run = simulate(row, SLOPE, BODY, time, events=False)
+    run = simulate(row, SLOPE, BODY, time)
     measured = run.state[:, [0, 1, 7, 8, 2]]
     base = made_fit(runs=1, uses=("fit",))
     records = tuple(ParameterRecord.of(parameter, "fixed") for parameter in PARAMETERS.values())
