@@ -23,6 +23,7 @@ from filelock import FileLock, Timeout
 
 from sysid import exact_json
 from sysid.errors import ExportError, SysidError
+from sysid.journal import notice
 from sysid.parallel import Columns, Executor, LocalThreads, Work
 from sysid.storage import check_place, write_file
 from sysid.types import FloatArray
@@ -122,12 +123,19 @@ class Unfinished:
                 )
 
     def _remove_states(self) -> None:
-        for path in self.folder.glob(self.STATES):
-            path.unlink(missing_ok=True)
+        try:
+            for path in self.folder.glob(self.STATES):
+                path.unlink(missing_ok=True)
+        except OSError as error:
+            why = error.strerror or error
+            raise self.ERROR(f"{self.folder}: cannot be removed ({why}); delete this folder") from error
 
     def discard(self) -> None:
-        """Remove everything: the result is written."""
-        self._remove_states()
+        """Remove everything: the result is written, so that a folder that stays is only noticed."""
+        try:
+            self._remove_states()
+        except self.ERROR as error:
+            notice("states-left", f"{self.result} is written, but {error}")
         self.close()
 
     def close(self) -> None:

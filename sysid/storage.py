@@ -11,6 +11,7 @@ HDF5 library ends the process on a full disk.
 
 from __future__ import annotations
 
+import ctypes
 import io
 import os
 import shutil
@@ -150,10 +151,27 @@ def check_folder(
         )
 
 
+# Of renameat2 in Linux: each takes the other's name, in one step.
+_EXCHANGE, _HERE = 2, -100
+
+
+def exchanged(new: Path, path: Path) -> bool:
+    """Give two folders each other's name in one step; False where the system cannot."""
+    try:
+        call = ctypes.CDLL(None).renameat2
+    except (OSError, AttributeError, TypeError):
+        return False
+    return bool(call(_HERE, os.fsencode(new), _HERE, os.fsencode(path), _EXCHANGE) == 0)
+
+
 def _swap(new: Path, path: Path) -> None:
     if not path.exists():
         os.replace(new, path)
         return
+    if exchanged(new, path):
+        shutil.rmtree(new, ignore_errors=True)
+        return
+    # A kill between the two renames leaves the old folder under its temporary name.
     aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.old.", suffix=".part", dir=path.parent))
     try:
         os.replace(path, aside / path.name)

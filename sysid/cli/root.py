@@ -25,6 +25,7 @@ GROUPS = {
 FLAGGED = 3
 EXIT_CODES = {
     0: "done",
+    1: "a bug of sysid; the line names the file with its trace",
     2: "refused: one sentence says what, where, and what to do next",
     FLAGGED: "flagged by validate or cross-validate; an unfinished fit with --strict",
     130: "stopped with Ctrl-C",

@@ -1,0 +1,153 @@
+"""The disk fails at any write: the result is the old one or the new one, and --resume gives equal bits."""
+
+import shutil
+from contextlib import suppress
+
+import numpy as np
+import pytest
+
+from fakes.faults import KINDS, Disk, Killed, faulty
+from fakes.lag_kind import write_lag
+from sysid.errors import ExportError, SysidError
+from sysid.fit import checkpoint
+from sysid.fit.checkpoint import Checkpoint
+from sysid.fit.store import read_fit
+from sysid.resume import BlockStore
+from sysid.storage import FileKind, write_file
+from sysid.workflows.fit import fit_campaign
+from sysid.workflows.landing_sources import compute_and_write
+from sysid.workflows.options import ComputeOptions, FitOptions
+
+# A dozen operations per state; the fault of every operation is another test in the slow suite.
+SEARCH = "runs = 2\npopulation = 8\nmax_generations = 2\nfinish = 'none'\n"
+
+
+def numbers(folder):
+    """The bits of a fit."""
+    fit = read_fit(folder)
+    stages = [stage for run in fit.runs for stage in run.stages]
+    return [fit.values.tobytes(), fit.nrmse.tobytes(), *(s.cube.tobytes() + s.cost.tobytes() for s in stages)]
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    """A campaign, a fit of another seed that is to be replaced, and the fit that replaces it."""
+    folder = tmp_path_factory.mktemp("faults")
+    path = write_lag(folder, SEARCH)
+    old = fit_campaign(path, FitOptions(out=folder / "old", seed=2, quiet=True, check=False))[1]
+    new = fit_campaign(path, FitOptions(out=folder / "new", quiet=True, check=False))[1]
+    return path, old, new
+
+
+@pytest.fixture
+def replaced(campaign, tmp_path, monkeypatch):
+    """Return a function that replaces a fit on a disk, and returns what stopped it, if anything did."""
+    monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
+    monkeypatch.setattr(checkpoint, "_LONGEST_INTERVAL", 0.0)
+    path, old, _ = campaign
+
+    def run(disk):
+        out = tmp_path / "fit"
+        shutil.rmtree(tmp_path)
+        tmp_path.mkdir()
+        shutil.copytree(old, out)
+        with faulty(monkeypatch, disk):
+            try:
+                fit_campaign(path, FitOptions(out=out, force=True, quiet=True, check=False))
+            except (SysidError, Killed) as error:
+                return out, error
+        return out, None
+
+    return run
+
+
+def resumed(campaign, out):
+    """Continue a fit, or begin it again where no state is left, and check its bits."""
+    path, _, new = campaign
+    resume = Checkpoint.kept(Checkpoint.folder_of(out))
+    options = FitOptions(out=out, resume=resume, force=not resume, quiet=True, check=False)
+    fit_campaign(path, options)
+    assert numbers(out) == numbers(new)
+    # Nothing unfinished is left behind.
+    assert not Checkpoint.folder_of(out).exists()
+
+
+def survives(campaign, replaced, at, kind):
+    disk = Disk(at, kind)
+    out, error = replaced(disk)
+    what = (at, kind, disk.names[at], error)
+    assert error is None or isinstance(error, Killed) == (kind == "killed"), what
+    _, old, new = campaign
+    assert numbers(out) in (numbers(old), numbers(new)), what
+    if error is None:
+        assert numbers(out) == numbers(new), what
+    if kind != "killed":
+        # What failed is cleaned up: only a kill leaves temporary files.
+        assert {path.name for path in out.parent.iterdir()} <= {"fit", "fit.checkpoint"}, what
+    resumed(campaign, out)
+
+
+def operations(replaced):
+    disk = Disk()
+    replaced(disk)
+    return disk.names
+
+
+def test_every_kind_of_write_of_a_fit_may_fail(campaign, replaced):
+    names = operations(replaced)
+    assert {"write", "fsync", "replace", "mkstemp", "mkdtemp", "chmod", "unlink", "rmdir"} <= set(names)
+    # The last operation of each kind: those of the result.
+    for number, name in enumerate(sorted(set(names))):
+        survives(campaign, replaced, len(names) - 1 - names[::-1].index(name), KINDS[number % len(KINDS)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_write_of_a_fit_may_fail(campaign, replaced, kind):
+    for at in range(len(operations(replaced))):
+        survives(campaign, replaced, at, kind)
+
+
+# --- maps and design studies --------------------------------------------------------------------------------
+
+MADE = FileKind("sysid-made-map", 1, "a map", "compute it again", ExportError)
+ROWS = {f"cell-{k}": np.arange(4.0 * k, 4.0 * k + 8).reshape(4, 2) for k in range(3)}
+
+
+def mapped(out, monkeypatch, disk, **how):
+    """Compute and write what a map and a design study do: blocks, an HDF5 file, a picture."""
+
+    def write(columns):
+        content = {name: np.stack(column) for name, column in sorted(columns.items())}
+        write_file(out, MADE.content(lambda file: file.update(content)), ExportError)
+        write_file(out.with_suffix(".png"), b"picture", ExportError)
+
+    def compute(where):
+        done = where.blocks(lambda rows: (np.sin(rows[:, 0]), rows.sum(axis=1)), ROWS)
+        return done if len(done) == len(ROWS) else None
+
+    with faulty(monkeypatch, disk):
+        compute_and_write(
+            out, {"seed": 1}, (len(ROWS), "cells"), compute, write, options=ComputeOptions(quiet=True, **how)
+        )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_write_of_a_map_or_a_study_may_fail(tmp_path, monkeypatch, kind):
+    disk = Disk()
+    mapped(tmp_path / "whole.h5", monkeypatch, disk)
+    whole = (tmp_path / "whole.h5").read_bytes()
+    assert len(disk.names) > 20
+    for at in range(len(disk.names)):
+        folder = tmp_path / f"{kind}-{at}"
+        folder.mkdir()
+        out = folder / "map.h5"
+        out.write_bytes(b"old")
+        broken = Disk(at, kind)
+        with suppress(SysidError, Killed):
+            mapped(out, monkeypatch, broken, force=True)
+        assert out.read_bytes() in (b"old", whole), (at, broken.names[at:])
+        resume = BlockStore.kept(BlockStore.folder_of(out))
+        mapped(out, monkeypatch, Disk(), force=True, resume=resume)
+        assert out.read_bytes() == whole
+        assert not BlockStore.folder_of(out).exists()
