@@ -19,6 +19,8 @@ from sysid.errors import ExportError
 from sysid.parameter_sets import ParameterSets, SetsMetadata
 
 SIGNATURE = b"row,name,symbol,unit,status,"
+# A spreadsheet takes a text that begins so for a formula; an apostrophe is doubled, to be read back.
+_COMPUTED = ("=", "+", "-", "@", "\t", "\r", "'")
 _FIXED = ("row", "name", "symbol", "unit", "status", "lower", "upper", "scale", "nominal", "mean", "sigma")
 _TEXTS = ("name", "symbol", "unit", "status", "meaning", "source", "group", "trial")
 _NUMBERS = ("lower", "upper", "nominal", "stated_sigma")
@@ -59,13 +61,18 @@ def csv_text(
 ) -> str:
     """Return rows as CSV under the given columns, by default the keys of the first row.
 
-    None is an empty cell; a float is the shortest text that reads back to the same float.
+    None is an empty cell; a float is the shortest text that reads back to the same float. A text that a
+    spreadsheet would compute gets a leading apostrophe.
     """
     stream = io.StringIO(newline="")
     writer = csv.DictWriter(stream, columns or list(rows[0]), restval="", lineterminator=line_end)
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows({key: _inert(cell) for key, cell in row.items()} for row in rows)
     return stream.getvalue()
+
+
+def _inert(cell: Any) -> Any:
+    return f"'{cell}" if isinstance(cell, str) and cell.startswith(_COMPUTED) else cell
 
 
 def _by_set(values: Any) -> dict[str, Any]:
@@ -112,11 +119,13 @@ def _rows(text: str) -> list[dict[str, str]]:
     # A cell of settings may be longer than the csv module's default limit, which is global to the process.
     limit = csv.field_size_limit(max(len(text), csv.field_size_limit()))
     try:
-        return list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
+        rows = list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
     except csv.Error as error:
         raise ValueError(str(error)) from error
     finally:
         csv.field_size_limit(limit)
+    # A row of more or fewer cells than the header has a list or None in it.
+    return [{k: c[1:] if isinstance(c, str) and c[:1] == "'" else c for k, c in row.items()} for row in rows]
 
 
 def _record(row: dict[str, str]) -> dict[str, Any]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from sysid.errors import printable
+
 
 def document(template: str, **content: object) -> bytes:
     """Return the file of a template; numbers read back to equal values, tuples stand between spaces."""
@@ -15,4 +17,7 @@ def document(template: str, **content: object) -> bytes:
 
 
 def _written(value: object) -> object:
-    return " ".join(map(str, value)) if isinstance(value, tuple) else value
+    if isinstance(value, tuple):
+        return " ".join(map(str, value))
+    # XML has no control characters.
+    return printable(value) if isinstance(value, str) and not hasattr(value, "__html__") else value

@@ -91,16 +91,17 @@ SEARCH = "runs = 2\npopulation = 24\nmax_generations = 40\n"
 
 
 def write_lag(folder, search=SEARCH, names=("step-0", "step-1", "step-2", "step-3")):
-    """Write a campaign of four steps, three to fit, and return its file; the kind is registered."""
+    """Write a campaign of steps, all but the last to fit, and return its file; the kind is registered."""
     register(Kind("lag", LagCampaign, open_lag))
     source = np.random.default_rng(3)
     text = f'name = "bench"\nkind = "lag"\n[fit]\n{search}'
-    for k, (name, step) in enumerate(zip(names, (0.5, 1.0, 1.5, 2.0), strict=True)):
+    for k, name in enumerate(names):
+        step = 0.5 + 0.5 * k
         time = np.arange(200) * 0.005
         speed = TRUE["gain"] * step * (1 - np.exp(-time / TRUE["time_constant"]))
         speed += SIGMA * source.standard_normal(time.size)
         (folder / f"{k}.json").write_text(json.dumps([time.tolist(), speed.tolist()]), encoding="utf-8")
-        use = "fit" if k < 3 else "validate"
+        use = "fit" if k < len(names) - 1 else "validate"
         # JSON's text in quotes is TOML's too.
         text += f'[[trials]]\nname = {json.dumps(name)}\nlog = "{k}.json"\nuse = "{use}"\nstep = {step}\n'
     path = folder / "lag.toml"
