@@ -10,9 +10,11 @@ import time
 
 import pytest
 
+from fakes.hostile import VISIBLE
 from fakes.places import SAMPLES
-from fakes.reports import COARSE, notebook_page, short_fits
-from sysid.workflows.options import ReportOptions
+from fakes.reports import COARSE, SHORT, notebook_page, short_fits
+from sysid.workflows.fit import fit_campaign
+from sysid.workflows.options import FitOptions, ReportOptions
 from sysid.workflows.report import write_report
 
 pytestmark = pytest.mark.browser
@@ -258,3 +260,35 @@ def test_printing_shows_what_is_folded(start, pages):
     )
     assert driver.execute_script(count, "beforeprint") == 0
     assert driver.execute_script(count, "afterprint") > 0
+
+
+def test_no_name_runs_as_a_script(tmp_path, start):
+    strange = (
+        "<script>document.title='owned'</script>{{ 7 * 7 }}<img src=x onerror=document.title='owned'>../"
+    )
+    drops = shutil.copytree(SAMPLES / "gear-lf", tmp_path / "drops")
+    for path in (drops / "campaign.toml", *drops.glob("*.csv")):
+        text = path.read_text(encoding="utf-8-sig").replace("F450", f"{strange}body")
+        path.write_text(text.replace("board-", f"{strange}board-"), encoding="utf-8")
+    text = (drops / "campaign.toml").read_text(encoding="utf-8")
+    for number, name in enumerate(VISIBLE[:8], start=1):
+        text = text.replace(f'name = "drop-{number}"', f"name = {json.dumps(name)}")
+    (drops / "campaign.toml").write_text(text, encoding="utf-8")
+    fit = fit_campaign(drops / "campaign.toml", FitOptions(tmp_path / "fit", **SHORT))[1]
+    page = write_report(fit)["report"]
+    driver = start()
+    driver.get(page.as_uri())
+    assert "owned" not in driver.title
+    assert [entry for entry in driver.get_log("browser") if entry["level"] != "INFO"] == []
+    assert requests(driver) == [page.as_uri()]
+    names = driver.execute_script("return document.body.textContent")
+    assert VISIBLE[0] in names
+    # Only the page's own scripts, and its policy, are there.
+    scripts = driver.execute_script(
+        "return [...document.scripts].map(s => s.textContent.trim().slice(0, 12))"
+    )
+    assert len(scripts) == 3, scripts  # the drops as data, what draws them, what unfolds for printing
+    policy = driver.execute_script("return document.querySelector('meta[http-equiv]').content")
+    assert policy.startswith("default-src 'none'")
+    # The picture of the drops is drawn, with names as text.
+    assert driver.execute_script("return document.querySelectorAll('canvas').length") > 0
