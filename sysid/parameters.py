@@ -77,7 +77,7 @@ class Parameter:
 
     def of_trial(self, trial: str) -> Parameter:
         """Return the row of the same number for one trial alone, named ``name[trial]``."""
-        return replace(self, name=f"{self.name}[{trial}]", symbol=f"{self.symbol}[{trial}]", trial=trial)
+        return replace(self, name=f"{self.name}[{trial}]", symbol=f"{self.symbol} of {trial}", trial=trial)
 
 
 class ParameterTable(dict[str, Parameter]):
@@ -218,7 +218,7 @@ def in_words(parameter: Named, of_trial: bool = True) -> str:
     """Return a parameter as a sentence names it: ``ground damping (b_s)``; with its trial or without."""
     words, symbol = common_name(parameter).replace("_", " "), parameter.symbol
     if parameter.trial:
-        symbol = symbol if of_trial else symbol.removesuffix(f"[{parameter.trial}]")
+        symbol = symbol if of_trial else symbol.partition(" of ")[0]
         words += f" of {parameter.trial}" if of_trial else ""
     return words if symbol in ("", words) else f"{words} ({symbol})"
 

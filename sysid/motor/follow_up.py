@@ -275,7 +275,7 @@ def _judge(
             # Of the torque curve's linear coefficient, which the rotor's equation adds to k_d.
             errors = [fit.standard_errors[1] for fit in bench.curves.fits if fit.quantity == "torque"]
             damping = profile(problem.fitted, _PROFILED, sets.cube[0], max(errors), course.go_on)
-            settings[_PROFILES] = {damping.name: damping.document()}
+            settings[_PROFILES] = {damping.row.name: damping.document()}
             _notice(damping.doubt)
     except CutShort as error:
         cut = error.reason

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import PurePath
 
 import numpy as np
 
@@ -38,7 +39,13 @@ def with_log_delays(
         return space
     common = next(row for row in space.free if row.name == _NAME)
     meaning = "Time from a command in {} to the voltage, instruments included; no motor physics."
-    rows = [replace(common.of_trial(log), meaning=meaning.format(log)) for log in logs]
+    # Tables show the file's name without its suffix, where that names one log.
+    stems = {log: PurePath(log).stem for log in logs}
+    short = stems if len({*stems.values()}) == len(logs) else {log: log for log in logs}
+    rows = [
+        replace(common.of_trial(log), symbol=f"{common.symbol} of {short[log]}", meaning=meaning.format(log))
+        for log in logs
+    ]
     free = tuple(row for row in space.free if row.name != _NAME)
     return SearchSpace(
         ParameterTable([*space.table.values(), *rows]),

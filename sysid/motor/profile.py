@@ -16,6 +16,7 @@ import numpy as np
 from sysid.fit.least_squares import Fronts, MeanNrmse, comparable, descend, drive
 from sysid.journal import Finding
 from sysid.motor.problem import MotorProblem
+from sysid.parameters import Parameter, about, in_words
 from sysid.types import BoolArray, FloatArray
 
 # Values that move the NRMSE by less than this share of itself are equally good.
@@ -33,8 +34,7 @@ class CostProfile:
     parameter below `resolution` [SI], the standard error of the static curves, cannot be seen.
     """
 
-    name: str
-    unit: str
+    row: Parameter
     values: FloatArray
     nrmse: FloatArray
     best: float
@@ -62,12 +62,12 @@ class CostProfile:
         """That the parameter is not identifiable; None where the data bound it from both sides."""
         if self.below is None:
             return None
-        return Finding(
-            "not-identifiable",
-            f"{self.name} is not identifiable: below {self.below:.1g} {self.unit} it changes the NRMSE by "
-            f"less than {100 * LIMIT:g} % of itself, or is lost in the error of the torque curve; its digits "
-            "mean nothing",
+        sentence = (
+            f"{in_words(self.row)} is not identifiable: below {self.below:.1g} {self.row.unit} it changes "
+            f"the NRMSE by less than {100 * LIMIT:g} % of itself, or is lost in the error of the torque "
+            "curve; its digits mean nothing"
         )
+        return about(self.row, "not-identifiable", sentence)
 
     def document(self) -> dict[str, Any]:
         """Return the profile as a result states it."""
@@ -101,4 +101,4 @@ def profile(
     drive(walk, residuals)
     costs = objective.evaluate(np.vstack([fronts.points, best])).cost
     values = space.decode(fronts.points)[:, column]
-    return CostProfile(name, space.free[column].unit, values, costs[:-1], float(costs.min()), resolution)
+    return CostProfile(space.free[column], values, costs[:-1], float(costs.min()), resolution)

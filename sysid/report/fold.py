@@ -54,11 +54,23 @@ def print_table(table: Table, console: Console | None = None) -> None:
         else max((cell_len(word) for text in words for word in text.split()), default=1)
         for whole, column, words in zip(widest, table.columns, texts, strict=True)
     ]
-    groups: list[list[int]] = [[0]]
+
+    def too_wide(columns: list[int]) -> bool:
+        return sum(needed[k] + _AROUND for k in columns) > console.width
+
+    bundles: list[list[int]] = []
     for k in range(1, len(table.columns)):
-        if len(groups[-1]) > 1 and sum(needed[i] + _AROUND for i in (*groups[-1], k)) > console.width:
-            groups.append([0])
-        groups[-1].append(k)
+        if table.columns[k].joined and bundles:
+            bundles[-1].append(k)
+        else:
+            bundles.append([k])
+    groups: list[list[int]] = [[0]]
+    for bundle in bundles:
+        # What is too wide by itself is split like single columns.
+        for piece in [[k] for k in bundle] if too_wide([0, *bundle]) else [bundle]:
+            if len(groups[-1]) > 1 and too_wide([*groups[-1], *piece]):
+                groups.append([0])
+            groups[-1] += piece
     for group in groups:
         spare = console.width - sum(needed[k] + _AROUND for k in group)
         widths = {}

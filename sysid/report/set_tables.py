@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -16,6 +16,7 @@ from sysid.report.table import (
     Cell,
     Table,
     Tone,
+    half_width,
     listed,
     mean_sigma,
     name_and_unit,
@@ -198,6 +199,37 @@ def ladder_table(sets: ParameterSets) -> Table:
             *(numbers(rung.get("title", rung["rung"]), partial(score, rung)) for rung in rungs),
         ),
         "judge by the held-out rows: a parameter is not real because a search returned it",
+    )
+
+
+def truth_table(sets: ParameterSets, truth: Mapping[str, float], expected: Mapping[str, float]) -> Table:
+    """Return what the best set of a synthetic campaign found beside its `truth` [SI].
+
+    `expected` are the relative half-widths of the 95 % intervals that were expected before the fit [1].
+    """
+
+    def found(i: int) -> str:
+        return in_place_of_digits(sets.settings, sets.names[i]) or rounded(sets.values[0, i])
+
+    def off(i: int) -> str:
+        name = sets.names[i]
+        known = truth[name] and in_place_of_digits(sets.settings, name) is None
+        return percent(sets.values[0, i] / truth[name] - 1, 1) if known else NONE
+
+    def within(i: int) -> str:
+        return half_width(expected[sets.names[i]]) if sets.names[i] in expected else NONE
+
+    records = list(enumerate(sets.parameters))
+    return table(
+        f"{sets.name}: found against true",
+        [i for i, record in records if _is_found(sets, record) and record.name in truth],
+        (
+            words("parameter", lambda i: name_and_unit(sets.parameters[i].symbol, sets.parameters[i].unit)),
+            numbers("true", lambda i: rounded(truth[sets.names[i]])),
+            numbers("found", found),
+            numbers("off", off, "%"),
+            numbers("expected half-width", within, "%"),
+        ),
     )
 
 

@@ -27,12 +27,14 @@ class TableColumn:
     """One column and how a row of the data fills it.
 
     The unit is printed behind the header in brackets. Numbers are aligned to the right, never broken or cut.
+    A `joined` column belongs to the one before it: a narrow terminal shows both beside each other.
     """
 
     header: str
     cell: Callable[[Any], str | Cell]
     unit: str = ""
     number: bool = False
+    joined: bool = False
 
     @property
     def title(self) -> str:
@@ -90,6 +92,13 @@ def number(value: float | None, digits: int = 4) -> str:
 def percent(value: float | None, digits: int = 2) -> str:
     """Return a share in percent without the sign, or a dash."""
     return NONE if value is None or not math.isfinite(value) else f"{100 * value:.{digits}f}"
+
+
+def half_width(value: float) -> str:
+    """Return a relative half-width in percent; beyond ten times the value its digits mean nothing."""
+    if not math.isfinite(value):
+        return "open"
+    return f"± {rounded(100 * value, 2)}" if value < 10 else "> 1000"
 
 
 def rounded(value: float, digits: int = 4) -> str:

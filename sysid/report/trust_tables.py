@@ -19,6 +19,7 @@ from sysid.report.table import (
     Table,
     TableColumn,
     Tone,
+    half_width,
     listed,
     mean_sigma,
     name_and_unit,
@@ -61,13 +62,6 @@ def interval(row: Row, level: int) -> str:
     return f"≤ {high}" if below else f"≥ {low}" if above else f"{low} to {high}"
 
 
-def half_width(value: float) -> str:
-    """Return a relative half-width; beyond ten times the value its digits mean nothing."""
-    if not math.isfinite(value):
-        return "open"
-    return f"± {100 * value:.2g} %" if value < 10 else "> 1000 %"
-
-
 def _span(ends: Sequence[float] | None) -> str:
     return NONE if ends is None else " to ".join(map(rounded, ends))
 
@@ -102,7 +96,7 @@ def interval_table(document: Row) -> Table:
             numbers("best set", lambda row: rounded(row["value"]) + ("*" if row.get("at_bound") else "")),
             numbers("mean ± σ of the sets", lambda row: mean_sigma((row["mean"], row["sigma"]))),
             numbers("95 % interval", lambda row: interval(row, 95)),
-            numbers("half-width", lambda row: half_width(row["half_width"])),
+            numbers("half-width", lambda row: half_width(row["half_width"]), "%"),
             _VERDICT,
             _TRADES,
             numbers("bootstrap 95 %", lambda row: _span(row["bootstrap_95"])) if drawn else None,
@@ -173,8 +167,8 @@ def expected_table(document: Row) -> Table:
         (
             _PARAMETER,
             numbers("at", lambda row: number(row["value"])),
-            numbers("half-width", lambda row: half_width(row["half_width"])),
-            numbers("over bounds", lambda row: half_width(row["half_width_over_bounds"])),
+            numbers("half-width", lambda row: half_width(row["half_width"]), "%"),
+            numbers("over bounds", lambda row: half_width(row["half_width_over_bounds"]), "%"),
             numbers("effect", lambda row: mean_sigma((row["effect"], row["interaction"]))),
             _VERDICT,
             _TRADES,
@@ -235,11 +229,13 @@ def validation_table(name: str, document: Row) -> Table:
             place = row["stop"][what] if row.get("stop") else {}
             return mean_sigma((place["mean"], place["sigma"])) if place else NONE
 
-        return numbers(f"{what}, measured", measured, unit), numbers(f"{what}, predicted", predicted, unit)
+        return numbers(f"{what}, measured", measured, unit), numbers(
+            f"{what}, predicted", predicted, unit, joined=True
+        )
 
     third = (
         numbers("to 3rd contact", lambda row: percent(row.get("nrmse_third_contact")), "%"),
-        numbers("ratio there", lambda row: number(row.get("ratio_third_contact"), 3)),
+        numbers("ratio there", lambda row: number(row.get("ratio_third_contact"), 3), joined=True),
     )
     flag = "flagged" if document.get("flagged") else "not flagged"
     return table(
@@ -248,8 +244,8 @@ def validation_table(name: str, document: Row) -> Table:
         (
             _name("trial"),
             numbers("NRMSE", lambda row: percent(row["nrmse"][0]), "%"),
-            numbers("noise alone", lambda row: percent(row.get("floor")), "%"),
-            numbers("ratio", lambda row: number(row.get("ratio"), 3)),
+            numbers("noise alone", lambda row: percent(row.get("floor")), "%", joined=True),
+            numbers("ratio", lambda row: number(row.get("ratio"), 3), joined=True),
             *(third if early else ()),
             numbers("leaves the noise at", leaves, "s") if leaving else None,
             *(stopping("place", "m") + stopping("time", "s") if stops else ()),

@@ -36,5 +36,6 @@ def sentences(expected: Sequence[Expected]) -> tuple[str, ...]:
             word = "weakly identifiable" if row.verdict == "weakly" else "not identifiable"
             partners = " and ".join(partner.name for partner in row.partners[:2])
             trades = f"; trades with {partners}" if partners else ""
-            out.append(f"{row.symbol} ({row.name}) is {word}: {as_half_width(row.half_width)}{trades}")
+            name = row.name.partition("[")[0].replace("_", " ")
+            out.append(f"{name} ({row.symbol}) is {word}: {as_half_width(row.half_width)}{trades}")
     return tuple(out)

@@ -13,24 +13,19 @@ from sysid.fit.result import FitResult
 from sysid.journal import Say
 from sysid.report.drawing import save_figure
 from sysid.report.fit_figures import figure_convergence, figure_measured_against_simulated
+from sysid.report.fold import print_table
+from sysid.report.set_tables import truth_table
+from sysid.report.table import Table
 from sysid.workflows.export_models import export_sets
 from sysid.workflows.fit import fit_campaign
 from sysid.workflows.options import FitOptions
 from sysid.workflows.report import write_report
 
-# What is written for every fit, by the name in `--json`.
-_WORDS = {
-    "fit": "all of the fit",
-    "sets_json": "parameter sets as JSON",
-    "sets_csv": "parameter sets as CSV",
-    "measured_against_simulated": "figure, measured against simulated",
-    "convergence": "figure, convergence of the search",
-    "report": "report to read in a browser",
-}
 # Campaigns of the samples, and what the demo says about them.
 _CAMPAIGNS = {
     "motor": "motor: load-cell logs of forward and reverse commands",
-    "gear-lf": "landing gear on the low-friction surface: six drops to fit, two to validate",
+    "gear-lf": "landing gear on the low-friction surface: six drops to fit, two to predict",
+    "gear-hf": "landing gear on the high-friction surface: six drops to fit, two to predict",
 }
 
 
@@ -53,14 +48,15 @@ def find_samples(given: Path | None) -> Path:
 def run_demo(
     data: Path | None, out: Path, quiet: bool = False, say: Say = None, json: bool = False
 ) -> list[dict[str, Any]]:
-    """Fit motor and LF gear of the samples in `data`, export the sets, draw the figures, write the reports.
+    """Fit the samples in `data`, write exports, figures and reports, and compare with the truth.
 
-    The two fit folders go to `out`, where an earlier demo is replaced. Returns a row per written
-    file: the kind of the fit, what the file is, its path, and the NRMSE of the sets [1].
+    The fit folders go to `out`, where an earlier demo is replaced. Returns a row per written file: the kind
+    of the fit, what the file is, its path, and the NRMSE of the sets [1].
     """
     samples, started = find_samples(data), time.perf_counter()
     tell = say or (lambda sentence: None)
     written: list[dict[str, Any]] = []
+    tables: list[Table] = []
     for number, (name, words) in enumerate(_CAMPAIGNS.items(), start=1):
         tell(f"{number}/{len(_CAMPAIGNS)} {words}")
         options = FitOptions(out / name, force=True, quiet=quiet or json)
@@ -69,23 +65,30 @@ def run_demo(
         nrmse = result.nrmse.tolist()
         for what, path in _outputs(result, folder).items():
             written.append({"kind": result.kind, "what": what, "path": str(path), "nrmse": nrmse})
+        truth = exact_json.loads((samples / name / "truth.json").read_text(encoding="utf-8"))
+        tables.append(truth_table(result.parameter_sets(), truth["parameters"], _expected(result)))
+    seconds = time.perf_counter() - started
     if json:
-        print(exact_json.dumps({"written": written, "seconds": time.perf_counter() - started}))
+        print(exact_json.dumps({"written": written, "seconds": seconds}))
     elif not quiet:
+        for one in tables:
+            print_table(one)
+        print(f"done in {seconds:.0f} s; all of it lies in {out}. Reports, to open in a browser:")
         # Plain lines: a path that a table folds cannot be copied.
         for row in written:
-            shares = "  ".join(f"{100 * value:.2f}" for value in row["nrmse"])
-            scores = f" (NRMSE of its sets: {shares} %)" if row["what"] == "fit" else ""
-            print(f"{row['path']}  {row['kind']}, {_WORDS[row['what']]}{scores}")
-        print(f"done in {time.perf_counter() - started:.0f} s")
-        for name in _CAMPAIGNS:
-            print(f"look: open {(out / name / 'report.html').resolve()} in a browser")
-        print("next, for your logs: sysid new-campaign motor, or sysid new-campaign gear")
+            if row["what"] == "report":
+                print(f"  {Path(row['path']).resolve()}")
+        print("next, with your own logs: sysid new-campaign gear --minimal --from LOG... (or motor)")
     return written
 
 
+def _expected(result: FitResult) -> dict[str, float]:
+    """Return the relative 95 % half-widths that were expected before the fit, by parameter [1]."""
+    return {row["name"]: row["half_width"] for row in result.provenance.get("expected", ())}
+
+
 def _outputs(result: FitResult, folder: Path) -> dict[str, Path]:
-    """Write exports, figures and the report of a fit; return the files by their keys in `_WORDS`."""
+    """Write exports, figures and the report of a fit; return the files by what they are."""
     out = {"fit": folder}
     for suffix in ("json", "csv"):
         (out[f"sets_{suffix}"],) = export_sets(folder, folder / f"sets.{suffix}", force=True)

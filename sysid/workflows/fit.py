@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import chain
@@ -27,7 +27,7 @@ from sysid.fit.result import FitResult, bound_findings, ranked_sets
 from sysid.fit.search import Hooks, SearchSettings, run_many
 from sysid.fit.stopping import CutReason, Deadline, StopFlag, StopRule, stop_on_interrupt
 from sysid.fit.store import check_new_fit, write_fit
-from sysid.journal import Journal, Say, notice, tell
+from sysid.journal import Finding, Journal, Say, notice, tell
 from sysid.parallel import executor
 from sysid.trust.sensitivity import quick_expectations
 from sysid.trust.verdicts import sentences
@@ -131,9 +131,8 @@ def fit_campaign(
             outcome = model.follow_up(problem, Course(sets, search, cut, deadline.check))
             record = {**provenance(search, problem, folder), **expected}
             result = _result(model.name, problem, runs, outcome, record)
-            doubts = bound_findings(outcome.records, outcome.at_bound), loose_findings(runs, problem.space)
-            for finding in chain(*doubts):
-                journal.add(finding)
+            doubts = loose_findings(runs, problem.space), bound_findings(outcome.records, outcome.at_bound)
+            _add_doubts(journal, chain(*doubts))
             noticed = [finding.document() for finding in journal.findings]
             result = replace(
                 result,
@@ -150,6 +149,14 @@ def fit_campaign(
             # What is done needs no checkpoint any more.
             checkpoint.discard()
         return result, written
+
+
+def _add_doubts(journal: Journal, doubts: Iterable[Finding]) -> None:
+    """Add what is doubtful about parameters; one that is not identifiable is named once."""
+    for finding in doubts:
+        lost = {name for old in journal.findings if old.code == "not-identifiable" for name in old.parameters}
+        if not finding.parameters or not lost.issuperset(finding.parameters):
+            journal.add(finding)
 
 
 def _expected(fitted: Problem) -> dict[str, Any]:
@@ -190,6 +197,8 @@ def _search(
     if checkpoint.memories:
         done = sum(len(stage.cost) for memory in checkpoint.memories for stage in memory.stages)
         tell(f"continuing {len(checkpoint.memories)} runs after {done} generations")
+    # NaN where a log shows no noise.
+    progress.expect(sum(block.weight * block.noise for block in fitted.blocks), candidate_time)
     dask = options.dask
     # One process would breed too slowly for many workers; each further one costs a start.
     apart = dask is not None and (dask != "local" or (os.cpu_count() or 1) > _FED_BY_ONE)

@@ -47,7 +47,26 @@ def print_fit(result: FitResult, folder: Path, json: bool) -> None:
         return
     _print_tables(sets)
     state = "" if result.state == "done" else " (stopped early: the sets are the best until then)"
-    print(f"fit written to {folder}{state}; next: sysid export {folder} --to sets.json")
+    print(f"verdict: {_verdict(result)}")
+    print(f"fit written to {folder}{state}; next:")
+    for command, what in (
+        (f"report {folder}", "one page with every trial, to open in a browser"),
+        (f"validate {folder} CAMPAIGN", "does it predict trials that it has not seen?"),
+        (f"export {folder} --out sets.json", "the sets for a simulator"),
+    ):
+        print(f"  sysid {command:<40}  {what}")
+
+
+def _verdict(result: FitResult) -> str:
+    """Return how well the best set fits and what the data leave open, in one sentence."""
+    found = result.provenance.get("findings", ())
+    lost = {name for one in found if one["code"] == "not-identifiable" for name in one["parameters"]}
+    known = f"not determined: {', '.join(sorted(lost))}" if lost else "every free parameter is determined"
+    warned = len(result.warnings)
+    return (
+        f"NRMSE {100 * result.nrmse[0]:.2f} %; {known.replace('_', ' ')}; "
+        f"{warned or 'no'} warning{'' if warned == 1 else 's'}{' above' if warned else ''}"
+    )
 
 
 def _print_tables(sets: ParameterSets) -> None:

@@ -1,7 +1,7 @@
 """What a fit says while it runs."""
 
 import io
-import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,33 +26,50 @@ def report(**kwargs):
     return stream, FitProgress(SearchSettings(runs=5, **kwargs), "drops", console=console)
 
 
-def test_line_says_what_is_asked():
+def test_a_run_says_its_stage_its_cost_over_noise_and_its_speed():
     _, progress = report()
-    line = progress.line(1, GENERATION)
-    expected = "run 2/5  ga 7  NRMSE best 5.000 % median 6.00 %  63 drops/s  left -"
-    assert line == expected
+    assert progress.line(1) == "run 2/5  waits"
+    progress.on_generation(1, GENERATION)
+    assert progress.line(1) == "run 2/5  ga 7  NRMSE 5.000 %  63 drops/s"
+    progress.expect(0.04, 1e-3)
+    assert progress.line(1) == "run 2/5  ga 7  NRMSE 5.000 % = 1.25 × noise  63 drops/s"
+    progress.on_run(1, HISTORY)
+    assert progress.line(1) == "run 2/5  ended  NRMSE 5.000 % = 1.25 × noise"
 
 
-def test_time_left_is_honest():
+def test_the_time_left_is_known_from_the_first_second(monkeypatch):
+    clock = [100.0]
+    monkeypatch.setattr(progress_module.time, "perf_counter", lambda: clock[0])
     _, progress = report()
-    assert progress.time_left(0, GENERATION) == "-"
-    progress.on_run(0, HISTORY)
-    # One run took 10 s, this one has run for 2 s and three follow.
-    assert progress.time_left(1, GENERATION) == "~ 0:38"
+    assert progress.time_left() == "-"
+    # Five runs of some 2000 candidates.
+    progress.expect(0.04, 0.003)
+    assert progress.time_left() == "~ 0:30"
+    # 21 candidates in 2 s: the others take as long.
+    with progress:
+        clock[0] += 2.0
+        progress.on_generation(0, replace(GENERATION, evaluations=3))
+        assert progress.time_left() == "~ 1:51:05"
+        # The first run needed 21 candidates, 7 s for each third of it: so will the other four.
+        progress.on_generation(0, GENERATION)
+        progress.on_run(0, HISTORY)
+        clock[0] += 19.0
+        assert progress.time_left() == "~ 1:24"
+        assert "20 %" in progress.block().plain
     _, limited = report(stop=StopRule(time_limit=3600.0))
-    assert re.fullmatch(r"< (1:00:00|59:59)", limited.time_left(0, GENERATION))
+    assert limited.time_left() == "< 1:00:00"
 
 
 def test_plain_lines_where_there_is_no_terminal(monkeypatch):
     stream, progress = report()
     with progress:
+        assert stream.getvalue() == "5 runs of the search; left -\n"
         progress.on_generation(0, GENERATION)
-        assert stream.getvalue() == ""
         monkeypatch.setattr(progress_module, "PLAIN_INTERVAL", 0.0)
         progress.on_generation(0, GENERATION)
         progress.on_run(0, HISTORY)
         progress.on_stop()
-    lines = stream.getvalue().splitlines()
+    lines = stream.getvalue().splitlines()[1:]
     assert lines[0].startswith("run 1/5  ga 7")
     assert lines[1].startswith("run 1/5 ended: NRMSE 5.000 %, 10.0 s, 21 candidates")
     assert "ga 1 generations (NRMSE change below the tolerance)" in lines[1]
@@ -61,7 +78,7 @@ def test_plain_lines_where_there_is_no_terminal(monkeypatch):
 
 
 @pytest.mark.parametrize("quiet", [False, True])
-def test_a_terminal_shows_a_live_line_unless_quiet(quiet):
+def test_a_terminal_shows_a_live_block_unless_quiet(quiet):
     stream = io.StringIO()
     console = Console(file=stream, force_terminal=True, width=120)
     with FitProgress(SearchSettings(), quiet=quiet, console=console) as progress:
@@ -69,4 +86,4 @@ def test_a_terminal_shows_a_live_line_unless_quiet(quiet):
         progress.on_run(0, HISTORY)
         progress.on_stop()
     shown = stream.getvalue()
-    assert shown == "" if quiet else ("ga 7" in shown and "ended: " in shown)
+    assert shown == "" if quiet else all(word in shown for word in ("ended: ", "run 5/5  waits", "━"))

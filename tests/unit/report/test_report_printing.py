@@ -28,6 +28,20 @@ def printed(content, width):
     return console.file.getvalue()
 
 
+@pytest.mark.parametrize("width", [40, 50, 60, 70, 80, 90, 120])
+def test_columns_that_belong_together_stay_beside_each_other(width):
+    pairs = [
+        numbers(f"{what} {k}", itemgetter(1), joined=what == "noise")
+        for k in "ab"
+        for what in ("nrmse", "noise")
+    ]
+    text = printed(table("", [("drop-1", "12.345")], (words("trial", itemgetter(0)), *pairs)), width)
+    heads = [line for line in text.splitlines() if "nrmse" in line]
+    assert sum(line.count("noise") for line in heads) == 2
+    for line in heads:
+        assert line.count("nrmse") == line.count("noise")
+
+
 @pytest.mark.parametrize("width", [8, 20, 33, 47, 60, 79, 80, 120, 200])
 def test_every_number_is_whole_at_every_width(width):
     columns = 5

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from scipy.spatial.transform import Rotation
 import sysid
 from fakes.fits import full_fit
 from fakes.places import SAMPLES
+from sysid.campaign import read_campaign
 from sysid.cli.adapter import command
 from sysid.fit.store import write_fit
 
@@ -125,6 +127,52 @@ def test_new_campaign_writes_a_template(tmp_path, run, refused):
     refused(["exists already"], "new-campaign", "motor", "--out", target)
 
 
+def test_a_minimal_campaign_says_what_the_logs_say_and_refuses_the_rest(tmp_path, run, refused):
+    """The sample drops: names, slopes (one board is seen too briefly), axes; nothing of another drone."""
+    target = tmp_path / "mine.toml"
+    code, out, err = run("new-campaign", "gear", "--from", SAMPLES / "gear-lf", "--out", target)
+    assert code == 0, err
+    assert "sysid check" in out
+    text = target.read_text(encoding="utf-8")
+    stated = tomllib.loads(text)
+    assert len(text.splitlines()) - len(stated["trials"]) <= 25
+    slopes = [trial["slope"] for trial in stated["trials"]]
+    wanted = ["5.0", "10.0", "15.0", "20.0", "27.0", "TODO", "12.0", "24.0"]
+    assert slopes == [f"{slope} deg" for slope in wanted]
+    found = {key: stated["capture"][key] for key in ("rigid_body", "up", "down_slope")}
+    assert found == {"rigid_body": "F450", "up": "+y", "down_slope": "-z"}
+    names = ["still TODO: ", "drop-6-35deg-0.45mps'].slope", "vehicle.body_mass", "surface.kinetic_friction"]
+    refused(names, "check", target)
+    measured = {
+        "body_mass": "1.242 kg", "body_inertia": "0.0137 kg·m²", "foot_dx": "105 mm", "foot_dz": "151 mm",
+        "leg_mass": "0.02 kg", "leg_inertia": "2e-4 kg·m²", "kinetic_friction": "0.44",
+    }  # fmt: skip
+    for key, value in measured.items():
+        text = re.sub(rf'(?m)^{key} = "TODO[^"]*"', f'{key} = "{value}"', text)
+    target.write_text(text.replace("TODO mm", "0 mm").replace("TODO", "35"), encoding="utf-8")
+    assert read_campaign(target, "gear").trials[5].slope == pytest.approx(np.radians(35))
+
+
+def test_a_minimal_motor_campaign_tells_directions_and_curves_apart(tmp_path, run, refused):
+    first, *others = (SAMPLES / "motor" / name for name in MOTOR_LOGS)
+    target = tmp_path / "motor.toml"
+    code, _, err = run("new-campaign", "motor", "--minimal", "--from", first, *others, "--out", target)
+    assert code == 0, err
+    stated = tomllib.loads(target.read_text(encoding="utf-8"))
+    assert [trial["direction"] for trial in stated["trials"]] == ["forward", "reverse", "reversal"]
+    curves = {kind: [row["direction"] for row in rows] for kind, rows in stated["curves"].items()}
+    assert curves == {"static": ["forward"], "no_load": ["reverse"]}
+    assert stated["command"] == {"unit": "us", "minimum": 1000, "neutral": 1500, "maximum": 2000}
+    assert stated["motor"]["reference_voltage"] == "11.1 V"
+    refused("still TODO: motor.kv, motor.rotor_inertia;", "fit-motor", target)
+    wrong = ("new-campaign", "gear", "--from", first, "--out", tmp_path / "none.toml")
+    refused(["forward-1.csv", "load-cell log", "leave this log out"], *wrong)
+    assert not (tmp_path / "none.toml").exists()
+    assert run("new-campaign", "motor", "--minimal", "--out", tmp_path / "empty.toml")[0] == 0
+    refused("trials['trial-1'].log", "check", tmp_path / "empty.toml")
+
+
+MOTOR_LOGS = ("forward-1.csv", "reverse-1.h5", "reversal-1.h5", "static-forward.csv", "no-load-reverse.csv")
 FIRST = "drop-1-5deg-0.50mps.csv"
 
 
