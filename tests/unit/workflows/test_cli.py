@@ -98,7 +98,7 @@ def test_ctrl_c_outlives_a_compiler_that_swallows_exceptions(monkeypatch, run):
     exec("def optimize():\n    callback()", compiler)
     monkeypatch.setattr(sys, "unraisablehook", swallowed.append)
 
-    @command(app, "wait")
+    @command(app, "wait", "sysid wait")
     def wait() -> None:
         compiler["optimize"]()
         time.sleep(5.0)
